@@ -1,0 +1,36 @@
+# Two commands matter: make demo, make test. Both set up .venv from pinned packages first.
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+STAMP := $(VENV)/.installed
+export FK_FULL ?= 0
+
+.PHONY: demo test test-full bench lint types venv clean
+
+demo: $(STAMP)
+	$(BIN)/frogkick demo --out demo
+
+test: $(STAMP)
+	$(BIN)/python -m pytest
+
+test-full: $(STAMP)
+	FK_FULL=1 $(BIN)/python -m pytest
+
+lint: $(STAMP)
+	$(BIN)/ruff check host codegen tests firmware
+	$(BIN)/ruff format --check host codegen tests firmware
+
+types: $(STAMP)
+	$(BIN)/mypy host/frogkick codegen/frogkick_codegen
+
+venv: $(STAMP)
+
+$(STAMP): pyproject.toml requirements.lock
+	@$(PYTHON) -c 'import sys; v = sys.version_info; v >= (3, 11) or sys.exit("frogkick needs Python 3.11 or newer, this is %d.%d: set PYTHON=python3.11" % v[:2])'
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -r requirements.lock
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps -e .
+	@touch $(STAMP)
+
+clean:
+	rm -rf $(VENV) build demo out

@@ -1,0 +1,1 @@
+"""Turns a table image into C that stands on its own, and builds it."""

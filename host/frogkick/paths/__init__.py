@@ -1,0 +1,18 @@
+"""Desired paths: line, sine, ellipse, waypoints, files; resampling, tangents, distances."""
+
+from frogkick.paths.csvfile import read_path
+from frogkick.paths.path import POINTS_MAX, Path, wrap_angle
+from frogkick.paths.shapes import SHAPES, ellipse, from_waypoints, line, shape, sine
+
+__all__ = [
+    "POINTS_MAX",
+    "SHAPES",
+    "Path",
+    "ellipse",
+    "from_waypoints",
+    "line",
+    "read_path",
+    "shape",
+    "sine",
+    "wrap_angle",
+]

@@ -1,0 +1,133 @@
+"""Path files: CSV with x, y and optionally dx, dy (the paper's form) or tangent_rad."""
+
+from __future__ import annotations
+
+import csv
+import math
+import pathlib
+
+import numpy as np
+
+from frogkick.errors import InputError, nearest_name
+from frogkick.files import existing_file
+from frogkick.paths.path import POINTS_MAX, Path
+from frogkick.paths.shapes import from_waypoints
+
+# Header names that are taken, and what they mean.
+_NAMES = {
+    "x": "x", "x_m": "x", "y": "y", "y_m": "y", "dx": "dx", "dx/ds": "dx", "dy": "dy", "dy/ds": "dy",
+    "tangent_rad": "tangent_rad",
+}  # fmt: skip
+
+
+def read_path(file: pathlib.Path | str) -> Path:
+    """Read a path from CSV.
+
+    Without header: columns x, y or x, y, dx, dy (the paper's ``linep1.csv``). With header: x, y and
+    optionally dx, dy or tangent_rad in any order. Up to 100 points with tangents are taken as they
+    stand, so that the paper's path index keeps its meaning; anything else is resampled to 100 points by
+    arc length (straight between the points).
+
+    Args:
+        file: the CSV file; metres, world frame.
+
+    Raises:
+        InputError: missing or empty file, not text, unknown or missing columns, a cell that is not a finite
+            number (row and column named), a tangent of no length, one point, no length.
+    """
+    source = existing_file(file, "path file")
+    name = source.name
+    try:
+        text = source.read_text(encoding="utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise InputError(f"path file {name!r} is not text (byte {error.start}): give a CSV file") from error
+    if "\0" in text:
+        raise InputError(f"path file {name!r} is not text (NUL bytes): give a CSV file")
+    rows = [(number, row) for number, row in _rows(text, name) if any(cell.strip() for cell in row)]
+    if not rows:
+        raise InputError(f"path file {name!r} holds no rows: give at least 2 points")
+    columns = _header(rows[0][1], name)
+    if columns is None:
+        width = len(rows[0][1])
+        if width not in (2, 4):
+            raise InputError(
+                f"path file {name!r} has {width} columns and no header: give x, y or x, y, dx, dy"
+            )
+        columns = ["x", "y", "dx", "dy"][:width]
+    else:
+        rows = rows[1:]
+    values = _numbers(rows, columns, name)
+    points = np.column_stack([values["x"], values["y"]])
+    stem = source.stem
+    has_tangent = "tangent_rad" in values or "dx" in values
+    if not has_tangent or len(points) > POINTS_MAX:
+        return from_waypoints(points, smooth=False, name=stem)
+    if "dx" in values:
+        still = np.flatnonzero((values["dx"] == 0.0) & (values["dy"] == 0.0))
+        if still.size:
+            raise InputError(
+                f"path file {name!r} row {rows[still[0]][0]}: the tangent dx, dy is 0, 0: give a direction"
+            )
+        tangent = np.arctan2(values["dy"], values["dx"])
+    else:
+        tangent = values["tangent_rad"]
+    return Path.from_arrays(points[:, 0], points[:, 1], tangent, stem)
+
+
+def _rows(text: str, name: str) -> list[tuple[int, list[str]]]:
+    reader = csv.reader(text.splitlines())
+    try:
+        return [(reader.line_num, row) for row in reader]
+    except csv.Error as error:
+        raise InputError(f"path file {name!r} line {reader.line_num} is not CSV: {error}") from error
+
+
+def _header(cells: list[str], name: str) -> list[str] | None:
+    """Canonical column names, or None where the first row already holds numbers."""
+    names = [cell.strip().lower() for cell in cells]
+    # A row with any number in it is data (perhaps bad data), not a header: 'x,y' never parses.
+    if any(_is_number(cell) for cell in names):
+        return None
+    columns = []
+    for cell in names:
+        if cell not in _NAMES:
+            raise InputError(
+                f"path file {name!r}: unknown column {cell!r}{nearest_name(cell, _NAMES)}: "
+                "use x, y and optionally dx, dy or tangent_rad"
+            )
+        columns.append(_NAMES[cell])
+    twice = [column for column in columns if columns.count(column) > 1]
+    if twice:
+        raise InputError(f"path file {name!r}: column {twice[0]!r} stands twice: keep one")
+    for needed, when in (("x", True), ("y", True), ("dx", "dy" in columns), ("dy", "dx" in columns)):
+        if when and needed not in columns:
+            raise InputError(f"path file {name!r}: column {needed!r} is missing: add it")
+    return columns
+
+
+def _numbers(
+    rows: list[tuple[int, list[str]]], columns: list[str], name: str
+) -> dict[str, np.ndarray[tuple[int], np.dtype[np.float64]]]:
+    values = np.empty((len(rows), len(columns)))
+    for index, (number, row) in enumerate(rows):
+        if len(row) != len(columns):
+            raise InputError(
+                f"path file {name!r} row {number} has {len(row)} columns, expected {len(columns)} "
+                f"({', '.join(columns)}): repair that row"
+            )
+        for column, cell in enumerate(row):
+            if not _is_number(cell) or not math.isfinite(float(cell)):
+                raise InputError(
+                    f"path file {name!r} row {number} column {columns[column]!r} is {cell.strip()!r}: "
+                    "give a finite number"
+                )
+            values[index, column] = float(cell)
+    return {column: values[:, index] for index, column in enumerate(columns)}
+
+
+def _is_number(cell: str) -> bool:
+    try:
+        float(cell)
+    except ValueError:
+        return False
+    return True

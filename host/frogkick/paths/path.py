@@ -1,0 +1,196 @@
+"""A desired path: up to 100 points with tangents, as the planner takes it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import cast
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from frogkick.errors import InputError
+
+# fk_path_t holds this many points (FK_PATH_POINTS_MAX in fk_planner.h); the paper's paths have exactly 100.
+POINTS_MAX = 100
+# The planner refuses a position beyond this (FK_ERROR_RANGE), so a path may not lead there.
+COORDINATE_MAX_M = 1000.0
+
+Float32 = NDArray[np.float32]
+Float64 = NDArray[np.float64]
+
+
+def wrap_angle(angle_rad: ArrayLike) -> Float64:
+    """Wrap angles to (-pi, pi], in float64, same shape as given."""
+    angle = np.asarray(angle_rad, dtype=np.float64)
+    wrapped = np.pi - np.mod(np.pi - angle, 2.0 * np.pi)
+    # mod may round up to its divisor: such an angle is -pi, which belongs to +pi.
+    return np.where(wrapped <= -np.pi, np.pi, wrapped)
+
+
+def tangent_float32(tangent_rad: ArrayLike) -> Float32:
+    """Wrap tangents and round them to float32; float32's -pi becomes +pi, as the range is (-pi, pi]."""
+    rounded = wrap_angle(tangent_rad).astype(np.float32)
+    rounded[rounded <= np.float32(-np.pi)] = np.float32(np.pi)
+    return rounded
+
+
+@dataclass(frozen=True, eq=False)
+class Path:
+    """A desired path in the world frame.
+
+    Args:
+        x_m: (n,) float32, m, world x of the points, in the order of travel; 2 <= n <= 100.
+        y_m: (n,) float32, m, world y.
+        tangent_rad: (n,) float32, rad, heading of travel at each point, in (-pi, pi].
+        name: what to call it in a report.
+
+    Raises:
+        InputError: fewer than two points, more than 100, lengths that differ, a non-finite or too large
+            value (index and name given), or no length.
+    """
+
+    x_m: Float32
+    y_m: Float32
+    tangent_rad: Float32
+    name: str = "path"
+
+    def __post_init__(self) -> None:
+        columns = {}
+        for column in ("x_m", "y_m", "tangent_rad"):
+            values = np.array(getattr(self, column), dtype=np.float64)
+            if values.ndim != 1:
+                raise InputError(
+                    f"path {self.name!r}: {column} has {values.ndim} dimensions: give one row of numbers"
+                )
+            bad = np.flatnonzero(~np.isfinite(values))
+            if bad.size:
+                raise InputError(
+                    f"path {self.name!r}: {column} of point {bad[0]} is {values[bad[0]]}: "
+                    "every coordinate must be a finite number"
+                )
+            columns[column] = values
+        x, y, tangent = columns["x_m"], columns["y_m"], columns["tangent_rad"]
+        if not x.size == y.size == tangent.size:
+            raise InputError(
+                f"path {self.name!r}: {x.size} x, {y.size} y and {tangent.size} tangents: "
+                "give one of each per point"
+            )
+        if x.size == 0:
+            raise InputError(f"path {self.name!r} is empty (0 points): give at least 2 points")
+        if x.size == 1:
+            raise InputError(f"path {self.name!r} has 1 point: give at least 2 points")
+        if x.size > POINTS_MAX:
+            raise InputError(
+                f"path {self.name!r} has {x.size} points, the limit is {POINTS_MAX}: "
+                "resample it (from_waypoints)"
+            )
+        far = np.flatnonzero((np.abs(x) > COORDINATE_MAX_M) | (np.abs(y) > COORDINATE_MAX_M))
+        if far.size:
+            raise InputError(
+                f"path {self.name!r}: point {far[0]} lies at ({x[far[0]]:g}, {y[far[0]]:g}) m, the limit is "
+                f"{COORDINATE_MAX_M:g} m: give metres, not millimetres"
+            )
+        for column, stored in (
+            ("x_m", x.astype(np.float32)),
+            ("y_m", y.astype(np.float32)),
+            ("tangent_rad", tangent_float32(tangent)),
+        ):
+            stored.flags.writeable = False
+            object.__setattr__(self, column, stored)
+        if self.length_m == 0.0:
+            raise InputError(
+                f"path {self.name!r} has no length (all {x.size} points coincide): give distinct points"
+            )
+
+    @classmethod
+    def from_arrays(cls, x_m: ArrayLike, y_m: ArrayLike, tangent_rad: ArrayLike, name: str = "path") -> Path:
+        """A path from numbers of any type; rounded to float32 after they are checked in float64."""
+        return cls(cast(Float32, x_m), cast(Float32, y_m), cast(Float32, tangent_rad), name)
+
+    def __len__(self) -> int:
+        return int(self.x_m.size)
+
+    def __eq__(self, other: object) -> bool:
+        """Equal points, bit for bit; the name does not count."""
+        if not isinstance(other, Path):
+            return NotImplemented
+        return (
+            np.array_equal(self.x_m, other.x_m)
+            and np.array_equal(self.y_m, other.y_m)
+            and np.array_equal(self.tangent_rad, other.tangent_rad)
+        )
+
+    __hash__ = None  # type: ignore[assignment]
+
+    @property
+    def points_m(self) -> Float64:
+        """(n,2) float64, m, world: the points."""
+        return np.column_stack([self.x_m, self.y_m]).astype(np.float64)
+
+    @property
+    def length_m(self) -> float:
+        """Length of the polyline through the points, m."""
+        return float(np.hypot(*np.diff(self.points_m, axis=0).T).sum())
+
+    def place(self, pose_world: Sequence[float] | ArrayLike) -> Path:
+        """Return the path moved so that its own origin and x axis lie at ``pose_world``.
+
+        Args:
+            pose_world: (x m, y m, heading rad) of the robot at the start.
+
+        Raises:
+            InputError: the pose is not three finite numbers.
+        """
+        pose = np.asarray(pose_world, dtype=np.float64)
+        if pose.shape != (3,) or not np.isfinite(pose).all():
+            raise InputError(
+                f"path {self.name!r} cannot be placed at {pose.tolist()}: give x m, y m, heading rad"
+            )
+        cos, sin = np.cos(pose[2]), np.sin(pose[2])
+        points = self.points_m @ np.array([[cos, sin], [-sin, cos]]) + pose[:2]
+        return Path.from_arrays(
+            points[:, 0], points[:, 1], self.tangent_rad.astype(np.float64) + pose[2], self.name
+        )
+
+    def distance_m(self, points_world_m: ArrayLike) -> Float64:
+        """Distance of points to the polyline (to its segments, not only to its points).
+
+        Args:
+            points_world_m: (k,2), m, world.
+
+        Returns:
+            (k,) float64, m.
+        """
+        points = _as_points(points_world_m)
+        start = self.points_m[:-1]
+        along = np.diff(self.points_m, axis=0)
+        square = (along**2).sum(axis=1)
+        offset = points[:, None, :] - start[None, :, :]
+        # A segment of no length (a point given twice) has its foot at its start.
+        foot = np.clip((offset * along).sum(axis=2) / np.where(square > 0.0, square, 1.0), 0.0, 1.0)
+        gap = offset - foot[:, :, None] * along[None, :, :]
+        distance: Float64 = np.sqrt((gap**2).sum(axis=2).min(axis=1))
+        return distance
+
+    def nearest_index(self, points_world_m: ArrayLike) -> NDArray[np.int64]:
+        """Index of the nearest path POINT for each point, lowest index on ties, in float64.
+
+        This is the index that the paper's cost uses; the planner decides it in float32.
+
+        Args:
+            points_world_m: (k,2), m, world.
+
+        Returns:
+            (k,) int64, 0..n-1.
+        """
+        points = _as_points(points_world_m)
+        square = ((points[:, None, :] - self.points_m[None, :, :]) ** 2).sum(axis=2)
+        return np.asarray(square.argmin(axis=1), dtype=np.int64)
+
+
+def _as_points(points_world_m: ArrayLike) -> Float64:
+    points = np.asarray(points_world_m, dtype=np.float64)
+    if points.ndim != 2 or points.shape[1] != 2:
+        raise InputError(f"points have shape {points.shape}: give (k, 2), metres in the world frame")
+    return points

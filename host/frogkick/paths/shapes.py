@@ -1,0 +1,190 @@
+"""The paper's paths, and paths through waypoints.
+
+Source: Huang 2022, section on motion planning; checked against the published path files of seven runs.
+What those files show:
+
+- 100 points each, at parameter s = i/99, uniform in s (not in arc length: a sine's and an ellipse's
+  points lie closer where the curve bends), tangents dx/ds, dy/ds not normalised.
+- Line: the x axis of the start pose; lengths 0.466 m.
+- Sine: x = 0.85 l s, y = l/10 sin(10 s) with l = 0.420 and 0.497 m: "l/10" refers to l, while the
+  extent forward is 0.85 l (amplitude / extent is 2/17 to the last digit).
+- Ellipse: 0.95 of a turn, the angle 1.9 pi s. The start pose is one end of the axis that the robot points
+  along, so the centre lies straight ahead and the first tangent is 90 degrees from the heading. Runs 1 and
+  3 have semi-axes 0.168/0.084 and 0.174/0.087 m (2:1, long axis ahead, clockwise, first to the left); runs
+  5 and 6 are circles of 0.121 and 0.136 m, counter-clockwise, first to the right.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from frogkick.errors import InputError, nearest_name
+from frogkick.paths.path import POINTS_MAX, Path
+
+Float64 = NDArray[np.float64]
+
+# Sizes near those of the recorded runs, which fit the authors' pool.
+LINE_LENGTH_M = 0.45
+SINE_LENGTH_M = 0.45
+ELLIPSE_LENGTH_M = 0.34
+SINE_EXTENT_PER_LENGTH = 0.85
+SINE_AMPLITUDE_PER_LENGTH = 0.1
+SINE_ANGLE_RAD = 10.0
+ELLIPSE_TURNS = 0.95
+
+
+def _check_length(length_m: float, name: str) -> float:
+    if not (np.isfinite(length_m) and length_m > 0.0):
+        raise InputError(f"{name}: length {length_m} m: give a finite length above 0 m")
+    return float(length_m)
+
+
+def _check_points(points: int, name: str) -> int:
+    if not 2 <= points <= POINTS_MAX:
+        raise InputError(f"{name}: {points} points: give 2 to {POINTS_MAX}")
+    return points
+
+
+def line(length_m: float = LINE_LENGTH_M, points: int = POINTS_MAX) -> Path:
+    """A straight line from the origin along +x.
+
+    Args:
+        length_m: its length, m, above 0.
+        points: how many points, 2..100.
+    """
+    s = np.linspace(0.0, 1.0, _check_points(points, "line"))
+    x = _check_length(length_m, "line") * s
+    return Path.from_arrays(x, np.zeros_like(x), np.zeros_like(x), "line")
+
+
+def sine(length_m: float = SINE_LENGTH_M, points: int = POINTS_MAX) -> Path:
+    """The paper's sine: x = 0.85 l s, y = l/10 sin(10 s), s from 0 to 1.
+
+    Args:
+        length_m: l, m, above 0 (the extent along x is 0.85 l).
+        points: how many points, 2..100.
+    """
+    s = np.linspace(0.0, 1.0, _check_points(points, "sine"))
+    length = _check_length(length_m, "sine")
+    extent, amplitude = SINE_EXTENT_PER_LENGTH * length, SINE_AMPLITUDE_PER_LENGTH * length
+    y = amplitude * np.sin(SINE_ANGLE_RAD * s)
+    slope = amplitude * SINE_ANGLE_RAD * np.cos(SINE_ANGLE_RAD * s)
+    return Path.from_arrays(extent * s, y, np.arctan2(slope, extent), "sine")
+
+
+def ellipse(
+    length_m: float = ELLIPSE_LENGTH_M,
+    aspect: float = 2.0,
+    turns: float = ELLIPSE_TURNS,
+    clockwise: bool = True,
+    points: int = POINTS_MAX,
+) -> Path:
+    """The paper's ellipse: its centre lies straight ahead, the first tangent at 90 degrees to +x.
+
+    Args:
+        length_m: the full axis along x, m, above 0.
+        aspect: axis along x over axis along y (2 in the paper's runs 1 and 3, 1 in 5 and 6), above 0.
+        turns: how much of it is travelled, above 0 to 1.
+        clockwise: travel clockwise, so that the first tangent points to +y (left); else to -y.
+        points: how many points, 2..100.
+    """
+    a = 0.5 * _check_length(length_m, "ellipse")
+    if not (np.isfinite(aspect) and aspect > 0.0):
+        raise InputError(f"ellipse: aspect {aspect}: give a finite ratio above 0")
+    if not 0.0 < turns <= 1.0:
+        raise InputError(f"ellipse: {turns} turns: give a part of one turn, above 0 to 1")
+    angle = 2.0 * np.pi * turns * np.linspace(0.0, 1.0, _check_points(points, "ellipse"))
+    b = a / aspect * (1.0 if clockwise else -1.0)
+    tangent = np.arctan2(b * np.cos(angle), a * np.sin(angle))
+    name = "circle" if aspect == 1.0 else "ellipse"
+    return Path.from_arrays(a * (1.0 - np.cos(angle)), b * np.sin(angle), tangent, name)
+
+
+SHAPES: dict[str, Callable[[float], Path]] = {"line": line, "sine": sine, "ellipse": ellipse}
+_DEFAULT_LENGTH_M = {"line": LINE_LENGTH_M, "sine": SINE_LENGTH_M, "ellipse": ELLIPSE_LENGTH_M}
+
+
+def shape(name: str, length_m: float | None = None) -> Path:
+    """One of the paper's paths by name ('line', 'sine', 'ellipse'), in its own start frame.
+
+    Raises:
+        InputError: no such shape, or a bad length.
+    """
+    if name not in SHAPES:
+        raise InputError(
+            f"no path shape is called {name!r}{nearest_name(name, SHAPES)}: use {', '.join(SHAPES)} or a file"
+        )
+    return SHAPES[name](_DEFAULT_LENGTH_M[name] if length_m is None else length_m)
+
+
+def from_waypoints(
+    waypoints_m: ArrayLike, smooth: bool = True, points: int = POINTS_MAX, name: str = "waypoints"
+) -> Path:
+    """A path through waypoints, evenly spaced by arc length.
+
+    Args:
+        waypoints_m: (k,2), m, world (or the path's own frame, then place()). Repeats are passed over.
+        smooth: a natural cubic spline over chord length where k > 2, else straight segments.
+        points: how many points the path gets, 2..100.
+        name: for reports and errors.
+
+    Raises:
+        InputError: not (k,2), fewer than two distinct points, or a non-finite one (row and column named).
+    """
+    count = _check_points(points, name)
+    given = np.asarray(waypoints_m, dtype=np.float64)
+    if given.size == 0:
+        raise InputError(f"path {name!r} is empty (0 points): give at least 2 points")
+    if given.ndim != 2 or given.shape[1] != 2:
+        raise InputError(f"path {name!r}: waypoints have shape {given.shape}: give (k, 2), x and y in metres")
+    bad = np.argwhere(~np.isfinite(given))
+    if bad.size:
+        row, column = bad[0]
+        raise InputError(
+            f"path {name!r}: {'xy'[column]} of point {row} is {given[row, column]}: "
+            "every coordinate must be a finite number"
+        )
+    if len(given) == 1:
+        raise InputError(f"path {name!r} has 1 point: give at least 2 points")
+    distinct = np.concatenate([[True], (np.diff(given, axis=0) != 0.0).any(axis=1)])
+    knots = given[distinct]
+    if len(knots) < 2:
+        raise InputError(
+            f"path {name!r} has no length (all {len(given)} points coincide): give distinct points"
+        )
+    dense = _spline(knots) if smooth and len(knots) > 2 else knots
+    along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(dense, axis=0).T))])
+    target = np.linspace(0.0, along[-1], count)
+    x = np.interp(target, along, dense[:, 0])
+    y = np.interp(target, along, dense[:, 1])
+    # The tangent at a point is that of the chord over half a spacing to each side: defined at corners too.
+    half = 0.5 * along[-1] / (count - 1)
+    ahead, behind = np.minimum(target + half, along[-1]), np.maximum(target - half, 0.0)
+    dx = np.interp(ahead, along, dense[:, 0]) - np.interp(behind, along, dense[:, 0])
+    dy = np.interp(ahead, along, dense[:, 1]) - np.interp(behind, along, dense[:, 1])
+    return Path.from_arrays(x, y, np.arctan2(dy, dx), name)
+
+
+def _spline(knots: Float64, per_segment: int = 64) -> Float64:
+    """Points on the natural cubic spline over chord length: (segments * per_segment + 1, 2), m.
+
+    Source: de Boor 1978, chapter IV (tridiagonal system for the second derivatives, free ends).
+    """
+    span = np.hypot(*np.diff(knots, axis=0).T)
+    n = len(knots)
+    matrix = np.eye(n)
+    right = np.zeros((n, 2))
+    slope = np.diff(knots, axis=0) / span[:, None]
+    for i in range(1, n - 1):
+        matrix[i, i - 1 : i + 2] = span[i - 1], 2.0 * (span[i - 1] + span[i]), span[i]
+        right[i] = 6.0 * (slope[i] - slope[i - 1])
+    second = np.linalg.solve(matrix, right)
+    u = np.linspace(0.0, 1.0, per_segment, endpoint=False)[None, :, None]
+    h = span[:, None, None]
+    low, high = knots[:-1, None, :], knots[1:, None, :]
+    bend = ((1 - u) ** 3 - (1 - u)) * second[:-1, None, :] + (u**3 - u) * second[1:, None, :]
+    curve = (1 - u) * low + u * high + h**2 / 6.0 * bend
+    return np.vstack([curve.reshape(-1, 2), knots[-1]])

@@ -1,0 +1,88 @@
+"""Path files: what is taken, and one clear line for what is not."""
+
+from __future__ import annotations
+
+import math
+import pathlib
+
+import numpy as np
+import pytest
+from frogkick.errors import InputError
+from frogkick.paths import read_path
+
+
+def write(folder: pathlib.Path, text: str) -> pathlib.Path:
+    file = folder / "p.csv"
+    file.write_text(text)
+    return file
+
+
+def test_published_file_keeps_points_and_tangents(frog2022_dir: pathlib.Path) -> None:
+    file = frog2022_dir / "control" / "sinp3.csv"
+    raw = np.loadtxt(file, delimiter=",")
+    path = read_path(file)
+    assert len(path) == 100
+    assert np.array_equal(path.x_m, raw[:, 0].astype(np.float32))
+    assert path.tangent_rad == pytest.approx(np.arctan2(raw[:, 3], raw[:, 2]), abs=1e-6)
+    assert path.name == "sinp3"
+
+
+def test_points_alone_are_resampled(tmp_path: pathlib.Path) -> None:
+    path = read_path(write(tmp_path, "0,0\n1,0\n1,1\n"))
+    assert len(path) == 100
+    assert path.length_m == pytest.approx(2.0, abs=0.02)
+
+
+def test_header_in_any_order_blank_lines_and_mark(tmp_path: pathlib.Path) -> None:
+    path = read_path(write(tmp_path, "\ufeffY_m, x_m, tangent_rad\n0,0,0\n\n0,1,0\n"))
+    assert path.x_m.tolist() == [0.0, 1.0]
+    path = read_path(write(tmp_path, "x,y,dx,dy\n0,0,0,-2\n0,-1,0,-2\n"))
+    assert path.tangent_rad == pytest.approx(-math.pi / 2)
+
+
+def test_more_than_the_planner_holds_is_resampled(tmp_path: pathlib.Path) -> None:
+    rows = "\n".join(f"{i / 200},0,1,0" for i in range(201))
+    path = read_path(write(tmp_path, rows))
+    assert len(path) == 100
+    assert path.length_m == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "is empty"),
+        ("\n\n", "no rows"),
+        ("x,y\n", "empty"),
+        ("1,2\n", "1 point"),
+        ("1,2\n1,2\n", "no length"),
+        ("1,2,3,4,5\n", "5 columns"),
+        ("1,2,3\n2,2,3\n", "3 columns"),
+        ("x,y,z\n1,2,3\n", "unknown column 'z'"),
+        ("x,tangent_rd\n1,2\n", "did you mean 'tangent_rad'"),
+        ("x,x\n1,2\n", "twice"),
+        ("x,dx,dy\n1,2,3\n", "'y' is missing"),
+        ("x,y,dx\n1,2,3\n", "'dy' is missing"),
+        ("1,2\n3,nan\n", "row 2 column 'y' is 'nan'"),
+        ("1,2\n3,inf\n", "row 2 column 'y' is 'inf'"),
+        ("x,y\n1,2\n3,\n", "row 3 column 'y' is ''"),
+        ("1,2\nabc,3\n", "row 2 column 'x' is 'abc'"),
+        ("1,2\n3\n", "row 2 has 1 columns"),
+        ("1,2,0,0\n3,4,1,1\n", "row 1: the tangent"),
+        ("1,2\0\n3,4\n", "not text"),
+    ],
+)
+def test_bad_files(tmp_path: pathlib.Path, text: str, message: str) -> None:
+    with pytest.raises(InputError, match=message) as caught:
+        read_path(write(tmp_path, text))
+    assert "\n" not in str(caught.value)
+
+
+def test_missing_file_folder_and_binary(tmp_path: pathlib.Path) -> None:
+    with pytest.raises(InputError, match="does not exist"):
+        read_path(tmp_path / "no.csv")
+    with pytest.raises(InputError, match="not a file"):
+        read_path(tmp_path)
+    binary = tmp_path / "b.csv"
+    binary.write_bytes(b"\x89HDF\r\n\x1a\n\xff\xfe")
+    with pytest.raises(InputError, match="not text"):
+        read_path(binary)

@@ -1,0 +1,307 @@
+/* The commands of the link, one function each; fk_robot_command finds it. Each writes its answer's payload. */
+#include "fk_robot.h"
+
+static int32_t is_finite_within(float value, float least, float most) { return value >= least && value <= most; }
+
+static int32_t answer_state(const fk_robot_t *robot, int8_t status, uint8_t *answer)
+{
+    fk_arm_answer_t told = {status, robot->state}; /* ARM, DISARM and STOP share this answer */
+    fk_arm_answer_pack(answer, &told);
+    return (int32_t)FK_ARM_ANSWER_BYTES;
+}
+
+static int32_t answer_status(int8_t status, uint8_t *answer)
+{
+    fk_put_i8(answer, status);
+    return 1;
+}
+
+static int32_t on_hello(const fk_robot_t *robot, uint8_t *answer)
+{
+    fk_hello_answer_t told;
+    told.status = FK_STATUS_OK;
+    told.protocol_version = FK_PROTOCOL_VERSION;
+    for (uint32_t i = 0u; i < 16u; ++i) {
+        told.robot_id[i] = robot->tables.robot_id[i];
+    }
+    told.table_crc = robot->tables.crc;
+    told.states = robot->tables.states_count;
+    told.actions = robot->tables.actions_count;
+    told.limbs = robot->tables.limbs_count;
+    told.period_us = robot->period_us;
+    told.pulse_us = robot->tables.pulse_us;
+    fk_hello_answer_pack(answer, &told);
+    return (int32_t)FK_HELLO_ANSWER_BYTES;
+}
+
+static int32_t on_arm(fk_robot_t *robot, uint8_t *answer)
+{
+    if (robot->state == FK_STATE_RUNNING) {
+        return answer_state(robot, FK_STATUS_STATE, answer);
+    }
+    robot->state = FK_STATE_ARMED;
+    return answer_state(robot, FK_STATUS_OK, answer);
+}
+
+static int32_t on_stop(fk_robot_t *robot, uint8_t *answer)
+{
+    if (robot->state == FK_STATE_RUNNING) {
+        robot->state = FK_STATE_ARMED;
+        robot->next_decision_us = UINT64_MAX;
+    }
+    return answer_state(robot, FK_STATUS_OK, answer);
+}
+
+static int32_t on_fix(fk_robot_t *robot, const uint8_t *payload, uint64_t now_us, uint8_t *answer)
+{
+    fk_fix_command_t command;
+    fk_fix_command_unpack(payload, &command);
+    fk_fix_answer_t told = {FK_STATUS_VALUE, command.fix_sequence, 0u};
+    if (command.quality != 0u && command.capture_age_us <= FK_CAPTURE_AGE_MAX_US) {
+        uint64_t capture_us = (now_us > command.capture_age_us) ? now_us - command.capture_age_us : 0u;
+        fk_fix_t fix = {capture_us, command.x_m, command.y_m, command.heading_rad, command.fix_sequence};
+        told.status = (int8_t)fk_estimator_add(&robot->estimator, &fix);
+        told.capture_us = capture_us;
+    }
+    if (told.status == FK_STATUS_OK) {
+        ++robot->fixes_used;
+    } else {
+        ++robot->fixes_refused;
+    }
+    fk_fix_answer_pack(answer, &told);
+    return (int32_t)FK_FIX_ANSWER_BYTES;
+}
+
+static int8_t take_path(fk_robot_t *robot, const uint8_t *payload, uint32_t length)
+{
+    fk_path_command_t command;
+    fk_path_command_unpack(payload, &command);
+    if (robot->state == FK_STATE_RUNNING) {
+        return FK_STATUS_STATE;
+    }
+    if (command.count < 1u || command.count > FK_PATH_ROWS_MAX ||
+        length != FK_PATH_COMMAND_BYTES + command.count * FK_PATH_ROW_BYTES) {
+        return FK_STATUS_LENGTH;
+    }
+    /* A first part starts over; a later one must continue where the last one ended. */
+    uint32_t last = (uint32_t)command.first + command.count;
+    if (command.total < 2u || command.total > FK_PATH_POINTS_MAX || last > command.total ||
+        (command.first != 0u && (command.first != robot->path_points || command.total != robot->path_total))) {
+        return FK_STATUS_VALUE;
+    }
+    for (uint32_t i = 0u; i < command.count; ++i) {
+        fk_path_row_t row;
+        fk_path_row_unpack(payload + FK_PATH_COMMAND_BYTES + i * FK_PATH_ROW_BYTES, &row);
+        if (!is_finite_within(row.x_m, -FK_FIX_FIELD_M, FK_FIX_FIELD_M) ||
+            !is_finite_within(row.y_m, -FK_FIX_FIELD_M, FK_FIX_FIELD_M) ||
+            !is_finite_within(row.tangent_rad, -4.0f, 4.0f)) {
+            robot->path_points = 0u;
+            robot->path_total = 0u;
+            return FK_STATUS_VALUE;
+        }
+        robot->path.x_m[command.first + i] = row.x_m;
+        robot->path.y_m[command.first + i] = row.y_m;
+        robot->path.tangent_rad[command.first + i] = row.tangent_rad;
+    }
+    robot->path_total = command.total;
+    robot->path_points = (uint8_t)last;
+    robot->path.count = (robot->path_points == robot->path_total) ? robot->path_total : 0u;
+    return FK_STATUS_OK;
+}
+
+static int32_t on_path(fk_robot_t *robot, const uint8_t *payload, uint32_t length, uint8_t *answer)
+{
+    fk_path_answer_t told;
+    told.status = take_path(robot, payload, length);
+    told.received = robot->path_points;
+    fk_path_answer_pack(answer, &told);
+    return (int32_t)FK_PATH_ANSWER_BYTES;
+}
+
+static int32_t on_start(fk_robot_t *robot, const uint8_t *payload, uint64_t now_us, uint8_t *answer)
+{
+    fk_start_command_t command;
+    fk_start_command_unpack(payload, &command);
+    fk_start_answer_t told = {FK_STATUS_OK, 0u};
+    if (robot->state != FK_STATE_ARMED) {
+        told.status = FK_STATUS_STATE;
+    } else if (command.delay_us > FK_START_DELAY_MAX_US) {
+        told.status = FK_STATUS_VALUE;
+    } else if (robot->path.count == 0u) {
+        told.status = FK_STATUS_NO_PATH;
+    } else {
+        robot->state = FK_STATE_RUNNING;
+        robot->decisions = 0u;
+        robot->next_decision_us = now_us + command.delay_us;
+        told.first_decision_us = robot->next_decision_us;
+    }
+    fk_start_answer_pack(answer, &told);
+    return (int32_t)FK_START_ANSWER_BYTES;
+}
+
+static int32_t on_status(const fk_robot_t *robot, uint64_t now_us, uint8_t *answer)
+{
+    fk_status_answer_t told;
+    told.status = FK_STATUS_OK;
+    told.state = robot->state;
+    told.now_us = now_us;
+    told.decisions = robot->decisions;
+    told.fixes_used = robot->fixes_used;
+    told.fixes_refused = robot->fixes_refused;
+    told.frames_bad = robot->frames_bad;
+    told.pulses = robot->pulses;
+    told.pulses_refused = robot->pulses_refused;
+    told.answers_dropped = robot->answers_dropped;
+    fk_status_answer_pack(answer, &told);
+    return (int32_t)FK_STATUS_ANSWER_BYTES;
+}
+
+static int8_t set_parameter(fk_robot_t *robot, uint8_t parameter, float value)
+{
+    /* Weights up to this keep the cost of any branch far from float32's end. */
+    const float weight_max = 1.0e6f;
+    float *weight = 0;
+    if (robot->state == FK_STATE_RUNNING) {
+        return FK_STATUS_STATE;
+    }
+    if (parameter == FK_PARAMETER_DEPTH) {
+        if (!is_finite_within(value, 1.0f, (float)FK_DEPTH_MAX)) {
+            return FK_STATUS_VALUE;
+        }
+        robot->plan.depth = (uint8_t)value;
+        return FK_STATUS_OK;
+    }
+    if (parameter == FK_PARAMETER_PERIOD_US) {
+        if (!is_finite_within(value, (float)FK_PERIOD_MIN_US, (float)FK_PERIOD_MAX_US)) {
+            return FK_STATUS_VALUE;
+        }
+        robot->period_us = (uint32_t)value;
+        return FK_STATUS_OK;
+    }
+    if (parameter == FK_PARAMETER_DISTANCE_WEIGHT_PER_M) {
+        weight = &robot->plan.distance_weight_per_m;
+    } else if (parameter == FK_PARAMETER_ANGLE_WEIGHT_PER_RAD) {
+        weight = &robot->plan.angle_weight_per_rad;
+    } else if (parameter == FK_PARAMETER_PROGRESS_WEIGHT) {
+        weight = &robot->plan.progress_weight;
+    } else if (parameter == FK_PARAMETER_LEVEL_WEIGHT) {
+        weight = &robot->plan.level_weight;
+    }
+    if (weight == 0 || !is_finite_within(value, 0.0f, weight_max)) {
+        return FK_STATUS_VALUE;
+    }
+    *weight = value;
+    return FK_STATUS_OK;
+}
+
+static int32_t on_param(fk_robot_t *robot, const uint8_t *payload, uint8_t *answer)
+{
+    fk_param_command_t command;
+    fk_param_command_unpack(payload, &command);
+    return answer_status(set_parameter(robot, command.parameter, command.value), answer);
+}
+
+static int32_t on_stroke(fk_robot_t *robot, const uint8_t *payload, uint64_t now_us, uint8_t *answer)
+{
+    fk_stroke_command_t command;
+    fk_stroke_command_unpack(payload, &command);
+    fk_stroke_answer_t told = {FK_STATUS_OK, now_us};
+    if (robot->state != FK_STATE_ARMED || robot->second_mask != 0u) {
+        told.status = FK_STATUS_STATE; /* not armed, or the last stroke has not fired its second limbs yet */
+    } else if (command.action >= robot->tables.actions_count) {
+        told.status = FK_STATUS_VALUE;
+    } else {
+        robot->stroke_request = (uint8_t)(command.action + 1u);
+    }
+    fk_stroke_answer_pack(answer, &told);
+    return (int32_t)FK_STROKE_ANSWER_BYTES;
+}
+
+static int32_t on_plan(const fk_robot_t *robot, const uint8_t *payload, uint8_t *answer)
+{
+    fk_plan_command_t command;
+    fk_plan_command_unpack(payload, &command);
+    fk_plan_answer_t told = {FK_STATUS_OK, 0u, 0u, 0u, 0.0f, 0.0f, 0.0f, 0.0f, 0.0f, 0.0f, 0.0f};
+    if (robot->state == FK_STATE_RUNNING) {
+        told.status = FK_STATUS_STATE;
+    } else if (robot->path.count == 0u) {
+        told.status = FK_STATUS_NO_PATH;
+    } else {
+        fk_plan_config_t config = robot->plan;
+        fk_state_t state = {command.x_m,    command.y_m,    command.heading_rad,
+                            command.vx_mps, command.vy_mps, command.omega_rad_s};
+        fk_plan_t plan;
+        config.depth = command.depth;
+        told.status = (int8_t)fk_plan(&robot->tables, &robot->path, &config, &state, &plan);
+        if (told.status == FK_STATUS_OK) {
+            told.action = plan.action;
+            told.nearest_state = plan.nearest_state;
+            told.path_index = plan.path_index;
+            told.cost = plan.cost;
+            told.x_m = plan.predicted.x_m;
+            told.y_m = plan.predicted.y_m;
+            told.heading_rad = plan.predicted.heading_rad;
+            told.vx_mps = plan.predicted.vx_mps;
+            told.vy_mps = plan.predicted.vy_mps;
+            told.omega_rad_s = plan.predicted.omega_rad_s;
+        }
+    }
+    fk_plan_answer_pack(answer, &told);
+    return (int32_t)FK_PLAN_ANSWER_BYTES;
+}
+
+/* Payload length of each command; PATH checks its own. */
+static int32_t length_fits(const fk_frame_t *frame)
+{
+    switch (frame->type) {
+    case FK_FRAME_FIX:
+        return frame->payload_length == FK_FIX_COMMAND_BYTES;
+    case FK_FRAME_PATH:
+        return frame->payload_length >= FK_PATH_COMMAND_BYTES;
+    case FK_FRAME_START:
+        return frame->payload_length == FK_START_COMMAND_BYTES;
+    case FK_FRAME_PARAM:
+        return frame->payload_length == FK_PARAM_COMMAND_BYTES;
+    case FK_FRAME_STROKE:
+        return frame->payload_length == FK_STROKE_COMMAND_BYTES;
+    case FK_FRAME_PLAN:
+        return frame->payload_length == FK_PLAN_COMMAND_BYTES;
+    default:
+        return frame->payload_length == 0u;
+    }
+}
+
+int32_t fk_robot_command(fk_robot_t *robot, const fk_frame_t *frame, uint64_t now_us, uint8_t *answer)
+{
+    if (frame->type < FK_FRAME_HELLO || frame->type > FK_FRAME_PLAN) {
+        return answer_status(FK_STATUS_UNKNOWN, answer);
+    }
+    if (!length_fits(frame)) {
+        return answer_status(FK_STATUS_LENGTH, answer);
+    }
+    switch (frame->type) {
+    case FK_FRAME_HELLO:
+        return on_hello(robot, answer);
+    case FK_FRAME_ARM:
+        return on_arm(robot, answer);
+    case FK_FRAME_DISARM:
+        fk_robot_disarm(robot);
+        return answer_state(robot, FK_STATUS_OK, answer);
+    case FK_FRAME_FIX:
+        return on_fix(robot, frame->payload, now_us, answer);
+    case FK_FRAME_PATH:
+        return on_path(robot, frame->payload, frame->payload_length, answer);
+    case FK_FRAME_START:
+        return on_start(robot, frame->payload, now_us, answer);
+    case FK_FRAME_STOP:
+        return on_stop(robot, answer);
+    case FK_FRAME_STATUS:
+        return on_status(robot, now_us, answer);
+    case FK_FRAME_PARAM:
+        return on_param(robot, frame->payload, answer);
+    case FK_FRAME_STROKE:
+        return on_stroke(robot, frame->payload, now_us, answer);
+    default:
+        return on_plan(robot, frame->payload, answer);
+    }
+}

@@ -1,0 +1,508 @@
+/* Made from host/frogkick/link/frames.toml by: python -m frogkick_codegen.frames. Do not edit.
+ * Protocol version 1. Payloads of the link: commands are unpacked, answers and events packed.
+ */
+#ifndef FK_FRAMES_LAYOUT_H
+#define FK_FRAMES_LAYOUT_H
+
+#include <stdint.h>
+
+#define FK_PROTOCOL_VERSION 1u
+#define FK_PAYLOAD_BYTES_MAX 226u
+#define FK_ANSWER_BIT 0x80u
+
+enum { /* status of an answer */
+    FK_STATUS_OK = 0,
+    FK_STATUS_NOT_FINITE = -1,
+    FK_STATUS_RANGE = -2,
+    FK_STATUS_IMAGE = -3,
+    FK_STATUS_STATE = -32,
+    FK_STATUS_LENGTH = -33,
+    FK_STATUS_UNKNOWN = -34,
+    FK_STATUS_NO_PATH = -35,
+    FK_STATUS_STALE = -36,
+    FK_STATUS_GUARD = -37,
+    FK_STATUS_VALUE = -38,
+    FK_STATUS_LOST = -39
+};
+
+enum { /* state of the robot */
+    FK_STATE_DISARMED = 0,
+    FK_STATE_ARMED = 1,
+    FK_STATE_RUNNING = 2
+};
+
+enum { /* PARAM */
+    FK_PARAMETER_DEPTH = 1,
+    FK_PARAMETER_DISTANCE_WEIGHT_PER_M = 2,
+    FK_PARAMETER_ANGLE_WEIGHT_PER_RAD = 3,
+    FK_PARAMETER_PROGRESS_WEIGHT = 4,
+    FK_PARAMETER_LEVEL_WEIGHT = 5,
+    FK_PARAMETER_PERIOD_US = 6
+};
+
+enum { /* frame types */
+    FK_FRAME_HELLO = 0x01,
+    FK_FRAME_ARM = 0x02,
+    FK_FRAME_DISARM = 0x03,
+    FK_FRAME_FIX = 0x04,
+    FK_FRAME_PATH = 0x05,
+    FK_FRAME_START = 0x06,
+    FK_FRAME_STOP = 0x07,
+    FK_FRAME_STATUS = 0x08,
+    FK_FRAME_PARAM = 0x09,
+    FK_FRAME_STROKE = 0x0a,
+    FK_FRAME_PLAN = 0x0b,
+    FK_FRAME_DECISION = 0x60,
+    FK_FRAME_ENDED = 0x61
+};
+
+typedef union {
+    float value;
+    uint32_t bits;
+} fk_float_bits_t;
+
+static inline void fk_put_u8(uint8_t *to, uint8_t value) { to[0] = value; }
+
+static inline void fk_put_i8(uint8_t *to, int8_t value) { to[0] = (uint8_t)value; }
+
+static inline void fk_put_u16(uint8_t *to, uint16_t value)
+{
+    to[0] = (uint8_t)(value & 0xffu);
+    to[1] = (uint8_t)(value >> 8);
+}
+
+static inline void fk_put_u32(uint8_t *to, uint32_t value)
+{
+    fk_put_u16(to, (uint16_t)(value & 0xffffu));
+    fk_put_u16(to + 2, (uint16_t)(value >> 16));
+}
+
+static inline void fk_put_u64(uint8_t *to, uint64_t value)
+{
+    fk_put_u32(to, (uint32_t)(value & 0xffffffffu));
+    fk_put_u32(to + 4, (uint32_t)(value >> 32));
+}
+
+static inline void fk_put_f32(uint8_t *to, float value)
+{
+    fk_float_bits_t pun;
+    pun.value = value;
+    fk_put_u32(to, pun.bits);
+}
+
+static inline uint8_t fk_get_u8(const uint8_t *from) { return from[0]; }
+
+static inline uint16_t fk_get_u16(const uint8_t *from)
+{
+    return (uint16_t)(from[0] | ((uint16_t)from[1] << 8));
+}
+
+static inline uint32_t fk_get_u32(const uint8_t *from)
+{
+    return (uint32_t)fk_get_u16(from) | ((uint32_t)fk_get_u16(from + 2) << 16);
+}
+
+static inline float fk_get_f32(const uint8_t *from)
+{
+    fk_float_bits_t pun;
+    pun.bits = fk_get_u32(from);
+    return pun.value;
+}
+
+#define FK_HELLO_COMMAND_BYTES 0u
+#define FK_HELLO_ANSWER_BYTES 34u
+
+/* Answer to HELLO. */
+typedef struct {
+    int8_t status; /* see status */
+    uint8_t protocol_version; /* of this layout */
+    char robot_id[16]; /* robot that the table was made for */
+    uint32_t table_crc; /* CRC-32 of the table image in use */
+    uint16_t states; /* states in the table */
+    uint8_t actions; /* actions in the table */
+    uint8_t limbs; /* limbs of the robot */
+    uint32_t period_us; /* time of one action (us) */
+    uint32_t pulse_us; /* heating time of a limb (us) */
+} fk_hello_answer_t;
+
+static inline void fk_hello_answer_pack(uint8_t *to, const fk_hello_answer_t *from)
+{
+    fk_put_i8(to + 0, from->status);
+    fk_put_u8(to + 1, from->protocol_version);
+    for (uint32_t i = 0; i < 16u; ++i) {
+        to[2u + i] = (uint8_t)from->robot_id[i];
+    }
+    fk_put_u32(to + 18, from->table_crc);
+    fk_put_u16(to + 22, from->states);
+    fk_put_u8(to + 24, from->actions);
+    fk_put_u8(to + 25, from->limbs);
+    fk_put_u32(to + 26, from->period_us);
+    fk_put_u32(to + 30, from->pulse_us);
+}
+
+#define FK_ARM_COMMAND_BYTES 0u
+#define FK_ARM_ANSWER_BYTES 2u
+
+/* Answer to ARM. */
+typedef struct {
+    int8_t status; /* see status */
+    uint8_t state; /* see state */
+} fk_arm_answer_t;
+
+static inline void fk_arm_answer_pack(uint8_t *to, const fk_arm_answer_t *from)
+{
+    fk_put_i8(to + 0, from->status);
+    fk_put_u8(to + 1, from->state);
+}
+
+#define FK_DISARM_COMMAND_BYTES 0u
+#define FK_DISARM_ANSWER_BYTES 2u
+
+/* Answer to DISARM. */
+typedef struct {
+    int8_t status; /* see status */
+    uint8_t state; /* see state */
+} fk_disarm_answer_t;
+
+static inline void fk_disarm_answer_pack(uint8_t *to, const fk_disarm_answer_t *from)
+{
+    fk_put_i8(to + 0, from->status);
+    fk_put_u8(to + 1, from->state);
+}
+
+#define FK_FIX_COMMAND_BYTES 19u
+
+/* A position fix, world frame. */
+typedef struct {
+    uint16_t fix_sequence; /* counts fixes */
+    uint8_t quality; /* 0 = not to be used */
+    uint32_t capture_age_us; /* time from capture to the sending of this frame, at most 2 s (us) */
+    float x_m; /* world (m) */
+    float y_m; /* world (m) */
+    float heading_rad; /* from +x, counter-clockwise (rad) */
+} fk_fix_command_t;
+
+static inline void fk_fix_command_unpack(const uint8_t *from, fk_fix_command_t *to)
+{
+    to->fix_sequence = fk_get_u16(from + 0);
+    to->quality = fk_get_u8(from + 2);
+    to->capture_age_us = fk_get_u32(from + 3);
+    to->x_m = fk_get_f32(from + 7);
+    to->y_m = fk_get_f32(from + 11);
+    to->heading_rad = fk_get_f32(from + 15);
+}
+
+#define FK_FIX_ANSWER_BYTES 11u
+
+/* Answer to FIX. */
+typedef struct {
+    int8_t status; /* see status */
+    uint16_t fix_sequence; /* of the fix answered */
+    uint64_t capture_us; /* capture time on the robot's clock (us) */
+} fk_fix_answer_t;
+
+static inline void fk_fix_answer_pack(uint8_t *to, const fk_fix_answer_t *from)
+{
+    fk_put_i8(to + 0, from->status);
+    fk_put_u16(to + 1, from->fix_sequence);
+    fk_put_u64(to + 3, from->capture_us);
+}
+
+#define FK_PATH_COMMAND_BYTES 3u
+
+/* A part of the path; the whole has arrived when first + count = total. */
+typedef struct {
+    uint8_t first; /* index of the first point here */
+    uint8_t total; /* points of the whole path, 2 to 100 */
+    uint8_t count; /* points here, 1 to 18 */
+} fk_path_command_t;
+
+static inline void fk_path_command_unpack(const uint8_t *from, fk_path_command_t *to)
+{
+    to->first = fk_get_u8(from + 0);
+    to->total = fk_get_u8(from + 1);
+    to->count = fk_get_u8(from + 2);
+}
+
+#define FK_PATH_ROW_BYTES 12u
+#define FK_PATH_ROWS_MAX 18u
+
+/* One repeated row of PATH. */
+typedef struct {
+    float x_m; /* world (m) */
+    float y_m; /* world (m) */
+    float tangent_rad; /* heading of the path there (rad) */
+} fk_path_row_t;
+
+static inline void fk_path_row_unpack(const uint8_t *from, fk_path_row_t *to)
+{
+    to->x_m = fk_get_f32(from + 0);
+    to->y_m = fk_get_f32(from + 4);
+    to->tangent_rad = fk_get_f32(from + 8);
+}
+
+#define FK_PATH_ANSWER_BYTES 2u
+
+/* Answer to PATH. */
+typedef struct {
+    int8_t status; /* see status */
+    uint8_t received; /* points received so far, in order */
+} fk_path_answer_t;
+
+static inline void fk_path_answer_pack(uint8_t *to, const fk_path_answer_t *from)
+{
+    fk_put_i8(to + 0, from->status);
+    fk_put_u8(to + 1, from->received);
+}
+
+#define FK_START_COMMAND_BYTES 4u
+
+/* Follow the path with the planner on board. */
+typedef struct {
+    uint32_t delay_us; /* time to the first decision, at most 10 s (us) */
+} fk_start_command_t;
+
+static inline void fk_start_command_unpack(const uint8_t *from, fk_start_command_t *to)
+{
+    to->delay_us = fk_get_u32(from + 0);
+}
+
+#define FK_START_ANSWER_BYTES 9u
+
+/* Answer to START. */
+typedef struct {
+    int8_t status; /* see status */
+    uint64_t first_decision_us; /* on the robot's clock (us) */
+} fk_start_answer_t;
+
+static inline void fk_start_answer_pack(uint8_t *to, const fk_start_answer_t *from)
+{
+    fk_put_i8(to + 0, from->status);
+    fk_put_u64(to + 1, from->first_decision_us);
+}
+
+#define FK_STOP_COMMAND_BYTES 0u
+#define FK_STOP_ANSWER_BYTES 2u
+
+/* Answer to STOP. */
+typedef struct {
+    int8_t status; /* see status */
+    uint8_t state; /* see state */
+} fk_stop_answer_t;
+
+static inline void fk_stop_answer_pack(uint8_t *to, const fk_stop_answer_t *from)
+{
+    fk_put_i8(to + 0, from->status);
+    fk_put_u8(to + 1, from->state);
+}
+
+#define FK_STATUS_COMMAND_BYTES 0u
+#define FK_STATUS_ANSWER_BYTES 38u
+
+/* Answer to STATUS. */
+typedef struct {
+    int8_t status; /* see status */
+    uint8_t state; /* see state */
+    uint64_t now_us; /* the robot's clock (us) */
+    uint32_t decisions; /* decisions since START */
+    uint32_t fixes_used; /* fixes taken since boot */
+    uint32_t fixes_refused; /* fixes refused since boot */
+    uint32_t frames_bad; /* frames that failed COBS, length or CRC */
+    uint32_t pulses; /* pulses since boot */
+    uint32_t pulses_refused; /* pulses that the guard refused */
+    uint32_t answers_dropped; /* answers that found no room */
+} fk_status_answer_t;
+
+static inline void fk_status_answer_pack(uint8_t *to, const fk_status_answer_t *from)
+{
+    fk_put_i8(to + 0, from->status);
+    fk_put_u8(to + 1, from->state);
+    fk_put_u64(to + 2, from->now_us);
+    fk_put_u32(to + 10, from->decisions);
+    fk_put_u32(to + 14, from->fixes_used);
+    fk_put_u32(to + 18, from->fixes_refused);
+    fk_put_u32(to + 22, from->frames_bad);
+    fk_put_u32(to + 26, from->pulses);
+    fk_put_u32(to + 30, from->pulses_refused);
+    fk_put_u32(to + 34, from->answers_dropped);
+}
+
+#define FK_PARAM_COMMAND_BYTES 5u
+
+/* Set a planner parameter; not while running. */
+typedef struct {
+    uint8_t parameter; /* see parameter */
+    float value; /* in the unit of the name */
+} fk_param_command_t;
+
+static inline void fk_param_command_unpack(const uint8_t *from, fk_param_command_t *to)
+{
+    to->parameter = fk_get_u8(from + 0);
+    to->value = fk_get_f32(from + 1);
+}
+
+#define FK_PARAM_ANSWER_BYTES 1u
+
+/* Answer to PARAM. */
+typedef struct {
+    int8_t status; /* see status */
+} fk_param_answer_t;
+
+static inline void fk_param_answer_pack(uint8_t *to, const fk_param_answer_t *from)
+{
+    fk_put_i8(to + 0, from->status);
+}
+
+#define FK_STROKE_COMMAND_BYTES 1u
+
+/* Do this action now: the planner is on the host. */
+typedef struct {
+    uint8_t action; /* index in the table's actions */
+} fk_stroke_command_t;
+
+static inline void fk_stroke_command_unpack(const uint8_t *from, fk_stroke_command_t *to)
+{
+    to->action = fk_get_u8(from + 0);
+}
+
+#define FK_STROKE_ANSWER_BYTES 9u
+
+/* Answer to STROKE. */
+typedef struct {
+    int8_t status; /* see status */
+    uint64_t stroke_us; /* start on the robot's clock (us) */
+} fk_stroke_answer_t;
+
+static inline void fk_stroke_answer_pack(uint8_t *to, const fk_stroke_answer_t *from)
+{
+    fk_put_i8(to + 0, from->status);
+    fk_put_u64(to + 1, from->stroke_us);
+}
+
+#define FK_PLAN_COMMAND_BYTES 25u
+
+/* Plan for a given state without moving: for tests of parity. Not while running. */
+typedef struct {
+    uint8_t depth; /* 1 to 4 levels */
+    float x_m; /* world (m) */
+    float y_m; /* world (m) */
+    float heading_rad; /* world (rad) */
+    float vx_mps; /* body, forward (m/s) */
+    float vy_mps; /* body, left (m/s) */
+    float omega_rad_s; /* counter-clockwise (rad/s) */
+} fk_plan_command_t;
+
+static inline void fk_plan_command_unpack(const uint8_t *from, fk_plan_command_t *to)
+{
+    to->depth = fk_get_u8(from + 0);
+    to->x_m = fk_get_f32(from + 1);
+    to->y_m = fk_get_f32(from + 5);
+    to->heading_rad = fk_get_f32(from + 9);
+    to->vx_mps = fk_get_f32(from + 13);
+    to->vy_mps = fk_get_f32(from + 17);
+    to->omega_rad_s = fk_get_f32(from + 21);
+}
+
+#define FK_PLAN_ANSWER_BYTES 34u
+
+/* Answer to PLAN. */
+typedef struct {
+    int8_t status; /* see status */
+    uint8_t action; /* chosen action */
+    uint16_t nearest_state; /* row of the table */
+    uint16_t path_index; /* nearest path point of the state */
+    float cost; /* of the best branch */
+    float x_m; /* predicted after the action, world (m) */
+    float y_m; /* predicted (m) */
+    float heading_rad; /* predicted (rad) */
+    float vx_mps; /* predicted, body (m/s) */
+    float vy_mps; /* predicted, body (m/s) */
+    float omega_rad_s; /* predicted (rad/s) */
+} fk_plan_answer_t;
+
+static inline void fk_plan_answer_pack(uint8_t *to, const fk_plan_answer_t *from)
+{
+    fk_put_i8(to + 0, from->status);
+    fk_put_u8(to + 1, from->action);
+    fk_put_u16(to + 2, from->nearest_state);
+    fk_put_u16(to + 4, from->path_index);
+    fk_put_f32(to + 6, from->cost);
+    fk_put_f32(to + 10, from->x_m);
+    fk_put_f32(to + 14, from->y_m);
+    fk_put_f32(to + 18, from->heading_rad);
+    fk_put_f32(to + 22, from->vx_mps);
+    fk_put_f32(to + 26, from->vy_mps);
+    fk_put_f32(to + 30, from->omega_rad_s);
+}
+
+#define FK_DECISION_EVENT_BYTES 77u
+
+/* A decision of the planner on board. */
+typedef struct {
+    int8_t status; /* OK, or why the action is the resting one */
+    uint8_t action; /* index in the table's actions */
+    uint32_t decision; /* counts from 0 at START */
+    uint64_t scheduled_us; /* decision time on the robot's clock; the estimate is for this time (us) */
+    uint16_t fix_sequence; /* newest fix in the estimate */
+    uint8_t fixes_in_estimate; /* fixes that the estimate rests on */
+    uint16_t path_index; /* nearest path point of the estimate */
+    uint16_t nearest_state; /* row of the table */
+    uint32_t plan_us; /* computing time of the decision (us) */
+    float cost; /* of the best branch */
+    float x_m; /* estimate, world (m) */
+    float y_m; /* estimate, world (m) */
+    float heading_rad; /* estimate, world (rad) */
+    float vx_mps; /* estimate, body (m/s) */
+    float vy_mps; /* estimate, body (m/s) */
+    float omega_rad_s; /* estimate (rad/s) */
+    float predicted_x_m; /* after the action, world (m) */
+    float predicted_y_m; /* after the action, world (m) */
+    float predicted_heading_rad; /* after the action (rad) */
+    float predicted_vx_mps; /* after the action, body (m/s) */
+    float predicted_vy_mps; /* after the action, body (m/s) */
+    float predicted_omega_rad_s; /* after the action (rad/s) */
+} fk_decision_event_t;
+
+static inline void fk_decision_event_pack(uint8_t *to, const fk_decision_event_t *from)
+{
+    fk_put_i8(to + 0, from->status);
+    fk_put_u8(to + 1, from->action);
+    fk_put_u32(to + 2, from->decision);
+    fk_put_u64(to + 6, from->scheduled_us);
+    fk_put_u16(to + 14, from->fix_sequence);
+    fk_put_u8(to + 16, from->fixes_in_estimate);
+    fk_put_u16(to + 17, from->path_index);
+    fk_put_u16(to + 19, from->nearest_state);
+    fk_put_u32(to + 21, from->plan_us);
+    fk_put_f32(to + 25, from->cost);
+    fk_put_f32(to + 29, from->x_m);
+    fk_put_f32(to + 33, from->y_m);
+    fk_put_f32(to + 37, from->heading_rad);
+    fk_put_f32(to + 41, from->vx_mps);
+    fk_put_f32(to + 45, from->vy_mps);
+    fk_put_f32(to + 49, from->omega_rad_s);
+    fk_put_f32(to + 53, from->predicted_x_m);
+    fk_put_f32(to + 57, from->predicted_y_m);
+    fk_put_f32(to + 61, from->predicted_heading_rad);
+    fk_put_f32(to + 65, from->predicted_vx_mps);
+    fk_put_f32(to + 69, from->predicted_vy_mps);
+    fk_put_f32(to + 73, from->predicted_omega_rad_s);
+}
+
+#define FK_ENDED_EVENT_BYTES 6u
+
+/* The run on board ended. */
+typedef struct {
+    int8_t status; /* OK = path completed; STALE = no fixes */
+    uint8_t state; /* see state */
+    uint32_t decisions; /* decisions taken */
+} fk_ended_event_t;
+
+static inline void fk_ended_event_pack(uint8_t *to, const fk_ended_event_t *from)
+{
+    fk_put_i8(to + 0, from->status);
+    fk_put_u8(to + 1, from->state);
+    fk_put_u32(to + 2, from->decisions);
+}
+
+#endif

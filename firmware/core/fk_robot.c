@@ -1,0 +1,263 @@
+#include "fk_robot.h"
+
+#define FK_NEVER_US UINT64_MAX
+
+static int32_t is_this_robot(const char *id)
+{
+    const char *mine = FK_ROBOT_ID;
+    uint32_t i = 0u;
+    while (i < 15u && mine[i] != '\0' && mine[i] == id[i]) {
+        ++i;
+    }
+    return mine[i] == id[i];
+}
+
+int32_t fk_robot_init(fk_robot_t *robot, const uint8_t *image, uint32_t image_bytes)
+{
+    int32_t error = fk_tables_open(image, image_bytes, &robot->tables);
+    if (error != FK_OK) {
+        return error;
+    }
+    if (!is_this_robot(robot->tables.robot_id) || robot->tables.pulse_us > FK_PULSE_MAX_US) {
+        return FK_ERROR_ROBOT;
+    }
+    robot->plan.distance_weight_per_m = FK_DISTANCE_WEIGHT_PER_M;
+    robot->plan.angle_weight_per_rad = FK_ANGLE_WEIGHT_PER_RAD;
+    robot->plan.progress_weight = FK_PROGRESS_WEIGHT;
+    robot->plan.level_weight = FK_LEVEL_WEIGHT;
+    robot->plan.depth = FK_DEPTH;
+    robot->path.count = 0u;
+    fk_estimator_init(&robot->estimator);
+    fk_guard_init(&robot->guard);
+
+    robot->state = FK_STATE_DISARMED;
+    robot->path_points = 0u;
+    robot->path_total = 0u;
+    robot->resting_action = robot->tables.actions_count;
+    for (uint8_t action = robot->tables.actions_count; action > 0u; --action) {
+        fk_action_t masks = fk_tables_action(&robot->tables, (uint8_t)(action - 1u));
+        if (masks.first_mask == 0u && masks.second_mask == 0u) {
+            robot->resting_action = (uint8_t)(action - 1u);
+        }
+    }
+    robot->period_us = robot->tables.period_us;
+    robot->next_decision_us = FK_NEVER_US;
+    robot->decisions = 0u;
+    robot->second_mask = 0u;
+    robot->second_us = 0u;
+    robot->stroke_request = 0u;
+    robot->all_off = 1u;
+    robot->decision_pending = 0u;
+    robot->ended_pending = 0u;
+    robot->event_sequence = 0u;
+    robot->tx_length = 0u;
+    robot->fixes_used = 0u;
+    robot->fixes_refused = 0u;
+    robot->frames_bad = 0u;
+    robot->pulses = 0u;
+    robot->pulses_refused = 0u;
+    robot->answers_dropped = 0u;
+    return FK_OK;
+}
+
+static void send(fk_robot_t *robot, uint8_t type, uint8_t sequence, const uint8_t *payload, uint32_t length)
+{
+    uint32_t bytes = fk_frame_encode(type, sequence, payload, length, robot->tx + robot->tx_length,
+                                     FK_TX_BYTES - robot->tx_length);
+    robot->tx_length += bytes;
+    if (bytes == 0u) {
+        ++robot->answers_dropped;
+    }
+}
+
+void fk_robot_on_frame(fk_robot_t *robot, const uint8_t *encoded, uint32_t length, uint64_t now_us)
+{
+    fk_frame_t frame;
+    if (fk_frame_decode(encoded, length, &frame) != 0) {
+        ++robot->frames_bad;
+        return;
+    }
+    uint8_t answer[FK_PAYLOAD_BYTES_MAX];
+    int32_t answer_length = fk_robot_command(robot, &frame, now_us, answer);
+    send(robot, (uint8_t)(frame.type | FK_ANSWER_BIT), frame.sequence, answer, (uint32_t)answer_length);
+}
+
+void fk_robot_disarm(fk_robot_t *robot)
+{
+    robot->state = FK_STATE_DISARMED;
+    robot->next_decision_us = FK_NEVER_US;
+    robot->second_mask = 0u;
+    robot->stroke_request = 0u;
+    robot->all_off = 1u;
+}
+
+static void end_run(fk_robot_t *robot, int8_t status)
+{
+    if (status == FK_STATUS_STALE) {
+        fk_robot_disarm(robot);
+    } else {
+        robot->state = FK_STATE_ARMED;
+        robot->next_decision_us = FK_NEVER_US;
+    }
+    robot->ended.status = status;
+    robot->ended.state = robot->state;
+    robot->ended.decisions = robot->decisions;
+    robot->ended_pending = 1u;
+}
+
+static int32_t fix_is_lost(const fk_robot_t *robot, uint64_t at_us)
+{
+    if (robot->estimator.count == 0u) {
+        return 1;
+    }
+    uint64_t capture_us = robot->estimator.fixes[robot->estimator.count - 1u].capture_us;
+    return at_us > capture_us && at_us - capture_us > FK_FIX_LOST_US;
+}
+
+static void put_state(const fk_state_t *state, float *x_m, float *y_m, float *heading_rad, float *vx_mps,
+                      float *vy_mps, float *omega_rad_s)
+{
+    *x_m = state->x_m;
+    *y_m = state->y_m;
+    *heading_rad = state->heading_rad;
+    *vx_mps = state->vx_mps;
+    *vy_mps = state->vy_mps;
+    *omega_rad_s = state->omega_rad_s;
+}
+
+/* One decision: estimate, plan, report. Returns the action to do; without an estimate the resting one. */
+static uint8_t decide(fk_robot_t *robot)
+{
+    static const fk_state_t nowhere = {0.0f, 0.0f, 0.0f, 0.0f, 0.0f, 0.0f};
+    fk_decision_event_t *event = &robot->decision;
+    fk_estimate_t estimate = {nowhere, 0u, 0u};
+    fk_plan_t plan = {robot->resting_action, 0u, 0u, 0.0f, nowhere};
+
+    int32_t status = fk_estimator_at(&robot->estimator, robot->next_decision_us, &estimate);
+    if (status == FK_STATUS_OK) {
+        status = fk_plan(&robot->tables, &robot->path, &robot->plan, &estimate.state, &plan);
+    }
+    if (status != FK_STATUS_OK) {
+        plan.action = robot->resting_action;
+    }
+    event->status = (int8_t)status;
+    event->action = plan.action;
+    event->decision = robot->decisions;
+    event->scheduled_us = robot->next_decision_us;
+    event->fix_sequence = estimate.fix_sequence;
+    event->fixes_in_estimate = estimate.fixes;
+    event->path_index = plan.path_index;
+    event->nearest_state = plan.nearest_state;
+    event->plan_us = 0u;
+    event->cost = plan.cost;
+    put_state(&estimate.state, &event->x_m, &event->y_m, &event->heading_rad, &event->vx_mps, &event->vy_mps,
+              &event->omega_rad_s);
+    put_state(&plan.predicted, &event->predicted_x_m, &event->predicted_y_m, &event->predicted_heading_rad,
+              &event->predicted_vx_mps, &event->predicted_vy_mps, &event->predicted_omega_rad_s);
+    robot->decision_pending = 1u;
+    ++robot->decisions;
+    if (status == FK_STATUS_OK && plan.path_index + 1u >= robot->path.count) {
+        end_run(robot, FK_STATUS_OK);
+        return robot->resting_action;
+    }
+    return plan.action;
+}
+
+static void fire(fk_robot_t *robot, uint8_t limb_mask, uint64_t now_us, fk_outputs_t *outputs)
+{
+    if (fk_guard_allow(&robot->guard, limb_mask, robot->tables.pulse_us, now_us)) {
+        outputs->limb_mask = limb_mask;
+        outputs->pulse_us = robot->tables.pulse_us;
+        ++robot->pulses;
+    } else {
+        ++robot->pulses_refused;
+    }
+}
+
+static void begin_stroke(fk_robot_t *robot, uint8_t action, uint64_t now_us, fk_outputs_t *outputs)
+{
+    if (action >= robot->tables.actions_count) {
+        return; /* a table without a resting action, and no estimate: nothing fires */
+    }
+    fk_action_t masks = fk_tables_action(&robot->tables, action);
+    if (masks.first_mask != 0u) {
+        fire(robot, masks.first_mask, now_us, outputs);
+    }
+    robot->second_mask = masks.second_mask;
+    robot->second_us = now_us + robot->tables.second_delay_us + FK_STROKE_GAP_US;
+}
+
+void fk_robot_tick(fk_robot_t *robot, uint64_t now_us, fk_outputs_t *outputs)
+{
+    outputs->limb_mask = 0u;
+    outputs->pulse_us = 0u;
+    outputs->all_off = robot->all_off;
+    if (robot->all_off != 0u) {
+        fk_guard_cut(&robot->guard, now_us);
+        robot->all_off = 0u;
+    }
+
+    if (robot->second_mask != 0u && now_us >= robot->second_us) {
+        fire(robot, robot->second_mask, now_us, outputs);
+        robot->second_mask = 0u;
+    } else if (robot->stroke_request != 0u) {
+        begin_stroke(robot, (uint8_t)(robot->stroke_request - 1u), now_us, outputs);
+        robot->stroke_request = 0u;
+    } else if (robot->state == FK_STATE_RUNNING && now_us >= robot->next_decision_us) {
+        if (fix_is_lost(robot, robot->next_decision_us)) {
+            end_run(robot, FK_STATUS_STALE);
+        } else {
+            uint8_t action = decide(robot);
+            begin_stroke(robot, action, now_us, outputs);
+            if (robot->state == FK_STATE_RUNNING) {
+                robot->next_decision_us += robot->period_us;
+            }
+        }
+    }
+
+    outputs->next_tick_us = robot->next_decision_us;
+    if (robot->second_mask != 0u && robot->second_us < outputs->next_tick_us) {
+        outputs->next_tick_us = robot->second_us;
+    }
+    if (robot->stroke_request != 0u || robot->all_off != 0u) {
+        outputs->next_tick_us = now_us;
+    }
+}
+
+void fk_robot_note_tick(fk_robot_t *robot, uint32_t elapsed_us)
+{
+    if (robot->decision_pending != 0u && robot->decision.plan_us == 0u) {
+        robot->decision.plan_us = elapsed_us;
+    }
+}
+
+static void send_events(fk_robot_t *robot)
+{
+    uint8_t payload[FK_PAYLOAD_BYTES_MAX];
+    if (robot->decision_pending != 0u) {
+        fk_decision_event_pack(payload, &robot->decision);
+        send(robot, FK_FRAME_DECISION, robot->event_sequence, payload, FK_DECISION_EVENT_BYTES);
+        ++robot->event_sequence;
+        robot->decision_pending = 0u;
+    }
+    if (robot->ended_pending != 0u) {
+        fk_ended_event_pack(payload, &robot->ended);
+        send(robot, FK_FRAME_ENDED, robot->event_sequence, payload, FK_ENDED_EVENT_BYTES);
+        ++robot->event_sequence;
+        robot->ended_pending = 0u;
+    }
+}
+
+uint32_t fk_robot_take_tx(fk_robot_t *robot, uint8_t *bytes, uint32_t capacity)
+{
+    send_events(robot);
+    uint32_t count = (robot->tx_length < capacity) ? robot->tx_length : capacity;
+    for (uint32_t i = 0u; i < count; ++i) {
+        bytes[i] = robot->tx[i];
+    }
+    for (uint32_t i = count; i < robot->tx_length; ++i) {
+        robot->tx[i - count] = robot->tx[i];
+    }
+    robot->tx_length -= count;
+    return count;
+}

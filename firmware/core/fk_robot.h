@@ -1,0 +1,99 @@
+/* The robot as one state machine without hardware: frames in, one pulse at a time out, time passed in.
+ *
+ * A port does four things in a loop: hand over received frames, call fk_robot_tick, start the pulse that outputs
+ * ask for (its end is the port's hardware event), and send what fk_robot_take_tx gives.
+ *
+ *            ARM                 START (path, fix)
+ *  DISARMED ------> ARMED -------------------------> RUNNING
+ *     ^  ^            |  ^                             |  |
+ *     |  +-- DISARM --+  +-- STOP, path completed -----+  |
+ *     +------------------ DISARM, no fix for 2 s ---------+
+ */
+#ifndef FK_ROBOT_H
+#define FK_ROBOT_H
+
+#include <stdint.h>
+
+#include "fk_estimator.h"
+#include "fk_frames.h"
+#include "fk_guard.h"
+#include "fk_planner.h"
+
+#define FK_TX_BYTES 768u            /* room for answers and events that the port has not yet taken */
+#define FK_FIX_LOST_US 2000000u     /* newest fix older than this while running: disarm */
+#define FK_START_DELAY_MAX_US 10000000u
+#define FK_CAPTURE_AGE_MAX_US 2000000u
+#define FK_PERIOD_MIN_US 500000u
+#define FK_PERIOD_MAX_US 5000000u
+#define FK_STROKE_GAP_US 1000u      /* second group after the first: the port's one pulse timer is free again */
+
+typedef struct {
+    uint8_t limb_mask;     /* 0: nothing; else start ONE pulse on these limbs now */
+    uint8_t all_off;       /* 1: switch all limbs off now, before anything else */
+    uint32_t pulse_us;     /* length of that pulse; its end is a hardware event */
+    uint64_t next_tick_us; /* the core needs its next tick at this time at the latest; UINT64_MAX: only on a frame */
+} fk_outputs_t;
+
+typedef struct {
+    fk_tables_t tables;
+    fk_path_t path;
+    fk_plan_config_t plan;
+    fk_estimator_t estimator;
+    fk_guard_t guard;
+
+    uint8_t state;               /* FK_STATE_... */
+    uint8_t path_points;         /* points received so far */
+    uint8_t path_total;          /* points of the path being received; path is whole when both are equal, not 0 */
+    uint8_t resting_action;      /* first action that fires no limb; actions_count where there is none */
+    uint32_t period_us;
+    uint64_t next_decision_us;   /* while RUNNING */
+    uint32_t decisions;          /* since START */
+
+    uint8_t second_mask;         /* limbs of the stroke's second group, 0: none pending */
+    uint64_t second_us;          /* when they fire */
+    uint8_t stroke_request;      /* 1 + action asked for by STROKE, begun by the next tick; 0: none */
+    uint8_t all_off;             /* the next tick switches everything off */
+
+    uint8_t decision_pending;    /* a DECISION event waits for its computing time */
+    fk_decision_event_t decision;
+    uint8_t ended_pending;
+    fk_ended_event_t ended;
+    uint8_t event_sequence;
+
+    uint8_t tx[FK_TX_BYTES];
+    uint32_t tx_length;
+
+    uint32_t fixes_used;
+    uint32_t fixes_refused;
+    uint32_t frames_bad;
+    uint32_t pulses;
+    uint32_t pulses_refused;
+    uint32_t answers_dropped;
+} fk_robot_t;
+
+/* Check the table image and start disarmed.
+ * @param image  4-byte aligned, stays valid as long as the robot lives
+ * @retval 0         ready
+ * @retval negative  fk_error_t of fk_tables_open, or FK_ERROR_ROBOT where the image is for another robot
+ */
+int32_t fk_robot_init(fk_robot_t *robot, const uint8_t *image, uint32_t image_bytes);
+
+/* Take one received frame: COBS, without its delimiter. Answers go to the transmit buffer. */
+void fk_robot_on_frame(fk_robot_t *robot, const uint8_t *encoded, uint32_t length, uint64_t now_us);
+
+/* Do what is due at now_us. A decision computes for up to some milliseconds in here. */
+void fk_robot_tick(fk_robot_t *robot, uint64_t now_us, fk_outputs_t *outputs);
+
+/* How long the last tick took, measured by the port; travels in the DECISION event. */
+void fk_robot_note_tick(fk_robot_t *robot, uint32_t elapsed_us);
+
+/* Take encoded frames to send.
+ * @retval  bytes written, 0 to capacity
+ */
+uint32_t fk_robot_take_tx(fk_robot_t *robot, uint8_t *bytes, uint32_t capacity);
+
+/* For fk_commands.c */
+int32_t fk_robot_command(fk_robot_t *robot, const fk_frame_t *frame, uint64_t now_us, uint8_t *answer);
+void fk_robot_disarm(fk_robot_t *robot);
+
+#endif

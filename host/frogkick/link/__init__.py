@@ -1,0 +1,1 @@
+"""Frames between host and robot: one layout, COBS, CRC-32."""

@@ -1,0 +1,162 @@
+"""Frames: pack and unpack payloads, COBS and CRC-32 around them, collect them from a byte stream."""
+
+from __future__ import annotations
+
+import math
+import struct
+import zlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from cobs import cobs
+
+from frogkick.errors import FrogkickError, InputError
+from frogkick.link.layout import ANSWER_BIT, Payload, Value, link_layout
+
+DELIMITER = b"\x00"
+_BY_ID = {message.id: message for message in link_layout().messages.values()}
+
+
+class FrameError(FrogkickError):
+    """Bytes that are not a frame of this link."""
+
+
+@dataclass(frozen=True)
+class Frame:
+    """A decoded frame: the message's name, its direction, its sequence number, its values by field name."""
+
+    name: str
+    kind: str  # "command", "answer" or "event"
+    sequence: int
+    values: dict[str, Value]
+    rows: tuple[tuple[Value, ...], ...] = ()
+
+
+def pack_frame(
+    name: str,
+    kind: str,
+    sequence: int,
+    values: dict[str, Value] | None = None,
+    rows: Sequence[Sequence[Value]] = (),
+) -> bytes:
+    """The bytes on the wire for one frame, delimiter included.
+
+    Args:
+        name: message name of ``frames.toml``.
+        kind: "command", "answer" or "event".
+        sequence: 0 to 255.
+        values: one value for each fixed field of the payload.
+        rows: repeated rows, in the field order of the layout.
+
+    Raises:
+        InputError: a value does not fit its field's type, or a field is missing or unknown.
+    """
+    message = link_layout().messages[name]
+    payload: Payload | None = getattr(message, kind)
+    if payload is None:
+        raise InputError(f"{name} has no {kind}: see frames.toml")
+    given = values or {}
+    wanted = [field.name for field in payload.fields]
+    if sorted(given) != sorted(wanted):
+        raise InputError(f"{name} takes the fields {wanted}, got {sorted(given)}: give exactly these")
+    if len(rows) > payload.repeat_max:
+        raise InputError(f"{name} carries at most {payload.repeat_max} rows, got {len(rows)}: split them")
+    ordered = [_wire_value(given[field.name]) for field in payload.fields]
+    try:
+        body = struct.pack(payload.format, *ordered)
+        body += b"".join(struct.pack(payload.repeat_format, *row) for row in rows)
+    except (struct.error, OverflowError) as error:
+        raise InputError(f"{name} {given} does not fit its fields: {error}") from error
+    head = struct.pack("<BB", message.id | (ANSWER_BIT if kind == "answer" else 0), sequence & 0xFF)
+    crc = struct.pack("<I", zlib.crc32(head + body))
+    return bytes(cobs.encode(head + body + crc)) + DELIMITER
+
+
+def _wire_value(value: Value) -> int | float | bytes:
+    return value.encode("ascii") if isinstance(value, str) else value
+
+
+def unpack_frame(encoded: bytes) -> Frame:
+    """Decode one frame (without its delimiter).
+
+    Raises:
+        FrameError: not COBS, too short, wrong CRC, unknown type, or a length that does not fit the type.
+    """
+    try:
+        raw = bytes(cobs.decode(encoded))
+    except cobs.DecodeError as error:
+        raise FrameError(f"{len(encoded)} bytes are not COBS: {error}") from error
+    if len(raw) < 6 or zlib.crc32(raw[:-4]) != struct.unpack("<I", raw[-4:])[0]:
+        raise FrameError(f"frame of {len(raw)} bytes fails its CRC-32: dropped")
+    message = _BY_ID.get(raw[0]) or _BY_ID.get(raw[0] & ~ANSWER_BIT)
+    if message is None:
+        raise FrameError(f"frame type 0x{raw[0]:02x} is unknown to protocol {link_layout().protocol_version}")
+    kind = "event" if message.event else "answer" if raw[0] & ANSWER_BIT else "command"
+    payload: Payload = getattr(message, kind)
+    body = raw[2:-4]
+    extra = len(body) - payload.bytes
+    per_row = payload.repeat_bytes
+    if extra < 0 or (extra and (not per_row or extra % per_row)):
+        # A refusal may be shorter than the full answer: the status stands first in all of them.
+        if kind == "answer" and len(body) == 1:
+            return Frame(message.name, kind, raw[1], {"status": struct.unpack("<b", body)[0]})
+        raise FrameError(f"{message.name} {kind} of {len(body)} bytes, the layout says {payload.bytes}")
+    numbers = struct.unpack(payload.format, body[: payload.bytes])
+    values: dict[str, Value] = {
+        field.name: number.rstrip(b"\x00").decode("ascii", "replace") if isinstance(number, bytes) else number
+        for field, number in zip(payload.fields, numbers, strict=True)
+    }
+    rows = tuple(struct.iter_unpack(payload.repeat_format, body[payload.bytes :])) if extra else ()
+    return Frame(message.name, kind, raw[1], values, rows)
+
+
+class FrameCollector:
+    """Turns a stream of bytes into frames; what is not a frame is counted, never raised."""
+
+    def __init__(self) -> None:
+        self._bytes = bytearray()
+        self.bad = 0
+
+    def feed(self, stream: bytes) -> list[Frame]:
+        """Add bytes; return the frames completed by them."""
+        frames = []
+        self._bytes += stream
+        while (end := self._bytes.find(DELIMITER)) >= 0:
+            encoded, self._bytes = bytes(self._bytes[:end]), self._bytes[end + 1 :]
+            if not encoded:
+                continue
+            try:
+                frames.append(unpack_frame(encoded))
+            except FrameError:
+                self.bad += 1
+        return frames
+
+
+def path_frames(
+    points: Sequence[tuple[float, float, float]], first_sequence: int
+) -> list[tuple[dict[str, Value], list[tuple[Value, ...]], int]]:
+    """Split a path into PATH commands: values, rows and sequence number of each.
+
+    Args:
+        points: (x_m, y_m, tangent_rad) of each point, world frame, 2 to 100 of them.
+        first_sequence: sequence number of the first frame.
+
+    Raises:
+        InputError: fewer than 2, more than 100, or a point that is not finite.
+    """
+    if not 2 <= len(points) <= 100:
+        raise InputError(f"a path has {len(points)} points, the robot takes 2 to 100: resample it")
+    for index, point in enumerate(points):
+        if not all(math.isfinite(value) for value in point):
+            raise InputError(f"path point {index} is {point}: every value must be finite")
+    payload = link_layout().messages["PATH"].command
+    assert payload is not None
+    step = payload.repeat_max
+    return [
+        (
+            {"first": first, "total": len(points), "count": len(points[first : first + step])},
+            [tuple(point) for point in points[first : first + step]],
+            (first_sequence + first // step) & 0xFF,
+        )
+        for first in range(0, len(points), step)
+    ]

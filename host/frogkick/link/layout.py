@@ -1,0 +1,128 @@
+"""The link's layout, read from ``frames.toml``: what stands in each frame, byte for byte."""
+
+from __future__ import annotations
+
+import struct
+import tomllib
+from dataclasses import dataclass
+from functools import cache
+from importlib import resources
+
+_FORMATS = {"u8": "B", "i8": "b", "u16": "H", "u32": "I", "u64": "Q", "f32": "f", "char16": "16s"}
+
+Value = int | float | str
+
+
+@dataclass(frozen=True)
+class Field:
+    """One field of a payload: its name, wire type, unit and meaning."""
+
+    name: str
+    type: str
+    unit: str
+    doc: str
+
+    @property
+    def format(self) -> str:
+        """Letter(s) of the ``struct`` module for this field."""
+        return _FORMATS[self.type]
+
+    @property
+    def bytes(self) -> int:
+        """Size on the wire."""
+        return struct.calcsize("<" + self.format)
+
+
+@dataclass(frozen=True)
+class Payload:
+    """A payload's fixed fields, and the fields repeated after them (PATH's points)."""
+
+    fields: tuple[Field, ...]
+    repeat: tuple[Field, ...] = ()
+    repeat_max: int = 0
+
+    @property
+    def format(self) -> str:
+        """``struct`` format of the fixed part, little-endian, unpadded."""
+        return "<" + "".join(field.format for field in self.fields)
+
+    @property
+    def bytes(self) -> int:
+        """Size of the fixed part on the wire."""
+        return struct.calcsize(self.format)
+
+    @property
+    def repeat_format(self) -> str:
+        """``struct`` format of one repeated row."""
+        return "<" + "".join(field.format for field in self.repeat)
+
+    @property
+    def repeat_bytes(self) -> int:
+        """Size of one repeated row on the wire."""
+        return struct.calcsize(self.repeat_format) if self.repeat else 0
+
+
+@dataclass(frozen=True)
+class Message:
+    """A type of frame: a command with its answer, or an event."""
+
+    name: str
+    id: int
+    doc: str
+    command: Payload | None
+    answer: Payload | None
+    event: Payload | None
+
+
+@dataclass(frozen=True)
+class Layout:
+    """The whole link: messages by name, and the named numbers that their fields carry."""
+
+    protocol_version: int
+    payload_bytes_max: int
+    status: dict[str, int]
+    state: dict[str, int]
+    parameter: dict[str, int]
+    messages: dict[str, Message]
+
+    def status_name(self, value: int) -> str:
+        """Name of a status value; its number where this host does not know it."""
+        return next((name for name, number in self.status.items() if number == value), str(value))
+
+
+ANSWER_BIT = 0x80
+
+
+def _payload(table: dict[str, object], key: str) -> Payload | None:
+    if key not in table:
+        return None
+
+    def fields(rows: object) -> tuple[Field, ...]:
+        assert isinstance(rows, list)
+        return tuple(Field(*row) for row in rows)
+
+    repeat = fields(table.get("repeat", [])) if key == "command" else ()
+    repeat_max = table.get("repeat_max", 0) if repeat else 0
+    assert isinstance(repeat_max, int)
+    return Payload(fields(table[key]), repeat, repeat_max)
+
+
+@cache
+def link_layout() -> Layout:
+    """The layout of ``frames.toml``, read once."""
+    text = resources.files("frogkick.link").joinpath("frames.toml").read_text(encoding="utf-8")
+    raw = tomllib.loads(text)
+    messages = {
+        name: Message(
+            name, table["id"], table["doc"], *(_payload(table, key) for key in ("command", "answer", "event"))
+        )
+        for name, table in raw["message"].items()
+    }
+    return Layout(
+        raw["protocol_version"],
+        raw["payload_bytes_max"],
+        raw["status"],
+        raw["state"],
+        raw["parameter"],
+        messages,
+    )

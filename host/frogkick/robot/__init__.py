@@ -1,0 +1,21 @@
+"""What a robot is: TOML to frozen dataclasses, actions, actuation profiles."""
+
+from frogkick.robot.load import built_in_robots, load_robot, parse_robot
+from frogkick.robot.model import Action, Frame, Guard, Limb, PlannerDefaults, Robot, VelocityBox
+from frogkick.robot.profile import Actuation, Profile, fit_profile
+
+__all__ = [
+    "Action",
+    "Actuation",
+    "Frame",
+    "Guard",
+    "Limb",
+    "PlannerDefaults",
+    "Profile",
+    "Robot",
+    "VelocityBox",
+    "built_in_robots",
+    "fit_profile",
+    "load_robot",
+    "parse_robot",
+]

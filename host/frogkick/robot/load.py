@@ -1,0 +1,224 @@
+"""Read a robot file: TOML text to a checked, frozen Robot."""
+
+from __future__ import annotations
+
+import hashlib
+import inspect
+import math
+import tomllib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, get_args
+
+from pydantic import BaseModel, ValidationError
+
+from frogkick.errors import InputError, nearest_name
+from frogkick.files import existing_file
+from frogkick.robot.model import Action, Frame, Guard, Limb, PlannerDefaults, Robot, VelocityBox
+from frogkick.robot.profile import Profile
+from frogkick.robot.schema import FrameTable, LibraryTable, LimbTable, ProfileTable, RobotFile
+from frogkick.robot.toml_text import to_toml
+
+BUILT_IN = Path(__file__).resolve().parent / "robots"
+
+
+def built_in_robots() -> tuple[str, ...]:
+    """Names that load_robot takes instead of a path."""
+    return tuple(sorted(p.stem for p in BUILT_IN.glob("*.toml") if not p.stem.endswith(".profiles")))
+
+
+def load_robot(name_or_path: str | Path) -> Robot:
+    """Read a robot by built-in name ("frog2022") or from a TOML file.
+
+    Raises:
+        InputError: no such robot, not TOML, an unknown key (the nearest right one is named), a value out
+            of its range, or parts that do not fit together.
+    """
+    text = str(name_or_path)
+    if text in built_in_robots():
+        path = BUILT_IN / f"{text}.toml"
+    elif "/" not in text and not text.endswith(".toml") and not Path(text).exists():
+        known = ", ".join(built_in_robots())
+        raise InputError(
+            f"no robot {text!r}{nearest_name(text, built_in_robots())}: name a TOML file or one of {known}"
+        )
+    else:
+        path = existing_file(text, "robot file")
+    try:
+        content = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"robot file {text!r} cannot be read as UTF-8 text: {error}") from error
+    return parse_robot(content, source=text, folder=path.parent)
+
+
+def parse_robot(content: str, source: str, folder: Path | None = None) -> Robot:
+    """Make a Robot from TOML text, as from the one that a library carries.
+
+    Args:
+        content: TOML.
+        source: what to call it in errors.
+        folder: where ``profiles_file`` is looked up; None where the text must be complete.
+
+    Raises:
+        InputError: see load_robot.
+    """
+    table = _parse_toml(content, source)
+    name = table.pop("profiles_file", None)
+    if name is not None:
+        if not isinstance(name, str) or folder is None or "profile" in table:
+            raise InputError(f"{source}: profiles_file needs a file name, a folder and no [[profile]]")
+        file = existing_file(folder / name, "profiles file")
+        table["profile"] = _parse_toml(file.read_text(encoding="utf-8"), str(name)).get("profile", [])
+    default = table.pop("limb_default", {})
+    limbs = table.get("limb")
+    if not isinstance(default, Mapping):
+        raise InputError(f"{source}: limb_default is a value; write a [limb_default] table")
+    if isinstance(limbs, list):
+        table["limb"] = [{**default, **limb} if isinstance(limb, Mapping) else limb for limb in limbs]
+    try:
+        file_model = RobotFile.model_validate(table)
+    except ValidationError as error:
+        raise InputError(f"{source}: {_first_error(error)}") from None
+    return _robot(file_model, source)
+
+
+def _parse_toml(content: str, source: str) -> dict[str, Any]:
+    try:
+        return tomllib.loads(content)
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(f"{source} is not TOML: {error}") from error
+
+
+def _table_at(location: tuple[int | str, ...]) -> type[BaseModel]:
+    """The schema's table that holds the key at ``location``."""
+    table: type[BaseModel] = RobotFile
+    for part in location[:-1]:
+        field = table.model_fields.get(str(part))
+        if field is None:
+            continue
+        for kind in (field.annotation, *get_args(field.annotation)):
+            if inspect.isclass(kind) and issubclass(kind, BaseModel):
+                table = kind
+    return table
+
+
+def _first_error(error: ValidationError) -> str:
+    """One line for the first thing wrong, unknown keys first: they usually explain the missing ones."""
+    problems = sorted(error.errors(), key=lambda e: e["type"] != "extra_forbidden")
+    first = problems[0]
+    location = first["loc"]
+    where = ".".join(str(part) for part in location)
+    more = f" ({len(problems) - 1} more)" if len(problems) > 1 else ""
+    if first["type"] == "extra_forbidden":
+        key = str(location[-1])
+        hint = nearest_name(key, _table_at(location).model_fields) or " (not a key of this table)"
+        return f"unknown key {where!r}{hint}: correct or remove it{more}"
+    if first["type"] == "missing":
+        return f"key {where!r} is missing: add it{more}"
+    return f"{where} is {str(first['input'])[:60]!r}: {first['msg'][0].lower()}{first['msg'][1:]}{more}"
+
+
+def _mask(names: list[str], limbs: list[str], where: str, source: str) -> int:
+    mask = 0
+    for name in names:
+        if name not in limbs:
+            raise InputError(f"{source}: {where} fires {name!r}, which is no limb{nearest_name(name, limbs)}")
+        if mask >> limbs.index(name) & 1:
+            raise InputError(f"{source}: {where} names {name!r} twice: once is enough")
+        mask |= 1 << limbs.index(name)
+    return mask
+
+
+def _frame(table: FrameTable, source: str) -> Frame:
+    corners = table.corners_m
+    n = len(corners)
+    if len(table.segments) != n:
+        raise InputError(
+            f"{source}: frame.segments has {len(table.segments)} entries for {n} edges: give each one"
+        )
+    area = 0.5 * sum(
+        corners[i][0] * corners[(i + 1) % n][1] - corners[(i + 1) % n][0] * corners[i][1] for i in range(n)
+    )
+    shortest = min(math.dist(corners[i], corners[(i + 1) % n]) for i in range(n))
+    if not area > 1e-8 or not shortest > 1e-4:
+        raise InputError(
+            f"{source}: frame.corners_m encloses {area:.3g} m^2 with a shortest edge of {shortest:.3g} m: "
+            "list distinct corners counter-clockwise"
+        )
+    return Frame(**{**table.model_dump(), "corners_m": tuple(corners), "segments": tuple(table.segments)})
+
+
+def _limb(table: LimbTable, corners: int, source: str) -> Limb:
+    if table.corner >= corners:
+        raise InputError(
+            f"{source}: limb {table.name!r} sits at corner {table.corner}: the last one is {corners - 1}"
+        )
+    values = table.model_dump()
+    values["direction_rad"] = math.radians(values.pop("direction_deg"))
+    return Limb(**values)
+
+
+def _profile(table: ProfileTable, source: str) -> Profile:
+    values = table.model_dump()
+    lists = ("amplitude_per_m", "centre_s", "width_s")
+    if len({len(values[key]) for key in lists}) != 1 or not table.amplitude_per_m:
+        raise InputError(
+            f"{source}: profile at {table.egain_percent:g} %, {table.frequency_hz:g} Hz has lists of "
+            "different lengths: give each term an amplitude, a centre and a width"
+        )
+    return Profile(**{**values, **{key: tuple(values[key]) for key in lists}})
+
+
+def _box(table: LibraryTable, source: str) -> VelocityBox:
+    for axis, (low, high) in table.model_dump().items():
+        if not low < high:
+            raise InputError(f"{source}: library.{axis} is [{low}, {high}]: write the lower end first")
+    low, high = table.omega_deg_s
+    return VelocityBox(table.forward_mps, table.left_mps, (math.radians(low), math.radians(high)))
+
+
+def _distinct(names: list[Any], what: str, source: str) -> None:
+    for i, name in enumerate(names):
+        if name in names[:i]:
+            raise InputError(f"{source}: two {what} are called {name!r}: give each its own")
+
+
+def _robot(file: RobotFile, source: str) -> Robot:
+    limb_names = [limb.name for limb in file.limb]
+    _distinct(limb_names, "limbs", source)
+    _distinct([limb.corner for limb in file.limb], "limbs' corners", source)
+    _distinct([action.name for action in file.action], "actions", source)
+    _distinct([(p.egain_percent, p.frequency_hz) for p in file.profile], "profiles", source)
+    text = to_toml(file.model_dump(mode="json"))
+    robot = Robot(
+        id=file.id,
+        title=file.title,
+        period_s=file.period_s,
+        pulse_s=file.pulse_s,
+        second_delay_s=file.second_delay_s,
+        pulse_energy_j=file.pulse_energy_j,
+        water_density_kg_per_m3=file.water.density_kg_per_m3,
+        egain_percent=file.egain_percent,
+        profile_frequency_hz=file.profile_frequency_hz,
+        gait_lead_mask=_mask(file.gait.lead, limb_names, "gait.lead", source),
+        gait_lag_mask=_mask(file.gait.lag, limb_names, "gait.lag", source),
+        frame=_frame(file.frame, source),
+        limbs=tuple(_limb(limb, len(file.frame.corners_m), source) for limb in file.limb),
+        actions=tuple(
+            Action(
+                a.name,
+                _mask(a.first, limb_names, f"action {a.name}", source),
+                _mask(a.second, limb_names, f"action {a.name}", source),
+            )
+            for a in file.action
+        ),
+        profiles=tuple(_profile(p, source) for p in file.profile),
+        velocity_resolution=file.velocity_resolution,
+        library_box=_box(file.library, source),
+        guard=Guard(**file.guard.model_dump()),
+        planner=PlannerDefaults(**file.planner.model_dump()),
+        toml=text,
+        sha256=hashlib.sha256(text.encode("utf-8")).digest(),
+    )
+    robot.actuation()  # the actions' own profile must exist: say so now, not at the first simulation
+    return robot

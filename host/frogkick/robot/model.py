@@ -1,0 +1,189 @@
+"""What a robot is, checked: frozen dataclasses that every other part reads."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from frogkick.errors import InputError
+from frogkick.robot.profile import Actuation, Profile, actuation
+
+STANDARD_GRAVITY_MPS2 = 9.80665
+
+
+@dataclass(frozen=True)
+class Frame:
+    """The stiff body: a closed polygon of rods, corners counter-clockwise in the body frame.
+
+    Attributes:
+        corners_m: (n)(2) x forward, y left, m.
+        segments: (n) segments of edge i, from corner i to corner i + 1.
+        mass_per_length_kg_per_m: what it weighs, spread over the polygon.
+        added_mass_per_length_kg_per_m: water that moves along (inertia only).
+        stretching_stiffness_n: EA.
+        bending_stiffness_n_m2: EI.
+        drag_width_m: D of the drag law.
+        drag_normal: C_n across the edge, dimensionless.
+        drag_tangential: C_t along the edge, dimensionless.
+    """
+
+    corners_m: tuple[tuple[float, float], ...]
+    segments: tuple[int, ...]
+    mass_per_length_kg_per_m: float
+    added_mass_per_length_kg_per_m: float
+    stretching_stiffness_n: float
+    bending_stiffness_n_m2: float
+    drag_width_m: float
+    drag_normal: float
+    drag_tangential: float
+
+
+@dataclass(frozen=True)
+class Limb:
+    """One actuated rod, rooted at a corner of the frame.
+
+    Attributes:
+        name: in the TOML's order, which is the bit order of every limb mask.
+        corner: index of its root in Frame.corners_m.
+        clamp: the frame edge at that corner which the root bends against: "previous" or "next".
+        direction_rad: of the limb at its root, body frame, counter-clockwise from forward.
+        length_m, segments: its discretisation.
+        rest_curvature_per_m: at rest, positive for a limb that curls counter-clockwise towards its tip.
+        modulus_rest_pa, modulus_active_pa: Young's modulus E at activation 0 and 1; linear in between.
+        second_moment_m4: I, so that EI = modulus * second_moment.
+        section_m2: A, so that EA = modulus_rest * section.
+        root_stiffness_ratio: bending stiffness at the root over the limb's own at rest.
+        mass_per_length_kg_per_m, added_mass_per_length_kg_per_m: as for the frame.
+        drag_width_m, drag_normal, drag_tangential: as for the frame.
+    """
+
+    name: str
+    corner: int
+    clamp: str
+    direction_rad: float
+    length_m: float
+    segments: int
+    rest_curvature_per_m: float
+    modulus_rest_pa: float
+    modulus_active_pa: float
+    second_moment_m4: float
+    section_m2: float
+    root_stiffness_ratio: float
+    mass_per_length_kg_per_m: float
+    added_mass_per_length_kg_per_m: float
+    drag_width_m: float
+    drag_normal: float
+    drag_tangential: float
+
+
+@dataclass(frozen=True)
+class Action:
+    """One stroke: the limbs of first_mask fire, those of second_mask one delay later (bit i = limb i)."""
+
+    name: str
+    first_mask: int
+    second_mask: int
+
+
+@dataclass(frozen=True)
+class Guard:
+    """What the robot refuses to do to its limbs, whatever it is told."""
+
+    pulse_max_s: float
+    rest_min_s: float
+    duty_max: float
+    duty_window_s: float
+    limbs_at_once_max: int
+
+
+@dataclass(frozen=True)
+class PlannerDefaults:
+    """Weights of the planner's cost (Huang 2022, Eq. 19) and its depth."""
+
+    distance_weight_per_m: float
+    angle_weight_per_rad: float
+    progress_weight: float
+    level_weight: float
+    depth: int
+
+
+@dataclass(frozen=True)
+class VelocityBox:
+    """Body velocities that a library covers: (low, high) per axis."""
+
+    forward_mps: tuple[float, float]
+    left_mps: tuple[float, float]
+    omega_rad_s: tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Robot:
+    """A whole robot. Equal sha256 means equal robots, whatever the comments of their files.
+
+    Attributes:
+        id: at most 15 ASCII characters, written into table images.
+        title: one line for people.
+        period_s: from one action to the next.
+        pulse_s: heating time of one limb.
+        second_delay_s: from the first group of an action to the second.
+        pulse_energy_j: electrical energy of one pulse on one limb.
+        water_density_kg_per_m3: of the fluid, for drag.
+        egain_percent, profile_frequency_hz: which profile the actions use.
+        gait_lead_mask, gait_lag_mask: the two groups of the cyclic gait; the second lags by the phase.
+        velocity_resolution: (m/s, m/s, rad/s) that one code of a table image stands for.
+        toml: the canonical text; load_robot reads it back to the same robot.
+        sha256: of that text, 32 bytes.
+    """
+
+    id: str
+    title: str
+    period_s: float
+    pulse_s: float
+    second_delay_s: float
+    pulse_energy_j: float
+    water_density_kg_per_m3: float
+    egain_percent: float
+    profile_frequency_hz: float
+    gait_lead_mask: int
+    gait_lag_mask: int
+    frame: Frame
+    limbs: tuple[Limb, ...]
+    actions: tuple[Action, ...]
+    profiles: tuple[Profile, ...]
+    velocity_resolution: tuple[float, float, float]
+    library_box: VelocityBox
+    guard: Guard
+    planner: PlannerDefaults
+    toml: str
+    sha256: bytes
+
+    @property
+    def mass_kg(self) -> float:
+        """Weight in air: frame and limbs without added mass."""
+        perimeter = 0.0
+        for i, (x, y) in enumerate(self.frame.corners_m):
+            x2, y2 = self.frame.corners_m[(i + 1) % len(self.frame.corners_m)]
+            perimeter += ((x2 - x) ** 2 + (y2 - y) ** 2) ** 0.5
+        limbs = sum(limb.length_m * limb.mass_per_length_kg_per_m for limb in self.limbs)
+        return perimeter * self.frame.mass_per_length_kg_per_m + limbs
+
+    def actuation(self, egain_percent: float | None = None, frequency_hz: float | None = None) -> Actuation:
+        """The stroke of a limb; without arguments the one that the actions use.
+
+        Raises:
+            InputError: outside of the measured profiles.
+        """
+        egain = self.egain_percent if egain_percent is None else egain_percent
+        frequency = self.profile_frequency_hz if frequency_hz is None else frequency_hz
+        return actuation(self.profiles, egain, frequency)
+
+    def action(self, name: str) -> Action:
+        """The action of that name (case ignored).
+
+        Raises:
+            InputError: no such action; the text lists those there are.
+        """
+        for action in self.actions:
+            if action.name == name.upper():
+                return action
+        known = ", ".join(action.name for action in self.actions)
+        raise InputError(f"robot {self.id!r} has no action {name!r}: choose from {known}")

@@ -1,0 +1,89 @@
+/* fk_internal.h - what the planner's files share and nobody else needs. */
+#ifndef FK_INTERNAL_H
+#define FK_INTERNAL_H
+
+#include "fk_planner.h"
+
+#include <float.h>
+#include <stddef.h>
+
+#if defined(__FAST_MATH__)
+#error "frogkick's planner needs IEEE float32: build without -ffast-math"
+#endif
+#if FLT_EVAL_METHOD != 0
+#error "frogkick's planner keeps no excess precision: on 32-bit x86 add -msse2 -mfpmath=sse"
+#endif
+#if defined(__clang__)
+#pragma STDC FP_CONTRACT OFF
+#endif
+
+/* Correctly rounded square root: IEEE 754 demands it of the instruction and of libm alike. The built-in
+ * becomes one instruction under -fno-math-errno, so that no libm is linked. */
+#if defined(__GNUC__)
+#define FK_SQRT(value) __builtin_sqrtf(value)
+#else
+#include <math.h>
+#define FK_SQRT(value) sqrtf(value)
+#endif
+
+/* Float bits, by union: C99 6.5.2.3 allows it, and no memcpy is needed. */
+typedef union {
+    float value;
+    uint32_t bits;
+} fk_float_bits_t;
+
+static inline uint32_t fk_bits_of_float(float value)
+{
+    fk_float_bits_t both;
+    both.value = value;
+    return both.bits;
+}
+
+static inline float fk_float_of_bits(uint32_t bits)
+{
+    fk_float_bits_t both;
+    both.bits = bits;
+    return both.value;
+}
+
+#define FK_FLOAT_MAGNITUDE 0x7FFFFFFFU /* all bits but the sign: orders |values| like integers, NaN on top */
+#define FK_FLOAT_INFINITY 0x7F800000U
+#define FK_FLOAT_NAN 0x7FC00000U
+
+/* Little-endian reads byte by byte: no alignment, aliasing or byte-order assumption. Compilers make one
+ * load of each on the chip. */
+static inline uint32_t fk_read_u16(const uint8_t *bytes)
+{
+    return (uint32_t)bytes[0] | ((uint32_t)bytes[1] << 8);
+}
+
+static inline uint32_t fk_read_u32(const uint8_t *bytes)
+{
+    return fk_read_u16(bytes) | (fk_read_u16(bytes + 2) << 16);
+}
+
+static inline int32_t fk_read_i16(const uint8_t *bytes)
+{
+    /* u16 < 65536 fits int32_t; the conversion to int16_t keeps the two's complement bits (C99 6.3.1.3:
+     * implementation-defined, and so defined by every compiler that builds for this chip). */
+    return (int16_t)(uint16_t)fk_read_u16(bytes);
+}
+
+static inline float fk_read_f32(const uint8_t *bytes)
+{
+    return fk_float_of_bits(fk_read_u32(bytes));
+}
+
+/* Row of the table nearest to codes[3] (|code| <= FK_VELOCITY_CODE_MAX), the lowest on ties. nearest.c */
+uint16_t fk_nearest(const fk_tables_t *tables, const int32_t codes[3]);
+
+/* Velocity as codes, rounded half away from zero and clamped. velocity finite. nearest.c */
+int32_t fk_velocity_code(float velocity, float codes_per_velocity);
+
+/* Cost of being at a pose; path and config checked. cost.c */
+float fk_cost(const fk_path_t *path, const fk_plan_config_t *config, float x_m, float y_m, float heading_rad);
+
+/* FK_OK or FK_ERROR_FLOAT_RULES: whether this build keeps the float rules. math.c */
+int32_t fk_float_check(void);
+
+#endif

@@ -1,0 +1,1 @@
+"""A closed-loop run: fixes in, strokes out; its log; recorded runs."""

@@ -75,6 +75,11 @@ class Tables:
         """The kind of table by name."""
         return "nearest"
 
+    @property
+    def crc32(self) -> int:
+        """CRC-32 of the image, as its header and the robot's HELLO have it."""
+        return zlib.crc32(self.image[16:])
+
     def require_robot(self, robot_id: str) -> None:
         """Refuse a table that was made for another robot.
 

@@ -24,10 +24,10 @@ static int32_t on_hello(const fk_robot_t *robot, uint8_t *answer)
     for (uint32_t i = 0u; i < 16u; ++i) {
         told.robot_id[i] = robot->tables.robot_id[i];
     }
-    told.table_crc = robot->tables.crc;
-    told.states = robot->tables.states_count;
-    told.actions = robot->tables.actions_count;
-    told.limbs = robot->tables.limbs_count;
+    told.table_crc = robot->tables.image_crc32;
+    told.states = robot->tables.states;
+    told.actions = robot->tables.actions;
+    told.limbs = robot->tables.limbs;
     told.period_us = robot->period_us;
     told.pulse_us = robot->tables.pulse_us;
     fk_hello_answer_pack(answer, &told);
@@ -158,8 +158,6 @@ static int32_t on_status(const fk_robot_t *robot, uint64_t now_us, uint8_t *answ
 
 static int8_t set_parameter(fk_robot_t *robot, uint8_t parameter, float value)
 {
-    /* Weights up to this keep the cost of any branch far from float32's end. */
-    const float weight_max = 1.0e6f;
     float *weight = 0;
     if (robot->state == FK_STATE_RUNNING) {
         return FK_STATUS_STATE;
@@ -187,7 +185,7 @@ static int8_t set_parameter(fk_robot_t *robot, uint8_t parameter, float value)
     } else if (parameter == FK_PARAMETER_LEVEL_WEIGHT) {
         weight = &robot->plan.level_weight;
     }
-    if (weight == 0 || !is_finite_within(value, 0.0f, weight_max)) {
+    if (weight == 0 || !is_finite_within(value, 0.0f, FK_WEIGHT_MAX)) {
         return FK_STATUS_VALUE;
     }
     *weight = value;
@@ -208,7 +206,7 @@ static int32_t on_stroke(fk_robot_t *robot, const uint8_t *payload, uint64_t now
     fk_stroke_answer_t told = {FK_STATUS_OK, now_us};
     if (robot->state != FK_STATE_ARMED || robot->second_mask != 0u) {
         told.status = FK_STATUS_STATE; /* not armed, or the last stroke has not fired its second limbs yet */
-    } else if (command.action >= robot->tables.actions_count) {
+    } else if (command.action >= robot->tables.actions) {
         told.status = FK_STATUS_VALUE;
     } else {
         robot->stroke_request = (uint8_t)(command.action + 1u);

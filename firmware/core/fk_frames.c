@@ -57,7 +57,7 @@ int32_t fk_frame_decode(const uint8_t *encoded, uint32_t length, fk_frame_t *fra
         return -1;
     }
     uint32_t checked = count - FK_FRAME_CRC_BYTES;
-    if (fk_crc32(raw, checked) != fk_get_u32(raw + checked)) {
+    if (fk_crc32(0u, raw, checked) != fk_get_u32(raw + checked)) {
         return -1;
     }
     frame->type = raw[0];
@@ -83,7 +83,7 @@ uint32_t fk_frame_encode(uint8_t type, uint8_t sequence, const uint8_t *payload,
     for (uint32_t i = 0u; i < payload_length; ++i) {
         raw[FK_FRAME_HEAD_BYTES + i] = payload[i];
     }
-    fk_put_u32(raw + content, fk_crc32(raw, content));
+    fk_put_u32(raw + content, fk_crc32(0u, raw, content));
 
     uint32_t code_at = 0u;
     uint32_t at = 1u;

@@ -12,17 +12,18 @@
 
 enum { /* status of an answer */
     FK_STATUS_OK = 0,
-    FK_STATUS_NOT_FINITE = -1,
-    FK_STATUS_RANGE = -2,
-    FK_STATUS_IMAGE = -3,
-    FK_STATUS_STATE = -32,
-    FK_STATUS_LENGTH = -33,
-    FK_STATUS_UNKNOWN = -34,
-    FK_STATUS_NO_PATH = -35,
-    FK_STATUS_STALE = -36,
-    FK_STATUS_GUARD = -37,
-    FK_STATUS_VALUE = -38,
-    FK_STATUS_LOST = -39
+    FK_STATUS_NOT_FINITE = -2,
+    FK_STATUS_RANGE = -3,
+    FK_STATUS_DEPTH = -4,
+    FK_STATUS_WEIGHT = -5,
+    FK_STATUS_PATH_COUNT = -6,
+    FK_STATUS_PATH_POINT = -7,
+    FK_STATUS_STATE = -64,
+    FK_STATUS_LENGTH = -65,
+    FK_STATUS_UNKNOWN = -66,
+    FK_STATUS_NO_PATH = -67,
+    FK_STATUS_STALE = -68,
+    FK_STATUS_VALUE = -69
 };
 
 enum { /* state of the robot */

@@ -6,9 +6,8 @@
 
 #include <stdint.h>
 
+#include "fk_planner.h"
 #include "fk_robot_config.h"
-
-#define FK_LIMBS_MAX 8u
 
 /* A limb rests at least FK_REST_MIN_US between pulses, so this many pulses can touch one duty window at most. */
 #define FK_GUARD_HISTORY (FK_DUTY_WINDOW_US / FK_REST_MIN_US + 2u)

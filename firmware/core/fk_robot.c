@@ -2,15 +2,7 @@
 
 #define FK_NEVER_US UINT64_MAX
 
-static int32_t is_this_robot(const char *id)
-{
-    const char *mine = FK_ROBOT_ID;
-    uint32_t i = 0u;
-    while (i < 15u && mine[i] != '\0' && mine[i] == id[i]) {
-        ++i;
-    }
-    return mine[i] == id[i];
-}
+uint32_t fk_robot_bytes(void) { return (uint32_t)sizeof(fk_robot_t); }
 
 int32_t fk_robot_init(fk_robot_t *robot, const uint8_t *image, uint32_t image_bytes)
 {
@@ -18,8 +10,12 @@ int32_t fk_robot_init(fk_robot_t *robot, const uint8_t *image, uint32_t image_by
     if (error != FK_OK) {
         return error;
     }
-    if (!is_this_robot(robot->tables.robot_id) || robot->tables.pulse_us > FK_PULSE_MAX_US) {
-        return FK_ERROR_ROBOT;
+    error = fk_tables_check_robot(&robot->tables, FK_ROBOT_ID);
+    if (error != FK_OK) {
+        return error;
+    }
+    if (robot->tables.pulse_us > FK_PULSE_MAX_US) {
+        return FK_ERROR_IMAGE_TIMES;
     }
     robot->plan.distance_weight_per_m = FK_DISTANCE_WEIGHT_PER_M;
     robot->plan.angle_weight_per_rad = FK_ANGLE_WEIGHT_PER_RAD;
@@ -33,10 +29,11 @@ int32_t fk_robot_init(fk_robot_t *robot, const uint8_t *image, uint32_t image_by
     robot->state = FK_STATE_DISARMED;
     robot->path_points = 0u;
     robot->path_total = 0u;
-    robot->resting_action = robot->tables.actions_count;
-    for (uint8_t action = robot->tables.actions_count; action > 0u; --action) {
-        fk_action_t masks = fk_tables_action(&robot->tables, (uint8_t)(action - 1u));
-        if (masks.first_mask == 0u && masks.second_mask == 0u) {
+    robot->resting_action = robot->tables.actions;
+    for (uint8_t action = robot->tables.actions; action > 0u; --action) {
+        fk_action_t masks;
+        if (fk_tables_action(&robot->tables, (uint8_t)(action - 1u), &masks) == FK_OK && masks.first_mask == 0u &&
+            masks.second_mask == 0u) {
             robot->resting_action = (uint8_t)(action - 1u);
         }
     }
@@ -70,6 +67,23 @@ static void send(fk_robot_t *robot, uint8_t type, uint8_t sequence, const uint8_
     }
 }
 
+static void send_events(fk_robot_t *robot)
+{
+    uint8_t payload[FK_PAYLOAD_BYTES_MAX];
+    if (robot->decision_pending != 0u) {
+        fk_decision_event_pack(payload, &robot->decision);
+        send(robot, FK_FRAME_DECISION, robot->event_sequence, payload, FK_DECISION_EVENT_BYTES);
+        ++robot->event_sequence;
+        robot->decision_pending = 0u;
+    }
+    if (robot->ended_pending != 0u) {
+        fk_ended_event_pack(payload, &robot->ended);
+        send(robot, FK_FRAME_ENDED, robot->event_sequence, payload, FK_ENDED_EVENT_BYTES);
+        ++robot->event_sequence;
+        robot->ended_pending = 0u;
+    }
+}
+
 void fk_robot_on_frame(fk_robot_t *robot, const uint8_t *encoded, uint32_t length, uint64_t now_us)
 {
     fk_frame_t frame;
@@ -77,6 +91,9 @@ void fk_robot_on_frame(fk_robot_t *robot, const uint8_t *encoded, uint32_t lengt
         ++robot->frames_bad;
         return;
     }
+    /* Events of an earlier tick go first: the order of what is sent is the order of what happened, and a host
+     * can decide everything again from it. */
+    send_events(robot);
     uint8_t answer[FK_PAYLOAD_BYTES_MAX];
     int32_t answer_length = fk_robot_command(robot, &frame, now_us, answer);
     send(robot, (uint8_t)(frame.type | FK_ANSWER_BIT), frame.sequence, answer, (uint32_t)answer_length);
@@ -176,10 +193,10 @@ static void fire(fk_robot_t *robot, uint8_t limb_mask, uint64_t now_us, fk_outpu
 
 static void begin_stroke(fk_robot_t *robot, uint8_t action, uint64_t now_us, fk_outputs_t *outputs)
 {
-    if (action >= robot->tables.actions_count) {
+    fk_action_t masks;
+    if (fk_tables_action(&robot->tables, action, &masks) != FK_OK) {
         return; /* a table without a resting action, and no estimate: nothing fires */
     }
-    fk_action_t masks = fk_tables_action(&robot->tables, action);
     if (masks.first_mask != 0u) {
         fire(robot, masks.first_mask, now_us, outputs);
     }
@@ -228,23 +245,6 @@ void fk_robot_note_tick(fk_robot_t *robot, uint32_t elapsed_us)
 {
     if (robot->decision_pending != 0u && robot->decision.plan_us == 0u) {
         robot->decision.plan_us = elapsed_us;
-    }
-}
-
-static void send_events(fk_robot_t *robot)
-{
-    uint8_t payload[FK_PAYLOAD_BYTES_MAX];
-    if (robot->decision_pending != 0u) {
-        fk_decision_event_pack(payload, &robot->decision);
-        send(robot, FK_FRAME_DECISION, robot->event_sequence, payload, FK_DECISION_EVENT_BYTES);
-        ++robot->event_sequence;
-        robot->decision_pending = 0u;
-    }
-    if (robot->ended_pending != 0u) {
-        fk_ended_event_pack(payload, &robot->ended);
-        send(robot, FK_FRAME_ENDED, robot->event_sequence, payload, FK_ENDED_EVENT_BYTES);
-        ++robot->event_sequence;
-        robot->ended_pending = 0u;
     }
 }
 

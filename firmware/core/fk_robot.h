@@ -44,7 +44,7 @@ typedef struct {
     uint8_t state;               /* FK_STATE_... */
     uint8_t path_points;         /* points received so far */
     uint8_t path_total;          /* points of the path being received; path is whole when both are equal, not 0 */
-    uint8_t resting_action;      /* first action that fires no limb; actions_count where there is none */
+    uint8_t resting_action;      /* first action that fires no limb; tables.actions where there is none */
     uint32_t period_us;
     uint64_t next_decision_us;   /* while RUNNING */
     uint32_t decisions;          /* since START */
@@ -74,7 +74,8 @@ typedef struct {
 /* Check the table image and start disarmed.
  * @param image  4-byte aligned, stays valid as long as the robot lives
  * @retval 0         ready
- * @retval negative  fk_error_t of fk_tables_open, or FK_ERROR_ROBOT where the image is for another robot
+ * @retval negative  fk_error_t of fk_tables_open, FK_ERROR_ROBOT where the image is for another robot,
+ *                   FK_ERROR_IMAGE_TIMES where its pulse is above the guard's limit
  */
 int32_t fk_robot_init(fk_robot_t *robot, const uint8_t *image, uint32_t image_bytes);
 
@@ -91,6 +92,9 @@ void fk_robot_note_tick(fk_robot_t *robot, uint32_t elapsed_us);
  * @retval  bytes written, 0 to capacity
  */
 uint32_t fk_robot_take_tx(fk_robot_t *robot, uint8_t *bytes, uint32_t capacity);
+
+/* Size of fk_robot_t, for a host that holds one without seeing its type. */
+uint32_t fk_robot_bytes(void);
 
 /* For fk_commands.c */
 int32_t fk_robot_command(fk_robot_t *robot, const fk_frame_t *frame, uint64_t now_us, uint8_t *answer);

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import struct
 import zlib
 from collections.abc import Sequence
@@ -133,30 +132,19 @@ class FrameCollector:
 
 
 def path_frames(
-    points: Sequence[tuple[float, float, float]], first_sequence: int
-) -> list[tuple[dict[str, Value], list[tuple[Value, ...]], int]]:
-    """Split a path into PATH commands: values, rows and sequence number of each.
+    points: Sequence[tuple[float, float, float]],
+) -> list[tuple[dict[str, Value], Sequence[Sequence[Value]]]]:
+    """Split a path into PATH commands: the values and the rows of each.
 
     Args:
         points: (x_m, y_m, tangent_rad) of each point, world frame, 2 to 100 of them.
-        first_sequence: sequence number of the first frame.
-
-    Raises:
-        InputError: fewer than 2, more than 100, or a point that is not finite.
     """
-    if not 2 <= len(points) <= 100:
-        raise InputError(f"a path has {len(points)} points, the robot takes 2 to 100: resample it")
-    for index, point in enumerate(points):
-        if not all(math.isfinite(value) for value in point):
-            raise InputError(f"path point {index} is {point}: every value must be finite")
     payload = link_layout().messages["PATH"].command
     assert payload is not None
-    step = payload.repeat_max
+    parts = [
+        points[first : first + payload.repeat_max] for first in range(0, len(points), payload.repeat_max)
+    ]
     return [
-        (
-            {"first": first, "total": len(points), "count": len(points[first : first + step])},
-            [tuple(point) for point in points[first : first + step]],
-            (first_sequence + first // step) & 0xFF,
-        )
-        for first in range(0, len(points), step)
+        ({"first": index * payload.repeat_max, "total": len(points), "count": len(part)}, part)
+        for index, part in enumerate(parts)
     ]

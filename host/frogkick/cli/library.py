@@ -1,0 +1,52 @@
+"""``frogkick library``: simulate transitions for many initial velocities."""
+
+from __future__ import annotations
+
+import os
+import time
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from frogkick.cli.common import JsonOption, SeedOption, progress_bar, show
+from frogkick.library import build_library, library_info
+from frogkick.robot import load_robot
+
+app = typer.Typer(help="Simulate transitions for many initial velocities.", no_args_is_help=True)
+
+
+@app.command()
+def build(
+    robot: Annotated[str, typer.Argument(help="TOML file or built-in name.")] = "frog2022",
+    states: Annotated[int, typer.Option(min=1, max=65535, help="Initial velocities.")] = 300,
+    out: Annotated[Path, typer.Option(help="HDF5 file to write.")] = Path("lib.h5"),
+    workers: Annotated[int, typer.Option(min=0, max=256, help="Processes; 0 = one for each core.")] = 0,
+    seed: SeedOption = 0,
+    json: JsonOption = False,
+) -> None:
+    """Simulate every action from each of many initial velocities."""
+    described = load_robot(robot)
+    began = time.perf_counter()
+    with progress_bar("library") as progress:
+        build_library(
+            described, states=states, seed=seed, workers=workers or os.cpu_count() or 1, out=out, progress=progress
+        )
+    transitions = states * len(described.actions)
+    show(
+        {
+            "transitions": transitions,
+            "wall_s": round(time.perf_counter() - began, 3),
+            "simulated_s": transitions * described.period_s,
+            "out": str(out),
+        },
+        json,
+    )
+
+
+@app.command()
+def info(
+    library: Annotated[Path, typer.Argument(help="HDF5 file of 'library build'.")], json: JsonOption = False
+) -> None:
+    """Say what a library holds."""
+    show(library_info(library), json)

@@ -1,0 +1,84 @@
+"""``frogkick simulate``: swim in the rod simulation."""
+
+from __future__ import annotations
+
+import io
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import typer
+
+from frogkick.cli.common import JsonOption, show
+from frogkick.der import simulate_actions, simulate_gait
+from frogkick.errors import InputError
+from frogkick.files import write_text
+from frogkick.robot import load_robot
+
+
+def _velocity(text: str) -> tuple[float, float, float]:
+    parts = text.split(",")
+    try:
+        values = [float(part) for part in parts]
+    except ValueError:
+        values = []
+    if len(values) != 3 or not np.isfinite(values).all():
+        raise InputError(
+            f"--initial-velocity is {text!r}: give VX,VY,OMEGA (forward m/s, left m/s, rad/s), e.g. 0.02,0,0"
+        )
+    return values[0], values[1], values[2]
+
+
+def _write_csv(target: Path, trajectory: np.ndarray) -> None:
+    buffer = io.StringIO()
+    np.savetxt(
+        buffer, trajectory, fmt="%.9g", delimiter=",", header="time_s,x_m,y_m,heading_rad", comments=""
+    )
+    write_text(target, buffer.getvalue())
+
+
+def simulate(
+    robot: Annotated[str, typer.Argument(help="TOML file or built-in name.")] = "frog2022",
+    egain_percent: Annotated[float | None, typer.Option(help="EGaIn fraction of the limbs, % (a gait).")] = None,
+    frequency_hz: Annotated[float | None, typer.Option(help="Strokes per second of a gait.")] = None,
+    phase: Annotated[float, typer.Option(help="Rear limbs' lag as a part of the period, 0 to 1.")] = 0.5,
+    cycles: Annotated[int, typer.Option(min=1, max=200, help="Cycles of the gait.")] = 8,
+    actions: Annotated[str | None, typer.Option(help="Actions one after another, as B,B,C.")] = None,
+    initial_velocity: Annotated[str, typer.Option(help="VX,VY,OMEGA: forward, left m/s, rad/s.")] = "0,0,0",
+    out: Annotated[Path | None, typer.Option(help="CSV with time_s, x_m, y_m, heading_rad.")] = None,
+    json: JsonOption = False,
+) -> None:
+    """Simulate a gait, or a sequence of actions, of a robot."""
+    described = load_robot(robot)
+    if actions is not None:
+        if egain_percent is not None or frequency_hz is not None:
+            raise InputError("--actions uses the robot's own profile: leave --egain-percent and --frequency-hz out")
+        names = [name.strip() for name in actions.split(",") if name.strip()]
+        if not names:
+            raise InputError("--actions is empty: name at least one action, as B,B,C")
+        result = simulate_actions(
+            described, [described.action(name) for name in names], velocity_body=_velocity(initial_velocity)
+        )
+    else:
+        result = simulate_gait(
+            described,
+            egain_percent=described.egain_percent if egain_percent is None else egain_percent,
+            frequency_hz=described.profile_frequency_hz if frequency_hz is None else frequency_hz,
+            phase=phase,
+            cycles=cycles,
+        )
+    if out is not None:
+        _write_csv(out, result.trajectory)
+    show(
+        {
+            "speed_mps": result.speed_mps,
+            "distance_m": result.distance_m,
+            "cost_of_transport": result.cost_of_transport,
+        },
+        json,
+    )
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command."""
+    app.command()(simulate)

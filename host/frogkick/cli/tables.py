@@ -1,0 +1,69 @@
+"""``frogkick tables``: quantise a library into the image that the robot carries."""
+
+from __future__ import annotations
+
+import enum
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from frogkick.cli.common import JsonOption, SeedOption, progress_bar, show
+from frogkick.files import write_bytes
+from frogkick.library import quantise, read_library, table_error
+from frogkick.planner.image import Tables, open_image, read_image
+from frogkick.robot import load_robot
+
+app = typer.Typer(help="Quantise a library into the robot's table image.", no_args_is_help=True)
+
+
+class Kind(enum.StrEnum):
+    """Kinds of table."""
+
+    nearest = "nearest"
+
+
+def _facts(tables: Tables) -> dict[str, Any]:
+    return {
+        "bytes": len(tables.image),
+        "states": len(tables.states),
+        "actions": len(tables.actions),
+        "kind": tables.kind,
+        "robot": tables.robot_id,
+        "period_s": tables.period_us * 1e-6,
+        "pulse_s": tables.pulse_us * 1e-6,
+        "crc32": f"{tables.crc32:08x}",
+        "provenance": tables.provenance.hex(),
+    }
+
+
+@app.command()
+def build(
+    library: Annotated[Path, typer.Argument(help="HDF5 file of 'library build'.")],
+    kind: Annotated[Kind, typer.Option(help="nearest: the paper's table.")] = Kind.nearest,
+    out: Annotated[Path, typer.Option(help="Table image to write (.fkt).")] = Path("tables.fkt"),
+    test_states: Annotated[int, typer.Option(min=4, max=10000, help="Unseen states to measure the error on.")] = 16,
+    seed: SeedOption = 1,
+    json: JsonOption = False,
+) -> None:
+    """Make a table image, and measure its error on states that are not in it."""
+    content = read_library(library)
+    image = quantise(content)
+    tables = open_image(image)
+    with progress_bar("unseen states") as progress:
+        error = table_error(tables, content.robot, test_states, seed, progress)
+    write_bytes(out, image)
+    show({**_facts(tables), "error": error, "out": str(out)}, json)
+
+
+@app.command()
+def info(
+    tables: Annotated[Path, typer.Argument(help="Table image (.fkt).")],
+    robot: Annotated[str | None, typer.Option(help="Refuse a table that is not for this robot.")] = None,
+    json: JsonOption = False,
+) -> None:
+    """Say what a table image holds, after checking all of it."""
+    opened = read_image(tables)
+    if robot is not None:
+        opened.require_robot(load_robot(robot).id)
+    show(_facts(opened), json)

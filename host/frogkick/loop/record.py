@@ -1,0 +1,163 @@
+"""From a recording to the run's log, and from a log to the numbers people ask for."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+
+import numpy as np
+
+from frogkick.loop.closed_loop import Recording
+from frogkick.loop.decision import Decision
+from frogkick.loop.runlog import DecisionFlag, Decisions, Fixes, RunLog, Strokes, Truth
+from frogkick.paths import Path, wrap_angle
+from frogkick.planner.image import Tables
+from frogkick.pool.monitor import pulses_of, violations
+from frogkick.pool.pool import Pool
+from frogkick.robot import Robot
+
+
+@dataclass(frozen=True)
+class Tracking:
+    """How well a run followed its path, from the first decision to the end.
+
+    Distances are of the true pose (simulated runs) or of the fixes to the path's polyline.
+    """
+
+    mean_distance_m: float
+    p95_distance_m: float
+    progress_mps: float
+    completed: bool
+    decisions: int
+    fixes_lost: int
+    limit_violations: int
+    plan_ms_p99: float
+
+    def as_json(self) -> dict[str, float | int | bool]:
+        """The keys of the command ``run``."""
+        return asdict(self)
+
+
+def decision_columns(decisions: Sequence[Decision], fix_rows: dict[int, int]) -> Decisions:
+    """Decisions as log columns.
+
+    Args:
+        decisions: in order.
+        fix_rows: row in ``fixes`` of each fix sequence number.
+    """
+    failed = np.array([d.status != 0 for d in decisions], dtype=bool)
+    not_planned = np.where(failed, np.nan, 1.0)
+    return Decisions(
+        time_s=np.array([d.scheduled_us * 1e-6 for d in decisions]),
+        action=np.array([d.action for d in decisions], dtype=np.int64),
+        fix_sequence=np.array([fix_rows.get(d.fix_sequence, -1) if d.fixes else -1 for d in decisions]),
+        flags=np.where(failed, int(DecisionFlag.NO_PLAN), 0),
+        cost=np.array([float(d.cost) for d in decisions]) * not_planned,
+        estimate=np.array([d.estimate for d in decisions], dtype=np.float64).reshape(-1, 6)
+        * not_planned[:, None],
+        predicted=np.array([d.predicted for d in decisions], dtype=np.float64).reshape(-1, 6)
+        * not_planned[:, None],
+        plan_s=np.array([d.plan_us * 1e-6 for d in decisions]) * not_planned,
+        extra={
+            "status": np.array([d.status for d in decisions], dtype=np.int64),
+            "path_index": np.array([d.path_index for d in decisions], dtype=np.int64),
+            "scheduled_us": np.array([d.scheduled_us for d in decisions], dtype=np.int64),
+        },
+    )
+
+
+def run_log(
+    recording: Recording, pool: Pool, robot: Robot, tables: Tables, path: Path, seed: int, source: str
+) -> RunLog:
+    """The log of a run in the pool.
+
+    Args:
+        recording: of ``run_in_pool``.
+        pool: where it swam; gives the truth.
+        robot, tables, path: as in the run.
+        seed: of the camera's noise.
+        source: what made the log, without folders.
+    """
+    fixes = recording.fixes
+    poses = np.array([fix.pose_world for fix in fixes], dtype=np.float64).reshape(-1, 3)
+    count = len(fixes)
+    pulses = pulses_of(recording.edges, recording.end_s)
+    starts = sorted({(pulse.start_s, pulse.end_s) for pulse in pulses})
+    masks = [sum(1 << p.limb for p in pulses if (p.start_s, p.end_s) == start) for start in starts]
+    tracked = tracking_of_recording(recording, pool, robot, path)
+    return RunLog(
+        robot_id=robot.id,
+        source=source,
+        period_s=tables.period_us * 1e-6,
+        pulse_s=tables.pulse_us * 1e-6,
+        action_names=tuple(row.name for row in tables.actions),
+        fixes=Fixes(
+            time_s=np.array(recording.sent_s),
+            capture_time_s=np.array([fix.capture_s for fix in fixes]),
+            x_m=poses[:, 0],
+            y_m=poses[:, 1],
+            heading_rad=wrap_angle(poses[:, 2]),
+            quality=np.ones(count, dtype=np.uint8),
+            flags=np.zeros(count, dtype=np.uint16),
+            extra={
+                "sequence": np.array([fix.sequence for fix in fixes], dtype=np.int64),
+                # On the robot's clock; -1 where the robot took none.
+                "robot_capture_us": np.array(
+                    [-1 if us is None else us for us in recording.capture_us], dtype=np.int64
+                ),
+            },
+        ),
+        decisions=decision_columns(recording.decisions, {fix.sequence: row for row, fix in enumerate(fixes)}),
+        strokes=Strokes(
+            time_s=np.array([start for start, _ in starts]),
+            limb_mask=np.array(masks, dtype=np.int64),
+            pulse_s=np.array([end - start for start, end in starts]),
+        ),
+        path=path,
+        truth=Truth(
+            time_s=np.array(pool.truth.time_s),
+            pose_world=np.array(pool.truth.pose_world).reshape(-1, 3),
+            velocity_body=np.array(pool.truth.velocity_body).reshape(-1, 3),
+        ),
+        table_crc=tables.crc32,
+        seed=seed,
+        notes=recording.ended,
+        measured={key: float(value) for key, value in tracked.as_json().items() if np.isfinite(value)},
+    )
+
+
+def tracking_of_recording(recording: Recording, pool: Pool, robot: Robot, path: Path) -> Tracking:
+    """Numbers of a run in the pool, distances from the true poses."""
+    time_s = np.array(pool.truth.time_s)
+    during = (time_s >= recording.first_decision_s) & (time_s <= recording.end_s)
+    poses = np.array(pool.truth.pose_world).reshape(-1, 3)[during]
+    plan_ms = [d.plan_us * 1e-3 for d in recording.decisions if d.status == 0]
+    pulses = pulses_of(recording.edges, recording.end_s)
+    mean_m, p95_m, progress_mps = along_path(path, time_s[during], poses)
+    return Tracking(
+        mean_distance_m=mean_m,
+        p95_distance_m=p95_m,
+        progress_mps=progress_mps,
+        completed=recording.completed,
+        decisions=len(recording.decisions),
+        fixes_lost=recording.fixes_refused,
+        limit_violations=len(violations(robot, pulses)),
+        plan_ms_p99=float(np.percentile(plan_ms, 99)) if plan_ms else 0.0,
+    )
+
+
+def along_path(path: Path, time_s: np.ndarray, poses_world: np.ndarray) -> tuple[float, float, float]:
+    """Mean and 95th percentile of the distance to a path (m), and the progress along it (m/s).
+
+    Args:
+        path: the path.
+        time_s: (n,) times of the poses.
+        poses_world: (n, 3) or (n, 2) poses; without any, three zeros come back.
+    """
+    if len(time_s) < 2:
+        return 0.0, 0.0, 0.0
+    distance_m = path.distance_m(poses_world[:, :2])
+    arc_m = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(path.points_m, axis=0).T))])
+    reached = path.nearest_index(poses_world[[0, -1], :2])
+    progress_mps = (arc_m[reached[1]] - arc_m[reached[0]]) / (time_s[-1] - time_s[0])
+    return float(distance_m.mean()), float(np.percentile(distance_m, 95)), float(progress_mps)

@@ -1,0 +1,206 @@
+"""Recorded fixes once more through the planner: on the chip, on the host, or on both and compared."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from frogkick.errors import InputError
+from frogkick.loop.closed_loop import parameters
+from frogkick.loop.decision import Decision, DecisionTwin, RobotEvent, decision_of_event
+from frogkick.loop.runlog import RunLog
+from frogkick.loop.session import LinkError, Session
+from frogkick.paths import Path
+from frogkick.planner import PlanConfig
+from frogkick.planner.image import Tables
+from frogkick.pool.camera import Fix
+from frogkick.pool.port import RobotPort
+
+LEAD_IN_S = 1.0  # robot time before the recorded run's time zero, for path and parameters
+START_AHEAD_S = 0.2  # ARM and START go out this long before a first decision
+STEP_S = 0.02
+
+
+@dataclass(frozen=True)
+class Replay:
+    """What came out.
+
+    Attributes:
+        actions: decided action names, one a decision, of the chip where it took part, else of the host.
+        recorded: what was decided in the recorded run at the same decision; None where unknown.
+        onboard, host: the decisions of each side; empty where it took no part.
+        differences: (decision, fields that differ), decisions of both sides compared bit by bit.
+    """
+
+    actions: list[str]
+    recorded: list[str | None]
+    onboard: list[Decision]
+    host: list[Decision]
+    differences: list[tuple[int, list[str]]]
+
+    @property
+    def agreement(self) -> float | None:
+        """Share of decisions that are the recorded ones; None where nothing is recorded."""
+        known = [a == r for a, r in zip(self.actions, self.recorded, strict=True) if r is not None]
+        return float(np.mean(known)) if known else None
+
+
+@dataclass(frozen=True)
+class _Schedule:
+    """The recorded run on the robot's clock."""
+
+    fixes: list[tuple[float, Fix]]  # (arrival, fix), robot time in s
+    first_us: int
+    period_us: int
+    decisions: int
+
+
+def _schedule(run: RunLog) -> _Schedule:
+    if run.path is None:
+        raise InputError(f"run {run.source!r} has no path: a replay needs the one that was followed")
+    if len(run.decisions) == 0:
+        raise InputError(f"run {run.source!r} has no decisions: nothing to replay")
+    usable = np.flatnonzero(run.fixes.usable)
+    if usable.size == 0:
+        raise InputError(f"run {run.source!r} has no usable fix: nothing to replay")
+    fixes = []
+    for row in usable:
+        pose = np.array(
+            [run.fixes.x_m[row], run.fixes.y_m[row], run.fixes.heading_rad[row]], dtype=np.float32
+        )
+        arrival_s = LEAD_IN_S + float(run.fixes.time_s[row])
+        capture_s = LEAD_IN_S + float(run.fixes.capture_time_s[row])
+        fixes.append((arrival_s, Fix(int(row) & 0xFFFF, capture_s, arrival_s, pose)))
+    first_us = round((LEAD_IN_S + float(run.decisions.time_s[0])) * 1e6)
+    return _Schedule(fixes, first_us, round(run.period_s * 1e6), len(run.decisions))
+
+
+def replay(
+    run: RunLog,
+    tables: Tables,
+    config: PlanConfig,
+    port: RobotPort | None,
+    host: bool,
+    progress: Callable[[int, int], None] = lambda _done, _all: None,
+) -> Replay:
+    """Feed a run's fixes to the planner at their recorded times; decide when the run decided.
+
+    The robot's strokes go nowhere: the recorded robot swims on as it did.
+
+    Args:
+        run: recorded run with its path.
+        tables: transitions for the planner.
+        config: weights and depth.
+        port: a robot with these tables on board; None = the host alone.
+        host: also (or only) decide with the twins on the host.
+        progress: called with decisions done and to do.
+
+    Raises:
+        InputError: the run has no path, no decisions or no usable fix.
+        LinkError: the robot refuses or does not answer.
+    """
+    schedule = _schedule(run)
+    assert run.path is not None
+    onboard: list[Decision] = []
+    if port is not None:
+        onboard, events = _replay_onboard(schedule, run.path, tables, config, port, progress)
+    else:
+        events = _events_of(schedule)
+    decided = replay_on_host(events, DecisionTwin(tables, run.path, config)) if host else []
+    names = [row.name for row in tables.actions] + ["-"]
+    actions = [names[d.action] for d in (onboard or decided)]
+    recorded: list[str | None] = [
+        run.action_names[index] if index >= 0 else None for index in run.decisions.action[: len(actions)]
+    ]
+    differences = compare(onboard, decided) if port is not None and host else []
+    return Replay(actions, recorded, onboard, decided, differences)
+
+
+def compare(onboard: Sequence[Decision], host: Sequence[Decision]) -> list[tuple[int, list[str]]]:
+    """Decisions that differ in any bit, with the fields; a missing decision is a difference too."""
+    found = [
+        (index, fields)
+        for index, (a, b) in enumerate(zip(onboard, host, strict=False))
+        if (fields := a.differences(b))
+    ]
+    shorter = min(len(onboard), len(host))
+    return found + [(index, ["missing"]) for index in range(shorter, max(len(onboard), len(host)))]
+
+
+def replay_on_host(events: Sequence[RobotEvent], twin: DecisionTwin) -> list[Decision]:
+    """The twin's decisions for what the robot saw, in the order in which it saw it."""
+    decisions = []
+    for event in events:
+        if event.pose_world is not None:
+            twin.add_fix(event.time_us, event.pose_world, event.sequence)
+        else:
+            decisions.append(twin.decide(event.time_us))
+    return decisions
+
+
+def _events_of(schedule: _Schedule) -> list[RobotEvent]:
+    """Without a robot: a decision sees the fixes that arrived before it."""
+    timed = [
+        (round(arrival_s * 1e6), 0, RobotEvent(round(fix.capture_s * 1e6), fix.pose_world, fix.sequence))
+        for arrival_s, fix in schedule.fixes
+    ]
+    for index in range(schedule.decisions):
+        at_us = schedule.first_us + index * schedule.period_us
+        timed.append((at_us, 1, RobotEvent(at_us)))
+    return [event for _, _, event in sorted(timed, key=lambda row: row[:2])]
+
+
+def _replay_onboard(
+    schedule: _Schedule,
+    path: Path,
+    tables: Tables,
+    config: PlanConfig,
+    port: RobotPort,
+    progress: Callable[[int, int], None],
+) -> tuple[list[Decision], list[RobotEvent]]:
+    session = Session(port)
+    session.greet(tables)
+    session.set_parameters({**parameters(config), "PERIOD_US": schedule.period_us})
+    session.send_path(path)
+    waiting = list(schedule.fixes)
+    poses: dict[int, Fix] = {}
+    events: list[RobotEvent] = []
+    decisions: list[Decision] = []
+    running = False
+    while len(decisions) < schedule.decisions:
+        next_us = schedule.first_us + len(decisions) * schedule.period_us
+        if not running and next_us * 1e-6 - session.time_s < START_AHEAD_S:
+            # Also after an end on board (path completed): the recorded robot swam on, so the replay does.
+            _start(session, next_us)
+            running = True
+        next_s = waiting[0][0] if waiting else session.time_s + STEP_S
+        session.step(max(min(next_s, session.time_s + STEP_S), session.time_s + 1e-6))
+        while waiting and waiting[0][0] <= session.time_s:
+            _, fix = waiting.pop(0)
+            poses[session.post_fix(fix, session.time_s)] = fix
+        for arrival in session.take("FIX", "DECISION", "ENDED"):
+            frame = arrival.frame
+            if frame.name == "FIX":
+                fix = poses.pop(frame.sequence)
+                if frame.values["status"] == 0:
+                    capture_us = int(frame.values["capture_us"])
+                    events.append(RobotEvent(capture_us, fix.pose_world, fix.sequence))
+            elif frame.name == "DECISION":
+                decisions.append(decision_of_event(frame.values))
+                events.append(RobotEvent(decisions[-1].scheduled_us))
+                progress(len(decisions), schedule.decisions)
+            else:
+                running = False
+        if session.time_s * 1e6 > next_us + 5 * schedule.period_us:
+            raise LinkError(f"the robot made no decision after {len(decisions)}: is it disarmed?")
+    session.request("DISARM")
+    return decisions, events
+
+
+def _start(session: Session, first_us: int) -> None:
+    """ARM, and START so that the first decision falls on a time, to the frame's own time on the wire."""
+    session.request("ARM")
+    delay_us = first_us - round(session.time_s * 1e6)
+    session.request("START", {"delay_us": max(0, delay_us)})

@@ -1,0 +1,162 @@
+"""Talking with a robot in simulated time: commands with their answers, events, a pool moving along."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+from frogkick.errors import FrogkickError
+from frogkick.link.frames import Frame, pack_frame, path_frames
+from frogkick.link.layout import Value, link_layout
+from frogkick.paths import Path
+from frogkick.planner.image import Tables
+from frogkick.pool.camera import Fix
+from frogkick.pool.port import Edge, RobotPort
+
+STEP_S = 0.002
+ANSWER_TIMEOUT_S = 1.0
+
+
+class LinkError(FrogkickError):
+    """The robot refused a command or did not answer."""
+
+
+@dataclass(frozen=True)
+class Arrival:
+    """A frame from the robot and when its last byte came, robot time."""
+
+    time_s: float
+    frame: Frame
+
+
+@dataclass
+class Session:
+    """One conversation with a robot. ``on_step`` lets a pool live through the same time.
+
+    Attributes:
+        port: the robot.
+        on_step: called after each step with the new time and the pin edges of that step.
+        edges: every pin edge so far.
+    """
+
+    port: RobotPort
+    on_step: Callable[[float, Sequence[Edge]], None] = lambda _time_s, _edges: None
+    time_s: float = 0.0
+    edges: list[Edge] = field(default_factory=list)
+    _sequence: int = 0
+    _inbox: list[Arrival] = field(default_factory=list)
+
+    def step(self, until_s: float) -> None:
+        """Let robot and pool live until a time."""
+        self.port.advance(until_s)
+        edges = self.port.edges()
+        self.edges += edges
+        self._inbox += [Arrival(time_s, frame) for time_s, frame in self.port.frames()]
+        self.on_step(until_s, edges)
+        self.time_s = until_s
+
+    def post(
+        self,
+        name: str,
+        values: dict[str, Value] | None = None,
+        rows: Sequence[Sequence[Value]] = (),
+        at_s: float | None = None,
+    ) -> int:
+        """Send a command without waiting; return its sequence number."""
+        self._sequence = (self._sequence + 1) & 0xFF
+        encoded = pack_frame(name, "command", self._sequence, values, rows)
+        self.port.send(encoded, self.time_s if at_s is None else at_s)
+        return self._sequence
+
+    def post_fix(self, fix: Fix, at_s: float) -> int:
+        """Send a position fix; its age counts from the picture to this moment."""
+        values: dict[str, Value] = {
+            "fix_sequence": fix.sequence,
+            "quality": 1,
+            "capture_age_us": max(0, round((at_s - fix.capture_s) * 1e6)),
+            "x_m": float(fix.pose_world[0]),
+            "y_m": float(fix.pose_world[1]),
+            "heading_rad": float(fix.pose_world[2]),
+        }
+        return self.post("FIX", values, at_s=at_s)
+
+    def take(self, *names: str) -> list[Arrival]:
+        """Take the frames of these names that have arrived, in order."""
+        taken = [arrival for arrival in self._inbox if arrival.frame.name in names]
+        self._inbox = [arrival for arrival in self._inbox if arrival.frame.name not in names]
+        return taken
+
+    def request(
+        self, name: str, values: dict[str, Value] | None = None, rows: Sequence[Sequence[Value]] = ()
+    ) -> dict[str, Value]:
+        """Send a command and live until its answer.
+
+        Raises:
+            LinkError: no answer within a second, or an answer that refuses.
+        """
+        answer = self.ask(name, values, rows)
+        status = int(answer["status"])
+        if status < 0:
+            raise LinkError(f"the robot refuses {name} {values or ''}: {link_layout().status_name(status)}")
+        return answer
+
+    def ask(
+        self, name: str, values: dict[str, Value] | None = None, rows: Sequence[Sequence[Value]] = ()
+    ) -> dict[str, Value]:
+        """Like ``request``, but a refusal is an answer too.
+
+        Raises:
+            LinkError: no answer within a second.
+        """
+        sequence = self.post(name, values, rows)
+        deadline_s = self.time_s + ANSWER_TIMEOUT_S
+        while self.time_s < deadline_s:
+            self.step(self.time_s + STEP_S)
+            for arrival in self._inbox:
+                frame = arrival.frame
+                if (frame.name, frame.kind, frame.sequence) == (name, "answer", sequence):
+                    self._inbox.remove(arrival)
+                    return frame.values
+        raise LinkError(f"no answer to {name} within {ANSWER_TIMEOUT_S} s: is the firmware running?")
+
+    def greet(self, tables: Tables) -> dict[str, Value]:
+        """HELLO, and refuse a robot with other tables than ours.
+
+        Raises:
+            LinkError: another protocol, robot or table.
+        """
+        told = self.request("HELLO")
+        ours = link_layout().protocol_version
+        if told["protocol_version"] != ours:
+            raise LinkError(
+                f"the robot speaks protocol {told['protocol_version']}, this host {ours}: flash it again"
+            )
+        tables.require_robot(str(told["robot_id"]))
+        if told["table_crc"] != tables.crc32:
+            raise LinkError(
+                f"the robot's table has CRC-32 {told['table_crc']:08x}, ours {tables.crc32:08x}: "
+                "build the firmware with this table"
+            )
+        return told
+
+    def send_path(self, path: Path) -> None:
+        """Give the robot its path.
+
+        Raises:
+            LinkError: the robot refuses a part of it.
+        """
+        points = [
+            (float(x), float(y), float(t))
+            for x, y, t in zip(path.x_m, path.y_m, path.tangent_rad, strict=True)
+        ]
+        for values, rows in path_frames(points):
+            self.request("PATH", values, rows)
+
+    def set_parameters(self, values: dict[str, float]) -> None:
+        """PARAM for each name.
+
+        Raises:
+            LinkError: a value out of its limits.
+        """
+        for name, value in values.items():
+            self.request("PARAM", {"parameter": link_layout().parameter[name], "value": value})

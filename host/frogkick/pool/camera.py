@@ -1,0 +1,78 @@
+"""The camera over the simulated pool: late, noisy position fixes at a constant rate."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from frogkick.errors import InputError
+
+
+@dataclass(frozen=True)
+class Camera:
+    """What the fixes are like. Defaults: rate and noise measured on the paper's recorded runs.
+
+    Attributes:
+        rate_hz: fixes per second (every second frame of a 30 Hz camera was logged).
+        delay_s: from capture to arrival at the robot; the recorded label-to-motion time of 0.07 to 0.09 s.
+        position_noise_m: standard deviation of each coordinate, measured at rest.
+        heading_noise_rad: standard deviation of the heading, measured at rest.
+    """
+
+    rate_hz: float = 15.0
+    delay_s: float = 0.08
+    position_noise_m: float = 0.2e-3
+    heading_noise_rad: float = float(np.deg2rad(0.2))
+
+    def __post_init__(self) -> None:
+        limits = {
+            "rate_hz": (1.0, 120.0),
+            "delay_s": (0.0, 1.0),
+            "position_noise_m": (0.0, 0.1),
+            "heading_noise_rad": (0.0, 1.0),
+        }
+        for name, (low, high) in limits.items():
+            value = getattr(self, name)
+            if not low <= value <= high:
+                raise InputError(f"camera {name} is {value}, allowed is {low} to {high}")
+
+
+@dataclass(frozen=True)
+class Fix:
+    """One position fix.
+
+    Attributes:
+        sequence: counts fixes, wraps at 65,536.
+        capture_s: when the picture was taken, pool time.
+        arrival_s: when the fix is sent to the robot, pool time.
+        pose_world: (3,) x_m, y_m, heading_rad as float32, as the link carries them.
+    """
+
+    sequence: int
+    capture_s: float
+    arrival_s: float
+    pose_world: npt.NDArray[np.float32]
+
+
+def measure(
+    camera: Camera,
+    sequence: int,
+    capture_s: float,
+    pose_world: npt.NDArray[np.float64],
+    rng: np.random.Generator,
+) -> Fix:
+    """The fix that the camera makes of a true pose.
+
+    Args:
+        camera: rate, delay and noise.
+        sequence: number of the fix.
+        capture_s: pool time of the picture.
+        pose_world: (3,) true x_m, y_m, heading_rad.
+        rng: source of the noise; three draws a fix.
+    """
+    sigma = np.array([camera.position_noise_m, camera.position_noise_m, camera.heading_noise_rad])
+    noisy = np.asarray(pose_world, dtype=np.float64) + sigma * rng.standard_normal(3)
+    noisy[2] = np.arctan2(np.sin(noisy[2]), np.cos(noisy[2]))
+    return Fix(sequence & 0xFFFF, capture_s, capture_s + camera.delay_s, noisy.astype(np.float32))

@@ -1,0 +1,64 @@
+"""An independent look at the pins: which pulses broke the robot's limits. Shares nothing with the guard in C."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from frogkick.pool.port import Edge
+from frogkick.robot import Robot
+
+# Pins are seen with the resolution of a 1 MHz timer, and a duty sum adds up some of them.
+_TOLERANCE_S = 2e-5
+
+
+@dataclass(frozen=True)
+class Pulse:
+    """One limb on: start and end in pool time."""
+
+    limb: int
+    start_s: float
+    end_s: float
+
+
+def pulses_of(edges: Sequence[Edge], until_s: float) -> list[Pulse]:
+    """The pulses that pin edges make; one still on at ``until_s`` ends there."""
+    on: dict[int, float] = {}
+    pulses = []
+    for edge in sorted(edges, key=lambda e: e.time_s):
+        if edge.level and edge.limb not in on:
+            on[edge.limb] = edge.time_s
+        elif not edge.level and edge.limb in on:
+            pulses.append(Pulse(edge.limb, on.pop(edge.limb), edge.time_s))
+    return pulses + [Pulse(limb, start_s, until_s) for limb, start_s in on.items()]
+
+
+def violations(robot: Robot, pulses: Sequence[Pulse]) -> list[str]:
+    """Every broken limit, one line each; an empty list when the pins kept all of them.
+
+    Args:
+        robot: whose guard limits count.
+        pulses: every pulse seen on the pins, in any order.
+    """
+    guard = robot.guard
+    found = []
+    for limb in range(len(robot.limbs)):
+        mine = sorted((p for p in pulses if p.limb == limb), key=lambda pulse: pulse.start_s)
+        name = robot.limbs[limb].name
+        for index, pulse in enumerate(mine):
+            length_s = pulse.end_s - pulse.start_s
+            if length_s > guard.pulse_max_s + _TOLERANCE_S:
+                found.append(f"{name} on for {length_s:.4f} s at {pulse.start_s:.3f} s")
+            if index and pulse.start_s - mine[index - 1].end_s < guard.rest_min_s - _TOLERANCE_S:
+                found.append(f"{name} rested {pulse.start_s - mine[index - 1].end_s:.4f} s")
+            window_start_s = pulse.end_s - guard.duty_window_s
+            on_s = sum(max(0.0, min(p.end_s, pulse.end_s) - max(p.start_s, window_start_s)) for p in mine)
+            if on_s > guard.duty_max * guard.duty_window_s + _TOLERANCE_S:
+                found.append(f"{name} on for {on_s:.4f} s within {guard.duty_window_s} s")
+    for pulse in pulses:
+        # Just after a start is when the most limbs can be on.
+        at_s = pulse.start_s + _TOLERANCE_S
+        together = len({p.limb for p in pulses if p.start_s <= at_s < p.end_s})
+        if together > guard.limbs_at_once_max:
+            found.append(f"{together} limbs on at {pulse.start_s:.3f} s")
+    return found

@@ -1,0 +1,115 @@
+"""The robot's own C core, built for this computer and lived through in simulated time."""
+
+from __future__ import annotations
+
+import heapq
+from pathlib import Path
+from typing import Any
+
+import cffi
+
+from frogkick.errors import FrogkickError
+from frogkick.link.frames import Frame, FrameCollector
+from frogkick.pool.port import BYTE_S, Edge
+
+_DECLARATIONS = """
+typedef struct { uint8_t limb_mask; uint8_t all_off; uint32_t pulse_us; uint64_t next_tick_us; } fk_outputs_t;
+uint32_t fk_robot_bytes(void);
+int32_t fk_robot_init(void *robot, const uint8_t *image, uint32_t image_bytes);
+void fk_robot_on_frame(void *robot, const uint8_t *encoded, uint32_t length, uint64_t now_us);
+void fk_robot_tick(void *robot, uint64_t now_us, fk_outputs_t *outputs);
+uint32_t fk_robot_take_tx(void *robot, uint8_t *bytes, uint32_t capacity);
+extern const uint8_t fk_table_image[];
+extern const uint32_t fk_table_image_bytes;
+"""
+
+
+class NativeRobot:
+    """A ``RobotPort`` over a shared library made by ``firmware build --target native``.
+
+    Computing takes no simulated time here; the virtual chip is where it does.
+    """
+
+    def __init__(self, library: Path, limbs: int) -> None:
+        """Load the library and start the core.
+
+        Args:
+            library: shared library with the core, the planner and a table.
+            limbs: number of limbs of the robot.
+
+        Raises:
+            FrogkickError: the core refuses its own table.
+        """
+        self._ffi = cffi.FFI()
+        self._ffi.cdef(_DECLARATIONS)
+        self._core: Any = self._ffi.dlopen(str(library))
+        self._memory = self._ffi.new("uint64_t[]", (self._core.fk_robot_bytes() + 7) // 8)
+        self._outputs = self._ffi.new("fk_outputs_t *")
+        self._buffer = self._ffi.new("uint8_t[]", 1024)
+        error = self._core.fk_robot_init(
+            self._memory, self._core.fk_table_image, self._core.fk_table_image_bytes
+        )
+        if error:
+            raise FrogkickError(f"the core refuses its table (fk_error_t {error}): build it again")
+        self._limbs = limbs
+        self._now_us = 0
+        self._next_tick_us = 0
+        self._waiting: list[tuple[int, int, bytes]] = []
+        self._sent = 0
+        self._line_free_us = 0.0
+        self._collector = FrameCollector()
+        self._frames: list[tuple[float, Frame]] = []
+        self._edges: list[Edge] = []
+
+    def send(self, encoded: bytes, at_s: float) -> None:
+        """Put frames (with delimiters) on the wire; each arrives when its last byte is through."""
+        for part in encoded.split(b"\x00")[:-1]:
+            start_us = max(at_s * 1e6, self._line_free_us)
+            self._line_free_us = start_us + (len(part) + 1) * BYTE_S * 1e6
+            self._sent += 1
+            heapq.heappush(self._waiting, (round(self._line_free_us), self._sent, part))
+
+    def advance(self, until_s: float) -> None:
+        """Give the core its frames and ticks in order of time."""
+        until_us = round(until_s * 1e6)
+        while True:
+            frame_us = self._waiting[0][0] if self._waiting else until_us + 1
+            due_us = min(frame_us, max(self._next_tick_us, self._now_us))
+            if due_us > until_us:
+                break
+            self._now_us = max(self._now_us, due_us)
+            if frame_us <= due_us:
+                encoded = heapq.heappop(self._waiting)[2]
+                self._core.fk_robot_on_frame(self._memory, encoded, len(encoded), self._now_us)
+            self._tick()
+        self._now_us = max(self._now_us, until_us)
+
+    def _tick(self) -> None:
+        self._core.fk_robot_tick(self._memory, self._now_us, self._outputs)
+        outputs = self._outputs
+        self._next_tick_us = outputs.next_tick_us
+        now_s = self._now_us * 1e-6
+        if outputs.all_off:
+            # A pulse that was on ends now; its planned end is taken back.
+            still_on = {edge.limb for edge in self._edges if not edge.level and edge.time_s > now_s}
+            self._edges = [edge for edge in self._edges if edge.level or edge.time_s <= now_s]
+            self._edges += [Edge(now_s, limb, False) for limb in sorted(still_on)]
+        for limb in range(self._limbs):
+            if outputs.limb_mask >> limb & 1:
+                self._edges.append(Edge(now_s, limb, True))
+                self._edges.append(Edge(now_s + outputs.pulse_us * 1e-6, limb, False))
+        while count := self._core.fk_robot_take_tx(self._memory, self._buffer, 1024):
+            stream = bytes(self._ffi.buffer(self._buffer, count))
+            self._frames += [(now_s, frame) for frame in self._collector.feed(stream)]
+
+    def frames(self) -> list[tuple[float, Frame]]:
+        """Frames from the core since the last call."""
+        taken, self._frames = self._frames, []
+        return taken
+
+    def edges(self) -> list[Edge]:
+        """Pin edges that have happened since the last call; the ends of pulses under way come later."""
+        now_s = self._now_us * 1e-6
+        taken = sorted((e for e in self._edges if e.time_s <= now_s), key=lambda edge: edge.time_s)
+        self._edges = [edge for edge in self._edges if edge.time_s > now_s]
+        return taken

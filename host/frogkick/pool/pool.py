@@ -1,0 +1,107 @@
+"""The simulated pool: the DER swimmer and a camera over it, in one time."""
+
+from __future__ import annotations
+
+import heapq
+from dataclasses import dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+
+from frogkick.der import Swimmer
+from frogkick.pool.camera import Camera, Fix, measure
+from frogkick.robot import Robot
+
+
+@dataclass
+class Truth:
+    """What really happened, a row for each camera picture; never shown to a planner.
+
+    Attributes:
+        time_s: pool time of each row.
+        pose_world: x_m, y_m, heading_rad of each row.
+        velocity_body: vx_mps, vy_mps, omega_rad_s of each row.
+    """
+
+    time_s: list[float] = field(default_factory=list)
+    pose_world: list[npt.NDArray[np.float64]] = field(default_factory=list)
+    velocity_body: list[npt.NDArray[np.float64]] = field(default_factory=list)
+
+
+class Pool:
+    """A swimmer whose limbs obey pulses, seen by a camera.
+
+    The physics is the rod simulation itself, not the table that the planner looks into.
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        pose_world: tuple[float, float, float],
+        camera: Camera,
+        rng: np.random.Generator,
+    ) -> None:
+        """Put a robot at rest into still water.
+
+        Args:
+            robot: the swimmer.
+            pose_world: x_m, y_m, heading_rad of its start.
+            camera: rate, delay and noise of the fixes.
+            rng: source of the noise.
+        """
+        self.robot = robot
+        self.camera = camera
+        self.truth = Truth()
+        self._swimmer = Swimmer(robot, pose_world=pose_world)
+        self._rng = rng
+        self._captured = 0
+        self._waiting: list[tuple[float, int, Fix]] = []
+        self._arrived: list[Fix] = []
+
+    @property
+    def time_s(self) -> float:
+        """Pool time."""
+        return self._swimmer.time_s
+
+    @property
+    def next_event_s(self) -> float:
+        """When the next picture is taken or the next fix arrives."""
+        arrival_s = self._waiting[0][0] if self._waiting else np.inf
+        return float(min(self._next_capture_s, arrival_s))
+
+    @property
+    def _next_capture_s(self) -> float:
+        return (self._captured + 1) / self.camera.rate_hz
+
+    def heat(self, limb: int, start_s: float) -> None:
+        """A pin of the robot begins to heat a limb, in pool time, not before ``time_s``.
+
+        The limb answers with its measured stroke, which belongs to the nominal pulse length.
+        """
+        self._swimmer.fire(limb, start_s)
+
+    def advance(self, until_s: float) -> list[Fix]:
+        """Swim until a pool time; return the fixes that arrived by then, in order of arrival.
+
+        Raises:
+            ConvergenceError: the rod simulation failed; its text holds the state.
+        """
+        while self.next_event_s <= until_s:
+            event_s = self.next_event_s
+            if self._next_capture_s <= event_s:
+                self._capture()
+            else:
+                self._arrived.append(heapq.heappop(self._waiting)[2])
+        self._swimmer.advance(until_s)
+        arrived, self._arrived = self._arrived, []
+        return arrived
+
+    def _capture(self) -> None:
+        self._swimmer.advance(self._next_capture_s)
+        pose = np.array(self._swimmer.pose_world(), dtype=np.float64)
+        self.truth.time_s.append(self._swimmer.time_s)
+        self.truth.pose_world.append(pose)
+        self.truth.velocity_body.append(np.array(self._swimmer.velocity_body(), dtype=np.float64))
+        fix = measure(self.camera, self._captured, self._next_capture_s, pose, self._rng)
+        self._captured += 1
+        heapq.heappush(self._waiting, (fix.arrival_s, fix.sequence, fix))

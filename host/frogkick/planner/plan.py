@@ -32,7 +32,7 @@ STATUS_TEXT = {
     kernel.ERROR_DEPTH: "the depth is not 1 to 4: choose --depth 1 to 4",
     kernel.ERROR_WEIGHT: "a cost weight is not 0 to 1e6: correct the robot's planner section",
     kernel.ERROR_PATH_COUNT: "the path has not 2 to 100 points: resample it",
-    kernel.ERROR_PATH_POINT: "a path point is not within +-1000 m, or a tangent within +-1000 rad: correct the path",
+    kernel.ERROR_PATH_POINT: "a path point is not within +-1000 m, or a tangent within 1000 rad: mend it",
 }
 
 

@@ -1,0 +1,196 @@
+"""The C planner on this machine: a shared library, built once for its content, bound without its headers."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import platform
+import sys
+import tempfile
+from collections.abc import Mapping, Sequence
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import cffi
+import numpy as np
+import numpy.typing as npt
+
+from frogkick.errors import InputError
+from frogkick.planner.image import TableError
+from frogkick.planner.plan import PLAN_ROW, PathLike, PlanConfig, path_rows
+from frogkick_codegen.toolchain import FLAGS, Compiler, ToolchainError, cache_folder, zig
+
+PLANNER_HEADERS = ("fk_planner.h", "fk_internal.h")
+PLANNER_SOURCES = ("cost.c", "math.c", "nearest.c", "path.c", "tables.c", "tree.c")
+
+_DECLARATIONS = """
+uint32_t fk_native_row_bytes(void);
+int32_t fk_native_open(const uint8_t *image, uint32_t size);
+int32_t fk_native_plan_batch(const uint8_t *image, uint32_t size, const float *path, uint32_t points,
+                             const float *weights, const float *states, const int32_t *depths,
+                             uint32_t count, void *rows);
+void fk_native_sincos(const float *angles_rad, uint32_t count, float *sines, float *cosines);
+void fk_native_wrap(const float *angles_rad, uint32_t count, float *wrapped_rad);
+uint32_t fk_native_crc32(uint32_t crc, const uint8_t *bytes, uint32_t length);
+"""
+
+
+def planner_files() -> dict[str, bytes]:
+    """Return the C planner's own files by name."""
+    folder = resources.files("frogkick_codegen") / "planner"
+    return {name: (folder / name).read_bytes() for name in (*PLANNER_HEADERS, *PLANNER_SOURCES)}
+
+
+def build_shared(
+    name: str, files: Mapping[str, bytes], compiler: Compiler | None = None, flags: Sequence[str] = FLAGS
+) -> Path:
+    """Build C files into a shared library, once for the same content, flags and compiler.
+
+    Several processes may build at once: each compiles in its own folder and renames the whole library into
+    place, so nobody loads half of one.
+
+    Args:
+        name: stem of the library's file name.
+        files: file name -> content; the ``.c`` are compiled, all stand in one folder.
+        compiler: for this machine; zig where it is None.
+        flags: compiler flags.
+
+    Returns:
+        The library, in the user's cache folder.
+
+    Raises:
+        ToolchainError: no compiler, a refused source, or no writable cache folder.
+    """
+    driver = zig() if compiler is None else compiler
+    suffix = {"darwin": ".dylib", "win32": ".dll"}.get(sys.platform, ".so")
+    digest = hashlib.sha256()
+    for text in (driver.version, *driver.target_flags, *flags, sys.platform, platform.machine()):
+        digest.update(text.encode() + b"\0")
+    for file in sorted(files):
+        digest.update(file.encode() + b"\0" + len(files[file]).to_bytes(8, "little") + files[file])
+    folder = cache_folder() / "native"
+    library = folder / f"{name}-{digest.hexdigest()[:32]}{suffix}"
+    if library.exists():
+        return library
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(prefix=".build-", dir=folder) as temporary:
+            work = Path(temporary)
+            for file, content in files.items():
+                (work / file).write_bytes(content)
+            sources = sorted(file for file in files if file.endswith(".c"))
+            pic = () if sys.platform == "win32" else ("-fPIC",)
+            driver.run([*flags, *pic, "-shared", "-o", library.name, *sources], folder=work)
+            os.replace(work / library.name, library)
+    except OSError as error:
+        raise ToolchainError(
+            f"cannot build in {str(folder)!r} ({error.strerror}): set FROGKICK_CACHE_DIR to a writable folder"
+        ) from error
+    return library
+
+
+class NativeLibrary:
+    """The C planner as this machine's code."""
+
+    def __init__(self, files: Mapping[str, bytes] | None = None, compiler: Compiler | None = None) -> None:
+        """Build (or find) the library and load it.
+
+        Args:
+            files: planner files; the package's own where it is None.
+            compiler: as for ``build_shared``.
+
+        Raises:
+            ToolchainError: as ``build_shared``, or the library does not load.
+        """
+        every = dict(planner_files() if files is None else files)
+        batch = resources.files("frogkick_codegen") / "templates" / "native_batch.c"
+        every["native_batch.c"] = batch.read_bytes()
+        path = build_shared("fk_planner", every, compiler)
+        self._ffi = cffi.FFI()
+        self._ffi.cdef(_DECLARATIONS)
+        try:
+            self._library: Any = self._ffi.dlopen(str(path))
+        except OSError as error:
+            raise ToolchainError(f"built library {path.name!r} does not load ({error}): remove it") from error
+        row_bytes = self._library.fk_native_row_bytes()
+        if row_bytes != PLAN_ROW.itemsize:
+            raise ToolchainError(
+                f"native rows have {row_bytes} bytes, the host reads {PLAN_ROW.itemsize}: update both"
+            )
+
+    def open_status(self, image: bytes) -> int:
+        """Return what ``fk_tables_open`` says of an image: 0 or a negative fk_error_t."""
+        return int(self._library.fk_native_open(self._ffi.from_buffer("uint8_t[]", image), len(image)))
+
+    def plan_batch(
+        self,
+        image: bytes,
+        path: PathLike,
+        config: PlanConfig,
+        states: npt.ArrayLike,
+        depths: npt.ArrayLike | None = None,
+    ) -> npt.NDArray[Any]:
+        """Plan from many states, as ``frogkick.planner.plan.plan_batch`` does, in C.
+
+        Args:
+            image: a whole table image.
+            path, config, states, depths: as there.
+
+        Returns:
+            (k,) array of ``PLAN_ROW``.
+
+        Raises:
+            TableError: the C refuses the image; the text has its fk_error_t.
+            InputError: the arrays' shapes do not fit.
+        """
+        points = path_rows(path)
+        with np.errstate(over="ignore"):
+            queries = np.ascontiguousarray(states, dtype=np.float32)
+        if queries.ndim != 2 or queries.shape[1] != 6:
+            raise InputError(f"states have shape {queries.shape}, needed is (k, 6): pass one row for each")
+        many = np.full(len(queries), config.depth) if depths is None else np.asarray(depths)
+        if many.shape != (len(queries),):
+            raise InputError(
+                f"depths have shape {many.shape}, needed is ({len(queries)},): pass one for each"
+            )
+        levels = np.ascontiguousarray(many, dtype=np.int32)
+        rows = np.zeros(len(queries), dtype=PLAN_ROW)
+        status = self._library.fk_native_plan_batch(
+            self._ffi.from_buffer("uint8_t[]", image),
+            len(image),
+            self._floats(points),
+            points.shape[1],
+            self._floats(config.weights()),
+            self._floats(queries),
+            self._ffi.from_buffer("int32_t[]", levels),
+            len(queries),
+            self._ffi.cast("void *", rows.ctypes.data),
+        )
+        if status != 0:
+            raise TableError(f"the C planner refuses the table image (fk_error_t {status}): make it again")
+        return rows
+
+    def sincos(self, angles_rad: npt.ArrayLike) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
+        """Return ``fk_sincos`` of each angle: (sines, cosines), float32."""
+        angles = np.ascontiguousarray(angles_rad, dtype=np.float32)
+        sines, cosines = np.empty_like(angles), np.empty_like(angles)
+        outputs = (self._floats(sines, write=True), self._floats(cosines, write=True))
+        self._library.fk_native_sincos(self._floats(angles), angles.size, *outputs)
+        return sines, cosines
+
+    def wrap_angle(self, angles_rad: npt.ArrayLike) -> npt.NDArray[np.float32]:
+        """Return ``fk_wrap_angle`` of each angle, float32."""
+        angles = np.ascontiguousarray(angles_rad, dtype=np.float32)
+        wrapped = np.empty_like(angles)
+        self._library.fk_native_wrap(self._floats(angles), angles.size, self._floats(wrapped, write=True))
+        return wrapped
+
+    def crc32(self, content: bytes, start: int = 0) -> int:
+        """Return ``fk_crc32`` of some bytes."""
+        return int(
+            self._library.fk_native_crc32(start, self._ffi.from_buffer("uint8_t[]", content), len(content))
+        )
+
+    def _floats(self, array: npt.NDArray[np.float32], write: bool = False) -> Any:
+        return self._ffi.from_buffer("float[]", array, require_writable=write)

@@ -1,0 +1,155 @@
+"""C compilers: the one that came as a wheel (zig), and others where a machine has them."""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from frogkick.errors import FrogkickError, nearest_name
+
+STANDARD = ("-std=c99", "-O2")
+WARNINGS = ("-Wall", "-Wextra", "-Wconversion", "-Wdouble-promotion", "-Wmissing-prototypes", "-Werror")
+FLOAT_RULES = ("-ffp-contract=off", "-fno-math-errno")
+"""Every operation rounds to float32 once, and a square root is the machine's own instruction."""
+FLAGS = (*STANDARD, *WARNINGS, *FLOAT_RULES)
+
+ZIG_CHIP = ("-target", "thumb-freestanding-eabihf", "-mcpu=cortex_m4+vfp4d16sp")
+ZIG_HOST = ("-mcpu=baseline",)
+"""zig would build for exactly this machine's processor, and a cached library may meet another one."""
+GCC_CHIP = ("-mcpu=cortex-m4", "-mthumb", "-mfloat-abi=hard", "-mfpu=fpv4-sp-d16", "-ffreestanding")
+
+_OTHERS = {"gcc": (), "clang": (), "arm-none-eabi-gcc": GCC_CHIP}
+_TIMEOUT_S = 300.0
+_LINES_SHOWN = 6
+
+
+class ToolchainError(FrogkickError):
+    """A compiler is missing, or refused the source."""
+
+
+@dataclass(frozen=True)
+class Compiler:
+    """A C compiler driver.
+
+    Attributes:
+        name: "zig", "gcc", "clang" or "arm-none-eabi-gcc".
+        command: how to call it.
+        target_flags: flags that choose the machine it builds for.
+        version: its first version line.
+    """
+
+    name: str
+    command: tuple[str, ...]
+    target_flags: tuple[str, ...]
+    version: str
+
+    def run(self, arguments: Sequence[str | Path], folder: Path | None = None) -> None:
+        """Call the compiler.
+
+        Args:
+            arguments: after the driver's name and the target's flags.
+            folder: working directory; the current one where it is None.
+
+        Raises:
+            ToolchainError: it failed or ran over 300 s; the text has its first lines.
+        """
+        command = [*self.command, *self.target_flags, *(str(argument) for argument in arguments)]
+        result = _run(self.name, command, folder)
+        if result.returncode != 0:
+            text = (result.stderr or result.stdout).strip().splitlines()
+            more = f"\n... {len(text) - _LINES_SHOWN} more lines" if len(text) > _LINES_SHOWN else ""
+            raise ToolchainError(
+                f"{self.name} failed with exit code {result.returncode}, correct what it names:\n"
+                + "\n".join(text[:_LINES_SHOWN])
+                + more
+            )
+
+
+def zig(target: str = "host") -> Compiler:
+    """Return the compiler of the ziglang wheel.
+
+    Args:
+        target: "host" for this machine, "chip" for the nRF52832 (Cortex-M4 with single-precision FPU).
+
+    Raises:
+        ToolchainError: the wheel is not installed, or the target is unknown.
+    """
+    targets = {"host": ZIG_HOST, "chip": ZIG_CHIP}
+    if target not in targets:
+        raise ToolchainError(f"target {target!r} is not one of host, chip{nearest_name(target, targets)}")
+    if importlib.util.find_spec("ziglang") is None:
+        raise ToolchainError(
+            "no C compiler: the Python package 'ziglang' is not installed; run "
+            "'python -m pip install ziglang==0.17.0', or 'make venv' in the repository"
+        )
+    driver = (sys.executable, "-m", "ziglang")
+    version = _run("zig", [*driver, "version"], None).stdout.strip()
+    return Compiler("zig", (*driver, "cc"), targets[target], f"zig {version}")
+
+
+def other(name: str) -> Compiler | None:
+    """Return a compiler of this machine, or None where it has none of that name.
+
+    Args:
+        name: "gcc", "clang" (for this machine) or "arm-none-eabi-gcc" (for the chip).
+
+    Raises:
+        ToolchainError: the name is unknown.
+    """
+    if name not in _OTHERS:
+        raise ToolchainError(f"compiler {name!r} is not known{nearest_name(name, _OTHERS)}: use zig()")
+    path = shutil.which(name)
+    if path is None:
+        return None
+    lines = _run(name, [path, "--version"], None).stdout.strip().splitlines()
+    return Compiler(name, (path,), _OTHERS[name], lines[0] if lines else name)
+
+
+def cache_folder() -> Path:
+    """Return (and make) the per-user folder for built libraries and compiler caches.
+
+    ``$FROGKICK_CACHE_DIR``, else ``$XDG_CACHE_HOME/frogkick``, else ``~/.cache/frogkick``.
+
+    Raises:
+        ToolchainError: it cannot be made.
+    """
+    given = os.environ.get("FROGKICK_CACHE_DIR")
+    base = os.environ.get("XDG_CACHE_HOME")
+    try:
+        folder = Path(given) if given else (Path(base) if base else Path.home() / ".cache") / "frogkick"
+        folder.mkdir(parents=True, exist_ok=True)
+    except (OSError, RuntimeError) as error:
+        raise ToolchainError(
+            f"no cache folder ({error}): set FROGKICK_CACHE_DIR to a writable folder"
+        ) from error
+    return folder.resolve()
+
+
+def _run(name: str, command: list[str], folder: Path | None) -> subprocess.CompletedProcess[str]:
+    environment = dict(os.environ)
+    if name == "zig":  # its caches would otherwise appear beside the sources
+        cache = str(cache_folder() / "zig")
+        environment.setdefault("ZIG_GLOBAL_CACHE_DIR", cache)
+        environment.setdefault("ZIG_LOCAL_CACHE_DIR", cache)
+    try:
+        return subprocess.run(
+            command,
+            cwd=folder,
+            env=environment,
+            capture_output=True,
+            text=True,
+            timeout=_TIMEOUT_S,
+            check=False,
+        )
+    except subprocess.TimeoutExpired as error:
+        raise ToolchainError(
+            f"{name} ran longer than {_TIMEOUT_S:.0f} s: try again on a quieter machine"
+        ) from error
+    except OSError as error:
+        raise ToolchainError(f"{name} cannot be started ({error.strerror}): install it again") from error

@@ -1,0 +1,212 @@
+"""Writes a directory of C that plans for one robot and builds alone: table, planner, settings, example."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import shlex
+import shutil
+import tempfile
+from pathlib import Path
+
+import jinja2
+import numpy as np
+
+import frogkick
+from frogkick.errors import InputError
+from frogkick.planner import kernel
+from frogkick.planner.image import Tables, open_image, read_image
+from frogkick.planner.layout import FORMAT_VERSION
+from frogkick.planner.plan import PlanConfig
+from frogkick_codegen.native import PLANNER_SOURCES, planner_files
+from frogkick_codegen.toolchain import FLAGS, FLOAT_RULES
+
+_MARK = "Do not edit: made by frogkick codegen"
+_RENDERED = ("fk_table.h", "fk_table.c", "fk_config.h", "example_main.c", "README.md")
+SOURCES = tuple(sorted((*PLANNER_SOURCES, "fk_table.c")))
+"""The C files that a firmware compiles; ``example_main.c`` is not among them."""
+BUILD_COMMAND = shlex.join(["cc", *FLAGS, "-o", "example", "example_main.c", *SOURCES])
+"""The one command of the emitted README."""
+_BUILT = ("example", "example.exe")  # what that command makes: goes when the directory is replaced
+
+
+def emit(
+    image: bytes | Path | str,
+    out_dir: Path | str,
+    command: str,
+    config: PlanConfig | None = None,
+    robot_sha256: bytes | None = None,
+) -> dict[str, str]:
+    """Write the directory, wholly or not at all.
+
+    The same image, configuration and command give the same bytes: no times, no host names, and absolute
+    paths in the command are cut to their last part.
+
+    Args:
+        image: a table image, or its file.
+        out_dir: the directory to make; one that was emitted before is replaced, any other is refused.
+        command: the command line that asked for it, for the files' first lines.
+        config: weights and depth; the paper's where it is None.
+        robot_sha256: 32 bytes of the robot's canonical dump; where it is None the first lines say that the
+            library's hash covers it.
+
+    Returns:
+        File name -> SHA-256 of its content, hexadecimal.
+
+    Raises:
+        TableError: the image is not usable.
+        InputError: the directory is not one that was emitted, cannot be written, or the command or the
+            configuration cannot be used.
+    """
+    tables = open_image(image) if isinstance(image, bytes) else read_image(image)
+    files = render(tables, command, config or PlanConfig(), robot_sha256)
+    _swap_in(Path(out_dir), files)
+    return {name: hashlib.sha256(files[name]).hexdigest() for name in sorted(files)}
+
+
+def render(
+    tables: Tables, command: str, config: PlanConfig, robot_sha256: bytes | None = None
+) -> dict[str, bytes]:
+    """Return the directory's files by name; arguments and errors as for ``emit``."""
+    _check_config(config)
+    weights = [_literal(value) for value in config.weights()]
+    banner = _banner(tables, portable_command(command), config, weights, robot_sha256)
+    environment = jinja2.Environment(
+        loader=jinja2.PackageLoader("frogkick_codegen"),
+        undefined=jinja2.StrictUndefined,
+        keep_trailing_newline=True,
+        autoescape=False,
+    )
+    image = tables.image
+    values = {
+        "banner": banner,
+        "tables": tables,
+        "config": config,
+        "weights": weights,
+        "format_version": FORMAT_VERSION,
+        "build_command": BUILD_COMMAND,
+        "float_rules": " ".join(FLOAT_RULES),
+        "plain_weights": [weight.rstrip("f") for weight in weights],
+        "velocity_scale": [_literal(value).rstrip("f") for value in tables.velocity_scale],
+        "motion_scale": [_literal(value).rstrip("f") for value in tables.motion_scale],
+        "lines": [
+            ", ".join(f"0x{byte:02x}" for byte in image[at : at + 16]) + ","
+            for at in range(0, len(image), 16)
+        ],
+    }
+    files = {
+        name: environment.get_template(f"{name}.jinja").render(values).encode("utf-8") for name in _RENDERED
+    }
+    head = "/* " + "\n * ".join(banner) + "\n */\n"
+    for name, content in planner_files().items():
+        files[name] = head.encode("utf-8") + content
+    return files
+
+
+def portable_command(command: str) -> str:
+    """Return a command line without this machine's folders: absolute paths keep their last part.
+
+    Raises:
+        InputError: it is empty, has unbalanced quotes, or holds what would end a C comment or a line.
+    """
+    try:
+        words = shlex.split(command)
+    except ValueError as error:
+        raise InputError(f"command {command!r} cannot be read ({error}): balance its quotes") from None
+    if not words:
+        raise InputError("command is empty: pass the command line that makes these files")
+    if not command.isprintable() or "*/" in command or "/*" in command or "--" + ">" in command:
+        raise InputError(f"command {command!r} holds a line end or a comment mark: rename the file in it")
+    portable = []
+    for word in words:
+        option, equals, value = word.partition("=")
+        if equals and option.startswith("-") and Path(value).is_absolute():
+            portable.append(f"{option}={Path(value).name}")
+        else:
+            portable.append(Path(word).name if Path(word).is_absolute() else word)
+    return shlex.join(portable)
+
+
+def _banner(
+    tables: Tables, command: str, config: PlanConfig, weights: list[str], robot_sha256: bytes | None
+) -> list[str]:
+    """Return the first lines of every file."""
+    settings = ",".join([*weights, str(config.depth)])
+    robot = f"SHA-256 {robot_sha256.hex()}" if robot_sha256 else "its hash is part of the library's"
+    return [
+        f"{_MARK} {frogkick.__version__}, table image format {FORMAT_VERSION}, kind {tables.kind}.",
+        f"library SHA-256 {tables.provenance.hex()}",
+        f"robot {tables.robot_id}, {robot}",
+        f"configuration SHA-256 {hashlib.sha256(settings.encode()).hexdigest()} ({settings})",
+        f"table image SHA-256 {hashlib.sha256(tables.image).hexdigest()}",
+        f"command: {command}",
+        f"flash: {len(tables.image)} bytes of table",
+    ]
+
+
+def _check_config(config: PlanConfig) -> None:
+    """Refuse what ``fk_plan`` would refuse for every state."""
+    path = np.array([[0, 1], [0, 0], [0, 0]], dtype=np.float32)
+    status = int(kernel.check(path, config.weights(), config.depth, np.zeros(6, dtype=np.float32)))
+    if status == kernel.ERROR_DEPTH:
+        raise InputError(f"depth is {config.depth}, allowed is 1 to 4: correct the planner's configuration")
+    if status == kernel.ERROR_WEIGHT:
+        values = config.weights().tolist()
+        raise InputError(f"weights are {values}, allowed is 0 to 1e6: correct the planner's configuration")
+
+
+def _literal(value: np.float32) -> str:
+    """Return a C literal that names exactly this float32: nine significant digits do."""
+    text = f"{float(value):.9g}"
+    return (text if any(mark in text for mark in ".en") else text + ".0") + "f"
+
+
+def _swap_in(out_dir: Path, files: dict[str, bytes]) -> None:
+    """Write into a new directory beside ``out_dir``, then put it in its place."""
+    target = Path(os.path.realpath(out_dir))
+    _refuse_foreign(target, out_dir, set(files))
+    try:
+        target.parent.mkdir(parents=True, exist_ok=True)
+        work = Path(tempfile.mkdtemp(prefix=f".{target.name}.", dir=target.parent))
+    except OSError as error:
+        raise InputError(f"cannot write {str(out_dir)!r}: {error.strerror}; choose another --out") from error
+    fresh, old = work / "new", work / "old"
+    try:
+        fresh.mkdir()
+        for name, content in files.items():
+            with (fresh / name).open("wb") as file:
+                file.write(content)
+                file.flush()
+                os.fsync(file.fileno())
+        if target.exists():
+            os.rename(target, old)
+        try:
+            os.rename(fresh, target)
+        except OSError:
+            if old.exists():
+                os.rename(old, target)
+            raise
+    except OSError as error:
+        raise InputError(f"cannot write {str(out_dir)!r}: {error.strerror}; choose another --out") from error
+    finally:
+        shutil.rmtree(work, ignore_errors=True)
+
+
+def _refuse_foreign(target: Path, given: Path, names: set[str]) -> None:
+    """Raise unless the target is absent, empty, or holds nothing but emitted files and their example."""
+    if not target.exists():
+        return
+    if not target.is_dir():
+        raise InputError(f"--out {str(given)!r} is a file: name a directory")
+    for entry in sorted(target.iterdir()):
+        if entry.name in _BUILT:
+            continue
+        emitted = entry.name in names and entry.is_file()
+        if emitted:
+            with entry.open("rb") as file:
+                emitted = _MARK.encode() in file.readline()
+        if not emitted:
+            raise InputError(
+                f"--out {str(given)!r} holds {entry.name!r}, which codegen did not write: "
+                "choose another directory, or remove it"
+            )

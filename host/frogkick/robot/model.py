@@ -45,7 +45,7 @@ class Limb:
         name: in the TOML's order, which is the bit order of every limb mask.
         corner: index of its root in Frame.corners_m.
         clamp: the frame edge at that corner which the root bends against: "previous" or "next".
-        direction_rad: of the limb at its root, body frame, counter-clockwise from forward.
+        direction_rad: tangent of the limb at its root, body frame, counter-clockwise from forward.
         length_m, segments: its discretisation.
         rest_curvature_per_m: at rest, positive for a limb that curls counter-clockwise towards its tip.
         modulus_rest_pa, modulus_active_pa: Young's modulus E at activation 0 and 1; linear in between.

@@ -56,13 +56,13 @@ class Actuation:
     Attributes:
         duration_s: from the pulse's start to rest.
         step_s: spacing of the samples.
-        curvature_ratio: (n,) natural curvature over its rest value: 1 at both ends.
-        activation: (n,) 0 at rest, 1 where the limb is straightest.
+        drop_per_m: how much the curvature falls at the most, 1/m.
+        activation: (n,) share of that fall: 0 at rest and at both ends, 1 where the limb is straightest.
     """
 
     duration_s: float
     step_s: float
-    curvature_ratio: NDArray[np.float64]
+    drop_per_m: float
     activation: NDArray[np.float64]
 
 
@@ -150,10 +150,6 @@ def fit_profile(
     )
 
 
-def _ratio(profile: Profile, time_s: NDArray[np.float64]) -> NDArray[np.float64]:
-    return profile.curvature_per_m(time_s) / profile.rest_curvature_per_m
-
-
 def _brackets(values: list[float], wanted: float) -> tuple[float, float, float] | None:
     """The two neighbours of ``wanted`` and the weight of the upper one; None outside of the range."""
     if not values or not values[0] <= wanted <= values[-1]:
@@ -166,9 +162,9 @@ def _brackets(values: list[float], wanted: float) -> tuple[float, float, float] 
 def actuation(profiles: Sequence[Profile], egain_percent: float, frequency_hz: float) -> Actuation:
     """Return the stroke at an EGaIn fraction and a frequency, between measured ones where needed.
 
-    Between two frequencies the curvature ratios are mixed at equal time since the pulse (heating takes the
-    same time at any frequency) over the cycle 1 / frequency, a profile that has ended counting as rest;
-    what is then left at the cycle's end is taken out as a ramp. Between two EGaIn fractions likewise.
+    Between two frequencies the falls of the curvature are mixed at equal time since the pulse (heating
+    takes the same time at any frequency) over the cycle 1 / frequency, a profile that has ended counting
+    as rest; what is then left at the cycle's end is taken out as a ramp. Between two EGaIn fractions likewise.
 
     Raises:
         InputError: outside of the measured range, which the text names. Nothing is extrapolated.
@@ -198,9 +194,10 @@ def actuation(profiles: Sequence[Profile], egain_percent: float, frequency_hz: f
     end = chosen[0][1].duration_s if len(chosen) == 1 else 1.0 / wanted_hz
     count = int(np.ceil(end / SAMPLE_S)) + 1
     time_s = np.linspace(0.0, end, count)
-    ratio = np.zeros(count)
+    fall = np.zeros(count)
     for weight, profile in chosen:
-        ratio += weight * _ratio(profile, time_s)
-    ratio += (1.0 - ratio[-1]) * time_s / end
-    ratio = np.minimum(ratio, 1.0)  # fits overshoot by up to 0.7 %: rest is the most curled state there is
-    return Actuation(end, end / (count - 1), ratio, (1.0 - ratio) / (1.0 - ratio.min()))
+        fall += weight * (profile.rest_curvature_per_m - profile.curvature_per_m(time_s))
+    fall -= fall[-1] * time_s / end
+    fall = np.maximum(fall, 0.0)  # fits overshoot by up to 0.9 1/m: rest is the most curled state there is
+    drop = float(fall.max())
+    return Actuation(end, end / (count - 1), drop, fall / drop)

@@ -1,0 +1,167 @@
+"""The rods of one robot as plain arrays: nodes, edges, bends, masses. Built once, never changed.
+
+A mesh holds nothing that moves, so one mesh serves any number of swimmers, lanes or processes.
+"""
+
+from __future__ import annotations
+
+import math
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from frogkick.der.elimination import Elimination, eliminate
+from frogkick.robot import Robot
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int32]
+
+
+class Mesh(NamedTuple):
+    """Nodes 0 .. frame_nodes-1 go round the frame, then each limb from root to tip. SI units.
+
+    Attributes:
+        frame_nodes: how many nodes belong to the frame.
+        rest_m: (n, 2) positions at rest, body frame, origin at the mass-weighted centre.
+        mass_kg: (n,) lumped mass including added mass, half of each edge to each of its ends.
+        edge_nodes: (e, 2) ends of each edge.
+        edge_length_m: (e,) unstretched length.
+        edge_stiffness_n: (e,) EA.
+        edge_drag_normal, edge_drag_tangential: (e,) N / (m/s)^2 at EACH end: rho D C (dl / 2) / 2.
+        bend_nodes: (b, 3) the three nodes of each bend; a corner is the middle of two of them.
+        bend_length_m: (b,) mean length of its two edges.
+        bend_stiffness_n_m2: (b,) EI at rest.
+        bend_active_gain: (b,) EI grows by this factor times the activation; 0 off the limbs and at roots.
+        bend_natural_per_m: (b,) natural curvature at rest.
+        bend_limb: (b,) the limb that actuates it, -1 for none.
+        force_scale_n: a bending force typical of a limb, EI / length^2: what residuals are measured against.
+    """
+
+    frame_nodes: int
+    rest_m: FloatArray
+    mass_kg: FloatArray
+    edge_nodes: IntArray
+    edge_length_m: FloatArray
+    edge_stiffness_n: FloatArray
+    edge_drag_normal: FloatArray
+    edge_drag_tangential: FloatArray
+    bend_nodes: IntArray
+    bend_length_m: FloatArray
+    bend_stiffness_n_m2: FloatArray
+    bend_active_gain: FloatArray
+    bend_natural_per_m: FloatArray
+    bend_limb: IntArray
+    force_scale_n: float
+
+
+def _frame_points(robot: Robot) -> tuple[list[tuple[float, float]], list[int]]:
+    """Nodes round the polygon, and which of them are its corners."""
+    points: list[tuple[float, float]] = []
+    corners: list[int] = []
+    for i, (x, y) in enumerate(robot.frame.corners_m):
+        x2, y2 = robot.frame.corners_m[(i + 1) % len(robot.frame.corners_m)]
+        corners.append(len(points))
+        for j in range(robot.frame.segments[i]):
+            share = j / robot.frame.segments[i]
+            points.append((x + share * (x2 - x), y + share * (y2 - y)))
+    return points, corners
+
+
+def turning_curvature(rest_m: FloatArray, nodes: tuple[int, int, int]) -> tuple[float, float]:
+    """Discrete curvature 2 tan(phi / 2) / dl (1/m) at the middle of three nodes, and dl (m)."""
+    e = rest_m[nodes[1]] - rest_m[nodes[0]]
+    f = rest_m[nodes[2]] - rest_m[nodes[1]]
+    dl = 0.5 * (float(np.hypot(*e)) + float(np.hypot(*f)))
+    phi = math.atan2(float(e[0] * f[1] - e[1] * f[0]), float(e @ f))
+    return 2.0 * math.tan(0.5 * phi) / dl, dl
+
+
+def build_mesh(robot: Robot) -> tuple[Mesh, Elimination]:
+    """Discretise a robot and plan the elimination of its linear systems.
+
+    Returns:
+        The mesh, and the static index lists of its solver.
+
+    Source: Huang 2022, section on 2D discrete elastic rods: a corner joins three edges and carries two
+    bending energies, the frame's own and the limb's root.
+    """
+    frame = robot.frame
+    points, corners = _frame_points(robot)
+    n_frame = len(points)
+    edges = [(i, (i + 1) % n_frame) for i in range(n_frame)]
+    bends = [((i - 1) % n_frame, i, (i + 1) % n_frame) for i in range(n_frame)]
+    rows: list[tuple[float, ...]] = [
+        (
+            frame.stretching_stiffness_n,
+            frame.mass_per_length_kg_per_m + frame.added_mass_per_length_kg_per_m,
+            frame.drag_width_m * frame.drag_normal,
+            frame.drag_width_m * frame.drag_tangential,
+        )
+    ] * len(edges)
+    stiffness = [frame.bending_stiffness_n_m2] * len(bends)
+    gain = [0.0] * len(bends)
+    bend_limb = [-1] * len(bends)
+    limb_curvature: dict[int, float] = {}
+    order: list[int] = []
+    for index, limb in enumerate(robot.limbs):
+        root = corners[limb.corner]
+        step = limb.length_m / limb.segments
+        turn = 2.0 * math.atan(0.5 * limb.rest_curvature_per_m * step)
+        bending = limb.modulus_rest_pa * limb.second_moment_m4
+        nodes = [root, *range(len(points), len(points) + limb.segments)]
+        x, y = points[root]
+        for j in range(limb.segments):
+            angle = limb.direction_rad + (j + 0.5) * turn  # chords of an arc whose tangent starts there
+            x, y = x + step * math.cos(angle), y + step * math.sin(angle)
+            points.append((x, y))
+        edges += list(pairwise(nodes))
+        rows += [
+            (
+                limb.modulus_rest_pa * limb.section_m2,
+                limb.mass_per_length_kg_per_m + limb.added_mass_per_length_kg_per_m,
+                limb.drag_width_m * limb.drag_normal,
+                limb.drag_width_m * limb.drag_tangential,
+            )
+        ] * limb.segments
+        clamp = (root + (1 if limb.clamp == "next" else -1)) % n_frame
+        bends.append((clamp, root, nodes[1]))
+        stiffness.append(limb.root_stiffness_ratio * bending)
+        gain.append(0.0)
+        bend_limb.append(-1)
+        for j in range(1, limb.segments):
+            limb_curvature[len(bends)] = limb.rest_curvature_per_m
+            bends.append((nodes[j - 1], nodes[j], nodes[j + 1]))
+            stiffness.append(bending)
+            gain.append(limb.modulus_active_pa / limb.modulus_rest_pa - 1.0)
+            bend_limb.append(index)
+        order += nodes[:0:-1]  # tip to root: each node then couples to two others only
+    order += list(range(n_frame))
+    rest = np.array(points, dtype=np.float64)
+    ends = np.array(edges, dtype=np.int32)
+    length = np.hypot(*(rest[ends[:, 1]] - rest[ends[:, 0]]).T)
+    material = np.array(rows, dtype=np.float64)
+    mass = np.zeros(len(points))
+    np.add.at(mass, ends.ravel(), np.repeat(0.5 * material[:, 1] * length, 2))
+    curvature = [turning_curvature(rest, bend) for bend in bends]
+    natural = [limb_curvature.get(b, curvature[b][0]) for b in range(len(bends))]
+    weakest = min(limb.modulus_rest_pa * limb.second_moment_m4 / limb.length_m**2 for limb in robot.limbs)
+    mesh = Mesh(
+        frame_nodes=n_frame,
+        rest_m=rest - (mass @ rest) / mass.sum(),
+        mass_kg=mass,
+        edge_nodes=ends,
+        edge_length_m=np.ascontiguousarray(length),
+        edge_stiffness_n=np.ascontiguousarray(material[:, 0]),
+        edge_drag_normal=0.25 * robot.water_density_kg_per_m3 * material[:, 2] * length,
+        edge_drag_tangential=0.25 * robot.water_density_kg_per_m3 * material[:, 3] * length,
+        bend_nodes=np.array(bends, dtype=np.int32),
+        bend_length_m=np.array([dl for _, dl in curvature]),
+        bend_stiffness_n_m2=np.array(stiffness),
+        bend_active_gain=np.array(gain),
+        bend_natural_per_m=np.array(natural),
+        bend_limb=np.array(bend_limb, dtype=np.int32),
+        force_scale_n=float(weakest),
+    )
+    return mesh, eliminate(len(points), mesh.edge_nodes, mesh.bend_nodes, np.array(order, dtype=np.int32))

@@ -40,6 +40,7 @@ class FixFlag(enum.IntFlag):
     MISSING = 16  # the fix was lost: its pose is NaN
     AT_REST = 32  # before the first stroke
     REPAIRED_STAMP = 64  # time_s is not the stamp in the file
+    DUPLICATE = 128  # the very pose of the row before, so no new picture: quality is 0
 
 
 class DecisionFlag(enum.IntFlag):

@@ -110,7 +110,11 @@ def motion_lag(time_s: Float64, pose: Float64, usable: NDArray[np.bool_], fired_
 
     The forward speed around all firings is fitted by a line (the glide) plus a ramp from the onset on; each
     pair of frames counts with the mean of that over its own interval, so that their spacing does
-    not smear the onset. Good to about 0.02 s: windows and models of the glide move it by that.
+    not smear the onset.
+
+    A weak figure: of eight windows and glide models tried on the published runs, the answers for one run
+    spread over 0.05 to 0.12 s, and this one was kept because its onsets agree best between runs. Do not
+    place strokes by it; their times come from the labels alone.
 
     Args:
         time_s, pose, usable: the frames, (n,), (n,3), (n,).

@@ -2,6 +2,10 @@
 
 Nothing is changed here, only marked. Thresholds come from the published runs: noise at rest 0.2 mm and
 0.2 degrees; the fastest stroke moves the robot at 0.13 m/s and 1.6 rad/s.
+
+The position noise was first set to 3 mm and then lowered to 1.5 mm after a look at these same seven runs, so
+that a 3.9 mm single-frame error in ellipse6 is found. All four frames it marks there are also contradicted by
+the logged velocity columns, which the rule does not use; no run that was not looked at has tested it.
 """
 
 from __future__ import annotations

@@ -60,8 +60,9 @@ def read_recorded(file: pathlib.Path | str) -> RunLog:
     logged as fired at its decision, the rear ones one pulse later: these are times of the label, motion
     follows `measured["motion_lag_s"]` later. `cost_*` are the authors' own, of the state in that row, not of
     a branch; a decision carries those of the newest fix before it. The `logged_v*` columns are differences
-    over one camera frame: right on average (slope 0.75 to 1.24 against positions) but with a noise of 4 to 24 mm/s
-    and 0.2 to 0.4 rad/s at rest, so they serve to repeat what the authors' planner saw, not to identify.
+    over one camera frame: right on average (slope 0.75 to 1.24 against positions), with a noise of 4 to
+    24 mm/s and 0.2 to 0.4 rad/s at rest, so they serve to repeat what the authors' planner saw, not to
+    identify.
 
     Raises:
         InputError: not a recorded run, its path is missing, or a bad cell (line and column named).

@@ -7,6 +7,7 @@ import pathlib
 
 import numpy as np
 import pytest
+
 from frogkick.errors import InputError
 from frogkick.paths import read_path
 

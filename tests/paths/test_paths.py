@@ -7,10 +7,11 @@ import pathlib
 
 import numpy as np
 import pytest
-from frogkick.errors import InputError
-from frogkick.paths import Path, ellipse, from_waypoints, line, read_path, shape, sine, wrap_angle
 from hypothesis import given, settings
 from hypothesis import strategies as st
+
+from frogkick.errors import InputError
+from frogkick.paths import Path, ellipse, from_waypoints, line, read_path, shape, sine, wrap_angle
 
 COORDINATE = st.floats(-5.0, 5.0, allow_nan=False)
 

@@ -164,7 +164,7 @@ def actuation(profiles: Sequence[Profile], egain_percent: float, frequency_hz: f
 
     Between two frequencies the falls of the curvature are mixed at equal time since the pulse (heating
     takes the same time at any frequency) over the cycle 1 / frequency, a profile that has ended counting
-    as rest; what is then left at the cycle's end is taken out as a ramp. Between two EGaIn fractions likewise.
+    as rest; what is then left at the cycle's end is taken out as a ramp. EGaIn fractions likewise.
 
     Raises:
         InputError: outside of the measured range, which the text names. Nothing is extrapolated.

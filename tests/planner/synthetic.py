@@ -1,0 +1,85 @@
+"""Made-up tables and paths: smooth transitions without any physics."""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from frogkick.planner.image import Tables, open_image, pack_nearest
+
+VELOCITY_SCALE = (1e-5, 1e-5, 1.745329e-4)
+LOW = np.array([0.0, -0.03, -0.5236])
+HIGH = np.array([0.04, 0.03, 0.5236])
+
+
+@dataclass(frozen=True)
+class WavePath:
+    """A sine over one metre."""
+
+    x_m: npt.NDArray[np.float32]
+    y_m: npt.NDArray[np.float32]
+    tangent_rad: npt.NDArray[np.float32]
+
+
+def wave_path(points: int = 100) -> WavePath:
+    """Return a path with its true tangents."""
+    s = np.linspace(0.0, 1.0, points)
+    tangent = np.arctan2(0.6 * np.cos(6.0 * s), 1.0)
+    return WavePath(
+        s.astype(np.float32), (0.1 * np.sin(6.0 * s)).astype(np.float32), tangent.astype(np.float32)
+    )
+
+
+def transitions(states: int, actions: int, seed: int) -> tuple[npt.NDArray[np.float64], ...]:
+    """Return (velocities, displacements, velocities_end): smooth in the velocity, different by action."""
+    rng = np.random.default_rng(seed)
+    velocity = rng.uniform(LOW, HIGH, (states, 3))
+    gain = rng.normal(0.0, 0.3, (actions, 3, 3)) + 0.8 * np.eye(3)
+    push = rng.uniform([0.0, -0.02, -0.3], [0.04, 0.02, 0.3], (actions, 3))
+    mixed = np.einsum("ni,aij->naj", velocity, gain)
+    motion = velocity[:, None, :] * 0.9 + push + 0.2 * np.sin(mixed)
+    end = np.clip(mixed * 0.4 + 0.5 * push, LOW, HIGH)
+    return velocity, motion, end
+
+
+def pack(velocity: npt.ArrayLike, motion: npt.ArrayLike, end: npt.ArrayLike, **changes: object) -> bytes:
+    """Pack with plausible metadata; ``changes`` replace arguments of pack_nearest."""
+    actions = np.asarray(motion).shape[1]
+    arguments: dict[str, object] = {
+        "robot_id": "frog2022",
+        "provenance": bytes(range(32)),
+        "period_us": 1_425_000,
+        "pulse_us": 80_000,
+        "second_delay_us": 80_000,
+        "limbs": 4,
+        "action_rows": [(chr(ord("A") + i), i % 16, (3 * i) % 16) for i in range(actions)],
+        "velocity_scale": VELOCITY_SCALE,
+        "velocities": velocity,
+        "displacements": motion,
+        "velocities_end": end,
+    }
+    return pack_nearest(**(arguments | changes))  # type: ignore[arg-type]
+
+
+def image(states: int = 300, actions: int = 9, seed: int = 1) -> bytes:
+    """Return the image of a made-up table."""
+    return pack(*transitions(states, actions, seed))
+
+
+def grid_tables(seed: int = 3, states: int = 200) -> Tables:
+    """Return a table whose velocities stand on a coarse grid: equal distances and equal rows abound."""
+    velocity, motion, end = transitions(states, 5, seed)
+    step = np.array([20e-5, 20e-5, 20 * 1.745329e-4])
+    return open_image(pack(np.round(velocity / step / 40) * 40 * step, motion, np.round(end / step) * step))
+
+
+def resealed(content: bytes, offset: int, replacement: bytes) -> bytes:
+    """Return an image with some bytes replaced and its CRC made right again."""
+    changed = bytearray(content)
+    changed[offset : offset + len(replacement)] = replacement
+    changed[12:16] = struct.pack("<I", zlib.crc32(bytes(changed[16:])))
+    return bytes(changed)

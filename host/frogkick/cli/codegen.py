@@ -20,7 +20,9 @@ def codegen(
     """Emit a table and the planner as C99."""
     read_image(tables)
     files = emit(tables, out, f"frogkick codegen {tables.name} --out {out.name}")
-    show({"out": str(out), "files": files}, json, "\n".join(f"{files[name]}  {name}" for name in sorted(files)))
+    show(
+        {"out": str(out), "files": files}, json, "\n".join(f"{files[name]}  {name}" for name in sorted(files))
+    )
 
 
 def register(app: typer.Typer) -> None:

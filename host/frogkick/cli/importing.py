@@ -20,7 +20,10 @@ def import_(
     with progress_bar("import") as progress:
         runs = import_recorded(data_dir, out, progress)
     columns = list(runs[0]) if runs else []
-    lines = ["  ".join(columns)] + ["  ".join(f"{row[c]:.4g}" if isinstance(row[c], float) else str(row[c]) for c in columns) for row in runs]
+    lines = ["  ".join(columns)] + [
+        "  ".join(f"{row[c]:.4g}" if isinstance(row[c], float) else str(row[c]) for c in columns)
+        for row in runs
+    ]
     show({"runs": runs, "out": str(out)}, json, "\n".join(lines))
 
 

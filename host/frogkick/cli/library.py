@@ -30,7 +30,12 @@ def build(
     began = time.perf_counter()
     with progress_bar("library") as progress:
         build_library(
-            described, states=states, seed=seed, workers=workers or os.cpu_count() or 1, out=out, progress=progress
+            described,
+            states=states,
+            seed=seed,
+            workers=workers or os.cpu_count() or 1,
+            out=out,
+            progress=progress,
         )
     transitions = states * len(described.actions)
     show(

@@ -39,7 +39,9 @@ def _write_csv(target: Path, trajectory: np.ndarray) -> None:
 
 def simulate(
     robot: Annotated[str, typer.Argument(help="TOML file or built-in name.")] = "frog2022",
-    egain_percent: Annotated[float | None, typer.Option(help="EGaIn fraction of the limbs, % (a gait).")] = None,
+    egain_percent: Annotated[
+        float | None, typer.Option(help="EGaIn fraction of the limbs, % (a gait).")
+    ] = None,
     frequency_hz: Annotated[float | None, typer.Option(help="Strokes per second of a gait.")] = None,
     phase: Annotated[float, typer.Option(help="Rear limbs' lag as a part of the period, 0 to 1.")] = 0.5,
     cycles: Annotated[int, typer.Option(min=1, max=200, help="Cycles of the gait.")] = 8,
@@ -52,7 +54,9 @@ def simulate(
     described = load_robot(robot)
     if actions is not None:
         if egain_percent is not None or frequency_hz is not None:
-            raise InputError("--actions uses the robot's own profile: leave --egain-percent and --frequency-hz out")
+            raise InputError(
+                "--actions uses the robot's own profile: leave --egain-percent and --frequency-hz out"
+            )
         names = [name.strip() for name in actions.split(",") if name.strip()]
         if not names:
             raise InputError("--actions is empty: name at least one action, as B,B,C")

@@ -42,7 +42,9 @@ def build(
     library: Annotated[Path, typer.Argument(help="HDF5 file of 'library build'.")],
     kind: Annotated[Kind, typer.Option(help="nearest: the paper's table.")] = Kind.nearest,
     out: Annotated[Path, typer.Option(help="Table image to write (.fkt).")] = Path("tables.fkt"),
-    test_states: Annotated[int, typer.Option(min=4, max=10000, help="Unseen states to measure the error on.")] = 16,
+    test_states: Annotated[
+        int, typer.Option(min=4, max=10000, help="Unseen states to measure the error on.")
+    ] = 16,
     seed: SeedOption = 1,
     json: JsonOption = False,
 ) -> None:

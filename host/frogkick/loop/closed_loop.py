@@ -12,8 +12,8 @@ from frogkick.link.layout import link_layout
 from frogkick.loop.decision import Decision, DecisionTwin, RobotEvent, decision_of_event
 from frogkick.loop.session import Session
 from frogkick.paths import Path
-from frogkick.planner import PlanConfig
 from frogkick.planner.image import Tables
+from frogkick.planner.plan import PlanConfig
 from frogkick.pool.camera import Fix
 from frogkick.pool.pool import Pool
 from frogkick.pool.port import Edge, RobotPort

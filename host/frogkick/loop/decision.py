@@ -9,9 +9,9 @@ import numpy.typing as npt
 
 from frogkick.link.layout import Value, link_layout
 from frogkick.paths import Path
-from frogkick.planner import PlanConfig, Status, plan
 from frogkick.planner.estimator import LOST_US, Estimator
 from frogkick.planner.image import Tables
+from frogkick.planner.plan import PlanConfig, PlanError, plan
 
 STATE_FIELDS = ("x_m", "y_m", "heading_rad", "vx_mps", "vy_mps", "omega_rad_s")
 STALE = link_layout().status["STALE"]
@@ -116,7 +116,7 @@ class DecisionTwin:
 
     def is_completed(self, decision: Decision) -> bool:
         """The estimate has the path's last point as its nearest one."""
-        return decision.status == Status.OK and decision.path_index + 1 >= len(self._path)
+        return decision.status == 0 and decision.path_index + 1 >= len(self._path)
 
     def decide(self, at_us: int) -> Decision:
         """Estimate and plan for a time on the clock of the fixes."""
@@ -124,10 +124,11 @@ class DecisionTwin:
         estimate = self._estimator.at(at_us)
         if estimate is None:
             return Decision(STALE, self._resting_action, at_us, 0, 0, 0, 0, np.float32(0.0), nowhere, nowhere)
-        made = plan(self._tables, self._path, self._config, estimate.state)
-        if made.status != Status.OK:
+        try:
+            made = plan(self._tables, self._path, self._config, estimate.state)
+        except PlanError as error:
             return Decision(
-                int(made.status), self._resting_action, at_us, estimate.fix_sequence, estimate.fixes, 0, 0,
+                error.status, self._resting_action, at_us, estimate.fix_sequence, estimate.fixes, 0, 0,
                 np.float32(0.0), estimate.state, nowhere,
             )  # fmt: skip
         return Decision(

@@ -13,8 +13,8 @@ from frogkick.loop.decision import Decision, DecisionTwin, RobotEvent, decision_
 from frogkick.loop.runlog import RunLog
 from frogkick.loop.session import LinkError, Session
 from frogkick.paths import Path
-from frogkick.planner import PlanConfig
 from frogkick.planner.image import Tables
+from frogkick.planner.plan import PlanConfig
 from frogkick.pool.camera import Fix
 from frogkick.pool.port import RobotPort
 

@@ -1,4 +1,4 @@
-"""An independent look at the pins: which pulses broke the robot's limits. Shares nothing with the guard in C."""
+"""An independent look at the pins: which pulses broke the robot's limits. Shares nothing with the C guard."""
 
 from __future__ import annotations
 

@@ -19,8 +19,8 @@ int32_t fk_robot_init(void *robot, const uint8_t *image, uint32_t image_bytes);
 void fk_robot_on_frame(void *robot, const uint8_t *encoded, uint32_t length, uint64_t now_us);
 void fk_robot_tick(void *robot, uint64_t now_us, fk_outputs_t *outputs);
 uint32_t fk_robot_take_tx(void *robot, uint8_t *bytes, uint32_t capacity);
-extern const uint8_t fk_table_image[];
-extern const uint32_t fk_table_image_bytes;
+extern const uint8_t *fk_table_image;
+extern uint32_t fk_table_image_bytes;
 """
 
 

@@ -1,0 +1,228 @@
+"""Builds the firmware: emitted tables and planner, the core, and a port, into one image.
+
+``bench`` is the bare-metal image for an nRF52832; ``native`` is the same core as a shared library for this
+computer, which the simulated pool talks to.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import shutil
+import sys
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+
+from elftools.elf.elffile import ELFFile
+from intelhex import IntelHex
+
+from frogkick.errors import InputError
+from frogkick.files import write_bytes, write_text
+from frogkick.planner.image import read_image
+from frogkick.robot import Robot
+from frogkick_codegen.emit import emit
+from frogkick_codegen.toolchain import FLAGS, zig
+
+FIRMWARE = Path(__file__).resolve().parents[2] / "firmware"
+TARGETS = ("bench", "native")
+FLASH_BYTES = 512 * 1024
+RAM_BYTES = 64 * 1024
+
+
+@dataclass(frozen=True)
+class Build:
+    """What a build made.
+
+    Attributes:
+        target: "bench" or "native".
+        image: ELF file, or shared library.
+        files: all files, by what they are.
+        flash_bytes, ram_bytes, stack_bytes: of the bench image (ram holds the stack); zero for native.
+    """
+
+    target: str
+    image: Path
+    files: dict[str, Path]
+    flash_bytes: int = 0
+    ram_bytes: int = 0
+    stack_bytes: int = 0
+
+    def as_json(self) -> dict[str, int | str | dict[str, str]]:
+        """The keys of the command ``firmware build``."""
+        return {
+            "target": self.target,
+            "image": str(self.image),
+            "files": {what: str(path) for what, path in self.files.items()},
+            "flash_bytes": self.flash_bytes,
+            "ram_bytes": self.ram_bytes,
+            "stack_bytes": self.stack_bytes,
+        }
+
+
+def robot_config(robot: Robot) -> str:
+    """The header that carries the robot's limits and planner defaults into the core."""
+    guard, planner = robot.guard, robot.planner
+    duty_on_us = round(guard.duty_max * guard.duty_window_s * 1e6)
+    lines = [
+        "/* Do not edit. Made by frogkick_codegen.firmware from the robot's TOML.",
+        f" * Robot SHA-256 {robot.sha256.hex()}",
+        " */",
+        "#ifndef FK_ROBOT_CONFIG_H",
+        "#define FK_ROBOT_CONFIG_H",
+        "",
+        f'#define FK_ROBOT_ID "{robot.id}"',
+        "",
+        "/* Limits of the guard. */",
+        f"#define FK_PULSE_MAX_US {round(guard.pulse_max_s * 1e6)}u",
+        f"#define FK_REST_MIN_US {round(guard.rest_min_s * 1e6)}u",
+        f"#define FK_DUTY_WINDOW_US {round(guard.duty_window_s * 1e6)}u",
+        f"#define FK_DUTY_ON_MAX_US {duty_on_us}u",
+        f"#define FK_LIMBS_AT_ONCE_MAX {guard.limbs_at_once_max}u",
+        "",
+        "/* Defaults of the planner; PARAM changes them. Hexadecimal floats lose no bit. */",
+        f"#define FK_DISTANCE_WEIGHT_PER_M {_c_float(planner.distance_weight_per_m)}",
+        f"#define FK_ANGLE_WEIGHT_PER_RAD {_c_float(planner.angle_weight_per_rad)}",
+        f"#define FK_PROGRESS_WEIGHT {_c_float(planner.progress_weight)}",
+        f"#define FK_LEVEL_WEIGHT {_c_float(planner.level_weight)}",
+        f"#define FK_DEPTH {planner.depth}u",
+        "",
+        "#endif",
+        "",
+    ]
+    return "\n".join(lines)
+
+
+def _c_float(value: float) -> str:
+    return f"{float(value).hex()}f /* {value!r} */"
+
+
+def build(target: str, image: Path, robot: Robot, out: Path) -> Build:
+    """Build firmware around a table image.
+
+    Args:
+        target: "bench" or "native".
+        image: table image file.
+        robot: the robot that the table is for; its limits go into the guard.
+        out: folder for the results; it is replaced whole, or not touched.
+
+    Raises:
+        InputError: unknown target, the table is for another robot, the sources are not beside the package,
+            or the image does not fit the chip.
+        ToolchainError: no compiler, or a refused source.
+    """
+    if target not in TARGETS:
+        raise InputError(f"firmware target is {target!r}: choose from {', '.join(TARGETS)}")
+    tables = read_image(image)
+    tables.require_robot(robot.id)
+    if not (FIRMWARE / "core").is_dir():
+        raise InputError(
+            "the firmware's sources are not beside this package: work in a clone of the repository"
+        )
+    out.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(prefix=".build-", dir=out) as folder:
+        work = Path(folder)
+        emit(image, work / "emitted", f"frogkick firmware build --target {target} --tables {image.name}")
+        write_text(work / "config" / "fk_robot_config.h", robot_config(robot))
+        made = _build_bench(work) if target == "bench" else _build_native(work)
+        files = {what: out / path.name for what, path in made.items()}
+        if target == "bench":
+            sizes = _sizes(made["elf"])
+        for what, path in made.items():
+            write_bytes(files[what], path.read_bytes())
+        shutil.rmtree(out / "emitted", ignore_errors=True)
+        shutil.move(work / "emitted", out / "emitted")
+        write_text(out / "fk_robot_config.h", robot_config(robot))
+    if target == "native":
+        return Build(target, files["library"], files)
+    return Build(target, files["elf"], files, *sizes)
+
+
+def _sources(work: Path) -> tuple[list[Path], list[str]]:
+    emitted = [path for path in sorted((work / "emitted").glob("*.c")) if "example" not in path.name]
+    includes = [f"-I{work / 'emitted'}", f"-I{work / 'config'}", f"-I{FIRMWARE / 'core'}"]
+    return emitted + sorted((FIRMWARE / "core").glob("*.c")), includes
+
+
+def _build_bench(work: Path) -> dict[str, Path]:
+    bench = FIRMWARE / "bench"
+    sources, includes = _sources(work)
+    elf = work / "frogkick-bench.elf"
+    zig("chip").run(
+        [
+            *FLAGS,
+            "-ffreestanding",
+            "-ffunction-sections",
+            "-fdata-sections",
+            *includes,
+            f"-I{bench}",
+            "-nostdlib",
+            f"-Wl,-T,{bench / 'nrf52832.ld'}",
+            "-Wl,--gc-sections",
+            *sources,
+            *sorted(bench.glob("*.c")),
+            "-o",
+            elf,
+        ]
+    )
+    return {"elf": elf, "hex": _hex_of(elf)}
+
+
+def _build_native(work: Path) -> dict[str, Path]:
+    sources, includes = _sources(work)
+    digest = hashlib.sha256(b"".join(path.read_bytes() for path in sources)).hexdigest()[:12]
+    # A library that is already loaded must not be overwritten: each content has its own name.
+    suffix = {"darwin": ".dylib", "win32": ".dll"}.get(sys.platform, ".so")
+    library = work / f"frogkick-native-{digest}{suffix}"
+    zig("host").run([*FLAGS, "-fPIC", "-shared", *includes, *sources, "-o", library])
+    return {"library": library}
+
+
+def _hex_of(elf: Path) -> Path:
+    """Intel HEX of the ELF's loadable segments at their load addresses."""
+    content = IntelHex()
+    with elf.open("rb") as file:
+        for segment in ELFFile(file).iter_segments("PT_LOAD"):
+            if segment["p_filesz"]:
+                content.puts(segment["p_paddr"], segment.data())
+    target = elf.with_suffix(".hex")
+    content.write_hex_file(str(target))
+    return target
+
+
+def _sizes(elf: Path) -> tuple[int, int, int]:
+    """Flash, RAM and reserved stack of an ELF, bytes.
+
+    Raises:
+        InputError: more than the chip has.
+    """
+    flash = ram = 0
+    with elf.open("rb") as file:
+        content = ELFFile(file)
+        for segment in content.iter_segments("PT_LOAD"):
+            flash += segment["p_filesz"]
+            if segment["p_vaddr"] >= 0x20000000:
+                ram += segment["p_memsz"]
+        symbols = content.get_section_by_name(".symtab")
+        top, bottom = (
+            symbols.get_symbol_by_name(name)[0]["st_value"] for name in ("fk_stack_top", "fk_stack_bottom")
+        )
+    for what, used, limit in (("flash", flash, FLASH_BYTES), ("RAM", ram, RAM_BYTES)):
+        if used > limit:
+            raise InputError(
+                f"the firmware needs {used} bytes of {what}, the nRF52832 has {limit}: use a smaller table"
+            )
+    return flash, ram, top - bottom
+
+
+def image_sizes(elf: Path) -> tuple[int, int, int]:
+    """Flash, RAM and reserved stack of a built bench image, bytes.
+
+    Raises:
+        InputError: not an ELF of this firmware.
+    """
+    try:
+        return _sizes(elf)
+    except InputError:
+        raise
+    except Exception as error:
+        raise InputError(f"{elf.name!r} is not a firmware image of ours ({error}): build it again") from error

@@ -1,0 +1,38 @@
+"""A table for commands that are given none: made once from a small library, kept in the user's cache."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from pathlib import Path
+
+from frogkick import __version__
+from frogkick.cli.common import progress_bar
+from frogkick.files import write_bytes
+from frogkick.library import build_library, quantise, read_library
+from frogkick.robot import load_robot
+from frogkick_codegen.toolchain import cache_folder
+
+STATES = 300
+SEED = 0
+
+
+def default_tables(robot_name: str) -> Path:
+    """The path of a table image for a robot, built on first use (about a minute).
+
+    Raises:
+        InputError: no such robot.
+    """
+    robot = load_robot(robot_name)
+    key = hashlib.sha256(robot.sha256 + f"{__version__} {STATES} {SEED}".encode()).hexdigest()[:24]
+    folder = cache_folder() / "tables"
+    target = folder / f"{robot.id}-{key}.fkt"
+    if not target.exists():
+        library = folder / f"{robot.id}-{key}.h5"
+        with progress_bar(f"library for {robot.id}") as progress:
+            build_library(
+                robot, states=STATES, seed=SEED, workers=os.cpu_count() or 1, out=library, progress=progress
+            )
+        write_bytes(target, quantise(read_library(library)))
+        library.unlink()
+    return target

@@ -1,0 +1,94 @@
+"""``frogkick firmware``: build, measure and test the robot's image."""
+
+from __future__ import annotations
+
+import enum
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from frogkick.cli.common import JsonOption, progress_bar, show
+from frogkick.cli.places import built_firmware, robot_of_table
+from frogkick.files import existing_file
+from frogkick.loop.chip_check import check_on_chip
+from frogkick.planner.image import read_image
+
+app = typer.Typer(help="Build, measure and test the robot's image.", no_args_is_help=True)
+
+
+class Target(enum.StrEnum):
+    """What the firmware is built for."""
+
+    bench = "bench"
+    native = "native"
+
+
+TablesOption = Annotated[Path, typer.Option(help="Table image (.fkt).")]
+RobotOption = Annotated[str | None, typer.Option(help="TOML or name; by default the table's own robot.")]
+
+
+@app.command()
+def build(
+    tables: TablesOption,
+    target: Annotated[Target, typer.Option(help="bench: nRF52832; native: this computer.")] = Target.bench,
+    robot: RobotOption = None,
+    out: Annotated[Path, typer.Option(help="Folder for the results.")] = Path("firmware-build"),
+    json: JsonOption = False,
+) -> None:
+    """Build the firmware around a table image."""
+    from frogkick_codegen.firmware import build as build_firmware
+
+    built = build_firmware(
+        target.value, existing_file(tables, "table image"), robot_of_table(tables, robot), out
+    )
+    show(built.as_json(), json)
+
+
+@app.command()
+def size(
+    tables: TablesOption,
+    robot: RobotOption = None,
+    json: JsonOption = False,
+) -> None:
+    """Flash, RAM and stack of the bench image; the stack in use is measured on the virtual chip."""
+    from frogkick_codegen.firmware import FLASH_BYTES, RAM_BYTES
+
+    described = robot_of_table(tables, robot)
+    with built_firmware("bench", tables, described) as built:
+        report = check_on_chip(built.image, read_image(tables), described)
+    values: dict[str, Any] = {
+        "flash_bytes": built.flash_bytes,
+        "flash_of_chip": round(built.flash_bytes / FLASH_BYTES, 4),
+        "ram_bytes": built.ram_bytes,
+        "ram_of_chip": round(built.ram_bytes / RAM_BYTES, 4),
+        "stack_bytes": report.stack_bytes,
+        "stack_reserved_bytes": built.stack_bytes,
+    }
+    show(values, json)
+
+
+@app.command("test")
+def try_out(
+    tables: TablesOption,
+    robot: RobotOption = None,
+    json: JsonOption = False,
+) -> None:
+    """Boot the image on the virtual chip and go through every command, stroke and limit."""
+    described = robot_of_table(tables, robot)
+    with built_firmware("bench", tables, described) as built, progress_bar("virtual chip") as progress:
+        report = check_on_chip(built.image, read_image(tables), described, progress)
+    show(
+        {
+            "passed": report.passed,
+            "checks": {name: "ok" if ok else "FAILED" for name, ok in report.checks.items()},
+            "plan_ms": report.plan_ms,
+            "plan_cycles": report.plan_cycles,
+            "flash_bytes": built.flash_bytes,
+            "ram_bytes": built.ram_bytes,
+            "stack_bytes": report.stack_bytes,
+        },
+        json,
+    )
+    if not report.passed:
+        raise typer.Exit(1)

@@ -1,0 +1,108 @@
+"""Robots and firmware by the names that commands take."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from frogkick.errors import InputError
+from frogkick.loop.runlog import RunLog
+from frogkick.paths import SHAPES, read_path, shape
+from frogkick.paths import Path as SwimPath
+from frogkick.planner.image import Tables, read_image
+from frogkick.planner.plan import PlanConfig
+from frogkick.pool.native_robot import NativeRobot
+from frogkick.pool.port import RobotPort
+from frogkick.robot import Robot, load_robot
+from frogkick_codegen.firmware import Build, build
+
+
+def robot_of_table(tables: Path, robot: str | None) -> Robot:
+    """The robot by name or file, by default the one that the table names.
+
+    Raises:
+        InputError: no such robot, or the table is for another one.
+    """
+    opened = read_image(tables)
+    described = load_robot(opened.robot_id if robot is None else robot)
+    opened.require_robot(described.id)
+    return described
+
+
+@contextmanager
+def built_firmware(target: str, tables: Path, robot: Robot) -> Iterator[Build]:
+    """Build firmware into a temporary folder that lives as long as the context."""
+    with tempfile.TemporaryDirectory(prefix="frogkick-") as folder:
+        yield build(target, tables, robot, Path(folder))
+
+
+@contextmanager
+def simulated_robot(name: str, tables: Path, robot: Robot) -> Iterator[RobotPort]:
+    """A robot to talk to: "virtual" (the image on the virtual chip) or "pool" (the core on this computer).
+
+    Raises:
+        InputError: another name.
+    """
+    if name == "virtual":
+        from frogkick.pool.virtual_robot import VirtualRobot
+
+        with built_firmware("bench", tables, robot) as built:
+            yield VirtualRobot(built.image, len(robot.limbs))
+    elif name == "pool":
+        with built_firmware("native", tables, robot) as built:
+            yield NativeRobot(built.image, len(robot.limbs))
+    else:
+        raise InputError(f"--robot is {name!r}: choose virtual (the chip) or pool (this computer)")
+
+
+def plan_config(robot: Robot, depth: int | None) -> PlanConfig:
+    """The robot's planner defaults, with another depth if one is given.
+
+    Raises:
+        InputError: the depth is not 1 to 4.
+    """
+    chosen = robot.planner.depth if depth is None else depth
+    if not 1 <= chosen <= 4:
+        raise InputError(f"--depth is {chosen}, the planner looks 1 to 4 levels ahead")
+    planner = robot.planner
+    return PlanConfig(
+        planner.distance_weight_per_m,
+        planner.angle_weight_per_rad,
+        planner.progress_weight,
+        planner.level_weight,
+        chosen,
+    )
+
+
+def swim_path(name: str) -> SwimPath:
+    """A path by its shape's name or from a file.
+
+    Raises:
+        InputError: neither.
+    """
+    if name in SHAPES:
+        return shape(name)
+    if not Path(name).exists() and "." not in name and "/" not in name:
+        shape(name)  # names the nearest right one
+    return read_path(name)
+
+
+def start_pose(path: SwimPath) -> tuple[float, float, float]:
+    """The robot at the path's first point, along its tangent."""
+    return float(path.x_m[0]), float(path.y_m[0]), float(path.tangent_rad[0])
+
+
+def require_period(tables: Tables, run: RunLog) -> None:
+    """Refuse a table whose period is not the run's (more than a tenth apart).
+
+    Raises:
+        InputError: the periods differ.
+    """
+    period_s = tables.period_us * 1e-6
+    if abs(period_s / run.period_s - 1.0) > 0.1:
+        raise InputError(
+            f"run {run.source!r} has a period of {run.period_s:.3f} s, the table {period_s:.3f} s: "
+            "build a library with the run's period"
+        )

@@ -1,0 +1,73 @@
+"""``frogkick run``: follow a path in closed loop."""
+
+from __future__ import annotations
+
+import enum
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import typer
+
+from frogkick.cli.common import JsonOption, SeedOption, progress_bar, show
+from frogkick.cli.places import plan_config, robot_of_table, simulated_robot, start_pose, swim_path
+from frogkick.loop.closed_loop import RunOptions, run_in_pool
+from frogkick.loop.record import run_log, tracking_of_recording
+from frogkick.loop.runlog import write_run
+from frogkick.planner.image import read_image
+from frogkick.pool.camera import Camera
+from frogkick.pool.pool import Pool
+
+
+class PlanWhere(enum.StrEnum):
+    """Who decides."""
+
+    onboard = "onboard"
+    host = "host"
+
+
+def run(
+    tables: Annotated[Path, typer.Option(help="Table image (.fkt) for the robot and the host.")],
+    robot: Annotated[
+        str, typer.Option(help="virtual: firmware on the virtual chip; pool: the core here.")
+    ] = "virtual",
+    plan: Annotated[PlanWhere, typer.Option(help="Who decides: the robot or the host.")] = PlanWhere.onboard,
+    path: Annotated[str, typer.Option(help="line, sine, ellipse, or a CSV file.")] = "line",
+    depth: Annotated[
+        int | None, typer.Option(help="Levels to look ahead, 1 to 4; default: the robot's.")
+    ] = None,
+    model: Annotated[str | None, typer.Option(help="Robot TOML or name; default: the table's robot.")] = None,
+    simulated_time: Annotated[float, typer.Option(help="Longest pool time, s.")] = 120.0,
+    fix_rate: Annotated[float, typer.Option(help="Position fixes per second.")] = 15.0,
+    seed: SeedOption = 0,
+    out: Annotated[Path | None, typer.Option(help="Log to write (HDF5).")] = None,
+    json: JsonOption = False,
+) -> None:
+    """Follow a path: position fixes in, strokes out. Exit 1 if the guard's limits were broken."""
+    described = robot_of_table(tables, model)
+    opened = read_image(tables)
+    desired = swim_path(path)
+    options = RunOptions(plan_config(described, depth), plan is PlanWhere.onboard, simulated_time)
+    camera = Camera(rate_hz=fix_rate)
+    with simulated_robot(robot, tables, described) as port:
+        pool = Pool(described, start_pose(desired), camera, np.random.default_rng(seed))
+        with progress_bar(f"{desired.name}: path points") as progress:
+            recording = run_in_pool(
+                port,
+                pool,
+                opened,
+                desired,
+                options,
+                lambda _time_s, index: progress(index + 1, len(desired)),
+            )
+    tracked = tracking_of_recording(recording, pool, described, desired)
+    if out is not None:
+        write_run(out, run_log(recording, pool, described, opened, desired, seed, f"run --robot {robot}"))
+    show({**tracked.as_json(), "ended": recording.ended}, json)
+    if tracked.limit_violations:
+        raise typer.Exit(1)
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command."""
+    app.command()(run)

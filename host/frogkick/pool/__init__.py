@@ -1,0 +1,1 @@
+"""A simulated pool: swimmer, camera, and robots to steer it, among them the virtual chip."""

@@ -1,0 +1,52 @@
+"""A self-contained HTML page from sections of text, tables and pictures."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import jinja2
+
+from frogkick.files import write_text
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table: header cells and rows of cells."""
+
+    header: Sequence[str]
+    rows: Sequence[Sequence[str]]
+
+
+@dataclass(frozen=True)
+class Section:
+    """A headed part of a page.
+
+    Attributes:
+        title: heading.
+        text: paragraphs.
+        table: or None.
+        images: (data URI, what it shows) of each picture.
+    """
+
+    title: str
+    text: Sequence[str] = ()
+    table: Table | None = None
+    images: Sequence[tuple[str, str]] = field(default_factory=tuple)
+
+
+def write_page(target: Path, title: str, lead: str, sections: Sequence[Section]) -> None:
+    """Write one HTML file that needs no other file.
+
+    Args:
+        target: the file.
+        title: of the page.
+        lead: its first paragraph: what a reader should take along.
+        sections: in order.
+    """
+    environment = jinja2.Environment(
+        loader=jinja2.PackageLoader("frogkick.report"), autoescape=True, undefined=jinja2.StrictUndefined
+    )
+    page = environment.get_template("page.html.jinja").render(title=title, lead=lead, sections=sections)
+    write_text(target, page)

@@ -1,0 +1,118 @@
+"""The picture of one run: track over path, distance, actions, estimate against truth, prediction error."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from frogkick.loop.residual import Residual, residual, true_poses_at
+from frogkick.loop.runlog import RunLog
+from frogkick.paths import wrap_angle
+from frogkick.report import style
+
+FloatArray = npt.NDArray[np.float64]
+
+
+def run_figure(run: RunLog, title: str) -> Figure:
+    """Draw a simulated run.
+
+    Args:
+        run: with path, truth and at least two decisions.
+        title: of the picture.
+    """
+    with style.styled():
+        figure = Figure(figsize=(11.5, 7.2), layout="constrained")
+        figure.suptitle(title, fontweight="bold")
+        left, right = figure.subfigures(1, 2, width_ratios=(1.05, 1.0))
+        _track(left.subplots(), run)
+        panels = right.subplots(4, 1, sharex=True)
+        for axes, draw in zip(panels, (_distance, _actions, _estimate, _prediction), strict=True):
+            draw(axes, run)
+        panels[-1].set_xlabel("time (s)")
+    return figure
+
+
+def _centred(run: RunLog, points_m: FloatArray) -> FloatArray:
+    assert run.path is not None
+    return 100.0 * (np.asarray(points_m) - run.path.points_m.mean(axis=0))
+
+
+def _track(axes: Axes, run: RunLog) -> None:
+    assert run.path is not None and run.truth is not None
+    path = _centred(run, run.path.points_m)
+    track = _centred(run, run.truth.pose_world[:, :2])
+    fixes = _centred(run, np.column_stack([run.fixes.x_m, run.fixes.y_m]))
+    axes.plot(*path.T, color=style.DESIRED, linewidth=2.5, linestyle="--", label="desired path")
+    axes.plot(*fixes.T, ".", color=style.MEASURED, markersize=2.5, label="position fixes")
+    axes.plot(*track.T, color=style.TRUE, linewidth=1.5, label="true track")
+    here = _centred(run, true_poses_at(run, run.decisions.time_s)[:, :2])
+    names = [run.action_names[index] for index in run.decisions.action]
+    axes.plot(*here.T, "o", color=style.TRUE, markersize=3)
+    for (x, y), name in zip(here, names, strict=True):
+        axes.annotate(name, (x, y), textcoords="offset points", xytext=(4, 3), fontsize=7, color=style.TRUE)
+    axes.plot(*path[0], "s", color=style.DESIRED, label="start of the path")
+    axes.set_aspect("equal", adjustable="datalim")
+    axes.set_xlabel("x (cm)")
+    axes.set_ylabel("y (cm)")
+    axes.set_title("Track over path; letters are the actions chosen there")
+    axes.legend(loc="best")
+
+
+def _distance(axes: Axes, run: RunLog) -> None:
+    assert run.path is not None and run.truth is not None
+    time_s = run.truth.time_s
+    during = time_s >= run.decisions.time_s[0]
+    distance_mm = 1e3 * run.path.distance_m(run.truth.pose_world[during, :2])
+    mean_mm = float(distance_mm.mean())
+    axes.plot(time_s[during], distance_mm, color=style.TRUE)
+    axes.axhline(mean_mm, color=style.DESIRED, linestyle="--", label=f"mean {mean_mm:.1f} mm")
+    axes.set_ylabel("mm")
+    axes.set_title("Distance to the path")
+    axes.legend(loc="upper right")
+
+
+def _actions(axes: Axes, run: RunLog) -> None:
+    axes.step(run.decisions.time_s, run.decisions.action, where="post", color=style.TRUE, linewidth=0.8)
+    axes.plot(run.decisions.time_s, run.decisions.action, "s", color=style.TRUE, markersize=4)
+    axes.set_yticks(range(len(run.action_names)), list(run.action_names))
+    axes.set_ylabel("action")
+    axes.set_title("Actions chosen")
+
+
+def _errors(
+    axes: Axes, time_s: FloatArray, position_mm: FloatArray, heading_deg: FloatArray, colour: str
+) -> None:
+    axes.plot(time_s, position_mm, "o-", color=colour, markersize=3, linewidth=0.8, label="position (mm)")
+    axes.plot(
+        time_s, heading_deg, "^:", color=colour, markersize=3, linewidth=0.8, label="heading (deg)", alpha=0.7
+    )
+    axes.set_ylabel("mm, deg")
+    axes.legend(loc="upper right", ncols=2)
+
+
+def _estimate(axes: Axes, run: RunLog) -> None:
+    assert run.decisions.estimate is not None
+    time_s = run.decisions.time_s
+    truth = true_poses_at(run, time_s)
+    estimate = run.decisions.estimate
+    position_mm = 1e3 * np.hypot(*(estimate[:, :2] - truth[:, :2]).T)
+    heading_deg = np.rad2deg(np.abs(wrap_angle(estimate[:, 2] - truth[:, 2])))
+    _errors(axes, time_s, position_mm, heading_deg, style.ESTIMATED)
+    axes.set_title("Estimate on the robot against truth, at each decision")
+
+
+def _prediction(axes: Axes, run: RunLog) -> None:
+    missed: Residual = residual(run)
+    _errors(
+        axes,
+        missed.time_s,
+        1e3 * np.hypot(*missed.position_body_m.T),
+        np.rad2deg(np.abs(missed.heading_rad)),
+        style.PREDICTED,
+    )
+    axes.set_title(
+        f"What the model missed one period ahead: {1e3 * missed.position_rmse_m:.1f} mm, "
+        f"{np.rad2deg(missed.heading_rmse_rad):.1f} deg RMSE"
+    )

@@ -1,0 +1,49 @@
+"""One look for all pictures: one colour for each meaning, units on every axis."""
+
+from __future__ import annotations
+
+import base64
+import io
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import matplotlib
+
+matplotlib.use("Agg")
+
+from matplotlib.figure import Figure
+
+# Okabe and Ito's palette: told apart by colour-blind readers too.
+DESIRED = "#7f7f7f"
+TRUE = "#0072b2"
+MEASURED = "#e69f00"
+ESTIMATED = "#009e73"
+PREDICTED = "#cc79a7"
+ALARM = "#d55e00"
+
+_SETTINGS = {
+    "font.size": 9,
+    "axes.grid": True,
+    "grid.alpha": 0.3,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.titlesize": 10,
+    "axes.titleweight": "bold",
+    "legend.frameon": False,
+    "legend.fontsize": 8,
+    "svg.hashsalt": "frogkick",
+}
+
+
+@contextmanager
+def styled() -> Iterator[None]:
+    """Draw in the common style, whatever the user's own settings are."""
+    with matplotlib.rc_context(_SETTINGS):
+        yield
+
+
+def figure_uri(figure: Figure) -> str:
+    """The figure as a data URI for an <img>."""
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", dpi=120, metadata={"Software": None})
+    return "data:image/png;base64," + base64.b64encode(buffer.getvalue()).decode("ascii")

@@ -1,0 +1,1 @@
+"""Studies over the whole: the ring once round."""

@@ -1,0 +1,15 @@
+/* Sleep until something happens, without interrupts being taken: SEVONPEND lets an interrupt that only becomes
+ * pending wake WFE (ARMv7-M ARM, B1.5.18). */
+#ifndef SLEEP_H
+#define SLEEP_H
+
+void fk_sleep_init(void);
+
+/* Take back what is pending. Call it after the peripherals' events were taken back and before their state is
+ * looked at: what comes after this wakes fk_sleep, even where it comes before fk_sleep is called. */
+void fk_sleep_clear_pending(void);
+
+/* Sleep until an event of UARTE0, TIMER0 or TIMER2 that is enabled there. May return for no reason. */
+void fk_sleep(void);
+
+#endif

@@ -1,0 +1,94 @@
+/* Vectors and the way from reset to main. */
+#include <stddef.h>
+#include <stdint.h>
+
+#include "board.h"
+#include "nrf52832_regs.h"
+
+#define STACK_PAINT 0xA5A5A5A5u
+#define VECTORS 16u /* the core's own; no interrupt of a peripheral is ever taken */
+
+/* From nrf52832.ld; only their addresses mean something. */
+extern uint32_t fk_stack_bottom[];
+extern uint32_t fk_stack_top[];
+extern uint32_t fk_data_begin[];
+extern uint32_t fk_data_end[];
+extern const uint32_t fk_data_load[];
+extern uint32_t fk_bss_begin[];
+extern uint32_t fk_bss_end[];
+
+int main(void);
+void fk_reset(void);
+void fk_fault(void);
+void *memcpy(void *to, const void *from, size_t count);
+void *memset(void *to, int value, size_t count);
+
+/* The compiler may turn a copy into a call of one of these, whoever wrote it. The empty asm keeps it from turning
+ * their own loops into calls of themselves. */
+void *memcpy(void *to, const void *from, size_t count)
+{
+    uint8_t *out = to;
+    const uint8_t *in = from;
+    for (size_t i = 0u; i < count; ++i) {
+        out[i] = in[i];
+        __asm__ volatile("" ::: "memory");
+    }
+    return to;
+}
+
+void *memset(void *to, int value, size_t count)
+{
+    uint8_t *out = to;
+    for (size_t i = 0u; i < count; ++i) {
+        out[i] = (uint8_t)value;
+        __asm__ volatile("" ::: "memory");
+    }
+    return to;
+}
+
+/* A fault of the core: all gates low, then nothing more until reset. Touches no stack, which may be what failed. */
+void fk_fault(void)
+{
+    for (uint32_t limb = 0u; limb < FK_BOARD_LIMBS; ++limb) {
+        GPIOTE_TASKS_CLR(limb) = 1u;
+    }
+    for (;;) {
+        __asm__ volatile("");
+    }
+}
+
+void fk_reset(void)
+{
+    uint32_t *stack_pointer;
+    __asm__ volatile("mov %0, sp" : "=r"(stack_pointer));
+    /* Painted up to here; what is no longer paint later was used. */
+    for (volatile uint32_t *word = fk_stack_bottom; word < stack_pointer; ++word) {
+        *word = STACK_PAINT;
+    }
+    /* Before any code that the compiler may have given a float register. */
+    SCB_CPACR |= SCB_CPACR_CP10_CP11_Full;
+    __asm__ volatile("dsb\n\tisb" ::: "memory");
+    const uint32_t *load = fk_data_load;
+    for (volatile uint32_t *word = fk_data_begin; word < fk_data_end; ++word) {
+        *word = *load;
+        ++load;
+    }
+    for (volatile uint32_t *word = fk_bss_begin; word < fk_bss_end; ++word) {
+        *word = 0u;
+    }
+    (void)main();
+    fk_fault(); /* main does not return */
+}
+
+typedef void (*fk_handler_t)(void);
+
+typedef struct {
+    uint32_t *stack_top;
+    fk_handler_t handlers[VECTORS - 1u];
+} fk_vectors_t;
+
+__attribute__((section(".vectors"), used)) static const fk_vectors_t vectors = {
+    fk_stack_top,
+    {fk_reset, fk_fault, fk_fault, fk_fault, fk_fault, fk_fault, fk_fault, fk_fault, fk_fault, fk_fault, fk_fault,
+     fk_fault, fk_fault, fk_fault, fk_fault},
+};

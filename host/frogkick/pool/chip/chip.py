@@ -1,0 +1,375 @@
+"""The virtual chip: unicorn for the instructions, this package for time and peripherals."""
+
+from __future__ import annotations
+
+import ctypes
+from functools import partial
+from pathlib import Path
+from typing import Any, Final
+
+import unicorn as unicorn_module
+from unicorn import arm_const
+from unicorn.unicorn_py3.unicorn import uclib
+
+from frogkick.pool.chip.bus import FLASH_BYTES, RAM_BASE, RAM_BYTES, Peripheral
+from frogkick.pool.chip.clock import Clock, Nvmc
+from frogkick.pool.chip.core import CoreRegisters
+from frogkick.pool.chip.cost import PARTS, CostModel, CostTable
+from frogkick.pool.chip.errors import ChipError
+from frogkick.pool.chip.gpio import Gpio, Gpiote
+from frogkick.pool.chip.hook import HookState, Stop, load_hook
+from frogkick.pool.chip.image import load_image
+from frogkick.pool.chip.ppi import Ppi
+from frogkick.pool.chip.scheduler import CYCLES_PER_US, Scheduler
+from frogkick.pool.chip.timer import Timer
+from frogkick.pool.chip.uarte import Uarte
+
+unicorn: Any = unicorn_module  # its type hints do not export what it documents
+_PAGE: Final = 0x1000
+_NOWHERE: Final = 0xFFFF_FFF0  # emulation ends by the hook, never by reaching an address
+_STACK_PAINT: Final = bytes([0xA5]) * 4
+_UNINITIALISED: Final = b"\xcd"  # RAM after power-on: what .data and .bss do not set is not zero
+
+
+class VirtualChip:
+    """An nRF52832 from power-on, in virtual time.
+
+    The same firmware and the same calls give the same cycles, bytes and edges, however ``run_until`` is cut
+    up. No interrupt is ever taken; WFE sleeps until one that is enabled at its peripheral becomes pending.
+    Whatever the firmware does beyond what the model knows is a ``ChipError``, after which the chip stays
+    stopped.
+    """
+
+    def __init__(self, elf_path: Path | str, cost: CostModel | None = None) -> None:
+        """Load a firmware and hold it at reset, time 0.
+
+        Args:
+            elf_path: ELF linked with firmware/bench/nrf52832.ld.
+            cost: cycle model; None for the default.
+
+        Raises:
+            InputError: not a firmware for this chip.
+            ChipError: the cycle counter cannot be compiled.
+        """
+        self._cost = cost or CostModel()
+        self._image = load_image(elf_path)
+        self.scheduler = Scheduler()
+        self._event_cycle: int | None = None
+        self._target_cycle = 0
+        self._sleeping = False
+        self._slept_parts = 0
+        self._failed: ChipError | None = None
+        self._invalid: tuple[int, int, int] | None = None
+        self._lines: dict[int, bool] = {}
+
+        self._clock = Clock(self, "CLOCK", 0x4000_0000)
+        self._uarte = Uarte(self, "UARTE0", 0x4000_2000)
+        self._gpio = Gpio(self, "P0", 0x5000_0000)
+        self._ppi = Ppi(self, "PPI", 0x4001_F000)
+        self._core = CoreRegisters(self, "SCS", 0xE000_E000, self._switch_fpu)
+        self.peripherals: tuple[Peripheral, ...] = (
+            self._clock,
+            self._uarte,
+            Gpiote(self, "GPIOTE", 0x4000_6000, self._gpio),
+            Timer(self, "TIMER0", 0x4000_8000),
+            Timer(self, "TIMER1", 0x4000_9000),
+            Timer(self, "TIMER2", 0x4000_A000),
+            Nvmc(self, "NVMC", 0x4001_E000, self._switch_cache),
+            self._ppi,
+            self._gpio,
+            self._core,
+        )
+        self._by_base = {peripheral.base: peripheral for peripheral in self.peripherals}
+        self._table = CostTable(self._image.flash)
+        self._state = HookState(
+            expected=self._image.reset_address,
+            address=self._image.reset_address,
+            fetch_wait=self._cost.fetch_wait_uncached_parts,
+            data_wait=self._cost.flash_data_wait_cycles * PARTS,
+            refill=self._cost.branch_refill_cycles * PARTS,
+            flash_bytes=FLASH_BYTES,
+            table=ctypes.cast(self._table.entries, ctypes.c_void_p),
+            emu_stop=ctypes.cast(uclib.uc_emu_stop, ctypes.c_void_p),
+        )
+        self._pc = self._image.reset_address
+        self._uc = self._make_core()
+
+    def _make_core(self) -> Any:
+        uc = unicorn.Uc(unicorn.UC_ARCH_ARM, unicorn.UC_MODE_THUMB | unicorn.UC_MODE_MCLASS)
+        uc.ctl_set_cpu_model(arm_const.UC_CPU_ARM_CORTEX_M4)
+        uc.mem_map(0, FLASH_BYTES, unicorn.UC_PROT_READ | unicorn.UC_PROT_EXEC)
+        uc.mem_map(RAM_BASE, RAM_BYTES, unicorn.UC_PROT_READ | unicorn.UC_PROT_WRITE)
+        uc.mem_write(0, self._image.flash)
+        uc.mem_write(RAM_BASE, _UNINITIALISED * RAM_BYTES)
+        for peripheral in self.peripherals:
+            uc.mmio_map(peripheral.base, _PAGE, partial(self._mmio_read, peripheral), None,
+                        partial(self._mmio_write, peripheral), None)  # fmt: skip
+        uc.hook_add(unicorn.UC_HOOK_MEM_INVALID, self._on_invalid)
+        uc.reg_write(arm_const.UC_ARM_REG_SP, self._image.stack_pointer)
+        library = load_hook()
+        for kind, function in (
+            (unicorn.UC_HOOK_CODE, library.fk_hook_code),
+            (unicorn.UC_HOOK_MEM_READ | unicorn.UC_HOOK_MEM_WRITE, library.fk_hook_memory),
+        ):
+            handle = ctypes.c_size_t()
+            # The Python binding would put a Python function between; the C one is handed over as it is.
+            error = uclib.uc_hook_add(
+                uc._uch,
+                ctypes.byref(handle),
+                kind,
+                ctypes.cast(function, ctypes.c_void_p),
+                ctypes.byref(self._state),
+                ctypes.c_uint64(0),
+                ctypes.c_uint64(0xFFFF_FFFF),
+            )
+            if error != unicorn.UC_ERR_OK:
+                raise ChipError(f"unicorn refuses the cycle counter (error {error}): install unicorn 2.1")
+        uc.ctl_flush_tb()  # code translated before a hook was added would not call it
+        return uc
+
+    # From outside
+
+    @property
+    def cycles(self) -> int:
+        """Cycles of 64 MHz since power-on, asleep or awake."""
+        return int(self._state.time) // PARTS
+
+    @property
+    def busy_cycles(self) -> int:
+        """Cycles spent awake since power-on."""
+        return (int(self._state.time) - self._slept_parts) // PARTS
+
+    @property
+    def stack_reserved_bytes(self) -> int:
+        """Stack that the linker script set aside."""
+        return self.symbol("fk_stack_top") - self.symbol("fk_stack_bottom")
+
+    @property
+    def time_us(self) -> float:
+        """Virtual time since power-on, exact in binary."""
+        return self.cycles / CYCLES_PER_US
+
+    @property
+    def instructions(self) -> int:
+        """Instructions executed since power-on."""
+        return int(self._state.instructions)
+
+    @property
+    def uart_bytes_lost(self) -> int:
+        """Bytes on the wire that the receiver did not take: off, or overrun."""
+        return self._uarte.bytes_lost
+
+    def send(self, data: bytes, at_us: float) -> None:
+        """Put bytes on the UART's wire to the chip, at 115200 baud, behind those already on their way.
+
+        Args:
+            data: the bytes.
+            at_us: when the first start bit begins; not before ``time_us``.
+
+        Raises:
+            ChipError: that time is over.
+        """
+        cycle = round(at_us * CYCLES_PER_US)
+        if cycle < self.cycles:
+            raise ChipError(f"cannot send at {at_us} us: the chip is already at {self.time_us} us")
+        self._uarte.put_on_wire(data, cycle)
+
+    def received(self) -> list[tuple[float, bytes]]:
+        """Bytes that came from the chip since the last call, each with the time (us) of its stop bit."""
+        taken, self._uarte.transmitted = self._uarte.transmitted, []
+        return [(cycle / CYCLES_PER_US, bytes([byte])) for cycle, byte in taken]
+
+    def pin_edges(self) -> list[tuple[float, int, bool]]:
+        """Edges of port P0's outputs since the last call: time (us), pin, new level. All begin low."""
+        taken, self._gpio.edges = self._gpio.edges, []
+        return [(cycle / CYCLES_PER_US, pin, level) for cycle, pin, level in taken]
+
+    def stack_high_water_bytes(self) -> int:
+        """The most stack that was ever in use, from the paint that the startup code laid.
+
+        Raises:
+            ChipError: the firmware has no fk_stack_bottom and fk_stack_top.
+        """
+        try:
+            bottom, top = self._image.symbols["fk_stack_bottom"], self._image.symbols["fk_stack_top"]
+        except KeyError as error:
+            raise ChipError(
+                f"the firmware has no symbol {error}: link it with nrf52832.ld, unstripped"
+            ) from error
+        stack = self.ram_read(bottom, top - bottom)
+        free = 0
+        while stack[free : free + 4] == _STACK_PAINT:
+            free += 4
+        return top - bottom - free
+
+    def symbol(self, name: str) -> int:
+        """Address of a symbol of the firmware.
+
+        Raises:
+            ChipError: there is none of that name.
+        """
+        if name not in self._image.symbols:
+            raise ChipError(f"the firmware has no symbol {name!r}: name one of its variables, unstripped")
+        return self._image.symbols[name]
+
+    def run_until(self, time_us: float) -> None:
+        """Let the chip live until a virtual time; it may go over by the rest of one instruction or IT block.
+
+        Raises:
+            ChipError: the firmware faulted, or did something that the model does not know.
+        """
+        if self._failed is not None:
+            raise self._failed
+        self._target_cycle = round(time_us * CYCLES_PER_US)
+        try:
+            while self.cycles < self._target_cycle:
+                self._handle_events()
+                if not self._sleeping:
+                    self._execute()
+                elif self._core.event_register:
+                    self._core.event_register = self._sleeping = False
+                else:
+                    awake_at = PARTS * min(self.scheduler.next_cycle, self._target_cycle)
+                    self._slept_parts += max(0, awake_at - int(self._state.time))
+                    self._state.time = awake_at
+            self._handle_events()
+        except ChipError as error:
+            self._failed = error
+            raise
+
+    # Inside
+
+    @property
+    def now_cycle(self) -> int:
+        """Time of the hardware event being handled, else of the core."""
+        return self.cycles if self._event_cycle is None else self._event_cycle
+
+    def _handle_events(self) -> None:
+        while self.scheduler.next_cycle <= self.cycles:
+            self._event_cycle = self.scheduler.next_cycle
+            self.scheduler.take()()
+        self._event_cycle = None
+
+    def _set_limit(self) -> None:
+        self._state.limit = PARTS * min(self.scheduler.next_cycle, self._target_cycle)
+
+    def _execute(self) -> None:
+        """Run the core until the next event, the target, sleep or an error."""
+        self._set_limit()
+        self._state.stop = Stop.NONE
+        try:
+            self._uc.emu_start(self._pc | 1, _NOWHERE)
+        except unicorn.UcError as error:
+            raise self._fault(error) from error
+        self._pc = self._state.address
+        why = Stop(self._state.stop)
+        if why is Stop.UNKNOWN:
+            self._table.decode_from(self._pc)
+        elif why is Stop.WFE:
+            self._wait_for_event()
+        elif why is Stop.WFI:
+            raise self.fail("WFI: no interrupt is ever enabled in the NVIC, it would sleep for ever; use WFE")
+        elif why is Stop.FPU:
+            raise self.fail("float instruction while SCB.CPACR does not allow the FPU: usage fault (NOCP)")
+        elif why is Stop.UNALIGNED:
+            raise self.fail(
+                f"usage fault: unaligned access to 0x{self._state.unaligned:08x} by one that cannot"
+            )
+        elif why is Stop.NONE:
+            raise self.fail("the emulator stopped for no known reason")
+
+    def _wait_for_event(self) -> None:
+        """WFE: an event that has been before makes it pass, else sleep."""
+        size = 4 if self._image.flash[self._pc + 1] >> 3 >= 0x1D else 2
+        self._state.time += PARTS + self._state.fetch_wait
+        self._state.instructions += 1
+        self._pc += size
+        self._state.address = self._state.expected = self._pc
+        if self._core.event_register:
+            self._core.event_register = False
+        else:
+            self._sleeping = True
+
+    def _switch_fpu(self, enabled: bool) -> None:
+        self._state.fpu_enabled = enabled
+
+    def _switch_cache(self, enabled: bool) -> None:
+        cost = self._cost
+        self._state.fetch_wait = cost.fetch_wait_cached_parts if enabled else cost.fetch_wait_uncached_parts
+
+    def _mmio_read(self, peripheral: Peripheral, _uc: Any, offset: int, size: int, _data: Any) -> int:
+        self._before_access(peripheral, offset, size)
+        value = peripheral.read(offset)
+        self._set_limit()
+        return value
+
+    def _mmio_write(
+        self, peripheral: Peripheral, _uc: Any, offset: int, size: int, value: int, _data: Any
+    ) -> None:
+        self._before_access(peripheral, offset, size)
+        peripheral.write(offset, value & 0xFFFF_FFFF)
+        self._set_limit()
+
+    def _before_access(self, peripheral: Peripheral, offset: int, size: int) -> None:
+        if size != 4 or offset % 4:
+            raise self.fail(
+                f"access of {size} bytes to {peripheral.name} + 0x{offset:03x}: only aligned words are taken"
+            )
+        self._handle_events()
+
+    def _on_invalid(self, _uc: Any, access: int, address: int, size: int, _value: int, _data: Any) -> bool:
+        self._invalid = (access, address, size)
+        return False
+
+    def _fault(self, error: Exception) -> ChipError:
+        """Turn unicorn's error into one that says what the hardware would have done."""
+        if self._invalid is None:
+            return self.fail(f"hard fault: {error}")
+        access, address, size = self._invalid
+        if access == unicorn.UC_MEM_WRITE_PROT:
+            return self.fail(
+                f"write of {size} bytes to flash at 0x{address:08x}: flash is written through NVMC only"
+            )
+        if access in (unicorn.UC_MEM_FETCH_PROT, unicorn.UC_MEM_FETCH_UNMAPPED):
+            return self.fail(f"hard fault: execution at 0x{address:08x}, where there is no flash")
+        verb = "write" if access == unicorn.UC_MEM_WRITE_UNMAPPED else "read"
+        return self.fail(f"bus fault: {verb} of {size} bytes at 0x{address:08x}, where the model has nothing")
+
+    def fail(self, what: str) -> ChipError:
+        """Make an error that says where the program was, and when."""
+        pc = self._state.address
+        return ChipError(f"{what} (pc 0x{pc:08x} in {self._image.function_at(pc)}, {self.time_us:.3f} us)")
+
+    def publish(self, event_address: int) -> None:
+        """Pass a peripheral's event on through PPI."""
+        self._ppi.pass_on(event_address)
+
+    def trigger(self, task_address: int) -> None:
+        """Trigger a task, as PPI does."""
+        peripheral = self._by_base[task_address & ~(_PAGE - 1)]
+        peripheral.on_task(peripheral.by_offset[task_address & (_PAGE - 1)].name)
+
+    def _has(self, address: int, prefix: str) -> bool:
+        peripheral = self._by_base.get(address & ~(_PAGE - 1))
+        register = peripheral.by_offset.get(address & (_PAGE - 1)) if peripheral else None
+        return register is not None and register.name.startswith(prefix)
+
+    def is_event(self, address: int) -> bool:
+        """Whether PPI finds an event there."""
+        return self._has(address, "EVENTS_")
+
+    def is_task(self, address: int) -> bool:
+        """Whether PPI finds a task there."""
+        return self._has(address, "TASKS_")
+
+    def set_interrupt_line(self, irq: int, level: bool) -> None:
+        """Pass a peripheral's interrupt line to the NVIC."""
+        self._core.set_line(irq, level)
+
+    def ram_read(self, address: int, count: int) -> bytes:
+        """Read RAM, as EasyDMA or a debugger does."""
+        return bytes(self._uc.mem_read(address, count))
+
+    def ram_write(self, address: int, data: bytes) -> None:
+        """Write RAM, as EasyDMA does."""
+        self._uc.mem_write(address, data)

@@ -1,0 +1,49 @@
+"""CLOCK and NVMC, as far as the firmware uses them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Final
+
+from frogkick.pool.chip.bus import Peripheral, Register, System
+from frogkick.pool.chip.scheduler import CYCLES_PER_US
+
+HFXO_START_CYCLES: Final = 360 * CYCLES_PER_US
+"""Start of the 32 MHz crystal, typical value of the product specification (t_START_HFXO)."""
+
+
+class Clock(Peripheral):
+    """The 32 MHz crystal's start."""
+
+    NAME = "CLOCK"
+    REGISTERS = [  # noqa: RUF012 - constant tables of a peripheral
+        Register("TASKS_HFCLKSTART", 0x000, "w"),
+        Register("EVENTS_HFCLKSTARTED", 0x100, "rw"),
+    ]
+
+    def __init__(self, system: System, name: str, base: int) -> None:
+        """Start on the internal oscillator."""
+        super().__init__(system, name, base)
+        self._started = system.scheduler.add(lambda: self.raise_event("EVENTS_HFCLKSTARTED"))
+
+    def on_task(self, name: str) -> None:
+        """Start the crystal."""
+        self.system.scheduler.at(self._started, self.system.now_cycle + HFXO_START_CYCLES)
+
+
+class Nvmc(Peripheral):
+    """The instruction cache's switch; no erasing or programming."""
+
+    NAME = "NVMC"
+    REGISTERS = [Register("ICACHECNF", 0x540, "rw")]  # noqa: RUF012
+
+    def __init__(self, system: System, name: str, base: int, on_cache: Callable[[bool], None]) -> None:
+        """``on_cache`` hears when the cache is switched."""
+        super().__init__(system, name, base)
+        self._on_cache = on_cache
+
+    def on_write(self, name: str, value: int) -> None:
+        """Switch the cache."""
+        self.allow(name, value, (0, 1))
+        self.values[name] = value
+        self._on_cache(bool(value))

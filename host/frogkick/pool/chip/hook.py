@@ -1,0 +1,104 @@
+"""The C callback that counts cycles: compiled once by the zig wheel, kept in the user's cache folder."""
+
+from __future__ import annotations
+
+import ctypes
+import hashlib
+import os
+import subprocess
+import sys
+import tempfile
+from enum import IntEnum, IntFlag
+from functools import cache
+from pathlib import Path
+from typing import Final
+
+from frogkick.pool.chip.errors import ChipError
+
+_SOURCE: Final = Path(__file__).with_name("hook.c")
+_FLAGS: Final = ("-O2", "-shared", "-fPIC", "-std=c99", "-Wall", "-Wextra", "-Wconversion", "-Werror")
+
+
+class Stop(IntEnum):
+    """Why the callback stopped the core; the same order as in hook.c."""
+
+    NONE = 0
+    LIMIT = 1
+    WFE = 2
+    WFI = 3
+    FPU = 4
+    UNKNOWN = 5
+    UNALIGNED = 6
+
+
+class Flag(IntFlag):
+    """Low byte of a table entry; the same values as in hook.c."""
+
+    KNOWN = 1
+    WFE = 2
+    WFI = 4
+    FPU = 8
+    IN_IT = 16
+    ALIGNED = 32
+
+
+class HookState(ctypes.Structure):
+    """``fk_hook_state_t`` of hook.c, which says what each field is."""
+
+    _fields_ = [
+        ("time", ctypes.c_uint64),
+        ("limit", ctypes.c_uint64),
+        ("instructions", ctypes.c_uint64),
+        ("address", ctypes.c_uint32),
+        ("expected", ctypes.c_uint32),
+        ("entry", ctypes.c_uint32),
+        ("stop", ctypes.c_uint32),
+        ("fpu_enabled", ctypes.c_uint32),
+        ("fetch_wait", ctypes.c_uint32),
+        ("data_wait", ctypes.c_uint32),
+        ("refill", ctypes.c_uint32),
+        ("flash_bytes", ctypes.c_uint32),
+        ("unaligned", ctypes.c_uint32),
+        ("table", ctypes.c_void_p),
+        ("emu_stop", ctypes.c_void_p),
+    ]
+
+
+def _cache_folder() -> Path:
+    root = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+    return Path(root) / "frogkick" / "chip"
+
+
+@cache
+def load_hook() -> ctypes.CDLL:
+    """Compile hook.c where its cache does not hold it yet, and load it.
+
+    Raises:
+        ChipError: the zig wheel is missing, does not compile, or the cache folder cannot be written.
+    """
+    digest = hashlib.sha256(" ".join((*_FLAGS, sys.platform)).encode() + _SOURCE.read_bytes()).hexdigest()
+    library = _cache_folder() / f"hook-{digest[:24]}.so"
+    if not library.exists():
+        _compile(library)
+    return ctypes.CDLL(str(library))
+
+
+def _compile(library: Path) -> None:
+    """Compile into a folder beside the target and rename: two processes may do this at the same time."""
+    try:
+        library.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(dir=library.parent) as folder:
+            built = Path(folder) / "hook.so"
+            command = [sys.executable, "-m", "ziglang", "cc", *_FLAGS, "-o", str(built), str(_SOURCE)]
+            done = subprocess.run(command, capture_output=True, text=True, check=False)
+            if done.returncode != 0:
+                raise ChipError(
+                    f"the virtual chip's hook.c does not compile: {done.stderr.strip()[-400:]}; "
+                    "install the extra 'firmware' (pip install 'frogkick[firmware]')"
+                )
+            os.replace(built, library)
+    except OSError as error:
+        raise ChipError(
+            f"cannot keep the virtual chip's hook in {str(library.parent)!r}: {error.strerror}; "
+            "set XDG_CACHE_HOME to a folder that can be written"
+        ) from error

@@ -1,0 +1,90 @@
+"""The firmware's ELF: flash content and symbols."""
+
+from __future__ import annotations
+
+import bisect
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from elftools.common.exceptions import ELFError
+from elftools.elf.elffile import ELFFile
+
+from frogkick.errors import InputError
+from frogkick.files import existing_file
+from frogkick.pool.chip.bus import FLASH_BYTES, RAM_BASE, RAM_BYTES
+
+
+@dataclass(frozen=True)
+class FirmwareImage:
+    """What goes into the chip.
+
+    Attributes:
+        flash: all 512 KB, erased (0xff) where the firmware has nothing.
+        symbols: addresses by name.
+        functions: (address, name), sorted.
+    """
+
+    flash: bytes
+    symbols: dict[str, int]
+    functions: tuple[tuple[int, str], ...]
+
+    @property
+    def stack_pointer(self) -> int:
+        """Initial stack pointer: first vector."""
+        return int.from_bytes(self.flash[0:4], "little")
+
+    @property
+    def reset_address(self) -> int:
+        """Reset handler: second vector, without its Thumb bit."""
+        return int.from_bytes(self.flash[4:8], "little") & ~1
+
+    def function_at(self, address: int) -> str:
+        """Name of the function at an address, or '?'."""
+        place = bisect.bisect_right(self.functions, (address, "\U0010ffff")) - 1
+        return self.functions[place][1] if place >= 0 else "?"
+
+
+def load_image(path: Path | str) -> FirmwareImage:
+    """Read an ELF for the nRF52832.
+
+    Raises:
+        InputError: not an ELF for ARM, content outside flash, or no vectors at address 0.
+    """
+    file = existing_file(path, "firmware image")
+    flash = bytearray(b"\xff" * FLASH_BYTES)
+    symbols: dict[str, int] = {}
+    functions: list[tuple[int, str]] = []
+    try:
+        with file.open("rb") as stream:
+            elf = ELFFile(stream)
+            if elf["e_machine"] != "EM_ARM":
+                raise InputError(
+                    f"firmware image {str(path)!r} is for {elf['e_machine']}: build it for the nRF52832"
+                )
+            for segment in elf.iter_segments("PT_LOAD"):
+                data = segment.data()
+                begin = segment["p_paddr"]
+                if data and begin + len(data) > FLASH_BYTES:
+                    raise InputError(
+                        f"firmware image {str(path)!r} has {len(data)} bytes for 0x{begin:08x}, outside "
+                        f"the flash (0 to 0x{FLASH_BYTES:x}): link it with nrf52832.ld"
+                    )
+                flash[begin : begin + len(data)] = data
+            table: Any = elf.get_section_by_name(".symtab")
+            for symbol in table.iter_symbols() if table is not None else ():
+                symbols[symbol.name] = symbol["st_value"]
+                if symbol["st_info"]["type"] == "STT_FUNC":
+                    functions.append((symbol["st_value"] & ~1, symbol.name))
+    except (ELFError, UnicodeDecodeError) as error:
+        raise InputError(
+            f"firmware image {str(path)!r} is not a whole ELF file ({error}): build it again"
+        ) from error
+    image = FirmwareImage(bytes(flash), symbols, tuple(sorted(functions)))
+    vector = int.from_bytes(image.flash[4:8], "little")
+    if not (RAM_BASE < image.stack_pointer <= RAM_BASE + RAM_BYTES and vector & 1 and vector < FLASH_BYTES):
+        raise InputError(
+            f"firmware image {str(path)!r} has no vectors at address 0 (stack 0x{image.stack_pointer:08x}, "
+            f"reset 0x{vector:08x}): link it with nrf52832.ld"
+        )
+    return image

@@ -1,0 +1,121 @@
+"""TIMER0 to TIMER2: timer and counter, compare, capture, shorts."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import Final
+
+from frogkick.pool.chip.bus import Peripheral, Register, System, array
+from frogkick.pool.chip.scheduler import NEVER
+
+CHANNELS: Final = 4
+_BITS: Final = {0: 16, 1: 8, 2: 24, 3: 32}
+_BASE_CYCLES: Final = 4  # the timer's 16 MHz clock in cycles of 64 MHz
+_MODE_TIMER: Final = 0
+_MODES_COUNTER: Final = (1, 2)
+
+
+class Timer(Peripheral):
+    """A timer with four compare registers.
+
+    START begins a full tick of the prescaler; CLEAR begins the tick anew. A compare value that equals the
+    counter when it is written matches only after the counter has gone all the way round.
+    """
+
+    NAME = "TIMER"
+    REGISTERS = [  # noqa: RUF012
+        Register("TASKS_START", 0x000, "w"),
+        Register("TASKS_STOP", 0x004, "w"),
+        Register("TASKS_COUNT", 0x008, "w"),
+        Register("TASKS_CLEAR", 0x00C, "w"),
+        *array("TASKS_CAPTURE[{}]", 0x040, "w", CHANNELS),
+        *array("EVENTS_COMPARE[{}]", 0x140, "rw", CHANNELS),
+        Register("SHORTS", 0x200, "rw"),
+        Register("INTENSET", 0x304, "rw"),
+        Register("INTENCLR", 0x308, "rw"),
+        Register("MODE", 0x504, "rw"),
+        Register("BITMODE", 0x508, "rw"),
+        Register("PRESCALER", 0x510, "rw"),
+        *array("CC[{}]", 0x540, "rw", CHANNELS),
+    ]
+    INTERRUPT_EVENTS = {16 + i: f"EVENTS_COMPARE[{i}]" for i in range(CHANNELS)}  # noqa: RUF012
+
+    def __init__(self, system: System, name: str, base: int) -> None:
+        """Start stopped at 0, with the reset value of PRESCALER."""
+        super().__init__(system, name, base)
+        self.values["PRESCALER"] = 4
+        self._running = False
+        self._count = 0  # counter's value at _since, or now where it does not run by itself
+        self._since = 0
+        self._sources = [system.scheduler.add(partial(self._compare, i)) for i in range(CHANNELS)]
+
+    @property
+    def _mask(self) -> int:
+        return (1 << _BITS[self.values["BITMODE"]]) - 1
+
+    @property
+    def _tick_cycles(self) -> int:
+        return _BASE_CYCLES << self.values["PRESCALER"]
+
+    @property
+    def _ticks_by_itself(self) -> bool:
+        return self._running and self.values["MODE"] == _MODE_TIMER
+
+    def _counter(self) -> int:
+        ticks = (self.system.now_cycle - self._since) // self._tick_cycles if self._ticks_by_itself else 0
+        return (self._count + ticks) & self._mask
+
+    def _schedule(self, channel: int) -> None:
+        cycle = NEVER
+        if self._ticks_by_itself:
+            mask = self._mask
+            ticks = (self.system.now_cycle - self._since) // self._tick_cycles
+            ahead = (self.values[f"CC[{channel}]"] - self._count - ticks) & mask or mask + 1
+            cycle = self._since + (ticks + ahead) * self._tick_cycles
+        self.system.scheduler.at(self._sources[channel], cycle)
+
+    def _set(self, count: int, running: bool) -> None:
+        self._count, self._running, self._since = count, running, self.system.now_cycle
+        for channel in range(CHANNELS):
+            self._schedule(channel)
+
+    def _compare(self, channel: int) -> None:
+        self._schedule(channel)
+        shorts = self.values["SHORTS"]
+        if shorts >> channel & 1:
+            self._set(0, self._running)
+        if shorts >> (8 + channel) & 1:
+            self._set(self._counter(), False)
+        self.raise_event(f"EVENTS_COMPARE[{channel}]")
+
+    def on_write(self, name: str, value: int) -> None:
+        """Set a mode, a short or a compare value."""
+        if name in ("MODE", "BITMODE", "PRESCALER"):
+            if self._running:
+                raise self.refuse(name, value, "the timer runs, stop it first")
+            self.allow(name, value, {"MODE": range(3), "BITMODE": range(4), "PRESCALER": range(10)}[name])
+        if name == "SHORTS":
+            self.allow(name, value & ~0x0F0F, (0,))
+        self.values[name] = value
+        if name.startswith("CC"):
+            self._schedule(int(name[3]))
+
+    def on_task(self, name: str) -> None:
+        """Start, stop, count, clear or capture."""
+        if name == "TASKS_START":
+            if not self._running:
+                self._set(self._count, True)
+        elif name == "TASKS_STOP":
+            self._set(self._counter(), False)
+        elif name == "TASKS_CLEAR":
+            self._set(0, self._running)
+        elif name == "TASKS_COUNT":
+            if self._running and self.values["MODE"] in _MODES_COUNTER:
+                self._count = (self._count + 1) & self._mask
+                for channel in range(CHANNELS):
+                    if self.values[f"CC[{channel}]"] == self._count:
+                        self._compare(channel)
+        else:
+            channel = int(name[-2])
+            self.values[f"CC[{channel}]"] = self._counter()
+            self._schedule(channel)

@@ -93,12 +93,17 @@ def build_shared(
 class NativeLibrary:
     """The C planner as this machine's code."""
 
-    def __init__(self, files: Mapping[str, bytes] | None = None, compiler: Compiler | None = None) -> None:
+    def __init__(
+        self,
+        files: Mapping[str, bytes] | None = None,
+        compiler: Compiler | None = None,
+        flags: Sequence[str] = FLAGS,
+    ) -> None:
         """Build (or find) the library and load it.
 
         Args:
             files: planner files; the package's own where it is None.
-            compiler: as for ``build_shared``.
+            compiler, flags: as for ``build_shared``.
 
         Raises:
             ToolchainError: as ``build_shared``, or the library does not load.
@@ -106,7 +111,7 @@ class NativeLibrary:
         every = dict(planner_files() if files is None else files)
         batch = resources.files("frogkick_codegen") / "templates" / "native_batch.c"
         every["native_batch.c"] = batch.read_bytes()
-        path = build_shared("fk_planner", every, compiler)
+        path = build_shared("fk_planner", every, compiler, flags)
         self._ffi = cffi.FFI()
         self._ffi.cdef(_DECLARATIONS)
         try:

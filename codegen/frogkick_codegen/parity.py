@@ -134,21 +134,31 @@ def _tie(source: _Source, count: int) -> npt.NDArray[Any]:
 
 
 def _half_code(source: _Source, count: int) -> npt.NDArray[Any]:
-    """Velocities whose code is an integer and a half, exactly or by one unit in the last place."""
+    """Velocities whose code is an integer and a half, exactly or by one unit in the last place.
+
+    Most lie half a code inside a tie: rounded away from zero they tie, rounded otherwise they do not.
+    """
     states = source.base(count).astype(np.float32)
     per_velocity = np.float32(1) / source.tables.velocity_scale
     codes = source.rng.integers(-400, 400, (count, 3)) + 0.5
+    if len(source.ties):
+        tie = source.rng.choice(source.ties, count).astype(np.float64)
+        axis = source.rng.integers(0, 3, count)
+        tie[np.arange(count), axis] -= 0.5 * np.sign(tie[np.arange(count), axis])
+        codes = np.where(source.rng.random((count, 1)) < 0.7, tie, codes)
     velocity = source.velocity(codes).astype(np.float32)
     for _ in range(3):  # towards the velocity whose float32 product is the half itself
-        product = velocity * per_velocity
-        step = np.sign(codes.astype(np.float32) - product)
-        velocity = np.where(step == 0, velocity, np.nextafter(velocity, step * np.float32(np.inf)))
-    nudge = source.rng.integers(-1, 2, (count, 3)) * np.float32(np.inf)
-    away = source.rng.random((count, 3)) < 0.3
-    with np.errstate(invalid="ignore"):
-        moved = np.nextafter(velocity, np.nan_to_num(nudge, nan=0.0, posinf=np.inf, neginf=-np.inf))
-    states[:, 3:] = np.where(away, moved, velocity)
+        step = np.sign(codes.astype(np.float32) - velocity * per_velocity)
+        velocity = np.where(step == 0, velocity, _beside(velocity, step))
+    nudge = source.rng.integers(-1, 2, (count, 3)).astype(np.float32)
+    nudge[(source.rng.random((count, 3)) < 0.7) | (nudge == 0)] = 0
+    states[:, 3:] = np.where(nudge == 0, velocity, _beside(velocity, nudge))
     return states
+
+
+def _beside(values: Float32, direction: Float32) -> Float32:
+    """Return the next float32 above (direction > 0) or below."""
+    return np.nextafter(values, np.where(direction > 0, np.float32(np.inf), np.float32(-np.inf)))
 
 
 def _huge(source: _Source, count: int) -> npt.NDArray[Any]:

@@ -1,0 +1,242 @@
+"""Python and C plan alike, bit for bit; and the comparison finds it when they do not."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from tests.conftest import count
+from tests.planner import synthetic
+
+from frogkick.errors import FrogkickError, InputError
+from frogkick.planner.image import Tables, open_image
+from frogkick.planner.layout import sections
+from frogkick.planner.plan import PlanConfig
+from frogkick_codegen.native import NativeLibrary, planner_files
+from frogkick_codegen.parity import (
+    KINDS,
+    PairReport,
+    compare,
+    find_ties,
+    make_cases,
+    native_place,
+    python_place,
+)
+
+TABLES = open_image(synthetic.image())
+PATH = synthetic.wave_path()
+SEED = 2022
+
+
+@pytest.fixture(scope="module")
+def library() -> NativeLibrary:
+    return NativeLibrary()
+
+
+def report(
+    library: NativeLibrary,
+    states: int,
+    tables: Tables = TABLES,
+    config: PlanConfig | None = None,
+    path: synthetic.WavePath = PATH,
+    seed: int = SEED,
+) -> PairReport:
+    """Compare the twin with a build of the C."""
+    settings = config or PlanConfig()
+    cases = make_cases(tables, path, states, seed)
+    places = {
+        "python": python_place(tables, path, settings),
+        "native": native_place(library, tables, path, settings),
+    }
+    (pair,) = compare(cases, places)
+    return pair
+
+
+def test_python_and_c_agree_on_a_hundred_thousand_states(library: NativeLibrary) -> None:
+    pair = report(library, count(100_000, 1_000_000))
+    assert pair.mismatches == 0, pair.first_failure
+    assert (pair.first, pair.second, pair.first_failure) == ("python", "native", "")
+    assert not any(pair.fields.values())
+
+
+@pytest.mark.parametrize(
+    "config",
+    [
+        PlanConfig(0.0, 0.0, 0.0, 0.0),
+        PlanConfig(1e6, 1e6, 1e6, 1e6),
+        PlanConfig(1e-40, 0.0, 300.0, 0.1),
+        PlanConfig(0.0, 1.0, 0.0, 2.5),
+    ],
+)
+def test_python_and_c_agree_with_any_weights(library: NativeLibrary, config: PlanConfig) -> None:
+    pair = report(library, count(8000, 80_000), config=config)
+    assert pair.mismatches == 0, pair.first_failure
+
+
+@pytest.mark.parametrize(
+    ("states", "actions", "points"),
+    [(1, 1, 2), (1, 32, 3), (2, 2, 100), (3, 9, 100), (1000, 9, 57), (8503, 9, 100)],
+)
+def test_python_and_c_agree_on_any_size(
+    library: NativeLibrary, states: int, actions: int, points: int
+) -> None:
+    tables = open_image(synthetic.image(states, actions, states))
+    cases = make_cases(
+        tables, synthetic.wave_path(points), count(2000, 20_000), SEED, (0.7, 0.295, 0.005, 0.0)
+    )
+    route, config = synthetic.wave_path(points), PlanConfig()
+    places = {
+        "python": python_place(tables, route, config),
+        "native": native_place(library, tables, route, config),
+    }
+    (pair,) = compare(cases, places)
+    assert pair.mismatches == 0, pair.first_failure
+
+
+def test_python_and_c_agree_where_ties_abound(library: NativeLibrary) -> None:
+    pair = report(library, count(20_000, 200_000), tables=synthetic.grid_tables())
+    assert pair.mismatches == 0, pair.first_failure
+
+
+def test_every_kind_of_state_is_there_and_is_what_it_says() -> None:
+    cases = make_cases(TABLES, PATH, 15_000, SEED)
+    rows = python_place(TABLES, PATH, PlanConfig())(cases.states, cases.depths)
+    by_kind = {name: cases.kinds == index for index, name in enumerate(KINDS)}
+    assert set(np.unique(cases.depths)) == {1, 2, 3, 4}
+    assert len(KINDS) == 15
+    assert set(np.unique(cases.head(15).kinds)) == set(range(15))
+    status = {name: set(rows["status"][mask].tolist()) for name, mask in by_kind.items()}
+    assert status["not_finite"] == {-2}
+    assert status["limit"] == {0, -3}
+    assert status["any_bits"] == {0, -2}
+    assert all(
+        found == {0} for name, found in status.items() if name not in ("not_finite", "limit", "any_bits")
+    )
+    assert not cases.states[by_kind["rest"], 3:].any()
+    small = np.abs(cases.states[by_kind["subnormal"]])
+    assert 0 < small.max() < np.finfo(np.float32).tiny
+    assert np.signbit(cases.states[by_kind["subnormal"]][small == 0]).any()
+    assert np.abs(cases.states[by_kind["huge"], 3:]).max() > 1e38
+    per_velocity = np.float32(1) / TABLES.velocity_scale
+    parts = np.modf(cases.states[by_kind["half_code"], 3:] * per_velocity)[0]
+    assert (np.abs(parts) == 0.5).mean() > 0.3
+    nearest = TABLES.states.astype(np.int64)
+    ties = 0
+    for state in cases.states[by_kind["tie"]][:200]:
+        codes = np.round(state[3:].astype(float) / TABLES.velocity_scale).astype(np.int64)
+        distance2 = ((nearest - codes) ** 2).sum(axis=1)
+        ties += int((distance2 == distance2.min()).sum() >= 2)
+    assert ties == 200
+
+
+def test_ties_are_real_and_a_table_of_one_row_has_none() -> None:
+    rng = np.random.default_rng(5)
+    ties = find_ties(TABLES, rng)
+    assert len(ties) == 64
+    assert find_ties(open_image(synthetic.image(1, 1)), rng).shape == (0, 3)
+
+
+def test_the_same_seed_makes_the_same_states() -> None:
+    one, two = (make_cases(TABLES, PATH, 500, 9) for _ in range(2))
+    assert one.states.tobytes() == two.states.tobytes()
+    assert one.depths.tobytes() == two.depths.tobytes()
+    assert make_cases(TABLES, PATH, 500, 10).states.tobytes() != one.states.tobytes()
+
+
+MUTATIONS = {
+    "a tie takes the highest row": ("nearest.c", "(middle < best_row)", "(middle > best_row)"),
+    "a side at the best distance is cut": (
+        "nearest.c",
+        "plane_distance2 <= best_distance2",
+        "plane_distance2 < best_distance2",
+    ),
+    "a half is rounded down": ("nearest.c", "rest >= 0.5f", "rest > 0.5f"),
+    "a half below zero is rounded up": ("nearest.c", "rest <= -0.5f", "rest < -0.5f"),
+    "codes are truncated": ("nearest.c", "whole += 1;", "whole += 0;"),
+    "a path tie takes the highest point": ("path.c", "distance2 < best_m2", "distance2 <= best_m2"),
+    "an equal branch replaces the first": ("tree.c", "next->cost >= best_cost", "next->cost > best_cost"),
+    "the cost is summed in another order": (
+        "cost.c",
+        "(distance_cost + angle_cost) + progress_cost",
+        "distance_cost + (angle_cost + progress_cost)",
+    ),
+    "the rotation is summed in another order": (
+        "tree.c",
+        "from->x_m + (from->cosine * forward_m - from->sine * left_m)",
+        "(from->x_m + from->cosine * forward_m) - from->sine * left_m",
+    ),
+    "a coefficient is one unit off": ("math.c", "0.0416666456f", "0.0416666493f"),
+    "levels weigh one more": ("tree.c", "config->depth - 1U - index", "config->depth - index"),
+    "the angle is not wrapped": ("cost.c", "fk_wrap_angle(heading_rad", "(heading_rad"),
+    "infinity is let through": ("math.c", ">= FK_FLOAT_INFINITY ?", "> FK_FLOAT_INFINITY ?"),
+    "the limit itself is refused": (
+        "tree.c",
+        "(fk_bits_of_float(state->x_m) & FK_FLOAT_MAGNITUDE) > position_limit",
+        "(fk_bits_of_float(state->x_m) & FK_FLOAT_MAGNITUDE) >= position_limit",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", MUTATIONS)
+def test_a_changed_rule_in_the_c_is_found(name: str) -> None:
+    file, before, after = MUTATIONS[name]
+    files = dict(planner_files())
+    source = files[file].decode()
+    assert source.count(before) == 1, "the rule moved: correct the mutation"
+    files[file] = source.replace(before, after).encode()
+    mutant = NativeLibrary(files, flags=("-std=c99", "-O1", "-ffp-contract=off", "-fno-math-errno"))
+    pairs = [
+        report(mutant, 6000),
+        report(mutant, 6000, tables=synthetic.grid_tables()),
+        report(mutant, 600, config=PlanConfig(0.0, 0.0, 0.0, 0.0)),
+    ]
+    found = [pair for pair in pairs if pair.mismatches]
+    assert found
+    assert f"seed {SEED}, case " in found[0].first_failure
+    assert "state [" in found[0].first_failure
+
+
+def test_a_changed_byte_of_the_table_is_found(library: NativeLibrary) -> None:
+    entry = sections(300, 9).transitions + 12 * (9 * 150 + 4)
+    changed = open_image(synthetic.resealed(TABLES.image, entry, bytes([TABLES.image[entry] ^ 0x40])))
+    config = PlanConfig()
+    cases = make_cases(TABLES, PATH, 15_000, SEED)
+    places = {
+        "python": python_place(TABLES, PATH, config),
+        "native": native_place(library, changed, PATH, config),
+    }
+    (pair,) = compare(cases, places)
+    assert pair.mismatches > 0
+    assert pair.fields["status"] == 0
+    assert pair.fields["nearest_state"] == 0
+    assert pair.fields["cost"] + pair.fields["predicted"] > 0
+
+
+def test_three_places_are_compared_in_pairs(library: NativeLibrary) -> None:
+    config = PlanConfig()
+    python, native = python_place(TABLES, PATH, config), native_place(library, TABLES, PATH, config)
+
+    def off_by_a_bit(states: np.ndarray, depths: np.ndarray) -> np.ndarray:
+        rows = native(states, depths)
+        rows["cost"][7] = np.nextafter(rows["cost"][7], np.float32(np.inf))
+        return rows
+
+    cases = make_cases(TABLES, PATH, 30, 1, (1.0, 0.0, 0.0, 0.0))
+    pairs = compare(cases, {"python": python, "native": native, "chip": off_by_a_bit})
+    assert [(pair.first, pair.second, pair.mismatches) for pair in pairs] == [
+        ("python", "native", 0),
+        ("python", "chip", 1),
+        ("native", "chip", 1),
+    ]
+    assert pairs[1].fields["cost"] == 1
+    assert pairs[1].first_failure.startswith(f"seed 1, case 7 of 30 ({KINDS[7]}), depth 1, state [")
+
+
+def test_unusable_comparisons_are_refused() -> None:
+    place = python_place(TABLES, PATH, PlanConfig())
+    cases = make_cases(TABLES, PATH, 15, 1)
+    with pytest.raises(FrogkickError, match="1 place given"):
+        compare(cases, {"python": place})
+    with pytest.raises(FrogkickError, match="'short' returned"):
+        compare(cases, {"python": place, "short": lambda states, depths: place(states, depths)[:3]})
+    with pytest.raises(InputError, match="0 states"):
+        make_cases(TABLES, PATH, 0, 1)

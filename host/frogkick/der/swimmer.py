@@ -171,8 +171,8 @@ class Swimmer:
             self.time_s = reached
             raise ConvergenceError(
                 f"rods of {self.rods.robot.id!r} did not converge at {reached:.6f} s: residual "
-                f"{residual:.3g} of the force scale after {MAX_ITERATIONS} iterations and {MAX_HALVINGS} halvings of "
-                f"{self._step_s:g} s; pose {self.pose_world().tolist()}, velocity "
+                f"{residual:.3g} of the force scale after {MAX_ITERATIONS} iterations and {MAX_HALVINGS} "
+                f"halvings of {self._step_s:g} s; pose {self.pose_world().tolist()}, velocity "
                 f"{self.velocity_body().tolist()}: "
                 "check the robot's stiffness and the initial velocity"
             )

@@ -1,0 +1,17 @@
+"""Sample states, simulate actions, keep the transitions, quantise them to tables."""
+
+from frogkick.library.build import BuildReport, build_library, sample_velocities, simulate_transitions
+from frogkick.library.quantise import quantise
+from frogkick.library.store import Library, library_info, read_library, write_library
+
+__all__ = [
+    "BuildReport",
+    "Library",
+    "build_library",
+    "library_info",
+    "quantise",
+    "read_library",
+    "sample_velocities",
+    "simulate_transitions",
+    "write_library",
+]

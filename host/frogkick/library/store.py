@@ -1,0 +1,198 @@
+"""The library file: every simulated transition, in HDF5, checked when it is read."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+from numpy.typing import NDArray
+
+import frogkick
+from frogkick.errors import InputError
+from frogkick.files import atomic_path, existing_file
+from frogkick.robot import Robot, parse_robot
+
+FloatArray = NDArray[np.float64]
+
+FORMAT = "frogkick library"
+FORMAT_VERSION = 1
+_UNITS = {
+    "initial_velocity_body": ("m/s, m/s, rad/s", "body at the start: forward, left, counter-clockwise"),
+    "displacement_body": ("m, m, rad", "body at the start: forward, left, counter-clockwise"),
+    "velocity_body_end": ("m/s, m/s, rad/s", "body at the end: forward, left, counter-clockwise"),
+}
+
+
+@dataclass(frozen=True)
+class Library:
+    """Transitions of one robot: n initial velocities times a actions.
+
+    Attributes:
+        robot_toml: the robot's canonical text; robot() reads it.
+        robot_sha256: 32 bytes, of that text.
+        seed: of the sampled velocities.
+        frogkick_version: that made it.
+        period_s: simulated time of each transition.
+        initial_velocity_body: (n, 3) forward, left (m/s), turn rate (rad/s).
+        displacement_body: (n, a, 3) forward, left (m), turn (rad), body frame at the start.
+        velocity_body_end: (n, a, 3) body frame at the end.
+    """
+
+    robot_id: str
+    robot_toml: str
+    robot_sha256: bytes
+    seed: int
+    frogkick_version: str
+    period_s: float
+    initial_velocity_body: FloatArray
+    displacement_body: FloatArray
+    velocity_body_end: FloatArray
+
+    def robot(self) -> Robot:
+        """The robot that was simulated."""
+        return parse_robot(self.robot_toml, source="the library's robot")
+
+    def content_sha256(self) -> bytes:
+        """SHA-256 (32 bytes) of robot, transitions and period: equal libraries give equal tables."""
+        digest = hashlib.sha256(self.robot_sha256)
+        for values in (self.initial_velocity_body, self.displacement_body, self.velocity_body_end):
+            digest.update(np.ascontiguousarray(values, dtype="<f8").tobytes())
+        digest.update(np.float64(self.period_s).astype("<f8").tobytes())
+        return digest.digest()
+
+
+def write_library(library: Library, out: Path | str) -> None:
+    """Write a library, wholly or not at all; equal libraries give equal bytes.
+
+    Raises:
+        InputError: the place cannot be written to.
+    """
+    with atomic_path(out) as temporary, h5py.File(temporary, "w", libver=("v110", "v110")) as file:
+        file.attrs["format"] = FORMAT
+        file.attrs["format_version"] = FORMAT_VERSION
+        file.attrs["robot_id"] = library.robot_id
+        file.attrs["robot_toml"] = library.robot_toml
+        file.attrs["robot_sha256"] = library.robot_sha256.hex()
+        file.attrs["seed"] = library.seed
+        file.attrs["frogkick_version"] = library.frogkick_version
+        file.attrs["period_s"] = library.period_s
+        for name, (units, frame) in _UNITS.items():
+            dataset = file.create_dataset(name, data=getattr(library, name), dtype="<f8")
+            dataset.attrs["units"] = units
+            dataset.attrs["frame"] = frame
+
+
+def read_library(path: Path | str) -> Library:
+    """Read and check a library.
+
+    Raises:
+        InputError: missing, not HDF5, truncated, another format or version, or content that does not fit.
+    """
+    source = existing_file(path, "library")
+    try:
+        with h5py.File(source, "r") as file:
+            attributes = {key: file.attrs[key] for key in file.attrs}
+            _check_format(attributes, path)
+            arrays = {name: np.asarray(file[name][()], dtype=np.float64) for name in _UNITS}
+        library = Library(
+            robot_id=str(attributes["robot_id"]),
+            robot_toml=str(attributes["robot_toml"]),
+            robot_sha256=bytes.fromhex(str(attributes["robot_sha256"])),
+            seed=int(attributes["seed"]),
+            frogkick_version=str(attributes["frogkick_version"]),
+            period_s=float(attributes["period_s"]),
+            **arrays,
+        )
+    except (OSError, KeyError, ValueError, TypeError, AttributeError, RuntimeError) as error:
+        reason = " ".join(str(error).split())[:120]
+        raise InputError(
+            f"library {str(path)!r} is not whole or not a library: {reason}; build it again"
+        ) from error
+    _check_content(library, path)
+    return library
+
+
+def library_info(path: Path | str) -> dict[str, Any]:
+    """What a library holds, as plain values.
+
+    Raises:
+        InputError: see read_library.
+    """
+    library = read_library(path)
+    states, actions = library.displacement_body.shape[:2]
+    low, high = library.initial_velocity_body.min(axis=0), library.initial_velocity_body.max(axis=0)
+    return {
+        "format_version": FORMAT_VERSION,
+        "robot": library.robot_id,
+        "robot_sha256": library.robot_sha256.hex(),
+        "content_sha256": library.content_sha256().hex(),
+        "seed": library.seed,
+        "frogkick_version": library.frogkick_version,
+        "period_s": library.period_s,
+        "states": states,
+        "actions": actions,
+        "transitions": states * actions,
+        "simulated_s": states * actions * library.period_s,
+        "velocity_low": low.tolist(),
+        "velocity_high": high.tolist(),
+        "bytes": Path(path).stat().st_size,
+    }
+
+
+def make_library(
+    robot: Robot, seed: int, initial: FloatArray, displacement: FloatArray, end: FloatArray
+) -> Library:
+    """Put transitions and their origin together."""
+    return Library(
+        robot_id=robot.id,
+        robot_toml=robot.toml,
+        robot_sha256=robot.sha256,
+        seed=seed,
+        frogkick_version=frogkick.__version__,
+        period_s=robot.period_s,
+        initial_velocity_body=initial,
+        displacement_body=displacement,
+        velocity_body_end=end,
+    )
+
+
+def _check_format(attributes: dict[str, Any], path: Path | str) -> None:
+    found = attributes.get("format")
+    if found != FORMAT:
+        raise InputError(f"{str(path)!r} is HDF5 of format {found!r}, not {FORMAT!r}: name a library")
+    version = int(attributes.get("format_version", 0))
+    if version != FORMAT_VERSION:
+        raise InputError(
+            f"library {str(path)!r} has format version {version}, this program reads {FORMAT_VERSION}: "
+            "build it again or update frogkick"
+        )
+
+
+def _check_content(library: Library, path: Path | str) -> None:
+    if hashlib.sha256(library.robot_toml.encode("utf-8")).digest() != library.robot_sha256:
+        raise InputError(f"library {str(path)!r}: the robot's text does not match its hash; build it again")
+    robot = library.robot()
+    n, a = len(library.initial_velocity_body), len(robot.actions)
+    expected = {
+        "initial_velocity_body": (n, 3),
+        "displacement_body": (n, a, 3),
+        "velocity_body_end": (n, a, 3),
+    }
+    for name, shape in expected.items():
+        values = getattr(library, name)
+        if n == 0 or values.shape != shape:
+            raise InputError(
+                f"library {str(path)!r}: {name} has shape {values.shape}, not {shape}; build it again"
+            )
+        bad = np.argwhere(~np.isfinite(values))
+        if bad.size:
+            raise InputError(f"library {str(path)!r}: {name}{bad[0].tolist()} is not finite; build it again")
+    if robot.id != library.robot_id or robot.period_s != library.period_s:
+        raise InputError(
+            f"library {str(path)!r} says robot {library.robot_id!r}, {library.period_s} s, its robot's text "
+            f"{robot.id!r}, {robot.period_s} s: build it again"
+        )

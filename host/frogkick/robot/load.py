@@ -220,5 +220,8 @@ def _robot(file: RobotFile, source: str) -> Robot:
         toml=text,
         sha256=hashlib.sha256(text.encode("utf-8")).digest(),
     )
-    robot.actuation()  # the actions' own profile must exist: say so now, not at the first simulation
+    try:
+        robot.actuation()  # the actions' own profile must exist: say so now, not at the first simulation
+    except InputError as error:
+        raise InputError(f"{source}: {error}") from None
     return robot

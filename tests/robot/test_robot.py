@@ -1,0 +1,147 @@
+"""Robot files: what they say is what comes out; wrong ones are refused by name."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from frogkick.errors import InputError
+from frogkick.robot import load_robot, parse_robot
+from frogkick.robot.toml_text import to_toml
+
+ROBOT = load_robot("frog2022")
+
+
+def test_the_paper_robot_is_as_published() -> None:
+    assert [limb.name for limb in ROBOT.limbs] == ["front_right", "front_left", "rear_left", "rear_right"]
+    masks = {a.name: (a.first_mask, a.second_mask) for a in ROBOT.actions}
+    # Limbs in the order front right, front left, rear left, rear right: C is 0111, H is 1000.
+    assert masks == {
+        "A": (0b0011, 0),
+        "B": (0b0011, 0b1100),
+        "C": (0b0010, 0b1100),
+        "D": (0b0001, 0b1100),
+        "E": (0b0010, 0b0100),
+        "F": (0b0001, 0b1000),
+        "G": (0b0010, 0),
+        "H": (0b0001, 0),
+        "I": (0, 0),
+    }
+    assert (ROBOT.period_s, ROBOT.pulse_s) == (1.425, 0.080)
+    assert ROBOT.library_box.omega_rad_s == pytest.approx((-math.pi / 6, math.pi / 6))
+    assert len(ROBOT.sha256) == 32
+    assert 0.3 < ROBOT.mass_kg < 0.4
+
+
+def test_canonical_text_reads_back_to_the_same_robot() -> None:
+    again = parse_robot(ROBOT.toml, source="text")
+    assert again == ROBOT
+
+
+def test_comments_do_not_change_the_hash_and_values_do() -> None:
+    assert parse_robot("# a comment\n" + ROBOT.toml, source="text").sha256 == ROBOT.sha256
+    changed = parse_robot(ROBOT.toml.replace("period_s = 1.425", "period_s = 1.426"), source="text")
+    assert changed.sha256 != ROBOT.sha256
+
+
+def test_a_file_is_read_like_a_name(tmp_path: Path) -> None:
+    file = tmp_path / "mine.toml"
+    file.write_text(ROBOT.toml)
+    assert load_robot(file) == ROBOT
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "says"),
+    [
+        ("pulse_s =", "pulses_s =", "'pulse_s'"),
+        ("corner = 0", "cornr = 0", "'corner'"),
+        ("drag_width_m = 0.0275", "drag_width = 0.0275", "'drag_width_m'"),
+        ("period_s = 1.425", "period_s = nan", "period_s"),
+        ("period_s = 1.425", "period_s = -1.0", "greater than 0"),
+        ("corner = 3", "corner = 9", "corner 9"),
+        ("corner = 3", "corner = 2", "two limbs' corners"),
+        ('name = "B"', 'name = "A"', "two actions"),
+        ('first = ["front_left"]', 'first = ["front_lef"]', "'front_left'"),
+        ("segments = [23, 23, 23, 23]", "segments = [23, 23]", "2 entries for 4 edges"),
+        ("forward_mps = [0.0, 0.04]", "forward_mps = [0.04, 0.0]", "lower end first"),
+        ("profile_frequency_hz = 0.7", "profile_frequency_hz = 3.0", "0.4-1.2 Hz"),
+        ('id = "frog2022"', 'id = "a-name-longer-than-15"', "15 characters"),
+        ("period_s = 1.425", "period_s = = 1", "not TOML"),
+    ],
+)
+def test_wrong_values_are_refused_in_one_line(old: str, new: str, says: str) -> None:
+    assert old in ROBOT.toml
+    with pytest.raises(InputError) as caught:
+        parse_robot(ROBOT.toml.replace(old, new, 1), source="my.toml")
+    text = str(caught.value)
+    assert "my.toml" in text
+    assert says in text
+    assert "\n" not in text
+
+
+def test_a_missing_key_is_named() -> None:
+    with pytest.raises(InputError, match="'pulse_s' is missing"):
+        parse_robot(ROBOT.toml.replace("pulse_s = 0.08\n", "", 1), source="my.toml")
+
+
+def test_unknown_robots_and_actions_are_refused() -> None:
+    with pytest.raises(InputError, match="did you mean 'frog2022'"):
+        load_robot("frog2021")
+    with pytest.raises(InputError, match="does not exist"):
+        load_robot("nowhere/robot.toml")
+    with pytest.raises(InputError, match="A, B, C"):
+        ROBOT.action("Z")
+    assert ROBOT.action("c").name == "C"
+
+
+def test_profiles_are_not_extrapolated() -> None:
+    for egain, frequency in ((10.0, 2.0), (10.0, 0.1), (60.0, 1.0), (35.0, 1.0), (10.0, math.nan)):
+        with pytest.raises(InputError, match=r"0\.4-1\.2 Hz"):
+            ROBOT.actuation(egain, frequency)
+
+
+def test_between_profiles_a_stroke_lies_between_them() -> None:
+    low, mid, high = (ROBOT.actuation(10.0, f) for f in (0.7, 0.75, 0.8))
+    assert (
+        low.drop_per_m < mid.drop_per_m < high.drop_per_m or low.drop_per_m > mid.drop_per_m > high.drop_per_m
+    )
+    assert mid.duration_s == pytest.approx(1.0 / 0.75)
+    for stroke in (low, mid, high):
+        assert stroke.activation[0] == stroke.activation[-1] == 0.0
+        assert stroke.activation.min() >= 0.0
+        assert stroke.activation.max() == 1.0
+
+
+def test_toml_refuses_what_it_cannot_hold() -> None:
+    with pytest.raises(InputError):
+        to_toml({"a": math.inf})
+    with pytest.raises(InputError):
+        to_toml({"a": None})
+
+
+def test_another_number_of_limbs_follows_from_the_file() -> None:
+    """Nothing but the TOML knows of four limbs: a hexagon with six limbs loads and has 6 mask bits."""
+    radius = 0.06
+    corners = [[radius * math.cos(k * math.pi / 3), radius * math.sin(k * math.pi / 3)] for k in range(6)]
+    import tomllib
+
+    table = tomllib.loads(ROBOT.toml)
+    limb = table["limb"][1]
+    table["frame"] |= {"corners_m": corners, "segments": [8] * 6}
+    table["limb"] = [{**limb, "name": f"limb{k}", "corner": k, "direction_deg": 60.0 * k} for k in range(6)]
+    table["action"] = [{"name": "A", "first": ["limb0", "limb5"], "second": ["limb3"]}]
+    table["gait"] = {"lead": ["limb0"], "lag": ["limb5"]}
+    robot = parse_robot(to_toml(table), source="six")
+    assert len(robot.limbs) == 6
+    assert robot.action("A").first_mask == 0b100001
+    assert replace(robot, title="x") != robot
+
+
+def test_fitted_profiles_follow_the_formula_outside_of_the_cycle() -> None:
+    profile = ROBOT.profiles[0]
+    k = profile.curvature_per_m(np.array([-1.0, 0.0, profile.duration_s, 99.0]))
+    assert k == pytest.approx(profile.rest_curvature_per_m)

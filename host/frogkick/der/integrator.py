@@ -162,7 +162,7 @@ def advance(
 ) -> tuple[float, float, int]:
     """Advance a state in place from ``time_s`` to ``until_s`` in equal steps of at most ``step_s``.
 
-    A step that does not converge is halved, up to MAX_HALVINGS times, and grows back after two successes.
+    A step that does not converge is cut in halves, up to MAX_HALVINGS times; the next one starts whole.
 
     Returns:
         The time reached (less than until_s where even the shortest step failed), the last residual over the

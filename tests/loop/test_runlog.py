@@ -22,9 +22,8 @@ from frogkick.loop.runlog import (
     RunLog,
     Strokes,
     Truth,
-    read_run,
-    write_run,
 )
+from frogkick.loop.runlog_file import read_run, write_run
 from frogkick.paths import line
 
 

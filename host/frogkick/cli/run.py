@@ -13,7 +13,7 @@ from frogkick.cli.common import JsonOption, SeedOption, progress_bar, show
 from frogkick.cli.places import plan_config, robot_of_table, simulated_robot, start_pose, swim_path
 from frogkick.loop.closed_loop import RunOptions, run_in_pool
 from frogkick.loop.record import run_log, tracking_of_recording
-from frogkick.loop.runlog import write_run
+from frogkick.loop.runlog_file import write_run
 from frogkick.planner.image import read_image
 from frogkick.pool.camera import Camera
 from frogkick.pool.pool import Pool

@@ -19,7 +19,8 @@ from frogkick.loop.decision import DecisionTwin
 from frogkick.loop.record import Tracking, run_log, tracking_of_recording
 from frogkick.loop.replay import compare, replay_on_host
 from frogkick.loop.residual import Residual, residual
-from frogkick.loop.runlog import RunLog, write_run
+from frogkick.loop.runlog import RunLog
+from frogkick.loop.runlog_file import write_run
 from frogkick.paths import SHAPES, shape
 from frogkick.planner.image import Tables, read_image
 from frogkick.planner.plan import PlanConfig

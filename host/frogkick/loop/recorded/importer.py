@@ -15,7 +15,8 @@ from frogkick.files import existing_file
 from frogkick.loop.recorded.clock import Clock, estimate_clock, motion_lag
 from frogkick.loop.recorded.frames import mark_frames
 from frogkick.loop.recorded.table import ACTION_NAMES, Table, read_table
-from frogkick.loop.runlog import DecisionFlag, Decisions, Fixes, FixFlag, RunLog, Strokes, read_run, write_run
+from frogkick.loop.runlog import DecisionFlag, Decisions, Fixes, FixFlag, RunLog, Strokes
+from frogkick.loop.runlog_file import read_run, write_run
 from frogkick.paths import read_path, wrap_angle
 
 Float64 = NDArray[np.float64]

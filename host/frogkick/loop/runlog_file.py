@@ -1,0 +1,147 @@
+"""The run log's HDF5 layout: one for ours (on board, in the pool) and for imported ones.
+
+Root attributes: format, format_version, robot_id, source, period_s, pulse_s, notes; table_crc and seed
+where the run has them. Groups `fixes`, `decisions`, `strokes`, and where the run has them `path`, `truth`
+(simulated runs only) and `measured` (numbers about the run, as attributes). Every dataset carries `unit`.
+"""
+
+from __future__ import annotations
+
+import pathlib
+from dataclasses import fields
+from typing import Any
+
+import h5py
+import numpy as np
+
+from frogkick.errors import InputError
+from frogkick.files import atomic_path, existing_file
+from frogkick.loop.runlog import DecisionFlag, Decisions, Fixes, FixFlag, RunLog, Strokes, Truth
+from frogkick.paths import Path
+
+FORMAT = "frogkick run"
+FORMAT_VERSION = 1
+
+# Unit of an additional column, from the end of its name, longest first.
+_SUFFIX_UNITS = {
+    "_mps": "m/s",
+    "_radps": "rad/s",
+    "_rad_s": "rad/s",
+    "_rad": "rad",
+    "_m": "m",
+    "_us": "us",
+    "_s": "s",
+}
+
+
+def write_run(target: pathlib.Path | str, run: RunLog) -> None:
+    """Write a run to HDF5, wholly or not at all; the same run gives the same bytes.
+
+    Raises:
+        InputError: the folder cannot be written to.
+    """
+    with atomic_path(target) as temporary, h5py.File(temporary, "w") as file:
+        file.attrs["format"] = FORMAT
+        file.attrs["format_version"] = FORMAT_VERSION
+        for name in ("robot_id", "source", "period_s", "pulse_s", "notes"):
+            file.attrs[name] = getattr(run, name)
+        if run.table_crc is not None:
+            file.attrs["table_crc"] = np.uint32(run.table_crc)
+        if run.seed is not None:
+            file.attrs["seed"] = np.int64(run.seed)
+        for group in (run.fixes, run.decisions, run.strokes, run.truth):
+            if group is not None:
+                _write_group(file, group)
+        for name, flag in (("fixes", FixFlag), ("decisions", DecisionFlag)):
+            file[f"{name}/flags"].attrs["bits"] = [
+                f"{bit.name.lower()}={int(bit)}" for bit in flag if bit.name
+            ]
+        file["decisions/action"].attrs["names"] = list(run.action_names) or h5py.Empty("S1")
+        if run.path is not None:
+            group = file.create_group("path")
+            group.attrs["name"] = run.path.name
+            for name, unit in (("x_m", "m"), ("y_m", "m"), ("tangent_rad", "rad")):
+                group.create_dataset(name, data=getattr(run.path, name)).attrs["unit"] = unit
+        if run.measured:
+            group = file.create_group("measured")
+            for name in sorted(run.measured):
+                group.attrs[name] = float(run.measured[name])
+
+
+def read_run(source: pathlib.Path | str) -> RunLog:
+    """Read a run from HDF5.
+
+    Raises:
+        InputError: missing, empty, foreign, truncated or newer file; a missing group or column; NaN in a
+            column where no flag marks it missing (column and row named).
+    """
+    file_path = existing_file(source, "run log")
+    name = file_path.name
+    try:
+        with h5py.File(file_path, "r") as file:
+            return _read(file, name)
+    except InputError as error:
+        raise InputError(f"run log {name!r}: {str(error).removeprefix('run: ')}") from error
+    except (OSError, KeyError, RuntimeError, ValueError, TypeError) as error:
+        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+        raise InputError(
+            f"run log {name!r} is not HDF5, is cut short or is damaged ({reason}): record or import it again"
+        ) from error
+
+
+def _read(file: h5py.File, name: str) -> RunLog:
+    if file.attrs.get("format") != FORMAT:
+        found = file.attrs.get("format", "no format")
+        raise InputError(f"run: this is another kind of file ({found!r}), expected {FORMAT!r}: give a run")
+    version = int(file.attrs["format_version"])
+    if version != FORMAT_VERSION:
+        raise InputError(
+            f"run: format version {version}, this frogkick reads {FORMAT_VERSION}: use a matching frogkick"
+        )
+    path = None
+    if "path" in file:
+        group = file["path"]
+        path = Path(group["x_m"][:], group["y_m"][:], group["tangent_rad"][:], str(group.attrs["name"]))
+    names = file["decisions/action"].attrs["names"]
+    return RunLog(
+        robot_id=str(file.attrs["robot_id"]),
+        source=str(file.attrs["source"]),
+        period_s=float(file.attrs["period_s"]),
+        pulse_s=float(file.attrs["pulse_s"]),
+        action_names=() if isinstance(names, h5py.Empty) else tuple(str(action) for action in names),
+        fixes=Fixes(**_read_group(file, Fixes)),
+        decisions=Decisions(**_read_group(file, Decisions)),
+        strokes=Strokes(**_read_group(file, Strokes)),
+        path=path,
+        truth=Truth(**_read_group(file, Truth)) if "truth" in file else None,
+        table_crc=int(file.attrs["table_crc"]) if "table_crc" in file.attrs else None,
+        seed=int(file.attrs["seed"]) if "seed" in file.attrs else None,
+        notes=str(file.attrs["notes"]),
+        measured={k: float(v) for k, v in file["measured"].attrs.items()} if "measured" in file else {},
+    )
+
+
+def _write_group(file: h5py.File, group: Fixes | Decisions | Strokes | Truth) -> None:
+    target = file.create_group(group.NAME)
+    for name, column in group.SCHEMA.items():
+        values = getattr(group, name)
+        if values is not None:
+            target.create_dataset(name, data=values).attrs["unit"] = column.unit
+    for name, values in sorted(group.extra.items()):
+        unit = next((unit for end, unit in _SUFFIX_UNITS.items() if name.endswith(end)), "1")
+        target.create_dataset(name, data=values).attrs["unit"] = unit
+
+
+def _read_group(file: h5py.File, kind: type[Fixes | Decisions | Strokes | Truth]) -> dict[str, Any]:
+    if kind.NAME not in file:
+        raise InputError(f"run: group {kind.NAME!r} is missing: record or import it again")
+    group = file[kind.NAME]
+    columns: dict[str, Any] = {}
+    for name, column in kind.SCHEMA.items():
+        if name in group:
+            columns[name] = group[name][:]
+        elif not column.optional:
+            raise InputError(f"run: column {kind.NAME}/{name} is missing: record or import it again")
+    known = {entry.name for entry in fields(kind)}
+    columns["extra"] = {name: group[name][:] for name in group if name not in known}
+    return columns

@@ -90,6 +90,9 @@ class VirtualChip:
             flash_bytes=FLASH_BYTES,
             table=ctypes.cast(self._table.entries, ctypes.c_void_p),
             emu_stop=ctypes.cast(uclib.uc_emu_stop, ctypes.c_void_p),
+            reg_read=ctypes.cast(uclib.uc_reg_read, ctypes.c_void_p),
+            reg_write=ctypes.cast(uclib.uc_reg_write, ctypes.c_void_p),
+            cpsr=arm_const.UC_ARM_REG_CPSR,
         )
         self._pc = self._image.reset_address
         self._uc = self._make_core()

@@ -134,7 +134,7 @@ class CostTable:
         Raises:
             ChipError: there is no instruction at ``address``.
         """
-        in_it = 0
+        in_it = it_place = 0
         first = address
         # 64 instructions of at most 4 bytes: longer runs are continued when the core gets there.
         for instruction in self._capstone.disasm(self._flash[address : address + 256], address, 64):
@@ -146,14 +146,18 @@ class CostTable:
             elif self.entries[place]:
                 return
             if instruction.id == arm.ARM_INS_IT:
-                in_it = len(_stem(instruction.mnemonic)) - 1
+                in_it, it_place = len(_stem(instruction.mnemonic)) - 1, place
             self.entries[place] = cycles * 256 | flags
             address = instruction.address + instruction.size
             if not in_it and instruction.group(capstone.CS_GRP_JUMP):
                 return
+        if in_it:
+            # Cut off inside an IT block, where the core must not be stopped: the next run begins with the IT.
+            for place in range(it_place, address // 2):
+                self.entries[place] = 0
         if address == first:
             raise ChipError(
                 f"no instruction of the Cortex-M4 at 0x{address:08x} "
-                f"(bytes {self._flash[address : address + 4].hex()}): the firmware ran into data, or was built "
+                f"(bytes {self._flash[address : address + 4].hex()}): the firmware ran into data, or is "
                 "for another core"
             )

@@ -30,6 +30,9 @@ typedef struct {
     uint32_t unaligned;    /* address of the access that stopped the core */
     const uint16_t *table; /* an entry for each halfword of flash */
     int (*emu_stop)(void *);
+    int (*reg_read)(void *, int, void *);
+    int (*reg_write)(void *, int, const void *);
+    int32_t cpsr;          /* unicorn's number of that register */
 } fk_hook_state_t;
 
 static void stop(fk_hook_state_t *state, void *uc, uint32_t why, uint32_t address)
@@ -37,6 +40,20 @@ static void stop(fk_hook_state_t *state, void *uc, uint32_t why, uint32_t addres
     state->stop = why;
     state->address = address;
     state->emu_stop(uc);
+}
+
+/* unicorn 2.1 copies the IT state of an instruction into the core before a memory hook, and never clears it: after a
+ * conditional POP {pc} the code returned to would be taken for the inside of an IT block, where branches are illegal
+ * and stops are ignored. Code inside the block does not look at the copy, so it can be cleared at once. */
+static void clear_it_state(fk_hook_state_t *state, void *uc)
+{
+    const uint32_t it_bits = (0x3Fu << 10) | (0x3u << 25);
+    uint32_t cpsr = 0u;
+    (void)state->reg_read(uc, state->cpsr, &cpsr);
+    if ((cpsr & it_bits) != 0u) {
+        cpsr &= ~it_bits;
+        (void)state->reg_write(uc, state->cpsr, &cpsr);
+    }
 }
 
 void fk_hook_code(void *uc, uint64_t address64, uint32_t size, void *user);
@@ -89,6 +106,9 @@ void fk_hook_memory(void *uc, int type, uint64_t address64, int size, int64_t va
     (void)value;
     if (address < state->flash_bytes) {
         state->time += state->data_wait;
+    }
+    if ((state->entry & FLAG_IN_IT) != 0u) {
+        clear_it_state(state, uc);
     }
     if ((address & 3u) != 0u && (state->entry & FLAG_ALIGNED) != 0u && state->stop == STOP_NONE) {
         state->unaligned = address;

@@ -16,7 +16,8 @@ from typing import Final
 from frogkick.pool.chip.errors import ChipError
 
 _SOURCE: Final = Path(__file__).with_name("hook.c")
-_FLAGS: Final = ("-O2", "-shared", "-fPIC", "-std=c99", "-Wall", "-Wextra", "-Wconversion", "-Werror")
+# baseline: zig would build for exactly this processor, and a cache folder may be shared with another.
+_FLAGS: Final = ("-mcpu=baseline", "-O2", "-shared", "-fPIC", "-std=c99", "-Wall", "-Wextra", "-Werror")
 
 
 class Stop(IntEnum):
@@ -61,12 +62,16 @@ class HookState(ctypes.Structure):
         ("unaligned", ctypes.c_uint32),
         ("table", ctypes.c_void_p),
         ("emu_stop", ctypes.c_void_p),
+        ("reg_read", ctypes.c_void_p),
+        ("reg_write", ctypes.c_void_p),
+        ("cpsr", ctypes.c_int32),
     ]
 
 
 def _cache_folder() -> Path:
-    root = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-    return Path(root) / "frogkick" / "chip"
+    given = os.environ.get("FROGKICK_CACHE_DIR")
+    base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+    return (Path(given) if given else Path(base) / "frogkick") / "chip"
 
 
 @cache
@@ -90,7 +95,9 @@ def _compile(library: Path) -> None:
         with tempfile.TemporaryDirectory(dir=library.parent) as folder:
             built = Path(folder) / "hook.so"
             command = [sys.executable, "-m", "ziglang", "cc", *_FLAGS, "-o", str(built), str(_SOURCE)]
-            done = subprocess.run(command, capture_output=True, text=True, check=False)
+            zig_cache = str(library.parent / "zig")
+            environment = {"ZIG_GLOBAL_CACHE_DIR": zig_cache, "ZIG_LOCAL_CACHE_DIR": zig_cache, **os.environ}
+            done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
             if done.returncode != 0:
                 raise ChipError(
                     f"the virtual chip's hook.c does not compile: {done.stderr.strip()[-400:]}; "
@@ -100,5 +107,5 @@ def _compile(library: Path) -> None:
     except OSError as error:
         raise ChipError(
             f"cannot keep the virtual chip's hook in {str(library.parent)!r}: {error.strerror}; "
-            "set XDG_CACHE_HOME to a folder that can be written"
+            "set FROGKICK_CACHE_DIR to a folder that can be written"
         ) from error

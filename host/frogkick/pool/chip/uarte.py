@@ -196,7 +196,7 @@ class Uarte(Peripheral):
             )
         if not RAM_BASE <= pointer <= RAM_BASE + RAM_BYTES - count:
             raise self.system.fail(
-                f"UARTE0.{line}.PTR 0x{pointer:08x} with {count} bytes is outside RAM, all that EasyDMA reaches"
+                f"UARTE0.{line}.PTR 0x{pointer:08x} + {count} bytes is outside RAM, where EasyDMA fails"
             )
         return pointer, count
 

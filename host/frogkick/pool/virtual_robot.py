@@ -1,0 +1,61 @@
+"""The bench firmware on the virtual chip, as a robot to talk to."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from frogkick.errors import InputError
+from frogkick.link.frames import Frame, FrameCollector
+from frogkick.pool.chip import VirtualChip
+from frogkick.pool.port import Edge
+
+# firmware/bench/board.h; a test holds the two together.
+LIMB_PINS = (22, 23, 24, 25)
+
+
+class VirtualRobot:
+    """A ``RobotPort``: real firmware, real UARTE frames, limbs seen at the pins.
+
+    Attributes:
+        chip: the virtual chip itself, for measurements.
+    """
+
+    def __init__(self, elf: Path, limbs: int) -> None:
+        """Power the chip on.
+
+        Args:
+            elf: image of the target "bench".
+            limbs: number of limbs of the robot.
+
+        Raises:
+            InputError: not such an image, or more limbs than the board has pins.
+        """
+        if limbs > len(LIMB_PINS):
+            raise InputError(f"the robot has {limbs} limbs, the bench board {len(LIMB_PINS)}: use --robot pool")
+        self.chip = VirtualChip(elf)
+        self._limb_of_pin = {pin: limb for limb, pin in enumerate(LIMB_PINS[:limbs])}
+        self._collector = FrameCollector()
+
+    def send(self, encoded: bytes, at_s: float) -> None:
+        """Put bytes on the UART's wire."""
+        # The chip may be a part of an instruction ahead of the time it was told.
+        self.chip.send(encoded, max(at_s * 1e6, self.chip.time_us))
+
+    def advance(self, until_s: float) -> None:
+        """Let the chip live until a time."""
+        self.chip.run_until(until_s * 1e6)
+
+    def frames(self) -> list[tuple[float, Frame]]:
+        """Frames whose last byte has come since the last call."""
+        found = []
+        for time_us, data in self.chip.received():
+            found += [(time_us * 1e-6, frame) for frame in self._collector.feed(data)]
+        return found
+
+    def edges(self) -> list[Edge]:
+        """Edges of the limbs' pins since the last call."""
+        return [
+            Edge(time_us * 1e-6, self._limb_of_pin[pin], level)
+            for time_us, pin, level in self.chip.pin_edges()
+            if pin in self._limb_of_pin
+        ]

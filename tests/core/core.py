@@ -1,0 +1,287 @@
+"""The C core that ships, as a library that pytest drives; and a robot to talk to, one frame and tick at a time."""
+
+from __future__ import annotations
+
+import os
+import struct
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import cffi
+from tests.conftest import REPOSITORY, count
+from tests.planner import synthetic
+
+from frogkick.link.frames import Frame, FrameCollector, pack_frame
+from frogkick.link.layout import Value, link_layout
+from frogkick.robot import load_robot
+from frogkick_codegen.firmware import robot_config
+from frogkick_codegen.native import build_shared, planner_files
+from frogkick_codegen.toolchain import FLAGS, Compiler, other
+
+COVERAGE_DIR = os.environ.get("FK_CORE_COVERAGE_DIR")
+"""Set by test_core_coverage for its own run of this folder: build with gcov's counters, into that folder."""
+
+CORE = REPOSITORY / "firmware" / "core"
+STATUS = link_layout().status
+STATE = link_layout().state
+NEVER_US = 2**64 - 1
+
+_DECLARATIONS = """
+typedef struct { uint8_t limb_mask; uint8_t all_off; uint32_t pulse_us; uint64_t next_tick_us; } fk_outputs_t;
+uint32_t fk_robot_bytes(void);
+int32_t fk_robot_init(void *robot, const uint8_t *image, uint32_t image_bytes);
+void fk_robot_on_frame(void *robot, const uint8_t *encoded, uint32_t length, uint64_t now_us);
+void fk_robot_tick(void *robot, uint64_t now_us, fk_outputs_t *outputs);
+void fk_robot_note_tick(void *robot, uint32_t elapsed_us);
+uint32_t fk_robot_take_tx(void *robot, uint8_t *bytes, uint32_t capacity);
+void fk_guard_init(void *guard);
+int32_t fk_guard_allow(void *guard, uint8_t limb_mask, uint32_t pulse_us, uint64_t now_us);
+void fk_guard_cut(void *guard, uint64_t now_us);
+void fk_estimator_init(void *estimator);
+uint32_t fk_frame_encode(uint8_t type, uint8_t sequence, const uint8_t *payload, uint32_t payload_length,
+                         uint8_t *to, uint32_t capacity);
+uint32_t fk_test_guard_bytes(void);
+uint32_t fk_test_estimator_bytes(void);
+uint32_t fk_test_encoded_max(void);
+int32_t fk_test_decode(const uint8_t *encoded, uint32_t length, uint8_t *head, uint8_t *payload,
+                       uint32_t *payload_length);
+uint32_t fk_test_count_frames(const uint8_t *bytes, const uint32_t *lengths, uint32_t count);
+int32_t fk_test_on_frames(void *robot, const uint8_t *bytes, const uint32_t *lengths, uint32_t count,
+                          uint64_t now_us);
+uint32_t fk_test_collect(const uint8_t *bytes, uint32_t length, uint8_t *frames, uint32_t *lengths);
+int32_t fk_test_estimator_add(void *estimator, uint64_t capture_us, const float *pose, uint16_t sequence);
+int32_t fk_test_estimator_at(const void *estimator, uint64_t at_us, float *state, uint32_t *numbers);
+void fk_test_floats(const uint32_t *bits, uint32_t count, uint8_t *bytes, uint32_t *back);
+"""
+
+FFI = cffi.FFI()
+FFI.cdef(_DECLARATIONS)
+
+
+def cases(normal: int, full: int) -> int:
+    """``count``, but a hundredth of it where gcov counts: there every line once is enough."""
+    return max(1, normal // 100) if COVERAGE_DIR else count(normal, full)
+
+
+def source_files() -> dict[str, bytes]:
+    """Every file of the core's library by name: planner, core, the robot's limits, the shim."""
+    files = planner_files() | {path.name: path.read_bytes() for path in sorted(CORE.glob("*.[ch]"))}
+    files["fk_robot_config.h"] = robot_config(load_robot("frog2022")).encode()
+    files["shim.c"] = (Path(__file__).parent / "shim.c").read_bytes()
+    return files
+
+
+def library(files: Mapping[str, bytes] | None = None) -> Any:
+    """Build and load the core; ``files`` where a test changed some of them."""
+    if COVERAGE_DIR and files is None:
+        return FFI.dlopen(str(_coverage_library(Path(COVERAGE_DIR), other("gcc"))))
+    return FFI.dlopen(str(build_shared("fk_core", source_files() if files is None else files)))
+
+
+def _coverage_library(folder: Path, gcc: Compiler | None) -> Path:
+    assert gcc is not None, "test_core_coverage looks for gcc before it sets FK_CORE_COVERAGE_DIR"
+    files = source_files()
+    for name, content in files.items():
+        (folder / name).write_bytes(content)
+    flags = [flag for flag in FLAGS if flag != "-O2"] + ["-O0", "--coverage", "-fPIC", "-shared"]
+    sources = sorted(name for name in files if name.endswith(".c"))
+    gcc.run([*flags, "-o", "core.so", *sources], folder=folder)
+    return folder / "core.so"
+
+
+@cache
+def core() -> Any:
+    """The library of the sources as they are."""
+    return library()
+
+
+def mutated(name: str, old: str, new: str) -> dict[str, bytes]:
+    """The sources with one text replaced, which must stand there exactly once."""
+    files = source_files()
+    text = files[name].decode()
+    assert text.count(old) == 1, f"{name} holds {old!r} {text.count(old)} times: correct the mutation"
+    files[name] = text.replace(old, new).encode()
+    return files
+
+
+def strings(parts: Sequence[bytes]) -> tuple[bytes, Any]:
+    """Byte strings as the shim takes many: joined, and their lengths."""
+    return b"".join(parts), FFI.new("uint32_t[]", [len(part) for part in parts])
+
+
+def encode(kind: int, sequence: int, payload: bytes, capacity: int = 256) -> bytes:
+    """``fk_frame_encode``, delimiter included; empty where it does not fit."""
+    to = FFI.new("uint8_t[]", 512)
+    size = core().fk_frame_encode(kind, sequence, payload, len(payload), to, capacity)
+    return bytes(FFI.buffer(to, size))
+
+
+def decode(encoded: bytes) -> tuple[int, int, bytes] | None:
+    """``fk_frame_decode``: type, sequence, payload; None where it refuses."""
+    head, payload, length = FFI.new("uint8_t[2]"), FFI.new("uint8_t[256]"), FFI.new("uint32_t *")
+    # Exactly as many bytes as the frame has: what reads beyond them reads somebody else's.
+    if core().fk_test_decode(FFI.from_buffer(encoded), len(encoded), head, payload, length) != 0:
+        return None
+    return head[0], head[1], bytes(FFI.buffer(payload, length[0]))
+
+
+def collect(stream: bytes) -> list[bytes]:
+    """What ``fk_frame_collect`` cuts from a stream."""
+    frames, lengths = FFI.new("uint8_t[]", len(stream) + 1), FFI.new("uint32_t[]", len(stream) + 1)
+    many = core().fk_test_collect(stream, len(stream), frames, lengths)
+    found, at = [], 0
+    for index in range(many):
+        found.append(bytes(FFI.buffer(frames + at, lengths[index])))
+        at += lengths[index]
+    return found
+
+
+ACTION_ROWS = [
+    ("A", 0b0011, 0),
+    ("B", 0b0011, 0b1100),
+    ("C", 0b0010, 0b1100),
+    ("D", 0b0001, 0b0100),
+    ("R", 0b1100, 0),
+    ("S", 0, 0b0001),
+    ("I", 0, 0),
+]
+ACTION = {name: index for index, (name, _, _) in enumerate(ACTION_ROWS)}
+RESTING = ACTION["I"]
+PULSE_US = 80_000
+DELAY_US = 80_000
+PERIOD_US = 1_425_000
+GAP_US = 1_000  # FK_STROKE_GAP_US
+
+
+def image(**changes: object) -> bytes:
+    """A made-up table with these actions; ``changes`` replace arguments of pack_nearest."""
+    rows = changes.get("action_rows", ACTION_ROWS)
+    assert isinstance(rows, list)
+    return synthetic.pack(*synthetic.transitions(60, len(rows), 5), **({"action_rows": rows} | changes))
+
+
+@dataclass(frozen=True)
+class Outputs:
+    """What one tick asked for."""
+
+    limb_mask: int
+    all_off: int
+    pulse_us: int
+    next_tick_us: int
+
+
+class Robot:
+    """One robot in C. Time is what the test says it is."""
+
+    def __init__(self, table: bytes | None = None, now_us: int = 1_000_000, made: Any = None) -> None:
+        self.core = core() if made is None else made
+        self.image = image() if table is None else table
+        self.now_us = now_us
+        self.memory = FFI.new("uint64_t[]", (self.core.fk_robot_bytes() + 7) // 8)
+        self._image = FFI.new("uint64_t[]", (len(self.image) + 7) // 8)
+        FFI.memmove(self._image, self.image, len(self.image))
+        self._outputs = FFI.new("fk_outputs_t *")
+        self._collector = FrameCollector()
+        self._sequence = 0
+        image_at = FFI.cast("uint8_t *", self._image)
+        self.error = self.core.fk_robot_init(self.memory, image_at, len(self.image))
+
+    def raw(self, encoded: bytes) -> None:
+        """One frame without its delimiter."""
+        self.core.fk_robot_on_frame(self.memory, encoded, len(encoded), self.now_us)
+
+    def post(
+        self, name: str, values: dict[str, Value] | None = None, rows: Sequence[Sequence[Value]] = ()
+    ) -> int:
+        self._sequence = (self._sequence + 1) & 0xFF
+        self.raw(pack_frame(name, "command", self._sequence, values, rows)[:-1])
+        return self._sequence
+
+    def ask(
+        self, name: str, values: dict[str, Value] | None = None, rows: Sequence[Sequence[Value]] = ()
+    ) -> dict[str, Value]:
+        """A command and the values of its answer; events that stand before it are dropped."""
+        sequence = self.post(name, values, rows)
+        frame = self.take()[-1]
+        assert (frame.name, frame.kind, frame.sequence) == (name, "answer", sequence)
+        return frame.values
+
+    def status(
+        self, name: str, values: dict[str, Value] | None = None, rows: Sequence[Sequence[Value]] = ()
+    ) -> str:
+        """The name of the answer's status."""
+        return link_layout().status_name(int(self.ask(name, values, rows)["status"]))
+
+    def tick(self, now_us: int | None = None) -> Outputs:
+        self.now_us = self.now_us if now_us is None else now_us
+        self.core.fk_robot_tick(self.memory, self.now_us, self._outputs)
+        out = self._outputs
+        return Outputs(out.limb_mask, out.all_off, out.pulse_us, out.next_tick_us)
+
+    def run_until(self, until_us: int) -> list[tuple[int, int]]:
+        """Tick whenever the core asks for it; the pulses: (time, limbs)."""
+        pulses = []
+        due_us = self.now_us
+        for _ in range(100_000):
+            out = self.tick(due_us)
+            if out.limb_mask:
+                pulses.append((self.now_us, out.limb_mask))
+            if out.next_tick_us > until_us:
+                self.now_us = until_us
+                return pulses
+            due_us = max(self.now_us, out.next_tick_us)
+        raise AssertionError("the core asks for ticks without end")
+
+    def take(self, capacity: int = 1024) -> list[Frame]:
+        """The frames that wait to be sent; none of them may be damaged."""
+        frames = self._collector.feed(self.take_bytes(capacity))
+        assert self._collector.bad == 0
+        return frames
+
+    def take_bytes(self, capacity: int = 1024) -> bytes:
+        buffer = FFI.new("uint8_t[]", max(1, capacity))
+        return bytes(FFI.buffer(buffer, self.core.fk_robot_take_tx(self.memory, buffer, capacity)))
+
+    def fix(self, x_m: float = 0.1, y_m: float = 0.0, heading_rad: float = 0.0, **changes: Value) -> str:
+        """A position fix; its status."""
+        values: dict[str, Value] = {
+            "fix_sequence": 7, "quality": 1, "capture_age_us": 0,
+            "x_m": x_m, "y_m": y_m, "heading_rad": heading_rad,
+        }  # fmt: skip
+        return self.status("FIX", values | changes)
+
+    def path(self, points: int = 20) -> None:
+        """A straight path of one metre along x."""
+        rows = [(index / (points - 1), 0.0, 0.0) for index in range(points)]
+        for first in range(0, points, 18):
+            part = rows[first : first + 18]
+            assert self.status("PATH", {"first": first, "total": points, "count": len(part)}, part) == "OK"
+
+    def state(self) -> str:
+        value = self.ask("STATUS")["state"]
+        return next(name for name, number in STATE.items() if number == value)
+
+    def start(self, delay_us: int = 0) -> str:
+        return self.status("START", {"delay_us": delay_us})
+
+    def stroke(self, name: str) -> str:
+        return self.status("STROKE", {"action": ACTION[name]})
+
+    def begin(self, state: str) -> Robot:
+        """Bring a fresh robot into a state; RUNNING has its first decision a second later."""
+        self.tick()
+        if state != "DISARMED":
+            assert self.status("ARM") == "OK"
+        if state == "RUNNING":
+            self.path()
+            assert self.fix() == "OK"
+            assert self.start(1_000_000) == "OK"
+        return self
+
+
+def bits(value: float) -> int:
+    """The bits of a float32."""
+    return int(struct.unpack("<I", struct.pack("<f", value))[0])

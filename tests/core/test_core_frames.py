@@ -1,0 +1,169 @@
+"""The C's frames against the cobs package and zlib, and under every kind of damage."""
+
+from __future__ import annotations
+
+import struct
+import zlib
+
+import numpy as np
+import pytest
+from cobs import cobs
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from tests.core.core import FFI, Robot, cases, collect, core, decode, encode, strings
+
+from frogkick.link.frames import pack_frame
+from frogkick.link.layout import link_layout
+
+PAYLOAD_MAX = link_layout().payload_bytes_max
+PAYLOADS = st.binary(max_size=PAYLOAD_MAX) | st.integers(0, PAYLOAD_MAX).map(bytes)
+BYTE = st.integers(0, 255)
+
+
+def python_frame(kind: int, sequence: int, payload: bytes) -> bytes:
+    """A frame as the reference makes it, without delimiter."""
+    raw = bytes([kind, sequence]) + payload
+    return bytes(cobs.encode(raw + struct.pack("<I", zlib.crc32(raw))))
+
+
+@settings(max_examples=cases(1000, 20_000), deadline=None)
+@given(BYTE, BYTE, PAYLOADS)
+def test_both_ways(kind: int, sequence: int, payload: bytes) -> None:
+    assert encode(kind, sequence, payload) == python_frame(kind, sequence, payload) + b"\0"
+    assert decode(python_frame(kind, sequence, payload)) == (kind, sequence, payload)
+
+
+@settings(max_examples=cases(1000, 20_000), deadline=None)
+@given(st.binary(max_size=300))
+def test_any_bytes_are_a_frame_to_both_or_to_none(encoded: bytes) -> None:
+    found = decode(encoded)
+    try:
+        raw = bytes(cobs.decode(encoded))
+    except cobs.DecodeError:
+        assert found is None
+        return
+    good = 6 <= len(raw) <= PAYLOAD_MAX + 6 and struct.pack("<I", zlib.crc32(raw[:-4])) == raw[-4:]
+    assert found == ((raw[0], raw[1], raw[2:-4]) if good else None)
+
+
+@pytest.mark.parametrize("size", [0, 1, 19, 100, PAYLOAD_MAX])
+def test_every_flip_of_one_bit_is_refused(size: int) -> None:
+    payload = np.random.default_rng(size).integers(0, 256, size, dtype=np.uint8).tobytes()
+    for filling in (payload, bytes(size), b"\xff" * size):
+        encoded = python_frame(0x04, 9, filling)
+        for position in range(8 * len(encoded)):
+            damaged = bytearray(encoded)
+            damaged[position // 8] ^= 1 << position % 8
+            assert decode(bytes(damaged)) is None, f"bit {position}"
+
+
+@pytest.mark.parametrize("size", [0, 5, PAYLOAD_MAX])
+def test_every_truncation_is_refused(size: int) -> None:
+    encoded = python_frame(0x04, 9, bytes(range(1, size + 1)))
+    for length in range(len(encoded)):
+        assert decode(encoded[:length]) is None
+        assert decode(encoded[length + 1 :]) is None
+    assert decode(encoded + b"\x01") is None
+
+
+def test_a_raw_frame_beyond_the_payload_limit_is_refused() -> None:
+    assert decode(python_frame(1, 1, bytes(PAYLOAD_MAX + 1))) is None
+    assert decode(python_frame(1, 1, b"\x05" * (PAYLOAD_MAX + 1))) is None
+    # A block of 254 bytes: COBS, but more than any frame here holds.
+    assert decode(b"\xff" + b"\x07" * 254) is None
+    assert decode(b"\x01" * 255) is None
+
+
+def test_encode_writes_nothing_where_it_does_not_fit() -> None:
+    whole = encode(3, 4, b"12345")
+    assert len(whole) == 13
+    for capacity in range(20):
+        assert encode(3, 4, b"12345", capacity) == (whole if capacity >= 13 else b"")
+    assert encode(1, 1, bytes(PAYLOAD_MAX + 1)) == b""
+    # The largest frame and its delimiter fill what the collector and an EasyDMA buffer hold.
+    assert len(encode(1, 1, bytes(PAYLOAD_MAX))) == core().fk_test_encoded_max() == PAYLOAD_MAX + 8 <= 255
+
+
+def test_garbage_before_a_frame_costs_that_frame_only() -> None:
+    good = python_frame(4, 1, b"abc")
+    stream = b"\x93\x11\x05" + good + b"\0" + good + b"\0"
+    found = collect(stream)
+    assert [decode(part) for part in found] == [None, (4, 1, b"abc")]
+    # A sender that cannot know what stood on the wire before sends a delimiter first.
+    assert [decode(part) for part in collect(b"\x93\x11\x05\0" + good + b"\0")] == [None, (4, 1, b"abc")]
+
+
+def test_empty_frames_are_nothing() -> None:
+    assert collect(bytes(1000)) == []
+    good = python_frame(4, 1, b"abc")
+    assert collect(b"\0\0" + good + b"\0\0\0" + good + b"\0") == [good, good]
+
+
+@pytest.mark.parametrize("extra", [-1, 0, 1, 2, 1000, 70_000])
+def test_a_frame_that_is_too_long_is_one_bad_frame(extra: int) -> None:
+    limit = core().fk_test_encoded_max()
+    good = python_frame(4, 1, b"abc")
+    found = collect(b"\x07" * (limit + extra) + b"\0" + good + b"\0")
+    assert len(found) == 2
+    assert len(found[0]) == (limit + extra if extra <= 0 else 1)
+    assert decode(found[0]) is None
+    assert decode(found[1]) == (4, 1, b"abc")
+
+
+def test_resynchronisation_after_any_cut() -> None:
+    frames = [python_frame(kind, kind, bytes([kind] * 20)) + b"\0" for kind in range(1, 9)]
+    stream = b"".join(frames)
+    for cut in range(len(frames[0]), 5 * len(frames[0])):
+        damaged = stream[:cut] + stream[cut + 3 :]
+        kinds = [found[0] for part in collect(damaged) if (found := decode(part))]
+        assert len(kinds) >= 6
+        assert kinds == sorted(set(kinds)), "a frame came twice or out of order"
+
+
+def test_random_bytes_change_nothing() -> None:
+    many = cases(100_000, 1_000_000)
+    rng = np.random.default_rng(11)
+    robot = Robot().begin("RUNNING")
+    for begin in range(0, many, 10_000):
+        lengths = rng.integers(0, 260, min(10_000, many - begin))
+        parts = [rng.bytes(int(length)) for length in lengths]
+        joined, sizes = strings(parts)
+        assert core().fk_test_count_frames(joined, sizes, len(parts)) == 0
+        assert core().fk_test_on_frames(robot.memory, joined, sizes, len(parts), robot.now_us) == 0
+    assert robot.ask("STATUS")["frames_bad"] == many
+
+
+def test_commands_with_random_payloads_never_tear_an_answer() -> None:
+    """Frames that are whole, with contents that are not: answered, or counted."""
+    rng = np.random.default_rng(12)
+    robot = Robot().begin("ARMED")
+    answered = 0
+    for _ in range(cases(20_000, 400_000)):
+        kind = int(rng.integers(0, 14)) if rng.random() < 0.9 else int(rng.integers(0, 256))
+        payload = rng.bytes(int(rng.choice([0, 1, 4, 5, 19, 25, 15, 27, rng.integers(0, PAYLOAD_MAX + 1)])))
+        robot.raw(python_frame(kind, 1, payload))
+        robot.tick(robot.now_us + int(rng.integers(0, 30_000)))
+        answer = robot.take_bytes()
+        parts = [decode(part) for part in collect(answer)]
+        assert all(part is not None for part in parts)
+        answered += sum(part[0] == kind | 0x80 for part in parts if part)
+    assert answered > 0.9 * cases(20_000, 400_000)
+
+
+def test_the_frames_of_both_languages_are_the_same_bytes() -> None:
+    encoded = pack_frame("STROKE", "command", 200, {"action": 3})
+    assert encode(0x0A, 200, b"\x03") == encoded
+
+
+def test_floats_keep_their_bits() -> None:
+    special = [0x00000000, 0x80000000, 0x00000001, 0x7F7FFFFF, 0x7F800000, 0xFF800000, 0x7FC00000, 0xFFC12345]
+    values = np.array(special + np.random.default_rng(1).integers(0, 2**32, 1000).tolist(), dtype=np.uint32)
+    data = FFI.new("uint8_t[]", 4 * len(values))
+    back = np.zeros_like(values)
+    core().fk_test_floats(
+        FFI.from_buffer("uint32_t[]", values), len(values), data, FFI.from_buffer("uint32_t[]", back)
+    )
+    assert bytes(FFI.buffer(data)) == values.astype("<u4").tobytes()
+    # x87 could quiet a signalling NaN on its way; nothing else may change a bit.
+    signalling = ((values & 0x7F800000) == 0x7F800000) & ((values & 0x003FFFFF) != 0) & ((values >> 22) & 1 == 0)
+    assert (back == values)[~signalling].all()

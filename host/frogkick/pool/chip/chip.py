@@ -60,7 +60,7 @@ class VirtualChip:
         self._slept_parts = 0
         self._failed: ChipError | None = None
         self._invalid: tuple[int, int, int] | None = None
-        self._lines: dict[int, bool] = {}
+        self._access_error: ChipError | None = None
 
         self._clock = Clock(self, "CLOCK", 0x4000_0000)
         self._uarte = Uarte(self, "UARTE0", 0x4000_2000)
@@ -263,7 +263,9 @@ class VirtualChip:
         try:
             self._uc.emu_start(self._pc | 1, _NOWHERE)
         except unicorn.UcError as error:
-            raise self._fault(error) from error
+            raise self._access_error or self._fault(error) from error
+        if self._access_error is not None:
+            raise self._access_error
         self._pc = self._state.address
         why = Stop(self._state.stop)
         if why is Stop.UNKNOWN:
@@ -301,17 +303,28 @@ class VirtualChip:
         self._state.fetch_wait = cost.fetch_wait_cached_parts if enabled else cost.fetch_wait_uncached_parts
 
     def _mmio_read(self, peripheral: Peripheral, _uc: Any, offset: int, size: int, _data: Any) -> int:
-        self._before_access(peripheral, offset, size)
-        value = peripheral.read(offset)
-        self._set_limit()
-        return value
+        return self._access(peripheral, offset, size, None)
 
     def _mmio_write(
         self, peripheral: Peripheral, _uc: Any, offset: int, size: int, value: int, _data: Any
     ) -> None:
-        self._before_access(peripheral, offset, size)
-        peripheral.write(offset, value & 0xFFFF_FFFF)
-        self._set_limit()
+        self._access(peripheral, offset, size, value & 0xFFFF_FFFF)
+
+    def _access(self, peripheral: Peripheral, offset: int, size: int, value: int | None) -> int:
+        """Read (value None) or write a register; an error is kept for after the emulator has stopped."""
+        result = 0
+        if self._access_error is None:
+            try:
+                self._before_access(peripheral, offset, size)
+                if value is None:
+                    result = peripheral.read(offset)
+                else:
+                    peripheral.write(offset, value)
+                self._set_limit()
+            except ChipError as error:
+                self._access_error = error
+                self._uc.emu_stop()
+        return result
 
     def _before_access(self, peripheral: Peripheral, offset: int, size: int) -> None:
         if size != 4 or offset % 4:

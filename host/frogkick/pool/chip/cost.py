@@ -2,8 +2,8 @@
 
 Source: Arm, Cortex-M4 Technical Reference Manual r0p1, tables 3-1 and 7-1. Where it gives a range, the upper
 end is taken, so that times on the chip are rather too long than too short. Not modelled: the overlap of
-neighbouring loads and stores, early termination of a division, folded IT. A conditional instruction that is
-skipped in an IT block costs as if it were executed.
+neighbouring loads and stores, early termination of a division, folded IT. An instruction that is skipped by
+its condition in an IT block costs one cycle.
 """
 
 from __future__ import annotations

@@ -56,6 +56,26 @@ static void clear_it_state(fk_hook_state_t *state, void *uc)
     }
 }
 
+/* Instructions between two places that were skipped by their condition in an IT block: the emulator does not call
+ * for those. 0 where there is anything else between, which means a branch. A block has at most 4 of 4 bytes. */
+static uint32_t skipped_in_it(const fk_hook_state_t *state, uint32_t from, uint32_t to)
+{
+    uint32_t count = 0u;
+    if (to < from || to - from > 16u || (state->table[from >> 1] & FLAG_IN_IT) == 0u) {
+        return 0u;
+    }
+    for (uint32_t address = from; address < to; address += 2u) {
+        uint32_t entry = state->table[address >> 1];
+        if ((entry & FLAG_KNOWN) != 0u) {
+            if ((entry & FLAG_IN_IT) == 0u) {
+                return 0u;
+            }
+            ++count;
+        }
+    }
+    return count;
+}
+
 void fk_hook_code(void *uc, uint64_t address64, uint32_t size, void *user);
 void fk_hook_memory(void *uc, int type, uint64_t address64, int size, int64_t value, void *user);
 
@@ -88,7 +108,9 @@ void fk_hook_code(void *uc, uint64_t address64, uint32_t size, void *user)
         }
     }
     if (address != state->expected) {
-        state->time += state->refill;
+        uint32_t skipped = skipped_in_it(state, state->expected, address);
+        state->instructions += skipped;
+        state->time += (skipped > 0u) ? (uint64_t)skipped * (256u + state->fetch_wait) : state->refill;
     }
     state->address = address;
     state->expected = address + size;

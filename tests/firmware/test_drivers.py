@@ -1,0 +1,182 @@
+"""The bench's drivers on the virtual chip: bytes through EasyDMA, pulses that end by themselves."""
+
+from __future__ import annotations
+
+import itertools
+import random
+import shutil
+from pathlib import Path
+
+import pytest
+from bench_build import GCC, build
+
+from frogkick.pool.chip import VirtualChip
+
+BOOT_US = 2000.0
+BYTE_US = 1e6 * 10 / 115200
+PINS = (22, 23, 24, 25)
+ESCAPE = 0xFE
+
+
+def echoable(count: int, seed: int) -> bytes:
+    choose = random.Random(seed)
+    return bytes(choose.choice([b for b in range(256) if b != ESCAPE]) for _ in range(count))
+
+
+def talk(chip: VirtualChip, data: bytes, extra_us: float = 1000.0) -> bytes:
+    """Send, wait until the echo must be through, return it."""
+    chip.send(data, chip.time_us)
+    chip.run_until(chip.time_us + 2 * len(data) * BYTE_US + 255 * BYTE_US + extra_us)
+    return b"".join(part for _, part in chip.received())
+
+
+def pulse_command(kind: int, mask: int, pulse_us: int) -> bytes:
+    return bytes([ESCAPE, kind, mask, *(pulse_us // 10).to_bytes(2, "little")])
+
+
+def signed(answer: bytes) -> int:
+    assert answer[:2] == bytes([ESCAPE, 1]), answer
+    return int.from_bytes(answer[2:3], "little", signed=True)
+
+
+@pytest.fixture
+def chip(echo_elf: Path) -> VirtualChip:
+    booted = VirtualChip(echo_elf)
+    booted.run_until(BOOT_US)
+    booted.pin_edges()
+    return booted
+
+
+def test_echo_of_all_byte_values(chip: VirtualChip) -> None:
+    data = bytes(b for b in range(256) if b != ESCAPE)
+    assert talk(chip, data) == data
+
+
+@pytest.mark.parametrize("count", [1, 2, 254, 255, 256, 509, 510, 511, 1500])
+def test_echo_in_one_go_over_the_ends_of_the_buffers(chip: VirtualChip, count: int) -> None:
+    data = echoable(count, count)
+    assert talk(chip, data) == data
+    assert chip.uart_bytes_lost == 0
+
+
+def test_echo_of_frames_back_to_back_and_apart(chip: VirtualChip) -> None:
+    frames = [echoable(3 + 37 * i % 120, i) for i in range(40)]
+    for i, frame in enumerate(frames):
+        chip.send(frame, chip.time_us + (0.0 if i % 3 else 333.3 * i))
+        chip.run_until(chip.time_us + (50.0 * i) % 700)
+    chip.run_until(chip.time_us + 1e6)
+    assert b"".join(part for _, part in chip.received()) == b"".join(frames)
+
+
+def test_bytes_leave_at_the_wires_pace(chip: VirtualChip) -> None:
+    chip.send(b"frog", chip.time_us)
+    chip.run_until(chip.time_us + 2000)
+    times = [time for time, _ in chip.received()]
+    # The first byte wakes the core and goes out alone; the rest follow later, never faster than the wire.
+    assert all(after - before >= BYTE_US - 0.02 for before, after in itertools.pairwise(times))
+    assert times[0] - BOOT_US == pytest.approx(2 * BYTE_US, abs=10.0)
+
+
+def test_unread_bytes_are_kept_for_a_buffer_and_dropped_whole_beyond(chip: VirtualChip) -> None:
+    """60 ms asleep: 255 bytes always survive; 600 do not, are counted, and reception goes on after them."""
+    kept = echoable(255, 1)
+    assert talk(chip, bytes([ESCAPE, 5]) + kept, 60_000) == kept
+    assert talk(chip, bytes([ESCAPE, 5]) + echoable(600, 2), 60_000) == b""
+    data = echoable(700, 3)
+    assert talk(chip, data) == data
+    overruns, line_errors = talk(chip, bytes([ESCAPE, 4]))[2:]
+    assert (overruns, line_errors) == (1, 0)
+
+
+@pytest.mark.parametrize("before", [0, 1, 100, 251, 252, 253, 254])
+@pytest.mark.parametrize("unread", [1, 254, 255, 256])
+def test_bytes_while_nobody_reads_are_whole_or_dropped_whole(
+    chip: VirtualChip, before: int, unread: int
+) -> None:
+    """Wherever in its buffer the receiver stands: nothing is garbled, and 255 bytes are never lost."""
+    first = echoable(before, before + 1)
+    assert talk(chip, first) == first
+    data = echoable(unread, unread)
+    echo = talk(chip, bytes([ESCAPE, 5]) + data, 60_000)
+    assert echo == data or (unread > 255 and echo == b"")
+    after = echoable(300, 5)
+    assert talk(chip, after) == after
+
+
+@pytest.mark.parametrize("pulse_us", [10, 1000, 70_000, 80_000, 100_000])
+@pytest.mark.parametrize("mask", [0b0001, 0b0110, 0b1111])
+@pytest.mark.parametrize("kind", [1, 2], ids=["core lives", "core hangs"])
+def test_a_pulse_lasts_its_time_even_where_the_core_hangs(
+    chip: VirtualChip, pulse_us: int, mask: int, kind: int
+) -> None:
+    chip.send(pulse_command(kind, mask, pulse_us), chip.time_us)
+    chip.run_until(chip.time_us + pulse_us + 3000)
+    edges = chip.pin_edges()
+    for limb, pin in enumerate(PINS):
+        own = [(time, level) for time, edge_pin, level in edges if edge_pin == pin]
+        if mask >> limb & 1:
+            assert [level for _, level in own] == [True, False]
+            assert own[1][0] - own[0][0] == pytest.approx(pulse_us, abs=1.0)
+        else:
+            assert own == []
+
+
+def test_a_second_pulse_while_one_is_on_is_refused(chip: VirtualChip) -> None:
+    assert signed(talk(chip, pulse_command(1, 0b0001, 80_000))) == 0
+    assert signed(talk(chip, pulse_command(1, 0b0010, 80_000))) == -2
+    chip.run_until(chip.time_us + 100_000)
+    assert [(pin, level) for _, pin, level in chip.pin_edges()] == [(22, True), (22, False)]
+    assert signed(talk(chip, pulse_command(1, 0b0010, 1000))) == 0
+    assert [(pin, level) for _, pin, level in chip.pin_edges()] == [(23, True), (23, False)]
+
+
+@pytest.mark.parametrize(
+    ("mask", "pulse_us"), [(0, 1000), (0b10000, 1000), (1, 0), (1, 100_010), (1, 655_350)]
+)
+def test_a_pulse_out_of_range_is_refused(chip: VirtualChip, mask: int, pulse_us: int) -> None:
+    assert signed(talk(chip, pulse_command(1, mask, pulse_us))) == -1
+    assert chip.pin_edges() == []
+
+
+def test_off_ends_a_pulse_at_once_and_frees_the_gates(chip: VirtualChip) -> None:
+    talk(chip, pulse_command(1, 0b0011, 80_000))
+    before = chip.time_us
+    chip.send(bytes([ESCAPE, 3]), before)
+    chip.run_until(before + 1000)
+    falls = [time for time, _, level in chip.pin_edges() if not level]
+    assert len(falls) == 2
+    assert all(0 <= time - before - 2 * BYTE_US < 20 for time in falls)
+    assert signed(talk(chip, pulse_command(1, 0b0100, 500))) == 0
+    assert [level for *_, level in chip.pin_edges()] == [True, False]
+
+
+def test_sleep_is_found_again_after_everything(chip: VirtualChip) -> None:
+    talk(chip, pulse_command(1, 0b0001, 20_000))
+    talk(chip, echoable(600, 9))
+    chip.run_until(chip.time_us + 100_000)
+    before = chip.instructions
+    chip.run_until(chip.time_us + 10e6)
+    assert chip.instructions == before
+
+
+def test_the_clock_survives_its_32_bits(echo_elf: Path) -> None:
+    """TIMER0 wraps after 71.6 minutes; the firmware still sleeps, wakes and answers after three of them."""
+    chip = VirtualChip(echo_elf)
+    chip.run_until(3.5 * 2**32)
+    assert chip.instructions < 100_000
+    data = echoable(300, 4)
+    assert talk(chip, data) == data
+    assert talk(chip, bytes([ESCAPE, 5]) + data[:20], 65_000) == data[:20]
+    high_word = chip.ram_read(chip.symbol("high_word"), 4)
+    assert int.from_bytes(high_word, "little") == 3
+
+
+@pytest.mark.extra
+def test_the_other_compiler_takes_it_too(tmp_path: Path) -> None:
+    if shutil.which(GCC[0]) is None:
+        pytest.skip(f"{GCC[0]} is not installed")
+    source = Path(__file__).with_name("driver_echo.c")
+    chip = VirtualChip(build([source], tmp_path / "echo.elf", compiler=GCC))
+    chip.run_until(BOOT_US)
+    data = echoable(300, 7)
+    assert talk(chip, data) == data

@@ -46,7 +46,7 @@ int32_t fk_guard_allow(fk_guard_t *guard, uint8_t limb_mask, uint32_t pulse_us, 
             continue;
         }
         ++limbs_on;
-        if (rested_from_us != 0u && now_us < rested_from_us + FK_REST_MIN_US) {
+        if (now_us < rested_from_us + FK_REST_MIN_US) {
             return 0;
         }
         if (on_time_us(limb, end_us) + pulse_us > FK_DUTY_ON_MAX_US) {

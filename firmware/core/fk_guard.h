@@ -19,7 +19,7 @@ typedef char fk_limbs_limit_is_a_limit[(FK_LIMBS_AT_ONCE_MAX >= 1u && FK_LIMBS_A
 
 typedef struct {
     uint64_t start_us[FK_GUARD_HISTORY]; /* ring of each limb's latest pulses */
-    uint64_t end_us[FK_GUARD_HISTORY];   /* 0 = this place was never used */
+    uint64_t end_us[FK_GUARD_HISTORY];   /* 0 = this place was never used, and: a limb may have been on until boot */
     uint32_t next;                       /* place of the next pulse, also the oldest */
 } fk_guard_limb_t;
 
@@ -27,6 +27,7 @@ typedef struct {
     fk_guard_limb_t limbs[FK_LIMBS_MAX];
 } fk_guard_t;
 
+/* Empty books. Which limb was hot before the reset is unknown, so all of them rest first, from time 0 on. */
 void fk_guard_init(fk_guard_t *guard);
 
 /* May these limbs be heated now? If so the pulse is entered in the books, wholly or not at all.

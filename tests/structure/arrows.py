@@ -1,0 +1,135 @@
+"""Who may import whom: DESIGN.md's arrows as data, and a reader of the code that finds what breaks them."""
+
+from __future__ import annotations
+
+import ast
+import sys
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+CODEGEN = "codegen"
+"""How the table below calls the package frogkick_codegen."""
+
+EVERYBODY = frozenset({"errors", "files", "__init__"})
+"""Modules of frogkick that all may import; ``__init__`` is the version."""
+
+ARROWS: Mapping[str, frozenset[str]] = {
+    "robot": frozenset(),
+    "der": frozenset({"robot"}),
+    "library": frozenset({"robot", "der", "planner"}),  # planner: it packs the table image
+    "planner": frozenset(),
+    "paths": frozenset(),
+    "link": frozenset(),
+    "pool": frozenset({"robot", "der", "link"}),
+    "loop": frozenset({"robot", "planner", "paths", "link", "pool"}),
+    "study": frozenset({"robot", "der", "library", "planner", "paths", "link", "pool", "loop", CODEGEN}),
+    "report": frozenset({"robot", "library", "planner", "paths", "pool", "loop", "study", CODEGEN}),
+    "cli": frozenset(
+        {"robot", "der", "library", "planner", "paths", "link", "pool", "loop", "study", "report", CODEGEN}
+    ),
+    CODEGEN: frozenset({"robot", "planner", "link"}),
+    "errors": frozenset(),
+    "files": frozenset(),
+    "__init__": frozenset(),
+}
+"""Folder or module of frogkick -> those that it may import besides itself and ``EVERYBODY``."""
+
+WHEELS: Mapping[str, frozenset[str]] = {
+    "planner": frozenset({"numpy", "numba"}),
+    "paths": frozenset({"numpy", "numba"}),
+    "link": frozenset({"cobs"}),
+    "errors": frozenset(),
+    "files": frozenset(),
+    "__init__": frozenset(),
+}
+"""Where an arrow also limits what is not ours: the packages allowed besides the standard library."""
+
+
+@dataclass(frozen=True)
+class Import:
+    """One import: from which file and line (relative to the root), which dotted module."""
+
+    file: str
+    line: int
+    module: str
+
+
+def imports_of(file: Path, package: str, name: str) -> Iterator[Import]:
+    """Yield every import of a file, wherever it stands in it, with relative ones made absolute.
+
+    Args:
+        file: Python source.
+        package: dotted package that the file is in.
+        name: how to call the file in an ``Import``.
+    """
+    for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"), filename=name)):
+        if isinstance(node, ast.Import):
+            for alias in node.names:
+                yield Import(name, node.lineno, alias.name)
+        elif isinstance(node, ast.ImportFrom):
+            base = node.module or ""
+            if node.level:
+                parts = package.split(".")
+                parents = parts[: len(parts) - node.level + 1]
+                base = ".".join([*parents, base] if base else parents)
+            # `from frogkick import cli` names the module in the list, not before it.
+            for alias in node.names:
+                yield Import(name, node.lineno, f"{base}.{alias.name}")
+        elif isinstance(node, ast.Call) and node.args:
+            called = node.func.attr if isinstance(node.func, ast.Attribute) else getattr(node.func, "id", "")
+            first = node.args[0]
+            if (
+                called in ("import_module", "__import__", "run_module")
+                and isinstance(first, ast.Constant)
+                and isinstance(first.value, str)
+            ):
+                yield Import(name, node.lineno, first.value)
+
+
+def violations(root: Path) -> list[str]:
+    """Return one line for each import below ``root`` that the tables do not allow.
+
+    Args:
+        root: a repository: ``host/frogkick`` and ``codegen/frogkick_codegen`` are read.
+    """
+    found: list[str] = []
+    host = root / "host" / "frogkick"
+    ours = {entry.stem for entry in host.iterdir() if entry.suffix == ".py" or entry.is_dir()}
+    for top in (host, root / "codegen" / "frogkick_codegen"):
+        for file in sorted(top.rglob("*.py")):
+            inside = file.relative_to(top)
+            package = ".".join([top.name, *inside.parts[:-1]])
+            room = CODEGEN if top.name == "frogkick_codegen" else inside.parts[0].removesuffix(".py")
+            name = file.relative_to(root).as_posix()
+            if room not in ARROWS:
+                found.append(f"{name}:1 {room!r} has no row in ARROWS: add one")
+                continue
+            for one in imports_of(file, package, name):
+                reason = _reason(room, one.module, ours)
+                if reason:
+                    found.append(f"{one.file}:{one.line} {reason}")
+    return sorted(set(found))
+
+
+def _reason(room: str, module: str, ours: set[str]) -> str:
+    """Return why ``room`` must not import ``module``, or ""."""
+    parts = module.split(".")
+    if parts[0] == "frogkick":
+        target = parts[1] if len(parts) > 1 else "__init__"
+        if target not in ARROWS:
+            # A name out of frogkick/__init__.py (the version), unless there is such a folder without a row.
+            target = target if target in ours else "__init__"
+    elif parts[0] == "frogkick_codegen":
+        target = CODEGEN
+    elif parts[0] in sys.stdlib_module_names or room not in WHEELS or parts[0] in WHEELS[room]:
+        return ""
+    else:
+        return f"{room} imports {parts[0]}, allowed is {_list(WHEELS[room])} and the standard library"
+    if target == room or target in EVERYBODY or target in ARROWS[room]:
+        return ""
+    return f"{room} imports {target} ({module}), allowed is {_list(ARROWS[room])}"
+
+
+def _list(names: frozenset[str]) -> str:
+    return ", ".join(sorted(names)) or "nothing of ours"

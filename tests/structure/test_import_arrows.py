@@ -1,0 +1,78 @@
+"""DESIGN.md's import arrows hold, and the check finds what would break them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from tests.conftest import REPOSITORY
+from tests.structure.arrows import ARROWS, CODEGEN, violations
+
+
+def plant(root: Path, files: dict[str, str]) -> list[str]:
+    """Make a small tree of the real one's shape and return what breaks the arrows in it."""
+    sound = {
+        "host/frogkick/__init__.py": '__version__ = "0"\n',
+        "host/frogkick/errors.py": "",
+        "host/frogkick/planner/kernel.py": "import numba\nfrom frogkick.errors import InputError\n",
+        "host/frogkick/library/build.py": "import frogkick\nfrom ..planner import image\n",
+        "codegen/frogkick_codegen/emit.py": "from frogkick import __version__, planner\n",
+    }
+    for name, text in {**sound, **files}.items():
+        file = root / name
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_text(text)
+    return violations(root)
+
+
+def test_the_arrows_hold() -> None:
+    assert violations(REPOSITORY) == []
+
+
+def test_the_arrows_run_one_way() -> None:
+    """Nothing imports cli, and no two rooms may import each other, directly or round a corner."""
+    assert not any("cli" in allowed for allowed in ARROWS.values())
+    reach = {room: set(allowed) for room, allowed in ARROWS.items()}
+    for _ in ARROWS:
+        for seen in reach.values():
+            seen |= {far for near in seen for far in reach[near]}
+    assert [room for room, seen in reach.items() if room in seen] == []
+
+
+def test_a_sound_tree_has_no_violation(tmp_path: Path) -> None:
+    assert plant(tmp_path, {}) == []
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "found"),
+    [
+        ("host/frogkick/robot/load.py", "\nfrom frogkick.der import mesh\n", ":2 robot imports der"),
+        ("host/frogkick/der/mesh.py", "import frogkick.library.store\n", ":1 der imports library"),
+        ("host/frogkick/der/mesh.py", "from frogkick import library\n", ":1 der imports library"),
+        ("host/frogkick/der/deep/mesh.py", "from ...loop import replay\n", ":1 der imports loop"),
+        ("host/frogkick/der/mesh.py", "from .. import loop\n", ":1 der imports loop"),
+        ("host/frogkick/pool/pool.py", "def f():\n    import frogkick_codegen.emit\n", ":2 pool imports"),
+        (
+            "host/frogkick/loop/run.py",
+            "import importlib\nimportlib.import_module('frogkick.cli')\n",
+            ":2 loop",
+        ),
+        ("host/frogkick/study/ring.py", "from frogkick.report import page\n", ":1 study imports report"),
+        ("host/frogkick/report/page.py", "from frogkick.cli.main import app\n", ":1 report imports cli"),
+        ("host/frogkick/planner/image.py", "import h5py\n", ":1 planner imports h5py"),
+        ("host/frogkick/paths/path.py", "from scipy import optimize\n", ":1 paths imports scipy"),
+        ("host/frogkick/paths/path.py", "from frogkick.planner import image\n", ":1 paths imports planner"),
+        ("host/frogkick/link/frames.py", "import numpy as np\n", ":1 link imports numpy"),
+        (
+            "host/frogkick/errors.py",
+            "from frogkick.files import x\nimport frogkick.robot\n",
+            ":2 errors imports",
+        ),
+        ("codegen/frogkick_codegen/emit.py", "from frogkick.library import store\n", f":1 {CODEGEN} imports"),
+        ("host/frogkick/vision/tag.py", "import numpy\n", ":1 'vision' has no row"),
+    ],
+)
+def test_a_wrong_import_is_found(tmp_path: Path, name: str, text: str, found: str) -> None:
+    lines = plant(tmp_path, {name: text})
+    assert len(lines) == 1, lines
+    assert lines[0].startswith(name + found), lines

@@ -1,0 +1,105 @@
+"""Commands that README files show in ``sh`` blocks exist, with the options that they are shown with.
+
+What the commands do is tested with their own parts; here nothing is run but ``--help``.
+"""
+
+from __future__ import annotations
+
+import re
+import shlex
+from pathlib import Path
+
+import pytest
+from tests.conftest import REPOSITORY
+from tests.structure.test_repository import tracked
+
+from frogkick.cli.main import run_command
+
+BLOCK = re.compile(r"^```sh[^\n]*\n(.*?)^```", re.MULTILINE | re.DOTALL)
+TARGET = re.compile(r"^([a-z][\w-]*):", re.MULTILINE)
+
+
+def shell_lines(markdown: str) -> list[str]:
+    """Return the commands of the ``sh`` blocks, continued lines joined, prompts and comments taken off."""
+    lines: list[str] = []
+    for block in BLOCK.findall(markdown):
+        for line in block.replace("\\\n", " ").splitlines():
+            text = line.strip().removeprefix("$ ")
+            lines += [part.strip() for part in text.split("&&")] if text and not text.startswith("#") else []
+    return lines
+
+
+def help_of(words: list[str], capsys: pytest.CaptureFixture[str]) -> str:
+    """Return what ``frogkick WORDS --help`` prints, or "" where there is no such command."""
+    code = run_command([*words, "--help"])
+    printed = capsys.readouterr()
+    return printed.out if code == 0 else ""
+
+
+def problem(line: str, makefile: str, capsys: pytest.CaptureFixture[str]) -> str:
+    """Return what is wrong with a line, or "" where it is sound or none of our commands."""
+    words = shlex.split(line, comments=True)
+    while words and re.fullmatch(r"\w+=\S*", words[0]):  # NAME=value before the command
+        words.pop(0)
+    if not words:
+        return ""
+    name, words = Path(words[0]).name, words[1:]
+    if name == "make":
+        targets = {word for word in words if not word.startswith("-") and "=" not in word}
+        missing = sorted(targets - set(TARGET.findall(makefile)))
+        return f"{line!r}: the Makefile has no target {', '.join(missing)}" if missing else ""
+    if name != "frogkick":
+        return ""
+    text = help_of(words[:1] if words and not words[0].startswith("-") else [], capsys)
+    if not text:
+        return f"{line!r}: no such command"
+    if re.search(r"Usage: .* COMMAND ", text) and len(words) > 1 and not words[1].startswith("-"):
+        text = help_of(words[:2], capsys)
+        if not text:
+            return f"{line!r}: no such command"
+    shown = [word.split("=", 1)[0] for word in words if word.startswith("--") and word != "--"]
+    known = set(re.findall(r"--[a-z][\w-]*", text))
+    missing = [option for option in shown if option not in known]
+    return f"{line!r}: no such option: {', '.join(missing)}" if missing else ""
+
+
+def test_the_commands_of_every_readme_exist(capsys: pytest.CaptureFixture[str]) -> None:
+    makefile = (REPOSITORY / "Makefile").read_text()
+    found = []
+    for name in tracked():
+        if Path(name).suffix == ".md":
+            for line in shell_lines((REPOSITORY / name).read_text()):
+                wrong = problem(line, makefile, capsys)
+                found += [f"{name}: {wrong}"] if wrong else []
+    assert found == []
+
+
+def test_the_readme_shows_the_two_commands_that_matter() -> None:
+    lines = shell_lines((REPOSITORY / "README.md").read_text())
+    assert {"make demo", "make test"} <= {line.split("#")[0].strip() for line in lines}
+
+
+@pytest.mark.parametrize(
+    ("line", "wrong"),
+    [
+        ("make demo test-full  # all", ""),
+        ("FK_FULL=1 make -j2 test PYTHON=python3.11", ""),
+        ("make coffee", "no target coffee"),
+        ("frogkick --help", ""),
+        (".venv/bin/frogkick library build frog2022 --states 10 --out lib.h5", ""),
+        ("frogkick librarian build", "no such command"),
+        ("frogkick library bild", "no such command"),
+        ("frogkick codegen x.fkt --outt DIR", "no such option: --outt"),
+        ("frogkick library build --bogus", "no such option: --bogus"),
+        ("ls -l", ""),
+    ],
+)
+def test_a_wrong_command_is_found(line: str, wrong: str, capsys: pytest.CaptureFixture[str]) -> None:
+    found = problem(line, (REPOSITORY / "Makefile").read_text(), capsys)
+    assert wrong in found
+    assert bool(wrong) == bool(found)
+
+
+def test_only_shell_blocks_are_read() -> None:
+    text = "```sh\n# why\n$ make a && make b\nfrogkick run \\\n  --depth 1\n```\n```\nmake c\n```\n"
+    assert shell_lines(text) == ["make a", "make b", "frogkick run    --depth 1"]

@@ -10,7 +10,7 @@ import numpy as np
 import typer
 
 from frogkick.cli.common import JsonOption, show
-from frogkick.der import simulate_actions, simulate_gait
+from frogkick.der import Trajectory, simulate_actions, simulate_gait
 from frogkick.errors import InputError
 from frogkick.files import write_text
 from frogkick.robot import load_robot
@@ -29,11 +29,10 @@ def _velocity(text: str) -> tuple[float, float, float]:
     return values[0], values[1], values[2]
 
 
-def _write_csv(target: Path, trajectory: np.ndarray) -> None:
+def _write_csv(target: Path, swum: Trajectory) -> None:
     buffer = io.StringIO()
-    np.savetxt(
-        buffer, trajectory, fmt="%.9g", delimiter=",", header="time_s,x_m,y_m,heading_rad", comments=""
-    )
+    columns = np.column_stack([swum.time_s, swum.x_m, swum.y_m, swum.heading_rad])
+    np.savetxt(buffer, columns, fmt="%.9g", delimiter=",", header="time_s,x_m,y_m,heading_rad", comments="")
     write_text(target, buffer.getvalue())
 
 
@@ -72,12 +71,13 @@ def simulate(
             cycles=cycles,
         )
     if out is not None:
-        _write_csv(out, result.trajectory)
+        _write_csv(out, result)
     show(
         {
             "speed_mps": result.speed_mps,
             "distance_m": result.distance_m,
-            "cost_of_transport": result.cost_of_transport,
+            # Without forward motion it is infinite, which JSON cannot say.
+            "cost_of_transport": result.cost_of_transport if np.isfinite(result.cost_of_transport) else None,
         },
         json,
     )

@@ -1,6 +1,7 @@
 """Sample states, simulate actions, keep the transitions, quantise them to tables."""
 
 from frogkick.library.build import BuildReport, build_library, sample_velocities, simulate_transitions
+from frogkick.library.error import table_error
 from frogkick.library.quantise import quantise
 from frogkick.library.store import Library, library_info, read_library, write_library
 
@@ -13,5 +14,6 @@ __all__ = [
     "read_library",
     "sample_velocities",
     "simulate_transitions",
+    "table_error",
     "write_library",
 ]

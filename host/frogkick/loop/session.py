@@ -15,6 +15,8 @@ from frogkick.pool.port import Edge, RobotPort
 
 STEP_S = 0.002
 ANSWER_TIMEOUT_S = 1.0
+HELLO_TIMEOUT_S = 0.05
+HELLO_TRIES = 20
 
 
 class LinkError(FrogkickError):
@@ -101,15 +103,19 @@ class Session:
         return answer
 
     def ask(
-        self, name: str, values: dict[str, Value] | None = None, rows: Sequence[Sequence[Value]] = ()
+        self,
+        name: str,
+        values: dict[str, Value] | None = None,
+        rows: Sequence[Sequence[Value]] = (),
+        timeout_s: float = ANSWER_TIMEOUT_S,
     ) -> dict[str, Value]:
         """Like ``request``, but a refusal is an answer too.
 
         Raises:
-            LinkError: no answer within a second.
+            LinkError: no answer in time.
         """
         sequence = self.post(name, values, rows)
-        deadline_s = self.time_s + ANSWER_TIMEOUT_S
+        deadline_s = self.time_s + timeout_s
         while self.time_s < deadline_s:
             self.step(self.time_s + STEP_S)
             for arrival in self._inbox:
@@ -117,7 +123,7 @@ class Session:
                 if (frame.name, frame.kind, frame.sequence) == (name, "answer", sequence):
                     self._inbox.remove(arrival)
                     return frame.values
-        raise LinkError(f"no answer to {name} within {ANSWER_TIMEOUT_S} s: is the firmware running?")
+        raise LinkError(f"no answer to {name} within {timeout_s:g} s: is the firmware running?")
 
     def greet(self, tables: Tables) -> dict[str, Value]:
         """HELLO, and refuse a robot with other tables than ours.
@@ -125,7 +131,7 @@ class Session:
         Raises:
             LinkError: another protocol, robot or table.
         """
-        told = self.request("HELLO")
+        told = self._hello()
         ours = link_layout().protocol_version
         if told["protocol_version"] != ours:
             raise LinkError(
@@ -138,6 +144,15 @@ class Session:
                 "build the firmware with this table"
             )
         return told
+
+    def _hello(self) -> dict[str, Value]:
+        """A robot that has just been switched on checks its table first, and does not listen meanwhile."""
+        for _ in range(HELLO_TRIES - 1):
+            try:
+                return self.ask("HELLO", timeout_s=HELLO_TIMEOUT_S)
+            except LinkError:
+                continue
+        return self.ask("HELLO", timeout_s=HELLO_TIMEOUT_S)
 
     def send_path(self, path: Path) -> None:
         """Give the robot its path.

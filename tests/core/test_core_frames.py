@@ -165,5 +165,7 @@ def test_floats_keep_their_bits() -> None:
     )
     assert bytes(FFI.buffer(data)) == values.astype("<u4").tobytes()
     # x87 could quiet a signalling NaN on its way; nothing else may change a bit.
-    signalling = ((values & 0x7F800000) == 0x7F800000) & ((values & 0x003FFFFF) != 0) & ((values >> 22) & 1 == 0)
+    signalling = (
+        ((values & 0x7F800000) == 0x7F800000) & ((values & 0x003FFFFF) != 0) & ((values >> 22) & 1 == 0)
+    )
     assert (back == values)[~signalling].all()

@@ -76,10 +76,7 @@ class Reference:
     def seen(self) -> list[Pulse]:
         """As the monitor sees pins."""
         return [
-            Pulse(limb, s * 1e-6, e * 1e-6)
-            for limb, mine in enumerate(self.pulses)
-            for s, e in mine
-            if e > s
+            Pulse(limb, s * 1e-6, e * 1e-6) for limb, mine in enumerate(self.pulses) for s, e in mine if e > s
         ]
 
 
@@ -135,7 +132,9 @@ def one_sequence(seed: int, guard: Guard, judge: Callable[[str, bool, bool], Non
             reference.cut(now_us)
             book.reference.cut(now_us)
         allowed = guard.allow(mask, pulse_us, now_us)
-        judge(f"mask {mask} for {pulse_us} us at {now_us} us", allowed, reference.allow(mask, pulse_us, now_us))
+        judge(
+            f"mask {mask} for {pulse_us} us at {now_us} us", allowed, reference.allow(mask, pulse_us, now_us)
+        )
         if allowed:
             book.note(mask, pulse_us, now_us)
     return book.reference.seen()

@@ -1,0 +1,369 @@
+"""The robot through its frames: every state times every command, and what each answers."""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from collections.abc import Sequence
+
+import numpy as np
+import pytest
+from cobs import cobs
+from tests.core.core import ACTION, FFI, PERIOD_US, RESTING, STATE, Robot, bits, cases, core, decode, image
+
+from frogkick.link.layout import Value, link_layout
+from frogkick.planner.plan import PlanConfig
+from frogkick_codegen.native import NativeLibrary
+
+STATES = ("DISARMED", "ARMED", "RUNNING")
+POSE: dict[str, Value] = {"x_m": 0.1, "y_m": 0.02, "heading_rad": 0.1}
+MOTION: dict[str, Value] = {"vx_mps": 0.02, "vy_mps": 0.0, "omega_rad_s": 0.1}
+FIX: dict[str, Value] = {"fix_sequence": 8, "quality": 1, "capture_age_us": 0, **POSE}
+Rows = Sequence[Sequence[Value]]
+
+# command: values, rows, then (status, next state) from DISARMED, ARMED, RUNNING; the last two with a path.
+TABLE: dict[str, tuple[dict[str, Value], Rows, tuple[tuple[str, str], ...]]] = {
+    "HELLO": ({}, (), (("OK", "DISARMED"), ("OK", "ARMED"), ("OK", "RUNNING"))),
+    "ARM": ({}, (), (("OK", "ARMED"), ("OK", "ARMED"), ("STATE", "RUNNING"))),
+    "DISARM": ({}, (), (("OK", "DISARMED"), ("OK", "DISARMED"), ("OK", "DISARMED"))),
+    "FIX": (FIX, (), (("OK", "DISARMED"), ("OK", "ARMED"), ("OK", "RUNNING"))),
+    "PATH": (
+        {"first": 0, "total": 2, "count": 2},
+        [(0.0, 0.0, 0.0), (1.0, 0.0, 0.0)],
+        (("OK", "DISARMED"), ("OK", "ARMED"), ("STATE", "RUNNING")),
+    ),
+    "START": ({"delay_us": 500_000}, (), (("STATE", "DISARMED"), ("OK", "RUNNING"), ("STATE", "RUNNING"))),
+    "STOP": ({}, (), (("OK", "DISARMED"), ("OK", "ARMED"), ("OK", "ARMED"))),
+    "STATUS": ({}, (), (("OK", "DISARMED"), ("OK", "ARMED"), ("OK", "RUNNING"))),
+    "PARAM": ({"parameter": 1, "value": 2.0}, (), (("OK", "DISARMED"), ("OK", "ARMED"), ("STATE", "RUNNING"))),
+    "STROKE": ({"action": ACTION["B"]}, (), (("STATE", "DISARMED"), ("OK", "ARMED"), ("STATE", "RUNNING"))),
+    "PLAN": ({"depth": 1, **POSE, **MOTION}, (), (("OK", "DISARMED"), ("OK", "ARMED"), ("STATE", "RUNNING"))),
+}  # fmt: skip
+
+
+def test_the_table_has_every_command() -> None:
+    assert set(TABLE) == {name for name, message in link_layout().messages.items() if message.command}
+    assert tuple(link_layout().state) == STATES
+
+
+@pytest.mark.parametrize("state", STATES)
+@pytest.mark.parametrize("name", TABLE)
+def test_every_command_in_every_state(name: str, state: str) -> None:
+    values, rows, expected = TABLE[name]
+    robot = Robot().begin(state)
+    if state != "RUNNING":
+        robot.path()
+    answer = robot.ask(name, values, rows)
+    status, next_state = expected[STATES.index(state)]
+    assert link_layout().status_name(int(answer["status"])) == status
+    if name in ("ARM", "DISARM", "STOP", "STATUS"):
+        assert answer["state"] == STATE[next_state]
+    assert robot.state() == next_state
+
+
+def test_boots_disarmed_with_everything_off() -> None:
+    robot = Robot()
+    assert robot.error == 0
+    out = robot.tick()
+    assert (out.all_off, out.limb_mask, out.next_tick_us) == (1, 0, 2**64 - 1)
+    assert robot.tick().all_off == 0
+    assert robot.state() == "DISARMED"
+    assert robot.stroke("B") == "STATE"
+    assert robot.tick().limb_mask == 0
+    told = robot.ask("HELLO")
+    assert (told["protocol_version"], told["robot_id"], told["period_us"]) == (1, "frog2022", PERIOD_US)
+    assert (told["states"], told["actions"], told["limbs"], told["pulse_us"]) == (60, 7, 4, 80_000)
+    assert told["table_crc"] == zlib.crc32(robot.image[16:])
+
+
+def raw_frame(kind: int, payload: bytes) -> bytes:
+    raw = bytes([kind, 77]) + payload
+    return bytes(cobs.encode(raw + struct.pack("<I", zlib.crc32(raw))))
+
+
+@pytest.mark.parametrize("state", STATES)
+def test_unknown_types_are_answered(state: str) -> None:
+    robot = Robot().begin(state)
+    known = {message.id for message in link_layout().messages.values() if message.command}
+    for kind in set(range(0x80)) - known:
+        robot.raw(raw_frame(kind, b"\1\2"))
+        answer = decode(robot.take_bytes()[:-1])
+        assert answer == (kind | 0x80, 77, struct.pack("b", link_layout().status["UNKNOWN"]))
+    assert robot.state() == state
+
+
+def test_an_answer_is_not_a_command() -> None:
+    """An echo on the line must not make the robot answer its own answers for ever."""
+    robot = Robot().begin("ARMED")
+    bad = int(robot.ask("STATUS")["frames_bad"])
+    for kind in range(0x80, 0x100):
+        robot.raw(raw_frame(kind, b""))
+        assert robot.take_bytes() == b""
+    assert robot.ask("STATUS")["frames_bad"] == bad + 128
+
+
+@pytest.mark.parametrize("state", STATES)
+def test_wrong_lengths_are_answered(state: str) -> None:
+    robot = Robot().begin(state)
+    for name, message in link_layout().messages.items():
+        payload = message.command
+        if payload is None:
+            continue
+        for size in range(40):
+            fits = size == payload.bytes
+            # A PATH while running is refused for that, whatever its rows; a shorter one has no head to read.
+            fits |= name == "PATH" and state == "RUNNING" and size >= payload.bytes
+            if not fits:
+                robot.raw(raw_frame(message.id, bytes(size)))
+                answer = decode(robot.take_bytes()[:-1])
+                assert answer is not None and answer[:2] == (message.id | 0x80, 77)
+                status = struct.unpack("b", answer[2][:1])[0]
+                assert status == link_layout().status["LENGTH"], f"{name} of {size} bytes"
+    assert robot.state() == state
+
+
+@pytest.mark.parametrize(
+    ("part", "status"),
+    [
+        ((0, 20, 0), "LENGTH"),
+        ((0, 20, 19), "LENGTH"),
+        ((0, 20, 17), "LENGTH"),
+        ((0, 1, 1), "VALUE"),
+        ((0, 101, 2), "VALUE"),
+        ((0, 1, 2), "VALUE"),
+        ((1, 20, 2), "VALUE"),
+        ((19, 20, 2), "VALUE"),
+        ((255, 20, 1), "VALUE"),
+    ],
+)
+def test_a_bad_part_of_a_path_is_refused(part: tuple[int, int, int], status: str) -> None:
+    first, total, number = part
+    rows = [(0.0, 0.0, 0.0)] * (18 if number == 17 else min(number, 18))
+    robot = Robot().begin("ARMED")
+    assert robot.status("PATH", {"first": first, "total": total, "count": number}, rows) == status
+    assert robot.start() == "NO_PATH"
+    # A path that was whole before stays whole: the robot refuses a part by its head and takes nothing.
+    robot.path()
+    assert robot.status("PATH", {"first": first, "total": total, "count": number}, rows) == status
+    assert robot.start() == "OK"
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf, 1000.1, -1000.1])
+@pytest.mark.parametrize("column", [0, 1, 2])
+def test_a_path_with_a_bad_point_is_no_path(bad: float, column: int) -> None:
+    """Its first rows stand in the place of the old path's by then: neither may be followed."""
+    row = [0.0, 0.0, 0.0]
+    row[column] = bad
+    robot = Robot().begin("ARMED")
+    robot.path()
+    answer = robot.ask(
+        "PATH", {"first": 0, "total": 20, "count": 3}, [(5.0, 5.0, 0.0), tuple(row), (0, 0, 0)]
+    )
+    assert answer == {"status": link_layout().status["VALUE"], "received": 0}
+    assert robot.start() == "NO_PATH"
+    assert robot.status("PLAN", {"depth": 1, **POSE, **MOTION}) == "NO_PATH"
+    robot.path()
+    assert robot.start() == "OK"
+
+
+def test_a_path_in_parts() -> None:
+    robot = Robot().begin("ARMED")
+    robot.path()
+    rows = [(0.0, 0.0, 4.0)] * 18
+
+    def part(first: int, total: int, number: int) -> tuple[int, int]:
+        answer = robot.ask("PATH", {"first": first, "total": total, "count": number}, rows[:number])
+        return int(answer["status"]), int(answer["received"])
+
+    assert part(0, 100, 18) == (0, 18)
+    assert robot.start() == "NO_PATH", "a part of the new path is not the old path"
+    assert part(0, 100, 18) == (0, 18), "the first part again starts over"
+    assert part(36, 100, 18)[0] == link_layout().status["VALUE"], "a part is missing"
+    assert part(18, 99, 18)[0] == link_layout().status["VALUE"], "another path's part"
+    for first in (18, 36, 54, 72):
+        assert part(first, 100, 18) == (0, first + 18)
+    assert robot.start() == "NO_PATH"
+    assert part(90, 100, 10) == (0, 100)
+    assert part(100, 100, 1)[0] == link_layout().status["VALUE"]
+    assert robot.start() == "OK"
+
+
+def test_parameters_and_their_limits() -> None:
+    robot = Robot().begin("ARMED")
+
+    def status(name: str, value: float) -> str:
+        return robot.status("PARAM", {"parameter": link_layout().parameter[name], "value": value})
+
+    for value, wanted in [(1, "OK"), (4, "OK"), (0, "VALUE"), (0.99, "VALUE"), (5, "VALUE"), (2.5, "VALUE")]:
+        assert status("DEPTH", value) == wanted, value
+    period = {
+        500_000: "OK",
+        5_000_000: "OK",
+        499_999: "VALUE",
+        5_000_001: "VALUE",
+        500_000.5: "VALUE",
+        -1: "VALUE",
+    }
+    for value, wanted in period.items():
+        assert status("PERIOD_US", value) == wanted, value
+    assert robot.ask("HELLO")["period_us"] == 5_000_000
+    for name in ("DISTANCE_WEIGHT_PER_M", "ANGLE_WEIGHT_PER_RAD", "PROGRESS_WEIGHT", "LEVEL_WEIGHT"):
+        for value, wanted in [(0, "OK"), (-0.0, "OK"), (1e6, "OK"), (-1e-9, "VALUE"), (1000001.0, "VALUE")]:
+            assert status(name, value) == wanted
+    for name in link_layout().parameter:
+        for value in (np.nan, np.inf, -np.inf):
+            assert status(name, value) == "VALUE"
+    for parameter in (0, 7, 255):
+        assert robot.status("PARAM", {"parameter": parameter, "value": 1.0}) == "VALUE"
+
+
+def test_a_period_shorter_than_a_stroke_is_refused() -> None:
+    """Else a decision would take the place of the second limbs of the stroke before it."""
+    robot = Robot(image(second_delay_us=600_000)).begin("ARMED")
+    parameter = link_layout().parameter["PERIOD_US"]
+    # Second limbs at 601 ms, on for 80 ms, and the pulse timer's millisecond.
+    assert robot.status("PARAM", {"parameter": parameter, "value": 681_999.0}) == "VALUE"
+    assert robot.status("PARAM", {"parameter": parameter, "value": 682_000.0}) == "OK"
+
+
+@pytest.mark.parametrize(
+    ("changes", "name"),
+    [
+        ({"robot_id": "frog2023"}, "ROBOT"),
+        ({"robot_id": "frog202"}, "ROBOT"),
+        ({"pulse_us": 100_001}, "IMAGE_TIMES"),
+        ({"second_delay_us": 1_400_000}, "IMAGE_TIMES"),
+        ({"pulse_us": 90_000, "second_delay_us": 0, "period_us": 181_999}, "IMAGE_TIMES"),
+    ],
+)
+def test_a_table_that_this_robot_cannot_use_is_refused(changes: dict[str, object], name: str) -> None:
+    numbers = {"ROBOT": -9, "IMAGE_TIMES": -29}
+    assert Robot(image(**changes)).error == numbers[name]
+
+
+def test_a_damaged_table_is_refused() -> None:
+    table = bytearray(image())
+    table[500] ^= 1
+    assert Robot(bytes(table)).error == -25
+    assert Robot(image(pulse_us=100_000)).error == 0
+
+
+def test_status_counts() -> None:
+    robot = Robot().begin("ARMED")
+    assert robot.fix() == "OK"
+    assert robot.fix() == "RANGE", "not newer than the newest"
+    assert robot.fix(quality=0) == "VALUE"
+    robot.raw(b"\x05abc")
+    robot.raw(b"")
+    assert robot.stroke("A") == "OK"
+    assert robot.tick().limb_mask == 0b0011
+    robot.now_us += 200_000
+    assert robot.stroke("A") == "OK"
+    assert robot.tick().limb_mask == 0
+    told = robot.ask("STATUS")
+    assert told["now_us"] == robot.now_us
+    counters = ("fixes_used", "fixes_refused", "frames_bad", "pulses", "pulses_refused", "answers_dropped")
+    assert [told[name] for name in counters] == [1, 2, 2, 1, 1, 0]
+
+
+def test_fixes() -> None:
+    robot = Robot(now_us=1_000_000).begin("ARMED")
+    for pose in ((np.nan, 0, 0), (0, np.inf, 0), (0, 0, np.nan), (1000.1, 0, 0), (0, 0, 1001)):
+        robot.now_us += 1000
+        assert robot.fix(*pose) == "RANGE"
+    assert robot.fix(capture_age_us=2_000_001) == "VALUE"
+    assert robot.fix(capture_age_us=0xFFFFFFFF) == "VALUE"
+    answer = robot.ask("FIX", {**FIX, "fix_sequence": 65_535, "capture_age_us": 400_000})
+    assert answer == {"status": 0, "fix_sequence": 65_535, "capture_us": robot.now_us - 400_000}
+    assert robot.fix(capture_age_us=400_001) == "RANGE", "older than the newest"
+
+
+def test_a_fix_from_before_the_clock_began_is_refused() -> None:
+    """Its time on the robot's clock would have to be invented."""
+    robot = Robot(now_us=300_000).begin("ARMED")
+    assert robot.fix(capture_age_us=300_001) == "VALUE"
+    assert robot.ask("FIX", {**FIX, "capture_age_us": 300_000})["capture_us"] == 0
+
+
+@pytest.mark.parametrize("depth", [0, 1, 2, 3, 4, 5])
+def test_plan_gives_the_planner_s_bits(depth: int) -> None:
+    robot = Robot().begin("ARMED")
+    rng = np.random.default_rng(depth)
+    rows = np.column_stack(
+        [np.linspace(0, 1, 18), 0.1 * np.sin(np.arange(18)), rng.uniform(-3, 3, 18)]
+    ).astype(np.float32)
+    assert robot.status("PATH", {"first": 0, "total": 18, "count": 18}, rows.tolist()) == "OK"
+    weights = {2: 400.0, 3: 33.0, 4: 250.0, 5: 0.7}
+    for parameter, value in weights.items():
+        assert robot.status("PARAM", {"parameter": parameter, "value": value}) == "OK"
+    states = rng.normal(0, [0.5, 0.2, 2, 0.02, 0.02, 0.3], (cases(300, 3000), 6)).astype(np.float32)
+    states[0, 3] = np.nan
+    states[1 % len(states), 0] = 1001.0
+    names = ("x_m", "y_m", "heading_rad", "vx_mps", "vy_mps", "omega_rad_s")
+
+    class Columns:
+        x_m, y_m, tangent_rad = rows.T
+
+    config = PlanConfig(400.0, 33.0, 250.0, 0.7, depth)
+    wanted = NativeLibrary().plan_batch(robot.image, Columns, config, states)  # type: ignore[arg-type]
+    for state, row in zip(states, wanted, strict=True):
+        values: dict[str, Value] = {"depth": depth}
+        values |= {name: float(value) for name, value in zip(names, state, strict=True)}
+        told = robot.ask("PLAN", values)
+        assert told["status"] == row["status"]
+        for name in ("action", "nearest_state", "path_index"):
+            assert told[name] == row[name]
+        found = [told["cost"], *(told[name] for name in names)]
+        assert [bits(float(value)) for value in found] == [
+            bits(float(value)) for value in (row["cost"], *row["predicted"])
+        ]
+    # PLAN's depth is its own: the decision's is still the default.
+    assert wanted["status"][2:].any() == (depth in (0, 5))
+
+
+def test_what_does_not_fit_the_buffer_is_dropped_whole() -> None:
+    robot = Robot().begin("ARMED")
+    for _ in range(100):
+        robot.post("STATUS")
+    frames = robot.take()
+    assert [frame.name for frame in frames] == ["STATUS"] * len(frames)
+    assert [frame.sequence for frame in frames] == list(range(2, 2 + len(frames)))
+    assert robot.ask("STATUS")["answers_dropped"] == 100 - len(frames)
+    assert 10 < len(frames) < 100
+
+
+@pytest.mark.parametrize("capacity", [1, 7, 64, 255, 1024])
+def test_a_port_that_takes_few_bytes_at_a_time_gets_all_of_them(capacity: int) -> None:
+    robot = Robot().begin("ARMED")
+    for _ in range(8):
+        robot.post("HELLO")
+    frames = []
+    while part := robot.take(capacity):
+        frames += part
+    while len(frames) < 8:
+        frames += robot.take(capacity)
+    assert [frame.sequence for frame in frames] == list(range(2, 10))
+    assert robot.take_bytes(0) == b"" == robot.take_bytes()
+
+
+def test_the_resting_action_is_the_first_without_limbs() -> None:
+    robot = Robot().begin("RUNNING")
+    robot.run_until(robot.now_us + 1_600_000)
+    decisions = [frame.values for frame in robot.take() if frame.name == "DECISION"]
+    assert decisions[0]["status"] == link_layout().status["STALE"]
+    assert decisions[0]["action"] == RESTING
+    rows = [("A", 1, 0), ("B", 2, 0)]
+    robot = Robot(image(action_rows=rows)).begin("RUNNING")
+    assert robot.run_until(robot.now_us + 1_600_000) == []
+    assert robot.take()[-1].values["action"] == len(rows), "none of the table's"
+
+
+def test_the_robot_s_size_is_what_the_port_must_hold() -> None:
+    size = core().fk_robot_bytes()
+    memory = FFI.new("uint8_t[]", b"\xa5" * (size + 64))
+    table = image()
+    kept = FFI.new("uint64_t[]", (len(table) + 7) // 8)
+    FFI.memmove(kept, table, len(table))
+    assert core().fk_robot_init(memory, FFI.cast("uint8_t *", kept), len(table)) == 0
+    core().fk_robot_on_frame(memory, raw_frame(1, b""), len(raw_frame(1, b"")), 5)
+    assert bytes(FFI.buffer(memory))[size:] == b"\xa5" * 64 + b"\0"

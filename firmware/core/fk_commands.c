@@ -3,6 +3,12 @@
 
 static int32_t is_finite_within(float value, float least, float most) { return value >= least && value <= most; }
 
+/* most < 2^24, so that both limits and every number between them are exact as float. */
+static int32_t is_whole_within(float value, uint32_t least, uint32_t most)
+{
+    return is_finite_within(value, (float)least, (float)most) && (float)(uint32_t)value == value;
+}
+
 static int32_t answer_state(const fk_robot_t *robot, int8_t status, uint8_t *answer)
 {
     fk_arm_answer_t told = {status, robot->state}; /* ARM, DISARM and STOP share this answer */
@@ -47,8 +53,8 @@ static int32_t on_stop(fk_robot_t *robot, uint8_t *answer)
 {
     if (robot->state == FK_STATE_RUNNING) {
         robot->state = FK_STATE_ARMED;
-        robot->next_decision_us = UINT64_MAX;
     }
+    fk_robot_no_more_pulses(robot);
     return answer_state(robot, FK_STATUS_OK, answer);
 }
 
@@ -57,8 +63,9 @@ static int32_t on_fix(fk_robot_t *robot, const uint8_t *payload, uint64_t now_us
     fk_fix_command_t command;
     fk_fix_command_unpack(payload, &command);
     fk_fix_answer_t told = {FK_STATUS_VALUE, command.fix_sequence, 0u};
-    if (command.quality != 0u && command.capture_age_us <= FK_CAPTURE_AGE_MAX_US) {
-        uint64_t capture_us = (now_us > command.capture_age_us) ? now_us - command.capture_age_us : 0u;
+    /* A picture from before the clock began has no time on it. */
+    if (command.quality != 0u && command.capture_age_us <= FK_CAPTURE_AGE_MAX_US && command.capture_age_us <= now_us) {
+        uint64_t capture_us = now_us - command.capture_age_us;
         fk_fix_t fix = {capture_us, command.x_m, command.y_m, command.heading_rad, command.fix_sequence};
         told.status = (int8_t)fk_estimator_add(&robot->estimator, &fix);
         told.capture_us = capture_us;
@@ -95,8 +102,10 @@ static int8_t take_path(fk_robot_t *robot, const uint8_t *payload, uint32_t leng
         if (!is_finite_within(row.x_m, -FK_FIX_FIELD_M, FK_FIX_FIELD_M) ||
             !is_finite_within(row.y_m, -FK_FIX_FIELD_M, FK_FIX_FIELD_M) ||
             !is_finite_within(row.tangent_rad, -4.0f, 4.0f)) {
+            /* Rows before this one have taken the old path's place: now there is none. */
             robot->path_points = 0u;
             robot->path_total = 0u;
+            robot->path.count = 0u;
             return FK_STATUS_VALUE;
         }
         robot->path.x_m[command.first + i] = row.x_m;
@@ -163,14 +172,15 @@ static int8_t set_parameter(fk_robot_t *robot, uint8_t parameter, float value)
         return FK_STATUS_STATE;
     }
     if (parameter == FK_PARAMETER_DEPTH) {
-        if (!is_finite_within(value, 1.0f, (float)FK_DEPTH_MAX)) {
+        if (!is_whole_within(value, 1u, FK_DEPTH_MAX)) {
             return FK_STATUS_VALUE;
         }
         robot->plan.depth = (uint8_t)value;
         return FK_STATUS_OK;
     }
     if (parameter == FK_PARAMETER_PERIOD_US) {
-        if (!is_finite_within(value, (float)FK_PERIOD_MIN_US, (float)FK_PERIOD_MAX_US)) {
+        if (!is_whole_within(value, FK_PERIOD_MIN_US, FK_PERIOD_MAX_US) ||
+            (uint32_t)value < fk_robot_stroke_us(robot)) {
             return FK_STATUS_VALUE;
         }
         robot->period_us = (uint32_t)value;
@@ -203,9 +213,9 @@ static int32_t on_stroke(fk_robot_t *robot, const uint8_t *payload, uint64_t now
 {
     fk_stroke_command_t command;
     fk_stroke_command_unpack(payload, &command);
-    fk_stroke_answer_t told = {FK_STATUS_OK, now_us};
-    if (robot->state != FK_STATE_ARMED || robot->second_mask != 0u) {
-        told.status = FK_STATUS_STATE; /* not armed, or the last stroke has not fired its second limbs yet */
+    fk_stroke_answer_t told = {FK_STATUS_OK, (robot->free_us > now_us) ? robot->free_us : now_us};
+    if (robot->state != FK_STATE_ARMED || robot->stroke_request != 0u || robot->second_mask != 0u) {
+        told.status = FK_STATUS_STATE; /* not armed, or the last stroke has not fired all its limbs yet */
     } else if (command.action >= robot->tables.actions) {
         told.status = FK_STATUS_VALUE;
     } else {

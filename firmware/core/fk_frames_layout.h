@@ -177,7 +177,7 @@ static inline void fk_disarm_answer_pack(uint8_t *to, const fk_disarm_answer_t *
 typedef struct {
     uint16_t fix_sequence; /* counts fixes */
     uint8_t quality; /* 0 = not to be used */
-    uint32_t capture_age_us; /* time from capture to the sending of this frame, at most 2 s (us) */
+    uint32_t capture_age_us; /* time from capture to the sending of this frame, at most 2 s, capture after boot (us) */
     float x_m; /* world (m) */
     float y_m; /* world (m) */
     float heading_rad; /* from +x, counter-clockwise (rad) */
@@ -308,7 +308,7 @@ typedef struct {
     uint32_t decisions; /* decisions since START */
     uint32_t fixes_used; /* fixes taken since boot */
     uint32_t fixes_refused; /* fixes refused since boot */
-    uint32_t frames_bad; /* frames that failed COBS, length or CRC */
+    uint32_t frames_bad; /* frames that failed COBS, length or CRC, or were answers */
     uint32_t pulses; /* pulses since boot */
     uint32_t pulses_refused; /* pulses that the guard refused */
     uint32_t answers_dropped; /* answers that found no room */
@@ -356,7 +356,7 @@ static inline void fk_param_answer_pack(uint8_t *to, const fk_param_answer_t *fr
 
 #define FK_STROKE_COMMAND_BYTES 1u
 
-/* Do this action now: the planner is on the host. */
+/* Do this action now: the planner is on the host. Refused while a stroke has limbs left to fire. */
 typedef struct {
     uint8_t action; /* index in the table's actions */
 } fk_stroke_command_t;

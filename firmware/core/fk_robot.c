@@ -14,7 +14,7 @@ int32_t fk_robot_init(fk_robot_t *robot, const uint8_t *image, uint32_t image_by
     if (error != FK_OK) {
         return error;
     }
-    if (robot->tables.pulse_us > FK_PULSE_MAX_US) {
+    if (robot->tables.pulse_us > FK_PULSE_MAX_US || fk_robot_stroke_us(robot) > robot->tables.period_us) {
         return FK_ERROR_IMAGE_TIMES;
     }
     robot->plan.distance_weight_per_m = FK_DISTANCE_WEIGHT_PER_M;
@@ -43,6 +43,7 @@ int32_t fk_robot_init(fk_robot_t *robot, const uint8_t *image, uint32_t image_by
     robot->second_mask = 0u;
     robot->second_us = 0u;
     robot->stroke_request = 0u;
+    robot->free_us = 0u;
     robot->all_off = 1u;
     robot->decision_pending = 0u;
     robot->ended_pending = 0u;
@@ -87,7 +88,8 @@ static void send_events(fk_robot_t *robot)
 void fk_robot_on_frame(fk_robot_t *robot, const uint8_t *encoded, uint32_t length, uint64_t now_us)
 {
     fk_frame_t frame;
-    if (fk_frame_decode(encoded, length, &frame) != 0) {
+    /* An answer is not a command: on a line that echoes, the robot would answer its own answers for ever. */
+    if (fk_frame_decode(encoded, length, &frame) != 0 || (frame.type & FK_ANSWER_BIT) != 0u) {
         ++robot->frames_bad;
         return;
     }
@@ -99,12 +101,28 @@ void fk_robot_on_frame(fk_robot_t *robot, const uint8_t *encoded, uint32_t lengt
     send(robot, (uint8_t)(frame.type | FK_ANSWER_BIT), frame.sequence, answer, (uint32_t)answer_length);
 }
 
-void fk_robot_disarm(fk_robot_t *robot)
+/* From the first pulse's start until the pulse timer is free after the second. 64 bits: a table may hold a delay
+ * near 2^32 us. */
+uint64_t fk_robot_stroke_us(const fk_robot_t *robot)
 {
-    robot->state = FK_STATE_DISARMED;
+    uint64_t pulse_us = robot->tables.pulse_us;
+    uint64_t delay_us = robot->tables.second_delay_us;
+    uint64_t second_us = (delay_us > pulse_us) ? delay_us : pulse_us;
+    return second_us + FK_STROKE_GAP_US + pulse_us + FK_STROKE_GAP_US;
+}
+
+/* The run ends and no further pulse begins; one that is on ends by itself. */
+void fk_robot_no_more_pulses(fk_robot_t *robot)
+{
     robot->next_decision_us = FK_NEVER_US;
     robot->second_mask = 0u;
     robot->stroke_request = 0u;
+}
+
+void fk_robot_disarm(fk_robot_t *robot)
+{
+    robot->state = FK_STATE_DISARMED;
+    fk_robot_no_more_pulses(robot);
     robot->all_off = 1u;
 }
 
@@ -114,7 +132,7 @@ static void end_run(fk_robot_t *robot, int8_t status)
         fk_robot_disarm(robot);
     } else {
         robot->state = FK_STATE_ARMED;
-        robot->next_decision_us = FK_NEVER_US;
+        fk_robot_no_more_pulses(robot);
     }
     robot->ended.status = status;
     robot->ended.state = robot->state;
@@ -142,8 +160,8 @@ static void put_state(const fk_state_t *state, float *x_m, float *y_m, float *he
     *omega_rad_s = state->omega_rad_s;
 }
 
-/* One decision: estimate, plan, report. Returns the action to do; without an estimate the resting one. */
-static uint8_t decide(fk_robot_t *robot)
+/* One decision: estimate, plan, report, ask for the stroke; without an estimate the resting one. */
+static void decide(fk_robot_t *robot)
 {
     static const fk_state_t nowhere = {0.0f, 0.0f, 0.0f, 0.0f, 0.0f, 0.0f};
     fk_decision_event_t *event = &robot->decision;
@@ -175,20 +193,23 @@ static uint8_t decide(fk_robot_t *robot)
     ++robot->decisions;
     if (status == FK_STATUS_OK && plan.path_index + 1u >= robot->path.count) {
         end_run(robot, FK_STATUS_OK);
-        return robot->resting_action;
+        return;
     }
-    return plan.action;
+    robot->stroke_request = (uint8_t)(plan.action + 1u);
+    robot->next_decision_us += robot->period_us;
 }
 
-static void fire(fk_robot_t *robot, uint8_t limb_mask, uint64_t now_us, fk_outputs_t *outputs)
+static int32_t fire(fk_robot_t *robot, uint8_t limb_mask, uint64_t now_us, fk_outputs_t *outputs)
 {
     if (fk_guard_allow(&robot->guard, limb_mask, robot->tables.pulse_us, now_us)) {
         outputs->limb_mask = limb_mask;
         outputs->pulse_us = robot->tables.pulse_us;
+        robot->free_us = now_us + robot->tables.pulse_us + FK_STROKE_GAP_US;
         ++robot->pulses;
-    } else {
-        ++robot->pulses_refused;
+        return 1;
     }
+    ++robot->pulses_refused;
+    return 0;
 }
 
 static void begin_stroke(fk_robot_t *robot, uint8_t action, uint64_t now_us, fk_outputs_t *outputs)
@@ -197,12 +218,14 @@ static void begin_stroke(fk_robot_t *robot, uint8_t action, uint64_t now_us, fk_
     if (fk_tables_action(&robot->tables, action, &masks) != FK_OK) {
         return; /* a table without a resting action, and no estimate: nothing fires */
     }
-    if (masks.first_mask != 0u) {
-        fire(robot, masks.first_mask, now_us, outputs);
+    if (masks.first_mask != 0u && !fire(robot, masks.first_mask, now_us, outputs)) {
+        return; /* half a stroke is none of the table's motions */
     }
     robot->second_mask = masks.second_mask;
     robot->second_us = now_us + robot->tables.second_delay_us + FK_STROKE_GAP_US;
 }
+
+static uint64_t later(uint64_t a_us, uint64_t b_us) { return (a_us > b_us) ? a_us : b_us; }
 
 void fk_robot_tick(fk_robot_t *robot, uint64_t now_us, fk_outputs_t *outputs)
 {
@@ -211,33 +234,39 @@ void fk_robot_tick(fk_robot_t *robot, uint64_t now_us, fk_outputs_t *outputs)
     outputs->all_off = robot->all_off;
     if (robot->all_off != 0u) {
         fk_guard_cut(&robot->guard, now_us);
+        robot->free_us = now_us;
         robot->all_off = 0u;
     }
 
-    if (robot->second_mask != 0u && now_us >= robot->second_us) {
-        fire(robot, robot->second_mask, now_us, outputs);
-        robot->second_mask = 0u;
+    if (robot->second_mask != 0u) {
+        if (now_us >= later(robot->second_us, robot->free_us)) {
+            (void)fire(robot, robot->second_mask, now_us, outputs);
+            robot->second_mask = 0u;
+        }
     } else if (robot->stroke_request != 0u) {
-        begin_stroke(robot, (uint8_t)(robot->stroke_request - 1u), now_us, outputs);
-        robot->stroke_request = 0u;
+        if (now_us >= robot->free_us) {
+            begin_stroke(robot, (uint8_t)(robot->stroke_request - 1u), now_us, outputs);
+            robot->stroke_request = 0u;
+        }
     } else if (robot->state == FK_STATE_RUNNING && now_us >= robot->next_decision_us) {
+        /* What the port has not taken yet goes into the buffer, where a decision that does not fit is counted. */
+        send_events(robot);
         if (fix_is_lost(robot, robot->next_decision_us)) {
             end_run(robot, FK_STATUS_STALE);
         } else {
-            uint8_t action = decide(robot);
-            begin_stroke(robot, action, now_us, outputs);
-            if (robot->state == FK_STATE_RUNNING) {
-                robot->next_decision_us += robot->period_us;
-            }
+            decide(robot);
         }
     }
 
-    outputs->next_tick_us = robot->next_decision_us;
-    if (robot->second_mask != 0u && robot->second_us < outputs->next_tick_us) {
-        outputs->next_tick_us = robot->second_us;
-    }
-    if (robot->stroke_request != 0u || robot->all_off != 0u) {
+    /* A decision waits for a stroke that is under way; it is for its own time whenever it is made. */
+    if (robot->all_off != 0u) {
         outputs->next_tick_us = now_us;
+    } else if (robot->second_mask != 0u) {
+        outputs->next_tick_us = later(robot->second_us, robot->free_us);
+    } else if (robot->stroke_request != 0u) {
+        outputs->next_tick_us = later(now_us, robot->free_us);
+    } else {
+        outputs->next_tick_us = robot->next_decision_us;
     }
 }
 

@@ -3,11 +3,14 @@
  * A port does four things in a loop: hand over received frames, call fk_robot_tick, start the pulse that outputs
  * ask for (its end is the port's hardware event), and send what fk_robot_take_tx gives.
  *
- *            ARM                 START (path, fix)
+ *            ARM                   START (path)
  *  DISARMED ------> ARMED -------------------------> RUNNING
  *     ^  ^            |  ^                             |  |
  *     |  +-- DISARM --+  +-- STOP, path completed -----+  |
  *     +------------------ DISARM, no fix for 2 s ---------+
+ *
+ * A decision and the stroke that it asks for are two ticks: a decision computes for a while, and the guard's books
+ * must hold the time at which the pins really switch, so the stroke is begun with the time of its own tick.
  */
 #ifndef FK_ROBOT_H
 #define FK_ROBOT_H
@@ -25,7 +28,7 @@
 #define FK_CAPTURE_AGE_MAX_US 2000000u
 #define FK_PERIOD_MIN_US 500000u
 #define FK_PERIOD_MAX_US 5000000u
-#define FK_STROKE_GAP_US 1000u      /* second group after the first: the port's one pulse timer is free again */
+#define FK_STROKE_GAP_US 1000u      /* from a pulse's end until the port's one pulse timer is free for the next */
 
 typedef struct {
     uint8_t limb_mask;     /* 0: nothing; else start ONE pulse on these limbs now */
@@ -51,7 +54,8 @@ typedef struct {
 
     uint8_t second_mask;         /* limbs of the stroke's second group, 0: none pending */
     uint64_t second_us;          /* when they fire */
-    uint8_t stroke_request;      /* 1 + action asked for by STROKE, begun by the next tick; 0: none */
+    uint8_t stroke_request;      /* 1 + action asked for by STROKE or a decision, begun by a next tick; 0: none */
+    uint64_t free_us;            /* when the port's pulse timer is free: one pulse at a time */
     uint8_t all_off;             /* the next tick switches everything off */
 
     uint8_t decision_pending;    /* a DECISION event waits for its computing time */
@@ -75,7 +79,8 @@ typedef struct {
  * @param image  4-byte aligned, stays valid as long as the robot lives
  * @retval 0         ready
  * @retval negative  fk_error_t of fk_tables_open, FK_ERROR_ROBOT where the image is for another robot,
- *                   FK_ERROR_IMAGE_TIMES where its pulse is above the guard's limit
+ *                   FK_ERROR_IMAGE_TIMES where its pulse is above the guard's limit, or a whole stroke longer than
+ *                   the period
  */
 int32_t fk_robot_init(fk_robot_t *robot, const uint8_t *image, uint32_t image_bytes);
 
@@ -99,5 +104,7 @@ uint32_t fk_robot_bytes(void);
 /* For fk_commands.c */
 int32_t fk_robot_command(fk_robot_t *robot, const fk_frame_t *frame, uint64_t now_us, uint8_t *answer);
 void fk_robot_disarm(fk_robot_t *robot);
+void fk_robot_no_more_pulses(fk_robot_t *robot);
+uint64_t fk_robot_stroke_us(const fk_robot_t *robot);
 
 #endif

@@ -186,6 +186,8 @@ class Robot:
         self._outputs = FFI.new("fk_outputs_t *")
         self._collector = FrameCollector()
         self._sequence = 0
+        self._kept: list[Frame] = []
+        self.keep = False
         image_at = FFI.cast("uint8_t *", self._image)
         self.error = self.core.fk_robot_init(self.memory, image_at, len(self.image))
 
@@ -219,6 +221,8 @@ class Robot:
         self.now_us = self.now_us if now_us is None else now_us
         self.core.fk_robot_tick(self.memory, self.now_us, self._outputs)
         out = self._outputs
+        if self.keep:
+            self._kept += self.take()
         return Outputs(out.limb_mask, out.all_off, out.pulse_us, out.next_tick_us)
 
     def run_until(self, until_us: int) -> list[tuple[int, int]]:
@@ -240,6 +244,11 @@ class Robot:
         frames = self._collector.feed(self.take_bytes(capacity))
         assert self._collector.bad == 0
         return frames
+
+    def take_all(self) -> list[Frame]:
+        """All that was sent since the last call, though it went through the buffer in parts."""
+        kept, self._kept = self._kept, []
+        return kept + self.take()
 
     def take_bytes(self, capacity: int = 1024) -> bytes:
         buffer = FFI.new("uint8_t[]", max(1, capacity))
@@ -277,7 +286,7 @@ class Robot:
             assert self.status("ARM") == "OK"
         if state == "RUNNING":
             self.path()
-            assert self.fix() == "OK"
+            assert self.fix(capture_age_us=1000) == "OK"
             assert self.start(1_000_000) == "OK"
         return self
 

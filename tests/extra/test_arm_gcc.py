@@ -1,0 +1,68 @@
+"""The compiler that most firmware is built with accepts all of ours, with every warning an error."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from elftools.elf.elffile import ELFFile
+from tests.conftest import REPOSITORY
+from tests.extra.tools import chip_compiler, emitted_firmware
+from tests.planner import synthetic
+
+from frogkick_codegen.emit import SOURCES
+from frogkick_codegen.firmware import image_sizes
+from frogkick_codegen.toolchain import FLAGS, ToolchainError
+
+pytestmark = pytest.mark.extra
+
+CORE = REPOSITORY / "firmware" / "core"
+BENCH = REPOSITORY / "firmware" / "bench"
+# More than the project's own flags: what gcc knows and clang does not.
+STRICTER = (
+    "-Wshadow", "-Wstrict-prototypes", "-Wundef", "-Wcast-align", "-Wlogical-op", "-Wduplicated-cond",
+    "-Wduplicated-branches", "-Wvla", "-Wwrite-strings", "-Wfloat-conversion",
+)  # fmt: skip
+
+
+def build_bench(folder: Path, *options: str) -> Path:
+    """Build the bench image of the emitted table with ARM gcc, as firmware/bench/README.md says."""
+    driver, libraries = chip_compiler("arm-none-eabi-gcc")
+    emitted, config = emitted_firmware(synthetic.image(), folder)
+    sources = [*(emitted / name for name in SOURCES), *sorted(CORE.glob("*.c")), *sorted(BENCH.glob("*.c"))]
+    elf = folder / "bench.elf"
+    driver.run(
+        [
+            *FLAGS, *options, "-ffunction-sections", "-fdata-sections",
+            f"-I{emitted}", f"-I{config}", f"-I{CORE}", f"-I{BENCH}",
+            "-nostdlib", f"-Wl,-T,{BENCH / 'nrf52832.ld'}", "-Wl,--gc-sections", "-Wl,--entry=fk_reset",
+            "-Wl,--fatal-warnings", *sources, *libraries, "-o", elf,
+        ]
+    )  # fmt: skip
+    return elf
+
+
+@pytest.mark.parametrize("level", ["-O2", "-Os", "-O0"])
+def test_arm_gcc_builds_the_whole_bench_image(tmp_path: Path, level: str) -> None:
+    elf = build_bench(tmp_path, level)
+    flash_bytes, ram_bytes, stack_bytes = image_sizes(elf)  # raises where the chip is too small
+    assert len(synthetic.image()) < flash_bytes
+    assert stack_bytes < ram_bytes
+    with elf.open("rb") as file:
+        symbols = {one.name for one in ELFFile(file).get_section_by_name(".symtab").iter_symbols()}
+    assert {"fk_plan", "fk_robot_tick", "fk_table_image"} <= symbols
+    # Neither doubles nor floats in software, no heap, no printing.
+    forbidden = ("__aeabi_d", "__aeabi_f", "sqrt", "malloc", "_sbrk", "printf")
+    assert [name for name in symbols if name.startswith(forbidden)] == []
+
+
+def test_arm_gcc_finds_nothing_with_stricter_warnings(tmp_path: Path) -> None:
+    build_bench(tmp_path, *STRICTER)
+
+
+def test_a_warning_stops_the_build(tmp_path: Path) -> None:
+    driver, _ = chip_compiler("arm-none-eabi-gcc")
+    source = tmp_path / "wrong.c"
+    source.write_text("float half(float x);\nfloat half(float x)\n{\n    return (float)(x * 0.5);\n}\n")
+    with pytest.raises(ToolchainError, match="double-promotion"):
+        driver.run([*FLAGS, "-c", source, "-o", tmp_path / "wrong.o"])

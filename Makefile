@@ -5,16 +5,22 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 export FK_FULL ?= 0
 
-.PHONY: demo test test-full bench lint types venv clean
+.PHONY: demo test test-full extra bench lint types check venv clean
 
 demo: $(STAMP)
 	$(BIN)/frogkick demo --out demo
 
 test: $(STAMP)
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest -m "not extra"
 
 test-full: $(STAMP)
 	FK_FULL=1 $(BIN)/python -m pytest
+
+# Needs tools that are no wheels (ARM gcc, QEMU, cppcheck, gcc, clang); says which are not there.
+extra: $(STAMP)
+	$(BIN)/python -m pytest -m extra
+
+check: test extra lint types
 
 lint: $(STAMP)
 	$(BIN)/ruff check host codegen tests firmware

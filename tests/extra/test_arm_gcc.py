@@ -10,12 +10,16 @@ from tests.conftest import REPOSITORY
 from tests.extra.tools import chip_compiler, emitted_firmware
 from tests.planner import synthetic
 
+from frogkick.loop.chip_check import check_on_chip
+from frogkick.planner.image import open_image
+from frogkick.robot import load_robot
 from frogkick_codegen.emit import SOURCES
 from frogkick_codegen.firmware import image_sizes
 from frogkick_codegen.toolchain import FLAGS, ToolchainError
 
 pytestmark = pytest.mark.extra
 
+ROBOT = load_robot("frog2022")
 CORE = REPOSITORY / "firmware" / "core"
 BENCH = REPOSITORY / "firmware" / "bench"
 # More than the project's own flags: what gcc knows and clang does not.
@@ -25,10 +29,16 @@ STRICTER = (
 )  # fmt: skip
 
 
+def robot_image() -> bytes:
+    """Return a made-up table with the real robot's actions, which its guard lets pass."""
+    rows = [(one.name, one.first_mask, one.second_mask) for one in ROBOT.actions]
+    return synthetic.pack(*synthetic.transitions(300, len(rows), 1), action_rows=rows)
+
+
 def build_bench(folder: Path, *options: str) -> Path:
     """Build the bench image of the emitted table with ARM gcc, as firmware/bench/README.md says."""
     driver, libraries = chip_compiler("arm-none-eabi-gcc")
-    emitted, config = emitted_firmware(synthetic.image(), folder)
+    emitted, config = emitted_firmware(robot_image(), folder)
     sources = [*(emitted / name for name in SOURCES), *sorted(CORE.glob("*.c")), *sorted(BENCH.glob("*.c"))]
     elf = folder / "bench.elf"
     driver.run(
@@ -46,7 +56,7 @@ def build_bench(folder: Path, *options: str) -> Path:
 def test_arm_gcc_builds_the_whole_bench_image(tmp_path: Path, level: str) -> None:
     elf = build_bench(tmp_path, level)
     flash_bytes, ram_bytes, stack_bytes = image_sizes(elf)  # raises where the chip is too small
-    assert len(synthetic.image()) < flash_bytes
+    assert len(robot_image()) < flash_bytes
     assert stack_bytes < ram_bytes
     with elf.open("rb") as file:
         symbols = {one.name for one in ELFFile(file).get_section_by_name(".symtab").iter_symbols()}
@@ -54,6 +64,13 @@ def test_arm_gcc_builds_the_whole_bench_image(tmp_path: Path, level: str) -> Non
     # Neither doubles nor floats in software, no heap, no printing.
     forbidden = ("__aeabi_d", "__aeabi_f", "sqrt", "malloc", "_sbrk", "printf")
     assert [name for name in symbols if name.startswith(forbidden)] == []
+
+
+def test_the_image_of_arm_gcc_passes_the_trial_on_the_virtual_chip(tmp_path: Path) -> None:
+    """Frames, strokes, limits, plans of every depth and the stack's mark, as the demo tries zig's image."""
+    report = check_on_chip(build_bench(tmp_path), open_image(robot_image()), ROBOT)
+    assert [name for name, passed in report.checks.items() if not passed] == []
+    assert len(report.checks) > 10
 
 
 def test_arm_gcc_finds_nothing_with_stricter_warnings(tmp_path: Path) -> None:

@@ -295,3 +295,41 @@ def test_conditional_blocks_survive_being_cut_up(tmp_path: Path) -> None:
     whole.run_until(5999 / 64)
     assert (whole.cycles, whole.instructions) == (chip.cycles, chip.instructions)
     assert chip.ram_read(0x2000_0100, 4) == (100 + 100 * 100).to_bytes(4, "little")
+
+
+@pytest.mark.parametrize("step_cycles", [1, 7, 100_000])
+def test_memory_accesses_inside_conditional_blocks(tmp_path: Path, step_cycles: int) -> None:
+    """unicorn 2.1 leaves its IT state set by such an access, and that spoils the code that follows."""
+    code = """movw r2, #0x0100
+        movt r2, #0x2000
+        mov r6, #0x40000000
+        add r6, #0x8000
+        movs r0, #0
+        movs r4, #0
+        2: bl 3f
+        adds r0, #1
+        cmp r0, #50
+        bne 2b
+        str r4, [r2]
+        1: b 1b
+        3: push {r5, lr}
+        tst r0, #1
+        ittte eq
+        streq r0, [r6, #0x540]
+        ldreq r5, [r6, #0x540]
+        addeq r4, r5
+        addne r4, #1000
+        tst r0, #2
+        it eq
+        popeq {r5, pc}
+        tst r0, #4
+        b 4f
+        4: pop {r5, pc}"""
+    chip = bare(tmp_path, code, NO_WAITS)
+    for cycle in range(0, 60 * 64, step_cycles):
+        chip.run_until(cycle / 64)
+    chip.run_until(100)
+    assert chip.ram_read(0x2000_0100, 4) == (sum(range(0, 50, 2)) + 25 * 1000).to_bytes(4, "little")
+    whole = bare(tmp_path, code, NO_WAITS)
+    whole.run_until(100)
+    assert (whole.cycles, whole.instructions) == (chip.cycles, chip.instructions)

@@ -268,6 +268,10 @@ class VirtualChip:
             raise self._access_error
         self._pc = self._state.address
         why = Stop(self._state.stop)
+        if self._state.late and why is not Stop.UNALIGNED:
+            raise self.fail(
+                f"the emulator ran {self._state.late} instructions past a stop: its counts are wrong"
+            )
         if why is Stop.UNKNOWN:
             self._table.decode_from(self._pc)
         elif why is Stop.WFE:

@@ -28,6 +28,7 @@ typedef struct {
     uint32_t refill;       /* 1/256 cycles added where an instruction does not follow the last in memory */
     uint32_t flash_bytes;
     uint32_t unaligned;    /* address of the access that stopped the core */
+    uint32_t late;         /* instructions that the emulator ran in spite of a stop; an error */
     const uint16_t *table; /* an entry for each halfword of flash */
     int (*emu_stop)(void *);
     int (*reg_read)(void *, int, void *);
@@ -86,7 +87,9 @@ void fk_hook_code(void *uc, uint64_t address64, uint32_t size, void *user)
     uint32_t entry = state->table[address >> 1];
 
     if (state->stop != STOP_NONE) {
-        return; /* already stopped; the emulator may call once more before it leaves */
+        ++state->late; /* the emulator went on after a stop: what it runs now is not counted */
+        state->emu_stop(uc);
+        return;
     }
     if ((entry & FLAG_KNOWN) == 0u) {
         stop(state, uc, STOP_UNKNOWN, address);

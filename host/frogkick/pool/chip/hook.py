@@ -60,6 +60,7 @@ class HookState(ctypes.Structure):
         ("refill", ctypes.c_uint32),
         ("flash_bytes", ctypes.c_uint32),
         ("unaligned", ctypes.c_uint32),
+        ("late", ctypes.c_uint32),
         ("table", ctypes.c_void_p),
         ("emu_stop", ctypes.c_void_p),
         ("reg_read", ctypes.c_void_p),

@@ -121,7 +121,12 @@ def build(target: str, image: Path, robot: Robot, out: Path) -> Build:
     out.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(prefix=".build-", dir=out) as folder:
         work = Path(folder)
-        emit(image, work / "emitted", f"frogkick firmware build --target {target} --tables {image.name}")
+        emit(
+            image,
+            work / "emitted",
+            f"frogkick firmware build --target {target} --tables {image.name}",
+            robot_sha256=robot.sha256,
+        )
         write_text(work / "config" / "fk_robot_config.h", robot_config(robot))
         made = _build_bench(work) if target == "bench" else _build_native(work)
         files = {what: out / path.name for what, path in made.items()}

@@ -15,6 +15,7 @@ from frogkick_codegen.toolchain import cache_folder
 
 STATES = 300
 SEED = 0
+SAMPLING = "visited"
 
 
 def default_tables(robot_name: str) -> Path:
@@ -24,7 +25,7 @@ def default_tables(robot_name: str) -> Path:
         InputError: no such robot.
     """
     robot = load_robot(robot_name)
-    key = hashlib.sha256(robot.sha256 + f"{__version__} {STATES} {SEED}".encode()).hexdigest()[:24]
+    key = hashlib.sha256(robot.sha256 + f"{__version__} {STATES} {SEED} {SAMPLING}".encode()).hexdigest()[:24]
     folder = cache_folder() / "tables"
     target = folder / f"{robot.id}-{key}.fkt"
     if not target.exists():

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from frogkick.cli.common import JsonOption, SeedOption, progress_bar, show
-from frogkick.cli.places import plan_config
+from frogkick.cli.places import DepthOption, PlannerName, plan_config
 from frogkick.report.ring_page import write_ring_report
 from frogkick.robot import load_robot
 from frogkick.study.ring import go_round
@@ -18,15 +18,13 @@ def demo(
     out: Annotated[Path, typer.Option(help="Folder for everything that is made.")] = Path("demo"),
     robot: Annotated[str, typer.Option(help="TOML file or built-in name.")] = "frog2022",
     states: Annotated[int, typer.Option(min=10, max=2000, help="Initial velocities of the library.")] = 300,
-    depth: Annotated[
-        int | None, typer.Option(help="Levels to look ahead, 1 to 4; default: the robot's.")
-    ] = None,
+    depth: DepthOption = None,
     seed: SeedOption = 0,
     json: JsonOption = False,
 ) -> None:
     """Simulate, tabulate, emit C, build firmware, swim three paths with it on the virtual chip, report."""
     described = load_robot(robot)
-    levels = plan_config(described, depth).depth
+    levels = plan_config(described, PlannerName.robot, depth).depth
     ring = go_round(described, out, states, levels, seed, progress_bar)
     report = out / "report.html"
     write_ring_report(report, ring)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import enum
 import os
 import time
 from pathlib import Path
@@ -16,12 +17,23 @@ from frogkick.robot import load_robot
 app = typer.Typer(help="Simulate transitions for many initial velocities.", no_args_is_help=True)
 
 
+class Sampling(enum.StrEnum):
+    """How initial velocities are drawn."""
+
+    box = "box"
+    visited = "visited"
+
+
 @app.command()
 def build(
     robot: Annotated[str, typer.Argument(help="TOML file or built-in name.")] = "frog2022",
     states: Annotated[int, typer.Option(min=1, max=65535, help="Initial velocities.")] = 300,
     out: Annotated[Path, typer.Option(help="HDF5 file to write.")] = Path("lib.h5"),
     workers: Annotated[int, typer.Option(min=0, max=256, help="Processes; 0 = one for each core.")] = 0,
+    sampling: Annotated[
+        Sampling,
+        typer.Option(help="box: uniform, as the paper; visited: where a steered robot's strokes begin."),
+    ] = Sampling.box,
     seed: SeedOption = 0,
     json: JsonOption = False,
 ) -> None:
@@ -36,6 +48,7 @@ def build(
             workers=workers or os.cpu_count() or 1,
             out=out,
             progress=progress,
+            sampling=sampling.value,
         )
     transitions = states * len(described.actions)
     show(

@@ -9,7 +9,7 @@ import typer
 
 from frogkick.cli.common import JsonOption, SeedOption, progress_bar, show
 from frogkick.cli.default_tables import default_tables
-from frogkick.cli.places import plan_config, robot_of_table, simulated_robot
+from frogkick.cli.places import PlannerName, plan_config, robot_of_table, simulated_robot
 from frogkick.loop.plan_place import plan_over_link
 from frogkick.paths import shape
 from frogkick.planner.image import read_image
@@ -35,7 +35,7 @@ def parity(
     """Plan from many states in every place and count differing bits. Exit 1 if there are any."""
     image = tables if tables is not None else default_tables("frog2022")
     described = robot_of_table(image, None)
-    opened, path, config = read_image(image), shape("sine"), plan_config(described, 1)
+    opened, path, config = read_image(image), shape("sine"), plan_config(described, PlannerName.paper, 1)
     cases = make_cases(opened, path, states, seed)
     python = python_place(opened, path, config)
     native = native_place(NativeLibrary(), opened, path, config)

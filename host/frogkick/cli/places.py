@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+import dataclasses
+import enum
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Annotated
+
+import typer
 
 from frogkick.errors import InputError
+from frogkick.loop.closed_loop import robot_plan_config
 from frogkick.loop.runlog import RunLog
 from frogkick.paths import SHAPES, read_path, shape
 from frogkick.paths import Path as SwimPath
@@ -57,23 +63,33 @@ def simulated_robot(name: str, tables: Path, robot: Robot) -> Iterator[RobotPort
         raise InputError(f"--robot is {name!r}: choose virtual (the chip) or pool (this computer)")
 
 
-def plan_config(robot: Robot, depth: int | None) -> PlanConfig:
-    """The robot's planner defaults, with another depth if one is given.
+class PlannerName(enum.StrEnum):
+    """Whose weights and depth."""
+
+    robot = "robot"
+    paper = "paper"
+
+
+PlannerOption = Annotated[
+    PlannerName,
+    typer.Option(help="robot: its TOML's weights and depth; paper: 500, 50, 300, 0.3 and depth 1."),
+]
+DepthOption = Annotated[
+    int | None, typer.Option(help="Levels to look ahead, 1 to 4; default: the planner's own.")
+]
+
+
+def plan_config(robot: Robot, planner: PlannerName, depth: int | None) -> PlanConfig:
+    """A planner's configuration, with another depth if one is given.
 
     Raises:
         InputError: the depth is not 1 to 4.
     """
-    chosen = robot.planner.depth if depth is None else depth
+    config = PlanConfig() if planner is PlannerName.paper else robot_plan_config(robot)
+    chosen = config.depth if depth is None else depth
     if not 1 <= chosen <= 4:
         raise InputError(f"--depth is {chosen}, the planner looks 1 to 4 levels ahead")
-    planner = robot.planner
-    return PlanConfig(
-        planner.distance_weight_per_m,
-        planner.angle_weight_per_rad,
-        planner.progress_weight,
-        planner.level_weight,
-        chosen,
-    )
+    return dataclasses.replace(config, depth=chosen)
 
 
 def swim_path(name: str) -> SwimPath:

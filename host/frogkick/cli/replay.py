@@ -11,7 +11,15 @@ import typer
 
 from frogkick.cli.common import JsonOption, progress_bar, show
 from frogkick.cli.default_tables import default_tables
-from frogkick.cli.places import plan_config, require_period, robot_of_table, simulated_robot
+from frogkick.cli.places import (
+    DepthOption,
+    PlannerName,
+    PlannerOption,
+    plan_config,
+    require_period,
+    robot_of_table,
+    simulated_robot,
+)
 from frogkick.loop.recorded import load_run
 from frogkick.loop.replay import replay as replay_run
 from frogkick.planner.image import read_image
@@ -35,9 +43,8 @@ def replay(
     tables: Annotated[
         Path | None, typer.Option(help="Table image (.fkt); default: one made from a small library.")
     ] = None,
-    depth: Annotated[
-        int | None, typer.Option(help="Levels to look ahead, 1 to 4; default: the robot's.")
-    ] = None,
+    planner: PlannerOption = PlannerName.paper,
+    depth: DepthOption = None,
     robot: Annotated[
         str, typer.Option(help="virtual: the chip; pool: the C core on this computer.")
     ] = "virtual",
@@ -52,7 +59,12 @@ def replay(
     chip = nullcontext() if plan is PlanWhere.host else simulated_robot(robot, image, described)
     with chip as port, progress_bar("decisions") as progress:
         result = replay_run(
-            recorded, opened, plan_config(described, depth), port, plan is not PlanWhere.onboard, progress
+            recorded,
+            opened,
+            plan_config(described, planner, depth),
+            port,
+            plan is not PlanWhere.onboard,
+            progress,
         )
     values: dict[str, Any] = {
         "decisions": len(result.actions),

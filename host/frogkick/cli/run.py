@@ -10,7 +10,16 @@ import numpy as np
 import typer
 
 from frogkick.cli.common import JsonOption, SeedOption, progress_bar, show
-from frogkick.cli.places import plan_config, robot_of_table, simulated_robot, start_pose, swim_path
+from frogkick.cli.places import (
+    DepthOption,
+    PlannerName,
+    PlannerOption,
+    plan_config,
+    robot_of_table,
+    simulated_robot,
+    start_pose,
+    swim_path,
+)
 from frogkick.loop.closed_loop import RunOptions, run_in_pool
 from frogkick.loop.record import run_log, tracking_of_recording
 from frogkick.loop.runlog_file import write_run
@@ -33,9 +42,8 @@ def run(
     ] = "virtual",
     plan: Annotated[PlanWhere, typer.Option(help="Who decides: the robot or the host.")] = PlanWhere.onboard,
     path: Annotated[str, typer.Option(help="line, sine, ellipse, or a CSV file.")] = "line",
-    depth: Annotated[
-        int | None, typer.Option(help="Levels to look ahead, 1 to 4; default: the robot's.")
-    ] = None,
+    planner: PlannerOption = PlannerName.robot,
+    depth: DepthOption = None,
     model: Annotated[str | None, typer.Option(help="Robot TOML or name; default: the table's robot.")] = None,
     simulated_time: Annotated[float, typer.Option(help="Longest pool time, s.")] = 120.0,
     fix_rate: Annotated[float, typer.Option(help="Position fixes per second.")] = 15.0,
@@ -47,7 +55,7 @@ def run(
     described = robot_of_table(tables, model)
     opened = read_image(tables)
     desired = swim_path(path)
-    options = RunOptions(plan_config(described, depth), plan is PlanWhere.onboard, simulated_time)
+    options = RunOptions(plan_config(described, planner, depth), plan is PlanWhere.onboard, simulated_time)
     camera = Camera(rate_hz=fix_rate)
     with simulated_robot(robot, tables, described) as port:
         pool = Pool(described, start_pose(desired), camera, np.random.default_rng(seed))

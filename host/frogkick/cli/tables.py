@@ -53,7 +53,7 @@ def build(
     image = quantise(content)
     tables = open_image(image)
     with progress_bar("unseen states") as progress:
-        error = table_error(tables, content.robot(), test_states, seed, progress)
+        error = table_error(tables, content.robot(), test_states, seed, content.sampling, progress)
     write_bytes(out, image)
     show({**_facts(tables), "error": error, "out": str(out)}, json)
 

@@ -17,12 +17,12 @@ from numpy.typing import NDArray
 
 from frogkick.der import Rods, prepare, simulate_action
 from frogkick.errors import ConvergenceError, FrogkickError, InputError
+from frogkick.library.sampling import sample_velocities
 from frogkick.library.store import Library, make_library, write_library
 from frogkick.robot import Robot
 
 FloatArray = NDArray[np.float64]
 
-STATES_MAX = 65535  # a table image counts its states in 16 bits
 _CHUNK_STATES = 2  # some 0.4 s of work: fine progress, quick end on Ctrl-C, no cost to speak of
 _REPORTED_FAILURES = 20
 
@@ -43,21 +43,6 @@ class _Chunk:
     first: int
     rows: FloatArray
     failures: tuple[str, ...]
-
-
-def sample_velocities(robot: Robot, states: int, seed: int) -> FloatArray:
-    """Draw (states, 3) body velocities uniformly from the robot's library box.
-
-    Raises:
-        InputError: states outside of 1 to 65535, or a negative seed.
-    """
-    if not 1 <= states <= STATES_MAX:
-        raise InputError(f"states is {states}: give 1 to {STATES_MAX}")
-    if seed < 0:
-        raise InputError(f"seed is {seed}: give 0 or more")
-    box = robot.library_box
-    low, high = np.array([box.forward_mps, box.left_mps, box.omega_rad_s]).T
-    return np.random.default_rng(seed).uniform(low, high, size=(states, 3))
 
 
 def simulate_transitions(rods: Rods, velocities: FloatArray, first: int = 0) -> tuple[FloatArray, list[str]]:
@@ -131,6 +116,7 @@ def build_library(
     workers: int,
     out: Path | str,
     progress: Callable[[int, int], None] | None = None,
+    sampling: str = "box",
 ) -> BuildReport:
     """Simulate ``states`` initial velocities times all actions and write the library.
 
@@ -144,6 +130,7 @@ def build_library(
         workers: processes; 1 simulates in this one.
         out: the HDF5 file to write.
         progress: called with (transitions done, all).
+        sampling: "box" or "visited"; see ``sample_velocities``.
 
     Raises:
         InputError: states, seed or workers out of range, or a place that cannot be written to.
@@ -153,7 +140,7 @@ def build_library(
     if not 1 <= workers <= 256:
         raise InputError(f"workers is {workers}: give 1 to 256")
     began = time.monotonic()
-    velocities = sample_velocities(robot, states, seed)
+    velocities = sample_velocities(robot, states, seed, sampling)
     rods = prepare(robot)
     # Compile here, once, before any worker starts.
     simulate_action(robot, (0.0, 0.0, 0.0), robot.actions[0], 0.002, rods=rods)
@@ -177,12 +164,17 @@ def build_library(
         raise ConvergenceError(
             f"{len(lines)} of {total} simulations failed, no library written: {shown}{more}"
         )
-    write_library(library_of(robot, seed, velocities, rows), out)
+    write_library(library_of(robot, sampling, seed, velocities, rows), out)
     return BuildReport(total, total * robot.period_s, time.monotonic() - began)
 
 
-def library_of(robot: Robot, seed: int, velocities: FloatArray, rows: FloatArray) -> Library:
+def library_of(robot: Robot, sampling: str, seed: int, velocities: FloatArray, rows: FloatArray) -> Library:
     """A library in memory from (n, 3) velocities and (n, a, 6) rows of simulate_action."""
     return make_library(
-        robot, seed, velocities, np.ascontiguousarray(rows[:, :, :3]), np.ascontiguousarray(rows[:, :, 3:])
+        robot,
+        sampling,
+        seed,
+        velocities,
+        np.ascontiguousarray(rows[:, :, :3]),
+        np.ascontiguousarray(rows[:, :, 3:]),
     )

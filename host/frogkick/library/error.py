@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from frogkick.der import prepare
 from frogkick.errors import ConvergenceError
-from frogkick.library.build import sample_velocities, simulate_transitions
+from frogkick.library.build import simulate_transitions
+from frogkick.library.sampling import sample_velocities
 from frogkick.planner.image import Tables
 from frogkick.robot import Robot
 
@@ -21,6 +22,7 @@ def table_error(
     robot: Robot,
     states: int,
     seed: int,
+    sampling: str = "box",
     progress: Callable[[int, int], None] = lambda _done, _all: None,
 ) -> dict[str, float]:
     """Root mean square error of a table's transitions on unseen initial velocities.
@@ -28,8 +30,9 @@ def table_error(
     Args:
         tables: the table.
         robot: what to simulate for the truth.
-        states: unseen velocities, drawn uniformly from the robot's library box.
+        states: unseen velocities.
         seed: of their sampling; not the library's own.
+        sampling: as for ``sample_velocities``.
         progress: called with states done and to do.
 
     Returns:
@@ -39,7 +42,7 @@ def table_error(
         ConvergenceError: a simulation failed.
     """
     rods = prepare(robot)
-    velocities = sample_velocities(robot, states, seed)
+    velocities = sample_velocities(robot, states, seed, sampling)
     truth = np.empty((states, len(robot.actions), 6))
     for k in range(states):
         rows, failures = simulate_transitions(rods, velocities[k : k + 1], k)

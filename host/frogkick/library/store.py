@@ -34,7 +34,8 @@ class Library:
     Attributes:
         robot_toml: the robot's canonical text; robot() reads it.
         robot_sha256: 32 bytes, of that text.
-        seed: of the sampled velocities.
+        sampling: how the velocities were drawn ("box" or "visited").
+        seed: of that.
         frogkick_version: that made it.
         period_s: simulated time of each transition.
         initial_velocity_body: (n, 3) forward, left (m/s), turn rate (rad/s).
@@ -45,6 +46,7 @@ class Library:
     robot_id: str
     robot_toml: str
     robot_sha256: bytes
+    sampling: str
     seed: int
     frogkick_version: str
     period_s: float
@@ -77,6 +79,7 @@ def write_library(library: Library, out: Path | str) -> None:
         file.attrs["robot_id"] = library.robot_id
         file.attrs["robot_toml"] = library.robot_toml
         file.attrs["robot_sha256"] = library.robot_sha256.hex()
+        file.attrs["sampling"] = library.sampling
         file.attrs["seed"] = library.seed
         file.attrs["frogkick_version"] = library.frogkick_version
         file.attrs["period_s"] = library.period_s
@@ -102,6 +105,7 @@ def read_library(path: Path | str) -> Library:
             robot_id=str(attributes["robot_id"]),
             robot_toml=str(attributes["robot_toml"]),
             robot_sha256=bytes.fromhex(str(attributes["robot_sha256"])),
+            sampling=str(attributes["sampling"]),
             seed=int(attributes["seed"]),
             frogkick_version=str(attributes["frogkick_version"]),
             period_s=float(attributes["period_s"]),
@@ -130,6 +134,7 @@ def library_info(path: Path | str) -> dict[str, Any]:
         "robot": library.robot_id,
         "robot_sha256": library.robot_sha256.hex(),
         "content_sha256": library.content_sha256().hex(),
+        "sampling": library.sampling,
         "seed": library.seed,
         "frogkick_version": library.frogkick_version,
         "period_s": library.period_s,
@@ -144,13 +149,14 @@ def library_info(path: Path | str) -> dict[str, Any]:
 
 
 def make_library(
-    robot: Robot, seed: int, initial: FloatArray, displacement: FloatArray, end: FloatArray
+    robot: Robot, sampling: str, seed: int, initial: FloatArray, displacement: FloatArray, end: FloatArray
 ) -> Library:
     """Put transitions and their origin together."""
     return Library(
         robot_id=robot.id,
         robot_toml=robot.toml,
         robot_sha256=robot.sha256,
+        sampling=sampling,
         seed=seed,
         frogkick_version=frogkick.__version__,
         period_s=robot.period_s,

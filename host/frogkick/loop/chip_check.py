@@ -119,7 +119,7 @@ class _Trial:
         return told
 
     def stroke(self) -> None:
-        """The first action with limbs in both groups: two pulses, of the right length, one after the other."""
+        """An action with limbs in both groups: two pulses of the right length, one after the other."""
         rows = [i for i, row in enumerate(self.tables.actions) if row.first_mask and row.second_mask]
         action = rows[0] if rows else 0
         row = self.tables.actions[action]

@@ -17,6 +17,7 @@ from frogkick.planner.plan import PlanConfig
 from frogkick.pool.camera import Fix
 from frogkick.pool.pool import Pool
 from frogkick.pool.port import Edge, RobotPort
+from frogkick.robot import Robot
 
 SETTLE_S = 0.6  # fixes before the start, so that the first estimate knows a velocity
 START_DELAY_S = 0.1
@@ -65,6 +66,18 @@ class RunOptions:
     config: PlanConfig
     onboard: bool = True
     time_limit_s: float = 120.0
+
+
+def robot_plan_config(robot: Robot) -> PlanConfig:
+    """The planner configuration of a robot's TOML."""
+    planner = robot.planner
+    return PlanConfig(
+        planner.distance_weight_per_m,
+        planner.angle_weight_per_rad,
+        planner.progress_weight,
+        planner.level_weight,
+        planner.depth,
+    )
 
 
 def parameters(config: PlanConfig) -> dict[str, float]:

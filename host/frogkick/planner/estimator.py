@@ -1,18 +1,18 @@
 """The estimator's twin: the state at a decision's time, from late position fixes.
 
-A straight line through the last few fixes (ordinary least squares), taken to the asked time. Every operation is
-float32 in one order; the C is ``firmware/core/fk_estimator.c``, written separately, and both give the same bits.
+A straight line through the last few fixes (ordinary least squares), taken to the asked time. Every
+operation is float32 in one order; the C is ``firmware/core/fk_estimator.c``, written separately, and both
+give the same bits.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numba as nb
 import numpy as np
 import numpy.typing as npt
 
-from frogkick.planner.math32 import velocity_to_body, wrap_angle
+from frogkick.planner.kernel import sincos, wrap_angle
 
 FIXES_MAX = 8
 WINDOW_US = 250_000
@@ -23,6 +23,7 @@ FIELD_M = np.float32(1000.0)
 
 _MICROSECOND = np.float32(1e-6)
 _ZERO = np.float32(0.0)
+HEADING = 2
 
 
 @dataclass(frozen=True)
@@ -70,7 +71,7 @@ class Estimator:
         if self._capture_us and capture_us <= self._capture_us[-1]:
             return False
         self._capture_us.append(int(capture_us))
-        self._poses.append((pose[0], pose[1], wrap_angle(pose[2])))
+        self._poses.append((pose[0], pose[1], np.float32(wrap_angle(pose[HEADING]))))
         self._sequences.append(int(sequence))
         if len(self._capture_us) > FIXES_MAX:
             del self._capture_us[0], self._poses[0], self._sequences[0]
@@ -85,58 +86,51 @@ class Estimator:
         if lead_us > STALE_US or lead_us < -FUTURE_US:
             return None
         rows = [i for i, time_us in enumerate(self._capture_us) if newest_us - time_us <= WINDOW_US]
-        ages = np.array([self._capture_us[i] - newest_us for i in rows], dtype=np.int32)
-        poses = np.array([self._poses[i] for i in rows], dtype=np.float32)
-        return Estimate(_line_at(ages, poses, np.int32(lead_us)), self._sequences[-1], len(rows))
+        ages_us = [self._capture_us[i] - newest_us for i in rows]
+        poses = [self._poses[i] for i in rows]
+        return Estimate(_line_at(ages_us, poses, lead_us), self._sequences[-1], len(rows))
 
 
-@nb.njit(cache=True)
-def _slope(
-    t: npt.NDArray[np.float32], t_mean: np.float32, v: npt.NDArray[np.float32], v_mean: np.float32
-) -> np.float32:
-    above, below = _ZERO, _ZERO
-    for i in range(t.shape[0]):
-        dt = np.float32(t[i] - t_mean)
-        below = np.float32(below + np.float32(dt * dt))
-        above = np.float32(above + np.float32(dt * np.float32(v[i] - v_mean)))
-    if below > _ZERO:
-        return np.float32(above / below)
-    return _ZERO
-
-
-@nb.njit(cache=True)
-def _mean(v: npt.NDArray[np.float32]) -> np.float32:
+def _mean(values: list[np.float32]) -> np.float32:
     total = _ZERO
-    for i in range(v.shape[0]):
-        total = np.float32(total + v[i])
-    return np.float32(total / np.float32(v.shape[0]))
+    for value in values:
+        total = total + value
+    return np.float32(total / np.float32(len(values)))
 
 
-@nb.njit(cache=True)
+def _slope(
+    t_s: list[np.float32], t_mean: np.float32, values: list[np.float32], mean: np.float32
+) -> np.float32:
+    """Least-squares slope; zero where all times are one."""
+    above, below = _ZERO, _ZERO
+    for t, value in zip(t_s, values, strict=True):
+        dt = t - t_mean
+        below = below + dt * dt
+        above = above + dt * (value - mean)
+    return np.float32(above / below) if below > _ZERO else _ZERO
+
+
 def _line_at(
-    ages_us: npt.NDArray[np.int32], poses: npt.NDArray[np.float32], lead_us: np.int32
+    ages_us: list[int], poses: list[tuple[np.float32, np.float32, np.float32]], lead_us: int
 ) -> npt.NDArray[np.float32]:
-    """Fit x(t), y(t), heading(t) relative to the newest fix (the last row) and evaluate at its time + lead."""
-    n = ages_us.shape[0]
-    t = np.empty(n, dtype=np.float32)
-    offsets = np.empty((3, n), dtype=np.float32)
-    last = poses[n - 1]
-    for i in range(n):
-        t[i] = np.float32(np.float32(ages_us[i]) * _MICROSECOND)
-        offsets[0, i] = np.float32(poses[i, 0] - last[0])
-        offsets[1, i] = np.float32(poses[i, 1] - last[1])
-        offsets[2, i] = wrap_angle(np.float32(poses[i, 2] - last[2]))
-    t_mean = _mean(t)
-    lead_s = np.float32(np.float32(np.float32(lead_us) * _MICROSECOND) - t_mean)
-    at = np.empty(3, dtype=np.float32)
-    slopes = np.empty(3, dtype=np.float32)
+    """Fit x(t), y(t), heading(t) relative to the newest fix (the last row), evaluate a lead after it.
+
+    numpy's float32 scalars round each operation once, as the C does.
+    """
+    last = poses[-1]
+    t_s = [np.float32(age_us) * _MICROSECOND for age_us in ages_us]
+    t_mean = _mean(t_s)
+    lead_s = np.float32(lead_us) * _MICROSECOND - t_mean
+    at, slopes = [], []
     for k in range(3):
-        mean = _mean(offsets[k])
-        slopes[k] = _slope(t, t_mean, offsets[k], mean)
-        at[k] = np.float32(last[k] + np.float32(mean + np.float32(slopes[k] * lead_s)))
-    heading = wrap_angle(at[2])
-    vx, vy = velocity_to_body(heading, slopes[0], slopes[1])
-    state = np.empty(6, dtype=np.float32)
-    state[0], state[1], state[2] = at[0], at[1], heading
-    state[3], state[4], state[5] = vx, vy, slopes[2]
-    return state
+        offsets = [np.float32(pose[k] - last[k]) for pose in poses]
+        if k == HEADING:
+            offsets = [np.float32(wrap_angle(offset)) for offset in offsets]
+        mean = _mean(offsets)
+        slopes.append(_slope(t_s, t_mean, offsets, mean))
+        at.append(last[k] + (mean + slopes[k] * lead_s))
+    heading = np.float32(wrap_angle(at[HEADING]))
+    sine, cosine = (np.float32(value) for value in sincos(heading))
+    vx = cosine * slopes[0] + sine * slopes[1]
+    vy = cosine * slopes[1] - sine * slopes[0]
+    return np.array([at[0], at[1], heading, vx, vy, slopes[HEADING]], dtype=np.float32)

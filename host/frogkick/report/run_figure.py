@@ -67,10 +67,9 @@ def _distance(axes: Axes, run: RunLog) -> None:
     distance_mm = 1e3 * run.path.distance_m(run.truth.pose_world[during, :2])
     mean_mm = float(distance_mm.mean())
     axes.plot(time_s[during], distance_mm, color=style.TRUE)
-    axes.axhline(mean_mm, color=style.DESIRED, linestyle="--", label=f"mean {mean_mm:.1f} mm")
-    axes.set_ylabel("mm")
-    axes.set_title("Distance to the path")
-    axes.legend(loc="upper right")
+    axes.axhline(mean_mm, color=style.DESIRED, linestyle="--")
+    axes.set_ylabel("distance (mm)")
+    axes.set_title(f"Distance to the path, mean {mean_mm:.1f} mm (dashed)")
 
 
 def _actions(axes: Axes, run: RunLog) -> None:
@@ -88,7 +87,8 @@ def _errors(
     axes.plot(
         time_s, heading_deg, "^:", color=colour, markersize=3, linewidth=0.8, label="heading (deg)", alpha=0.7
     )
-    axes.set_ylabel("mm, deg")
+    axes.set_ylabel("error (mm, deg)")
+    axes.set_ylim(0.0, 1.35 * max(1e-3, float(np.max(position_mm)), float(np.max(heading_deg))))
     axes.legend(loc="upper right", ncols=2)
 
 
@@ -100,7 +100,7 @@ def _estimate(axes: Axes, run: RunLog) -> None:
     position_mm = 1e3 * np.hypot(*(estimate[:, :2] - truth[:, :2]).T)
     heading_deg = np.rad2deg(np.abs(wrap_angle(estimate[:, 2] - truth[:, 2])))
     _errors(axes, time_s, position_mm, heading_deg, style.ESTIMATED)
-    axes.set_title("Estimate on the robot against truth, at each decision")
+    axes.set_title("Error of the robot's estimate, at each decision")
 
 
 def _prediction(axes: Axes, run: RunLog) -> None:
@@ -113,6 +113,6 @@ def _prediction(axes: Axes, run: RunLog) -> None:
         style.PREDICTED,
     )
     axes.set_title(
-        f"What the model missed one period ahead: {1e3 * missed.position_rmse_m:.1f} mm, "
-        f"{np.rad2deg(missed.heading_rmse_rad):.1f} deg RMSE"
+        f"Missed by the prediction, a period ahead: {1e3 * missed.position_rmse_m:.1f} mm, "
+        f"{np.rad2deg(missed.heading_rmse_rad):.1f} deg RMS"
     )

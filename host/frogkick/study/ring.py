@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import os
 import time
 from collections.abc import Callable
@@ -14,7 +15,7 @@ import numpy as np
 from frogkick.files import write_bytes
 from frogkick.library import build_library, quantise, read_library
 from frogkick.loop.chip_check import ChipReport, check_on_chip
-from frogkick.loop.closed_loop import RunOptions, run_in_pool
+from frogkick.loop.closed_loop import RunOptions, robot_plan_config, run_in_pool
 from frogkick.loop.decision import DecisionTwin
 from frogkick.loop.record import Tracking, run_log, tracking_of_recording
 from frogkick.loop.replay import compare, replay_on_host
@@ -23,7 +24,6 @@ from frogkick.loop.runlog import RunLog
 from frogkick.loop.runlog_file import write_run
 from frogkick.paths import SHAPES, shape
 from frogkick.planner.image import Tables, read_image
-from frogkick.planner.plan import PlanConfig
 from frogkick.pool.camera import Camera
 from frogkick.pool.pool import Pool
 from frogkick.pool.virtual_robot import VirtualRobot
@@ -104,6 +104,7 @@ def go_round(robot: Robot, out: Path, states: int, depth: int, seed: int, bar: B
             workers=os.cpu_count() or 1,
             out=out / "library.h5",
             progress=progress,
+            sampling="visited",
         )
     clock.lap("library")
     image = out / "tables.fkt"
@@ -129,14 +130,7 @@ def _swim(
     ring: Ring, built: Build, name: str, depth: int, seed: int, progress: Callable[[int, int], None]
 ) -> RingRun:
     robot, tables, path = ring.robot, ring.tables, shape(name)
-    planner = robot.planner
-    config = PlanConfig(
-        planner.distance_weight_per_m,
-        planner.angle_weight_per_rad,
-        planner.progress_weight,
-        planner.level_weight,
-        depth,
-    )
+    config = dataclasses.replace(robot_plan_config(robot), depth=depth)
     start = (float(path.x_m[0]), float(path.y_m[0]), float(path.tangent_rad[0]))
     pool = Pool(robot, start, Camera(), np.random.default_rng(seed))
     recording = run_in_pool(

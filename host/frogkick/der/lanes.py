@@ -1,0 +1,223 @@
+"""Numbers side by side: one value of W simulations at once, so that the same code runs for one or for many.
+
+numba compiles a function for the types that it is called with. Handed arrays of float64, the rods' functions
+work on one simulation; handed arrays of ``lane_dtype(8)``, every ``get`` yields eight float64 side by side and
+every + - * / is one vector instruction where the processor has one that wide, or several narrower ones. No
+operation mixes lanes and none is reassociated or contracted, so a simulation's bits depend neither on the
+width nor on its neighbours nor on the processor.
+
+LLVM does not find this by itself in loops over lanes: it cannot prove that the arrays do not overlap.
+"""
+
+from __future__ import annotations
+
+import operator
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from llvmlite import ir
+from numba import types
+from numba.core import cgutils, typing
+from numba.core.datamodel import models, register_default
+from numba.core.typing.templates import AbstractTemplate, infer_global
+from numba.extending import intrinsic, lower_builtin
+from numba.np.arrayobj import make_array
+from numpy.typing import DTypeLike
+
+_FIELD = "lane"
+
+
+def lane_dtype(width: int) -> np.dtype[Any]:
+    """The element type of arrays that hold one value of ``width`` simulations: float64 where it is 1."""
+    scalar: DTypeLike = np.float64
+    return np.dtype(scalar) if width == 1 else np.dtype([(_FIELD, scalar, (width,))])
+
+
+class Lanes(types.Type):
+    """``width`` float64 side by side, as numba sees them inside of a function."""
+
+    def __init__(self, width: int) -> None:
+        self.width = width
+        super().__init__(name=f"Lanes({width})")
+
+
+@register_default(Lanes)
+class _LanesModel(models.PrimitiveModel):  # type: ignore[misc]
+    def __init__(self, manager: Any, lanes: Lanes) -> None:
+        super().__init__(manager, lanes, ir.VectorType(ir.DoubleType(), lanes.width))
+
+
+def _number(element: Any) -> types.Type | None:
+    """What ``get`` yields from an array of these elements; None where they are no numbers of ours."""
+    if element == types.float64:
+        return types.float64
+    if isinstance(element, types.Record) and list(element.fields) == [_FIELD]:
+        return Lanes(element.typeof(_FIELD).shape[0])
+    return None
+
+
+def _widest(*arguments: Any) -> Any:
+    """The type that an operation on these works in; None where they are no numbers or of two widths."""
+    lanes = {a for a in arguments if isinstance(a, Lanes)}
+    if len(lanes) > 1 or not all(isinstance(a, Lanes | types.Float) for a in arguments):
+        return None
+    return next(iter(lanes)) if lanes else types.float64
+
+
+def _spread(context: Any, builder: Any, value: Any, given: Any, wanted: Any) -> Any:
+    """A float64 in every lane."""
+    if given == wanted:
+        return value
+    if not isinstance(wanted, Lanes):
+        return context.cast(builder, value, given, wanted)
+    vector = context.get_value_type(wanted)
+    value = context.cast(builder, value, given, types.float64)
+    first = builder.insert_element(ir.Constant(vector, ir.Undefined), value, ir.Constant(ir.IntType(32), 0))
+    order = ir.Constant(ir.VectorType(ir.IntType(32), wanted.width), [0] * wanted.width)
+    return builder.shuffle_vector(first, ir.Constant(vector, ir.Undefined), order)
+
+
+def _define_operator(symbol: Callable[..., Any], instruction: str) -> None:
+    """Let numba type and lower a binary operator on lanes, a float64 standing for the same in every lane."""
+
+    class Typed(AbstractTemplate):  # type: ignore[misc]
+        def generic(self, args: Any, kws: Any) -> Any:
+            wanted = _widest(*args) if len(args) == 2 else None
+            return typing.signature(wanted, *args) if isinstance(wanted, Lanes) else None
+
+    def lowered(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        left, right = (
+            _spread(context, builder, value, given, sig.return_type)
+            for value, given in zip(args, sig.args, strict=True)
+        )
+        return getattr(builder, instruction)(left, right)
+
+    infer_global(symbol)(Typed)
+    for pair in ((Lanes, Lanes), (Lanes, types.Float), (types.Float, Lanes)):
+        lower_builtin(symbol, *pair)(lowered)
+
+
+for _symbol, _in_place, _instruction in (
+    (operator.add, operator.iadd, "fadd"),
+    (operator.sub, operator.isub, "fsub"),
+    (operator.mul, operator.imul, "fmul"),
+    (operator.truediv, operator.itruediv, "fdiv"),
+):
+    _define_operator(_symbol, _instruction)
+    _define_operator(_in_place, _instruction)
+
+
+@infer_global(operator.neg)
+class _Negated(AbstractTemplate):  # type: ignore[misc]
+    def generic(self, args: Any, kws: Any) -> Any:
+        return typing.signature(args[0], *args) if isinstance(args[0], Lanes) else None
+
+
+@lower_builtin(operator.neg, Lanes)
+def _lower_negated(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+    return builder.fneg(args[0])
+
+
+def _function(make: Callable[..., Any], given: tuple[Any, ...]) -> Any:
+    """Signature and code of a function on numbers of one width, from what it does to LLVM values."""
+    wanted = _widest(*given)
+    if wanted is None:
+        return None
+
+    def code(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        return make(
+            builder,
+            *(_spread(context, builder, a, t, wanted) for a, t in zip(args, sig.args, strict=True)),
+        )
+
+    return typing.signature(wanted, *given), code
+
+
+def _llvm(builder: Any, name: str, value: Any) -> Any:
+    kind = value.type
+    suffix = f"v{kind.count}f64" if isinstance(kind, ir.VectorType) else "f64"
+    return builder.call(
+        cgutils.get_or_insert_function(
+            builder.module, ir.FunctionType(kind, [kind]), f"llvm.{name}.{suffix}"
+        ),
+        [value],
+    )
+
+
+@intrinsic  # type: ignore[misc]
+def root(typing_context: Any, x: Any) -> Any:
+    """Square root of a number; NaN in the lanes where it is negative."""
+    return _function(lambda builder, value: _llvm(builder, "sqrt", value), (x,))
+
+
+@intrinsic  # type: ignore[misc]
+def size(typing_context: Any, x: Any) -> Any:
+    """Absolute value of a number."""
+    return _function(lambda builder, value: _llvm(builder, "fabs", value), (x,))
+
+
+@intrinsic  # type: ignore[misc]
+def choose_above(typing_context: Any, x: Any, limit: Any, yes: Any, no: Any) -> Any:
+    """``yes`` in the lanes where x > limit or either is NaN, ``no`` in the others."""
+
+    def make(builder: Any, a: Any, b: Any, c: Any, d: Any) -> Any:
+        return builder.select(builder.fcmp_unordered(">", a, b), c, d)
+
+    return _function(make, (x, limit, yes, no))
+
+
+@intrinsic  # type: ignore[misc]
+def any_above(typing_context: Any, x: Any, limit: Any) -> Any:
+    """Whether x > limit, or either is NaN, in any lane."""
+    wanted = _widest(x, limit)
+    if wanted is None:
+        return None
+
+    def code(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        a, b = (_spread(context, builder, v, t, wanted) for v, t in zip(args, sig.args, strict=True))
+        above = builder.fcmp_unordered(">", a, b)
+        if isinstance(wanted, Lanes):
+            bits = builder.bitcast(above, ir.IntType(wanted.width))
+            above = builder.icmp_unsigned("!=", bits, ir.Constant(bits.type, 0))
+        return context.cast(builder, above, types.boolean, sig.return_type)
+
+    return typing.signature(types.boolean, x, limit), code
+
+
+def _place(context: Any, builder: Any, kind: Any, array: Any, indices: Any) -> Any:
+    """Pointer to an element, as one to a number."""
+    view = make_array(kind)(context, builder, array)
+    pointer = cgutils.get_item_pointer(context, builder, kind, view, indices, wraparound=False)
+    return builder.bitcast(pointer, context.get_value_type(_number(kind.dtype)).as_pointer())
+
+
+_ALIGN = 8  # numpy aligns an array to its float64s, not to a whole row of lanes
+
+
+@intrinsic  # type: ignore[misc]
+def get(typing_context: Any, array: Any, i: Any, j: Any) -> Any:
+    """array[i, j] as a number; negative indices are not understood."""
+    number = _number(array.dtype)
+    if number is None or array.ndim != 2:
+        return None
+
+    def code(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        return builder.load(_place(context, builder, sig.args[0], args[0], args[1:]), align=_ALIGN)
+
+    return number(array, types.intp, types.intp), code
+
+
+@intrinsic  # type: ignore[misc]
+def put(typing_context: Any, array: Any, i: Any, j: Any, x: Any) -> Any:
+    """Set array[i, j] to a number; a float64 goes to every lane."""
+    number = _number(array.dtype)
+    if number is None or array.ndim != 2:
+        return None
+
+    def code(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        value = _spread(context, builder, args[3], sig.args[3], number)
+        builder.store(value, _place(context, builder, sig.args[0], args[0], args[1:3]), align=_ALIGN)
+        return context.get_dummy_value()
+
+    return types.void(array, types.intp, types.intp, x), code

@@ -1,0 +1,96 @@
+"""In which order the rods' linear systems are solved: planned once from the mesh, numbers flow through later.
+
+The matrix has one 2 x 2 block for each pair of nodes that share an edge or a bend, and is symmetric, so only
+its diagonal and one block of each pair are kept: the row is the node that is eliminated first. Which pairs
+fill in while eliminating node after node depends on the mesh alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import combinations
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+IntArray = NDArray[np.int32]
+
+
+class Plan(NamedTuple):
+    """Static index lists. Pair p couples the node order[k], start[k] <= p < start[k + 1], to neighbour[p].
+
+    Attributes:
+        order: (n,) nodes in the order of their elimination.
+        start: (n + 1,) where each node's pairs begin.
+        neighbour: (pairs,) the other node of each, eliminated later; fill-in included.
+        target_start: (n,) where the targets of step k begin.
+        target: for step k, of all its neighbours i before j, the pair (i, j) that it updates.
+        edge_pair: (e,) the pair of each edge's two nodes.
+        bend_pair: (b, 3) the pairs of each bend's nodes a b, a c, b c.
+        bend_flip: (b, 3) 1 where the second of these nodes is eliminated first (its row), else 0.
+        widest: most neighbours of one node.
+    """
+
+    order: IntArray
+    start: IntArray
+    neighbour: IntArray
+    target_start: IntArray
+    target: IntArray
+    edge_pair: IntArray
+    bend_pair: IntArray
+    bend_flip: IntArray
+    widest: int
+
+
+def plan_elimination(nodes: int, edge_nodes: IntArray, bend_nodes: IntArray, order: Sequence[int]) -> Plan:
+    """Plan the elimination of all nodes.
+
+    Args:
+        nodes: number of nodes n.
+        edge_nodes: (e, 2); bend_nodes: (b, 3): what couples.
+        order: (n,) a permutation of the nodes; it decides how much fills in, not what comes out.
+
+    Source: George, Liu 1981, Computer Solution of Large Sparse Positive Definite Systems (symbolic and
+    numeric phases apart).
+    """
+    coupled: list[set[int]] = [set() for _ in range(nodes)]
+    for group in (*edge_nodes.tolist(), *bend_nodes.tolist()):
+        for i in group:
+            coupled[i].update(j for j in group if j != i)
+    place = {node: k for k, node in enumerate(order)}
+    later: list[list[int]] = []
+    start = [0]
+    pair: dict[tuple[int, int], int] = {}
+    for node in order:
+        others = sorted(coupled[node], key=place.__getitem__)
+        for i in others:
+            pair[node, i] = len(pair)
+            coupled[i].discard(node)
+            coupled[i].update(j for j in others if j != i)
+        later.append(others)
+        start.append(len(pair))
+    target_start: list[int] = []
+    target: list[int] = []
+    for others in later:
+        target_start.append(len(target))
+        target += [pair[i, j] for i, j in combinations(others, 2)]
+
+    def of(values: Sequence[object]) -> IntArray:
+        return np.array(values, dtype=np.int32)
+
+    def found(i: int, j: int) -> int:
+        return pair[i, j] if (i, j) in pair else pair[j, i]
+
+    bend_sides = [list(combinations(bend, 2)) for bend in bend_nodes.tolist()]
+    return Plan(
+        order=of(order),
+        start=of(start),
+        neighbour=of([i for others in later for i in others]),
+        target_start=of(target_start),
+        target=of(target),
+        edge_pair=of([found(i, j) for i, j in edge_nodes.tolist()]),
+        bend_pair=of([[found(i, j) for i, j in sides] for sides in bend_sides]).reshape(-1, 3),
+        bend_flip=of([[(i, j) not in pair for i, j in sides] for sides in bend_sides]).reshape(-1, 3),
+        widest=max((len(others) for others in later), default=0),
+    )

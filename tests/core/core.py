@@ -1,4 +1,4 @@
-"""The C core that ships, as a library that pytest drives; and a robot to talk to, one frame and tick at a time."""
+"""The C core that ships, as a library that pytest drives; and a robot to talk to, tick by tick."""
 
 from __future__ import annotations
 

@@ -106,8 +106,9 @@ def test_the_twin_gives_the_same_bits() -> None:
 
 
 MUTATIONS = {
-    "order of the sum": ("for (uint32_t i = 0u; i < used; ++i) {\n        t_sum", "for (uint32_t i = used; i-- > 0u;) {\n        t_sum"),
-    "order of the products": ("        float dt = t_s[i] - t_mean;", "        float dt = t_s[used - 1u - i] - t_mean;"),
+    "order of the sum": ("for (uint32_t i = 0u; i < used; ++i) {\n        t_sum",
+                         "for (uint32_t i = used; i-- > 0u;) {\n        t_sum"),
+    "order of the products": ("dt = t_s[i] - t_mean;", "dt = t_s[used - 1u - i] - t_mean;"),
     "association": ("newest->x_m + (x_mean + vx_mps * lead_s)", "(newest->x_m + x_mean) + vx_mps * lead_s"),
     "heading not wrapped": ("dh_rad[used] = fk_wrap_angle(fix->heading_rad - newest->heading_rad)",
                             "dh_rad[used] = fix->heading_rad - newest->heading_rad"),

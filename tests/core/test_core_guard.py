@@ -118,7 +118,7 @@ def next_time_us(rng: np.random.Generator, now_us: int, pulse_us: int, book: Ref
 
 
 def one_sequence(seed: int, guard: Guard, judge: Callable[[str, bool, bool], None]) -> list[Pulse]:
-    """Play one random sequence; ``judge`` gets the wish, the guard's answer, the reference's. Returns the pulses."""
+    """Play one random sequence: ``judge`` gets each wish and both answers; returns the pulses."""
     rng = np.random.default_rng(seed)
     reference, book = Reference(), Book()
     now_us = int(rng.choice([0, 1, 499_999, 500_000, 10**6, 2**32 - 700_000, 2**40]))

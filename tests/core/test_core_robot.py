@@ -35,7 +35,7 @@ TABLE: dict[str, tuple[dict[str, Value], Rows, tuple[tuple[str, str], ...]]] = {
     "START": ({"delay_us": 500_000}, (), (("STATE", "DISARMED"), ("OK", "RUNNING"), ("STATE", "RUNNING"))),
     "STOP": ({}, (), (("OK", "DISARMED"), ("OK", "ARMED"), ("OK", "ARMED"))),
     "STATUS": ({}, (), (("OK", "DISARMED"), ("OK", "ARMED"), ("OK", "RUNNING"))),
-    "PARAM": ({"parameter": 1, "value": 2.0}, (), (("OK", "DISARMED"), ("OK", "ARMED"), ("STATE", "RUNNING"))),
+    "PARAM": ({"parameter": 1, "value": 2}, (), (("OK", "DISARMED"), ("OK", "ARMED"), ("STATE", "RUNNING"))),
     "STROKE": ({"action": ACTION["B"]}, (), (("STATE", "DISARMED"), ("OK", "ARMED"), ("STATE", "RUNNING"))),
     "PLAN": ({"depth": 1, **POSE, **MOTION}, (), (("OK", "DISARMED"), ("OK", "ARMED"), ("STATE", "RUNNING"))),
 }  # fmt: skip

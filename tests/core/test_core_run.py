@@ -79,7 +79,7 @@ def test_strokes_out_of_the_table_are_refused() -> None:
 
 
 def test_one_pulse_at_a_time() -> None:
-    """The port has one pulse timer. A pulse that waited there would heat other times than the guard has booked."""
+    """The port has one pulse timer: a pulse that waited there would not be on when the guard has booked it."""
     robot = Robot().begin("ARMED")
     begin_us = robot.now_us
     assert robot.stroke("A") == "OK"

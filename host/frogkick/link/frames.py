@@ -9,10 +9,13 @@ from dataclasses import dataclass
 
 from cobs import cobs
 
-from frogkick.errors import FrogkickError, InputError
+from frogkick.errors import FrogkickError, InputError, nearest_name
 from frogkick.link.layout import ANSWER_BIT, Payload, Value, link_layout
 
 DELIMITER = b"\x00"
+# COBS code byte, type, sequence, payload, CRC-32; a longer string is no frame of this link.
+ENCODED_MAX = 1 + 2 + link_layout().payload_bytes_max + 4
+PATH_POINTS_MAX = 100
 _BY_ID = {message.id: message for message in link_layout().messages.values()}
 
 
@@ -48,9 +51,17 @@ def pack_frame(
         rows: repeated rows, in the field order of the layout.
 
     Raises:
-        InputError: a value does not fit its field's type, or a field is missing or unknown.
+        InputError: a value does not fit its field's type, a field is missing or unknown, or there is no such
+            message, kind or sequence.
     """
-    message = link_layout().messages[name]
+    messages = link_layout().messages
+    if name not in messages:
+        raise InputError(f"frame {name!r} is not in frames.toml{nearest_name(name, messages)}: use its names")
+    if kind not in ("command", "answer", "event"):
+        raise InputError(f"kind is {kind!r}: choose command, answer or event")
+    if not 0 <= sequence <= 255:
+        raise InputError(f"sequence is {sequence}, allowed is 0 to 255: count modulo 256")
+    message = messages[name]
     payload: Payload | None = getattr(message, kind)
     if payload is None:
         raise InputError(f"{name} has no {kind}: see frames.toml")
@@ -60,19 +71,24 @@ def pack_frame(
         raise InputError(f"{name} takes the fields {wanted}, got {sorted(given)}: give exactly these")
     if len(rows) > payload.repeat_max:
         raise InputError(f"{name} carries at most {payload.repeat_max} rows, got {len(rows)}: split them")
-    ordered = [_wire_value(given[field.name]) for field in payload.fields]
     try:
+        ordered = [_wire_value(given[field.name], field.bytes) for field in payload.fields]
         body = struct.pack(payload.format, *ordered)
         body += b"".join(struct.pack(payload.repeat_format, *row) for row in rows)
-    except (struct.error, OverflowError) as error:
+    except (struct.error, OverflowError, UnicodeEncodeError) as error:
         raise InputError(f"{name} {given} does not fit its fields: {error}") from error
-    head = struct.pack("<BB", message.id | (ANSWER_BIT if kind == "answer" else 0), sequence & 0xFF)
+    head = struct.pack("<BB", message.id | (ANSWER_BIT if kind == "answer" else 0), sequence)
     crc = struct.pack("<I", zlib.crc32(head + body))
     return bytes(cobs.encode(head + body + crc)) + DELIMITER
 
 
-def _wire_value(value: Value) -> int | float | bytes:
-    return value.encode("ascii") if isinstance(value, str) else value
+def _wire_value(value: Value, room: int) -> int | float | bytes:
+    if not isinstance(value, str):
+        return value
+    text = value.encode("ascii")
+    if len(text) > room:  # struct would cut it without a word
+        raise struct.error(f"{value!r} has {len(text)} characters, room is for {room}")
+    return text
 
 
 def unpack_frame(encoded: bytes) -> Frame:
@@ -87,15 +103,16 @@ def unpack_frame(encoded: bytes) -> Frame:
         raise FrameError(f"{len(encoded)} bytes are not COBS: {error}") from error
     if len(raw) < 6 or zlib.crc32(raw[:-4]) != struct.unpack("<I", raw[-4:])[0]:
         raise FrameError(f"frame of {len(raw)} bytes fails its CRC-32: dropped")
-    message = _BY_ID.get(raw[0]) or _BY_ID.get(raw[0] & ~ANSWER_BIT)
-    if message is None:
+    message = _BY_ID.get(raw[0] & ~ANSWER_BIT)
+    is_answer = bool(raw[0] & ANSWER_BIT)
+    kind = "answer" if is_answer else "event" if message and message.event else "command"
+    payload: Payload | None = getattr(message, kind, None)
+    if message is None or payload is None:
         raise FrameError(f"frame type 0x{raw[0]:02x} is unknown to protocol {link_layout().protocol_version}")
-    kind = "event" if message.event else "answer" if raw[0] & ANSWER_BIT else "command"
-    payload: Payload = getattr(message, kind)
     body = raw[2:-4]
     extra = len(body) - payload.bytes
     per_row = payload.repeat_bytes
-    if extra < 0 or (extra and (not per_row or extra % per_row)):
+    if extra < 0 or (extra and (not per_row or extra % per_row or extra > per_row * payload.repeat_max)):
         # A refusal may be shorter than the full answer: the status stands first in all of them.
         if kind == "answer" and len(body) == 1:
             return Frame(message.name, kind, raw[1], {"status": struct.unpack("<b", body)[0]})
@@ -114,6 +131,7 @@ class FrameCollector:
 
     def __init__(self) -> None:
         self._bytes = bytearray()
+        self._too_long = False
         self.bad = 0
 
     def feed(self, stream: bytes) -> list[Frame]:
@@ -122,12 +140,19 @@ class FrameCollector:
         self._bytes += stream
         while (end := self._bytes.find(DELIMITER)) >= 0:
             encoded, self._bytes = bytes(self._bytes[:end]), self._bytes[end + 1 :]
+            if self._too_long:  # swallowed up to here
+                self._too_long = False
+                self.bad += 1
+                continue
             if not encoded:
                 continue
             try:
                 frames.append(unpack_frame(encoded))
             except FrameError:
                 self.bad += 1
+        if len(self._bytes) > ENCODED_MAX:  # a line of noise must not fill the memory
+            self._bytes.clear()
+            self._too_long = True
         return frames
 
 
@@ -138,9 +163,16 @@ def path_frames(
 
     Args:
         points: (x_m, y_m, tangent_rad) of each point, world frame, 2 to 100 of them.
+
+    Raises:
+        InputError: fewer or more points.
     """
     payload = link_layout().messages["PATH"].command
     assert payload is not None
+    if not 2 <= len(points) <= PATH_POINTS_MAX:
+        raise InputError(
+            f"path has {len(points)} points, the link carries 2 to {PATH_POINTS_MAX}: resample it"
+        )
     parts = [
         points[first : first + payload.repeat_max] for first in range(0, len(points), payload.repeat_max)
     ]

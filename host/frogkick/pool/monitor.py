@@ -41,7 +41,9 @@ def violations(robot: Robot, pulses: Sequence[Pulse]) -> list[str]:
         pulses: every pulse seen on the pins, in any order.
     """
     guard = robot.guard
-    found = []
+    found = [
+        f"limb {pulse.limb} on, which the robot has not" for pulse in pulses if pulse.limb >= len(robot.limbs)
+    ]
     for limb in range(len(robot.limbs)):
         mine = sorted((p for p in pulses if p.limb == limb), key=lambda pulse: pulse.start_s)
         name = robot.limbs[limb].name

@@ -10,9 +10,14 @@ import cffi
 
 from frogkick.errors import FrogkickError
 from frogkick.link.frames import Frame, FrameCollector
+from frogkick.link.layout import link_layout
 from frogkick.pool.port import BYTE_S, Edge
 
+# FK_FRAME_ENCODED_MAX: head, CRC-32, COBS code byte and delimiter around the largest payload.
+_ENCODED_MAX = link_layout().payload_bytes_max + 8
 _DECLARATIONS = """
+typedef struct { uint8_t bytes[%d]; uint32_t length; } fk_frame_collector_t;
+uint32_t fk_frame_collect(fk_frame_collector_t *collector, uint8_t byte);
 typedef struct { uint8_t limb_mask; uint8_t all_off; uint32_t pulse_us; uint64_t next_tick_us; } fk_outputs_t;
 uint32_t fk_robot_bytes(void);
 int32_t fk_robot_init(void *robot, const uint8_t *image, uint32_t image_bytes);
@@ -41,9 +46,10 @@ class NativeRobot:
             FrogkickError: the core refuses its own table.
         """
         self._ffi = cffi.FFI()
-        self._ffi.cdef(_DECLARATIONS)
+        self._ffi.cdef(_DECLARATIONS % _ENCODED_MAX)
         self._core: Any = self._ffi.dlopen(str(library))
         self._memory = self._ffi.new("uint64_t[]", (self._core.fk_robot_bytes() + 7) // 8)
+        self._wire = self._ffi.new("fk_frame_collector_t *")
         self._outputs = self._ffi.new("fk_outputs_t *")
         self._buffer = self._ffi.new("uint8_t[]", 1024)
         error = self._core.fk_robot_init(
@@ -62,12 +68,16 @@ class NativeRobot:
         self._edges: list[Edge] = []
 
     def send(self, encoded: bytes, at_s: float) -> None:
-        """Put frames (with delimiters) on the wire; each arrives when its last byte is through."""
-        for part in encoded.split(b"\x00")[:-1]:
-            start_us = max(at_s * 1e6, self._line_free_us)
-            self._line_free_us = start_us + (len(part) + 1) * BYTE_S * 1e6
-            self._sent += 1
-            heapq.heappush(self._waiting, (round(self._line_free_us), self._sent, part))
+        """Put bytes on the wire; the core's collector cuts them. A frame comes with its last byte."""
+        begin_us = max(at_s * 1e6, self._line_free_us)
+        for index, byte in enumerate(encoded):
+            length = self._core.fk_frame_collect(self._wire, byte)
+            if length:
+                part = bytes(self._ffi.buffer(self._wire.bytes, length))
+                self._sent += 1
+                arrival_us = begin_us + (index + 1) * BYTE_S * 1e6
+                heapq.heappush(self._waiting, (round(arrival_us), self._sent, part))
+        self._line_free_us = begin_us + len(encoded) * BYTE_S * 1e6
 
     def advance(self, until_s: float) -> None:
         """Give the core its frames and ticks in order of time."""

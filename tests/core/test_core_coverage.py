@@ -1,0 +1,56 @@
+"""Every line of the core runs in this folder's tests; branches that none can take are named here."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from tests.conftest import REPOSITORY
+from tests.core.core import CORE, COVERAGE_DIR
+
+SOURCES = sorted(path.name for path in CORE.glob("*.c"))
+# Branches that gcov counts and no test can take, by file, with the reason.
+UNTAKEN: dict[str, int] = {}
+
+
+@pytest.mark.skipif(bool(COVERAGE_DIR), reason="this is the run that is counted")
+@pytest.mark.skipif(
+    sys.platform == "win32" or not (shutil.which("gcc") and shutil.which("gcov")),
+    reason="no gcc with gcov on this machine: lines of the core are not counted",
+)
+def test_every_line_of_the_core_runs(tmp_path: Path) -> None:
+    tests = [
+        sys.executable,
+        "-m",
+        "pytest",
+        "-q",
+        "-p",
+        "no:cacheprovider",
+        "-k",
+        "not changed and not monitor",
+    ]
+    tests += ["tests/core", "--deselect", "tests/core/test_core_coverage.py"]
+    environment = os.environ | {"FK_CORE_COVERAGE_DIR": str(tmp_path)}
+    run = subprocess.run(tests, cwd=REPOSITORY, env=environment, capture_output=True, text=True, check=False)
+    assert run.returncode == 0, run.stdout[-3000:]
+    notes = [f"core.so-{Path(name).stem}.gcno" for name in SOURCES]
+    told = subprocess.run(
+        ["gcov", "-b", *notes], cwd=tmp_path, capture_output=True, text=True, check=True
+    ).stdout
+    untaken = {}
+    for name in SOURCES:
+        part = told.split(f"File '{name}'\n", 1)[1].split("\n\n", 1)[0]
+        lines = re.search(r"Lines executed:([\d.]+)% of (\d+)", part)
+        branches = re.search(r"Taken at least once:([\d.]+)% of (\d+)", part)
+        assert lines is not None and branches is not None, part
+        print(f"{name}: lines {lines[1]} % of {lines[2]}, branches {branches[1]} % of {branches[2]}")
+        listing = (tmp_path / f"{name}.gcov").read_text(encoding="utf-8")
+        missed = re.findall(r"^ +#####: +(\d+):(.*)$", listing, re.MULTILINE)
+        assert not missed, f"{name}: lines that no test runs: {missed}"
+        untaken[name] = len(re.findall(r"^branch +\d+ (?:taken 0%|never executed)", listing, re.MULTILINE))
+    assert {name: number for name, number in untaken.items() if number} == UNTAKEN

@@ -1,0 +1,46 @@
+"""The generated files are what the one layout says today, and its numbers are the planner's."""
+
+from __future__ import annotations
+
+import re
+
+import pytest
+
+from frogkick.link.layout import link_layout
+from frogkick_codegen import frames
+from frogkick_codegen.native import planner_files
+
+RUN = "run: python -m frogkick_codegen.frames"
+
+
+def test_the_header_is_up_to_date() -> None:
+    assert frames.HEADER.read_text(encoding="utf-8") == frames.layout_header(), RUN
+
+
+def test_the_readme_s_table_is_up_to_date() -> None:
+    text = frames.README.read_text(encoding="utf-8")
+    assert frames.readme_with_table(text) == text, RUN
+    assert all(f"| {name} |" in text for name in link_layout().messages)
+
+
+def test_statuses_are_the_planner_s_errors_and_never_collide() -> None:
+    header = planner_files()["fk_planner.h"].decode()
+    errors = {name: int(value) for name, value in re.findall(r"FK_ERROR_(\w+) = (-\d+)", header)}
+    status = link_layout().status
+    shared = set(errors) & set(status)
+    assert shared == {"NOT_FINITE", "RANGE", "DEPTH", "WEIGHT", "PATH_COUNT", "PATH_POINT"}
+    for name in shared:
+        assert status[name] == errors[name]
+    own = {number for name, number in status.items() if name not in shared and name != "OK"}
+    assert not own & set(errors.values())
+    assert all(-128 <= number <= 0 for number in (*status.values(), *errors.values())), "they travel as i8"
+
+
+@pytest.mark.parametrize("message", link_layout().messages.values(), ids=link_layout().messages)
+def test_sizes_in_the_header_are_those_of_the_host(message: object) -> None:
+    text = frames.HEADER.read_text(encoding="utf-8")
+    for kind in ("command", "answer", "event"):
+        payload = getattr(message, kind)
+        if payload is not None:
+            define = f"#define FK_{message.name}_{kind.upper()}_BYTES {payload.bytes}u"  # type: ignore[attr-defined]
+            assert define in text

@@ -47,8 +47,10 @@ static void obey(void)
         put((uint8_t)fk_uart_overruns());
         put((uint8_t)fk_uart_line_errors());
     } else {
-        /* A byte that makes its interrupt pending without being taken back would keep later ones from waking. */
+        /* Only what becomes pending wakes: what is pending already must be taken back, and bytes kept quiet. */
         fk_uart_wake_on_byte(0);
+        fk_time_clear_wake();
+        fk_sleep_clear_pending();
         uint64_t until_us = fk_time_now_us() + UNREAD_US;
         while (fk_time_wake_at(until_us) != 0) {
             fk_sleep();

@@ -121,6 +121,11 @@ def test_fpu_may_be_used_once_enabled(tmp_path: Path) -> None:
     assert chip.instructions > 10
 
 
+def test_startup_enables_the_fpu(tmp_path: Path) -> None:
+    chip = with_main(tmp_path, "volatile float half = 0.5f; half = half * 3.0f; P0_OUTSET = (uint32_t)half;")
+    chip.run_until(2000)
+
+
 @pytest.mark.parametrize("access", ["ldrd r2, r3, [r0, #4]", "ldm r0, {r1, r2}", "stm r0!, {r1, r2}"])
 def test_unaligned_access_that_the_core_cannot_do(tmp_path: Path, access: str) -> None:
     with pytest.raises(ChipError, match="unaligned access to 0x2000010"):

@@ -88,6 +88,19 @@ def test_unread_bytes_are_kept_for_a_buffer_and_dropped_whole_beyond(chip: Virtu
     assert (overruns, line_errors) == (1, 0)
 
 
+def test_unread_bytes_of_an_older_buffer_are_not_garbled(chip: VirtualChip) -> None:
+    """The reader stops in the first buffer, the hardware goes on until it fills that one again."""
+    begin = chip.time_us
+    first, second, third = echoable(100, 1), echoable(200, 2), echoable(250, 3)
+    chip.send(bytes([ESCAPE, 5]) + first + bytes([ESCAPE, 5]) + second, begin)
+    chip.run_until(begin + 80_000)
+    chip.send(third, begin + 80_010)
+    chip.run_until(begin + 200_000)
+    assert b"".join(part for _, part in chip.received()) == first
+    assert talk(chip, bytes([ESCAPE, 4])) == bytes([ESCAPE, 4, 1, 0])
+    assert talk(chip, third) == third
+
+
 @pytest.mark.parametrize("before", [0, 1, 100, 251, 252, 253, 254])
 @pytest.mark.parametrize("unread", [1, 254, 255, 256])
 def test_bytes_while_nobody_reads_are_whole_or_dropped_whole(

@@ -1,4 +1,4 @@
-"""Commands that README files show in ``sh`` blocks exist, with the options that they are shown with.
+"""Commands that Markdown files show, in blocks or in code spans, exist with the options shown.
 
 What the commands do is tested with their own parts; here nothing is run but ``--help``.
 """
@@ -15,18 +15,21 @@ from tests.structure.test_repository import tracked
 
 from frogkick.cli.main import run_command
 
-BLOCK = re.compile(r"^```sh[^\n]*\n(.*?)^```", re.MULTILINE | re.DOTALL)
+BLOCK = re.compile(r"^```([^\n]*)\n(.*?)^```[ \t]*$", re.MULTILINE | re.DOTALL)
+SHELLS = ("", "sh", "bash", "console")
+SPAN = re.compile(r"`((?:frogkick|make) [^`\n]+)`")
+OURS = re.compile(r"(?:\w+=\S* )*(?:\S*/)?(?:frogkick|make)(?: |$)")  # NAME=value may stand before it
 TARGET = re.compile(r"^([a-z][\w-]*):", re.MULTILINE)
 
 
 def shell_lines(markdown: str) -> list[str]:
-    """Return the commands of the ``sh`` blocks, continued lines joined, prompts and comments taken off."""
+    """Return the commands of shell blocks (continued lines joined, prompts taken off) and of code spans."""
     lines: list[str] = []
-    for block in BLOCK.findall(markdown):
-        for line in block.replace("\\\n", " ").splitlines():
+    for language, block in BLOCK.findall(markdown):
+        for line in block.replace("\\\n", " ").splitlines() if language.strip() in SHELLS else []:
             text = line.strip().removeprefix("$ ")
             lines += [part.strip() for part in text.split("&&")] if text and not text.startswith("#") else []
-    return lines
+    return lines + SPAN.findall(BLOCK.sub("", markdown))
 
 
 def help_of(words: list[str], capsys: pytest.CaptureFixture[str]) -> str:
@@ -38,17 +41,17 @@ def help_of(words: list[str], capsys: pytest.CaptureFixture[str]) -> str:
 
 def problem(line: str, makefile: str, capsys: pytest.CaptureFixture[str]) -> str:
     """Return what is wrong with a line, or "" where it is sound or none of our commands."""
-    words = shlex.split(line, comments=True)
-    while words and re.fullmatch(r"\w+=\S*", words[0]):  # NAME=value before the command
-        words.pop(0)
-    if not words:
+    if not OURS.match(line):
         return ""
+    words = shlex.split(line, comments=True)
+    while re.fullmatch(r"\w+=\S*", words[0]):
+        words.pop(0)
     name, words = Path(words[0]).name, words[1:]
     if name == "make":
         targets = {word for word in words if not word.startswith("-") and "=" not in word}
         missing = sorted(targets - set(TARGET.findall(makefile)))
         return f"{line!r}: the Makefile has no target {', '.join(missing)}" if missing else ""
-    if name != "frogkick":
+    if words and words[0].isupper():  # stands for a command
         return ""
     text = help_of(words[:1] if words and not words[0].startswith("-") else [], capsys)
     if not text:
@@ -91,7 +94,9 @@ def test_the_readme_shows_the_two_commands_that_matter() -> None:
         ("frogkick library bild", "no such command"),
         ("frogkick codegen x.fkt --outt DIR", "no such option: --outt"),
         ("frogkick library build --bogus", "no such option: --bogus"),
+        ("frogkick COMMAND --help", ""),
         ("ls -l", ""),
+        ("frogkick.toml --> don't parse", ""),
     ],
 )
 def test_a_wrong_command_is_found(line: str, wrong: str, capsys: pytest.CaptureFixture[str]) -> None:
@@ -100,6 +105,11 @@ def test_a_wrong_command_is_found(line: str, wrong: str, capsys: pytest.CaptureF
     assert bool(wrong) == bool(found)
 
 
-def test_only_shell_blocks_are_read() -> None:
-    text = "```sh\n# why\n$ make a && make b\nfrogkick run \\\n  --depth 1\n```\n```\nmake c\n```\n"
-    assert shell_lines(text) == ["make a", "make b", "frogkick run    --depth 1"]
+def test_shell_blocks_and_code_spans_are_read() -> None:
+    text = (
+        "```sh\n# why\n$ make a && make b\nfrogkick run \\\n  --depth 1\n```\n"
+        "```\nmake c\n```\n```toml\nmake = 1\n```\nSee `make d`, `frogkick.x` and `frogkick e --f`.\n"
+    )
+    assert shell_lines(text) == [
+        "make a", "make b", "frogkick run    --depth 1", "make c", "make d", "frogkick e --f",
+    ]  # fmt: skip

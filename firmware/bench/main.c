@@ -64,12 +64,13 @@ int main(void)
     fk_clock_init();
     fk_time_init();
     fk_sleep_init();
+    /* Before the table is checked, 0.4 ms for each KB of it: what is asked meanwhile waits in the receive buffers. */
+    fk_uart_init();
     if (fk_robot_init(&robot, fk_table_image, fk_table_image_bytes) != FK_OK) {
-        for (;;) { /* a table that is not for this robot: no link, no pulse */
+        for (;;) { /* a table that is not for this robot: no answer, no pulse */
             fk_sleep();
         }
     }
-    fk_uart_init();
 
     for (;;) {
         fk_uart_service();

@@ -7,7 +7,6 @@ computer, which the simulated pool talks to.
 from __future__ import annotations
 
 import hashlib
-import shutil
 import sys
 import tempfile
 from dataclasses import dataclass
@@ -103,11 +102,12 @@ def build(target: str, image: Path, robot: Robot, out: Path) -> Build:
         target: "bench" or "native".
         image: table image file.
         robot: the robot that the table is for; its limits go into the guard.
-        out: folder for the results; it is replaced whole, or not touched.
+        out: folder for the results, not touched before everything is built; the same arguments give the
+            same bytes.
 
     Raises:
         InputError: unknown target, the table is for another robot, the sources are not beside the package,
-            or the image does not fit the chip.
+            the image does not fit the chip, or ``out`` cannot be written or holds an ``emitted`` of others.
         ToolchainError: no compiler, or a refused source.
     """
     if target not in TARGETS:
@@ -118,33 +118,33 @@ def build(target: str, image: Path, robot: Robot, out: Path) -> Build:
         raise InputError(
             "the firmware's sources are not beside this package: work in a clone of the repository"
         )
-    out.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(prefix=".build-", dir=out) as folder:
-        work = Path(folder)
-        emit(
-            image,
-            work / "emitted",
-            f"frogkick firmware build --target {target} --tables {image.name}",
-            robot_sha256=robot.sha256,
-        )
-        write_text(work / "config" / "fk_robot_config.h", robot_config(robot))
+    command = f"frogkick firmware build --target {target} --tables {image.name}"
+    config = robot_config(robot)
+    with tempfile.TemporaryDirectory(prefix="frogkick-build-") as folder:
+        work = Path(folder).resolve()
+        emit(image, work / "emitted", command, robot_sha256=robot.sha256)
+        write_text(work / "config" / "fk_robot_config.h", config)
         made = _build_bench(work) if target == "bench" else _build_native(work)
+        sizes = _sizes(made["elf"]) if target == "bench" else (0, 0, 0)
+        # First what may be refused: a folder "emitted" that is not ours.
+        emit(image, out / "emitted", command, robot_sha256=robot.sha256)
         files = {what: out / path.name for what, path in made.items()}
-        if target == "bench":
-            sizes = _sizes(made["elf"])
         for what, path in made.items():
             write_bytes(files[what], path.read_bytes())
-        shutil.rmtree(out / "emitted", ignore_errors=True)
-        shutil.move(work / "emitted", out / "emitted")
-        write_text(out / "fk_robot_config.h", robot_config(robot))
-    if target == "native":
-        return Build(target, files["library"], files)
-    return Build(target, files["elf"], files, *sizes)
+        write_text(out / "fk_robot_config.h", config)
+    return Build(target, files["elf" if target == "bench" else "library"], files, *sizes)
 
 
 def _sources(work: Path) -> tuple[list[Path], list[str]]:
     emitted = [path for path in sorted((work / "emitted").glob("*.c")) if "example" not in path.name]
-    includes = [f"-I{work / 'emitted'}", f"-I{work / 'config'}", f"-I{FIRMWARE / 'core'}"]
+    includes = [
+        f"-I{work / 'emitted'}",
+        f"-I{work / 'config'}",
+        f"-I{FIRMWARE / 'core'}",
+        # Debug information would otherwise name this build's temporary folder, and differ each time.
+        f"-ffile-prefix-map={work}=.",
+        f"-ffile-prefix-map={FIRMWARE}=firmware",
+    ]
     return emitted + sorted((FIRMWARE / "core").glob("*.c")), includes
 
 
@@ -160,25 +160,30 @@ def _build_bench(work: Path) -> dict[str, Path]:
             "-fdata-sections",
             *includes,
             f"-I{bench}",
+            "-fno-unwind-tables",
+            "-fno-asynchronous-unwind-tables",
             "-nostdlib",
+            "-Wl,--entry=fk_reset",
             f"-Wl,-T,{bench / 'nrf52832.ld'}",
             "-Wl,--gc-sections",
             *sources,
             *sorted(bench.glob("*.c")),
             "-o",
             elf,
-        ]
+        ],
+        folder=work,
     )
     return {"elf": elf, "hex": _hex_of(elf)}
 
 
 def _build_native(work: Path) -> dict[str, Path]:
     sources, includes = _sources(work)
-    digest = hashlib.sha256(b"".join(path.read_bytes() for path in sources)).hexdigest()[:12]
+    headers = sorted(path for folder in includes[:3] for path in Path(folder[2:]).glob("*.h"))
+    digest = hashlib.sha256(b"".join(path.read_bytes() for path in [*sources, *headers])).hexdigest()[:12]
     # A library that is already loaded must not be overwritten: each content has its own name.
     suffix = {"darwin": ".dylib", "win32": ".dll"}.get(sys.platform, ".so")
     library = work / f"frogkick-native-{digest}{suffix}"
-    zig("host").run([*FLAGS, "-fPIC", "-shared", *includes, *sources, "-o", library])
+    zig("host").run([*FLAGS, "-fPIC", "-shared", *includes, *sources, "-o", library], folder=work)
     return {"library": library}
 
 

@@ -14,8 +14,13 @@ from tests.conftest import REPOSITORY
 from tests.core.core import CORE, COVERAGE_DIR
 
 SOURCES = sorted(path.name for path in CORE.glob("*.c"))
-# Branches that gcov counts and no test can take, by file, with the reason.
-UNTAKEN: dict[str, int] = {}
+UNTAKEN = {
+    # COBS as it is defined, but a block of 254 bytes never fits a frame of this link.
+    "if (code < 255u && from < length) {",
+    # Every return is checked, and an index below the table's count has no error.
+    "if (fk_tables_action(&robot->tables, (uint8_t)(action - 1u), &masks) == FK_OK && masks.first_mask == 0u &&",
+}
+"""Source lines with a branch that nothing can take."""
 
 
 @pytest.mark.skipif(bool(COVERAGE_DIR), reason="this is the run that is counted")
@@ -42,7 +47,7 @@ def test_every_line_of_the_core_runs(tmp_path: Path) -> None:
     told = subprocess.run(
         ["gcov", "-b", *notes], cwd=tmp_path, capture_output=True, text=True, check=True
     ).stdout
-    untaken = {}
+    untaken: set[str] = set()
     for name in SOURCES:
         part = told.split(f"File '{name}'\n", 1)[1].split("\n\n", 1)[0]
         lines = re.search(r"Lines executed:([\d.]+)% of (\d+)", part)
@@ -52,5 +57,10 @@ def test_every_line_of_the_core_runs(tmp_path: Path) -> None:
         listing = (tmp_path / f"{name}.gcov").read_text(encoding="utf-8")
         missed = re.findall(r"^ +#####: +(\d+):(.*)$", listing, re.MULTILINE)
         assert not missed, f"{name}: lines that no test runs: {missed}"
-        untaken[name] = len(re.findall(r"^branch +\d+ (?:taken 0%|never executed)", listing, re.MULTILINE))
-    assert {name: number for name, number in untaken.items() if number} == UNTAKEN
+        text = ""
+        for line in listing.splitlines():
+            if re.match(r"branch +\d+ (taken 0%|never executed)", line):
+                untaken.add(text)
+            elif found := re.match(r" *[^:]+: *\d+:(.*)", line):
+                text = found[1].strip()
+    assert untaken <= UNTAKEN

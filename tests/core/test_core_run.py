@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict, replace
+
 import numpy as np
 import pytest
 from tests.core.core import (
@@ -27,6 +29,7 @@ from frogkick.pool.monitor import Pulse, violations
 from frogkick.robot import load_robot
 
 SECOND_US = DELAY_US + GAP_US
+DEFAULTS = PlanConfig(**asdict(load_robot("frog2022").planner))  # what the core is built with
 STALE = link_layout().status["STALE"]
 OTHER_CLOCKS_US = [600_000, 2**32 - 700_000, 2**32 - 1, 2**40, 2**62]
 
@@ -79,7 +82,7 @@ def test_strokes_out_of_the_table_are_refused() -> None:
 
 
 def test_one_pulse_at_a_time() -> None:
-    """The port has one pulse timer: a pulse that waited there would not be on when the guard has booked it."""
+    """The port has one pulse timer: a pulse waiting there would not be on when it is booked."""
     robot = Robot().begin("ARMED")
     begin_us = robot.now_us
     assert robot.stroke("A") == "OK"
@@ -181,7 +184,7 @@ def test_decisions_come_at_exact_times(now_us: int) -> None:
 def test_the_host_makes_the_same_decisions() -> None:
     """All that the twin needs is in what the robot sends, in its order."""
     rng = np.random.default_rng(4)
-    differing = decided = 0
+    decided = 0
     rows = [(index / 19, 0.05 * np.sin(index / 3), 0.1) for index in range(18)]
     path = Path(*(np.array(column, dtype=np.float32) for column in zip(*rows, strict=True)), name="test")
     for _ in range(cases(100, 2000)):
@@ -190,11 +193,11 @@ def test_the_host_makes_the_same_decisions() -> None:
         depth = int(rng.integers(1, 4))
         assert robot.status("PARAM", {"parameter": 1, "value": depth}) == "OK"
         robot.keep = True
-        twin = DecisionTwin(open_image(robot.image), path, PlanConfig(depth=depth))
-        robot.post("START", {"delay_us": int(rng.integers(0, 200_000))})
+        twin = DecisionTwin(open_image(robot.image), path, replace(DEFAULTS, depth=depth))
+        robot.post("START", {"delay_us": int(rng.integers(200_000, 400_000))})
         pose = np.array([0.2, 0.0, rng.uniform(-3, 3)])
         poses: dict[int, np.ndarray] = {}
-        while robot.now_us < 2**63:
+        while len(poses) <= 80:
             robot.run_until(robot.now_us + int(rng.integers(20_000, 200_000)))
             pose = pose + rng.normal(0, [0.004, 0.004, 0.05])
             fix = pose.astype(np.float32)
@@ -204,8 +207,6 @@ def test_the_host_makes_the_same_decisions() -> None:
             }  # fmt: skip
             poses[len(poses)] = fix
             robot.post("FIX", values)
-            if len(poses) > 80:
-                break
         robot.run_until(robot.now_us + 5_000_000)
         for frame in robot.take_all():
             told = frame.values
@@ -216,7 +217,7 @@ def test_the_host_makes_the_same_decisions() -> None:
                 decided += 1
                 onboard = decision_of_event(told)
                 assert not onboard.differences(twin.decide(onboard.scheduled_us))
-    assert decided > cases(100, 2000) and differing == 0
+    assert decided > 2 * cases(100, 2000)
 
 
 def test_no_pulse_breaks_a_limit_whatever_is_commanded() -> None:

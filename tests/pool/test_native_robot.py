@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
@@ -125,7 +126,7 @@ def test_a_run_keeps_every_limit_and_its_times(robot: NativeRobot) -> None:
     decisions = [frame.values for _, frame in robot.frames() if frame.name == "DECISION"]
     assert len(decisions) == 7
     times_us = [int(values["scheduled_us"]) for values in decisions]
-    assert {b - a for a, b in zip(times_us, times_us[1:], strict=False)} == {PERIOD_US}
+    assert {b - a for a, b in pairwise(times_us)} == {PERIOD_US}
     pulses = pulses_of(robot.edges(), 10.0)
     starts_us = {round(pulse.start_s * 1e6) for pulse in pulses}
     assert starts_us <= {t + k for t in times_us for k in (0, DELAY_US + GAP_US)} and starts_us

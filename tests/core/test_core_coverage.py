@@ -18,7 +18,8 @@ UNTAKEN = {
     # COBS as it is defined, but a block of 254 bytes never fits a frame of this link.
     "if (code < 255u && from < length) {",
     # Every return is checked, and an index below the table's count has no error.
-    "if (fk_tables_action(&robot->tables, (uint8_t)(action - 1u), &masks) == FK_OK && masks.first_mask == 0u &&",
+    "if (fk_tables_action(&robot->tables, (uint8_t)(action - 1u), &masks) == FK_OK && "
+    "masks.first_mask == 0u &&",
 }
 """Source lines with a branch that nothing can take."""
 

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from elftools.elf.elffile import ELFFile
+from elftools.elf.sections import SymbolTableSection
 from intelhex import IntelHex
 
 from frogkick.errors import InputError
@@ -144,6 +145,7 @@ def _sources(work: Path) -> tuple[list[Path], list[str]]:
         # Debug information would otherwise name this build's temporary folder, and differ each time.
         f"-ffile-prefix-map={work}=.",
         f"-ffile-prefix-map={FIRMWARE}=firmware",
+        f"-ffile-prefix-map={sys.prefix}=python",
     ]
     return emitted + sorted((FIRMWARE / "core").glob("*.c")), includes
 
@@ -212,16 +214,21 @@ def _sizes(elf: Path) -> tuple[int, int, int]:
             flash += segment["p_filesz"]
             if segment["p_vaddr"] >= 0x20000000:
                 ram += segment["p_memsz"]
-        symbols = content.get_section_by_name(".symtab")
-        top, bottom = (
-            symbols.get_symbol_by_name(name)[0]["st_value"] for name in ("fk_stack_top", "fk_stack_bottom")
-        )
+        bottom, top = (_address(content, elf, name) for name in ("fk_stack_bottom", "fk_stack_top"))
     for what, used, limit in (("flash", flash, FLASH_BYTES), ("RAM", ram, RAM_BYTES)):
         if used > limit:
             raise InputError(
                 f"the firmware needs {used} bytes of {what}, the nRF52832 has {limit}: use a smaller table"
             )
     return flash, ram, top - bottom
+
+
+def _address(content: ELFFile, elf: Path, name: str) -> int:
+    table = content.get_section_by_name(".symtab")
+    found = table.get_symbol_by_name(name) if isinstance(table, SymbolTableSection) else None
+    if not found:
+        raise InputError(f"{elf.name!r} has no symbol {name!r}: build it again, without stripping")
+    return int(found[0]["st_value"])
 
 
 def image_sizes(elf: Path) -> tuple[int, int, int]:

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import json
+import math
+import os
 import sys
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
@@ -20,6 +23,8 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 
+from frogkick.errors import InputError
+
 JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else.")]
 SeedOption = Annotated[int, typer.Option("--seed", min=0, help="Makes the run repeatable.")]
 
@@ -27,19 +32,43 @@ stderr = Console(stderr=True)
 
 
 def _plain(value: Any) -> Any:
-    if isinstance(value, np.generic):
-        return value.item()
-    if isinstance(value, np.ndarray):
-        return value.tolist()
-    raise TypeError(f"{type(value).__name__} does not go into JSON")
+    """What JSON can say: NaN and infinity, which it cannot, become null."""
+    if isinstance(value, np.generic | np.ndarray):
+        value = value.tolist()
+    if isinstance(value, Mapping):
+        return {str(key): _plain(entry) for key, entry in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(entry) for entry in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
 
 
 def show(values: Mapping[str, Any], as_json: bool, text: str = "") -> None:
     """Print a result: as one JSON object, or as text (by default the values, one a line)."""
     if as_json:
-        print(json.dumps(dict(values), default=_plain))
+        print(json.dumps(_plain(values), allow_nan=False))
         return
     print(text or "\n".join(f"{key}: {value}" for key, value in values.items()))
+
+
+def require_writable(out: Path | None, folder: bool = False) -> None:
+    """Refuse an --out that cannot be written, before the work and not after it. Writes nothing.
+
+    Raises:
+        InputError: a folder where a file is to be written (or the other way), or no place for it.
+    """
+    if out is None:
+        return
+    if folder and out.exists() and not out.is_dir():
+        raise InputError(f"--out {str(out)!r} is a file: name a folder")
+    if not folder and out.is_dir():
+        raise InputError(f"--out {str(out)!r} is a folder: name a file in it")
+    place = out if folder else out.parent
+    while not place.exists() and place != place.parent:
+        place = place.parent
+    if not place.is_dir() or not os.access(place, os.W_OK | os.X_OK):
+        raise InputError(f"cannot write {str(out)!r} in {str(place)!r}: choose another --out")
 
 
 @contextmanager

@@ -8,8 +8,10 @@ from pathlib import Path
 
 from frogkick import __version__
 from frogkick.cli.common import progress_bar
+from frogkick.errors import InputError
 from frogkick.files import write_bytes
 from frogkick.library import build_library, quantise, read_library
+from frogkick.planner.image import read_image
 from frogkick.robot import load_robot
 from frogkick_codegen.toolchain import cache_folder
 
@@ -21,6 +23,9 @@ SAMPLING = "visited"
 def default_tables(robot_name: str) -> Path:
     """The path of a table image for a robot, built on first use (about a minute).
 
+    Args:
+        robot_name: TOML file or built-in name.
+
     Raises:
         InputError: no such robot.
     """
@@ -28,7 +33,7 @@ def default_tables(robot_name: str) -> Path:
     key = hashlib.sha256(robot.sha256 + f"{__version__} {STATES} {SEED} {SAMPLING}".encode()).hexdigest()[:24]
     folder = cache_folder() / "tables"
     target = folder / f"{robot.id}-{key}.fkt"
-    if not target.exists():
+    if not _is_whole(target):
         library = folder / f"{robot.id}-{key}.h5"
         with progress_bar(f"library for {robot.id}") as progress:
             build_library(
@@ -37,3 +42,12 @@ def default_tables(robot_name: str) -> Path:
         write_bytes(target, quantise(read_library(library)))
         library.unlink()
     return target
+
+
+def _is_whole(target: Path) -> bool:
+    """A table is there and passes every check; a damaged cache is made again, not complained about."""
+    try:
+        read_image(target)
+    except InputError:
+        return False
+    return True

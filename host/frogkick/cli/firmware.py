@@ -8,8 +8,8 @@ from typing import Annotated, Any
 
 import typer
 
-from frogkick.cli.common import JsonOption, progress_bar, show
-from frogkick.cli.places import built_firmware, robot_of_table
+from frogkick.cli.common import JsonOption, progress_bar, require_writable, show
+from frogkick.cli.places import TablesOption, built_firmware, robot_of_table, table_image
 from frogkick.files import existing_file
 from frogkick.loop.chip_check import check_on_chip
 from frogkick.planner.image import read_image
@@ -24,21 +24,21 @@ class Target(enum.StrEnum):
     native = "native"
 
 
-TablesOption = Annotated[Path, typer.Option(help="Table image (.fkt).")]
 RobotOption = Annotated[str | None, typer.Option(help="TOML or name; by default the table's own robot.")]
 
 
 @app.command()
 def build(
-    tables: TablesOption,
+    tables: Annotated[Path, typer.Option(help="Table image (.fkt).")],
     target: Annotated[Target, typer.Option(help="bench: nRF52832; native: this computer.")] = Target.bench,
     robot: RobotOption = None,
     out: Annotated[Path, typer.Option(help="Folder for the results.")] = Path("firmware-build"),
     json: JsonOption = False,
 ) -> None:
-    """Build the firmware around a table image."""
+    """Build the firmware around a table image; stack_bytes is what the image reserves."""
     from frogkick_codegen.firmware import build as build_firmware
 
+    require_writable(out, folder=True)
     built = build_firmware(
         target.value, existing_file(tables, "table image"), robot_of_table(tables, robot), out
     )
@@ -47,16 +47,17 @@ def build(
 
 @app.command()
 def size(
-    tables: TablesOption,
+    tables: TablesOption = None,
     robot: RobotOption = None,
     json: JsonOption = False,
 ) -> None:
     """Flash, RAM and stack of the bench image; the stack in use is measured on the virtual chip."""
     from frogkick_codegen.firmware import FLASH_BYTES, RAM_BYTES
 
-    described = robot_of_table(tables, robot)
-    with built_firmware("bench", tables, described) as built:
-        report = check_on_chip(built.image, read_image(tables), described)
+    image = table_image(tables, robot)
+    described = robot_of_table(image, robot)
+    with built_firmware("bench", image, described) as built:
+        report = check_on_chip(built.image, read_image(image), described)
     values: dict[str, Any] = {
         "flash_bytes": built.flash_bytes,
         "flash_of_chip": round(built.flash_bytes / FLASH_BYTES, 4),
@@ -70,14 +71,15 @@ def size(
 
 @app.command("test")
 def try_out(
-    tables: TablesOption,
+    tables: TablesOption = None,
     robot: RobotOption = None,
     json: JsonOption = False,
 ) -> None:
     """Boot the image on the virtual chip and go through every command, stroke and limit."""
-    described = robot_of_table(tables, robot)
-    with built_firmware("bench", tables, described) as built, progress_bar("virtual chip") as progress:
-        report = check_on_chip(built.image, read_image(tables), described, progress)
+    image = table_image(tables, robot)
+    described = robot_of_table(image, robot)
+    with built_firmware("bench", image, described) as built, progress_bar("virtual chip") as progress:
+        report = check_on_chip(built.image, read_image(image), described, progress)
     show(
         {
             "passed": report.passed,

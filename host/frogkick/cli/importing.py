@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from frogkick.cli.common import JsonOption, progress_bar, show
+from frogkick.cli.common import JsonOption, progress_bar, require_writable, show
 from frogkick.loop.recorded import import_recorded
 
 
@@ -17,6 +17,7 @@ def import_(
     json: JsonOption = False,
 ) -> None:
     """Read recorded runs, repair or mark what is wrong in them, write logs. Invents nothing."""
+    require_writable(out, folder=True)
     with progress_bar("import") as progress:
         runs = import_recorded(data_dir, out, progress)
     columns = list(runs[0]) if runs else []

@@ -10,7 +10,7 @@ from typing import Annotated
 
 import typer
 
-from frogkick.cli.common import JsonOption, SeedOption, progress_bar, show
+from frogkick.cli.common import JsonOption, SeedOption, progress_bar, require_writable, show
 from frogkick.library import build_library, library_info
 from frogkick.robot import load_robot
 
@@ -39,6 +39,7 @@ def build(
 ) -> None:
     """Simulate every action from each of many initial velocities."""
     described = load_robot(robot)
+    require_writable(out)
     began = time.perf_counter()
     with progress_bar("library") as progress:
         build_library(
@@ -67,4 +68,5 @@ def info(
     library: Annotated[Path, typer.Argument(help="HDF5 file of 'library build'.")], json: JsonOption = False
 ) -> None:
     """Say what a library holds."""
-    show(library_info(library), json)
+    # How long it took is not in the file, whose bytes do not depend on the machine.
+    show({**library_info(library), "wall_s": None}, json)

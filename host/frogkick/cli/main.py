@@ -5,37 +5,10 @@ Exit codes: 0 done, 1 a check failed, 2 bad input, 130 interrupted.
 
 from __future__ import annotations
 
+import os
 import sys
 
-import typer
-
-from frogkick.cli import (
-    codegen,
-    demo,
-    doctor,
-    firmware,
-    importing,
-    library,
-    parity,
-    replay,
-    run,
-    simulate,
-    tables,
-)
 from frogkick.errors import FrogkickError
-
-app = typer.Typer(
-    name="frogkick",
-    help="Plan for small robots that move by strokes: simulate, tabulate, emit C, flash, run, replay.",
-    rich_markup_mode=None,
-    no_args_is_help=True,
-    add_completion=False,
-)
-for _module in (demo, doctor, simulate, codegen, run, replay, parity, importing):
-    _module.register(app)
-app.add_typer(library.app, name="library")
-app.add_typer(tables.app, name="tables")
-app.add_typer(firmware.app, name="firmware")
 
 BAD_INPUT = 2
 INTERRUPTED = 130
@@ -48,16 +21,35 @@ def _complain(text: str) -> None:
 def run_command(arguments: list[str] | None = None) -> int:
     """Run one command and return its exit code."""
     try:
-        result = app(arguments, standalone_mode=False)
-        return result if isinstance(result, int) else 0
-    except FrogkickError as error:
-        _complain(str(error))
-        return BAD_INPUT
-    except typer.Exit as error:
-        return error.exit_code
-    except (KeyboardInterrupt, typer.Abort):
+        return _run(arguments)
+    except KeyboardInterrupt:
         _complain("interrupted: nothing half-written was left")
         return INTERRUPTED
+    except BrokenPipeError:
+        # Whoever read stdout has enough (head, less); the interpreter would complain again at its end.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+    except FrogkickError as error:
+        _complain(str(error))
+    except OSError as error:
+        named = f" {error.filename!r}" if error.filename else ""
+        _complain(f"cannot read or write{named}: {error.strerror or error}; check the path and the disk")
+    return BAD_INPUT
+
+
+def _run(arguments: list[str] | None) -> int:
+    # Loading takes a second or two: here, so that Ctrl-C meanwhile is no traceback.
+    import typer
+
+    from frogkick.cli.app import app
+
+    try:
+        result = app(arguments, standalone_mode=False)
+        sys.stdout.flush()
+    except typer.Exit as error:
+        return error.exit_code
+    except typer.Abort:
+        raise KeyboardInterrupt from None
     except Exception as error:
         # Usage errors come as the command-line library's own class, which it does not export.
         message = getattr(error, "format_message", None)
@@ -65,6 +57,7 @@ def run_command(arguments: list[str] | None = None) -> int:
             raise
         _complain(f"{message()} (see 'frogkick --help')")
         return BAD_INPUT
+    return result if isinstance(result, int) else 0
 
 
 def main() -> None:

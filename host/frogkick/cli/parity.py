@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from frogkick.cli.common import JsonOption, SeedOption, progress_bar, show
-from frogkick.cli.default_tables import default_tables
-from frogkick.cli.places import PlannerName, plan_config, robot_of_table, simulated_robot
+from frogkick.cli.places import (
+    PlannerName,
+    TablesOption,
+    plan_config,
+    robot_of_table,
+    simulated_robot,
+    table_image,
+)
 from frogkick.loop.plan_place import plan_over_link
 from frogkick.paths import shape
 from frogkick.planner.image import read_image
@@ -26,15 +31,14 @@ def parity(
     chip_states: Annotated[
         int, typer.Option(min=0, max=1_000_000, help="States of them for the virtual chip.")
     ] = CHIP_STATES,
-    tables: Annotated[
-        Path | None, typer.Option(help="Table image (.fkt); default: one made from a small library.")
-    ] = None,
+    tables: TablesOption = None,
+    model: Annotated[str | None, typer.Option(help="Robot TOML or name; default: the table's robot.")] = None,
     seed: SeedOption = 0,
     json: JsonOption = False,
 ) -> None:
     """Plan from many states in every place and count differing bits. Exit 1 if there are any."""
-    image = tables if tables is not None else default_tables("frog2022")
-    described = robot_of_table(image, None)
+    image = table_image(tables, model)
+    described = robot_of_table(image, model)
     opened, path, config = read_image(image), shape("sine"), plan_config(described, PlannerName.paper, 1)
     cases = make_cases(opened, path, states, seed)
     python = python_place(opened, path, config)

@@ -12,8 +12,10 @@ from typing import Annotated
 
 import typer
 
-from frogkick.errors import InputError
+from frogkick.cli.default_tables import default_tables
+from frogkick.errors import InputError, nearest_name
 from frogkick.loop.closed_loop import robot_plan_config
+from frogkick.loop.record import config_of_log
 from frogkick.loop.runlog import RunLog
 from frogkick.paths import SHAPES, read_path, shape
 from frogkick.paths import Path as SwimPath
@@ -24,17 +26,60 @@ from frogkick.pool.port import RobotPort
 from frogkick.robot import Robot, load_robot
 from frogkick_codegen.firmware import Build, build
 
+DEFAULT_ROBOT = "frog2022"
+SIMULATED = ("virtual", "pool")
+
+TablesOption = Annotated[
+    Path | None,
+    typer.Option(help="Table image (.fkt); default: one made from a small library, on first use."),
+]
+
+
+def table_image(tables: Path | None, robot: str | None) -> Path:
+    """The given table image, or a robot's default one.
+
+    Raises:
+        InputError: no such robot.
+    """
+    return default_tables(robot or DEFAULT_ROBOT) if tables is None else tables
+
 
 def robot_of_table(tables: Path, robot: str | None) -> Robot:
     """The robot by name or file, by default the one that the table names.
 
     Raises:
-        InputError: no such robot, or the table is for another one.
+        InputError: no such robot, or the table is for another one, or for another version of it.
     """
     opened = read_image(tables)
     described = load_robot(opened.robot_id if robot is None else robot)
     opened.require_robot(described.id)
+    if not strokes_alike(opened, described):
+        raise InputError(
+            f"table {tables.name!r} has other limbs or actions than robot {described.id!r}: "
+            "build library and table again from this robot"
+        )
     return described
+
+
+def strokes_alike(tables: Tables, robot: Robot) -> bool:
+    """A table's limbs and actions are the robot's own."""
+    rows = [(row.name, row.first_mask, row.second_mask) for row in tables.actions]
+    return tables.limbs == len(robot.limbs) and rows == [
+        (action.name, action.first_mask, action.second_mask) for action in robot.actions
+    ]
+
+
+def require_simulated(name: str) -> None:
+    """Refuse a robot to talk to that there is not.
+
+    Raises:
+        InputError: not one of ``SIMULATED``.
+    """
+    if name not in SIMULATED:
+        raise InputError(
+            f"--robot is {name!r}{nearest_name(name, SIMULATED)}: choose virtual (the firmware on the "
+            "virtual chip) or pool (the same core on this computer)"
+        )
 
 
 @contextmanager
@@ -51,16 +96,15 @@ def simulated_robot(name: str, tables: Path, robot: Robot) -> Iterator[RobotPort
     Raises:
         InputError: another name.
     """
+    require_simulated(name)
     if name == "virtual":
         from frogkick.pool.virtual_robot import VirtualRobot
 
         with built_firmware("bench", tables, robot) as built:
             yield VirtualRobot(built.image, len(robot.limbs))
-    elif name == "pool":
+    else:
         with built_firmware("native", tables, robot) as built:
             yield NativeRobot(built.image, len(robot.limbs))
-    else:
-        raise InputError(f"--robot is {name!r}: choose virtual (the chip) or pool (this computer)")
 
 
 class PlannerName(enum.StrEnum):
@@ -75,17 +119,30 @@ PlannerOption = Annotated[
     typer.Option(help="robot: its TOML's weights and depth; paper: 500, 50, 300, 0.3 and depth 1."),
 ]
 DepthOption = Annotated[
-    int | None, typer.Option(help="Levels to look ahead, 1 to 4; default: the planner's own.")
+    int | None, typer.Option(min=1, max=4, help="Levels to look ahead; default: the planner's own.")
 ]
 
 
-def plan_config(robot: Robot, planner: PlannerName, depth: int | None) -> PlanConfig:
+def plan_config(
+    robot: Robot, planner: PlannerName | None, depth: int | None, run: RunLog | None = None
+) -> PlanConfig:
     """A planner's configuration, with another depth if one is given.
+
+    Args:
+        robot: whose TOML counts for ``PlannerName.robot``.
+        planner: whose configuration; None = the run's own, and where it has none the paper's.
+        depth: instead of that configuration's.
+        run: a log that may know its planner.
 
     Raises:
         InputError: the depth is not 1 to 4.
     """
-    config = PlanConfig() if planner is PlannerName.paper else robot_plan_config(robot)
+    if planner is PlannerName.robot:
+        config = robot_plan_config(robot)
+    elif planner is None and run is not None and run.planner:
+        config = config_of_log(run)
+    else:
+        config = PlanConfig()
     chosen = config.depth if depth is None else depth
     if not 1 <= chosen <= 4:
         raise InputError(f"--depth is {chosen}, the planner looks 1 to 4 levels ahead")
@@ -100,6 +157,8 @@ def swim_path(name: str) -> SwimPath:
     """
     if name in SHAPES:
         return shape(name)
+    if not name:
+        raise InputError(f"--path is empty: choose {', '.join(SHAPES)}, or name a CSV file")
     if not Path(name).exists() and "." not in name and "/" not in name:
         shape(name)  # names the nearest right one
     return read_path(name)

@@ -10,18 +10,21 @@ from typing import Annotated, Any
 import typer
 
 from frogkick.cli.common import JsonOption, progress_bar, show
-from frogkick.cli.default_tables import default_tables
 from frogkick.cli.places import (
     DepthOption,
     PlannerName,
-    PlannerOption,
+    TablesOption,
     plan_config,
     require_period,
+    require_simulated,
     robot_of_table,
     simulated_robot,
+    table_image,
 )
+from frogkick.errors import InputError
 from frogkick.loop.recorded import load_run
 from frogkick.loop.replay import replay as replay_run
+from frogkick.loop.replay import require_replayable
 from frogkick.planner.image import read_image
 
 
@@ -40,28 +43,37 @@ def replay(
     plan: Annotated[
         PlanWhere, typer.Option(help="The virtual chip, the twin on the host, or both.")
     ] = PlanWhere.both,
-    tables: Annotated[
-        Path | None, typer.Option(help="Table image (.fkt); default: one made from a small library.")
+    tables: TablesOption = None,
+    planner: Annotated[
+        PlannerName | None,
+        typer.Option(
+            help="Whose weights and depth; default: the run's own where its log has them, else paper."
+        ),
     ] = None,
-    planner: PlannerOption = PlannerName.paper,
     depth: DepthOption = None,
     robot: Annotated[
         str, typer.Option(help="virtual: the chip; pool: the C core on this computer.")
     ] = "virtual",
+    model: Annotated[str | None, typer.Option(help="Robot TOML or name; default: the run's robot.")] = None,
     json: JsonOption = False,
 ) -> None:
     """Give a run's fixes to the planner again and compare every decision. Exit 1 on a mismatch."""
+    require_simulated(robot)
     recorded = load_run(run)
-    image = tables if tables is not None else default_tables(recorded.robot_id)
-    described = robot_of_table(image, recorded.robot_id)
+    require_replayable(recorded)
+    image = table_image(tables, recorded.robot_id)
+    described = robot_of_table(image, recorded.robot_id if model is None else model)
     opened = read_image(image)
+    if recorded.robot_id != described.id:
+        raise InputError(f"run {recorded.source!r} is of robot {recorded.robot_id!r}, not {described.id!r}")
     require_period(opened, recorded)
+    config = plan_config(described, planner, depth, recorded)
     chip = nullcontext() if plan is PlanWhere.host else simulated_robot(robot, image, described)
     with chip as port, progress_bar("decisions") as progress:
         result = replay_run(
             recorded,
             opened,
-            plan_config(described, planner, depth),
+            config,
             port,
             plan is not PlanWhere.onboard,
             progress,
@@ -72,6 +84,7 @@ def replay(
         "mismatches": len(result.differences),
         "recorded_actions": "".join(name or "?" for name in result.recorded),
         "agreement_with_recorded": result.agreement,
+        "depth": config.depth,
         "places": [place for place, made in (("onboard", result.onboard), ("host", result.host)) if made],
     }
     if result.differences:

@@ -9,18 +9,21 @@ from typing import Annotated
 import numpy as np
 import typer
 
-from frogkick.cli.common import JsonOption, SeedOption, progress_bar, show
+from frogkick.cli.common import JsonOption, SeedOption, progress_bar, require_writable, show
 from frogkick.cli.places import (
     DepthOption,
     PlannerName,
     PlannerOption,
+    TablesOption,
     plan_config,
+    require_simulated,
     robot_of_table,
     simulated_robot,
     start_pose,
     swim_path,
+    table_image,
 )
-from frogkick.loop.closed_loop import RunOptions, run_in_pool
+from frogkick.loop.closed_loop import RunOptions, require_time, run_in_pool
 from frogkick.loop.record import run_log, tracking_of_recording
 from frogkick.loop.runlog_file import write_run
 from frogkick.planner.image import read_image
@@ -36,7 +39,6 @@ class PlanWhere(enum.StrEnum):
 
 
 def run(
-    tables: Annotated[Path, typer.Option(help="Table image (.fkt) for the robot and the host.")],
     robot: Annotated[
         str, typer.Option(help="virtual: firmware on the virtual chip; pool: the core here.")
     ] = "virtual",
@@ -44,6 +46,7 @@ def run(
     path: Annotated[str, typer.Option(help="line, sine, ellipse, or a CSV file.")] = "line",
     planner: PlannerOption = PlannerName.robot,
     depth: DepthOption = None,
+    tables: TablesOption = None,
     model: Annotated[str | None, typer.Option(help="Robot TOML or name; default: the table's robot.")] = None,
     simulated_time: Annotated[float, typer.Option(help="Longest pool time, s.")] = 120.0,
     fix_rate: Annotated[float, typer.Option(help="Position fixes per second.")] = 15.0,
@@ -52,12 +55,15 @@ def run(
     json: JsonOption = False,
 ) -> None:
     """Follow a path: position fixes in, strokes out. Exit 1 if the guard's limits were broken."""
-    described = robot_of_table(tables, model)
-    opened = read_image(tables)
-    desired = swim_path(path)
+    require_simulated(robot)
+    require_writable(out)
+    desired, camera = swim_path(path), Camera(rate_hz=fix_rate)
+    require_time(simulated_time)
+    image = table_image(tables, model)
+    described = robot_of_table(image, model)
+    opened = read_image(image)
     options = RunOptions(plan_config(described, planner, depth), plan is PlanWhere.onboard, simulated_time)
-    camera = Camera(rate_hz=fix_rate)
-    with simulated_robot(robot, tables, described) as port:
+    with simulated_robot(robot, image, described) as port:
         pool = Pool(described, start_pose(desired), camera, np.random.default_rng(seed))
         with progress_bar(f"{desired.name}: path points") as progress:
             recording = run_in_pool(
@@ -70,7 +76,8 @@ def run(
             )
     tracked = tracking_of_recording(recording, pool, described, desired)
     if out is not None:
-        write_run(out, run_log(recording, pool, described, opened, desired, seed, f"run --robot {robot}"))
+        source = f"run --robot {robot} --plan {plan.value}"
+        write_run(out, run_log(recording, pool, described, opened, desired, options, seed, source))
     show({**tracked.as_json(), "ended": recording.ended}, json)
     if tracked.limit_violations:
         raise typer.Exit(1)

@@ -9,7 +9,7 @@ from typing import Annotated
 import numpy as np
 import typer
 
-from frogkick.cli.common import JsonOption, show
+from frogkick.cli.common import JsonOption, require_writable, show
 from frogkick.der import Trajectory, simulate_actions, simulate_gait
 from frogkick.errors import InputError
 from frogkick.files import write_text
@@ -51,6 +51,7 @@ def simulate(
 ) -> None:
     """Simulate a gait, or a sequence of actions, of a robot."""
     described = load_robot(robot)
+    require_writable(out)
     if actions is not None:
         if egain_percent is not None or frequency_hz is not None:
             raise InputError(

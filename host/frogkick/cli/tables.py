@@ -8,11 +8,14 @@ from typing import Annotated, Any
 
 import typer
 
-from frogkick.cli.common import JsonOption, SeedOption, progress_bar, show
+from frogkick.cli.common import JsonOption, SeedOption, progress_bar, require_writable, show
+from frogkick.cli.library import Sampling
+from frogkick.cli.places import robot_of_table
+from frogkick.errors import InputError
 from frogkick.files import write_bytes
 from frogkick.library import quantise, read_library, table_error
 from frogkick.planner.image import Tables, open_image, read_image
-from frogkick.robot import load_robot
+from frogkick.robot import Robot
 
 app = typer.Typer(help="Quantise a library into the robot's table image.", no_args_is_help=True)
 
@@ -50,22 +53,43 @@ def build(
 ) -> None:
     """Make a table image, and measure its error on states that are not in it."""
     content = read_library(library)
+    require_writable(out)
     image = quantise(content)
     tables = open_image(image)
     with progress_bar("unseen states") as progress:
         error = table_error(tables, content.robot(), test_states, seed, content.sampling, progress)
     write_bytes(out, image)
-    show({**_facts(tables), "error": error, "out": str(out)}, json)
+    show({**_facts(tables), "error": error, "sampling": content.sampling, "out": str(out)}, json)
 
 
 @app.command()
 def info(
     tables: Annotated[Path, typer.Argument(help="Table image (.fkt).")],
     robot: Annotated[str | None, typer.Option(help="Refuse a table that is not for this robot.")] = None,
+    test_states: Annotated[
+        int, typer.Option(min=0, max=10000, help="Unseen states to measure the error on; 0: do not.")
+    ] = 16,
+    sampling: Annotated[
+        Sampling, typer.Option(help="How the unseen states are drawn, as for 'library build'.")
+    ] = Sampling.box,
+    seed: SeedOption = 1,
     json: JsonOption = False,
 ) -> None:
-    """Say what a table image holds, after checking all of it."""
+    """Say what a table image holds, after checking all of it, and how far it errs on unseen states."""
     opened = read_image(tables)
+    described = _robot(opened, tables, robot)
+    error = None
+    if test_states and described is not None:
+        with progress_bar("unseen states") as progress:
+            error = table_error(opened, described, test_states, seed, sampling.value, progress)
+    show({**_facts(opened), "error": error, "sampling": sampling.value}, json)
+
+
+def _robot(opened: Tables, tables: Path, robot: str | None) -> Robot | None:
+    """The table's robot; None where none is named and no built-in one fits."""
     if robot is not None:
-        opened.require_robot(load_robot(robot).id)
-    show(_facts(opened), json)
+        return robot_of_table(tables, robot)
+    try:
+        return robot_of_table(tables, None)
+    except InputError:
+        return None

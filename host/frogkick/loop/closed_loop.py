@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -91,6 +92,16 @@ def parameters(config: PlanConfig) -> dict[str, float]:
     }
 
 
+def require_time(limit_s: float) -> None:
+    """Refuse a time limit that ends no run.
+
+    Raises:
+        InputError: not a finite number above 0.
+    """
+    if not (math.isfinite(limit_s) and limit_s > 0.0):
+        raise InputError(f"simulated time is {limit_s} s: give a finite number above 0")
+
+
 def run_in_pool(
     port: RobotPort,
     pool: Pool,
@@ -110,12 +121,11 @@ def run_in_pool(
         progress: called after each decision with the pool time and the nearest path point.
 
     Raises:
-        InputError: the time limit is not a positive number.
+        InputError: the time limit is not a finite number above 0.
         LinkError: the robot refuses or does not answer.
         ConvergenceError: the pool's physics failed.
     """
-    if not options.time_limit_s > 0.0:
-        raise InputError(f"simulated time is {options.time_limit_s} s: give a number above 0")
+    require_time(options.time_limit_s)
     run = _PoolRun(port, pool, tables, path, options, progress)
     return run.go()
 

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields, replace
 
 import numpy as np
 
-from frogkick.loop.closed_loop import Recording
+from frogkick.errors import InputError
+from frogkick.loop.closed_loop import Recording, RunOptions
 from frogkick.loop.decision import Decision
 from frogkick.loop.runlog import DecisionFlag, Decisions, Fixes, RunLog, Strokes, Truth
 from frogkick.paths import Path, wrap_angle
 from frogkick.planner.image import Tables
+from frogkick.planner.plan import PlanConfig
 from frogkick.pool.monitor import pulses_of, violations
 from frogkick.pool.pool import Pool
 from frogkick.robot import Robot
@@ -67,14 +69,21 @@ def decision_columns(decisions: Sequence[Decision], fix_rows: dict[int, int]) ->
 
 
 def run_log(
-    recording: Recording, pool: Pool, robot: Robot, tables: Tables, path: Path, seed: int, source: str
+    recording: Recording,
+    pool: Pool,
+    robot: Robot,
+    tables: Tables,
+    path: Path,
+    options: RunOptions,
+    seed: int,
+    source: str,
 ) -> RunLog:
     """The log of a run in the pool.
 
     Args:
         recording: of ``run_in_pool``.
         pool: where it swam; gives the truth.
-        robot, tables, path: as in the run.
+        robot, tables, path, options: as in the run.
         seed: of the camera's noise.
         source: what made the log, without folders.
     """
@@ -84,7 +93,12 @@ def run_log(
     pulses = pulses_of(recording.edges, recording.end_s)
     starts = sorted({(pulse.start_s, pulse.end_s) for pulse in pulses})
     masks = [sum(1 << p.limb for p in pulses if (p.start_s, p.end_s) == start) for start in starts]
-    tracked = tracking_of_recording(recording, pool, robot, path)
+    tracked = tracking_of_recording(recording, pool, robot, path).as_json()
+    decisions = decision_columns(recording.decisions, {fix.sequence: row for row, fix in enumerate(fixes)})
+    if not options.onboard:
+        # Measured on this computer's clock, not the robot's: the same seed shall give the same log.
+        decisions = replace(decisions, plan_s=None)
+        del tracked["plan_ms_p99"]
     return RunLog(
         robot_id=robot.id,
         source=source,
@@ -107,7 +121,7 @@ def run_log(
                 ),
             },
         ),
-        decisions=decision_columns(recording.decisions, {fix.sequence: row for row, fix in enumerate(fixes)}),
+        decisions=decisions,
         strokes=Strokes(
             time_s=np.array([start for start, _ in starts]),
             limb_mask=np.array(masks, dtype=np.int64),
@@ -122,8 +136,28 @@ def run_log(
         table_crc=tables.crc32,
         seed=seed,
         notes=recording.ended,
-        measured={key: float(value) for key, value in tracked.as_json().items() if np.isfinite(value)},
+        measured={key: float(value) for key, value in tracked.items() if np.isfinite(value)},
+        planner={key: float(value) for key, value in asdict(options.config).items()},
     )
+
+
+def config_of_log(run: RunLog) -> PlanConfig:
+    """The planner configuration that a log holds.
+
+    Raises:
+        InputError: it holds none, or not a whole one.
+    """
+    numbers = dict(run.planner)
+    try:
+        depth = int(numbers.pop("depth"))
+        return PlanConfig(
+            depth=depth,
+            **{entry.name: numbers[entry.name] for entry in fields(PlanConfig) if entry.name != "depth"},
+        )
+    except KeyError as error:
+        raise InputError(
+            f"run {run.source!r} does not say the planner's {error}: choose --planner paper or robot"
+        ) from error
 
 
 def tracking_of_recording(recording: Recording, pool: Pool, robot: Robot, path: Path) -> Tracking:

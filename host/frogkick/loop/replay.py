@@ -57,16 +57,23 @@ class _Schedule:
     decisions: int
 
 
-def _schedule(run: RunLog) -> _Schedule:
+def require_replayable(run: RunLog) -> None:
+    """Refuse a run that holds nothing to decide again.
+
+    Raises:
+        InputError: the run has no path, no decisions or no usable fix.
+    """
     if run.path is None:
         raise InputError(f"run {run.source!r} has no path: a replay needs the one that was followed")
     if len(run.decisions) == 0:
         raise InputError(f"run {run.source!r} has no decisions: nothing to replay")
-    usable = np.flatnonzero(run.fixes.usable)
-    if usable.size == 0:
+    if not run.fixes.usable.any():
         raise InputError(f"run {run.source!r} has no usable fix: nothing to replay")
+
+
+def _schedule(run: RunLog) -> _Schedule:
     fixes = []
-    for row in usable:
+    for row in np.flatnonzero(run.fixes.usable):
         pose = np.array(
             [run.fixes.x_m[row], run.fixes.y_m[row], run.fixes.heading_rad[row]], dtype=np.float32
         )
@@ -101,6 +108,7 @@ def replay(
         InputError: the run has no path, no decisions or no usable fix.
         LinkError: the robot refuses or does not answer.
     """
+    require_replayable(run)
     schedule = _schedule(run)
     assert run.path is not None
     onboard: list[Decision] = []

@@ -231,6 +231,7 @@ class RunLog:
         seed: of the simulation, or None.
         notes: free text.
         measured: numbers about the run (name with unit suffix -> finite value).
+        planner: weights and depth that decided (field of PlanConfig -> finite value), where they are known.
     """
 
     robot_id: str
@@ -247,6 +248,7 @@ class RunLog:
     seed: int | None = None
     notes: str = ""
     measured: Mapping[str, float] = field(default_factory=dict)
+    planner: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         for name in ("period_s", "pulse_s"):
@@ -255,9 +257,10 @@ class RunLog:
                 raise InputError(f"run: {name} is {value}: give a finite time above 0 s")
         if "/" in self.source or "\\" in self.source:
             raise InputError(f"run: source {self.source!r} has folders in it: give the file's name only")
-        for name, number in self.measured.items():
-            if not math.isfinite(number):
-                raise InputError(f"run: measured {name} is {number}: give a finite number or leave it out")
+        for group in ("measured", "planner"):
+            for name, number in getattr(self, group).items():
+                if not math.isfinite(number):
+                    raise InputError(f"run: {group} {name} is {number}: give a finite number or leave it out")
         action, flags = self.decisions.action, self.decisions.flags
         unseen = (flags & int(DecisionFlag.UNSEEN)) != 0
         wrong = np.flatnonzero(

@@ -2,7 +2,8 @@
 
 Root attributes: format, format_version, robot_id, source, period_s, pulse_s, notes; table_crc and seed
 where the run has them. Groups `fixes`, `decisions`, `strokes`, and where the run has them `path`, `truth`
-(simulated runs only) and `measured` (numbers about the run, as attributes). Every dataset carries `unit`.
+(simulated runs only), `measured` (numbers about the run) and `planner` (weights and depth), the last two as
+attributes. Every dataset carries `unit`.
 """
 
 from __future__ import annotations
@@ -62,10 +63,11 @@ def write_run(target: pathlib.Path | str, run: RunLog) -> None:
             group.attrs["name"] = run.path.name
             for name, unit in (("x_m", "m"), ("y_m", "m"), ("tangent_rad", "rad")):
                 group.create_dataset(name, data=getattr(run.path, name)).attrs["unit"] = unit
-        if run.measured:
-            group = file.create_group("measured")
-            for name in sorted(run.measured):
-                group.attrs[name] = float(run.measured[name])
+        for title, numbers in (("measured", run.measured), ("planner", run.planner)):
+            if numbers:
+                group = file.create_group(title)
+                for name in sorted(numbers):
+                    group.attrs[name] = float(numbers[name])
 
 
 def read_run(source: pathlib.Path | str) -> RunLog:
@@ -117,8 +119,13 @@ def _read(file: h5py.File, name: str) -> RunLog:
         table_crc=int(file.attrs["table_crc"]) if "table_crc" in file.attrs else None,
         seed=int(file.attrs["seed"]) if "seed" in file.attrs else None,
         notes=str(file.attrs["notes"]),
-        measured={k: float(v) for k, v in file["measured"].attrs.items()} if "measured" in file else {},
+        measured=_numbers(file, "measured"),
+        planner=_numbers(file, "planner"),
     )
+
+
+def _numbers(file: h5py.File, title: str) -> dict[str, float]:
+    return {name: float(value) for name, value in file[title].attrs.items()} if title in file else {}
 
 
 def _write_group(file: h5py.File, group: Fixes | Decisions | Strokes | Truth) -> None:

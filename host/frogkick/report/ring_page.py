@@ -21,7 +21,7 @@ def write_ring_report(target: Path, ring: Ring) -> None:
         f"nRF52832. Mean distance to the path {1e3 * ring.mean_distance_m:.1f} mm. The pool's physics is the "
         "rod simulation, not the table: the table's prediction one period ahead missed by "
         f"{1e3 * float(missed['position_rmse_m']):.1f} mm and "
-        f"{np.rad2deg(float(missed['heading_rmse_rad'])):.1f} degrees (RMSE over {missed['periods']} periods)."
+        f"{np.rad2deg(float(missed['heading_rmse_rad'])):.1f} degrees (RMSE, {missed['periods']} periods)."
     )
     sections = [_paths(ring), *(_one_path(run) for run in ring.runs), _chip(ring), _how(ring)]
     write_page(target, "frogkick: once round the ring", lead, sections)
@@ -60,8 +60,9 @@ def _one_path(run: RingRun) -> Section:
     name = run.log.path.name if run.log.path else "path"
     figure = run_figure(run.log, f"{name}: {run.tracking.decisions} decisions on the chip")
     caption = (
-        "Left: the true track over the desired path, with the noisy fixes that the robot saw. Right: distance "
-        "to the path; the actions chosen; the error of the robot's own estimate; the error of the prediction."
+        "Left: the true track over the desired path, with the noisy fixes that the robot saw. Right: "
+        "distance to the path; the actions chosen; the error of the robot's own estimate; the error of the "
+        "prediction."
     )
     return Section(name.capitalize(), images=[(figure_uri(figure), caption)])
 

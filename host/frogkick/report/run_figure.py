@@ -25,9 +25,9 @@ def run_figure(run: RunLog, title: str) -> Figure:
     with style.styled():
         figure = Figure(figsize=(11.5, 7.2), layout="constrained")
         figure.suptitle(title, fontweight="bold")
-        left, right = figure.subfigures(1, 2, width_ratios=(1.05, 1.0))
-        _track(left.subplots(), run)
-        panels = right.subplots(4, 1, sharex=True)
+        halves = figure.add_gridspec(1, 2, width_ratios=(1.05, 1.0))
+        _track(figure.add_subfigure(halves[0]).subplots(), run)
+        panels = figure.add_subfigure(halves[1]).subplots(4, 1, sharex=True)
         for axes, draw in zip(panels, (_distance, _actions, _estimate, _prediction), strict=True):
             draw(axes, run)
         panels[-1].set_xlabel("time (s)")
@@ -36,7 +36,7 @@ def run_figure(run: RunLog, title: str) -> Figure:
 
 def _centred(run: RunLog, points_m: FloatArray) -> FloatArray:
     assert run.path is not None
-    return 100.0 * (np.asarray(points_m) - run.path.points_m.mean(axis=0))
+    return np.asarray(100.0 * (points_m - run.path.points_m.mean(axis=0)))
 
 
 def _track(axes: Axes, run: RunLog) -> None:

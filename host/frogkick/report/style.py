@@ -6,6 +6,7 @@ import base64
 import io
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import Any
 
 import matplotlib
 
@@ -21,7 +22,7 @@ ESTIMATED = "#009e73"
 PREDICTED = "#cc79a7"
 ALARM = "#d55e00"
 
-_SETTINGS = {
+_SETTINGS: Any = {
     "font.size": 9,
     "axes.grid": True,
     "grid.alpha": 0.3,

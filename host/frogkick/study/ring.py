@@ -133,16 +133,17 @@ def _swim(
     config = dataclasses.replace(robot_plan_config(robot), depth=depth)
     start = (float(path.x_m[0]), float(path.y_m[0]), float(path.tangent_rad[0]))
     pool = Pool(robot, start, Camera(), np.random.default_rng(seed))
+    options = RunOptions(config)
     recording = run_in_pool(
         VirtualRobot(built.image, len(robot.limbs)),
         pool,
         tables,
         path,
-        RunOptions(config),
+        options,
         lambda _time_s, index: progress(index + 1, len(path)),
     )
     again = replay_on_host(recording.events, DecisionTwin(tables, path, config))
-    log = run_log(recording, pool, robot, tables, path, seed, "demo")
+    log = run_log(recording, pool, robot, tables, path, options, seed, "demo")
     return RingRun(
         log,
         tracking_of_recording(recording, pool, robot, path),

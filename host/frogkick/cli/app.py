@@ -1,0 +1,32 @@
+"""All commands in one place."""
+
+from __future__ import annotations
+
+import typer
+
+from frogkick.cli import (
+    codegen,
+    demo,
+    doctor,
+    firmware,
+    importing,
+    library,
+    parity,
+    replay,
+    run,
+    simulate,
+    tables,
+)
+
+app = typer.Typer(
+    name="frogkick",
+    help="Plan for small robots that move by strokes: simulate, tabulate, emit C, flash, run, replay.",
+    rich_markup_mode=None,
+    no_args_is_help=True,
+    add_completion=False,
+)
+for _module in (demo, doctor, simulate, codegen, run, replay, parity, importing):
+    _module.register(app)
+app.add_typer(library.app, name="library")
+app.add_typer(tables.app, name="tables")
+app.add_typer(firmware.app, name="firmware")

@@ -1,0 +1,183 @@
+"""Swim cyclic gaits as the paper does, many at a time: what validation and sweep ask of the rods."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import multiprocessing
+import signal
+import sys
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from frogkick.der import Rods, Swimmer, prepare
+from frogkick.errors import ConvergenceError, FrogkickError, InputError
+from frogkick.robot import Profile, Robot
+from frogkick.robot.model import STANDARD_GRAVITY_MPS2
+from frogkick.robot.profile import actuation
+
+FloatArray = NDArray[np.float64]
+
+CYCLES = 8
+FIRST_CYCLE = 5
+"""The authors' speed is that from the end of cycle 5 to the end of cycle 8."""
+
+SAMPLE_S = 0.01
+
+
+@dataclass(frozen=True, order=True)
+class Gait:
+    """A robot's cyclic gait: EGaIn fraction of its limbs (%), strokes per second (Hz), lag of the second
+    group of limbs as a share of the cycle (0 <= phase < 1)."""
+
+    egain_percent: float
+    frequency_hz: float
+    phase: float
+
+
+@dataclass(frozen=True)
+class GaitSwim:
+    """Eight cycles of a gait from rest.
+
+    Attributes:
+        time_s: (n,) from 0 to the end of the last cycle.
+        forward_m: (n,) of the plain mean of all nodes, which is what the authors exported.
+        speed_mps: over cycles 5 to 8.
+        cost_of_transport: electrical energy over weight in air and distance at that speed; infinite without
+            forward motion.
+    """
+
+    gait: Gait
+    time_s: FloatArray
+    forward_m: FloatArray
+    speed_mps: float
+    cost_of_transport: float
+
+
+def speed_over_cycles(time_s: FloatArray, forward_m: FloatArray, frequency_hz: float) -> float:
+    """Mean speed (m/s) over cycles 5 to 8: (y(8/f) - y(5/f)) / (3/f), linear between samples."""
+    start, end = FIRST_CYCLE / frequency_hz, CYCLES / frequency_hz
+    at = np.interp([start, end], time_s, forward_m)
+    return float(at[1] - at[0]) / (end - start)
+
+
+def cost_of_transport(robot: Robot, frequency_hz: float, speed_mps: float) -> float:
+    """Mean electrical power over weight in air and speed: P / (m g v).
+
+    Every pulse of every limb costs Robot.pulse_energy_j, at any frequency and EGaIn fraction; each limb of
+    the gait is pulsed once a cycle.
+    """
+    if speed_mps <= 0.0:
+        return math.inf
+    pulses = robot.gait_lead_mask.bit_count() + robot.gait_lag_mask.bit_count()
+    power_w = pulses * robot.pulse_energy_j * frequency_hz
+    return power_w / (robot.mass_kg * STANDARD_GRAVITY_MPS2 * speed_mps)
+
+
+def swim_gait(rods: Rods, profiles: Sequence[Profile], gait: Gait) -> GaitSwim:
+    """Swim a gait from rest, heading forward.
+
+    Args:
+        rods: of the robot; their own stroke is not used.
+        profiles: limb profiles to take or to interpolate between.
+
+    Raises:
+        InputError: a gait outside of the profiles, or a phase outside of [0, 1).
+        ConvergenceError: see Swimmer.
+    """
+    if not 0.0 <= gait.phase < 1.0:
+        raise InputError(f"phase is {gait.phase:g}: give a share of the cycle, 0 <= phase < 1")
+    robot, period_s = rods.robot, 1.0 / gait.frequency_hz
+    stroke = actuation(profiles, gait.egain_percent, gait.frequency_hz)
+    swimmer = Swimmer(robot, rods=dataclasses.replace(rods, actuation=stroke))
+    for cycle in range(CYCLES):
+        swimmer.fire_mask(robot.gait_lead_mask, cycle * period_s)
+        swimmer.fire_mask(robot.gait_lag_mask, (cycle + gait.phase) * period_s)
+    samples = max(1, round(period_s / SAMPLE_S))
+    time_s = np.arange(CYCLES * samples + 1) / samples * period_s
+    forward_m = np.empty(len(time_s))
+    for index, until_s in enumerate(time_s.tolist()):
+        swimmer.advance(until_s)
+        forward_m[index] = swimmer.nodes_world()[:, 0].mean()
+    speed_mps = speed_over_cycles(time_s, forward_m, gait.frequency_hz)
+    cost = cost_of_transport(robot, gait.frequency_hz, speed_mps)
+    return GaitSwim(gait, time_s, forward_m, speed_mps, cost)
+
+
+Swum = list[GaitSwim | str]
+"""For each gait what came of it, or in one line why nothing did."""
+
+# Set in each worker process by _start_worker, so that a chunk carries gaits only.
+_worker: tuple[Rods, tuple[Profile, ...]] | None = None
+
+
+def _start_worker(robot: Robot, profiles: tuple[Profile, ...]) -> None:
+    global _worker
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's business: it ends the workers
+    _worker = (prepare(robot), profiles)
+
+
+def _swim_chunk(gaits: Sequence[Gait]) -> Swum:
+    if _worker is None:
+        raise FrogkickError("a worker process has no robot: swim through swim_chunks")
+    return _swim_all(*_worker, gaits)
+
+
+def _swim_all(rods: Rods, profiles: Sequence[Profile], gaits: Sequence[Gait]) -> Swum:
+    swum: Swum = []
+    for gait in gaits:
+        try:
+            swum.append(swim_gait(rods, profiles, gait))
+        except (InputError, ConvergenceError) as error:
+            swum.append(str(error))
+    return swum
+
+
+def swim_chunks(
+    robot: Robot, profiles: Sequence[Profile], chunks: Sequence[Sequence[Gait]], workers: int
+) -> Iterator[tuple[int, Swum]]:
+    """Swim chunks of gaits on several processes; yield (index of the chunk, its results) as they finish.
+
+    What a gait gives depends on nothing but robot, profiles and gait. When the caller stops early, by Ctrl-C
+    say, the chunks that have begun are waited for and dropped.
+
+    Args:
+        workers: processes, 1 to 256; 1 swims in this one.
+
+    Raises:
+        InputError: workers out of range.
+        FrogkickError: a worker died.
+    """
+    if not 1 <= workers <= 256:
+        raise InputError(f"workers is {workers}: give 1 to 256")
+    if not chunks:
+        return
+    rods = prepare(robot)
+    if workers == 1:
+        for index, gaits in enumerate(chunks):
+            yield index, _swim_all(rods, profiles, gaits)
+        return
+    Swimmer(robot, rods=rods).advance(0.001)  # compile here, once, before any worker starts
+    # A forked worker inherits what the parent has compiled. Elsewhere it loads it from numba's cache.
+    method = "fork" if sys.platform == "linux" else "spawn"
+    executor = ProcessPoolExecutor(
+        min(workers, len(chunks)),
+        mp_context=multiprocessing.get_context(method),
+        initializer=_start_worker,
+        initargs=(robot, tuple(profiles)),
+    )
+    try:
+        pending = {executor.submit(_swim_chunk, gaits): index for index, gaits in enumerate(chunks)}
+        for future in as_completed(pending):
+            yield pending[future], future.result()
+    except BrokenProcessPool as error:
+        raise FrogkickError(
+            "a worker process ended unexpectedly (killed, or out of memory): use fewer --workers"
+        ) from error
+    finally:
+        executor.shutdown(wait=True, cancel_futures=True)

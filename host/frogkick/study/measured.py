@@ -1,0 +1,278 @@
+"""Read the published simulations, measured swims, tabulated speeds and limb profiles of the paper's data.
+
+Cases are found by their files' names, so a folder with more of them than this project has seen is read alike:
+
+- ``sim/**/simDER_phaseDelay_P_frequency_F_EGaIn_E.txt``: time s, x m, y m of the robot's centre; y is forward
+- ``exp/freq/E/FHz.mat`` (at phase 0.5) and ``exp/phase/E_FHz/<10 P>.mat``: ``t`` s and ``distance`` mm
+- ``exp/speeds.csv``: egain_percent, frequency_hz, phase_offset, speed_mm_per_s
+- ``profile/<E/10>/<10 F>.mat``: ``t`` s and ``mean`` 1/m
+
+Source: data published with Huang, Patterson et al. 2022, doi 10.1002/aisy.202200163.
+"""
+
+from __future__ import annotations
+
+import csv
+import re
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.io import loadmat
+
+from frogkick.errors import InputError
+from frogkick.files import existing_file
+from frogkick.robot import Profile, fit_profile
+from frogkick.robot.profile_files import read_measured_profile
+from frogkick.study.gaits import Gait
+
+FloatArray = NDArray[np.float64]
+
+SIMULATIONS = "simulations"
+EXPERIMENTS = "experiments"
+
+_NUMBER = r"(\d+(?:(?:\.|dot)\d+)?)"
+_SIMULATION = re.compile(rf"simDER_phaseDelay_{_NUMBER}_frequency_{_NUMBER}_EGaIn_{_NUMBER}\.txt", re.I)
+_FREQUENCY = re.compile(rf"freq/{_NUMBER}/{_NUMBER} ?Hz\.mat", re.I)
+_PHASE = re.compile(rf"phase/{_NUMBER}_{_NUMBER} ?Hz/{_NUMBER}\.mat", re.I)
+_FREQUENCY_SWEEP_PHASE = 0.5
+
+
+@dataclass(frozen=True)
+class Case:
+    """One swim of the data.
+
+    Attributes:
+        name: its file, relative to the data's folder.
+        group: ``simulations`` or ``experiments``, then ``freq/<EGaIn>`` or ``phase/<EGaIn>_<F>Hz``.
+    """
+
+    name: str
+    group: str
+    gait: Gait
+    file: Path
+
+
+@dataclass(frozen=True)
+class Skipped:
+    """A file or case that was left out, and why."""
+
+    case: str
+    reason: str
+
+
+@dataclass(frozen=True)
+class Swim:
+    """A measured swim: (n,) times, s, and distances along its way, m."""
+
+    time_s: FloatArray
+    distance_m: FloatArray
+
+
+@dataclass(frozen=True)
+class SteadySpeed:
+    """The speed of a measured swim.
+
+    Attributes:
+        speed_mps: slope of the straight line fitted to distance over time, as the authors tabulate it.
+        sd_mps: standard deviation of the mean of the speeds over its whole cycles; None below two cycles.
+        cycles: whole cycles that it lasts.
+    """
+
+    speed_mps: float
+    sd_mps: float | None
+    cycles: int
+
+
+@dataclass(frozen=True)
+class Profiles:
+    """Limb profiles to simulate with.
+
+    Attributes:
+        profiles: fitted to the data's files where it has them, otherwise the robot's own coefficients.
+        measured: (EGaIn fraction, frequency) of those from files.
+    """
+
+    profiles: tuple[Profile, ...]
+    measured: frozenset[tuple[float, float]]
+
+    def source(self, gait: Gait) -> str:
+        """Where a gait's profile comes from: a file, cached coefficients, or interpolation."""
+        key = (gait.egain_percent, gait.frequency_hz)
+        if key in self.measured:
+            return "measured file"
+        known = {(profile.egain_percent, profile.frequency_hz) for profile in self.profiles}
+        return "cached coefficients" if key in known else "interpolated"
+
+
+def _number(text: str) -> float:
+    return float(text.lower().replace("dot", "."))
+
+
+def _simulation_gait(relative: str) -> Gait | None:
+    found = _SIMULATION.fullmatch(relative.rsplit("/", 1)[-1])
+    if found is None:
+        return None
+    phase, frequency, egain = map(_number, found.groups())
+    return Gait(egain, frequency, phase)
+
+
+def _experiment_gait(relative: str) -> Gait | None:
+    if found := _FREQUENCY.search(relative):
+        return Gait(_number(found[1]), _number(found[2]), _FREQUENCY_SWEEP_PHASE)
+    if found := _PHASE.search(relative):
+        text = found[3]
+        phase = _number(text) if "." in text or "dot" in text else int(text) / 10.0
+        return Gait(_number(found[1]), _number(found[2]), phase)
+    return None
+
+
+def _group(kind: str, relative: str, gait: Gait) -> str:
+    folder = relative.split("/")[1]
+    if folder == "freq":
+        return f"{kind}/freq/{gait.egain_percent:g}"
+    if folder == "phase":
+        return f"{kind}/phase/{gait.egain_percent:g}_{gait.frequency_hz:g}Hz"
+    return f"{kind}/other"
+
+
+def find_cases(folder: Path) -> tuple[list[Case], list[Skipped]]:
+    """Find every simulation and measured swim of a data folder by its name, in order of group and gait.
+
+    Returns:
+        Cases, and files whose names say no gait.
+
+    Raises:
+        InputError: no such folder, or no case in it.
+    """
+    if not folder.is_dir():
+        raise InputError(f"data folder {str(folder)!r} does not exist: name the one that holds sim/ and exp/")
+    cases: list[Case] = []
+    skipped: list[Skipped] = []
+    for kind, top, pattern, gait_of in (
+        (SIMULATIONS, "sim", "*.txt", _simulation_gait),
+        (EXPERIMENTS, "exp", "*.mat", _experiment_gait),
+    ):
+        for file in sorted((folder / top).rglob(pattern)):
+            relative = file.relative_to(folder).as_posix()
+            gait = gait_of(relative)
+            if gait is None or not (gait.frequency_hz > 0.0 and 0.0 <= gait.phase < 1.0):
+                skipped.append(Skipped(relative, "its name says no EGaIn fraction, frequency and phase"))
+            else:
+                cases.append(Case(relative, _group(kind, relative, gait), gait, file))
+    if not cases:
+        raise InputError(f"{str(folder)!r} holds no case: it needs sim/**/simDER_*.txt or exp/{{freq,phase}}")
+    cases.sort(key=lambda case: (case.group.split("/")[0], case.group.split("/")[1], case.gait, case.name))
+    return cases, skipped
+
+
+def read_simulation(path: Path) -> tuple[FloatArray, FloatArray]:
+    """Read one of the authors' simulations: (n,) time, s, and forward position, m.
+
+    Raises:
+        InputError: missing, not rows of three numbers, or times that do not increase.
+    """
+    file = existing_file(path, "simulation")
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")  # loadtxt only warns of a file without rows
+            rows = np.loadtxt(file, ndmin=2)
+    except (ValueError, UserWarning, UnicodeDecodeError) as error:
+        raise InputError(f"simulation {path.name!r} is not rows of three numbers: {error}") from error
+    if rows.shape[1] < 3 or len(rows) < 2 or not np.isfinite(rows).all():
+        raise InputError(f"simulation {path.name!r} is {rows.shape}: give finite rows of time, x, y")
+    if not (np.diff(rows[:, 0]) > 0.0).all():
+        raise InputError(f"simulation {path.name!r} has times that do not increase: export it again")
+    return rows[:, 0], rows[:, 2]
+
+
+def read_swim(path: Path) -> Swim:
+    """Read a measured swim.
+
+    Raises:
+        InputError: not a MATLAB file, without ``t`` and ``distance``, or not two equal finite rows.
+    """
+    try:
+        content = loadmat(str(existing_file(path, "measured swim")))
+    except (OSError, ValueError, NotImplementedError) as error:
+        raise InputError(f"swim {path.name!r} cannot be read as a MATLAB file: {error}") from error
+    if "t" not in content or "distance" not in content:
+        raise InputError(f"swim {path.name!r} has no variables 't' and 'distance': record both")
+    time_s = np.asarray(content["t"], dtype=np.float64).ravel()
+    distance_m = 1e-3 * np.asarray(content["distance"], dtype=np.float64).ravel()
+    good = time_s.shape == distance_m.shape and time_s.size >= 10
+    if not (good and np.isfinite(time_s).all() and np.isfinite(distance_m).all()):
+        raise InputError(
+            f"swim {path.name!r} has {time_s.size} times, {distance_m.size} distances: "
+            "give two equal finite rows of 10 or more"
+        )
+    if not (np.diff(time_s) > 0.0).all():
+        raise InputError(f"swim {path.name!r} has times that do not increase: export it again")
+    return Swim(time_s, distance_m)
+
+
+def steady_speed(swim: Swim, frequency_hz: float) -> SteadySpeed:
+    """The speed of a measured swim and how well the swim itself knows it.
+
+    The uncertainty is the scatter between whole cycles; it does not see what differs between two swims.
+    """
+    slope = float(np.polyfit(swim.time_s, swim.distance_m, 1)[0])
+    lasts_s = float(swim.time_s[-1] - swim.time_s[0])
+    cycles = int(lasts_s * frequency_hz + 0.01)  # a frame short of a cycle is a cycle
+    ends_s = swim.time_s[0] + np.arange(cycles + 1) / frequency_hz
+    speeds = np.diff(np.interp(ends_s, swim.time_s, swim.distance_m)) * frequency_hz
+    sd = float(speeds.std(ddof=1) / np.sqrt(cycles)) if cycles >= 2 else None
+    return SteadySpeed(slope, sd, cycles)
+
+
+def read_speeds(path: Path) -> list[tuple[Gait, float]]:
+    """Read the authors' tabulated speeds: gait and m/s, row by row. No file, no rows.
+
+    Raises:
+        InputError: a column is missing, or a cell is no number.
+    """
+    if not path.is_file():
+        return []
+    rows: list[tuple[Gait, float]] = []
+    with path.open(newline="", encoding="utf-8") as file:
+        for number, row in enumerate(csv.DictReader(file), start=2):
+            try:
+                gait = Gait(
+                    float(row["egain_percent"]), float(row["frequency_hz"]), float(row["phase_offset"])
+                )
+                rows.append((gait, 1e-3 * float(row["speed_mm_per_s"])))
+            except (KeyError, TypeError, ValueError) as error:
+                raise InputError(
+                    f"{path.name!r} line {number}: {error}; give egain_percent, frequency_hz, phase_offset, "
+                    "speed_mm_per_s"
+                ) from error
+    return rows
+
+
+def read_profiles(folder: Path, cached: Sequence[Profile]) -> tuple[Profiles, list[Skipped]]:
+    """Fit the profiles of ``folder``; where it has none, take cached coefficients.
+
+    Returns:
+        The profiles, and files that could not be used.
+    """
+    chosen = {(profile.egain_percent, profile.frequency_hz): profile for profile in cached}
+    measured: set[tuple[float, float]] = set()
+    skipped: list[Skipped] = []
+    for file in sorted(folder.glob("*/*.mat")):
+        relative = f"{folder.name}/{file.parent.name}/{file.name}"
+        try:
+            key = (10.0 * int(file.parent.name), int(file.stem) / 10.0)
+        except ValueError:
+            skipped.append(Skipped(relative, "not named <EGaIn/10>/<10 frequency>.mat"))
+            continue
+        try:
+            chosen[key] = fit_profile(*read_measured_profile(file), *key)
+        except InputError as error:
+            skipped.append(Skipped(relative, str(error)))
+            continue
+        measured.add(key)
+    ordered = tuple(chosen[key] for key in sorted(chosen))
+    return Profiles(ordered, frozenset(measured)), skipped

@@ -1,5 +1,6 @@
 """What a robot is: TOML to frozen dataclasses, actions, actuation profiles."""
 
+from frogkick.robot.geometry import limb_points, robot_warnings
 from frogkick.robot.load import built_in_robots, load_robot, parse_robot
 from frogkick.robot.model import Action, Frame, Guard, Limb, PlannerDefaults, Robot, VelocityBox
 from frogkick.robot.profile import Actuation, Profile, fit_profile
@@ -16,6 +17,8 @@ __all__ = [
     "VelocityBox",
     "built_in_robots",
     "fit_profile",
+    "limb_points",
     "load_robot",
     "parse_robot",
+    "robot_warnings",
 ]

@@ -14,6 +14,7 @@ from pydantic import BaseModel, ValidationError
 
 from frogkick.errors import InputError, nearest_name
 from frogkick.files import existing_file
+from frogkick.robot.geometry import require_geometry
 from frogkick.robot.model import Action, Frame, Guard, Limb, PlannerDefaults, Robot, VelocityBox
 from frogkick.robot.profile import Profile
 from frogkick.robot.schema import FrameTable, LibraryTable, LimbTable, ProfileTable, RobotFile
@@ -189,6 +190,9 @@ def _robot(file: RobotFile, source: str) -> Robot:
     _distinct([limb.corner for limb in file.limb], "limbs' corners", source)
     _distinct([action.name for action in file.action], "actions", source)
     _distinct([(p.egain_percent, p.frequency_hz) for p in file.profile], "profiles", source)
+    frame = _frame(file.frame, source)
+    limbs = tuple(_limb(limb, len(frame.corners_m), source) for limb in file.limb)
+    require_geometry(frame, limbs, source)
     text = to_toml(file.model_dump(mode="json"))
     robot = Robot(
         id=file.id,
@@ -202,8 +206,8 @@ def _robot(file: RobotFile, source: str) -> Robot:
         profile_frequency_hz=file.profile_frequency_hz,
         gait_lead_mask=_mask(file.gait.lead, limb_names, "gait.lead", source),
         gait_lag_mask=_mask(file.gait.lag, limb_names, "gait.lag", source),
-        frame=_frame(file.frame, source),
-        limbs=tuple(_limb(limb, len(file.frame.corners_m), source) for limb in file.limb),
+        frame=frame,
+        limbs=limbs,
         actions=tuple(
             Action(
                 a.name,

@@ -1,0 +1,218 @@
+"""A robot's outline as lines, and what is wrong with it: for checks and pictures, not for the simulation."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from frogkick.errors import InputError
+from frogkick.robot.model import Frame, Limb, Robot
+
+FloatArray = NDArray[np.float64]
+
+SEGMENT_MIN_M = 1e-4  # a robot of this family has segments of millimetres; shorter ones are slips of a unit
+TURN_MAX_DEG = 170.0  # discrete curvature grows as tan(turn / 2): a frame that folds back has none
+
+
+def limb_points(frame: Frame, limb: Limb, fall_per_m: float = 0.0) -> FloatArray:
+    """(segments + 1, 2) nodes of a limb from root to tip, m, in the robot file's own body coordinates.
+
+    Args:
+        frame: where its root is.
+        limb: which.
+        fall_per_m: how much a stroke has taken off the size of its curvature, 1/m; 0 is rest.
+    """
+    curvature = limb.rest_curvature_per_m - math.copysign(fall_per_m, limb.rest_curvature_per_m)
+    step = limb.length_m / limb.segments
+    turn = 2.0 * math.atan(
+        0.5 * curvature * step
+    )  # between two chords: discrete curvature 2 tan(turn / 2) / step
+    angle = limb.direction_rad + (np.arange(limb.segments) + 0.5) * turn
+    chords = step * np.column_stack([np.cos(angle), np.sin(angle)])
+    root = np.array([frame.corners_m[limb.corner]])
+    return np.concatenate([root, root + np.cumsum(chords, axis=0)])
+
+
+def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
+    return np.asarray(a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0])
+
+
+def crossings(one: FloatArray, other: FloatArray) -> NDArray[np.bool_]:
+    """(n - 1, m - 1) which segments of one line of (n, 2) points properly cross which of another's (m, 2).
+
+    Lines that only touch, as at a common corner, do not cross.
+    """
+    a, b = one[:-1, None], one[1:, None]
+    c, d = other[None, :-1], other[None, 1:]
+    apart_cd = _cross(b - a, c - a) * _cross(b - a, d - a) < 0.0
+    apart_ab = _cross(d - c, a - c) * _cross(d - c, b - c) < 0.0
+    return np.asarray(apart_cd & apart_ab)
+
+
+def _outline(frame: Frame) -> FloatArray:
+    return np.array([*frame.corners_m, frame.corners_m[0]])
+
+
+def _edge(frame: Frame, index: int) -> FloatArray:
+    return _outline(frame)[index : index + 2]
+
+
+def require_geometry(frame: Frame, limbs: tuple[Limb, ...], source: str) -> None:
+    """Refuse a frame or limbs that cannot be built.
+
+    Args:
+        frame: the body.
+        limbs: all limbs.
+        source: what to call the robot file in errors.
+
+    Raises:
+        InputError: a segment too short to be meant, a frame that crosses itself, or limbs that cross
+            themselves, each other, or a frame edge that they do not start from, at rest.
+    """
+    n = len(frame.corners_m)
+    for i in range(n):
+        length_m = math.dist(*_edge(frame, i))
+        if length_m < SEGMENT_MIN_M * frame.segments[i]:
+            raise InputError(
+                f"{source}: frame edge {i} of {length_m:.3g} m has {frame.segments[i]} segments: "
+                f"make each {SEGMENT_MIN_M:g} m or longer"
+            )
+        along, before = np.diff(_edge(frame, i), axis=0)[0], np.diff(_edge(frame, (i - 1) % n), axis=0)[0]
+        turn_deg = math.degrees(math.atan2(float(_cross(before, along)), float(before @ along)))
+        if abs(turn_deg) > TURN_MAX_DEG:
+            raise InputError(
+                f"{source}: the frame turns by {turn_deg:.0f} degrees at corner {i}: edges may turn by up to "
+                f"{TURN_MAX_DEG:g}, so move the corner"
+            )
+        for j in range(i):
+            if crossings(_edge(frame, i), _edge(frame, j)).any():
+                raise InputError(
+                    f"{source}: frame edges {j} and {i} cross: list frame.corners_m in order round the body"
+                )
+    shapes = [limb_points(frame, limb) for limb in limbs]
+    for limb, shape in zip(limbs, shapes, strict=True):
+        if limb.length_m < SEGMENT_MIN_M * limb.segments:
+            raise InputError(
+                f"{source}: limb {limb.name!r} of {limb.length_m:.3g} m has {limb.segments} segments: "
+                f"make each {SEGMENT_MIN_M:g} m or longer"
+            )
+        if crossings(shape, shape).any():
+            raise InputError(
+                f"{source}: limb {limb.name!r} crosses itself at rest: length_m times rest_curvature_per_m "
+                f"is {limb.length_m * abs(limb.rest_curvature_per_m):.2f} rad, a circle 6.28: lower one"
+            )
+        own = {limb.corner, (limb.corner - 1) % n}
+        for i in range(n):
+            if i not in own and crossings(shape, _edge(frame, i)).any():
+                raise InputError(
+                    f"{source}: limb {limb.name!r} crosses frame edge {i} at rest: check its corner, "
+                    "direction_deg and the sign of rest_curvature_per_m"
+                )
+    for i, shape in enumerate(shapes):
+        for j in range(i):
+            if crossings(shape, shapes[j]).any():
+                raise InputError(
+                    f"{source}: limbs {limbs[j].name!r} and {limbs[i].name!r} cross at rest: check their "
+                    "corners, direction_deg and lengths"
+                )
+
+
+def _names(limbs: list[str]) -> str:
+    return ("limb " if len(limbs) == 1 else "limbs ") + ", ".join(limbs)
+
+
+def _limb_warnings(robot: Robot) -> list[str]:
+    found: list[str] = []
+    fired = 0
+    for action in robot.actions:
+        fired |= action.first_mask | action.second_mask
+    idle = [limb.name for i, limb in enumerate(robot.limbs) if not fired >> i & 1]
+    if idle:
+        found.append(f"{_names(idle)}: no action fires it")
+    n = len(robot.frame.corners_m)
+    over = [
+        limb.name
+        for limb in robot.limbs
+        for i in (limb.corner, (limb.corner - 1) % n)
+        if crossings(limb_points(robot.frame, limb), _edge(robot.frame, i)).any()
+    ]
+    if over:
+        found.append(f"{_names(over)}: curled over the frame edge at its root; no contact is simulated")
+    fall = robot.actuation().drop_per_m
+    active = [limb_points(robot.frame, limb, fall) for limb in robot.limbs]
+    for i, limb in enumerate(robot.limbs):
+        for j in range(i):
+            if crossings(active[i], active[j]).any():
+                found.append(f"limbs {robot.limbs[j].name}, {limb.name}: cross where both are active")
+        if fall > abs(limb.rest_curvature_per_m):
+            found.append(
+                f"limb {limb.name}: a stroke takes {fall:.1f} 1/m off its curvature of "
+                f"{abs(limb.rest_curvature_per_m):g}: it bends the other way"
+            )
+    return found
+
+
+def _mirror_warnings(robot: Robot) -> list[str]:
+    """Limbs whose corner has a mirror image with a limb, but which are not its mirror themselves."""
+    found: list[str] = []
+    places = [robot.frame.corners_m[limb.corner] for limb in robot.limbs]
+    for i, limb in enumerate(robot.limbs):
+        for j in range(i):
+            other = robot.limbs[j]
+            if math.hypot(places[i][0] - places[j][0], places[i][1] + places[j][1]) > 1e-6:
+                continue
+            bend = limb.rest_curvature_per_m + other.rest_curvature_per_m
+            turn = math.remainder(limb.direction_rad + other.direction_rad, 2.0 * math.pi)
+            wrong = [
+                name
+                for name, is_wrong in (
+                    ("rest_curvature_per_m", abs(bend) > 1e-6),
+                    ("direction_deg", abs(turn) > 1e-6),
+                    ("clamp", limb.clamp == other.clamp),
+                )
+                if is_wrong
+            ]
+            if wrong:
+                found.append(
+                    f"limbs {other.name}, {limb.name}: at mirrored corners but no mirror images in "
+                    + ", ".join(wrong)
+                )
+    return found
+
+
+def _guard_warnings(robot: Robot) -> list[str]:
+    guard = robot.guard
+    found: list[str] = []
+    if robot.pulse_s > guard.pulse_max_s:
+        found.append(
+            f"pulse_s {robot.pulse_s:g} is above guard.pulse_max_s {guard.pulse_max_s:g}: all is refused"
+        )
+    overlap = robot.second_delay_s < robot.pulse_s
+    for action in robot.actions:
+        first, second = action.first_mask.bit_count(), action.second_mask.bit_count()
+        most = first + second if overlap else max(first, second)
+        if most > guard.limbs_at_once_max:
+            found.append(
+                f"action {action.name}: {most} limbs at once, guard.limbs_at_once_max is "
+                f"{guard.limbs_at_once_max}: refused"
+            )
+        if action.first_mask & action.second_mask:
+            found.append(f"action {action.name}: a limb in both groups: the guard refuses its second pulse")
+    if robot.period_s - robot.second_delay_s - robot.pulse_s < guard.rest_min_s:
+        found.append(
+            f"guard.rest_min_s {guard.rest_min_s:g}: a limb fired second and then first within period_s "
+            f"{robot.period_s:g} is refused"
+        )
+    if robot.pulse_s / robot.period_s > guard.duty_max:
+        found.append(
+            f"guard.duty_max {guard.duty_max:g}: a limb fired each period is on for "
+            f"{robot.pulse_s / robot.period_s:.3f} of the time: refused after a while"
+        )
+    return found
+
+
+def robot_warnings(robot: Robot) -> tuple[str, ...]:
+    """What may not be meant, one line each: idle limbs, overlaps, broken mirrors, refused strokes."""
+    return (*_limb_warnings(robot), *_mirror_warnings(robot), *_guard_warnings(robot))

@@ -125,7 +125,7 @@ def build(target: str, image: Path, robot: Robot, out: Path) -> Build:
         work = Path(folder).resolve()
         emit(image, work / "emitted", command, robot_sha256=robot.sha256)
         write_text(work / "config" / "fk_robot_config.h", config)
-        made = _build_bench(work) if target == "bench" else _build_native(work)
+        made = _build_bench(work, tables.limbs) if target == "bench" else _build_native(work)
         sizes = _sizes(made["elf"]) if target == "bench" else (0, 0, 0)
         # First what may be refused: a folder "emitted" that is not ours.
         emit(image, out / "emitted", command, robot_sha256=robot.sha256)
@@ -150,7 +150,7 @@ def _sources(work: Path) -> tuple[list[Path], list[str]]:
     return emitted + sorted((FIRMWARE / "core").glob("*.c")), includes
 
 
-def _build_bench(work: Path) -> dict[str, Path]:
+def _build_bench(work: Path, limbs: int) -> dict[str, Path]:
     bench = FIRMWARE / "bench"
     sources, includes = _sources(work)
     elf = work / "frogkick-bench.elf"
@@ -162,6 +162,7 @@ def _build_bench(work: Path) -> dict[str, Path]:
             "-fdata-sections",
             *includes,
             f"-I{bench}",
+            f"-DFK_BOARD_LIMBS={limbs}u",
             "-fno-unwind-tables",
             "-fno-asynchronous-unwind-tables",
             "-nostdlib",

@@ -8,7 +8,7 @@
 #define PULSE_PRESCALER_1_MHZ 4u /* 16 MHz / 2^4 */
 #define CC_END 0u
 
-static const uint8_t limb_pins[FK_BOARD_LIMBS] = FK_BOARD_LIMB_PINS;
+static const uint8_t limb_pins[FK_BOARD_LIMBS_MAX] = FK_BOARD_LIMB_PINS;
 static uint8_t pulse_is_on;
 
 void fk_pulse_init(void)

@@ -11,10 +11,11 @@ import pytest
 from bench_build import GCC, build
 
 from frogkick.pool.chip import VirtualChip
+from frogkick.pool.virtual_robot import LIMB_PINS
 
 BOOT_US = 2000.0
 BYTE_US = 1e6 * 10 / 115200
-PINS = (22, 23, 24, 25)
+PINS = LIMB_PINS[:4]
 ESCAPE = 0xFE
 
 
@@ -141,6 +142,24 @@ def test_a_second_pulse_while_one_is_on_is_refused(chip: VirtualChip) -> None:
     assert [(pin, level) for _, pin, level in chip.pin_edges()] == [(22, True), (22, False)]
     assert signed(talk(chip, pulse_command(1, 0b0010, 1000))) == 0
     assert [(pin, level) for _, pin, level in chip.pin_edges()] == [(23, True), (23, False)]
+
+
+@pytest.mark.parametrize("limbs", [1, 6, 8])
+def test_a_board_of_other_limbs_drives_exactly_their_pins(limbs: int, tmp_path: Path) -> None:
+    source = Path(__file__).with_name("driver_echo.c")
+    chip = VirtualChip(build([source], tmp_path / "echo.elf", f"-DFK_BOARD_LIMBS={limbs}u"))
+    chip.run_until(BOOT_US)
+    chip.pin_edges()
+    for limb in range(8):
+        assert signed(talk(chip, pulse_command(1, 1 << limb, 1000))) == (0 if limb < limbs else -1)
+        chip.run_until(chip.time_us + 2000)
+    everybody = 2**limbs - 1
+    assert signed(talk(chip, pulse_command(1, everybody, 70_000))) == 0
+    chip.run_until(chip.time_us + 100_000)
+    edges = chip.pin_edges()
+    for limb, pin in enumerate(LIMB_PINS):
+        levels = [level for _, edge_pin, level in edges if edge_pin == pin]
+        assert levels == ([True, False] * 2 if limb < limbs else [])
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,7 @@ from frogkick.pool.chip import VirtualChip
 from frogkick.pool.port import Edge
 
 # firmware/bench/board.h; a test holds the two together.
-LIMB_PINS = (22, 23, 24, 25)
+LIMB_PINS = (22, 23, 24, 25, 28, 29, 30, 31)
 
 
 class VirtualRobot:
@@ -31,7 +31,9 @@ class VirtualRobot:
             InputError: not such an image, or more limbs than the board has pins.
         """
         if limbs > len(LIMB_PINS):
-            raise InputError(f"the robot has {limbs} limbs, the bench board {len(LIMB_PINS)}: use --robot pool")
+            raise InputError(
+                f"the robot has {limbs} limbs, the bench board {len(LIMB_PINS)} pins: use --robot pool"
+            )
         self.chip = VirtualChip(elf)
         self._limb_of_pin = {pin: limb for limb, pin in enumerate(LIMB_PINS[:limbs])}
         self._collector = FrameCollector()

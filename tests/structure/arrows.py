@@ -24,7 +24,7 @@ ARROWS: Mapping[str, frozenset[str]] = {
     "pool": frozenset({"robot", "der", "link"}),
     "loop": frozenset({"robot", "planner", "paths", "link", "pool"}),
     "study": frozenset({"robot", "der", "library", "planner", "paths", "link", "pool", "loop", CODEGEN}),
-    "report": frozenset({"robot", "library", "planner", "paths", "pool", "loop", "study", CODEGEN}),
+    "report": frozenset({"robot", "der", "library", "planner", "paths", "pool", "loop", "study", CODEGEN}),
     "cli": frozenset(
         {"robot", "der", "library", "planner", "paths", "link", "pool", "loop", "study", "report", CODEGEN}
     ),

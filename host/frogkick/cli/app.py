@@ -13,6 +13,7 @@ from frogkick.cli import (
     library,
     parity,
     replay,
+    robot,
     run,
     simulate,
     tables,
@@ -27,6 +28,7 @@ app = typer.Typer(
 )
 for _module in (demo, doctor, simulate, codegen, run, replay, parity, importing):
     _module.register(app)
+app.add_typer(robot.app, name="robot")
 app.add_typer(library.app, name="library")
 app.add_typer(tables.app, name="tables")
 app.add_typer(firmware.app, name="firmware")

@@ -1,0 +1,172 @@
+"""The picture of a robot as it is simulated: a wrong corner, sign or mirror image is seen at once."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
+from frogkick.der import prepare
+from frogkick.der.mesh import Mesh
+from frogkick.errors import InputError
+from frogkick.files import atomic_path
+from frogkick.report import style
+from frogkick.robot import Robot, limb_points
+
+FloatArray = npt.NDArray[np.float64]
+
+PICTURES = (".png", ".svg", ".pdf")
+
+
+def robot_figure(robot: Robot) -> Figure:
+    """Draw a robot's nodes, edges and limbs in its body frame, in mm: at rest, and all limbs fully active.
+
+    Frame and limbs at rest are the simulation's own mesh. The active shapes are the natural ones: what a limb
+    strives for at the height of a stroke, without water.
+    """
+    mesh = prepare(robot).mesh
+    nodes_mm = 1e3 * (mesh.rest_m + _mesh_origin(robot, mesh))
+    with style.styled():
+        figure = Figure(figsize=(8.2, 8.2), layout="constrained")
+        axes = figure.subplots()
+        _frame(axes, robot, mesh, nodes_mm)
+        _limbs(axes, robot, mesh, nodes_mm)
+        _centre_and_forward(axes, robot, mesh, nodes_mm)
+        axes.set_aspect("equal", adjustable="datalim")
+        axes.margins(x=0.3, y=0.12)  # room for the limbs' names
+        # x forward is drawn upwards, so left is left: the robot as seen from above, swimming up the page.
+        axes.invert_xaxis()
+        axes.set_xlabel("y, left (mm)")
+        axes.set_ylabel("x, forward (mm)")
+        axes.set_title(
+            f"{robot.title}\n{robot.id}: {len(robot.limbs)} limbs, {len(robot.actions)} actions, "
+            f"{len(mesh.rest_m)} nodes, {1e3 * robot.mass_kg:.0f} g"
+        )
+        axes.legend(handles=_legend(robot), loc="upper center", bbox_to_anchor=(0.5, -0.08), ncols=3)
+    return figure
+
+
+def require_picture_name(target: Path) -> None:
+    """Refuse a file name whose ending is no kind of picture.
+
+    Raises:
+        InputError: not one of ``PICTURES``.
+    """
+    if target.suffix.lower() not in PICTURES:
+        raise InputError(f"picture {str(target)!r} ends on none of {', '.join(PICTURES)}: choose one of them")
+
+
+def write_robot_figure(robot: Robot, target: Path) -> None:
+    """Draw a robot into a picture file, by the kind that its name says.
+
+    Raises:
+        InputError: a name that ends on none of ``PICTURES``, or a place that cannot be written to.
+    """
+    require_picture_name(target)
+    figure = robot_figure(robot)
+    # Without a date the same robot gives the same bytes.
+    undated = {".png": "Software", ".svg": "Date", ".pdf": "CreationDate"}[target.suffix.lower()]
+    with style.styled(), atomic_path(target) as temporary:
+        figure.savefig(temporary, dpi=120, metadata={undated: None})
+
+
+def _mesh_origin(robot: Robot, mesh: Mesh) -> FloatArray:
+    """What to add to the mesh's nodes, m, to get the robot file's coordinates."""
+    return np.asarray(np.array(robot.frame.corners_m[0]) - mesh.rest_m[0])
+
+
+def _line(axes: Axes, points_mm: FloatArray, form: str, **options: object) -> None:
+    axes.plot(points_mm[:, 1], points_mm[:, 0], form, **options)  # type: ignore[arg-type]
+
+
+def _away(robot: Robot, corner: int) -> tuple[float, float]:
+    """Unit vector on the page, from the middle of the frame to a corner."""
+    middle = np.mean(robot.frame.corners_m, axis=0)
+    x, y = np.array(robot.frame.corners_m[corner]) - middle
+    length = max(math.hypot(x, y), 1e-9)
+    return -y / length, x / length
+
+
+def _frame(axes: Axes, robot: Robot, mesh: Mesh, nodes_mm: FloatArray) -> None:
+    ring = nodes_mm[[*range(mesh.frame_nodes), 0]]
+    _line(axes, ring, "-", color=style.DESIRED, linewidth=2.0)
+    _line(axes, ring, ".", color="black", markersize=3)
+    for index, corner_m in enumerate(robot.frame.corners_m):
+        corner = 1e3 * np.array([corner_m])
+        _line(axes, corner, "s", color=style.DESIRED, markersize=7)
+        away = _away(robot, index)
+        axes.annotate(
+            f"corner {index}",
+            (corner[0, 1], corner[0, 0]),
+            xytext=(-26.0 * away[0] - 16.0, -20.0 * away[1]),
+            textcoords="offset points",
+            color=style.DESIRED,
+            fontsize=7,
+        )
+
+
+def _limbs(axes: Axes, robot: Robot, mesh: Mesh, nodes_mm: FloatArray) -> None:
+    fall_per_m = robot.actuation().drop_per_m
+    node = mesh.frame_nodes
+    corner_node = np.concatenate([[0], np.cumsum(robot.frame.segments)[:-1]])
+    for index, limb in enumerate(robot.limbs):
+        root = corner_node[limb.corner]
+        rest = nodes_mm[[root, *range(node, node + limb.segments)]]
+        node += limb.segments
+        active = 1e3 * limb_points(robot.frame, limb, fall_per_m)
+        _line(axes, active, ".-", color=style.ALARM, markersize=3, linewidth=1.2)
+        _line(axes, rest, ".-", color=style.TRUE, markersize=4, linewidth=2.0)
+        _line(axes, rest[-1:], "o", color=style.TRUE, markersize=5, markerfacecolor="white")
+        step = 1 if limb.clamp == "next" else -1
+        edge = nodes_mm[[root, (root + 2 * step) % mesh.frame_nodes]]
+        _line(axes, edge, "-", color="black", linewidth=4.0, alpha=0.55, solid_capstyle="butt")
+        actions = "".join(a.name for a in robot.actions if (a.first_mask | a.second_mask) >> index & 1)
+        tip = active[-1]
+        # The page's x is -y of the body.
+        right, up = -math.sin(limb.direction_rad), math.cos(limb.direction_rad)
+        axes.annotate(
+            f"{index} {limb.name}\nactions {actions or 'none'}",
+            (tip[1], tip[0]),
+            xytext=(10.0 * right, 16.0 * up),
+            textcoords="offset points",
+            ha="left" if right > 0.0 else "right",
+            va="center",
+            color=style.TRUE if actions else style.ALARM,
+            fontsize=8,
+        )
+
+
+def _centre_and_forward(axes: Axes, robot: Robot, mesh: Mesh, nodes_mm: FloatArray) -> None:
+    centre = 1e3 * _mesh_origin(robot, mesh)
+    axes.plot([centre[1]], [centre[0]], "x", color="black", markersize=9, markeredgewidth=2)
+    length = 0.3 * float(np.ptp(nodes_mm[: mesh.frame_nodes, 0]))
+    axes.annotate(
+        "",
+        (centre[1], centre[0] + length),
+        xytext=(centre[1], centre[0]),
+        arrowprops={"arrowstyle": "-|>", "color": "black", "linewidth": 1.5},
+    )
+    axes.annotate("forward", (centre[1], centre[0] + length), xytext=(4, 2), textcoords="offset points")
+    axes.plot([0.0], [0.0], "+", color=style.DESIRED, markersize=9)
+
+
+def _legend(robot: Robot) -> list[Line2D]:
+    fall = robot.actuation().drop_per_m
+    at = f"{robot.egain_percent:g} % EGaIn, {robot.profile_frequency_hz:g} Hz"
+
+    def entry(label: str, **options: object) -> Line2D:
+        return Line2D([], [], label=label, **options)  # type: ignore[arg-type]
+
+    return [
+        entry("frame: nodes, corners", color=style.DESIRED, marker="s", markersize=5),
+        entry("limb at rest; circle: tip", color=style.TRUE, marker="o", markerfacecolor="white"),
+        entry(f"limb active: -{fall:.0f} 1/m ({at})", color=style.ALARM, marker="."),
+        entry("edge that the root bends against", color="black", linewidth=4, alpha=0.55),
+        entry("centre of mass (with added mass)", color="black", marker="x", linestyle="none"),
+        entry("origin of the file's coordinates", color=style.DESIRED, marker="+", linestyle="none"),
+    ]

@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 export FK_FULL ?= 0
 
-.PHONY: demo test test-full extra bench lint types check venv clean
+.PHONY: demo test test-full extra lint types check venv clean
 
 demo: $(STAMP)
 	$(BIN)/frogkick demo --out demo
@@ -35,7 +35,7 @@ $(STAMP): pyproject.toml requirements.lock
 	@$(PYTHON) -c 'import sys; v = sys.version_info; v >= (3, 11) or sys.exit("frogkick needs Python 3.11 or newer, this is %d.%d: set PYTHON=python3.11" % v[:2])'
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -r requirements.lock
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps -e .
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation -e .
 	@touch $(STAMP)
 
 clean:

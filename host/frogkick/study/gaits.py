@@ -42,7 +42,7 @@ class Gait:
 
 @dataclass(frozen=True)
 class GaitSwim:
-    """Eight cycles of a gait from rest.
+    """Cycles of a gait from rest, eight by default.
 
     Attributes:
         time_s: (n,) from 0 to the end of the last cycle.
@@ -79,12 +79,13 @@ def cost_of_transport(robot: Robot, frequency_hz: float, speed_mps: float) -> fl
     return power_w / (robot.mass_kg * STANDARD_GRAVITY_MPS2 * speed_mps)
 
 
-def swim_gait(rods: Rods, profiles: Sequence[Profile], gait: Gait) -> GaitSwim:
+def swim_gait(rods: Rods, profiles: Sequence[Profile], gait: Gait, cycles: int = CYCLES) -> GaitSwim:
     """Swim a gait from rest, heading forward.
 
     Args:
         rods: of the robot; their own stroke is not used.
         profiles: limb profiles to take or to interpolate between.
+        cycles: to swim, not less than the eight that the speed is taken from.
 
     Raises:
         InputError: a gait outside of the profiles, or a phase outside of [0, 1).
@@ -95,11 +96,11 @@ def swim_gait(rods: Rods, profiles: Sequence[Profile], gait: Gait) -> GaitSwim:
     robot, period_s = rods.robot, 1.0 / gait.frequency_hz
     stroke = actuation(profiles, gait.egain_percent, gait.frequency_hz)
     swimmer = Swimmer(robot, rods=dataclasses.replace(rods, actuation=stroke))
-    for cycle in range(CYCLES):
+    for cycle in range(cycles):
         swimmer.fire_mask(robot.gait_lead_mask, cycle * period_s)
         swimmer.fire_mask(robot.gait_lag_mask, (cycle + gait.phase) * period_s)
     samples = max(1, round(period_s / SAMPLE_S))
-    time_s = np.arange(CYCLES * samples + 1) / samples * period_s
+    time_s = np.arange(cycles * samples + 1) / samples * period_s
     forward_m = np.empty(len(time_s))
     for index, until_s in enumerate(time_s.tolist()):
         swimmer.advance(until_s)

@@ -20,24 +20,32 @@ SEED = 0
 SAMPLING = "visited"
 
 
-def default_tables(robot_name: str) -> Path:
+def default_tables(robot_name: str, states: int | None = None) -> Path:
     """The path of a table image for a robot, built on first use (about a minute).
 
     Args:
         robot_name: TOML file or built-in name.
+        states: of its library; None = ``STATES``.
 
     Raises:
         InputError: no such robot.
     """
     robot = load_robot(robot_name)
-    key = hashlib.sha256(robot.sha256 + f"{__version__} {STATES} {SEED} {SAMPLING}".encode()).hexdigest()[:24]
+    states = STATES if states is None else states
+    key = hashlib.sha256(robot.sha256 + f"{__version__} {states} {SEED} {SAMPLING}".encode()).hexdigest()[:24]
     folder = cache_folder() / "tables"
     target = folder / f"{robot.id}-{key}.fkt"
     if not _is_whole(target):
         library = folder / f"{robot.id}-{key}.h5"
         with progress_bar(f"library for {robot.id}") as progress:
             build_library(
-                robot, states=STATES, seed=SEED, workers=os.cpu_count() or 1, out=library, progress=progress
+                robot,
+                states=states,
+                seed=SEED,
+                workers=os.cpu_count() or 1,
+                out=library,
+                progress=progress,
+                sampling=SAMPLING,
             )
         write_bytes(target, quantise(read_library(library)))
         library.unlink()

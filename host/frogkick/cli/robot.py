@@ -128,15 +128,15 @@ def _text(robot: Robot, rods: Rods) -> str:
         f"{1e3 * robot.mass_kg:.0f} g; {1e3 * sizes['length_m']:.0f} mm long, "
         f"{1e3 * sizes['width_m']:.0f} mm wide at rest",
         f"a stroke each {robot.period_s:g} s, pulses of {1e3 * robot.pulse_s:g} ms",
-        f"guard: pulses up to {1e3 * guard.pulse_max_s:g} ms, then {guard.rest_min_s:g} s of rest; on for up to "
-        f"{100 * guard.duty_max:g} % of {guard.duty_window_s:g} s; {guard.limbs_at_once_max} limbs at once",
+        f"guard: pulses up to {1e3 * guard.pulse_max_s:g} ms, then {guard.rest_min_s:g} s of rest; "
+        f"on for up to {100 * guard.duty_max:g} % of {guard.duty_window_s:g} s; "
+        f"{guard.limbs_at_once_max} limbs at once",
     ]
     for limb in facts["limbs"]:
         x, y = (1e3 * value for value in limb["root_m"])
+        place = f"corner {limb['corner']} at ({x:g}, {y:g}) mm"
         fired = "".join(limb["actions"]) or "none"
-        lines.append(
-            f"limb {limb['index']} {limb['name']}: corner {limb['corner']} at ({x:g}, {y:g}) mm, actions {fired}"
-        )
+        lines.append(f"limb {limb['index']} {limb['name']}: {place}, actions {fired}")
     for action in facts["actions"]:
         first, second = (" ".join(action[group]) or "none" for group in ("first", "second"))
         lines.append(f"action {action['name']}: {first}; then {second}")

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import io
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 import typer
 
-from frogkick.cli.common import JsonOption, require_writable, show
+from frogkick.cli.common import JsonOption, progress_bar, require_writable, show
 from frogkick.der import Trajectory, simulate_actions, simulate_gait
 from frogkick.errors import InputError
 from frogkick.files import write_text
-from frogkick.robot import load_robot
+from frogkick.robot import Action, load_robot
 
 
 def _velocity(text: str) -> tuple[float, float, float]:
@@ -47,11 +47,20 @@ def simulate(
     actions: Annotated[str | None, typer.Option(help="Actions one after another, as B,B,C.")] = None,
     initial_velocity: Annotated[str, typer.Option(help="VX,VY,OMEGA: forward, left m/s, rad/s.")] = "0,0,0",
     out: Annotated[Path | None, typer.Option(help="CSV with time_s, x_m, y_m, heading_rad.")] = None,
+    animation: Annotated[Path | None, typer.Option(help="Moving picture to write (.gif or .mp4).")] = None,
     json: JsonOption = False,
 ) -> None:
     """Simulate a gait, or a sequence of actions, of a robot."""
     described = load_robot(robot)
     require_writable(out)
+    if animation is not None:
+        from frogkick.report.animation import require_animation_name
+
+        require_animation_name(animation)
+        require_writable(animation)
+    egain = described.egain_percent if egain_percent is None else egain_percent
+    frequency = described.profile_frequency_hz if frequency_hz is None else frequency_hz
+    chosen: list[Action] = []
     if actions is not None:
         if egain_percent is not None or frequency_hz is not None:
             raise InputError(
@@ -60,25 +69,35 @@ def simulate(
         names = [name.strip() for name in actions.split(",") if name.strip()]
         if not names:
             raise InputError("--actions is empty: name at least one action, as B,B,C")
-        result = simulate_actions(
-            described, [described.action(name) for name in names], velocity_body=_velocity(initial_velocity)
-        )
+        chosen = [described.action(name) for name in names]
+        result = simulate_actions(described, chosen, velocity_body=_velocity(initial_velocity))
     else:
         result = simulate_gait(
             described,
-            egain_percent=described.egain_percent if egain_percent is None else egain_percent,
-            frequency_hz=described.profile_frequency_hz if frequency_hz is None else frequency_hz,
+            egain_percent=egain,
+            frequency_hz=frequency,
             phase=phase,
             cycles=cycles,
         )
     if out is not None:
         _write_csv(out, result)
+    animated: dict[str, Any] = {}
+    if animation is not None:
+        from frogkick.report.animation import actions_swim, gait_swim, write_animation
+
+        if chosen:
+            swim = actions_swim(described, chosen, _velocity(initial_velocity))
+        else:
+            swim = gait_swim(described, egain, frequency, phase, cycles)
+        with progress_bar("animation") as progress:
+            animated["animation"] = write_animation(swim, animation, progress)
     show(
         {
             "speed_mps": result.speed_mps,
             "distance_m": result.distance_m,
             # Without forward motion it is infinite, which JSON cannot say.
             "cost_of_transport": result.cost_of_transport if np.isfinite(result.cost_of_transport) else None,
+            **animated,
         },
         json,
     )

@@ -22,6 +22,8 @@ from frogkick.robot import Robot
 
 SETTLE_S = 0.6  # fixes before the start, so that the first estimate knows a velocity
 START_DELAY_S = 0.1
+# A chip boots longer than the core on this computer. From a common time on, both meet the same fixes.
+READY_S = 1.0
 
 
 @dataclass
@@ -156,7 +158,7 @@ class _PoolRun:
         session.set_parameters(parameters(options.config))
         session.send_path(self.path)
         session.request("ARM")
-        self._live_until(session.time_s + SETTLE_S)
+        self._live_until(max(session.time_s + SETTLE_S, READY_S))
         if options.onboard:
             self._run_onboard()
         else:

@@ -100,11 +100,15 @@ def _frame(axes: Axes, robot: Robot, mesh: Mesh, nodes_mm: FloatArray) -> None:
         corner = 1e3 * np.array([corner_m])
         _line(axes, corner, "s", color=style.DESIRED, markersize=7)
         away = _away(robot, index)
+        # Outside is where limbs are.
+        side = -1.0 if any(limb.corner == index for limb in robot.limbs) else 1.0
         axes.annotate(
             f"corner {index}",
             (corner[0, 1], corner[0, 0]),
-            xytext=(-26.0 * away[0] - 16.0, -20.0 * away[1]),
+            xytext=(side * 28.0 * away[0], side * 20.0 * away[1]),
             textcoords="offset points",
+            ha="center",
+            va="center",
             color=style.DESIRED,
             fontsize=7,
         )

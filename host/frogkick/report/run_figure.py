@@ -39,6 +39,16 @@ def _centred(run: RunLog, points_m: FloatArray) -> FloatArray:
     return np.asarray(100.0 * (points_m - run.path.points_m.mean(axis=0)))
 
 
+def _beside(points: FloatArray) -> FloatArray:
+    """(n, 2) offsets in points of the screen, to the left of the way: letters off their own track."""
+    if len(points) < 2:
+        return np.full((len(points), 2), 7.0)
+    along = np.gradient(points, axis=0)
+    length = np.hypot(along[:, 0], along[:, 1])
+    along = np.where(length[:, None] > 0.0, along / np.maximum(length, 1e-9)[:, None], [1.0, 0.0])
+    return np.asarray(7.0 * np.column_stack([-along[:, 1], along[:, 0]]))
+
+
 def _track(axes: Axes, run: RunLog) -> None:
     assert run.path is not None and run.truth is not None
     path = _centred(run, run.path.points_m)
@@ -50,8 +60,17 @@ def _track(axes: Axes, run: RunLog) -> None:
     here = _centred(run, true_poses_at(run, run.decisions.time_s)[:, :2])
     names = [run.action_names[index] for index in run.decisions.action]
     axes.plot(*here.T, "o", color=style.TRUE, markersize=3)
-    for (x, y), name in zip(here, names, strict=True):
-        axes.annotate(name, (x, y), textcoords="offset points", xytext=(4, 3), fontsize=7, color=style.TRUE)
+    for (x, y), name, offset in zip(here, names, _beside(here), strict=True):
+        axes.annotate(
+            name,
+            (x, y),
+            textcoords="offset points",
+            xytext=(offset[0], offset[1]),
+            ha="center",
+            va="center",
+            fontsize=7,
+            color=style.TRUE,
+        )
     axes.plot(*path[0], "s", color=style.DESIRED, label="start of the path")
     axes.set_aspect("equal", adjustable="datalim")
     axes.set_xlabel("x (cm)")
@@ -113,6 +132,6 @@ def _prediction(axes: Axes, run: RunLog) -> None:
         style.PREDICTED,
     )
     axes.set_title(
-        f"Missed by the prediction, a period ahead: {1e3 * missed.position_rmse_m:.1f} mm, "
+        f"Prediction missed, a period ahead: {1e3 * missed.position_rmse_m:.1f} mm, "
         f"{np.rad2deg(missed.heading_rmse_rad):.1f} deg RMS"
     )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import os
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -81,7 +81,16 @@ class Ring:
         }
 
 
-def go_round(robot: Robot, out: Path, states: int, depth: int, seed: int, bar: Bar) -> Ring:
+def go_round(
+    robot: Robot,
+    out: Path,
+    states: int,
+    depth: int,
+    seed: int,
+    bar: Bar,
+    paths: Sequence[str] = tuple(SHAPES),
+    time_limit_s: float = 120.0,
+) -> Ring:
     """Simulate, tabulate, emit, build, and swim three paths with the firmware on the virtual chip.
 
     Args:
@@ -91,6 +100,8 @@ def go_round(robot: Robot, out: Path, states: int, depth: int, seed: int, bar: B
         depth: levels that the planner looks ahead.
         seed: of the library's sampling and of the camera's noise.
         bar: makes progress bars.
+        paths: names of the shapes to swim.
+        time_limit_s: longest pool time for each.
 
     Raises:
         FrogkickError: any stage's own.
@@ -114,26 +125,32 @@ def go_round(robot: Robot, out: Path, states: int, depth: int, seed: int, bar: B
     clock.lap("tables, C")
     built = build("bench", image, robot, out / "firmware")
     clock.lap("firmware")
+    options = RunOptions(
+        dataclasses.replace(robot_plan_config(robot), depth=depth), time_limit_s=time_limit_s
+    )
     ring = Ring(robot, tables, flash_bytes=built.flash_bytes, ram_bytes=built.ram_bytes, stage_s=clock.laps)
     with bar("firmware on the virtual chip: commands and limits") as progress:
         ring.chip = check_on_chip(built.image, tables, robot, progress)
     clock.lap("trial of the firmware")
-    for name in SHAPES:
+    for name in paths:
         with bar(f"swim the {name}: path points") as progress:
-            ring.runs.append(_swim(ring, built, name, depth, seed, progress))
+            ring.runs.append(_swim(ring, built, name, options, seed, progress))
         write_run(out / f"{name}.h5", ring.runs[-1].log)
         clock.lap(f"swim the {name}")
     return ring
 
 
 def _swim(
-    ring: Ring, built: Build, name: str, depth: int, seed: int, progress: Callable[[int, int], None]
+    ring: Ring,
+    built: Build,
+    name: str,
+    options: RunOptions,
+    seed: int,
+    progress: Callable[[int, int], None],
 ) -> RingRun:
     robot, tables, path = ring.robot, ring.tables, shape(name)
-    config = dataclasses.replace(robot_plan_config(robot), depth=depth)
     start = (float(path.x_m[0]), float(path.y_m[0]), float(path.tangent_rad[0]))
     pool = Pool(robot, start, Camera(), np.random.default_rng(seed))
-    options = RunOptions(config)
     recording = run_in_pool(
         VirtualRobot(built.image, len(robot.limbs)),
         pool,
@@ -142,7 +159,7 @@ def _swim(
         options,
         lambda _time_s, index: progress(index + 1, len(path)),
     )
-    again = replay_on_host(recording.events, DecisionTwin(tables, path, config))
+    again = replay_on_host(recording.events, DecisionTwin(tables, path, options.config))
     log = run_log(recording, pool, robot, tables, path, options, seed, "demo")
     return RingRun(
         log,

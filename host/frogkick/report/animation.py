@@ -1,0 +1,292 @@
+"""A simulated swim as a moving picture: frame, limbs, the trail of the centre, time."""
+
+from __future__ import annotations
+
+import importlib
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.colors import to_rgb
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from PIL import Image
+
+from frogkick.der import Rods, Swimmer, prepare
+from frogkick.errors import FrogkickError, InputError
+from frogkick.files import atomic_path
+from frogkick.report import style
+from frogkick.robot import Action, Robot
+
+FloatArray = npt.NDArray[np.float64]
+Pixels = npt.NDArray[np.uint8]
+
+ANIMATIONS = (".gif", ".mp4")
+RATE_HZ = 20  # of the pictures; a GIF counts in hundredths of a second, so this one is exact
+PICTURES_MAX = 400  # a longer swim is shown faster: 20 s of showing, 1 to 3 MB of GIF
+WIDTH_PX = 720
+HEIGHT_MIN_PX, HEIGHT_MAX_PX = 240, 720
+_DPI = 100
+_INKS = ("#000000", style.DESIRED, style.TRUE, style.ALARM, style.ESTIMATED)
+_SHADES = (
+    12  # of each ink on white, for smooth edges: 61 colours, the same for all pictures, so nothing flickers
+)
+
+
+@dataclass(frozen=True)
+class Swim:
+    """What to simulate and show.
+
+    Attributes:
+        rods: of the robot, with the profile of its limbs.
+        pulses: (time_s, limb mask) of every group of limbs that fires, in order of time.
+        duration_s: how long to swim.
+        velocity_body: forward, left (m/s), turn rate (rad/s) at the start.
+        title: one line.
+    """
+
+    rods: Rods
+    pulses: tuple[tuple[float, int], ...]
+    duration_s: float
+    velocity_body: tuple[float, float, float]
+    title: str
+
+
+@dataclass(frozen=True)
+class Film:
+    """A swim at the times of its pictures.
+
+    Attributes:
+        time_s: (k,).
+        nodes_m: (k, n, 2) as Swimmer.nodes_world.
+        pose_world: (k, 3) x, y (m), heading (rad).
+        heated: (k,) mask of the limbs whose pulse is on.
+        speed: swum seconds for a shown one; 1 is real time.
+    """
+
+    time_s: FloatArray
+    nodes_m: FloatArray
+    pose_world: FloatArray
+    heated: npt.NDArray[np.int64]
+    speed: float
+
+
+def gait_swim(robot: Robot, egain_percent: float, frequency_hz: float, phase: float, cycles: int) -> Swim:
+    """The swim of ``simulate_gait``: the robot's two groups, the second ``phase`` of a cycle later."""
+    period_s = 1.0 / frequency_hz
+    lead = [(cycle * period_s, robot.gait_lead_mask) for cycle in range(cycles)]
+    lag = [((cycle + phase) * period_s, robot.gait_lag_mask) for cycle in range(cycles)]
+    return Swim(
+        prepare(robot, egain_percent, frequency_hz),
+        tuple(sorted(lead + lag)),
+        cycles * period_s,
+        (0.0, 0.0, 0.0),
+        f"{robot.id}: {egain_percent:g} % EGaIn, {frequency_hz:g} Hz, phase {phase:g}",
+    )
+
+
+def actions_swim(
+    robot: Robot, actions: Sequence[Action], velocity_body: tuple[float, float, float] = (0.0, 0.0, 0.0)
+) -> Swim:
+    """The swim of ``simulate_actions``: one action each period."""
+    pulses = [
+        (index * robot.period_s + delay_s, mask)
+        for index, action in enumerate(actions)
+        for delay_s, mask in ((0.0, action.first_mask), (robot.second_delay_s, action.second_mask))
+    ]
+    names = "".join(action.name for action in actions)
+    shown = names if len(names) <= 40 else names[:37] + "..."
+    return Swim(
+        prepare(robot),
+        tuple(sorted(pulses)),
+        len(actions) * robot.period_s,
+        velocity_body,
+        f"{robot.id}: actions {shown}",
+    )
+
+
+def film(swim: Swim) -> Film:
+    """Simulate a swim and keep what each picture shows, at RATE_HZ or faster than real time if it is long.
+
+    Raises:
+        ConvergenceError: see Swimmer.
+    """
+    pictures = min(PICTURES_MAX, math.floor(swim.duration_s * RATE_HZ + 1e-9) + 1)
+    real_time = pictures < PICTURES_MAX
+    spacing_s = 1.0 / RATE_HZ if real_time else swim.duration_s / (pictures - 1)
+    time_s = spacing_s * np.arange(pictures, dtype=np.float64)
+    swimmer = Swimmer(swim.rods.robot, velocity_body=swim.velocity_body, rods=swim.rods)
+    for start_s, mask in swim.pulses:
+        swimmer.fire_mask(mask, start_s)
+    nodes, poses, heated = [], [], []
+    for now_s in time_s:
+        swimmer.advance(float(now_s))
+        nodes.append(swimmer.nodes_world())
+        poses.append(swimmer.pose_world())
+        on = 0
+        for start_s, mask in swim.pulses:
+            # Shown at the picture after it began, too: at high speed a pulse may lie between two pictures.
+            if start_s - 1e-9 <= now_s < start_s + max(swim.rods.robot.pulse_s, spacing_s) - 1e-9:
+                on |= mask
+        heated.append(on)
+    return Film(np.asarray(time_s), np.array(nodes), np.array(poses), np.array(heated), spacing_s * RATE_HZ)
+
+
+def require_animation_name(target: Path) -> None:
+    """Refuse what cannot be written, before anything is simulated.
+
+    Raises:
+        InputError: a name that ends on none of ``ANIMATIONS``, or .mp4 without OpenCV.
+    """
+    kind = target.suffix.lower()
+    if kind not in ANIMATIONS:
+        raise InputError(
+            f"animation {str(target)!r} ends on none of {', '.join(ANIMATIONS)}: choose one of them"
+        )
+    if kind == ".mp4":
+        _opencv()
+
+
+def _opencv() -> Any:
+    try:
+        return importlib.import_module("cv2")
+    except ImportError as error:
+        raise InputError(
+            "an .mp4 animation needs OpenCV, which is not installed: pip install opencv-python-headless, "
+            "or name a .gif"
+        ) from error
+
+
+def write_animation(
+    swim: Swim, target: Path, progress: Callable[[int, int], None] = lambda _done, _all: None
+) -> dict[str, float | int]:
+    """Simulate a swim and write it as a GIF or an MP4, by its name.
+
+    Args:
+        swim: what to show.
+        target: the file; written wholly or not at all.
+        progress: called with (pictures done, all).
+
+    Returns:
+        ``pictures``, ``rate_hz``, ``speed`` (swum seconds for a shown one), ``bytes``.
+
+    Raises:
+        InputError: see require_animation_name, or a place that cannot be written to.
+        ConvergenceError: see Swimmer.
+        FrogkickError: OpenCV has no encoder.
+    """
+    require_animation_name(target)
+    shot = film(swim)
+    write = _write_mp4 if target.suffix.lower() == ".mp4" else _write_gif
+    with style.styled(), atomic_path(target) as temporary:
+        write(temporary, _pictures(swim, shot, progress))
+    return {
+        "pictures": len(shot.time_s),
+        "rate_hz": RATE_HZ,
+        "speed": round(shot.speed, 6),
+        "bytes": target.stat().st_size,
+    }
+
+
+def _stage(swim: Swim, shot: Film) -> Figure:
+    """A figure that shows everywhere the swim goes, at equal scales."""
+    low = 100.0 * shot.nodes_m.min(axis=(0, 1)) - 1.5
+    high = 100.0 * shot.nodes_m.max(axis=(0, 1)) + 1.5
+    wide, tall = (float(side) for side in high - low)
+    room_px = 80  # what labels take on each axis
+    wanted_px = (WIDTH_PX - room_px) * tall / wide + room_px
+    height_px = int(np.clip(wanted_px, HEIGHT_MIN_PX, HEIGHT_MAX_PX))
+    if wanted_px < HEIGHT_MIN_PX:  # a straight swim: show more water above and below
+        extra = 0.5 * (wide * (HEIGHT_MIN_PX - room_px) / (WIDTH_PX - room_px) - tall)
+        low[1], high[1] = low[1] - extra, high[1] + extra
+    # Video encoders want even numbers of pixels.
+    figure = Figure(figsize=(WIDTH_PX / _DPI, 2 * (height_px // 2) / _DPI), dpi=_DPI, layout="constrained")
+    axes = figure.subplots()
+    axes.set_xlim(low[0], high[0])
+    axes.set_ylim(low[1], high[1])
+    axes.set_aspect("equal", adjustable="box")
+    axes.set_xlabel("x (cm)")
+    axes.set_ylabel("y (cm)")
+    speed = "real time" if abs(shot.speed - 1.0) < 1e-9 else f"{shot.speed:.2g} x real time"
+    axes.set_title(f"{swim.title}; {speed}, {RATE_HZ} pictures/s")
+    return figure
+
+
+def _pictures(swim: Swim, shot: Film, progress: Callable[[int, int], None]) -> Iterator[Pixels]:
+    """Yield (height, width, 3) pictures. Axes are drawn once, what moves is drawn over them."""
+    figure = _stage(swim, shot)
+    canvas: Any = FigureCanvasAgg(figure)  # matplotlib gives no types for what follows
+    canvas.draw()
+    figure.set_layout_engine("none")  # the layout is found: it would be found again at each picture
+    axes = figure.axes[0]
+    still = canvas.copy_from_bbox(figure.bbox)
+    robot, mesh = swim.rods.robot, swim.rods.mesh
+    ring = [*range(mesh.frame_nodes), 0]
+    corner_node = np.concatenate([[0], np.cumsum(robot.frame.segments)[:-1]])
+    trail = Line2D([], [], color=style.ESTIMATED, linewidth=1.5)
+    body = Line2D([], [], color="black", linewidth=2.0)
+    nose = Line2D([], [], color="black", linewidth=1.2)
+    limbs = [Line2D([], [], linewidth=2.2, solid_capstyle="round") for _ in robot.limbs]
+    clock = axes.text(0.01, 0.98, "", transform=axes.transAxes, va="top", family="monospace")
+    artists = [trail, body, nose, *limbs, clock]
+    for line in (trail, body, nose, *limbs):
+        axes.add_line(line)
+    nose_cm = 50.0 * float(np.ptp(mesh.rest_m[: mesh.frame_nodes, 0]))
+    for k, now_s in enumerate(shot.time_s):
+        nodes_cm = 100.0 * shot.nodes_m[k]
+        x, y, heading = shot.pose_world[k]
+        trail.set_data(*(100.0 * shot.pose_world[: k + 1, :2].T))
+        body.set_data(*nodes_cm[ring].T)
+        centre = np.array([100.0 * x, 100.0 * y])
+        forward = np.array([math.cos(heading), math.sin(heading)])
+        nose.set_data(*np.array([centre, centre + 0.5 * nose_cm * forward]).T)
+        first = mesh.frame_nodes
+        for index, (limb, line) in enumerate(zip(robot.limbs, limbs, strict=True)):
+            line.set_data(*nodes_cm[[corner_node[limb.corner], *range(first, first + limb.segments)]].T)
+            line.set_color(style.ALARM if shot.heated[k] >> index & 1 else style.TRUE)
+            first += limb.segments
+        clock.set_text(f"{now_s:6.2f} s")
+        canvas.restore_region(still)
+        for artist in artists:
+            axes.draw_artist(artist)
+        yield np.asarray(canvas.buffer_rgba())[:, :, :3].copy()
+        progress(k + 1, len(shot.time_s))
+
+
+def _palette() -> Image.Image:
+    inks = np.array([to_rgb(ink) for ink in _INKS])[:, None, :]
+    share = np.linspace(0.0, 1.0, _SHADES + 1)[None, 1:, None]
+    shades = np.round(255.0 * (1.0 - share + share * inks)).astype(np.uint8).reshape(-1, 3)
+    palette = Image.new("P", (1, 1))
+    palette.putpalette([255, 255, 255, *shades.ravel().tolist()])
+    return palette
+
+
+def _write_gif(target: Path, pictures: Iterator[Pixels]) -> None:
+    images = [Image.fromarray(picture) for picture in pictures]
+    palette = _palette()
+    coded = [image.quantize(palette=palette, dither=Image.Dither.NONE) for image in images]
+    coded[0].save(
+        target, format="GIF", save_all=True, append_images=coded[1:], duration=1000 // RATE_HZ, loop=0
+    )
+
+
+def _write_mp4(target: Path, pictures: Iterator[Pixels]) -> None:
+    cv2 = _opencv()
+    writer = None
+    try:
+        for picture in pictures:
+            if writer is None:
+                size = (picture.shape[1], picture.shape[0])
+                writer = cv2.VideoWriter(str(target), cv2.VideoWriter_fourcc(*"mp4v"), float(RATE_HZ), size)
+                if not writer.isOpened():
+                    raise FrogkickError("this OpenCV has no MP4 encoder: name a .gif")
+            writer.write(np.ascontiguousarray(picture[:, :, ::-1]))  # OpenCV's order is blue, green, red
+    finally:
+        if writer is not None:
+            writer.release()

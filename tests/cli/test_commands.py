@@ -1,0 +1,259 @@
+"""Every command of the contract: one JSON object, its keys, --out alone written to, the same bytes twice."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+
+import pytest
+
+from tests.cli.commands import frogkick, listing
+from tests.loop import rig
+
+Capture = pytest.CaptureFixture[str]
+
+
+@pytest.fixture
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """An empty working folder, in which nothing but --out may appear."""
+    folder = tmp_path / "here"
+    folder.mkdir()
+    monkeypatch.chdir(folder)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def library(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A library of three states."""
+    from frogkick.library import build_library
+
+    out = tmp_path_factory.mktemp("library") / "lib.h5"
+    build_library(rig.robot(), states=3, seed=5, workers=1, out=out)
+    return out
+
+
+def test_doctor(here: Path, capsys: Capture) -> None:
+    done = frogkick(capsys, "doctor", "--json")
+    assert done.code == 0
+    assert {"needed", "optional", "ready_without_robot"} <= done.json.keys()
+    assert all(finding["works"] for finding in done.json["needed"])
+    assert listing(here) == {}
+    assert "ready" in frogkick(capsys, "doctor").stdout
+
+
+def test_simulate_a_gait(here: Path, capsys: Capture) -> None:
+    options = ("--egain-percent", "10", "--frequency-hz", "0.8", "--phase", "0.5", "--cycles", "2")
+    done = frogkick(capsys, "simulate", "frog2022", *options, "--out", "x.csv", "--json")
+    assert done.code == 0
+    assert {"speed_mps", "distance_m", "cost_of_transport"} <= done.json.keys()
+    assert done.json["distance_m"] > 0.01
+    with Path("x.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert list(rows[0]) == ["time_s", "x_m", "y_m", "heading_rad"]
+    assert float(rows[-1]["time_s"]) == pytest.approx(2 / 0.8, abs=0.02)
+    assert list(listing(here)) == ["x.csv"]
+    again = frogkick(capsys, "simulate", "frog2022", *options, "--out", "y.csv", "--json")
+    assert again.stdout == done.stdout
+    assert Path("x.csv").read_bytes() == Path("y.csv").read_bytes()
+
+
+def test_simulate_actions(here: Path, capsys: Capture) -> None:
+    done = frogkick(
+        capsys, "simulate", "--actions", "B,C", "--initial-velocity", "0.02,-0.001,0.1", "--json"
+    )
+    assert done.code == 0
+    assert {"speed_mps", "distance_m", "cost_of_transport"} <= done.json.keys()
+    still = frogkick(capsys, "simulate", "--actions", "I", "--json")
+    assert still.json["distance_m"] == pytest.approx(0.0, abs=1e-9)
+    assert still.json["cost_of_transport"] in (0.0, None)  # no distance at no cost
+    assert listing(here) == {}
+
+
+def test_library_build_and_info(here: Path, capsys: Capture) -> None:
+    options = ("--states", "2", "--seed", "3", "--json")
+    done = frogkick(capsys, "library", "build", "frog2022", *options, "--workers", "1", "--out", "a.h5")
+    assert done.code == 0
+    assert {"transitions", "wall_s", "simulated_s"} <= done.json.keys()
+    assert done.json["transitions"] == 2 * 9
+    assert done.json["simulated_s"] == pytest.approx(18 * rig.robot().period_s)
+    assert "18/18" in done.stderr
+    frogkick(capsys, "library", "build", *options, "--workers", "2", "--out", "b.h5")
+    assert Path("a.h5").read_bytes() == Path("b.h5").read_bytes()
+    assert sorted(listing(here)) == ["a.h5", "b.h5"]
+    info = frogkick(capsys, "library", "info", "a.h5", "--json")
+    assert info.code == 0
+    assert {"transitions", "wall_s", "simulated_s"} <= info.json.keys()
+    assert info.json["states"] == 2 and info.json["seed"] == 3
+
+
+def test_tables_build_and_info(here: Path, library: Path, capsys: Capture) -> None:
+    options = ("--kind", "nearest", "--test-states", "4", "--json")
+    done = frogkick(capsys, "tables", "build", library, *options, "--out", "x.fkt")
+    assert done.code == 0
+    assert {"bytes", "states", "error"} <= done.json.keys()
+    assert {"position_m", "heading_rad"} <= done.json["error"].keys()
+    assert done.json["states"] == 3
+    assert done.json["bytes"] == Path("x.fkt").stat().st_size
+    again = frogkick(capsys, "tables", "build", library, *options, "--out", "y.fkt")
+    assert Path("x.fkt").read_bytes() == Path("y.fkt").read_bytes()
+    assert again.json["error"] == done.json["error"]
+    assert sorted(listing(here)) == ["x.fkt", "y.fkt"]
+    info = frogkick(capsys, "tables", "info", "x.fkt", "--test-states", "4", "--json")
+    assert info.code == 0
+    assert info.json["error"] == done.json["error"]
+    assert {**done.json, "out": None} == {**info.json, "out": None}
+    quick = frogkick(capsys, "tables", "info", "x.fkt", "--robot", "frog2022", "--test-states", "0", "--json")
+    assert quick.json["error"] is None
+
+
+def test_codegen(here: Path, capsys: Capture) -> None:
+    table = rig.small_table()
+    done = frogkick(capsys, "codegen", table, "--out", "emitted", "--json")
+    assert done.code == 0
+    assert sorted(done.json["files"]) == sorted(path.name for path in Path("emitted").iterdir())
+    first = listing(here)
+    assert frogkick(capsys, "codegen", table, "--out", "emitted", "--json").stdout == done.stdout
+    assert listing(here) == first
+    assert all(name.startswith("emitted") for name in first)
+
+
+@pytest.mark.parametrize("target", ["bench", "native"])
+def test_firmware_build(here: Path, capsys: Capture, target: str) -> None:
+    table = rig.small_table()
+    done = frogkick(
+        capsys, "firmware", "build", "--target", target, "--tables", table, "--out", "a/fw", "--json"
+    )
+    assert done.code == 0
+    assert {"flash_bytes", "ram_bytes", "stack_bytes", "files"} <= done.json.keys()
+    assert all(Path(file).is_file() for file in done.json["files"].values())
+    if target == "bench":
+        assert table.stat().st_size < done.json["flash_bytes"] < 512 * 1024
+        assert 0 < done.json["stack_bytes"] < done.json["ram_bytes"] < 64 * 1024
+    # Other folders, the same bytes: nothing of this machine's paths gets in.
+    frogkick(capsys, "firmware", "build", "--target", target, "--tables", table, "--out", "b/other")
+    assert listing(here / "a" / "fw") == listing(here / "b" / "other")
+    assert sorted(path.name for path in here.iterdir()) == ["a", "b"]
+    image = Path(done.json["image"]).read_bytes()
+    assert str(here.parent).encode() not in image
+    assert b"frogkick-build-" not in image
+
+
+def test_firmware_size_and_test(here: Path, capsys: Capture) -> None:
+    table = rig.small_table()
+    size = frogkick(capsys, "firmware", "size", "--tables", table, "--json")
+    assert size.code == 0
+    assert 0 < size.json["stack_bytes"] < size.json["stack_reserved_bytes"]
+    trial = frogkick(capsys, "firmware", "test", "--tables", table, "--json")
+    assert trial.code == 0
+    for key in ("flash_bytes", "ram_bytes", "stack_bytes"):
+        assert trial.json[key] == size.json[key], key
+    assert trial.json["passed"] and set(trial.json["checks"].values()) == {"ok"}
+    assert sorted(trial.json["plan_ms"]) == ["1", "2", "3", "4"]
+    assert listing(here) == {}
+
+
+RUN_KEYS = {
+    "mean_distance_m", "p95_distance_m", "progress_mps", "completed", "decisions", "fixes_lost",
+    "limit_violations", "plan_ms_p99",
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("robot", "plan", "path", "depth"),
+    [("virtual", "onboard", "line", "1"), ("pool", "host", "sine", "1"), ("pool", "onboard", "ellipse", "2")],
+)
+def test_run(here: Path, capsys: Capture, robot: str, plan: str, path: str, depth: str) -> None:
+    options = (
+        "--robot", robot, "--plan", plan, "--path", path, "--depth", depth, "--planner", "paper",
+        "--simulated-time", "4", "--tables", rig.small_table(), "--seed", "7", "--json",
+    )  # fmt: skip
+    done = frogkick(capsys, "run", *options, "--out", "run.h5")
+    assert done.code == 0
+    assert RUN_KEYS <= done.json.keys()
+    assert done.json["decisions"] == 3
+    assert done.json["limit_violations"] == 0
+    assert list(listing(here)) == ["run.h5"]
+    again = frogkick(capsys, "run", *options, "--out", "again.h5")
+    assert Path("run.h5").read_bytes() == Path("again.h5").read_bytes()
+    if plan == "onboard":
+        assert again.stdout == done.stdout
+    replayed = frogkick(capsys, "replay", "run.h5", "--tables", rig.small_table(), "--json")
+    assert replayed.code == 0
+    assert {"decisions", "actions", "mismatches"} <= replayed.json.keys()
+    assert replayed.json["mismatches"] == 0
+    # Without --planner and --depth a log is decided again with its own.
+    assert replayed.json["depth"] == int(depth)
+    assert replayed.json["actions"] == replayed.json["recorded_actions"]
+
+
+def test_commands_make_their_own_table_where_none_is_given(
+    here: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("frogkick.cli.default_tables.STATES", rig.SMALL_STATES)
+    done = frogkick(
+        capsys, "run", "--robot", "virtual", "--plan", "onboard", "--path", "line", "--simulated-time", "2",
+        "--out", "run.h5", "--json",
+    )  # fmt: skip
+    assert done.code == 0 and RUN_KEYS <= done.json.keys()
+    assert frogkick(capsys, "replay", "run.h5", "--json").json["mismatches"] == 0
+    assert frogkick(capsys, "firmware", "size", "--json").json["flash_bytes"] > 0
+    assert list(listing(here)) == ["run.h5"]
+
+
+def test_a_damaged_cached_table_is_made_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from frogkick.cli.default_tables import default_tables
+
+    monkeypatch.setenv("FROGKICK_CACHE_DIR", str(tmp_path))
+    made = default_tables("frog2022", 1)
+    whole = made.read_bytes()
+    made.write_bytes(whole[:-4])
+    assert default_tables("frog2022", 1).read_bytes() == whole
+    assert [path.name for path in (tmp_path / "tables").iterdir()] == [made.name]
+
+
+@pytest.mark.parametrize("plan", ["onboard", "host", "both"])
+def test_replay_a_recorded_run(here: Path, capsys: Capture, frog2022_dir: Path, plan: str) -> None:
+    run = frog2022_dir / "control" / "line1.csv"
+    done = frogkick(capsys, "replay", run, "--plan", plan, "--tables", rig.small_table(), "--json")
+    assert done.code == 0
+    assert done.json["mismatches"] == 0
+    assert done.json["decisions"] == len(done.json["actions"]) == len(done.json["recorded_actions"]) == 12
+    assert done.json["recorded_actions"] == "BBBBBBBCBCCA"
+    assert 0.0 <= done.json["agreement_with_recorded"] <= 1.0
+    assert done.json["places"] == (["onboard", "host"] if plan == "both" else [plan])
+    assert done.json["depth"] == 1  # the paper's
+    assert listing(here) == {}
+
+
+def test_parity(here: Path, capsys: Capture) -> None:
+    options = ("--states", "300", "--chip-states", "60", "--tables", rig.small_table(), "--json")
+    done = frogkick(capsys, "parity", *options)
+    assert done.code == 0
+    assert done.json["states"] == 300
+    assert done.json["mismatches"] == {"python-native": 0, "python-chip": 0, "native-chip": 0}
+    assert listing(here) == {}
+
+
+def test_import(here: Path, capsys: Capture, frog2022_dir: Path) -> None:
+    done = frogkick(capsys, "import", frog2022_dir, "--out", "runs", "--json")
+    assert done.code == 0
+    files = sorted(row["file"] for row in done.json["runs"])
+    assert files == sorted(path.name for path in Path("runs").iterdir())
+    assert "line1.h5" in files
+    first = listing(here)
+    frogkick(capsys, "import", frog2022_dir / "control", "--out", "again")
+    assert listing(here / "again") == listing(here / "runs")
+    assert set(first) == {"runs", *(f"runs/{name}" for name in files)}
+    replayed = frogkick(
+        capsys, "replay", "runs/line1.h5", "--robot", "pool", "--tables", rig.small_table(), "--json"
+    )
+    assert replayed.json["mismatches"] == 0
+
+
+def test_help_and_text_need_no_json(here: Path, capsys: Capture) -> None:
+    assert "simulate" in frogkick(capsys, "--help").stdout
+    assert frogkick(capsys, "run", "--help").code == 0
+    text = frogkick(capsys, "tables", "info", rig.small_table(), "--test-states", "0").stdout
+    assert "states: 40" in text

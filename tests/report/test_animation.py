@@ -1,0 +1,188 @@
+"""Moving pictures of swims: the right number of pictures, what is in them, what is refused."""
+
+from __future__ import annotations
+
+import json
+import sys
+import types
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from matplotlib.colors import to_rgb
+from PIL import Image
+
+from frogkick.cli.main import run_command
+from frogkick.der import simulate_actions, simulate_gait
+from frogkick.errors import InputError
+from frogkick.report import animation, style
+from frogkick.report.animation import actions_swim, film, gait_swim, write_animation
+from frogkick.robot import load_robot
+
+FROG = load_robot("frog2022")
+HEX = load_robot("hexapod")
+
+
+def count_of(picture: np.ndarray, colour: str) -> int:
+    ink = np.round(255 * np.array(to_rgb(colour))).astype(int)
+    return int((np.abs(picture.astype(int) - ink).max(axis=2) <= 2).sum())
+
+
+def pictures_of(file: Path) -> list[np.ndarray]:
+    found = []
+    with Image.open(file) as moving:
+        for k in range(moving.n_frames):
+            moving.seek(k)
+            found.append(np.asarray(moving.convert("RGB")))
+    return found
+
+
+def test_the_film_is_the_simulated_swim() -> None:
+    swim = actions_swim(FROG, [FROG.action("B"), FROG.action("C")], (0.02, 0.0, 0.1))
+    shot = film(swim)
+    assert shot.time_s == pytest.approx(np.arange(58) / 20)
+    assert shot.speed == 1.0
+    reference = simulate_actions(FROG, ["B", "C"], (0.02, 0.0, 0.1))
+    x_m = np.interp(shot.time_s, reference.time_s, reference.x_m)
+    assert shot.pose_world[:, 0] == pytest.approx(x_m, abs=1e-4)
+    # Front limbs at once, rear ones a pulse later, only front left in the second stroke (at 1.425 s).
+    assert shot.heated[0] == 0b0011
+    assert shot.heated[2] == 0b1100
+    assert shot.heated[29] == 0b0010
+    assert shot.heated[31] == 0b1100
+    assert shot.heated[10] == 0
+
+
+def test_a_gait_s_film_is_the_simulated_gait() -> None:
+    shot = film(gait_swim(FROG, 10.0, 0.8, 0.5, 2))
+    reference = simulate_gait(FROG, 10.0, 0.8, 0.5, 2)
+    x_m = np.interp(shot.time_s, reference.time_s, reference.x_m)
+    assert shot.pose_world[:, 0] == pytest.approx(x_m, abs=1e-4)
+
+
+def test_long_swims_are_shown_faster_and_stay_small(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr(animation, "PICTURES_MAX", 12)
+    swim = actions_swim(HEX, [HEX.action("E")] * 3)
+    shot = film(swim)
+    assert len(shot.time_s) == 12
+    assert shot.time_s[-1] == pytest.approx(3 * HEX.period_s)
+    assert shot.speed == pytest.approx(3 * HEX.period_s / 11 * 20)
+    told = write_animation(swim, tmp_path / "x.gif")
+    assert told["pictures"] == 12
+    assert told["bytes"] < 12 * 30_000
+    # Each group that fires is seen in at least one picture, though the pulses are shorter than the spacing.
+    assert {0b101001, 0b010110} <= {
+        mask & both for mask in shot.heated.tolist() for both in (0b101001, 0b010110)
+    }
+
+
+def test_the_gif_shows_frame_limbs_and_trail(tmp_path: Path) -> None:
+    file = tmp_path / "swim.gif"
+    done: list[tuple[int, int]] = []
+    swim = actions_swim(HEX, [HEX.action("B")])
+    told = write_animation(swim, file, lambda k, n: done.append((k, n)))
+    pictures = pictures_of(file)
+    assert told == {"pictures": 22, "rate_hz": 20, "speed": 1.0, "bytes": file.stat().st_size}
+    assert done[-1] == (22, 22)
+    with Image.open(file) as moving:
+        assert moving.info["duration"] == 50
+        assert moving.info["loop"] == 0
+    assert len(pictures) == 22
+    first, last = pictures[0], pictures[-1]
+    assert first.shape[1] == animation.WIDTH_PX
+    assert animation.HEIGHT_MIN_PX <= first.shape[0] <= animation.HEIGHT_MAX_PX
+    # Four limbs are heated at first, two are not; at the end none; the trail grows.
+    assert count_of(first, style.ALARM) > 1.5 * count_of(first, style.TRUE) > 0
+    assert count_of(last, style.ALARM) == 0
+    assert count_of(last, style.TRUE) > 2 * count_of(first, style.TRUE)
+    assert count_of(last, style.ESTIMATED) > count_of(first, style.ESTIMATED) + 5
+    assert count_of(last, "#000000") > 100
+
+
+def test_the_same_swim_gives_the_same_bytes(tmp_path: Path) -> None:
+    swim = actions_swim(FROG, [FROG.action("A")])
+    for name in ("one.gif", "two.gif"):
+        write_animation(swim, tmp_path / name)
+    assert (tmp_path / "one.gif").read_bytes() == (tmp_path / "two.gif").read_bytes()
+
+
+def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = tmp_path / "swim.gif"
+    assert run_command(
+        ["simulate", "streamlined", "--actions", "C", "--animation", str(file), "--json"]
+    ) == 0  # fmt: skip
+    told = json.loads(capsys.readouterr().out)
+    assert told["animation"]["pictures"] == len(pictures_of(file)) == 29
+    assert told["speed_mps"] > 0.0
+    assert run_command(["simulate", "--actions", "C", "--animation", str(tmp_path / "swim.avi")]) == 2
+    assert "ends on none of .gif, .mp4" in capsys.readouterr().err
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["swim.gif"]
+
+
+def test_mp4_without_opencv_is_refused_in_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setitem(sys.modules, "cv2", None)  # as where it is not installed
+    assert run_command(["simulate", "--actions", "C", "--animation", str(tmp_path / "swim.mp4")]) == 2
+    told = capsys.readouterr().err.strip()
+    assert "opencv-python-headless" in told
+    assert "\n" not in told
+    assert list(tmp_path.iterdir()) == []
+
+
+class Recorder:
+    """Stands in for cv2.VideoWriter where OpenCV is not installed: keeps what it is given."""
+
+    opens = True
+    pictures: list[np.ndarray]
+
+    def __init__(self, file: str, code: int, rate_hz: float, size: tuple[int, int]) -> None:
+        self.file, self.rate_hz, self.size = Path(file), rate_hz, size
+        Recorder.pictures = []
+
+    def isOpened(self) -> bool:
+        return self.opens
+
+    def write(self, picture: np.ndarray) -> None:
+        assert picture.shape == (self.size[1], self.size[0], 3)
+        assert picture.flags.c_contiguous
+        assert self.rate_hz == 20.0
+        self.pictures.append(picture)
+
+    def release(self) -> None:
+        self.file.write_bytes(b"mp4")
+
+
+@pytest.mark.parametrize("opens", [True, False])
+def test_mp4_gets_pictures_in_opencvs_order(
+    opens: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    module: Any = types.ModuleType("cv2")
+    module.VideoWriter = Recorder
+    module.VideoWriter_fourcc = lambda *letters: len(letters)
+    monkeypatch.setattr(Recorder, "opens", opens)
+    monkeypatch.setitem(sys.modules, "cv2", module)
+    swim = actions_swim(FROG, [FROG.action("A")])
+    if not opens:
+        with pytest.raises(Exception, match="no MP4 encoder"):
+            write_animation(swim, tmp_path / "x.mp4")
+        assert list(tmp_path.iterdir()) == []
+        return
+    write_animation(swim, tmp_path / "x.mp4")
+    assert len(Recorder.pictures) == 29
+    assert all(side % 2 == 0 for side in Recorder.pictures[0].shape[:2])
+    assert count_of(Recorder.pictures[0][:, :, ::-1], style.ALARM) > 20
+    assert count_of(Recorder.pictures[0], style.ALARM) == 0
+
+
+def test_opencv_writes_a_readable_mp4(tmp_path: Path) -> None:
+    cv2 = pytest.importorskip("cv2", reason="OpenCV is not installed: .mp4 is not tried")
+    write_animation(actions_swim(FROG, [FROG.action("A")]), tmp_path / "x.mp4")
+    video = cv2.VideoCapture(str(tmp_path / "x.mp4"))
+    assert int(video.get(cv2.CAP_PROP_FRAME_COUNT)) == 29
+
+
+def test_names_are_checked_before_anything_is_simulated(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"\.gif, \.mp4"):
+        animation.require_animation_name(tmp_path / "x.png")

@@ -37,10 +37,7 @@ def robot_figure(robot: Robot) -> Figure:
         _frame(axes, robot, mesh, nodes_mm)
         _limbs(axes, robot, mesh, nodes_mm)
         _centre_and_forward(axes, robot, mesh, nodes_mm)
-        axes.set_aspect("equal", adjustable="datalim")
-        axes.margins(x=0.3, y=0.12)  # room for the limbs' names
-        # x forward is drawn upwards, so left is left: the robot as seen from above, swimming up the page.
-        axes.invert_xaxis()
+        _window(axes)
         axes.set_xlabel("y, left (mm)")
         axes.set_ylabel("x, forward (mm)")
         axes.set_title(
@@ -49,6 +46,17 @@ def robot_figure(robot: Robot) -> Figure:
         )
         axes.legend(handles=_legend(robot), loc="upper center", bbox_to_anchor=(0.5, -0.08), ncols=3)
     return figure
+
+
+def _window(axes: Axes) -> None:
+    """Show all of the robot at equal scales, with room for the limbs' names at its sides."""
+    box = axes.dataLim
+    half = max(0.72 * box.width, 0.58 * box.height)
+    middle_x, middle_y = 0.5 * (box.x0 + box.x1), 0.5 * (box.y0 + box.y1)
+    # x forward is drawn upwards, so left is left: the robot as seen from above, swimming up the page.
+    axes.set_xlim(middle_x + half, middle_x - half)
+    axes.set_ylim(middle_y - half, middle_y + half)
+    axes.set_aspect("equal", adjustable="box")
 
 
 def require_picture_name(target: Path) -> None:

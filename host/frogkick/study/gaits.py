@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 import multiprocessing
 import signal
@@ -15,9 +14,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from frogkick.der import Rods, Swimmer, prepare
-from frogkick.errors import ConvergenceError, FrogkickError, InputError
-from frogkick.robot import Profile, Robot
+from frogkick.der import STEP_S, WIDTH, Batch, Gait, Rods, Swimmer, prepare
+from frogkick.errors import FrogkickError, InputError
+from frogkick.robot import Actuation, Profile, Robot
 from frogkick.robot.model import STANDARD_GRAVITY_MPS2
 from frogkick.robot.profile import actuation
 
@@ -27,17 +26,7 @@ CYCLES = 8
 FIRST_CYCLE = 5
 """The authors' speed is that from the end of cycle 5 to the end of cycle 8."""
 
-SAMPLE_S = 0.01
-
-
-@dataclass(frozen=True, order=True)
-class Gait:
-    """A robot's cyclic gait: EGaIn fraction of its limbs (%), strokes per second (Hz), lag of the second
-    group of limbs as a share of the cycle (0 <= phase < 1)."""
-
-    egain_percent: float
-    frequency_hz: float
-    phase: float
+_NODE_MEAN_X = 6  # column of frogkick.der.body.body_motion
 
 
 @dataclass(frozen=True)
@@ -45,7 +34,7 @@ class GaitSwim:
     """Cycles of a gait from rest, eight by default.
 
     Attributes:
-        time_s: (n,) from 0 to the end of the last cycle.
+        time_s: (n,) ends of time steps, from 0 to the end of the last cycle.
         forward_m: (n,) of the plain mean of all nodes, which is what the authors exported.
         speed_mps: over cycles 5 to 8.
         cost_of_transport: electrical energy over weight in air and distance at that speed; infinite without
@@ -79,39 +68,79 @@ def cost_of_transport(robot: Robot, frequency_hz: float, speed_mps: float) -> fl
     return power_w / (robot.mass_kg * STANDARD_GRAVITY_MPS2 * speed_mps)
 
 
-def swim_gait(rods: Rods, profiles: Sequence[Profile], gait: Gait, cycles: int = CYCLES) -> GaitSwim:
-    """Swim a gait from rest, heading forward.
+Swum = list[GaitSwim | str]
+"""For each gait what came of it, or in one line why nothing did."""
+
+
+def swim_gaits(rods: Rods, profiles: Sequence[Profile], gaits: Sequence[Gait], cycles: int = CYCLES) -> Swum:
+    """Swim gaits from rest, heading forward, ``WIDTH`` of them side by side.
 
     Args:
         rods: of the robot; their own stroke is not used.
         profiles: limb profiles to take or to interpolate between.
         cycles: to swim, not less than the eight that the speed is taken from.
 
-    Raises:
-        InputError: a gait outside of the profiles, or a phase outside of [0, 1).
-        ConvergenceError: see Swimmer.
+    Returns:
+        For each gait its swim; or why not: outside of the profiles, a phase outside of [0, 1), or a
+        simulation that did not converge, with its state.
     """
+    strokes = [_stroke(profiles, gait) for gait in gaits]
+    swum: Swum = [stroke if isinstance(stroke, str) else "" for stroke in strokes]
+    ready = [(k, gaits[k], stroke) for k, stroke in enumerate(strokes) if not isinstance(stroke, str)]
+    ready.sort(key=lambda row: row[1].frequency_hz)  # lanes that last equally long keep each other busy
+    for first in range(0, len(ready), WIDTH):
+        places, some, actuations = zip(*ready[first : first + WIDTH], strict=True)
+        for place, result in zip(places, _side_by_side(rods, some, actuations, cycles), strict=True):
+            swum[place] = result
+    return swum
+
+
+def _stroke(profiles: Sequence[Profile], gait: Gait) -> Actuation | str:
     if not 0.0 <= gait.phase < 1.0:
-        raise InputError(f"phase is {gait.phase:g}: give a share of the cycle, 0 <= phase < 1")
-    robot, period_s = rods.robot, 1.0 / gait.frequency_hz
-    stroke = actuation(profiles, gait.egain_percent, gait.frequency_hz)
-    swimmer = Swimmer(robot, rods=dataclasses.replace(rods, actuation=stroke))
+        return f"phase is {gait.phase:g}: give a share of the cycle, 0 <= phase < 1"
+    try:
+        return actuation(profiles, gait.egain_percent, gait.frequency_hz)
+    except InputError as error:
+        return str(error)
+
+
+def _side_by_side(
+    rods: Rods, gaits: Sequence[Gait], actuations: Sequence[Actuation], cycles: int
+) -> Iterator[GaitSwim | str]:
+    robot, still = rods.robot, np.zeros((len(gaits), 3))
+    batch = Batch(
+        rods.mesh,
+        rods.plan,
+        actuations,
+        still,
+        still,
+        limbs=len(robot.limbs),
+        time_s=0.0,
+        step_s=STEP_S,
+        width=WIDTH,
+    )
+    period_s = np.array([1.0 / gait.frequency_hz for gait in gaits])
+    times = [[np.zeros(1)] for _ in gaits]
+    forward = [[row[_NODE_MEAN_X, None]] for row in batch.motion_world()]
     for cycle in range(cycles):
-        swimmer.fire_mask(robot.gait_lead_mask, cycle * period_s)
-        swimmer.fire_mask(robot.gait_lag_mask, (cycle + gait.phase) * period_s)
-    samples = max(1, round(period_s / SAMPLE_S))
-    time_s = np.arange(cycles * samples + 1) / samples * period_s
-    forward_m = np.empty(len(time_s))
-    for index, until_s in enumerate(time_s.tolist()):
-        swimmer.advance(until_s)
-        forward_m[index] = swimmer.nodes_world()[:, 0].mean()
-    speed_mps = speed_over_cycles(time_s, forward_m, gait.frequency_hz)
-    cost = cost_of_transport(robot, gait.frequency_hz, speed_mps)
-    return GaitSwim(gait, time_s, forward_m, speed_mps, cost)
+        for lane, gait in enumerate(gaits):
+            for limb in range(len(robot.limbs)):
+                if robot.gait_lead_mask >> limb & 1:
+                    batch.fire(lane, limb, cycle * period_s[lane])
+                if robot.gait_lag_mask >> limb & 1:
+                    batch.fire(lane, limb, (cycle + gait.phase) * period_s[lane])
+        for lane, (ends_s, motion) in enumerate(batch.advance((cycle + 1) * period_s, trace=True)):
+            times[lane].append(ends_s)
+            forward[lane].append(motion[:, _NODE_MEAN_X])
+    for lane, gait in enumerate(gaits):
+        if lane in batch.failures:
+            yield f"rods of {robot.id!r} {batch.failures[lane]}"
+            continue
+        time_s, forward_m = np.concatenate(times[lane]), np.concatenate(forward[lane])
+        speed_mps = speed_over_cycles(time_s, forward_m, gait.frequency_hz)
+        cost = cost_of_transport(robot, gait.frequency_hz, speed_mps)
+        yield GaitSwim(gait, time_s, forward_m, speed_mps, cost)
 
-
-Swum = list[GaitSwim | str]
-"""For each gait what came of it, or in one line why nothing did."""
 
 # Set in each worker process by _start_worker, so that a chunk carries gaits only.
 _worker: tuple[Rods, tuple[Profile, ...]] | None = None
@@ -126,17 +155,7 @@ def _start_worker(robot: Robot, profiles: tuple[Profile, ...]) -> None:
 def _swim_chunk(gaits: Sequence[Gait]) -> Swum:
     if _worker is None:
         raise FrogkickError("a worker process has no robot: swim through swim_chunks")
-    return _swim_all(*_worker, gaits)
-
-
-def _swim_all(rods: Rods, profiles: Sequence[Profile], gaits: Sequence[Gait]) -> Swum:
-    swum: Swum = []
-    for gait in gaits:
-        try:
-            swum.append(swim_gait(rods, profiles, gait))
-        except (InputError, ConvergenceError) as error:
-            swum.append(str(error))
-    return swum
+    return swim_gaits(*_worker, gaits)
 
 
 def swim_chunks(
@@ -161,9 +180,9 @@ def swim_chunks(
     rods = prepare(robot)
     if workers == 1:
         for index, gaits in enumerate(chunks):
-            yield index, _swim_all(rods, profiles, gaits)
+            yield index, swim_gaits(rods, profiles, gaits)
         return
-    Swimmer(robot, rods=rods).advance(0.001)  # compile here, once, before any worker starts
+    Swimmer(robot, rods=rods).advance(0.001)  # compiled here, once, before any worker starts
     # A forked worker inherits what the parent has compiled. Elsewhere it loads it from numba's cache.
     method = "fork" if sys.platform == "linux" else "spawn"
     executor = ProcessPoolExecutor(

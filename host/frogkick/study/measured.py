@@ -16,18 +16,18 @@ import csv
 import re
 import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.io import loadmat
 
+from frogkick.der import Gait
 from frogkick.errors import InputError
 from frogkick.files import existing_file
 from frogkick.robot import Profile, fit_profile
 from frogkick.robot.profile_files import read_measured_profile
-from frogkick.study.gaits import Gait
 
 FloatArray = NDArray[np.float64]
 
@@ -165,7 +165,7 @@ def find_cases(folder: Path) -> tuple[list[Case], list[Skipped]]:
                 cases.append(Case(relative, _group(kind, relative, gait), gait, file))
     if not cases:
         raise InputError(f"{str(folder)!r} holds no case: it needs sim/**/simDER_*.txt or exp/{{freq,phase}}")
-    cases.sort(key=lambda case: (case.group.split("/")[0], case.group.split("/")[1], case.gait, case.name))
+    cases.sort(key=lambda case: (case.group.split("/")[:2], astuple(case.gait), case.name))
     return cases, skipped
 
 

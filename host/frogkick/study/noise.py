@@ -20,7 +20,7 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
-from frogkick.study.gaits import Gait
+from frogkick.der import Gait
 from frogkick.study.validate import ExperimentResult, by_group
 
 _SAME = 1e-6

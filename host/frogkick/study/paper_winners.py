@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 from frogkick.der import prepare
-from frogkick.study.gaits import swim_gait
+from frogkick.study.gaits import GaitSwim, swim_gaits
 from frogkick.study.sweep import Design, Point, Rank, Sweep, by_cost, by_speed, rank_designs
 
 PAPER_PHASE = 0.5
@@ -65,15 +66,10 @@ class Verdict:
 
 
 def paper_verdicts(sweep: Sweep) -> list[Verdict]:
-    """What this sweep says of the paper's winners; empty for another robot or without them in the sweep.
-
-    Raises:
-        ConvergenceError: see Swimmer.
-    """
+    """What this sweep says of the paper's winners; empty for another robot or without them in the sweep."""
     robot = sweep.plan.robot
     if robot.id != PAPER_ROBOT or PAPER_PHASE not in sweep.plan.phases:
         return []
-    rods = prepare(robot)
     verdicts: list[Verdict] = []
     for winner in PAPER_WINNERS:
         order: Rank = by_cost if winner.speed_mps is None else by_speed
@@ -82,10 +78,12 @@ def paper_verdicts(sweep: Sweep) -> list[Verdict]:
         if rank is None or rank_any is None:
             continue
         ours = at_phase[rank]
-        swum = swim_gait(rods, robot.profiles, ours.gait, PAPER_CYCLES)
-        mean = float(swum.forward_m[-1] / swum.time_s[-1])
+        (swum,) = swim_gaits(prepare(robot), robot.profiles, [ours.gait], PAPER_CYCLES)
+        mean = swum.forward_m[-1] / swum.time_s[-1] if isinstance(swum, GaitSwim) else math.nan
         best = min(sweep.of_design(winner.design), key=order)
-        verdicts.append(Verdict(winner, ours, rank + 1, rank_any + 1, best, mean, tuple(at_phase[:rank])))
+        verdicts.append(
+            Verdict(winner, ours, rank + 1, rank_any + 1, best, float(mean), tuple(at_phase[:rank]))
+        )
     return verdicts
 
 

@@ -17,11 +17,12 @@ from pathlib import Path
 import frogkick.der
 import frogkick.robot.profile
 import frogkick.study.gaits
+from frogkick.der import WIDTH, Gait
 from frogkick.errors import InputError
 from frogkick.files import write_text
 from frogkick.robot import Robot
 from frogkick.robot.profile import actuation
-from frogkick.study.gaits import CYCLES, FIRST_CYCLE, Gait, GaitSwim, swim_chunks
+from frogkick.study.gaits import CYCLES, FIRST_CYCLE, GaitSwim, swim_chunks
 from frogkick.study.measured import Skipped
 
 PHASE_TIE_MPS = 0.5e-3
@@ -164,15 +165,24 @@ def run_sweep(
     done = len(plan.designs) - len(missing)
     if progress is not None:
         progress(done * len(plan.phases), plan.gaits)
-    chunks = [[Gait(d.egain_percent, d.frequency_hz, phase) for phase in plan.phases] for d in missing]
-    for index, swum in swim_chunks(plan.robot, plan.robot.profiles, chunks, workers):
-        points = [_point(gait, result) for gait, result in zip(chunks[index], swum, strict=True)]
-        write_text(_chunk_file(out, missing[index]), _chunk_text(key, points))
-        found[missing[index]] = points
-        done += 1
+    # A task is as many designs as fill the lanes of the simulation; each is a chunk file of its own.
+    together = WIDTH // math.gcd(WIDTH, len(plan.phases))
+    tasks = [missing[first : first + together] for first in range(0, len(missing), together)]
+    gaits = [[gait for design in task for gait in _gaits(plan, design)] for task in tasks]
+    for index, swum in swim_chunks(plan.robot, plan.robot.profiles, gaits, workers):
+        points = [_point(gait, result) for gait, result in zip(gaits[index], swum, strict=True)]
+        for place, design in enumerate(tasks[index]):
+            own = points[place * len(plan.phases) : (place + 1) * len(plan.phases)]
+            write_text(_chunk_file(out, design), _chunk_text(key, own))
+            found[design] = own
+        done += len(tasks[index])
         if progress is not None:
             progress(done * len(plan.phases), plan.gaits)
     return Sweep(plan, tuple(point for design in plan.designs for point in found[design] or ()))
+
+
+def _gaits(plan: Plan, design: Design) -> list[Gait]:
+    return [Gait(design.egain_percent, design.frequency_hz, phase) for phase in plan.phases]
 
 
 def _chunk_file(out: Path, design: Design) -> Path:
@@ -225,8 +235,7 @@ def _read_chunk(file: Path, key: str, plan: Plan, design: Design) -> list[Point]
         points = [_point_of(row) for row in chunk["points"]]
     except (OSError, ValueError, KeyError, TypeError):
         return None
-    wanted = [Gait(design.egain_percent, design.frequency_hz, phase) for phase in plan.phases]
-    return points if [point.gait for point in points] == wanted else None
+    return points if [point.gait for point in points] == _gaits(plan, design) else None
 
 
 def _point_of(row: dict[str, float | str | None]) -> Point:

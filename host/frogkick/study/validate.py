@@ -10,9 +10,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from frogkick.der import WIDTH, Gait
 from frogkick.errors import InputError
 from frogkick.robot import Robot
-from frogkick.study.gaits import CYCLES, FIRST_CYCLE, Gait, GaitSwim, speed_over_cycles, swim_chunks
+from frogkick.study.gaits import CYCLES, FIRST_CYCLE, GaitSwim, speed_over_cycles, swim_chunks
 from frogkick.study.measured import (
     EXPERIMENTS,
     SIMULATIONS,
@@ -32,6 +33,7 @@ FloatArray = NDArray[np.float64]
 
 SPEED_LIMITS_MPS = {f"{SIMULATIONS}/freq": 1.2e-3, f"{SIMULATIONS}/phase": 0.5e-3}
 WITHIN_CYCLE_LIMIT_M = 0.3e-3
+_SAMPLES_PER_CYCLE = 200
 _END_SLACK_S = 0.0015  # the authors' files end one of their 1 ms steps around the last cycle's end
 
 
@@ -203,15 +205,16 @@ def _swim(
     progress: Callable[[int, int], None] | None,
 ) -> tuple[dict[Gait, GaitSwim], dict[Gait, str]]:
     """Swim each gait once; return those that succeeded and why the others did not."""
-    ordered = sorted(gaits)
+    ordered = sorted(gaits, key=lambda gait: (gait.frequency_hz, gait.egain_percent, gait.phase))
+    chunks = [ordered[first : first + WIDTH] for first in range(0, len(ordered), WIDTH)]
     swum: dict[Gait, GaitSwim] = {}
     failed: dict[Gait, str] = {}
-    for index, results in swim_chunks(robot, profiles.profiles, [[gait] for gait in ordered], workers):
-        for result in results:
+    for index, results in swim_chunks(robot, profiles.profiles, chunks, workers):
+        for gait, result in zip(chunks[index], results, strict=True):
             if isinstance(result, GaitSwim):
-                swum[ordered[index]] = result
+                swum[gait] = result
             else:
-                failed[ordered[index]] = result
+                failed[gait] = result
         if progress is not None:
             progress(len(swum) + len(failed), len(ordered))
     return swum, failed
@@ -226,11 +229,11 @@ def _against_simulation(
     case: Case, track: tuple[FloatArray, FloatArray], swum: GaitSwim, profiles: Profiles
 ) -> SimulationResult:
     frequency_hz = case.gait.frequency_hz
-    steady = swum.time_s >= (FIRST_CYCLE - 1e-6) / frequency_hz
-    time_s = swum.time_s[steady]
+    cycles = CYCLES - FIRST_CYCLE
+    time_s = np.linspace(FIRST_CYCLE, CYCLES, _SAMPLES_PER_CYCLE * cycles + 1) / frequency_hz
     reference_mps = speed_over_cycles(*track, frequency_hz)
     reference_wave = _wave(time_s, np.interp(time_s, *track), reference_mps)
-    model_wave = _wave(time_s, swum.forward_m[steady], swum.speed_mps)
+    model_wave = _wave(time_s, np.interp(time_s, swum.time_s, swum.forward_m), swum.speed_mps)
     rms = float(np.sqrt(np.mean((model_wave - reference_wave) ** 2)))
     source = profiles.source(case.gait)
     return SimulationResult(

@@ -10,18 +10,16 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
+from tests.cli.commands import frogkick, listing
+from tests.loop import rig
 
 from frogkick.library import build_library
 from frogkick.loop.record import run_log
 from frogkick.loop.runlog_file import write_run
 from frogkick.paths import shape
 from frogkick.robot import load_robot
-from tests.cli.commands import frogkick, listing
-from tests.loop import rig
 
 Capture = pytest.CaptureFixture[str]
-
-ACTION_LIMBS = 'name = "A"'
 
 
 @pytest.fixture(scope="module")
@@ -48,13 +46,12 @@ def stock(tmp_path_factory: pytest.TempPathFactory) -> Path:
             file[column][1] = np.nan
     with h5py.File(folder / "foreign.h5", "w") as file:
         file["data"] = np.zeros(4)
-    with h5py.File(folder / "no_decisions.h5", "w") as file:
-        with h5py.File(folder / "run.h5") as run:
-            for key, value in run.attrs.items():
-                file.attrs[key] = value
-            for name in run:
-                if name != "decisions":
-                    run.copy(name, file)
+    with h5py.File(folder / "no_decisions.h5", "w") as file, h5py.File(folder / "run.h5") as run:
+        for key, value in run.attrs.items():
+            file.attrs[key] = value
+        for name in run:
+            if name != "decisions":
+                run.copy(name, file)
     (folder / "newt.fkt").write_bytes(rig.changed_image(16, b"newt".ljust(16, b"\0")))
     (folder / "newer.fkt").write_bytes(rig.changed_image(4, b"\x02\x00"))
     flipped = bytearray((folder / "x.fkt").read_bytes())
@@ -240,7 +237,7 @@ def test_one_line_exit_two_and_nothing_written(
         ("tables info {x.fkt} --robot {newt.toml}", "newt"),
         ("replay {nan_x.h5} --tables {x.fkt}", "x_m row 1"),
         ("replay {pathless.h5} --tables {x.fkt}", "no path"),
-        ("run --tables {x.fkt} --path {one.csv}", "one.csv"),
+        ("run --tables {x.fkt} --path {one.csv}", "1 point"),
         ("simulate --actions B,Z", "Z"),
         ("run --tables {x.fkt} --depth 5", "--depth"),
         ("tables info {cut_x.fkt}", "cut_x.fkt"),
@@ -261,7 +258,8 @@ def test_a_recorded_run_without_its_path(tmp_path: Path, frog2022_dir: Path, cap
 
 
 @pytest.mark.parametrize(
-    "spoil", [lambda cells: ["nan", *cells[1:]], lambda cells: [cells[0], "nan", *cells[2:]], lambda cells: cells[:5]]
+    "spoil",
+    [lambda cells: ["nan", *cells[1:]], lambda cells: [cells[0], "nan", *cells[2:]], lambda cells: cells[:5]],
 )
 def test_a_recorded_run_with_a_bad_row(
     tmp_path: Path, frog2022_dir: Path, capsys: Capture, spoil: Callable[[list[str]], list[str]]

@@ -6,6 +6,7 @@ import functools
 
 import numpy as np
 import pytest
+from tests.loop import rig
 
 from frogkick.errors import InputError
 from frogkick.loop.closed_loop import Recording, RunOptions, require_time, robot_plan_config
@@ -17,7 +18,6 @@ from frogkick.planner.plan import PlanConfig
 from frogkick.pool.monitor import pulses_of
 from frogkick.pool.pool import Pool
 from frogkick.pool.port import Edge
-from tests.loop import rig
 
 SHORT_S = 9.0
 

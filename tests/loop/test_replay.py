@@ -7,6 +7,8 @@ import pathlib
 
 import numpy as np
 import pytest
+from tests.conftest import count
+from tests.loop import rig
 
 from frogkick.errors import InputError
 from frogkick.loop.record import run_log
@@ -17,8 +19,6 @@ from frogkick.loop.runlog import Decisions, FixFlag, RunLog
 from frogkick.loop.runlog_file import read_run, write_run
 from frogkick.paths import shape
 from frogkick.planner.plan import PlanConfig
-from tests.conftest import count
-from tests.loop import rig
 
 
 def both(run: RunLog, place: str, depth: int = 1) -> Replay:

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import pytest
+from tests.loop import rig
 
 from frogkick.link.frames import Frame
 from frogkick.loop.session import ANSWER_TIMEOUT_S, LinkError, Session
 from frogkick.paths import shape
 from frogkick.planner.image import TableError, open_image
 from frogkick.pool.port import Edge
-from tests.loop import rig
 
 
 class Silence:

@@ -57,6 +57,8 @@ def _run(arguments: list[str] | None) -> int:
             raise
         _complain(f"{message()} (see 'frogkick --help')")
         return BAD_INPUT
+    if result == INTERRUPTED:  # what typer makes of Ctrl-C, without a word
+        raise KeyboardInterrupt
     return result if isinstance(result, int) else 0
 
 

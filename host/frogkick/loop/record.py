@@ -18,6 +18,8 @@ from frogkick.pool.monitor import pulses_of, violations
 from frogkick.pool.pool import Pool
 from frogkick.robot import Robot
 
+WEIGHT_MAX = 1e6  # as for fk_plan
+
 
 @dataclass(frozen=True)
 class Tracking:
@@ -147,17 +149,21 @@ def config_of_log(run: RunLog) -> PlanConfig:
     Raises:
         InputError: it holds none, or not a whole one.
     """
-    numbers = dict(run.planner)
-    try:
-        depth = int(numbers.pop("depth"))
-        return PlanConfig(
-            depth=depth,
-            **{entry.name: numbers[entry.name] for entry in fields(PlanConfig) if entry.name != "depth"},
-        )
-    except KeyError as error:
+    missing = [entry.name for entry in fields(PlanConfig) if entry.name not in run.planner]
+    if missing:
         raise InputError(
-            f"run {run.source!r} does not say the planner's {error}: choose --planner paper or robot"
-        ) from error
+            f"run {run.source!r} does not say the planner's {missing[0]}: choose --planner paper or robot"
+        )
+    values = {entry.name: run.planner[entry.name] for entry in fields(PlanConfig)}
+    depth = values.pop("depth")
+    wrong = [name for name, value in values.items() if not 0.0 <= value <= WEIGHT_MAX]
+    if wrong or depth not in (1, 2, 3, 4):
+        name = wrong[0] if wrong else "depth"
+        raise InputError(
+            f"run {run.source!r}: planner {name} is {run.planner[name]:g}, weights are 0 to {WEIGHT_MAX:g}, "
+            "the depth 1 to 4: choose --planner paper or robot"
+        )
+    return PlanConfig(depth=int(depth), **values)
 
 
 def tracking_of_recording(recording: Recording, pool: Pool, robot: Robot, path: Path) -> Tracking:

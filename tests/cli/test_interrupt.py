@@ -1,0 +1,68 @@
+"""Ctrl-C: one line, exit 130, no file, no process left."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="sends SIGINT to a process group")
+
+
+def group_members(group: int) -> list[int]:
+    """Processes of a group, by the parents' own table."""
+    listed = subprocess.run(
+        ["ps", "-e", "-o", "pgid=,pid=,stat="], capture_output=True, text=True, check=True
+    )
+    rows = [line.split() for line in listed.stdout.splitlines()]
+    return [int(pid) for pgid, pid, state in rows if int(pgid) == group and not state.startswith("Z")]
+
+
+@pytest.mark.parametrize("whole_group", [True, False], ids=["terminal", "one process"])
+def test_library_build(tmp_path: Path, whole_group: bool) -> None:
+    process = subprocess.Popen(
+        [
+            sys.executable, "-m", "frogkick.cli.main",
+            "library", "build", "--states", "400", "--workers", "2", "--out", "lib.h5", "--json",
+        ],
+        cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True,
+    )  # fmt: skip
+    assert process.stderr is not None
+    try:
+        first = process.stderr.readline()  # the first progress line: the workers are at it
+        assert first.startswith("library: 0/"), first
+        time.sleep(0.5)
+        (os.killpg if whole_group else os.kill)(process.pid, signal.SIGINT)
+        stdout, stderr = process.communicate(timeout=60)
+        assert process.returncode == 130
+        assert stdout == ""
+        complaints = [line for line in stderr.splitlines() if not line.startswith("library: ")]
+        assert complaints == ["frogkick: interrupted: nothing half-written was left"]
+        assert list(tmp_path.iterdir()) == []
+        assert group_members(process.pid) == []
+    finally:
+        if process.poll() is None:
+            os.killpg(process.pid, signal.SIGKILL)
+
+
+def test_while_it_is_still_loading(tmp_path: Path) -> None:
+    program = (
+        "import sys, builtins, os, signal\n"
+        "from frogkick.cli.main import run_command\n"
+        "real = builtins.__import__\n"
+        "def load(name, *rest):\n"
+        "    if name == 'numba': os.kill(os.getpid(), signal.SIGINT)\n"
+        "    return real(name, *rest)\n"
+        "builtins.__import__ = load\n"
+        "sys.exit(run_command(['doctor', '--json']))\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", program], cwd=tmp_path, capture_output=True, text=True, check=False
+    )
+    assert (done.returncode, done.stdout) == (130, "")
+    assert done.stderr == "frogkick: interrupted: nothing half-written was left\n"

@@ -1,0 +1,131 @@
+"""The report: one file that needs no other, all that issue 3 lists in it, axes with units."""
+
+from __future__ import annotations
+
+import base64
+import functools
+import re
+from html.parser import HTMLParser
+from pathlib import Path
+
+import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from tests.loop import rig
+
+from frogkick.cli.common import progress_bar
+from frogkick.errors import InputError
+from frogkick.loop.record import run_log
+from frogkick.loop.runlog import RunLog
+from frogkick.paths import shape
+from frogkick.report.page import Section, Table, write_page
+from frogkick.report.run_figure import run_figure
+from frogkick.report.style import figure_uri
+
+# What a page can fetch from elsewhere.
+FETCHING = {"src", "href", "data", "action", "poster", "srcset", "background"}
+
+
+class Links(HTMLParser):
+    """Everything that a page points to, and the text in it."""
+
+    def __init__(self, page: str) -> None:
+        super().__init__()
+        self.found: list[str] = []
+        self.tags: list[str] = []
+        self.text = ""
+        self.feed(page)
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append(tag)
+        self.found += [value or "" for name, value in attrs if name in FETCHING]
+
+    def handle_data(self, data: str) -> None:
+        self.text += data
+
+
+def self_contained(page: str) -> Links:
+    links = Links(page)
+    assert all(link.startswith("data:image/png;base64,") for link in links.found)
+    assert not {"script", "link", "iframe", "object"} & set(links.tags)
+    outside = re.sub(r"data:image/png;base64,[A-Za-z0-9+/=]*", "", page)
+    assert not re.search(r"https?:|url\(|@import|file:", outside)
+    for link in links.found:
+        picture = base64.b64decode(link.partition(",")[2], validate=True)
+        assert picture.startswith(b"\x89PNG") and len(picture) > 5000
+    return links
+
+
+@functools.cache
+def short_run() -> RunLog:
+    recording, pool, options = rig.swim("pool", "sine", 6.0)
+    return run_log(recording, pool, rig.robot(), rig.tables(), shape("sine"), options, 0, "test")
+
+
+@functools.cache
+def figure() -> Figure:
+    return run_figure(short_run(), "a run")
+
+
+def test_every_axis_of_a_run_has_a_label_and_a_unit() -> None:
+    axes = figure().axes
+    assert len(axes) == 5
+    for each in axes:
+        assert each.get_title(loc="left"), "each panel says what it is"
+        label = each.get_ylabel()
+        assert label == "action" or re.search(r"\((cm|mm|s|mm, deg)\)$", label), label
+    assert [each.get_xlabel() for each in axes if each.get_xlabel()] == ["x (cm)", "time (s)"]
+    track = axes[0]
+    assert track.get_aspect() == 1.0
+    legend = track.get_legend()
+    assert legend is not None
+    assert [text.get_text() for text in legend.get_texts()] == [
+        "desired path", "position fixes", "true track", "start of the path",
+    ]  # fmt: skip
+    letters = [text.get_text() for text in track.texts]
+    assert letters == [short_run().action_names[index] for index in short_run().decisions.action]
+
+
+def test_no_text_of_a_figure_is_cut_off() -> None:
+    drawn = figure()
+    renderer = FigureCanvasAgg(drawn).get_renderer()
+    drawn.draw_without_rendering()
+    width, height = drawn.bbox.width, drawn.bbox.height
+    for axes in drawn.axes:
+        for text in (axes.title, axes._left_title, axes.xaxis.label, axes.yaxis.label):  # type: ignore[attr-defined]
+            if text.get_text():
+                box = text.get_window_extent(renderer)
+                assert box.x0 >= 0 and box.y0 >= 0 and box.x1 <= width and box.y1 <= height, text.get_text()
+
+
+def test_the_same_run_gives_the_same_picture() -> None:
+    assert figure_uri(run_figure(short_run(), "t")) == figure_uri(run_figure(short_run(), "t"))
+
+
+def test_a_page_escapes_what_it_is_given(tmp_path: Path) -> None:
+    target = tmp_path / "deep" / "page.html"
+    section = Section("<b>", ("a & b",), Table(("<th>",), [("<script>x</script>",)]))
+    write_page(target, "1 < 2", "lead", [section])
+    page = target.read_text(encoding="utf-8")
+    assert "<script>" not in page and "&lt;script&gt;" in page and "1 &lt; 2" in page
+    self_contained(page)
+    with pytest.raises(InputError):
+        write_page(target / "below a file.html", "t", "l", [])
+
+
+def test_the_rings_report(tmp_path: Path) -> None:
+    from frogkick.report.ring_page import write_ring_report
+    from frogkick.study.ring import go_round
+
+    ring = go_round(rig.robot(), tmp_path, 10, 1, 0, progress_bar, paths=("line", "sine"), time_limit_s=4.0)
+    target = tmp_path / "report.html"
+    write_ring_report(target, ring)
+    links = self_contained(target.read_text(encoding="utf-8"))
+    assert len(links.found) == 2  # a picture for each path
+    for told in (
+        "distance", "actions", "estimate", "mismatches", "limits broken", "flash", "RAM", "stack",
+        "one plan at depth 1", "one plan at depth 4", "cycles at 64 MHz", "Line", "Sine", "15 Hz", "library",
+    ):  # fmt: skip
+        assert told in links.text, told
+    assert "nan" not in links.text.lower().split()
+    assert str(tmp_path) not in links.text

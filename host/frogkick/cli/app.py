@@ -16,6 +16,7 @@ from frogkick.cli import (
     robot,
     run,
     simulate,
+    sweep,
     tables,
     validate,
 )
@@ -27,7 +28,7 @@ app = typer.Typer(
     no_args_is_help=True,
     add_completion=False,
 )
-for _module in (demo, doctor, simulate, validate, codegen, run, replay, parity, importing):
+for _module in (demo, doctor, simulate, sweep, validate, codegen, run, replay, parity, importing):
     _module.register(app)
 app.add_typer(robot.app, name="robot")
 app.add_typer(library.app, name="library")

@@ -1,0 +1,243 @@
+"""Pictures and report of ``frogkick sweep``."""
+
+from __future__ import annotations
+
+import base64
+import math
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
+from numpy.typing import NDArray
+
+from frogkick.files import write_bytes
+from frogkick.report import style
+from frogkick.report.page import Section, Table, write_page
+from frogkick.report.style import figure_uri
+from frogkick.study.paper_winners import PAPER_PHASE, Verdict, explain
+from frogkick.study.sweep import (
+    PHASE_TIE_MPS,
+    Design,
+    Point,
+    Sweep,
+    by_cost,
+    by_speed,
+    energy_model,
+    rank_designs,
+)
+
+FloatArray = NDArray[np.float64]
+
+_TOP = 10
+_MISSING = "#ececec"
+
+
+def write_sweep_report(out: Path, sweep: Sweep, verdicts: Sequence[Verdict]) -> list[Path]:
+    """Write ``sweep.png``, ``phases.png`` and ``sweep.html`` into a folder, to the same bytes each time."""
+    designs, phases = figure_uri(_designs(sweep, verdicts)), figure_uri(_phases(sweep))
+    files = [out / "sweep.png", out / "phases.png", out / "sweep.html"]
+    for file, uri in zip(files, (designs, phases), strict=False):
+        write_bytes(file, base64.b64decode(uri.split(",", 1)[1]))
+    plan = sweep.plan
+    lead = (
+        f"{len(plan.designs)} designs (EGaIn fraction and frequency) of the robot {plan.robot.title}, each "
+        f"at {len(plan.phases)} phase offsets: {plan.gaits} gaits, simulated from rest. "
+        f"{energy_model(plan.robot)}"
+    )
+    sections = [
+        Section(
+            "Designs",
+            (
+                "Each design is shown at the phase nearest to half a cycle among those within "
+                f"{1e3 * PHASE_TIE_MPS:g} mm/s of its fastest: smaller differences are below what the model "
+                "is good for. A star marks a limb profile interpolated between measured ones.",
+            ),
+            images=[(designs, "Speed and cost of transport; boxes mark the designs that the paper names.")],
+        ),
+        _ranking("Fastest", rank_designs(sweep, by_speed)),
+        _ranking("Most efficient", rank_designs(sweep, by_cost)),
+    ]
+    if verdicts:
+        sections.append(_paper(verdicts))
+    caption = (
+        "Every gait, one column of pictures for each EGaIn fraction. The last row shows what the phase alone "
+        "does: speed less the mean over the phases of that design."
+    )
+    sections.append(Section("Phases", images=[(phases, caption)]))
+    sections.append(_left_out(sweep))
+    write_page(files[2], "frogkick: sweep of designs and gaits", lead, sections)
+    return files
+
+
+def _ranking(title: str, ranked: Sequence[Point]) -> Section:
+    rows = [
+        (
+            str(place),
+            f"{point.gait.egain_percent:g}",
+            f"{point.gait.frequency_hz:g}",
+            f"{point.gait.phase:g}",
+            f"{1e3 * point.speed_mps:.2f}",
+            f"{point.cost_of_transport:.1f}",
+        )
+        for place, point in enumerate(ranked[:_TOP], start=1)
+    ]
+    header = ("rank", "EGaIn, %", "frequency, Hz", "phase", "speed, mm/s", "cost of transport")
+    return Section(title, table=Table(header, rows))
+
+
+def _paper(verdicts: Sequence[Verdict]) -> Section:
+    rows = []
+    for verdict in verdicts:
+        winner, fast = verdict.winner, verdict.winner.speed_mps is not None
+        theirs = f"{1e3 * (winner.speed_mps or 0.0):.0f} mm/s" if fast else f"{winner.cost_of_transport:g}"
+        ours = f"{1e3 * verdict.ours.speed_mps:.1f} mm/s" if fast else f"{verdict.ours.cost_of_transport:.1f}"
+        best = verdict.best.speed_mps - verdict.ours.speed_mps
+        rows.append(
+            (
+                f"{winner.design.egain_percent:g} %, {winner.design.frequency_hz:g} Hz",
+                "fastest" if fast else "most efficient",
+                theirs,
+                ours,
+                f"{verdict.rank} / {verdict.rank_all_phases}",
+                f"{verdict.best.gait.phase:g} (+{1e3 * best:.2f} mm/s)",
+                explain(verdict),
+            )
+        )
+    header = (
+        "design",
+        "for the paper",
+        "paper",
+        "here",
+        f"rank at phase {PAPER_PHASE:g} / at any",
+        "best phase",
+        "why the figures differ",
+    )
+    agreeing = sum(verdict.agrees for verdict in verdicts)
+    text = (
+        f"{agreeing} of {len(verdicts)} designs that the paper names are among the first two of their "
+        f"ranking here. The paper compares at phase {PAPER_PHASE:g}.",
+    )
+    return Section("The paper's winners", text, Table(header, rows))
+
+
+def _left_out(sweep: Sweep) -> Section:
+    rows = [(skipped.case, skipped.reason) for skipped in sweep.plan.skipped]
+    rows += [
+        (f"{p.gait.egain_percent:g} %, {p.gait.frequency_hz:g} Hz, phase {p.gait.phase:g}", p.failure)
+        for p in sweep.points
+        if p.failure
+    ]
+    if not rows:
+        return Section("Left out", ("Nothing.",))
+    return Section("Left out", table=Table(("what", "why"), rows))
+
+
+def _frequencies(sweep: Sweep) -> list[float]:
+    return sorted({design.frequency_hz for design in sweep.plan.designs})
+
+
+def _fractions(sweep: Sweep) -> list[float]:
+    return sorted({design.egain_percent for design in sweep.plan.designs})
+
+
+def _draw(axes: Axes, values: FloatArray, colours: str, low: float, high: float) -> None:
+    axes.set_facecolor(_MISSING)
+    axes.grid(False)
+    image = axes.imshow(values, origin="lower", aspect="auto", cmap=colours, vmin=low, vmax=high)
+    figure = axes.get_figure()
+    assert figure is not None
+    figure.colorbar(image, ax=axes, pad=0.01)
+
+
+def _ticks(places: Sequence[float], most: int = 12) -> tuple[list[int], list[str]]:
+    """Where to write which values along an axis of cells: all of them while there is room."""
+    step = max(1, math.ceil(len(places) / most))
+    return list(range(0, len(places), step)), [f"{value:g}" for value in places[::step]]
+
+
+def _designs(sweep: Sweep, verdicts: Sequence[Verdict]) -> Figure:
+    frequencies, fractions = _frequencies(sweep), _fractions(sweep)
+    shape = (len(fractions), len(frequencies))
+    speed, cost = np.full(shape, np.nan), np.full(shape, np.nan)
+    for point in rank_designs(sweep, by_speed):
+        cell = fractions.index(point.gait.egain_percent), frequencies.index(point.gait.frequency_hz)
+        speed[cell] = 1e3 * point.speed_mps
+        cost[cell] = point.cost_of_transport if math.isfinite(point.cost_of_transport) else np.nan
+    with style.styled():
+        width = max(6.0, 2.0 + 0.48 * len(frequencies))
+        figure = Figure(figsize=(width, 2 * (1.2 + 0.42 * len(fractions))), layout="constrained")
+        panels = figure.subplots(2, 1)
+        for axes, values, title, colours in (
+            (panels[0], speed, "Speed (mm/s)", "viridis"),
+            (panels[1], cost, "Cost of transport (electrical energy / weight / distance)", "viridis_r"),
+        ):
+            if np.isfinite(values).any():
+                _draw(axes, values, colours, float(np.nanmin(values)), float(np.nanmax(values)))
+            _write_cells(axes, values, sweep, frequencies, fractions)
+            axes.set_title(title)
+            axes.set_xticks(range(len(frequencies)), [f"{hz:g}" for hz in frequencies])
+            axes.set_yticks(range(len(fractions)), [f"{egain:g}" for egain in fractions])
+            axes.set_xlabel("frequency (Hz)")
+            axes.set_ylabel("EGaIn (% by volume)")
+        for verdict in verdicts:
+            design = verdict.winner.design
+            corner = frequencies.index(design.frequency_hz) - 0.5, fractions.index(design.egain_percent) - 0.5
+            panel = panels[0] if verdict.winner.speed_mps is not None else panels[1]
+            panel.add_patch(Rectangle(corner, 1.0, 1.0, fill=False, edgecolor=style.ALARM, linewidth=2.5))
+    return figure
+
+
+def _write_cells(
+    axes: Axes, values: FloatArray, sweep: Sweep, frequencies: Sequence[float], fractions: Sequence[float]
+) -> None:
+    """The value in each cell, in black or white, whichever can be read on its colour."""
+    low, high = np.nanmin(values, initial=np.inf), np.nanmax(values, initial=-np.inf)
+    bright_high = bool(axes.images) and axes.images[0].get_cmap().name == "viridis"
+    for (row, column), value in np.ndenumerate(values):
+        if not math.isfinite(value):
+            continue
+        share = (value - low) / (high - low) if high > low else 1.0
+        bright = share > 0.6 if bright_high else share < 0.4
+        star = "*" if Design(fractions[row], frequencies[column]) in sweep.plan.interpolated else ""
+        colour = "black" if bright else "white"
+        axes.text(column, row, f"{value:.0f}{star}", ha="center", va="center", fontsize=8, color=colour)
+
+
+def _phases(sweep: Sweep) -> Figure:
+    fractions, phases = _fractions(sweep), sweep.plan.phases
+    tables: dict[float, tuple[list[float], FloatArray, FloatArray]] = {}
+    for fraction in fractions:
+        own = [design for design in sweep.plan.designs if design.egain_percent == fraction]
+        speed = np.full((len(phases), len(own)), np.nan)
+        cost = np.full((len(phases), len(own)), np.nan)
+        for column, design in enumerate(own):
+            for point in sweep.of_design(design):
+                row = phases.index(point.gait.phase)
+                speed[row, column] = 1e3 * point.speed_mps
+                cost[row, column] = point.cost_of_transport
+        cost[~np.isfinite(cost)] = np.nan
+        tables[fraction] = [design.frequency_hz for design in own], speed, cost
+    turns = {f: speed - np.nanmean(speed, axis=0, keepdims=True) for f, (_, speed, _) in tables.items()}
+    speeds = np.concatenate([speed.ravel() for _, speed, _ in tables.values()])
+    costs = np.concatenate([cost.ravel() for _, _, cost in tables.values()])
+    turn = float(np.nanmax([np.nanmax(np.abs(t), initial=0.0) for t in turns.values()])) or 1.0
+    with style.styled():
+        figure = Figure(figsize=(1.0 + 2.7 * len(fractions), 8.4), layout="constrained")
+        panels = figure.subplots(3, len(fractions), squeeze=False)
+        for column, (fraction, (frequencies, speed, cost)) in enumerate(tables.items()):
+            rows = (
+                (speed, "speed (mm/s)", "viridis", np.nanmin(speeds), np.nanmax(speeds)),
+                (cost, "cost of transport", "viridis_r", np.nanmin(costs), np.nanmax(costs)),
+                (turns[fraction], "phase alone (mm/s)", "RdBu_r", -turn, turn),
+            )
+            for axes, (values, title, colours, low, high) in zip(panels[:, column], rows, strict=True):
+                _draw(axes, values, colours, float(low), float(high))
+                axes.set_title(f"{fraction:g} %: {title}")
+                axes.set_xticks(*_ticks(frequencies, 6))
+                axes.set_yticks(*_ticks(phases))
+                axes.set_xlabel("frequency (Hz)")
+                axes.set_ylabel("phase offset")
+    return figure

@@ -1,19 +1,22 @@
 """Numbers side by side: one value of W simulations at once, so that the same code runs for one or for many.
 
 numba compiles a function for the types that it is called with. Handed arrays of float64, the rods' functions
-work on one simulation; handed arrays of ``lane_dtype(8)``, every ``get`` yields eight float64 side by side and
-every + - * / is one vector instruction where the processor has one that wide, or several narrower ones. No
-operation mixes lanes and none is reassociated or contracted, so a simulation's bits depend neither on the
-width nor on its neighbours nor on the processor.
+work on one simulation; handed arrays of ``lane_dtype(8)``, every ``get`` yields eight float64 side by side
+and every + - * / is one vector instruction where the processor has one that wide, or several narrower ones.
+No operation mixes lanes and none is reassociated or contracted, so a simulation's bits depend neither on
+the width nor on its neighbours nor on the processor.
 
 LLVM does not find this by itself in loops over lanes: it cannot prove that the arrays do not overlap.
 """
+
+# numba's own interfaces for extending it carry no types.
+# mypy: disable-error-code="no-untyped-call, attr-defined"
 
 from __future__ import annotations
 
 import operator
 from collections.abc import Callable
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from llvmlite import ir
@@ -23,15 +26,33 @@ from numba.core.datamodel import models, register_default
 from numba.core.typing.templates import AbstractTemplate, infer_global
 from numba.extending import intrinsic, lower_builtin
 from numba.np.arrayobj import make_array
-from numpy.typing import DTypeLike
+from numpy.typing import DTypeLike, NDArray
+
+Numbers = NDArray[Any]
+"""An array of lane_dtype(W); inside of a compiled function also one number of it."""
 
 _FIELD = "lane"
+_CACHE_LINE = 64
 
 
 def lane_dtype(width: int) -> np.dtype[Any]:
     """The element type of arrays that hold one value of ``width`` simulations: float64 where it is 1."""
     scalar: DTypeLike = np.float64
     return np.dtype(scalar) if width == 1 else np.dtype([(_FIELD, scalar, (width,))])
+
+
+def lane_zeros(shape: tuple[int, ...], width: int) -> NDArray[Any]:
+    """Zeros of ``lane_dtype(width)``, placed so that no row of lanes straddles two cache lines."""
+    dtype = lane_dtype(width)
+    count = int(np.prod(shape)) * dtype.itemsize
+    raw = np.zeros(count + _CACHE_LINE, dtype=np.uint8)
+    first = -raw.ctypes.data % _CACHE_LINE
+    return raw[first : first + count].view(dtype).reshape(shape)
+
+
+def lane_floats(array: NDArray[Any]) -> NDArray[np.float64]:
+    """The same memory as float64 with one more axis, the lanes."""
+    return np.asarray(array[_FIELD] if array.dtype.names else array[..., None])
 
 
 class Lanes(types.Type):
@@ -43,7 +64,7 @@ class Lanes(types.Type):
 
 
 @register_default(Lanes)
-class _LanesModel(models.PrimitiveModel):  # type: ignore[misc]
+class _LanesModel(models.PrimitiveModel):
     def __init__(self, manager: Any, lanes: Lanes) -> None:
         super().__init__(manager, lanes, ir.VectorType(ir.DoubleType(), lanes.width))
 
@@ -81,7 +102,7 @@ def _spread(context: Any, builder: Any, value: Any, given: Any, wanted: Any) -> 
 def _define_operator(symbol: Callable[..., Any], instruction: str) -> None:
     """Let numba type and lower a binary operator on lanes, a float64 standing for the same in every lane."""
 
-    class Typed(AbstractTemplate):  # type: ignore[misc]
+    class Typed(AbstractTemplate):
         def generic(self, args: Any, kws: Any) -> Any:
             wanted = _widest(*args) if len(args) == 2 else None
             return typing.signature(wanted, *args) if isinstance(wanted, Lanes) else None
@@ -109,7 +130,7 @@ for _symbol, _in_place, _instruction in (
 
 
 @infer_global(operator.neg)
-class _Negated(AbstractTemplate):  # type: ignore[misc]
+class _Negated(AbstractTemplate):
     def generic(self, args: Any, kws: Any) -> Any:
         return typing.signature(args[0], *args) if isinstance(args[0], Lanes) else None
 
@@ -117,6 +138,11 @@ class _Negated(AbstractTemplate):  # type: ignore[misc]
 @lower_builtin(operator.neg, Lanes)
 def _lower_negated(context: Any, builder: Any, sig: Any, args: Any) -> Any:
     return builder.fneg(args[0])
+
+
+def _inlined(define: Callable[..., Any]) -> Callable[..., Any]:
+    """numba's intrinsic: a function for compiled code that writes LLVM instructions where it is called."""
+    return cast(Callable[..., Any], intrinsic(define))
 
 
 def _function(make: Callable[..., Any], given: tuple[Any, ...]) -> Any:
@@ -145,19 +171,19 @@ def _llvm(builder: Any, name: str, value: Any) -> Any:
     )
 
 
-@intrinsic  # type: ignore[misc]
+@_inlined
 def root(typing_context: Any, x: Any) -> Any:
     """Square root of a number; NaN in the lanes where it is negative."""
     return _function(lambda builder, value: _llvm(builder, "sqrt", value), (x,))
 
 
-@intrinsic  # type: ignore[misc]
+@_inlined
 def size(typing_context: Any, x: Any) -> Any:
     """Absolute value of a number."""
     return _function(lambda builder, value: _llvm(builder, "fabs", value), (x,))
 
 
-@intrinsic  # type: ignore[misc]
+@_inlined
 def choose_above(typing_context: Any, x: Any, limit: Any, yes: Any, no: Any) -> Any:
     """``yes`` in the lanes where x > limit or either is NaN, ``no`` in the others."""
 
@@ -167,7 +193,7 @@ def choose_above(typing_context: Any, x: Any, limit: Any, yes: Any, no: Any) -> 
     return _function(make, (x, limit, yes, no))
 
 
-@intrinsic  # type: ignore[misc]
+@_inlined
 def any_above(typing_context: Any, x: Any, limit: Any) -> Any:
     """Whether x > limit, or either is NaN, in any lane."""
     wanted = _widest(x, limit)
@@ -195,7 +221,7 @@ def _place(context: Any, builder: Any, kind: Any, array: Any, indices: Any) -> A
 _ALIGN = 8  # numpy aligns an array to its float64s, not to a whole row of lanes
 
 
-@intrinsic  # type: ignore[misc]
+@_inlined
 def get(typing_context: Any, array: Any, i: Any, j: Any) -> Any:
     """array[i, j] as a number; negative indices are not understood."""
     number = _number(array.dtype)
@@ -208,7 +234,7 @@ def get(typing_context: Any, array: Any, i: Any, j: Any) -> Any:
     return number(array, types.intp, types.intp), code
 
 
-@intrinsic  # type: ignore[misc]
+@_inlined
 def put(typing_context: Any, array: Any, i: Any, j: Any, x: Any) -> Any:
     """Set array[i, j] to a number; a float64 goes to every lane."""
     number = _number(array.dtype)
@@ -218,6 +244,22 @@ def put(typing_context: Any, array: Any, i: Any, j: Any, x: Any) -> Any:
     def code(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         value = _spread(context, builder, args[3], sig.args[3], number)
         builder.store(value, _place(context, builder, sig.args[0], args[0], args[1:3]), align=_ALIGN)
+        return context.get_dummy_value()
+
+    return types.void(array, types.intp, types.intp, x), code
+
+
+@_inlined
+def add(typing_context: Any, array: Any, i: Any, j: Any, x: Any) -> Any:
+    """array[i, j] += x; a float64 is added in every lane."""
+    number = _number(array.dtype)
+    if number is None or array.ndim != 2:
+        return None
+
+    def code(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        value = _spread(context, builder, args[3], sig.args[3], number)
+        place = _place(context, builder, sig.args[0], args[0], args[1:3])
+        builder.store(builder.fadd(builder.load(place, align=_ALIGN), value), place, align=_ALIGN)
         return context.get_dummy_value()
 
     return types.void(array, types.intp, types.intp, x), code

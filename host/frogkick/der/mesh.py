@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from frogkick.der.elimination import Elimination, eliminate
+from frogkick.der.plan import Plan, plan_elimination
 from frogkick.robot import Robot
 
 FloatArray = NDArray[np.float64]
@@ -36,6 +36,11 @@ class Mesh(NamedTuple):
         bend_active_gain: (b,) EI grows by this factor times the activation; 0 off the limbs and at roots.
         bend_natural_per_m: (b,) natural curvature at rest.
         bend_limb: (b,) the limb that actuates it, -1 for none.
+        edge_inverse_per_m: (e,) 1 / edge_length_m.
+        bend_edges: (b, 2) its two edges.
+        bend_sense: (b,) -1 where exactly one of these edges is stored against the bend's direction, else 1.
+        bend_curl: (b,) sign of the natural curvature that actuation lessens; 0 for bends of no limb.
+        bend_column: (b,) 2 * its limb, or 2 * the number of limbs for none: where its actuation stands.
         force_scale_n: a bending force typical of a limb, EI / length^2: what residuals are measured against.
     """
 
@@ -53,6 +58,11 @@ class Mesh(NamedTuple):
     bend_active_gain: FloatArray
     bend_natural_per_m: FloatArray
     bend_limb: IntArray
+    edge_inverse_per_m: FloatArray
+    bend_edges: IntArray
+    bend_sense: FloatArray
+    bend_curl: FloatArray
+    bend_column: IntArray
     force_scale_n: float
 
 
@@ -78,7 +88,7 @@ def turning_curvature(rest_m: FloatArray, nodes: tuple[int, int, int]) -> tuple[
     return 2.0 * math.tan(0.5 * phi) / dl, dl
 
 
-def build_mesh(robot: Robot) -> tuple[Mesh, Elimination]:
+def build_mesh(robot: Robot) -> tuple[Mesh, Plan]:
     """Discretise a robot and plan the elimination of its linear systems.
 
     Returns:
@@ -146,6 +156,10 @@ def build_mesh(robot: Robot) -> tuple[Mesh, Elimination]:
     np.add.at(mass, ends.ravel(), np.repeat(0.5 * material[:, 1] * length, 2))
     curvature = [turning_curvature(rest, bend) for bend in bends]
     natural = [limb_curvature.get(b, curvature[b][0]) for b in range(len(bends))]
+    edge_of = {pair: (k, 1.0) for k, pair in enumerate(edges)}
+    edge_of |= {(j, i): (k, -1.0) for k, (i, j) in enumerate(edges)}
+    sides = [(edge_of[a, b], edge_of[b, c]) for a, b, c in bends]
+    limb_of = np.array(bend_limb, dtype=np.int32)
     weakest = min(limb.modulus_rest_pa * limb.second_moment_m4 / limb.length_m**2 for limb in robot.limbs)
     mesh = Mesh(
         frame_nodes=n_frame,
@@ -161,7 +175,12 @@ def build_mesh(robot: Robot) -> tuple[Mesh, Elimination]:
         bend_stiffness_n_m2=np.array(stiffness),
         bend_active_gain=np.array(gain),
         bend_natural_per_m=np.array(natural),
-        bend_limb=np.array(bend_limb, dtype=np.int32),
+        bend_limb=limb_of,
+        edge_inverse_per_m=1.0 / length,
+        bend_edges=np.array([(e, f) for (e, _), (f, _) in sides], dtype=np.int32),
+        bend_sense=np.array([e * f for (_, e), (_, f) in sides]),
+        bend_curl=np.where(limb_of >= 0, np.sign(natural), 0.0),
+        bend_column=2 * np.where(limb_of >= 0, limb_of, len(robot.limbs)).astype(np.int32),
         force_scale_n=float(weakest),
     )
-    return mesh, eliminate(len(points), mesh.edge_nodes, mesh.bend_nodes, np.array(order, dtype=np.int32))
+    return mesh, plan_elimination(len(points), mesh.edge_nodes, mesh.bend_nodes, order)

@@ -5,18 +5,13 @@ Arrays hold numbers in the sense of ``frogkick.der.lanes``. A block's four compo
 
 from __future__ import annotations
 
-from typing import Any
-
 from numba import njit
 
-from frogkick.der.lanes import get, put
+from frogkick.der.lanes import Numbers, add, get, put
 from frogkick.der.plan import Plan
 
-Numbers = Any
-"""A 2D array of lane_dtype(W)."""
 
-
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def factor(plan: Plan, diagonal: Numbers, pair: Numbers, held: Numbers) -> None:
     """Factor a matrix in place into L D L^T, without pivoting.
 
@@ -49,17 +44,17 @@ def factor(plan: Plan, diagonal: Numbers, pair: Numbers, held: Numbers) -> None:
             w0, w1 = get(held, i - begin, 0), get(held, i - begin, 1)
             w2, w3 = get(held, i - begin, 2), get(held, i - begin, 3)
             other = plan.neighbour[i]
-            put(diagonal, other, 0, get(diagonal, other, 0) - (u0 * w0 + u2 * w2))
-            put(diagonal, other, 1, get(diagonal, other, 1) - (u0 * w1 + u2 * w3))
-            put(diagonal, other, 2, get(diagonal, other, 2) - (u1 * w1 + u3 * w3))
+            add(diagonal, other, 0, -(u0 * w0 + u2 * w2))
+            add(diagonal, other, 1, -(u0 * w1 + u2 * w3))
+            add(diagonal, other, 2, -(u1 * w1 + u3 * w3))
             for j in range(i + 1 - begin, end - begin):
                 goal = plan.target[position]
                 position += 1
                 w0, w1, w2, w3 = get(held, j, 0), get(held, j, 1), get(held, j, 2), get(held, j, 3)
-                put(pair, goal, 0, get(pair, goal, 0) - (u0 * w0 + u2 * w2))
-                put(pair, goal, 1, get(pair, goal, 1) - (u0 * w1 + u2 * w3))
-                put(pair, goal, 2, get(pair, goal, 2) - (u1 * w0 + u3 * w2))
-                put(pair, goal, 3, get(pair, goal, 3) - (u1 * w1 + u3 * w3))
+                add(pair, goal, 0, -(u0 * w0 + u2 * w2))
+                add(pair, goal, 1, -(u0 * w1 + u2 * w3))
+                add(pair, goal, 2, -(u1 * w0 + u3 * w2))
+                add(pair, goal, 3, -(u1 * w1 + u3 * w3))
         for i in range(begin, end):
             put(pair, i, 0, get(held, i - begin, 0))
             put(pair, i, 1, get(held, i - begin, 1))
@@ -67,7 +62,7 @@ def factor(plan: Plan, diagonal: Numbers, pair: Numbers, held: Numbers) -> None:
             put(pair, i, 3, get(held, i - begin, 3))
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def solve(plan: Plan, diagonal: Numbers, pair: Numbers, right: Numbers) -> None:
     """Solve a factored system in place.
 
@@ -81,8 +76,8 @@ def solve(plan: Plan, diagonal: Numbers, pair: Numbers, right: Numbers) -> None:
         rx, ry = get(right, node, 0), get(right, node, 1)
         for i in range(plan.start[k], plan.start[k + 1]):
             other = plan.neighbour[i]
-            put(right, other, 0, get(right, other, 0) - (get(pair, i, 0) * rx + get(pair, i, 2) * ry))
-            put(right, other, 1, get(right, other, 1) - (get(pair, i, 1) * rx + get(pair, i, 3) * ry))
+            add(right, other, 0, -(get(pair, i, 0) * rx + get(pair, i, 2) * ry))
+            add(right, other, 1, -(get(pair, i, 1) * rx + get(pair, i, 3) * ry))
     for k in range(n - 1, -1, -1):
         node = plan.order[k]
         rx, ry = get(right, node, 0), get(right, node, 1)

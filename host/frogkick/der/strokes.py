@@ -1,42 +1,138 @@
-"""What one action does, and what a gait or a row of actions does: the questions asked of the rods."""
+"""What strokes do: many simulations side by side, or one action."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from frogkick.der.swimmer import STEP_S, Rods, Swimmer, prepare
-from frogkick.errors import InputError
+from frogkick.der.batch import WIDTH, Failure
+from frogkick.der.swimmer import STEP_S, Rods, batch_of, prepare
+from frogkick.errors import ConvergenceError, InputError
 from frogkick.robot import Action, Robot
-from frogkick.robot.model import STANDARD_GRAVITY_MPS2
 
 FloatArray = NDArray[np.float64]
 
-SAMPLE_S = 0.01  # spacing of trajectories
+Program = Sequence[tuple[float, int]]
+"""Strokes of one simulation: (time_s, limb_mask), bit i = limb i."""
 
 
 @dataclass(frozen=True)
-class Trajectory:
-    """Where the body went: (n,) arrays, world frame (heading in (-pi, pi]), and what it came to.
+class Motions:
+    """How k robots moved from the world's origin, heading along world x.
 
     Attributes:
-        speed_mps: mean forward speed; see the function that made it.
-        distance_m: straight from start to end.
-        cost_of_transport: electrical energy over weight and distance, dimensionless; infinite without
-            forward motion.
+        time_s: (s,) when.
+        pose_world: (k, s, 3) x, y (m), heading (rad, continuous: not wrapped); NaN where a simulation failed.
+        velocity_body: (k, s, 3) forward, left (m/s), turn rate (rad/s); NaN likewise.
+        failures: simulation -> why and where it stopped.
     """
 
     time_s: FloatArray
-    x_m: FloatArray
-    y_m: FloatArray
-    heading_rad: FloatArray
-    speed_mps: float
-    distance_m: float
-    cost_of_transport: float
+    pose_world: FloatArray
+    velocity_body: FloatArray
+    failures: dict[int, Failure]
+
+
+def program_of(robot: Robot, action: Action, start_s: float = 0.0) -> list[tuple[float, int]]:
+    """The strokes of one action."""
+    strokes = [(start_s, action.first_mask), (start_s + robot.second_delay_s, action.second_mask)]
+    return [(time, mask) for time, mask in strokes if mask]
+
+
+def simulate_many(
+    rods: Rods | Sequence[Rods],
+    velocity_body: FloatArray,
+    programs: Sequence[Program],
+    time_s: Sequence[float] | FloatArray,
+    *,
+    step_s: float = STEP_S,
+    width: int = WIDTH,
+) -> Motions:
+    """Simulate robots of one mesh from rest poses, limbs at rest, ``width`` at a time.
+
+    Each result is the same to the last bit whatever else is simulated with it; neighbours with the same
+    strokes share their steps best.
+
+    Args:
+        rods: of all simulations, or one for each; these may differ in actuation only.
+        velocity_body: (k, 3) forward, left (m/s), turn rate (rad/s) at the start.
+        programs: (k) strokes of each.
+        time_s: (s,) increasing, after 0: when to tell pose and velocity. A step ends at the last of them; the
+            others are interpolated between steps (cubic Hermite), which changes no step.
+
+    Raises:
+        InputError: shapes that do not fit, values that are not finite, or times that do not increase.
+    """
+    velocity = np.asarray(velocity_body, dtype=np.float64)
+    times = np.asarray(time_s, dtype=np.float64)
+    if velocity.ndim != 2 or velocity.shape[1] != 3 or len(velocity) != len(programs):
+        raise InputError(
+            f"velocities have shape {velocity.shape} for {len(programs)} programs: give (k, 3) for k programs"
+        )
+    if not np.isfinite(velocity).all():
+        raise InputError("initial velocities must be finite: one is not")
+    if times.ndim != 1 or not len(times) or not (np.diff(times, prepend=0.0) > 0.0).all():
+        raise InputError(f"times {times.tolist()} do not increase from 0: give increasing seconds after 0")
+    if not (np.isfinite(times[-1]) and np.isfinite(step_s) and step_s > 0.0 and width > 0):
+        raise InputError(f"last time {times[-1]} s, step {step_s} s, width {width}: give positive ones")
+    each = [rods] * len(programs) if isinstance(rods, Rods) else list(rods)
+    pose = np.full((len(programs), len(times), 3), np.nan)
+    speed = np.full_like(pose, np.nan)
+    failures: dict[int, Failure] = {}
+    for first in range(0, len(programs), width):
+        chosen = range(first, min(first + width, len(programs)))
+        batch = batch_of(
+            [each[k] for k in chosen], np.zeros((len(chosen), 3)), velocity[chosen], 0.0, step_s, width
+        )
+        for lane, k in enumerate(chosen):
+            for start, mask in programs[k]:
+                for limb in range(len(each[k].robot.limbs)):
+                    if mask >> limb & 1:
+                        batch.fire(lane, limb, start)
+        before = batch.motion_world()
+        traces = batch.advance(float(times[-1]), trace=True)
+        for lane, (ends, rows) in enumerate(traces):
+            if lane in batch.failures:
+                failures[first + lane] = batch.failures[lane]
+                continue
+            rows = np.concatenate([before[lane : lane + 1], rows])
+            pose[first + lane], speed[first + lane] = between(np.append(0.0, ends), rows, times)
+    return Motions(times, pose, speed, failures)
+
+
+def between(ends_s: FloatArray, rows: FloatArray, time_s: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Poses and body velocities at any times between the ends of steps.
+
+    Args:
+        ends_s: (k,) increasing times.
+        rows: (k, MOTION) of frogkick.der.body.body_motion at these.
+        time_s: (s,) times within.
+
+    Returns:
+        (s, 3) poses, heading continuous, and (s, 3) velocities: a cubic with the poses and velocities of both
+        ends, and its derivative; exactly those of an end at its time.
+    """
+    pose = rows[:, :3].copy()
+    pose[:, 2] = np.unwrap(pose[:, 2])
+    c, s = np.cos(pose[:, 2]), np.sin(pose[:, 2])
+    rate = np.column_stack([c * rows[:, 3] - s * rows[:, 4], s * rows[:, 3] + c * rows[:, 4], rows[:, 5]])
+    left = np.clip(np.searchsorted(ends_s, time_s, side="right") - 1, 0, len(ends_s) - 2)
+    length = (ends_s[left + 1] - ends_s[left])[:, None]
+    u = (time_s[:, None] - ends_s[left, None]) / length
+    p, q, v, w = pose[left], pose[left + 1], length * rate[left], length * rate[left + 1]
+    bend, twist = 3.0 * (q - p) - 2.0 * v - w, v + w - 2.0 * (q - p)
+    at = p + u * (v + u * (bend + u * twist))
+    slope = (v + u * (2.0 * bend + u * (3.0 * twist))) / length
+    c, s = np.cos(at[:, 2]), np.sin(at[:, 2])
+    velocity = np.column_stack(
+        [c * slope[:, 0] + s * slope[:, 1], c * slope[:, 1] - s * slope[:, 0], slope[:, 2]]
+    )
+    for end, row in ((u[:, 0] == 0.0, left), (u[:, 0] == 1.0, left + 1)):
+        at[end], velocity[end] = pose[row[end]], rows[row[end], 3:6]
+    return at, velocity
 
 
 def simulate_action(
@@ -60,102 +156,20 @@ def simulate_action(
         frame at the end.
 
     Raises:
-        InputError, ConvergenceError: see Swimmer.
+        InputError: an unknown action, or values that are not finite.
+        ConvergenceError: the simulation failed; the text gives the state.
     """
     chosen = robot.action(action) if isinstance(action, str) else action
-    swimmer = Swimmer(robot, velocity_body=velocity_body, step_s=step_s, rods=rods)
-    swimmer.fire_mask(chosen.first_mask, 0.0)
-    swimmer.fire_mask(chosen.second_mask, robot.second_delay_s)
-    swimmer.advance(duration_s)
-    dx, dy, dheading = swimmer.pose_world()
-    vx, vy, omega = swimmer.velocity_body()
-    return float(dx), float(dy), float(dheading), float(vx), float(vy), float(omega)
-
-
-def _follow(swimmer: Swimmer, period_s: float, periods: int) -> tuple[list[FloatArray], FloatArray]:
-    """Advance by periods; return rows (time, x, y, heading) and the plain node mean after each period."""
-    samples = max(1, round(period_s / SAMPLE_S))
-    rows = [np.append(swimmer.time_s, swimmer.pose_world())]
-    means = [swimmer.nodes_world().mean(axis=0)]
-    for period in range(periods):
-        for sample in range(1, samples + 1):
-            swimmer.advance((period + sample / samples) * period_s)
-            rows.append(np.append(swimmer.time_s, swimmer.pose_world()))
-        means.append(swimmer.nodes_world().mean(axis=0))
-    return rows, np.array(means)
-
-
-def _trajectory(rows: list[FloatArray], speed_mps: float, energy_j: float, robot: Robot) -> Trajectory:
-    """The cost of transport is mean power over weight and speed."""
-    time_s, x_m, y_m, heading_rad = np.array(rows).T
-    power_w = energy_j / float(time_s[-1])
-    cost = power_w / (robot.mass_kg * STANDARD_GRAVITY_MPS2 * speed_mps) if speed_mps > 0.0 else math.inf
-    distance = math.hypot(x_m[-1] - x_m[0], y_m[-1] - y_m[0])
-    return Trajectory(time_s, x_m, y_m, heading_rad, speed_mps, distance, cost)
-
-
-def simulate_gait(
-    robot: Robot,
-    egain_percent: float,
-    frequency_hz: float,
-    phase: float,
-    cycles: int,
-    *,
-    step_s: float = STEP_S,
-) -> Trajectory:
-    """Simulate the robot's cyclic gait from rest, heading along world x.
-
-    The leading limbs fire at the start of every cycle, the lagging ones ``phase / frequency_hz`` later.
-    The speed is the authors': forward motion of the plain mean of all nodes over cycles 5 to 8, or over the
-    last three of fewer cycles. The cost of transport takes the same energy, Robot.pulse_energy_j, for each
-    pulse of each limb at any frequency, and the weight in air.
-
-    Raises:
-        InputError: a phase outside of [0, 1), no cycle, or a profile outside of what was measured.
-        ConvergenceError: see Swimmer.
-    """
-    if not 0.0 <= phase < 1.0:
-        raise InputError(f"phase is {phase}: give a share of the cycle, 0 <= phase < 1")
-    if not 1 <= cycles <= 10000:
-        raise InputError(f"cycles is {cycles}: give 1 to 10000")
-    rods = prepare(robot, egain_percent, frequency_hz)
-    swimmer = Swimmer(robot, step_s=step_s, rods=rods)
-    period = 1.0 / frequency_hz
-    for cycle in range(cycles):
-        swimmer.fire_mask(robot.gait_lead_mask, cycle * period)
-        swimmer.fire_mask(robot.gait_lag_mask, (cycle + phase) * period)
-    rows, means = _follow(swimmer, period, cycles)
-    last = min(cycles, 8)
-    first = max(0, last - 3)
-    speed = float(means[last, 0] - means[first, 0]) / ((last - first) * period)
-    pulses = cycles * (robot.gait_lead_mask.bit_count() + robot.gait_lag_mask.bit_count())
-    return _trajectory(rows, speed, pulses * robot.pulse_energy_j, robot)
-
-
-def simulate_actions(
-    robot: Robot,
-    actions: Sequence[Action | str],
-    velocity_body: Sequence[float] = (0.0, 0.0, 0.0),
-    *,
-    step_s: float = STEP_S,
-) -> Trajectory:
-    """Simulate actions one after another, one each Robot.period_s, heading along world x at the start.
-
-    The speed is the straight distance over the time.
-
-    Raises:
-        InputError: no action, or an unknown one.
-        ConvergenceError: see Swimmer.
-    """
-    if not actions:
-        raise InputError("no action to simulate: give at least one")
-    swimmer = Swimmer(robot, velocity_body=velocity_body, step_s=step_s)
-    chosen = [robot.action(a) if isinstance(a, str) else a for a in actions]
-    pulses = 0
-    for index, action in enumerate(chosen):
-        swimmer.fire_mask(action.first_mask, index * robot.period_s)
-        swimmer.fire_mask(action.second_mask, index * robot.period_s + robot.second_delay_s)
-        pulses += action.first_mask.bit_count() + action.second_mask.bit_count()
-    rows, _ = _follow(swimmer, robot.period_s, len(chosen))
-    straight = math.hypot(*(rows[-1][1:3] - rows[0][1:3]))
-    return _trajectory(rows, straight / float(rows[-1][0]), pulses * robot.pulse_energy_j, robot)
+    motions = simulate_many(
+        prepare(robot) if rods is None else rods,
+        np.array([velocity_body], dtype=np.float64),
+        [program_of(robot, chosen)],
+        [duration_s],
+        step_s=step_s,
+        width=1,
+    )
+    if motions.failures:
+        raise ConvergenceError(f"rods of {robot.id!r} {motions.failures[0]}")
+    dx, dy, dheading = motions.pose_world[0, -1].tolist()
+    vx, vy, omega = motions.velocity_body[0, -1].tolist()
+    return dx, dy, dheading, vx, vy, omega

@@ -1,0 +1,113 @@
+"""Where a robot's body is and how it moves, from its nodes; for one simulation or many side by side.
+
+The pose is that of the body: the mass-weighted mean of all nodes (Huang 2022, Eqs. 10, 12) and the signed
+mass-weighted rotation of the frame's nodes (Eq. 11 loses the sign). Added mass counts as mass.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from frogkick.der.lanes import Numbers, get, put
+from frogkick.der.mesh import Mesh
+
+FloatArray = NDArray[np.float64]
+
+SUMS = 10
+MOTION = 8
+
+
+@njit(error_model="numpy")
+def set_sums(mesh: Mesh, x_m: Numbers, v_mps: Numbers, row: int, sums: Numbers) -> None:
+    """Set a row of (rows, SUMS): what ``body_motion`` needs.
+
+    Centre x, y (m), its velocity (m/s), cross and dot product of the frame's arms at rest with those now, the
+    frame's spin and its inertia, and the plain mean x, y of all nodes (m). Sums run over the nodes in their
+    order, so they do not depend on the number of lanes.
+    """
+    zero = 0.0 * get(x_m, 0, 0)
+    x, y, vx, vy, mean_x, mean_y = zero, zero, zero, zero, zero, zero
+    frame_x, frame_y, frame_vx, frame_vy = zero, zero, zero, zero
+    rest_x, rest_y, total, frame_total = 0.0, 0.0, 0.0, 0.0
+    nodes = mesh.mass_kg.shape[0]
+    for i in range(nodes):
+        mass = mesh.mass_kg[i]
+        total += mass
+        x += mass * get(x_m, i, 0)
+        y += mass * get(x_m, i, 1)
+        vx += mass * get(v_mps, i, 0)
+        vy += mass * get(v_mps, i, 1)
+        mean_x += get(x_m, i, 0)
+        mean_y += get(x_m, i, 1)
+        if i < mesh.frame_nodes:  # they come first
+            rest_x += mass * mesh.rest_m[i, 0]
+            rest_y += mass * mesh.rest_m[i, 1]
+        if i + 1 == mesh.frame_nodes:
+            frame_x, frame_y, frame_vx, frame_vy, frame_total = x, y, vx, vy, total
+    frame_x, frame_y = frame_x / frame_total, frame_y / frame_total
+    frame_vx, frame_vy = frame_vx / frame_total, frame_vy / frame_total
+    rest_x, rest_y = rest_x / frame_total, rest_y / frame_total
+    cross, dot, spin, inertia = zero, zero, zero, zero
+    for i in range(mesh.frame_nodes):
+        mass, rx, ry = mesh.mass_kg[i], mesh.rest_m[i, 0] - rest_x, mesh.rest_m[i, 1] - rest_y
+        ax, ay = get(x_m, i, 0) - frame_x, get(x_m, i, 1) - frame_y
+        ux, uy = get(v_mps, i, 0) - frame_vx, get(v_mps, i, 1) - frame_vy
+        cross += mass * (rx * ay - ry * ax)
+        dot += mass * (rx * ax + ry * ay)
+        spin += mass * (ax * uy - ay * ux)
+        inertia += mass * (ax * ax + ay * ay)
+    put(sums, row, 0, x / total)
+    put(sums, row, 1, y / total)
+    put(sums, row, 2, vx / total)
+    put(sums, row, 3, vy / total)
+    put(sums, row, 4, cross)
+    put(sums, row, 5, dot)
+    put(sums, row, 6, spin)
+    put(sums, row, 7, inertia)
+    put(sums, row, 8, mean_x / (1.0 * nodes))
+    put(sums, row, 9, mean_y / (1.0 * nodes))
+
+
+@njit(cache=True, error_model="numpy")
+def body_motion(sums: FloatArray) -> FloatArray:
+    """Poses and velocities from rows of ``set_sums``.
+
+    Args:
+        sums: (rows, SUMS) float64 of one lane.
+
+    Returns:
+        (rows, MOTION) x, y (m), heading (rad, in (-pi, pi]), forward, left (m/s) and turn rate (rad/s) in the
+        body frame, plain mean x, y of all nodes (m).
+    """
+    motion = np.empty((sums.shape[0], MOTION))
+    for k in range(sums.shape[0]):
+        heading = math.atan2(sums[k, 4], sums[k, 5])
+        c, s = math.cos(heading), math.sin(heading)
+        motion[k, 0], motion[k, 1], motion[k, 2] = sums[k, 0], sums[k, 1], heading
+        motion[k, 3] = c * sums[k, 2] + s * sums[k, 3]
+        motion[k, 4] = c * sums[k, 3] - s * sums[k, 2]
+        motion[k, 5] = sums[k, 6] / sums[k, 7]
+        motion[k, 6], motion[k, 7] = sums[k, 8], sums[k, 9]
+    return motion
+
+
+def place_nodes(
+    mesh: Mesh, heading_rad: FloatArray, velocity_body: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Positions about the centre and velocities, (n, 2, k) each, world frame, of robots that move rigidly.
+
+    Args:
+        heading_rad: (k,).
+        velocity_body: (k, 3) forward, left (m/s), turn rate (rad/s).
+    """
+    c = np.array([math.cos(h) for h in heading_rad.tolist()])
+    s = np.array([math.sin(h) for h in heading_rad.tolist()])
+    rest_x, rest_y = mesh.rest_m[:, 0, None], mesh.rest_m[:, 1, None]
+    forward, left, omega = velocity_body.T
+    x = np.stack([c * rest_x - s * rest_y, s * rest_x + c * rest_y], axis=1)
+    v = np.stack([c * forward - s * left - omega * x[:, 1], s * forward + c * left + omega * x[:, 0]], axis=1)
+    return x, v

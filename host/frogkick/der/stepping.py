@@ -1,0 +1,208 @@
+"""Implicit steps in time, second order: generalised-alpha, for one simulation or many side by side.
+
+Each step factors once and then corrects with that factor (a chord method): after a first correction the
+residual shrinks a thousandfold with each further one, which costs a quarter of a new factor.
+
+Every lane stops correcting when it has converged itself, and a lane that does not is left as it was before
+that step, so no lane notices its neighbours.
+
+Source: Chung and Hulbert 1993, J. Appl. Mech. 60(2), generalised-alpha; here with forces taken at the
+interpolated point. It steps alone from one state to the next, so steps may differ in length.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+from numba import njit
+
+from frogkick.der.body import set_sums
+from frogkick.der.lanes import Numbers, add, any_above, choose_above, get, lane_zeros, put
+from frogkick.der.mesh import Mesh
+from frogkick.der.plan import Plan
+from frogkick.der.rods import Edges, add_forces, add_stiffness, edges_of
+from frogkick.der.solve import factor, solve
+
+SPECTRAL_RADIUS = 0.8  # damping of frequencies above the step's reach: 1 none, 0 all in one step
+ALPHA_M = (2.0 * SPECTRAL_RADIUS - 1.0) / (SPECTRAL_RADIUS + 1.0)
+ALPHA_F = SPECTRAL_RADIUS / (SPECTRAL_RADIUS + 1.0)
+GAMMA = 0.5 - ALPHA_M + ALPHA_F
+BETA = 0.25 * (1.0 - ALPHA_M + ALPHA_F) ** 2
+EVALUATION_SHARE = 1.0 - ALPHA_F
+"""Forces are taken at this share of a step."""
+
+RESIDUAL_LIMIT = 1e-6  # root of the summed squares of all nodal residuals, over Mesh.force_scale_n
+MAX_ITERATIONS = 16
+FACTOR_EVERY = 5  # corrections with one factor; a step that needs a sixth has moved too far from its factor
+
+
+class Space(NamedTuple):
+    """Work space of ``advance_lanes``; nothing in it lasts from one call to the next."""
+
+    edges: Edges
+    x_m: Numbers
+    v_mps: Numbers
+    v_start: Numbers
+    force_start: Numbers
+    move_m: Numbers
+    force_n: Numbers
+    diagonal: Numbers
+    pair: Numbers
+    held: Numbers
+
+
+def space_of(mesh: Mesh, plan: Plan, width: int) -> Space:
+    """Work space for ``width`` simulations side by side."""
+    n = len(mesh.mass_kg)
+    nodal = [lane_zeros((n, 2), width) for _ in range(6)]
+    blocks = [lane_zeros(shape, width) for shape in ((n, 3), (len(plan.neighbour), 4), (plan.widest, 4))]
+    return Space(edges_of(mesh, width), *nodal, *blocks)
+
+
+@njit(error_model="numpy")
+def set_accelerations(
+    mesh: Mesh, edges: Edges, x_m: Numbers, v_mps: Numbers, active: Numbers, a_mps2: Numbers
+) -> None:
+    """Set (n, 2) accelerations, m/s^2, to what the forces on a state cause: the integrator's start.
+
+    Args:
+        active: (1, 2 * (limbs + 1)), see ``frogkick.der.rods.add_forces``.
+    """
+    for i in range(mesh.mass_kg.shape[0]):
+        for d in range(2):
+            put(a_mps2, i, d, 0.0)
+    add_forces(mesh, edges, x_m, v_mps, active, 0, a_mps2)
+    for i in range(mesh.mass_kg.shape[0]):
+        for d in range(2):
+            put(a_mps2, i, d, get(a_mps2, i, d) / mesh.mass_kg[i])
+
+
+@njit(error_model="numpy")
+def set_residual(
+    mesh: Mesh, space: Space, x_m: Numbers, active: Numbers, step: int, velocity_gain: Any, mass_gain: Any
+) -> Any:
+    """Set space.force_n to what is unbalanced after moving by space.move_m; return the sum of squares."""
+    for i in range(x_m.shape[0]):
+        for d in range(2):
+            move = get(space.move_m, i, d)
+            put(space.x_m, i, d, get(x_m, i, d) + EVALUATION_SHARE * move)
+            put(space.v_mps, i, d, velocity_gain * move + get(space.v_start, i, d))
+            put(space.force_n, i, d, get(space.force_start, i, d) - mass_gain * mesh.mass_kg[i] * move)
+    add_forces(mesh, space.edges, space.x_m, space.v_mps, active, step, space.force_n)
+    total = 0.0 * get(space.force_n, 0, 0)
+    for i in range(x_m.shape[0]):
+        fx, fy = get(space.force_n, i, 0), get(space.force_n, i, 1)
+        total += fx * fx + fy * fy
+    return total
+
+
+@njit(error_model="numpy")
+def set_factor(mesh: Mesh, plan: Plan, space: Space, velocity_gain: Any, mass_gain: Any) -> None:
+    """Factor the derivative of ``set_residual`` at the state that it last saw."""
+    for i in range(mesh.mass_kg.shape[0]):
+        inertia = mass_gain * mesh.mass_kg[i]
+        put(space.diagonal, i, 0, inertia)
+        put(space.diagonal, i, 1, 0.0)
+        put(space.diagonal, i, 2, inertia)
+    for p in range(plan.neighbour.shape[0]):
+        for c in range(4):
+            put(space.pair, p, c, 0.0)
+    add_stiffness(
+        mesh, plan, space.edges, space.v_mps, EVALUATION_SHARE, velocity_gain, space.diagonal, space.pair
+    )
+    factor(plan, space.diagonal, space.pair, space.held)
+
+
+@njit(error_model="numpy")
+def run_steps(
+    mesh: Mesh,
+    plan: Plan,
+    space: Space,
+    x_m: Numbers,
+    v_mps: Numbers,
+    a_mps2: Numbers,
+    step_s: Numbers,
+    active: Numbers,
+    factor_every: int,
+    report: Numbers,
+    sums: Numbers,
+) -> int:
+    """Advance states in place by a row of steps.
+
+    Args:
+        x_m, v_mps, a_mps2: (n, 2) positions, velocities, accelerations, world frame.
+        step_s: (steps, 1) lengths; a lane stands still in a step that is not positive.
+        active: (steps, 2 * (limbs + 1)), at EVALUATION_SHARE of each step; see frogkick.der.rods.add_forces.
+        factor_every: corrections made with one factor: FACTOR_EVERY, or 1 (Newton's own method) where a step
+            is hard.
+        report: (3, 1), written: row 0 the first step that a lane failed to take, or -1; such a lane is left
+            as it was before that step. Row 1 its residual over the force scale then. Row 2 corrections made.
+        sums: (steps, frogkick.der.body.SUMS), written after each step; or no rows where nobody wants them.
+
+    Returns:
+        The evaluations of forces that all lanes together waited for.
+    """
+    n = x_m.shape[0]
+    limit = (RESIDUAL_LIMIT * mesh.force_scale_n) ** 2
+    evaluations = 0
+    alive = 0.0 * get(step_s, 0, 0) + 1.0
+    for row in range(3):
+        put(report, row, 0, 0.0)
+    put(report, 0, 0, -1.0)
+    for step in range(step_s.shape[0]):
+        given = get(step_s, step, 0)
+        going = choose_above(given, 0.0, alive, 0.0)
+        if not any_above(going, 0.5):
+            continue
+        h = choose_above(given, 0.0, given, 1.0)
+        velocity_gain = (EVALUATION_SHARE * GAMMA / BETA) / h
+        mass_gain = ((1.0 - ALPHA_M) / BETA) / (h * h)
+        for i in range(n):
+            for d in range(2):
+                v, a = get(v_mps, i, d), get(a_mps2, i, d)
+                # Guess: the acceleration stays.
+                put(space.move_m, i, d, h * v + (0.5 * (h * h)) * a)
+                put(
+                    space.v_start,
+                    i,
+                    d,
+                    (1.0 - EVALUATION_SHARE * GAMMA / BETA) * v
+                    + (EVALUATION_SHARE * (1.0 - 0.5 * GAMMA / BETA)) * (h * a),
+                )
+                inertia = mass_gain * (h * v) - (1.0 - (1.0 - ALPHA_M) * 0.5 / BETA) * a
+                put(space.force_start, i, d, mesh.mass_kg[i] * inertia)
+        open_ = going
+        for iteration in range(MAX_ITERATIONS + 1):
+            total = set_residual(mesh, space, x_m, active, step, velocity_gain, mass_gain)
+            evaluations += 1
+            open_ = choose_above(total, limit, open_, 0.0)
+            if iteration == MAX_ITERATIONS or not any_above(open_, 0.5):
+                break
+            if iteration % factor_every == 0:
+                set_factor(mesh, plan, space, velocity_gain, mass_gain)
+            solve(plan, space.diagonal, space.pair, space.force_n)
+            add(report, 2, 0, open_)
+            for i in range(n):
+                for d in range(2):
+                    correction = choose_above(open_, 0.5, get(space.force_n, i, d), 0.0)
+                    add(space.move_m, i, d, correction)
+        if any_above(open_, 0.5):
+            put(report, 0, 0, choose_above(open_, 0.5, 1.0 * step, get(report, 0, 0)))
+            put(report, 1, 0, choose_above(open_, 0.5, total / limit, get(report, 1, 0)))
+            alive = choose_above(open_, 0.5, 0.0, alive)
+        moving = going - open_
+        for i in range(n):
+            for d in range(2):
+                move, v, a = get(space.move_m, i, d), get(v_mps, i, d), get(a_mps2, i, d)
+                new = (move - h * v) / (BETA * (h * h)) + (1.0 - 0.5 / BETA) * a
+                add(x_m, i, d, choose_above(moving, 0.5, move, 0.0))
+                put(
+                    v_mps,
+                    i,
+                    d,
+                    choose_above(moving, 0.5, v + h * ((1.0 - GAMMA) * a + GAMMA * new), v),
+                )
+                put(a_mps2, i, d, choose_above(moving, 0.5, new, a))
+        if step < sums.shape[0]:
+            set_sums(mesh, x_m, v_mps, step, sums)
+    return evaluations

@@ -1,0 +1,107 @@
+"""Trajectories of one robot: a row of actions."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from frogkick.der.strokes import program_of, simulate_many
+from frogkick.der.swimmer import STEP_S, prepare
+from frogkick.errors import ConvergenceError, InputError
+from frogkick.robot import Action, Robot
+from frogkick.robot.model import STANDARD_GRAVITY_MPS2
+
+FloatArray = NDArray[np.float64]
+
+SAMPLE_S = 0.01  # spacing of trajectories
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """Where the body went: (n,) arrays, world frame (heading in (-pi, pi]), and what it came to.
+
+    Attributes:
+        speed_mps: mean forward speed; see the function that made it.
+        distance_m: straight from start to end.
+        cost_of_transport: electrical energy over weight and distance, dimensionless; infinite without
+            forward motion.
+    """
+
+    time_s: FloatArray
+    x_m: FloatArray
+    y_m: FloatArray
+    heading_rad: FloatArray
+    speed_mps: float
+    distance_m: float
+    cost_of_transport: float
+
+
+def trajectory_of(
+    time_s: FloatArray, pose_world: FloatArray, speed_mps: float, energy_j: float, robot: Robot
+) -> Trajectory:
+    """Put a trajectory together; the cost of transport is mean power over weight and speed.
+
+    Args:
+        time_s: (n,); pose_world: (n, 3), heading continuous.
+    """
+    x_m, y_m, heading = pose_world.T
+    power_w = energy_j / float(time_s[-1])
+    cost = power_w / (robot.mass_kg * STANDARD_GRAVITY_MPS2 * speed_mps) if speed_mps > 0.0 else math.inf
+    distance = math.hypot(x_m[-1] - x_m[0], y_m[-1] - y_m[0])
+    wrapped = heading - 2.0 * math.pi * np.ceil((heading - math.pi) / (2.0 * math.pi))
+    return Trajectory(time_s, x_m, y_m, wrapped, speed_mps, distance, cost)
+
+
+def sample_times(period_s: float, periods: int) -> FloatArray:
+    """Times from 0 to the end of all periods, near SAMPLE_S apart, that hold every period's end."""
+    samples = max(1, round(period_s / SAMPLE_S))
+    return np.concatenate(
+        [
+            [0.0],
+            *((period + np.arange(1, samples + 1) / samples) * period_s for period in range(periods)),
+        ]
+    )
+
+
+def simulate_actions(
+    robot: Robot,
+    actions: Sequence[Action | str],
+    velocity_body: Sequence[float] = (0.0, 0.0, 0.0),
+    *,
+    step_s: float = STEP_S,
+) -> Trajectory:
+    """Simulate actions one after another, one each Robot.period_s, heading along world x at the start.
+
+    The speed is the straight distance over the time.
+
+    Raises:
+        InputError: no action, or an unknown one.
+        ConvergenceError: the simulation failed; the text gives the state.
+    """
+    if not actions:
+        raise InputError("no action to simulate: give at least one")
+    chosen = [robot.action(a) if isinstance(a, str) else a for a in actions]
+    program = [
+        stroke
+        for index, action in enumerate(chosen)
+        for stroke in program_of(robot, action, index * robot.period_s)
+    ]
+    time_s = sample_times(robot.period_s, len(chosen))
+    motions = simulate_many(
+        prepare(robot),
+        np.array([velocity_body], dtype=np.float64),
+        [program],
+        time_s[1:],
+        step_s=step_s,
+        width=1,
+    )
+    if motions.failures:
+        raise ConvergenceError(f"rods of {robot.id!r} {motions.failures[0]}")
+    pose = np.concatenate([np.zeros((1, 3)), motions.pose_world[0]])
+    straight = math.hypot(*pose[-1, :2])
+    pulses = sum(mask.bit_count() for _, mask in program)
+    return trajectory_of(time_s, pose, straight / float(time_s[-1]), pulses * robot.pulse_energy_j, robot)

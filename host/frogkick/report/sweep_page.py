@@ -203,7 +203,8 @@ def _write_cells(
         bright = share > 0.6 if bright_high else share < 0.4
         star = "*" if Design(fractions[row], frequencies[column]) in sweep.plan.interpolated else ""
         colour = "black" if bright else "white"
-        axes.text(column, row, f"{value:.0f}{star}", ha="center", va="center", fontsize=8, color=colour)
+        text = f"{value:.1f}" if value < 100.0 else f"{value:.0f}"
+        axes.text(column, row, text + star, ha="center", va="center", fontsize=8, color=colour)
 
 
 def _phases(sweep: Sweep) -> Figure:

@@ -27,7 +27,6 @@ from frogkick.der import Gait
 from frogkick.errors import InputError
 from frogkick.files import existing_file
 from frogkick.robot import Profile, fit_profile
-from frogkick.robot.profile_files import read_measured_profile
 
 FloatArray = NDArray[np.float64]
 
@@ -189,20 +188,30 @@ def read_simulation(path: Path) -> tuple[FloatArray, FloatArray]:
     return rows[:, 0], rows[:, 2]
 
 
+def _read_mat(path: Path, name: str) -> tuple[FloatArray, FloatArray]:
+    """``t`` and one more variable of a MATLAB file, as rows.
+
+    Raises:
+        InputError: not such a file, or without one of them.
+    """
+    try:
+        content = loadmat(str(path))
+        time_s, values = (np.asarray(content[key], dtype=np.float64).ravel() for key in ("t", name))
+    except KeyError as error:
+        raise InputError(f"{path.name!r} has no variable {error}: record 't' and {name!r}") from error
+    except Exception as error:  # a spoilt file makes scipy raise whatever its bytes lead to
+        raise InputError(f"{path.name!r} cannot be read as a MATLAB file: {error}") from error
+    return time_s, values
+
+
 def read_swim(path: Path) -> Swim:
     """Read a measured swim.
 
     Raises:
         InputError: not a MATLAB file, without ``t`` and ``distance``, or not two equal finite rows.
     """
-    try:
-        content = loadmat(str(existing_file(path, "measured swim")))
-    except (OSError, ValueError, NotImplementedError) as error:
-        raise InputError(f"swim {path.name!r} cannot be read as a MATLAB file: {error}") from error
-    if "t" not in content or "distance" not in content:
-        raise InputError(f"swim {path.name!r} has no variables 't' and 'distance': record both")
-    time_s = np.asarray(content["t"], dtype=np.float64).ravel()
-    distance_m = 1e-3 * np.asarray(content["distance"], dtype=np.float64).ravel()
+    time_s, distance_mm = _read_mat(existing_file(path, "measured swim"), "distance")
+    distance_m = 1e-3 * distance_mm
     good = time_s.shape == distance_m.shape and time_s.size >= 10
     if not (good and np.isfinite(time_s).all() and np.isfinite(distance_m).all()):
         raise InputError(
@@ -221,7 +230,7 @@ def steady_speed(swim: Swim, frequency_hz: float) -> SteadySpeed:
     """
     slope = float(np.polyfit(swim.time_s, swim.distance_m, 1)[0])
     lasts_s = float(swim.time_s[-1] - swim.time_s[0])
-    cycles = int(lasts_s * frequency_hz + 0.01)  # a frame short of a cycle is a cycle
+    cycles = int(lasts_s * frequency_hz + 1e-6)
     ends_s = swim.time_s[0] + np.arange(cycles + 1) / frequency_hz
     speeds = np.diff(np.interp(ends_s, swim.time_s, swim.distance_m)) * frequency_hz
     sd = float(speeds.std(ddof=1) / np.sqrt(cycles)) if cycles >= 2 else None
@@ -269,7 +278,7 @@ def read_profiles(folder: Path, cached: Sequence[Profile]) -> tuple[Profiles, li
             skipped.append(Skipped(relative, "not named <EGaIn/10>/<10 frequency>.mat"))
             continue
         try:
-            chosen[key] = fit_profile(*read_measured_profile(file), *key)
+            chosen[key] = fit_profile(*_read_mat(file, "mean"), *key)
         except InputError as error:
             skipped.append(Skipped(relative, str(error)))
             continue

@@ -102,8 +102,8 @@ def explain(verdict: Verdict) -> str:
     winner, ours = verdict.winner, verdict.ours
     if winner.speed_mps is not None and winner.authors_mean_mps is not None:
         return (
-            f"The paper's {1e3 * winner.speed_mps:.0f} mm/s is the mean of the authors' published run over "
-            f"all its {PAPER_CYCLES} cycles from rest ({1e3 * winner.authors_mean_mps:.1f}); the same mean "
+            f"The paper's {1e3 * winner.speed_mps:.0f} mm/s agrees with the mean of the authors' published run "
+            f"over all its {PAPER_CYCLES} cycles from rest ({1e3 * winner.authors_mean_mps:.1f}); the same mean "
             f"here is {1e3 * verdict.mean_speed_mps:.1f}. Over cycles {FIRST_CYCLE} to {CYCLES}, as the "
             f"ranking counts, that run swims {1e3 * winner.authors_mps:.1f} and this model "
             f"{1e3 * ours.speed_mps:.1f} mm/s."

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 import io
 import shutil
 import tempfile
-from collections.abc import Iterator
 from pathlib import Path
 
-import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from tests.conftest import count
 from tests.loop import rig
@@ -22,11 +21,10 @@ from frogkick.loop.runlog_file import write_run
 from frogkick.paths import shape
 from frogkick.robot import load_robot
 
-pytestmark = pytest.mark.filterwarnings("error")
 
-
-@pytest.fixture(scope="module")
-def stock() -> Iterator[dict[str, bytes]]:
+@functools.cache
+def stock() -> dict[str, bytes]:
+    """Whole files by name. No fixture: hypothesis would print them with a failure."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         build_library(rig.robot(), states=2, seed=5, workers=1, out=folder / "lib.h5")
@@ -35,7 +33,7 @@ def stock() -> Iterator[dict[str, bytes]]:
         write_run(folder / "run.h5", log)
         shutil.copy(rig.small_table(), folder / "x.fkt")
         (folder / "robot.toml").write_text(load_robot("frog2022").toml)
-        yield {file.name: file.read_bytes() for file in folder.iterdir()}
+        return {file.name: file.read_bytes() for file in folder.iterdir()}
 
 
 @st.composite
@@ -74,27 +72,23 @@ def refused_or_done(content: bytes, name: str, *command: str) -> None:
         assert sorted(path.name for path in folder.iterdir()) == [name]
 
 
-fuzzed = settings(
-    max_examples=count(60, 2000), deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
-)
+fuzzed = settings(max_examples=count(60, 600), deadline=None, print_blob=True)
 
 
 @fuzzed
 @given(damage())
-def test_table(stock: dict[str, bytes], how: tuple[float, list[tuple[float, int]]]) -> None:
-    content = spoilt(stock["x.fkt"], how)
+def test_table(how: tuple[float, list[tuple[float, int]]]) -> None:
+    content = spoilt(stock()["x.fkt"], how)
     refused_or_done(content, "x.fkt", "tables", "info", "FILE", "--test-states", "0", "--json")
     refused_or_done(content, "x.fkt", "codegen", "FILE", "--out", "OUT", "--json")
 
 
 @fuzzed
 @given(damage())
-def test_table_with_a_right_checksum(
-    stock: dict[str, bytes], how: tuple[float, list[tuple[float, int]]]
-) -> None:
+def test_table_with_a_right_checksum(how: tuple[float, list[tuple[float, int]]]) -> None:
     import zlib
 
-    content = bytearray(spoilt(stock["x.fkt"], how))
+    content = bytearray(spoilt(stock()["x.fkt"], how))
     if len(content) > 16:
         content[12:16] = zlib.crc32(content[16:]).to_bytes(4, "little")
     refused_or_done(bytes(content), "x.fkt", "tables", "info", "FILE", "--test-states", "0", "--json")
@@ -102,16 +96,16 @@ def test_table_with_a_right_checksum(
 
 @fuzzed
 @given(damage())
-def test_library(stock: dict[str, bytes], how: tuple[float, list[tuple[float, int]]]) -> None:
-    refused_or_done(spoilt(stock["lib.h5"], how), "lib.h5", "library", "info", "FILE", "--json")
+def test_library(how: tuple[float, list[tuple[float, int]]]) -> None:
+    refused_or_done(spoilt(stock()["lib.h5"], how), "lib.h5", "library", "info", "FILE", "--json")
 
 
 @fuzzed
 @given(damage())
-def test_run(stock: dict[str, bytes], how: tuple[float, list[tuple[float, int]]]) -> None:
+def test_run(how: tuple[float, list[tuple[float, int]]]) -> None:
     table = str(rig.small_table())
     refused_or_done(
-        spoilt(stock["run.h5"], how),
+        spoilt(stock()["run.h5"], how),
         "run.h5",
         "replay",
         "FILE",
@@ -125,10 +119,10 @@ def test_run(stock: dict[str, bytes], how: tuple[float, list[tuple[float, int]]]
 
 @fuzzed
 @given(damage())
-def test_robot(stock: dict[str, bytes], how: tuple[float, list[tuple[float, int]]]) -> None:
+def test_robot(how: tuple[float, list[tuple[float, int]]]) -> None:
     table = str(rig.small_table())
     refused_or_done(
-        spoilt(stock["robot.toml"], how),
+        spoilt(stock()["robot.toml"], how),
         "robot.toml",
         "tables", "info", table, "--robot", "FILE", "--test-states", "0", "--json",
     )  # fmt: skip

@@ -31,6 +31,8 @@ def run_command(arguments: list[str] | None = None) -> int:
         return 0
     except FrogkickError as error:
         _complain(str(error))
+    except UnicodeError as error:
+        _complain(f"a text in the input is not UTF-8 ({error}): make the file again")
     except OSError as error:
         named = f" {error.filename!r}" if error.filename else ""
         _complain(f"cannot read or write{named}: {error.strerror or error}; check the path and the disk")

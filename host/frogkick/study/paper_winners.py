@@ -102,10 +102,10 @@ def explain(verdict: Verdict) -> str:
     winner, ours = verdict.winner, verdict.ours
     if winner.speed_mps is not None and winner.authors_mean_mps is not None:
         return (
-            f"The paper's {1e3 * winner.speed_mps:.0f} mm/s agrees with the mean of the authors' published run "
-            f"over all its {PAPER_CYCLES} cycles from rest ({1e3 * winner.authors_mean_mps:.1f}); the same mean "
-            f"here is {1e3 * verdict.mean_speed_mps:.1f}. Over cycles {FIRST_CYCLE} to {CYCLES}, as the "
-            f"ranking counts, that run swims {1e3 * winner.authors_mps:.1f} and this model "
+            f"The paper's {1e3 * winner.speed_mps:.0f} mm/s agrees with the mean of the authors' published "
+            f"run over all its {PAPER_CYCLES} cycles from rest ({1e3 * winner.authors_mean_mps:.1f}); the "
+            f"same mean here is {1e3 * verdict.mean_speed_mps:.1f}. Over cycles {FIRST_CYCLE} to {CYCLES}, "
+            f"as the ranking counts, that run swims {1e3 * winner.authors_mps:.1f} and this model "
             f"{1e3 * ours.speed_mps:.1f} mm/s."
         )
     hz, cost = ours.gait.frequency_hz, ours.cost_of_transport

@@ -6,7 +6,7 @@ import hashlib
 import os
 from pathlib import Path
 
-from frogkick import __version__
+import frogkick
 from frogkick.cli.common import progress_bar
 from frogkick.errors import InputError
 from frogkick.files import write_bytes
@@ -32,7 +32,8 @@ def default_tables(robot_name: str, states: int | None = None) -> Path:
     """
     robot = load_robot(robot_name)
     states = STATES if states is None else states
-    key = hashlib.sha256(robot.sha256 + f"{__version__} {states} {SEED} {SAMPLING}".encode()).hexdigest()[:24]
+    made_of = f"{_source_sha256()} {states} {SEED} {SAMPLING}".encode()
+    key = hashlib.sha256(robot.sha256 + made_of).hexdigest()[:24]
     folder = cache_folder() / "tables"
     target = folder / f"{robot.id}-{key}.fkt"
     if not _is_whole(target):
@@ -50,6 +51,16 @@ def default_tables(robot_name: str, states: int | None = None) -> Path:
         write_bytes(target, quantise(read_library(library)))
         library.unlink()
     return target
+
+
+def _source_sha256() -> str:
+    """Of the code that simulates and quantises: with other physics a kept table would be a wrong one."""
+    digest = hashlib.sha256()
+    package = Path(frogkick.__file__).parent
+    for folder in ("robot", "der", "library", "planner"):
+        for file in sorted((package / folder).glob("*.py")):
+            digest.update(file.read_bytes())
+    return digest.hexdigest()
 
 
 def _is_whole(target: Path) -> bool:

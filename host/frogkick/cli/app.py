@@ -16,6 +16,7 @@ from frogkick.cli import (
     robot,
     run,
     simulate,
+    study,
     sweep,
     tables,
     validate,
@@ -34,3 +35,4 @@ app.add_typer(robot.app, name="robot")
 app.add_typer(library.app, name="library")
 app.add_typer(tables.app, name="tables")
 app.add_typer(firmware.app, name="firmware")
+app.add_typer(study.app, name="study")

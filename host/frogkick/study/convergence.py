@@ -1,0 +1,109 @@
+"""How the rod simulation's error falls with its time step: the order, and the error at the default step."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from frogkick.der import STEP_S, Gait, Trajectory, prepare, program_of, simulate_gaits, simulate_many
+from frogkick.errors import ConvergenceError
+from frogkick.robot import Robot
+
+FloatArray = npt.NDArray[np.float64]
+
+STEPS_S = (0.008, 0.004, 0.002, 0.001, 0.0005)
+REFERENCE_STEP_S = 0.000125
+ERROR_LIMIT = 0.002  # of the distance, at the default step
+GAIT_CYCLES = 8  # the speed counts from cycle 5 to 8
+PHASES = (0.0, 0.25, 0.5, 0.75)
+
+
+@dataclass(frozen=True, eq=False)
+class Curve:
+    """Errors of one kind of simulation.
+
+    Attributes:
+        name: "strokes" (one period of every action, from rest and from cruising) or "gaits" (speed).
+        step_s: (n,) finest steps, longest first.
+        error: (n,) root mean square relative error of distance or speed against the reference step.
+        worst: (n,) largest relative error.
+    """
+
+    name: str
+    step_s: FloatArray
+    error: FloatArray
+    worst: FloatArray
+
+    @property
+    def order(self) -> float:
+        """Slope of log(error) over log(step), by least squares."""
+        return float(np.polyfit(np.log(self.step_s), np.log(self.error), 1)[0])
+
+    @property
+    def at_default(self) -> float:
+        """Root mean square error at the default step, interpolated along the curve."""
+        order = np.argsort(self.step_s)
+        logs = np.log(self.step_s[order]), np.log(self.error[order])
+        return float(np.exp(np.interp(np.log(STEP_S), *logs)))
+
+
+def convergence(robot: Robot, progress: Callable[[int, int], None] = lambda _done, _all: None) -> list[Curve]:
+    """Simulate strokes and gaits at several steps and compare them with a fine one.
+
+    Args:
+        robot: what swims.
+        progress: called with simulations done and to do (a simulation is one step length of one kind).
+
+    Returns:
+        The curve of the strokes and the curve of the gaits.
+
+    Raises:
+        ConvergenceError: a simulation failed.
+    """
+    done, whole = 0, 2 * (len(STEPS_S) + 1)
+    curves = []
+    for name, measure in (("strokes", _stroke_distances), ("gaits", _gait_speeds)):
+        reference = measure(robot, REFERENCE_STEP_S)
+        rows = []
+        progress(done := done + 1, whole)
+        for step_s in STEPS_S:
+            rows.append(np.abs(measure(robot, step_s) / reference - 1.0))
+            progress(done := done + 1, whole)
+        errors = np.array(rows)
+        curves.append(Curve(name, np.array(STEPS_S), np.sqrt((errors**2).mean(axis=1)), errors.max(axis=1)))
+    return curves
+
+
+def _stroke_distances(robot: Robot, step_s: float) -> FloatArray:
+    """Distance (m) over one period of each action that fires, from rest and from the middle of the box."""
+    box = robot.library_box
+    cruising = [sum(ends) / 2.0 for ends in (box.forward_mps, box.left_mps, box.omega_rad_s)]
+    programs = [program for action in robot.actions if (program := program_of(robot, action))]
+    velocities = np.array([[0.0, 0.0, 0.0]] * len(programs) + [cruising] * len(programs))
+    motions = simulate_many(prepare(robot), velocities, programs * 2, [robot.period_s], step_s=step_s)
+    _no_failures(motions.failures.values())
+    return np.hypot(motions.pose_world[:, -1, 0], motions.pose_world[:, -1, 1])
+
+
+def _gait_speeds(robot: Robot, step_s: float) -> FloatArray:
+    swum = simulate_gaits(robot, _gaits(robot), GAIT_CYCLES, step_s=step_s)
+    _no_failures(result for result in swum if not isinstance(result, Trajectory))
+    return np.array([result.speed_mps for result in swum if isinstance(result, Trajectory)])
+
+
+def _no_failures(failures: Iterable[object]) -> None:
+    for failure in failures:
+        raise ConvergenceError(f"a simulation of the convergence study failed: {failure}")
+
+
+def _gaits(robot: Robot) -> Sequence[Gait]:
+    """Each EGaIn fraction at its lowest and highest measured frequency, at four phases."""
+    fractions = sorted({profile.egain_percent for profile in robot.profiles})
+    ends = []
+    for fraction in fractions:
+        frequencies = [p.frequency_hz for p in robot.profiles if p.egain_percent == fraction]
+        ends += [(fraction, min(frequencies)), (fraction, max(frequencies))]
+    return [Gait(fraction, frequency, phase) for fraction, frequency in ends for phase in PHASES]

@@ -11,7 +11,7 @@ from pathlib import Path
 CODEGEN = "codegen"
 """How the table below calls the package frogkick_codegen."""
 
-EVERYBODY = frozenset({"errors", "files", "__init__"})
+EVERYBODY = frozenset({"errors", "files", "chunks", "__init__"})
 """Modules of frogkick that all may import; ``__init__`` is the version."""
 
 ARROWS: Mapping[str, frozenset[str]] = {
@@ -31,6 +31,7 @@ ARROWS: Mapping[str, frozenset[str]] = {
     CODEGEN: frozenset({"robot", "planner", "link"}),
     "errors": frozenset(),
     "files": frozenset(),
+    "chunks": frozenset(),
     "__init__": frozenset(),
 }
 """Folder or module of frogkick -> those that it may import besides itself and ``EVERYBODY``."""
@@ -41,6 +42,7 @@ WHEELS: Mapping[str, frozenset[str]] = {
     "link": frozenset({"cobs"}),
     "errors": frozenset(),
     "files": frozenset(),
+    "chunks": frozenset({"distributed"}),
     "__init__": frozenset(),
 }
 """Where an arrow also limits what is not ours: the packages allowed besides the standard library."""

@@ -23,10 +23,17 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 
+from frogkick.chunks import check_cluster
 from frogkick.errors import InputError
 
 JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else.")]
 SeedOption = Annotated[int, typer.Option("--seed", min=0, help="Makes the run repeatable.")]
+ClusterOption = Annotated[
+    str | None,
+    typer.Option(
+        "--cluster", metavar="ADDRESS", help="Run on the Dask scheduler there, as tcp://host:8786, not here."
+    ),
+]
 
 stderr = Console(stderr=True)
 
@@ -69,6 +76,22 @@ def require_writable(out: Path | None, folder: bool = False) -> None:
         place = place.parent
     if not place.is_dir() or not os.access(place, os.W_OK | os.X_OK):
         raise InputError(f"cannot write {str(out)!r} in {str(place)!r}: choose another --out")
+
+
+def share_out(workers: int, cluster: str | None) -> int:
+    """Return how many processes to start here, from --workers (0: one for each core) and --cluster.
+
+    Raises:
+        InputError: both are given, or the cluster's address can be none.
+    """
+    if cluster is not None:
+        if workers:
+            raise InputError(
+                f"--workers {workers} counts processes here, --cluster has its own: give one of them"
+            )
+        check_cluster(cluster)
+        return 1
+    return workers or os.cpu_count() or 1
 
 
 @contextmanager

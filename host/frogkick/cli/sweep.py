@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import io
-import os
 import sys
 import time
 from collections.abc import Callable, Sequence
@@ -13,7 +12,7 @@ from typing import Annotated, Any
 
 import typer
 
-from frogkick.cli.common import JsonOption, progress_bar, require_writable, show
+from frogkick.cli.common import ClusterOption, JsonOption, progress_bar, require_writable, share_out, show
 from frogkick.errors import InputError
 from frogkick.files import write_text
 from frogkick.report.sweep_page import write_sweep_report
@@ -163,6 +162,7 @@ def sweep(
         str | None, typer.Option(help="EGaIn fractions in %, as 10,30; default: the measured ones.")
     ] = None,
     workers: Annotated[int, typer.Option(min=0, max=256, help="Processes; 0 = one for each core.")] = 0,
+    cluster: ClusterOption = None,
     json: JsonOption = False,
 ) -> None:
     """Simulate every EGaIn fraction, frequency and phase offset; rank by speed and by cost of transport.
@@ -170,12 +170,13 @@ def sweep(
     Limb profiles between measured ones are interpolated; designs outside of them are left out and listed.
     """
     require_writable(out, folder=True)
+    processes = share_out(workers, cluster)
     plan = plan_sweep(
         load_robot(robot), _numbers(frequencies, "--frequencies"), phases, _numbers(egain, "--egain")
     )
     began = time.perf_counter()
     with progress_bar("sweep: gaits") as progress:
-        swept = run_sweep(plan, out, workers or os.cpu_count() or 1, _with_rate(progress))
+        swept = run_sweep(plan, out, processes, _with_rate(progress), cluster)
     verdicts = paper_verdicts(swept)
     write_text(out / "sweep.csv", _csv(swept.points))
     files = [out / "sweep.csv", *write_sweep_report(out, swept, verdicts)]

@@ -3,19 +3,15 @@
 from __future__ import annotations
 
 import math
-import multiprocessing
-import signal
-import sys
 from collections.abc import Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from frogkick.chunks import Job, run_chunks
 from frogkick.der import STEP_S, WIDTH, Batch, Gait, Rods, Swimmer, prepare
-from frogkick.errors import FrogkickError, InputError
+from frogkick.errors import InputError
 from frogkick.robot import Actuation, Profile, Robot
 from frogkick.robot.model import STANDARD_GRAVITY_MPS2
 from frogkick.robot.profile import actuation
@@ -142,62 +138,38 @@ def _side_by_side(
         yield GaitSwim(gait, time_s, forward_m, speed_mps, cost)
 
 
-# Set in each worker process by _start_worker, so that a chunk carries gaits only.
-_worker: tuple[Rods, tuple[Profile, ...]] | None = None
+_Ready = tuple[Rods, tuple[Profile, ...]]
 
 
-def _start_worker(robot: Robot, profiles: tuple[Profile, ...]) -> None:
-    global _worker
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's business: it ends the workers
-    _worker = (prepare(robot), profiles)
+def _start(robot: Robot, profiles: tuple[Profile, ...]) -> _Ready:
+    return prepare(robot), profiles
 
 
-def _swim_chunk(gaits: Sequence[Gait]) -> Swum:
-    if _worker is None:
-        raise FrogkickError("a worker process has no robot: swim through swim_chunks")
-    return swim_gaits(*_worker, gaits)
+def _swim_chunk(ready: _Ready, gaits: Sequence[Gait]) -> Swum:
+    return swim_gaits(*ready, gaits)
+
+
+def _warm(ready: _Ready) -> None:
+    Swimmer(ready[0].robot, rods=ready[0]).advance(0.001)
 
 
 def swim_chunks(
-    robot: Robot, profiles: Sequence[Profile], chunks: Sequence[Sequence[Gait]], workers: int
+    robot: Robot,
+    profiles: Sequence[Profile],
+    chunks: Sequence[Sequence[Gait]],
+    workers: int,
+    cluster: str | None = None,
 ) -> Iterator[tuple[int, Swum]]:
     """Swim chunks of gaits on several processes; yield (index of the chunk, its results) as they finish.
 
-    What a gait gives depends on nothing but robot, profiles and gait. When the caller stops early, by Ctrl-C
-    say, the chunks that have begun are waited for and dropped.
+    What a gait gives depends on nothing but robot, profiles and gait.
 
     Args:
         workers: processes, 1 to 256; 1 swims in this one.
+        cluster: address of a Dask scheduler that swims instead.
 
     Raises:
-        InputError: workers out of range.
-        FrogkickError: a worker died.
+        InputError: workers out of range, or no cluster at that address.
+        FrogkickError: a worker died, or the cluster failed.
     """
-    if not 1 <= workers <= 256:
-        raise InputError(f"workers is {workers}: give 1 to 256")
-    if not chunks:
-        return
-    rods = prepare(robot)
-    if workers == 1:
-        for index, gaits in enumerate(chunks):
-            yield index, swim_gaits(rods, profiles, gaits)
-        return
-    Swimmer(robot, rods=rods).advance(0.001)  # compiled here, once, before any worker starts
-    # A forked worker inherits what the parent has compiled. Elsewhere it loads it from numba's cache.
-    method = "fork" if sys.platform == "linux" else "spawn"
-    executor = ProcessPoolExecutor(
-        min(workers, len(chunks)),
-        mp_context=multiprocessing.get_context(method),
-        initializer=_start_worker,
-        initargs=(robot, tuple(profiles)),
-    )
-    try:
-        pending = {executor.submit(_swim_chunk, gaits): index for index, gaits in enumerate(chunks)}
-        for future in as_completed(pending):
-            yield pending[future], future.result()
-    except BrokenProcessPool as error:
-        raise FrogkickError(
-            "a worker process ended unexpectedly (killed, or out of memory): use fewer --workers"
-        ) from error
-    finally:
-        executor.shutdown(wait=True, cancel_futures=True)
+    return run_chunks(Job(_start, (robot, tuple(profiles)), _swim_chunk, _warm), chunks, workers, cluster)

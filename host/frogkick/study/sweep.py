@@ -146,7 +146,11 @@ def _check(design: Design) -> None:
 
 
 def run_sweep(
-    plan: Plan, out: Path, workers: int, progress: Callable[[int, int], None] | None = None
+    plan: Plan,
+    out: Path,
+    workers: int,
+    progress: Callable[[int, int], None] | None = None,
+    cluster: str | None = None,
 ) -> Sweep:
     """Simulate what ``out/chunks`` does not hold yet, and return all.
 
@@ -154,10 +158,11 @@ def run_sweep(
         out: folder; each finished chunk goes to ``chunks/<design>.json`` at once.
         workers: processes.
         progress: called with (gaits done, all).
+        cluster: address of a Dask scheduler to simulate on instead; files are written here all the same.
 
     Raises:
-        InputError: workers out of range, or a place that cannot be written to.
-        FrogkickError: a worker died.
+        InputError: workers out of range, no cluster at that address, or a place that cannot be written to.
+        FrogkickError: a worker died, or the cluster failed.
     """
     key = _key(plan)
     found = {design: _read_chunk(_chunk_file(out, design), key, plan, design) for design in plan.designs}
@@ -169,7 +174,7 @@ def run_sweep(
     together = WIDTH // math.gcd(WIDTH, len(plan.phases))
     tasks = [missing[first : first + together] for first in range(0, len(missing), together)]
     gaits = [[gait for design in task for gait in _gaits(plan, design)] for task in tasks]
-    for index, swum in swim_chunks(plan.robot, plan.robot.profiles, gaits, workers):
+    for index, swum in swim_chunks(plan.robot, plan.robot.profiles, gaits, workers, cluster):
         points = [_point(gait, result) for gait, result in zip(gaits[index], swum, strict=True)]
         for place, design in enumerate(tasks[index]):
             own = points[place * len(plan.phases) : (place + 1) * len(plan.phases)]

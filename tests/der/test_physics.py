@@ -15,6 +15,7 @@ from frogkick.der import Batch, Gait, Swimmer, Trajectory, prepare, simulate_act
 from frogkick.der.energy import bending_energy, drag_power, kinetic_energy, stretching_energy
 from frogkick.der.mesh import Mesh
 from frogkick.der.plan import Plan
+from frogkick.der.schedule import COARSEST_AT_REST
 from frogkick.robot import Robot, load_robot
 
 ROBOT = load_robot("frog2022")
@@ -24,7 +25,7 @@ RODS = prepare(ROBOT)
 def alone(
     mesh: Mesh, plan: Plan, velocity_body: tuple[float, float, float], step_s: float, heading: float = 0.0
 ) -> Batch:
-    """One rod without limbs, which is always stepped 8 times as coarsely as a limb's stroke."""
+    """One rod without limbs, in equal steps."""
     pose = np.array([[0.0, 0.0, heading]])
     return Batch(
         mesh,
@@ -34,7 +35,7 @@ def alone(
         np.array([velocity_body]),
         limbs=0,
         time_s=0.0,
-        step_s=step_s / 8.0,
+        step_s=step_s / COARSEST_AT_REST,
         width=1,
     )
 

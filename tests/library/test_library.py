@@ -17,15 +17,19 @@ import pytest
 from frogkick.der import simulate_action
 from frogkick.errors import ConvergenceError, InputError
 from frogkick.library import (
+    Failed,
+    build,
     build_library,
+    cut_library,
     library_info,
     quantise,
     read_library,
+    read_recorded,
     sample_velocities,
     write_library,
 )
 from frogkick.planner.image import open_image
-from frogkick.robot import load_robot
+from frogkick.robot import load_robot, mirror_of, parse_robot
 
 ROBOT = load_robot("frog2022")
 STATES, SEED = 5, 11
@@ -36,7 +40,9 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("library") / "lib.h5"
     report = build_library(ROBOT, STATES, SEED, 2, out)
     assert report.transitions == STATES * 9
-    assert report.simulated_s == pytest.approx(STATES * 9 * ROBOT.period_s)
+    assert report.simulated_s == pytest.approx(STATES * 9 * 5.0)
+    assert report.failures == ()
+    assert list(out.parent.iterdir()) == [out]  # no part is left
     return out
 
 
@@ -65,9 +71,65 @@ def test_transitions_are_those_of_the_rods(built: Path) -> None:
     assert library.robot() == ROBOT
     assert np.array_equal(library.initial_velocity_body, sample_velocities(ROBOT, STATES, SEED))
     action = ROBOT.action("E")
-    row = simulate_action(ROBOT, library.initial_velocity_body[3].tolist(), action, ROBOT.period_s)
-    assert np.array_equal(library.displacement_body[3, 4], row[:3])
-    assert np.array_equal(library.velocity_body_end[3, 4], row[3:])
+    for state, velocity in enumerate(library.initial_velocity_body.tolist()):
+        row = simulate_action(ROBOT, velocity, action, ROBOT.period_s)
+        rounding = 0.0 if velocity[1] > 0.0 else 1e-7  # of mirror images, the other one was simulated
+        assert library.displacement_body[state, 4] == pytest.approx(row[:3], rel=0, abs=rounding)
+        assert library.velocity_body_end[state, 4] == pytest.approx(row[3:], rel=0, abs=100 * rounding)
+
+
+def test_mirror_images_are_exact(built: Path) -> None:
+    library, recorded = read_library(built), read_recorded(built)
+    mirror = mirror_of(ROBOT)
+    assert mirror is not None
+    left = np.array([1.0, -1.0, -1.0])
+    for state in range(0, STATES - 1, 2):
+        pair = library.initial_velocity_body[state : state + 2]
+        assert np.array_equal(pair[1], pair[0] * left)
+        for action, other in enumerate(mirror.actions):
+            for values in (library.displacement_body, library.velocity_body_end):
+                assert np.array_equal(values[state + 1, other], values[state, action] * left)
+            one, two = recorded.motion[state, action], recorded.motion[state + 1, other]
+            assert np.array_equal(two, one * np.tile(left, 2).astype(np.float32))
+
+
+def test_what_was_recorded_leads_to_the_transition(built: Path) -> None:
+    library, recorded = read_library(built), read_recorded(built)
+    assert recorded.time_s[[0, -1]] == pytest.approx([0.05, 5.0])
+    assert recorded.motion.shape == (STATES, 9, 100, 6)
+    assert recorded.motion.dtype == np.float32
+    for column in range(3):
+        at_period = np.array(
+            [
+                [np.interp(ROBOT.period_s, recorded.time_s, row[:, column]) for row in rows]
+                for rows in recorded.motion
+            ]
+        )
+        assert at_period == pytest.approx(library.displacement_body[:, :, column], abs=2e-3)
+
+
+def test_another_period_is_cut_from_what_was_recorded(built: Path, tmp_path: Path) -> None:
+    """0.05 mm and 0.03 degrees from simulating to that period; 0.02 mm/s and 0.3 degrees/s."""
+    for period in (1.0, 1.23, 2.0, 4.999):
+        toml = ROBOT.toml.replace(f"period_s = {ROBOT.period_s}", f"period_s = {period}")
+        other = parse_robot(toml, source="test")
+        assert other.period_s == period
+        cut = cut_library(built, other)
+        build_library(other, STATES, SEED, 1, tmp_path / "other.h5", record_s=0.0)
+        whole = read_library(tmp_path / "other.h5")
+        assert np.array_equal(cut.initial_velocity_body, whole.initial_velocity_body)
+        gap = np.abs(cut.displacement_body - whole.displacement_body).reshape(-1, 3).max(axis=0)
+        assert np.all(gap < [5e-5, 5e-5, 5e-4])
+        gap = np.abs(cut.velocity_body_end - whole.velocity_body_end).reshape(-1, 3).max(axis=0)
+        assert np.all(gap < [2e-4, 2e-4, 5e-3])
+        write_library(cut, tmp_path / "cut.h5")
+        assert read_library(tmp_path / "cut.h5").period_s == period
+    with pytest.raises(InputError, match=r"0\.05-5 s are recorded"):
+        cut_library(built, replace(ROBOT, period_s=5.01))
+    with pytest.raises(InputError, match="nothing is recorded"):
+        cut_library(tmp_path / "other.h5", other)
+    with pytest.raises(InputError, match="another period only"):
+        cut_library(built, replace(ROBOT, egain_percent=20.0))
 
 
 def test_info_says_what_is_inside(built: Path) -> None:
@@ -82,7 +144,8 @@ def test_info_says_what_is_inside(built: Path) -> None:
 
 
 def test_writing_back_gives_the_same_bytes(built: Path, tmp_path: Path) -> None:
-    write_library(read_library(built), tmp_path / "again.h5")
+    recorded = read_recorded(built)
+    write_library(read_library(built), tmp_path / "again.h5", recorded.time_s, recorded.motion)
     assert (tmp_path / "again.h5").read_bytes() == built.read_bytes()
 
 
@@ -115,7 +178,7 @@ def test_foreign_and_changed_libraries_are_refused(built: Path, tmp_path: Path) 
     with pytest.raises(InputError, match="name a library"):
         read_library(foreign)
     for attribute, value, says in (
-        ("format_version", 2, "format version 2"),
+        ("format_version", 3, "format version 3"),
         ("robot_id", "other", "'other'"),
         ("period_s", 1.0, r"1\.0 s"),
         ("robot_sha256", "00" * 32, "does not match"),
@@ -146,15 +209,96 @@ def test_bad_requests_are_refused_and_leave_nothing(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
-def test_failed_simulations_are_all_named_and_nothing_is_written(tmp_path: Path) -> None:
+def test_where_everything_fails_nothing_is_written(tmp_path: Path) -> None:
     box = replace(ROBOT.library_box, omega_rad_s=(1e160, 2e160))
-    with pytest.raises(ConvergenceError, match=r"27 of 27 simulations failed.*state 0 action A.*and 7 more"):
+    with pytest.raises(ConvergenceError, match=r"all 27 simulations failed.*state 0 action A.*and 7 more"):
         build_library(replace(ROBOT, library_box=box), 3, 1, 2, tmp_path / "x.h5")
     assert list(tmp_path.iterdir()) == []
 
 
+def test_failures_are_listed_and_the_rest_survives(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    good = sample_velocities(ROBOT, 6, SEED)
+    bad = good.copy()
+    bad[2] = (0.01, -1e160, 0.0)
+    for name, velocities in (("good", good), ("bad", bad)):
+        monkeypatch.setattr(build, "sample_velocities", lambda *_, v=velocities: v)
+        report = build_library(ROBOT, 6, SEED, 2, tmp_path / f"{name}.h5", record_s=0.0)
+    assert len(report.failures) == 9
+    assert report.failures[0].startswith("state 2 action A: its mirror image did not converge at 0.000000 s")
+    library, whole = read_library(tmp_path / "bad.h5"), read_library(tmp_path / "good.h5")
+    assert [(f.state, f.action) for f in library.failed] == [(2, action) for action in range(9)]
+    assert "pose" in library.failed[0].reason
+    assert np.isnan(library.displacement_body[2]).all()
+    others = [0, 1, 3, 4, 5]
+    assert np.array_equal(library.displacement_body[others], whole.displacement_body[others])
+    assert library.whole_states().tolist() == [True, True, False, True, True, True]
+    assert library_info(tmp_path / "bad.h5")["failed"] == 9
+    tables = open_image(quantise(library))
+    assert len(tables.states) == 5
+    lost = replace(library, failed=tuple(Failed(s, 0, "made up") for s in range(6)))
+    with pytest.raises(InputError, match="no state is left"):
+        quantise(lost)
+
+
+class Stop(Exception):
+    pass
+
+
+def test_a_stopped_build_goes_on_to_the_same_bytes(tmp_path: Path) -> None:
+    states = 70  # 35 simulated, 3 parts
+    build_library(ROBOT, states, SEED, 2, tmp_path / "whole.h5", record_s=2.0)
+    out = tmp_path / "out.h5"
+
+    def stop(done: int, _all: int) -> None:
+        if done:
+            raise Stop
+
+    with pytest.raises(Stop):
+        build_library(ROBOT, states, SEED, 1, out, stop, record_s=2.0)
+    parts = tmp_path / "out.h5.parts"
+    kept = {file.name: file.stat().st_mtime_ns for file in parts.glob("*.npz")}
+    assert list(kept) == ["000000.npz"]
+    assert not out.exists()
+    seen: list[int] = []
+    build_library(ROBOT, states, SEED, 2, out, lambda done, _all: seen.append(done), record_s=2.0)
+    assert seen[0] == 16 * 2 * 9  # what was kept is not simulated again
+    assert seen[-1] == states * 9
+    assert out.read_bytes() == (tmp_path / "whole.h5").read_bytes()
+    assert not parts.exists()
+
+
+@pytest.mark.parametrize("damage", ["truncated", "other job", "other robot"])
+def test_parts_that_do_not_fit_are_simulated_again(tmp_path: Path, damage: str) -> None:
+    build_library(ROBOT, 3, SEED, 1, tmp_path / "whole.h5", record_s=0.0)
+    out = tmp_path / "out.h5"
+
+    def stop(done: int, _all: int) -> None:
+        if done:
+            raise Stop
+
+    seed = SEED + 1 if damage == "other job" else SEED
+    robot = replace(ROBOT, sha256=bytes(32)) if damage == "other robot" else ROBOT
+    with pytest.raises(Stop):
+        build_library(robot, 3, seed, 1, out, stop, record_s=0.0)
+    part = tmp_path / "out.h5.parts" / "000000.npz"
+    if damage == "truncated":
+        part.write_bytes(part.read_bytes()[:-100])
+    build_library(ROBOT, 3, SEED, 1, out, record_s=0.0)
+    assert out.read_bytes() == (tmp_path / "whole.h5").read_bytes()
+    assert sorted(file.name for file in tmp_path.iterdir()) == ["out.h5", "whole.h5"]
+
+
+def test_somebody_else_s_folder_is_not_touched(tmp_path: Path) -> None:
+    folder = tmp_path / "out.h5.parts"
+    folder.mkdir()
+    (folder / "thesis.txt").write_text("mine")
+    with pytest.raises(InputError, match="none of ours"):
+        build_library(ROBOT, 2, SEED, 1, tmp_path / "out.h5")
+    assert (folder / "thesis.txt").read_text() == "mine"
+
+
 @pytest.mark.skipif(sys.platform == "win32", reason="sends SIGINT")
-def test_ctrl_c_ends_the_workers_and_leaves_no_file(tmp_path: Path) -> None:
+def test_ctrl_c_ends_the_workers_and_leaves_finished_parts(tmp_path: Path) -> None:
     script = (
         "from frogkick.library import build_library\n"
         "from frogkick.robot import load_robot\n"
@@ -173,7 +317,7 @@ def test_ctrl_c_ends_the_workers_and_leaves_no_file(tmp_path: Path) -> None:
     os.killpg(process.pid, signal.SIGINT)  # as a terminal does: to the parent and its workers
     process.communicate(timeout=60)
     assert process.returncode != 0
-    assert list(tmp_path.iterdir()) == []
+    assert [entry.name for entry in tmp_path.iterdir()] == ["x.h5.parts"]
     deadline = time.monotonic() + 30
     while time.monotonic() < deadline:
         try:

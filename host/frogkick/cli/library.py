@@ -3,15 +3,23 @@
 from __future__ import annotations
 
 import enum
-import os
 import time
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from frogkick.cli.common import JsonOption, SeedOption, progress_bar, require_writable, show
-from frogkick.library import build_library, library_info
+from frogkick.cli.common import (
+    ClusterOption,
+    JsonOption,
+    SeedOption,
+    progress_bar,
+    require_writable,
+    share_out,
+    show,
+    stderr,
+)
+from frogkick.library import RECORD_S, build_library, library_info
 from frogkick.robot import load_robot
 
 app = typer.Typer(help="Simulate transitions for many initial velocities.", no_args_is_help=True)
@@ -34,29 +42,39 @@ def build(
         Sampling,
         typer.Option(help="box: uniform, as the paper; visited: where a steered robot's strokes begin."),
     ] = Sampling.box,
+    record_s: Annotated[
+        float,
+        typer.Option(min=0.0, max=60.0, help="Follow and record each transition so long, s; 0: one period."),
+    ] = RECORD_S,
+    cluster: ClusterOption = None,
     seed: SeedOption = 0,
     json: JsonOption = False,
 ) -> None:
-    """Simulate every action from each of many initial velocities."""
+    """Simulate every action from each of many initial velocities. Stopped and started again, it goes on."""
     described = load_robot(robot)
     require_writable(out)
+    processes = share_out(workers, cluster)
     began = time.perf_counter()
     with progress_bar("library") as progress:
-        build_library(
+        report = build_library(
             described,
             states=states,
             seed=seed,
-            workers=workers or os.cpu_count() or 1,
+            workers=processes,
             out=out,
             progress=progress,
             sampling=sampling.value,
+            record_s=record_s,
+            cluster=cluster,
         )
-    transitions = states * len(described.actions)
+    for line in report.failures:
+        stderr.print(f"frogkick: left out of tables, {line}", markup=False, highlight=False, soft_wrap=True)
     show(
         {
-            "transitions": transitions,
+            "transitions": report.transitions,
+            "failed": len(report.failures),
             "wall_s": round(time.perf_counter() - began, 3),
-            "simulated_s": transitions * described.period_s,
+            "simulated_s": report.simulated_s,
             "out": str(out),
         },
         json,

@@ -246,7 +246,7 @@ class Batch:
         for starts in strokes:
             starts[:] = [start for start in starts if start + duration > now]
         every = [start for starts in strokes for start in starts]
-        return step_times(now, until_s, every, self._fine_s[lane], self._step_s)
+        return step_times(now, until_s, every, self._fine_s[lane], duration, self._step_s)
 
     def _active(self, lane: int, times_s: FloatArray) -> FloatArray:
         """(steps, 2 * limbs) activation and fall of the natural curvature of each limb in these steps."""

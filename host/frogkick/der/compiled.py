@@ -45,4 +45,7 @@ def _compiled(stamp: int) -> tuple[Any, Any, Any]:
     return run_steps, set_accelerations, set_sums
 
 
-run_steps, set_accelerations, set_sums = _compiled(_stamp())
+SOURCES = _stamp()
+"""Stands for what the rods compute: other code, another number."""
+
+run_steps, set_accelerations, set_sums = _compiled(SOURCES)

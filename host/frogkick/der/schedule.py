@@ -1,13 +1,13 @@
 """When the steps are, and how active the limbs are in them: fine while a limb straightens, coarse after.
 
 Nearly all of a stroke's error is made while its limb straightens. Steps therefore start at the default length
-at each stroke, keep it until the stroke's activation has peaked, and then grow to COARSEST times that. They
-land on the starts of strokes, where the activation has a kink that would cost the order otherwise.
+at each stroke, keep it until the stroke's activation has peaked, and then grow to COARSEST times that, or
+COARSEST_AT_REST times when all strokes are over. They land on the starts of strokes, where the activation
+has a kink that would cost the order otherwise.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -18,7 +18,8 @@ from frogkick.robot import Actuation
 
 FloatArray = NDArray[np.float64]
 
-COARSEST = 8.0  # longest step over the finest; at 16 the drift after a stroke begins to show
+COARSEST = 8.0  # longest step over the finest; limbs that curl back need more corrections beyond, not fewer
+COARSEST_AT_REST = 12.0  # the same while no stroke lasts
 GROWTH_PER_S = 50.0  # of the step over the finest, per second after the limb is straight
 STRAIGHT = 0.99  # share of the full activation that counts as straight
 
@@ -29,7 +30,12 @@ def straight_s(actuation: Actuation) -> float:
 
 
 def step_times(
-    time_s: float, until_s: float, starts_s: Sequence[float], fine_s: float, step_s: float
+    time_s: float,
+    until_s: float,
+    starts_s: Sequence[float],
+    fine_s: float,
+    duration_s: float,
+    step_s: float,
 ) -> FloatArray:
     """Times (k,) from ``time_s`` to ``until_s``, both included: the ends of all steps.
 
@@ -38,24 +44,45 @@ def step_times(
         until_s: where the last step ends; after ``time_s``.
         starts_s: when strokes start or have started, in any order.
         fine_s: how long after each the finest steps last.
+        duration_s: how long after each it is over.
         step_s: the finest step.
     """
-    ordered = sorted(starts_s)
-    past = [start for start in ordered if start <= time_s]
-    latest = past[-1] if past else -math.inf
-    stops = [start for start in ordered if time_s < start < until_s] + [until_s]
-    times = [time_s]
+    starts = np.array(sorted(starts_s), dtype=np.float64)
+    return np.asarray(_step_times(time_s, until_s, starts, fine_s, duration_s, step_s))
+
+
+@njit(cache=True, error_model="numpy")
+def _step_times(
+    time_s: float,
+    until_s: float,
+    starts_s: FloatArray,
+    fine_s: float,
+    duration_s: float,
+    step_s: float,
+) -> FloatArray:
+    ends = np.empty(3 + 2 * len(starts_s) + int((until_s - time_s) / step_s))
+    ends[0] = time_s
+    count, coming, latest = 1, 0, -np.inf
     now = time_s
-    for stop in stops:
-        while now < stop:
-            since = now - latest - fine_s
-            step = step_s * min(COARSEST, 1.0 + GROWTH_PER_S * max(0.0, since))
-            left = (stop - now) / step
-            # Two steps share what is left rather than that a sliver remains.
-            now = stop if left <= 1.0 + 1e-9 else now + (step if left >= 2.0 else 0.5 * (stop - now))
-            times.append(now)
-        latest = stop
-    return np.array(times)
+    while now < until_s:
+        while coming < len(starts_s) and starts_s[coming] <= now:
+            latest = starts_s[coming]
+            coming += 1
+        stop = until_s
+        if coming < len(starts_s) and starts_s[coming] < until_s:
+            stop = starts_s[coming]
+        coarsest = COARSEST if now < latest + duration_s else COARSEST_AT_REST
+        step = step_s * min(coarsest, 1.0 + GROWTH_PER_S * max(0.0, now - latest - fine_s))
+        left = (stop - now) / step
+        if left <= 1.0 + 1e-9:
+            now = stop
+        elif left < 2.0:  # two steps share what is left rather than that a sliver remains
+            now += 0.5 * (stop - now)
+        else:
+            now += step
+        ends[count] = now
+        count += 1
+    return ends[:count].copy()
 
 
 @njit(cache=True, error_model="numpy")

@@ -48,6 +48,7 @@ def simulate_many(
     programs: Sequence[Program],
     time_s: Sequence[float] | FloatArray,
     *,
+    landing_s: Sequence[float] = (),
     step_s: float = STEP_S,
     width: int = WIDTH,
 ) -> Motions:
@@ -62,6 +63,7 @@ def simulate_many(
         programs: (k) strokes of each.
         time_s: (s,) increasing, after 0: when to tell pose and velocity. A step ends at the last of them; the
             others are interpolated between steps (cubic Hermite), which changes no step.
+        landing_s: increasing times before the last of these where a step is to end as well.
 
     Raises:
         InputError: shapes that do not fit, values that are not finite, or times that do not increase.
@@ -93,14 +95,32 @@ def simulate_many(
                     if mask >> limb & 1:
                         batch.fire(lane, limb, start)
         before = batch.motion_world()
-        traces = batch.advance(float(times[-1]), trace=True)
-        for lane, (ends, rows) in enumerate(traces):
+        legs = [batch.advance(float(stop), trace=True) for stop in (*landing_s, times[-1])]
+        for lane in range(len(chosen)):
             if lane in batch.failures:
                 failures[first + lane] = batch.failures[lane]
                 continue
-            rows = np.concatenate([before[lane : lane + 1], rows])
-            pose[first + lane], speed[first + lane] = between(np.append(0.0, ends), rows, times)
+            ends = np.concatenate([np.zeros(1), *(leg[lane][0] for leg in legs)])
+            rows = np.concatenate([before[lane : lane + 1], *(leg[lane][1] for leg in legs)])
+            pose[first + lane], speed[first + lane] = between(ends, rows, times)
     return Motions(times, pose, speed, failures)
+
+
+def body_from_world(heading_rad: FloatArray, velocity: FloatArray) -> FloatArray:
+    """Velocities (.., 3) seen from frames turned by (..) headings; minus the heading turns them back."""
+    c, s = np.cos(heading_rad), np.sin(heading_rad)
+    vx, vy, omega = np.moveaxis(velocity, -1, 0)
+    return np.stack([c * vx + s * vy, c * vy - s * vx, omega], axis=-1)
+
+
+def cubic(
+    p: FloatArray, q: FloatArray, v: FloatArray, w: FloatArray, length_s: FloatArray, share: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Value and slope, at a share of the way, of the cubic from p with slope v to q with slope w."""
+    bend = 3.0 * (q - p) - length_s * (2.0 * v + w)
+    twist = length_s * (v + w) - 2.0 * (q - p)
+    value = p + share * (length_s * v + share * (bend + share * twist))
+    return value, v + share * (2.0 * bend + share * (3.0 * twist)) / length_s
 
 
 def between(ends_s: FloatArray, rows: FloatArray, time_s: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -117,19 +137,12 @@ def between(ends_s: FloatArray, rows: FloatArray, time_s: FloatArray) -> tuple[F
     """
     pose = rows[:, :3].copy()
     pose[:, 2] = np.unwrap(pose[:, 2])
-    c, s = np.cos(pose[:, 2]), np.sin(pose[:, 2])
-    rate = np.column_stack([c * rows[:, 3] - s * rows[:, 4], s * rows[:, 3] + c * rows[:, 4], rows[:, 5]])
+    rate = body_from_world(-pose[:, 2], rows[:, 3:6])
     left = np.clip(np.searchsorted(ends_s, time_s, side="right") - 1, 0, len(ends_s) - 2)
     length = (ends_s[left + 1] - ends_s[left])[:, None]
     u = (time_s[:, None] - ends_s[left, None]) / length
-    p, q, v, w = pose[left], pose[left + 1], length * rate[left], length * rate[left + 1]
-    bend, twist = 3.0 * (q - p) - 2.0 * v - w, v + w - 2.0 * (q - p)
-    at = p + u * (v + u * (bend + u * twist))
-    slope = (v + u * (2.0 * bend + u * (3.0 * twist))) / length
-    c, s = np.cos(at[:, 2]), np.sin(at[:, 2])
-    velocity = np.column_stack(
-        [c * slope[:, 0] + s * slope[:, 1], c * slope[:, 1] - s * slope[:, 0], slope[:, 2]]
-    )
+    at, slope = cubic(pose[left], pose[left + 1], rate[left], rate[left + 1], length, u)
+    velocity = body_from_world(at[:, 2], slope)
     for end, row in ((u[:, 0] == 0.0, left), (u[:, 0] == 1.0, left + 1)):
         at[end], velocity[end] = pose[row[end]], rows[row[end], 3:6]
     return at, velocity

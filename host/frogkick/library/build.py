@@ -1,112 +1,71 @@
-"""Sample initial velocities and simulate every action from each, on all cores."""
+"""Sample initial velocities and simulate every action from each, on all cores; a stopped build goes on."""
 
 from __future__ import annotations
 
-import multiprocessing
-import signal
-import sys
+import json
+import math
 import time
-from collections.abc import Callable, Iterator
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from concurrent.futures.process import BrokenProcessPool
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from frogkick.der import Rods, prepare, simulate_action
-from frogkick.errors import ConvergenceError, FrogkickError, InputError
+from frogkick import __version__ as VERSION
+from frogkick.chunks import WORKERS_MAX, Job, run_chunks
+from frogkick.der import WIDTH, Rods, prepare
+from frogkick.der.compiled import SOURCES
+from frogkick.errors import ConvergenceError, InputError
+from frogkick.library.parts import Parts
 from frogkick.library.sampling import sample_velocities
-from frogkick.library.store import Library, make_library, write_library
+from frogkick.library.store import make_library, write_library
+from frogkick.library.transitions import (
+    SAMPLE_S,
+    Failed,
+    Pairing,
+    SampleArray,
+    Transitions,
+    pair_up,
+    recorded_times,
+    simulate_states,
+)
 from frogkick.robot import Robot
 
 FloatArray = NDArray[np.float64]
 
-_CHUNK_STATES = 2  # some 0.4 s of work: fine progress, quick end on Ctrl-C, no cost to speak of
+RECORD_S = 5.0
+"""How long each transition is followed and recorded, as in the paper: any period up to it can be cut out."""
+
+RECORD_MAX_S = 60.0
+_PART_STATES = 2 * WIDTH  # some 0.4 s of work: fine progress, quick end on Ctrl-C, no cost to speak of
 _REPORTED_FAILURES = 20
 
 
 @dataclass(frozen=True)
 class BuildReport:
-    """What a build came to: transitions, and seconds simulated and waited."""
+    """What a build came to: transitions, seconds simulated and waited, and one line for each failure."""
 
     transitions: int
     simulated_s: float
     wall_s: float
+    failures: tuple[str, ...] = ()
 
 
-@dataclass(frozen=True)
-class _Chunk:
-    """Results of a few states: (k, a, 6) rows of simulate_action, and what failed."""
-
-    first: int
-    rows: FloatArray
-    failures: tuple[str, ...]
+_Ready = tuple[Rods, float]
 
 
-def simulate_transitions(rods: Rods, velocities: FloatArray, first: int = 0) -> tuple[FloatArray, list[str]]:
-    """Simulate every action of a robot from each of (k, 3) body velocities.
-
-    Returns:
-        (k, a, 6) displacement and end velocity, NaN where a simulation failed; and one line for each failure,
-        states counted from ``first``.
-    """
-    robot = rods.robot
-    rows = np.full((len(velocities), len(robot.actions), 6), np.nan)
-    failures: list[str] = []
-    for k, velocity in enumerate(velocities):
-        for a, action in enumerate(robot.actions):
-            try:
-                rows[k, a] = simulate_action(robot, velocity.tolist(), action, robot.period_s, rods=rods)
-            except ConvergenceError as error:
-                failures.append(f"state {first + k} action {action.name}: {error}")
-    return rows, failures
+def _start(robot: Robot, record_s: float) -> _Ready:
+    return prepare(robot), record_s
 
 
-# Set in each worker process by _start_worker, so that a chunk carries numbers only.
-_worker_rods: Rods | None = None
+def _run(ready: _Ready, velocities: FloatArray) -> Transitions:
+    return simulate_states(ready[0], velocities, ready[1])
 
 
-def _start_worker(robot: Robot) -> None:
-    global _worker_rods
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's business: it ends the workers
-    _worker_rods = prepare(robot)
-
-
-def _run_chunk(first: int, velocities: FloatArray) -> _Chunk:
-    if _worker_rods is None:
-        raise FrogkickError("a library worker has no robot: build through build_library")
-    rows, failures = simulate_transitions(_worker_rods, velocities, first)
-    return _Chunk(first, rows, tuple(failures))
-
-
-def _chunks(rods: Rods, velocities: FloatArray, workers: int) -> Iterator[_Chunk]:
-    """Yield all chunks in any order."""
-    starts = range(0, len(velocities), _CHUNK_STATES)
-    if workers == 1:
-        for start in starts:
-            rows, failures = simulate_transitions(rods, velocities[start : start + _CHUNK_STATES], start)
-            yield _Chunk(start, rows, tuple(failures))
-        return
-    # A forked worker inherits what the parent has compiled. Elsewhere it loads it from numba's cache.
-    method = "fork" if sys.platform == "linux" else "spawn"
-    executor = ProcessPoolExecutor(
-        min(workers, len(starts)),
-        mp_context=multiprocessing.get_context(method),
-        initializer=_start_worker,
-        initargs=(rods.robot,),
-    )
-    try:
-        pending = [executor.submit(_run_chunk, s, velocities[s : s + _CHUNK_STATES]) for s in starts]
-        for future in as_completed(pending):
-            yield future.result()
-    except BrokenProcessPool as error:
-        raise FrogkickError(
-            "a library worker process ended unexpectedly (killed, or out of memory): use fewer --workers"
-        ) from error
-    finally:
-        executor.shutdown(wait=True, cancel_futures=True)
+def _warm(ready: _Ready) -> None:
+    simulate_states(ready[0], np.zeros((1, 3)), 0.0)
 
 
 def build_library(
@@ -117,64 +76,127 @@ def build_library(
     out: Path | str,
     progress: Callable[[int, int], None] | None = None,
     sampling: str = "box",
+    record_s: float = RECORD_S,
+    cluster: str | None = None,
 ) -> BuildReport:
     """Simulate ``states`` initial velocities times all actions and write the library.
 
-    The file's bytes depend on robot, states and seed, not on the number of workers. Nothing is written
-    unless every simulation succeeded; on Ctrl-C the workers end within a chunk and no file is left.
+    The file's bytes depend on robot, states, seed, sampling and record_s, not on who simulates. On Ctrl-C
+    the workers end within a part, and finished parts stay in ``OUT.parts``: the same build started
+    again goes on from there, to the same bytes. Transitions that fail are listed in the file, NaN in its
+    rows; the others are not touched by them.
 
     Args:
-        robot: what to simulate, for one period each.
+        robot: what to simulate.
         states: initial velocities, 1 to 65535.
         seed: of their sampling.
         workers: processes; 1 simulates in this one.
         out: the HDF5 file to write.
         progress: called with (transitions done, all).
-        sampling: "box" or "visited"; see ``sample_velocities``.
+        sampling: "box" or "visited", see ``sample_velocities``.
+        record_s: how long to follow and record each transition; up to the period, nothing is recorded.
+        cluster: address of a Dask scheduler whose workers simulate instead; see frogkick.chunks.
 
     Raises:
-        InputError: states, seed or workers out of range, or a place that cannot be written to.
-        ConvergenceError: simulations failed; the text lists them.
-        FrogkickError: a worker process died.
+        InputError: states, seed, sampling, workers or record_s out of range, a place that cannot be written
+            to, or no cluster there.
+        ConvergenceError: every simulation failed; the text lists the first. Nothing is written.
+        FrogkickError: a worker process died, or the cluster failed. What is finished is kept.
     """
-    if not 1 <= workers <= 256:
-        raise InputError(f"workers is {workers}: give 1 to 256")
+    if not 1 <= workers <= WORKERS_MAX:
+        raise InputError(f"workers is {workers}: give 1 to {WORKERS_MAX}")
+    if not 0.0 <= record_s <= RECORD_MAX_S:
+        raise InputError(f"record is {record_s} s: give 0 to {RECORD_MAX_S:g}")
     began = time.monotonic()
     velocities = sample_velocities(robot, states, seed, sampling)
+    pairing = pair_up(robot, velocities)
     rods = prepare(robot)
-    # Compile here, once, before any worker starts.
-    simulate_action(robot, (0.0, 0.0, 0.0), robot.actions[0], 0.002, rods=rods)
-    actions = len(robot.actions)
-    rows = np.empty((states, actions, 6))
-    failures: list[tuple[int, tuple[str, ...]]] = []
-    done, total = 0, states * actions
-    if progress is not None:
-        progress(0, total)
-    for chunk in _chunks(rods, velocities, workers):
-        rows[chunk.first : chunk.first + len(chunk.rows)] = chunk.rows
-        if chunk.failures:
-            failures.append((chunk.first, chunk.failures))
-        done += len(chunk.rows) * actions
-        if progress is not None:
-            progress(done, total)
-    if failures:
-        lines = [line for _, chunk_lines in sorted(failures) for line in chunk_lines]
+    parts = Parts(Path(out), _job(robot, velocities, record_s))
+
+    def run(tasks: Sequence[FloatArray]) -> Iterator[tuple[int, Transitions]]:
+        return run_chunks(Job(_start, (robot, record_s), _run, _warm), tasks, workers, cluster)
+
+    done = _simulate_parts(pairing, len(robot.actions), parts, run, progress)
+    rows = np.array(
+        [
+            pairing.rows(state, done[source // _PART_STATES].rows[source % _PART_STATES])
+            for state, source in enumerate(pairing.source.tolist())
+        ]
+    )
+    failed = pairing.failed(
+        [
+            Failed(index * _PART_STATES + f.state, f.action, f.reason)
+            for index, part in enumerate(done)
+            for f in part.failed
+        ]
+    )
+    lines = tuple(f"state {f.state} action {robot.actions[f.action].name}: {f.reason}" for f in failed)
+    transitions = states * len(robot.actions)
+    if len(failed) == transitions:
+        parts.remove()
         shown = "; ".join(lines[:_REPORTED_FAILURES])
         more = f"; and {len(lines) - _REPORTED_FAILURES} more" if len(lines) > _REPORTED_FAILURES else ""
-        raise ConvergenceError(
-            f"{len(lines)} of {total} simulations failed, no library written: {shown}{more}"
-        )
-    write_library(library_of(robot, sampling, seed, velocities, rows), out)
-    return BuildReport(total, total * robot.period_s, time.monotonic() - began)
+        raise ConvergenceError(f"all {transitions} simulations failed, no library written: {shown}{more}")
+    library = make_library(robot, sampling, seed, velocities, rows, failed)
+    write_library(library, out, recorded_times(robot, record_s), _recorded(rods, pairing, record_s, parts))
+    parts.remove()
+    simulated_s = transitions * max(robot.period_s, record_s)
+    return BuildReport(transitions, simulated_s, time.monotonic() - began, lines)
 
 
-def library_of(robot: Robot, sampling: str, seed: int, velocities: FloatArray, rows: FloatArray) -> Library:
-    """A library in memory from (n, 3) velocities and (n, a, 6) rows of simulate_action."""
-    return make_library(
-        robot,
-        sampling,
-        seed,
-        velocities,
-        np.ascontiguousarray(rows[:, :, :3]),
-        np.ascontiguousarray(rows[:, :, 3:]),
-    )
+def _job(robot: Robot, velocities: FloatArray, record_s: float) -> bytes:
+    """All that a part depends on."""
+    numbers = [record_s, SAMPLE_S, _PART_STATES, SOURCES]
+    return b"\n".join([robot.sha256, velocities.tobytes(), json.dumps(numbers).encode(), VERSION.encode()])
+
+
+def _part(velocities: FloatArray, index: int) -> FloatArray:
+    return velocities[index * _PART_STATES : (index + 1) * _PART_STATES]
+
+
+def _simulate_parts(
+    pairing: Pairing,
+    actions: int,
+    parts: Parts,
+    run: Callable[[Sequence[FloatArray]], Iterator[tuple[int, Transitions]]],
+    progress: Callable[[int, int], None] | None,
+) -> list[Transitions]:
+    """All parts, kept in their folder; without what they recorded, which would fill the memory."""
+    shared = np.bincount(pairing.source, minlength=len(pairing.velocities)) * actions
+    whole, told = int(shared.sum()), 0
+    done: dict[int, Transitions] = {}
+    count = math.ceil(len(pairing.velocities) / _PART_STATES)
+
+    def take(index: int, part: Transitions) -> None:
+        nonlocal told
+        done[index] = replace(part, recorded=part.recorded[:, :, :0].copy())
+        told += int(shared[index * _PART_STATES : (index + 1) * _PART_STATES].sum())
+
+    for index in range(count):
+        part = parts.load(index)
+        if part is not None:
+            take(index, part)
+    if progress is not None:
+        progress(told, whole)
+    missing = [index for index in range(count) if index not in done]
+    for place, part in run([_part(pairing.velocities, index) for index in missing]):
+        parts.keep(missing[place], part)
+        take(missing[place], part)
+        if progress is not None:
+            progress(told, whole)
+    return [done[index] for index in range(count)]
+
+
+def _recorded(rods: Rods, pairing: Pairing, record_s: float, parts: Parts) -> Iterator[SampleArray]:
+    """Recorded motions (a, s, 6) of one state after another."""
+
+    @lru_cache(maxsize=2)  # states that follow each other share a part
+    def of(index: int) -> SampleArray:
+        part = parts.load(index)
+        if part is None:  # somebody removed it: simulate it again
+            part = simulate_states(rods, _part(pairing.velocities, index), record_s)
+        return part.recorded
+
+    for state, source in enumerate(pairing.source.tolist()):
+        recorded = of(source // _PART_STATES)[source % _PART_STATES]
+        yield pairing.rows(state, recorded).astype(np.float32, copy=False)

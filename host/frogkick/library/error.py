@@ -9,12 +9,14 @@ from numpy.typing import NDArray
 
 from frogkick.der import prepare
 from frogkick.errors import ConvergenceError
-from frogkick.library.build import simulate_transitions
 from frogkick.library.sampling import sample_velocities
+from frogkick.library.transitions import simulate_transitions
 from frogkick.planner.image import Tables
 from frogkick.robot import Robot
 
 FloatArray = NDArray[np.float64]
+
+_AT_ONCE = 16
 
 
 def table_error(
@@ -44,12 +46,14 @@ def table_error(
     rods = prepare(robot)
     velocities = sample_velocities(robot, states, seed, sampling)
     truth = np.empty((states, len(robot.actions), 6))
-    for k in range(states):
-        rows, failures = simulate_transitions(rods, velocities[k : k + 1], k)
-        if failures:
-            raise ConvergenceError(f"an unseen state cannot be simulated: {failures[0]}")
-        truth[k] = rows[0]
-        progress(k + 1, states)
+    for first in range(0, states, _AT_ONCE):
+        some = slice(first, first + _AT_ONCE)
+        truth[some], failed = simulate_transitions(rods, velocities[some])
+        if failed:
+            raise ConvergenceError(
+                f"unseen state {first + failed[0].state} cannot be simulated: {failed[0].reason}"
+            )
+        progress(min(first + _AT_ONCE, states), states)
     gap = looked_up(tables, velocities) - truth
     gap[..., 2] = np.arctan2(np.sin(gap[..., 2]), np.cos(gap[..., 2]))
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from frogkick.errors import InputError
 from frogkick.library.store import Library
 from frogkick.planner.image import pack_nearest
 
@@ -9,13 +10,22 @@ from frogkick.planner.image import pack_nearest
 def quantise(library: Library) -> bytes:
     """Round a library's transitions to the codes of a table image of kind ``nearest``.
 
+    A state that could not be simulated with every action is left out: what the robot would do there is not
+    known, and a neighbour's transitions are the better guess.
+
     Returns:
         The image; equal libraries give equal bytes.
 
     Raises:
-        InputError: a value that no code can hold; the text names its row and column.
+        InputError: a value that no code can hold; the text names its row and column. No whole state.
     """
     robot = library.robot()
+    whole = library.whole_states()
+    if not whole.any():
+        raise InputError(
+            f"{len(library.failed)} transitions of the library failed and no state is left whose actions are "
+            "all known: build it again"
+        )
     return pack_nearest(
         robot_id=library.robot_id,
         provenance=library.content_sha256(),
@@ -25,7 +35,7 @@ def quantise(library: Library) -> bytes:
         limbs=len(robot.limbs),
         action_rows=[(a.name, a.first_mask, a.second_mask) for a in robot.actions],
         velocity_scale=robot.velocity_resolution,
-        velocities=library.initial_velocity_body,
-        displacements=library.displacement_body,
-        velocities_end=library.velocity_body_end,
+        velocities=library.initial_velocity_body[whole],
+        displacements=library.displacement_body[whole],
+        velocities_end=library.velocity_body_end[whole],
     )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,17 +15,23 @@ from numpy.typing import NDArray
 import frogkick
 from frogkick.errors import InputError
 from frogkick.files import atomic_path, existing_file
+from frogkick.library.transitions import Failed, SampleArray
 from frogkick.robot import Robot, parse_robot
 
 FloatArray = NDArray[np.float64]
 
 FORMAT = "frogkick library"
-FORMAT_VERSION = 1
+FORMAT_VERSION = 2  # 2: recorded motions, transitions that failed
 _UNITS = {
     "initial_velocity_body": ("m/s, m/s, rad/s", "body at the start: forward, left, counter-clockwise"),
     "displacement_body": ("m, m, rad", "body at the start: forward, left, counter-clockwise"),
     "velocity_body_end": ("m/s, m/s, rad/s", "body at the end: forward, left, counter-clockwise"),
 }
+_RECORDED_UNITS = {
+    "recorded_pose_body": ("m, m, rad", "body at the start: forward, left, counter-clockwise"),
+    "recorded_velocity_body": ("m/s, m/s, rad/s", "body at that time: forward, left, counter-clockwise"),
+}
+_TIMES = "recorded_time_s"
 
 
 @dataclass(frozen=True)
@@ -41,6 +48,7 @@ class Library:
         initial_velocity_body: (n, 3) forward, left (m/s), turn rate (rad/s).
         displacement_body: (n, a, 3) forward, left (m), turn (rad), body frame at the start.
         velocity_body_end: (n, a, 3) body frame at the end.
+        failed: transitions that could not be simulated, in order; their rows are NaN, no others.
     """
 
     robot_id: str
@@ -53,6 +61,13 @@ class Library:
     initial_velocity_body: FloatArray
     displacement_body: FloatArray
     velocity_body_end: FloatArray
+    failed: tuple[Failed, ...] = ()
+
+    def whole_states(self) -> NDArray[np.bool_]:
+        """(n,) whether every action of a state could be simulated."""
+        whole = np.ones(len(self.initial_velocity_body), dtype=bool)
+        whole[[failure.state for failure in self.failed]] = False
+        return whole
 
     def robot(self) -> Robot:
         """The robot that was simulated."""
@@ -67,12 +82,31 @@ class Library:
         return digest.digest()
 
 
-def write_library(library: Library, out: Path | str) -> None:
+@dataclass(frozen=True)
+class Recorded:
+    """How the robot moved in each transition: (s,) times after its start, (n, a, s, 6) poses, velocities."""
+
+    time_s: FloatArray
+    motion: SampleArray
+
+
+def write_library(
+    library: Library,
+    out: Path | str,
+    recorded_time_s: FloatArray | None = None,
+    recorded: Iterable[SampleArray] = (),
+) -> None:
     """Write a library, wholly or not at all; equal libraries give equal bytes.
+
+    Args:
+        recorded_time_s: (s,) times of recorded motions; None for none.
+        recorded: for each state (a, s, 6) poses and velocities at these times, see Transitions.
 
     Raises:
         InputError: the place cannot be written to.
     """
+    states, actions, _ = library.displacement_body.shape
+    times = np.empty(0) if recorded_time_s is None else recorded_time_s
     with atomic_path(out) as temporary, h5py.File(temporary, "w", libver=("v110", "v110")) as file:
         file.attrs["format"] = FORMAT
         file.attrs["format_version"] = FORMAT_VERSION
@@ -87,6 +121,20 @@ def write_library(library: Library, out: Path | str) -> None:
             dataset = file.create_dataset(name, data=getattr(library, name), dtype="<f8")
             dataset.attrs["units"] = units
             dataset.attrs["frame"] = frame
+        failed = [(failure.state, failure.action) for failure in library.failed]
+        reasons = [failure.reason.encode("ascii", "replace") for failure in library.failed]
+        file.create_dataset("failed_transition", data=np.array(failed, dtype="<i4").reshape(-1, 2))
+        file.create_dataset("failed_reason", data=np.array(reasons, dtype=np.bytes_ if reasons else "S1"))
+        file.create_dataset(_TIMES, data=times, dtype="<f8").attrs["units"] = "s"
+        motions = []
+        for name, (units, frame) in _RECORDED_UNITS.items():
+            dataset = file.create_dataset(name, shape=(states, actions, len(times), 3), dtype="<f4")
+            dataset.attrs["units"] = units
+            dataset.attrs["frame"] = frame
+            motions.append(dataset)
+        for state, motion in enumerate(recorded):
+            if len(times):
+                motions[0][state], motions[1][state] = motion[..., :3], motion[..., 3:]
 
 
 def read_library(path: Path | str) -> Library:
@@ -101,6 +149,8 @@ def read_library(path: Path | str) -> Library:
             attributes = {key: file.attrs[key] for key in file.attrs}
             _check_format(attributes, path)
             arrays = {name: np.asarray(file[name][()], dtype=np.float64) for name in _UNITS}
+            failed = _read_failed(file)
+            _check_recorded(file, arrays["displacement_body"].shape, path)
         library = Library(
             robot_id=str(attributes["robot_id"]),
             robot_toml=str(attributes["robot_toml"]),
@@ -110,6 +160,7 @@ def read_library(path: Path | str) -> Library:
             frogkick_version=str(attributes["frogkick_version"]),
             period_s=float(attributes["period_s"]),
             **arrays,
+            failed=failed,
         )
     except (OSError, KeyError, ValueError, TypeError, AttributeError, RuntimeError) as error:
         reason = " ".join(str(error).split())[:120]
@@ -120,6 +171,37 @@ def read_library(path: Path | str) -> Library:
     return library
 
 
+def read_recorded(path: Path | str) -> Recorded:
+    """Read how the robot moved in each transition of a library.
+
+    Raises:
+        InputError: see read_library.
+    """
+    read_library(path)
+    with h5py.File(path, "r") as file:
+        motion = np.concatenate([file[name][()] for name in _RECORDED_UNITS], axis=3, dtype=np.float32)
+        return Recorded(np.asarray(file[_TIMES][()], dtype=np.float64), motion)
+
+
+def _read_failed(file: h5py.File) -> tuple[Failed, ...]:
+    places = np.asarray(file["failed_transition"][()], dtype=np.int64).reshape(-1, 2).tolist()
+    reasons = [reason.decode("ascii", "replace") for reason in file["failed_reason"][()].tolist()]
+    return tuple(Failed(s, a, reason) for (s, a), reason in zip(places, reasons, strict=True))
+
+
+def _check_recorded(file: h5py.File, shape: tuple[int, ...], path: Path | str) -> None:
+    times = np.asarray(file[_TIMES][()], dtype=np.float64)
+    if times.ndim != 1 or not np.isfinite(times).all() or not (np.diff(times, prepend=0.0) > 0.0).all():
+        raise InputError(f"library {str(path)!r}: {_TIMES} does not increase from 0; build it again")
+    for name in _RECORDED_UNITS:
+        wanted = (*shape[:2], len(times), 3)
+        if file[name].shape != wanted or file[name].dtype != np.float32:
+            raise InputError(
+                f"library {str(path)!r}: {name} has shape {file[name].shape} of {file[name].dtype}, not "
+                f"{wanted} of float32; build it again"
+            )
+
+
 def library_info(path: Path | str) -> dict[str, Any]:
     """What a library holds, as plain values.
 
@@ -127,6 +209,8 @@ def library_info(path: Path | str) -> dict[str, Any]:
         InputError: see read_library.
     """
     library = read_library(path)
+    with h5py.File(path, "r") as file:
+        recorded_s = float(max(file[_TIMES][()], default=0.0))
     states, actions = library.displacement_body.shape[:2]
     low, high = library.initial_velocity_body.min(axis=0), library.initial_velocity_body.max(axis=0)
     return {
@@ -141,7 +225,9 @@ def library_info(path: Path | str) -> dict[str, Any]:
         "states": states,
         "actions": actions,
         "transitions": states * actions,
-        "simulated_s": states * actions * library.period_s,
+        "failed": len(library.failed),
+        "recorded_s": recorded_s,
+        "simulated_s": states * actions * max(library.period_s, recorded_s),
         "velocity_low": low.tolist(),
         "velocity_high": high.tolist(),
         "bytes": Path(path).stat().st_size,
@@ -149,9 +235,14 @@ def library_info(path: Path | str) -> dict[str, Any]:
 
 
 def make_library(
-    robot: Robot, sampling: str, seed: int, initial: FloatArray, displacement: FloatArray, end: FloatArray
+    robot: Robot,
+    sampling: str,
+    seed: int,
+    initial: FloatArray,
+    rows: FloatArray,
+    failed: tuple[Failed, ...] = (),
 ) -> Library:
-    """Put transitions and their origin together."""
+    """Put transitions, (n, a, 6) rows of them, and their origin together."""
     return Library(
         robot_id=robot.id,
         robot_toml=robot.toml,
@@ -161,8 +252,9 @@ def make_library(
         frogkick_version=frogkick.__version__,
         period_s=robot.period_s,
         initial_velocity_body=initial,
-        displacement_body=displacement,
-        velocity_body_end=end,
+        displacement_body=np.ascontiguousarray(rows[:, :, :3]),
+        velocity_body_end=np.ascontiguousarray(rows[:, :, 3:]),
+        failed=failed,
     )
 
 
@@ -188,13 +280,24 @@ def _check_content(library: Library, path: Path | str) -> None:
         "displacement_body": (n, a, 3),
         "velocity_body_end": (n, a, 3),
     }
+    lost = np.zeros((n, a), dtype=bool)
+    for failure in library.failed:
+        if not (0 <= failure.state < n and 0 <= failure.action < a):
+            raise InputError(
+                f"library {str(path)!r}: failed transition {failure.state}, {failure.action} is none of "
+                f"{n} x {a}; build it again"
+            )
+        lost[failure.state, failure.action] = True
     for name, shape in expected.items():
         values = getattr(library, name)
         if n == 0 or values.shape != shape:
             raise InputError(
                 f"library {str(path)!r}: {name} has shape {values.shape}, not {shape}; build it again"
             )
-        bad = np.argwhere(~np.isfinite(values))
+        unknown = ~np.isfinite(values)
+        if values.ndim == 3:
+            unknown &= ~lost[:, :, None]
+        bad = np.argwhere(unknown)
         if bad.size:
             raise InputError(f"library {str(path)!r}: {name}{bad[0].tolist()} is not finite; build it again")
     if robot.id != library.robot_id or robot.period_s != library.period_s:

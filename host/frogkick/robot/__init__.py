@@ -4,6 +4,7 @@ from frogkick.robot.geometry import limb_points, robot_warnings
 from frogkick.robot.load import built_in_robots, load_robot, parse_robot
 from frogkick.robot.model import Action, Frame, Guard, Limb, PlannerDefaults, Robot, VelocityBox
 from frogkick.robot.profile import Actuation, Profile, fit_profile
+from frogkick.robot.symmetry import Mirror, mirror_of
 
 __all__ = [
     "Action",
@@ -11,6 +12,7 @@ __all__ = [
     "Frame",
     "Guard",
     "Limb",
+    "Mirror",
     "PlannerDefaults",
     "Profile",
     "Robot",
@@ -19,6 +21,7 @@ __all__ = [
     "fit_profile",
     "limb_points",
     "load_robot",
+    "mirror_of",
     "parse_robot",
     "robot_warnings",
 ]

@@ -1,0 +1,64 @@
+"""A library for another period, cut from recorded motions instead of simulated again."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from frogkick.der.strokes import body_from_world, cubic
+from frogkick.errors import InputError
+from frogkick.library.store import Library, make_library, read_library, read_recorded
+from frogkick.robot import Robot
+
+
+def cut_library(path: Path | str, robot: Robot) -> Library:
+    """The library that a robot with another period would have, from one that recorded beyond that period.
+
+    Args:
+        path: a library.
+        robot: the library's robot but for its period and whatever else does not move it.
+
+    Returns:
+        Its library: the initial velocities of the old one, displacements and velocities at the new period,
+        between two recorded poses on a cubic through both with their velocities.
+
+    Raises:
+        InputError: see read_library; another robot, or a period that was not recorded.
+    """
+    library, recorded = read_library(path), read_recorded(path)
+    if _moves_like(robot) != _moves_like(library.robot()):
+        raise InputError(
+            f"robot {robot.id!r} is not the one of library {str(path)!r} with another period only: "
+            "build a library for it"
+        )
+    times, period = recorded.time_s, robot.period_s
+    if not len(times) or not times[0] <= period <= times[-1]:
+        told = f"{times[0]:g}-{times[-1]:g} s are" if len(times) else "nothing is"
+        raise InputError(
+            f"period {period:g} s cannot be cut from library {str(path)!r}, where {told} recorded: build one"
+        )
+    left = int(np.clip(np.searchsorted(times, period, side="right") - 1, 0, len(times) - 2))
+    ends = recorded.motion[:, :, left : left + 2].astype(np.float64)
+    pose, rate = ends[..., :3], body_from_world(-ends[..., 2], ends[..., 3:])
+    length = np.asarray(times[left + 1] - times[left])
+    share = np.asarray((period - times[left]) / length)
+    at, slope = cubic(pose[:, :, 0], pose[:, :, 1], rate[:, :, 0], rate[:, :, 1], length, share)
+    rows = np.concatenate([at, body_from_world(at[..., 2], slope)], axis=-1)
+    return make_library(
+        robot, library.sampling, library.seed, library.initial_velocity_body, rows, library.failed
+    )
+
+
+def _moves_like(robot: Robot) -> tuple[object, ...]:
+    """All of a robot that decides how it moves in water when it is told an action."""
+    return (
+        robot.frame,
+        robot.limbs,
+        robot.actions,
+        robot.second_delay_s,
+        robot.profiles,
+        robot.egain_percent,
+        robot.profile_frequency_hz,
+        robot.water_density_kg_per_m3,
+    )

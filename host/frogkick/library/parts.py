@@ -1,0 +1,86 @@
+"""Finished parts of a library that is being built, kept beside it until it is whole."""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import json
+import shutil
+import zipfile
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from frogkick.errors import InputError
+from frogkick.files import write_bytes, write_text
+from frogkick.library.transitions import Failed, Transitions
+
+_FORMAT = "frogkick library parts 1"
+
+
+class Parts:
+    """A folder ``OUT.parts`` of one job: a start after a stop finds there what the first one finished."""
+
+    def __init__(self, out: Path, job: bytes) -> None:
+        """Open the folder, or make it when the first part is kept.
+
+        Args:
+            out: the library's file.
+            job: everything that its content depends on. Parts of another job are dropped.
+
+        Raises:
+            InputError: the folder's name is taken by something else.
+        """
+        self.folder = out.with_name(out.name + ".parts")
+        self._key = hashlib.sha256(job).hexdigest()
+        if self.folder.exists() and self._found() != self._key:
+            self.remove()
+
+    def _found(self) -> str | None:
+        try:
+            text = json.loads((self.folder / "job.json").read_text(encoding="utf-8"))
+            if text["format"] == _FORMAT:
+                return str(text["key"])
+        except (OSError, ValueError, KeyError, TypeError):
+            pass
+        if self.folder.is_dir() and all(file.suffix == ".npz" for file in self.folder.iterdir()):
+            return None  # stopped before it could say whose they are
+        raise InputError(
+            f"{str(self.folder)!r} is in the way of the library's parts and is none of ours: "
+            "move it or choose another --out"
+        )
+
+    def _file(self, index: int) -> Path:
+        return self.folder / f"{index:06d}.npz"
+
+    def keep(self, index: int, part: Transitions) -> None:
+        """Write a part, wholly or not at all."""
+        if not self.folder.exists():
+            write_text(self.folder / "job.json", json.dumps({"format": _FORMAT, "key": self._key}) + "\n")
+        content = io.BytesIO()
+        np.savez(
+            content,
+            rows=part.rows,
+            recorded=part.recorded,
+            failed=np.array([(f.state, f.action) for f in part.failed], dtype=np.int64).reshape(-1, 2),
+            reasons=np.array([f.reason for f in part.failed], dtype=np.str_),
+        )
+        write_bytes(self._file(index), content.getvalue())
+
+    def load(self, index: int) -> Transitions | None:
+        """A part, or None where there is none that is whole."""
+        try:
+            content = io.BytesIO(self._file(index).read_bytes())
+            with np.load(content, allow_pickle=False) as part:
+                reasons: list[str] = part["reasons"].tolist()
+                places: list[list[int]] = part["failed"].tolist()
+                rows: NDArray[np.float64] = part["rows"]
+                failed = tuple(Failed(s, a, r) for (s, a), r in zip(places, reasons, strict=True))
+                return Transitions(rows, part["recorded"], failed)
+        except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
+            return None
+
+    def remove(self) -> None:
+        """Remove the folder."""
+        shutil.rmtree(self.folder, ignore_errors=True)

@@ -1,0 +1,73 @@
+"""Whether a robot is its own mirror image, left for right: half of its simulations then need not be run."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from frogkick.robot.model import Frame, Limb, Robot
+
+_CLOSE = 1e-12  # relative to the frame, and in radians: what writing decimal numbers to a file may leave
+
+
+@dataclass(frozen=True)
+class Mirror:
+    """What left for right does: limb i becomes limb limbs[i], action a becomes action actions[a]."""
+
+    limbs: tuple[int, ...]
+    actions: tuple[int, ...]
+
+
+def mirror_of(robot: Robot) -> Mirror | None:
+    """The mirroring of a robot; None where its frame, its limbs, its actions or its library box have none."""
+    corners = _mirrored_corners(robot.frame)
+    box = robot.library_box
+    if corners is None or any(low != -high for low, high in (box.left_mps, box.omega_rad_s)):
+        return None
+    limbs: list[int] = []
+    for limb in robot.limbs:
+        found = [i for i, other in enumerate(robot.limbs) if _are_mirrored(limb, other, corners)]
+        if len(found) != 1:
+            return None
+        limbs.append(found[0])
+
+    def turned(mask: int) -> int:
+        return sum(1 << limbs[i] for i in range(len(limbs)) if mask >> i & 1)
+
+    masks = [(action.first_mask, action.second_mask) for action in robot.actions]
+    mirrored = [(turned(first), turned(second)) for first, second in masks]
+    if len(set(masks)) != len(masks) or set(masks) != set(mirrored):
+        return None
+    return Mirror(tuple(limbs), tuple(masks.index(pair) for pair in mirrored))
+
+
+def _mirrored_corners(frame: Frame) -> list[int] | None:
+    """For each corner the one opposite; None where the frame has no such symmetry."""
+    count = len(frame.corners_m)
+    scale = _CLOSE * max(math.hypot(*corner) for corner in frame.corners_m)
+    opposite: list[int] = []
+    for x, y in frame.corners_m:
+        near = [i for i, (u, v) in enumerate(frame.corners_m) if math.hypot(u - x, v + y) <= scale]
+        if len(near) != 1:
+            return None
+        opposite.append(near[0])
+    for i in range(count):  # edge i, from corner i to the next, comes out as the edge before opposite[i]
+        edge = (opposite[i] - 1) % count
+        if opposite[(i + 1) % count] != edge or frame.segments[i] != frame.segments[edge]:
+            return None
+    return opposite
+
+
+def _are_mirrored(one: Limb, other: Limb, corners: list[int]) -> bool:
+    turned = math.remainder(one.direction_rad + other.direction_rad, 2.0 * math.pi)
+    return (
+        corners[one.corner] == other.corner
+        and one.clamp != other.clamp
+        and abs(turned) <= _CLOSE * 10.0
+        and one.rest_curvature_per_m == -other.rest_curvature_per_m
+        and all(
+            getattr(one, name) == getattr(other, name)
+            for name in Limb.__dataclass_fields__
+            if name not in ("name", "corner", "clamp", "direction_rad", "rest_curvature_per_m")
+        )
+    )

@@ -30,6 +30,7 @@ class Sampling(enum.StrEnum):
 
     box = "box"
     visited = "visited"
+    planned = "planned"
 
 
 @app.command()
@@ -40,7 +41,9 @@ def build(
     workers: Annotated[int, typer.Option(min=0, max=256, help="Processes; 0 = one for each core.")] = 0,
     sampling: Annotated[
         Sampling,
-        typer.Option(help="box: uniform, as the paper; visited: where a steered robot's strokes begin."),
+        typer.Option(
+            help="box: uniform, as the paper; visited: where steered strokes begin; planned: where the planner's do."
+        ),
     ] = Sampling.box,
     record_s: Annotated[
         float,

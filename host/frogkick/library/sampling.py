@@ -8,14 +8,16 @@ from numpy.typing import NDArray
 from frogkick.der import STEP_S, WIDTH, prepare, program_of
 from frogkick.der.swimmer import batch_of
 from frogkick.errors import ConvergenceError, InputError, nearest_name
+from frogkick.library.planned import planned_swims
 from frogkick.robot import Action, Robot, mirror_of
 
 FloatArray = NDArray[np.float64]
 
 STATES_MAX = 65535  # a table image counts its states in 16 bits
-SAMPLINGS = ("box", "visited")
+SAMPLINGS = ("box", "visited", "planned")
 
 _SWIM_STROKES = 12  # from rest to cruising takes about six
+_PLANNED_BATCHES_MAX = 1000
 _HOLD_STROKES_MAX = 4  # an action is held for 1 to this many strokes: turns build up over several
 
 
@@ -28,7 +30,8 @@ def sample_velocities(robot: Robot, states: int, seed: int, sampling: str = "box
         seed: of the drawing.
         sampling: "box" draws uniformly from the robot's library box, as the paper does. "visited" takes the
             velocities at which the strokes of a randomly steered, simulated robot begin: a run needs the
-            states that swimming leads to, and they fill a small part of the box. Either way each velocity is
+            states that swimming leads to, and they fill a small part of the box. "planned" lets the planner
+            steer along random paths instead; a quarter of its states are visited ones. Each velocity is
             followed by its mirror image, for a robot that has one: simulating one of them serves both.
 
     Returns:
@@ -44,9 +47,11 @@ def sample_velocities(robot: Robot, states: int, seed: int, sampling: str = "box
         raise InputError(f"seed is {seed}: give 0 or more")
     if sampling == "visited":
         return _visited(robot, states, seed)
+    if sampling == "planned":
+        return _planned(robot, states, seed)
     if sampling != "box":
         raise InputError(
-            f"sampling is {sampling!r}{nearest_name(sampling, SAMPLINGS)}: give {' or '.join(SAMPLINGS)}"
+            f"sampling is {sampling!r}{nearest_name(sampling, SAMPLINGS)}: give {', '.join(SAMPLINGS)}"
         )
     box = robot.library_box
     low, high = np.array([box.forward_mps, box.left_mps, box.omega_rad_s]).T
@@ -98,3 +103,19 @@ def _steered(robot: Robot, rng: np.random.Generator) -> list[Action]:
         action = robot.actions[rng.integers(len(robot.actions))]
         actions += [action] * int(rng.integers(1, _HOLD_STROKES_MAX + 1))
     return actions
+
+
+def _planned(robot: Robot, states: int, seed: int) -> FloatArray:
+    """A quarter of visited velocities, then those at the decisions of planned swims."""
+    first = _visited(robot, max(states, 4), seed)
+    found: dict[tuple[float, ...], None] = dict.fromkeys(map(tuple, first[: states // 4].tolist()))
+    for number, met in enumerate(planned_swims(robot, seed, first)):
+        found |= dict.fromkeys(map(tuple, _with_mirror_images(robot, np.round(met, 9) + 0.0).tolist()))
+        if len(found) >= states:
+            break
+        if number == _PLANNED_BATCHES_MAX:
+            raise InputError(
+                f"planned swims of {robot.id!r} met {len(found)} different states, asked for are {states}: "
+                "give fewer --states, or --sampling visited"
+            )
+    return np.array(list(found)[:states], dtype=np.float64)

@@ -42,7 +42,7 @@ def build(
     sampling: Annotated[
         Sampling,
         typer.Option(
-            help="box: uniform, as the paper; visited: where steered strokes begin; planned: where the planner's do."
+            help="box: uniform (the paper's); visited: at random strokes; planned: at the planner's."
         ),
     ] = Sampling.box,
     record_s: Annotated[

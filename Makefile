@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 export FK_FULL ?= 0
 
-.PHONY: demo test test-full extra lint types check venv clean
+.PHONY: demo test test-full bench extra lint types check venv clean
 
 demo: $(STAMP)
 	$(BIN)/frogkick demo --out demo
@@ -15,6 +15,10 @@ test: $(STAMP)
 
 test-full: $(STAMP)
 	FK_FULL=1 $(BIN)/python -m pytest
+
+# What simulating costs, some minutes; compares with PyElastica where that is installed.
+bench: $(STAMP)
+	PYTHONPATH=. $(BIN)/python -m tests.bench.rods
 
 # Needs tools that are no wheels (ARM gcc, QEMU, cppcheck, gcc, clang); says which are not there.
 extra: $(STAMP)

@@ -144,7 +144,7 @@ def bench_elastica(effort: Effort) -> None:
         cost, deflection = frogkick_rod(effort.runs, width)
         rows.append((f"frogkick, of {width}", f"{cost:.4f}", f"{1e3 * deflection:.3f}"))
     if importlib.util.find_spec("elastica") is None:
-        print("\nPyElastica is not installed, its row is left out: pip install 'frogkick[bench]'")
+        print("\nPyElastica is not installed, its row is left out: make bench fetches it")
     else:
         cost, deflection = elastica_rod(min(effort.runs, 2))
         rows.append(("PyElastica", f"{cost:.4f}", f"{1e3 * deflection:.3f}"))

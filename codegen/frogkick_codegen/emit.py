@@ -7,6 +7,7 @@ import os
 import shlex
 import shutil
 import tempfile
+from collections.abc import Mapping
 from pathlib import Path
 
 import jinja2
@@ -18,11 +19,22 @@ from frogkick.planner import kernel
 from frogkick.planner.image import Tables, open_image, read_image
 from frogkick.planner.layout import FORMAT_VERSION
 from frogkick.planner.plan import PlanConfig
+from frogkick_codegen.figures import Figures
 from frogkick_codegen.native import PLANNER_SOURCES, planner_files
 from frogkick_codegen.toolchain import FLAGS, FLOAT_RULES
 
 _MARK = "Do not edit: made by frogkick codegen"
-_RENDERED = ("fk_table.h", "fk_table.c", "fk_config.h", "example_main.c", "README.md")
+_RENDERED = ("fk_table.h", "fk_table.c", "fk_config.h", "fk_sizes.h", "example_main.c", "README.md")
+PARTS: Mapping[tuple[str, ...], str] = {
+    ("tables.c", "tables_check.c"): "the image's format; opens an image, checking every byte",
+    ("nearest.c", "lookup.c"): "nearest state, exactly, over a k-d tree; what the table says of it",
+    ("tree.c",): "search over sequences of actions",
+    ("cost.c", "path.c"): "cost of a pose; the path's nearest point",
+    ("route.c", "fk_route.h"): "cost along a path that may cross or close on itself",
+    ("math.c", "fk_trig.h"): "angles in float32, no libm",
+    ("fk_internal.h",): "what these files share",
+}
+"""What the README says of the planner's own files."""
 SOURCES = tuple(sorted((*PLANNER_SOURCES, "fk_table.c")))
 """The C files that a firmware compiles; ``example_main.c`` is not among them."""
 BUILD_COMMAND = shlex.join(["cc", *FLAGS, "-o", "example", "example_main.c", *SOURCES])
@@ -36,6 +48,7 @@ def emit(
     command: str,
     config: PlanConfig | None = None,
     robot_sha256: bytes | None = None,
+    figures: Figures | None = None,
 ) -> dict[str, str]:
     """Write the directory, wholly or not at all.
 
@@ -49,6 +62,7 @@ def emit(
         config: weights and depth; the paper's where it is None.
         robot_sha256: 32 bytes of the robot's canonical dump; where it is None the first lines say that the
             library's hash covers it.
+        figures: what the planner costs with this table on the chip; None = not measured.
 
     Returns:
         File name -> SHA-256 of its content, hexadecimal.
@@ -59,13 +73,17 @@ def emit(
             configuration cannot be used.
     """
     tables = open_image(image) if isinstance(image, bytes) else read_image(image)
-    files = render(tables, command, config or PlanConfig(), robot_sha256)
+    files = render(tables, command, config or PlanConfig(), robot_sha256, figures)
     _swap_in(Path(out_dir), files)
     return {name: hashlib.sha256(files[name]).hexdigest() for name in sorted(files)}
 
 
 def render(
-    tables: Tables, command: str, config: PlanConfig, robot_sha256: bytes | None = None
+    tables: Tables,
+    command: str,
+    config: PlanConfig,
+    robot_sha256: bytes | None = None,
+    figures: Figures | None = None,
 ) -> dict[str, bytes]:
     """Return the directory's files by name; arguments and errors as for ``emit``."""
     _check_config(config)
@@ -85,6 +103,13 @@ def render(
         "weights": weights,
         "format_version": FORMAT_VERSION,
         "build_command": BUILD_COMMAND,
+        "figures": figures,
+        "period_s": f"{tables.period_us * 1e-6:g}",
+        "parts": [
+            (present, what)
+            for names, what in PARTS.items()
+            if (present := [name for name in names if name in planner_files()])
+        ],
         "float_rules": " ".join(FLOAT_RULES),
         "plain_weights": [weight.rstrip("f") for weight in weights],
         "velocity_scale": [_literal(value).rstrip("f") for value in tables.velocity_scale],
@@ -131,7 +156,8 @@ def _banner(
     tables: Tables, command: str, config: PlanConfig, weights: list[str], robot_sha256: bytes | None
 ) -> list[str]:
     """Return the first lines of every file."""
-    settings = ",".join([*weights, str(config.depth)])
+    numbers = (config.depth, int(config.cost), config.transitions_max)
+    settings = ",".join([*weights, *map(str, numbers)])
     robot = f"SHA-256 {robot_sha256.hex()}" if robot_sha256 else "its hash is part of the library's"
     return [
         f"{_MARK} {frogkick.__version__}, table image format {FORMAT_VERSION}, kind {tables.kind}.",
@@ -146,13 +172,20 @@ def _banner(
 
 def _check_config(config: PlanConfig) -> None:
     """Refuse what ``fk_plan`` would refuse for every state."""
-    path = np.array([[0, 1], [0, 0], [0, 0]], dtype=np.float32)
-    status = int(kernel.check(path, config.weights(), config.depth, np.zeros(6, dtype=np.float32)))
+    status = int(kernel.check_settings(config.settings(), config.depth))
     if status == kernel.ERROR_DEPTH:
         raise InputError(f"depth is {config.depth}, allowed is 1 to 4: correct the planner's configuration")
     if status == kernel.ERROR_WEIGHT:
         values = config.weights().tolist()
-        raise InputError(f"weights are {values}, allowed is 0 to 1e6: correct the planner's configuration")
+        raise InputError(
+            f"weights are {values}, allowed is 0 to 1e6 (the last: 2): correct the planner's configuration"
+        )
+    if status == kernel.ERROR_COST:
+        raise InputError(f"cost is {config.cost}, allowed is 0 (paper) or 1 (route): correct it")
+    if not 0 <= config.transitions_max < 2**32:
+        raise InputError(
+            f"transitions_max is {config.transitions_max}, allowed is 0 to {2**32 - 1}: correct it"
+        )
 
 
 def _literal(value: np.float32) -> str:

@@ -21,7 +21,7 @@ from frogkick.files import write_bytes, write_text
 from frogkick.planner.image import read_image
 from frogkick.robot import Robot
 from frogkick_codegen.emit import emit
-from frogkick_codegen.toolchain import FLAGS, zig
+from frogkick_codegen.toolchain import FLAGS, Compiler, zig
 
 FIRMWARE = Path(__file__).resolve().parents[2] / "firmware"
 TARGETS = ("bench", "native")
@@ -84,7 +84,13 @@ def robot_config(robot: Robot) -> str:
         f"#define FK_ANGLE_WEIGHT_PER_RAD {_c_float(planner.angle_weight_per_rad)}",
         f"#define FK_PROGRESS_WEIGHT {_c_float(planner.progress_weight)}",
         f"#define FK_LEVEL_WEIGHT {_c_float(planner.level_weight)}",
+        f"#define FK_PROGRESS_WEIGHT_PER_M {_c_float(planner.progress_weight_per_m)}",
+        f"#define FK_LOOK_AHEAD_M {_c_float(planner.look_ahead_m)}",
+        f"#define FK_SOFT_DISTANCE_M {_c_float(planner.soft_distance_m)}",
+        f"#define FK_TURN_LEAD {_c_float(planner.turn_lead)}",
+        f"#define FK_COST FK_COST_{planner.cost.upper()}",
         f"#define FK_DEPTH {planner.depth}u",
+        f"#define FK_PLAN_TIME_US {round(planner.plan_time_s * 1e6)}u",
         "",
         "#endif",
         "",
@@ -96,7 +102,7 @@ def _c_float(value: float) -> str:
     return f"{float(value).hex()}f /* {value!r} */"
 
 
-def build(target: str, image: Path, robot: Robot, out: Path) -> Build:
+def build(target: str, image: Path, robot: Robot, out: Path, compiler: Compiler | None = None) -> Build:
     """Build firmware around a table image.
 
     Args:
@@ -105,6 +111,7 @@ def build(target: str, image: Path, robot: Robot, out: Path) -> Build:
         robot: the robot that the table is for; its limits go into the guard.
         out: folder for the results, not touched before everything is built; the same arguments give the
             same bytes.
+        compiler: for the target "native"; zig where it is None.
 
     Raises:
         InputError: unknown target, the table is for another robot, the sources are not beside the package,
@@ -125,7 +132,11 @@ def build(target: str, image: Path, robot: Robot, out: Path) -> Build:
         work = Path(folder).resolve()
         emit(image, work / "emitted", command, robot_sha256=robot.sha256)
         write_text(work / "config" / "fk_robot_config.h", config)
-        made = _build_bench(work, tables.limbs) if target == "bench" else _build_native(work)
+        made = (
+            _build_bench(work, tables.limbs)
+            if target == "bench"
+            else _build_native(work, compiler or zig("host"))
+        )
         sizes = _sizes(made["elf"]) if target == "bench" else (0, 0, 0)
         # First what may be refused: a folder "emitted" that is not ours.
         emit(image, out / "emitted", command, robot_sha256=robot.sha256)
@@ -179,14 +190,17 @@ def _build_bench(work: Path, limbs: int) -> dict[str, Path]:
     return {"elf": elf, "hex": _hex_of(elf)}
 
 
-def _build_native(work: Path) -> dict[str, Path]:
+def _build_native(work: Path, compiler: Compiler) -> dict[str, Path]:
     sources, includes = _sources(work)
     headers = sorted(path for folder in includes[:3] for path in Path(folder[2:]).glob("*.h"))
-    digest = hashlib.sha256(b"".join(path.read_bytes() for path in [*sources, *headers])).hexdigest()[:12]
+    name = compiler.version.encode()
+    digest = hashlib.sha256(name + b"".join(path.read_bytes() for path in [*sources, *headers])).hexdigest()[
+        :12
+    ]
     # A library that is already loaded must not be overwritten: each content has its own name.
     suffix = {"darwin": ".dylib", "win32": ".dll"}.get(sys.platform, ".so")
     library = work / f"frogkick-native-{digest}{suffix}"
-    zig("host").run([*FLAGS, "-fPIC", "-shared", *includes, *sources, "-o", library], folder=work)
+    compiler.run([*FLAGS, "-fPIC", "-shared", *includes, *sources, "-o", library], folder=work)
     return {"library": library}
 
 

@@ -18,18 +18,21 @@ import numpy.typing as npt
 
 from frogkick.errors import InputError
 from frogkick.planner.image import TableError
-from frogkick.planner.plan import PLAN_ROW, PathLike, PlanConfig, path_rows
+from frogkick.planner.plan import PLAN_ROW, PathLike, PlanConfig, along_rows, limb_use_rows, path_rows
 from frogkick_codegen.toolchain import FLAGS, Compiler, ToolchainError, cache_folder, zig
 
-PLANNER_HEADERS = ("fk_planner.h", "fk_internal.h")
-PLANNER_SOURCES = ("cost.c", "math.c", "nearest.c", "path.c", "tables.c", "tree.c")
+PLANNER_HEADERS = ("fk_planner.h", "fk_tables.h", "fk_internal.h", "fk_route.h", "fk_trig.h")
+PLANNER_SOURCES = (
+    "cost.c", "lookup.c", "math.c", "nearest.c", "path.c", "route.c", "tables.c", "tables_check.c", "tree.c",
+)  # fmt: skip
 
 _DECLARATIONS = """
 uint32_t fk_native_row_bytes(void);
 int32_t fk_native_open(const uint8_t *image, uint32_t size);
 int32_t fk_native_plan_batch(const uint8_t *image, uint32_t size, const float *path, uint32_t points,
-                             const float *weights, const float *states, const int32_t *depths,
-                             uint32_t count, void *rows);
+                             const float *weights, uint32_t cost, uint32_t transitions_max,
+                             const float *states, const uint16_t *limb_use, const float *along_points,
+                             const int32_t *depths, uint32_t count, void *rows);
 void fk_native_sincos(const float *angles_rad, uint32_t count, float *sines, float *cosines);
 void fk_native_wrap(const float *angles_rad, uint32_t count, float *wrapped_rad);
 uint32_t fk_native_crc32(uint32_t crc, const uint8_t *bytes, uint32_t length);
@@ -135,12 +138,14 @@ class NativeLibrary:
         config: PlanConfig,
         states: npt.ArrayLike,
         depths: npt.ArrayLike | None = None,
+        limb_use: npt.ArrayLike | None = None,
+        along_points: npt.ArrayLike = 0.0,
     ) -> npt.NDArray[Any]:
         """Plan from many states, as ``frogkick.planner.plan.plan_batch`` does, in C.
 
         Args:
             image: a whole table image.
-            path, config, states, depths: as there.
+            path, config, states, depths, limb_use, along_points: as there.
 
         Returns:
             (k,) array of ``PLAN_ROW``.
@@ -160,6 +165,7 @@ class NativeLibrary:
                 f"depths have shape {many.shape}, needed is ({len(queries)},): pass one for each"
             )
         levels = np.ascontiguousarray(many, dtype=np.int32)
+        used = limb_use_rows(limb_use, len(queries))
         rows = np.zeros(len(queries), dtype=PLAN_ROW)
         status = self._library.fk_native_plan_batch(
             self._ffi.from_buffer("uint8_t[]", image),
@@ -167,7 +173,11 @@ class NativeLibrary:
             self._floats(points),
             points.shape[1],
             self._floats(config.weights()),
+            config.cost,
+            config.transitions_max,
             self._floats(queries),
+            self._ffi.from_buffer("uint16_t[]", used),
+            self._floats(along_rows(along_points, len(queries))),
             self._ffi.from_buffer("int32_t[]", levels),
             len(queries),
             self._ffi.cast("void *", rows.ctypes.data),

@@ -1,7 +1,8 @@
 """Do two places plan alike? States that make them differ if anything can, and a comparison bit by bit.
 
-A place is a callable: states (k, 6) float32 and depths (k,) int32 in, an array of ``PLAN_ROW`` out. Python
-and native C are here; the virtual chip, or a robot on a wire, is one more callable.
+A place is a callable: states (k, 6) float32, depths (k,) int32, limb uses (k, 8) uint16 and places along the
+path (k,) float32 in, an array of ``PLAN_ROW`` out. Python and native C are here; the virtual chip, or a robot
+on a wire, is one more callable.
 """
 
 from __future__ import annotations
@@ -16,13 +17,15 @@ import numpy.typing as npt
 
 from frogkick.errors import FrogkickError, InputError
 from frogkick.planner.image import Tables
+from frogkick.planner.layout import LIMBS_MAX
 from frogkick.planner.plan import PLAN_ROW, PathLike, PlanConfig, path_rows, plan_batch
 from frogkick_codegen.native import NativeLibrary
 
 Float32 = npt.NDArray[np.float32]
 Int32 = npt.NDArray[np.int32]
 Int64 = npt.NDArray[np.int64]
-Place = Callable[[Float32, Int32], npt.NDArray[Any]]
+UInt16 = npt.NDArray[np.uint16]
+Place = Callable[[Float32, Int32, UInt16, Float32], npt.NDArray[Any]]
 
 DEPTH_SHARE = (0.62, 0.30, 0.075, 0.005)
 """Parts of the states that are planned at depth 1 to 4: each level costs about ten times the one before."""
@@ -36,18 +39,29 @@ class Cases:
     Attributes:
         states: (k, 6) float32.
         depths: (k,) int32, 1 to 4.
+        limb_use: (k, 8) uint16.
+        along_points: (k,) float32, where along the path each was last.
         kinds: (k,) index into ``KINDS``.
         seed: makes them again.
     """
 
     states: Float32
     depths: Int32
+    limb_use: UInt16
+    along_points: Float32
     kinds: Int64
     seed: int
 
     def head(self, count: int) -> Cases:
         """Return the first ``count`` cases, for a slower place."""
-        return Cases(self.states[:count], self.depths[:count], self.kinds[:count], self.seed)
+        return Cases(
+            self.states[:count],
+            self.depths[:count],
+            self.limb_use[:count],
+            self.along_points[:count],
+            self.kinds[:count],
+            self.seed,
+        )
 
 
 @dataclass(frozen=True)
@@ -233,6 +247,35 @@ def _any_bits(source: _Source, count: int) -> npt.NDArray[Any]:
     return states
 
 
+def _limb_uses(rng: np.random.Generator, count: int, beyond: npt.NDArray[np.bool_]) -> UInt16:
+    """What a robot meets, with rested and full limbs; half of those marked go beyond and are refused."""
+    use = (rng.random((count, LIMBS_MAX)) ** 2 * 32767).astype(np.uint16)
+    edges = rng.choice(np.array([0, 1, 32766, 32767], dtype=np.uint16), (count, LIMBS_MAX))
+    use = np.where(rng.random((count, LIMBS_MAX)) < 0.3, edges, use)
+    use[rng.random(count) < 0.2] = 0
+    beyond = beyond & (rng.random(count) < 0.5)
+    limb = rng.integers(0, LIMBS_MAX, int(beyond.sum()))
+    use[beyond, limb] = rng.choice(np.array([32768, 65535], dtype=np.uint16), len(limb))
+    return use.astype(np.uint16)
+
+
+def _along(source: _Source, states: Float32, beyond: npt.NDArray[np.bool_]) -> Float32:
+    """Mostly near the state, as in a run; anywhere, and at the ends; half of those marked are refused."""
+    rng, last = source.rng, source.path.shape[1] - 1
+    x, y = states[:, 0, None].astype(np.float64), states[:, 1, None].astype(np.float64)
+    near = np.argmin(np.nan_to_num((source.path[0] - x) ** 2 + (source.path[1] - y) ** 2), axis=1)
+    along = np.clip(near - rng.exponential(0.06 * last, len(states)), 0, last)
+    along = np.where(rng.random(len(states)) < 0.2, rng.uniform(0, last, len(states)), along)
+    whole = rng.random(len(states)) < 0.2
+    along = np.where(whole, np.round(along), along).astype(np.float32)
+    ends = rng.choice(np.array([0.0, -0.0, last, np.nextafter(np.float32(last), np.float32(0))]), len(states))
+    along = np.where(rng.random(len(states)) < 0.1, ends, along).astype(np.float32)
+    odd = np.array([-1.0, last + 1, np.nan, np.inf, -np.inf, -1e-30], dtype=np.float32)
+    beyond = beyond & (rng.random(len(states)) < 0.5)
+    along[beyond] = rng.choice(odd, int(beyond.sum()))
+    return along
+
+
 _MAKERS: dict[str, Callable[[_Source, int], npt.NDArray[Any]]] = {
     "uniform": _uniform,
     "rest": _rest,
@@ -249,6 +292,8 @@ _MAKERS: dict[str, Callable[[_Source, int], npt.NDArray[Any]]] = {
     "half_turn": _half_turn,
     "on_path": _on_path,
     "any_bits": _any_bits,
+    "limb_use": _uniform,
+    "along": _uniform,
 }
 KINDS = tuple(_MAKERS)
 
@@ -278,7 +323,10 @@ def make_cases(
         with np.errstate(over="ignore", under="ignore", invalid="ignore"):
             states[rows] = _MAKERS[name](source, int(rows.sum())).astype(np.float32)
     depths = rng.choice(np.arange(1, 5), count, p=depth_share).astype(np.int32)
-    return Cases(states, depths, kinds, seed)
+    limb_use = _limb_uses(rng, count, kinds == KINDS.index("limb_use"))
+    with np.errstate(over="ignore", invalid="ignore"):
+        along = _along(source, states, kinds == KINDS.index("along"))
+    return Cases(states, depths, limb_use, along, kinds, seed)
 
 
 def find_ties(tables: Tables, rng: np.random.Generator, wanted: int = _TIES_WANTED) -> Int64:
@@ -314,12 +362,12 @@ def find_ties(tables: Tables, rng: np.random.Generator, wanted: int = _TIES_WANT
 
 def python_place(tables: Tables, path: PathLike, config: PlanConfig) -> Place:
     """Return the Python twin as a place."""
-    return lambda states, depths: plan_batch(tables, path, config, states, depths)
+    return lambda *given: plan_batch(tables, path, config, *given)
 
 
 def native_place(library: NativeLibrary, tables: Tables, path: PathLike, config: PlanConfig) -> Place:
     """Return this machine's C as a place."""
-    return lambda states, depths: library.plan_batch(tables.image, path, config, states, depths)
+    return lambda *given: library.plan_batch(tables.image, path, config, *given)
 
 
 def compare(cases: Cases, places: Mapping[str, Place]) -> list[PairReport]:
@@ -336,7 +384,7 @@ def compare(cases: Cases, places: Mapping[str, Place]) -> list[PairReport]:
         raise FrogkickError(f"{len(places)} place given, a comparison needs 2: add a place")
     results: dict[str, npt.NDArray[Any]] = {}
     for name, place in places.items():
-        rows = place(cases.states, cases.depths)
+        rows = place(cases.states, cases.depths, cases.limb_use, cases.along_points)
         if rows.dtype != PLAN_ROW or rows.shape != (len(cases.states),):
             raise FrogkickError(
                 f"place {name!r} returned {rows.dtype} {rows.shape}, needed is PLAN_ROW for each state"
@@ -361,7 +409,9 @@ def _pair(cases: Cases, one: str, left: npt.NDArray[Any], two: str, right: npt.N
         values = ", ".join(float(value).hex() for value in cases.states[index])
         failure = (
             f"seed {cases.seed}, case {index} of {len(left)} ({KINDS[cases.kinds[index]]}), "
-            f"depth {cases.depths[index]}, state [{values}]: {one} {left[index]}, {two} {right[index]}"
+            f"depth {cases.depths[index]}, state [{values}], "
+            f"limb use {cases.limb_use[index].tolist()}, along {float(cases.along_points[index]).hex()}: "
+            f"{one} {left[index]}, {two} {right[index]}"
         )
     return PairReport(one, two, len(left), int(wrong.sum()), fields, failure)
 

@@ -21,8 +21,9 @@ from frogkick_codegen.emit import BUILD_COMMAND, SOURCES, emit, portable_command
 IMAGE = synthetic.image()
 COMMAND = "frogkick codegen frog.fkt --out planner"
 NAMES = {
-    "README.md", "cost.c", "example_main.c", "fk_config.h", "fk_internal.h", "fk_planner.h", "fk_table.c",
-    "fk_table.h", "math.c", "nearest.c", "path.c", "tables.c", "tree.c",
+    "README.md", "cost.c", "example_main.c", "fk_config.h", "fk_internal.h", "fk_planner.h",
+    "fk_route.h", "fk_sizes.h", "fk_table.c", "fk_table.h", "fk_tables.h", "fk_trig.h", "lookup.c", "math.c",
+    "nearest.c", "path.c", "route.c", "tables.c", "tables_check.c", "tree.c",
 }  # fmt: skip
 
 
@@ -67,12 +68,11 @@ def test_the_first_lines_say_where_it_comes_from(emitted: Path) -> None:
     for name in NAMES:
         head = "\n".join((emitted / name).read_text().splitlines()[:8])
         assert "Do not edit: made by frogkick codegen 0." in head
-        assert "table image format 1, kind nearest" in head
+        assert "table image format 2, kind nearest" in head
         assert f"library SHA-256 {provenance}" in head
         assert "robot frog2022, " in head
-        assert re.search(
-            r"configuration SHA-256 [0-9a-f]{64} \(500\.0f,50\.0f,300\.0f,0\.300000012f,1\)", head
-        )
+        settings = "500.0f,50.0f,300.0f,0.300000012f,0.0f,0.0f,0.0f,0.0f,1,0,0"
+        assert re.search(rf"configuration SHA-256 [0-9a-f]{{64}} \({re.escape(settings)}\)", head)
         assert f"command: {COMMAND}" in head
         assert f"flash: {len(IMAGE)} bytes of table" in head
 
@@ -189,7 +189,13 @@ def test_a_bad_image_leaves_nothing_behind(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("config", "text"),
-    [(PlanConfig(depth=5), "depth is 5"), (PlanConfig(angle_weight_per_rad=-1.0), "weights are")],
+    [
+        (PlanConfig(depth=5), "depth is 5"),
+        (PlanConfig(angle_weight_per_rad=-1.0), "weights are"),
+        (PlanConfig(turn_lead=2.1), "the last: 2"),
+        (PlanConfig(cost=2), "cost is 2"),
+        (PlanConfig(transitions_max=-1), "transitions_max is -1"),
+    ],
 )
 def test_a_configuration_that_the_planner_would_refuse_is_not_emitted(
     tmp_path: Path, config: PlanConfig, text: str
@@ -200,12 +206,14 @@ def test_a_configuration_that_the_planner_would_refuse_is_not_emitted(
 
 
 def test_the_configuration_is_written_to_the_last_bit(tmp_path: Path) -> None:
-    emit(IMAGE, tmp_path / "out", COMMAND, PlanConfig(1e-40, 123.456789, 1e6, 1 / 3, depth=3))
+    config = PlanConfig(1e-40, 123.456789, 1e6, 1 / 3, 3, 1, 2 / 3, 1e-9, 1e5 / 7, 2.0, 12345)
+    emit(IMAGE, tmp_path / "out", COMMAND, config)
     text = (tmp_path / "out" / "fk_config.h").read_text()
-    values = re.findall(r"#define FK_CONFIG_\w*WEIGHT\w* (\S+)f$", text, flags=re.MULTILINE)
-    wanted = np.array([1e-40, 123.456789, 1e6, 1 / 3], dtype=np.float32)
+    values = re.findall(r"#define FK_CONFIG_\w+ (\S+)f$", text, flags=re.MULTILINE)
+    wanted = np.array([1e-40, 123.456789, 1e6, 1 / 3, 2 / 3, 1e-9, 1e5 / 7, 2.0], dtype=np.float32)
     np.testing.assert_array_equal(np.array(values, dtype=np.float32), wanted)
-    assert "#define FK_CONFIG_DEPTH 3U" in text
+    for line in ("DEPTH 3U", "COST 1U", "TRANSITIONS_MAX 12345U"):
+        assert f"#define FK_CONFIG_{line}" in text
 
 
 @pytest.mark.parametrize(

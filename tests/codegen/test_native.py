@@ -5,7 +5,6 @@ from __future__ import annotations
 import multiprocessing
 import platform
 import re
-import struct
 import zlib
 from pathlib import Path
 
@@ -17,7 +16,7 @@ from tests.conftest import count
 from tests.planner import synthetic
 
 from frogkick.errors import InputError
-from frogkick.planner import kernel, layout
+from frogkick.planner import floats, kernel, layout
 from frogkick.planner.image import TableError, open_image
 from frogkick.planner.plan import PlanConfig, plan_batch
 from frogkick_codegen import toolchain
@@ -43,108 +42,42 @@ def own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def header_numbers() -> dict[str, int]:
-    """Return the error codes of fk_planner.h."""
-    text = planner_files()["fk_planner.h"].decode()
+    """Return the error codes of fk_tables.h."""
+    text = planner_files()["fk_tables.h"].decode()
     return {name: int(value) for name, value in re.findall(r"\b(FK_(?:OK|ERROR_\w+)) = (-?\d+)", text)}
 
 
 def test_the_twin_has_the_header_s_error_codes_and_limits() -> None:
     numbers = header_numbers()
-    assert len(numbers) == len(set(numbers.values())) == 26
+    assert len(numbers) == len(set(numbers.values())) == 28
     ours = {name: value for name, value in vars(kernel).items() if name.startswith("ERROR_")}
-    assert len(ours) == 6
+    assert len(ours) == 7
     for name, value in ours.items():
         assert numbers[f"FK_{name}"] == value
-    text = planner_files()["fk_planner.h"].decode()
+    text = "".join(planner_files()[name].decode() for name in ("fk_tables.h", "fk_planner.h"))
     limits = dict(re.findall(r"#define (FK_\w+) ([-+.\w]+)", text))
     assert int(limits["FK_VELOCITY_CODE_MAX"]) == layout.VELOCITY_CODE_MAX
     assert int(limits["FK_MOTION_CODE_MAX"]) == layout.MOTION_CODE_MAX
+    assert int(limits["FK_FORMAT_VERSION"].rstrip("U")) == layout.FORMAT_VERSION
+    assert int(limits["FK_IMAGE_HEADER_BYTES"].rstrip("U")) == layout.HEADER_BYTES
+    assert int(limits["FK_TREE_LEVELS_MAX"].rstrip("U")) == layout.TREE_LEVELS_MAX
+    assert int(limits["FK_BLOCK_LEVELS_MAX"].rstrip("U")) == layout.BLOCK_LEVELS_MAX
+    assert int(limits["FK_COEFFICIENTS"].rstrip("U")) == layout.COEFFICIENTS
+    assert int(limits["FK_LIMB_USE_MAX"].rstrip("U")) == layout.USE_MAX
     assert int(limits["FK_PATH_POINTS_MAX"].rstrip("U")) == kernel.PATH_POINTS_MAX
     assert int(limits["FK_DEPTH_MAX"].rstrip("U")) == kernel.DEPTH_MAX
     assert np.float32(limits["FK_SCALE_MIN"].rstrip("f")) == np.float32(layout.SCALE_MIN)
     assert np.float32(limits["FK_SCALE_MAX"].rstrip("f")) == np.float32(layout.SCALE_MAX)
     assert np.float32(limits["FK_WEIGHT_MAX"].rstrip("f")) == kernel.WEIGHT_MAX
+    assert np.float32(limits["FK_TURN_LEAD_MAX"].rstrip("f")) == kernel.TURN_LEAD_MAX
 
 
-@pytest.mark.parametrize(
-    ("offset", "replacement", "name"),
-    [
-        (0, b"G", "MAGIC"),
-        (4, struct.pack("<H", 2), "VERSION"),
-        (6, struct.pack("<H", 2), "KIND"),
-        (8, struct.pack("<I", 99), "LENGTH"),
-        (16, b"\0", "ROBOT_ID"),
-        (30, b"x", "ROBOT_ID"),
-        (68, struct.pack("<I", 0), "TIMES"),
-        (74, b"\0", "COUNT"),
-        (75, b"\x09", "COUNT"),
-        (76, struct.pack("<I", 132), "OFFSET"),
-        (84, struct.pack("<I", 0xFFFFFFFC), "OFFSET"),
-        (72, struct.pack("<H", 65535), "OFFSET"),
-        (88, struct.pack("<f", np.nan), "SCALE"),
-        (100, struct.pack("<f", -0.0), "SCALE"),
-        (127, b"\1", "PADDING"),
-        (128, b"B", "ACTION"),
-        (129, b"\x10", "ACTION"),
-        (131, b"\1", "PADDING"),
-        (layout.sections(41, 5).transitions - 1, b"\1", "PADDING"),
-        (layout.sections(41, 5).states, struct.pack("<h", 16384), "CODE"),
-        (layout.sections(41, 5).transitions, struct.pack("<h", -32768), "CODE"),
-        (layout.sections(41, 5).states + 6 * 20, struct.pack("<h", 16383), "ORDER"),
-    ],
-)
-def test_the_c_refuses_a_wrong_image_by_its_own_code(
-    library: NativeLibrary, offset: int, replacement: bytes, name: str
-) -> None:
-    status = library.open_status(synthetic.resealed(IMAGE, offset, replacement))
-    assert status == header_numbers()[f"FK_ERROR_IMAGE_{name}"]
-
-
-def test_the_c_refuses_damage_and_wrong_sizes(library: NativeLibrary) -> None:
-    numbers = header_numbers()
+def test_the_c_refuses_a_damaged_image_with_its_code(library: NativeLibrary) -> None:
     assert library.open_status(IMAGE) == 0
-    assert library.open_status(IMAGE[:127]) == numbers["FK_ERROR_IMAGE_SIZE"]
-    assert library.open_status(IMAGE[:-1]) == numbers["FK_ERROR_IMAGE_LENGTH"]
-    assert library.open_status(IMAGE + b"\0") == numbers["FK_ERROR_IMAGE_LENGTH"]
     damaged = bytearray(IMAGE)
     damaged[300] ^= 1
-    assert library.open_status(bytes(damaged)) == numbers["FK_ERROR_IMAGE_CRC"]
     with pytest.raises(TableError, match=r"fk_error_t -25"):
         library.plan_batch(bytes(damaged), PATH, PlanConfig(), np.zeros((1, 6)))
-
-
-def test_c_and_python_refuse_the_same_images(library: NativeLibrary) -> None:
-    """Random well-sealed changes: both open an image, or neither does."""
-    seed = 11
-    rng = np.random.default_rng(seed)
-    opened = 0
-    for number in range(count(1500, 20000)):
-        offset = int(rng.integers(4, 160)) if rng.random() < 0.7 else int(rng.integers(160, len(IMAGE)))
-        content = synthetic.resealed(IMAGE, offset, bytes([int(rng.integers(0, 256))]))
-        try:
-            open_image(content)
-            good = True
-        except TableError:
-            good = False
-        opened += good
-        assert (library.open_status(content) == 0) == good, f"seed {seed}, number {number}, byte {offset}"
-    assert opened > 100
-
-
-def test_c_and_python_find_the_same_break_of_order(library: NativeLibrary) -> None:
-    content = synthetic.image(120, 1)
-    states_at = layout.sections(120, 1).states
-    rng = np.random.default_rng(12)
-    broken = 0
-    for _ in range(count(400, 4000)):
-        row, axis = int(rng.integers(0, 120)), int(rng.integers(0, 3))
-        code = struct.pack("<h", int(rng.integers(-4000, 4000)))
-        changed = synthetic.resealed(content, states_at + 6 * row + 2 * axis, code)
-        codes = np.frombuffer(changed, "<i2", 360, states_at).reshape(120, 3)
-        wrong = layout.kd_violation(codes) is not None
-        broken += wrong
-        assert (library.open_status(changed) == header_numbers()["FK_ERROR_IMAGE_ORDER"]) == wrong
-    assert broken > 100
 
 
 def test_the_crc_is_zlib_s(library: NativeLibrary) -> None:
@@ -169,7 +102,7 @@ def test_sine_and_cosine_have_the_twin_s_bits_and_float32_accuracy(library: Nati
     assert np.abs(cosines - np.cos(angles.astype(float))).max() <= 1.6 * 2**-24
     some = np.concatenate([angles[:: count(101, 11)], angles[-1004:]])
     some = np.concatenate([some, np.array([2100.2, np.inf, -np.inf, np.nan], dtype=np.float32)])
-    twin = np.array([kernel.sincos(angle) for angle in some], dtype=np.float32)
+    twin = np.array([floats.sincos(angle) for angle in some], dtype=np.float32)
     native = np.stack(library.sincos(some), axis=1)
     np.testing.assert_array_equal(np.isnan(native), np.isnan(twin))
     numbers = ~np.isnan(native)
@@ -179,7 +112,7 @@ def test_sine_and_cosine_have_the_twin_s_bits_and_float32_accuracy(library: Nati
 @given(st.floats(width=32))
 def test_wrapped_angles_have_the_twin_s_bits(library: NativeLibrary, angle: float) -> None:
     native = library.wrap_angle([angle])[0]
-    twin = np.float32(kernel.wrap_angle(np.float32(angle)))
+    twin = np.float32(floats.wrap_angle(np.float32(angle)))
     assert native.tobytes() == twin.tobytes() or (np.isnan(native) and np.isnan(twin))
 
 
@@ -197,17 +130,6 @@ def test_the_tree_finds_the_exact_neighbour_and_the_lowest_row_of_a_tie(library:
     ties = (distance2 == distance2.min(axis=1, keepdims=True)).sum(axis=1)
     assert (ties > 1).sum() > 500
     np.testing.assert_array_equal(rows["nearest_state"], distance2.argmin(axis=1))
-
-
-def test_the_widest_squared_distance_does_not_overflow(library: NativeLibrary) -> None:
-    """Two rows in opposite corners: 3 x 32766^2 must still compare as the larger distance."""
-    velocity = np.array([[-0.16383] * 3, [0.16383] * 3])
-    motion = np.zeros((2, 1, 3))
-    content = synthetic.pack(velocity, motion, np.zeros((2, 1, 3)), velocity_scale=(1e-5, 1e-5, 1e-5))
-    tables = open_image(content)
-    rows = library.plan_batch(content, PATH, PlanConfig(), [[0, 0, 0, -1, -1, -1], [0, 0, 0, 1, 1, 1]])
-    for row, code in zip(rows, (-16383, 16383), strict=True):
-        assert tables.states[row["nearest_state"]].tolist() == [code] * 3
 
 
 def test_shapes_that_do_not_fit_are_refused(library: NativeLibrary) -> None:

@@ -9,7 +9,6 @@ from tests.planner import synthetic
 
 from frogkick.errors import FrogkickError, InputError
 from frogkick.planner.image import Tables, open_image
-from frogkick.planner.layout import sections
 from frogkick.planner.plan import PlanConfig
 from frogkick_codegen.native import NativeLibrary, planner_files
 from frogkick_codegen.parity import (
@@ -99,17 +98,22 @@ def test_python_and_c_agree_where_ties_abound(library: NativeLibrary) -> None:
 
 def test_every_kind_of_state_is_there_and_is_what_it_says() -> None:
     cases = make_cases(TABLES, PATH, 15_000, SEED)
-    rows = python_place(TABLES, PATH, PlanConfig())(cases.states, cases.depths)
+    rows = python_place(TABLES, PATH, PlanConfig())(
+        cases.states, cases.depths, cases.limb_use, cases.along_points
+    )
     by_kind = {name: cases.kinds == index for index, name in enumerate(KINDS)}
     assert set(np.unique(cases.depths)) == {1, 2, 3, 4}
-    assert len(KINDS) == 15
-    assert set(np.unique(cases.head(15).kinds)) == set(range(15))
+    assert len(KINDS) == 17
+    assert set(np.unique(cases.head(17).kinds)) == set(range(17))
     status = {name: set(rows["status"][mask].tolist()) for name, mask in by_kind.items()}
     assert status["not_finite"] == {-2}
-    assert status["limit"] == {0, -3}
+    assert status["limit"] == status["limb_use"] == {0, -3}
+    assert status["along"] == {0, -2, -3}
     assert status["any_bits"] == {0, -2}
     assert all(
-        found == {0} for name, found in status.items() if name not in ("not_finite", "limit", "any_bits")
+        found == {0}
+        for name, found in status.items()
+        if name not in ("not_finite", "limit", "any_bits", "limb_use", "along")
     )
     assert not cases.states[by_kind["rest"], 3:].any()
     small = np.abs(cases.states[by_kind["subnormal"]])
@@ -143,17 +147,21 @@ def test_the_same_seed_makes_the_same_states() -> None:
 
 
 MUTATIONS = {
-    "a tie takes the highest row": ("nearest.c", "(middle < best_row)", "(middle > best_row)"),
+    "a tie takes the highest row": ("nearest.c", "(row < best_row)", "(row > best_row)"),
     "a side at the best distance is cut": (
         "nearest.c",
-        "plane_distance2 <= best_distance2",
-        "plane_distance2 < best_distance2",
+        "box_distance2 > best_distance2",
+        "box_distance2 >= best_distance2",
     ),
     "a half is rounded down": ("nearest.c", "rest >= 0.5f", "rest > 0.5f"),
     "a half below zero is rounded up": ("nearest.c", "rest <= -0.5f", "rest < -0.5f"),
     "codes are truncated": ("nearest.c", "whole += 1;", "whole += 0;"),
     "a path tie takes the highest point": ("path.c", "distance2 < best_m2", "distance2 <= best_m2"),
-    "an equal branch replaces the first": ("tree.c", "next->cost >= best_cost", "next->cost > best_cost"),
+    "an equal branch replaces the first": (
+        "tree.c",
+        "(first_action >= search->best_action)",
+        "(first_action < search->best_action)",
+    ),
     "the cost is summed in another order": (
         "cost.c",
         "(distance_cost + angle_cost) + progress_cost",
@@ -161,11 +169,11 @@ MUTATIONS = {
     ),
     "the rotation is summed in another order": (
         "tree.c",
-        "from->x_m + (from->cosine * forward_m - from->sine * left_m)",
-        "(from->x_m + from->cosine * forward_m) - from->sine * left_m",
+        "from->x_m + (from->cosine * motion->forward_m - from->sine * motion->left_m)",
+        "(from->x_m + from->cosine * motion->forward_m) - from->sine * motion->left_m",
     ),
-    "a coefficient is one unit off": ("math.c", "0.0416666456f", "0.0416666493f"),
-    "levels weigh one more": ("tree.c", "config->depth - 1U - index", "config->depth - index"),
+    "a coefficient is one unit off": ("fk_trig.h", "0.0416666456f", "0.0416666493f"),
+    "levels weigh one more": ("tree.c", "(float)(levels - 1U - index)", "(float)(levels - index)"),
     "the angle is not wrapped": ("cost.c", "fk_wrap_angle(heading_rad", "(heading_rad"),
     "infinity is let through": ("math.c", ">= FK_FLOAT_INFINITY ?", "> FK_FLOAT_INFINITY ?"),
     "the limit itself is refused": (
@@ -196,7 +204,8 @@ def test_a_changed_rule_in_the_c_is_found(name: str) -> None:
 
 
 def test_a_changed_byte_of_the_table_is_found(library: NativeLibrary) -> None:
-    entry = sections(300, 9).transitions + 12 * (9 * 150 + 4)
+    row_bytes = (TABLES.sections.length - TABLES.sections.transitions) // 300
+    entry = TABLES.sections.transitions + row_bytes * 150 + row_bytes // 2
     changed = open_image(synthetic.resealed(TABLES.image, entry, bytes([TABLES.image[entry] ^ 0x40])))
     config = PlanConfig()
     cases = make_cases(TABLES, PATH, 15_000, SEED)
@@ -215,8 +224,8 @@ def test_three_places_are_compared_in_pairs(library: NativeLibrary) -> None:
     config = PlanConfig()
     python, native = python_place(TABLES, PATH, config), native_place(library, TABLES, PATH, config)
 
-    def off_by_a_bit(states: np.ndarray, depths: np.ndarray) -> np.ndarray:
-        rows = native(states, depths)
+    def off_by_a_bit(*given: np.ndarray) -> np.ndarray:
+        rows = native(*given)
         rows["cost"][7] = np.nextafter(rows["cost"][7], np.float32(np.inf))
         return rows
 
@@ -237,6 +246,6 @@ def test_unusable_comparisons_are_refused() -> None:
     with pytest.raises(FrogkickError, match="1 place given"):
         compare(cases, {"python": place})
     with pytest.raises(FrogkickError, match="'short' returned"):
-        compare(cases, {"python": place, "short": lambda states, depths: place(states, depths)[:3]})
+        compare(cases, {"python": place, "short": lambda *given: place(*given)[:3]})
     with pytest.raises(InputError, match="0 states"):
         make_cases(TABLES, PATH, 0, 1)

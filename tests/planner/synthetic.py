@@ -9,7 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from frogkick.planner.image import Tables, open_image, pack_nearest
+from frogkick.planner.image import Tables, open_image
+from frogkick.planner.packing import pack_affine, pack_nearest
 
 VELOCITY_SCALE = (1e-5, 1e-5, 1.745329e-4)
 LOW = np.array([0.0, -0.03, -0.5236])
@@ -68,6 +69,39 @@ def pack(velocity: npt.ArrayLike, motion: npt.ArrayLike, end: npt.ArrayLike, **c
 def image(states: int = 300, actions: int = 9, seed: int = 1) -> bytes:
     """Return the image of a made-up table."""
     return pack(*transitions(states, actions, seed))
+
+
+def affine_parts(states: int, actions: int, seed: int) -> dict[str, npt.NDArray[np.float64]]:
+    """Return velocities, base, jacobian and history as pack_affine takes them: smooth, and of no physics."""
+    velocity, motion, end = transitions(states, actions, seed)
+    rng = np.random.default_rng([seed, 1])
+    size = np.array(VELOCITY_SCALE)  # derivatives of about as many codes per code
+    slope = rng.normal(0.0, 0.25, (actions, 6, 3)) * np.tile(size, 2)[:, None] / size
+    slope = slope * np.cos(20.0 * velocity[:, None, None, :])
+    return {
+        "velocities": velocity,
+        "base": np.concatenate([motion, end], axis=2),
+        "jacobian": slope,
+        "history": rng.normal(0.0, 0.004, (actions, 4, 6)),
+    }
+
+
+def affine_image(states: int = 120, actions: int = 9, seed: int = 1, **changes: object) -> bytes:
+    """Return the image of a made-up table of kind affine; ``changes`` replace arguments of pack_affine."""
+    arguments: dict[str, object] = {
+        "robot_id": "frog2022",
+        "provenance": bytes(range(32)),
+        "period_us": 1_425_000,
+        "pulse_us": 80_000,
+        "second_delay_us": 80_000,
+        "limbs": 4,
+        "action_rows": [(chr(ord("A") + i), i % 16, (3 * i) % 16) for i in range(actions)],
+        "velocity_scale": VELOCITY_SCALE,
+        "use_decay": 0.61,
+        "use_gain": 0.43,
+        **affine_parts(states, actions, seed),
+    }
+    return pack_affine(**(arguments | changes))  # type: ignore[arg-type]
 
 
 def grid_tables(seed: int = 3, states: int = 200) -> Tables:

@@ -13,7 +13,7 @@ from tests.conftest import count
 from tests.planner import synthetic
 
 from frogkick.errors import InputError
-from frogkick.planner import kernel
+from frogkick.planner import floats, kernel
 from frogkick.planner.image import Tables, open_image
 from frogkick.planner.plan import PlanConfig, PlanError, plan, plan_batch
 
@@ -183,7 +183,7 @@ angles = st.floats(-2100, 2100, width=32)
 
 @given(angles)
 def test_wrapped_angles_are_the_same_direction_within_half_a_turn(angle: float) -> None:
-    wrapped = float(kernel.wrap_angle(np.float32(angle)))
+    wrapped = float(floats.wrap_angle(np.float32(angle)))
     pi = float(np.float32(np.pi))
     assert -pi < wrapped <= pi
     assert abs(math.remainder(wrapped - angle, 2 * math.pi)) <= 4e-7
@@ -191,12 +191,12 @@ def test_wrapped_angles_are_the_same_direction_within_half_a_turn(angle: float) 
 
 @given(angles)
 def test_sine_and_cosine_are_within_a_ten_millionth(angle: float) -> None:
-    sine, cosine = kernel.sincos(np.float32(angle))
+    sine, cosine = floats.sincos(np.float32(angle))
     assert abs(float(sine) - math.sin(angle)) <= 1.6 * 2**-24
     assert abs(float(cosine) - math.cos(angle)) <= 1.6 * 2**-24
 
 
 def test_angles_beyond_the_range_are_nan() -> None:
     for angle in (2100.1, -2100.1, np.inf, -np.inf, np.nan):
-        assert np.isnan(kernel.wrap_angle(np.float32(angle)))
-        assert np.isnan(kernel.sincos(np.float32(angle))).all()
+        assert np.isnan(floats.wrap_angle(np.float32(angle)))
+        assert np.isnan(floats.sincos(np.float32(angle))).all()

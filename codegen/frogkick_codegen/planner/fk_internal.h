@@ -50,8 +50,26 @@ static inline float fk_float_of_bits(uint32_t bits)
 #define FK_FLOAT_INFINITY 0x7F800000U
 #define FK_FLOAT_NAN 0x7FC00000U
 
-/* Little-endian reads byte by byte: no alignment, aliasing or byte-order assumption. Compilers make one
- * load of each on the chip. */
+/* Little-endian reads of any alignment. A packed type says to GNU compilers that the bytes may lie anywhere
+ * and alias anything, and they make one load of it on the chip; elsewhere byte by byte. */
+#if defined(__GNUC__) && (__BYTE_ORDER__ == __ORDER_LITTLE_ENDIAN__)
+typedef struct __attribute__((packed, may_alias)) {
+    uint16_t value;
+} fk_packed_u16_t;
+typedef struct __attribute__((packed, may_alias)) {
+    uint32_t value;
+} fk_packed_u32_t;
+
+static inline uint32_t fk_read_u16(const uint8_t *bytes)
+{
+    return ((const fk_packed_u16_t *)bytes)->value;
+}
+
+static inline uint32_t fk_read_u32(const uint8_t *bytes)
+{
+    return ((const fk_packed_u32_t *)bytes)->value;
+}
+#else
 static inline uint32_t fk_read_u16(const uint8_t *bytes)
 {
     return (uint32_t)bytes[0] | ((uint32_t)bytes[1] << 8);
@@ -61,6 +79,7 @@ static inline uint32_t fk_read_u32(const uint8_t *bytes)
 {
     return fk_read_u16(bytes) | (fk_read_u16(bytes + 2) << 16);
 }
+#endif
 
 static inline int32_t fk_read_i16(const uint8_t *bytes)
 {
@@ -74,11 +93,15 @@ static inline float fk_read_f32(const uint8_t *bytes)
     return fk_float_of_bits(fk_read_u32(bytes));
 }
 
+/* Bytes of a column of kind affine: history of four limbs, or of eight. lookup.c */
+#define FK_AFFINE_COLUMN_BYTES(limbs) (((limbs) > 4U) ? 24U : 16U)
+
+/* Check a whole image, the first thing that is wrong first. tables_check.c
+ * @retval FK_OK, FK_ERROR_IMAGE_... */
+int32_t fk_image_check(const uint8_t *image, uint32_t size);
+
 /* Row of the table nearest to codes[3] (|code| <= FK_VELOCITY_CODE_MAX), the lowest on ties. nearest.c */
 uint16_t fk_nearest(const fk_tables_t *tables, const int32_t codes[3]);
-
-/* Velocity as codes, rounded half away from zero and clamped. velocity finite. nearest.c */
-int32_t fk_velocity_code(float velocity, float codes_per_velocity);
 
 /* Cost of being at a pose; path and config checked. cost.c */
 float fk_cost(const fk_path_t *path, const fk_plan_config_t *config, float x_m, float y_m, float heading_rad);

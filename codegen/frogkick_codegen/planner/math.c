@@ -1,5 +1,5 @@
 /* math.c - angles in float32 with + - * only, one defined order of operations, no libm. */
-#include "fk_internal.h"
+#include "fk_trig.h"
 
 /* Adding 1.5 * 2^23 and taking it away again rounds |value| < 2^22 to the nearest integer (ties to even). */
 #define FK_ROUND_SHIFT 12582912.0f
@@ -16,16 +16,6 @@
 #define FK_QUARTER_2_RAD 0.000483870506f
 #define FK_QUARTER_3_RAD (-4.37113883e-08f)
 #define FK_QUARTERS_PER_RAD 0.636619747f
-
-/* sin r = r + r^3 S(r^2), cos r = 1 - r^2 / 2 + r^4 C(r^2) for |r| <= pi / 4 + 0.001: least-maximum fits
- * (Lawson's iteration), error before rounding to float32 4e-9 and 1e-10, written with 9 digits, which name
- * a float32 exactly. */
-#define FK_SIN_0 (-0.166666552f)
-#define FK_SIN_1 0.00833215471f
-#define FK_SIN_2 (-0.000195144545f)
-#define FK_COS_0 0.0416666456f
-#define FK_COS_1 (-0.00138873595f)
-#define FK_COS_2 2.44375333e-05f
 
 int32_t fk_float_is_not_finite(float value)
 {
@@ -65,7 +55,6 @@ void fk_sincos(float angle_rad, float *sine, float *cosine)
 {
     float quarters;
     float rest;
-    float square;
     float sine_rest;
     float cosine_rest;
     uint32_t quadrant;
@@ -78,10 +67,7 @@ void fk_sincos(float angle_rad, float *sine, float *cosine)
     quarters = (angle_rad * FK_QUARTERS_PER_RAD + FK_ROUND_SHIFT) - FK_ROUND_SHIFT;
     rest = ((angle_rad - quarters * FK_QUARTER_1_RAD) - quarters * FK_QUARTER_2_RAD)
          - quarters * FK_QUARTER_3_RAD;
-    square = rest * rest;
-    sine_rest = rest + rest * square * (FK_SIN_0 + square * (FK_SIN_1 + square * FK_SIN_2));
-    cosine_rest = (1.0f - 0.5f * square)
-                + square * square * (FK_COS_0 + square * (FK_COS_1 + square * FK_COS_2));
+    fk_sincos_small(rest, &sine_rest, &cosine_rest);
     /* |quarters| <= 1337 fits int32_t; the lowest two bits of two's complement are its value modulo 4. */
     quadrant = (uint32_t)(int32_t)quarters & 3U;
     if (quadrant == 0U) {

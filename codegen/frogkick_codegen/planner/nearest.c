@@ -1,19 +1,16 @@
 /* nearest.c - the table row nearest to a velocity, exactly, over an implicit k-d tree.
  *
- * Metric: squared difference of codes, summed over the three axes. Widths: codes are within +-16383, so a
- * difference is within +-32766; its square is at most 1 073 610 756 < 2^31, so it fits int32_t; the sum of
- * three is at most 3 220 832 268 < 2^32, so it fits uint32_t. Nothing overflows, nothing is rounded. */
+ * Metric: squared difference of codes, summed over the three axes. Widths: codes and splits are within
+ * +-16383, so a difference is within +-32766; its square is at most 1 073 610 756 < 2^31, so it fits int32_t;
+ * the sum of three is at most 3 220 832 268 < 2^32, so it fits uint32_t. Nothing overflows or is rounded. */
 #include "fk_internal.h"
 
-/* A tree of 65535 rows has 16 levels (2^16 - 1 rows fill them), and a search keeps at most one postponed
- * side for each level. */
-#define FK_KD_LEVELS_MAX 16U
-
+/* A side of a split that waits, with the squared distance along each axis from the query to its box. */
 typedef struct {
-    uint32_t plane_distance2; /* codes^2 from the query to the plane that splits this side off */
-    uint16_t low;             /* first row of the side */
-    uint16_t high;            /* one past its last row */
-    uint32_t axis;            /* axis that splits it: 0, 1, 2 */
+    uint32_t box_distance2; /* codes^2, sum of the three: no row of the side is nearer */
+    uint32_t apart2[3];     /* codes^2 */
+    uint32_t axes;          /* of its split and those below, two bits each */
+    uint32_t node;          /* heap order, 1 is the root; leaves follow the splits */
 } fk_side_t;
 
 int32_t fk_velocity_code(float velocity, float codes_per_velocity)
@@ -40,63 +37,77 @@ int32_t fk_velocity_code(float velocity, float codes_per_velocity)
 
 uint16_t fk_nearest(const fk_tables_t *tables, const int32_t codes[3])
 {
-    fk_side_t sides[FK_KD_LEVELS_MAX];
-    uint32_t waiting = 0U;
-    uint32_t low = 0U;
-    uint32_t high = tables->states;
-    uint32_t axis = 0U;
+    fk_side_t sides[FK_TREE_LEVELS_MAX + 1U]; /* the root, later at most one for each level */
+    const uint32_t levels = tables->tree_levels;
+    const uint32_t leaves = 1U << levels;
+    uint32_t waiting = 1U;
     uint32_t best_row = 0U;
     uint32_t best_distance2 = UINT32_MAX; /* above every distance, so the first row replaces it */
+    uint32_t axis;
 
-    for (;;) {
-        while (low < high) {
-            const uint32_t middle = low + (high - low) / 2U;
-            const uint8_t *row = tables->state_rows + 6U * middle;
-            int32_t difference[3];
-            uint32_t distance2;
-            uint32_t plane_distance2;
-            uint32_t next_axis = (axis == 2U) ? 0U : axis + 1U;
+    sides[0].box_distance2 = 0U;
+    sides[0].axes = tables->axes;
+    sides[0].node = 1U;
+    for (axis = 0U; axis < 3U; axis++) { /* to the box that holds all states */
+        const int32_t below = tables->state_least[axis] - codes[axis];
+        const int32_t above = codes[axis] - tables->state_most[axis];
+        const int32_t apart = (below > 0) ? below : ((above > 0) ? above : 0);
+        sides[0].apart2[axis] = (uint32_t)(apart * apart);
+        sides[0].box_distance2 += sides[0].apart2[axis];
+    }
+    while (waiting > 0U) {
+        const fk_side_t *from = &sides[waiting - 1U];
+        const uint32_t box_distance2 = from->box_distance2;
+        const uint32_t apart2[3] = {from->apart2[0], from->apart2[1], from->apart2[2]};
+        uint32_t axes = from->axes;
+        uint32_t node = from->node;
+        uint32_t row;
+        uint32_t end;
+        const uint8_t *state;
 
-            difference[0] = codes[0] - fk_read_i16(row);
-            difference[1] = codes[1] - fk_read_i16(row + 2);
-            difference[2] = codes[2] - fk_read_i16(row + 4);
-            distance2 = (uint32_t)(difference[0] * difference[0]) + (uint32_t)(difference[1] * difference[1])
-                      + (uint32_t)(difference[2] * difference[2]);
-            if ((distance2 < best_distance2) || ((distance2 == best_distance2) && (middle < best_row))) {
-                best_distance2 = distance2;
-                best_row = middle;
-            }
-            plane_distance2 = (uint32_t)(difference[axis] * difference[axis]);
-            /* Near side first; the far side waits. Every row there is at least as far as the plane, so a
-             * side at exactly the best distance may still hold an equal row with a lower index. */
-            if (plane_distance2 <= best_distance2) {
+        waiting -= 1U;
+        /* A side at exactly the best distance may still hold an equal row with a lower index. */
+        if (box_distance2 > best_distance2) {
+            continue;
+        }
+        while (node < leaves) {
+            const uint32_t here = axes & 3U; /* 0, 1, 2: checked */
+            const int32_t difference = codes[here] - fk_read_i16(tables->splits + 2U * (node - 1U));
+            const uint32_t plane2 = (uint32_t)(difference * difference);
+            const uint32_t far_distance2 = box_distance2 - apart2[here] + plane2;
+            const uint32_t near = (difference < 0) ? 2U * node : 2U * node + 1U;
+
+            axes >>= 2;
+            if (far_distance2 <= best_distance2) { /* near side first; the far side waits */
                 fk_side_t *side = &sides[waiting];
-                side->plane_distance2 = plane_distance2;
-                side->axis = next_axis;
-                if (difference[axis] < 0) {
-                    side->low = (uint16_t)(middle + 1U); /* <= high <= 65535 */
-                    side->high = (uint16_t)high;
-                } else {
-                    side->low = (uint16_t)low;
-                    side->high = (uint16_t)middle;
-                }
+                side->box_distance2 = far_distance2;
+                side->apart2[0] = apart2[0];
+                side->apart2[1] = apart2[1];
+                side->apart2[2] = apart2[2];
+                side->apart2[here] = plane2;
+                side->axes = axes;
+                side->node = near ^ 1U;
                 waiting += 1U;
             }
-            if (difference[axis] < 0) {
-                high = middle;
-            } else {
-                low = middle + 1U;
-            }
-            axis = next_axis;
+            node = near;
         }
-        do {
-            if (waiting == 0U) {
-                return (uint16_t)best_row; /* < states <= 65535 */
+        /* Leaf i holds rows [(i n) >> levels, ((i + 1) n) >> levels). Widest: 2^13 * 65535 < 2^32. */
+        row = ((node - leaves) * tables->states) >> levels;
+        end = ((node - leaves + 1U) * tables->states) >> levels;
+        state = tables->state_rows + 6U * row;
+        for (; row < end; row++) {
+            const int32_t d0 = codes[0] - fk_read_i16(state);
+            const int32_t d1 = codes[1] - fk_read_i16(state + 2);
+            const int32_t d2 = codes[2] - fk_read_i16(state + 4);
+            const uint32_t distance2 =
+                (uint32_t)(d0 * d0) + (uint32_t)(d1 * d1) + (uint32_t)(d2 * d2);
+            /* Most rows are further: one comparison for them. */
+            if ((distance2 <= best_distance2) && ((distance2 != best_distance2) || (row < best_row))) {
+                best_distance2 = distance2;
+                best_row = row;
             }
-            waiting -= 1U;
-        } while (sides[waiting].plane_distance2 > best_distance2);
-        low = sides[waiting].low;
-        high = sides[waiting].high;
-        axis = sides[waiting].axis;
+            state += 6;
+        }
     }
+    return (uint16_t)best_row; /* < states <= 65535 */
 }

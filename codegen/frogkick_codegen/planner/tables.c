@@ -1,27 +1,29 @@
-/* tables.c - table images: every check before use, then pointers into the image.
+/* tables.c - table images: opened when fk_image_check() has passed every byte, then pointers into them.
  *
- * Format version 1 has one layout for given counts; the sections follow each other without gaps:
+ * Format version 2, little-endian; the sections follow each other without gaps, each on 4 bytes:
  *   0 magic "FKTB"        4 u16 format version  6 u16 kind          8 u32 length of the image
  *  12 u32 CRC-32 of bytes [16, length)         16 char[16] robot id
- *  32 u8[32] provenance  64 u32 period_us      68 u32 pulse_us     72 u16 states
- *  74 u8 actions         75 u8 limbs           76 u32 offset of actions
+ *  32 u8[32] provenance  64 u32 period_us      68 u32 pulse_us     72 u16 states n
+ *  74 u8 actions a       75 u8 limbs l         76 u32 offset of actions
  *  80 u32 offset of states                     84 u32 offset of transitions
  *  88 f32[3] velocity per code                100 f32[3] motion per code
- * 112 u32 second_delay_us                     116 u32[3] zero
- * actions: u8 name, first mask, second mask, zero; states: i16[3] each, then zeros to 4 bytes;
- * transitions: i16[6] for each state and action: three motion codes, three velocity codes. */
+ * 112 u32 second_delay_us                     116 u32 offset of columns
+ * 120 u32 offset of splits                    124 u32 offset of models
+ * 128 u16 bytes of a state's transitions r    130 u8 tree levels t  131 u8 block levels b
+ * 132 u16[3] motion limits                    138 u16[3] offset limits (affine)
+ * 144 u8[6] shifts      150 u16[6] codes per unit of a residual     162 u8[3] up (nearest)
+ * 165 u8 zero           166 u16 use decay     168 u16 use gain      170 u16 zero
+ * 172 u32 axes of the tree's levels: two bits each, the root's the lowest; 0 above
+ * actions: u8 name, first mask, second mask, zero
+ * columns: [a][6] of: nearest u16 bit offset in a state's transitions, u8 bits, u8 zero; affine i16[3] least
+ *   derivatives, i16 least value, i16[4] history, or i16[8] of more than 4 limbs, 0 beyond the limbs
+ * splits: i16[2^t - 1] in heap order: no code on its level's axis is above it to the left, below to the right
+ * models: nearest i16[2^b][a][6][10]; affine none
+ * states: i16[n][3]; leaf i of the tree holds rows [(i n) >> t, ((i + 1) n) >> t), block i likewise with b
+ * transitions: u8[n][r], each an unsigned residual for every column, least significant bit first, for affine
+ *   three of 7 bits and one of 11; then at least 3 zeros. Splits, states and transitions end with zeros to 4 bytes.
+ * lookup.c says how values come out of these. */
 #include "fk_internal.h"
-
-#define FK_KD_LEVELS_MAX 16U /* as in nearest.c */
-
-/* A range of rows that one split has confined to a box. */
-typedef struct {
-    uint32_t low;
-    uint32_t high;
-    uint32_t axis;
-    int32_t least[3]; /* codes, inclusive */
-    int32_t most[3];
-} fk_range_t;
 
 uint32_t fk_crc32(uint32_t crc, const uint8_t *bytes, uint32_t length)
 {
@@ -42,207 +44,34 @@ uint32_t fk_crc32(uint32_t crc, const uint8_t *bytes, uint32_t length)
     return ~crc;
 }
 
-/* Identity, size and integrity: after this every byte of the header may be believed to be as written. */
-static int32_t fk_check_identity(const uint8_t *image, uint32_t size)
-{
-    if (size < FK_IMAGE_HEADER_BYTES) {
-        return FK_ERROR_IMAGE_SIZE;
-    }
-    if ((image[0] != 0x46U) || (image[1] != 0x4BU) || (image[2] != 0x54U) || (image[3] != 0x42U)) {
-        return FK_ERROR_IMAGE_MAGIC;
-    }
-    if (fk_read_u16(image + 4) != FK_FORMAT_VERSION) {
-        return FK_ERROR_IMAGE_VERSION;
-    }
-    if (fk_read_u16(image + 6) != FK_KIND_NEAREST) {
-        return FK_ERROR_IMAGE_KIND;
-    }
-    if (fk_read_u32(image + 8) != size) {
-        return FK_ERROR_IMAGE_LENGTH;
-    }
-    if (fk_read_u32(image + 12) != fk_crc32(0U, image + 16, size - 16U)) {
-        return FK_ERROR_IMAGE_CRC;
-    }
-    return FK_OK;
-}
-
-/* Counts and section offsets. Widest image: 128 + 128 + 393 212 + 65535 x 32 x 12 = 25 558 908 bytes, so
- * nothing here overflows uint32_t. */
-static int32_t fk_check_layout(const uint8_t *image, uint32_t size)
-{
-    const uint32_t states = fk_read_u16(image + 72);
-    const uint32_t actions = image[74];
-    const uint32_t limbs = image[75];
-    const uint32_t states_offset = FK_IMAGE_HEADER_BYTES + 4U * actions;
-    const uint32_t transitions_offset = (states_offset + 6U * states + 3U) & ~3U;
-
-    if ((states < 1U) || (actions < 1U) || (actions > FK_ACTIONS_MAX) || (limbs < 1U)
-        || (limbs > FK_LIMBS_MAX)) {
-        return FK_ERROR_IMAGE_COUNT;
-    }
-    if ((fk_read_u32(image + 76) != FK_IMAGE_HEADER_BYTES) || (fk_read_u32(image + 80) != states_offset)
-        || (fk_read_u32(image + 84) != transitions_offset)
-        || (size != transitions_offset + 12U * states * actions)) {
-        return FK_ERROR_IMAGE_OFFSET;
-    }
-    return FK_OK;
-}
-
-static int32_t fk_check_robot_id(const uint8_t *robot_id)
-{
-    uint32_t length = 0U;
-    uint32_t index;
-
-    while ((length < FK_ROBOT_ID_BYTES) && (robot_id[length] != 0U)) {
-        if ((robot_id[length] < 0x21U) || (robot_id[length] > 0x7EU)) {
-            return FK_ERROR_IMAGE_ROBOT_ID;
-        }
-        length++;
-    }
-    if ((length < 1U) || (length == FK_ROBOT_ID_BYTES)) {
-        return FK_ERROR_IMAGE_ROBOT_ID;
-    }
-    for (index = length; index < FK_ROBOT_ID_BYTES; index++) {
-        if (robot_id[index] != 0U) {
-            return FK_ERROR_IMAGE_ROBOT_ID;
-        }
-    }
-    return FK_OK;
-}
-
-static int32_t fk_check_times_and_scales(const uint8_t *image)
-{
-    const uint32_t period_us = fk_read_u32(image + 64);
-    const uint32_t pulse_us = fk_read_u32(image + 68);
-    const uint32_t second_delay_us = fk_read_u32(image + 112);
-    uint32_t index;
-
-    if ((pulse_us < 1U) || (pulse_us >= period_us) || (second_delay_us >= period_us)) {
-        return FK_ERROR_IMAGE_TIMES;
-    }
-    for (index = 0U; index < 6U; index++) {
-        /* As bits: positive floats order like integers; negative ones, infinity and NaN lie above. */
-        const uint32_t bits = fk_read_u32(image + 88U + 4U * index);
-        if ((bits < fk_bits_of_float(FK_SCALE_MIN)) || (bits > fk_bits_of_float(FK_SCALE_MAX))) {
-            return FK_ERROR_IMAGE_SCALE;
-        }
-    }
-    for (index = 116U; index < FK_IMAGE_HEADER_BYTES; index++) {
-        if (image[index] != 0U) {
-            return FK_ERROR_IMAGE_PADDING;
-        }
-    }
-    return FK_OK;
-}
-
-static int32_t fk_check_actions(const uint8_t *rows, uint32_t actions, uint32_t limbs)
+/* The box that holds all states; image and counts are checked. */
+static void fk_bound_states(fk_tables_t *tables)
 {
     uint32_t index;
-    uint32_t other;
-
-    for (index = 0U; index < actions; index++) {
-        const uint8_t *row = rows + 4U * index;
-        const uint32_t masks = (uint32_t)row[1] | (uint32_t)row[2];
-        if ((row[0] < 0x21U) || (row[0] > 0x7EU) || ((masks >> limbs) != 0U)) {
-            return FK_ERROR_IMAGE_ACTION;
-        }
-        for (other = 0U; other < index; other++) {
-            if (rows[4U * other] == row[0]) {
-                return FK_ERROR_IMAGE_ACTION;
-            }
-        }
-        if (row[3] != 0U) {
-            return FK_ERROR_IMAGE_PADDING;
-        }
-    }
-    return FK_OK;
-}
-
-/* Three codes within +-limit. */
-static int32_t fk_check_codes(const uint8_t *codes, int32_t limit)
-{
     uint32_t axis;
 
     for (axis = 0U; axis < 3U; axis++) {
-        const int32_t code = fk_read_i16(codes + 2U * axis);
-        if ((code > limit) || (code < -limit)) {
-            return FK_ERROR_IMAGE_CODE;
-        }
+        tables->state_least[axis] = FK_VELOCITY_CODE_MAX;
+        tables->state_most[axis] = -FK_VELOCITY_CODE_MAX;
     }
-    return FK_OK;
-}
-
-/* Every row lies on the right side of every split above it: otherwise a search would be wrong, silently. */
-static int32_t fk_check_order(const uint8_t *rows, uint32_t states)
-{
-    /* One postponed upper range for each level at most. */
-    fk_range_t waiting[FK_KD_LEVELS_MAX];
-    fk_range_t range = {0U, states, 0U, {INT16_MIN, INT16_MIN, INT16_MIN}, {INT16_MAX, INT16_MAX, INT16_MAX}};
-    uint32_t count = 0U;
-
-    for (;;) {
-        while (range.low < range.high) {
-            const uint32_t middle = range.low + (range.high - range.low) / 2U;
-            const uint32_t next_axis = (range.axis == 2U) ? 0U : range.axis + 1U;
-            fk_range_t *upper = &waiting[count];
-            int32_t split;
-            uint32_t axis;
-            for (axis = 0U; axis < 3U; axis++) {
-                const int32_t code = fk_read_i16(rows + 6U * middle + 2U * axis);
-                if ((code < range.least[axis]) || (code > range.most[axis])) {
-                    return FK_ERROR_IMAGE_ORDER;
-                }
+    for (index = 0U; index < tables->states; index++) {
+        for (axis = 0U; axis < 3U; axis++) {
+            const int32_t code = fk_read_i16(tables->state_rows + 6U * index + 2U * axis);
+            if (code < tables->state_least[axis]) {
+                tables->state_least[axis] = code;
             }
-            split = fk_read_i16(rows + 6U * middle + 2U * range.axis);
-            *upper = range;
-            upper->low = middle + 1U;
-            upper->axis = next_axis;
-            upper->least[range.axis] = split;
-            count += 1U;
-            range.high = middle;
-            range.most[range.axis] = split;
-            range.axis = next_axis;
-        }
-        if (count == 0U) {
-            return FK_OK;
-        }
-        count -= 1U;
-        range = waiting[count];
-    }
-}
-
-/* Paddings, codes and order of the two big sections; the layout stands. */
-static int32_t fk_check_sections(const uint8_t *image)
-{
-    const uint32_t states = fk_read_u16(image + 72);
-    const uint32_t transitions = states * image[74];
-    const uint8_t *state_rows = image + fk_read_u32(image + 80);
-    const uint8_t *transition_rows = image + fk_read_u32(image + 84);
-    const uint8_t *padding;
-    uint32_t index;
-
-    for (padding = state_rows + 6U * states; padding < transition_rows; padding++) {
-        if (*padding != 0U) {
-            return FK_ERROR_IMAGE_PADDING;
+            if (code > tables->state_most[axis]) {
+                tables->state_most[axis] = code;
+            }
         }
     }
-    for (index = 0U; index < states; index++) {
-        if (fk_check_codes(state_rows + 6U * index, FK_VELOCITY_CODE_MAX) != FK_OK) {
-            return FK_ERROR_IMAGE_CODE;
-        }
-    }
-    for (index = 0U; index < transitions; index++) {
-        if ((fk_check_codes(transition_rows + 12U * index, FK_MOTION_CODE_MAX) != FK_OK)
-            || (fk_check_codes(transition_rows + 12U * index + 6U, FK_VELOCITY_CODE_MAX) != FK_OK)) {
-            return FK_ERROR_IMAGE_CODE;
-        }
-    }
-    return fk_check_order(state_rows, states);
 }
 
 int32_t fk_tables_open(const uint8_t *image, uint32_t size, fk_tables_t *tables)
 {
     uint32_t index;
+    float forward_m;
+    float left_m;
     int32_t error;
 
     if ((image == NULL) || (tables == NULL)) {
@@ -250,28 +79,16 @@ int32_t fk_tables_open(const uint8_t *image, uint32_t size, fk_tables_t *tables)
     }
     error = fk_float_check();
     if (error == FK_OK) {
-        error = fk_check_identity(image, size);
-    }
-    if (error == FK_OK) {
-        error = fk_check_layout(image, size);
-    }
-    if (error == FK_OK) {
-        error = fk_check_robot_id(image + 16);
-    }
-    if (error == FK_OK) {
-        error = fk_check_times_and_scales(image);
-    }
-    if (error == FK_OK) {
-        error = fk_check_actions(image + FK_IMAGE_HEADER_BYTES, image[74], image[75]);
-    }
-    if (error == FK_OK) {
-        error = fk_check_sections(image);
+        error = fk_image_check(image, size);
     }
     if (error != FK_OK) {
         return error;
     }
 
-    tables->action_rows = image + FK_IMAGE_HEADER_BYTES;
+    tables->action_rows = image + fk_read_u32(image + 76);
+    tables->columns = image + fk_read_u32(image + 116);
+    tables->splits = image + fk_read_u32(image + 120);
+    tables->models = image + fk_read_u32(image + 124);
     tables->state_rows = image + fk_read_u32(image + 80);
     tables->transition_rows = image + fk_read_u32(image + 84);
     tables->provenance = image + 32;
@@ -284,32 +101,47 @@ int32_t fk_tables_open(const uint8_t *image, uint32_t size, fk_tables_t *tables)
         tables->velocity_scale[index] = fk_read_f32(image + 88U + 4U * index);
         tables->codes_per_velocity[index] = 1.0f / tables->velocity_scale[index];
         tables->motion_scale[index] = fk_read_f32(image + 100U + 4U * index);
+        tables->motion_limit[index] = (int32_t)fk_read_u16(image + 132U + 2U * index);
+        tables->offset_limit[index] = (int32_t)fk_read_u16(image + 138U + 2U * index);
+        tables->up[index] = image[162U + index];
     }
+    for (index = 0U; index < 6U; index++) {
+        tables->shift[index] = image[144U + index];
+        tables->unit[index] = (uint16_t)fk_read_u16(image + 150U + 2U * index);
+    }
+    forward_m = (float)tables->motion_limit[0] * tables->motion_scale[0];
+    left_m = (float)tables->motion_limit[1] * tables->motion_scale[1];
+    tables->reach_m = FK_SQRT(forward_m * forward_m + left_m * left_m);
+    tables->turn_max_rad = (float)tables->motion_limit[2] * tables->motion_scale[2];
     tables->states = (uint16_t)fk_read_u16(image + 72);
+    tables->row_bytes = (uint16_t)fk_read_u16(image + 128);
+    tables->use_decay = (uint16_t)fk_read_u16(image + 166);
+    tables->use_gain = (uint16_t)fk_read_u16(image + 168);
+    tables->axes = fk_read_u32(image + 172);
+    tables->kind = image[6];
+    tables->tree_levels = image[130];
+    tables->block_levels = image[131];
     tables->actions = image[74];
     tables->limbs = image[75];
     for (index = 0U; index < FK_ROBOT_ID_BYTES; index++) {
         tables->robot_id[index] = (char)image[16U + index]; /* printable ASCII or NUL, checked */
     }
+    fk_bound_states(tables);
     return FK_OK;
 }
 
 int32_t fk_tables_check_robot(const fk_tables_t *tables, const char *robot_id)
 {
-    uint32_t index;
+    uint32_t index = 0U;
 
     if ((tables == NULL) || (robot_id == NULL)) {
         return FK_ERROR_NULL;
     }
-    for (index = 0U; index < FK_ROBOT_ID_BYTES; index++) {
-        if (tables->robot_id[index] != robot_id[index]) {
-            return FK_ERROR_ROBOT;
-        }
-        if (robot_id[index] == '\0') {
-            break;
-        }
+    /* The table's id ends with a NUL within FK_ROBOT_ID_BYTES (checked), where a longer one differs. */
+    while ((robot_id[index] != '\0') && (robot_id[index] == tables->robot_id[index])) {
+        index++;
     }
-    return FK_OK;
+    return (robot_id[index] == tables->robot_id[index]) ? FK_OK : FK_ERROR_ROBOT;
 }
 
 int32_t fk_tables_action(const fk_tables_t *tables, uint8_t index, fk_action_t *action)

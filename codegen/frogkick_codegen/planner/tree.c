@@ -1,44 +1,71 @@
-/* tree.c - the search: depth first over sequences of actions, with an explicit stack. */
-#include "fk_internal.h"
+/* tree.c - the search over sequences of actions: level after level, each depth first with an explicit stack. */
+#include "fk_route.h"
+#include "fk_trig.h"
 
 /* A state on the way down: world pose, table row of its velocity, cost so far. */
 typedef struct {
     float x_m;
     float y_m;
-    float heading_rad; /* wrapped */
-    float sine;        /* of the heading */
+    float heading_rad;    /* wrapped */
+    float sine;           /* of the heading */
     float cosine;
-    float cost;             /* sum over the levels above, added from the root */
-    const uint8_t *actions; /* the row's transitions, 12 bytes for each action */
-    uint32_t next_action;   /* first action not yet tried */
+    float cost;           /* sum over the levels above, added from the root */
+    float place_m;        /* along the route, from its first knot */
+    uint32_t knot;        /* of the route */
+    uint32_t next_action; /* first action not yet tried */
+    fk_dynamics_t dynamics;
+    fk_lookup_t lookup;
 } fk_node_t;
+
+typedef struct {
+    const fk_tables_t *tables;
+    const fk_path_t *path;
+    const fk_plan_config_t *config;
+    fk_node_t nodes[FK_DEPTH_MAX]; /* a level's own; the last level's successors are costed and forgotten */
+    fk_route_t route;
+    float shallow_cost[FK_ACTIONS_MAX]; /* of each action at level 1 */
+    float level_factor[FK_DEPTH_MAX];   /* paper: of each level of the search under way */
+    float best_cost;                    /* of the search under way */
+    uint32_t best_action;
+    uint32_t transitions;
+    uint32_t levels;                    /* of the search under way */
+} fk_search_t;
+
+static int32_t fk_is_weight(float value)
+{
+    /* -0.0 has the sign bit and is refused like every negative weight; NaN lies above the limit. */
+    return (fk_bits_of_float(value) <= fk_bits_of_float(FK_WEIGHT_MAX)) ? 1 : 0;
+}
 
 static int32_t fk_config_check(const fk_plan_config_t *config)
 {
-    const uint32_t limit = fk_bits_of_float(FK_WEIGHT_MAX);
-
     if ((config->depth < 1U) || (config->depth > FK_DEPTH_MAX)) {
         return FK_ERROR_DEPTH;
     }
-    /* -0.0 has the sign bit and is refused like every negative weight; NaN lies above the limit. */
-    if ((fk_bits_of_float(config->distance_weight_per_m) > limit)
-        || (fk_bits_of_float(config->angle_weight_per_rad) > limit)
-        || (fk_bits_of_float(config->progress_weight) > limit)
-        || (fk_bits_of_float(config->level_weight) > limit)) {
+    if ((config->cost != (uint8_t)FK_COST_PAPER) && (config->cost != (uint8_t)FK_COST_ROUTE)) {
+        return FK_ERROR_COST;
+    }
+    if ((fk_is_weight(config->distance_weight_per_m) == 0) || (fk_is_weight(config->angle_weight_per_rad) == 0)
+        || (fk_is_weight(config->progress_weight) == 0) || (fk_is_weight(config->level_weight) == 0)
+        || (fk_is_weight(config->progress_weight_per_m) == 0) || (fk_is_weight(config->look_ahead_m) == 0)
+        || (fk_is_weight(config->soft_distance_m) == 0) || (fk_is_weight(config->turn_lead) == 0)
+        || (config->turn_lead > FK_TURN_LEAD_MAX)) {
         return FK_ERROR_WEIGHT;
     }
     return FK_OK;
 }
 
-static int32_t fk_state_check(const fk_state_t *state)
+static int32_t fk_state_check(const fk_state_t *state, uint32_t points)
 {
+    uint32_t limb;
     const uint32_t position_limit = fk_bits_of_float(FK_POSITION_MAX_M);
     const uint32_t heading_limit = fk_bits_of_float(FK_HEADING_MAX_RAD);
 
     if ((fk_float_is_not_finite(state->x_m) != 0) || (fk_float_is_not_finite(state->y_m) != 0)
         || (fk_float_is_not_finite(state->heading_rad) != 0) || (fk_float_is_not_finite(state->vx_mps) != 0)
         || (fk_float_is_not_finite(state->vy_mps) != 0)
-        || (fk_float_is_not_finite(state->omega_rad_s) != 0)) {
+        || (fk_float_is_not_finite(state->omega_rad_s) != 0)
+        || (fk_float_is_not_finite(state->along_points) != 0)) {
         return FK_ERROR_NOT_FINITE;
     }
     if (((fk_bits_of_float(state->x_m) & FK_FLOAT_MAGNITUDE) > position_limit)
@@ -46,120 +73,330 @@ static int32_t fk_state_check(const fk_state_t *state)
         || ((fk_bits_of_float(state->heading_rad) & FK_FLOAT_MAGNITUDE) > heading_limit)) {
         return FK_ERROR_RANGE;
     }
+    for (limb = 0U; limb < FK_LIMBS_MAX; limb++) {
+        if (state->limb_use[limb] > FK_LIMB_USE_MAX) {
+            return FK_ERROR_RANGE;
+        }
+    }
+    if (!((state->along_points >= 0.0f) && (state->along_points <= (float)(points - 1U)))) {
+        return FK_ERROR_RANGE;
+    }
     return FK_OK;
 }
 
-/* Finish a node whose pose stands: look up its row and its heading's sine. Returns the row. */
-static uint16_t fk_node_open(const fk_tables_t *tables, fk_node_t *node, const int32_t codes[3])
+/* Finish a node whose pose and dynamics stand: look them up, and its heading's sine. */
+static void fk_node_open(const fk_tables_t *tables, fk_node_t *node)
 {
-    const uint16_t row = fk_nearest(tables, codes);
-
+    fk_lookup(tables, &node->dynamics, &node->lookup);
     fk_sincos(node->heading_rad, &node->sine, &node->cosine);
-    /* Widest offset: 65534 rows x 32 actions x 12 bytes = 25 165 056, within uint32_t. */
-    node->actions = tables->transition_rows + (uint32_t)row * tables->actions * 12U;
     node->next_action = 0U;
-    return row;
 }
 
-/* Pose after one action: the table's motion, turned from the body into the world. */
-static void fk_node_move(const fk_tables_t *tables, const fk_node_t *from, const uint8_t *codes,
-                         fk_node_t *to)
+/* Whether a branch that begins with this action and costs at least this much can no longer be the best. Costs are
+ * not negative, and rounding keeps a sum from falling when something not negative is added, so this is exact. */
+static int32_t fk_is_left(const fk_search_t *search, uint32_t first_action, float cost)
 {
-    const float forward_m = (float)fk_read_i16(codes) * tables->motion_scale[0];
-    const float left_m = (float)fk_read_i16(codes + 2) * tables->motion_scale[1];
-    const float turn_rad = (float)fk_read_i16(codes + 4) * tables->motion_scale[2];
+    return ((cost > search->best_cost) || ((cost == search->best_cost) && (first_action >= search->best_action)))
+             ? 1
+             : 0;
+}
 
-    to->x_m = from->x_m + (from->cosine * forward_m - from->sine * left_m);
-    to->y_m = from->y_m + (from->sine * forward_m + from->cosine * left_m);
-    to->heading_rad = fk_wrap_angle(from->heading_rad + turn_rad);
+/* Position after one action: the table's motion, turned from the body into the world. */
+static void fk_node_move(const fk_node_t *from, const fk_motion_t *motion, float *x_m, float *y_m)
+{
+    *x_m = from->x_m + (from->cosine * motion->forward_m - from->sine * motion->left_m);
+    *y_m = from->y_m + (from->sine * motion->forward_m + from->cosine * motion->left_m);
+}
+
+/* Direction after one action, and after what it is taken to turn on. */
+static void fk_node_direction(const fk_node_t *from, const fk_motion_t *motion, float turn_lead, float *cosine,
+                              float *sine)
+{
+    const float turn_rad = motion->turn_rad + turn_lead * motion->turn_rad;
+    float turned_sine;
+    float turned_cosine;
+
+    if ((turn_rad <= FK_SMALL_ANGLE_RAD) && (turn_rad >= -FK_SMALL_ANGLE_RAD)) {
+        fk_sincos_small(turn_rad, &turned_sine, &turned_cosine); /* nearly always: the bits of the other way */
+    } else {
+        /* turn_rad <= 983, turn_lead <= 2: within what fk_sincos takes. */
+        fk_sincos(fk_wrap_angle(motion->turn_rad) + turn_lead * motion->turn_rad, &turned_sine, &turned_cosine);
+    }
+    *cosine = from->cosine * turned_cosine - from->sine * turned_sine;
+    *sine = from->sine * turned_cosine + from->cosine * turned_sine;
+}
+
+/* Try one action at a level: 1 where its branch goes on at the next level, whose node then stands. */
+static int32_t fk_try(fk_search_t *search, uint32_t level, uint32_t first_action, uint32_t action)
+{
+    const fk_node_t *node = &search->nodes[level];
+    const fk_route_t *route = &search->route;
+    const int32_t is_route = (search->config->cost == (uint8_t)FK_COST_ROUTE) ? 1 : 0;
+    fk_node_t *next;
+    fk_motion_t motion;
+    float x_m;
+    float y_m;
+    float cost;
+    float place_m = 0.0f;
+    uint32_t knot = 0U;
+
+    search->transitions += 1U;
+    fk_lookup_motion(search->tables, &node->lookup, &node->dynamics, action, &motion);
+    fk_node_move(node, &motion, &x_m, &y_m);
+    if (is_route != 0) {
+        cost = node->cost + fk_route_motion_cost(route, node->knot, node->place_m, x_m, y_m, &knot, &place_m);
+    } else {
+        cost = node->cost
+             + fk_cost(search->path, search->config, x_m, y_m, fk_wrap_angle(node->heading_rad + motion.turn_rad))
+                   * search->level_factor[level];
+    }
+    if (fk_is_left(search, first_action, cost) != 0) {
+        return 0;
+    }
+    if (level + 1U == search->levels) {
+        if (is_route != 0) {
+            float cosine;
+            float sine;
+
+            fk_node_direction(node, &motion, route->turn_lead, &cosine, &sine);
+            cost = cost + fk_route_end_cost(route, place_m, x_m, y_m, cosine, sine);
+        }
+        if (fk_is_left(search, first_action, cost) == 0) {
+            search->best_cost = cost;
+            search->best_action = first_action;
+        }
+        return 0;
+    }
+    next = &search->nodes[level + 1U]; /* level + 1 < levels <= FK_DEPTH_MAX */
+    next->x_m = x_m;
+    next->y_m = y_m;
+    next->heading_rad = fk_wrap_angle(node->heading_rad + motion.turn_rad);
+    next->cost = cost;
+    next->knot = knot;
+    next->place_m = place_m;
+    fk_lookup_next(search->tables, &node->lookup, &node->dynamics, action, &next->dynamics);
+    fk_node_open(search->tables, next);
+    return 1;
+}
+
+/* Search all branches that begin with an action: 1 where the search has to stop instead. */
+static int32_t fk_search_first(fk_search_t *search, uint32_t first_action)
+{
+    const uint32_t limit = search->config->transitions_max;
+    uint32_t level = 0U;
+    uint32_t action = first_action;
+
+    for (;;) {
+        if ((search->levels > 1U) && (limit != 0U) && (search->transitions >= limit)) {
+            return 1;
+        }
+        if (fk_try(search, level, first_action, action) != 0) {
+            level += 1U;
+        }
+        while ((level > 0U) && (search->nodes[level].next_action == search->tables->actions)) {
+            level -= 1U;
+        }
+        if (level == 0U) {
+            return 0;
+        }
+        action = search->nodes[level].next_action;
+        search->nodes[level].next_action += 1U;
+    }
+}
+
+static void fk_search_begin(fk_search_t *search, uint32_t levels)
+{
+    uint32_t index;
+
+    search->levels = levels;
+    search->best_cost = FLT_MAX; /* weights <= 1e6 keep every sum below 1e18 */
+    search->best_action = search->tables->actions;
+    for (index = 0U; index < levels; index++) {
+        search->level_factor[index] = 1.0f + search->config->level_weight * (float)(levels - 1U - index);
+    }
+}
+
+/* The order in which a deeper level tries the first actions: the best so far, then by their cost at level 1, the
+ * lowest on ties. */
+static void fk_search_order(const fk_search_t *search, uint32_t best_action, uint8_t order[FK_ACTIONS_MAX])
+{
+    uint32_t count;
+
+    for (count = 0U; count < search->tables->actions; count++) {
+        uint32_t place = count;
+
+        while ((place > 0U) && (order[place - 1U] != best_action)
+               && ((count == best_action) || (search->shallow_cost[count] < search->shallow_cost[order[place - 1U]]))) {
+            order[place] = order[place - 1U];
+            place -= 1U;
+        }
+        order[place] = (uint8_t)count; /* < FK_ACTIONS_MAX */
+    }
+}
+
+/* The level to search after the first one: the next, or at once the last where nothing can cut that. */
+static uint32_t fk_second_level(const fk_plan_config_t *config, uint32_t actions)
+{
+    uint32_t most = actions; /* transitions of the first level, and of the whole tree */
+    uint32_t width = 1U;
+    uint32_t level;
+
+    for (level = 0U; level < config->depth; level++) {
+        width *= actions; /* at most 32^4 */
+        most += width;
+    }
+    return ((config->transitions_max == 0U) || (config->transitions_max >= most)) ? config->depth : 2U;
+}
+
+/* Search the first level, then the next ones up to the last. The answer goes to plan. */
+static void fk_search_levels(fk_search_t *search, fk_plan_t *plan)
+{
+    const uint32_t actions = search->tables->actions;
+    uint8_t order[FK_ACTIONS_MAX];
+    uint32_t levels;
+    uint32_t index;
+
+    plan->cost = FLT_MAX;
+    plan->action = 0U;
+    plan->depth_reached = 1U;
+    for (index = 0U; index < actions; index++) {
+        fk_search_begin(search, 1U);
+        (void)fk_search_first(search, index); /* the first level is always finished */
+        search->shallow_cost[index] = search->best_cost;
+        if (search->best_cost < plan->cost) {
+            plan->cost = search->best_cost;
+            plan->action = (uint8_t)index; /* < actions <= FK_ACTIONS_MAX */
+        }
+    }
+    if (search->config->depth == 1U) {
+        return;
+    }
+    for (levels = fk_second_level(search->config, actions); levels <= search->config->depth; levels++) {
+        int32_t stopped = 0;
+
+        fk_search_order(search, plan->action, order);
+        fk_search_begin(search, levels);
+        for (index = 0U; (index < actions) && (stopped == 0); index++) {
+            stopped = fk_search_first(search, order[index]);
+            if ((stopped == 0) || (index > 0U)) { /* the first one in order is finished */
+                plan->cost = search->best_cost;
+                plan->action = (uint8_t)search->best_action;
+            }
+        }
+        if (stopped != 0) {
+            return;
+        }
+        plan->depth_reached = (uint8_t)levels;
+    }
+}
+
+/* Where the state is on its path: for the plan, and for the search where the route cost asks for it. */
+static void fk_find_on_path(fk_search_t *search, const fk_state_t *state, fk_plan_t *plan)
+{
+    fk_node_t *root = &search->nodes[0];
+    float distance2_m2;
+
+    root->knot = 0U;
+    root->place_m = 0.0f;
+    if (search->config->cost == (uint8_t)FK_COST_ROUTE) {
+        const float reach_m = fk_route_reach(search->tables);
+        fk_foot_t foot;
+
+        fk_route_foot(search->path, reach_m, state->along_points, state->x_m, state->y_m, &foot);
+        fk_route_lay_out(search->path, search->config, reach_m, &foot, &search->route);
+        root->knot = FK_ROUTE_BEHIND;
+        root->place_m = (float)FK_ROUTE_BEHIND * search->route.step_m;
+        distance2_m2 = foot.distance2_m2;
+        plan->along_points = (float)foot.segment + foot.part;
+        plan->path_index = (uint16_t)(foot.segment + (uint32_t)foot.part); /* part 1 is the next point */
+    } else {
+        plan->path_index = fk_path_nearest(search->path, state->x_m, state->y_m, &distance2_m2);
+        plan->along_points = (float)plan->path_index;
+    }
+    plan->distance_m = FK_SQRT(distance2_m2);
+}
+
+static void fk_predict(fk_search_t *search, fk_plan_t *plan)
+{
+    const fk_tables_t *tables = search->tables;
+    const fk_node_t *root = &search->nodes[0];
+    fk_state_t *predicted = &plan->predicted;
+    fk_motion_t motion;
+    fk_dynamics_t dynamics;
+    uint32_t limb;
+
+    fk_lookup_motion(tables, &root->lookup, &root->dynamics, plan->action, &motion);
+    fk_node_move(root, &motion, &predicted->x_m, &predicted->y_m);
+    predicted->heading_rad = fk_wrap_angle(root->heading_rad + motion.turn_rad);
+    fk_lookup_next(tables, &root->lookup, &root->dynamics, plan->action, &dynamics);
+    predicted->vx_mps = (float)dynamics.velocity_code[0] * tables->velocity_scale[0];
+    predicted->vy_mps = (float)dynamics.velocity_code[1] * tables->velocity_scale[1];
+    predicted->omega_rad_s = (float)dynamics.velocity_code[2] * tables->velocity_scale[2];
+    for (limb = 0U; limb < FK_LIMBS_MAX; limb++) {
+        predicted->limb_use[limb] = dynamics.limb_use[limb];
+    }
+    predicted->along_points = plan->along_points;
+}
+
+static int32_t fk_plan_check(const fk_path_t *path, const fk_plan_config_t *config, const fk_state_t *state)
+{
+    int32_t error = fk_config_check(config);
+
+    if (error == FK_OK) {
+        error = fk_path_check(path);
+    }
+    if (error == FK_OK) {
+        error = fk_state_check(state, path->count);
+    }
+    return error;
 }
 
 int32_t fk_plan(const fk_tables_t *tables, const fk_path_t *path, const fk_plan_config_t *config,
                 const fk_state_t *state, fk_plan_t *plan)
 {
-    /* One more than the levels: the last level's successors are costed in place, never opened. */
-    fk_node_t nodes[FK_DEPTH_MAX + 1U];
-    float level_factor[FK_DEPTH_MAX];
-    int32_t codes[3];
-    uint32_t level = 0U;
-    uint32_t best_action = 0U;
-    float best_cost = FLT_MAX; /* weights <= 1e6 keep every sum below 1e18, so the first branch is less */
-    uint32_t index;
-    const uint8_t *first;
+    fk_search_t search;
+    fk_node_t *root = &search.nodes[0];
+    uint32_t limb;
     int32_t error;
 
     if ((tables == NULL) || (path == NULL) || (config == NULL) || (state == NULL) || (plan == NULL)) {
         return FK_ERROR_NULL;
     }
-    error = fk_config_check(config);
+    error = fk_plan_check(path, config, state);
     if (error != FK_OK) {
         return error;
     }
-    error = fk_path_check(path);
-    if (error != FK_OK) {
-        return error;
+    search.tables = tables;
+    search.path = path;
+    search.config = config;
+    search.transitions = 0U;
+    root->dynamics.velocity_code[0] = fk_velocity_code(state->vx_mps, tables->codes_per_velocity[0]);
+    root->dynamics.velocity_code[1] = fk_velocity_code(state->vy_mps, tables->codes_per_velocity[1]);
+    root->dynamics.velocity_code[2] = fk_velocity_code(state->omega_rad_s, tables->codes_per_velocity[2]);
+    for (limb = 0U; limb < FK_LIMBS_MAX; limb++) {
+        root->dynamics.limb_use[limb] = state->limb_use[limb];
     }
-    error = fk_state_check(state);
-    if (error != FK_OK) {
-        return error;
-    }
-
-    for (index = 0U; index < config->depth; index++) {
-        level_factor[index] = 1.0f + config->level_weight * (float)(config->depth - 1U - index);
-    }
-    codes[0] = fk_velocity_code(state->vx_mps, tables->codes_per_velocity[0]);
-    codes[1] = fk_velocity_code(state->vy_mps, tables->codes_per_velocity[1]);
-    codes[2] = fk_velocity_code(state->omega_rad_s, tables->codes_per_velocity[2]);
-    nodes[0].x_m = state->x_m;
-    nodes[0].y_m = state->y_m;
-    nodes[0].heading_rad = fk_wrap_angle(state->heading_rad);
-    nodes[0].cost = 0.0f;
-    plan->nearest_state = fk_node_open(tables, &nodes[0], codes);
-    plan->path_index = fk_path_nearest(path, state->x_m, state->y_m, NULL);
-
-    for (;;) {
-        fk_node_t *node = &nodes[level];
-        fk_node_t *next = &nodes[level + 1U]; /* level < depth <= FK_DEPTH_MAX */
-        const uint8_t *transition;
-
-        if (node->next_action == tables->actions) {
-            if (level == 0U) {
-                break;
-            }
-            level -= 1U;
-            continue;
-        }
-        transition = node->actions + 12U * node->next_action;
-        node->next_action += 1U;
-        fk_node_move(tables, node, transition, next);
-        next->cost = node->cost
-                   + fk_cost(path, config, next->x_m, next->y_m, next->heading_rad) * level_factor[level];
-        /* Costs are not negative, so a sum never falls further down: a branch that has reached the best
-         * cannot beat it, and an equal one comes later in the order of actions. */
-        if (next->cost >= best_cost) {
-            continue;
-        }
-        if (level + 1U == config->depth) {
-            best_cost = next->cost;
-            best_action = nodes[0].next_action - 1U;
-            continue;
-        }
-        codes[0] = fk_read_i16(transition + 6);
-        codes[1] = fk_read_i16(transition + 8);
-        codes[2] = fk_read_i16(transition + 10);
-        (void)fk_node_open(tables, next, codes);
-        level += 1U;
-    }
-
-    first = nodes[0].actions + 12U * best_action;
-    fk_node_move(tables, &nodes[0], first, &nodes[1]);
-    plan->action = (uint8_t)best_action; /* < actions <= 32 */
-    plan->cost = best_cost;
-    plan->predicted.x_m = nodes[1].x_m;
-    plan->predicted.y_m = nodes[1].y_m;
-    plan->predicted.heading_rad = nodes[1].heading_rad;
-    plan->predicted.vx_mps = (float)fk_read_i16(first + 6) * tables->velocity_scale[0];
-    plan->predicted.vy_mps = (float)fk_read_i16(first + 8) * tables->velocity_scale[1];
-    plan->predicted.omega_rad_s = (float)fk_read_i16(first + 10) * tables->velocity_scale[2];
+    root->x_m = state->x_m;
+    root->y_m = state->y_m;
+    root->heading_rad = fk_wrap_angle(state->heading_rad);
+    root->cost = 0.0f;
+    fk_node_open(tables, root);
+    plan->nearest_state = root->lookup.row;
+    fk_find_on_path(&search, state, plan);
+    fk_search_levels(&search, plan);
+    plan->transitions = search.transitions;
+    fk_predict(&search, plan);
     return FK_OK;
+}
+
+float fk_path_along(const fk_tables_t *tables, const fk_path_t *path, float along_points, float x_m, float y_m,
+                    float *distance_m)
+{
+    fk_foot_t foot;
+
+    fk_route_foot(path, fk_route_reach(tables), along_points, x_m, y_m, &foot);
+    if (distance_m != NULL) {
+        *distance_m = FK_SQRT(foot.distance2_m2);
+    }
+    return (float)foot.segment + foot.part;
 }

@@ -8,21 +8,27 @@
 #define FK_EXPORT __attribute__((visibility("default")))
 #endif
 
-/* As frogkick.planner.plan.PLAN_ROW: 44 bytes, every member 4 bytes wide, so without padding. */
+/* As frogkick.planner.plan.PLAN_ROW: 92 bytes, every member 4 bytes wide, so without padding. */
 typedef struct {
     int32_t status;
     int32_t action;
     int32_t nearest_state;
     int32_t path_index;
+    int32_t depth_reached;
+    int32_t transitions;
     float cost;
+    float distance_m;
+    float along_points;
     float predicted[6];
+    uint32_t predicted_limb_use[FK_LIMBS_MAX];
 } fk_native_row_t;
 
 FK_EXPORT uint32_t fk_native_row_bytes(void);
 FK_EXPORT int32_t fk_native_open(const uint8_t *image, uint32_t size);
 FK_EXPORT int32_t fk_native_plan_batch(const uint8_t *image, uint32_t size, const float *path, uint32_t points,
-                                       const float *weights, const float *states, const int32_t *depths,
-                                       uint32_t count, fk_native_row_t *rows);
+                                       const float *weights, uint32_t cost, uint32_t transitions_max,
+                                       const float *states, const uint16_t *limb_use, const float *along_points,
+                                       const int32_t *depths, uint32_t count, fk_native_row_t *rows);
 FK_EXPORT void fk_native_sincos(const float *angles_rad, uint32_t count, float *sines, float *cosines);
 FK_EXPORT void fk_native_wrap(const float *angles_rad, uint32_t count, float *wrapped_rad);
 FK_EXPORT uint32_t fk_native_crc32(uint32_t crc, const uint8_t *bytes, uint32_t length);
@@ -38,11 +44,13 @@ int32_t fk_native_open(const uint8_t *image, uint32_t size)
     return fk_tables_open(image, size, &tables);
 }
 
-/* path: x, y, tangent of `points` points, one after the other. rows: zeroed by the caller.
+/* path: x, y, tangent of `points` points, one after the other. weights: the floats of fk_plan_config_t in its
+ * order. limb_use: FK_LIMBS_MAX for each state. rows: zeroed by the caller.
  * Returns what fk_tables_open() returns; each row has the status of its own plan. */
 int32_t fk_native_plan_batch(const uint8_t *image, uint32_t size, const float *path, uint32_t points,
-                             const float *weights, const float *states, const int32_t *depths, uint32_t count,
-                             fk_native_row_t *rows)
+                             const float *weights, uint32_t cost, uint32_t transitions_max, const float *states,
+                             const uint16_t *limb_use, const float *along_points, const int32_t *depths,
+                             uint32_t count, fk_native_row_t *rows)
 {
     fk_tables_t tables;
     fk_path_t route;
@@ -64,11 +72,18 @@ int32_t fk_native_plan_batch(const uint8_t *image, uint32_t size, const float *p
     config.angle_weight_per_rad = weights[1];
     config.progress_weight = weights[2];
     config.level_weight = weights[3];
+    config.progress_weight_per_m = weights[4];
+    config.look_ahead_m = weights[5];
+    config.soft_distance_m = weights[6];
+    config.turn_lead = weights[7];
+    config.transitions_max = transitions_max;
+    config.cost = (cost > UINT8_MAX) ? (uint8_t)UINT8_MAX : (uint8_t)cost; /* must not wrap to a valid one */
     for (index = 0U; index < count; index++) {
         const float *values = states + 6U * index;
         fk_native_row_t *row = &rows[index];
         fk_state_t state;
         fk_plan_t plan;
+        uint32_t limb;
 
         state.x_m = values[0];
         state.y_m = values[1];
@@ -76,6 +91,10 @@ int32_t fk_native_plan_batch(const uint8_t *image, uint32_t size, const float *p
         state.vx_mps = values[3];
         state.vy_mps = values[4];
         state.omega_rad_s = values[5];
+        for (limb = 0U; limb < FK_LIMBS_MAX; limb++) {
+            state.limb_use[limb] = limb_use[FK_LIMBS_MAX * index + limb];
+        }
+        state.along_points = along_points[index];
         /* Likewise for a depth beyond 8 bits. */
         config.depth = ((depths[index] < 0) || (depths[index] > 255)) ? (uint8_t)255U : (uint8_t)depths[index];
         row->status = fk_plan(&tables, &route, &config, &state, &plan);
@@ -85,13 +104,20 @@ int32_t fk_native_plan_batch(const uint8_t *image, uint32_t size, const float *p
         row->action = plan.action;
         row->nearest_state = plan.nearest_state;
         row->path_index = plan.path_index;
+        row->depth_reached = plan.depth_reached;
+        row->transitions = (int32_t)plan.transitions; /* below 32 + 32^2 + 32^3 + 32^4 */
         row->cost = plan.cost;
+        row->distance_m = plan.distance_m;
+        row->along_points = plan.along_points;
         row->predicted[0] = plan.predicted.x_m;
         row->predicted[1] = plan.predicted.y_m;
         row->predicted[2] = plan.predicted.heading_rad;
         row->predicted[3] = plan.predicted.vx_mps;
         row->predicted[4] = plan.predicted.vy_mps;
         row->predicted[5] = plan.predicted.omega_rad_s;
+        for (limb = 0U; limb < FK_LIMBS_MAX; limb++) {
+            row->predicted_limb_use[limb] = plan.predicted.limb_use[limb];
+        }
     }
     return FK_OK;
 }

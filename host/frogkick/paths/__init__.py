@@ -2,9 +2,10 @@
 
 from frogkick.paths.csvfile import read_path
 from frogkick.paths.path import POINTS_MAX, Path, wrap_angle
-from frogkick.paths.shapes import SHAPES, ellipse, from_waypoints, line, shape, sine
+from frogkick.paths.shapes import OTHER_SHAPES, SHAPES, ellipse, from_waypoints, line, shape, sine
 
 __all__ = [
+    "OTHER_SHAPES",
     "POINTS_MAX",
     "SHAPES",
     "Path",

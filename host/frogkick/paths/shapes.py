@@ -34,6 +34,11 @@ SINE_EXTENT_PER_LENGTH = 0.85
 SINE_AMPLITUDE_PER_LENGTH = 0.1
 SINE_ANGLE_RAD = 10.0
 ELLIPSE_TURNS = 0.95
+# Sizes of the same order for the other ones.
+CIRCLE_LENGTH_M = 0.26
+BENDS_LENGTH_M = 0.15
+EIGHT_LENGTH_M = 0.6
+EIGHT_TURNS = 0.96
 
 
 def _check_length(length_m: float, name: str) -> float:
@@ -103,21 +108,74 @@ def ellipse(
     return Path.from_arrays(a * (1.0 - np.cos(angle)), b * np.sin(angle), tangent, name)
 
 
+def circle(length_m: float = CIRCLE_LENGTH_M, points: int = POINTS_MAX) -> Path:
+    """The paper's circle, an ellipse of aspect 1.
+
+    Args:
+        length_m: its diameter, m, above 0.
+        points: how many points, 2..100.
+    """
+    return ellipse(length_m, aspect=1.0, points=points)
+
+
+def bends(length_m: float = BENDS_LENGTH_M, points: int = POINTS_MAX) -> Path:
+    """An S: an arc of 135 degrees to the left, and one of 135 degrees to the right.
+
+    Args:
+        length_m: radius of both, m, above 0.
+        points: how many points, 2..100.
+    """
+    radius_m = _check_length(length_m, "bends")
+    turn = 0.75 * np.pi
+    angle = turn * np.linspace(0.0, 2.0, _check_points(points, "bends"))
+    tangent = np.where(angle <= turn, angle, 2.0 * turn - angle)
+    # Centre of the first arc to the left of the start, of the second one to the right of where it begins.
+    along, beside = np.sin(tangent), 1.0 - np.cos(tangent)
+    x = radius_m * np.where(angle <= turn, along, 2.0 * np.sin(turn) - along)
+    y = radius_m * np.where(angle <= turn, beside, 2.0 * (1.0 - np.cos(turn)) - beside)
+    return Path.from_arrays(x, y, tangent, "bends")
+
+
+def eight(length_m: float = EIGHT_LENGTH_M, points: int = POINTS_MAX) -> Path:
+    """A figure eight that crosses itself where it begins: Gerono's lemniscate, 96 % of it.
+
+    Args:
+        length_m: its length along the axis of its loops, m, above 0.
+        points: how many points, 2..100.
+    """
+    half_m = 0.5 * _check_length(length_m, "eight")
+    angle = 2.0 * np.pi * EIGHT_TURNS * np.linspace(0.0, 1.0, _check_points(points, "eight"))
+    x, y = half_m * np.sin(angle), half_m * np.sin(angle) * np.cos(angle)
+    tangent = np.arctan2(half_m * np.cos(2.0 * angle), half_m * np.cos(angle))
+    c, s = np.cos(-tangent[0]), np.sin(-tangent[0])  # turned, so that it begins along +x
+    return Path.from_arrays(c * x - s * y, s * x + c * y, tangent - tangent[0], "eight")
+
+
 SHAPES: dict[str, Callable[[float], Path]] = {"line": line, "sine": sine, "ellipse": ellipse}
-_DEFAULT_LENGTH_M = {"line": LINE_LENGTH_M, "sine": SINE_LENGTH_M, "ellipse": ELLIPSE_LENGTH_M}
+"""The paper's three."""
+OTHER_SHAPES: dict[str, Callable[[float], Path]] = {"circle": circle, "bends": bends, "eight": eight}
+_DEFAULT_LENGTH_M = {
+    "line": LINE_LENGTH_M,
+    "sine": SINE_LENGTH_M,
+    "ellipse": ELLIPSE_LENGTH_M,
+    "circle": CIRCLE_LENGTH_M,
+    "bends": BENDS_LENGTH_M,
+    "eight": EIGHT_LENGTH_M,
+}
 
 
 def shape(name: str, length_m: float | None = None) -> Path:
-    """One of the paper's paths by name ('line', 'sine', 'ellipse'), in its own start frame.
+    """A path by name, the paper's ('line', 'sine', 'ellipse') or another one, in its own start frame.
 
     Raises:
         InputError: no such shape, or a bad length.
     """
-    if name not in SHAPES:
+    known = SHAPES | OTHER_SHAPES
+    if name not in known:
         raise InputError(
-            f"no path shape is called {name!r}{nearest_name(name, SHAPES)}: use {', '.join(SHAPES)} or a file"
+            f"no path shape is called {name!r}{nearest_name(name, known)}: use {', '.join(known)} or a file"
         )
-    return SHAPES[name](_DEFAULT_LENGTH_M[name] if length_m is None else length_m)
+    return known[name](_DEFAULT_LENGTH_M[name] if length_m is None else length_m)
 
 
 def from_waypoints(

@@ -1,29 +1,35 @@
-"""The estimator's twin: the state at a decision's time, from late position fixes.
+"""The estimator's twin: the state at a decision's time, from fixes that are late, lost, doubled or wrong.
 
-A straight line through the last few fixes (ordinary least squares), taken to the asked time. Every
-operation is float32 in one order; the C is ``firmware/core/fk_estimator.c``, written separately, and both
-give the same bits.
+Every operation is float32 in one order; the C is ``firmware/core/fk_estimator.c``, written separately, and
+both give the same bits.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections import deque
+from dataclasses import dataclass, field
+from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
 
-from frogkick.planner.kernel import sincos, wrap_angle
+from frogkick.planner.image import Tables
+from frogkick.planner.track import Track, sine_cosine, wrapped
 
-FIXES_MAX = 8
-WINDOW_US = 250_000
+MARKS = 64
+ASTRAY_MAX = 3
 STALE_US = 500_000
 FUTURE_US = 100_000
 LOST_US = 2_000_000
+UNKNOWN_US = 10_000_000
+FIXES_MAX = 255
 FIELD_M = np.float32(1000.0)
+OK, RANGE, DOUBLE, OLD, OUTLIER = 0, -3, -70, -71, -72
+"""What becomes of a fix; the link's status values (``frames.toml``)."""
 
+_ASTRAY_M, _ASTRAY_MPS = np.float32(0.02), np.float32(0.15)
+_ASTRAY_RAD, _ASTRAY_RAD_S = np.float32(0.35), np.float32(1.5)
 _MICROSECOND = np.float32(1e-6)
-_ZERO = np.float32(0.0)
-HEADING = 2
 
 
 @dataclass(frozen=True)
@@ -32,29 +38,67 @@ class Estimate:
 
     Attributes:
         state: (6,) float32 x_m, y_m, heading_rad (world), vx_mps, vy_mps, omega_rad_s (body).
+        limb_use: (8,) uint16 how much each limb was used lately.
         fix_sequence: newest fix used.
-        fixes: fixes used; 1 = the velocity is unknown and taken as zero.
+        fixes: fixes that it rests on, 255 = or more; 1 = the velocity is unknown and taken as that of rest.
     """
 
     state: npt.NDArray[np.float32]
+    limb_use: npt.NDArray[np.uint16]
     fix_sequence: int
     fixes: int
 
 
-class Estimator:
-    """Keeps the last fixes and estimates from them."""
+class Estimates(Protocol):
+    """What turns fixes into states; Estimator is one."""
 
-    def __init__(self) -> None:
-        self._capture_us: list[int] = []
-        self._poses: list[tuple[np.float32, np.float32, np.float32]] = []
-        self._sequences: list[int] = []
+    @property
+    def newest_capture_us(self) -> int | None: ...
+
+    def add(self, capture_us: int, pose_world: npt.NDArray[np.float32], sequence: int) -> int: ...
+
+    def act(self, at_us: int, action: int) -> None: ...
+
+    def at(self, at_us: int) -> Estimate | None: ...
+
+
+@dataclass(frozen=True)
+class _Fix:
+    capture_us: int
+    pose: npt.NDArray[np.float32]
+    sequence: int
+
+    @property
+    def mark(self) -> tuple[int, bytes]:
+        """What a fix is known by when it comes again; its capture time may be wrong the second time."""
+        return self.sequence & 0xFFFF, self.pose.tobytes()
+
+
+@dataclass
+class Estimator:
+    """Predicts from decision to decision with a table, corrects by fixes.
+
+    Attributes:
+        tables: what predicts.
+        restarts: times that fixes which were refused but agree were believed.
+    """
+
+    tables: Tables
+    restarts: int = 0
+    _newest: _Fix | None = None
+    _astray: list[_Fix] = field(default_factory=list)
+    _fixes: int = 0
+
+    def __post_init__(self) -> None:
+        self.track = Track(self.tables)
+        self._marks: deque[tuple[int, bytes]] = deque(maxlen=MARKS)
 
     @property
     def newest_capture_us(self) -> int | None:
-        """Capture time of the newest fix, None before the first."""
-        return self._capture_us[-1] if self._capture_us else None
+        """Capture time of the newest fix taken, None where no state is known."""
+        return self._newest.capture_us if self._newest is not None and self._fixes else None
 
-    def add(self, capture_us: int, pose_world: npt.NDArray[np.float32], sequence: int) -> bool:
+    def add(self, capture_us: int, pose_world: npt.NDArray[np.float32], sequence: int) -> int:
         """Take a fix.
 
         Args:
@@ -63,74 +107,96 @@ class Estimator:
             sequence: number of the fix.
 
         Returns:
-            False where the fix is refused: not finite, beyond 1000 m or rad, or not newer than the newest.
+            OK, or why it is refused: RANGE (not finite, beyond 1000 m or rad), DOUBLE (had before), OLD (from
+            before what is kept), OUTLIER (too far from where the robot can be).
         """
-        pose = [np.float32(value) for value in pose_world]
-        if not all(abs(value) <= FIELD_M for value in pose):
-            return False
-        if self._capture_us and capture_us <= self._capture_us[-1]:
-            return False
-        self._capture_us.append(int(capture_us))
-        self._poses.append((pose[0], pose[1], np.float32(wrap_angle(pose[HEADING]))))
-        self._sequences.append(int(sequence))
-        if len(self._capture_us) > FIXES_MAX:
-            del self._capture_us[0], self._poses[0], self._sequences[0]
-        return True
+        fix = _Fix(int(capture_us), np.array(pose_world, dtype=np.float32), int(sequence))
+        if not (np.abs(fix.pose) <= FIELD_M).all():
+            return RANGE
+        if fix.mark in self._marks:
+            return DOUBLE
+        with np.errstate(all="ignore"):
+            return self._evaluate(fix)
+
+    def act(self, at_us: int, action: int) -> None:
+        """The robot begins an action; again for the same time: it does this one instead."""
+        with np.errstate(all="ignore"):
+            self._roll(at_us)
+            self.track.act(at_us, action)
 
     def at(self, at_us: int) -> Estimate | None:
         """The state at a time; None where no fix is near enough to it."""
-        if not self._capture_us:
+        newest = self._newest
+        if newest is None or not self._fixes or not -FUTURE_US <= at_us - newest.capture_us <= STALE_US:
             return None
-        newest_us = self._capture_us[-1]
-        lead_us = at_us - newest_us
-        if lead_us > STALE_US or lead_us < -FUTURE_US:
-            return None
-        rows = [i for i, time_us in enumerate(self._capture_us) if newest_us - time_us <= WINDOW_US]
-        ages_us = [self._capture_us[i] - newest_us for i in rows]
-        poses = [self._poses[i] for i in rows]
-        return Estimate(_line_at(ages_us, poses, lead_us), self._sequences[-1], len(rows))
+        with np.errstate(all="ignore"):
+            self._roll(at_us)
+            if not self._fixes or at_us < self.track.instants[0].time_us:
+                return None
+            pose, speed = self.track.state(at_us)
+            heading = wrapped(pose[2])
+            sine, cosine = sine_cosine(heading)
+            vx, vy = cosine * speed[0] + sine * speed[1], cosine * speed[1] - sine * speed[0]
+            state = np.array([pose[0], pose[1], heading, vx, vy, speed[2]], dtype=np.float32)
+        limb_use = self.track.limb_use(at_us).astype(np.uint16)
+        return Estimate(state, limb_use, newest.sequence & 0xFFFF, self._fixes)
+
+    def _roll(self, at_us: int) -> None:
+        self.track.roll(at_us)
+        unseen = self._newest is not None and at_us - self._newest.capture_us > UNKNOWN_US
+        if not self.track.instants or unseen:
+            self._fixes = 0
+
+    def _evaluate(self, fix: _Fix) -> int:
+        self._roll(fix.capture_us)
+        if not self.track.instants:
+            self.track.begin(fix.capture_us)
+        if fix.capture_us < self.track.instants[0].time_us:
+            return OLD
+        self._marks.append(fix.mark)
+        pose = fix.pose.copy()
+        pose[2] = wrapped(pose[2])
+        fix = _Fix(fix.capture_us, pose, fix.sequence)
+        if self._fixes == 0:
+            self._astray = [fix]
+            self._start_again()
+        elif self.track.measure(fix.capture_us, fix.pose):
+            self._took(fix)
+            self._astray = []
+        else:
+            if self._astray and not _agree(fix, self._astray[-1]):
+                self._astray = []
+            self._astray.append(fix)
+            if len(self._astray) < ASTRAY_MAX:
+                return OUTLIER
+            self.track.doubt()
+            self._start_again()
+            self.restarts += 1
+        return OK
+
+    def _took(self, fix: _Fix) -> None:
+        if self._newest is None or self._fixes == 0 or fix.capture_us > self._newest.capture_us:
+            self._newest = fix
+        self._fixes = min(self._fixes + 1, FIXES_MAX)
+
+    def _start_again(self) -> None:
+        """From the fixes that agree, the earliest first; those from before the oldest instant have no say."""
+        kept = [fix for fix in self._astray if fix.capture_us >= self.track.instants[0].time_us]
+        first = min(kept, key=lambda fix: fix.capture_us)
+        self.track.place(first.capture_us, first.pose)
+        self._fixes = 0
+        self._took(first)
+        for fix in kept:
+            if fix is not first:
+                self.track.measure(fix.capture_us, fix.pose, gated=False)
+                self._took(fix)
+        self._astray = []
 
 
-def _mean(values: list[np.float32]) -> np.float32:
-    total = _ZERO
-    for value in values:
-        total = total + value
-    return np.float32(total / np.float32(len(values)))
-
-
-def _slope(
-    t_s: list[np.float32], t_mean: np.float32, values: list[np.float32], mean: np.float32
-) -> np.float32:
-    """Least-squares slope; zero where all times are one."""
-    above, below = _ZERO, _ZERO
-    for t, value in zip(t_s, values, strict=True):
-        dt = t - t_mean
-        below = below + dt * dt
-        above = above + dt * (value - mean)
-    return np.float32(above / below) if below > _ZERO else _ZERO
-
-
-def _line_at(
-    ages_us: list[int], poses: list[tuple[np.float32, np.float32, np.float32]], lead_us: int
-) -> npt.NDArray[np.float32]:
-    """Fit x(t), y(t), heading(t) relative to the newest fix (the last row), evaluate a lead after it.
-
-    numpy's float32 scalars round each operation once, as the C does.
-    """
-    last = poses[-1]
-    t_s = [np.float32(age_us) * _MICROSECOND for age_us in ages_us]
-    t_mean = _mean(t_s)
-    lead_s = np.float32(lead_us) * _MICROSECOND - t_mean
-    at, slopes = [], []
-    for k in range(3):
-        offsets = [np.float32(pose[k] - last[k]) for pose in poses]
-        if k == HEADING:
-            offsets = [np.float32(wrap_angle(offset)) for offset in offsets]
-        mean = _mean(offsets)
-        slopes.append(_slope(t_s, t_mean, offsets, mean))
-        at.append(last[k] + (mean + slopes[k] * lead_s))
-    heading = np.float32(wrap_angle(at[HEADING]))
-    sine, cosine = (np.float32(value) for value in sincos(heading))
-    vx = cosine * slopes[0] + sine * slopes[1]
-    vy = cosine * slopes[1] - sine * slopes[0]
-    return np.array([at[0], at[1], heading, vx, vy, slopes[HEADING]], dtype=np.float32)
+def _agree(a: _Fix, b: _Fix) -> bool:
+    """Two fixes may be of one robot that swam in between."""
+    apart_s = np.float32(abs(a.capture_us - b.capture_us)) * _MICROSECOND
+    offset = a.pose - b.pose
+    reach_m = _ASTRAY_M + _ASTRAY_MPS * apart_s
+    near = offset[0] * offset[0] + offset[1] * offset[1] <= reach_m * reach_m
+    return bool(near and abs(wrapped(offset[2])) <= _ASTRAY_RAD + _ASTRAY_RAD_S * apart_s)

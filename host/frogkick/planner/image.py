@@ -1,9 +1,8 @@
-"""Table images (``.fkt``): pack, check, open. The layout stands in ``layout.py``."""
+"""Table images (``.fkt``): check and open. The layout stands in ``layout.py``; ``packing.py`` makes them."""
 
 from __future__ import annotations
 
 import zlib
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,39 +12,35 @@ import numpy.typing as npt
 
 from frogkick.errors import InputError
 from frogkick.files import existing_file
-from frogkick.planner import layout
+from frogkick.planner import coding, layout
+from frogkick.planner.fields import (
+    AGAIN,
+    ActionRow,
+    TableError,
+    action_rows_of,
+    require,
+    require_codes,
+    require_counts,
+    require_times,
+    robot_id_of,
+)
+from frogkick.planner.header import Columns, Header, columns_of, identified, laid_out, require_numbers
+
+__all__ = ["ActionRow", "TableError", "Tables", "open_image", "read_image"]
 
 Float32 = npt.NDArray[np.float32]
-Float64 = npt.NDArray[np.float64]
 Int16 = npt.NDArray[np.int16]
-
-VELOCITY_COLUMNS = ("vx_mps", "vy_mps", "omega_rad_s")
-MOTION_COLUMNS = ("dx_m", "dy_m", "dheading_rad")
-_AGAIN = "make it again with 'frogkick tables build'"
-
-
-class TableError(InputError):
-    """A table image that cannot be used, or transitions that fit no table image."""
-
-
-@dataclass(frozen=True)
-class ActionRow:
-    """One action: two groups of limbs, the second ``second_delay_us`` after the first.
-
-    ``name`` is one printable ASCII character; bit i of a mask is limb i, 0 = no limb.
-    """
-
-    name: str
-    first_mask: int
-    second_mask: int
+Int32 = npt.NDArray[np.int32]
+Int64 = npt.NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False)
 class Tables:
-    """An opened, wholly checked table image. All arrays are read-only views of ``image``.
+    """An opened, wholly checked table image. All arrays are read-only.
 
     Attributes:
         image: the bytes themselves.
+        kind: "nearest" or "affine".
         robot_id: the robot that the table is for.
         provenance: 32 bytes, SHA-256 of the library's content.
         period_us, pulse_us, second_delay_us: integer microseconds.
@@ -53,11 +48,22 @@ class Tables:
         actions: the actions in table order.
         velocity_scale: (3,) float32 velocity per code: m/s, m/s, rad/s, body frame.
         motion_scale: (3,) float32 motion per code: m, m, rad, body frame at the action's start.
+        motion_limit: (3,) largest |motion code| that a look-up gives.
         states: (n, 3) int16 velocity codes in k-d order.
-        transitions: (n, a, 6) int16: three motion codes, three velocity codes at the action's end.
+        transitions: (n, a, 6) int32, decoded: three motion codes, three velocity codes at the action's end;
+            kind affine: before any correction and not yet clamped.
+        derivatives: kind affine: (n, a, 6, 3) int32 codes per code, times 2**correction_shift; else (0, ...).
+        correction_shift: (6,) of the values.
+        offset_limit: (3,) largest |query - state| in codes that the derivatives see.
+        history: (a, l, 6) int32 codes that a fully used limb adds; kind nearest: zeros.
+        use_decay, use_gain: 1/32768: what is left of a limb's use a period later; what firing adds.
+        residual_codes: (6,) codes per unit of a residual: values are rounded to half of it.
+        sections: where the image's sections stand.
+        block_levels: 2**block_levels blocks of rows have predictions of their own (kind nearest).
     """
 
     image: bytes
+    kind: str
     robot_id: str
     provenance: bytes
     period_us: int
@@ -67,18 +73,34 @@ class Tables:
     actions: tuple[ActionRow, ...]
     velocity_scale: Float32
     motion_scale: Float32
+    motion_limit: Int64
     states: Int16
-    transitions: Int16
-
-    @property
-    def kind(self) -> str:
-        """The kind of table by name."""
-        return "nearest"
+    transitions: Int32
+    derivatives: Int32
+    correction_shift: Int64
+    offset_limit: Int64
+    history: Int32
+    use_decay: int
+    use_gain: int
+    residual_codes: Int64
+    sections: layout.Sections
+    block_levels: int
 
     @property
     def crc32(self) -> int:
         """CRC-32 of the image, as its header and the robot's HELLO have it."""
         return zlib.crc32(self.image[16:])
+
+    @property
+    def reach_m(self) -> np.float32:
+        """No look-up moves the robot further than this; float32, as fk_tables_t has it."""
+        forward, left = self.motion_limit[:2].astype(np.float32) * self.motion_scale[:2]
+        return np.float32(np.sqrt(forward * forward + left * left))
+
+    @property
+    def turn_max_rad(self) -> np.float32:
+        """No look-up turns the robot further than this; float32, as fk_tables_t has it."""
+        return np.float32(np.float32(self.motion_limit[2]) * self.motion_scale[2])
 
     def require_robot(self, robot_id: str) -> None:
         """Refuse a table that was made for another robot.
@@ -112,7 +134,7 @@ def read_image(path: Path | str) -> Tables:
 
 
 def open_image(image: bytes) -> Tables:
-    """Check every part of a table image and return views of it.
+    """Check every part of a table image and decode it.
 
     Args:
         image: the whole image, nothing before or after it.
@@ -120,281 +142,110 @@ def open_image(image: bytes) -> Tables:
     Raises:
         TableError: one clear line on the first thing that is wrong.
     """
-    size = len(image)
-    _require(
-        size >= 4 and image[:4] == layout.MAGIC,
-        "not a table image (its first 4 bytes are not 'FKTB'): name a .fkt file",
+    head = identified(image)
+    kind = head.kind
+    require_counts(head.states, head.actions, head.limbs, f"the table image is wrong, {AGAIN}")
+    right = laid_out(head)
+    robot_id = robot_id_of(head.robot)
+    require_times(head.period_us, head.pulse_us, head.second_delay_us)
+    require_numbers(head)
+    require(
+        not any(image[165:166] + image[170:172]),
+        f"table image has a reserved byte that is not zero: {AGAIN}",
     )
-    _require(size >= layout.HEADER_BYTES, f"table image has {size} bytes, its header alone has 128: {_AGAIN}")
-    # fmt: off
-    (
-        _, version, kind, length, crc, robot, provenance, period_us, pulse_us, states, actions, limbs,
-        actions_at, states_at, transitions_at, *scales, second_delay_us,
-    ) = layout.HEADER.unpack_from(image)
-    # fmt: on
-    _require(
-        version <= layout.FORMAT_VERSION,
-        f"table image has format version {version}, newer than this program's {layout.FORMAT_VERSION}: "
-        "update frogkick",
-    )
-    _require(version == layout.FORMAT_VERSION, f"table image has format version {version}, not 1: {_AGAIN}")
-    _require(kind == layout.KIND_NEAREST, f"table image is of kind {kind}, known is 1 (nearest): {_AGAIN}")
-    _require(
-        length == size,
-        f"table image says it has {length} bytes, here are {size}: it is truncated or joined; {_AGAIN}",
-    )
-    found = zlib.crc32(image[16:])
-    _require(
-        crc == found,
-        f"table image has CRC-32 {found:08x}, its header says {crc:08x}: it is damaged; {_AGAIN}",
-    )
-    _require(states >= 1, f"table image has 0 states, at least 1 is needed: {_AGAIN}")
-    _require(
-        1 <= actions <= layout.ACTIONS_MAX,
-        f"table image has {actions} actions, allowed are 1 to 32: {_AGAIN}",
-    )
-    _require(1 <= limbs <= layout.LIMBS_MAX, f"table image has {limbs} limbs, allowed are 1 to 8: {_AGAIN}")
-    right = layout.sections(states, actions)
-    for name, given, wanted in (
-        ("actions", actions_at, right.actions),
-        ("states", states_at, right.states),
-        ("transitions", transitions_at, right.transitions),
-        ("end", length, right.length),
+    actions = action_rows_of(image[right.actions : right.columns], head.limbs)
+    columns = columns_of(image, head, right)
+    splits = np.frombuffer(image, "<i2", 2**head.tree_levels - 1, right.splits)
+    require_codes("splits", splits, layout.VELOCITY_CODE_MAX)
+    codes = np.frombuffer(image, "<i2", 3 * head.states, right.states).reshape(-1, 3)
+    for start, used, end in (
+        (right.splits, 2 * len(splits), right.models),
+        (right.states, 6 * head.states, right.transitions),
+        (right.transitions, head.row_bytes * head.states, right.length),
     ):
-        _require(
-            given == wanted,
-            f"table image has its {name} at byte {given}, format 1 has it at {wanted}: {_AGAIN}",
+        require(
+            not any(image[start + used : end]),
+            f"table image has a padding byte that is not zero: {AGAIN}",
         )
-    robot_id = _robot_id(robot)
-    _require_times(period_us, pulse_us, second_delay_us)
-    for index, scale in enumerate(scales):
-        what = ("velocity_scale", "motion_scale")[index // 3]
-        _require(
-            layout.SCALE_MIN <= scale <= layout.SCALE_MAX,  # false for NaN as well
-            f"table image's {what}[{index % 3}] is {scale!r}, allowed is 1e-9 to 0.03: {_AGAIN}",
-        )
-    _require(not any(image[116:128]), f"table image has a reserved byte that is not zero: {_AGAIN}")
-    rows = _action_rows(image[right.actions : right.states], limbs)
-    padding = image[right.states + 6 * states : right.transitions]
-    _require(not any(padding), f"table image has a padding byte that is not zero: {_AGAIN}")
-    state_codes = np.frombuffer(image, "<i2", 3 * states, right.states).reshape(states, 3)
-    transition_codes = np.frombuffer(image, "<i2", 6 * states * actions, right.transitions)
-    transition_codes = transition_codes.reshape(states, actions, 6)
-    _require_codes("states", state_codes, layout.VELOCITY_CODE_MAX)
-    _require_codes("transitions", transition_codes[:, :, :3], layout.MOTION_CODE_MAX)
-    _require_codes("transitions' velocities", transition_codes[:, :, 3:], layout.VELOCITY_CODE_MAX)
-    wrong = layout.kd_violation(state_codes)
-    _require(wrong is None, f"table image's state {wrong} breaks the k-d order: {_AGAIN}")
+    coefficients = np.frombuffer(image[right.models : right.states], "<i2").astype(np.int64)
+    sums = np.abs(coefficients.reshape(-1, layout.COEFFICIENTS)).sum(axis=1)
+    require(
+        int(sums.max(initial=0)) <= layout.COEFFICIENT_SUM_MAX,
+        f"table image has coefficients that sum to {sums.max(initial=0)}, allowed is 131071: {AGAIN}",
+    )
+    if kind == layout.KIND_AFFINE:
+        _require_affine(columns)
+    require_codes("states", codes, [layout.VELOCITY_CODE_MAX >> up for up in head.up])
+    axes = layout.axes_of(head.axes, head.tree_levels)
+    require(3 not in axes, f"table image's search tree has a level without an axis: {AGAIN}")
+    wrong = layout.kd_violation(codes, splits, axes)
+    require(wrong is None, f"table image's state {wrong} breaks the k-d order: {AGAIN}")
+
+    residuals = coding.take_residuals(image[right.transitions :], head.states, head.row_bytes, columns.bits)
+    residuals = residuals.reshape(head.states, head.actions, 6, -1)
+    if kind == layout.KIND_NEAREST:
+        transitions = _predicted(head, coefficients, codes, residuals[..., 0])
+        derivatives = np.empty((0, head.actions, 6, 3), dtype=np.int64)
+    else:
+        transitions = columns.least[..., 3] + residuals[..., 3] * np.array(head.unit)
+        derivatives = columns.least[..., :3] + residuals[..., :3]
+    history = np.moveaxis(columns.history, 1, 2)  # actions, limbs, values
     return Tables(
         image=bytes(image),
+        kind=layout.KINDS[kind],
         robot_id=robot_id,
-        provenance=provenance,
-        period_us=period_us,
-        pulse_us=pulse_us,
-        second_delay_us=second_delay_us,
-        limbs=limbs,
-        actions=rows,
-        velocity_scale=_frozen(np.array(scales[:3], dtype=np.float32)),
-        motion_scale=_frozen(np.array(scales[3:], dtype=np.float32)),
-        states=state_codes,
-        transitions=transition_codes,
+        provenance=head.provenance,
+        period_us=head.period_us,
+        pulse_us=head.pulse_us,
+        second_delay_us=head.second_delay_us,
+        limbs=head.limbs,
+        actions=actions,
+        velocity_scale=_frozen(np.array(head.velocity_scale, dtype=np.float32)),
+        motion_scale=_frozen(np.array(head.motion_scale, dtype=np.float32)),
+        motion_limit=_frozen(np.array(head.motion_limit, dtype=np.int64)),
+        states=_frozen(codes.astype(np.int16)),
+        transitions=_frozen(transitions.astype(np.int32)),
+        derivatives=_frozen(derivatives.astype(np.int32)),
+        correction_shift=_frozen(np.array(head.shift, dtype=np.int64)),
+        offset_limit=_frozen(np.array(head.offset_limit, dtype=np.int64)),
+        history=_frozen(history.astype(np.int32)),
+        use_decay=head.use_decay,
+        use_gain=head.use_gain,
+        residual_codes=_frozen(np.array(head.unit, dtype=np.int64)),
+        sections=right,
+        block_levels=head.block_levels,
     )
 
 
-def pack_nearest(
-    robot_id: str,
-    provenance: bytes,
-    period_us: int,
-    pulse_us: int,
-    second_delay_us: int,
-    limbs: int,
-    action_rows: Sequence[tuple[str, int, int]],
-    velocity_scale: Sequence[float],
-    velocities: npt.ArrayLike,
-    displacements: npt.ArrayLike,
-    velocities_end: npt.ArrayLike,
-) -> bytes:
-    """Quantise transitions to a table image of kind ``nearest``.
-
-    Values are rounded half away from zero to multiples of the float32 scale. The scale of motions is the
-    finest that holds the largest motion of its axis. Rows are put into k-d order.
-
-    Args:
-        robot_id: 1 to 15 printable ASCII characters.
-        provenance: SHA-256 of the library's content, 32 bytes.
-        period_us, pulse_us, second_delay_us: integer microseconds, pulse and delay shorter than the period.
-        limbs: 1 to 8.
-        action_rows: (name, mask of the first group, mask of the second) per action.
-        velocity_scale: velocity per code, (m/s, m/s, rad/s).
-        velocities: (n, 3) body-frame initial velocities (forward m/s, left m/s, rad/s).
-        displacements: (n, a, 3) motion over one period (m, m, rad), body frame at its start.
-        velocities_end: (n, a, 3) body-frame velocities at the end of the period.
-
-    Returns:
-        The image; the same input gives the same bytes.
-
-    Raises:
-        TableError: wrong shapes or counts, or a value that is not finite or out of range: the text names
-            its row (of the input) and column.
-    """
-    actions = len(action_rows)
-    start = np.asarray(velocities, dtype=np.float64)
-    motion = np.asarray(displacements, dtype=np.float64)
-    end = np.asarray(velocities_end, dtype=np.float64)
-    states = len(start)
-    _require(
-        1 <= actions <= layout.ACTIONS_MAX, f"{actions} actions given, a table holds 1 to 32: choose fewer"
+def _require_affine(columns: Columns) -> None:
+    """Refuse derivatives and history whose sums could overflow."""
+    top = columns.least + (1 << np.array(layout.AFFINE_BITS)) - 1
+    good = (
+        int(columns.least.min()) >= -32767
+        and int(top[..., :3].max()) <= 32767
+        and int(columns.history.min()) >= -32767
+        and int(np.abs(columns.history).sum(axis=2).max()) <= layout.HISTORY_SUM_MAX
     )
-    _require(1 <= limbs <= layout.LIMBS_MAX, f"{limbs} limbs given, a table holds 1 to 8: check the robot")
-    _require(
-        1 <= states <= layout.STATES_MAX, f"{states} states given, a table holds 1 to 65535: choose --states"
-    )
-    for name, array, shape in (
-        ("velocities", start, (states, 3)),
-        ("displacements", motion, (states, actions, 3)),
-        ("velocities_end", end, (states, actions, 3)),
-    ):
-        _require(
-            array.shape == shape, f"{name} has shape {array.shape}, needed is {shape}: check the library"
-        )
-    _require(
-        len(provenance) == 32, f"provenance has {len(provenance)} bytes, a SHA-256 has 32: pass the digest"
-    )
-    robot = robot_id.encode("utf-8")
-    _robot_id(robot.ljust(layout.ROBOT_ID_BYTES, b"\0"))
-    _require_times(period_us, pulse_us, second_delay_us)
-    action_bytes = b"".join(_action_bytes(row) for row in action_rows)
-    _action_rows(action_bytes, limbs)
-
-    scale = np.array(velocity_scale, dtype=np.float32)
-    _require(
-        scale.shape == (3,) and bool(np.all((scale >= layout.SCALE_MIN) & (scale <= layout.SCALE_MAX))),
-        f"velocity_scale is {tuple(velocity_scale)}, allowed are three values of 1e-9 to 0.03: "
-        "check the robot",
-    )
-    start_codes = _quantise(
-        "initial velocities", VELOCITY_COLUMNS, start, scale, layout.VELOCITY_CODE_MAX, action_rows
-    )
-    motion_scale = _motion_scale(motion, action_rows)
-    motion_codes = _quantise(
-        "displacements", MOTION_COLUMNS, motion, motion_scale, layout.MOTION_CODE_MAX, action_rows
-    )
-    end_codes = _quantise(
-        "end velocities", VELOCITY_COLUMNS, end, scale, layout.VELOCITY_CODE_MAX, action_rows
-    )
-
-    order = layout.kd_order(start_codes)
-    right = layout.sections(states, actions)
-    state_bytes = start_codes[order].astype("<i2").tobytes()
-    body = action_bytes + state_bytes.ljust(right.transitions - right.states, b"\0")
-    body += np.concatenate([motion_codes, end_codes], axis=2)[order].astype("<i2").tobytes()
-
-    def header(crc: int) -> bytes:
-        return layout.HEADER.pack(
-            layout.MAGIC, layout.FORMAT_VERSION, layout.KIND_NEAREST, right.length, crc, robot, provenance,
-            period_us, pulse_us, states, actions, limbs, right.actions, right.states, right.transitions,
-            *scale.tolist(), *motion_scale.tolist(), second_delay_us,
-        )  # fmt: skip
-
-    crc = zlib.crc32(header(0)[16:] + body)
-    return header(crc) + body
+    require(good, f"table image has a least value, derivative or history out of range: {AGAIN}")
 
 
-def _quantise(
-    what: str,
-    columns: tuple[str, ...],
-    values: Float64,
-    scale: Float32,
-    limit: int,
-    rows: Sequence[tuple[str, int, int]],
-) -> Int16:
-    """Round half away from zero to codes; the first value out of range is named by row and column."""
-    ratio = values / scale.astype(np.float64)
-    codes = np.copysign(np.floor(np.abs(ratio) + 0.5), ratio)
-    bad = ~(np.abs(codes) <= limit)  # true for NaN as well
-    if bad.any():
-        where = tuple(int(i) for i in np.argwhere(bad)[0])
-        axis = where[-1]
-        action = f", action {rows[where[1]][0]}" if len(where) == 3 else ""
-        raise TableError(
-            f"{what}: row {where[0]}{action}, column {columns[axis]} is {float(values[where])!r}, allowed is "
-            f"+-{limit * float(scale[axis]):.6g}: leave the row out or choose a coarser scale"
-        )
-    return codes.astype(np.int16)
-
-
-def _motion_scale(motion: Float64, rows: Sequence[tuple[str, int, int]]) -> Float32:
-    """Return the finest float32 scale of each axis that keeps every code within 16 bits."""
-    ceiling = np.full(3, layout.SCALE_MAX, dtype=np.float32)
-    _quantise("displacements", MOTION_COLUMNS, motion, ceiling, layout.MOTION_CODE_MAX - 1, rows)
-    largest = np.abs(motion).max(axis=(0, 1))
-    scale = (largest / layout.MOTION_CODE_MAX).astype(np.float32)
-    # float32 rounding may leave the scale a hair too small, which the code's rounding absorbs: the
-    # quotient exceeds 32767 by at most 32767 * 2**-24 < 0.5. An axis without motion gets the floor.
-    return np.asarray(np.clip(scale, np.float32(layout.SCALE_MIN), ceiling), dtype=np.float32)
-
-
-def _robot_id(field: bytes) -> str:
-    """Return the robot's id from its NUL-padded field."""
-    text = field.rstrip(b"\0")
-    good = len(field) == layout.ROBOT_ID_BYTES and 1 <= len(text) < layout.ROBOT_ID_BYTES
-    _require(
-        good and all(0x21 <= byte <= 0x7E for byte in text),
-        f"robot id {text!r} is not 1 to 15 printable ASCII characters: choose another id",
-    )
-    return text.decode("ascii")
-
-
-def _require_times(period_us: int, pulse_us: int, second_delay_us: int) -> None:
-    good = 1 <= pulse_us < period_us < 2**32 and 0 <= second_delay_us < period_us
-    _require(
-        good,
-        f"period {period_us} us, pulse {pulse_us} us, second delay {second_delay_us} us: pulse and delay "
-        "must be shorter than the period, the pulse at least 1 us: check the robot",
-    )
-
-
-def _action_bytes(row: tuple[str, int, int]) -> bytes:
-    name, first, second = row
-    good = len(name) == 1 and name.isascii() and 0 <= first <= 255 and 0 <= second <= 255
-    _require(good, f"action {row!r} is not one ASCII character and two masks of 0 to 255: check the robot")
-    return bytes([ord(name), first, second, 0])
-
-
-def _action_rows(section: bytes, limbs: int) -> tuple[ActionRow, ...]:
-    """Check the actions' section and return its rows."""
-    rows: list[ActionRow] = []
-    for index in range(0, len(section), 4):
-        name, first, second, zero = section[index : index + 4]
-        where = f"action {index // 4}"
-        _require(
-            0x21 <= name <= 0x7E, f"{where} has the name byte {name}, not a printable character: {_AGAIN}"
-        )
-        _require(
-            all(row.name != chr(name) for row in rows), f"{where} repeats the name {chr(name)!r}: {_AGAIN}"
-        )
-        _require(
-            (first | second) >> limbs == 0, f"{where} fires a limb beyond the {limbs} there are: {_AGAIN}"
-        )
-        _require(zero == 0, f"{where} has a padding byte that is not zero: {_AGAIN}")
-        rows.append(ActionRow(chr(name), first, second))
-    return tuple(rows)
-
-
-def _require_codes(what: str, codes: Int16, limit: int) -> None:
-    bad = np.abs(codes.astype(np.int32)) > limit
-    if bad.any():
-        where = tuple(int(i) for i in np.argwhere(bad)[0])
-        raise TableError(
-            f"table image's {what} {where} have code {codes[where]}, allowed is +-{limit}: {_AGAIN}"
-        )
-
-
-def _require(good: bool, text: str) -> None:
-    if not good:
-        raise TableError(text)
+def _predicted(head: Header, model: Int64, codes: Int16, residuals: Int64) -> Int64:
+    """Transitions of kind nearest: (n, a, 6) predictions and residuals, clamped."""
+    coefficients = model.reshape(2**head.block_levels, -1, layout.COEFFICIENTS)
+    factors = coding.products(codes, np.array(head.up))
+    first = layout.first_rows(head.states, head.block_levels)
+    values = np.empty(residuals.shape, dtype=np.int64)
+    shift = np.tile(head.shift, head.actions)
+    for block in range(2**head.block_levels):
+        rows = slice(first[block], first[block + 1])
+        predicted = coding.predictions(factors[rows], coefficients[block].T, shift)
+        values[rows] = predicted.reshape(-1, head.actions, 6)
+    values += residuals * np.array(head.unit)
+    limit = np.array([*head.motion_limit, *[layout.VELOCITY_CODE_MAX] * 3])
+    return np.clip(values, -limit, limit)
 
 
 def _frozen(array: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    array = np.ascontiguousarray(array)
     array.setflags(write=False)
     return array

@@ -1,26 +1,45 @@
 """Algorithm 1 in float32 (numba): the onboard planner's twin, bit for bit.
 
-Written from the format and the rules, not from the C: neighbours by brute force instead of a tree, every
-branch costed in full instead of cut, recursion-free by counting through the action sequences. What the
-two share is the order of float32 operations, and that is the contract:
+Written from the format and the rules, not from the C: neighbours by brute force instead of a tree, the search
+as a count through sequences of actions. What the two share is the order of float32 operations, the order in
+which branches are tried and left, and these rules:
 
 - only + - * / sqrt in float32, each rounded once. numba would turn ``int * float32`` into float64, so every
   integer is made a float32 first and every constant is one; no fastmath, so nothing is fused;
-- integers where a comparison decides; ties take the lowest index.
+- integers where a comparison decides; ties take the lowest action of the first level;
+- level 1 is searched first, then the depth, or where that might be cut, level after level; from the second
+  one on the best first action so far comes first, then the others by their cost at level 1 (ties: lowest);
+- costs are not negative, so a branch whose sum has reached the best cannot beat it and is left. Rounding
+  keeps this exact: adding what is not negative never lowers a float32 sum;
+- a search that may evaluate only so many transitions stops before the next one. The first level is always
+  finished. An unfinished level counts if its first action is finished: what was found there is a branch of
+  that depth, no worse than the one before it.
 
-All kernels stand in this one file: numba's cache looks at the file of the outermost function only, and would
-keep old code for a helper that changed in another file.
+numba keeps only ``plan_many`` on disk, which encloses a stamp of this folder's text: it would not notice that
+a helper changed in another file.
 """
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 from numba import njit
 
-from frogkick.planner.layout import VELOCITY_CODE_MAX
+from frogkick.compiled import stamp_of
+from frogkick.planner import route
+from frogkick.planner.floats import sincos, wrap_angle
+from frogkick.planner.lookup import (
+    DYNAMICS,
+    TableArrays,
+    action_count,
+    dynamics_after,
+    find_row,
+    motion_of,
+    velocity_code,
+)
+from frogkick.planner.paper_cost import nearest_point, pose_cost
 
 Array = npt.NDArray[Any]
 
@@ -31,132 +50,95 @@ ERROR_DEPTH = -4
 ERROR_WEIGHT = -5
 ERROR_PATH_COUNT = -6
 ERROR_PATH_POINT = -7
+ERROR_COST = -11
 
+COST_PAPER = 0
+COST_ROUTE = 1
 DEPTH_MAX = 4
 PATH_POINTS_MAX = 100
 POSITION_MAX_M = np.float32(1000)
 HEADING_MAX_RAD = np.float32(1000)
-ANGLE_MAX_RAD = np.float32(2100)
+LIMB_USE_MAX = 32767
 WEIGHT_MAX = np.float32(1e6)
+TURN_LEAD_MAX = np.float32(2)
+
+NUMBERS = 6
+"""Integers of a decision: status, action, nearest state, path index, depth, transitions; then limb uses."""
+VALUES = 9
+"""Floats of a decision: cost, distance, place along the path, predicted x, y, heading, vx, vy, omega."""
 
 _F0 = np.float32(0)
 _F1 = np.float32(1)
-_HALF = np.float32(0.5)
-_PI = np.float32(3.14159274)
-_NAN = np.float32(np.nan)
-_SHIFT = np.float32(12582912)  # 1.5 * 2**23: adding and subtracting rounds to the nearest integer
-_TURN_1 = np.float32(6.28125)  # 2 pi in three parts: products with a count of turns are exact
-_TURN_2 = np.float32(0.00193548203)
-_TURN_3 = np.float32(-1.74845553e-07)
-_TURNS_PER_RAD = np.float32(0.159154937)
-_QUARTER_1 = np.float32(1.5703125)  # pi / 2 likewise
-_QUARTER_2 = np.float32(0.000483870506)
-_QUARTER_3 = np.float32(-4.37113883e-08)
-_QUARTERS_PER_RAD = np.float32(0.636619747)
-_S0 = np.float32(-0.166666552)  # least-maximum fits on |r| <= pi / 4 + 0.001
-_S1 = np.float32(0.00833215471)
-_S2 = np.float32(-0.000195144545)
-_C0 = np.float32(0.0416666456)
-_C1 = np.float32(-0.00138873595)
-_C2 = np.float32(2.44375333e-05)
-_CODE_MAX = np.float32(VELOCITY_CODE_MAX)
+_PER_STEP = np.float32(0.125)  # 1 / route.STEPS_PER_REACH
 
 
-@njit(cache=True)
-def wrap_angle(angle: np.float32) -> np.float32:
-    """Wrap an angle to (-pi, pi]; NaN beyond +-2100 rad."""
-    if not (abs(angle) <= ANGLE_MAX_RAD):
-        return _NAN
-    if -_PI < angle <= _PI:
-        return angle
-    turns = (angle * _TURNS_PER_RAD + _SHIFT) - _SHIFT
-    wrapped = ((angle - turns * _TURN_1) - turns * _TURN_2) - turns * _TURN_3
-    if wrapped > _PI:
-        wrapped = ((wrapped - _TURN_1) - _TURN_2) - _TURN_3
-    if wrapped <= -_PI:
-        wrapped = ((wrapped + _TURN_1) + _TURN_2) + _TURN_3
-    return min(wrapped, _PI)
+class Settings(NamedTuple):
+    """The configuration of a search; for the fields see frogkick.planner.plan.PlanConfig."""
+
+    cost: int
+    transitions_max: int
+    distance_weight_per_m: np.float32
+    angle_weight_per_rad: np.float32
+    progress_weight: np.float32
+    level_weight: np.float32
+    progress_weight_per_m: np.float32
+    look_ahead_m: np.float32
+    soft_distance_m: np.float32
+    turn_lead: np.float32
 
 
-@njit(cache=True)
-def sincos(angle: np.float32) -> tuple[np.float32, np.float32]:
-    """Return (sine, cosine) of an angle in rad; NaN beyond +-2100 rad."""
-    if not (abs(angle) <= ANGLE_MAX_RAD):
-        return _NAN, _NAN
-    quarters = (angle * _QUARTERS_PER_RAD + _SHIFT) - _SHIFT
-    r = ((angle - quarters * _QUARTER_1) - quarters * _QUARTER_2) - quarters * _QUARTER_3
-    r2 = r * r
-    sine = r + r * r2 * (_S0 + r2 * (_S1 + r2 * _S2))
-    cosine = (_F1 - _HALF * r2) + r2 * r2 * (_C0 + r2 * (_C1 + r2 * _C2))
-    quadrant = int(quarters) % 4
-    if quadrant == 1:
-        return cosine, -sine
-    if quadrant == 2:
-        return -sine, -cosine
-    if quadrant == 3:
-        return -cosine, sine
-    return sine, cosine
+class _Search(NamedTuple):
+    """What a search works on; a row of each array for a level."""
+
+    table: TableArrays
+    path: Array
+    settings: Settings
+    knots: Array
+    step: np.float32
+    held: bool
+    poses: Array
+    dynamics: Array
+    rows: Array
+    knot: Array
+    place: Array
+    sums: Array
+    best: Array  # (2,) int64: first action (-1: none), transitions so far
+    best_cost: Array  # (1,) float32
+    motion: Array  # (3,) float32, of the action under way
 
 
-@njit(cache=True)
-def velocity_code(velocity: np.float32, codes_per_velocity: np.float32) -> Any:
-    """Return a velocity as a code, rounded half away from zero, clamped to +-16383."""
-    code = velocity * codes_per_velocity
-    size = min(abs(code), _CODE_MAX)
-    whole = int(size)
-    if size - np.float32(whole) >= _HALF:
-        whole += 1
-    return -whole if code < _F0 else whole
+@njit(error_model="numpy")
+def is_weight(value: Any) -> bool:
+    """Whether a value is 0 to the largest weight; -0.0 is not."""
+    return bool(_F0 <= value <= WEIGHT_MAX) and not (value == _F0 and np.signbit(value))
 
 
-@njit(cache=True)
-def nearest_state(states: Array, code_0: Any, code_1: Any, code_2: Any) -> int:
-    """Return the row nearest to a velocity in codes, the lowest on ties; 64-bit sums."""
-    best = np.int64(2) ** 62
-    row = 0
-    for index in range(states.shape[0]):
-        d0 = np.int64(states[index, 0]) - code_0
-        d1 = np.int64(states[index, 1]) - code_1
-        d2 = np.int64(states[index, 2]) - code_2
-        distance2 = d0 * d0 + d1 * d1 + d2 * d2
-        if distance2 < best:
-            best = distance2
-            row = index
-    return row
-
-
-@njit(cache=True)
-def nearest_point(x_m: Array, y_m: Array, x: np.float32, y: np.float32) -> tuple[int, np.float32]:
-    """Return the index of the nearest path point, the lowest on ties, and the squared distance, m^2."""
-    index = 0
-    best = np.float32(np.inf)
-    for point in range(len(x_m)):
-        dx = x_m[point] - x
-        dy = y_m[point] - y
-        distance2 = dx * dx + dy * dy
-        if distance2 < best:
-            best = distance2
-            index = point
-    return index, best
-
-
-@njit(cache=True)
-def pose_cost(path: Array, weights: Array, x: np.float32, y: np.float32, heading: np.float32) -> Any:
-    """Return the cost of a pose: path (3, n) float32 x, y, tangent; weights (4,) float32."""
-    index, distance2 = nearest_point(path[0], path[1], x, y)
-    angle = abs(wrap_angle(heading - path[2, index]))
-    progress = np.float32(index) / np.float32(path.shape[1] - 1)
-    return (weights[0] * np.sqrt(distance2) + weights[1] * angle) + weights[2] * (_F1 - progress)
-
-
-@njit(cache=True)
-def check(path: Array, weights: Array, depth: int, state: Array) -> int:
+@njit(error_model="numpy")
+def check_settings(settings: Settings, depth: int) -> int:
     """Return OK or the code of the first thing that is wrong, in the C's order."""
     if not 1 <= depth <= DEPTH_MAX:
         return ERROR_DEPTH
-    for weight in weights:
-        if not (_F0 <= weight <= WEIGHT_MAX) or (weight == _F0 and np.signbit(weight)):
-            return ERROR_WEIGHT
+    if settings.cost not in (COST_PAPER, COST_ROUTE):
+        return ERROR_COST
+    weights_fit = (
+        is_weight(settings.distance_weight_per_m)
+        and is_weight(settings.angle_weight_per_rad)
+        and is_weight(settings.progress_weight)
+        and is_weight(settings.level_weight)
+        and is_weight(settings.progress_weight_per_m)
+        and is_weight(settings.look_ahead_m)
+        and is_weight(settings.soft_distance_m)
+        and is_weight(settings.turn_lead)
+    )
+    return OK if weights_fit and settings.turn_lead <= TURN_LEAD_MAX else ERROR_WEIGHT
+
+
+@njit(error_model="numpy")
+def check(path: Array, settings: Settings, depth: int, state: Array, limb_use: Array, along: Any) -> int:
+    """Return OK or the code of the first thing that is wrong, in the C's order."""
+    status = check_settings(settings, depth)
+    if status != OK:
+        return status
     if not 2 <= path.shape[1] <= PATH_POINTS_MAX:
         return ERROR_PATH_COUNT
     for point in range(path.shape[1]):
@@ -167,119 +149,272 @@ def check(path: Array, weights: Array, depth: int, state: Array) -> int:
     for value in state:
         if not np.isfinite(value):
             return ERROR_NOT_FINITE
+    if not np.isfinite(along):
+        return ERROR_NOT_FINITE
     if abs(state[0]) > POSITION_MAX_M or abs(state[1]) > POSITION_MAX_M or abs(state[2]) > HEADING_MAX_RAD:
+        return ERROR_RANGE
+    for use in limb_use:
+        if use > LIMB_USE_MAX:
+            return ERROR_RANGE
+    if not _F0 <= along <= np.float32(path.shape[1] - 1):
         return ERROR_RANGE
     return OK
 
 
-@njit(cache=True)
-def step(pose: Array, motion: Array, motion_scale: Array, after: Array) -> None:
-    """Write the pose after an action: (x, y, wrapped heading) float32, motion in int16 codes."""
-    forward = np.float32(motion[0]) * motion_scale[0]
-    left = np.float32(motion[1]) * motion_scale[1]
-    turn = np.float32(motion[2]) * motion_scale[2]
+@njit(error_model="numpy")
+def step(pose: Array, motion: Array, after: Array) -> None:
+    """Write the pose after an action: (x, y, wrapped heading) float32; motion (3,) float32, body frame."""
     sine, cosine = sincos(pose[2])
-    after[0] = pose[0] + (cosine * forward - sine * left)
-    after[1] = pose[1] + (sine * forward + cosine * left)
-    after[2] = wrap_angle(pose[2] + turn)
+    after[0] = pose[0] + (cosine * motion[0] - sine * motion[1])
+    after[1] = pose[1] + (sine * motion[0] + cosine * motion[1])
+    after[2] = wrap_angle(pose[2] + motion[2])
 
 
-@njit(cache=True)
+@njit(error_model="numpy")
+def motion_cost(search: _Search, level: int, depth: int) -> Any:
+    """Return what the motion from a level to the next one costs, without what the branch's end costs."""
+    settings = search.settings
+    after = search.poses[level + 1]
+    if settings.cost == COST_PAPER:
+        factor = _F1 + settings.level_weight * np.float32(depth - 1 - level)
+        cost = pose_cost(
+            search.path,
+            settings.distance_weight_per_m,
+            settings.angle_weight_per_rad,
+            settings.progress_weight,
+            after[0],
+            after[1],
+            after[2],
+        )
+        return cost * factor
+    low = max(0, search.knot[level] - 1)
+    ahead = 0 if search.held else route.AHEAD
+    high = min(max(search.knot[level], route.BEHIND if search.held else 0) + ahead, len(search.knots) - 1)
+    knot, place, distance2 = route.place_on(search.knots, search.step, low, high, after[0], after[1])
+    search.knot[level + 1] = knot
+    search.place[level + 1] = place
+    reach = search.step / _PER_STEP
+    short = reach - min(place - search.place[level], reach)
+    off = route.softened(distance2, settings.soft_distance_m)
+    return settings.distance_weight_per_m * off + settings.progress_weight_per_m * short
+
+
+@njit(error_model="numpy")
+def end_cost(search: _Search, level: int, motion: Array) -> Any:
+    """Return what it costs to end a branch at a level, reached by a motion (3,)."""
+    settings = search.settings
+    if settings.cost == COST_PAPER:
+        return _F0
+    sine, cosine = sincos(search.poses[level - 1, 2])
+    turned_sine, turned_cosine = sincos(wrap_angle(motion[2]) + settings.turn_lead * motion[2])
+    angle = route.end_angle(
+        search.knots,
+        search.step,
+        search.place[level],
+        search.poses[level],
+        cosine * turned_cosine - sine * turned_sine,
+        sine * turned_cosine + cosine * turned_sine,
+        settings.look_ahead_m,
+    )
+    return settings.angle_weight_per_rad * angle
+
+
+@njit(error_model="numpy")
+def is_left(search: _Search, first: int, cost: Any) -> bool:
+    """Whether a branch with this first action and at least this cost can no longer be the best."""
+    if cost == search.best_cost[0]:
+        return bool(first >= search.best[0])
+    return bool(cost > search.best_cost[0])
+
+
+@njit(error_model="numpy")
+def goes_on(search: _Search, level: int, depth: int, first: int, action: int) -> bool:
+    """Take an action at a level; True where its branch has a next level and is not left."""
+    search.best[1] += 1
+    motion_of(search.table, search.rows[level], search.dynamics[level], action, search.motion)
+    step(search.poses[level], search.motion, search.poses[level + 1])
+    cost = search.sums[level] + motion_cost(search, level, depth)
+    if is_left(search, first, cost):
+        return False
+    if level + 1 < depth:
+        search.sums[level + 1] = cost
+        after = search.dynamics[level + 1]
+        dynamics_after(search.table, search.rows[level], search.dynamics[level], action, after)
+        search.rows[level + 1] = find_row(search.table, after)
+        return True
+    cost = cost + end_cost(search, depth, search.motion)
+    if not is_left(search, first, cost):
+        search.best_cost[0] = cost
+        search.best[0] = first
+    return False
+
+
+@njit(error_model="numpy")
+def try_first(search: _Search, depth: int, first: int) -> bool:
+    """Count through the sequences of ``depth`` actions that begin with one; True where it has to stop."""
+    limit = search.settings.transitions_max
+    sequence = np.zeros(DEPTH_MAX, dtype=np.int64)
+    sequence[0] = first
+    level = 0
+    while True:
+        if depth > 1 and limit > 0 and search.best[1] >= limit:
+            return True
+        if goes_on(search, level, depth, first, sequence[level]):
+            level += 1
+            sequence[level] = 0
+            continue
+        while level > 0:
+            sequence[level] += 1
+            if sequence[level] < action_count(search.table):
+                break
+            level -= 1
+        if level == 0:
+            return False
+
+
+@njit(error_model="numpy")
+def first_actions(shallow: Array, best: int) -> Array:
+    """Return the order in which a deeper level tries the first actions: ``best``, then by cost at level 1."""
+    keys = shallow.copy()
+    keys[best] = -_F1
+    return np.argsort(keys, kind="mergesort")
+
+
+@njit(error_model="numpy")
+def second_level(limit: int, depth: int, actions: int) -> int:
+    """Return the level that is searched after the first: the last one where ``limit`` cannot cut that."""
+    most = actions
+    for level in range(depth):
+        most += actions ** (level + 1)
+    return max(2, depth) if limit == 0 or limit >= most else 2
+
+
+@njit(error_model="numpy")
+def search_levels(search: _Search, depth: int) -> tuple[int, int]:
+    """Search level after level; leave cost and first action in ``search``. Return (action, depth reached)."""
+    actions = action_count(search.table)
+    shallow = np.zeros(actions, dtype=np.float32)
+    best_action = 0
+    best_cost = np.float32(np.inf)
+    for action in range(actions):
+        search.best[0] = actions
+        search.best_cost[0] = np.float32(np.inf)
+        try_first(search, 1, action)
+        shallow[action] = search.best_cost[0]
+        if shallow[action] < best_cost:
+            best_cost = shallow[action]
+            best_action = action
+    reached = 1
+    for levels in range(second_level(search.settings.transitions_max, depth, actions), depth + 1):
+        search.best[0] = actions
+        search.best_cost[0] = np.float32(np.inf)
+        stopped = False
+        finished = 0
+        for action in first_actions(shallow, best_action):
+            stopped = try_first(search, levels, action)
+            if stopped:
+                break
+            finished += 1
+        if finished > 0:
+            best_action = search.best[0]
+            best_cost = search.best_cost[0]
+        if stopped:
+            break
+        reached = levels
+    search.best_cost[0] = best_cost
+    return best_action, reached
+
+
+@njit(error_model="numpy")
 def plan_one(
-    states: Array,
-    transitions: Array,
-    velocity_scale: Array,
-    motion_scale: Array,
+    table: TableArrays,
     path: Array,
-    weights: Array,
+    settings: Settings,
     depth: int,
     state: Array,
+    limb_use: Array,
+    along: Any,
     numbers: Array,
     values: Array,
 ) -> None:
-    """Plan from one state.
+    """Plan from one state (6,) float32 whose limbs were used (LIMBS_MAX,) uint16, ``along`` the path.
 
-    Writes ``numbers`` (4,) int32: status, action, nearest state, path index, and ``values`` (7,) float32:
-    cost, predicted x, y, heading, vx, vy, omega; all zero where the status is an error.
+    Writes ``numbers`` (NUMBERS + LIMBS_MAX,) int32, the last of them the predicted limb use, and ``values``
+    (VALUES,) float32; all zero but the status where that is an error.
     """
     numbers[:] = 0
     values[:] = _F0
-    numbers[0] = check(path, weights, depth, state)
+    numbers[0] = check(path, settings, depth, state, limb_use, along)
     if numbers[0] != OK:
         return
-    actions = transitions.shape[1]
-    poses = np.zeros((DEPTH_MAX + 1, 3), dtype=np.float32)
-    rows = np.zeros(DEPTH_MAX + 1, dtype=np.int64)
-    sums = np.zeros(DEPTH_MAX + 1, dtype=np.float32)
-    sequence = np.zeros(DEPTH_MAX, dtype=np.int64)
-    poses[0, 0] = state[0]
-    poses[0, 1] = state[1]
-    poses[0, 2] = wrap_angle(state[2])
-    rows[0] = nearest_state(
-        states,
-        velocity_code(state[3], _F1 / velocity_scale[0]),
-        velocity_code(state[4], _F1 / velocity_scale[1]),
-        velocity_code(state[5], _F1 / velocity_scale[2]),
+    reach = route.reach_of(table.reach_m[0])
+    spacing = reach * _PER_STEP
+    is_route = settings.cost == COST_ROUTE
+    knots = np.zeros(
+        (route.knot_count(depth, settings.look_ahead_m, spacing) if is_route else 1, 4), np.float32
     )
-    best_action = -1
-    best_cost = _F0
-    changed = 0  # the first level whose action differs from the sequence before
-    while changed >= 0:
-        for level in range(changed, depth):
-            entry = transitions[rows[level], sequence[level]]
-            step(poses[level], entry, motion_scale, poses[level + 1])
-            factor = _F1 + weights[3] * np.float32(depth - 1 - level)
-            after = poses[level + 1]
-            cost = pose_cost(path, weights, after[0], after[1], after[2])
-            sums[level + 1] = sums[level] + cost * factor
-            if level + 1 < depth:
-                rows[level + 1] = nearest_state(
-                    states, np.int64(entry[3]), np.int64(entry[4]), np.int64(entry[5])
-                )
-        if best_action < 0 or sums[depth] < best_cost:
-            best_cost = sums[depth]
-            best_action = sequence[0]
-        changed = depth - 1
-        while changed >= 0:
-            sequence[changed] += 1
-            if sequence[changed] < actions:
-                break
-            sequence[changed] = 0
-            changed -= 1
-    entry = transitions[rows[0], best_action]
-    step(poses[0], entry, motion_scale, values[1:4])
+    held = False
+    if is_route:
+        segment, part, distance2, held = route.foot(path, reach, along, state[0], state[1])
+        numbers[3] = segment + int(part)
+        values[1] = np.sqrt(distance2)
+        values[2] = np.float32(segment) + part
+        route.lay_out(path, segment, part, spacing, knots)
+    else:
+        numbers[3], distance2 = nearest_point(path[0], path[1], state[0], state[1])
+        values[1] = np.sqrt(distance2)
+        values[2] = np.float32(numbers[3])
+    search = _Search(
+        table,
+        path,
+        settings,
+        knots,
+        spacing,
+        held,
+        np.zeros((DEPTH_MAX + 1, 3), dtype=np.float32),
+        np.zeros((DEPTH_MAX + 1, DYNAMICS), dtype=np.int64),
+        np.zeros(DEPTH_MAX + 1, dtype=np.int64),
+        np.full(DEPTH_MAX + 1, route.BEHIND, dtype=np.int64),
+        np.zeros(DEPTH_MAX + 1, dtype=np.float32),
+        np.zeros(DEPTH_MAX + 1, dtype=np.float32),
+        np.zeros(2, dtype=np.int64),
+        np.zeros(1, dtype=np.float32),
+        np.zeros(3, dtype=np.float32),
+    )
+    search.poses[0, 0] = state[0]
+    search.poses[0, 1] = state[1]
+    search.poses[0, 2] = wrap_angle(state[2])
+    search.place[0] = np.float32(route.BEHIND) * spacing
     for axis in range(3):
-        values[4 + axis] = np.float32(entry[3 + axis]) * velocity_scale[axis]
-    values[0] = best_cost
-    numbers[1] = best_action
-    numbers[2] = rows[0]
-    numbers[3] = nearest_point(path[0], path[1], state[0], state[1])[0]
+        search.dynamics[0, axis] = velocity_code(state[3 + axis], _F1 / table.velocity_scale[axis])
+    for limb in range(len(limb_use)):
+        search.dynamics[0, 3 + limb] = limb_use[limb]
+    search.rows[0] = find_row(table, search.dynamics[0])
+    numbers[1], numbers[4] = search_levels(search, depth)
+    numbers[2] = search.rows[0]
+    numbers[5] = search.best[1]
+    values[0] = search.best_cost[0]
+    motion_of(table, search.rows[0], search.dynamics[0], numbers[1], search.motion)
+    step(search.poses[0], search.motion, values[3:6])
+    dynamics_after(table, search.rows[0], search.dynamics[0], numbers[1], search.dynamics[1])
+    for axis in range(3):
+        values[6 + axis] = np.float32(search.dynamics[1, axis]) * table.velocity_scale[axis]
+    for limb in range(len(limb_use)):
+        numbers[NUMBERS + limb] = search.dynamics[1, 3 + limb]
 
 
-@njit(cache=True)
-def plan_many(
-    states: Array,
-    transitions: Array,
-    velocity_scale: Array,
-    motion_scale: Array,
-    path: Array,
-    weights: Array,
-    depths: Array,
-    queries: Array,
-    numbers: Array,
-    values: Array,
-) -> None:
-    """Plan from each row of ``queries`` (k, 6) float32 with its own depth (k,)."""
-    for k in range(len(queries)):
-        plan_one(
-            states,
-            transitions,
-            velocity_scale,
-            motion_scale,
-            path,
-            weights,
-            depths[k],
-            queries[k],
-            numbers[k],
-            values[k],
-        )
+def _compiled(stamp: int) -> Any:
+    @njit(cache=True)
+    def plan_many(table, path, settings, depths, states, limb_use, along, numbers, values):  # type: ignore[no-untyped-def]
+        for k in range(len(states)):
+            plan_one(
+                table, path, settings, depths[k], states[k], limb_use[k], along[k], numbers[k], values[k]
+            )
+        return stamp
+
+    return plan_many
+
+
+plan_many = _compiled(stamp_of("frogkick.planner"))
+"""Plan from each row of ``states`` (k, 6) float32 with its own depth (k,), limb use (k, 8) uint16 and place
+along the path (k,) float32; see ``plan_one`` for the rest."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import enum
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -11,8 +12,11 @@ import numpy.typing as npt
 from frogkick.errors import FrogkickError, InputError
 from frogkick.planner import kernel
 from frogkick.planner.image import Tables
+from frogkick.planner.layout import LIMBS_MAX
+from frogkick.planner.lookup import arrays_of
 
 Float32 = npt.NDArray[np.float32]
+UInt16 = npt.NDArray[np.uint16]
 
 PLAN_ROW = np.dtype(
     [
@@ -20,17 +24,30 @@ PLAN_ROW = np.dtype(
         ("action", "<i4"),
         ("nearest_state", "<i4"),
         ("path_index", "<i4"),
+        ("depth_reached", "<i4"),
+        ("transitions", "<i4"),
         ("cost", "<f4"),
+        ("distance_m", "<f4"),
+        ("along_points", "<f4"),
         ("predicted", "<f4", (6,)),
+        ("predicted_limb_use", "<i4", (LIMBS_MAX,)),
     ]
 )
 """One decision: status (0 or a negative fk_error_t), then fk_plan_t; all zero where the status is not 0."""
 
+PLAN_FIXED_US = 600
+TRANSITION_NS = 22000
+"""Of a decision's time on the chip what no transition takes, and the most that each adds (fk_robot.h)."""
+
+_NUMBER_FIELDS = ("status", "action", "nearest_state", "path_index", "depth_reached", "transitions")
+
 STATUS_TEXT = {
     kernel.ERROR_NOT_FINITE: "the state holds NaN or infinity: check the position fixes",
-    kernel.ERROR_RANGE: "the state is beyond +-1000 m or +-1000 rad: check the position fixes",
+    kernel.ERROR_RANGE: "the state is beyond +-1000 m or rad, the path's ends or a limb use of 32767: "
+    "check the position fixes",
     kernel.ERROR_DEPTH: "the depth is not 1 to 4: choose --depth 1 to 4",
-    kernel.ERROR_WEIGHT: "a cost weight is not 0 to 1e6: correct the robot's planner section",
+    kernel.ERROR_WEIGHT: "a cost weight is not 0 to 1e6 (turn_lead: 0 to 2): correct the planner section",
+    kernel.ERROR_COST: "the cost is of no known kind: choose paper or route",
     kernel.ERROR_PATH_COUNT: "the path has not 2 to 100 points: resample it",
     kernel.ERROR_PATH_POINT: "a path point is not within +-1000 m, or a tangent within 1000 rad: mend it",
 }
@@ -55,16 +72,33 @@ class PathLike(Protocol):
     def tangent_rad(self) -> Float32: ...
 
 
+class Cost(enum.IntEnum):
+    """How a planner judges motions."""
+
+    PAPER = kernel.COST_PAPER  # Huang et al. 2022, Eq. 19
+    ROUTE = kernel.COST_ROUTE  # frogkick.planner.route
+
+
 @dataclass(frozen=True)
 class PlanConfig:
-    """Cost weights and depth; the defaults are the paper's.
+    """Cost, weights and depth; the defaults are the paper's.
+
+    Weights and lengths are 0 to 1e6. Those of the cost that is not chosen are not looked at.
 
     Attributes:
-        distance_weight_per_m: times the distance to the nearest path point, 0 to 1e6.
-        angle_weight_per_rad: times the angle between heading and the tangent there, 0 to 1e6.
-        progress_weight: times the part of the path that is left there, 0 to 1e6.
-        level_weight: a level's cost is multiplied by 1 + level_weight * levels below it, 0 to 1e6.
+        distance_weight_per_m: times the distance to the path (route: softened near it).
+        angle_weight_per_rad: times the angle between heading and path: its tangent there (paper), the
+            direction to its place a look-ahead further on (route, at a branch's end only).
+        progress_weight: paper: times the part of the path that is left.
+        level_weight: paper: a level's cost is multiplied by 1 + level_weight * levels below it.
         depth: levels to look ahead, 1 to 4.
+        cost: which cost.
+        progress_weight_per_m: route: times what a motion advances less than the table's longest one.
+        look_ahead_m: route: how far along the path a branch's end points.
+        soft_distance_m: route: the distance below which distance counts by its square.
+        turn_lead: route: times the last turn, by which the robot is taken to turn on; 0 to 2.
+        transitions_max: transitions to evaluate before the search has to answer; 0 = as many as it takes.
+            The first level is always finished.
     """
 
     distance_weight_per_m: float = 500.0
@@ -72,13 +106,66 @@ class PlanConfig:
     progress_weight: float = 300.0
     level_weight: float = 0.3
     depth: int = 1
+    cost: int = Cost.PAPER
+    progress_weight_per_m: float = 0.0
+    look_ahead_m: float = 0.0
+    soft_distance_m: float = 0.0
+    turn_lead: float = 0.0
+    transitions_max: int = 0
 
     def weights(self) -> Float32:
-        """Return the four weights as float32, in the order of the fields."""
-        return np.array(
-            [self.distance_weight_per_m, self.angle_weight_per_rad, self.progress_weight, self.level_weight],
-            dtype=np.float32,
-        )
+        """Return weights and lengths as (8,) float32, in the order of ``fk_plan_config_t``."""
+        fields = kernel.Settings._fields[2:]
+        return _float32([getattr(self, name) for name in fields])
+
+    def settings(self) -> kernel.Settings:
+        """Return what the kernels read, floats as float32."""
+        return kernel.Settings(int(self.cost), int(self.transitions_max), *self.weights())
+
+
+class PlannerSettings(Protocol):
+    """What a robot's file says of its planner (frogkick.robot.PlannerDefaults is one)."""
+
+    @property
+    def cost(self) -> str: ...
+    @property
+    def distance_weight_per_m(self) -> float: ...
+    @property
+    def angle_weight_per_rad(self) -> float: ...
+    @property
+    def progress_weight(self) -> float: ...
+    @property
+    def level_weight(self) -> float: ...
+    @property
+    def progress_weight_per_m(self) -> float: ...
+    @property
+    def look_ahead_m(self) -> float: ...
+    @property
+    def soft_distance_m(self) -> float: ...
+    @property
+    def turn_lead(self) -> float: ...
+    @property
+    def depth(self) -> int: ...
+    @property
+    def plan_time_s(self) -> float: ...
+
+
+def config_of(planner: PlannerSettings) -> PlanConfig:
+    """The configuration that a robot's file asks for, as the robot itself has it after booting."""
+    weights = {name: getattr(planner, name) for name in kernel.Settings._fields[2:]}
+    return PlanConfig(
+        **weights,
+        depth=planner.depth,
+        cost=Cost[planner.cost.upper()],
+        transitions_max=transitions_within(round(planner.plan_time_s * 1e6)),
+    )
+
+
+def transitions_within(plan_us: int) -> int:
+    """Transitions that the robot's planner may evaluate in a time; 0 for no time given: without limit."""
+    if plan_us == 0:
+        return 0
+    return max(1, max(0, plan_us - PLAN_FIXED_US) * 1000 // TRANSITION_NS)
 
 
 @dataclass(frozen=True)
@@ -88,19 +175,36 @@ class Plan:
     Attributes:
         action: index into the table's actions.
         nearest_state: row of the table nearest to the state's velocity.
-        path_index: path point nearest to the state's position.
+        path_index: path point nearest to the state (paper), last one that it has reached (route).
+        depth_reached: levels that were finished.
+        transitions: transitions that were evaluated.
         cost: float32 sum over the best branch.
+        distance_m: float32 distance of the state from that point (paper), or from the path (route).
+        along_points: float32 place of the state along the path, in points: where the next search begins.
         predicted: (6,) float32 state after the first action: pose world, velocity body.
+        predicted_limb_use: (8,) uint16 how much each limb was used lately, after the first action.
     """
 
     action: int
     nearest_state: int
     path_index: int
+    depth_reached: int
+    transitions: int
     cost: np.float32
+    distance_m: np.float32
+    along_points: np.float32
     predicted: Float32
+    predicted_limb_use: UInt16
 
 
-def plan(tables: Tables, path: PathLike, config: PlanConfig, state: npt.ArrayLike) -> Plan:
+def plan(
+    tables: Tables,
+    path: PathLike,
+    config: PlanConfig,
+    state: npt.ArrayLike,
+    limb_use: npt.ArrayLike | None = None,
+    along_points: float = 0.0,
+) -> Plan:
     """Choose the next action (the paper's Algorithm 1 with a fixed per-axis metric).
 
     Args:
@@ -108,6 +212,8 @@ def plan(tables: Tables, path: PathLike, config: PlanConfig, state: npt.ArrayLik
         path: 2 to 100 points, world frame.
         config: weights and depth.
         state: (6,) x m, y m, heading rad (world), vx m/s, vy m/s, omega rad/s (body); used as float32.
+        limb_use: (8,) how much each limb was used lately, 0 = rested to 32767 = full; None = all rested.
+        along_points: where along the path the robot was last, in points, 0 to the last one; 0 at the start.
 
     Raises:
         PlanError: the state, path or configuration allows no decision; it carries the robot's status.
@@ -115,7 +221,7 @@ def plan(tables: Tables, path: PathLike, config: PlanConfig, state: npt.ArrayLik
     Source: Huang et al. 2022, Algorithm 1, Eq. 19.
     """
     query = _float32(state).reshape(-1)
-    row = plan_batch(tables, path, config, query[np.newaxis, :], np.array([config.depth]))[0]
+    row = plan_batch(tables, path, config, query[np.newaxis, :], None, limb_use, along_points)[0]
     status = int(row["status"])
     if status != kernel.OK:
         raise PlanError(
@@ -125,8 +231,13 @@ def plan(tables: Tables, path: PathLike, config: PlanConfig, state: npt.ArrayLik
         action=int(row["action"]),
         nearest_state=int(row["nearest_state"]),
         path_index=int(row["path_index"]),
+        depth_reached=int(row["depth_reached"]),
+        transitions=int(row["transitions"]),
         cost=np.float32(row["cost"]),
+        distance_m=np.float32(row["distance_m"]),
+        along_points=np.float32(row["along_points"]),
         predicted=np.array(row["predicted"], dtype=np.float32),
+        predicted_limb_use=row["predicted_limb_use"].astype(np.uint16),
     )
 
 
@@ -136,6 +247,8 @@ def plan_batch(
     config: PlanConfig,
     states: npt.ArrayLike,
     depths: npt.ArrayLike | None = None,
+    limb_use: npt.ArrayLike | None = None,
+    along_points: npt.ArrayLike = 0.0,
 ) -> npt.NDArray[Any]:
     """Plan from many states.
 
@@ -143,6 +256,8 @@ def plan_batch(
         tables, path, config: as for ``plan``.
         states: (k, 6) states.
         depths: (k,) depth of each; ``config.depth`` for all where it is None.
+        limb_use: (k, 8) or (8,) for all: how much each limb was used lately, 0 to 32767; None = rested.
+        along_points: (k,) or one for all: where along the path each was last, in points.
 
     Returns:
         (k,) array of ``PLAN_ROW``; a state without a decision has its status there.
@@ -158,25 +273,25 @@ def plan_batch(
         raise InputError(
             f"depths have shape {many.shape}, needed is ({len(queries)},): pass one for each state"
         )
-    numbers = np.zeros((len(queries), 4), dtype=np.int32)
-    values = np.zeros((len(queries), 7), dtype=np.float32)
+    numbers = np.zeros((len(queries), kernel.NUMBERS + LIMBS_MAX), dtype=np.int32)
+    values = np.zeros((len(queries), kernel.VALUES), dtype=np.float32)
     kernel.plan_many(
-        tables.states,
-        tables.transitions,
-        tables.velocity_scale,
-        tables.motion_scale,
+        arrays_of(tables),
         path_rows(path),
-        config.weights(),
+        config.settings(),
         many.astype(np.int64),
         queries,
+        limb_use_rows(limb_use, len(queries)),
+        along_rows(along_points, len(queries)),
         numbers,
         values,
     )
     rows = np.zeros(len(queries), dtype=PLAN_ROW)
-    for column, name in enumerate(("status", "action", "nearest_state", "path_index")):
+    for column, name in enumerate(_NUMBER_FIELDS):
         rows[name] = numbers[:, column]
-    rows["cost"] = values[:, 0]
-    rows["predicted"] = values[:, 1:]
+    rows["cost"], rows["distance_m"], rows["along_points"] = values[:, :3].T
+    rows["predicted"] = values[:, 3:]
+    rows["predicted_limb_use"] = numbers[:, kernel.NUMBERS :]
     return rows
 
 
@@ -191,6 +306,38 @@ def path_rows(path: PathLike) -> Float32:
         lengths = [len(column) for column in columns]
         raise InputError(f"path has {lengths} x, y and tangent values: give one of each for every point")
     return np.ascontiguousarray(np.stack(columns))
+
+
+def limb_use_rows(limb_use: npt.ArrayLike | None, count: int) -> UInt16:
+    """Return limb uses as one (count, 8) uint16 array: None is rested, one row counts for all.
+
+    Raises:
+        InputError: another shape, or a value that is no whole number of 0 to 65535.
+    """
+    given = np.zeros((count, LIMBS_MAX)) if limb_use is None else np.asarray(limb_use)
+    if given.shape == (LIMBS_MAX,):
+        given = np.broadcast_to(given, (count, LIMBS_MAX))
+    if given.shape != (count, LIMBS_MAX):
+        raise InputError(
+            f"limb use has shape {given.shape}, needed is ({count}, {LIMBS_MAX}): one row a state"
+        )
+    rows = np.ascontiguousarray(given).astype(np.uint16)
+    if not np.array_equal(rows, given):
+        raise InputError("limb use holds a value that is no whole number of 0 to 65535: correct it")
+    return rows
+
+
+def along_rows(along_points: npt.ArrayLike, count: int) -> Float32:
+    """Return places along a path as one (count,) float32 array.
+
+    Raises:
+        InputError: neither one value nor one for each state.
+    """
+    given = _float32(along_points)
+    if given.shape not in ((), (1,), (count,)):
+        raise InputError(f"along_points has shape {given.shape}, needed is ({count},): one for each state")
+    # A copy: numba would compile all once more for an array that is read-only.
+    return np.array(np.broadcast_to(given.reshape(-1), (count,)))
 
 
 def _float32(values: npt.ArrayLike) -> Float32:

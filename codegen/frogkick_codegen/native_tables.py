@@ -1,0 +1,154 @@
+"""The C look-up on this machine, without the search: for parity of tables alone, and quickly built."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from importlib import resources
+from typing import Any, NamedTuple
+
+import cffi
+import numpy as np
+import numpy.typing as npt
+
+from frogkick.planner.image import TableError, Tables
+from frogkick.planner.layout import LIMBS_MAX
+from frogkick_codegen.native import build_shared, planner_files
+from frogkick_codegen.toolchain import FLAGS, Compiler
+
+TABLE_SOURCES = ("lookup.c", "math.c", "nearest.c", "tables.c", "tables_check.c")
+
+_DECLARATIONS = """
+int32_t fk_native_lookup(const uint8_t *image, uint32_t size, const int32_t *codes, const uint16_t *use,
+                         uint32_t count, uint32_t *rows, float *motions, int32_t *next_codes,
+                         uint16_t *next_use);
+int32_t fk_native_nearest(const uint8_t *image, uint32_t size, const int32_t *codes, uint32_t count,
+                          uint32_t *rows);
+int32_t fk_native_bounds(const uint8_t *image, uint32_t size, float *bounds);
+int32_t fk_native_robot(const uint8_t *image, uint32_t size, const char *robot_id);
+int32_t fk_native_action(const uint8_t *image, uint32_t size, uint8_t index, uint8_t *row);
+int32_t fk_native_nulls(const uint8_t *image, uint32_t size, int32_t *statuses);
+void fk_native_codes(const float *velocities, uint32_t count, float codes_per_velocity, int32_t *codes);
+"""
+
+
+class LookedUp(NamedTuple):
+    """What a table says of k states: rows (k,), motions (k, a, 3) float32, dynamics (k, a, 3 + LIMBS_MAX)."""
+
+    rows: npt.NDArray[np.int64]
+    motions: npt.NDArray[np.float32]
+    dynamics: npt.NDArray[np.int64]
+
+
+class NativeTables:
+    """The table's C as this machine's code."""
+
+    def __init__(
+        self,
+        files: Mapping[str, bytes] | None = None,
+        compiler: Compiler | None = None,
+        flags: Sequence[str] = FLAGS,
+    ) -> None:
+        """Build (or find) the library and load it; arguments and errors as for ``build_shared``.
+
+        Args:
+            files: planner files; the package's own where it is None.
+        """
+        given = planner_files() if files is None else files
+        every = {
+            name: content
+            for name, content in given.items()
+            if name.endswith(".h") or name in TABLE_SOURCES or name not in planner_files()
+        }
+        entries = resources.files("frogkick_codegen") / "templates" / "native_tables.c"
+        every["native_tables.c"] = entries.read_bytes()
+        self._ffi = cffi.FFI()
+        self._ffi.cdef(_DECLARATIONS)
+        self._library: Any = self._ffi.dlopen(str(build_shared("fk_tables", every, compiler, flags)))
+
+    def open_status(self, image: bytes) -> int:
+        """Return what ``fk_tables_open`` says of an image: 0 or a negative fk_error_t."""
+        return int(self._library.fk_native_nearest(*self._image(image), self._ffi.NULL, 0, self._ffi.NULL))
+
+    def bounds(self, image: bytes) -> tuple[np.float32, np.float32]:
+        """Return reach_m and turn_max_rad of a table."""
+        found = np.zeros(2, dtype=np.float32)
+        self._check(self._library.fk_native_bounds(*self._image(image), self._into("float[]", found)))
+        return found[0], found[1]
+
+    def robot_status(self, image: bytes, robot_id: bytes) -> int:
+        """Return what ``fk_tables_check_robot`` says of a robot's id, or why the image does not open."""
+        return int(self._library.fk_native_robot(*self._image(image), robot_id))
+
+    def action(self, image: bytes, index: int) -> tuple[str, int, int]:
+        """Return an action's name and masks as ``fk_tables_action`` reads them."""
+        row = np.zeros(3, dtype=np.uint8)
+        self._check(self._library.fk_native_action(*self._image(image), index, self._into("uint8_t[]", row)))
+        return chr(row[0]), int(row[1]), int(row[2])
+
+    def null_statuses(self, image: bytes) -> list[int]:
+        """Return what the functions of a table say where one of their pointers is null."""
+        statuses = np.zeros(6, dtype=np.int32)
+        self._check(self._library.fk_native_nulls(*self._image(image), self._into("int32_t[]", statuses)))
+        return [int(status) for status in statuses]
+
+    def velocity_codes(
+        self, velocities: npt.ArrayLike, codes_per_velocity: np.float32
+    ) -> npt.NDArray[np.int32]:
+        """Return ``fk_velocity_code`` of each velocity."""
+        given = np.ascontiguousarray(velocities, dtype=np.float32)
+        codes = np.zeros(len(given), dtype=np.int32)
+        self._library.fk_native_codes(
+            self._ffi.from_buffer("float[]", given),
+            len(given),
+            float(codes_per_velocity),
+            self._into("int32_t[]", codes),
+        )
+        return codes
+
+    def nearest(self, image: bytes, codes: npt.ArrayLike) -> npt.NDArray[np.int64]:
+        """Return the row of each of (k, 3) velocity codes."""
+        asked = np.ascontiguousarray(codes, dtype=np.int32)
+        rows = np.zeros(len(asked), dtype=np.uint32)
+        self._check(
+            self._library.fk_native_nearest(
+                *self._image(image),
+                self._ffi.from_buffer("int32_t[]", asked),
+                len(asked),
+                self._into("uint32_t[]", rows),
+            )
+        )
+        return rows.astype(np.int64)
+
+    def look_up(self, tables: Tables, codes: npt.ArrayLike, limb_use: npt.ArrayLike) -> LookedUp:
+        """Look up (k, 3) velocity codes with (k, LIMBS_MAX) limb uses, every action."""
+        asked = np.ascontiguousarray(codes, dtype=np.int32)
+        used = np.ascontiguousarray(limb_use, dtype=np.uint16)
+        shape = (len(asked), len(tables.actions))
+        rows = np.zeros(len(asked), dtype=np.uint32)
+        motions = np.zeros((*shape, 3), dtype=np.float32)
+        after = np.zeros((*shape, 3), dtype=np.int32)
+        use_after = np.zeros((*shape, LIMBS_MAX), dtype=np.uint16)
+        self._check(
+            self._library.fk_native_lookup(
+                *self._image(tables.image),
+                self._ffi.from_buffer("int32_t[]", asked),
+                self._ffi.from_buffer("uint16_t[]", used),
+                len(asked),
+                self._into("uint32_t[]", rows),
+                self._into("float[]", motions),
+                self._into("int32_t[]", after),
+                self._into("uint16_t[]", use_after),
+            )
+        )
+        dynamics = np.concatenate([after, use_after], axis=2).astype(np.int64)
+        return LookedUp(rows.astype(np.int64), motions, dynamics)
+
+    def _image(self, image: bytes) -> tuple[Any, int]:
+        return self._ffi.from_buffer("uint8_t[]", image), len(image)
+
+    def _into(self, kind: str, array: npt.NDArray[Any]) -> Any:
+        return self._ffi.from_buffer(kind, array, require_writable=True)
+
+    def _check(self, status: int) -> None:
+        if status != 0:
+            raise TableError(f"the C refuses the table image (fk_error_t {status}): make it again")

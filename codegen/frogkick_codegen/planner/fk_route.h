@@ -1,0 +1,169 @@
+/* fk_route.h - the route cost, for the planner's own files: progress along the path that no branch jumps, and
+ * where a branch ends. route.c says how. */
+#ifndef FK_ROUTE_H
+#define FK_ROUTE_H
+
+#include "fk_internal.h"
+
+#define FK_ROUTE_PER_STEP 0.125f  /* step between knots over the table's reach */
+#define FK_ROUTE_AHEAD 12U        /* knots that one motion may advance: one and a half reaches */
+#define FK_ROUTE_BEHIND 2U        /* knots behind the one where the route begins */
+#define FK_ROUTE_KNOTS_MAX 80U
+#define FK_ROUTE_REACH_MIN_M 1e-4f
+
+/* A place of the route and its direction there. */
+typedef struct {
+    float x_m;
+    float y_m;
+    float direction_x; /* unit vector */
+    float direction_y;
+} fk_knot_t;
+
+/* Where along a path a state is. */
+typedef struct {
+    float part;          /* of the segment from its point to the next, 0 to 1 */
+    float distance2_m2;  /* squared distance of the state from there */
+    uint16_t segment;    /* index of its first point */
+    uint8_t held;        /* 1: the state is far off, and the place is the one where it was last */
+} fk_foot_t;
+
+/* What a search works with; filled by fk_route_lay_out(). */
+typedef struct {
+    fk_knot_t knots[FK_ROUTE_KNOTS_MAX];
+    float reach_m;
+    float step_m;
+    float steps_per_m;
+    float distance_weight_per_m;
+    float angle_weight_per_rad;
+    float progress_weight_per_m;
+    float look_ahead_m;
+    float turn_lead;
+    float soft2_m2;         /* square of the distance below which distance is softened */
+    float half_per_soft;    /* 1 / m; 0 where nothing is softened */
+    float half_soft_m;
+    uint32_t last;          /* index of the last knot */
+    uint32_t ahead;         /* knots that one motion may advance; 0 where the foot is held */
+} fk_route_t;
+
+/* Find where along the path a position is, near the place where it was last (along_points, checked). */
+void fk_route_foot(const fk_path_t *path, float reach_m, float along_points, float x_m, float y_m, fk_foot_t *foot);
+
+/* Lay out the knots from a foot on, for a search of some levels. */
+void fk_route_lay_out(const fk_path_t *path, const fk_plan_config_t *config, float reach_m, const fk_foot_t *foot,
+                      fk_route_t *route);
+
+/* Length that scales a route: the table's reach, but not nothing. */
+float fk_route_reach(const fk_tables_t *tables);
+
+static inline float fk_larger(float one, float two)
+{
+    return (one > two) ? one : two;
+}
+
+static inline float fk_smaller(float one, float two)
+{
+    return (one < two) ? one : two;
+}
+
+static inline float fk_knot_distance2(const fk_knot_t *knot, float x_m, float y_m)
+{
+    const float dx_m = x_m - knot->x_m;
+    const float dy_m = y_m - knot->y_m;
+
+    return dx_m * dx_m + dy_m * dy_m;
+}
+
+/* The knot nearest to a position among low to high: the nearest of every third one, then of its neighbours. The
+ * lowest index keeps a tie. Here and below inline, since a search spends its time in them. */
+static inline const fk_knot_t *fk_route_nearest(const fk_route_t *route, uint32_t low, uint32_t high, float x_m,
+                                                float y_m, float *distance2_m2)
+{
+    const fk_knot_t *first = &route->knots[low];
+    const fk_knot_t *last = &route->knots[high];
+    const fk_knot_t *found = first;
+    const fk_knot_t *candidate;
+    const fk_knot_t *middle;
+    float best_m2 = fk_knot_distance2(first, x_m, y_m);
+    float distance2;
+
+    for (candidate = first + 3; candidate <= last; candidate += 3) {
+        distance2 = fk_knot_distance2(candidate, x_m, y_m);
+        if (distance2 < best_m2) {
+            best_m2 = distance2;
+            found = candidate;
+        }
+    }
+    middle = found;
+    if (middle > first) {
+        distance2 = fk_knot_distance2(middle - 1, x_m, y_m);
+        if (distance2 <= best_m2) {
+            best_m2 = distance2;
+            found = middle - 1;
+        }
+    }
+    if (middle < last) {
+        distance2 = fk_knot_distance2(middle + 1, x_m, y_m);
+        if (distance2 < best_m2) {
+            best_m2 = distance2;
+            found = middle + 1;
+        }
+    }
+    *distance2_m2 = best_m2;
+    return found;
+}
+
+/* What a motion costs that ends at (x_m, y_m), at least 0.
+ * knot, place_m: where on the route it began; where it ends goes to *next_knot and *next_place_m. */
+static inline float fk_route_motion_cost(const fk_route_t *route, uint32_t knot, float place_m, float x_m, float y_m,
+                                         uint32_t *next_knot, float *next_place_m)
+{
+    const uint32_t low = (knot > 0U) ? knot - 1U : 0U;
+    const fk_knot_t *found;
+    uint32_t high = knot;
+    float distance2_m2;
+    float along_m;
+    float moved_m;
+    float short_m;
+    float off_m;
+
+    if ((route->ahead == 0U) && (high < FK_ROUTE_BEHIND)) {
+        high = FK_ROUTE_BEHIND; /* a held foot is behind nothing */
+    }
+    high += route->ahead;
+    high = (high > route->last) ? route->last : high;
+    found = fk_route_nearest(route, low, high, x_m, y_m, &distance2_m2);
+    along_m = (x_m - found->x_m) * found->direction_x + (y_m - found->y_m) * found->direction_y;
+    moved_m = fk_larger(-route->step_m, fk_smaller(route->step_m, along_m));
+    distance2_m2 = fk_larger(0.0f, distance2_m2 - moved_m * (2.0f * along_m - moved_m));
+    *next_knot = (uint32_t)(found - route->knots);
+    *next_place_m = (float)*next_knot * route->step_m + moved_m;
+
+    short_m = route->reach_m - fk_smaller(*next_place_m - place_m, route->reach_m);
+    off_m = (distance2_m2 < route->soft2_m2) ? distance2_m2 * route->half_per_soft
+                                             : FK_SQRT(distance2_m2) - route->half_soft_m;
+    return route->distance_weight_per_m * off_m + route->progress_weight_per_m * short_m;
+}
+
+/* What it costs to end at a position and a place of the route, pointing along (cosine, sine), at least 0: that
+ * grows with the angle up to half a turn as 2 sin(angle / 2), without an arc tangent. */
+static inline float fk_route_end_cost(const fk_route_t *route, float place_m, float x_m, float y_m, float cosine,
+                                      float sine)
+{
+    const float last = (float)route->last;
+    const float steps = fk_larger(0.0f, fk_smaller(last, (place_m + route->look_ahead_m) * route->steps_per_m));
+    const uint32_t index = (uint32_t)steps;
+    const fk_knot_t *knot = &route->knots[index];
+    const float beyond_m = (steps - (float)index) * route->step_m;
+    const float dx_m = (knot->x_m + beyond_m * knot->direction_x) - x_m;
+    const float dy_m = (knot->y_m + beyond_m * knot->direction_y) - y_m;
+    const float distance2_m2 = dx_m * dx_m + dy_m * dy_m;
+    float aligned;
+
+    if (distance2_m2 == 0.0f) {
+        return 0.0f;
+    }
+    aligned = (dx_m * cosine + dy_m * sine) / FK_SQRT(distance2_m2);
+    return route->angle_weight_per_rad * FK_SQRT(fk_larger(0.0f, 2.0f - 2.0f * aligned));
+}
+
+#endif

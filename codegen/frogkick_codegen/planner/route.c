@@ -1,0 +1,172 @@
+/* route.c - the route cost.
+ *
+ * The path is its polyline. How far a state is along it is carried from decision to decision and looked for only
+ * near where it was, so a path that crosses or closes on itself is never left for another part of it. From there
+ * knots are laid out at equal steps, straight on beyond both of the path's ends. A pose belongs to the nearest of
+ * the knots that one motion can reach, and lies off it along and across the route's direction there.
+ *
+ * A motion costs its end's distance from the route and what it advances less than the table's reach: both at
+ * least 0, which the search relies on. The end of a branch costs how far the robot points away from the route's
+ * place a look-ahead further on. */
+#include "fk_route.h"
+
+#define FK_ROUTE_AHEAD_REACHES 1.5f /* how far along the path a foot is looked for */
+#define FK_ROUTE_FAR_REACHES 2.0f   /* further off than this, the foot stays where it was */
+
+float fk_route_reach(const fk_tables_t *tables)
+{
+    return fk_larger(tables->reach_m, FK_ROUTE_REACH_MIN_M);
+}
+
+static float fk_segment_length(const fk_path_t *path, uint32_t segment)
+{
+    const float dx_m = path->x_m[segment + 1U] - path->x_m[segment];
+    const float dy_m = path->y_m[segment + 1U] - path->y_m[segment];
+
+    return FK_SQRT(dx_m * dx_m + dy_m * dy_m);
+}
+
+/* Nearest part of a segment to an offset from its first point. */
+static float fk_segment_part(float dx_m, float dy_m, float offset_x_m, float offset_y_m)
+{
+    const float length2_m2 = dx_m * dx_m + dy_m * dy_m;
+    const float along_m2 = offset_x_m * dx_m + offset_y_m * dy_m;
+
+    if (along_m2 <= 0.0f) {
+        return 0.0f;
+    }
+    if (along_m2 >= length2_m2) { /* so nothing is divided by 0 either */
+        return 1.0f;
+    }
+    return along_m2 / length2_m2;
+}
+
+void fk_route_foot(const fk_path_t *path, float reach_m, float along_points, float x_m, float y_m, fk_foot_t *foot)
+{
+    const uint32_t last = path->count - 2U; /* count >= 2, checked */
+    const float far_m = FK_ROUTE_FAR_REACHES * reach_m;
+    const float ahead_limit_m = FK_ROUTE_AHEAD_REACHES * reach_m;
+    uint32_t home = (uint32_t)along_points; /* 0 to count - 1, checked */
+    uint32_t first;
+    uint32_t end;
+    uint32_t segment;
+    float home_part;
+    float length_m;
+    float behind_m;
+    float ahead_m;
+
+    home = (home > last) ? last : home;
+    home_part = along_points - (float)home;
+    length_m = fk_segment_length(path, home);
+    behind_m = home_part * length_m;
+    for (first = home; (first > 0U) && (behind_m < reach_m); first--) {
+        behind_m = behind_m + fk_segment_length(path, first - 1U);
+    }
+    ahead_m = (1.0f - home_part) * length_m;
+    for (end = home; (end < last) && (ahead_m < ahead_limit_m); end++) {
+        ahead_m = ahead_m + fk_segment_length(path, end + 1U);
+    }
+
+    foot->distance2_m2 = FLT_MAX;
+    for (segment = first; segment <= end; segment++) {
+        const float dx_m = path->x_m[segment + 1U] - path->x_m[segment];
+        const float dy_m = path->y_m[segment + 1U] - path->y_m[segment];
+        const float offset_x_m = x_m - path->x_m[segment];
+        const float offset_y_m = y_m - path->y_m[segment];
+        const float part = fk_segment_part(dx_m, dy_m, offset_x_m, offset_y_m);
+        const float across_x_m = offset_x_m - part * dx_m;
+        const float across_y_m = offset_y_m - part * dy_m;
+        const float distance2_m2 = across_x_m * across_x_m + across_y_m * across_y_m;
+
+        if (distance2_m2 < foot->distance2_m2) {
+            foot->distance2_m2 = distance2_m2;
+            foot->segment = (uint16_t)segment; /* < FK_PATH_POINTS_MAX */
+            foot->part = part;
+        }
+    }
+    foot->held = 0U;
+    if (foot->distance2_m2 > far_m * far_m) {
+        const float dx_m = path->x_m[home + 1U] - path->x_m[home];
+        const float dy_m = path->y_m[home + 1U] - path->y_m[home];
+        const float across_x_m = (x_m - path->x_m[home]) - home_part * dx_m;
+        const float across_y_m = (y_m - path->y_m[home]) - home_part * dy_m;
+
+        foot->distance2_m2 = across_x_m * across_x_m + across_y_m * across_y_m;
+        foot->segment = (uint16_t)home;
+        foot->part = home_part;
+        foot->held = 1U;
+    }
+}
+
+/* Knots that a search needs: what its levels can reach, and the look-ahead beyond, as far as there is room. */
+static uint32_t fk_route_knots(uint32_t depth, float look_ahead_steps)
+{
+    const uint32_t reached = FK_ROUTE_BEHIND + FK_ROUTE_AHEAD * depth + 2U; /* at most 52 */
+    const uint32_t room = FK_ROUTE_KNOTS_MAX - reached;
+
+    return (look_ahead_steps >= (float)room) ? FK_ROUTE_KNOTS_MAX : reached + (uint32_t)look_ahead_steps;
+}
+
+static void fk_route_settings(const fk_plan_config_t *config, float reach_m, fk_route_t *route)
+{
+    const float soft_m = config->soft_distance_m;
+
+    route->reach_m = reach_m;
+    route->step_m = reach_m * FK_ROUTE_PER_STEP;
+    route->steps_per_m = 1.0f / route->step_m; /* reach_m >= FK_ROUTE_REACH_MIN_M */
+    route->distance_weight_per_m = config->distance_weight_per_m;
+    route->angle_weight_per_rad = config->angle_weight_per_rad;
+    route->progress_weight_per_m = config->progress_weight_per_m;
+    route->look_ahead_m = config->look_ahead_m;
+    route->turn_lead = config->turn_lead;
+    route->soft2_m2 = soft_m * soft_m;
+    route->half_soft_m = 0.5f * soft_m;
+    route->half_per_soft = (soft_m > 0.0f) ? 0.5f / soft_m : 0.0f;
+}
+
+void fk_route_lay_out(const fk_path_t *path, const fk_plan_config_t *config, float reach_m, const fk_foot_t *foot,
+                      fk_route_t *route)
+{
+    const uint32_t last = path->count - 2U;
+    uint32_t segment = foot->segment;
+    uint32_t count;
+    uint32_t index;
+    int32_t fresh = 1; /* the segment's direction is still to be computed */
+    float length_m = fk_segment_length(path, segment);
+    float direction_x = 1.0f;
+    float direction_y = 0.0f;
+    float along_m; /* from the segment's first point; below 0 before the path, above its length beyond it */
+
+    fk_route_settings(config, reach_m, route);
+    along_m = foot->part * length_m - (float)FK_ROUTE_BEHIND * route->step_m;
+    while ((along_m < 0.0f) && (segment > 0U)) {
+        segment -= 1U;
+        length_m = fk_segment_length(path, segment);
+        along_m = along_m + length_m;
+    }
+    count = fk_route_knots(config->depth, config->look_ahead_m / route->step_m);
+    for (index = 0U; index < count; index++) {
+        fk_knot_t *knot = &route->knots[index];
+
+        while ((along_m > length_m) && (segment < last)) {
+            along_m = along_m - length_m;
+            segment += 1U;
+            length_m = fk_segment_length(path, segment);
+            fresh = 1;
+        }
+        if ((fresh != 0) && (length_m > 0.0f)) { /* else the direction of the segment before stays */
+            const float per_m = 1.0f / length_m;
+
+            direction_x = (path->x_m[segment + 1U] - path->x_m[segment]) * per_m;
+            direction_y = (path->y_m[segment + 1U] - path->y_m[segment]) * per_m;
+        }
+        fresh = 0;
+        knot->x_m = path->x_m[segment] + along_m * direction_x;
+        knot->y_m = path->y_m[segment] + along_m * direction_y;
+        knot->direction_x = direction_x;
+        knot->direction_y = direction_y;
+        along_m = along_m + route->step_m;
+    }
+    route->last = count - 1U;
+    route->ahead = (foot->held != 0U) ? 0U : FK_ROUTE_AHEAD;
+}

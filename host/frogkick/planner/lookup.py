@@ -1,0 +1,150 @@
+"""What a table says of a state: the twin of nearest.c and lookup.c, by brute force instead of a tree."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+from frogkick.planner.image import Tables
+from frogkick.planner.layout import LIMBS_MAX, VELOCITY_CODE_MAX
+
+Array = npt.NDArray[Any]
+
+_F0 = np.float32(0)
+_HALF = np.float32(0.5)
+_CODE_MAX = np.float32(VELOCITY_CODE_MAX)
+
+
+class TableArrays(NamedTuple):
+    """A table as the kernels read it; for the fields see frogkick.planner.image.Tables.
+
+    A state's dynamics are an int64 row of 3 + LIMBS_MAX: velocity codes, then how much each limb was used.
+    ``fires`` (a, l) is 1 where an action fires a limb; ``use`` holds decay and gain; reach_m and turn_max_rad
+    are (1,) float32: no look-up moves or turns the robot further.
+    """
+
+    states: Array
+    transitions: Array
+    derivatives: Array
+    history: Array
+    fires: Array
+    velocity_scale: Array
+    motion_scale: Array
+    motion_limit: Array
+    correction_shift: Array
+    offset_limit: Array
+    use: Array
+    reach_m: Array
+    turn_max_rad: Array
+
+
+DYNAMICS = 3 + LIMBS_MAX
+
+
+def arrays_of(tables: Tables) -> TableArrays:
+    """The arrays of an opened table."""
+    masks = np.array([row.first_mask | row.second_mask for row in tables.actions], dtype=np.int64)
+    return TableArrays(
+        states=tables.states,
+        transitions=tables.transitions,
+        derivatives=tables.derivatives,
+        history=tables.history,
+        fires=(masks[:, None] >> np.arange(tables.limbs)) & 1,
+        velocity_scale=tables.velocity_scale,
+        motion_scale=tables.motion_scale,
+        motion_limit=tables.motion_limit,
+        correction_shift=tables.correction_shift,
+        offset_limit=tables.offset_limit,
+        use=np.array([tables.use_decay, tables.use_gain], dtype=np.int64),
+        reach_m=np.array([tables.reach_m], dtype=np.float32),
+        turn_max_rad=np.array([tables.turn_max_rad], dtype=np.float32),
+    )
+
+
+@njit(cache=True)
+def velocity_code(velocity: np.float32, codes_per_velocity: np.float32) -> Any:
+    """Return a velocity as a code, rounded half away from zero, clamped to +-16383."""
+    code = velocity * codes_per_velocity
+    size = min(abs(code), _CODE_MAX)
+    whole = int(size)
+    if size - np.float32(whole) >= _HALF:
+        whole += 1
+    return -whole if code < _F0 else whole
+
+
+@njit(cache=True)
+def nearest_state(states: Array, code_0: Any, code_1: Any, code_2: Any) -> int:
+    """Return the row nearest to a velocity in codes, the lowest on ties; 64-bit sums."""
+    best = np.int64(2) ** 62
+    row = 0
+    for index in range(states.shape[0]):
+        d0 = np.int64(states[index, 0]) - code_0
+        d1 = np.int64(states[index, 1]) - code_1
+        d2 = np.int64(states[index, 2]) - code_2
+        distance2 = d0 * d0 + d1 * d1 + d2 * d2
+        if distance2 < best:
+            best = distance2
+            row = index
+    return row
+
+
+@njit(cache=True)
+def action_count(table: TableArrays) -> int:
+    """How many actions the table has."""
+    return int(table.transitions.shape[1])
+
+
+@njit(cache=True)
+def find_row(table: TableArrays, dynamics: Array) -> int:
+    """The row that a state with these dynamics is looked up in."""
+    return nearest_state(table.states, dynamics[0], dynamics[1], dynamics[2])
+
+
+@njit(cache=True)
+def _value(table: TableArrays, row: int, dynamics: Array, action: int, value: int, limit: int) -> Any:
+    """One of the six values of a transition in codes: the row's, corrected if the kind is affine, clamped."""
+    code = np.int64(table.transitions[row, action, value])
+    if table.derivatives.shape[0] > 0:
+        rise = np.int64(0)
+        for axis in range(3):
+            offset = dynamics[axis] - np.int64(table.states[row, axis])
+            offset = max(-table.offset_limit[axis], min(table.offset_limit[axis], offset))
+            rise += np.int64(table.derivatives[row, action, value, axis]) * offset
+        shift = table.correction_shift[value]
+        # Rounded to the nearest, halves up: the floor of a quotient that is half a unit larger.
+        code += (rise + (np.int64(1) << shift) // 2) // (np.int64(1) << shift)
+        used = np.int64(0)
+        for limb in range(table.history.shape[1]):
+            used += np.int64(table.history[action, limb, value]) * dynamics[3 + limb]
+        code += used // 32768
+    if code > limit:
+        return limit
+    return -limit if code < -limit else code
+
+
+@njit(cache=True)
+def motion_of(table: TableArrays, row: int, dynamics: Array, action: int, motion: Array) -> None:
+    """Write the motion (3,) float32 m, m, rad over one period, in the body frame at its start."""
+    for axis in range(3):
+        code = _value(table, row, dynamics, action, axis, table.motion_limit[axis])
+        motion[axis] = np.float32(code) * table.motion_scale[axis]
+
+
+@njit(cache=True)
+def limb_use_after(table: TableArrays, use: Array, action: int, after: Array) -> None:
+    """Write how much each limb was used lately, (LIMBS_MAX,), after an action: 0 for limbs not there."""
+    after[:] = 0
+    for limb in range(table.fires.shape[1]):
+        left = use[limb] * table.use[0] // 32768
+        after[limb] = min(left + table.fires[action, limb] * table.use[1], 32767)
+
+
+@njit(cache=True)
+def dynamics_after(table: TableArrays, row: int, dynamics: Array, action: int, after: Array) -> None:
+    """Write the dynamics (DYNAMICS,) at the period's end."""
+    for axis in range(3):
+        after[axis] = _value(table, row, dynamics, action, 3 + axis, VELOCITY_CODE_MAX)
+    limb_use_after(table, dynamics[3:], action, after[3:])

@@ -1,0 +1,241 @@
+"""The route cost in float32 (numba): progress along the path that no branch jumps, and where a branch ends.
+
+The twin of route.c, written from these rules:
+
+- The path is its polyline. How far a state is along it is carried from decision to decision, in points
+  (2.25 lies a quarter of the way from point 2 to point 3), and looked for only near where it was: a path that
+  crosses or closes on itself is never left for another part of it.
+- From there a route is laid out: knots at equal steps along the polyline, straight on beyond both of its
+  ends. A pose belongs to the nearest of every third knot that one motion can reach, or to a neighbour of it,
+  and lies off it along and across the route's direction there.
+- A motion costs distance from the route, softened near it, and what it advances less than the table's longest
+  motion. A branch's end costs how far the robot points away from the route's place a look-ahead further on.
+
+Every operation is float32 in the order written; ties take the lowest index.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+Array = npt.NDArray[Any]
+
+STEPS_PER_REACH = 8
+AHEAD = 12
+"""Knots that one motion may advance: one and a half times the table's longest motion."""
+BEHIND = 2
+"""Knots of the route behind where it begins."""
+KNOTS_MAX = 80
+REACH_MIN_M = np.float32(1e-4)
+
+_F0 = np.float32(0)
+_F1 = np.float32(1)
+_F2 = np.float32(2)
+_HALF = np.float32(0.5)
+_AHEAD_REACHES = np.float32(1.5)
+_FAR_REACHES = np.float32(2)
+_PER_STEP = np.float32(0.125)
+
+
+@njit(error_model="numpy")
+def reach_of(reach_m: np.float32) -> Any:
+    """Return the length that scales everything here: the table's longest motion, but not nothing."""
+    return max(reach_m, REACH_MIN_M)
+
+
+@njit(error_model="numpy")
+def segment_length(path: Array, segment: int) -> Any:
+    """Return the length of the piece from a point to the next, m."""
+    dx = path[0, segment + 1] - path[0, segment]
+    dy = path[1, segment + 1] - path[1, segment]
+    return np.sqrt(dx * dx + dy * dy)
+
+
+@njit(error_model="numpy")
+def offset_from(path: Array, segment: int, part: np.float32, x: np.float32, y: np.float32) -> Any:
+    """Return the squared distance of a position from a place on a segment."""
+    dx = path[0, segment + 1] - path[0, segment]
+    dy = path[1, segment + 1] - path[1, segment]
+    across_x = (x - path[0, segment]) - part * dx
+    across_y = (y - path[1, segment]) - part * dy
+    return across_x * across_x + across_y * across_y
+
+
+@njit(error_model="numpy")
+def part_of_segment(path: Array, segment: int, x: np.float32, y: np.float32) -> Any:
+    """Return how far along a segment its nearest place to a position lies, 0 to 1."""
+    dx = path[0, segment + 1] - path[0, segment]
+    dy = path[1, segment + 1] - path[1, segment]
+    length2 = dx * dx + dy * dy
+    along = (x - path[0, segment]) * dx + (y - path[1, segment]) * dy
+    if along <= _F0:
+        return _F0
+    if along >= length2:
+        return _F1
+    return along / length2
+
+
+@njit(error_model="numpy")
+def foot(path: Array, reach: np.float32, begin: np.float32, x: np.float32, y: np.float32) -> Any:
+    """Find where along the path a position is.
+
+    Args:
+        path: (3, n) float32.
+        reach: from ``reach_of``.
+        begin: where it was, in points, 0 to n - 1: looked for from one reach behind it to one and a half
+            ahead, in whole segments.
+
+    Returns:
+        (segment, part of it, squared distance m^2, held): where that is more than two reaches away the robot
+        shall come back to ``begin``, which is then held.
+    """
+    last = path.shape[1] - 2
+    home = min(int(begin), last)
+    home_part = begin - np.float32(home)
+    length = segment_length(path, home)
+    first = home
+    behind = home_part * length
+    while first > 0 and behind < reach:
+        first -= 1
+        behind = behind + segment_length(path, first)
+    end = home
+    ahead = (_F1 - home_part) * length
+    while end < last and ahead < _AHEAD_REACHES * reach:
+        end += 1
+        ahead = ahead + segment_length(path, end)
+    best = np.float32(np.inf)
+    segment = home
+    part = home_part
+    for candidate in range(first, end + 1):
+        place = part_of_segment(path, candidate, x, y)
+        distance2 = offset_from(path, candidate, place, x, y)
+        if distance2 < best:
+            best = distance2
+            segment = candidate
+            part = place
+    far = _FAR_REACHES * reach
+    if best > far * far:
+        return home, home_part, offset_from(path, home, home_part, x, y), True
+    return segment, part, best, False
+
+
+@njit(error_model="numpy")
+def knot_count(depth: int, look_ahead: np.float32, step: np.float32) -> int:
+    """Return how many knots a search needs, at most KNOTS_MAX."""
+    room = KNOTS_MAX - (BEHIND + AHEAD * depth + 2)
+    steps = look_ahead / step
+    beyond = room if steps >= np.float32(room) else int(steps)
+    return BEHIND + AHEAD * depth + 2 + beyond
+
+
+@njit(error_model="numpy")
+def lay_out(path: Array, segment: int, part: np.float32, step: np.float32, knots: Array) -> None:
+    """Write the knots (n, 4) float32: x, y, and the unit vector along the route.
+
+    Knot BEHIND stands at the foot. A segment of no length keeps the direction of the one before it.
+    """
+    last = path.shape[1] - 2
+    length = segment_length(path, segment)
+    along = part * length - np.float32(BEHIND) * step
+    while along < _F0 and segment > 0:
+        segment -= 1
+        length = segment_length(path, segment)
+        along = along + length
+    direction_x = _F1
+    direction_y = _F0
+    fresh = True
+    for knot in range(len(knots)):
+        while along > length and segment < last:
+            along = along - length
+            segment += 1
+            length = segment_length(path, segment)
+            fresh = True
+        if fresh and length > _F0:
+            per_m = _F1 / length
+            direction_x = (path[0, segment + 1] - path[0, segment]) * per_m
+            direction_y = (path[1, segment + 1] - path[1, segment]) * per_m
+        fresh = False
+        knots[knot, 0] = path[0, segment] + along * direction_x
+        knots[knot, 1] = path[1, segment] + along * direction_y
+        knots[knot, 2] = direction_x
+        knots[knot, 3] = direction_y
+        along = along + step
+
+
+@njit(error_model="numpy")
+def knot_distance2(knots: Array, knot: int, x: np.float32, y: np.float32) -> Any:
+    """Return the squared distance of a position from a knot, m^2."""
+    dx = x - knots[knot, 0]
+    dy = y - knots[knot, 1]
+    return dx * dx + dy * dy
+
+
+@njit(error_model="numpy")
+def nearest_knot(knots: Array, low: int, high: int, x: np.float32, y: np.float32) -> Any:
+    """Find the knot of low, low + 3, ... high that is nearest, or one of its neighbours if that is nearer."""
+    knot = low
+    for candidate in range(low, high + 1, 3):
+        if knot_distance2(knots, candidate, x, y) < knot_distance2(knots, knot, x, y):
+            knot = candidate
+    middle = knot
+    for candidate in (middle - 1, middle, middle + 1):
+        if low <= candidate <= high:
+            here = knot_distance2(knots, candidate, x, y)
+            best = knot_distance2(knots, knot, x, y)
+            if here < best or (here == best and candidate < knot):
+                knot = candidate
+    return knot
+
+
+@njit(error_model="numpy")
+def place_on(knots: Array, step: np.float32, low: int, high: int, x: np.float32, y: np.float32) -> Any:
+    """Find a position among the knots low to high: (knot, metres from knot 0, squared distance m^2)."""
+    knot = nearest_knot(knots, low, high, x, y)
+    along = (x - knots[knot, 0]) * knots[knot, 2] + (y - knots[knot, 1]) * knots[knot, 3]
+    moved = max(-step, min(step, along))
+    distance2 = knot_distance2(knots, knot, x, y) - moved * (_F2 * along - moved)
+    return knot, np.float32(knot) * step + moved, max(_F0, distance2)
+
+
+@njit(error_model="numpy")
+def softened(distance2: np.float32, soft: np.float32) -> Any:
+    """Return a distance less half of ``soft``; within ``soft`` a part of its square, which meets that."""
+    if distance2 < soft * soft:
+        return distance2 * (_HALF / soft)
+    return np.sqrt(distance2) - _HALF * soft
+
+
+@njit(error_model="numpy")
+def end_angle(
+    knots: Array,
+    step: np.float32,
+    place: np.float32,
+    position: Array,
+    cosine: Any,
+    sine: Any,
+    look_ahead: Any,
+) -> Any:
+    """Return 2 sin(angle / 2), 0 to 2: between the robot's direction and that to the route further on.
+
+    Args:
+        place: the position's, metres from knot 0.
+        position: x, y float32.
+        cosine, sine: of the direction.
+        look_ahead: m beyond ``place``.
+    """
+    last = len(knots) - 1
+    steps = min((place + look_ahead) * (_F1 / step), np.float32(last))
+    steps = max(steps, _F0)
+    knot = int(steps)
+    beyond = (steps - np.float32(knot)) * step
+    dx = (knots[knot, 0] + beyond * knots[knot, 2]) - position[0]
+    dy = (knots[knot, 1] + beyond * knots[knot, 3]) - position[1]
+    distance2 = dx * dx + dy * dy
+    if distance2 == _F0:
+        return _F0
+    aligned = (dx * cosine + dy * sine) / np.sqrt(distance2)
+    return np.sqrt(max(_F0, _F2 - _F2 * aligned))

@@ -1,0 +1,169 @@
+"""The same bits in every place, for both kinds of table: Python, zig's clang, gcc, the virtual chip."""
+
+from __future__ import annotations
+
+import dataclasses
+import shutil
+from pathlib import Path
+
+import pytest
+from tests.codegen import made_up
+from tests.conftest import count
+from tests.planner import synthetic
+
+from frogkick.files import write_bytes
+from frogkick.link.frames import FrameCollector
+from frogkick.link.layout import link_layout
+from frogkick.loop.chip_planner import ChipPlanner
+from frogkick.loop.closed_loop import robot_plan_config
+from frogkick.loop.rehearsal import (
+    Rehearsal,
+    call_mismatches,
+    live_natively,
+    live_on_chip,
+    rehearse,
+    twin_mismatches,
+)
+from frogkick.paths import shape
+from frogkick.planner.image import Tables, open_image
+from frogkick.planner.plan import PlanConfig
+from frogkick.robot import load_robot
+from frogkick_codegen import firmware, toolchain
+from frogkick_codegen.native import NativeLibrary
+from frogkick_codegen.parity import compare, make_cases, native_place, python_place
+
+SEED = 7
+DECISIONS = 200
+ROUTE = robot_plan_config(load_robot("frog2022"))
+CONFIGS = {
+    "paper": PlanConfig(),
+    "route": dataclasses.replace(ROUTE, transitions_max=0),
+    "budget": dataclasses.replace(ROUTE, transitions_max=150),
+}
+PATH = shape("ellipse")
+FASTEST = toolchain.other("gcc") or toolchain.zig()
+
+
+@pytest.fixture(scope="module")
+def libraries() -> dict[str, NativeLibrary]:
+    """The planner by each compiler that there is."""
+    found = {"native": NativeLibrary()}
+    if (gcc := toolchain.other("gcc")) is not None:
+        found["gcc"] = NativeLibrary(compiler=gcc)
+    return found
+
+
+@pytest.mark.parametrize("config", CONFIGS)
+@pytest.mark.parametrize("kind", made_up.KINDS)
+def test_compilers_give_the_twin_s_bits(kind: str, config: str, libraries: dict[str, NativeLibrary]) -> None:
+    tables, settings = open_image(made_up.image(kind)), CONFIGS[config]
+    cases = make_cases(tables, PATH, count(51_000, 510_000) // len(CONFIGS), SEED)
+    places = {"python": python_place(tables, PATH, settings)}
+    for name, library in libraries.items():
+        places[name] = native_place(library, tables, PATH, settings)
+    for pair in compare(cases, places):
+        assert pair.mismatches == 0, pair.first_failure
+
+
+class Built:
+    """One table's firmware for every place."""
+
+    def __init__(self, folder: Path, kind: str) -> None:
+        self.file = folder / f"{kind}.fkt"
+        write_bytes(self.file, made_up.image(kind))
+        self.tables: Tables = open_image(self.file.read_bytes())
+        robot = load_robot("frog2022")
+        self.bench = firmware.build("bench", self.file, robot, folder / "bench").image
+        self.native = {
+            name: firmware.build("native", self.file, robot, folder / name, compiler).image
+            for name in ("native", "gcc")
+            if (compiler := toolchain.zig() if name == "native" else toolchain.other(name)) is not None
+        }
+
+
+@pytest.fixture(scope="module", params=made_up.KINDS)
+def built(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Built:
+    return Built(tmp_path_factory.mktemp(request.param), request.param)
+
+
+@pytest.mark.parametrize("config", CONFIGS)
+def test_the_chip_gives_the_twin_s_bits(built: Built, config: str) -> None:
+    settings = CONFIGS[config]
+    cases = make_cases(built.tables, PATH, count(160, 20_000), SEED)
+    chip = ChipPlanner(built.bench)
+    chip.configure(PATH, settings)
+    places = {
+        "python": python_place(built.tables, PATH, settings),
+        "chip": lambda *given: chip.plan(*given)[0],
+    }
+    (pair,) = compare(cases, places)
+    assert pair.mismatches == 0, pair.first_failure
+
+
+def loop_of(built: Built, config: PlanConfig, decisions: int = DECISIONS, seed: int = SEED) -> Rehearsal:
+    return rehearse(built.native["native"], built.tables, PATH, config, decisions, seed)
+
+
+@pytest.mark.parametrize(("config", "depth"), [("paper", 2), ("route", 1), ("budget", 3)])
+def test_a_whole_loop_is_the_same_everywhere(built: Built, config: str, depth: int) -> None:
+    settings = dataclasses.replace(CONFIGS[config], depth=depth)
+    for seed in range(SEED, SEED + count(1, 5)):
+        loop = loop_of(built, settings, seed=seed)
+        assert len(loop.decisions) == DECISIONS
+        assert twin_mismatches(loop, built.tables, PATH, settings) == []
+        for library in built.native.values():
+            assert call_mismatches(loop, live_natively(library, built.tables, loop.calls)) == []
+        assert call_mismatches(loop, live_on_chip(built.bench, loop.calls)) == []
+
+
+def test_a_loop_has_what_makes_estimates_hard(built: Built) -> None:
+    loop = loop_of(built, PlanConfig())
+    frames = FrameCollector().feed(b"".join(call.stream for call in loop.calls))
+    names = link_layout().status_name
+    told = {names(int(frame.values["status"])) for frame in frames if frame.name == "FIX"}
+    assert {"OK", "DOUBLE", "OUTLIER"} <= told
+    made = {names(int(frame.values["status"])) for frame in frames if frame.name == "DECISION"}
+    assert made == {"OK", "STALE"}
+    assert len({decision.action for decision in loop.decisions}) > 3
+    assert len({decision.fixes for decision in loop.decisions}) > 10
+    assert sum(event.pose_world is not None for event in loop.events) > 1000
+    assert any(call.outputs[0] for call in loop.calls)  # limbs were driven
+
+
+# The loop is a test only if it fails where a core differs
+
+
+LOOP_MUTATIONS = {
+    "what is learned of a period": ("fk_track.c", "0.25f, 0.2f}", "0.25f, 0.21f}"),
+    "a doubled fix counts twice": ("fk_estimator.c", "return FK_STATUS_DOUBLE;", "break;"),
+    "a fix is stale earlier": ("fk_estimator.h", "FK_FIX_STALE_US 500000", "FK_FIX_STALE_US 300000"),
+}
+
+
+@pytest.mark.parametrize("built", ["nearest"], indirect=True)
+@pytest.mark.parametrize("name", LOOP_MUTATIONS)
+def test_a_changed_core_is_found_by_the_loop(
+    name: str, built: Built, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file, before, after = LOOP_MUTATIONS[name]
+    source = tmp_path / "firmware" / "core" / file
+    shutil.copytree(firmware.FIRMWARE, tmp_path / "firmware")
+    text = source.read_text()
+    assert before in text, "the rule moved: correct the mutation"
+    source.write_text(text.replace(before, after))
+    monkeypatch.setattr(firmware, "FIRMWARE", tmp_path / "firmware")
+    mutant = firmware.build("native", built.file, load_robot("frog2022"), tmp_path / "out", FASTEST).image
+    settings = PlanConfig()
+    loop = loop_of(built, settings)
+    assert call_mismatches(loop, live_natively(mutant, built.tables, loop.calls))
+    other = rehearse(mutant, built.tables, PATH, settings, DECISIONS, SEED)
+    assert twin_mismatches(other, built.tables, PATH, settings)
+
+
+def test_a_changed_byte_of_the_table_is_found_by_the_loop(built: Built) -> None:
+    settings, image = PlanConfig(), built.tables.image
+    loop = loop_of(built, settings)
+    assert twin_mismatches(loop, built.tables, PATH, settings) == []
+    place = built.tables.sections.models + 4  # of the first action's motion, in every look-up
+    changed = open_image(synthetic.resealed(image, place, bytes([image[place] ^ 0x10])))
+    assert twin_mismatches(loop, changed, PATH, settings)

@@ -46,6 +46,24 @@ void *memset(void *to, int value, size_t count)
     return to;
 }
 
+/* The same under the names of the ARM run-time ABI (RTABI, 4.3.4), which clang calls; the suffix is an alignment that
+ * these do not need. */
+void __aeabi_memcpy(void *to, const void *from, size_t count);
+void __aeabi_memset(void *to, size_t count, int value);
+void __aeabi_memclr(void *to, size_t count);
+void __aeabi_memcpy4(void *to, const void *from, size_t count) __attribute__((alias("__aeabi_memcpy")));
+void __aeabi_memcpy8(void *to, const void *from, size_t count) __attribute__((alias("__aeabi_memcpy")));
+void __aeabi_memset4(void *to, size_t count, int value) __attribute__((alias("__aeabi_memset")));
+void __aeabi_memset8(void *to, size_t count, int value) __attribute__((alias("__aeabi_memset")));
+void __aeabi_memclr4(void *to, size_t count) __attribute__((alias("__aeabi_memclr")));
+void __aeabi_memclr8(void *to, size_t count) __attribute__((alias("__aeabi_memclr")));
+
+void __aeabi_memcpy(void *to, const void *from, size_t count) { (void)memcpy(to, from, count); }
+
+void __aeabi_memset(void *to, size_t count, int value) { (void)memset(to, value, count); }
+
+void __aeabi_memclr(void *to, size_t count) { (void)memset(to, 0, count); }
+
 /* A fault of the core: all gates low, then nothing more until reset. Touches no stack, which may be what failed. */
 void fk_fault(void)
 {

@@ -66,11 +66,12 @@ static int32_t on_fix(fk_robot_t *robot, const uint8_t *payload, uint64_t now_us
     /* A picture from before the clock began has no time on it. */
     if (command.quality != 0u && command.capture_age_us <= FK_CAPTURE_AGE_MAX_US && command.capture_age_us <= now_us) {
         uint64_t capture_us = now_us - command.capture_age_us;
-        fk_fix_t fix = {capture_us, command.x_m, command.y_m, command.heading_rad, command.fix_sequence};
+        fk_fix_t fix = {capture_us, {command.x_m, command.y_m, command.heading_rad}, command.fix_sequence};
         told.status = (int8_t)fk_estimator_add(&robot->estimator, &fix);
         told.capture_us = capture_us;
     }
     if (told.status == FK_STATUS_OK) {
+        fk_robot_note_fix(robot, command.x_m, command.y_m);
         ++robot->fixes_used;
     } else {
         ++robot->fixes_refused;
@@ -141,6 +142,7 @@ static int32_t on_start(fk_robot_t *robot, const uint8_t *payload, uint64_t now_
     } else {
         robot->state = FK_STATE_RUNNING;
         robot->decisions = 0u;
+        fk_follow_begin(&robot->follow);
         robot->next_decision_us = now_us + command.delay_us;
         told.first_decision_us = robot->next_decision_us;
     }
@@ -161,8 +163,28 @@ static int32_t on_status(const fk_robot_t *robot, uint64_t now_us, uint8_t *answ
     told.pulses = robot->pulses;
     told.pulses_refused = robot->pulses_refused;
     told.answers_dropped = robot->answers_dropped;
+    told.restarts = robot->estimator.restarts;
     fk_status_answer_pack(answer, &told);
     return (int32_t)FK_STATUS_ANSWER_BYTES;
+}
+
+/* A table instead of a choice: compilers make a jump of such a choice, whose targets no analysis can bound. */
+static float *weight_of(fk_plan_config_t *plan, uint8_t parameter)
+{
+    static const uint8_t ids[] = {FK_PARAMETER_DISTANCE_WEIGHT_PER_M, FK_PARAMETER_ANGLE_WEIGHT_PER_RAD,
+                                  FK_PARAMETER_PROGRESS_WEIGHT,       FK_PARAMETER_LEVEL_WEIGHT,
+                                  FK_PARAMETER_PROGRESS_WEIGHT_PER_M, FK_PARAMETER_LOOK_AHEAD_M,
+                                  FK_PARAMETER_SOFT_DISTANCE_M,       FK_PARAMETER_TURN_LEAD};
+    float *const weights[sizeof(ids)] = {&plan->distance_weight_per_m, &plan->angle_weight_per_rad,
+                                         &plan->progress_weight,       &plan->level_weight,
+                                         &plan->progress_weight_per_m, &plan->look_ahead_m,
+                                         &plan->soft_distance_m,       &plan->turn_lead};
+    for (uint32_t i = 0u; i < sizeof(ids); ++i) {
+        if (ids[i] == parameter) {
+            return weights[i];
+        }
+    }
+    return 0;
 }
 
 static int8_t set_parameter(fk_robot_t *robot, uint8_t parameter, float value)
@@ -186,19 +208,35 @@ static int8_t set_parameter(fk_robot_t *robot, uint8_t parameter, float value)
         robot->period_us = (uint32_t)value;
         return FK_STATUS_OK;
     }
-    if (parameter == FK_PARAMETER_DISTANCE_WEIGHT_PER_M) {
-        weight = &robot->plan.distance_weight_per_m;
-    } else if (parameter == FK_PARAMETER_ANGLE_WEIGHT_PER_RAD) {
-        weight = &robot->plan.angle_weight_per_rad;
-    } else if (parameter == FK_PARAMETER_PROGRESS_WEIGHT) {
-        weight = &robot->plan.progress_weight;
-    } else if (parameter == FK_PARAMETER_LEVEL_WEIGHT) {
-        weight = &robot->plan.level_weight;
+    if (parameter == FK_PARAMETER_COST) {
+        if (!is_whole_within(value, FK_COST_PAPER, FK_COST_ROUTE)) {
+            return FK_STATUS_VALUE;
+        }
+        robot->plan.cost = (uint8_t)value;
+        return FK_STATUS_OK;
     }
+    if (parameter == FK_PARAMETER_PLAN_TIME_US) {
+        if (!is_whole_within(value, 0u, FK_PLAN_TIME_MAX_US)) {
+            return FK_STATUS_VALUE;
+        }
+        robot->plan.transitions_max = fk_robot_transitions_within((uint32_t)value);
+        return FK_STATUS_OK;
+    }
+    if (parameter == FK_PARAMETER_TRANSITIONS_MAX) {
+        if (!is_whole_within(value, 0u, FK_TRANSITIONS_LIMIT)) {
+            return FK_STATUS_VALUE;
+        }
+        robot->plan.transitions_max = (uint32_t)value;
+        return FK_STATUS_OK;
+    }
+    if (parameter == FK_PARAMETER_TURN_LEAD && !is_finite_within(value, 0.0f, FK_TURN_LEAD_MAX)) {
+        return FK_STATUS_VALUE;
+    }
+    weight = weight_of(&robot->plan, parameter);
     if (weight == 0 || !is_finite_within(value, 0.0f, FK_WEIGHT_MAX)) {
         return FK_STATUS_VALUE;
     }
-    *weight = value;
+    *weight = value + 0.0f; /* -0.0, which fk_plan() refuses, becomes 0 */
     return FK_STATUS_OK;
 }
 
@@ -219,7 +257,7 @@ static int32_t on_stroke(fk_robot_t *robot, const uint8_t *payload, uint64_t now
     } else if (command.action >= robot->tables.actions) {
         told.status = FK_STATUS_VALUE;
     } else {
-        robot->stroke_request = (uint8_t)(command.action + 1u);
+        fk_robot_ask_stroke(robot, command.action, told.stroke_us);
     }
     fk_stroke_answer_pack(answer, &told);
     return (int32_t)FK_STROKE_ANSWER_BYTES;
@@ -229,7 +267,8 @@ static int32_t on_plan(const fk_robot_t *robot, const uint8_t *payload, uint8_t 
 {
     fk_plan_command_t command;
     fk_plan_command_unpack(payload, &command);
-    fk_plan_answer_t told = {FK_STATUS_OK, 0u, 0u, 0u, 0.0f, 0.0f, 0.0f, 0.0f, 0.0f, 0.0f, 0.0f};
+    fk_plan_answer_t told = {FK_STATUS_OK, 0u,   0u,   0u,   0u,   0u,   0.0f, 0.0f, 0.0f, 0.0f, 0.0f,
+                             0.0f,         0.0f, 0.0f, 0.0f, 0u,   0u,   0u,   0u,   0u,   0u,   0u,   0u};
     if (robot->state == FK_STATE_RUNNING) {
         told.status = FK_STATUS_STATE;
     } else if (robot->path.count == 0u) {
@@ -237,7 +276,10 @@ static int32_t on_plan(const fk_robot_t *robot, const uint8_t *payload, uint8_t 
     } else {
         fk_plan_config_t config = robot->plan;
         fk_state_t state = {command.x_m,    command.y_m,    command.heading_rad,
-                            command.vx_mps, command.vy_mps, command.omega_rad_s};
+                            command.vx_mps, command.vy_mps, command.omega_rad_s,
+                            {command.limb_use_0, command.limb_use_1, command.limb_use_2, command.limb_use_3,
+                             command.limb_use_4, command.limb_use_5, command.limb_use_6, command.limb_use_7},
+                            command.along_points};
         fk_plan_t plan;
         config.depth = command.depth;
         told.status = (int8_t)fk_plan(&robot->tables, &robot->path, &config, &state, &plan);
@@ -245,13 +287,25 @@ static int32_t on_plan(const fk_robot_t *robot, const uint8_t *payload, uint8_t 
             told.action = plan.action;
             told.nearest_state = plan.nearest_state;
             told.path_index = plan.path_index;
+            told.depth_reached = plan.depth_reached;
+            told.transitions = plan.transitions;
             told.cost = plan.cost;
+            told.distance_m = plan.distance_m;
+            told.along_points = plan.along_points;
             told.x_m = plan.predicted.x_m;
             told.y_m = plan.predicted.y_m;
             told.heading_rad = plan.predicted.heading_rad;
             told.vx_mps = plan.predicted.vx_mps;
             told.vy_mps = plan.predicted.vy_mps;
             told.omega_rad_s = plan.predicted.omega_rad_s;
+            told.limb_use_0 = plan.predicted.limb_use[0];
+            told.limb_use_1 = plan.predicted.limb_use[1];
+            told.limb_use_2 = plan.predicted.limb_use[2];
+            told.limb_use_3 = plan.predicted.limb_use[3];
+            told.limb_use_4 = plan.predicted.limb_use[4];
+            told.limb_use_5 = plan.predicted.limb_use[5];
+            told.limb_use_6 = plan.predicted.limb_use[6];
+            told.limb_use_7 = plan.predicted.limb_use[7];
         }
     }
     fk_plan_answer_pack(answer, &told);

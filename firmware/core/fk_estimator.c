@@ -2,101 +2,202 @@
 
 #include "fk_frames_layout.h"
 
-void fk_estimator_init(fk_estimator_t *estimator) { estimator->count = 0u; }
+void fk_estimator_init(fk_estimator_t *estimator, const fk_tables_t *tables)
+{
+    fk_track_init(&estimator->track, tables);
+    for (uint32_t i = 0u; i < FK_FIX_MARKS; ++i) {
+        estimator->marks[i] = 0u;
+    }
+    estimator->next_mark = 0u;
+    estimator->astray_count = 0u;
+    estimator->restarts = 0u;
+    estimator->newest_us = 0u;
+    estimator->newest_sequence = 0u;
+    estimator->fixes = 0u;
+    estimator->action_waits = 0u;
+    estimator->action = 0u;
+    estimator->action_us = 0u;
+}
 
 /* Comparisons with NaN are false, so this refuses it too. */
 static int32_t within(float value, float limit) { return value >= -limit && value <= limit; }
 
-int32_t fk_estimator_add(fk_estimator_t *estimator, const fk_fix_t *fix)
+/* A fix's mark, never 0: FNV-1a over its sequence and the bits of its pose. Its capture time does not count: the age
+ * of a frame that a link delivers twice is wrong the second time. */
+static uint32_t mark_of(const fk_fix_t *fix)
 {
-    if (!within(fix->x_m, FK_FIX_FIELD_M) || !within(fix->y_m, FK_FIX_FIELD_M) ||
-        !within(fix->heading_rad, FK_FIX_FIELD_M)) {
-        return FK_STATUS_RANGE;
+    uint32_t mark = (2166136261u ^ fix->sequence) * 16777619u;
+    for (uint32_t axis = 0u; axis < 3u; ++axis) {
+        fk_float_bits_t pun;
+        pun.value = fix->pose[axis];
+        mark = (mark ^ (pun.bits & 0xFFFFu)) * 16777619u;
+        mark = (mark ^ (pun.bits >> 16)) * 16777619u;
     }
-    if (estimator->count > 0u && fix->capture_us <= estimator->fixes[estimator->count - 1u].capture_us) {
-        return FK_STATUS_RANGE;
+    return mark | 1u;
+}
+
+static int32_t agree(const fk_fix_t *a, const fk_fix_t *b)
+{
+    const uint64_t apart_us =
+        (a->capture_us > b->capture_us) ? a->capture_us - b->capture_us : b->capture_us - a->capture_us;
+    const float apart_s = (float)(uint32_t)apart_us * 1e-6f; /* no fix is compared with one of minutes ago: roll() */
+    const float dx = a->pose[0] - b->pose[0];
+    const float dy = a->pose[1] - b->pose[1];
+    const float reach_m = FK_ASTRAY_M + FK_ASTRAY_MPS * apart_s;
+    return dx * dx + dy * dy <= reach_m * reach_m &&
+           within(fk_wrap_angle(a->pose[2] - b->pose[2]), FK_ASTRAY_RAD + FK_ASTRAY_RAD_S * apart_s);
+}
+
+static void took(fk_estimator_t *estimator, const fk_fix_t *fix)
+{
+    if (estimator->fixes == 0u || fix->capture_us > estimator->newest_us) {
+        estimator->newest_us = fix->capture_us;
+        estimator->newest_sequence = fix->sequence;
     }
-    if (estimator->count == FK_FIXES_MAX) {
-        for (uint32_t i = 1u; i < FK_FIXES_MAX; ++i) {
-            estimator->fixes[i - 1u] = estimator->fixes[i];
+    if (estimator->fixes < UINT8_MAX) {
+        ++estimator->fixes;
+    }
+}
+
+/* Start again from the fixes that agree; those from before the oldest instant have no say. */
+static void start_again(fk_estimator_t *estimator)
+{
+    fk_track_t *track = &estimator->track;
+    uint32_t first = FK_ASTRAY_MAX;
+    for (uint32_t i = 0u; i < estimator->astray_count; ++i) {
+        if (estimator->astray[i].capture_us >= track->time_us[0] &&
+            (first == FK_ASTRAY_MAX || estimator->astray[i].capture_us < estimator->astray[first].capture_us)) {
+            first = i;
         }
-        --estimator->count;
     }
-    estimator->fixes[estimator->count] = *fix;
-    estimator->fixes[estimator->count].heading_rad = fk_wrap_angle(fix->heading_rad);
-    ++estimator->count;
+    fk_track_place(track, estimator->astray[first].capture_us, estimator->astray[first].pose);
+    estimator->fixes = 0u;
+    took(estimator, &estimator->astray[first]);
+    for (uint32_t i = 0u; i < estimator->astray_count; ++i) {
+        if (i != first && estimator->astray[i].capture_us >= track->time_us[0]) {
+            (void)fk_track_measure(track, estimator->astray[i].capture_us, estimator->astray[i].pose, 0);
+            took(estimator, &estimator->astray[i]);
+        }
+    }
+    estimator->astray_count = 0u;
+}
+
+/* A fix that was refused for where it is: 1 where the track started again from it and those before. */
+static int32_t strayed(fk_estimator_t *estimator, const fk_fix_t *fix)
+{
+    if (estimator->astray_count > 0u && !agree(fix, &estimator->astray[estimator->astray_count - 1u])) {
+        estimator->astray_count = 0u;
+    }
+    estimator->astray[estimator->astray_count] = *fix;
+    ++estimator->astray_count;
+    if (estimator->astray_count < FK_ASTRAY_MAX) {
+        return 0;
+    }
+    fk_spread_doubt(&estimator->track.spread[0]);
+    fk_spread_doubt(&estimator->track.spread[1]);
+    start_again(estimator);
+    ++estimator->restarts;
+    return 1;
+}
+
+/* Bring the track to a time; what it forgets, or nobody saw for long, is unknown. */
+static void roll(fk_estimator_t *estimator, uint64_t at_us)
+{
+    fk_track_roll(&estimator->track, at_us);
+    if (estimator->track.count == 0u || fk_estimator_is_lost(estimator, at_us, FK_FIX_UNKNOWN_US)) {
+        estimator->fixes = 0u;
+    }
+}
+
+/* Predict what the last action does. Not when it is told: then a stroke waits to begin. */
+static void settle(fk_estimator_t *estimator)
+{
+    if (estimator->action_waits != 0u) {
+        estimator->action_waits = 0u;
+        roll(estimator, estimator->action_us);
+        fk_track_act(&estimator->track, estimator->action_us, estimator->action);
+    }
+}
+
+int32_t fk_estimator_add(fk_estimator_t *estimator, const fk_fix_t *given)
+{
+    fk_fix_t fix = *given;
+    if (!within(fix.pose[0], FK_FIX_FIELD_M) || !within(fix.pose[1], FK_FIX_FIELD_M) ||
+        !within(fix.pose[2], FK_FIX_FIELD_M)) {
+        return FK_STATUS_RANGE;
+    }
+    const uint32_t mark = mark_of(&fix);
+    for (uint32_t i = 0u; i < FK_FIX_MARKS; ++i) {
+        if (estimator->marks[i] == mark) {
+            return FK_STATUS_DOUBLE;
+        }
+    }
+    settle(estimator);
+    roll(estimator, fix.capture_us);
+    if (estimator->track.count == 0u) {
+        fk_track_begin(&estimator->track, fix.capture_us);
+    }
+    if (fix.capture_us < estimator->track.time_us[0]) {
+        return FK_STATUS_OLD;
+    }
+    estimator->marks[estimator->next_mark] = mark;
+    estimator->next_mark = (uint8_t)((estimator->next_mark + 1u) % FK_FIX_MARKS);
+    fix.pose[2] = fk_wrap_angle(fix.pose[2]);
+    if (estimator->fixes == 0u) {
+        estimator->astray[0] = fix;
+        estimator->astray_count = 1u;
+        start_again(estimator);
+    } else if (fk_track_measure(&estimator->track, fix.capture_us, fix.pose, 1) != 0) {
+        took(estimator, &fix);
+        estimator->astray_count = 0u;
+    } else if (!strayed(estimator, &fix)) {
+        return FK_STATUS_OUTLIER;
+    }
     return FK_STATUS_OK;
 }
 
-int32_t fk_estimator_at(const fk_estimator_t *estimator, uint64_t at_us, fk_estimate_t *estimate)
+int32_t fk_estimator_at(fk_estimator_t *estimator, uint64_t at_us, fk_estimate_t *estimate)
 {
-    if (estimator->count == 0u) {
+    settle(estimator);
+    const int64_t lead_us = (int64_t)(at_us - estimator->newest_us);
+    if (estimator->fixes == 0u || lead_us > FK_FIX_STALE_US || lead_us < -FK_FIX_FUTURE_US) {
         return FK_STATUS_STALE;
     }
-    const fk_fix_t *newest = &estimator->fixes[estimator->count - 1u];
-    int64_t lead_us = (int64_t)(at_us - newest->capture_us);
-    if (lead_us > FK_FIX_STALE_US || lead_us < -FK_FIX_FUTURE_US) {
+    roll(estimator, at_us);
+    const fk_track_t *track = &estimator->track;
+    if (estimator->fixes == 0u || at_us < track->time_us[0]) {
         return FK_STATUS_STALE;
     }
-
-    /* Everything relative to the newest fix: small numbers keep float32 exact enough. */
-    float t_s[FK_FIXES_MAX];
-    float dx_m[FK_FIXES_MAX];
-    float dy_m[FK_FIXES_MAX];
-    float dh_rad[FK_FIXES_MAX];
-    uint32_t used = 0u;
-    for (uint32_t i = 0u; i < estimator->count; ++i) {
-        const fk_fix_t *fix = &estimator->fixes[i];
-        uint64_t age_us = newest->capture_us - fix->capture_us;
-        if (age_us <= FK_FIX_WINDOW_US) {
-            t_s[used] = (float)(-(int32_t)age_us) * 1e-6f;
-            dx_m[used] = fix->x_m - newest->x_m;
-            dy_m[used] = fix->y_m - newest->y_m;
-            dh_rad[used] = fk_wrap_angle(fix->heading_rad - newest->heading_rad);
-            ++used;
-        }
+    float pose[3];
+    float speed[3];
+    fk_track_state(track, at_us, pose, speed);
+    fk_state_t *state = &estimate->state;
+    state->x_m = pose[0];
+    state->y_m = pose[1];
+    state->heading_rad = fk_wrap_angle(pose[2]);
+    fk_velocity_to_body(state->heading_rad, speed[0], speed[1], &state->vx_mps, &state->vy_mps);
+    state->omega_rad_s = speed[2];
+    const uint16_t *limb_use = fk_track_limb_use(track, at_us);
+    for (uint32_t limb = 0u; limb < FK_LIMBS_MAX; ++limb) {
+        state->limb_use[limb] = limb_use[limb];
     }
-    float t_sum = 0.0f;
-    float x_sum = 0.0f;
-    float y_sum = 0.0f;
-    float h_sum = 0.0f;
-    for (uint32_t i = 0u; i < used; ++i) {
-        t_sum += t_s[i];
-        x_sum += dx_m[i];
-        y_sum += dy_m[i];
-        h_sum += dh_rad[i];
-    }
-    float number = (float)used;
-    float t_mean = t_sum / number;
-    float x_mean = x_sum / number;
-    float y_mean = y_sum / number;
-    float h_mean = h_sum / number;
-    float tt = 0.0f;
-    float tx = 0.0f;
-    float ty = 0.0f;
-    float th = 0.0f;
-    for (uint32_t i = 0u; i < used; ++i) {
-        float dt = t_s[i] - t_mean;
-        tt += dt * dt;
-        tx += dt * (dx_m[i] - x_mean);
-        ty += dt * (dy_m[i] - y_mean);
-        th += dt * (dh_rad[i] - h_mean);
-    }
-    float vx_mps = 0.0f;
-    float vy_mps = 0.0f;
-    float omega_rad_s = 0.0f;
-    if (tt > 0.0f) {
-        vx_mps = tx / tt;
-        vy_mps = ty / tt;
-        omega_rad_s = th / tt;
-    }
-    float lead_s = (float)(int32_t)lead_us * 1e-6f - t_mean;
-    estimate->state.x_m = newest->x_m + (x_mean + vx_mps * lead_s);
-    estimate->state.y_m = newest->y_m + (y_mean + vy_mps * lead_s);
-    estimate->state.heading_rad = fk_wrap_angle(newest->heading_rad + (h_mean + omega_rad_s * lead_s));
-    fk_velocity_to_body(estimate->state.heading_rad, vx_mps, vy_mps, &estimate->state.vx_mps, &estimate->state.vy_mps);
-    estimate->state.omega_rad_s = omega_rad_s;
-    estimate->fix_sequence = newest->sequence;
-    estimate->fixes = (uint8_t)used;
+    estimate->fix_sequence = estimator->newest_sequence;
+    estimate->fixes = estimator->fixes;
     return FK_STATUS_OK;
+}
+
+void fk_estimator_act(fk_estimator_t *estimator, uint64_t at_us, uint8_t action)
+{
+    settle(estimator);
+    estimator->action_us = at_us;
+    estimator->action = action;
+    estimator->action_waits = 1u;
+}
+
+int32_t fk_estimator_is_lost(const fk_estimator_t *estimator, uint64_t at_us, uint64_t age_us)
+{
+    if (estimator->fixes == 0u) {
+        return 1;
+    }
+    return at_us > estimator->newest_us && at_us - estimator->newest_us > age_us;
 }

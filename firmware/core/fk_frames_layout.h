@@ -23,7 +23,12 @@ enum { /* status of an answer */
     FK_STATUS_UNKNOWN = -66,
     FK_STATUS_NO_PATH = -67,
     FK_STATUS_STALE = -68,
-    FK_STATUS_VALUE = -69
+    FK_STATUS_VALUE = -69,
+    FK_STATUS_DOUBLE = -70,
+    FK_STATUS_OLD = -71,
+    FK_STATUS_OUTLIER = -72,
+    FK_STATUS_PASSED = -73,
+    FK_STATUS_STALLED = -74
 };
 
 enum { /* state of the robot */
@@ -38,7 +43,14 @@ enum { /* PARAM */
     FK_PARAMETER_ANGLE_WEIGHT_PER_RAD = 3,
     FK_PARAMETER_PROGRESS_WEIGHT = 4,
     FK_PARAMETER_LEVEL_WEIGHT = 5,
-    FK_PARAMETER_PERIOD_US = 6
+    FK_PARAMETER_PERIOD_US = 6,
+    FK_PARAMETER_COST = 7,
+    FK_PARAMETER_PROGRESS_WEIGHT_PER_M = 8,
+    FK_PARAMETER_LOOK_AHEAD_M = 9,
+    FK_PARAMETER_SOFT_DISTANCE_M = 10,
+    FK_PARAMETER_TURN_LEAD = 11,
+    FK_PARAMETER_PLAN_TIME_US = 12,
+    FK_PARAMETER_TRANSITIONS_MAX = 13
 };
 
 enum { /* frame types */
@@ -54,6 +66,7 @@ enum { /* frame types */
     FK_FRAME_STROKE = 0x0a,
     FK_FRAME_PLAN = 0x0b,
     FK_FRAME_DECISION = 0x60,
+    FK_FRAME_REFUSED = 0x62,
     FK_FRAME_ENDED = 0x61
 };
 
@@ -175,7 +188,7 @@ static inline void fk_disarm_answer_pack(uint8_t *to, const fk_disarm_answer_t *
 
 /* A position fix, world frame. */
 typedef struct {
-    uint16_t fix_sequence; /* counts fixes */
+    uint16_t fix_sequence; /* counts fixes: the same one with the same pose is a double */
     uint8_t quality; /* 0 = not to be used */
     uint32_t capture_age_us; /* time from capture to the sending of this frame, at most 2 s, capture after boot (us) */
     float x_m; /* world (m) */
@@ -298,7 +311,7 @@ static inline void fk_stop_answer_pack(uint8_t *to, const fk_stop_answer_t *from
 }
 
 #define FK_STATUS_COMMAND_BYTES 0u
-#define FK_STATUS_ANSWER_BYTES 38u
+#define FK_STATUS_ANSWER_BYTES 42u
 
 /* Answer to STATUS. */
 typedef struct {
@@ -312,6 +325,7 @@ typedef struct {
     uint32_t pulses; /* pulses since boot */
     uint32_t pulses_refused; /* pulses that the guard refused */
     uint32_t answers_dropped; /* answers that found no room */
+    uint32_t restarts; /* times that outliers which agree were believed since boot */
 } fk_status_answer_t;
 
 static inline void fk_status_answer_pack(uint8_t *to, const fk_status_answer_t *from)
@@ -326,6 +340,7 @@ static inline void fk_status_answer_pack(uint8_t *to, const fk_status_answer_t *
     fk_put_u32(to + 26, from->pulses);
     fk_put_u32(to + 30, from->pulses_refused);
     fk_put_u32(to + 34, from->answers_dropped);
+    fk_put_u32(to + 38, from->restarts);
 }
 
 #define FK_PARAM_COMMAND_BYTES 5u
@@ -380,7 +395,7 @@ static inline void fk_stroke_answer_pack(uint8_t *to, const fk_stroke_answer_t *
     fk_put_u64(to + 1, from->stroke_us);
 }
 
-#define FK_PLAN_COMMAND_BYTES 25u
+#define FK_PLAN_COMMAND_BYTES 45u
 
 /* Plan for a given state without moving: for tests of parity. Not while running. */
 typedef struct {
@@ -391,6 +406,15 @@ typedef struct {
     float vx_mps; /* body, forward (m/s) */
     float vy_mps; /* body, left (m/s) */
     float omega_rad_s; /* counter-clockwise (rad/s) */
+    uint16_t limb_use_0; /* lately used: limb 0, 0 = rested to 32767 = full */
+    uint16_t limb_use_1; /* lately used: limb 1, 0 = rested to 32767 = full */
+    uint16_t limb_use_2; /* lately used: limb 2, 0 = rested to 32767 = full */
+    uint16_t limb_use_3; /* lately used: limb 3, 0 = rested to 32767 = full */
+    uint16_t limb_use_4; /* lately used: limb 4, 0 = rested to 32767 = full */
+    uint16_t limb_use_5; /* lately used: limb 5, 0 = rested to 32767 = full */
+    uint16_t limb_use_6; /* lately used: limb 6, 0 = rested to 32767 = full */
+    uint16_t limb_use_7; /* lately used: limb 7, 0 = rested to 32767 = full */
+    float along_points; /* where along the path it was last, in points, 0 to the last one */
 } fk_plan_command_t;
 
 static inline void fk_plan_command_unpack(const uint8_t *from, fk_plan_command_t *to)
@@ -402,23 +426,44 @@ static inline void fk_plan_command_unpack(const uint8_t *from, fk_plan_command_t
     to->vx_mps = fk_get_f32(from + 13);
     to->vy_mps = fk_get_f32(from + 17);
     to->omega_rad_s = fk_get_f32(from + 21);
+    to->limb_use_0 = fk_get_u16(from + 25);
+    to->limb_use_1 = fk_get_u16(from + 27);
+    to->limb_use_2 = fk_get_u16(from + 29);
+    to->limb_use_3 = fk_get_u16(from + 31);
+    to->limb_use_4 = fk_get_u16(from + 33);
+    to->limb_use_5 = fk_get_u16(from + 35);
+    to->limb_use_6 = fk_get_u16(from + 37);
+    to->limb_use_7 = fk_get_u16(from + 39);
+    to->along_points = fk_get_f32(from + 41);
 }
 
-#define FK_PLAN_ANSWER_BYTES 34u
+#define FK_PLAN_ANSWER_BYTES 63u
 
 /* Answer to PLAN. */
 typedef struct {
     int8_t status; /* see status */
     uint8_t action; /* chosen action */
     uint16_t nearest_state; /* row of the table */
-    uint16_t path_index; /* nearest path point of the state */
+    uint16_t path_index; /* path point nearest to the state; cost route: last one that it has reached */
+    uint8_t depth_reached; /* levels that were finished */
+    uint32_t transitions; /* transitions evaluated */
     float cost; /* of the best branch */
+    float distance_m; /* of the state from the path (m) */
+    float along_points; /* where along the path the state is, in points */
     float x_m; /* predicted after the action, world (m) */
     float y_m; /* predicted (m) */
     float heading_rad; /* predicted (rad) */
     float vx_mps; /* predicted, body (m/s) */
     float vy_mps; /* predicted, body (m/s) */
     float omega_rad_s; /* predicted (rad/s) */
+    uint16_t limb_use_0; /* predicted use of limb 0, 0 = rested to 32767 = full */
+    uint16_t limb_use_1; /* predicted use of limb 1, 0 = rested to 32767 = full */
+    uint16_t limb_use_2; /* predicted use of limb 2, 0 = rested to 32767 = full */
+    uint16_t limb_use_3; /* predicted use of limb 3, 0 = rested to 32767 = full */
+    uint16_t limb_use_4; /* predicted use of limb 4, 0 = rested to 32767 = full */
+    uint16_t limb_use_5; /* predicted use of limb 5, 0 = rested to 32767 = full */
+    uint16_t limb_use_6; /* predicted use of limb 6, 0 = rested to 32767 = full */
+    uint16_t limb_use_7; /* predicted use of limb 7, 0 = rested to 32767 = full */
 } fk_plan_answer_t;
 
 static inline void fk_plan_answer_pack(uint8_t *to, const fk_plan_answer_t *from)
@@ -427,16 +472,28 @@ static inline void fk_plan_answer_pack(uint8_t *to, const fk_plan_answer_t *from
     fk_put_u8(to + 1, from->action);
     fk_put_u16(to + 2, from->nearest_state);
     fk_put_u16(to + 4, from->path_index);
-    fk_put_f32(to + 6, from->cost);
-    fk_put_f32(to + 10, from->x_m);
-    fk_put_f32(to + 14, from->y_m);
-    fk_put_f32(to + 18, from->heading_rad);
-    fk_put_f32(to + 22, from->vx_mps);
-    fk_put_f32(to + 26, from->vy_mps);
-    fk_put_f32(to + 30, from->omega_rad_s);
+    fk_put_u8(to + 6, from->depth_reached);
+    fk_put_u32(to + 7, from->transitions);
+    fk_put_f32(to + 11, from->cost);
+    fk_put_f32(to + 15, from->distance_m);
+    fk_put_f32(to + 19, from->along_points);
+    fk_put_f32(to + 23, from->x_m);
+    fk_put_f32(to + 27, from->y_m);
+    fk_put_f32(to + 31, from->heading_rad);
+    fk_put_f32(to + 35, from->vx_mps);
+    fk_put_f32(to + 39, from->vy_mps);
+    fk_put_f32(to + 43, from->omega_rad_s);
+    fk_put_u16(to + 47, from->limb_use_0);
+    fk_put_u16(to + 49, from->limb_use_1);
+    fk_put_u16(to + 51, from->limb_use_2);
+    fk_put_u16(to + 53, from->limb_use_3);
+    fk_put_u16(to + 55, from->limb_use_4);
+    fk_put_u16(to + 57, from->limb_use_5);
+    fk_put_u16(to + 59, from->limb_use_6);
+    fk_put_u16(to + 61, from->limb_use_7);
 }
 
-#define FK_DECISION_EVENT_BYTES 77u
+#define FK_DECISION_EVENT_BYTES 106u
 
 /* A decision of the planner on board. */
 typedef struct {
@@ -445,17 +502,29 @@ typedef struct {
     uint32_t decision; /* counts from 0 at START */
     uint64_t scheduled_us; /* decision time on the robot's clock; the estimate is for this time (us) */
     uint16_t fix_sequence; /* newest fix in the estimate */
-    uint8_t fixes_in_estimate; /* fixes that the estimate rests on */
-    uint16_t path_index; /* nearest path point of the estimate */
+    uint8_t fixes_in_estimate; /* fixes that the estimate rests on, 255 = or more */
+    uint16_t path_index; /* path point nearest to the estimate; cost route: last one that it has reached */
+    uint8_t depth_reached; /* levels that were finished */
+    uint32_t transitions; /* transitions evaluated */
     uint16_t nearest_state; /* row of the table */
     uint32_t plan_us; /* computing time of the decision (us) */
     float cost; /* of the best branch */
+    float distance_m; /* of the estimate from the path (m) */
+    float along_points; /* where along the path the estimate is, in points */
     float x_m; /* estimate, world (m) */
     float y_m; /* estimate, world (m) */
     float heading_rad; /* estimate, world (rad) */
     float vx_mps; /* estimate, body (m/s) */
     float vy_mps; /* estimate, body (m/s) */
     float omega_rad_s; /* estimate (rad/s) */
+    uint16_t limb_use_0; /* lately used: limb 0, 0 = rested to 32767 = full */
+    uint16_t limb_use_1; /* lately used: limb 1, 0 = rested to 32767 = full */
+    uint16_t limb_use_2; /* lately used: limb 2, 0 = rested to 32767 = full */
+    uint16_t limb_use_3; /* lately used: limb 3, 0 = rested to 32767 = full */
+    uint16_t limb_use_4; /* lately used: limb 4, 0 = rested to 32767 = full */
+    uint16_t limb_use_5; /* lately used: limb 5, 0 = rested to 32767 = full */
+    uint16_t limb_use_6; /* lately used: limb 6, 0 = rested to 32767 = full */
+    uint16_t limb_use_7; /* lately used: limb 7, 0 = rested to 32767 = full */
     float predicted_x_m; /* after the action, world (m) */
     float predicted_y_m; /* after the action, world (m) */
     float predicted_heading_rad; /* after the action (rad) */
@@ -473,28 +542,54 @@ static inline void fk_decision_event_pack(uint8_t *to, const fk_decision_event_t
     fk_put_u16(to + 14, from->fix_sequence);
     fk_put_u8(to + 16, from->fixes_in_estimate);
     fk_put_u16(to + 17, from->path_index);
-    fk_put_u16(to + 19, from->nearest_state);
-    fk_put_u32(to + 21, from->plan_us);
-    fk_put_f32(to + 25, from->cost);
-    fk_put_f32(to + 29, from->x_m);
-    fk_put_f32(to + 33, from->y_m);
-    fk_put_f32(to + 37, from->heading_rad);
-    fk_put_f32(to + 41, from->vx_mps);
-    fk_put_f32(to + 45, from->vy_mps);
-    fk_put_f32(to + 49, from->omega_rad_s);
-    fk_put_f32(to + 53, from->predicted_x_m);
-    fk_put_f32(to + 57, from->predicted_y_m);
-    fk_put_f32(to + 61, from->predicted_heading_rad);
-    fk_put_f32(to + 65, from->predicted_vx_mps);
-    fk_put_f32(to + 69, from->predicted_vy_mps);
-    fk_put_f32(to + 73, from->predicted_omega_rad_s);
+    fk_put_u8(to + 19, from->depth_reached);
+    fk_put_u32(to + 20, from->transitions);
+    fk_put_u16(to + 24, from->nearest_state);
+    fk_put_u32(to + 26, from->plan_us);
+    fk_put_f32(to + 30, from->cost);
+    fk_put_f32(to + 34, from->distance_m);
+    fk_put_f32(to + 38, from->along_points);
+    fk_put_f32(to + 42, from->x_m);
+    fk_put_f32(to + 46, from->y_m);
+    fk_put_f32(to + 50, from->heading_rad);
+    fk_put_f32(to + 54, from->vx_mps);
+    fk_put_f32(to + 58, from->vy_mps);
+    fk_put_f32(to + 62, from->omega_rad_s);
+    fk_put_u16(to + 66, from->limb_use_0);
+    fk_put_u16(to + 68, from->limb_use_1);
+    fk_put_u16(to + 70, from->limb_use_2);
+    fk_put_u16(to + 72, from->limb_use_3);
+    fk_put_u16(to + 74, from->limb_use_4);
+    fk_put_u16(to + 76, from->limb_use_5);
+    fk_put_u16(to + 78, from->limb_use_6);
+    fk_put_u16(to + 80, from->limb_use_7);
+    fk_put_f32(to + 82, from->predicted_x_m);
+    fk_put_f32(to + 86, from->predicted_y_m);
+    fk_put_f32(to + 90, from->predicted_heading_rad);
+    fk_put_f32(to + 94, from->predicted_vx_mps);
+    fk_put_f32(to + 98, from->predicted_vy_mps);
+    fk_put_f32(to + 102, from->predicted_omega_rad_s);
+}
+
+#define FK_REFUSED_EVENT_BYTES 9u
+
+/* The guard refused the stroke of a decision or a STROKE: the robot rests instead. */
+typedef struct {
+    uint8_t action; /* that was to begin */
+    uint64_t begin_us; /* when, on the robot's clock (us) */
+} fk_refused_event_t;
+
+static inline void fk_refused_event_pack(uint8_t *to, const fk_refused_event_t *from)
+{
+    fk_put_u8(to + 0, from->action);
+    fk_put_u64(to + 1, from->begin_us);
 }
 
 #define FK_ENDED_EVENT_BYTES 6u
 
 /* The run on board ended. */
 typedef struct {
-    int8_t status; /* OK = path completed; STALE = no fixes */
+    int8_t status; /* OK = path completed; PASSED, STALLED; STALE = no fixes */
     uint8_t state; /* see state */
     uint32_t decisions; /* decisions taken */
 } fk_ended_event_t;

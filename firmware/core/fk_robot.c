@@ -21,10 +21,17 @@ int32_t fk_robot_init(fk_robot_t *robot, const uint8_t *image, uint32_t image_by
     robot->plan.angle_weight_per_rad = FK_ANGLE_WEIGHT_PER_RAD;
     robot->plan.progress_weight = FK_PROGRESS_WEIGHT;
     robot->plan.level_weight = FK_LEVEL_WEIGHT;
+    robot->plan.progress_weight_per_m = FK_PROGRESS_WEIGHT_PER_M;
+    robot->plan.look_ahead_m = FK_LOOK_AHEAD_M;
+    robot->plan.soft_distance_m = FK_SOFT_DISTANCE_M;
+    robot->plan.turn_lead = FK_TURN_LEAD;
+    robot->plan.transitions_max = fk_robot_transitions_within(FK_PLAN_TIME_US);
+    robot->plan.cost = FK_COST;
     robot->plan.depth = FK_DEPTH;
     robot->path.count = 0u;
-    fk_estimator_init(&robot->estimator);
+    fk_estimator_init(&robot->estimator, &robot->tables);
     fk_guard_init(&robot->guard);
+    fk_follow_begin(&robot->follow);
 
     robot->state = FK_STATE_DISARMED;
     robot->path_points = 0u;
@@ -43,9 +50,11 @@ int32_t fk_robot_init(fk_robot_t *robot, const uint8_t *image, uint32_t image_by
     robot->second_mask = 0u;
     robot->second_us = 0u;
     robot->stroke_request = 0u;
+    robot->stroke_us = 0u;
     robot->free_us = 0u;
     robot->all_off = 1u;
     robot->decision_pending = 0u;
+    robot->refused_pending = 0u;
     robot->ended_pending = 0u;
     robot->event_sequence = 0u;
     robot->tx_length = 0u;
@@ -76,6 +85,12 @@ static void send_events(fk_robot_t *robot)
         send(robot, FK_FRAME_DECISION, robot->event_sequence, payload, FK_DECISION_EVENT_BYTES);
         ++robot->event_sequence;
         robot->decision_pending = 0u;
+    }
+    if (robot->refused_pending != 0u) {
+        fk_refused_event_pack(payload, &robot->refused);
+        send(robot, FK_FRAME_REFUSED, robot->event_sequence, payload, FK_REFUSED_EVENT_BYTES);
+        ++robot->event_sequence;
+        robot->refused_pending = 0u;
     }
     if (robot->ended_pending != 0u) {
         fk_ended_event_pack(payload, &robot->ended);
@@ -111,9 +126,19 @@ uint64_t fk_robot_stroke_us(const fk_robot_t *robot)
     return second_us + FK_STROKE_GAP_US + pulse_us + FK_STROKE_GAP_US;
 }
 
+void fk_robot_ask_stroke(fk_robot_t *robot, uint8_t action, uint64_t begin_us)
+{
+    robot->stroke_request = (uint8_t)(action + 1u);
+    robot->stroke_us = begin_us;
+    fk_estimator_act(&robot->estimator, begin_us, action);
+}
+
 /* The run ends and no further pulse begins; one that is on ends by itself. */
 void fk_robot_no_more_pulses(fk_robot_t *robot)
 {
+    if (robot->stroke_request != 0u) {
+        fk_estimator_act(&robot->estimator, robot->stroke_us, robot->resting_action);
+    }
     robot->next_decision_us = FK_NEVER_US;
     robot->second_mask = 0u;
     robot->stroke_request = 0u;
@@ -140,13 +165,32 @@ static void end_run(fk_robot_t *robot, int8_t status)
     robot->ended_pending = 1u;
 }
 
+/* Two costs are known by measurement on the chip: what a decision takes at all, and what each transition adds at
+ * most. A search that may take a time may evaluate the transitions that fit into it. */
+uint32_t fk_robot_transitions_within(uint32_t plan_us)
+{
+    if (plan_us == 0u) {
+        return 0u; /* no limit */
+    }
+    uint32_t left_us = (plan_us > FK_PLAN_FIXED_US) ? plan_us - FK_PLAN_FIXED_US : 0u;
+    uint32_t transitions = left_us * 1000u / FK_TRANSITION_NS; /* left_us <= FK_PLAN_TIME_MAX_US, so it fits */
+    return (transitions > 0u) ? transitions : 1u;
+}
+
+/* A fix was taken: a run may end by it. */
+void fk_robot_note_fix(fk_robot_t *robot, float x_m, float y_m)
+{
+    if (robot->state == FK_STATE_RUNNING) {
+        int32_t status = fk_follow_fixed(&robot->follow, &robot->tables, &robot->path, &robot->plan, x_m, y_m);
+        if (status != FK_FOLLOW_ON) {
+            end_run(robot, (int8_t)status);
+        }
+    }
+}
+
 static int32_t fix_is_lost(const fk_robot_t *robot, uint64_t at_us)
 {
-    if (robot->estimator.count == 0u) {
-        return 1;
-    }
-    uint64_t capture_us = robot->estimator.fixes[robot->estimator.count - 1u].capture_us;
-    return at_us > capture_us && at_us - capture_us > FK_FIX_LOST_US;
+    return fk_estimator_is_lost(&robot->estimator, at_us, FK_FIX_LOST_US);
 }
 
 static void put_state(const fk_state_t *state, float *x_m, float *y_m, float *heading_rad, float *vx_mps,
@@ -163,16 +207,20 @@ static void put_state(const fk_state_t *state, float *x_m, float *y_m, float *he
 /* One decision: estimate, plan, report, ask for the stroke; without an estimate the resting one. */
 static void decide(fk_robot_t *robot)
 {
-    static const fk_state_t nowhere = {0.0f, 0.0f, 0.0f, 0.0f, 0.0f, 0.0f};
+    static const fk_state_t nowhere = {0.0f, 0.0f, 0.0f, 0.0f, 0.0f, 0.0f, {0u}, 0.0f};
     fk_decision_event_t *event = &robot->decision;
     fk_estimate_t estimate = {nowhere, 0u, 0u};
-    fk_plan_t plan = {robot->resting_action, 0u, 0u, 0.0f, nowhere};
+    fk_plan_t plan = {robot->resting_action, 0u, 0u, 0u, 0u, 0.0f, 0.0f, robot->follow.along_points, nowhere};
+    int32_t end = FK_FOLLOW_ON;
 
     int32_t status = fk_estimator_at(&robot->estimator, robot->next_decision_us, &estimate);
     if (status == FK_STATUS_OK) {
+        estimate.state.along_points = robot->follow.along_points;
         status = fk_plan(&robot->tables, &robot->path, &robot->plan, &estimate.state, &plan);
     }
-    if (status != FK_STATUS_OK) {
+    if (status == FK_STATUS_OK) {
+        end = fk_follow_decided(&robot->follow, &robot->tables, &robot->path, &robot->plan, &plan);
+    } else {
         plan.action = robot->resting_action;
     }
     event->status = (int8_t)status;
@@ -184,18 +232,30 @@ static void decide(fk_robot_t *robot)
     event->path_index = plan.path_index;
     event->nearest_state = plan.nearest_state;
     event->plan_us = 0u;
+    event->depth_reached = plan.depth_reached;
+    event->transitions = plan.transitions;
     event->cost = plan.cost;
+    event->distance_m = plan.distance_m;
+    event->along_points = plan.along_points;
     put_state(&estimate.state, &event->x_m, &event->y_m, &event->heading_rad, &event->vx_mps, &event->vy_mps,
               &event->omega_rad_s);
     put_state(&plan.predicted, &event->predicted_x_m, &event->predicted_y_m, &event->predicted_heading_rad,
               &event->predicted_vx_mps, &event->predicted_vy_mps, &event->predicted_omega_rad_s);
+    event->limb_use_0 = estimate.state.limb_use[0];
+    event->limb_use_1 = estimate.state.limb_use[1];
+    event->limb_use_2 = estimate.state.limb_use[2];
+    event->limb_use_3 = estimate.state.limb_use[3];
+    event->limb_use_4 = estimate.state.limb_use[4];
+    event->limb_use_5 = estimate.state.limb_use[5];
+    event->limb_use_6 = estimate.state.limb_use[6];
+    event->limb_use_7 = estimate.state.limb_use[7];
     robot->decision_pending = 1u;
     ++robot->decisions;
-    if (status == FK_STATUS_OK && plan.path_index + 1u >= robot->path.count) {
-        end_run(robot, FK_STATUS_OK);
+    if (end != FK_FOLLOW_ON) {
+        end_run(robot, (int8_t)end);
         return;
     }
-    robot->stroke_request = (uint8_t)(plan.action + 1u);
+    fk_robot_ask_stroke(robot, plan.action, robot->next_decision_us);
     robot->next_decision_us += robot->period_us;
 }
 
@@ -219,7 +279,12 @@ static void begin_stroke(fk_robot_t *robot, uint8_t action, uint64_t now_us, fk_
         return; /* a table without a resting action, and no estimate: nothing fires */
     }
     if (masks.first_mask != 0u && !fire(robot, masks.first_mask, now_us, outputs)) {
-        return; /* half a stroke is none of the table's motions */
+        /* Half a stroke is none of the table's motions: none of it begins, and host and estimator are told so. */
+        fk_estimator_act(&robot->estimator, robot->stroke_us, robot->resting_action);
+        robot->refused.action = action;
+        robot->refused.begin_us = robot->stroke_us;
+        robot->refused_pending = 1u;
+        return;
     }
     robot->second_mask = masks.second_mask;
     robot->second_us = now_us + robot->tables.second_delay_us + FK_STROKE_GAP_US;

@@ -6,7 +6,7 @@
  *            ARM                   START (path)
  *  DISARMED ------> ARMED -------------------------> RUNNING
  *     ^  ^            |  ^                             |  |
- *     |  +-- DISARM --+  +-- STOP, path completed -----+  |
+ *     |  +-- DISARM --+  +-- STOP, path at an end -----+  |
  *     +------------------ DISARM, no fix for 2 s ---------+
  *
  * A decision and the stroke that it asks for are two ticks: a decision computes for a while, and the guard's books
@@ -18,6 +18,7 @@
 #include <stdint.h>
 
 #include "fk_estimator.h"
+#include "fk_follow.h"
 #include "fk_frames.h"
 #include "fk_guard.h"
 #include "fk_planner.h"
@@ -28,6 +29,10 @@
 #define FK_CAPTURE_AGE_MAX_US 2000000u
 #define FK_PERIOD_MIN_US 500000u
 #define FK_PERIOD_MAX_US 5000000u
+#define FK_PLAN_TIME_MAX_US 1000000u
+#define FK_TRANSITIONS_LIMIT 10000000u
+#define FK_PLAN_FIXED_US 600u        /* of a decision's time, what no transition takes; measured: study chip */
+#define FK_TRANSITION_NS 22000u      /* the most that one more transition takes on the chip; measured likewise */
 #define FK_STROKE_GAP_US 1000u      /* from a pulse's end until the port's one pulse timer is free for the next */
 
 typedef struct {
@@ -41,6 +46,7 @@ typedef struct {
     fk_tables_t tables;
     fk_path_t path;
     fk_plan_config_t plan;
+    fk_follow_t follow;
     fk_estimator_t estimator;
     fk_guard_t guard;
 
@@ -55,11 +61,14 @@ typedef struct {
     uint8_t second_mask;         /* limbs of the stroke's second group, 0: none pending */
     uint64_t second_us;          /* when they fire */
     uint8_t stroke_request;      /* 1 + action asked for by STROKE or a decision, begun by a next tick; 0: none */
+    uint64_t stroke_us;          /* when the action asked for last begins, as the estimator was told */
     uint64_t free_us;            /* when the port's pulse timer is free: one pulse at a time */
     uint8_t all_off;             /* the next tick switches everything off */
 
     uint8_t decision_pending;    /* a DECISION event waits for its computing time */
     fk_decision_event_t decision;
+    uint8_t refused_pending;
+    fk_refused_event_t refused;
     uint8_t ended_pending;
     fk_ended_event_t ended;
     uint8_t event_sequence;
@@ -104,7 +113,10 @@ uint32_t fk_robot_bytes(void);
 /* For fk_commands.c */
 int32_t fk_robot_command(fk_robot_t *robot, const fk_frame_t *frame, uint64_t now_us, uint8_t *answer);
 void fk_robot_disarm(fk_robot_t *robot);
+void fk_robot_note_fix(fk_robot_t *robot, float x_m, float y_m);
+uint32_t fk_robot_transitions_within(uint32_t plan_us);
 void fk_robot_no_more_pulses(fk_robot_t *robot);
+void fk_robot_ask_stroke(fk_robot_t *robot, uint8_t action, uint64_t begin_us);
 uint64_t fk_robot_stroke_us(const fk_robot_t *robot);
 
 #endif

@@ -40,7 +40,6 @@ uint32_t fk_robot_take_tx(void *robot, uint8_t *bytes, uint32_t capacity);
 void fk_guard_init(void *guard);
 int32_t fk_guard_allow(void *guard, uint8_t limb_mask, uint32_t pulse_us, uint64_t now_us);
 void fk_guard_cut(void *guard, uint64_t now_us);
-void fk_estimator_init(void *estimator);
 uint32_t fk_frame_encode(uint8_t type, uint8_t sequence, const uint8_t *payload, uint32_t payload_length,
                          uint8_t *to, uint32_t capacity);
 uint32_t fk_test_guard_bytes(void);
@@ -52,8 +51,13 @@ uint32_t fk_test_count_frames(const uint8_t *bytes, const uint32_t *lengths, uin
 int32_t fk_test_on_frames(void *robot, const uint8_t *bytes, const uint32_t *lengths, uint32_t count,
                           uint64_t now_us);
 uint32_t fk_test_collect(const uint8_t *bytes, uint32_t length, uint8_t *frames, uint32_t *lengths);
-int32_t fk_test_estimator_add(void *estimator, uint64_t capture_us, const float *pose, uint16_t sequence);
-int32_t fk_test_estimator_at(const void *estimator, uint64_t at_us, float *state, uint32_t *numbers);
+uint32_t fk_test_estimator_only_bytes(void);
+int32_t fk_test_estimator_init(void *test, const uint8_t *image, uint32_t bytes);
+int32_t fk_test_estimator_add(void *test, uint64_t capture_us, const float *pose, uint16_t sequence);
+void fk_test_estimator_act(void *test, uint64_t at_us, uint8_t action);
+int32_t fk_test_estimator_at(void *test, uint64_t at_us, float *state, uint32_t *numbers);
+uint32_t fk_test_estimator_inside(void *test, float *values, uint32_t *counts);
+void fk_test_estimator_spoil(void *test, uint32_t speed, float value);
 void fk_test_floats(const uint32_t *bits, uint32_t count, uint8_t *bytes, uint32_t *back);
 """
 
@@ -186,6 +190,7 @@ class Robot:
         self._outputs = FFI.new("fk_outputs_t *")
         self._collector = FrameCollector()
         self._sequence = 0
+        self._fixes = 0
         self._kept: list[Frame] = []
         self.keep = False
         image_at = FFI.cast("uint8_t *", self._image)
@@ -256,8 +261,9 @@ class Robot:
 
     def fix(self, x_m: float = 0.1, y_m: float = 0.0, heading_rad: float = 0.0, **changes: Value) -> str:
         """A position fix; its status."""
+        self._fixes += 1
         values: dict[str, Value] = {
-            "fix_sequence": 7, "quality": 1, "capture_age_us": 0,
+            "fix_sequence": self._fixes, "quality": 1, "capture_age_us": 0,
             "x_m": x_m, "y_m": y_m, "heading_rad": heading_rad,
         }  # fmt: skip
         return self.status("FIX", values | changes)

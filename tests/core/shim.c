@@ -1,8 +1,14 @@
 /* Tests only: loops over the core's functions, so that Python need not make a call for each case. */
 #include "fk_robot.h"
 
+typedef struct {
+    fk_tables_t tables;
+    fk_estimator_t estimator;
+} fk_test_estimator_t;
+
 uint32_t fk_test_guard_bytes(void);
 uint32_t fk_test_estimator_bytes(void);
+uint32_t fk_test_estimator_only_bytes(void);
 uint32_t fk_test_encoded_max(void);
 int32_t fk_test_decode(const uint8_t *encoded, uint32_t length, uint8_t *head, uint8_t *payload,
                        uint32_t *payload_length);
@@ -10,13 +16,19 @@ uint32_t fk_test_count_frames(const uint8_t *bytes, const uint32_t *lengths, uin
 int32_t fk_test_on_frames(fk_robot_t *robot, const uint8_t *bytes, const uint32_t *lengths, uint32_t count,
                           uint64_t now_us);
 uint32_t fk_test_collect(const uint8_t *bytes, uint32_t length, uint8_t *frames, uint32_t *lengths);
-int32_t fk_test_estimator_add(void *estimator, uint64_t capture_us, const float *pose, uint16_t sequence);
-int32_t fk_test_estimator_at(const void *estimator, uint64_t at_us, float *state, uint32_t *numbers);
+int32_t fk_test_estimator_init(fk_test_estimator_t *test, const uint8_t *image, uint32_t bytes);
+int32_t fk_test_estimator_add(fk_test_estimator_t *test, uint64_t capture_us, const float *pose, uint16_t sequence);
+void fk_test_estimator_act(fk_test_estimator_t *test, uint64_t at_us, uint8_t action);
+int32_t fk_test_estimator_at(fk_test_estimator_t *test, uint64_t at_us, float *state, uint32_t *numbers);
+uint32_t fk_test_estimator_inside(fk_test_estimator_t *test, float *values, uint32_t *counts);
+void fk_test_estimator_spoil(fk_test_estimator_t *test, uint32_t speed, float value);
 void fk_test_floats(const uint32_t *bits, uint32_t count, uint8_t *bytes, uint32_t *back);
 
 uint32_t fk_test_guard_bytes(void) { return (uint32_t)sizeof(fk_guard_t); }
 
-uint32_t fk_test_estimator_bytes(void) { return (uint32_t)sizeof(fk_estimator_t); }
+uint32_t fk_test_estimator_bytes(void) { return (uint32_t)sizeof(fk_test_estimator_t); }
+
+uint32_t fk_test_estimator_only_bytes(void) { return (uint32_t)sizeof(fk_estimator_t); }
 
 uint32_t fk_test_encoded_max(void) { return FK_FRAME_ENCODED_MAX; }
 
@@ -88,16 +100,31 @@ uint32_t fk_test_collect(const uint8_t *bytes, uint32_t length, uint8_t *frames,
     return count;
 }
 
-int32_t fk_test_estimator_add(void *estimator, uint64_t capture_us, const float *pose, uint16_t sequence)
+/* tables: the opened one of a test; the estimator keeps a pointer to it. */
+int32_t fk_test_estimator_init(fk_test_estimator_t *test, const uint8_t *image, uint32_t bytes)
 {
-    fk_fix_t fix = {capture_us, pose[0], pose[1], pose[2], sequence};
-    return fk_estimator_add((fk_estimator_t *)estimator, &fix);
+    int32_t error = fk_tables_open(image, bytes, &test->tables);
+    if (error == 0) {
+        fk_estimator_init(&test->estimator, &test->tables);
+    }
+    return error;
 }
 
-int32_t fk_test_estimator_at(const void *estimator, uint64_t at_us, float *state, uint32_t *numbers)
+int32_t fk_test_estimator_add(fk_test_estimator_t *test, uint64_t capture_us, const float *pose, uint16_t sequence)
+{
+    fk_fix_t fix = {capture_us, {pose[0], pose[1], pose[2]}, sequence};
+    return fk_estimator_add(&test->estimator, &fix);
+}
+
+void fk_test_estimator_act(fk_test_estimator_t *test, uint64_t at_us, uint8_t action)
+{
+    fk_estimator_act(&test->estimator, at_us, action);
+}
+
+int32_t fk_test_estimator_at(fk_test_estimator_t *test, uint64_t at_us, float *state, uint32_t *numbers)
 {
     fk_estimate_t estimate;
-    int32_t error = fk_estimator_at((const fk_estimator_t *)estimator, at_us, &estimate);
+    int32_t error = fk_estimator_at(&test->estimator, at_us, &estimate);
     if (error == 0) {
         state[0] = estimate.state.x_m;
         state[1] = estimate.state.y_m;
@@ -107,8 +134,44 @@ int32_t fk_test_estimator_at(const void *estimator, uint64_t at_us, float *state
         state[5] = estimate.state.omega_rad_s;
         numbers[0] = estimate.fix_sequence;
         numbers[1] = estimate.fixes;
+        for (uint32_t limb = 0u; limb < FK_LIMBS_MAX; ++limb) {
+            numbers[2u + limb] = estimate.state.limb_use[limb];
+        }
     }
     return error;
+}
+
+/* All that the track believes: means, covariances, kicks; and what the estimator counts. Returns the floats written. */
+uint32_t fk_test_estimator_inside(fk_test_estimator_t *test, float *values, uint32_t *counts)
+{
+    fk_estimate_t none;
+    (void)fk_estimator_at(&test->estimator, UINT64_MAX / 2u, &none); /* an action that waits is predicted */
+    const fk_track_t *track = &test->estimator.track;
+    uint32_t at = 0u;
+    for (uint32_t axis = 0u; axis < 3u; ++axis) {
+        for (uint32_t i = 0u; i < 2u * track->count; ++i) {
+            values[at++] = track->mean[axis][i];
+        }
+    }
+    for (uint32_t k = 0u; k < 2u; ++k) {
+        for (uint32_t i = 0u; i < 2u * track->count; ++i) {
+            for (uint32_t j = 0u; j < 2u * track->count; ++j) {
+                values[at++] = track->spread[k].covariance[i][j];
+            }
+        }
+    }
+    values[at++] = track->spread[0].kick;
+    values[at++] = track->spread[1].kick;
+    counts[0] = track->count;
+    counts[1] = test->estimator.fixes;
+    counts[2] = test->estimator.restarts;
+    return at;
+}
+
+/* The newest instant's pose or speed, x. */
+void fk_test_estimator_spoil(fk_test_estimator_t *test, uint32_t speed, float value)
+{
+    test->estimator.track.mean[0][2u * (test->estimator.track.count - 1u) + speed] = value;
 }
 
 /* Numbers through fk_put_f32 and fk_get_f32: their bytes and what comes back, as bits. */

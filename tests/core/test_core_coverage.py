@@ -20,6 +20,7 @@ UNTAKEN = {
     # Every return is checked, and an index below the table's count has no error.
     "if (fk_tables_action(&robot->tables, (uint8_t)(action - 1u), &masks) == FK_OK && "
     "masks.first_mask == 0u &&",
+    "if (fk_tables_action(tables, (uint8_t)(action - 1u), &masks) == FK_OK && masks.first_mask == 0u &&",
 }
 """Source lines with a branch that nothing can take."""
 

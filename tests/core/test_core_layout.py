@@ -24,7 +24,7 @@ def test_the_readme_s_table_is_up_to_date() -> None:
 
 
 def test_statuses_are_the_planner_s_errors_and_never_collide() -> None:
-    header = planner_files()["fk_planner.h"].decode()
+    header = planner_files()["fk_tables.h"].decode()
     errors = {name: int(value) for name, value in re.findall(r"FK_ERROR_(\w+) = (-\d+)", header)}
     status = link_layout().status
     shared = set(errors) & set(status)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import struct
 import zlib
 from collections.abc import Sequence
+from dataclasses import asdict
 
 import numpy as np
 import pytest
@@ -12,13 +13,15 @@ from cobs import cobs
 from tests.core.core import ACTION, FFI, PERIOD_US, RESTING, STATE, Robot, bits, cases, core, decode, image
 
 from frogkick.link.layout import Value, link_layout
+from frogkick.loop.decision import LIMB_USE_FIELDS
 from frogkick.planner.plan import PlanConfig
 from frogkick_codegen.native import NativeLibrary
 
 STATES = ("DISARMED", "ARMED", "RUNNING")
 POSE: dict[str, Value] = {"x_m": 0.1, "y_m": 0.02, "heading_rad": 0.1}
 MOTION: dict[str, Value] = {"vx_mps": 0.02, "vy_mps": 0.0, "omega_rad_s": 0.1}
-FIX: dict[str, Value] = {"fix_sequence": 8, "quality": 1, "capture_age_us": 0, **POSE}
+RESTED: dict[str, Value] = dict.fromkeys(LIMB_USE_FIELDS, 0) | {"along_points": 0.0}
+FIX: dict[str, Value] = {"fix_sequence": 8, "quality": 1, "capture_age_us": 0, **POSE, "y_m": 0.002}
 Rows = Sequence[Sequence[Value]]
 
 # command: values, rows, then (status, next state) from DISARMED, ARMED, RUNNING; the last two with a path.
@@ -37,7 +40,10 @@ TABLE: dict[str, tuple[dict[str, Value], Rows, tuple[tuple[str, str], ...]]] = {
     "STATUS": ({}, (), (("OK", "DISARMED"), ("OK", "ARMED"), ("OK", "RUNNING"))),
     "PARAM": ({"parameter": 1, "value": 2}, (), (("OK", "DISARMED"), ("OK", "ARMED"), ("STATE", "RUNNING"))),
     "STROKE": ({"action": ACTION["B"]}, (), (("STATE", "DISARMED"), ("OK", "ARMED"), ("STATE", "RUNNING"))),
-    "PLAN": ({"depth": 1, **POSE, **MOTION}, (), (("OK", "DISARMED"), ("OK", "ARMED"), ("STATE", "RUNNING"))),
+    "PLAN": (
+        {"depth": 1, **POSE, **MOTION, **RESTED}, (),
+        (("OK", "DISARMED"), ("OK", "ARMED"), ("STATE", "RUNNING")),
+    ),
 }  # fmt: skip
 
 
@@ -161,7 +167,7 @@ def test_a_path_with_a_bad_point_is_no_path(bad: float, column: int) -> None:
     )
     assert answer == {"status": link_layout().status["VALUE"], "received": 0}
     assert robot.start() == "NO_PATH"
-    assert robot.status("PLAN", {"depth": 1, **POSE, **MOTION}) == "NO_PATH"
+    assert robot.status("PLAN", {"depth": 1, **POSE, **MOTION, **RESTED}) == "NO_PATH"
     robot.path()
     assert robot.start() == "OK"
 
@@ -207,13 +213,26 @@ def test_parameters_and_their_limits() -> None:
     for value, wanted in period.items():
         assert status("PERIOD_US", value) == wanted, value
     assert robot.ask("HELLO")["period_us"] == 5_000_000
-    for name in ("DISTANCE_WEIGHT_PER_M", "ANGLE_WEIGHT_PER_RAD", "PROGRESS_WEIGHT", "LEVEL_WEIGHT"):
+    for value, wanted in [(0, "OK"), (1, "OK"), (2, "VALUE"), (0.5, "VALUE"), (-1, "VALUE")]:
+        assert status("COST", value) == wanted, value
+    for name, most in (("PLAN_TIME_US", 1e6), ("TRANSITIONS_MAX", 1e7)):
+        for value, wanted in [(most, "OK"), (0, "OK"), (-1, "VALUE"), (most + 1, "VALUE"), (0.5, "VALUE")]:
+            assert status(name, value) == wanted, (name, value)
+    for value, wanted in [(2, "OK"), (0, "OK"), (2.0001, "VALUE"), (-0.1, "VALUE")]:
+        assert status("TURN_LEAD", value) == wanted, value
+    for name in (
+        "DISTANCE_WEIGHT_PER_M", "ANGLE_WEIGHT_PER_RAD", "PROGRESS_WEIGHT", "LEVEL_WEIGHT",
+        "PROGRESS_WEIGHT_PER_M", "LOOK_AHEAD_M", "SOFT_DISTANCE_M",
+    ):  # fmt: skip
         for value, wanted in [(0, "OK"), (-0.0, "OK"), (1e6, "OK"), (-1e-9, "VALUE"), (1000001.0, "VALUE")]:
             assert status(name, value) == wanted
     for name in link_layout().parameter:
         for value in (np.nan, np.inf, -np.inf):
             assert status(name, value) == "VALUE"
-    for parameter in (0, 7, 255):
+    robot.path()
+    told = robot.ask("PLAN", {"depth": 1, **POSE, **MOTION, **RESTED})
+    assert told["status"] == 0, "what PARAM takes, the planner takes"
+    for parameter in (0, 14, 255):
         assert robot.status("PARAM", {"parameter": parameter, "value": 1.0}) == "VALUE"
 
 
@@ -250,8 +269,8 @@ def test_a_damaged_table_is_refused() -> None:
 
 def test_status_counts() -> None:
     robot = Robot().begin("ARMED")
-    assert robot.fix() == "OK"
-    assert robot.fix() == "RANGE", "not newer than the newest"
+    assert robot.fix(fix_sequence=3) == "OK"
+    assert robot.fix(fix_sequence=3) == "DOUBLE"
     assert robot.fix(quality=0) == "VALUE"
     robot.raw(b"\x05abc")
     robot.raw(b"")
@@ -275,7 +294,13 @@ def test_fixes() -> None:
     assert robot.fix(capture_age_us=0xFFFFFFFF) == "VALUE"
     answer = robot.ask("FIX", {**FIX, "fix_sequence": 65_535, "capture_age_us": 400_000})
     assert answer == {"status": 0, "fix_sequence": 65_535, "capture_us": robot.now_us - 400_000}
-    assert robot.fix(capture_age_us=400_001) == "RANGE", "older than the newest"
+    assert robot.fix(capture_age_us=400_001) == "OLD", "from before the first one"
+    assert robot.fix(0.1, 0.002, 0.1, capture_age_us=350_000) == "OK"
+    assert robot.fix(0.1, 0.002, 0.1, capture_age_us=370_000) == "OK", "out of order"
+    assert robot.fix(0.4) == robot.fix(0.401) == "OUTLIER"
+    assert robot.ask("STATUS")["restarts"] == 0
+    assert robot.fix(0.402) == "OK", "three that agree are believed"
+    assert robot.ask("STATUS")["restarts"] == 1
 
 
 def test_a_fix_from_before_the_clock_began_is_refused() -> None:
@@ -285,37 +310,53 @@ def test_a_fix_from_before_the_clock_began_is_refused() -> None:
     assert robot.ask("FIX", {**FIX, "capture_age_us": 300_000})["capture_us"] == 0
 
 
+PARAMETERS = link_layout().parameter
+
+
+@pytest.mark.parametrize("cost", [0, 1])
 @pytest.mark.parametrize("depth", [0, 1, 2, 3, 4, 5])
-def test_plan_gives_the_planner_s_bits(depth: int) -> None:
+def test_plan_gives_the_planner_s_bits(depth: int, cost: int) -> None:
     robot = Robot().begin("ARMED")
     rng = np.random.default_rng(depth)
     rows = np.column_stack(
         [np.linspace(0, 1, 18), 0.1 * np.sin(np.arange(18)), rng.uniform(-3, 3, 18)]
     ).astype(np.float32)
     assert robot.status("PATH", {"first": 0, "total": 18, "count": 18}, rows.tolist()) == "OK"
-    weights = {2: 400.0, 3: 33.0, 4: 250.0, 5: 0.7}
-    for parameter, value in weights.items():
-        assert robot.status("PARAM", {"parameter": parameter, "value": value}) == "OK"
+    config = PlanConfig(400.0, 33.0, 250.0, 0.7, depth, cost, 310.0, 0.12, 0.02, 0.5, transitions_max=70)
+    for name, value in asdict(config).items():
+        if name != "depth":
+            assert robot.status("PARAM", {"parameter": PARAMETERS[name.upper()], "value": value}) == "OK"
     states = rng.normal(0, [0.5, 0.2, 2, 0.02, 0.02, 0.3], (cases(300, 3000), 6)).astype(np.float32)
     states[0, 3] = np.nan
     states[1 % len(states), 0] = 1001.0
+    uses = np.random.default_rng(depth).integers(0, 32768, (len(states), 8))
     names = ("x_m", "y_m", "heading_rad", "vx_mps", "vy_mps", "omega_rad_s")
 
     class Columns:
         x_m, y_m, tangent_rad = rows.T
 
-    config = PlanConfig(400.0, 33.0, 250.0, 0.7, depth)
-    wanted = NativeLibrary().plan_batch(robot.image, Columns, config, states)  # type: ignore[arg-type]
-    for state, row in zip(states, wanted, strict=True):
-        values: dict[str, Value] = {"depth": depth}
+    along = rng.uniform(0, 17, len(states)).astype(np.float32)
+    wanted = NativeLibrary().plan_batch(
+        robot.image,
+        Columns,  # type: ignore[arg-type]
+        config,
+        states,
+        limb_use=uses,
+        along_points=along,
+    )
+    for state, use, place, row in zip(states, uses, along, wanted, strict=True):
+        values: dict[str, Value] = {"depth": depth, "along_points": float(place)}
         values |= {name: float(value) for name, value in zip(names, state, strict=True)}
+        values |= {name: int(limb) for name, limb in zip(LIMB_USE_FIELDS, use, strict=True)}
         told = robot.ask("PLAN", values)
         assert told["status"] == row["status"]
-        for name in ("action", "nearest_state", "path_index"):
+        for name in ("action", "nearest_state", "path_index", "depth_reached", "transitions"):
             assert told[name] == row[name]
-        found = [told["cost"], *(told[name] for name in names)]
+        assert [told[name] for name in LIMB_USE_FIELDS] == row["predicted_limb_use"].tolist()
+        floats = ("cost", "distance_m", "along_points")
+        found = [told[name] for name in (*floats, *names)]
         assert [bits(float(value)) for value in found] == [
-            bits(float(value)) for value in (row["cost"], *row["predicted"])
+            bits(float(value)) for value in (*(row[name] for name in floats), *row["predicted"])
         ]
     # PLAN's depth is its own: the decision's is still the default.
     assert wanted["status"][2:].any() == (depth in (0, 5))

@@ -12,6 +12,9 @@ from tests.planner import synthetic
 
 from frogkick.loop.chip_check import check_on_chip
 from frogkick.planner.image import open_image
+from frogkick.pool.chip.image import load_image
+from frogkick.pool.chip.stack import StackAnalysis
+from frogkick.pool.chip.symbols import unwanted
 from frogkick.robot import load_robot
 from frogkick_codegen.emit import SOURCES
 from frogkick_codegen.firmware import image_sizes
@@ -61,9 +64,42 @@ def test_arm_gcc_builds_the_whole_bench_image(tmp_path: Path, level: str) -> Non
     with elf.open("rb") as file:
         symbols = {one.name for one in ELFFile(file).get_section_by_name(".symtab").iter_symbols()}
     assert {"fk_plan", "fk_robot_tick", "fk_table_image"} <= symbols
-    # Neither doubles nor floats in software, no heap, no printing.
-    forbidden = ("__aeabi_d", "__aeabi_f", "sqrt", "malloc", "_sbrk", "printf")
-    assert [name for name in symbols if name.startswith(forbidden)] == []
+    assert unwanted(symbols) == []
+    assert [name for name in symbols if "printf" in name] == []
+
+
+DIVISION = """#include <stdint.h>
+uint64_t fk_share(uint64_t whole, uint64_t parts);
+uint64_t fk_share(uint64_t whole, uint64_t parts) { return whole / parts; }
+"""
+
+
+def test_a_division_that_libgcc_does_is_found(tmp_path: Path) -> None:
+    """With gcc's library on the link line nothing fails: the image's symbols tell."""
+    source = tmp_path / "share.c"
+    source.write_text(DIVISION)
+    elf = build_bench(tmp_path, str(source), "-Wl,--undefined=fk_share")
+    found = unwanted(load_image(elf).symbols)
+    assert "__aeabi_uldivmod: 64-bit division" in found
+    report = check_on_chip(elf, open_image(robot_image()), ROBOT)
+    assert [name for name, passed in report.checks.items() if not passed] == [
+        "no 64-bit division, soft float, double, libm or heap"
+    ]
+
+
+def test_the_analysis_of_the_stack_agrees_with_the_compiler_s_own(tmp_path: Path) -> None:
+    """gcc writes down what each function puts on the stack; the machine code says the same."""
+    elf = build_bench(tmp_path, "-fstack-usage")
+    analysis = StackAnalysis(elf)
+    told: dict[str, int] = {}
+    for file in tmp_path.glob("*.su"):
+        for line in file.read_text().splitlines():
+            place, size, kind = line.split("\t")
+            assert kind == "static", line  # no alloca, no array of variable length
+            told[place.rsplit(":", 1)[1]] = int(size)
+    common = sorted(set(told) & set(analysis.functions))
+    assert len(common) > 60
+    assert {name: analysis.own_bytes(name) for name in common} == {name: told[name] for name in common}
 
 
 def test_the_image_of_arm_gcc_passes_the_trial_on_the_virtual_chip(tmp_path: Path) -> None:

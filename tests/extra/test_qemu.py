@@ -11,6 +11,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from elftools.elf.elffile import ELFFile
+from tests.codegen import made_up
+from tests.conftest import count
 from tests.extra.tools import chip_compiler, emitted_firmware, program, run
 from tests.planner import synthetic
 
@@ -28,9 +30,9 @@ IMAGE = synthetic.image()
 TABLES = open_image(IMAGE)
 PATH = synthetic.wave_path()
 CONFIG = PlanConfig()
-STATES = 600
+STATES = count(1000, 20_000)
 SEED = 386
-ERROR_FLOAT_RULES = -10  # FK_ERROR_FLOAT_RULES in fk_planner.h
+ERROR_FLOAT_RULES = -10  # FK_ERROR_FLOAT_RULES in fk_tables.h
 EXIT_FAULT = 9  # FK_EXIT_FAULT in startup.h
 NO_COPROCESSOR = 1 << 19  # UFSR.NOCP in CFSR: ARMv7-M, B3.2.15
 
@@ -56,15 +58,23 @@ static const uint8_t fk_case_depths[FK_CASES] = {{{", ".join(f"{depth}u" for dep
 static const uint32_t fk_case_states[FK_CASES][6] = {{
 {rows(cases.states)}
 }};
+static const uint16_t fk_case_limb_use[FK_CASES][8] = {{
+{",".join("{" + ", ".join(f"{use}u" for use in row) + "}" for row in cases.limb_use)}
+}};
 """
 
 
-def build(name: str, cases: Cases, folder: Path, *options: str) -> Path:
+def build(name: str, cases: Cases, folder: Path, *options: str, image: bytes = IMAGE) -> Path:
     """Build the test program around the emitted table and the cases."""
     driver, libraries = chip_compiler(name)
-    emitted, _ = emitted_firmware(IMAGE, folder)
+    emitted, _ = emitted_firmware(image, folder)
     (folder / "cases.h").write_text(cases_header(cases))
-    sources = [BOARD / "startup.c", BOARD / "main.c", *(emitted / source for source in SOURCES)]
+    sources = [
+        BOARD / "startup.c",
+        BOARD / "main.c",
+        BOARD / "memory.c",
+        *(emitted / source for source in SOURCES),
+    ]
     elf = folder / "planner.elf"
     driver.run(
         [
@@ -98,19 +108,22 @@ def decisions(lines: list[str]) -> np.ndarray:
     return np.ascontiguousarray(words).view(PLAN_ROW).reshape(-1)
 
 
+@pytest.mark.parametrize("kind", made_up.KINDS)
 @pytest.mark.parametrize("name", COMPILERS)
-def test_qemu_decides_as_the_twin_does(name: str, tmp_path: Path) -> None:
+def test_qemu_decides_as_the_twin_does(name: str, kind: str, tmp_path: Path) -> None:
     program("qemu-system-arm", "qemu-system-arm")
-    cases = make_cases(TABLES, PATH, STATES, SEED)
-    code, lines = boot(build(name, cases, tmp_path))
+    image = made_up.image(kind)
+    tables = open_image(image)
+    cases = make_cases(tables, PATH, STATES, SEED)
+    code, lines = boot(build(name, cases, tmp_path, image=image))
     assert code == 0, lines[:3]
     rows = decisions(lines)
     assert len(rows) == STATES
     (pair,) = compare(
         cases,
         {
-            "python": lambda states, depths: plan_batch(TABLES, PATH, CONFIG, states, depths),
-            f"qemu ({name})": lambda states, depths: rows,
+            "python": lambda *given: plan_batch(tables, PATH, CONFIG, *given),
+            f"qemu ({name})": lambda *given: rows,
         },
     )
     assert pair.mismatches == 0, pair.first_failure

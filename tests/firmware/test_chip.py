@@ -6,29 +6,11 @@ import re
 from pathlib import Path
 
 import pytest
+from bare_chip import NO_WAITS, bare
 from bench_build import build_text
 
 from frogkick.errors import InputError
-from frogkick.pool.chip import ChipError, CostModel, VirtualChip
-
-NO_WAITS = CostModel(
-    branch_refill_cycles=2, fetch_wait_cached_parts=0, fetch_wait_uncached_parts=0, flash_data_wait_cycles=0
-)
-BARE = """
-#include <stdint.h>
-void fk_reset(void);
-{helpers}
-__attribute__((naked)) void fk_reset(void) {{ __asm__ volatile({assembly}); }}
-extern uint32_t fk_stack_top[];
-typedef struct {{ uint32_t *stack_top; void (*reset)(void); }} vectors_t;
-__attribute__((section(".vectors"), used)) static const vectors_t vectors = {{fk_stack_top, fk_reset}};
-"""
-
-
-def bare(folder: Path, assembly: str, cost: CostModel | None = None) -> VirtualChip:
-    """A chip that runs nothing but these instructions from reset, without our startup code."""
-    text = " ".join(f'"{line.strip()}\\n"' for line in assembly.strip().splitlines())
-    return VirtualChip(build_text(BARE.format(helpers="", assembly=text), folder), cost)
+from frogkick.pool.chip import ChipError, VirtualChip
 
 
 def with_main(folder: Path, body: str) -> VirtualChip:
@@ -153,61 +135,6 @@ def test_sending_into_the_past(echo_elf: Path) -> None:
 
 
 # What is counted
-
-LOOP = "1: b 1b"
-ENABLE_FPU = ["movw r0, #0xED88", "movt r0, #0xE000", "mov r1, #0xF00000", "str r1, [r0]"]
-PREPARE = [*ENABLE_FPU, "movw r0, #0x0100", "movt r0, #0x2000", "mov r2, #3", "vmov.f32 s1, #2.0"]
-PREPARE_CYCLES = 3 + 2 + 4
-
-
-@pytest.mark.parametrize(
-    ("line", "cycles"),
-    [
-        ("nop", 1), ("adds r3, r2, #1", 1), ("mul r3, r2, r2", 1), ("mla r3, r2, r2, r2", 2),
-        ("umull r3, r4, r2, r2", 1), ("udiv r3, r2, r2", 12), ("sdiv r3, r2, r2", 12),
-        ("ldr r3, [r0]", 2), ("ldr.w r3, [r0, #16]", 2), ("ldrb r3, [r0, r2]", 2), ("str r2, [r0]", 2),
-        ("strh r2, [r0]", 2), ("ldrd r3, r4, [r0]", 3), ("strd r3, r4, [r0]", 3),
-        ("ldm r0, {r3, r4, r5}", 4), ("stm r0!, {r3, r4}", 3), ("push {r4, r5, r6, r7}", 5),
-        ("vadd.f32 s0, s1, s1", 1), ("vmul.f32 s0, s1, s1", 1), ("vsub.f32 s0, s1, s1", 1),
-        ("vdiv.f32 s0, s1, s1", 14), ("vsqrt.f32 s0, s1", 14), ("vmla.f32 s0, s1, s1", 3),
-        ("vcmp.f32 s0, s1", 1), ("vmrs apsr_nzcv, fpscr", 1), ("vcvt.f32.s32 s0, s1", 1),
-        ("vldr s0, [r0]", 2), ("vstr s1, [r0]", 2), ("vldr d0, [r0]", 3), ("vldm r0, {s0-s3}", 5),
-        ("vpush {s16-s19}", 5), ("vmov s0, r2", 1), ("vmov s0, s1, r2, r3", 2),
-        ("cmp r2, #3\nbeq 2f\n2: nop", 3), ("cmp r2, #3\nbeq 2f\nnop\n2: nop", 1 + 1 + 2 + 1),
-        ("cmp r2, #4\nbeq 2f\nnop\n2: nop", 4), ("bl 2f\n2: nop", 2), ("b 2f\nnop\n2: nop", 1 + 2 + 1),
-        ("cmp r2, #3\nitte eq\naddeq r3, r2, #1\nmoveq r3, r2\nmovne r3, r2", 5),
-        ("isb", 4),
-    ],
-)  # fmt: skip
-def test_cycles_of_an_instruction(tmp_path: Path, line: str, cycles: int) -> None:
-    """The documented model (cost.py), with a refill of 2 and no wait states."""
-    # UDF is where the counting ends.
-    chip = bare(tmp_path, "\n".join([*PREPARE, line, "udf #0"]), NO_WAITS)
-    with pytest.raises(ChipError, match="hard fault"):
-        chip.run_until(100)
-    assert chip.cycles == PREPARE_CYCLES + cycles + 1  # the faulting instruction's own cycle is entered
-
-
-def test_cycles_of_a_loop(tmp_path: Path) -> None:
-    """100 turns of subs and bne: 1 + 1 each, and a refill of 2 for each of the 99 branches taken."""
-    chip = bare(tmp_path, "movs r0, #100\n2: subs r0, #1\nbne 2b\nudf #0", NO_WAITS)
-    with pytest.raises(ChipError, match="hard fault"):
-        chip.run_until(100)
-    assert chip.cycles == 1 + 100 * 2 + 99 * 2 + 1
-    assert chip.instructions == 1 + 200 + 1
-
-
-def test_wait_states_are_added_as_stated(tmp_path: Path) -> None:
-    """Two reads of data from flash, 7 instructions: each parameter of the model shows in the sum."""
-    code = "movs r0, #0\nldr r1, [r0]\nldr r1, [r0, #4]\nnop\nnop\nnop\nudf #0"
-    with_waits = CostModel(branch_refill_cycles=2, fetch_wait_uncached_parts=128, flash_data_wait_cycles=2)
-    found = []
-    for cost in (NO_WAITS, with_waits):
-        chip = bare(tmp_path, code, cost)
-        with pytest.raises(ChipError, match="hard fault"):
-            chip.run_until(100)
-        found.append(chip.cycles)
-    assert found == [9, 9 + 7 // 2 + 2 * 2]
 
 
 def test_time_goes_on_while_asleep(echo_elf: Path) -> None:

@@ -1,4 +1,4 @@
-/* Plans the test's states with the emitted table and prints each decision's bits as eleven hexadecimal words, in
+/* Plans the test's states with the emitted table and prints each decision's bits as nineteen hexadecimal words, in
  * the order of the twin's PLAN_ROW. Floats come in and go out as bits: nothing is rounded on the way. */
 #include <stdint.h>
 
@@ -7,7 +7,7 @@
 #include "fk_table.h"
 #include "startup.h"
 
-#define ROW_WORDS 11u
+#define ROW_WORDS 19u
 
 int main(void);
 
@@ -34,11 +34,14 @@ static uint32_t bits_of(float value)
 static void plan_case(const fk_tables_t *tables, const fk_path_t *path, fk_plan_config_t *config, uint32_t index)
 {
     const uint32_t *words = fk_case_states[index];
-    const fk_state_t state = {float_of(words[0]), float_of(words[1]), float_of(words[2]),
-                              float_of(words[3]), float_of(words[4]), float_of(words[5])};
+    fk_state_t state = {float_of(words[0]), float_of(words[1]), float_of(words[2]), float_of(words[3]),
+                        float_of(words[4]), float_of(words[5]), {0u}};
     uint32_t row[ROW_WORDS] = {0u};
     fk_plan_t plan;
 
+    for (uint32_t limb = 0u; limb < FK_LIMBS_MAX; ++limb) {
+        state.limb_use[limb] = fk_case_limb_use[index][limb];
+    }
     config->depth = fk_case_depths[index];
     const int32_t status = fk_plan(tables, path, config, &state, &plan);
     row[0] = (uint32_t)status;
@@ -53,6 +56,9 @@ static void plan_case(const fk_tables_t *tables, const fk_path_t *path, fk_plan_
         row[8] = bits_of(plan.predicted.vx_mps);
         row[9] = bits_of(plan.predicted.vy_mps);
         row[10] = bits_of(plan.predicted.omega_rad_s);
+        for (uint32_t limb = 0u; limb < FK_LIMBS_MAX; ++limb) {
+            row[11u + limb] = plan.predicted.limb_use[limb];
+        }
     }
     for (uint32_t word = 0u; word < ROW_WORDS; ++word) {
         fk_put_word(row[word], (word + 1u == ROW_WORDS) ? '\n' : ' ');

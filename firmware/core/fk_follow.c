@@ -1,0 +1,69 @@
+#include "fk_follow.h"
+
+#include "fk_frames_layout.h"
+
+#define FK_FOLLOW_GAIN 0.25f /* part of a reach that counts as progress or approach */
+
+void fk_follow_begin(fk_follow_t *follow)
+{
+    follow->along_points = 0.0f;
+    follow->mark_points = 0.0f;
+    follow->mark_x_m = 0.0f;
+    follow->mark_y_m = 0.0f;
+    follow->mark_distance_m = 0.0f;
+    follow->idle = 0u;
+    follow->begun = 0u;
+}
+
+static int32_t end_status(const fk_tables_t *tables, float distance_m)
+{
+    return (distance_m <= tables->reach_m) ? FK_STATUS_OK : FK_STATUS_PASSED;
+}
+
+/* Whether the robot has got on since the mark; then here is the new one. */
+static void mark_progress(fk_follow_t *follow, const fk_tables_t *tables, const fk_path_t *path, float distance_m)
+{
+    uint32_t last = path->count - 2u;
+    uint32_t segment = (uint32_t)follow->along_points;
+    segment = (segment > last) ? last : segment;
+    float part = follow->along_points - (float)segment;
+    float x_m = path->x_m[segment] + part * (path->x_m[segment + 1u] - path->x_m[segment]);
+    float y_m = path->y_m[segment] + part * (path->y_m[segment + 1u] - path->y_m[segment]);
+    float dx_m = x_m - follow->mark_x_m;
+    float dy_m = y_m - follow->mark_y_m;
+    float gain_m = FK_FOLLOW_GAIN * tables->reach_m;
+    int32_t is_further = follow->along_points > follow->mark_points && dx_m * dx_m + dy_m * dy_m >= gain_m * gain_m;
+    int32_t is_nearer = distance_m <= follow->mark_distance_m - gain_m;
+    if (follow->begun != 0u && !is_further && !is_nearer) {
+        ++follow->idle;
+        return;
+    }
+    follow->mark_points = follow->along_points;
+    follow->mark_x_m = x_m;
+    follow->mark_y_m = y_m;
+    follow->mark_distance_m = distance_m;
+    follow->idle = 0u;
+    follow->begun = 1u;
+}
+
+int32_t fk_follow_decided(fk_follow_t *follow, const fk_tables_t *tables, const fk_path_t *path,
+                          const fk_plan_config_t *config, const fk_plan_t *plan)
+{
+    follow->along_points = plan->along_points;
+    mark_progress(follow, tables, path, plan->distance_m);
+    if (plan->path_index + 1u >= path->count) {
+        return (config->cost == FK_COST_ROUTE) ? end_status(tables, plan->distance_m) : FK_STATUS_OK;
+    }
+    return (follow->idle >= FK_IDLE_DECISIONS_MAX) ? FK_STATUS_STALLED : FK_FOLLOW_ON;
+}
+
+int32_t fk_follow_fixed(const fk_follow_t *follow, const fk_tables_t *tables, const fk_path_t *path,
+                        const fk_plan_config_t *config, float x_m, float y_m)
+{
+    if (follow->begun == 0u || config->cost != FK_COST_ROUTE) {
+        return FK_FOLLOW_ON;
+    }
+    float distance_m;
+    float along_points = fk_path_along(tables, path, follow->along_points, x_m, y_m, &distance_m);
+    return (along_points >= (float)(path->count - 1u)) ? end_status(tables, distance_m) : FK_FOLLOW_ON;
+}

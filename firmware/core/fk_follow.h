@@ -1,0 +1,42 @@
+/* How far along its path the robot is, and whether the run is over. The Python twin is
+ * host/frogkick/planner/follow.py; both give the same bits.
+ */
+#ifndef FK_FOLLOW_H
+#define FK_FOLLOW_H
+
+#include <stdint.h>
+
+#include "fk_planner.h"
+
+#define FK_FOLLOW_ON 1               /* the run goes on; every other value is an ENDED status */
+#define FK_IDLE_DECISIONS_MAX 40u    /* without a quarter of a reach of progress or approach: stalled */
+
+typedef struct {
+    float along_points;    /* where along the path the robot was at the last decision; 0 at the start */
+    float mark_points;     /* the same when progress or approach last counted */
+    float mark_x_m;        /* that place of the path, world */
+    float mark_y_m;
+    float mark_distance_m; /* the robot's distance from it */
+    uint32_t idle;         /* decisions since */
+    uint8_t begun;         /* a decision was made */
+} fk_follow_t;
+
+void fk_follow_begin(fk_follow_t *follow);
+
+/* After a decision with a plan.
+ * @retval FK_FOLLOW_ON       goes on
+ * @retval FK_STATUS_OK       the path's end is reached
+ * @retval FK_STATUS_PASSED   the end is passed, more than one reach beside it (cost route)
+ * @retval FK_STATUS_STALLED  neither progress nor approach for FK_IDLE_DECISIONS_MAX decisions
+ */
+int32_t fk_follow_decided(fk_follow_t *follow, const fk_tables_t *tables, const fk_path_t *path,
+                          const fk_plan_config_t *config, const fk_plan_t *plan);
+
+/* Between decisions, at a fix: with the cost route a run ends where the robot crosses the path's end, not up to a
+ * period later.
+ * @retval FK_FOLLOW_ON, FK_STATUS_OK, FK_STATUS_PASSED
+ */
+int32_t fk_follow_fixed(const fk_follow_t *follow, const fk_tables_t *tables, const fk_path_t *path,
+                        const fk_plan_config_t *config, float x_m, float y_m);
+
+#endif

@@ -1,0 +1,345 @@
+#include "fk_track.h"
+
+#define FK_EVERYWHERE 1e30f /* a gate for every pose that is a number */
+#define FK_SPEED_MOST 1000.0f /* m/s, rad/s */
+
+static const float learn_parts[4] = {0.5f, 0.33333334f, 0.25f, 0.2f}; /* a mean at first, then a fading one */
+static const uint8_t spread_of[3] = {0u, 0u, 1u};                     /* of each axis */
+
+/* from_us <= to_us. 64 bits are not made a float: the chip has no instruction for that. */
+static float seconds(uint64_t from_us, uint64_t to_us)
+{
+    uint64_t time_us = to_us - from_us;
+    return (float)((time_us > UINT32_MAX) ? UINT32_MAX : (uint32_t)time_us) * 1e-6f;
+}
+
+void fk_track_init(fk_track_t *track, const fk_tables_t *tables)
+{
+    track->tables = tables;
+    track->resting_action = tables->actions;
+    for (uint8_t action = tables->actions; action > 0u; --action) {
+        fk_action_t masks;
+        if (fk_tables_action(tables, (uint8_t)(action - 1u), &masks) == FK_OK && masks.first_mask == 0u &&
+            masks.second_mask == 0u) {
+            track->resting_action = (uint8_t)(action - 1u);
+        }
+    }
+    track->fire_s = ((float)tables->pulse_us + (float)tables->second_delay_us) * 1e-6f;
+    fk_spread_init(&track->spread[0], &fk_noise_position);
+    fk_spread_init(&track->spread[1], &fk_noise_heading);
+    track->learned = 0u;
+    track->teaches = 0u;
+    track->count = 0u;
+}
+
+void fk_track_forget(fk_track_t *track) { track->count = 0u; }
+
+/* What the table can be asked: a speed that is no number has no code. A track that holds one refuses every fix, and
+ * so starts again from the third. */
+static float speed_or_rest(float speed)
+{
+    return (speed >= -FK_SPEED_MOST && speed <= FK_SPEED_MOST) ? speed : 0.0f;
+}
+
+/* The table's word: the motion from instant `from` to the next in the body frame, and the velocity there. */
+static void ask_table(fk_track_t *track, uint32_t from, float heading_rad, float period_s, fk_motion_t *motion,
+                      float *velocity)
+{
+    const fk_tables_t *tables = track->tables;
+    const uint32_t now = 2u * from;
+    fk_dynamics_t state;
+    fk_dynamics_t next;
+    fk_velocity_to_body(heading_rad, track->mean[0][now + 1u], track->mean[1][now + 1u], &velocity[0],
+                        &velocity[1]);
+    velocity[2] = track->mean[2][now + 1u];
+    for (uint32_t axis = 0u; axis < 3u; ++axis) {
+        velocity[axis] = speed_or_rest(velocity[axis]);
+    }
+    for (uint32_t limb = 0u; limb < FK_LIMBS_MAX; ++limb) {
+        state.limb_use[limb] = track->limb_use[from][limb];
+        next.limb_use[limb] = state.limb_use[limb];
+    }
+    if (track->action[from] < tables->actions) {
+        fk_lookup_t lookup;
+        for (uint32_t axis = 0u; axis < 3u; ++axis) {
+            state.velocity_code[axis] = fk_velocity_code(velocity[axis], tables->codes_per_velocity[axis]);
+        }
+        fk_lookup(tables, &state, &lookup);
+        fk_lookup_motion(tables, &lookup, &state, track->action[from], motion);
+        fk_lookup_next(tables, &lookup, &state, track->action[from], &next);
+        for (uint32_t axis = 0u; axis < 3u; ++axis) {
+            velocity[axis] = (float)next.velocity_code[axis] * tables->velocity_scale[axis];
+        }
+    } else {
+        /* The table has no row for rest: the robot goes on as it went. */
+        motion->forward_m = velocity[0] * period_s;
+        motion->left_m = velocity[1] * period_s;
+        motion->turn_rad = velocity[2] * period_s;
+    }
+    for (uint32_t limb = 0u; limb < FK_LIMBS_MAX; ++limb) {
+        track->limb_use[from + 1u][limb] = next.limb_use[limb];
+    }
+}
+
+static void foretell(fk_track_t *track, uint32_t from)
+{
+    const uint32_t now = 2u * from;
+    const uint32_t then = now + 2u;
+    const float period_s = seconds(track->time_us[from], track->time_us[from + 1u]);
+    const float heading_rad = fk_wrap_angle(track->mean[2][now]);
+    fk_motion_t motion;
+    float velocity[3]; /* body frame at the end */
+    float sine;
+    float cosine;
+    ask_table(track, from, heading_rad, period_s, &motion, velocity);
+    fk_sincos(heading_rad, &sine, &cosine);
+    track->mean[0][then] = track->mean[0][now] + (cosine * motion.forward_m - sine * motion.left_m);
+    track->mean[1][then] = track->mean[1][now] + (sine * motion.forward_m + cosine * motion.left_m);
+    track->mean[2][then] = track->mean[2][now] + motion.turn_rad;
+    fk_sincos(heading_rad + motion.turn_rad, &sine, &cosine);
+    track->mean[0][then + 1u] = cosine * velocity[0] - sine * velocity[1];
+    track->mean[1][then + 1u] = sine * velocity[0] + cosine * velocity[1];
+    track->mean[2][then + 1u] = velocity[2];
+    for (uint32_t axis = 0u; axis < 3u; ++axis) {
+        track->foretold[axis] = track->mean[axis][then];
+    }
+    const int32_t resting = (track->action[from] == track->resting_action) ? 1 : 0;
+    fk_spread_foretell(&track->spread[0], from, period_s, resting);
+    fk_spread_foretell(&track->spread[1], from, period_s, resting);
+}
+
+static void drop_oldest(fk_track_t *track)
+{
+    --track->count;
+    for (uint32_t i = 0u; i < track->count; ++i) {
+        track->time_us[i] = track->time_us[i + 1u];
+        track->action[i] = track->action[i + 1u];
+        track->rolled[i] = track->rolled[i + 1u];
+        track->fixes[i] = track->fixes[i + 1u];
+        for (uint32_t limb = 0u; limb < FK_LIMBS_MAX; ++limb) {
+            track->limb_use[i][limb] = track->limb_use[i + 1u][limb];
+        }
+    }
+    for (uint32_t axis = 0u; axis < 3u; ++axis) {
+        for (uint32_t i = 0u; i < 2u * track->count; ++i) {
+            track->mean[axis][i] = track->mean[axis][i + 2u];
+        }
+    }
+    fk_spread_drop(&track->spread[0], track->count);
+    fk_spread_drop(&track->spread[1], track->count);
+}
+
+/* A period begins at the newest instant. */
+static void open_period(fk_track_t *track, uint8_t action, uint8_t rolled)
+{
+    if (track->count == FK_INSTANTS) {
+        drop_oldest(track);
+    }
+    const uint32_t newest = track->count - 1u;
+    /* The heading stays within a turn of zero for as long as the robot lives: angles far out have no sine. */
+    const float turns_rad = track->mean[2][2u * newest] - fk_wrap_angle(track->mean[2][2u * newest]);
+    for (uint32_t i = 0u; i <= newest; ++i) {
+        track->mean[2][2u * i] -= turns_rad;
+    }
+    track->action[newest] = action;
+    track->rolled[newest] = rolled;
+    track->fixes[newest] = 0u;
+    track->time_us[newest + 1u] = track->time_us[newest] + track->tables->period_us;
+    track->teaches = 1u;
+    ++track->count;
+    foretell(track, newest);
+}
+
+/* Instant 0 gets a pose of which nothing is sure, and rest. */
+static void put_first(fk_track_t *track, const float *pose)
+{
+    for (uint32_t axis = 0u; axis < 3u; ++axis) {
+        track->mean[axis][0] = pose[axis];
+        track->mean[axis][1] = 0.0f;
+    }
+    fk_spread_unknown(&track->spread[0]);
+    fk_spread_unknown(&track->spread[1]);
+}
+
+static void begin_with(fk_track_t *track, uint64_t at_us, uint8_t action, uint8_t rolled)
+{
+    static const float origin[3] = {0.0f, 0.0f, 0.0f};
+    track->count = 1u;
+    track->time_us[0] = at_us;
+    for (uint32_t limb = 0u; limb < FK_LIMBS_MAX; ++limb) {
+        track->limb_use[0][limb] = 0u;
+    }
+    put_first(track, origin);
+    open_period(track, action, rolled);
+    track->teaches = 0u;
+}
+
+void fk_track_begin(fk_track_t *track, uint64_t at_us) { begin_with(track, at_us, track->resting_action, 1u); }
+
+void fk_track_roll(fk_track_t *track, uint64_t at_us)
+{
+    for (uint32_t rolls = 0u; track->count > 0u && at_us > track->time_us[track->count - 1u] + FK_COAST_US; ++rolls) {
+        if (rolls == FK_TRACK_ROLLS_MAX) {
+            fk_track_forget(track);
+        } else {
+            open_period(track, track->resting_action, 1u);
+        }
+    }
+}
+
+/* The period that holds at_us, or the last one; returns the instant that it begins at. */
+static uint32_t profile_at(const fk_track_t *track, uint64_t at_us, fk_profile_t *profile)
+{
+    uint32_t from = track->count - 2u;
+    if (at_us >= track->time_us[from + 1u]) {
+        fk_profile_after(seconds(track->time_us[from + 1u], at_us), profile);
+        return from;
+    }
+    while (from > 0u && at_us < track->time_us[from]) {
+        --from;
+    }
+    fk_profile_within(seconds(track->time_us[from], at_us),
+                      seconds(track->time_us[from], track->time_us[from + 1u]), track->fire_s, profile);
+    return from;
+}
+
+void fk_track_state(const fk_track_t *track, uint64_t at_us, float *pose, float *speed)
+{
+    fk_profile_t profile;
+    const uint32_t from = profile_at(track, at_us, &profile);
+    for (uint32_t axis = 0u; axis < 3u; ++axis) {
+        pose[axis] = fk_profile_sum(profile.pose, track->mean[axis] + 2u * from);
+        speed[axis] = fk_profile_sum(profile.speed, track->mean[axis] + 2u * from);
+    }
+}
+
+int32_t fk_track_measure(fk_track_t *track, uint64_t at_us, const float *pose, int32_t gated)
+{
+    fk_profile_t profile;
+    fk_bearing_t bearing[2];
+    float off[3];
+    const uint32_t states = 2u * track->count;
+    const uint32_t from = profile_at(track, at_us, &profile);
+    for (uint32_t axis = 0u; axis < 3u; ++axis) {
+        off[axis] = pose[axis] - fk_profile_sum(profile.pose, track->mean[axis] + 2u * from);
+    }
+    off[2] = fk_wrap_angle(off[2]);
+    float position_gate =
+        fk_spread_bearing(&track->spread[0], &profile, from, states, track->fixes[from], &bearing[0]);
+    float heading_gate =
+        fk_spread_bearing(&track->spread[1], &profile, from, states, track->fixes[from], &bearing[1]);
+    if (gated == 0) {
+        position_gate = FK_EVERYWHERE;
+        heading_gate = FK_EVERYWHERE;
+    }
+    /* Comparisons with NaN are false, so this refuses it too. */
+    if (!(off[0] * off[0] + off[1] * off[1] <= position_gate) || !(off[2] * off[2] <= heading_gate)) {
+        return 0;
+    }
+    for (uint32_t axis = 0u; axis < 3u; ++axis) {
+        const fk_bearing_t *mine = &bearing[spread_of[axis]];
+        const float step = off[axis] / mine->variance;
+        for (uint32_t i = 0u; i < states; ++i) {
+            track->mean[axis][i] += mine->cross[i] * step;
+        }
+    }
+    fk_spread_correct(&track->spread[0], &bearing[0], states);
+    fk_spread_correct(&track->spread[1], &bearing[1], states);
+    if (track->fixes[from] < UINT8_MAX) {
+        ++track->fixes[from];
+    }
+    return 1;
+}
+
+void fk_track_place(fk_track_t *track, uint64_t at_us, const float *pose)
+{
+    fk_profile_t profile;
+    for (uint32_t i = profile_at(track, at_us, &profile); i > 0u; --i) {
+        drop_oldest(track);
+    }
+    put_first(track, pose);
+    for (uint32_t i = 0u; i + 1u < track->count; ++i) {
+        track->fixes[i] = 0u;
+        foretell(track, i);
+    }
+    track->teaches = 0u;
+    /* The pose is the one at at_us, not the one at instant 0: all of them move. */
+    for (uint32_t axis = 0u; axis < 3u; ++axis) {
+        const float off = pose[axis] - fk_profile_sum(profile.pose, track->mean[axis]);
+        for (uint32_t i = 0u; i < track->count; ++i) {
+            track->mean[axis][2u * i] += off;
+        }
+    }
+    (void)fk_track_measure(track, at_us, pose, 0);
+}
+
+/* How far off the table was in the period that ends tells how far off it may be in the next. */
+static void learn(fk_track_t *track)
+{
+    const uint32_t newest = track->count - 1u;
+    float square[3];
+    for (uint32_t axis = 0u; axis < 3u; ++axis) {
+        const float off = track->mean[axis][2u * newest] - track->foretold[axis];
+        square[axis] = off * off;
+    }
+    const float part = learn_parts[track->learned];
+    fk_spread_learn(&track->spread[0], newest, square[0] + square[1], 2.0f, part);
+    fk_spread_learn(&track->spread[1], newest, square[2], 1.0f, part);
+    if (track->learned < 3u) {
+        ++track->learned;
+    }
+}
+
+/* Put the newest instant to another time after the one before it. */
+static void move_newest(fk_track_t *track, uint64_t at_us)
+{
+    fk_profile_t profile;
+    const uint32_t newest = track->count - 1u;
+    (void)profile_at(track, at_us, &profile);
+    for (uint32_t axis = 0u; axis < 3u; ++axis) {
+        float *mean = track->mean[axis] + 2u * newest;
+        const float pose = fk_profile_sum(profile.pose, mean - 2);
+        mean[1] = fk_profile_sum(profile.speed, mean - 2);
+        mean[0] = pose;
+    }
+    fk_spread_move(&track->spread[0], &profile, newest);
+    fk_spread_move(&track->spread[1], &profile, newest);
+    track->time_us[newest] = at_us;
+}
+
+/* The period under way was taken as one of rest before word of what begins at at_us could come. */
+static int32_t is_hasty(const fk_track_t *track, uint64_t at_us)
+{
+    const uint32_t latest = track->count - 2u;
+    return track->rolled[latest] != 0u && at_us < track->time_us[latest] + FK_COAST_US;
+}
+
+const uint16_t *fk_track_limb_use(const fk_track_t *track, uint64_t at_us)
+{
+    return track->limb_use[is_hasty(track, at_us) ? track->count - 2u : track->count - 1u];
+}
+
+void fk_track_act(fk_track_t *track, uint64_t at_us, uint8_t action)
+{
+    if (track->count == 0u) {
+        begin_with(track, at_us, action, 0u);
+        return;
+    }
+    uint32_t latest = track->count - 2u; /* begins the period under way */
+    if (latest > 0u && is_hasty(track, at_us)) {
+        --track->count;
+        --latest;
+        track->teaches = 0u;
+    }
+    if (at_us < track->time_us[latest] + FK_PERIOD_LEAST_US) {
+        --track->count;
+    } else {
+        if (track->teaches != 0u && track->rolled[latest] == 0u) {
+            learn(track);
+        }
+        if (at_us != track->time_us[latest + 1u]) {
+            move_newest(track, at_us);
+        }
+    }
+    open_period(track, action, 0u);
+}

@@ -78,7 +78,7 @@ def forces_and_edges(mesh: Mesh, x: np.ndarray, v: np.ndarray, activation: np.nd
     active = np.zeros((1, 2 * len(activation) + 2))
     active[0, :-2:2], active[0, 1:-2:2] = activation, drop_per_m * activation
     force = lane_zeros((len(x), 2), 1)
-    add_forces(mesh, edges, numbers(x), numbers(v), active, 0, force)
+    add_forces(mesh, edges, numbers(x), numbers(v), active, 0, lane_zeros((0, 1), 1), force)
     return np.array(force), edges
 
 
@@ -88,7 +88,10 @@ def stiffness(  # type: ignore[no-untyped-def]
     """Minus the derivative of the forces as one dense (2n, 2n) matrix, as the solver sees it."""
     _, edges = forces_and_edges(mesh, x, v, activation, drop_per_m)
     diagonal, pair = lane_zeros((len(x), 3), 1), lane_zeros((len(plan.neighbour), 4), 1)
-    add_stiffness(mesh, plan, edges, numbers(v), position_gain, velocity_gain, diagonal, pair)
+    still = lane_zeros((0, 1), 1)
+    add_stiffness(
+        mesh, plan, edges, numbers(x), numbers(v), still, position_gain, velocity_gain, diagonal, pair
+    )
     return dense(plan, diagonal, pair)
 
 

@@ -56,7 +56,7 @@ def test_the_mesh_is_the_paper_robot() -> None:
     assert corner_bends == [2, 2, 2, 2]
     assert corner_edges == [3, 3, 3, 3]
     assert MESH.mass_kg @ MESH.rest_m == pytest.approx(np.zeros(2), abs=1e-15)
-    assert MESH.mass_kg.sum() == pytest.approx(0.36 * 0.9625 + 4 * 0.0355 * 0.0312)
+    assert MESH.mass_kg.sum() == pytest.approx(0.36 * 0.866 + 4 * 0.0355 * 0.0312)
 
 
 def test_a_bend_knows_its_edges() -> None:

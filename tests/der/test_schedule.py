@@ -6,11 +6,23 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from frogkick.der.schedule import COARSEST, COARSEST_AT_REST, step_times, straight_s, stroke_activation
+from frogkick.der.schedule import (
+    BEHIND_S,
+    COARSEST,
+    COARSEST_AT_REST,
+    COARSEST_WHILE_IT_RINGS,
+    RINGS_S,
+    SLIVER,
+    Stroke,
+    pace_of,
+    step_times,
+    stroke_activation,
+)
 from frogkick.robot import load_robot
 
 ROBOT = load_robot("frog2022")
-FINE_S, LASTS_S, STEP_S = 0.06, 0.9, 0.001
+PACE, STEP_S = pace_of(ROBOT.actuation()), 0.001
+ROOM = 1.0 + 1e-6
 
 times = st.floats(0.0, 3.0)
 
@@ -19,52 +31,77 @@ times = st.floats(0.0, 3.0)
 @given(now=times, length=st.floats(1e-6, 3.0), starts=st.lists(times, max_size=6))
 def test_steps_fill_the_time_and_land_on_strokes(now: float, length: float, starts: list[float]) -> None:
     until = now + length
-    ends = step_times(now, until, starts, FINE_S, LASTS_S, STEP_S)
+    ends = step_times(now, until, [Stroke(start) for start in starts], PACE, STEP_S)
     steps = np.diff(ends)
     assert ends[0] == now
     assert ends[-1] == until
     assert np.all(steps > 0.0)
-    assert np.all(steps <= COARSEST_AT_REST * STEP_S * (1.0 + 1e-6))
+    assert np.all(steps <= COARSEST_AT_REST * STEP_S * ROOM)
     for start in starts:
-        if now < start < until:
-            assert start in ends
+        for kink in (start, start + PACE.over_s):
+            if now < kink < until:
+                assert np.abs(ends - kink).min() <= SLIVER * STEP_S * ROOM
+    if len(steps) > 1:
+        assert steps[:-1].min() > 0.4 * SLIVER * STEP_S
     for begin, step in zip(ends[:-1], steps, strict=True):
-        if any(0.0 <= begin - start <= FINE_S for start in starts):
-            assert step <= STEP_S * (1.0 + 1e-6)
-        if any(0.0 <= begin - start < LASTS_S for start in starts):
-            assert step <= COARSEST * STEP_S * (1.0 + 1e-6)
+        if any(SLIVER * STEP_S <= begin - start < 0.05 for start in starts):
+            assert step <= STEP_S * ROOM
+        if any(SLIVER * STEP_S <= begin - start < RINGS_S - 1e-9 for start in starts):
+            assert step <= COARSEST_WHILE_IT_RINGS * STEP_S * ROOM
+        if any(SLIVER * STEP_S <= begin - start < PACE.over_s - 1e-9 for start in starts):
+            assert step <= COARSEST * STEP_S * ROOM
 
 
 def test_steps_are_coarse_long_after_a_stroke_and_shared_out_before_the_next() -> None:
-    ends = step_times(0.0, 1.0, [0.0, 0.5005], FINE_S, LASTS_S, STEP_S)
+    ends = step_times(0.0, 3.0, [Stroke(0.0), Stroke(2.5005)], PACE, STEP_S)
     steps = np.diff(ends)
-    assert np.allclose(steps[:60], STEP_S)
-    assert np.isclose(steps.max(), COARSEST * STEP_S)
-    before = steps[ends[1:] <= 0.5005][-2:]
-    assert before[0] == before[1] or np.isclose(before[0], before[1])
-    assert len(steps) < 320
+    assert np.allclose(steps[:50], STEP_S)
+    assert np.isclose(steps.max(), COARSEST_AT_REST * STEP_S)
+    before = steps[ends[1:] <= 2.5005][-2:]
+    assert np.isclose(before[0], before[1])
+    assert len(steps) < 1100
 
 
 def test_no_stroke_is_coarse_at_once() -> None:
-    for coming in ([], [5.0]):
-        ends = step_times(0.0, 0.84, coming, FINE_S, LASTS_S, STEP_S)
+    for coming in ([], [Stroke(5.0)]):
+        ends = step_times(0.0, 0.84, coming, PACE, STEP_S)
         assert np.allclose(np.diff(ends), COARSEST_AT_REST * STEP_S)
 
 
-def test_a_limb_is_straight_before_its_stroke_is_over() -> None:
-    for egain, frequency in ((0.0, 0.4), (10.0, 0.7), (30.0, 1.4)):
-        stroke = ROBOT.actuation(egain, frequency)
-        assert 0.03 < straight_s(stroke) < 0.15
-        assert straight_s(stroke) < 0.3 * stroke.duration_s
+def test_steps_are_finest_where_each_stroke_bends_and_lengthen_where_it_does_not() -> None:
+    for profile in ROBOT.profiles:
+        stroke = ROBOT.actuation(profile.egain_percent, profile.frequency_hz)
+        pace = pace_of(stroke)
+        assert np.all((pace.coarseness >= 1.0) & (pace.coarseness <= COARSEST))
+        half = int(np.argmax(stroke.activation > 0.5))
+        assert np.all(pace.coarseness[: half + int(BEHIND_S / pace.every_s)] < 1.5)
+        assert np.all(stroke.activation[round(pace.over_s / pace.every_s) :] <= 1e-12)
+        assert pace.coarseness.max() >= COARSEST_WHILE_IT_RINGS
 
 
 def test_activation_is_the_largest_of_a_limb_s_strokes() -> None:
     stroke = ROBOT.actuation()
     at = np.linspace(-0.1, 2.5, 400)
-    starts = np.array([[0.0, 0.3], [0.5, np.nan], [np.nan, np.nan]])
-    active = stroke_activation(at, starts, stroke.activation, stroke.step_s)
+    strokes = np.full((3, 2, 3), np.nan)
+    strokes[0], strokes[1, 0] = [Stroke(0.0), Stroke(0.3)], Stroke(0.5)
+    active = stroke_activation(at, strokes, stroke.activation, stroke.step_s, PACE.peak_s)
     table_s = np.arange(len(stroke.activation)) * stroke.step_s
     one, two, three = (np.interp(at - s, table_s, stroke.activation, 0.0, 0.0) for s in (0.0, 0.3, 0.5))
     assert np.allclose(active[:, 0], np.maximum(one, two), atol=1e-12)
     assert np.allclose(active[:, 1], three, atol=1e-12)
     assert not active[:, 2].any()
+
+
+def test_a_weak_slow_stroke_is_the_measured_one_with_less_height_and_a_longer_tail() -> None:
+    stroke = ROBOT.actuation()
+    at = np.linspace(0.0, 4.0, 900)
+    peak_s = PACE.peak_s
+    strokes = np.array([[Stroke(0.0, 0.7, 2.0)]])
+    active = stroke_activation(at, strokes, stroke.activation, stroke.step_s, peak_s)[:, 0]
+    then = np.where(at <= peak_s, at, peak_s + (at - peak_s) / 2.0)
+    table_s = np.arange(len(stroke.activation)) * stroke.step_s
+    assert np.allclose(active, 0.7 * np.interp(then, table_s, stroke.activation, 0.0, 0.0), atol=1e-12)
+    ends = step_times(0.0, 3.0, [Stroke(0.0, 0.7, 2.0)], PACE, STEP_S)
+    over_s = peak_s + 2.0 * (PACE.over_s - peak_s)
+    assert over_s < 3.0
+    assert np.abs(ends - over_s).min() < 1e-12

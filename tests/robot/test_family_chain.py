@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -67,7 +68,7 @@ def test_the_streamlined_hull_is_the_faster_one_of_the_same_mass() -> None:
     assert speeds[1] > 1.2 * speeds[0]
 
 
-def told_by(capsys: pytest.CaptureFixture[str], *arguments: str) -> dict[str, object]:
+def told_by(capsys: pytest.CaptureFixture[str], *arguments: str) -> dict[str, Any]:
     assert run_command([*arguments, "--json"]) == 0, capsys.readouterr().err
     told = json.loads(capsys.readouterr().out)
     assert isinstance(told, dict)
@@ -105,6 +106,12 @@ def test_six_limbs_from_the_file_to_the_closed_loop(
     )
     assert bench["flash_bytes"]
     told_by(capsys, "firmware", "test", "--tables", str(fkt))
+    same = told_by(
+        capsys, "parity", "--tables", str(fkt), "--states", "1000", "--chip-states", "32", "--loop-decisions",
+        "40",
+    )  # fmt: skip
+    assert {"python-native": 0, "python-chip": 0, "native-chip": 0}.items() <= same["mismatches"].items()
+    assert {"python-native": 0, "native-chip": 0}.items() <= same["loop_mismatches"].items()
 
     path = tmp_path / "ahead.csv"
     path.write_text("x,y\n0,0\n0.12,0\n")

@@ -1,13 +1,15 @@
 """Planar discrete elastic rods in water: mesh, forces, solver, integrator, swimmers."""
 
 from frogkick.der.batch import WIDTH, Batch, Failure
-from frogkick.der.gaits import Gait, simulate_gait, simulate_gaits
+from frogkick.der.gaits import Gait, Track, simulate_gait, simulate_gaits, swim_tracks
 from frogkick.der.strokes import Motions, program_of, simulate_action, simulate_many
 from frogkick.der.swimmer import STEP_S, Rods, Swimmer, prepare
 from frogkick.der.trajectory import Trajectory, simulate_actions
+from frogkick.der.water import STILL, Water
 
 __all__ = [
     "STEP_S",
+    "STILL",
     "WIDTH",
     "Batch",
     "Failure",
@@ -15,7 +17,9 @@ __all__ = [
     "Motions",
     "Rods",
     "Swimmer",
+    "Track",
     "Trajectory",
+    "Water",
     "prepare",
     "program_of",
     "simulate_action",
@@ -23,4 +27,5 @@ __all__ = [
     "simulate_gait",
     "simulate_gaits",
     "simulate_many",
+    "swim_tracks",
 ]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import copy
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -13,8 +15,9 @@ from frogkick.der.compiled import run_steps, set_accelerations, set_sums
 from frogkick.der.lanes import Numbers, lane_floats, lane_zeros
 from frogkick.der.mesh import Mesh
 from frogkick.der.plan import Plan
-from frogkick.der.schedule import step_times, straight_s, stroke_activation
+from frogkick.der.schedule import RINGS_S, Stroke, pace_of, step_times, stroke_activation
 from frogkick.der.stepping import EVALUATION_SHARE, FACTOR_EVERY, MAX_ITERATIONS, space_of
+from frogkick.der.water import STILL, WATER, Water
 from frogkick.robot import Actuation
 
 FloatArray = NDArray[np.float64]
@@ -50,12 +53,31 @@ class _State:
         self.x_m: Numbers = lane_zeros((n, 2), width)
         self.v_mps: Numbers = lane_zeros((n, 2), width)
         self.a_mps2: Numbers = lane_zeros((n, 2), width)
+        self.water = [STILL] * width
         self._space = space_of(mesh, plan, width)
+
+    def copy(self) -> _State:
+        """The same state in space of its own."""
+        twin = _State(self.mesh, self.plan, self.limbs, self.width)
+        for mine, theirs in ((self.x_m, twin.x_m), (self.v_mps, twin.v_mps), (self.a_mps2, twin.a_mps2)):
+            theirs[...] = mine
+        twin.water = list(self.water)
+        return twin
 
     def start(self) -> None:
         """Set the accelerations to what acts on limbs at rest."""
         active = lane_zeros((1, 2 * self.limbs + 2), self.width)
-        set_accelerations(self.mesh, self._space.edges, self.x_m, self.v_mps, active, self.a_mps2)
+        set_accelerations(
+            self.mesh, self._space.edges, self.x_m, self.v_mps, active, self._water(), self.a_mps2
+        )
+
+    def _water(self) -> Numbers:
+        """Nothing where all water is still, which costs nothing."""
+        moves = any(water != STILL for water in self.water)
+        numbers = lane_zeros((WATER if moves else 0, 1), self.width)
+        if moves:
+            lane_floats(numbers)[:, 0, :] = np.column_stack([water.numbers() for water in self.water])
+        return numbers
 
     def run(
         self, step_s: Sequence[FloatArray], active: Sequence[FloatArray], factor_every: int, trace: bool
@@ -88,6 +110,7 @@ class _State:
             self.a_mps2,
             lengths,
             strokes,
+            self._water(),
             factor_every,
             report,
             sums,
@@ -113,6 +136,7 @@ class _State:
             (self.a_mps2, other.a_mps2),
         ):
             lane_floats(theirs)[..., to] = lane_floats(mine)[..., lane]
+        other.water[to] = self.water[lane]
 
 
 class _Walk:
@@ -187,9 +211,9 @@ class Batch:
         self.failures: dict[int, Failure] = {}
         self.corrections = np.zeros(self.lanes)
         self._actuations = tuple(actuations)
-        self._fine_s = [straight_s(actuation) for actuation in actuations]
+        self._paces = [pace_of(actuation) for actuation in actuations]
         self._step_s = float(step_s)
-        self._strokes: list[list[list[float]]] = [[[] for _ in range(limbs)] for _ in actuations]
+        self._strokes: list[list[list[Stroke]]] = [[[] for _ in range(limbs)] for _ in actuations]
         self._state = _State(mesh, plan, limbs, width)
         self._alone: _State | None = None
         # Nodes are kept relative to a moving origin: far out, rounding would spoil strains of 1e-9.
@@ -200,9 +224,45 @@ class Batch:
         lane_floats(self._state.v_mps)[...] = v[..., chosen]
         self._state.start()
 
-    def fire(self, lane: int, limb: int, time_s: float) -> None:
-        """Start a stroke of a lane's limb, now or later by its clock; of two strokes the larger one acts."""
-        self._strokes[lane][limb].append(float(time_s))
+    def fire(
+        self, lane: int, limb: int, time_s: float, *, gain: float = 1.0, duration_scale: float = 1.0
+    ) -> None:
+        """Start a stroke of a lane's limb, now or later by its clock; of two strokes the larger one acts.
+
+        Args:
+            gain: share of the measured stroke.
+            duration_scale: how much longer than measured the limb takes to curl back once it is straight.
+        """
+        self._strokes[lane][limb].append(Stroke(float(time_s), float(gain), float(duration_scale)))
+
+    def set_water(self, lane: int, water: Water) -> None:
+        """Let the water around a lane's robot move, and push the robot, from now on."""
+        self._state.water[lane] = water
+        if not self.corrections.any():  # nothing has moved yet: it starts in this water
+            self._state.start()
+
+    def shift(self, lane: int, pose_world: Sequence[float], velocity_world: Sequence[float]) -> None:
+        """Move a lane's robot as a whole: by (m, m, rad about its centre), and its velocity likewise."""
+        c, s = math.cos(pose_world[2]), math.sin(pose_world[2])
+        turn = np.array([[c, -s], [s, c]])
+        x, v, a = (lane_floats(each) for each in (self._state.x_m, self._state.v_mps, self._state.a_mps2))
+        centre = self._state.motion()[lane, :2]
+        arms = (x[..., lane] - centre) @ turn.T
+        x[..., lane] = centre + arms
+        v[..., lane] = v[..., lane] @ turn.T + np.asarray(velocity_world[:2])
+        v[..., lane] += velocity_world[2] * np.column_stack([-arms[:, 1], arms[:, 0]])
+        a[..., lane] = a[..., lane] @ turn.T
+        self._origin[lane] += pose_world[:2]
+
+    def copy(self) -> Batch:
+        """The same robots once more, amid their strokes, to go on from here by themselves."""
+        twin = copy.copy(self)
+        twin.time_s, twin.corrections = self.time_s.copy(), self.corrections.copy()
+        twin.failures = dict(self.failures)
+        twin._strokes = [[list(starts) for starts in limbs] for limbs in self._strokes]
+        twin._state, twin._alone = self._state.copy(), None
+        twin._origin = self._origin.copy()
+        return twin
 
     def advance(
         self, until_s: float | FloatArray, trace: bool = False
@@ -241,22 +301,26 @@ class Batch:
         return [(ends[lane], rows[lane]) for lane in range(self.lanes)]
 
     def _times(self, lane: int, until_s: float) -> FloatArray:
-        now, duration = float(self.time_s[lane]), self._actuations[lane].duration_s
+        now, duration_s = float(self.time_s[lane]), self._actuations[lane].duration_s
         strokes = self._strokes[lane]
-        for starts in strokes:
-            starts[:] = [start for start in starts if start + duration > now]
-        every = [start for starts in strokes for start in starts]
-        return step_times(now, until_s, every, self._fine_s[lane], duration, self._step_s)
+        for of_limb in strokes:
+            of_limb[:] = [
+                each for each in of_limb if each.start_s + max(RINGS_S, duration_s * each.longest) > now
+            ]
+        every = [each for of_limb in strokes for each in of_limb]
+        return step_times(now, until_s, every, self._paces[lane], self._step_s)
 
     def _active(self, lane: int, times_s: FloatArray) -> FloatArray:
         """(steps, 2 * limbs) activation and fall of the natural curvature of each limb in these steps."""
         strokes = self._strokes[lane]
-        starts_s = np.full((len(strokes), max([1, *map(len, strokes)])), np.nan)
-        for row, starts in zip(starts_s, strokes, strict=True):
-            row[: len(starts)] = starts
+        table = np.full((len(strokes), max([1, *map(len, strokes)]), 3), np.nan)
+        for row, of_limb in zip(table, strokes, strict=True):
+            for place, stroke in enumerate(of_limb):
+                row[place] = stroke
         actuation = self._actuations[lane]
         at = times_s[:-1] + EVALUATION_SHARE * np.diff(times_s)
-        active = stroke_activation(at, starts_s, actuation.activation, actuation.step_s)
+        peak_s = self._paces[lane].peak_s
+        active = stroke_activation(at, table, actuation.activation, actuation.step_s, peak_s)
         rows = np.empty((len(at), 2 * len(strokes)))
         rows[:, 0::2] = active
         rows[:, 1::2] = actuation.drop_per_m * active
@@ -298,6 +362,17 @@ class Batch:
         for lane in lanes:
             self._origin[lane] += motion[lane, :2]
             lane_floats(self._state.x_m)[..., lane] -= motion[lane, :2]
+
+    @property
+    def mass_kg(self) -> float:
+        """What it takes to accelerate a robot, with the water that it takes along."""
+        return float(self._state.mesh.mass_kg.sum())
+
+    @property
+    def inertia_kg_m2(self) -> float:
+        """Moment of inertia about its centre of mass with all limbs at rest, likewise."""
+        mesh = self._state.mesh
+        return float(mesh.mass_kg @ (mesh.rest_m**2).sum(axis=1))
 
     def motion_world(self) -> FloatArray:
         """(lanes, MOTION) rows of frogkick.der.body.body_motion, in the world frame."""

@@ -1,40 +1,30 @@
 """The rods' compiled functions as Python calls them, kept on disk between runs.
 
-numba drops what it kept when the function's own file or closure changes, but not when a file that it calls
-into does. So only these outermost functions are kept, and each encloses a stamp of all of this folder's text.
+Only these outermost functions are kept: see frogkick.compiled.
 """
 
 from __future__ import annotations
 
-import hashlib
-from importlib import resources
 from typing import Any
 
 from numba import njit
 
+from frogkick.compiled import stamp_of
 from frogkick.der import body, stepping
-
-
-def _stamp() -> int:
-    digest = hashlib.sha256()
-    for file in sorted(resources.files(__package__).iterdir(), key=lambda f: f.name):
-        if file.name.endswith(".py"):
-            digest.update(file.read_bytes())
-    return int.from_bytes(digest.digest()[:4], "little")
 
 
 def _compiled(stamp: int) -> tuple[Any, Any, Any]:
     @njit(cache=True, error_model="numpy")
     def run_steps(  # type: ignore[no-untyped-def]
-        mesh, plan, space, x_m, v_mps, a_mps2, step_s, active, factor_every, report, sums
+        mesh, plan, space, x_m, v_mps, a_mps2, step_s, active, water, factor_every, report, sums
     ):
         return stamp * 0 + stepping.run_steps(
-            mesh, plan, space, x_m, v_mps, a_mps2, step_s, active, factor_every, report, sums
+            mesh, plan, space, x_m, v_mps, a_mps2, step_s, active, water, factor_every, report, sums
         )
 
     @njit(cache=True, error_model="numpy")
-    def set_accelerations(mesh, edges, x_m, v_mps, active, a_mps2):  # type: ignore[no-untyped-def]
-        stepping.set_accelerations(mesh, edges, x_m, v_mps, active, a_mps2)
+    def set_accelerations(mesh, edges, x_m, v_mps, active, water, a_mps2):  # type: ignore[no-untyped-def]
+        stepping.set_accelerations(mesh, edges, x_m, v_mps, active, water, a_mps2)
         return stamp
 
     @njit(cache=True, error_model="numpy")
@@ -45,7 +35,7 @@ def _compiled(stamp: int) -> tuple[Any, Any, Any]:
     return run_steps, set_accelerations, set_sums
 
 
-SOURCES = _stamp()
+SOURCES = stamp_of("frogkick.der")
 """Stands for what the rods compute: other code, another number."""
 
 run_steps, set_accelerations, set_sums = _compiled(SOURCES)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -74,22 +74,70 @@ def simulate_gaits(
     if not 1 <= cycles <= CYCLES_MAX:
         raise InputError(f"cycles is {cycles}: give 1 to {CYCLES_MAX}")
     rods = [prepare(robot, gait.egain_percent, gait.frequency_hz) for gait in gaits]
-    results: list[Trajectory | Failure] = []
+    tracks = swim_tracks(rods, gaits, cycles, step_s=step_s, width=width)
+    return [
+        track if isinstance(track, Failure) else _trajectory(robot, gait, track, cycles)
+        for gait, track in zip(gaits, tracks, strict=True)
+    ]
+
+
+def _trajectory(robot: Robot, gait: Gait, track: Track, cycles: int) -> Trajectory:
+    period_s = 1.0 / gait.frequency_hz
+    last = min(cycles, 8)
+    counted = min(last, 3)
+    mean_m = track.node_mean_m[track.cycle_end]
+    speed = float(mean_m[last] - mean_m[last - counted]) / (counted * period_s)
+    pulses = cycles * (robot.gait_lead_mask.bit_count() + robot.gait_lag_mask.bit_count())
+    time_s = sample_times(period_s, cycles)
+    pose, _ = between(track.time_s, track.motion, time_s)
+    return trajectory_of(time_s, pose, speed, pulses * robot.pulse_energy_j, robot)
+
+
+@dataclass(frozen=True, eq=False)
+class Track:
+    """How a gait swam, step by step.
+
+    Attributes:
+        time_s: (n,) 0 and the ends of all time steps.
+        motion: (n, MOTION) rows of frogkick.der.body.body_motion, world frame.
+        cycle_end: (cycles + 1,) rows where cycles begin and end.
+    """
+
+    time_s: FloatArray
+    motion: FloatArray
+    cycle_end: NDArray[np.intp]
+
+    @property
+    def node_mean_m(self) -> FloatArray:
+        """(n,) forward position of the plain mean of all nodes."""
+        return np.asarray(self.motion[:, 6])
+
+
+def swim_tracks(
+    rods: Sequence[Rods], gaits: Sequence[Gait], cycles: int, *, step_s: float = STEP_S, width: int = WIDTH
+) -> list[Track | Failure]:
+    """Swim gaits from rest, heading along world x, ``width`` of them side by side.
+
+    Args:
+        rods: one for each gait, of one robot; the gait's frequency and phase say when it fires.
+        gaits: phases in [0, 1).
+        cycles: to swim.
+    """
+    tracks: list[Track | Failure] = []
     for first in range(0, len(gaits), width):
         some = slice(first, first + width)
-        results += _side_by_side(robot, gaits[some], rods[some], cycles, step_s, width)
-    return results
+        tracks += _side_by_side(rods[some], gaits[some], cycles, step_s, width)
+    return tracks
 
 
 def _side_by_side(
-    robot: Robot, gaits: Sequence[Gait], rods: Sequence[Rods], cycles: int, step_s: float, width: int
-) -> list[Trajectory | Failure]:
-    still = np.zeros((len(gaits), 3))
+    rods: Sequence[Rods], gaits: Sequence[Gait], cycles: int, step_s: float, width: int
+) -> Iterator[Track | Failure]:
+    robot, still = rods[0].robot, np.zeros((len(gaits), 3))
     batch = batch_of(rods, still, still, 0.0, step_s, width)
     period_s = np.array([1.0 / gait.frequency_hz for gait in gaits])
     ends = [[np.zeros(1)] for _ in gaits]
     rows = [[row[None]] for row in batch.motion_world()]
-    mean_m = [[row[0][0, 6]] for row in rows]  # forward position of the plain node mean after each cycle
     for cycle in range(cycles):
         for lane, gait in enumerate(gaits):
             for mask, share in ((robot.gait_lead_mask, 0.0), (robot.gait_lag_mask, gait.phase)):
@@ -99,18 +147,9 @@ def _side_by_side(
         for lane, (times, motion) in enumerate(batch.advance((cycle + 1) * period_s, trace=True)):
             ends[lane].append(times)
             rows[lane].append(motion)
-            if len(motion):
-                mean_m[lane].append(motion[-1, 6])
-    last = min(cycles, 8)
-    counted = min(last, 3)
-    pulses = cycles * (robot.gait_lead_mask.bit_count() + robot.gait_lag_mask.bit_count())
-    results: list[Trajectory | Failure] = []
     for lane in range(len(gaits)):
         if lane in batch.failures:
-            results.append(batch.failures[lane])
+            yield batch.failures[lane]
             continue
-        speed = float(mean_m[lane][last] - mean_m[lane][last - counted]) / (counted * float(period_s[lane]))
-        time_s = sample_times(float(period_s[lane]), cycles)
-        pose, _ = between(np.concatenate(ends[lane]), np.concatenate(rows[lane]), time_s)
-        results.append(trajectory_of(time_s, pose, speed, pulses * robot.pulse_energy_j, robot))
-    return results
+        cycle_end = np.cumsum([len(times) for times in ends[lane]]) - 1
+        yield Track(np.concatenate(ends[lane]), np.concatenate(rows[lane]), cycle_end)

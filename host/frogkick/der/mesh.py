@@ -105,7 +105,8 @@ def build_mesh(robot: Robot) -> tuple[Mesh, Plan]:
     rows: list[tuple[float, ...]] = [
         (
             frame.stretching_stiffness_n,
-            frame.mass_per_length_kg_per_m + frame.added_mass_per_length_kg_per_m,
+            (frame.mass_per_length_kg_per_m + frame.added_mass_per_length_kg_per_m)
+            * (1.0 - frame.centre_mass_share),
             frame.drag_width_m * frame.drag_normal,
             frame.drag_width_m * frame.drag_tangential,
         )
@@ -148,12 +149,20 @@ def build_mesh(robot: Robot) -> tuple[Mesh, Plan]:
             bend_limb.append(index)
         order += nodes[:0:-1]  # tip to root: each node then couples to two others only
     order += list(range(n_frame))
+    if frame.centre_mass_share > 0.0:  # held by stiff spokes without weight, it resists no turn
+        order.append(len(points))
+        edges += [(len(points), corner) for corner in corners]
+        rows += [(frame.stretching_stiffness_n, 0.0, 0.0, 0.0)] * len(corners)
+        points.append(tuple(np.mean([points[corner] for corner in corners], axis=0).tolist()))
     rest = np.array(points, dtype=np.float64)
     ends = np.array(edges, dtype=np.int32)
     length = np.hypot(*(rest[ends[:, 1]] - rest[ends[:, 0]]).T)
     material = np.array(rows, dtype=np.float64)
     mass = np.zeros(len(points))
     np.add.at(mass, ends.ravel(), np.repeat(0.5 * material[:, 1] * length, 2))
+    if frame.centre_mass_share > 0.0:
+        outline_kg = 0.5 * material[:n_frame, 1] @ length[:n_frame] * 2.0
+        mass[-1] += outline_kg * frame.centre_mass_share / (1.0 - frame.centre_mass_share)
     curvature = [turning_curvature(rest, bend) for bend in bends]
     natural = [limb_curvature.get(b, curvature[b][0]) for b in range(len(bends))]
     edge_of = {pair: (k, 1.0) for k, pair in enumerate(edges)}

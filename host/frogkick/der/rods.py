@@ -13,6 +13,7 @@ from numba import njit
 from frogkick.der.lanes import Numbers, add, get, lane_zeros, put, root, size
 from frogkick.der.mesh import Mesh
 from frogkick.der.plan import Plan
+from frogkick.der.water import flow_x, flow_y, push_x, push_y
 
 
 class Edges(NamedTuple):
@@ -44,7 +45,14 @@ def edges_of(mesh: Mesh, width: int) -> Edges:
 
 @njit(error_model="numpy")
 def add_forces(
-    mesh: Mesh, edges: Edges, x_m: Numbers, v_mps: Numbers, active: Numbers, step: int, force_n: Numbers
+    mesh: Mesh,
+    edges: Edges,
+    x_m: Numbers,
+    v_mps: Numbers,
+    active: Numbers,
+    step: int,
+    water: Numbers,
+    force_n: Numbers,
 ) -> None:
     """Add all forces on a state to ``force_n``, and keep in ``edges`` what their stiffness needs.
 
@@ -59,6 +67,7 @@ def add_forces(
         active: (steps, 2 * (limbs + 1)) for each limb its activation (0 to 1), which raises EI, and the fall
             of its natural curvature's size, 1/m; the last pair, zeros, is for bends of no limb.
         step: the row of ``active``.
+        water: (WATER, 1) what ``frogkick.der.water`` says, or (0, 1) where the water is still.
         force_n: (n, 2), added to.
 
     Source: Bergou 2008, discrete elastic rods, in the plane; Huang 2022 for the energies and the drag law.
@@ -104,12 +113,21 @@ def add_forces(
             node = mesh.edge_nodes[edge, end]
             side = 1.0 - 2.0 * end
             vx, vy = get(v_mps, node, 0), get(v_mps, node, 1)
+            if water.shape[0] > 0:
+                px, py = get(x_m, node, 0), get(x_m, node, 1)
+                vx = vx - flow_x(water, px, py)
+                vy = vy - flow_y(water, px, py)
             vt, vn = vx * tx + vy * ty, vy * tx - vx * ty
             along, across = ct * size(vt) * vt, cn * size(vn) * vn
             fx = side * get(edges.pull_n, edge, 0) - along * tx + across * ty
             fy = side * get(edges.pull_n, edge, 1) - along * ty - across * tx
             add(force_n, node, 0, fx)
             add(force_n, node, 1, fy)
+    if water.shape[0] > 0:
+        for i in range(mesh.mass_kg.shape[0]):
+            px, py = get(x_m, i, 0), get(x_m, i, 1)
+            add(force_n, i, 0, mesh.mass_kg[i] * push_x(water, px, py))
+            add(force_n, i, 1, mesh.mass_kg[i] * push_y(water, px, py))
 
 
 @njit(error_model="numpy")
@@ -117,7 +135,9 @@ def add_stiffness(
     mesh: Mesh,
     plan: Plan,
     edges: Edges,
+    x_m: Numbers,
     v_mps: Numbers,
+    water: Numbers,
     position_gain: float,
     velocity_gain: Any,
     diagonal: Numbers,
@@ -130,7 +150,8 @@ def add_stiffness(
 
     Args:
         edges: from ``add_forces`` at the same state.
-        v_mps: (n, 2) velocities there.
+        x_m, v_mps: (n, 2) positions and velocities there.
+        water: see ``add_forces``; how the flow changes from place to place is left out.
         position_gain, velocity_gain: d(position), d(velocity) / d(unknown) of the time integrator.
         diagonal, pair: see ``frogkick.der.solve.factor``; added to.
     """
@@ -185,6 +206,10 @@ def add_stiffness(
         for end in range(2):
             node = mesh.edge_nodes[edge, end]
             vx, vy = get(v_mps, node, 0), get(v_mps, node, 1)
+            if water.shape[0] > 0:
+                px, py = get(x_m, node, 0), get(x_m, node, 1)
+                vx = vx - flow_x(water, px, py)
+                vy = vy - flow_y(water, px, py)
             dt = velocity_gain * ct * size(vx * tx + vy * ty)
             dn = velocity_gain * cn * size(vy * tx - vx * ty)
             add(diagonal, node, 0, xx + dt * (tx * tx) + dn * (ty * ty))

@@ -1,18 +1,23 @@
-"""When the steps are, and how active the limbs are in them: fine while a limb straightens, coarse after.
+"""When the steps are, and how active the limbs are in them: fine where a stroke turns sharply, coarse after.
 
-Nearly all of a stroke's error is made while its limb straightens. Steps therefore start at the default length
-at each stroke, keep it until the stroke's activation has peaked, and then grow to COARSEST times that, or
-COARSEST_AT_REST times when all strokes are over. They land on the starts of strokes, where the activation
-has a kink that would cost the order otherwise.
+Most of a stroke's error is made where its activation bends: the error of a step grows with its square and
+with the second derivative of what drives it. Steps therefore take the default length while a limb straightens
+and lengthen as the square root of that derivative falls, up to COARSEST times, or COARSEST_AT_REST times
+when all strokes are over. Until a stroke's ringing has died they stay short enough to follow the frame, which
+bends at some 40 Hz: a next stroke's thrust depends on where in that swing it falls. They land on the starts
+and the ends of strokes, where the activation has kinks that would cost the order otherwise.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
+from scipy.ndimage import maximum_filter1d
 
 from frogkick.robot import Actuation
 
@@ -20,21 +25,67 @@ FloatArray = NDArray[np.float64]
 
 COARSEST = 8.0  # longest step over the finest; limbs that curl back need more corrections beyond, not fewer
 COARSEST_AT_REST = 12.0  # the same while no stroke lasts
-GROWTH_PER_S = 50.0  # of the step over the finest, per second after the limb is straight
-STRAIGHT = 0.99  # share of the full activation that counts as straight
+SHARP_PER_S2 = 600.0  # second derivative of the activation that wants the finest steps
+SLIVER = 0.1  # of the finest step: kinks closer together than that are one
+RINGS_S = 0.8  # how long the frame swings after a stroke starts; with 0.6 two of 192 gaits err by over 0.2 %
+COARSEST_WHILE_IT_RINGS = 2.0  # with 3 four gaits do
+AHEAD_S, BEHIND_S = 0.008, 0.016  # how long before and after a bend its steps are fine
 
 
-def straight_s(actuation: Actuation) -> float:
-    """Time from a stroke's start until its limb is straight."""
-    return float(np.argmax(actuation.activation >= STRAIGHT)) * actuation.step_s
+class Stroke(NamedTuple):
+    """A limb's stroke: when it starts, its share of the measured one, and how slowly it is over.
+
+    The time until the limb is straight is the measured one, the rest takes ``duration_scale`` times as long.
+    """
+
+    start_s: float
+    gain: float = 1.0
+    duration_scale: float = 1.0
+
+    @property
+    def longest(self) -> float:
+        """At most so many times the measured duration."""
+        return max(1.0, self.duration_scale)
+
+
+@dataclass(frozen=True, eq=False)
+class Pace:
+    """How long steps may be during a stroke.
+
+    Attributes:
+        coarseness: (n,) longest step over the finest, every ``every_s`` since the stroke's start.
+        every_s: spacing of the coarseness.
+        over_s: when the limb is back at rest.
+        peak_s: when it is straightest.
+    """
+
+    coarseness: FloatArray
+    every_s: float
+    over_s: float
+    peak_s: float
+
+
+def pace_of(actuation: Actuation) -> Pace:
+    """How long steps may be during this stroke."""
+    active, every_s = actuation.activation, actuation.step_s
+    last = int(np.flatnonzero(active > 0.0)[-1]) + 1
+    rings = int(RINGS_S / every_s)
+    bend = np.zeros(last + 1)
+    bend[1:-1] = np.abs(np.diff(active[: last + 1], 2)) / every_s**2
+    bend[0], bend[-1] = SHARP_PER_S2, bend[-2]
+    ahead, behind = int(AHEAD_S / every_s), int(BEHIND_S / every_s)
+    sharpest = maximum_filter1d(bend, ahead + behind + 1, mode="nearest", origin=(behind - ahead) // 2)
+    coarseness = np.sqrt(SHARP_PER_S2 / np.maximum(sharpest, SHARP_PER_S2 / COARSEST**2))
+    coarseness = np.concatenate([coarseness, np.full(max(0, rings - last), COARSEST)])
+    coarseness[:rings] = np.minimum(coarseness[:rings], COARSEST_WHILE_IT_RINGS)
+    return Pace(np.maximum(coarseness, 1.0), every_s, last * every_s, int(np.argmax(active)) * every_s)
 
 
 def step_times(
     time_s: float,
     until_s: float,
-    starts_s: Sequence[float],
-    fine_s: float,
-    duration_s: float,
+    strokes: Sequence[Stroke],
+    pace: Pace,
     step_s: float,
 ) -> FloatArray:
     """Times (k,) from ``time_s`` to ``until_s``, both included: the ends of all steps.
@@ -42,13 +93,15 @@ def step_times(
     Args:
         time_s: now.
         until_s: where the last step ends; after ``time_s``.
-        starts_s: when strokes start or have started, in any order.
-        fine_s: how long after each the finest steps last.
-        duration_s: how long after each it is over.
+        strokes: that last or are to come, in any order.
+        pace: of these strokes.
         step_s: the finest step.
     """
-    starts = np.array(sorted(starts_s), dtype=np.float64)
-    return np.asarray(_step_times(time_s, until_s, starts, fine_s, duration_s, step_s))
+    known = sorted(strokes)
+    starts = np.array([stroke.start_s for stroke in known], dtype=np.float64)
+    scales = np.array([stroke.duration_scale for stroke in known], dtype=np.float64)
+    shape = (pace.coarseness, pace.every_s, pace.over_s, pace.peak_s)
+    return np.asarray(_step_times(time_s, until_s, starts, scales, *shape, step_s))
 
 
 @njit(cache=True, error_model="numpy")
@@ -56,23 +109,31 @@ def _step_times(
     time_s: float,
     until_s: float,
     starts_s: FloatArray,
-    fine_s: float,
-    duration_s: float,
+    scales: FloatArray,
+    coarseness: FloatArray,
+    every_s: float,
+    over_s: float,
+    peak_s: float,
     step_s: float,
 ) -> FloatArray:
-    ends = np.empty(3 + 2 * len(starts_s) + int((until_s - time_s) / step_s))
+    ends = np.empty(3 + 4 * len(starts_s) + int((until_s - time_s) / step_s))
     ends[0] = time_s
-    count, coming, latest = 1, 0, -np.inf
-    now = time_s
+    count, now = 1, time_s
     while now < until_s:
-        while coming < len(starts_s) and starts_s[coming] <= now:
-            latest = starts_s[coming]
-            coming += 1
-        stop = until_s
-        if coming < len(starts_s) and starts_s[coming] < until_s:
-            stop = starts_s[coming]
-        coarsest = COARSEST if now < latest + duration_s else COARSEST_AT_REST
-        step = step_s * min(coarsest, 1.0 + GROWTH_PER_S * max(0.0, now - latest - fine_s))
+        stop, longest = until_s, COARSEST_AT_REST
+        for k in range(len(starts_s)):
+            if starts_s[k] > now + SLIVER * step_s:
+                stop = min(stop, starts_s[k])
+                break
+            place = int(_measured_s(now - starts_s[k], scales[k], peak_s) / every_s)
+            if place < len(coarseness):
+                longest = min(longest, coarseness[max(0, place)])
+        landing = stop
+        for k in range(len(starts_s)):
+            over = starts_s[k] + peak_s + (over_s - peak_s) * scales[k]
+            if over > now + SLIVER * step_s and over < landing - SLIVER * step_s:
+                stop = min(stop, over)
+        step = step_s * longest
         left = (stop - now) / step
         if left <= 1.0 + 1e-9:
             now = stop
@@ -86,24 +147,34 @@ def _step_times(
 
 
 @njit(cache=True, error_model="numpy")
+def _measured_s(since_s: float, scale: float, peak_s: float) -> float:
+    """When the measured stroke was where one that is over more slowly is at a time since its start."""
+    if scale == 1.0 or since_s <= peak_s:
+        return since_s
+    return peak_s + (since_s - peak_s) / scale
+
+
+@njit(cache=True, error_model="numpy")
 def stroke_activation(
-    times_s: FloatArray, starts_s: FloatArray, table: FloatArray, table_step_s: float
+    times_s: FloatArray, strokes: FloatArray, table: FloatArray, table_step_s: float, peak_s: float
 ) -> FloatArray:
     """Activation (k, limbs) at times (k,): the largest of each limb's strokes, 0 before and after them.
 
     Args:
         times_s: (k,) when.
-        starts_s: (limbs, m) when strokes began; NaN where there is none.
-        table: activation every table_step_s since the start of a stroke.
+        strokes: (limbs, m, 3) fields of ``Stroke``; NaN where there is none.
+        table: activation every table_step_s since the start of a measured stroke.
+        peak_s: when that is largest.
     """
-    active = np.zeros((times_s.shape[0], starts_s.shape[0]))
+    active = np.zeros((times_s.shape[0], strokes.shape[0]))
     for k in range(times_s.shape[0]):
-        for limb in range(starts_s.shape[0]):
-            for stroke in range(starts_s.shape[1]):
-                place = (times_s[k] - starts_s[limb, stroke]) / table_step_s
+        for limb in range(strokes.shape[0]):
+            for stroke in range(strokes.shape[1]):
+                start, gain, scale = strokes[limb, stroke]
+                place = _measured_s(times_s[k] - start, scale, peak_s) / table_step_s
                 if place > 0.0 and place < table.shape[0] - 1:  # false for NaN
                     index = int(place)
                     share = place - index
                     now = (1.0 - share) * table[index] + share * table[index + 1]
-                    active[k, limb] = max(active[k, limb], now)
+                    active[k, limb] = max(active[k, limb], gain * now)
     return active

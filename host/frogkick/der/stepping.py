@@ -23,7 +23,7 @@ from frogkick.der.plan import Plan
 from frogkick.der.rods import Edges, add_forces, add_stiffness, edges_of
 from frogkick.der.solve import factor, solve
 
-SPECTRAL_RADIUS = 0.8  # damping of frequencies above the step's reach: 1 none, 0 all in one step
+SPECTRAL_RADIUS = 0.9  # damping of frequencies above the step's reach: 1 none, 0 all in one step
 ALPHA_M = (2.0 * SPECTRAL_RADIUS - 1.0) / (SPECTRAL_RADIUS + 1.0)
 ALPHA_F = SPECTRAL_RADIUS / (SPECTRAL_RADIUS + 1.0)
 GAMMA = 0.5 - ALPHA_M + ALPHA_F
@@ -61,17 +61,23 @@ def space_of(mesh: Mesh, plan: Plan, width: int) -> Space:
 
 @njit(error_model="numpy")
 def set_accelerations(
-    mesh: Mesh, edges: Edges, x_m: Numbers, v_mps: Numbers, active: Numbers, a_mps2: Numbers
+    mesh: Mesh,
+    edges: Edges,
+    x_m: Numbers,
+    v_mps: Numbers,
+    active: Numbers,
+    water: Numbers,
+    a_mps2: Numbers,
 ) -> None:
     """Set (n, 2) accelerations, m/s^2, to what the forces on a state cause: the integrator's start.
 
     Args:
-        active: (1, 2 * (limbs + 1)), see ``frogkick.der.rods.add_forces``.
+        active: (1, 2 * (limbs + 1)), see ``frogkick.der.rods.add_forces``; water likewise.
     """
     for i in range(mesh.mass_kg.shape[0]):
         for d in range(2):
             put(a_mps2, i, d, 0.0)
-    add_forces(mesh, edges, x_m, v_mps, active, 0, a_mps2)
+    add_forces(mesh, edges, x_m, v_mps, active, 0, water, a_mps2)
     for i in range(mesh.mass_kg.shape[0]):
         for d in range(2):
             put(a_mps2, i, d, get(a_mps2, i, d) / mesh.mass_kg[i])
@@ -79,7 +85,14 @@ def set_accelerations(
 
 @njit(error_model="numpy")
 def set_residual(
-    mesh: Mesh, space: Space, x_m: Numbers, active: Numbers, step: int, velocity_gain: Any, mass_gain: Any
+    mesh: Mesh,
+    space: Space,
+    x_m: Numbers,
+    active: Numbers,
+    step: int,
+    water: Numbers,
+    velocity_gain: Any,
+    mass_gain: Any,
 ) -> Any:
     """Set space.force_n to what is unbalanced after moving by space.move_m; return the sum of squares."""
     for i in range(x_m.shape[0]):
@@ -88,7 +101,7 @@ def set_residual(
             put(space.x_m, i, d, get(x_m, i, d) + EVALUATION_SHARE * move)
             put(space.v_mps, i, d, velocity_gain * move + get(space.v_start, i, d))
             put(space.force_n, i, d, get(space.force_start, i, d) - mass_gain * mesh.mass_kg[i] * move)
-    add_forces(mesh, space.edges, space.x_m, space.v_mps, active, step, space.force_n)
+    add_forces(mesh, space.edges, space.x_m, space.v_mps, active, step, water, space.force_n)
     total = 0.0 * get(space.force_n, 0, 0)
     for i in range(x_m.shape[0]):
         fx, fy = get(space.force_n, i, 0), get(space.force_n, i, 1)
@@ -97,7 +110,9 @@ def set_residual(
 
 
 @njit(error_model="numpy")
-def set_factor(mesh: Mesh, plan: Plan, space: Space, velocity_gain: Any, mass_gain: Any) -> None:
+def set_factor(
+    mesh: Mesh, plan: Plan, space: Space, water: Numbers, velocity_gain: Any, mass_gain: Any
+) -> None:
     """Factor the derivative of ``set_residual`` at the state that it last saw."""
     for i in range(mesh.mass_kg.shape[0]):
         inertia = mass_gain * mesh.mass_kg[i]
@@ -108,7 +123,16 @@ def set_factor(mesh: Mesh, plan: Plan, space: Space, velocity_gain: Any, mass_ga
         for c in range(4):
             put(space.pair, p, c, 0.0)
     add_stiffness(
-        mesh, plan, space.edges, space.v_mps, EVALUATION_SHARE, velocity_gain, space.diagonal, space.pair
+        mesh,
+        plan,
+        space.edges,
+        space.x_m,
+        space.v_mps,
+        water,
+        EVALUATION_SHARE,
+        velocity_gain,
+        space.diagonal,
+        space.pair,
     )
     factor(plan, space.diagonal, space.pair, space.held)
 
@@ -123,6 +147,7 @@ def run_steps(
     a_mps2: Numbers,
     step_s: Numbers,
     active: Numbers,
+    water: Numbers,
     factor_every: int,
     report: Numbers,
     sums: Numbers,
@@ -133,6 +158,7 @@ def run_steps(
         x_m, v_mps, a_mps2: (n, 2) positions, velocities, accelerations, world frame.
         step_s: (steps, 1) lengths; a lane stands still in a step that is not positive.
         active: (steps, 2 * (limbs + 1)), at EVALUATION_SHARE of each step; see frogkick.der.rods.add_forces.
+        water: (WATER, 1) or (0, 1), the same in all these steps; see there.
         factor_every: corrections made with one factor: FACTOR_EVERY, or 1 (Newton's own method) where a step
             is hard.
         report: (3, 1), written: row 0 the first step that a lane failed to take, or -1; such a lane is left
@@ -173,13 +199,13 @@ def run_steps(
                 put(space.force_start, i, d, mesh.mass_kg[i] * inertia)
         open_ = going
         for iteration in range(MAX_ITERATIONS + 1):
-            total = set_residual(mesh, space, x_m, active, step, velocity_gain, mass_gain)
+            total = set_residual(mesh, space, x_m, active, step, water, velocity_gain, mass_gain)
             evaluations += 1
             open_ = choose_above(total, limit, open_, 0.0)
             if iteration == MAX_ITERATIONS or not any_above(open_, 0.5):
                 break
             if iteration % factor_every == 0:
-                set_factor(mesh, plan, space, velocity_gain, mass_gain)
+                set_factor(mesh, plan, space, water, velocity_gain, mass_gain)
             solve(plan, space.diagonal, space.pair, space.force_n)
             add(report, 2, 0, open_)
             for i in range(n):

@@ -12,13 +12,14 @@ from numpy.typing import NDArray
 from frogkick.der.batch import Batch
 from frogkick.der.mesh import Mesh, build_mesh
 from frogkick.der.plan import Plan
+from frogkick.der.water import Water
 from frogkick.errors import ConvergenceError, InputError
 from frogkick.robot import Actuation, Robot
 
 FloatArray = NDArray[np.float64]
 
-STEP_S = 0.001
-"""Finest time step, while a limb straightens; see frogkick.der.schedule for the others, up to 8 ms."""
+STEP_S = 0.0008
+"""Finest time step, while a limb straightens; see frogkick.der.schedule for the others."""
 
 
 @dataclass(frozen=True)
@@ -112,25 +113,48 @@ class Swimmer:
         return float(self._batch.time_s[0])
 
     @property
+    def mass_kg(self) -> float:
+        """What it takes to accelerate it, with the water that it takes along."""
+        return self._batch.mass_kg
+
+    @property
+    def inertia_kg_m2(self) -> float:
+        """Moment of inertia about its centre of mass with all limbs at rest, likewise."""
+        return self._batch.inertia_kg_m2
+
+    @property
     def newton_iterations(self) -> int:
         """Corrections made so far in all steps."""
         return int(self._batch.corrections[0])
 
-    def fire(self, limb: int, time_s: float) -> None:
+    def fire(self, limb: int, time_s: float, *, gain: float = 1.0, duration_scale: float = 1.0) -> None:
         """Start a stroke of one limb now or later.
 
         The limb follows the measured profile to its end, then rests. Fired again before that, the larger
         activation of the two strokes wins at each moment: heat adds no more than one full stroke.
 
+        Args:
+            gain: share of the measured stroke, 0 to 2.
+            duration_scale: how much longer than measured it takes to curl back, 0.1 to 10.
+
         Raises:
-            InputError: no such limb, or a time that has passed.
+            InputError: no such limb, a time that has passed, or gain or scale out of range.
         """
         limbs = len(self.rods.robot.limbs)
         if not 0 <= limb < limbs:
             raise InputError(f"limb {limb} of robot {self.rods.robot.id!r} is none of 0-{limbs - 1}")
         if not (math.isfinite(time_s) and time_s >= self.time_s - 1e-9):
             raise InputError(f"limb {limb} fired for {time_s} s at {self.time_s} s: fire now or later")
-        self._batch.fire(0, limb, time_s)
+        if not (0.0 <= gain <= 2.0 and 0.1 <= duration_scale <= 10.0):
+            raise InputError(
+                f"stroke of limb {limb} has gain {gain} and duration scale {duration_scale}: "
+                "give 0 to 2 and 0.1 to 10"
+            )
+        self._batch.fire(0, limb, time_s, gain=gain, duration_scale=duration_scale)
+
+    def set_water(self, water: Water) -> None:
+        """Let the water around it move, and push it, from now on; see frogkick.der.water."""
+        self._batch.set_water(0, water)
 
     def fire_mask(self, mask: int, time_s: float) -> None:
         """Start a stroke of each limb whose bit is set."""

@@ -1,4 +1,4 @@
-"""The camera over the simulated pool: late, noisy position fixes at a constant rate."""
+"""The camera over the simulated pool: late, noisy position fixes at a constant rate, and worse ones."""
 
 from __future__ import annotations
 
@@ -19,12 +19,25 @@ class Camera:
         delay_s: from capture to arrival at the robot; the recorded label-to-motion time of 0.07 to 0.09 s.
         position_noise_m: standard deviation of each coordinate, measured at rest.
         heading_noise_rad: standard deviation of the heading, measured at rest.
+        jitter_s: a fix comes later by up to this, evenly; beyond a picture's time fixes overtake each other.
+        lost: part of the pictures that give no fix.
+        doubled: part of the fixes whose frame comes twice, the second time up to 0.2 s later and with the age
+            that it had the first time, so that it looks younger than it is.
+        held: part of the fixes that come only after the next two pictures' ones.
+        outliers: part of the fixes that are plainly wrong.
+        outlier_m: such a fix is off by up to this in each coordinate; its heading is any.
     """
 
     rate_hz: float = 15.0
     delay_s: float = 0.08
     position_noise_m: float = 0.2e-3
     heading_noise_rad: float = float(np.deg2rad(0.2))
+    jitter_s: float = 0.0
+    lost: float = 0.0
+    doubled: float = 0.0
+    held: float = 0.0
+    outliers: float = 0.0
+    outlier_m: float = 0.5
 
     def __post_init__(self) -> None:
         limits = {
@@ -32,6 +45,9 @@ class Camera:
             "delay_s": (0.0, 1.0),
             "position_noise_m": (0.0, 0.1),
             "heading_noise_rad": (0.0, 1.0),
+            "jitter_s": (0.0, 2.0),
+            "outlier_m": (0.0, 10.0),
+            **dict.fromkeys(("lost", "doubled", "held", "outliers"), (0.0, 1.0)),
         }
         for name, (low, high) in limits.items():
             value = getattr(self, name)
@@ -76,3 +92,29 @@ def measure(
     noisy = np.asarray(pose_world, dtype=np.float64) + sigma * rng.standard_normal(3)
     noisy[2] = np.arctan2(np.sin(noisy[2]), np.cos(noisy[2]))
     return Fix(sequence & 0xFFFF, capture_s, capture_s + camera.delay_s, noisy.astype(np.float32))
+
+
+def deliver(camera: Camera, fix: Fix, rng: np.random.Generator) -> list[Fix]:
+    """What comes of a fix on its way: nothing, itself (late or wrong), or itself twice.
+
+    Args:
+        camera: how bad the way is; one without jitter and faults lets every fix through and draws nothing.
+        fix: as measured.
+        rng: source of the faults.
+    """
+    if not (camera.jitter_s or camera.lost or camera.doubled or camera.held or camera.outliers):
+        return [fix]
+    lost, doubled, held, wrong = rng.random(4) < (camera.lost, camera.doubled, camera.held, camera.outliers)
+    late_s = camera.jitter_s * rng.random() + (2.5 / camera.rate_hz if held else 0.0)
+    off_m, turn_rad = rng.uniform(-camera.outlier_m, camera.outlier_m, 2), rng.uniform(-np.pi, np.pi)
+    again_s = rng.uniform(0.0, 0.2)
+    if lost:
+        return []
+    pose = fix.pose_world
+    if wrong:
+        pose = np.array([*(pose[:2] + off_m), turn_rad], dtype=np.float32)
+    arrival_s = fix.arrival_s + late_s
+    came = [Fix(fix.sequence, fix.capture_s, arrival_s, pose)]
+    if doubled:
+        came.append(Fix(fix.sequence, fix.capture_s + again_s, arrival_s + again_s, pose))
+    return came

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import heapq
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -29,18 +30,39 @@ extern uint32_t fk_table_image_bytes;
 """
 
 
+@dataclass(frozen=True)
+class CoreCall:
+    """One turn of the core, and all that came of it: enough to let another build of it live through the same.
+
+    Attributes:
+        now_us: the robot's clock.
+        frame: encoded frame that arrived, b"" without one; a tick follows.
+        outputs: limb mask, all off, pulse us, next tick us.
+        stream: bytes that the core then sent.
+    """
+
+    now_us: int
+    frame: bytes
+    outputs: tuple[int, int, int, int]
+    stream: bytes
+
+
 class NativeRobot:
     """A ``RobotPort`` over a shared library made by ``firmware build --target native``.
 
     Computing takes no simulated time here; the virtual chip is where it does.
+
+    Attributes:
+        calls: every turn of the core, where they are to be kept.
     """
 
-    def __init__(self, library: Path, limbs: int) -> None:
+    def __init__(self, library: Path, limbs: int, keep_calls: bool = False) -> None:
         """Load the library and start the core.
 
         Args:
             library: shared library with the core, the planner and a table.
             limbs: number of limbs of the robot.
+            keep_calls: fill ``calls``.
 
         Raises:
             FrogkickError: the core refuses its own table.
@@ -66,6 +88,8 @@ class NativeRobot:
         self._collector = FrameCollector()
         self._frames: list[tuple[float, Frame]] = []
         self._edges: list[Edge] = []
+        self._keep_calls = keep_calls
+        self.calls: list[CoreCall] = []
 
     def send(self, encoded: bytes, at_s: float) -> None:
         """Put bytes on the wire; the core's collector cuts them. A frame comes with its last byte."""
@@ -88,29 +112,39 @@ class NativeRobot:
             if due_us > until_us:
                 break
             self._now_us = max(self._now_us, due_us)
+            encoded = b""
             if frame_us <= due_us:
                 encoded = heapq.heappop(self._waiting)[2]
-                self._core.fk_robot_on_frame(self._memory, encoded, len(encoded), self._now_us)
-            self._tick()
+            self._note(self.turn(self._now_us, encoded))
         self._now_us = max(self._now_us, until_us)
 
-    def _tick(self) -> None:
-        self._core.fk_robot_tick(self._memory, self._now_us, self._outputs)
+    def turn(self, now_us: int, frame: bytes) -> CoreCall:
+        """Let the core take a frame (b"" for none), tick, and send what it has to."""
+        if frame:
+            self._core.fk_robot_on_frame(self._memory, frame, len(frame), now_us)
         outputs = self._outputs
-        self._next_tick_us = outputs.next_tick_us
+        self._core.fk_robot_tick(self._memory, now_us, outputs)
+        stream = b""
+        while count := self._core.fk_robot_take_tx(self._memory, self._buffer, 1024):
+            stream += bytes(self._ffi.buffer(self._buffer, count))
+        told = (outputs.limb_mask, outputs.all_off, outputs.pulse_us, outputs.next_tick_us)
+        return CoreCall(now_us, frame, told, stream)
+
+    def _note(self, call: CoreCall) -> None:
+        if self._keep_calls:
+            self.calls.append(call)
+        limb_mask, all_off, pulse_us, self._next_tick_us = call.outputs
         now_s = self._now_us * 1e-6
-        if outputs.all_off:
+        if all_off:
             # A pulse that was on ends now; its planned end is taken back.
             still_on = {edge.limb for edge in self._edges if not edge.level and edge.time_s > now_s}
             self._edges = [edge for edge in self._edges if edge.level or edge.time_s <= now_s]
             self._edges += [Edge(now_s, limb, False) for limb in sorted(still_on)]
         for limb in range(self._limbs):
-            if outputs.limb_mask >> limb & 1:
+            if limb_mask >> limb & 1:
                 self._edges.append(Edge(now_s, limb, True))
-                self._edges.append(Edge(now_s + outputs.pulse_us * 1e-6, limb, False))
-        while count := self._core.fk_robot_take_tx(self._memory, self._buffer, 1024):
-            stream = bytes(self._ffi.buffer(self._buffer, count))
-            self._frames += [(now_s, frame) for frame in self._collector.feed(stream)]
+                self._edges.append(Edge(now_s + pulse_us * 1e-6, limb, False))
+        self._frames += [(now_s, frame) for frame in self._collector.feed(call.stream)]
 
     def frames(self) -> list[tuple[float, Frame]]:
         """Frames from the core since the last call."""

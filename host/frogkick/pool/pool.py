@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import heapq
+import math
 from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
 
+from frogkick import effects
 from frogkick.der import Swimmer
-from frogkick.pool.camera import Camera, Fix, measure
+from frogkick.effects import Acting, World, changed_robot
+from frogkick.pool.camera import Camera, Fix, deliver, measure
 from frogkick.robot import Robot
 
 
@@ -40,21 +43,29 @@ class Pool:
         pose_world: tuple[float, float, float],
         camera: Camera,
         rng: np.random.Generator,
+        world: World = World(),  # noqa: B008 - frozen
     ) -> None:
-        """Put a robot at rest into still water.
+        """Put a robot at rest into the water.
 
         Args:
-            robot: the swimmer.
+            robot: the swimmer as the model has it.
             pose_world: x_m, y_m, heading_rad of its start.
             camera: rate, delay and noise of the fixes.
-            rng: source of the noise.
+            rng: source of the noise; random effects get streams of their own.
+            world: what is true here besides: effects on the robot, the water and the camera.
+
+        Raises:
+            InputError: an effect that does not fit the robot.
         """
         self.robot = robot
         self.camera = camera
         self.truth = Truth()
-        self._swimmer = Swimmer(robot, pose_world=pose_world)
+        true_robot = changed_robot(robot, world.effects)
+        self._acting = Acting(world.effects, true_robot, rng.spawn(1)[0])
+        self._swimmer = Swimmer(true_robot, pose_world=pose_world)
         self._rng = rng
         self._captured = 0
+        self._sent = 0
         self._waiting: list[tuple[float, int, Fix]] = []
         self._arrived: list[Fix] = []
 
@@ -73,12 +84,16 @@ class Pool:
     def _next_capture_s(self) -> float:
         return (self._captured + 1) / self.camera.rate_hz
 
+    def state(self) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+        """What is true now, never shown to a planner: pose (3,) in the world, velocity (3,) in the body."""
+        return self._swimmer.pose_world(), self._swimmer.velocity_body()
+
     def heat(self, limb: int, start_s: float) -> None:
         """A pin of the robot begins to heat a limb, in pool time, not before ``time_s``.
 
         The limb answers with its measured stroke, which belongs to the nominal pulse length.
         """
-        self._swimmer.fire(limb, start_s)
+        self._acting.fire(self._swimmer, limb, start_s)
 
     def advance(self, until_s: float) -> list[Fix]:
         """Swim until a pool time; return the fixes that arrived by then, in order of arrival.
@@ -92,16 +107,36 @@ class Pool:
                 self._capture()
             else:
                 self._arrived.append(heapq.heappop(self._waiting)[2])
-        self._swimmer.advance(until_s)
+        self._swim(until_s)
         arrived, self._arrived = self._arrived, []
         return arrived
 
+    def _swim(self, until_s: float) -> None:
+        # A picture and a decision at one time differ by rounding; rods cannot take a step of 1e-15 s.
+        if until_s - self._swimmer.time_s > 1e-9:
+            self._acting.advance(self._swimmer, until_s)
+
     def _capture(self) -> None:
-        self._swimmer.advance(self._next_capture_s)
+        self._swim(self._next_capture_s)
         pose = np.array(self._swimmer.pose_world(), dtype=np.float64)
         self.truth.time_s.append(self._swimmer.time_s)
         self.truth.pose_world.append(pose)
         self.truth.velocity_body.append(np.array(self._swimmer.velocity_body(), dtype=np.float64))
-        fix = measure(self.camera, self._captured, self._next_capture_s, pose, self._rng)
+        fix = self._seen(measure(self.camera, self._captured, self._next_capture_s, pose, self._rng))
         self._captured += 1
-        heapq.heappush(self._waiting, (fix.arrival_s, fix.sequence, fix))
+        for one in deliver(self.camera, fix, self._rng) if fix is not None else ():
+            self._sent += 1
+            heapq.heappush(self._waiting, (one.arrival_s, self._sent, one))
+
+    def _seen(self, fix: Fix) -> Fix | None:
+        """A fix as this world's effects have it; None where it is lost."""
+        if not self._acting.effects:
+            return fix
+        x, y, heading = (float(value) for value in fix.pose_world)
+        given = effects.Fix(fix.capture_s, fix.arrival_s - fix.capture_s, x, y, heading)
+        seen = self._acting.fix(given)
+        if seen is None:
+            return None
+        pose = np.array([seen.x_m, seen.y_m, math.remainder(seen.heading_rad, math.tau)], dtype=np.float32)
+        arrival_s = max(fix.capture_s, seen.capture_s + seen.delay_s)
+        return Fix(fix.sequence, seen.capture_s, arrival_s, pose)

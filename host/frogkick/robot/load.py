@@ -80,7 +80,7 @@ def parse_robot(content: str, source: str, folder: Path | None = None) -> Robot:
         file_model = RobotFile.model_validate(table)
     except ValidationError as error:
         raise InputError(f"{source}: {_first_error(error)}") from None
-    return _robot(file_model, source)
+    return _robot(file_model, source, folder)
 
 
 def _parse_toml(content: str, source: str) -> dict[str, Any]:
@@ -184,7 +184,7 @@ def _distinct(names: list[Any], what: str, source: str) -> None:
             raise InputError(f"{source}: two {what} are called {name!r}: give each its own")
 
 
-def _robot(file: RobotFile, source: str) -> Robot:
+def _robot(file: RobotFile, source: str, folder: Path | None) -> Robot:
     limb_names = [limb.name for limb in file.limb]
     _distinct(limb_names, "limbs", source)
     _distinct([limb.corner for limb in file.limb], "limbs' corners", source)
@@ -193,7 +193,7 @@ def _robot(file: RobotFile, source: str) -> Robot:
     frame = _frame(file.frame, source)
     limbs = tuple(_limb(limb, len(frame.corners_m), source) for limb in file.limb)
     require_geometry(frame, limbs, source)
-    text = to_toml(file.model_dump(mode="json"))
+    text = to_toml(file.model_dump(mode="json", exclude_defaults=True))
     robot = Robot(
         id=file.id,
         title=file.title,
@@ -221,6 +221,8 @@ def _robot(file: RobotFile, source: str) -> Robot:
         library_box=_box(file.library, source),
         guard=Guard(**file.guard.model_dump()),
         planner=PlannerDefaults(**file.planner.model_dump()),
+        effects=tuple(dict(table) for table in file.effect),
+        folder=folder,
         toml=text,
         sha256=hashlib.sha256(text.encode("utf-8")).digest(),
     )

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
 
 from frogkick.errors import InputError
 from frogkick.robot.profile import Actuation, Profile, actuation
@@ -24,6 +26,7 @@ class Frame:
         drag_width_m: D of the drag law.
         drag_normal: C_n across the edge, dimensionless.
         drag_tangential: C_t along the edge, dimensionless.
+        centre_mass_share: of that mass, what sits at the centre of the corners instead: it resists no turn.
     """
 
     corners_m: tuple[tuple[float, float], ...]
@@ -35,6 +38,7 @@ class Frame:
     drag_width_m: float
     drag_normal: float
     drag_tangential: float
+    centre_mass_share: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -97,13 +101,28 @@ class Guard:
 
 @dataclass(frozen=True)
 class PlannerDefaults:
-    """Weights of the planner's cost (Huang 2022, Eq. 19) and its depth."""
+    """Cost and weights of the planner, its depth and its time.
 
+    Attributes:
+        cost: "route" or "paper" (Huang 2022, Eq. 19).
+        distance_weight_per_m, angle_weight_per_rad: of both costs.
+        progress_weight, level_weight: of the paper's cost.
+        progress_weight_per_m, look_ahead_m, soft_distance_m, turn_lead: of the route cost.
+        depth: levels to look ahead.
+        plan_time_s: time for a decision on the robot; 0 = no limit.
+    """
+
+    cost: str
     distance_weight_per_m: float
     angle_weight_per_rad: float
     progress_weight: float
     level_weight: float
+    progress_weight_per_m: float
+    look_ahead_m: float
+    soft_distance_m: float
+    turn_lead: float
     depth: int
+    plan_time_s: float
 
 
 @dataclass(frozen=True)
@@ -130,6 +149,8 @@ class Robot:
         egain_percent, profile_frequency_hz: which profile the actions use.
         gait_lead_mask, gait_lag_mask: the two groups of the cyclic gait; the second lags by the phase.
         velocity_resolution: (m/s, m/s, rad/s) that one code of a table image stands for.
+        effects: what it has besides (frogkick.effects.effects_of makes them), as its file's tables.
+        folder: where the files of its own effects are; None where its text came alone.
         toml: the canonical text; load_robot reads it back to the same robot.
         sha256: of that text, 32 bytes.
     """
@@ -155,6 +176,8 @@ class Robot:
     planner: PlannerDefaults
     toml: str
     sha256: bytes
+    effects: tuple[Mapping[str, str | bool | int | float], ...] = ()
+    folder: Path | None = field(default=None, compare=False)
 
     @property
     def mass_kg(self) -> float:

@@ -8,6 +8,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 Positive = Annotated[float, Field(gt=0.0)]
 NotNegative = Annotated[float, Field(ge=0.0)]
+Weight = Annotated[float, Field(ge=0.0, le=1e6)]
 Pair = tuple[float, float]
 Name = Annotated[str, Field(min_length=1, max_length=40, pattern=r"^[A-Za-z0-9_\-]+$")]
 
@@ -30,6 +31,7 @@ class FrameTable(_Table):
     drag_width_m: NotNegative
     drag_normal: NotNegative
     drag_tangential: NotNegative
+    centre_mass_share: Annotated[float, Field(ge=0.0, le=0.95)] = 0.0
 
 
 class LimbTable(_Table):
@@ -78,10 +80,16 @@ class GuardTable(_Table):
 
 
 class PlannerTable(_Table):
-    distance_weight_per_m: NotNegative
-    angle_weight_per_rad: NotNegative
-    progress_weight: NotNegative
-    level_weight: NotNegative
+    cost: Literal["paper", "route"] = "paper"
+    distance_weight_per_m: Weight
+    angle_weight_per_rad: Weight
+    progress_weight: Weight = 300.0
+    level_weight: Weight = 0.3
+    progress_weight_per_m: Weight = 0.0
+    look_ahead_m: Weight = 0.0
+    soft_distance_m: Weight = 0.0
+    turn_lead: Annotated[float, Field(ge=0.0, le=2.0)] = 0.0
+    plan_time_s: Annotated[float, Field(ge=0.0, le=1.0)] = 0.0
     depth: Annotated[int, Field(ge=1, le=4)]
 
 
@@ -117,3 +125,4 @@ class RobotFile(_Table):
     guard: GuardTable
     planner: PlannerTable
     profile: Annotated[list[ProfileTable], Field(min_length=1)]
+    effect: list[dict[str, str | bool | int | float]] = []

@@ -19,7 +19,12 @@ class Mirror:
 
 
 def mirror_of(robot: Robot) -> Mirror | None:
-    """The mirroring of a robot; None where its frame, its limbs, its actions or its library box have none."""
+    """The mirroring of a robot; None where its frame, its limbs, its actions or its library box have none.
+
+    A robot with effects has none: what these do to left and right is not known here.
+    """
+    if robot.effects:
+        return None
     corners = _mirrored_corners(robot.frame)
     box = robot.library_box
     if corners is None or any(low != -high for low, high in (box.left_mps, box.omega_rad_s)):

@@ -9,26 +9,25 @@ from typing import Any, Final
 
 import unicorn as unicorn_module
 from unicorn import arm_const
-from unicorn.unicorn_py3.unicorn import uclib
 
-from frogkick.pool.chip.bus import FLASH_BYTES, RAM_BASE, RAM_BYTES, Peripheral
+from frogkick.pool.chip.bus import FLASH_BYTES, Peripheral
 from frogkick.pool.chip.clock import Clock, Nvmc
 from frogkick.pool.chip.core import CoreRegisters
 from frogkick.pool.chip.cost import PARTS, CostModel, CostTable
+from frogkick.pool.chip.emulator import PAGE, RETURN_ADDRESS, invalid_access, make_core, set_arguments
 from frogkick.pool.chip.errors import ChipError
 from frogkick.pool.chip.gpio import Gpio, Gpiote
-from frogkick.pool.chip.hook import HookState, Stop, load_hook
+from frogkick.pool.chip.hook import CACHE_WORDS, Flag, HookState, Stop
 from frogkick.pool.chip.image import load_image
 from frogkick.pool.chip.ppi import Ppi
+from frogkick.pool.chip.profile import Profile
 from frogkick.pool.chip.scheduler import CYCLES_PER_US, Scheduler
 from frogkick.pool.chip.timer import Timer
 from frogkick.pool.chip.uarte import Uarte
 
 unicorn: Any = unicorn_module  # its type hints do not export what it documents
-_PAGE: Final = 0x1000
 _NOWHERE: Final = 0xFFFF_FFF0  # emulation ends by the hook, never by reaching an address
 _STACK_PAINT: Final = bytes([0xA5]) * 4
-_UNINITIALISED: Final = b"\xcd"  # RAM after power-on: what .data and .bss do not set is not zero
 
 
 class VirtualChip:
@@ -85,50 +84,17 @@ class VirtualChip:
             expected=self._image.reset_address,
             address=self._image.reset_address,
             fetch_wait=self._cost.fetch_wait_uncached_parts,
+            miss_wait=self._cost.cache_miss_cycles * PARTS,
             data_wait=self._cost.flash_data_wait_cycles * PARTS,
             refill=self._cost.branch_refill_cycles * PARTS,
             flash_bytes=FLASH_BYTES,
             table=ctypes.cast(self._table.entries, ctypes.c_void_p),
-            emu_stop=ctypes.cast(uclib.uc_emu_stop, ctypes.c_void_p),
-            reg_read=ctypes.cast(uclib.uc_reg_read, ctypes.c_void_p),
-            reg_write=ctypes.cast(uclib.uc_reg_write, ctypes.c_void_p),
-            cpsr=arm_const.UC_ARM_REG_CPSR,
         )
         self._pc = self._image.reset_address
-        self._uc = self._make_core()
-
-    def _make_core(self) -> Any:
-        uc = unicorn.Uc(unicorn.UC_ARCH_ARM, unicorn.UC_MODE_THUMB | unicorn.UC_MODE_MCLASS)
-        uc.ctl_set_cpu_model(arm_const.UC_CPU_ARM_CORTEX_M4)
-        uc.mem_map(0, FLASH_BYTES, unicorn.UC_PROT_READ | unicorn.UC_PROT_EXEC)
-        uc.mem_map(RAM_BASE, RAM_BYTES, unicorn.UC_PROT_READ | unicorn.UC_PROT_WRITE)
-        uc.mem_write(0, self._image.flash)
-        uc.mem_write(RAM_BASE, _UNINITIALISED * RAM_BYTES)
-        for peripheral in self.peripherals:
-            uc.mmio_map(peripheral.base, _PAGE, partial(self._mmio_read, peripheral), None,
-                        partial(self._mmio_write, peripheral), None)  # fmt: skip
-        uc.hook_add(unicorn.UC_HOOK_MEM_INVALID, self._on_invalid)
-        uc.reg_write(arm_const.UC_ARM_REG_SP, self._image.stack_pointer)
-        library = load_hook()
-        for kind, function in (
-            (unicorn.UC_HOOK_CODE, library.fk_hook_code),
-            (unicorn.UC_HOOK_MEM_READ | unicorn.UC_HOOK_MEM_WRITE, library.fk_hook_memory),
-        ):
-            handle = ctypes.c_size_t()
-            # The Python binding would put a Python function between; the C one is handed over as it is.
-            error = uclib.uc_hook_add(
-                uc._uch,
-                ctypes.byref(handle),
-                kind,
-                ctypes.cast(function, ctypes.c_void_p),
-                ctypes.byref(self._state),
-                ctypes.c_uint64(0),
-                ctypes.c_uint64(0xFFFF_FFFF),
-            )
-            if error != unicorn.UC_ERR_OK:
-                raise ChipError(f"unicorn refuses the cycle counter (error {error}): install unicorn 2.1")
-        uc.ctl_flush_tb()  # code translated before a hook was added would not call it
-        return uc
+        pages = [
+            (p.base, partial(self._mmio_read, p), partial(self._mmio_write, p)) for p in self.peripherals
+        ]
+        self._uc = make_core(self._image, pages, self._on_invalid, self._state)
 
     # From outside
 
@@ -156,6 +122,11 @@ class VirtualChip:
     def instructions(self) -> int:
         """Instructions executed since power-on."""
         return int(self._state.instructions)
+
+    @property
+    def sleeping(self) -> bool:
+        """Whether the core waits for an event."""
+        return self._sleeping
 
     @property
     def uart_bytes_lost(self) -> int:
@@ -193,16 +164,9 @@ class VirtualChip:
         Raises:
             ChipError: the firmware has no fk_stack_bottom and fk_stack_top.
         """
-        try:
-            bottom, top = self._image.symbols["fk_stack_bottom"], self._image.symbols["fk_stack_top"]
-        except KeyError as error:
-            raise ChipError(
-                f"the firmware has no symbol {error}: link it with nrf52832.ld, unstripped"
-            ) from error
+        bottom, top = self.symbol("fk_stack_bottom"), self.symbol("fk_stack_top")
         stack = self.ram_read(bottom, top - bottom)
-        free = 0
-        while stack[free : free + 4] == _STACK_PAINT:
-            free += 4
+        free = next((at for at in range(0, len(stack), 4) if stack[at : at + 4] != _STACK_PAINT), len(stack))
         return top - bottom - free
 
     def symbol(self, name: str) -> int:
@@ -239,6 +203,47 @@ class VirtualChip:
         except ChipError as error:
             self._failed = error
             raise
+
+    def call(self, function: str, *arguments: int | float) -> tuple[int, int]:
+        """Let the sleeping chip call one function of its firmware, and sleep on afterwards.
+
+        Args:
+            function: name of a C function; it must return.
+            arguments: words, or floats for float parameters; by AAPCS with the FPU's registers.
+
+        Returns:
+            Register r0, and the cycles from the function's first instruction to its return.
+
+        Raises:
+            ChipError: the chip is awake, has no such function, or the call faulted.
+        """
+        if not self._sleeping:
+            raise self.fail(f"cannot call {function}: the chip is awake; let it run until it sleeps")
+        entry, context, begun = self.symbol(function) & ~1, self._uc.context_save(), int(self._state.time)
+        pc, self._target_cycle = self._pc, 1 << 50
+        set_arguments(self._uc, arguments, RETURN_ADDRESS)
+        self._table.entries[RETURN_ADDRESS // 2] = Flag.KNOWN | Flag.RETURN
+        self._pc = self._state.address = self._state.expected = entry
+        self._state.counted = self._state.time
+        try:
+            while self._pc != RETURN_ADDRESS:
+                self._handle_events()
+                self._execute()
+        except ChipError as error:
+            self._failed = error
+            raise
+        result, cycles = self._uc.reg_read(arm_const.UC_ARM_REG_R0), int(self._state.time) - begun
+        self._uc.context_restore(context)
+        self._pc = self._state.address = self._state.expected = pc
+        return int(result), -(-cycles // PARTS)
+
+    def profile(self) -> Profile:
+        """Begin to count what each instruction costs, and return the counts, which go on."""
+        profile = Profile(self._image)
+        self._state.profile = ctypes.cast(profile.parts, ctypes.c_void_p)
+        self._state.visits = ctypes.cast(profile.visits, ctypes.c_void_p)
+        self._state.counted = self._state.time
+        return profile
 
     # Inside
 
@@ -303,8 +308,10 @@ class VirtualChip:
         self._state.fpu_enabled = enabled
 
     def _switch_cache(self, enabled: bool) -> None:
-        cost = self._cost
-        self._state.fetch_wait = cost.fetch_wait_cached_parts if enabled else cost.fetch_wait_uncached_parts
+        self._cache_lines = (ctypes.c_uint32 * CACHE_WORDS)()  # empty
+        self._state.cache = ctypes.cast(self._cache_lines, ctypes.c_void_p) if enabled else None
+        self._state.line = 0xFFFF_FFFF
+        self._state.fetch_wait = 0 if enabled else self._cost.fetch_wait_uncached_parts
 
     def _mmio_read(self, peripheral: Peripheral, _uc: Any, offset: int, size: int, _data: Any) -> int:
         return self._access(peripheral, offset, size, None)
@@ -345,15 +352,7 @@ class VirtualChip:
         """Turn unicorn's error into one that says what the hardware would have done."""
         if self._invalid is None:
             return self.fail(f"hard fault: {error}")
-        access, address, size = self._invalid
-        if access == unicorn.UC_MEM_WRITE_PROT:
-            return self.fail(
-                f"write of {size} bytes to flash at 0x{address:08x}: flash is written through NVMC only"
-            )
-        if access in (unicorn.UC_MEM_FETCH_PROT, unicorn.UC_MEM_FETCH_UNMAPPED):
-            return self.fail(f"hard fault: execution at 0x{address:08x}, where there is no flash")
-        verb = "write" if access == unicorn.UC_MEM_WRITE_UNMAPPED else "read"
-        return self.fail(f"bus fault: {verb} of {size} bytes at 0x{address:08x}, where the model has nothing")
+        return self.fail(invalid_access(*self._invalid))
 
     def fail(self, what: str) -> ChipError:
         """Make an error that says where the program was, and when."""
@@ -366,12 +365,12 @@ class VirtualChip:
 
     def trigger(self, task_address: int) -> None:
         """Trigger a task, as PPI does."""
-        peripheral = self._by_base[task_address & ~(_PAGE - 1)]
-        peripheral.on_task(peripheral.by_offset[task_address & (_PAGE - 1)].name)
+        peripheral = self._by_base[task_address & ~(PAGE - 1)]
+        peripheral.on_task(peripheral.by_offset[task_address & (PAGE - 1)].name)
 
     def _has(self, address: int, prefix: str) -> bool:
-        peripheral = self._by_base.get(address & ~(_PAGE - 1))
-        register = peripheral.by_offset.get(address & (_PAGE - 1)) if peripheral else None
+        peripheral = self._by_base.get(address & ~(PAGE - 1))
+        register = peripheral.by_offset.get(address & (PAGE - 1)) if peripheral else None
         return register is not None and register.name.startswith(prefix)
 
     def is_event(self, address: int) -> bool:
@@ -385,6 +384,10 @@ class VirtualChip:
     def set_interrupt_line(self, irq: int, level: bool) -> None:
         """Pass a peripheral's interrupt line to the NVIC."""
         self._core.set_line(irq, level)
+
+    def flash_word(self, address: int) -> int:
+        """Word of flash, as loaded."""
+        return int.from_bytes(self._image.flash[address : address + 4], "little")
 
     def ram_read(self, address: int, count: int) -> bytes:
         """Read RAM, as EasyDMA or a debugger does."""

@@ -1,14 +1,25 @@
 """Cycles of each instruction on the Cortex-M4 with FPU, as a table over the flash.
 
-Source: Arm, Cortex-M4 Technical Reference Manual r0p1, tables 3-1 and 7-1. Where it gives a range, the upper
-end is taken, so that times on the chip are rather too long than too short. Not modelled: the overlap of
-neighbouring loads and stores, early termination of a division, folded IT. An instruction that is skipped by
-its condition in an IT block costs one cycle.
+Source: Arm, Cortex-M4 Technical Reference Manual r0p1 (DDI 0439D), tables 3-1 and 7-1 and section 3.3.2;
+Nordic, nRF52832 Product Specification, chapter CPU, wait states. Where they give a range, its upper end:
+
+- a load takes 2 cycles, a store 2, one with an immediate offset 1, n words 1 + n; a load or store behind a
+  load takes one less, unless its address needs that load; an address that the instruction before has made
+  costs one more, one beside the program counter one more; an unaligned one is two or three, a cycle each;
+- UDIV and SDIV take 12 of 2 to 12, VDIV and VSQRT 14, multiplications 1, with an addition 2 (VMLA 3), between
+  core and float registers 2; a float result that the next instruction needs costs one more;
+- wherever the next instruction is not the next in memory, 3 of 1 to 3 cycles refill the pipeline;
+- an instruction skipped by its condition in an IT block takes one cycle, an IT itself one;
+- each read of data from flash waits 2 of 0 to 2 cycles more, each word of it: the cache holds no data;
+- instructions come through the instruction cache: 2 KB, lines of 16 bytes, two ways, the older one goes.
+  That is an assumption, after the later chips of the family, which document theirs; a line that is not there
+  waits 3 of 0 to 3 cycles. RAM has no wait states. EasyDMA's share of the buses is not counted.
 """
 
 from __future__ import annotations
 
 import ctypes
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -29,17 +40,16 @@ class CostModel:
 
     Attributes:
         branch_refill_cycles: where the next instruction is not the next in memory. The manual says 1 to 3.
-        fetch_wait_cached_parts: average per instruction with the cache on, in 1/256 cycle: 4 is what lies
-            between the 3.36 CoreMark/MHz of the nRF52832 product specification (flash, cache on) and Arm's
-            3.40.
-        fetch_wait_uncached_parts: the same with the cache off. An assumption: two wait states for each word
-            of two instructions.
+        cache_miss_cycles: each line of 16 bytes that the instruction cache does not hold. Upper end of the
+            product specification's 0 to 3 wait states with the cache on.
+        fetch_wait_uncached_parts: with the cache off, per instruction, in 1/256 cycle. An assumption: two
+            wait states for each word of two instructions.
         flash_data_wait_cycles: each read of data from flash; the cache holds instructions only. Upper end of
             the product specification's 0 to 2 wait states.
     """
 
     branch_refill_cycles: int = 3
-    fetch_wait_cached_parts: int = 4
+    cache_miss_cycles: int = 3
     fetch_wait_uncached_parts: int = 256
     flash_data_wait_cycles: int = 2
 
@@ -60,19 +70,29 @@ _FIXED: Final = {
     "vfms": 3,
     "vfnma": 3,
     "vfnms": 3,
-    "tbb": 2,
-    "tbh": 2,
+    "tbb": 3,
+    "tbh": 3,
     "dsb": 4,
     "dmb": 4,
     "isb": 4,
 }
 _DOUBLE: Final = ("ldrd", "strd")
 _LOAD_STORE: Final = ("ldr", "str", "vldr", "vstr", "ldrex", "strex")
+_FLOAT_ARITHMETIC: Final = (
+    "vadd", "vsub", "vmul", "vnmul", "vdiv", "vsqrt", "vmla", "vmls", "vnml", "vfma", "vfms", "vfnm", "vcvt",
+)  # fmt: skip
 
 
 def _stem(name: str) -> str:
     """Mnemonic without data type and width: ``vdiv.f32`` -> ``vdiv``, ``ldr.w`` -> ``ldr``."""
     return name.split(".")[0]
+
+
+def _is_core(register: int) -> bool:
+    return register in _CORE
+
+
+_CORE: Final = frozenset(range(arm.ARM_REG_R0, arm.ARM_REG_R12 + 1)) | {arm.ARM_REG_SP, arm.ARM_REG_LR}
 
 
 def _words(instruction: Any) -> int:
@@ -84,8 +104,13 @@ def _words(instruction: Any) -> int:
     return count
 
 
+def _memory(instruction: Any) -> Any:
+    """Memory operand of a load or store, or None."""
+    return next((one for one in instruction.operands if one.type == arm.ARM_OP_MEM), None)
+
+
 def cycles_and_flags(instruction: Any) -> tuple[int, Flag]:
-    """Cost of one capstone instruction (with details), without refill and wait states."""
+    """Cost of one capstone instruction (with details), without what is before it, refill and wait states."""
     name = _stem(instruction.mnemonic)
     flags = Flag.KNOWN
     if name.startswith("v"):
@@ -102,16 +127,59 @@ def cycles_and_flags(instruction: Any) -> tuple[int, Flag]:
     if name.startswith(_DOUBLE):
         return 3, flags | Flag.ALIGNED
     if name.startswith(_LOAD_STORE):
-        if not name.startswith("v"):
-            return 2, flags | (Flag.ALIGNED if "ex" in name else Flag(0))
-        return 1 + _words(instruction), flags | Flag.ALIGNED
+        memory = _memory(instruction)
+        literal = 1 if memory is not None and memory.mem.base == arm.ARM_REG_PC else 0
+        if name.startswith("v"):
+            return 1 + _words(instruction) + literal, flags | Flag.ALIGNED
+        if "ex" in name:
+            return 2, flags | Flag.ALIGNED
+        plain_store = name.startswith("str") and not memory.mem.index and not instruction.writeback
+        return (1 if plain_store else 2) + literal, flags
     for stem, cycles in _FIXED.items():
         # A condition may follow the stem ("vdivne"), but vmla must not catch "mla".
         if name.startswith(stem) and len(name) - len(stem) in (0, 2):
             return cycles, flags
-    if name == "vmov" and len(instruction.operands) > 2:
+    if name.startswith("vmov") and any(_is_core(one.reg) for one in instruction.operands):
         return 2, flags
     return 1, flags
+
+
+def cycles_behind(before: Any, instruction: Any) -> int:
+    """What an instruction costs more, or less, right behind the one before it in memory."""
+    name, name_before = _stem(instruction.mnemonic), _stem(before.mnemonic)
+    written = set(before.regs_access()[1])
+    if name_before.startswith(_FLOAT_ARITHMETIC):
+        # A core register takes a float result by VMOV, which reads it as another does.
+        return 1 if written & _float_parts(instruction.regs_access()[0]) else 0
+    memory = _memory(instruction)
+    if memory is not None:
+        address = {memory.mem.base, memory.mem.index} - {0, arm.ARM_REG_PC}
+    elif name.startswith(_MULTIPLE):
+        address = {arm.ARM_REG_SP if name.startswith(("push", "pop", "vp")) else instruction.operands[0].reg}
+    else:
+        return 0
+    before_loads = name_before.startswith(_LOAD_STORE + _DOUBLE + _MULTIPLE)
+    if not before_loads:
+        return 1 if written & address & _CORE else 0
+    single = ("ldr", "str")
+    pipelined = (
+        name_before.startswith("ldr")
+        and not name_before.startswith(("ldrd", "ldrex"))
+        and name.startswith(single)
+        and not name.startswith((*_DOUBLE, "ldrex", "strex"))
+        and not written & address
+    )
+    return -1 if pipelined and cycles_and_flags(instruction)[0] > 1 else 0
+
+
+def _float_parts(registers: Iterable[int]) -> set[int]:
+    """Registers, with the single ones that a double one is made of."""
+    found = set(registers)
+    for register in tuple(found):
+        if arm.ARM_REG_D0 <= register <= arm.ARM_REG_D15:
+            first = arm.ARM_REG_S0 + 2 * (register - arm.ARM_REG_D0)
+            found |= {first, first + 1}
+    return found
 
 
 class CostTable:
@@ -124,9 +192,10 @@ class CostTable:
     def __init__(self, flash: bytes) -> None:
         """``flash``: the whole flash, as loaded."""
         self._flash = flash
-        self.entries = (ctypes.c_uint16 * (FLASH_BYTES // 2))()
+        self.entries = (ctypes.c_uint32 * (FLASH_BYTES // 2))()
         self._capstone = capstone.Cs(capstone.CS_ARCH_ARM, capstone.CS_MODE_THUMB | capstone.CS_MODE_MCLASS)
         self._capstone.detail = True
+        self._last: dict[int, Any] = {}  # address -> what ends there, where a run was cut off
 
     def decode_from(self, address: int) -> None:
         """Fill entries from here to the next branch, or to one that is known.
@@ -136,21 +205,28 @@ class CostTable:
         """
         in_it = it_place = 0
         first = address
+        before = self._last.pop(address, None)
         # 64 instructions of at most 4 bytes: longer runs are continued when the core gets there.
         for instruction in self._capstone.disasm(self._flash[address : address + 256], address, 64):
             place = instruction.address // 2
             cycles, flags = cycles_and_flags(instruction)
+            behind = cycles + (0 if before is None else cycles_behind(before, instruction))
             if in_it:
                 flags |= Flag.IN_IT
                 in_it -= 1
             elif self.entries[place]:
+                # Known from elsewhere, where what stands before it was not.
+                self.entries[place] = self.entries[place] & 0xFFFF | behind << 16
                 return
             if instruction.id == arm.ARM_INS_IT:
                 in_it, it_place = len(_stem(instruction.mnemonic)) - 1, place
-            self.entries[place] = cycles * 256 | flags
+            self.entries[place] = behind << 16 | cycles << 8 | flags
             address = instruction.address + instruction.size
+            before = instruction
             if not in_it and instruction.group(capstone.CS_GRP_JUMP):
+                self._last[address] = before
                 return
+        self._last[address] = before
         if in_it:
             # Cut off inside an IT block, where the core must not be stopped: the next run begins with the IT.
             for place in range(it_place, address // 2):

@@ -20,6 +20,10 @@ _SOURCE: Final = Path(__file__).with_name("hook.c")
 _FLAGS: Final = ("-mcpu=baseline", "-O2", "-shared", "-fPIC", "-std=c99", "-Wall", "-Wextra", "-Werror")
 
 
+CACHE_WORDS: Final = 64 * 2
+"""Sets times ways of the instruction cache, as in hook.c."""
+
+
 class Stop(IntEnum):
     """Why the callback stopped the core; the same order as in hook.c."""
 
@@ -30,6 +34,7 @@ class Stop(IntEnum):
     FPU = 4
     UNKNOWN = 5
     UNALIGNED = 6
+    RETURN = 7
 
 
 class Flag(IntFlag):
@@ -41,6 +46,7 @@ class Flag(IntFlag):
     FPU = 8
     IN_IT = 16
     ALIGNED = 32
+    RETURN = 64
 
 
 class HookState(ctypes.Structure):
@@ -56,12 +62,19 @@ class HookState(ctypes.Structure):
         ("stop", ctypes.c_uint32),
         ("fpu_enabled", ctypes.c_uint32),
         ("fetch_wait", ctypes.c_uint32),
+        ("miss_wait", ctypes.c_uint32),
+        ("line", ctypes.c_uint32),
+        ("misses", ctypes.c_uint32),
         ("data_wait", ctypes.c_uint32),
         ("refill", ctypes.c_uint32),
         ("flash_bytes", ctypes.c_uint32),
         ("unaligned", ctypes.c_uint32),
         ("late", ctypes.c_uint32),
         ("table", ctypes.c_void_p),
+        ("cache", ctypes.c_void_p),
+        ("profile", ctypes.c_void_p),
+        ("visits", ctypes.c_void_p),
+        ("counted", ctypes.c_uint64),
         ("emu_stop", ctypes.c_void_p),
         ("reg_read", ctypes.c_void_p),
         ("reg_write", ctypes.c_void_p),

@@ -23,11 +23,13 @@ class FirmwareImage:
         flash: all 512 KB, erased (0xff) where the firmware has nothing.
         symbols: addresses by name.
         functions: (address, name), sorted.
+        sizes: bytes of flash by name, of functions and constants.
     """
 
     flash: bytes
     symbols: dict[str, int]
     functions: tuple[tuple[int, str], ...]
+    sizes: dict[str, int]
 
     @property
     def stack_pointer(self) -> int:
@@ -55,6 +57,7 @@ def load_image(path: Path | str) -> FirmwareImage:
     flash = bytearray(b"\xff" * FLASH_BYTES)
     symbols: dict[str, int] = {}
     functions: list[tuple[int, str]] = []
+    sizes: dict[str, int] = {}
     try:
         with file.open("rb") as stream:
             elf = ELFFile(stream)
@@ -74,13 +77,18 @@ def load_image(path: Path | str) -> FirmwareImage:
             table: Any = elf.get_section_by_name(".symtab")
             for symbol in table.iter_symbols() if table is not None else ():
                 symbols[symbol.name] = symbol["st_value"]
+                if (
+                    symbol["st_info"]["type"] in ("STT_FUNC", "STT_OBJECT")
+                    and symbol["st_value"] < FLASH_BYTES
+                ):
+                    sizes[symbol.name] = symbol["st_size"]
                 if symbol["st_info"]["type"] == "STT_FUNC":
                     functions.append((symbol["st_value"] & ~1, symbol.name))
     except (ELFError, UnicodeDecodeError) as error:
         raise InputError(
             f"firmware image {str(path)!r} is not a whole ELF file ({error}): build it again"
         ) from error
-    image = FirmwareImage(bytes(flash), symbols, tuple(sorted(functions)))
+    image = FirmwareImage(bytes(flash), symbols, tuple(sorted(functions)), sizes)
     vector = int.from_bytes(image.flash[4:8], "little")
     if not (RAM_BASE < image.stack_pointer <= RAM_BASE + RAM_BYTES and vector & 1 and vector < FLASH_BYTES):
         raise InputError(

@@ -1,0 +1,78 @@
+"""Moving water and outer pushes, as the compiled rods take them: linear around the body.
+
+Around the lane's origin, which is the body's centre of mass when time starts to pass, the water moves at
+u = u0 + G x, and every node is pushed with the acceleration a = a0 + alpha (-y, x): a force on the body's
+centre and a torque about it. Both are in the world frame and stay while ``Batch.advance`` runs once.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from frogkick.der.lanes import Numbers, get
+
+FloatArray = NDArray[np.float64]
+
+WATER = 9
+"""Numbers of one lane: u0 (2), G by rows (4), a0 (2), alpha."""
+
+
+@dataclass(frozen=True)
+class Water:
+    """What acts on a body from outside, around its centre of mass, world frame.
+
+    Attributes:
+        flow_mps: (2,) velocity of the water there.
+        gradient_per_s: (2, 2) its change with place: row i, column j is d u_i / d x_j.
+        push_mps2: (2,) acceleration of the body there.
+        turn_rad_s2: angular acceleration of the body.
+    """
+
+    flow_mps: tuple[float, float] = (0.0, 0.0)
+    gradient_per_s: tuple[tuple[float, float], tuple[float, float]] = ((0.0, 0.0), (0.0, 0.0))
+    push_mps2: tuple[float, float] = (0.0, 0.0)
+    turn_rad_s2: float = 0.0
+
+    def numbers(self) -> FloatArray:
+        """(WATER,) as the kernel has them."""
+        return np.array(
+            [
+                *self.flow_mps,
+                *self.gradient_per_s[0],
+                *self.gradient_per_s[1],
+                *self.push_mps2,
+                self.turn_rad_s2,
+            ]
+        )
+
+
+STILL = Water()
+
+
+@njit(error_model="numpy")
+def flow_x(water: Numbers, x: Any, y: Any) -> Any:
+    """World x velocity of the water at a place about the origin."""
+    return get(water, 0, 0) + (get(water, 2, 0) * x + get(water, 3, 0) * y)
+
+
+@njit(error_model="numpy")
+def flow_y(water: Numbers, x: Any, y: Any) -> Any:
+    """World y velocity likewise."""
+    return get(water, 1, 0) + (get(water, 4, 0) * x + get(water, 5, 0) * y)
+
+
+@njit(error_model="numpy")
+def push_x(water: Numbers, x: Any, y: Any) -> Any:
+    """World x acceleration of a node at a place about the origin."""
+    return get(water, 6, 0) - get(water, 8, 0) * y
+
+
+@njit(error_model="numpy")
+def push_y(water: Numbers, x: Any, y: Any) -> Any:
+    """World y acceleration likewise."""
+    return get(water, 7, 0) + get(water, 8, 0) * x

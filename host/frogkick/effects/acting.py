@@ -1,0 +1,244 @@
+"""Effects at work on simulated swimmers: what the pool, the library and identification call."""
+
+from __future__ import annotations
+
+import copy
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from frogkick.der import STILL, Batch, Rods, Swimmer, Water, prepare
+from frogkick.effects.base import Body, Effect, Fix, FloatArray, History, Stroke
+from frogkick.effects.registry import effects_of
+from frogkick.errors import InputError
+from frogkick.robot import Robot
+
+LEG_S = 0.02
+"""How long a flow or a wrench is taken as it was around the body at the start of that time."""
+
+_APART_M = 0.01  # where the flow is asked, about the body's centre, for its change with place
+
+
+def changed_robot(robot: Robot, effects: Sequence[Effect]) -> Robot:
+    """The robot with the effects that make it another body.
+
+    Raises:
+        InputError: an effect does not fit the robot, or makes something that is none.
+    """
+    for effect in effects:
+        effect.check(robot)
+        robot = effect.robot(robot)
+    return robot
+
+
+def rods_of(robot: Robot) -> Rods:
+    """The rods of a robot with the effects of its file that make it another body.
+
+    Raises:
+        InputError: an effect of it cannot be made, or does not fit it.
+    """
+    return replace(prepare(changed_robot(robot, effects_of(robot))), robot=robot)
+
+
+def body_effects(robot: Robot) -> tuple[Effect, ...]:
+    """The effects of a robot's file that go with its body wherever it is: all but flows of the water."""
+    return tuple(effect for effect in effects_of(robot) if not _overrides(effect, "flow"))
+
+
+class ActingLanes:
+    """Effects that act on robots side by side, each with its own history and its own chance."""
+
+    def __init__(
+        self,
+        effects: Sequence[Effect],
+        robot: Robot,
+        rngs: Sequence[np.random.Generator],
+        leg_s: float = LEG_S,
+    ) -> None:
+        """Take effects that fit ``robot``.
+
+        Args:
+            robot: as ``changed_robot`` made it.
+            rngs: one for each lane, for effects that are random.
+            leg_s: see LEG_S.
+        """
+        self.effects = tuple(effects)
+        self.histories = [History() for _ in rngs]
+        self._names = [limb.name for limb in robot.limbs]
+        self._rngs = list(rngs)
+        self._flows = [effect for effect in effects if _overrides(effect, "flow")]
+        self._wrenches = [effect for effect in effects if _overrides(effect, "wrench")]
+        self.leg_s = leg_s if self._flows or self._wrenches else math.inf
+
+    def copy(self) -> ActingLanes:
+        """The same effects and histories, to go on from here by themselves."""
+        twin = copy.copy(self)
+        twin.histories = [History(list(history.strokes)) for history in self.histories]
+        twin._rngs = [copy.deepcopy(rng) for rng in self._rngs]
+        return twin
+
+    def stroke(self, lane: int, limb: int, time_s: float) -> Stroke:
+        """What a lane's limb does when it is fired; from then on it belongs to the history.
+
+        Raises:
+            InputError: an effect gave a stroke that is not finite.
+        """
+        stroke = Stroke(self._names[limb], limb, time_s)
+        for effect in self.effects:
+            stroke = effect.stroke(stroke, self.histories[lane], self._rngs[lane]) or stroke
+        self.histories[lane].strokes.append((time_s, limb))
+        if not all(math.isfinite(v) for v in (stroke.gain, stroke.delay_s, stroke.duration_scale)):
+            raise InputError(f"effects {self.effects} give a stroke of {stroke}: values must be finite")
+        stroke.gain = min(2.0, max(0.0, stroke.gain))
+        stroke.delay_s = max(0.0, stroke.delay_s)
+        stroke.duration_scale = min(10.0, max(0.1, stroke.duration_scale))
+        return stroke
+
+    def fire(self, batch: Batch, lane: int, limb: int, time_s: float) -> None:
+        """Fire a limb of a lane's robot, as the effects have it."""
+        if not self.effects:
+            batch.fire(lane, limb, time_s)
+            return
+        stroke = self.stroke(lane, limb, time_s)
+        start_s = time_s + stroke.delay_s
+        batch.fire(lane, limb, start_s, gain=stroke.gain, duration_scale=stroke.duration_scale)
+
+    def advance(
+        self, batch: Batch, until_s: float | FloatArray, trace: bool = False
+    ) -> list[tuple[FloatArray, FloatArray]]:
+        """Let time pass for all lanes, asking the effects again every leg where they need it.
+
+        Returns:
+            What Batch.advance does.
+        """
+        if math.isinf(self.leg_s):
+            return batch.advance(until_s, trace)
+        until = np.broadcast_to(np.asarray(until_s, dtype=np.float64), (batch.lanes,))
+        told: list[list[tuple[FloatArray, FloatArray]]] = []
+        while True:
+            left_s = until - batch.time_s
+            left_s[list(batch.failures)] = 0.0
+            going = np.flatnonzero(left_s > 0.0)
+            if not len(going) and told:
+                break
+            poses, velocities = batch.pose_world(), batch.velocity_body()
+            for lane in going.tolist():
+                batch.set_water(
+                    lane, self.water(batch, float(batch.time_s[lane]), poses[lane], velocities[lane])
+                )
+            ends = np.where(left_s <= 1.5 * self.leg_s, until, batch.time_s + self.leg_s)
+            told.append(batch.advance(np.where(left_s > 0.0, ends, batch.time_s), trace))
+        return [
+            (np.concatenate([leg[lane][0] for leg in told]), np.concatenate([leg[lane][1] for leg in told]))
+            for lane in range(batch.lanes)
+        ]
+
+    def water(self, body: Batch | Swimmer, time_s: float, pose: FloatArray, velocity: FloatArray) -> Water:
+        """Flow and push around a body at a time, linear in place.
+
+        Args:
+            body: knows the mass and the inertia.
+            pose: (3,) world; velocity: (3,) body frame.
+        """
+        if not (self._flows or self._wrenches):
+            return STILL
+        centre = np.asarray(pose[:2], dtype=np.float64)
+        right, up = np.array([_APART_M, 0.0]), np.array([0.0, _APART_M])
+        flow = self._flow(time_s, centre)
+        along_x = (self._flow(time_s, centre + right) - self._flow(time_s, centre - right)) / (2 * _APART_M)
+        along_y = (self._flow(time_s, centre + up) - self._flow(time_s, centre - up)) / (2 * _APART_M)
+        push = self._push(time_s, body, pose, velocity)
+        return Water(
+            (float(flow[0]), float(flow[1])),
+            ((float(along_x[0]), float(along_y[0])), (float(along_x[1]), float(along_y[1]))),
+            (push[0], push[1]),
+            push[2],
+        )
+
+    def _flow(self, time_s: float, position_m: FloatArray) -> FloatArray:
+        total = np.zeros(2)
+        for effect in self._flows:
+            total += _numbers(effect, "flow", effect.flow(time_s, position_m), 2)
+        return total
+
+    def _push(
+        self, time_s: float, body: Batch | Swimmer, pose: FloatArray, velocity: FloatArray
+    ) -> tuple[float, float, float]:
+        """Accelerations, world frame: m/s^2, m/s^2, rad/s^2."""
+        if not self._wrenches:
+            return (0.0, 0.0, 0.0)
+        x, y, heading = (float(value) for value in pose)
+        forward, left, omega = (float(value) for value in velocity)
+        seen = Body(time_s, (x, y, heading), (forward, left, omega))
+        total = np.zeros(3)
+        for effect in self._wrenches:
+            total += _numbers(effect, "wrench", effect.wrench(time_s, seen), 3)
+        c, s = math.cos(heading), math.sin(heading)
+        return (
+            float(c * total[0] - s * total[1]) / body.mass_kg,
+            float(s * total[0] + c * total[1]) / body.mass_kg,
+            float(total[2]) / body.inertia_kg_m2,
+        )
+
+
+class Acting:
+    """Effects that act on one swimmer and on the fixes of its camera."""
+
+    def __init__(self, effects: Sequence[Effect], robot: Robot, rng: np.random.Generator) -> None:
+        """Take effects that fit ``robot``; ``rng`` is for those that are random."""
+        self._lane = ActingLanes(effects, robot, [rng])
+        self._rng = rng
+
+    @property
+    def effects(self) -> tuple[Effect, ...]:
+        """What acts."""
+        return self._lane.effects
+
+    def fire(self, swimmer: Swimmer, limb: int, time_s: float) -> None:
+        """Fire a limb of the swimmer, as the effects have it.
+
+        Raises:
+            InputError: see Swimmer.fire and ActingLanes.stroke.
+        """
+        stroke = self._lane.stroke(0, limb, time_s)
+        start_s = time_s + stroke.delay_s
+        swimmer.fire(limb, start_s, gain=stroke.gain, duration_scale=stroke.duration_scale)
+
+    def advance(self, swimmer: Swimmer, until_s: float) -> None:
+        """Let time pass for the swimmer, asking the effects again every leg where they need it.
+
+        Raises:
+            ConvergenceError: the rod simulation failed.
+        """
+        leg_s = self._lane.leg_s
+        while swimmer.time_s < until_s:
+            now_s, pose, velocity = swimmer.time_s, swimmer.pose_world(), swimmer.velocity_body()
+            swimmer.set_water(self._lane.water(swimmer, now_s, pose, velocity))
+            left_s = until_s - now_s
+            swimmer.advance(until_s if left_s <= 1.5 * leg_s else now_s + leg_s)
+
+    def fix(self, fix: Fix) -> Fix | None:
+        """A fix as the effects have it; None where one drops it."""
+        seen: Fix | None = fix
+        for effect in self.effects:
+            if seen is None:
+                return None
+            seen = effect.fix(seen, self._rng)
+        return seen
+
+
+def _overrides(effect: Effect, hook: str) -> bool:
+    return getattr(type(effect), hook) is not getattr(Effect, hook)
+
+
+def _numbers(effect: Effect, hook: str, given: object, count: int) -> FloatArray:
+    """What a user's method gave, flat: (fx, fy, torque) or ((fx, fy), torque) alike."""
+    try:
+        flat = np.concatenate([np.ravel(np.asarray(part, dtype=np.float64)) for part in given])  # type: ignore[attr-defined]
+    except (TypeError, ValueError):
+        flat = np.empty(0)
+    if flat.shape != (count,) or not np.isfinite(flat).all():
+        raise InputError(f"effect {effect.title!r}: {hook} gave {given!r}, needed are {count} finite numbers")
+    return flat

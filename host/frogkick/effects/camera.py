@@ -1,0 +1,66 @@
+"""Effects of the camera: what a fix says is not where the robot is."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from frogkick.effects.base import Effect, Fix, Parameter
+
+
+class CameraScale(Effect):
+    """A calibration that is off: distances from the origin come out too long or too short."""
+
+    name = "camera_scale"
+    about = "fixes are scaled about the world's origin"
+    shown_by = "every motion too long by one factor, whatever the action; sizes of things of known length"
+    parameters = (Parameter("scale", "1", 0.8, 1.25, 1.0, "what is measured over what is true"),)
+
+    scale: float
+
+    def fix(self, fix: Fix, rng: np.random.Generator) -> Fix:
+        fix.x_m *= self.scale
+        fix.y_m *= self.scale
+        return fix
+
+
+class TagOffset(Effect):
+    """The tag is not where the model has the body's centre, or not straight on it."""
+
+    name = "tag_offset"
+    about = "the tag sits beside the body's centre and turned against its forward axis"
+    shown_by = "sideways motion in proportion to turning (place); drift to one side of the heading (angle)"
+    parameters = (
+        Parameter("forward_m", "m", -0.05, 0.05, 0.0, "tag in front of the centre"),
+        Parameter("left_m", "m", -0.05, 0.05, 0.0, "tag left of the centre"),
+        Parameter("turn_rad", "rad", -0.4, 0.4, 0.0, "tag's heading over the body's"),
+    )
+
+    forward_m: float
+    left_m: float
+    turn_rad: float
+
+    def fix(self, fix: Fix, rng: np.random.Generator) -> Fix:
+        c, s = math.cos(fix.heading_rad), math.sin(fix.heading_rad)
+        fix.x_m += c * self.forward_m - s * self.left_m
+        fix.y_m += s * self.forward_m + c * self.left_m
+        fix.heading_rad += self.turn_rad
+        return fix
+
+
+class FixLatency(Effect):
+    """Fixes are older than they say."""
+
+    name = "fix_latency"
+    about = "a fix shows the robot as it was earlier than the fix says"
+    shown_by = "the lag between a command and the motion that answers it"
+    parameters = (
+        Parameter("delay_s", "s", 0.0, 0.5, 0.0, "from the picture to the capture time that the fix claims"),
+    )
+
+    delay_s: float
+
+    def fix(self, fix: Fix, rng: np.random.Generator) -> Fix:
+        fix.capture_s += self.delay_s
+        return fix

@@ -1,0 +1,42 @@
+"""Effects of limbs by where they sit: all front ones, all on the left."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from frogkick.effects.base import Effect, History, Parameter, Stroke
+from frogkick.errors import InputError
+from frogkick.robot import Robot
+
+
+class GroupGain(Effect):
+    """Limbs of one place work otherwise than the model has it: in another's wake, or made otherwise."""
+
+    name = "group_gain"
+    about = "limbs whose name has a word in it (front, rear, left, right) straighten by a share of the stroke"
+    shown_by = "actions of that group against those of the others"
+    parameters = (
+        Parameter("gain", "1", 0.3, 1.7, 1.0, "share of the measured stroke"),
+        Parameter(
+            "duration_scale", "1", 0.5, 4.0, 1.0, "how many times as long as measured it takes to curl back"
+        ),
+    )
+    options = {"group": None}  # noqa: RUF012 - declared ClassVar in Effect
+
+    group: str
+    gain: float
+    duration_scale: float
+
+    def check(self, robot: Robot) -> None:
+        words = sorted({word for limb in robot.limbs for word in limb.name.split("_")})
+        if self.group not in words:
+            raise InputError(
+                f"effect {self.title!r}: robot {robot.id!r} has no limb with {self.group!r} in its name: "
+                f"choose from {', '.join(words)}"
+            )
+
+    def stroke(self, stroke: Stroke, history: History, rng: np.random.Generator) -> Stroke:
+        if self.group in stroke.limb.split("_"):
+            stroke.gain *= self.gain
+            stroke.duration_scale *= self.duration_scale
+        return stroke

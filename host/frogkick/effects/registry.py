@@ -1,0 +1,135 @@
+"""Effects by name, from a TOML's tables, or from a user's own file."""
+
+from __future__ import annotations
+
+import hashlib
+import importlib.util
+import inspect
+import sys
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from frogkick.effects import camera, groups, inertia, limbs, water
+from frogkick.effects.base import Effect
+from frogkick.errors import InputError, nearest_name
+from frogkick.files import existing_file
+from frogkick.robot import Robot
+
+
+def _built_in() -> dict[str, type[Effect]]:
+    found = {}
+    for module in (limbs, groups, inertia, water, camera):
+        for _, kind in inspect.getmembers(module, inspect.isclass):
+            if issubclass(kind, Effect) and kind.name:
+                found[kind.name] = kind
+    return dict(sorted(found.items()))
+
+
+BUILT_IN: Mapping[str, type[Effect]] = _built_in()
+"""Every effect that frogkick knows, by name."""
+
+
+def make_effect(table: Mapping[str, Any], folder: Path) -> Effect:
+    """Make an effect from a TOML's ``[[effect]]`` table.
+
+    Args:
+        table: ``name`` of a built-in effect, or ``file`` (relative to ``folder``) and ``class`` of a user's
+            own; the other keys are its parameters and options.
+        folder: of the TOML.
+
+    Raises:
+        InputError: no such effect, file or class, a file that does not run, or wrong parameters.
+    """
+    values = {key: value for key, value in table.items() if key not in ("name", "file", "class")}
+    if "file" in table:
+        return _construct(effect_class(folder / str(table["file"]), table.get("class")), values)
+    name = str(table.get("name"))
+    if name not in BUILT_IN:
+        raise InputError(
+            f"no effect {name!r}{nearest_name(name, BUILT_IN)}: give a name of {', '.join(BUILT_IN)}; "
+            "or file and class of your own"
+        )
+    return BUILT_IN[name](**values)
+
+
+def make_effects(tables: Sequence[Mapping[str, Any]], folder: Path) -> tuple[Effect, ...]:
+    """Make the effects of a TOML, in its order; see make_effect."""
+    return tuple(make_effect(table, folder) for table in tables)
+
+
+def effects_of(robot: Robot) -> tuple[Effect, ...]:
+    """The effects of a robot's file.
+
+    Raises:
+        InputError: see make_effect; or a file of the user's own, and a robot whose text came without it.
+    """
+    for table in robot.effects:
+        if "file" in table and robot.folder is None:
+            raise InputError(
+                f"robot {robot.id!r} has an effect of its own in {table['file']!r}, which did not come "
+                "along: name the robot's TOML file"
+            )
+    effects = make_effects(robot.effects, robot.folder or Path())
+    for effect in effects:
+        effect.check(robot)
+    return effects
+
+
+def effect_classes(path: Path) -> list[type]:
+    """All effects that a Python file defines: classes of its own with a method of Effect's.
+
+    Raises:
+        InputError: no such file, or it does not run; the text gives its error.
+    """
+    file = existing_file(path, "effect file")
+    name = "frogkick_effect_" + hashlib.sha256(str(file.resolve()).encode()).hexdigest()[:12]
+    spec = importlib.util.spec_from_file_location(name, file)
+    if spec is None or spec.loader is None:
+        raise InputError(f"effect file {str(path)!r} is no Python file: name a .py file")
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module
+    try:
+        spec.loader.exec_module(module)
+    except Exception as error:
+        raise InputError(
+            f"effect file {str(path)!r} does not run: {type(error).__name__}: {error}; correct it"
+        ) from None
+    hooks = ("robot", "stroke", "flow", "wrench", "fix")
+    return [
+        kind
+        for _, kind in inspect.getmembers(module, inspect.isclass)
+        if kind.__module__ == name and any(callable(getattr(kind, hook, None)) for hook in hooks)
+    ]
+
+
+def effect_class(path: Path, name: object) -> type:
+    """One effect of a Python file; its only one where no name is given.
+
+    Raises:
+        InputError: see effect_classes; or no such class.
+    """
+    kinds = {kind.__name__: kind for kind in effect_classes(path)}
+    if name is None and len(kinds) == 1:
+        return next(iter(kinds.values()))
+    if name not in kinds:
+        raise InputError(
+            f"effect file {str(path)!r} has no effect class {name!r}{nearest_name(str(name), kinds)}: "
+            f"it has {', '.join(kinds) or 'none'}; give 'class'"
+        )
+    return kinds[str(name)]
+
+
+def _construct(kind: type, values: dict[str, Any]) -> Effect:
+    """Make a user's effect; one that does not inherit from Effect gets what it lacks from it."""
+    if not issubclass(kind, Effect):
+        kind = type(kind.__name__, (kind, Effect), {"__init__": kind.__init__})
+    try:
+        made: Effect = kind(**values)
+    except InputError:
+        raise
+    except Exception as error:
+        raise InputError(
+            f"effect {kind.__name__!r} cannot be made with {values}: {type(error).__name__}: {error}"
+        ) from None
+    return made

@@ -1,0 +1,40 @@
+"""A world: what is true in the simulated pool and no model is told. One TOML of ``[[effect]]`` tables."""
+
+from __future__ import annotations
+
+import tomllib
+from dataclasses import dataclass
+from pathlib import Path
+
+from frogkick.effects.base import Effect
+from frogkick.effects.registry import make_effects
+from frogkick.errors import InputError
+from frogkick.files import existing_file
+
+
+@dataclass(frozen=True)
+class World:
+    """Effects that are true in the pool."""
+
+    effects: tuple[Effect, ...] = ()
+
+
+def read_world(path: Path | str) -> World:
+    """Read a world's TOML.
+
+    Raises:
+        InputError: no such file, not TOML, a key that is not ``effect``, or a wrong effect.
+    """
+    file = existing_file(path, "world file")
+    try:
+        content = tomllib.loads(file.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise InputError(f"world file {str(path)!r} cannot be read as TOML: {error}") from None
+    wrong = sorted(set(content) - {"effect"})
+    tables = content.get("effect", [])
+    if wrong or not isinstance(tables, list) or not all(isinstance(table, dict) for table in tables):
+        raise InputError(
+            f"world file {str(path)!r} has {', '.join(wrong) or 'an effect that is no table'}: "
+            "a world has [[effect]] tables and nothing else"
+        )
+    return World(make_effects(tables, file.parent))

@@ -1,0 +1,290 @@
+"""The most stack that a firmware can use, from its machine code: every path through every call."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import capstone
+from capstone import arm
+from elftools.elf.elffile import ELFFile
+
+from frogkick.pool.chip.errors import ChipError
+
+_PC = arm.ARM_REG_PC
+_SP = arm.ARM_REG_SP
+_ALWAYS = (arm.ARM_CC_AL, arm.ARM_CC_INVALID)
+_STORES = ("stmdb", "vstmdb", "stm", "vstm")
+_LOADS = ("ldm", "vldm", "ldmia", "vldmia")
+
+
+@dataclass(frozen=True)
+class StackBound:
+    """The deepest chain of calls.
+
+    Attributes:
+        total_bytes: its stack.
+        chain: (function, bytes of stack in use when it calls the next; its own deepest for the last).
+        indirect: functions that call through a pointer; any function whose address is in flash may be called.
+    """
+
+    total_bytes: int
+    chain: tuple[tuple[str, int], ...]
+    indirect: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class _Frame:
+    """What one function does: its own deepest, calls as (depth, target or None for a pointer)."""
+
+    deepest: int
+    calls: tuple[tuple[int, int | None], ...]
+
+
+class StackAnalysis:
+    """The functions of an ELF for the chip."""
+
+    def __init__(self, elf_path: Path | str) -> None:
+        """Read code and symbols; mapping symbols tell code from data (Arm's ELF supplement, 5.5.5)."""
+        self._disassembler = capstone.Cs(
+            capstone.CS_ARCH_ARM, capstone.CS_MODE_THUMB | capstone.CS_MODE_MCLASS
+        )
+        self._disassembler.detail = True
+        self._names: dict[int, str] = {}
+        self._sizes: dict[int, int] = {}
+        marks: list[tuple[int, bool]] = []
+        self._code: list[tuple[int, bytes]] = []
+        with Path(elf_path).open("rb") as stream:
+            elf = ELFFile(stream)
+            self._code = [
+                (section["sh_addr"], section.data())
+                for section in elf.iter_sections()
+                if section["sh_flags"] & 2 and section["sh_type"] == "SHT_PROGBITS"
+            ]
+            table: Any = elf.get_section_by_name(".symtab")
+            for symbol in table.iter_symbols() if table is not None else ():
+                if symbol["st_info"]["type"] == "STT_FUNC" and symbol["st_size"]:
+                    address = symbol["st_value"] & ~1
+                    self._names.setdefault(address, symbol.name)
+                    self._sizes[address] = max(symbol["st_size"], self._sizes.get(address, 0))
+                elif symbol.name.split(".")[0] in ("$t", "$d"):
+                    marks.append((symbol["st_value"], symbol.name.startswith("$t")))
+        self._marks = sorted(marks)
+        self._frames: dict[int, _Frame] = {}
+
+    def bound(self, function: str = "fk_reset") -> StackBound:
+        """Return the deepest chain of calls from a function on.
+
+        Raises:
+            ChipError: no such function, recursion, or a stack pointer that is not moved by constants.
+        """
+        entry = self._entry(function)
+        known: dict[int, tuple[int, tuple[tuple[str, int], ...]]] = {}
+        total, chain = self._deepest(entry, known, [])
+        indirect = sorted(
+            self._names[address]
+            for address in known
+            if any(target is None for _, target in self._frames[address].calls)
+        )
+        return StackBound(total, chain, tuple(indirect))
+
+    def own_bytes(self, function: str) -> int:
+        """Return the most stack that a function uses itself, without those that it calls.
+
+        Raises:
+            ChipError: as for ``bound``.
+        """
+        return self._frame(self._entry(function)).deepest
+
+    @property
+    def functions(self) -> list[str]:
+        """Names of all functions."""
+        return sorted(self._names.values())
+
+    def _entry(self, function: str) -> int:
+        for address, name in self._names.items():
+            if name == function:
+                return address
+        raise ChipError(f"the firmware has no function {function!r}: build it unstripped")
+
+    def _deepest(
+        self, entry: int, known: dict[int, tuple[int, tuple[tuple[str, int], ...]]], active: list[int]
+    ) -> tuple[int, tuple[tuple[str, int], ...]]:
+        if entry in known:
+            return known[entry]
+        name = self._names.get(entry, hex(entry))
+        if entry in active:
+            loop = " -> ".join(self._names[address] for address in [*active[active.index(entry) :], entry])
+            raise ChipError(f"recursion, so no bound of the stack: {loop}")
+        frame = self._frame(entry)
+        best: tuple[int, tuple[tuple[str, int], ...]] = (frame.deepest, ((name, frame.deepest),))
+        for depth, target in frame.calls:
+            for callee in self._pointed_at() if target is None else [target]:
+                total, chain = self._deepest(callee, known, [*active, entry])
+                if depth + total > best[0]:
+                    best = (depth + total, ((name, depth), *chain))
+        known[entry] = best
+        return best
+
+    def _pointed_at(self) -> list[int]:
+        """Functions whose address stands in flash as a word, past the vectors: what a pointer may call."""
+        found = set()
+        for address, data in self._code:
+            for at in range(-address % 4, len(data) - 3, 4):
+                word = struct.unpack_from("<I", data, at)[0]
+                if address + at >= 64 and word & 1 and word & ~1 in self._names:
+                    found.add(word & ~1)
+        return sorted(found)
+
+    def _bytes(self, address: int, size: int) -> bytes:
+        for begin, data in self._code:
+            if begin <= address < begin + len(data):
+                return data[address - begin : address - begin + size]
+        raise ChipError(f"there is no code at 0x{address:08x}")
+
+    def _is_code(self, address: int) -> bool:
+        code = True
+        for mark, is_code in self._marks:
+            if mark > address:
+                break
+            code = is_code
+        return code
+
+    def _instructions(self, entry: int) -> dict[int, Any]:
+        found: dict[int, Any] = {}
+        address, end = entry, entry + self._sizes[entry]
+        while address < end:
+            if not self._is_code(address):
+                address += 2
+                continue
+            stop = address
+            while stop < end and self._is_code(stop):
+                stop += 2
+            # The run as a whole: a condition stands in the IT before, not in the instruction.
+            for decoded in self._disassembler.disasm(self._bytes(address, stop - address), address):
+                found[address] = decoded
+                address += decoded.size
+            if address < stop:
+                raise ChipError(f"no instruction at 0x{address:08x} in {self._names[entry]}")
+        return found
+
+    def _frame(self, entry: int) -> _Frame:
+        """Follow every path through a function, with the depth of its stack at each instruction."""
+        if entry in self._frames:
+            return self._frames[entry]
+        if entry not in self._sizes:
+            raise ChipError(f"a call to 0x{entry:08x}, where no function begins: no bound of the stack")
+        code = self._instructions(entry)
+        depths: dict[int, int] = {}
+        calls: set[tuple[int, int | None]] = set()
+        waiting = [(entry, 0)]
+        deepest = 0
+        while waiting:
+            address, depth = waiting.pop()
+            if depths.get(address, -1) >= depth or address not in code:
+                continue
+            depths[address] = depth
+            if depth > 1 << 16:
+                raise ChipError(f"the stack of {self._names[entry]} grows in a loop: no bound")
+            one = code[address]
+            after = depth + self._moved(one, entry)
+            if one.cc not in _ALWAYS:
+                after = max(after, depth)
+            deepest = max(deepest, depth, after)
+            waiting += [(follower, after) for follower in self._followers(one, entry, after, calls, code)]
+        frame = _Frame(deepest, tuple(sorted(calls, key=str)))
+        self._frames[entry] = frame
+        return frame
+
+    def _moved(self, one: Any, entry: int) -> int:
+        """Bytes by which an instruction moves the stack pointer down."""
+        name, operands = one.mnemonic.split(".")[0], one.operands
+        if name.startswith(("push", "vpush")):
+            return _transferred(operands)
+        if name.startswith(("pop", "vpop")):
+            return -_transferred(operands)
+        _, written = one.regs_access()
+        if _SP not in written:
+            return 0
+        if name.startswith(_STORES + _LOADS):
+            down = name.startswith(_STORES)
+            return _transferred(operands[1:]) * (1 if down else -1)
+        if name.startswith(("str", "ldr")):
+            return -_written_back(operands)
+        by_constant = name.startswith(("sub", "add")) and operands[-1].type == arm.ARM_OP_IMM
+        if by_constant and (len(operands) == 2 or operands[1].reg == _SP):
+            return int(operands[-1].imm) * (1 if name.startswith("sub") else -1)
+        raise ChipError(
+            f"{self._names[entry]} moves its stack pointer by no constant ({one.mnemonic} {one.op_str} at "
+            f"0x{one.address:08x}): no bound of the stack"
+        )
+
+    def _followers(
+        self, one: Any, entry: int, depth: int, calls: set[tuple[int, int | None]], code: dict[int, Any]
+    ) -> Iterator[int]:
+        """Yield the instructions of this function that may come next; add what is called."""
+        name, next_address = one.mnemonic.split(".")[0], one.address + one.size
+        conditional = one.cc not in _ALWAYS
+        first: Any = one.operands[0] if one.operands else None
+        if name.startswith(("tbb", "tbh")):
+            yield from self._table(one, code)
+        elif one.id in (arm.ARM_INS_BL, arm.ARM_INS_BLX):
+            direct = first is not None and first.type == arm.ARM_OP_IMM
+            calls.add((depth, int(first.imm) & ~1 if direct else None))
+            yield next_address
+        elif one.id in (arm.ARM_INS_CBZ, arm.ARM_INS_CBNZ):
+            yield int(one.operands[1].imm)
+            yield next_address
+        elif one.id == arm.ARM_INS_B:
+            target = int(first.imm)
+            if target in code:
+                yield target
+            else:
+                calls.add((depth, target & ~1))
+            if conditional:
+                yield next_address
+        elif one.id == arm.ARM_INS_BX or _PC in one.regs_access()[1] or _loads_pc(one):
+            returns = one.id != arm.ARM_INS_BX or first.reg == arm.ARM_REG_LR
+            if one.id == arm.ARM_INS_BX and not returns:
+                calls.add((depth, None))
+            elif one.id != arm.ARM_INS_BX and not name.startswith(("pop", "ldm", "ldr")):
+                raise ChipError(
+                    f"{self._names[entry]} jumps to a computed place ({one.mnemonic} {one.op_str}): no bound"
+                )
+            if conditional:
+                yield next_address
+        elif one.id == arm.ARM_INS_UDF:
+            return
+        else:
+            yield next_address
+
+    def _table(self, one: Any, code: dict[int, Any]) -> Iterator[int]:
+        """Targets of a table branch: its table lies behind it and ends where code begins again."""
+        size = 2 if one.mnemonic.startswith("tbh") else 1
+        begin = at = one.address + one.size
+        while not self._is_code(at):
+            entry = int.from_bytes(self._bytes(at, size), "little")
+            if begin + 2 * entry in code:
+                yield begin + 2 * entry
+            at += size
+
+
+def _transferred(operands: Sequence[Any]) -> int:
+    """Bytes of the registers in a list."""
+    return sum(8 if arm.ARM_REG_D0 <= one.reg <= arm.ARM_REG_D31 else 4 for one in operands)
+
+
+def _written_back(operands: Sequence[Any]) -> int:
+    """Offset that a load or store adds to its base."""
+    memory = next(one for one in operands if one.type == arm.ARM_OP_MEM)
+    if memory.mem.disp:
+        return int(memory.mem.disp)
+    after = operands[-1]
+    return int(after.imm) * (-1 if after.subtracted else 1) if after.type == arm.ARM_OP_IMM else 0
+
+
+def _loads_pc(one: Any) -> bool:
+    return one.mnemonic.startswith(("pop", "ldm")) and any(operand.reg == _PC for operand in one.operands)

@@ -1,0 +1,206 @@
+"""Effects: their parameters, a user's own file, and what they do to a swimmer."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from frogkick.der import Swimmer, prepare
+from frogkick.effects import (
+    BUILT_IN,
+    Acting,
+    Effect,
+    Fix,
+    History,
+    Stroke,
+    changed_robot,
+    make_effect,
+    read_world,
+)
+from frogkick.errors import InputError
+from frogkick.robot import load_robot
+
+ROBOT = load_robot("frog2022")
+RNG = np.random.default_rng(5)
+
+
+def effect(name: str, **values: object) -> Effect:
+    return make_effect({"name": name, **values}, Path())
+
+
+def swim(
+    effects: list[Effect], seconds: float = 1.4, pose: tuple[float, float, float] = (0, 0, 0)
+) -> Swimmer:
+    robot = changed_robot(ROBOT, effects)
+    swimmer = Swimmer(robot, pose_world=pose, rods=prepare(robot))
+    acting = Acting(effects, robot, np.random.default_rng(1))
+    for limb in range(4):
+        acting.fire(swimmer, limb, 0.0 if limb < 2 else 0.08)
+    acting.advance(swimmer, seconds)
+    return swimmer
+
+
+@pytest.mark.parametrize("name", BUILT_IN)
+def test_an_effect_with_nominal_parameters_changes_nothing(name: str) -> None:
+    plain, with_effect = swim([]), swim([effect(name)])
+    assert with_effect.pose_world() == pytest.approx(plain.pose_world(), abs=1e-6)
+    made = effect(name)
+    assert made.about and made.shown_by
+    assert all(p.low <= p.nominal <= p.high and p.about and p.unit for p in made.parameters)
+    fix = made.fix(Fix(1.0, 0.08, 0.3, 0.2, 0.1), RNG)
+    assert fix == Fix(1.0, 0.08, 0.3, 0.2, 0.1)
+
+
+def test_wrong_parameters_are_refused_by_name() -> None:
+    for table, words in (
+        ({"name": "limb_ware"}, "did you mean 'limb_wear'"),
+        ({"name": "limb_wear", "gane": 1.0}, "no parameter 'gane'"),
+        ({"name": "limb_wear", "gain": 9.0}, "gain is 9, allowed is 0.3 to 1.5 1"),
+        ({"name": "limb_wear", "gain": math.nan}, "gain is nan"),
+        ({"name": "limb_wear", "gain": "half"}, "needed is a number"),
+        ({"file": "none.py"}, "none.py"),
+    ):
+        with pytest.raises(InputError, match=words):
+            make_effect(table, Path())
+    with pytest.raises(InputError, match="no limb 'rear_lift'"):
+        changed_robot(ROBOT, [effect("limb_wear", limb="rear_lift")])
+
+
+def test_a_worn_limb_turns_the_robot_and_its_mirror_image_the_other_way() -> None:
+    left, right = (
+        swim([effect("limb_wear", limb=limb, gain=0.8)]).pose_world() for limb in ("rear_left", "rear_right")
+    )
+    assert abs(left[2]) > 0.02
+    assert left == pytest.approx(right * [1.0, -1.0, -1.0], abs=1e-9)
+    plain, all_worn = swim([]).pose_world(), swim([effect("limb_wear", gain=0.8)]).pose_world()
+    assert 0.3 * plain[0] < all_worn[0] < 0.9 * plain[0]
+    assert abs(all_worn[2]) < 1e-9
+
+
+def test_history_decides_what_a_stroke_is_worth() -> None:
+    memory, warm, group = (
+        effect("limb_memory", loss=0.4),
+        effect("warm_up", loss=0.5),
+        effect("group_loss", loss=0.3),
+    )
+    history = History([(0.0, 1), (1.5, 1), (1.5, 2)])
+    assert memory.stroke(Stroke("a", 0, 3.0), history, RNG).gain == 1.0  # type: ignore[union-attr]
+    assert memory.stroke(Stroke("b", 1, 3.0), history, RNG).gain == pytest.approx(1 - 0.4 * math.exp(-1.0))  # type: ignore[union-attr]
+    assert warm.stroke(Stroke("a", 0, 0.0), History(), RNG).gain == 0.5  # type: ignore[union-attr]
+    assert warm.stroke(Stroke("a", 0, 3.0), history, RNG).gain == pytest.approx(1 - 0.5 * math.exp(-1.0))  # type: ignore[union-attr]
+    beside = group.stroke(Stroke("a", 0, 1.58), history, RNG)
+    assert beside is not None and beside.gain == pytest.approx(1 - 0.3 * math.exp(-0.08 / 0.15))
+    sag = effect("battery_sag", loss_per_min=0.2).stroke(Stroke("a", 0, 30.0), history, RNG)
+    assert sag is not None and sag.gain == pytest.approx(0.9)
+
+
+def test_a_current_carries_and_a_vortex_turns() -> None:
+    plain = swim([], 5.0).pose_world()
+    carried = swim([effect("steady_current", x_mps=0.01)], 5.0).pose_world()
+    assert 0.005 < carried[0] - plain[0] < 0.05
+    whirl = effect("vortex", circulation_m2ps=0.01, core_m=0.5)
+    inside = 0.01 / (2 * math.pi * 0.25)
+    assert whirl.flow(0.0, np.array([0.1, 0.2])) == pytest.approx((-0.2 * inside, 0.1 * inside))
+    outside = whirl.flow(0.0, np.array([2.0, 0.0]))
+    assert outside == pytest.approx((0.0, 0.01 / (2 * math.pi * 2.0)))
+    assert swim([whirl], 5.0).pose_world()[2] > 0.005
+
+
+def test_resistance_slows_and_a_wrench_turns() -> None:
+    plain = swim([]).pose_world()
+    assert swim([effect("drag_scale", frame=2.0)]).pose_world()[0] < 0.95 * plain[0]
+    assert swim([effect("mass_scale", frame=1.5)]).pose_world()[0] < 0.95 * plain[0]
+    assert swim([effect("steady_wrench", torque_nm=1e-4)]).pose_world()[2] > 0.05
+    spun = Swimmer(ROBOT, velocity_body=(0.0, 0.0, 1.0))
+    Acting([effect("yaw_drag", linear_nms=1e-3)], ROBOT, RNG).advance(spun, 0.3)
+    inertia, free = spun.inertia_kg_m2, Swimmer(ROBOT, velocity_body=(0.0, 0.0, 1.0))
+    free.advance(0.3)
+    ratio = spun.velocity_body()[2] / free.velocity_body()[2]
+    assert ratio == pytest.approx(math.exp(-1e-3 * 0.3 / inertia), rel=0.05)
+
+
+def test_legs_are_short_enough() -> None:
+    """Half of the leg changes the end of a swim by less than half a millimetre and a tenth of a degree."""
+    effects = [effect("vortex", circulation_m2ps=0.01, x_m=0.1), effect("yaw_drag", quadratic_nms2=1e-3)]
+    robot, ends = changed_robot(ROBOT, effects), []
+    for legs in (1, 4):
+        swimmer, acting = Swimmer(robot), Acting(effects, robot, np.random.default_rng(1))
+        for limb in (0, 3):
+            acting.fire(swimmer, limb, 0.0)
+        for leg in range(100 * legs):
+            acting.advance(swimmer, (leg + 1) * 0.02 / legs)
+        ends.append(swimmer.pose_world())
+    assert np.abs(ends[0][:2] - ends[1][:2]).max() < 5e-4
+    assert abs(ends[0][2] - ends[1][2]) < math.radians(0.1)
+
+
+MINE = """
+from frogkick.effects import Effect, Parameter
+
+class Whirl(Effect):
+    parameters = (Parameter("turns", "1/s", 0.0, 0.5, 0.1),)
+    def flow(self, time_s, position_world_m):
+        x, y = position_world_m
+        return -y * self.turns, x * self.turns
+
+class Plain:
+    def __init__(self, share=0.5):
+        self.share = share
+    def stroke(self, stroke, history, rng):
+        stroke.gain *= self.share
+    def fix(self, fix, rng):
+        return None if rng.random() < self.share else fix
+    def wrench(self, time_s, body):
+        return (0.0, 0.0), 1e-4 * self.share
+"""
+
+
+def test_a_user_s_own_file_works_where_a_name_does(tmp_path: Path) -> None:
+    (tmp_path / "mine.py").write_text(MINE)
+    (tmp_path / "world.toml").write_text(
+        '[[effect]]\nfile = "mine.py"\nclass = "Whirl"\nturns = 0.2\n'
+        '[[effect]]\nfile = "mine.py"\nclass = "Plain"\nshare = 0.4\n'
+        '[[effect]]\nname = "limb_wear"\nlimb = "rear_left"\ngain = 0.7\n'
+    )
+    whirl, plain, wear = read_world(tmp_path / "world.toml").effects
+    assert (whirl.title, plain.title, wear.title) == ("Whirl", "Plain", "limb_wear")
+    acting = Acting([whirl, plain, wear], ROBOT, np.random.default_rng(3))
+    kept = sum(acting.fix(Fix(0.0, 0.1, 0.0, 0.0, 0.0)) is not None for _ in range(1000))
+    assert 550 < kept < 650
+    weak, strong = swim([plain]), swim([])
+    assert 0.0 < weak.pose_world()[0] < 0.8 * strong.pose_world()[0]
+    assert weak.pose_world()[2] > 0.01
+    assert swim([whirl]).pose_world()[2] > 0.02
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("[[effect]]\nname = 3\n", "no effect '3'"),
+        ("effect = 3\n", "an effect that is no table"),
+        ("[[effects]]\n", "has effects: a world has"),
+        ("[[effect]\n", "cannot be read as TOML"),
+        ('[[effect]]\nfile = "mine.py"\n', "has no effect class None"),
+        ('[[effect]]\nfile = "mine.py"\nclass = "Wirl"\n', "did you mean 'Whirl'"),
+        ('[[effect]]\nfile = "broken.py"\n', "does not run: ZeroDivisionError"),
+    ],
+)
+def test_a_wrong_world_is_refused_in_one_line(tmp_path: Path, text: str, words: str) -> None:
+    (tmp_path / "mine.py").write_text(MINE)
+    (tmp_path / "broken.py").write_text("1 / 0\n")
+    (tmp_path / "world.toml").write_text(text)
+    with pytest.raises(InputError, match=words) as caught:
+        read_world(tmp_path / "world.toml")
+    assert "\n" not in str(caught.value)
+
+
+def test_a_method_that_gives_nonsense_is_named(tmp_path: Path) -> None:
+    (tmp_path / "bad.py").write_text(
+        "class Bad:\n    def flow(self, time_s, position_world_m):\n        return 1.0\n"
+    )
+    bad = make_effect({"file": "bad.py"}, tmp_path)
+    with pytest.raises(InputError, match=r"'Bad': flow gave 1\.0, needed are 2 finite numbers"):
+        swim([bad])

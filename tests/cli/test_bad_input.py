@@ -17,6 +17,7 @@ from frogkick.library import build_library
 from frogkick.loop.record import run_log
 from frogkick.loop.runlog_file import write_run
 from frogkick.paths import shape
+from frogkick.planner.layout import FORMAT_VERSION
 from frogkick.robot import load_robot
 
 Capture = pytest.CaptureFixture[str]
@@ -53,7 +54,8 @@ def stock(tmp_path_factory: pytest.TempPathFactory) -> Path:
             if name != "decisions":
                 run.copy(name, file)
     (folder / "newt.fkt").write_bytes(rig.changed_image(16, b"newt".ljust(16, b"\0")))
-    (folder / "newer.fkt").write_bytes(rig.changed_image(4, b"\x02\x00"))
+    newer = (FORMAT_VERSION + 1).to_bytes(2, "little")
+    (folder / "newer.fkt").write_bytes(rig.changed_image(4, newer))
     flipped = bytearray((folder / "x.fkt").read_bytes())
     flipped[300] ^= 1
     (folder / "flipped.fkt").write_bytes(bytes(flipped))
@@ -86,6 +88,12 @@ CASES = {
     "library is empty": "library info {empty}",
     "library cut": "tables build {cut_lib.h5} --out out/x.fkt",
     "library foreign": "tables build {foreign.h5} --out out/x.fkt",
+    "library too small to fit": "tables build {lib.h5} --kind affine --out out/x.fkt",
+    "budget too small": "tables build {lib.h5} --kind nearest --budget-kib 0.6 --out out/x.fkt",
+    "budget of nothing": "tables build {lib.h5} --budget-kib 0 --out out/x.fkt",
+    "kind unknown": "tables build {lib.h5} --kind afine --out out/x.fkt",
+    "library too small to study": "study tables {lib.h5} --test-states 4 --out out/x.png",
+    "too few states for history": "study history --states 10 --out out/x.png",
     "library is text": "library info {robot.toml}",
     "run as library": "tables build {run.h5} --out out/x.fkt",
     "library as run": "replay {lib.h5} --tables {x.fkt}",

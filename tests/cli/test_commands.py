@@ -7,7 +7,11 @@ from pathlib import Path
 
 import pytest
 from tests.cli.commands import frogkick, listing
+from tests.library.synthetic import Known
 from tests.loop import rig
+
+from frogkick.library import write_library
+from frogkick.planner.image import read_image
 
 Capture = pytest.CaptureFixture[str]
 
@@ -102,6 +106,30 @@ def test_tables_build_and_info(here: Path, library: Path, capsys: Capture) -> No
     assert {**done.json, "out": None} == {**info.json, "out": None}
     quick = frogkick(capsys, "tables", "info", "x.fkt", "--robot", "frog2022", "--test-states", "0", "--json")
     assert quick.json["error"] is None
+
+
+def test_tables_within_a_budget(here: Path, tmp_path: Path, capsys: Capture) -> None:
+    """Of a made library: nothing but the unseen states is simulated, and they are not its."""
+    lib = tmp_path / "made.h5"
+    write_library(Known(1, 3).library(100, 2), lib)
+    common = ("--test-states", "4", "--json", "--out", "x.fkt")
+    for kind in ("affine", "nearest"):
+        done = frogkick(capsys, "tables", "build", lib, "--kind", kind, "--budget-kib", "3.5", *common)
+        assert done.code == 0
+        assert done.json["kind"] == kind
+        assert done.json["bytes"] == Path("x.fkt").stat().st_size <= 3.5 * 1024
+        assert {"position_m", "heading_rad"} <= done.json["error"].keys()
+        assert done.json["states"] == len(read_image("x.fkt").states)
+    assert "tables tried" in done.stderr
+    better = frogkick(capsys, "tables", "build", lib, "--budget-kib", "3.5", *common)
+    assert better.json["kind"] == "affine"
+    roomy = frogkick(capsys, "tables", "build", lib, "--kind", "affine", *common)
+    assert 3.5 * 1024 < roomy.json["bytes"] <= 64 * 1024
+    assert (
+        frogkick(capsys, "tables", "info", "x.fkt", "--test-states", "0", "--json").json["kind"] == "affine"
+    )
+    whole = frogkick(capsys, "tables", "build", lib, *common)
+    assert (whole.json["kind"], whole.json["states"]) == ("nearest", 100)
 
 
 def test_codegen(here: Path, capsys: Capture) -> None:
@@ -228,7 +256,11 @@ def test_parity(here: Path, capsys: Capture) -> None:
     done = frogkick(capsys, "parity", *options)
     assert done.code == 0
     assert done.json["states"] == 300
-    assert done.json["mismatches"] == {"python-native": 0, "python-chip": 0, "native-chip": 0}
+    pairs = done.json["mismatches"] | {"loop " + name: n for name, n in done.json["loop_mismatches"].items()}
+    assert {"python-native", "python-chip", "native-chip", "loop python-native", "loop native-chip"} <= set(
+        pairs
+    )
+    assert not any(pairs.values())
     assert listing(here) == {}
 
 

@@ -25,9 +25,11 @@ from frogkick.library import (
     quantise,
     read_library,
     read_recorded,
-    sample_velocities,
+    sample_library,
     write_library,
 )
+from frogkick.library.sampling import box_velocities
+from frogkick.library.starts import gliding
 from frogkick.planner.image import open_image
 from frogkick.robot import load_robot, mirror_of, parse_robot
 
@@ -46,17 +48,6 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
-def test_velocities_fill_the_box_and_repeat() -> None:
-    v = sample_velocities(ROBOT, 4000, 1)
-    box = ROBOT.library_box
-    low, high = np.array([box.forward_mps, box.left_mps, box.omega_rad_s]).T
-    assert np.all(v >= low)
-    assert np.all(v <= high)
-    assert np.all(np.abs(v.mean(axis=0) - 0.5 * (low + high)) < 0.03 * (high - low))
-    assert np.array_equal(v, sample_velocities(ROBOT, 4000, 1))
-    assert not np.array_equal(v, sample_velocities(ROBOT, 4000, 2))
-
-
 def test_the_bytes_do_not_depend_on_the_workers(built: Path, tmp_path: Path) -> None:
     seen: list[tuple[int, int]] = []
     build_library(ROBOT, STATES, SEED, 1, tmp_path / "one.h5", lambda done, total: seen.append((done, total)))
@@ -69,7 +60,7 @@ def test_the_bytes_do_not_depend_on_the_workers(built: Path, tmp_path: Path) -> 
 def test_transitions_are_those_of_the_rods(built: Path) -> None:
     library = read_library(built)
     assert library.robot() == ROBOT
-    assert np.array_equal(library.initial_velocity_body, sample_velocities(ROBOT, STATES, SEED))
+    assert np.array_equal(library.initial_velocity_body, box_velocities(ROBOT, STATES, SEED))
     action = ROBOT.action("E")
     for state, velocity in enumerate(library.initial_velocity_body.tolist()):
         row = simulate_action(ROBOT, velocity, action, ROBOT.period_s)
@@ -178,7 +169,7 @@ def test_foreign_and_changed_libraries_are_refused(built: Path, tmp_path: Path) 
     with pytest.raises(InputError, match="name a library"):
         read_library(foreign)
     for attribute, value, says in (
-        ("format_version", 3, "format version 3"),
+        ("format_version", 4, "format version 4"),
         ("robot_id", "other", "'other'"),
         ("period_s", 1.0, r"1\.0 s"),
         ("robot_sha256", "00" * 32, "does not match"),
@@ -217,11 +208,11 @@ def test_where_everything_fails_nothing_is_written(tmp_path: Path) -> None:
 
 
 def test_failures_are_listed_and_the_rest_survives(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    good = sample_velocities(ROBOT, 6, SEED)
+    good = box_velocities(ROBOT, 6, SEED)
     bad = good.copy()
     bad[2] = (0.01, -1e160, 0.0)
     for name, velocities in (("good", good), ("bad", bad)):
-        monkeypatch.setattr(build, "sample_velocities", lambda *_, v=velocities: v)
+        monkeypatch.setattr(build, "sample_starts", lambda *_, v=velocities: gliding(ROBOT, v))
         report = build_library(ROBOT, 6, SEED, 2, tmp_path / f"{name}.h5", record_s=0.0)
     assert len(report.failures) == 9
     assert report.failures[0].startswith("state 2 action A: its mirror image did not converge at 0.000000 s")
@@ -338,3 +329,53 @@ def test_the_table_carries_the_library(built: Path) -> None:
     assert tables.provenance == library.content_sha256()
     changed = replace(library, displacement_body=library.displacement_body + 1e-9)
     assert open_image(quantise(changed)).provenance != tables.provenance
+
+
+def test_libraries_of_swims_are_built_alike_whoever_simulates(tmp_path: Path) -> None:
+    for workers, record_s in ((1, 3.0), (2, 3.0), (1, 0.0)):
+        build_library(
+            ROBOT,
+            24,
+            SEED,
+            workers,
+            tmp_path / f"{workers}{record_s}.h5",
+            sampling="visited",
+            record_s=record_s,
+        )
+    assert (tmp_path / "13.0.h5").read_bytes() == (tmp_path / "23.0.h5").read_bytes()
+    library = read_library(tmp_path / "13.0.h5")
+    assert library.has_history()
+    here = sample_library(ROBOT, 24, SEED, "visited")
+    assert np.array_equal(library.previous_actions, here.previous_actions)
+    assert np.array_equal(library.initial_velocity_body, here.initial_velocity_body)
+    assert np.array_equal(library.rows(), here.rows())  # recording on changes nothing
+    assert np.array_equal(read_library(tmp_path / "10.0.h5").rows(), here.rows())
+    recorded = read_recorded(tmp_path / "13.0.h5")
+    # 1.425 s lies halfway between two recorded poses.
+    halfway = recorded.motion[:, :, 27:29, :3].mean(axis=2)
+    assert recorded.time_s[27:29].mean() == pytest.approx(ROBOT.period_s)
+    assert halfway == pytest.approx(library.displacement_body, abs=2e-3)
+    info = library_info(tmp_path / "13.0.h5")
+    assert info["with_history"] == (library.previous_actions[:, 0] >= 0).sum() == 23
+    other = replace(ROBOT, period_s=2.0)
+    with pytest.raises(InputError, match=r"1\.425 s apart: build one for 2 s"):
+        cut_library(tmp_path / "13.0.h5", other)
+
+
+def test_the_older_format_is_read_as_rested_limbs(built: Path, tmp_path: Path) -> None:
+    copy = edited(built, tmp_path)
+    with h5py.File(copy, "r+") as file:
+        del file["previous_actions"]
+        file.attrs["format_version"] = 2
+    assert library_info(copy)["format_version"] == 2
+    old, new = read_library(copy), read_library(built)
+    assert not old.has_history()
+    assert np.array_equal(old.rows(), new.rows())
+    assert old.content_sha256() == new.content_sha256()
+    for broken in (np.zeros((STATES, 3), dtype=np.int8), np.full((STATES, 8), 9, dtype=np.int8)):
+        copy = edited(built, tmp_path)
+        with h5py.File(copy, "r+") as file:
+            del file["previous_actions"]
+            file["previous_actions"] = broken
+        with pytest.raises(InputError, match="previous_actions has shape"):
+            read_library(copy)

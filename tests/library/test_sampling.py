@@ -1,4 +1,4 @@
-"""Initial velocities: in pairs of mirror images, the visited ones where swims lead."""
+"""States of a library: uniform in the box, or met by swimming; in pairs of mirror images."""
 
 from __future__ import annotations
 
@@ -8,51 +8,114 @@ import numpy as np
 import pytest
 
 from frogkick.errors import InputError
-from frogkick.library import sample_velocities
-from frogkick.robot import load_robot
+from frogkick.library import Library, sample_library, sample_starts
+from frogkick.library.sampling import box_velocities
+from frogkick.library.transitions import HISTORY, RESTED
+from frogkick.robot import load_robot, mirror_of
 
 ROBOT = load_robot("frog2022")
+MIRROR = mirror_of(ROBOT)
 LEFT = np.array([1.0, -1.0, -1.0])
 
 
-@pytest.mark.parametrize("sampling", ["box", "visited"])
-def test_states_come_in_mirror_pairs(sampling: str) -> None:
-    v = sample_velocities(ROBOT, 41, 3, sampling)
+def test_velocities_fill_the_box_and_repeat() -> None:
+    v = box_velocities(ROBOT, 4000, 1)
+    box = ROBOT.library_box
+    low, high = np.array([box.forward_mps, box.left_mps, box.omega_rad_s]).T
+    assert np.all(v >= low)
+    assert np.all(v <= high)
+    assert np.all(np.abs(v.mean(axis=0) - 0.5 * (low + high)) < 0.03 * (high - low))
+    assert np.array_equal(v, box_velocities(ROBOT, 4000, 1))
+    assert not np.array_equal(v, box_velocities(ROBOT, 4000, 2))
+
+
+def test_states_of_the_box_come_in_mirror_pairs() -> None:
+    v = box_velocities(ROBOT, 41, 3)
     assert v.shape == (41, 3)
     assert len(np.unique(v, axis=0)) == 41
     rows = {tuple(row) for row in v.tolist()}
     single = [row for row in rows if tuple((np.array(row) * LEFT + 0.0).tolist()) not in rows]
-    assert len(single) <= 1  # an odd number leaves one
+    assert len(single) == 1  # an odd number leaves one
 
 
-@pytest.mark.parametrize("sampling", ["box", "visited"])
-def test_fewer_states_are_the_first_of_more(sampling: str) -> None:
-    few, many = (sample_velocities(ROBOT, n, 3, sampling) for n in (10, 60))
-    if sampling == "visited":
-        assert np.array_equal(few, many[:10])
-    again = sample_velocities(ROBOT, 60, 3, sampling)
-    assert np.array_equal(many, again)
-    assert not np.array_equal(many, sample_velocities(ROBOT, 60, 4, sampling))
+@pytest.fixture(scope="module")
+def visited() -> Library:
+    return sample_library(ROBOT, 100, 0, "visited")
 
 
-def test_visited_states_are_those_of_a_swimming_robot() -> None:
-    v = sample_velocities(ROBOT, 300, 0, "visited")
+def test_visited_states_are_those_of_a_swimming_robot(visited: Library) -> None:
+    v = visited.initial_velocity_body
     assert v[0].tolist() == [0.0, 0.0, 0.0]
     forward, left, omega = v.T
-    assert 0.015 < np.median(forward) < 0.06
+    assert 0.01 < np.median(forward) < 0.06
     assert np.abs(forward).max() < 0.1
     assert np.abs(left).max() < 0.1
     assert np.abs(omega).max() < 1.5
     assert abs(left.sum()) < 0.05 * np.abs(left).sum()
 
 
+def test_visited_states_know_what_was_done_before_them(visited: Library) -> None:
+    """From rest through the earlier actions, one after another, to the state's velocity."""
+    before = visited.previous_actions
+    assert before.shape == (100, HISTORY)
+    assert (before[0] == RESTED).all()
+    assert len(np.unique(before[before[:, -1] == RESTED], axis=0)) == (before[:, -1] == RESTED).sum()
+    place = {tuple(row): state for state, row in enumerate(before.tolist())}
+    followed = 0
+    for state, row in enumerate(before.tolist()):
+        earlier = place.get((*row[1:], RESTED))
+        if row[0] != RESTED and row[-1] == RESTED and earlier is not None:
+            came = visited.velocity_body_end[earlier, row[0]]
+            assert visited.initial_velocity_body[state] == pytest.approx(came, abs=1e-12)
+            followed += 1
+    assert followed > 20
+
+
+def test_visited_states_come_in_mirror_pairs(visited: Library) -> None:
+    assert MIRROR is not None
+    place = {tuple(row): state for state, row in enumerate(visited.previous_actions.tolist())}
+    paired = 0
+    for state, row in enumerate(visited.previous_actions.tolist()):
+        if row[-1] != RESTED:
+            continue  # what was done still earlier may differ
+        other = place.get(tuple(a if a == RESTED else MIRROR.actions[a] for a in row))
+        assert other is not None or state == 99
+        if other is not None and other != state:  # one that is its own image is simulated as it is
+            images = visited.rows()[other, list(MIRROR.actions)]
+            assert np.array_equal(images, visited.rows()[state] * np.tile(LEFT, 2))
+            paired += 1
+    assert paired > 20
+
+
+def test_fewer_visited_states_are_the_first_of_more(visited: Library) -> None:
+    few = sample_library(ROBOT, 10, 0, "visited")
+    assert np.array_equal(few.initial_velocity_body, visited.initial_velocity_body[:10])
+    assert np.array_equal(few.rows(), visited.rows()[:10])
+    other = sample_library(ROBOT, 10, 4, "visited")
+    assert not np.array_equal(few.initial_velocity_body, other.initial_velocity_body)
+
+
+def test_resting_before_the_first_stroke_is_no_history() -> None:
+    """No state but the first one is at rest."""
+    drawn = sample_starts(ROBOT, 400, 0, "visited")
+    resting = ROBOT.actions.index(ROBOT.action("I"))
+    firsts = set()
+    for state in range(len(drawn)):
+        task = drawn.tasks[drawn.part[state]]
+        swim, stroke = np.argwhere(task.wanted)[drawn.row[state]]
+        firsts.add(tuple(task.actions[swim, :stroke].tolist()))
+    assert () in firsts
+    assert not any(set(actions) == {resting} for actions in firsts - {()})
+
+
 def test_a_robot_without_a_mirror_image_is_sampled_without_pairs() -> None:
     worn = replace(ROBOT.limbs[0], modulus_active_pa=0.8 * ROBOT.limbs[0].modulus_active_pa)
     lame = replace(ROBOT, limbs=(worn, *ROBOT.limbs[1:]))
-    v = sample_velocities(lame, 40, 3)
+    v = box_velocities(lame, 40, 3)
     assert len(np.unique(np.abs(v), axis=0)) == 40
+    assert not sample_starts(lame, 30, 0, "visited").mirrored.any()
 
 
 def test_an_unknown_sampling_is_refused() -> None:
     with pytest.raises(InputError, match="visited"):
-        sample_velocities(ROBOT, 10, 3, "visitd")
+        sample_starts(ROBOT, 10, 3, "visitd")

@@ -90,7 +90,7 @@ def test_the_end_of_the_path_ends_the_run(onboard: bool) -> None:
         "pool", "line", 30.0, onboard=onboard, pool=pool, progress=lambda _t, index: seen.append(index)
     )
     assert recording.completed
-    assert recording.ended == "path completed"
+    assert recording.ended == "completed"
     assert recording.decisions[-1].path_index == 99
     assert all(d.path_index < 99 for d in recording.decisions[:-1])
     assert seen == [d.path_index for d in recording.decisions]
@@ -117,7 +117,7 @@ def test_lost_fixes_end_the_run(onboard: bool) -> None:
     pool = rig.new_pool("sine")
     pool.last_fix_s = 3.0
     recording, _, _ = rig.swim("pool", "sine", 30.0, onboard=onboard, pool=pool)
-    assert recording.ended == "robot ended: STALE"
+    assert recording.ended == "position fixes lost"
     assert not recording.completed
     assert 3.0 < recording.end_s < 10.0
     last_s = max(edge.time_s for edge in recording.edges)

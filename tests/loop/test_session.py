@@ -6,6 +6,7 @@ import pytest
 from tests.loop import rig
 
 from frogkick.link.frames import Frame
+from frogkick.loop.decision import LIMB_USE_FIELDS
 from frogkick.loop.session import ANSWER_TIMEOUT_S, LinkError, Session
 from frogkick.paths import shape
 from frogkick.planner.image import TableError, open_image
@@ -93,6 +94,8 @@ def test_a_path_arrives_whole() -> None:
     answer = session.ask(
         "PLAN",
         {"depth": 1, "x_m": 0.0, "y_m": 0.0, "heading_rad": 0.0, "vx_mps": 0.0, "vy_mps": 0.0}
-        | {"omega_rad_s": 0.0},
+        | {"omega_rad_s": 0.0}
+        | dict.fromkeys(LIMB_USE_FIELDS, 0)
+        | {"along_points": 0.0},
     )
     assert answer["status"] == 0

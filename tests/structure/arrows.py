@@ -11,27 +11,60 @@ from pathlib import Path
 CODEGEN = "codegen"
 """How the table below calls the package frogkick_codegen."""
 
-EVERYBODY = frozenset({"errors", "files", "chunks", "__init__"})
+EVERYBODY = frozenset({"errors", "files", "chunks", "compiled", "__init__"})
 """Modules of frogkick that all may import; ``__init__`` is the version."""
 
 ARROWS: Mapping[str, frozenset[str]] = {
     "robot": frozenset(),
     "der": frozenset({"robot"}),
-    "library": frozenset({"robot", "der", "planner"}),  # planner: it packs the table image
+    "effects": frozenset({"robot", "der"}),
+    "library": frozenset({"robot", "der", "effects", "planner"}),  # planner: it packs the table image
     "planner": frozenset(),
     "paths": frozenset(),
     "link": frozenset(),
-    "pool": frozenset({"robot", "der", "link"}),
-    "loop": frozenset({"robot", "planner", "paths", "link", "pool"}),
-    "study": frozenset({"robot", "der", "library", "planner", "paths", "link", "pool", "loop", CODEGEN}),
-    "report": frozenset({"robot", "der", "library", "planner", "paths", "pool", "loop", "study", CODEGEN}),
+    "pool": frozenset({"robot", "der", "effects", "link"}),
+    "loop": frozenset({"robot", "effects", "planner", "paths", "link", "pool"}),
+    "identify": frozenset({"robot", "der", "effects", "paths", "loop"}),
+    "study": frozenset(
+        {"robot", "der", "effects", "library", "planner", "paths", "link", "pool", "loop", CODEGEN}
+    ),
+    "report": frozenset(
+        {
+            "robot",
+            "der",
+            "effects",
+            "library",
+            "planner",
+            "paths",
+            "pool",
+            "loop",
+            "identify",
+            "study",
+            CODEGEN,
+        }
+    ),
     "cli": frozenset(
-        {"robot", "der", "library", "planner", "paths", "link", "pool", "loop", "study", "report", CODEGEN}
+        {
+            "robot",
+            "der",
+            "effects",
+            "library",
+            "planner",
+            "paths",
+            "link",
+            "pool",
+            "loop",
+            "identify",
+            "study",
+            "report",
+            CODEGEN,
+        }
     ),
     CODEGEN: frozenset({"robot", "planner", "link"}),
     "errors": frozenset(),
     "files": frozenset(),
     "chunks": frozenset(),
+    "compiled": frozenset(),
     "__init__": frozenset(),
 }
 """Folder or module of frogkick -> those that it may import besides itself and ``EVERYBODY``."""
@@ -43,6 +76,7 @@ WHEELS: Mapping[str, frozenset[str]] = {
     "errors": frozenset(),
     "files": frozenset(),
     "chunks": frozenset({"distributed"}),
+    "compiled": frozenset(),
     "__init__": frozenset(),
 }
 """Where an arrow also limits what is not ours: the packages allowed besides the standard library."""

@@ -6,6 +6,7 @@ import json
 
 import numpy as np
 import pytest
+from tests.conftest import count
 
 from frogkick.cli.main import run_command
 from frogkick.der import STEP_S
@@ -23,13 +24,15 @@ def test_second_order_and_the_limit_at_the_default_step(
     capsys: pytest.CaptureFixture[str], tmp_path_factory: pytest.TempPathFactory
 ) -> None:
     picture = tmp_path_factory.mktemp("convergence") / "order.png"
-    assert run_command(["study", "convergence", "--json", "--out", str(picture)]) == 0
+    assert (
+        run_command(["study", "convergence", "--json", "--out", str(picture), "--every", str(count(9, 1))])
+        == 0
+    )
     told = json.loads(capsys.readouterr().out)
     assert 1.7 < told["order"]["strokes"] < 2.3
-    # Fast gaits never rest: below 0.1 % their error no longer falls evenly, and two of them err by 0.3 %.
+    # Below 0.1 % what is left is the phase of the frame's 40 Hz swing, of second order only from 0.4 ms on.
     assert 1.3 < told["order"]["gaits"] < 2.3
     for kind in ("strokes", "gaits"):
         assert told["error_at_default"][kind] < 0.5 * ERROR_LIMIT
-    assert told["worst"]["strokes"][str(STEP_S)] < ERROR_LIMIT
-    assert told["worst"]["gaits"][str(STEP_S)] < 2.0 * ERROR_LIMIT
+        assert told["worst"][kind][str(STEP_S)] < ERROR_LIMIT
     assert picture.read_bytes().startswith(b"\x89PNG")

@@ -200,7 +200,7 @@ def test_the_paper_s_winners_are_found(tmp_path: Path) -> None:
     assert [verdict.agrees for verdict in verdicts] == [True] * 4
     for verdict in verdicts:
         if verdict.winner.speed_mps is not None:  # the paper's figure is the mean over all of a run
-            assert verdict.mean_speed_mps == pytest.approx(verdict.winner.speed_mps, abs=1.0e-3)
+            assert verdict.mean_speed_mps == pytest.approx(verdict.winner.speed_mps, abs=1.2e-3)
             assert "24 cycles" in explain(verdict)
         else:
             assert verdict.ours.cost_of_transport == pytest.approx(verdict.winner.cost_of_transport, rel=0.05)

@@ -9,6 +9,7 @@ from frogkick.cli import (
     demo,
     doctor,
     firmware,
+    identify,
     importing,
     library,
     parity,
@@ -29,7 +30,7 @@ app = typer.Typer(
     no_args_is_help=True,
     add_completion=False,
 )
-for _module in (demo, doctor, simulate, sweep, validate, codegen, run, replay, parity, importing):
+for _module in (demo, doctor, simulate, sweep, validate, codegen, run, replay, parity, importing, identify):
     _module.register(app)
 app.add_typer(robot.app, name="robot")
 app.add_typer(library.app, name="library")

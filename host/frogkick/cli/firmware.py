@@ -51,7 +51,7 @@ def size(
     robot: RobotOption = None,
     json: JsonOption = False,
 ) -> None:
-    """Flash, RAM and stack of the bench image; the stack in use is measured on the virtual chip."""
+    """Flash, RAM and stack of the bench image; the stack as seen on the virtual chip, and its bound."""
     from frogkick_codegen.firmware import FLASH_BYTES, RAM_BYTES
 
     image = table_image(tables, robot)
@@ -64,6 +64,8 @@ def size(
         "ram_bytes": built.ram_bytes,
         "ram_of_chip": round(built.ram_bytes / RAM_BYTES, 4),
         "stack_bytes": report.stack_bytes,
+        "stack_bound_bytes": report.stack_bound_bytes,
+        "stack_bound_chain": list(report.stack_chain),
         "stack_reserved_bytes": built.stack_bytes,
     }
     show(values, json)
@@ -89,6 +91,7 @@ def try_out(
             "flash_bytes": built.flash_bytes,
             "ram_bytes": built.ram_bytes,
             "stack_bytes": report.stack_bytes,
+            "stack_bound_bytes": report.stack_bound_bytes,
         },
         json,
     )

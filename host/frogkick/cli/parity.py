@@ -2,26 +2,42 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated, Any
 
 import typer
 
 from frogkick.cli.common import JsonOption, SeedOption, progress_bar, show
 from frogkick.cli.places import (
+    DepthOption,
     PlannerName,
+    PlannerOption,
     TablesOption,
     plan_config,
     robot_of_table,
-    simulated_robot,
     table_image,
 )
-from frogkick.loop.plan_place import plan_over_link
+from frogkick.loop.chip_planner import ChipPlanner
+from frogkick.loop.rehearsal import (
+    call_mismatches,
+    live_natively,
+    live_on_chip,
+    rehearse,
+    twin_mismatches,
+)
+from frogkick.paths import Path as SwimPath
 from frogkick.paths import shape
-from frogkick.planner.image import read_image
+from frogkick.planner.image import Tables, read_image
+from frogkick.planner.plan import PlanConfig
+from frogkick_codegen.firmware import build
 from frogkick_codegen.native import NativeLibrary
-from frogkick_codegen.parity import KINDS, compare, make_cases, native_place, python_place
+from frogkick_codegen.parity import KINDS, PairReport, Place, compare, make_cases, native_place, python_place
+from frogkick_codegen.toolchain import Compiler, other, zig
 
 CHIP_STATES = 2000
+LOOP_DECISIONS = 200
 
 
 def parity(
@@ -31,41 +47,99 @@ def parity(
     chip_states: Annotated[
         int, typer.Option(min=0, max=1_000_000, help="States of them for the virtual chip.")
     ] = CHIP_STATES,
+    loop_decisions: Annotated[
+        int, typer.Option(min=0, max=100_000, help="Decisions of a whole loop, fixes in, decisions out.")
+    ] = LOOP_DECISIONS,
     tables: TablesOption = None,
     model: Annotated[str | None, typer.Option(help="Robot TOML or name; default: the table's robot.")] = None,
+    planner: PlannerOption = PlannerName.paper,
+    depth: DepthOption = None,
     seed: SeedOption = 0,
     json: JsonOption = False,
 ) -> None:
-    """Plan from many states in every place and count differing bits. Exit 1 if there are any."""
+    """Decide in every place and count differing bits. Exit 1 if there are any.
+
+    Single decisions from states of every kind, at depth 1 to 4, and a whole loop at --depth. Places: Python,
+    native C by zig's clang (native), by gcc where this machine has it, and the virtual chip.
+    """
     image = table_image(tables, model)
     described = robot_of_table(image, model)
-    opened, path, config = read_image(image), shape("sine"), plan_config(described, PlannerName.paper, 1)
-    cases = make_cases(opened, path, states, seed)
-    python = python_place(opened, path, config)
-    native = native_place(NativeLibrary(), opened, path, config)
-    reports = compare(cases, {"python": python, "native": native})
-    on_chip = min(chip_states, states)
-    if on_chip:
-        with simulated_robot("virtual", image, described) as port, progress_bar("virtual chip") as progress:
-            chip = plan_over_link(port, opened, path, config, progress)
-            reports += [
-                report
-                for report in compare(cases.head(on_chip), {"python": python, "native": native, "chip": chip})
-                if report.second == "chip"
-            ]
+    opened, config = read_image(image), plan_config(described, planner, depth)
+    compilers = {"native": zig("host"), **({"gcc": gcc} if (gcc := other("gcc")) else {})}
+    with tempfile.TemporaryDirectory(prefix="frogkick-parity-") as folder:
+        bench = build("bench", image, described, Path(folder) / "bench").image
+        with progress_bar("virtual chip") as progress:
+            reports = _single(opened, config, compilers, bench, (states, chip_states, seed), progress)
+        loops: dict[str, int] = {}
+        if loop_decisions:
+            libraries = {
+                name: build("native", image, described, Path(folder) / name, compiler).image
+                for name, compiler in compilers.items()
+            }
+            loops = _loops(libraries, bench, opened, config, loop_decisions, seed)
     mismatches = {f"{report.first}-{report.second}": report.mismatches for report in reports}
-    result = {
+    result: dict[str, Any] = {
         "states": states,
-        "chip_states": on_chip,
+        "chip_states": min(chip_states, states),
         "mismatches": mismatches,
+        "loop_decisions": loop_decisions,
+        "loop_mismatches": loops,
+        "places": {"python": "twin", **{name: one.version for name, one in compilers.items()}},
         "fields": {f"{r.first}-{r.second}": dict(r.fields) for r in reports},
         "kinds": list(KINDS),
         "seed": seed,
         "failures": [report.first_failure for report in reports if report.first_failure],
     }
     show(result, json)
-    if any(mismatches.values()):
+    if any(mismatches.values()) or any(loops.values()):
         raise typer.Exit(1)
+
+
+def _single(
+    tables: Tables,
+    config: PlanConfig,
+    compilers: dict[str, Compiler],
+    bench: Path,
+    counts: tuple[int, int, int],
+    progress: Callable[[int, int], None],
+) -> list[PairReport]:
+    """Compare single decisions: all places but the chip on all states, the chip on the first of them."""
+    states, chip_states, seed = counts
+    path = shape("sine")
+    cases = make_cases(tables, path, states, seed)
+    places: dict[str, Place] = {"python": python_place(tables, path, config)}
+    for name, compiler in compilers.items():
+        places[name] = native_place(NativeLibrary(compiler=compiler), tables, path, config)
+    reports = compare(cases, places)
+    count = min(chip_states, states)
+    if count:
+        chip = ChipPlanner(bench)
+        chip.configure(path, config)
+        places["chip"] = lambda queries, depths, use, along: chip.plan(
+            queries, depths, use, along, lambda done: progress(done, count)
+        )[0]
+        reports += [one for one in compare(cases.head(count), places) if one.second == "chip"]
+    return reports
+
+
+def _loops(
+    libraries: dict[str, Path],
+    bench: Path,
+    tables: Tables,
+    config: PlanConfig,
+    decisions: int,
+    seed: int,
+) -> dict[str, int]:
+    """Compare a whole loop: the twin by decisions, other builds by all that their core puts out."""
+    path: SwimPath = shape("ellipse")
+    first, *more = libraries
+    loop = rehearse(libraries[first], tables, path, config, decisions, seed)
+    found = {f"python-{first}": len(twin_mismatches(loop, tables, path, config))}
+    for name in more:
+        lived = live_natively(libraries[name], tables, loop.calls)
+        found[f"{first}-{name}"] = len(call_mismatches(loop, lived))
+    found[f"{first}-chip"] = len(call_mismatches(loop, live_on_chip(bench, loop.calls)))
+    return found
 
 
 def register(app: typer.Typer) -> None:

@@ -17,7 +17,7 @@ from frogkick.errors import InputError, nearest_name
 from frogkick.loop.closed_loop import robot_plan_config
 from frogkick.loop.record import config_of_log
 from frogkick.loop.runlog import RunLog
-from frogkick.paths import SHAPES, read_path, shape
+from frogkick.paths import OTHER_SHAPES, SHAPES, read_path, shape
 from frogkick.paths import Path as SwimPath
 from frogkick.planner.image import Tables, read_image
 from frogkick.planner.plan import PlanConfig
@@ -155,7 +155,7 @@ def swim_path(name: str) -> SwimPath:
     Raises:
         InputError: neither.
     """
-    if name in SHAPES:
+    if name in SHAPES | OTHER_SHAPES:
         return shape(name)
     if not name:
         raise InputError(f"--path is empty: choose {', '.join(SHAPES)}, or name a CSV file")

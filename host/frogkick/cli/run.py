@@ -23,12 +23,17 @@ from frogkick.cli.places import (
     swim_path,
     table_image,
 )
+from frogkick.effects import World, read_world
 from frogkick.loop.closed_loop import RunOptions, require_time, run_in_pool
 from frogkick.loop.record import run_log, tracking_of_recording
 from frogkick.loop.runlog_file import write_run
 from frogkick.planner.image import read_image
 from frogkick.pool.camera import Camera
 from frogkick.pool.pool import Pool
+
+WorldOption = Annotated[
+    Path | None, typer.Option(help="TOML of effects that are true in the pool and no model knows.")
+]
 
 
 class PlanWhere(enum.StrEnum):
@@ -43,13 +48,16 @@ def run(
         str, typer.Option(help="virtual: firmware on the virtual chip; pool: the core here.")
     ] = "virtual",
     plan: Annotated[PlanWhere, typer.Option(help="Who decides: the robot or the host.")] = PlanWhere.onboard,
-    path: Annotated[str, typer.Option(help="line, sine, ellipse, or a CSV file.")] = "line",
+    path: Annotated[
+        str, typer.Option(help="line, sine, ellipse, circle, bends, eight, or CSV file")
+    ] = "line",
     planner: PlannerOption = PlannerName.robot,
     depth: DepthOption = None,
     tables: TablesOption = None,
     model: Annotated[str | None, typer.Option(help="Robot TOML or name; default: the table's robot.")] = None,
     simulated_time: Annotated[float, typer.Option(help="Longest pool time, s.")] = 120.0,
     fix_rate: Annotated[float, typer.Option(help="Position fixes per second.")] = 15.0,
+    world: WorldOption = None,
     seed: SeedOption = 0,
     out: Annotated[Path | None, typer.Option(help="Log to write (HDF5).")] = None,
     json: JsonOption = False,
@@ -59,12 +67,13 @@ def run(
     require_writable(out)
     desired, camera = swim_path(path), Camera(rate_hz=fix_rate)
     require_time(simulated_time)
+    true_world = World() if world is None else read_world(world)
     image = table_image(tables, model)
     described = robot_of_table(image, model)
     opened = read_image(image)
     options = RunOptions(plan_config(described, planner, depth), plan is PlanWhere.onboard, simulated_time)
     with simulated_robot(robot, image, described) as port:
-        pool = Pool(described, start_pose(desired), camera, np.random.default_rng(seed))
+        pool = Pool(described, start_pose(desired), camera, np.random.default_rng(seed), true_world)
         with progress_bar(f"{desired.name}: path points") as progress:
             recording = run_in_pool(
                 port,

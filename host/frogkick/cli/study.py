@@ -2,20 +2,42 @@
 
 from __future__ import annotations
 
+import dataclasses
+import os
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from frogkick.cli.common import JsonOption, progress_bar, show
+from frogkick.cli.common import JsonOption, SeedOption, progress_bar, show
+from frogkick.cli.places import (
+    PlannerName,
+    PlannerOption,
+    TablesOption,
+    built_firmware,
+    plan_config,
+    robot_of_table,
+    table_image,
+)
+from frogkick.cli.study_estimator import register as register_estimator
+from frogkick.cli.study_loop import register as register_loop
+from frogkick.cli.study_tables import register as register_tables
 from frogkick.der import STEP_S
 from frogkick.files import atomic_path
+from frogkick.paths import SHAPES, shape
+from frogkick.pool.chip import CostModel
 from frogkick.report.convergence_figure import convergence_figure
 from frogkick.robot import load_robot
+from frogkick.study.chip_speed import DEPTHS, LIMIT_MS, chip_speed, open_ms
 from frogkick.study.convergence import ERROR_LIMIT
 from frogkick.study.convergence import convergence as measure
 
 app = typer.Typer(help="Questions about the method, answered with figures.", no_args_is_help=True)
+
+
+register_tables(app)
+register_estimator(app)
+register_loop(app)
 
 
 @app.callback()
@@ -27,12 +49,13 @@ def _group() -> None:
 def convergence(
     robot: Annotated[str, typer.Argument(help="TOML file or built-in name.")] = "frog2022",
     out: Annotated[Path | None, typer.Option(help="Picture to write (PNG).")] = None,
+    every: Annotated[int, typer.Option(min=1, max=100, help="Take every so many-th gait.")] = 1,
     json: JsonOption = False,
 ) -> None:
     """Error of the rod simulation against its time step. Exit 1 if the default step errs too much."""
     described = load_robot(robot)
     with progress_bar("convergence") as progress:
-        curves = measure(described, progress)
+        curves = measure(described, progress, every)
     if out is not None:
         with atomic_path(out) as temporary:
             convergence_figure(curves, STEP_S).savefig(temporary, format="png", dpi=120)
@@ -51,5 +74,65 @@ def convergence(
         },
     }
     show(values, json)
-    if any(curve.at_default > ERROR_LIMIT for curve in curves):
+    if any(curve.worst[curve.step_s == STEP_S].max() > ERROR_LIMIT for curve in curves):
+        raise typer.Exit(1)
+
+
+@app.command()
+def chip(
+    tables: TablesOption = None,
+    model: Annotated[str | None, typer.Option(help="Robot TOML or name; default: the table's robot.")] = None,
+    states: Annotated[int, typer.Option(min=12, max=1_000_000, help="Decisions at each depth.")] = 300,
+    planner: PlannerOption = PlannerName.robot,
+    workers: Annotated[int, typer.Option(min=0, max=256, help="Processes; 0: one for each core.")] = 1,
+    seed: SeedOption = 0,
+    json: JsonOption = False,
+) -> None:
+    """How long the chip plans: cycles of the flashed image over many states. Exit 1 over a limit."""
+    image = table_image(tables, model)
+    described = robot_of_table(image, model)
+    counts = {depth: states if depth in LIMIT_MS else max(3, states // 50) for depth in DEPTHS}
+    paths = {name: shape(name) for name in SHAPES}
+    config = plan_config(described, planner, None)
+    with built_firmware("bench", image, described) as built, progress_bar("decisions") as progress:
+        opened_ms = open_ms(built.image)
+        processes = workers or os.cpu_count() or 1
+        speeds = chip_speed(built.image, image, paths, config, counts, seed, processes, progress)
+    over = [depth for depth, limit in LIMIT_MS.items() if speeds[depth].worst_ms > limit]
+    show(
+        {
+            "plan_ms": {
+                str(depth): {"mean": round(speed.mean_ms, 4), "worst": round(speed.worst_ms, 4)}
+                for depth, speed in speeds.items()
+            },
+            "limit_ms": {str(depth): limit for depth, limit in LIMIT_MS.items()},
+            "states": {str(depth): speed.states for depth, speed in speeds.items()},
+            "nodes": {str(depth): round(speed.nodes, 1) for depth, speed in speeds.items()},
+            "instructions_per_node": {
+                str(depth): round(speed.instructions_per_node, 1) for depth, speed in speeds.items()
+            },
+            "open_ms": round(opened_ms, 2),
+            "worst": {
+                str(depth): {
+                    "path": speed.worst_path,
+                    "state": speed.worst_state,
+                    "limb_use": speed.worst_limb_use,
+                    "along_points": speed.worst_along_points,
+                }
+                for depth, speed in speeds.items()
+            },
+            "share_percent": {
+                str(depth): {share.function: round(share.percent, 1) for share in speed.shares[:12]}
+                for depth, speed in speeds.items()
+            },
+            "calls": {
+                str(depth): {share.function: round(share.calls, 1) for share in speed.shares[:12]}
+                for depth, speed in speeds.items()
+            },
+            "cycle_model": dataclasses.asdict(CostModel()),
+            "seed": seed,
+        },
+        json,
+    )
+    if over:
         raise typer.Exit(1)

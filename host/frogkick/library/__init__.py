@@ -1,10 +1,11 @@
 """Sample states, simulate actions, keep the transitions, quantise them to tables."""
 
-from frogkick.library.build import RECORD_S, BuildReport, build_library
+from frogkick.library.build import RECORD_S, BuildReport, build_library, sample_library
 from frogkick.library.cut import cut_library
-from frogkick.library.error import table_error
+from frogkick.library.error import error_on, table_error
+from frogkick.library.fitting import BUDGET_BYTES, KINDS, Fitted, fit_table
 from frogkick.library.quantise import quantise
-from frogkick.library.sampling import SAMPLINGS, sample_velocities
+from frogkick.library.sampling import SAMPLINGS, sample_starts
 from frogkick.library.store import (
     Library,
     Recorded,
@@ -13,23 +14,28 @@ from frogkick.library.store import (
     read_recorded,
     write_library,
 )
-from frogkick.library.transitions import Failed, simulate_transitions
+from frogkick.library.transitions import Failed
 
 __all__ = [
+    "BUDGET_BYTES",
+    "KINDS",
     "RECORD_S",
     "SAMPLINGS",
     "BuildReport",
     "Failed",
+    "Fitted",
     "Library",
     "Recorded",
     "build_library",
     "cut_library",
+    "error_on",
+    "fit_table",
     "library_info",
     "quantise",
     "read_library",
     "read_recorded",
-    "sample_velocities",
-    "simulate_transitions",
+    "sample_library",
+    "sample_starts",
     "table_error",
     "write_library",
 ]

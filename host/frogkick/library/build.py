@@ -2,45 +2,44 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
-import math
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from frogkick import __version__ as VERSION
 from frogkick.chunks import WORKERS_MAX, Job, run_chunks
-from frogkick.der import WIDTH, Rods, prepare
+from frogkick.der import Rods
 from frogkick.der.compiled import SOURCES
+from frogkick.effects import rods_of
 from frogkick.errors import ConvergenceError, InputError
 from frogkick.library.parts import Parts
-from frogkick.library.sampling import sample_velocities
-from frogkick.library.store import make_library, write_library
+from frogkick.library.sampling import sample_starts
+from frogkick.library.starts import Starts, gliding
+from frogkick.library.store import Library, make_library, write_library
 from frogkick.library.transitions import (
     SAMPLE_S,
-    Failed,
-    Pairing,
     SampleArray,
+    Task,
     Transitions,
-    pair_up,
     recorded_times,
-    simulate_states,
+    simulate_task,
 )
 from frogkick.robot import Robot
-
-FloatArray = NDArray[np.float64]
 
 RECORD_S = 5.0
 """How long each transition is followed and recorded, as in the paper: any period up to it can be cut out."""
 
 RECORD_MAX_S = 60.0
-_PART_STATES = 2 * WIDTH  # some 0.4 s of work: fine progress, quick end on Ctrl-C, no cost to speak of
 _REPORTED_FAILURES = 20
+
+Progress = Callable[[int, int], None]
+"""Called with transitions done and to do."""
 
 
 @dataclass(frozen=True)
@@ -57,15 +56,15 @@ _Ready = tuple[Rods, float]
 
 
 def _start(robot: Robot, record_s: float) -> _Ready:
-    return prepare(robot), record_s
+    return rods_of(robot), record_s
 
 
-def _run(ready: _Ready, velocities: FloatArray) -> Transitions:
-    return simulate_states(ready[0], velocities, ready[1])
+def _run(ready: _Ready, task: Task) -> Transitions:
+    return simulate_task(ready[0], task, ready[1])
 
 
 def _warm(ready: _Ready) -> None:
-    simulate_states(ready[0], np.zeros((1, 3)), 0.0)
+    simulate_task(ready[0], gliding(ready[0].robot, np.zeros((1, 3))).tasks[0])
 
 
 def build_library(
@@ -74,7 +73,7 @@ def build_library(
     seed: int,
     workers: int,
     out: Path | str,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Progress = lambda _done, _all: None,
     sampling: str = "box",
     record_s: float = RECORD_S,
     cluster: str | None = None,
@@ -93,7 +92,7 @@ def build_library(
         workers: processes; 1 simulates in this one.
         out: the HDF5 file to write.
         progress: called with (transitions done, all).
-        sampling: "box" or "visited", see ``sample_velocities``.
+        sampling: "box", "visited" or "planned", see ``sample_starts``.
         record_s: how long to follow and record each transition; up to the period, nothing is recorded.
         cluster: address of a Dask scheduler whose workers simulate instead; see frogkick.chunks.
 
@@ -108,28 +107,11 @@ def build_library(
     if not 0.0 <= record_s <= RECORD_MAX_S:
         raise InputError(f"record is {record_s} s: give 0 to {RECORD_MAX_S:g}")
     began = time.monotonic()
-    velocities = sample_velocities(robot, states, seed, sampling)
-    pairing = pair_up(robot, velocities)
-    rods = prepare(robot)
-    parts = Parts(Path(out), _job(robot, velocities, record_s))
-
-    def run(tasks: Sequence[FloatArray]) -> Iterator[tuple[int, Transitions]]:
-        return run_chunks(Job(_start, (robot, record_s), _run, _warm), tasks, workers, cluster)
-
-    done = _simulate_parts(pairing, len(robot.actions), parts, run, progress)
-    rows = np.array(
-        [
-            pairing.rows(state, done[source // _PART_STATES].rows[source % _PART_STATES])
-            for state, source in enumerate(pairing.source.tolist())
-        ]
-    )
-    failed = pairing.failed(
-        [
-            Failed(index * _PART_STATES + f.state, f.action, f.reason)
-            for index, part in enumerate(done)
-            for f in part.failed
-        ]
-    )
+    starts = sample_starts(robot, states, seed, sampling, workers, cluster)
+    parts = Parts(Path(out), _job(robot, starts, record_s))
+    done = _simulate_parts(robot, starts, record_s, parts, progress, workers, cluster)
+    library = make_library(robot, sampling, seed, starts, done)
+    failed = library.failed
     lines = tuple(f"state {f.state} action {robot.actions[f.action].name}: {f.reason}" for f in failed)
     transitions = states * len(robot.actions)
     if len(failed) == transitions:
@@ -137,66 +119,88 @@ def build_library(
         shown = "; ".join(lines[:_REPORTED_FAILURES])
         more = f"; and {len(lines) - _REPORTED_FAILURES} more" if len(lines) > _REPORTED_FAILURES else ""
         raise ConvergenceError(f"all {transitions} simulations failed, no library written: {shown}{more}")
-    library = make_library(robot, sampling, seed, velocities, rows, failed)
-    write_library(library, out, recorded_times(robot, record_s), _recorded(rods, pairing, record_s, parts))
+    recorded = _recorded(robot, starts, record_s, parts)
+    write_library(library, out, recorded_times(robot, record_s), recorded)
     parts.remove()
     simulated_s = transitions * max(robot.period_s, record_s)
     return BuildReport(transitions, simulated_s, time.monotonic() - began, lines)
 
 
-def _job(robot: Robot, velocities: FloatArray, record_s: float) -> bytes:
+def sample_library(
+    robot: Robot, states: int, seed: int, sampling: str = "box", progress: Progress = lambda _done, _all: None
+) -> Library:
+    """Simulate states as ``build_library`` would, in this process, and write nothing.
+
+    Raises:
+        InputError: see ``sample_starts``.
+        ConvergenceError: a simulation failed.
+    """
+    starts, rods = sample_starts(robot, states, seed, sampling), rods_of(robot)
+    done: list[Transitions] = []
+    for task in starts.tasks:
+        done.append(simulate_task(rods, task))
+        told = int((starts.part < len(done)).sum())
+        progress(told * len(robot.actions), states * len(robot.actions))
+    library = make_library(robot, sampling, seed, starts, done)
+    for failure in library.failed:
+        raise ConvergenceError(
+            f"unseen state {failure.state} of {robot.id!r} cannot be simulated: {failure.reason}"
+        )
+    return library
+
+
+def _job(robot: Robot, starts: Starts, record_s: float) -> bytes:
     """All that a part depends on."""
-    numbers = [record_s, SAMPLE_S, _PART_STATES, SOURCES]
-    return b"\n".join([robot.sha256, velocities.tobytes(), json.dumps(numbers).encode(), VERSION.encode()])
-
-
-def _part(velocities: FloatArray, index: int) -> FloatArray:
-    return velocities[index * _PART_STATES : (index + 1) * _PART_STATES]
+    tasks = [(task.velocity_body, task.actions, task.wanted) for task in starts.tasks]
+    digest = hashlib.sha256(b"".join(array.tobytes() for task in tasks for array in task))
+    shapes = [array.shape for task in tasks for array in task]
+    numbers = json.dumps([record_s, SAMPLE_S, SOURCES, shapes]).encode()
+    return b"\n".join([robot.sha256, digest.digest(), numbers, VERSION.encode()])
 
 
 def _simulate_parts(
-    pairing: Pairing,
-    actions: int,
+    robot: Robot,
+    starts: Starts,
+    record_s: float,
     parts: Parts,
-    run: Callable[[Sequence[FloatArray]], Iterator[tuple[int, Transitions]]],
-    progress: Callable[[int, int], None] | None,
+    progress: Progress,
+    workers: int,
+    cluster: str | None,
 ) -> list[Transitions]:
-    """All parts, kept in their folder; without what they recorded, which would fill the memory."""
-    shared = np.bincount(pairing.source, minlength=len(pairing.velocities)) * actions
-    whole, told = int(shared.sum()), 0
+    """All tasks' results, kept in their folder; without what they recorded, which would fill the memory."""
+    shared = np.bincount(starts.part, minlength=len(starts.tasks)) * len(robot.actions)
     done: dict[int, Transitions] = {}
-    count = math.ceil(len(pairing.velocities) / _PART_STATES)
 
     def take(index: int, part: Transitions) -> None:
-        nonlocal told
         done[index] = replace(part, recorded=part.recorded[:, :, :0].copy())
-        told += int(shared[index * _PART_STATES : (index + 1) * _PART_STATES].sum())
 
-    for index in range(count):
+    def tell() -> None:
+        progress(int(shared[list(done)].sum()), int(shared.sum()))
+
+    for index in range(len(starts.tasks)):
         part = parts.load(index)
         if part is not None:
             take(index, part)
-    if progress is not None:
-        progress(told, whole)
-    missing = [index for index in range(count) if index not in done]
-    for place, part in run([_part(pairing.velocities, index) for index in missing]):
+    tell()
+    missing = [index for index in range(len(starts.tasks)) if index not in done]
+    job = Job(_start, (robot, record_s), _run, _warm)
+    for place, part in run_chunks(job, [starts.tasks[index] for index in missing], workers, cluster):
         parts.keep(missing[place], part)
         take(missing[place], part)
-        if progress is not None:
-            progress(told, whole)
-    return [done[index] for index in range(count)]
+        tell()
+    return [done[index] for index in range(len(starts.tasks))]
 
 
-def _recorded(rods: Rods, pairing: Pairing, record_s: float, parts: Parts) -> Iterator[SampleArray]:
-    """Recorded motions (a, s, 6) of one state after another."""
+def _recorded(robot: Robot, starts: Starts, record_s: float, parts: Parts) -> Iterator[SampleArray]:
+    """Recorded motions (a, t, 6) of one state after another."""
+    rods = rods_of(robot)
 
     @lru_cache(maxsize=2)  # states that follow each other share a part
     def of(index: int) -> SampleArray:
         part = parts.load(index)
         if part is None:  # somebody removed it: simulate it again
-            part = simulate_states(rods, _part(pairing.velocities, index), record_s)
+            part = simulate_task(rods, starts.tasks[index], record_s)
         return part.recorded
 
-    for state, source in enumerate(pairing.source.tolist()):
-        recorded = of(source // _PART_STATES)[source % _PART_STATES]
-        yield pairing.rows(state, recorded).astype(np.float32, copy=False)
+    for state, (part, row) in enumerate(zip(starts.part.tolist(), starts.row.tolist(), strict=True)):
+        yield starts.of(state, of(part)[row]).astype(np.float32, copy=False)

@@ -8,7 +8,7 @@ import numpy as np
 
 from frogkick.der.strokes import body_from_world, cubic
 from frogkick.errors import InputError
-from frogkick.library.store import Library, make_library, read_library, read_recorded
+from frogkick.library.store import Library, library_of, read_library, read_recorded
 from frogkick.robot import Robot
 
 
@@ -24,13 +24,18 @@ def cut_library(path: Path | str, robot: Robot) -> Library:
         between two recorded poses on a cubic through both with their velocities.
 
     Raises:
-        InputError: see read_library; another robot, or a period that was not recorded.
+        InputError: see read_library; another robot, a period that was not recorded, or states amid strokes.
     """
     library, recorded = read_library(path), read_recorded(path)
     if _moves_like(robot) != _moves_like(library.robot()):
         raise InputError(
             f"robot {robot.id!r} is not the one of library {str(path)!r} with another period only: "
             "build a library for it"
+        )
+    if library.has_history():
+        raise InputError(
+            f"library {str(path)!r} has states amid strokes {library.period_s:g} s apart: build one for "
+            f"{robot.period_s:g} s, or cut one of --sampling box"
         )
     times, period = recorded.time_s, robot.period_s
     if not len(times) or not times[0] <= period <= times[-1]:
@@ -45,9 +50,10 @@ def cut_library(path: Path | str, robot: Robot) -> Library:
     share = np.asarray((period - times[left]) / length)
     at, slope = cubic(pose[:, :, 0], pose[:, :, 1], rate[:, :, 0], rate[:, :, 1], length, share)
     rows = np.concatenate([at, body_from_world(at[..., 2], slope)], axis=-1)
-    return make_library(
-        robot, library.sampling, library.seed, library.initial_velocity_body, rows, library.failed
-    )
+    return library_of(
+        robot, library.sampling, library.seed, library.initial_velocity_body, rows,
+        library.previous_actions, library.failed,
+    )  # fmt: skip
 
 
 def _moves_like(robot: Robot) -> tuple[object, ...]:

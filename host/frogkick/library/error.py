@@ -3,20 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
-from frogkick.der import prepare
-from frogkick.errors import ConvergenceError
-from frogkick.library.sampling import sample_velocities
-from frogkick.library.transitions import simulate_transitions
+from frogkick.compiled import stamp_of
+from frogkick.library.build import sample_library
+from frogkick.library.store import Library
+from frogkick.library.transitions import IntArray
 from frogkick.planner.image import Tables
+from frogkick.planner.lookup import DYNAMICS, arrays_of, dynamics_after, find_row, motion_of, velocity_code
 from frogkick.robot import Robot
 
 FloatArray = NDArray[np.float64]
-
-_AT_ONCE = 16
 
 
 def table_error(
@@ -27,53 +28,91 @@ def table_error(
     sampling: str = "box",
     progress: Callable[[int, int], None] = lambda _done, _all: None,
 ) -> dict[str, float]:
-    """Root mean square error of a table's transitions on unseen initial velocities.
+    """Root mean square error of a table's transitions on unseen states.
 
     Args:
-        tables: the table.
+        tables: the table, of any kind.
         robot: what to simulate for the truth.
-        states: unseen velocities.
+        states: how many unseen states.
         seed: of their sampling; not the library's own.
-        sampling: as for ``sample_velocities``.
-        progress: called with states done and to do.
+        sampling: as for ``sample_starts``.
+        progress: called with transitions done and to do.
 
     Returns:
-        ``position_m``, ``heading_rad`` at the period's end, and ``velocity_mps``, ``omega_rad_s`` there.
+        See ``error_on``.
 
     Raises:
         ConvergenceError: a simulation failed.
     """
-    rods = prepare(robot)
-    velocities = sample_velocities(robot, states, seed, sampling)
-    truth = np.empty((states, len(robot.actions), 6))
-    for first in range(0, states, _AT_ONCE):
-        some = slice(first, first + _AT_ONCE)
-        truth[some], failed = simulate_transitions(rods, velocities[some])
-        if failed:
-            raise ConvergenceError(
-                f"unseen state {first + failed[0].state} cannot be simulated: {failed[0].reason}"
-            )
-        progress(min(first + _AT_ONCE, states), states)
-    gap = looked_up(tables, velocities) - truth
-    gap[..., 2] = np.arctan2(np.sin(gap[..., 2]), np.cos(gap[..., 2]))
+    return error_on(tables, sample_library(robot, states, seed, sampling, progress))
 
-    def rms(*columns: int) -> float:
-        return float(np.sqrt((gap[..., list(columns)] ** 2).sum(axis=-1).mean()))
+
+def error_on(tables: Tables, unseen: Library) -> dict[str, float]:
+    """Root mean square error of a table's transitions on the whole states of a library.
+
+    Returns:
+        ``position_m``, ``heading_rad`` at the period's end, and ``velocity_mps``, ``omega_rad_s`` there.
+    """
+    whole = unseen.whole_states()
+    found = looked_up(tables, unseen.initial_velocity_body[whole], unseen.previous_actions[whole])
+    return rms_gap(found - unseen.rows()[whole])
+
+
+def rms_gap(gap: FloatArray) -> dict[str, float]:
+    """Root mean square of differences (n, a, 6), by what they are of."""
+    turn = np.arctan2(np.sin(gap[..., 2]), np.cos(gap[..., 2]))
+
+    def rms(*columns: FloatArray) -> float:
+        return float(np.sqrt(np.mean(np.sum(np.square(columns), axis=0))))
 
     return {
-        "position_m": rms(0, 1),
-        "heading_rad": rms(2),
-        "velocity_mps": rms(3, 4),
-        "omega_rad_s": rms(5),
+        "position_m": rms(gap[..., 0], gap[..., 1]),
+        "heading_rad": rms(turn),
+        "velocity_mps": rms(gap[..., 3], gap[..., 4]),
+        "omega_rad_s": rms(gap[..., 5]),
     }
 
 
-def looked_up(tables: Tables, velocities: FloatArray) -> FloatArray:
-    """(n, a, 6) transitions of the nearest state to each of (n, 3) body velocities, in SI units."""
-    scale = tables.velocity_scale.astype(np.float64)
-    codes = velocities / scale
-    apart = ((codes[:, None, :] - tables.states[None, :, :]) ** 2).sum(axis=2)
-    rows = tables.transitions[apart.argmin(axis=1)].astype(np.float64)
-    return np.concatenate(
-        [rows[..., :3] * tables.motion_scale.astype(np.float64), rows[..., 3:] * scale], axis=-1
-    )
+def looked_up(tables: Tables, velocities: FloatArray, previous: IntArray) -> FloatArray:
+    """Transitions as the robot's planner would find them in a table.
+
+    Args:
+        tables: of any kind.
+        velocities: (n, 3) forward, left (m/s), turn rate (rad/s), body frame.
+        previous: (n, s) earlier actions, newest first, RESTED where there was none.
+
+    Returns:
+        (n, a, 6) displacements (m, m, rad) and velocities at the end, SI units.
+    """
+    found = np.empty((len(velocities), len(tables.actions), 6))
+    _look_up_many(arrays_of(tables), velocities.astype(np.float32), previous, found)
+    return found
+
+
+def _compiled(stamp: int) -> Any:
+    @njit(cache=True)
+    def look_up_many(table, velocities, previous, found):  # type: ignore[no-untyped-def]
+        one = np.float32(1)
+        now, after = np.zeros(DYNAMICS, dtype=np.int64), np.zeros(DYNAMICS, dtype=np.int64)
+        motion = np.zeros(3, dtype=np.float32)
+        for k in range(len(velocities)):
+            now[:] = 0
+            for place in range(previous.shape[1] - 1, -1, -1):
+                if previous[k, place] >= 0:  # how a limb was used does not depend on the row
+                    dynamics_after(table, 0, now, previous[k, place], after)
+                    now[3:] = after[3:]
+            for axis in range(3):
+                now[axis] = velocity_code(velocities[k, axis], one / table.velocity_scale[axis])
+            row = find_row(table, now)
+            for action in range(found.shape[1]):
+                motion_of(table, row, now, action, motion)
+                dynamics_after(table, row, now, action, after)
+                for axis in range(3):
+                    found[k, action, axis] = motion[axis]
+                    found[k, action, 3 + axis] = np.float32(after[axis]) * table.velocity_scale[axis]
+        return stamp
+
+    return look_up_many
+
+
+_look_up_many = _compiled(stamp_of("frogkick.planner"))

@@ -16,7 +16,7 @@ from frogkick.errors import InputError
 from frogkick.files import write_bytes, write_text
 from frogkick.library.transitions import Failed, Transitions
 
-_FORMAT = "frogkick library parts 1"
+_FORMAT = "frogkick library parts 2"
 
 
 class Parts:
@@ -61,6 +61,8 @@ class Parts:
         content = io.BytesIO()
         np.savez(
             content,
+            velocity=part.velocity_body,
+            previous=part.previous,
             rows=part.rows,
             recorded=part.recorded,
             failed=np.array([(f.state, f.action) for f in part.failed], dtype=np.int64).reshape(-1, 2),
@@ -77,7 +79,7 @@ class Parts:
                 places: list[list[int]] = part["failed"].tolist()
                 rows: NDArray[np.float64] = part["rows"]
                 failed = tuple(Failed(s, a, r) for (s, a), r in zip(places, reasons, strict=True))
-                return Transitions(rows, part["recorded"], failed)
+                return Transitions(part["velocity"], part["previous"], rows, part["recorded"], failed)
         except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
             return None
 

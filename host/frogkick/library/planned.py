@@ -1,4 +1,4 @@
-"""The states that a planned run visits: velocities met while the planner itself follows random paths.
+"""The swims of a robot that plans: what the planner itself chooses while it follows random paths.
 
 A first, small table from randomly steered swims is enough for the planner to choose as it will later; the
 rods then swim what it chooses, and where its strokes begin is where a better table should have states.
@@ -8,29 +8,36 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from frogkick.der import STEP_S, WIDTH, Rods, prepare, program_of, simulate_many
+from frogkick.chunks import Job, run_chunks
+from frogkick.der import STEP_S, WIDTH, Rods
 from frogkick.der.swimmer import batch_of
+from frogkick.effects import rods_of
 from frogkick.errors import ConvergenceError
-from frogkick.planner.image import Tables, open_image, pack_nearest
-from frogkick.planner.plan import PlanConfig, plan_batch
+from frogkick.library.quantise import quantise
+from frogkick.library.starts import Met
+from frogkick.library.store import make_library
+from frogkick.library.swims import steered_swims
+from frogkick.library.transitions import fire_action, lane_effects, simulate_task
+from frogkick.planner.image import Tables, open_image
+from frogkick.planner.plan import config_of, plan_batch
 from frogkick.robot import Robot
 
-FloatArray = NDArray[np.float64]
 Float32 = NDArray[np.float32]
 
 _FIRST_TABLE_STATES = 64
 _STROKES = 16  # of one planned swim: as long as the paper's shorter runs
+_CLUSTER_BATCHES = 32  # of WIDTH swims each, handed to a cluster at once
 _POINTS = 100
 _ARCS = 3  # a path is this many arcs of random curvature
 _TIGHTEST = 3.0  # of their curvature over the tightest turn of a single stroke
-# The cost rewards the part of the path that is done. On paths longer than the paper's it would no longer
-# pay to move at all, so the reward grows with the length.
+# The paper's cost rewards the part of the path that is done. On paths longer than the paper's it would no
+# longer pay to move at all, so the reward grows with the length.
 _REWARDED_LENGTH_M = 0.45
 
 
@@ -43,65 +50,67 @@ class _Path:
     tangent_rad: Float32
 
 
-def planned_swims(robot: Robot, seed: int, first: FloatArray) -> Iterator[FloatArray]:
-    """Velocities at the decisions of planned swims, without end.
+def planned_swims(
+    robot: Robot, seed: int, workers: int = 1, cluster: str | None = None
+) -> Iterator[list[list[int]]]:
+    """The actions of planned swims from rest, without end.
 
     Args:
         robot: who swims, with the planner of its TOML.
         seed: of the paths; each swim has a generator of its own.
-        first: (k, 3) velocities to make the first table of; 64 of them are enough.
+        workers, cluster: who simulates; see frogkick.chunks.
 
     Yields:
-        (n, 3) body velocities of some swims, one swim after another.
+        A few swims after others; the same whoever simulates.
 
     Raises:
         ConvergenceError: a swim could not be simulated.
     """
-    rods = prepare(robot)
-    tables = _first_table(robot, rods, first[:_FIRST_TABLE_STATES])
-    for number in itertools.count(0, WIDTH):
-        lanes = [np.random.default_rng([seed, 1, number + lane]) for lane in range(WIDTH)]
-        yield _swim(robot, rods, tables, [_random_path(tables, rng) for rng in lanes])
+    job = Job(_start, (robot, seed, first_table(robot, seed)), _run, _warm)
+    at_once = _CLUSTER_BATCHES if cluster is not None else workers
+    for first in itertools.count(0, at_once):
+        numbers = list(range(first, first + at_once))
+        done = dict(run_chunks(job, numbers, workers, cluster))
+        yield from (done[place] for place in range(at_once))
 
 
-def _first_table(robot: Robot, rods: Rods, velocities: FloatArray) -> Tables:
-    programs = [program_of(robot, action) for action in robot.actions]
-    count = len(programs)
-    motions = simulate_many(
-        rods, np.repeat(velocities, count, axis=0), programs * len(velocities), [robot.period_s]
+def first_table(robot: Robot, seed: int) -> bytes:
+    """The image that planned swims are planned with: of a few states of randomly steered ones."""
+    rods, met = rods_of(robot), Met(robot)
+    met.add(steered_swims(robot, seed), _FIRST_TABLE_STATES)
+    starts = met.starts()
+    return quantise(
+        make_library(robot, "visited", seed, starts, [simulate_task(rods, t) for t in starts.tasks])
     )
-    for failure in motions.failures.values():
-        raise ConvergenceError(f"the first table of {robot.id!r} {failure}")
-    return open_image(
-        pack_nearest(
-            robot_id=robot.id,
-            provenance=robot.sha256,
-            period_us=round(robot.period_s * 1e6),
-            pulse_us=round(robot.pulse_s * 1e6),
-            second_delay_us=round(robot.second_delay_s * 1e6),
-            limbs=len(robot.limbs),
-            action_rows=[(a.name, a.first_mask, a.second_mask) for a in robot.actions],
-            velocity_scale=robot.velocity_resolution,
-            velocities=velocities,
-            displacements=motions.pose_world[:, -1].reshape(-1, count, 3),
-            velocities_end=motions.velocity_body[:, -1].reshape(-1, count, 3),
-        )
-    )
+
+
+_Ready = tuple[Rods, Tables, int]
+
+
+def _start(robot: Robot, seed: int, image: bytes) -> _Ready:
+    return rods_of(robot), open_image(image), seed
+
+
+def _run(ready: _Ready, number: int) -> list[list[int]]:
+    rods, tables, seed = ready
+    lanes = [np.random.default_rng([seed, 1, number * WIDTH + lane]) for lane in range(WIDTH)]
+    return _swim(rods, tables, [_random_path(tables, rng) for rng in lanes], _STROKES)
+
+
+def _warm(ready: _Ready) -> None:
+    _swim(ready[0], ready[1], [_random_path(ready[1], np.random.default_rng(0))], 1)
 
 
 def _path_length_m(tables: Tables) -> float:
     """As far as the longest strokes take the robot in one swim: no swim runs out of path."""
-    moved = tables.transitions[:, :, :2] * tables.motion_scale[:2].astype(np.float64)
-    return float(_STROKES * np.hypot(moved[..., 0], moved[..., 1]).max())
+    return _STROKES * float(tables.reach_m)
 
 
 def _random_path(tables: Tables, rng: np.random.Generator) -> _Path:
     """Arcs from the origin, as long as the swim, as tight as the robot can turn."""
-    moved = tables.transitions[:, :, :3] * tables.motion_scale.astype(np.float64)
-    stride_m = float(np.hypot(moved[..., 0], moved[..., 1]).max())
-    turn_rad = float(np.abs(moved[..., 2]).max())
     length_m = _path_length_m(tables)
-    curvature = _TIGHTEST * rng.uniform(-1.0, 1.0, _ARCS) * turn_rad / stride_m
+    tightest = _TIGHTEST * float(tables.turn_max_rad) / float(tables.reach_m)
+    curvature = tightest * rng.uniform(-1.0, 1.0, _ARCS)
     along = np.linspace(0.0, length_m, _POINTS)
     bend = curvature[np.minimum((along / length_m * _ARCS).astype(int), _ARCS - 1)]
     heading = np.concatenate([[0.0], np.cumsum(bend[:-1] * np.diff(along))])
@@ -112,31 +121,30 @@ def _random_path(tables: Tables, rng: np.random.Generator) -> _Path:
     return _Path(*(column.astype(np.float32) for column in (x, y, wrapped)))
 
 
-def _swim(robot: Robot, rods: Rods, tables: Tables, paths: list[_Path]) -> FloatArray:
-    """(lanes x strokes, 3) velocities at the decisions of swims side by side."""
-    planner = robot.planner
-    config = PlanConfig(
-        planner.distance_weight_per_m,
-        planner.angle_weight_per_rad,
-        planner.progress_weight * _path_length_m(tables) / _REWARDED_LENGTH_M,
-        planner.level_weight,
-        min(planner.depth, 2),  # deeper costs ten times more and chooses much the same strokes
+def _swim(rods: Rods, tables: Tables, paths: Sequence[_Path], strokes: int) -> list[list[int]]:
+    """What the planner chooses in swims side by side."""
+    robot = rods.robot
+    config = config_of(robot.planner)
+    config = replace(
+        config,
+        progress_weight=config.progress_weight * _path_length_m(tables) / _REWARDED_LENGTH_M,
+        depth=min(config.depth, 2),  # deeper costs ten times more and chooses much the same strokes
     )
+    along = [0.0] * len(paths)
     still = np.zeros((len(paths), 3))
-    batch = batch_of([rods] * len(paths), still, still, 0.0, STEP_S, len(paths))
-    met = np.empty((len(paths), _STROKES, 3))
-    for stroke in range(_STROKES):
+    batch = batch_of([rods] * len(paths), still, still, 0.0, STEP_S, WIDTH)
+    acting = lane_effects(robot, len(paths))
+    chosen: list[list[int]] = [[] for _ in paths]
+    for stroke in range(strokes):
         pose, velocity = batch.pose_world(), batch.velocity_body()
-        met[:, stroke] = velocity
         for lane, path in enumerate(paths):
             state = np.concatenate([pose[lane], velocity[lane]])
             state[2] = math.remainder(state[2], 2.0 * math.pi)
-            chosen = robot.actions[int(plan_batch(tables, path, config, state[None])[0]["action"])]
-            for start, mask in program_of(robot, chosen, stroke * robot.period_s):
-                for limb in range(len(robot.limbs)):
-                    if mask >> limb & 1:
-                        batch.fire(lane, limb, start)
-        batch.advance((stroke + 1) * robot.period_s)
+            made = plan_batch(tables, path, config, state[None], along_points=along[lane])[0]
+            along[lane] = float(made["along_points"])
+            chosen[lane].append(int(made["action"]))
+            fire_action(robot, batch, acting, lane, chosen[lane][-1], stroke * robot.period_s)
+        acting.advance(batch, (stroke + 1) * robot.period_s)
     for lane, failure in batch.failures.items():
         raise ConvergenceError(f"a planned swim of {robot.id!r} {failure} (lane {lane})")
-    return met.reshape(-1, 3)
+    return chosen

@@ -2,9 +2,26 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from frogkick.errors import InputError
 from frogkick.library.store import Library
-from frogkick.planner.image import pack_nearest
+from frogkick.planner.packing import pack_nearest
+from frogkick.robot import Robot
+
+
+def table_fields(robot: Robot, provenance: bytes) -> dict[str, Any]:
+    """What a table image of any kind says of its robot: arguments of its packing."""
+    return {
+        "robot_id": robot.id,
+        "provenance": provenance,
+        "period_us": round(robot.period_s * 1e6),
+        "pulse_us": round(robot.pulse_s * 1e6),
+        "second_delay_us": round(robot.second_delay_s * 1e6),
+        "limbs": len(robot.limbs),
+        "action_rows": [(a.name, a.first_mask, a.second_mask) for a in robot.actions],
+        "velocity_scale": robot.velocity_resolution,
+    }
 
 
 def quantise(library: Library) -> bytes:
@@ -27,14 +44,7 @@ def quantise(library: Library) -> bytes:
             "all known: build it again"
         )
     return pack_nearest(
-        robot_id=library.robot_id,
-        provenance=library.content_sha256(),
-        period_us=round(robot.period_s * 1e6),
-        pulse_us=round(robot.pulse_s * 1e6),
-        second_delay_us=round(robot.second_delay_s * 1e6),
-        limbs=len(robot.limbs),
-        action_rows=[(a.name, a.first_mask, a.second_mask) for a in robot.actions],
-        velocity_scale=robot.velocity_resolution,
+        **table_fields(robot, library.content_sha256()),
         velocities=library.initial_velocity_body[whole],
         displacements=library.displacement_body[whole],
         velocities_end=library.velocity_body_end[whole],

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,13 +15,15 @@ from numpy.typing import NDArray
 import frogkick
 from frogkick.errors import InputError
 from frogkick.files import atomic_path, existing_file
-from frogkick.library.transitions import Failed, SampleArray
+from frogkick.library.starts import Starts
+from frogkick.library.transitions import HISTORY, RESTED, Failed, IntArray, SampleArray, Transitions
 from frogkick.robot import Robot, parse_robot
 
 FloatArray = NDArray[np.float64]
 
 FORMAT = "frogkick library"
-FORMAT_VERSION = 2  # 2: recorded motions, transitions that failed
+FORMAT_VERSION = 3  # 2: recorded motions, transitions that failed; 3: what was done before a state
+_READABLE = (2, 3)
 _UNITS = {
     "initial_velocity_body": ("m/s, m/s, rad/s", "body at the start: forward, left, counter-clockwise"),
     "displacement_body": ("m, m, rad", "body at the start: forward, left, counter-clockwise"),
@@ -32,6 +34,8 @@ _RECORDED_UNITS = {
     "recorded_velocity_body": ("m/s, m/s, rad/s", "body at that time: forward, left, counter-clockwise"),
 }
 _TIMES = "recorded_time_s"
+_PREVIOUS = "previous_actions"
+_PREVIOUS_MEANING = f"index of the action begun 1, 2, .. periods before the start; {RESTED}: limbs rested"
 
 
 @dataclass(frozen=True)
@@ -41,13 +45,15 @@ class Library:
     Attributes:
         robot_toml: the robot's canonical text; robot() reads it.
         robot_sha256: 32 bytes, of that text.
-        sampling: how the velocities were drawn ("box" or "visited").
+        sampling: how the states were drawn ("box", "visited" or "planned").
         seed: of that.
         frogkick_version: that made it.
         period_s: simulated time of each transition.
         initial_velocity_body: (n, 3) forward, left (m/s), turn rate (rad/s).
         displacement_body: (n, a, 3) forward, left (m), turn (rad), body frame at the start.
         velocity_body_end: (n, a, 3) body frame at the end.
+        previous_actions: (n, HISTORY) actions begun 1, 2, .. periods before the start, then RESTED. Where
+            there are any, a transition began in the state that they led to, limbs amid their strokes.
         failed: transitions that could not be simulated, in order; their rows are NaN, no others.
     """
 
@@ -61,7 +67,16 @@ class Library:
     initial_velocity_body: FloatArray
     displacement_body: FloatArray
     velocity_body_end: FloatArray
+    previous_actions: IntArray
     failed: tuple[Failed, ...] = ()
+
+    def has_history(self) -> bool:
+        """Whether there is a state before which a limb was used."""
+        return bool((self.previous_actions != RESTED).any())
+
+    def rows(self) -> FloatArray:
+        """(n, a, 6) displacements and velocities at the end, side by side."""
+        return np.concatenate([self.displacement_body, self.velocity_body_end], axis=2)
 
     def whole_states(self) -> NDArray[np.bool_]:
         """(n,) whether every action of a state could be simulated."""
@@ -78,6 +93,7 @@ class Library:
         digest = hashlib.sha256(self.robot_sha256)
         for values in (self.initial_velocity_body, self.displacement_body, self.velocity_body_end):
             digest.update(np.ascontiguousarray(values, dtype="<f8").tobytes())
+        digest.update(np.ascontiguousarray(self.previous_actions, dtype="<i8").tobytes())
         digest.update(np.float64(self.period_s).astype("<f8").tobytes())
         return digest.digest()
 
@@ -121,6 +137,8 @@ def write_library(
             dataset = file.create_dataset(name, data=getattr(library, name), dtype="<f8")
             dataset.attrs["units"] = units
             dataset.attrs["frame"] = frame
+        previous = file.create_dataset(_PREVIOUS, data=library.previous_actions, dtype="<i1")
+        previous.attrs["meaning"] = _PREVIOUS_MEANING
         failed = [(failure.state, failure.action) for failure in library.failed]
         reasons = [failure.reason.encode("ascii", "replace") for failure in library.failed]
         file.create_dataset("failed_transition", data=np.array(failed, dtype="<i4").reshape(-1, 2))
@@ -149,6 +167,10 @@ def read_library(path: Path | str) -> Library:
             attributes = {key: file.attrs[key] for key in file.attrs}
             _check_format(attributes, path)
             arrays = {name: np.asarray(file[name][()], dtype=np.float64) for name in _UNITS}
+            states = len(arrays["initial_velocity_body"])
+            previous = np.full((states, HISTORY), RESTED, dtype=np.int64)
+            if int(attributes["format_version"]) >= 3:
+                previous = np.asarray(file[_PREVIOUS][()], dtype=np.int64)
             failed = _read_failed(file)
             _check_recorded(file, arrays["displacement_body"].shape, path)
         library = Library(
@@ -160,6 +182,7 @@ def read_library(path: Path | str) -> Library:
             frogkick_version=str(attributes["frogkick_version"]),
             period_s=float(attributes["period_s"]),
             **arrays,
+            previous_actions=previous,
             failed=failed,
         )
     except (OSError, KeyError, ValueError, TypeError, AttributeError, RuntimeError) as error:
@@ -211,10 +234,11 @@ def library_info(path: Path | str) -> dict[str, Any]:
     library = read_library(path)
     with h5py.File(path, "r") as file:
         recorded_s = float(max(file[_TIMES][()], default=0.0))
+        version = int(file.attrs["format_version"])
     states, actions = library.displacement_body.shape[:2]
     low, high = library.initial_velocity_body.min(axis=0), library.initial_velocity_body.max(axis=0)
     return {
-        "format_version": FORMAT_VERSION,
+        "format_version": version,
         "robot": library.robot_id,
         "robot_sha256": library.robot_sha256.hex(),
         "content_sha256": library.content_sha256().hex(),
@@ -226,6 +250,7 @@ def library_info(path: Path | str) -> dict[str, Any]:
         "actions": actions,
         "transitions": states * actions,
         "failed": len(library.failed),
+        "with_history": int((library.previous_actions[:, 0] != RESTED).sum()),
         "recorded_s": recorded_s,
         "simulated_s": states * actions * max(library.period_s, recorded_s),
         "velocity_low": low.tolist(),
@@ -235,14 +260,25 @@ def library_info(path: Path | str) -> dict[str, Any]:
 
 
 def make_library(
+    robot: Robot, sampling: str, seed: int, starts: Starts, parts: Sequence[Transitions]
+) -> Library:
+    """Put states, the results of their tasks and their origin together."""
+    return library_of(
+        robot, sampling, seed, starts.velocity_body(parts), starts.rows(parts), starts.previous(parts),
+        starts.failed(parts),
+    )  # fmt: skip
+
+
+def library_of(
     robot: Robot,
     sampling: str,
     seed: int,
     initial: FloatArray,
     rows: FloatArray,
+    previous: IntArray,
     failed: tuple[Failed, ...] = (),
 ) -> Library:
-    """Put transitions, (n, a, 6) rows of them, and their origin together."""
+    """A library of (n, a, 6) transitions from (n, 3) velocities after (n, HISTORY) actions."""
     return Library(
         robot_id=robot.id,
         robot_toml=robot.toml,
@@ -254,6 +290,7 @@ def make_library(
         initial_velocity_body=initial,
         displacement_body=np.ascontiguousarray(rows[:, :, :3]),
         velocity_body_end=np.ascontiguousarray(rows[:, :, 3:]),
+        previous_actions=previous,
         failed=failed,
     )
 
@@ -263,9 +300,9 @@ def _check_format(attributes: dict[str, Any], path: Path | str) -> None:
     if found != FORMAT:
         raise InputError(f"{str(path)!r} is HDF5 of format {found!r}, not {FORMAT!r}: name a library")
     version = int(attributes.get("format_version", 0))
-    if version != FORMAT_VERSION:
+    if version not in _READABLE:
         raise InputError(
-            f"library {str(path)!r} has format version {version}, this program reads {FORMAT_VERSION}: "
+            f"library {str(path)!r} has format version {version}, this program reads {_READABLE}: "
             "build it again or update frogkick"
         )
 
@@ -280,6 +317,12 @@ def _check_content(library: Library, path: Path | str) -> None:
         "displacement_body": (n, a, 3),
         "velocity_body_end": (n, a, 3),
     }
+    before = library.previous_actions
+    if before.shape != (n, HISTORY) or not ((before >= RESTED) & (before < a)).all():
+        raise InputError(
+            f"library {str(path)!r}: {_PREVIOUS} has shape {before.shape} or a value that is none of "
+            f"{RESTED} to {a - 1}; build it again"
+        )
     lost = np.zeros((n, a), dtype=bool)
     for failure in library.failed:
         if not (0 <= failure.state < n and 0 <= failure.action < a):

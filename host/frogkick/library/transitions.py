@@ -1,22 +1,48 @@
-"""What every action does from many initial velocities; of mirror images only one is simulated."""
+"""What every action does from many states: velocities with limbs at rest, or a robot amid its strokes."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from frogkick.der import Rods, program_of, simulate_many
-from frogkick.robot import Mirror, Robot, mirror_of
+from frogkick.der import STEP_S, WIDTH, Batch, Rods, program_of
+from frogkick.der.strokes import between, body_from_world
+from frogkick.der.swimmer import batch_of
+from frogkick.effects import ActingLanes, body_effects
+from frogkick.errors import ConvergenceError
+from frogkick.robot import Robot
 
 FloatArray = NDArray[np.float64]
 SampleArray = NDArray[np.float32]
 IntArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
 
 SAMPLE_S = 0.05  # spacing of recorded poses: a cubic between two errs by 0.02 mm where a cut can be
-_LEFT = np.array([1.0, -1.0, -1.0, 1.0, -1.0, -1.0])  # what mirroring does to (x, y, heading, vx, vy, omega)
+HISTORY = 8
+"""How many earlier actions of a swim are kept with a state: more periods than any measured stroke lasts."""
+
+RESTED = -1
+"""In place of an earlier action: there was none, all limbs rested."""
+
+
+@dataclass(frozen=True, eq=False)
+class Task:
+    """Where some transitions begin: k robots at rest or gliding, each swims s actions, one a period.
+
+    Attributes:
+        velocity_body: (k, 3) forward, left (m/s), turn rate (rad/s) at first, limbs at rest.
+        actions: (k, s) what each does first, in the order of the robot's actions; s may be 0.
+        wanted: (k, s + 1) whether transitions begin before that action of the swim, or after the last.
+    """
+
+    velocity_body: FloatArray
+    actions: IntArray
+    wanted: BoolArray
+
+    def __len__(self) -> int:
+        return int(self.wanted.sum())
 
 
 @dataclass(frozen=True)
@@ -30,110 +56,139 @@ class Failed:
 
 @dataclass(frozen=True)
 class Transitions:
-    """Results for k initial velocities and all a actions of a robot.
+    """Results for n states, those that a task wants robot by robot, and all a actions.
 
     Attributes:
-        rows: (k, a, 6) after one period: forward, left (m), turn (rad, continuous) in the body frame at the
+        velocity_body: (n, 3) at the start.
+        previous: (n, HISTORY) actions begun 1, 2, .. periods before the start, then RESTED.
+        rows: (n, a, 6) after one period: forward, left (m), turn (rad, continuous) in the body frame at the
             start, then velocity (m/s, m/s, rad/s) in the body frame at the end; NaN where it failed.
-        recorded: (k, a, s, 6) the same at ``recorded_times``, float32.
+        recorded: (n, a, t, 6) the same at ``recorded_times``, float32.
         failed: what failed; states counted from 0.
     """
 
+    velocity_body: FloatArray
+    previous: IntArray
     rows: FloatArray
     recorded: SampleArray
     failed: tuple[Failed, ...]
 
 
 def recorded_times(robot: Robot, record_s: float) -> FloatArray:
-    """(s,) multiples of SAMPLE_S up to ``record_s``, none where that is not beyond the period."""
+    """(t,) multiples of SAMPLE_S up to ``record_s``, none where that is not beyond the period."""
     count = int(record_s / SAMPLE_S + 1e-9) if record_s > robot.period_s else 0
     return np.asarray(SAMPLE_S * np.arange(1, count + 1), dtype=np.float64)
 
 
-def simulate_states(rods: Rods, velocities: FloatArray, record_s: float) -> Transitions:
-    """Simulate every action of a robot from each of (k, 3) body velocities, as they are."""
+def previous_actions(actions: IntArray, stroke: int) -> IntArray:
+    """(HISTORY,) the newest first of (k,) actions before that stroke of a swim, then RESTED."""
+    found = np.full(HISTORY, RESTED, dtype=np.int64)
+    newest = actions[:stroke][::-1][:HISTORY]
+    found[: len(newest)] = newest
+    return found
+
+
+def lane_effects(robot: Robot, lanes: int) -> ActingLanes:
+    """The effects of a robot's file on robots side by side; random ones draw alike in each lane."""
+    return ActingLanes(body_effects(robot), robot, [np.random.default_rng(0) for _ in range(lanes)])
+
+
+def fire_action(
+    robot: Robot, batch: Batch, acting: ActingLanes, lane: int, action: int, start_s: float
+) -> None:
+    """Let a lane's robot do an action of its own, from a time on."""
+    for time_s, mask in program_of(robot, robot.actions[action], start_s):
+        for limb in range(len(robot.limbs)):
+            if mask >> limb & 1:
+                acting.fire(batch, lane, limb, time_s)
+
+
+def simulate_task(rods: Rods, task: Task, record_s: float = 0.0) -> Transitions:
+    """Simulate every action of a robot from every state that a task wants.
+
+    Each result is the same to the last bit whatever else the task holds.
+
+    Args:
+        record_s: how long to follow and record each transition.
+
+    Raises:
+        ConvergenceError: a swim could not be simulated up to a state that is wanted.
+    """
     robot = rods.robot
+    places = {(int(k), int(s)): n for n, (k, s) in enumerate(np.argwhere(task.wanted))}
+    velocity = np.empty((len(places), 3))
+    previous = np.array([previous_actions(task.actions[k], s) for k, s in places], dtype=np.int64)
+    previous = previous.reshape(-1, HISTORY)
     told = recorded_times(robot, record_s)
-    times = np.union1d(told, [robot.period_s])
-    at_period = int(np.searchsorted(times, robot.period_s))
-    kept = np.isin(times, told)
-    landing = [robot.period_s] if times[-1] > robot.period_s else []
-    actions = len(robot.actions)
-    rows = np.full((len(velocities), actions, 6), np.nan)
-    recorded = np.full((len(velocities), actions, len(told), 6), np.nan, dtype=np.float32)
+    rows = np.full((len(places), len(robot.actions), 6), np.nan)
+    recorded = np.full((*rows.shape[:2], len(told), 6), np.nan, dtype=np.float32)
     failed: list[Failed] = []
-    for a, action in enumerate(robot.actions):  # neighbours that do the same share their steps
-        motions = simulate_many(
-            rods, velocities, [program_of(robot, action)] * len(velocities), times, landing_s=landing
-        )
-        whole = np.concatenate([motions.pose_world, motions.velocity_body], axis=2)
-        rows[:, a] = whole[:, at_period]
-        recorded[:, a] = whole[:, kept]
-        failed += [Failed(k, a, str(failure)) for k, failure in motions.failures.items()]
-    return Transitions(rows, recorded, tuple(sorted(failed, key=lambda f: (f.state, f.action))))
+    for first in range(0, len(task.velocity_body), WIDTH):
+        some = slice(first, first + WIDTH)
+        still = np.zeros_like(task.velocity_body[some])
+        batch = batch_of([rods] * len(still), still, task.velocity_body[some], 0.0, STEP_S, WIDTH)
+        acting = lane_effects(robot, len(still))
+        strokes = np.flatnonzero(task.wanted[some].any(axis=0))
+        for stroke in range(int(strokes.max(initial=-1)) + 1):
+            lanes = np.flatnonzero(task.wanted[some, stroke])
+            if len(lanes):
+                chosen = [places[first + int(lane), stroke] for lane in lanes]
+                # What the nodes of a robot placed at rest or gliding come to is this but for rounding.
+                origin = batch.pose_world() if stroke else still
+                velocity[chosen] = (batch.velocity_body() if stroke else task.velocity_body[some])[lanes]
+                for action in range(len(robot.actions)):
+                    motions = _branch(robot, batch, acting, origin, lanes, action, told)
+                    for place, motion in zip(chosen, motions, strict=True):
+                        if isinstance(motion, str):
+                            failed.append(Failed(place, action, motion))
+                        else:
+                            rows[place, action] = motion[0]
+                            recorded[place, action] = motion[1]
+            if stroke < strokes.max(initial=-1):
+                for lane in range(len(still)):
+                    done = int(task.actions[first + lane, stroke])
+                    fire_action(robot, batch, acting, lane, done, stroke * robot.period_s)
+                acting.advance(batch, (stroke + 1) * robot.period_s)
+                for lane, failure in batch.failures.items():
+                    raise ConvergenceError(f"a swim of {robot.id!r} {failure} (lane {lane})")
+    return Transitions(
+        velocity, previous, rows, recorded, tuple(sorted(failed, key=lambda f: (f.state, f.action)))
+    )
 
 
-@dataclass(frozen=True)
-class Pairing:
-    """Which simulation stands for which of n states.
-
-    Attributes:
-        velocities: (u, 3) initial velocities to simulate.
-        source: (n,) row of these for each state.
-        mirrored: (n,) whether the state is the mirror image of that row.
-        mirror: what mirroring does; None for a robot without.
-    """
-
-    velocities: FloatArray
-    source: IntArray
-    mirrored: NDArray[np.bool_]
-    mirror: Mirror | None
-
-    def rows(self, state: int, simulated: NDArray[np.floating]) -> NDArray[np.floating]:
-        """Results (a, .., 6) of a state from those of its source."""
-        if not self.mirrored[state] or self.mirror is None:
-            return simulated
-        signs = _LEFT.astype(simulated.dtype)
-        return np.asarray(simulated[list(self.mirror.actions)] * signs)
-
-    def failed(self, sources: Sequence[Failed]) -> tuple[Failed, ...]:
-        """Failures of all states from those of their sources."""
-        by_source: dict[int, list[Failed]] = {}
-        for failure in sources:
-            by_source.setdefault(failure.state, []).append(failure)
-        found: list[Failed] = []
-        for state, source in enumerate(self.source.tolist()):
-            for failure in by_source.get(source, []):
-                if self.mirrored[state] and self.mirror is not None:
-                    reason = f"its mirror image {failure.reason}"
-                    found.append(Failed(state, self.mirror.actions.index(failure.action), reason))
-                else:
-                    found.append(Failed(state, failure.action, failure.reason))
-        return tuple(sorted(found, key=lambda f: (f.state, f.action)))
-
-
-def pair_up(robot: Robot, velocities: FloatArray) -> Pairing:
-    """Fold (n, 3) body velocities to those that drift left, or straight on and turn left, each once."""
-    mirror = mirror_of(robot)
-    plain = velocities + 0.0  # -0.0 is 0.0
-    if mirror is None:
-        mirrored = np.zeros(len(plain), dtype=bool)
-    else:
-        mirrored = (plain[:, 1] < 0.0) | ((plain[:, 1] == 0.0) & (plain[:, 2] < 0.0))
-    folded = np.where(mirrored[:, None], plain * _LEFT[3:], plain) + 0.0
-    place: dict[tuple[float, ...], int] = {}
-    source = [place.setdefault(tuple(row), len(place)) for row in folded.tolist()]
-    unique = np.array(list(place), dtype=np.float64).reshape(-1, 3)
-    return Pairing(unique, np.array(source, dtype=np.int64), mirrored, mirror)
-
-
-def simulate_transitions(rods: Rods, velocities: FloatArray) -> tuple[FloatArray, tuple[Failed, ...]]:
-    """Simulate every action of a robot for one period from each of (n, 3) body velocities.
-
-    Returns:
-        (n, a, 6) as in Transitions.rows, exactly mirrored for mirrored states; and what failed.
-    """
-    pairing = pair_up(rods.robot, velocities)
-    simulated = simulate_states(rods, pairing.velocities, 0.0)
-    rows = [pairing.rows(state, simulated.rows[source]) for state, source in enumerate(pairing.source)]
-    return np.array(rows, dtype=np.float64), pairing.failed(simulated.failed)
+def _branch(
+    robot: Robot,
+    batch: Batch,
+    acting: ActingLanes,
+    origin: FloatArray,
+    lanes: IntArray,
+    action: int,
+    told_s: FloatArray,
+) -> list[tuple[FloatArray, FloatArray] | str]:
+    """For each of some lanes the (6,) row at the period's end and the (t, 6) rows told; or why it failed."""
+    began_s = float(batch.time_s[lanes[0]])
+    times = np.union1d(told_s, [robot.period_s])
+    at_period, kept = int(np.searchsorted(times, robot.period_s)), np.isin(times, told_s)
+    ends = [robot.period_s] if times[-1] == robot.period_s else [robot.period_s, times[-1]]
+    twin, twin_acting = batch.copy(), acting.copy()
+    for lane in lanes.tolist():
+        fire_action(robot, twin, twin_acting, lane, action, began_s)
+    before = twin.motion_world()
+    until = twin.time_s.copy()
+    legs = []
+    for end in ends:
+        until[lanes] = began_s + end
+        legs.append(twin_acting.advance(twin, until, trace=True))
+    found: list[tuple[FloatArray, FloatArray] | str] = []
+    for lane in lanes.tolist():
+        if lane in twin.failures:
+            found.append(str(twin.failures[lane]))
+            continue
+        steps = np.concatenate([np.zeros(1), *(leg[lane][0] - began_s for leg in legs)])
+        steps[np.cumsum([len(leg[lane][0]) for leg in legs])] = ends  # to the last bit
+        traced = np.concatenate([before[lane : lane + 1], *(leg[lane][1] for leg in legs)])
+        pose, speed = between(steps, traced, times)
+        moved = body_from_world(origin[lane, 2], pose - origin[lane])
+        motion = np.concatenate([moved, speed], axis=1)
+        found.append((motion[at_period], motion[kept]))
+    return found

@@ -8,15 +8,20 @@ from pathlib import Path
 
 from frogkick.link.frames import pack_frame
 from frogkick.link.layout import Value, link_layout
+from frogkick.loop.decision import LIMB_USE_FIELDS
 from frogkick.loop.session import Session
 from frogkick.paths import shape
 from frogkick.planner.image import Tables
+from frogkick.pool.chip.image import load_image
+from frogkick.pool.chip.stack import StackAnalysis
+from frogkick.pool.chip.symbols import unwanted
 from frogkick.pool.monitor import Pulse, pulses_of, violations
 from frogkick.pool.virtual_robot import VirtualRobot
 from frogkick.robot import Robot
 
 DEPTHS = (1, 2, 3, 4)
 PULSE_TOLERANCE_S = 2e-6
+PLAN_TIMEOUT_S = 30.0  # four levels of 32 actions take long
 
 
 @dataclass
@@ -28,12 +33,16 @@ class ChipReport:
         plan_ms, plan_cycles: computing time of one plan for each depth ("1" to "4") from the path's start, at
             the cycle model of the virtual chip.
         stack_bytes: deepest use of the painted stack.
+        stack_bound_bytes: the most that any path through the machine code can use.
+        stack_chain: the functions on that path, from reset on.
     """
 
     checks: dict[str, bool] = field(default_factory=dict)
     plan_ms: dict[str, float] = field(default_factory=dict)
     plan_cycles: dict[str, int] = field(default_factory=dict)
     stack_bytes: int = 0
+    stack_bound_bytes: int = 0
+    stack_chain: tuple[str, ...] = ()
 
     @property
     def passed(self) -> bool:
@@ -60,7 +69,8 @@ def check_on_chip(
         ChipError: it did what the chip does not allow.
     """
     trial = _Trial(elf, tables, robot)
-    steps = (trial.hello, trial.disarmed, trial.refusals, trial.stroke, trial.cut, trial.plans, trial.stack)
+    steps = [trial.hello, trial.disarmed, trial.refusals, trial.stroke, trial.cut, trial.plans]
+    steps += [trial.contents, trial.stack]
     for number, step in enumerate(steps, start=1):
         step()
         progress(number, len(steps))
@@ -69,6 +79,7 @@ def check_on_chip(
 
 class _Trial:
     def __init__(self, elf: Path, tables: Tables, robot: Robot) -> None:
+        self.elf = elf
         self.tables = tables
         self.robot = robot
         self.report = ChipReport()
@@ -182,16 +193,27 @@ class _Trial:
                 "vx_mps": 0.02,
                 "vy_mps": 0.0,
                 "omega_rad_s": 0.1,
+                **dict.fromkeys(LIMB_USE_FIELDS, 0),
+                "along_points": 0.0,
                 **pose,
             }
-            self.session.request("PLAN", values)
+            status = int(self.session.ask("PLAN", values, timeout_s=PLAN_TIMEOUT_S)["status"])
             cycles = self.port.chip.busy_cycles - begun - idle
-            self.report.plan_cycles[str(depth)] = cycles
-            self.report.plan_ms[str(depth)] = round(cycles / 64e3, 4)
+            if status == 0:
+                self.report.plan_cycles[str(depth)] = cycles
+                self.report.plan_ms[str(depth)] = round(cycles / 64e3, 4)
         self._check("plans at every depth", len(self.report.plan_ms) == len(DEPTHS))
+
+    def contents(self) -> None:
+        found = unwanted(load_image(self.elf).symbols)
+        self._check("no 64-bit division, soft float, double, libm or heap", not found)
 
     def stack(self) -> None:
         self.report.stack_bytes = self.port.chip.stack_high_water_bytes()
+        bound = StackAnalysis(self.elf).bound()
+        self.report.stack_bound_bytes = bound.total_bytes
+        self.report.stack_chain = tuple(name for name, _ in bound.chain)
+        self._check("stack within its bound", 0 < self.report.stack_bytes <= bound.total_bytes)
         self._check(
-            "stack within its reserve", 0 < self.report.stack_bytes < self.port.chip.stack_reserved_bytes
+            "bound of the stack within its reserve", bound.total_bytes <= self.port.chip.stack_reserved_bytes
         )

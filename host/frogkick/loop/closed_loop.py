@@ -10,11 +10,20 @@ from dataclasses import dataclass, field
 from frogkick.errors import InputError
 from frogkick.link.frames import Frame
 from frogkick.link.layout import link_layout
-from frogkick.loop.decision import Decision, DecisionTwin, RobotEvent, decision_of_event
+from frogkick.loop.decision import (
+    RESTING,
+    Decision,
+    DecisionTwin,
+    RobotEvent,
+    decision_of_event,
+    events_of_frame,
+)
 from frogkick.loop.session import Session
 from frogkick.paths import Path
+from frogkick.planner import kernel
+from frogkick.planner.follow import End
 from frogkick.planner.image import Tables
-from frogkick.planner.plan import PlanConfig
+from frogkick.planner.plan import PlanConfig, config_of
 from frogkick.pool.camera import Fix
 from frogkick.pool.pool import Pool
 from frogkick.pool.port import Edge, RobotPort
@@ -24,6 +33,14 @@ SETTLE_S = 0.6  # fixes before the start, so that the first estimate knows a vel
 START_DELAY_S = 0.1
 # A chip boots longer than the core on this computer. From a common time on, both meet the same fixes.
 READY_S = 1.0
+TIME = "time limit"
+ENDED = {
+    "OK": End.COMPLETED.value,
+    "PASSED": End.PASSED.value,
+    "STALLED": End.STALLED.value,
+    "STALE": "position fixes lost",
+}
+"""Why a run ended, for people, by the status of ENDED."""
 
 
 @dataclass
@@ -34,11 +51,12 @@ class Recording:
         fixes: fixes in order of sending.
         sent_s: when each was sent.
         capture_us: capture time of each on the robot's clock; None where the robot took none.
+        fix_status: what the robot answered to each (``frames.toml``); None where no answer came.
         events: what the robot met, in its order: enough to decide everything again on the host.
         decisions: in order.
         edges: pin edges.
         completed: the path's end was reached.
-        ended: why the run ended, for people.
+        ended: why the run ended: a value of ENDED, or TIME.
         fixes_refused: the robot's own counter.
         first_decision_s, end_s: robot time.
     """
@@ -46,6 +64,7 @@ class Recording:
     fixes: list[Fix] = field(default_factory=list)
     sent_s: list[float] = field(default_factory=list)
     capture_us: list[int | None] = field(default_factory=list)
+    fix_status: list[int | None] = field(default_factory=list)
     events: list[RobotEvent] = field(default_factory=list)
     decisions: list[Decision] = field(default_factory=list)
     edges: list[Edge] = field(default_factory=list)
@@ -73,24 +92,18 @@ class RunOptions:
 
 def robot_plan_config(robot: Robot) -> PlanConfig:
     """The planner configuration of a robot's TOML."""
-    planner = robot.planner
-    return PlanConfig(
-        planner.distance_weight_per_m,
-        planner.angle_weight_per_rad,
-        planner.progress_weight,
-        planner.level_weight,
-        planner.depth,
-    )
+    return config_of(robot.planner)
 
 
 def parameters(config: PlanConfig) -> dict[str, float]:
     """The robot's PARAM values for a planner configuration."""
+    names = [name for name in kernel.Settings._fields if name not in ("cost", "transitions_max")]
+    weights = {name.upper(): float(getattr(config, name)) for name in names}
     return {
+        **weights,
         "DEPTH": config.depth,
-        "DISTANCE_WEIGHT_PER_M": config.distance_weight_per_m,
-        "ANGLE_WEIGHT_PER_RAD": config.angle_weight_per_rad,
-        "PROGRESS_WEIGHT": config.progress_weight,
-        "LEVEL_WEIGHT": config.level_weight,
+        "COST": int(config.cost),
+        "TRANSITIONS_MAX": config.transitions_max,
     }
 
 
@@ -181,7 +194,7 @@ class _PoolRun:
             if recording.ended:
                 return
         session.request("STOP")
-        recording.ended = "time limit"
+        recording.ended = TIME
 
     def _run_on_host(self) -> None:
         session, recording = self.session, self.recording
@@ -191,11 +204,13 @@ class _PoolRun:
         while True:
             at_us = start_us + len(recording.decisions) * self.tables.period_us
             self._live_until(min(at_us * 1e-6, limit_s))
+            if self._ended_on_host():
+                return
             if session.time_s >= limit_s:
-                recording.ended = "time limit"
+                recording.ended = TIME
                 return
             if self.twin.is_lost(at_us):
-                recording.ended = "robot ended: STALE"
+                recording.ended = ENDED["STALE"]
                 return
             began = time.perf_counter()
             decision = self.twin.decide(at_us)
@@ -203,37 +218,44 @@ class _PoolRun:
             decision = Decision(**{**decision.__dict__, "plan_us": elapsed_us})
             recording.decisions.append(decision)
             self.progress(session.time_s, decision.path_index)
-            if self.twin.is_completed(decision):
-                recording.completed = True
-                recording.ended = "path completed"
+            if self._ended_on_host():
                 return
             if decision.action < len(self.tables.actions):
                 session.post("STROKE", {"action": decision.action})
 
+    def _ended_on_host(self) -> bool:
+        end = self.twin.ended
+        if end is not None:
+            self.recording.completed = end is End.COMPLETED
+            self.recording.ended = end.value
+        return end is not None
+
     def _live_until(self, until_s: float) -> None:
-        while self.session.time_s < until_s:
+        while self.session.time_s < until_s and (self.options.onboard or self.twin.ended is None):
             self.session.step(min(max(self.pool.next_event_s, self.session.time_s + 1e-6), until_s))
-            for arrival in self.session.take("FIX", "STROKE", "DECISION", "ENDED"):
+            for arrival in self.session.take("FIX", "STROKE", "DECISION", "REFUSED", "ENDED"):
                 self._note(arrival.frame)
 
     def _note(self, frame: Frame) -> None:
         recording, values = self.recording, frame.values
+        poses = {key: recording.fixes[row].pose_world for key, row in self._awaited.items()}
+        recording.events += events_of_frame(frame, poses)
         if frame.name == "FIX":
             row = self._awaited.pop(frame.sequence)
+            recording.fix_status[row] = int(values["status"])
             if values["status"] == 0:
-                capture_us = int(values["capture_us"])
-                recording.capture_us[row] = capture_us
-                fix = recording.fixes[row]
-                recording.events.append(RobotEvent(capture_us, fix.pose_world, fix.sequence))
+                recording.capture_us[row] = int(values["capture_us"])
+        elif frame.name == "REFUSED":
+            if not self.options.onboard:
+                self.twin.act(int(values["begin_us"]), RESTING)
         elif frame.name == "DECISION":
             decision = decision_of_event(values)
             recording.decisions.append(decision)
-            recording.events.append(RobotEvent(decision.scheduled_us))
             self.progress(self.session.time_s, decision.path_index)
         elif frame.name == "ENDED":
             recording.completed = values["status"] == 0
             name = link_layout().status_name(int(values["status"]))
-            recording.ended = "path completed" if recording.completed else f"robot ended: {name}"
+            recording.ended = ENDED.get(name, name)
 
     def _pool_step(self, until_s: float, edges: Sequence[Edge]) -> None:
         """The pool lives through a step of the robot; fixes that arrive go straight to the robot."""
@@ -248,5 +270,6 @@ class _PoolRun:
             recording.fixes.append(fix)
             recording.sent_s.append(at_s)
             recording.capture_us.append(None)
+            recording.fix_status.append(None)
             if not self.options.onboard:
                 self.twin.add_fix(round(fix.capture_s * 1e6), fix.pose_world, fix.sequence)

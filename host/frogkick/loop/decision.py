@@ -2,19 +2,26 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
+from frogkick.link.frames import Frame
 from frogkick.link.layout import Value, link_layout
 from frogkick.paths import Path
-from frogkick.planner.estimator import LOST_US, Estimator
+from frogkick.planner.estimator import LOST_US, Estimates, Estimator
+from frogkick.planner.follow import End, Follow
 from frogkick.planner.image import Tables
 from frogkick.planner.plan import PlanConfig, PlanError, plan
+from frogkick.planner.track import resting_action_of
 
 STATE_FIELDS = ("x_m", "y_m", "heading_rad", "vx_mps", "vy_mps", "omega_rad_s")
+LIMB_USE_FIELDS = tuple(f"limb_use_{limb}" for limb in range(8))
 STALE = link_layout().status["STALE"]
+VALUE = link_layout().status["VALUE"]
+RESTING = -1
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,7 +36,10 @@ class Decision:
         path_index: nearest path point of the estimate.
         nearest_state: row of the table.
         cost: float32 of the best branch.
+        depth_reached, transitions: levels that were finished, transitions evaluated.
+        distance_m, along_points: float32 of the estimate from the path, and where along it, in points.
         estimate, predicted: (6,) float32; pose world, velocity body; now and after the action.
+        limb_use: (8,) how much each limb was used before the action.
         plan_us: computing time, where it was measured.
     """
 
@@ -44,14 +54,20 @@ class Decision:
     estimate: npt.NDArray[np.float32]
     predicted: npt.NDArray[np.float32]
     plan_us: int = 0
+    limb_use: tuple[int, ...] = (0,) * 8
+    depth_reached: int = 0
+    transitions: int = 0
+    distance_m: np.float32 = np.float32(0.0)  # noqa: RUF009 - immutable
+    along_points: np.float32 = np.float32(0.0)  # noqa: RUF009
 
     def differences(self, other: Decision) -> list[str]:
         """Names of the fields that differ in any bit; computing time does not count."""
         names = [
             "status", "action", "scheduled_us", "fix_sequence", "fixes", "path_index", "nearest_state",
+            "limb_use", "depth_reached", "transitions",
         ]  # fmt: skip
         differing = [name for name in names if getattr(self, name) != getattr(other, name)]
-        for name in ("cost", "estimate", "predicted"):
+        for name in ("cost", "distance_m", "along_points", "estimate", "predicted"):
             mine, theirs = np.float32(getattr(self, name)), np.float32(getattr(other, name))
             if mine.tobytes() != theirs.tobytes():
                 differing.append(name)
@@ -60,17 +76,37 @@ class Decision:
 
 @dataclass(frozen=True)
 class RobotEvent:
-    """What the robot met, in its order: a fix it took (with its pose), or a decision (without).
+    """What the robot's estimator met, in its order: a fix (with pose), an action, or a decision (neither).
 
     Attributes:
-        time_us: capture time or decision time, robot's clock.
-        pose_world: (3,) float32 of a fix, None for a decision.
+        time_us: capture time, time at which the action begins, or decision time, robot's clock.
+        pose_world: (3,) float32 of a fix.
         sequence: number of the fix.
+        action: what began by command, or RESTING where the guard refused what was to begin.
     """
 
     time_us: int
     pose_world: npt.NDArray[np.float32] | None = None
     sequence: int = 0
+    action: int | None = None
+
+
+def events_of_frame(frame: Frame, poses: Mapping[int, npt.NDArray[np.float32]]) -> list[RobotEvent]:
+    """What a frame from the robot tells of what its estimator met.
+
+    Args:
+        frame: any; an answer to FIX, REFUSED and DECISION tell something.
+        poses: of the fixes on their way, by the sequence of their frame.
+    """
+    values = frame.values
+    if frame.name == "FIX" and values["status"] != VALUE:
+        number = int(values["fix_sequence"])
+        return [RobotEvent(int(values["capture_us"]), poses[frame.sequence], number)]
+    if frame.name == "REFUSED":
+        return [RobotEvent(int(values["begin_us"]), action=RESTING)]
+    if frame.name == "DECISION":
+        return [RobotEvent(int(values["scheduled_us"]))]
+    return []
 
 
 def decision_of_event(values: dict[str, Value]) -> Decision:
@@ -91,46 +127,89 @@ def decision_of_event(values: dict[str, Value]) -> Decision:
         estimate=state(""),
         predicted=state("predicted_"),
         plan_us=int(values["plan_us"]),
+        limb_use=tuple(int(values[name]) for name in LIMB_USE_FIELDS),
+        depth_reached=int(values["depth_reached"]),
+        transitions=int(values["transitions"]),
+        distance_m=np.float32(values["distance_m"]),
+        along_points=np.float32(values["along_points"]),
     )
 
 
 class DecisionTwin:
-    """Estimator and planner on the host, deciding as the robot on board would."""
+    """Estimator and planner on the host, deciding as the robot on board would.
 
-    def __init__(self, tables: Tables, path: Path, config: PlanConfig) -> None:
+    Attributes:
+        ended: why the run is over, None while it goes on. The next decision begins a new run.
+    """
+
+    def __init__(
+        self, tables: Tables, path: Path, config: PlanConfig, estimator: Estimates | None = None
+    ) -> None:
+        """Decide on a path; ``estimator`` is the robot's own where it is None."""
         self._tables = tables
         self._path = path
         self._config = config
-        self._estimator = Estimator()
-        resting = (i for i, row in enumerate(tables.actions) if not row.first_mask and not row.second_mask)
-        self._resting_action = next(resting, len(tables.actions))
+        self._estimator = Estimator(tables) if estimator is None else estimator
+        self._follow = Follow(tables, path, config)
+        self.ended: End | None = None
+        self._resting_action = resting_action_of(tables)
 
-    def add_fix(self, capture_us: int, pose_world: npt.NDArray[np.float32], sequence: int) -> bool:
-        """Take a fix; False where it is refused (see ``Estimator.add``)."""
-        return self._estimator.add(capture_us, pose_world, sequence)
+    def add_fix(self, capture_us: int, pose_world: npt.NDArray[np.float32], sequence: int) -> int:
+        """Take a fix; 0, or why it is refused (see ``Estimator.add``)."""
+        status = self._estimator.add(capture_us, pose_world, sequence)
+        if status == 0 and self.ended is None:
+            self.ended = self._follow.fixed(pose_world[0], pose_world[1])
+        return status
+
+    def act(self, at_us: int, action: int) -> None:
+        """An action begins that ``decide`` did not ask for; RESTING: the one it asked for does not."""
+        self._estimator.act(at_us, self._resting_action if action == RESTING else action)
+
+    def meet(self, event: RobotEvent) -> Decision | None:
+        """Live through what the robot met; its decision is decided again."""
+        if event.pose_world is not None:
+            self.add_fix(event.time_us, event.pose_world, event.sequence)
+        elif event.action is not None:
+            self.act(event.time_us, event.action)
+        else:
+            return self.decide(event.time_us)
+        return None
 
     def is_lost(self, at_us: int) -> bool:
         """No fix for so long that the robot on board would disarm."""
         newest_us = self._estimator.newest_capture_us
         return newest_us is None or at_us - newest_us > LOST_US
 
-    def is_completed(self, decision: Decision) -> bool:
-        """The estimate has the path's last point as its nearest one."""
-        return decision.status == 0 and decision.path_index + 1 >= len(self._path)
-
     def decide(self, at_us: int) -> Decision:
-        """Estimate and plan for a time on the clock of the fixes."""
+        """Estimate and plan for a time on the clock of the fixes; the estimator takes the action as begun."""
+        if self.ended is not None:
+            self._follow.begin()
+            self.ended = None
+        decision = self._decide(at_us)
+        if self.ended is None:
+            self._estimator.act(at_us, decision.action)
+        return decision
+
+    def _decide(self, at_us: int) -> Decision:
         nowhere = np.zeros(6, dtype=np.float32)
+        along = self._follow.along_points
         estimate = self._estimator.at(at_us)
         if estimate is None:
-            return Decision(STALE, self._resting_action, at_us, 0, 0, 0, 0, np.float32(0.0), nowhere, nowhere)
+            return Decision(
+                STALE, self._resting_action, at_us, 0, 0, 0, 0, np.float32(0.0), nowhere, nowhere,
+                along_points=along,
+            )  # fmt: skip
+        limb_use = tuple(int(use) for use in estimate.limb_use)
         try:
-            made = plan(self._tables, self._path, self._config, estimate.state)
+            made = plan(
+                self._tables, self._path, self._config, estimate.state, estimate.limb_use, float(along)
+            )
         except PlanError as error:
             return Decision(
                 error.status, self._resting_action, at_us, estimate.fix_sequence, estimate.fixes, 0, 0,
-                np.float32(0.0), estimate.state, nowhere,
+                np.float32(0.0), estimate.state, nowhere, limb_use=limb_use, along_points=along,
             )  # fmt: skip
+        self.ended = self._follow.decided(made)
         return Decision(
             status=0,
             action=made.action,
@@ -142,4 +221,9 @@ class DecisionTwin:
             cost=made.cost,
             estimate=estimate.state,
             predicted=made.predicted,
+            limb_use=limb_use,
+            depth_reached=made.depth_reached,
+            transitions=made.transitions,
+            distance_m=made.distance_m,
+            along_points=made.along_points,
         )

@@ -19,6 +19,9 @@ from frogkick.pool.pool import Pool
 from frogkick.robot import Robot
 
 WEIGHT_MAX = 1e6  # as for fk_plan
+_FIELDS = tuple(entry.name for entry in fields(PlanConfig))
+_FIRST_FIELDS = _FIELDS[: _FIELDS.index("cost")]  # older logs know no others: those keep their defaults
+_WHOLE = {"depth": (1, 4), "cost": (0, 1), "transitions_max": (0, 1e7)}
 
 
 @dataclass(frozen=True)
@@ -66,6 +69,7 @@ def decision_columns(decisions: Sequence[Decision], fix_rows: dict[int, int]) ->
             "status": np.array([d.status for d in decisions], dtype=np.int64),
             "path_index": np.array([d.path_index for d in decisions], dtype=np.int64),
             "scheduled_us": np.array([d.scheduled_us for d in decisions], dtype=np.int64),
+            "limb_use": np.array([d.limb_use for d in decisions], dtype=np.int64).reshape(-1, 8),
         },
     )
 
@@ -96,7 +100,8 @@ def run_log(
     starts = sorted({(pulse.start_s, pulse.end_s) for pulse in pulses})
     masks = [sum(1 << p.limb for p in pulses if (p.start_s, p.end_s) == start) for start in starts]
     tracked = tracking_of_recording(recording, pool, robot, path).as_json()
-    decisions = decision_columns(recording.decisions, {fix.sequence: row for row, fix in enumerate(fixes)})
+    rows = {fix.sequence: row for row, fix in reversed(list(enumerate(fixes)))}  # of a doubled one the first
+    decisions = decision_columns(recording.decisions, rows)
     if not options.onboard:
         # Measured on this computer's clock, not the robot's: the same seed shall give the same log.
         decisions = replace(decisions, plan_s=None)
@@ -120,6 +125,10 @@ def run_log(
                 # On the robot's clock; -1 where the robot took none.
                 "robot_capture_us": np.array(
                     [-1 if us is None else us for us in recording.capture_us], dtype=np.int64
+                ),
+                # What the robot answered to it; 1 where no answer came.
+                "robot_status": np.array(
+                    [1 if status is None else status for status in recording.fix_status], dtype=np.int64
                 ),
             },
         ),
@@ -149,21 +158,22 @@ def config_of_log(run: RunLog) -> PlanConfig:
     Raises:
         InputError: it holds none, or not a whole one.
     """
-    missing = [entry.name for entry in fields(PlanConfig) if entry.name not in run.planner]
+    missing = [name for name in _FIRST_FIELDS if name not in run.planner]
     if missing:
         raise InputError(
             f"run {run.source!r} does not say the planner's {missing[0]}: choose --planner paper or robot"
         )
-    values = {entry.name: run.planner[entry.name] for entry in fields(PlanConfig)}
-    depth = values.pop("depth")
-    wrong = [name for name, value in values.items() if not 0.0 <= value <= WEIGHT_MAX]
-    if wrong or depth not in (1, 2, 3, 4):
-        name = wrong[0] if wrong else "depth"
-        raise InputError(
-            f"run {run.source!r}: planner {name} is {run.planner[name]:g}, weights are 0 to {WEIGHT_MAX:g}, "
-            "the depth 1 to 4: choose --planner paper or robot"
-        )
-    return PlanConfig(depth=int(depth), **values)
+    values = {name: run.planner[name] for name in _FIELDS if name in run.planner}
+    for name, value in values.items():
+        limits = _WHOLE.get(name, (0.0, 2.0 if name == "turn_lead" else WEIGHT_MAX))
+        if not limits[0] <= value <= limits[1] or (name in _WHOLE and value != int(value)):
+            raise InputError(
+                f"run {run.source!r}: planner {name} is {value:g}, allowed is {limits[0]:g} to "
+                f"{limits[1]:g}: choose --planner paper or robot"
+            )
+    whole = {name: int(value) for name, value in values.items() if name in _WHOLE}
+    weights = {name: value for name, value in values.items() if name not in _WHOLE}
+    return PlanConfig(**{**weights, **whole})  # type: ignore[arg-type]
 
 
 def tracking_of_recording(recording: Recording, pool: Pool, robot: Robot, path: Path) -> Tracking:

@@ -6,10 +6,17 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
 from frogkick.errors import InputError
 from frogkick.loop.closed_loop import parameters
-from frogkick.loop.decision import Decision, DecisionTwin, RobotEvent, decision_of_event
+from frogkick.loop.decision import (
+    Decision,
+    DecisionTwin,
+    RobotEvent,
+    decision_of_event,
+    events_of_frame,
+)
 from frogkick.loop.runlog import RunLog
 from frogkick.loop.session import LinkError, Session
 from frogkick.paths import Path
@@ -48,10 +55,15 @@ class Replay:
 
 
 @dataclass(frozen=True)
-class _Schedule:
-    """The recorded run on the robot's clock."""
+class Schedule:
+    """A run on the robot's clock.
 
-    fixes: list[tuple[float, Fix]]  # (arrival, fix), robot time in s
+    Attributes:
+        fixes: (arrival, fix), robot time in s, in order of arrival.
+        first_us, period_us, decisions: when it decides, and how often.
+    """
+
+    fixes: list[tuple[float, Fix]]
     first_us: int
     period_us: int
     decisions: int
@@ -71,17 +83,19 @@ def require_replayable(run: RunLog) -> None:
         raise InputError(f"run {run.source!r} has no usable fix: nothing to replay")
 
 
-def _schedule(run: RunLog) -> _Schedule:
+def _schedule(run: RunLog) -> Schedule:
     fixes = []
+    # A fix that came twice has one number: by it and its pose the robot knows it again.
+    numbers = run.fixes.extra.get("sequence", np.arange(len(run.fixes)))
     for row in np.flatnonzero(run.fixes.usable):
         pose = np.array(
             [run.fixes.x_m[row], run.fixes.y_m[row], run.fixes.heading_rad[row]], dtype=np.float32
         )
         arrival_s = LEAD_IN_S + float(run.fixes.time_s[row])
         capture_s = LEAD_IN_S + float(run.fixes.capture_time_s[row])
-        fixes.append((arrival_s, Fix(int(row) & 0xFFFF, capture_s, arrival_s, pose)))
+        fixes.append((arrival_s, Fix(int(numbers[row]) & 0xFFFF, capture_s, arrival_s, pose)))
     first_us = round((LEAD_IN_S + float(run.decisions.time_s[0])) * 1e6)
-    return _Schedule(fixes, first_us, round(run.period_s * 1e6), len(run.decisions))
+    return Schedule(fixes, first_us, round(run.period_s * 1e6), len(run.decisions))
 
 
 def replay(
@@ -113,7 +127,7 @@ def replay(
     assert run.path is not None
     onboard: list[Decision] = []
     if port is not None:
-        onboard, events = _replay_onboard(schedule, run.path, tables, config, port, progress)
+        onboard, events = replay_onboard(schedule, run.path, tables, config, port, progress)
     else:
         events = _events_of(schedule)
     decided = replay_on_host(events, DecisionTwin(tables, run.path, config)) if host else []
@@ -139,16 +153,10 @@ def compare(onboard: Sequence[Decision], host: Sequence[Decision]) -> list[tuple
 
 def replay_on_host(events: Sequence[RobotEvent], twin: DecisionTwin) -> list[Decision]:
     """The twin's decisions for what the robot saw, in the order in which it saw it."""
-    decisions = []
-    for event in events:
-        if event.pose_world is not None:
-            twin.add_fix(event.time_us, event.pose_world, event.sequence)
-        else:
-            decisions.append(twin.decide(event.time_us))
-    return decisions
+    return [decision for event in events if (decision := twin.meet(event)) is not None]
 
 
-def _events_of(schedule: _Schedule) -> list[RobotEvent]:
+def _events_of(schedule: Schedule) -> list[RobotEvent]:
     """Without a robot: a decision sees the fixes that arrived before it."""
     timed = [
         (round(arrival_s * 1e6), 0, RobotEvent(round(fix.capture_s * 1e6), fix.pose_world, fix.sequence))
@@ -160,20 +168,28 @@ def _events_of(schedule: _Schedule) -> list[RobotEvent]:
     return [event for _, _, event in sorted(timed, key=lambda row: row[:2])]
 
 
-def _replay_onboard(
-    schedule: _Schedule,
+def replay_onboard(
+    schedule: Schedule,
     path: Path,
     tables: Tables,
     config: PlanConfig,
     port: RobotPort,
-    progress: Callable[[int, int], None],
+    progress: Callable[[int, int], None] = lambda _done, _all: None,
 ) -> tuple[list[Decision], list[RobotEvent]]:
+    """Let a robot decide on a schedule's fixes.
+
+    Returns:
+        Its decisions, and what it met in its order: enough for ``replay_on_host``.
+
+    Raises:
+        LinkError: the robot refuses or does not answer.
+    """
     session = Session(port)
     session.greet(tables)
     session.set_parameters({**parameters(config), "PERIOD_US": schedule.period_us})
     session.send_path(path)
     waiting = list(schedule.fixes)
-    poses: dict[int, Fix] = {}
+    poses: dict[int, npt.NDArray[np.float32]] = {}
     events: list[RobotEvent] = []
     decisions: list[Decision] = []
     running = False
@@ -187,19 +203,16 @@ def _replay_onboard(
         session.step(max(min(next_s, session.time_s + STEP_S), session.time_s + 1e-6))
         while waiting and waiting[0][0] <= session.time_s:
             _, fix = waiting.pop(0)
-            poses[session.post_fix(fix, session.time_s)] = fix
-        for arrival in session.take("FIX", "DECISION", "ENDED"):
+            poses[session.post_fix(fix, session.time_s)] = fix.pose_world
+        for arrival in session.take("FIX", "DECISION", "REFUSED", "ENDED"):
             frame = arrival.frame
+            events += events_of_frame(frame, poses)
             if frame.name == "FIX":
-                fix = poses.pop(frame.sequence)
-                if frame.values["status"] == 0:
-                    capture_us = int(frame.values["capture_us"])
-                    events.append(RobotEvent(capture_us, fix.pose_world, fix.sequence))
+                del poses[frame.sequence]
             elif frame.name == "DECISION":
                 decisions.append(decision_of_event(frame.values))
-                events.append(RobotEvent(decisions[-1].scheduled_us))
                 progress(len(decisions), schedule.decisions)
-            else:
+            elif frame.name == "ENDED":
                 running = False
         if session.time_s * 1e6 > next_us + 5 * schedule.period_us:
             raise LinkError(f"the robot made no decision after {len(decisions)}: is it disarmed?")

@@ -14,8 +14,8 @@ from frogkick.robot import Robot
 
 FloatArray = npt.NDArray[np.float64]
 
-STEPS_S = (0.008, 0.004, 0.002, 0.001, 0.0005)
-REFERENCE_STEP_S = 0.000125
+STEPS_S = (0.0064, 0.0032, 0.0016, 0.0008, 0.0004)
+REFERENCE_STEP_S = 0.0001
 ERROR_LIMIT = 0.002  # of the distance, at the default step
 GAIT_CYCLES = 8  # the speed counts from cycle 5 to 8
 PHASES = (0.0, 0.25, 0.5, 0.75)
@@ -50,12 +50,15 @@ class Curve:
         return float(np.exp(np.interp(np.log(STEP_S), *logs)))
 
 
-def convergence(robot: Robot, progress: Callable[[int, int], None] = lambda _done, _all: None) -> list[Curve]:
+def convergence(
+    robot: Robot, progress: Callable[[int, int], None] = lambda _done, _all: None, every: int = 1
+) -> list[Curve]:
     """Simulate strokes and gaits at several steps and compare them with a fine one.
 
     Args:
         robot: what swims.
         progress: called with simulations done and to do (a simulation is one step length of one kind).
+        every: takes every so many-th of the gaits, which are each measured profile at four phases.
 
     Returns:
         The curve of the strokes and the curve of the gaits.
@@ -63,9 +66,14 @@ def convergence(robot: Robot, progress: Callable[[int, int], None] = lambda _don
     Raises:
         ConvergenceError: a simulation failed.
     """
+    gaits = _gaits(robot)[::every]
+
+    def gait_speeds(robot: Robot, step_s: float) -> FloatArray:
+        return _gait_speeds(robot, gaits, step_s)
+
     done, whole = 0, 2 * (len(STEPS_S) + 1)
     curves = []
-    for name, measure in (("strokes", _stroke_distances), ("gaits", _gait_speeds)):
+    for name, measure in (("strokes", _stroke_distances), ("gaits", gait_speeds)):
         reference = measure(robot, REFERENCE_STEP_S)
         rows = []
         progress(done := done + 1, whole)
@@ -88,8 +96,8 @@ def _stroke_distances(robot: Robot, step_s: float) -> FloatArray:
     return np.hypot(motions.pose_world[:, -1, 0], motions.pose_world[:, -1, 1])
 
 
-def _gait_speeds(robot: Robot, step_s: float) -> FloatArray:
-    swum = simulate_gaits(robot, _gaits(robot), GAIT_CYCLES, step_s=step_s)
+def _gait_speeds(robot: Robot, gaits: Sequence[Gait], step_s: float) -> FloatArray:
+    swum = simulate_gaits(robot, gaits, GAIT_CYCLES, step_s=step_s)
     _no_failures(result for result in swum if not isinstance(result, Trajectory))
     return np.array([result.speed_mps for result in swum if isinstance(result, Trajectory)])
 
@@ -100,10 +108,6 @@ def _no_failures(failures: Iterable[object]) -> None:
 
 
 def _gaits(robot: Robot) -> Sequence[Gait]:
-    """Each EGaIn fraction at its lowest and highest measured frequency, at four phases."""
-    fractions = sorted({profile.egain_percent for profile in robot.profiles})
-    ends = []
-    for fraction in fractions:
-        frequencies = [p.frequency_hz for p in robot.profiles if p.egain_percent == fraction]
-        ends += [(fraction, min(frequencies)), (fraction, max(frequencies))]
-    return [Gait(fraction, frequency, phase) for fraction, frequency in ends for phase in PHASES]
+    """Each measured profile at four phases; equally long ones side by side."""
+    profiles = sorted(robot.profiles, key=lambda profile: profile.frequency_hz)
+    return [Gait(p.egain_percent, p.frequency_hz, phase) for p in profiles for phase in PHASES]

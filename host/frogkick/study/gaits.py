@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from frogkick.chunks import Job, run_chunks
-from frogkick.der import STEP_S, WIDTH, Batch, Gait, Rods, Swimmer, prepare
+from frogkick.der import Failure, Gait, Rods, Swimmer, Track, prepare, swim_tracks
 from frogkick.errors import InputError
 from frogkick.robot import Actuation, Profile, Robot
 from frogkick.robot.model import STANDARD_GRAVITY_MPS2
@@ -21,8 +21,6 @@ FloatArray = NDArray[np.float64]
 CYCLES = 8
 FIRST_CYCLE = 5
 """The authors' speed is that from the end of cycle 5 to the end of cycle 8."""
-
-_NODE_MEAN_X = 6  # column of frogkick.der.body.body_motion
 
 
 @dataclass(frozen=True)
@@ -69,7 +67,7 @@ Swum = list[GaitSwim | str]
 
 
 def swim_gaits(rods: Rods, profiles: Sequence[Profile], gaits: Sequence[Gait], cycles: int = CYCLES) -> Swum:
-    """Swim gaits from rest, heading forward, ``WIDTH`` of them side by side.
+    """Swim gaits from rest, heading forward, several of them side by side.
 
     Args:
         rods: of the robot; their own stroke is not used.
@@ -84,11 +82,19 @@ def swim_gaits(rods: Rods, profiles: Sequence[Profile], gaits: Sequence[Gait], c
     swum: Swum = [stroke if isinstance(stroke, str) else "" for stroke in strokes]
     ready = [(k, gaits[k], stroke) for k, stroke in enumerate(strokes) if not isinstance(stroke, str)]
     ready.sort(key=lambda row: row[1].frequency_hz)  # lanes that last equally long keep each other busy
-    for first in range(0, len(ready), WIDTH):
-        places, some, actuations = zip(*ready[first : first + WIDTH], strict=True)
-        for place, result in zip(places, _side_by_side(rods, some, actuations, cycles), strict=True):
-            swum[place] = result
+    some = [replace(rods, actuation=stroke) for _, _, stroke in ready]
+    tracks = swim_tracks(some, [gait for _, gait, _ in ready], cycles)
+    for (place, gait, _), track in zip(ready, tracks, strict=True):
+        swum[place] = _swim(rods.robot, gait, track)
     return swum
+
+
+def _swim(robot: Robot, gait: Gait, track: Track | Failure) -> GaitSwim | str:
+    if isinstance(track, Failure):
+        return f"rods of {robot.id!r} {track}"
+    speed_mps = speed_over_cycles(track.time_s, track.node_mean_m, gait.frequency_hz)
+    cost = cost_of_transport(robot, gait.frequency_hz, speed_mps)
+    return GaitSwim(gait, track.time_s, track.node_mean_m, speed_mps, cost)
 
 
 def _stroke(profiles: Sequence[Profile], gait: Gait) -> Actuation | str:
@@ -98,44 +104,6 @@ def _stroke(profiles: Sequence[Profile], gait: Gait) -> Actuation | str:
         return actuation(profiles, gait.egain_percent, gait.frequency_hz)
     except InputError as error:
         return str(error)
-
-
-def _side_by_side(
-    rods: Rods, gaits: Sequence[Gait], actuations: Sequence[Actuation], cycles: int
-) -> Iterator[GaitSwim | str]:
-    robot, still = rods.robot, np.zeros((len(gaits), 3))
-    batch = Batch(
-        rods.mesh,
-        rods.plan,
-        actuations,
-        still,
-        still,
-        limbs=len(robot.limbs),
-        time_s=0.0,
-        step_s=STEP_S,
-        width=WIDTH,
-    )
-    period_s = np.array([1.0 / gait.frequency_hz for gait in gaits])
-    times = [[np.zeros(1)] for _ in gaits]
-    forward = [[row[_NODE_MEAN_X, None]] for row in batch.motion_world()]
-    for cycle in range(cycles):
-        for lane, gait in enumerate(gaits):
-            for limb in range(len(robot.limbs)):
-                if robot.gait_lead_mask >> limb & 1:
-                    batch.fire(lane, limb, cycle * period_s[lane])
-                if robot.gait_lag_mask >> limb & 1:
-                    batch.fire(lane, limb, (cycle + gait.phase) * period_s[lane])
-        for lane, (ends_s, motion) in enumerate(batch.advance((cycle + 1) * period_s, trace=True)):
-            times[lane].append(ends_s)
-            forward[lane].append(motion[:, _NODE_MEAN_X])
-    for lane, gait in enumerate(gaits):
-        if lane in batch.failures:
-            yield f"rods of {robot.id!r} {batch.failures[lane]}"
-            continue
-        time_s, forward_m = np.concatenate(times[lane]), np.concatenate(forward[lane])
-        speed_mps = speed_over_cycles(time_s, forward_m, gait.frequency_hz)
-        cost = cost_of_transport(robot, gait.frequency_hz, speed_mps)
-        yield GaitSwim(gait, time_s, forward_m, speed_mps, cost)
 
 
 _Ready = tuple[Rods, tuple[Profile, ...]]

@@ -1,0 +1,96 @@
+"""``frogkick identify``: what the model lacks, from runs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from typer.core import TyperCommand
+
+from frogkick.cli.common import JsonOption, progress_bar, require_writable, show
+from frogkick.identify.outcome import Outcome, identify, robot_of_runs, write_predictions, write_robot
+from frogkick.identify.swim import read_swim
+from frogkick.robot import load_robot
+
+
+def _text(outcome: Outcome) -> str:
+    lines = [f"verdict: {outcome.verdict}" + (f" ({outcome.reason})" if outcome.reason else "")]
+    for term, row in zip(outcome.terms, outcome.parameters, strict=True):
+        values = ", ".join(f"{p.name} {p.value:.4g} [{p.low:.4g}, {p.high:.4g}] {p.unit}" for p in row)
+        lines.append(f"effect {term.title}: {values}")
+    if not outcome.reason:
+        for name, error in (
+            ("before", outcome.tested.before),
+            ("after", outcome.tested.after),
+            ("noise floor", outcome.tested.noise_floor),
+        ):
+            lines.append(
+                f"{name}: {1e3 * error.position_rmse_m:.2f} mm, "
+                f"{57.29578 * error.heading_rmse_rad:.2f} deg RMS a period ahead"
+            )
+        lines.append(str(outcome.signature["text"]))
+    return "\n".join(lines)
+
+
+def command(
+    train: Annotated[list[Path], typer.Option(help="Runs to learn from: logs, or recorded runs (.csv).")],
+    test: Annotated[list[Path], typer.Option(help="Runs to predict, kept out of learning.")],
+    out: Annotated[Path, typer.Option(help="Robot TOML to write: the nominal one with what was found.")],
+    effects: Annotated[
+        Path | None, typer.Option(help="Python file with effects of your own, tried as well.")
+    ] = None,
+    robot: Annotated[
+        str | None, typer.Option(help="Robot TOML or name that is nominal; default: the runs' own.")
+    ] = None,
+    predictions: Annotated[
+        Path | None, typer.Option(help="CSV to write: each period of the test runs, predicted.")
+    ] = None,
+    report: Annotated[Path | None, typer.Option(help="HTML page to write.")] = None,
+    json: JsonOption = False,
+) -> None:
+    """Trace what a robot's model lacks to physical effects. Exit 0 whatever the verdict."""
+    for target in (out, predictions, report):
+        require_writable(target)
+    runs = [read_swim(path) for path in (*train, *test)]
+    described = load_robot(robot or robot_of_runs(runs))
+    learned = [read_swim(path, described) for path in train]
+    kept = [read_swim(path, described) for path in test]
+    with progress_bar("identify") as progress:
+        outcome = identify(
+            learned, kept, described, effects, lambda _what, done, whole: progress(done, whole)
+        )
+    write_robot(out, outcome)
+    if predictions is not None:
+        write_predictions(predictions, outcome)
+    if report is not None:
+        from frogkick.report.identify_page import write_identify_page
+
+        write_identify_page(report, outcome)
+    show(outcome.as_json(), json, _text(outcome))
+
+
+class _ManyRuns(TyperCommand):
+    """Lets --train and --test take several runs at once: ``--train a b`` is ``--train a --train b``."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        return super().parse_args(ctx, spread(args))
+
+
+def spread(args: list[str]) -> list[str]:
+    """Repeat --train and --test before each of the values that follow them."""
+    flat: list[str] = []
+    option, first = "", True
+    for argument in args:
+        if argument.startswith("-"):
+            option, first = argument if argument in ("--train", "--test") else "", True
+            flat.append(argument)
+            continue
+        flat += [argument] if first or not option else [option, argument]
+        first = False
+    return flat
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command."""
+    app.command(name="identify", cls=_ManyRuns)(command)

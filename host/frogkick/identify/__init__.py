@@ -1,0 +1,1 @@
+"""What a model lacks, from logs: residuals, candidate effects, their fit and choice, a verdict."""

@@ -1,0 +1,251 @@
+"""Identification as a whole: runs in, what was found and how well it predicts other runs out."""
+
+from __future__ import annotations
+
+import csv
+import io
+import os
+import tomllib
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from frogkick.errors import InputError
+from frogkick.files import write_text
+from frogkick.identify.filter import Noise
+from frogkick.identify.fit import Fitted, Model, tracks_of
+from frogkick.identify.predict import Track
+from frogkick.identify.search import Found, search
+from frogkick.identify.swim import Swim
+from frogkick.identify.terms import Term, catalogue
+from frogkick.identify.verdict import (
+    TOO_LITTLE,
+    Error,
+    Interval,
+    error_of,
+    gaps,
+    intervals,
+    noise_floor,
+    signature,
+    verdict_of,
+)
+from frogkick.paths import wrap_angle
+from frogkick.robot import Robot
+from frogkick.robot.toml_text import to_toml
+
+PERIODS_LEAST = 20
+ACTIONS_LEAST = 2
+MOTION_LEAST_M = 0.01
+
+
+@dataclass(frozen=True, eq=False)
+class Scored:
+    """Errors of some runs."""
+
+    before: Error
+    after: Error
+    noise_floor: Error
+
+    def as_json(self) -> dict[str, dict[str, float]]:
+        """The keys of the command."""
+        return {
+            "before": self.before.as_json(),
+            "after": self.after.as_json(),
+            "noise_floor": self.noise_floor.as_json(),
+        }
+
+
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    """What identification ended with.
+
+    Attributes:
+        verdict: see frogkick.identify.verdict.
+        robot: nominal.
+        train, test: the runs.
+        found: the search; None where there was not enough data.
+        parameters: of each term found.
+        trained, tested: errors.
+        nominal_tracks, tracks: of the test runs.
+        signature: of what is left, or for "nothing missing" of the nominal model's misses.
+        reason: what to record where there was not enough data.
+    """
+
+    verdict: str
+    robot: Robot
+    train: Sequence[Swim]
+    test: Sequence[Swim]
+    found: Found | None
+    parameters: list[list[Interval]]
+    trained: Scored
+    tested: Scored
+    nominal_tracks: list[Track]
+    tracks: list[Track]
+    signature: dict[str, Any]
+    reason: str = ""
+
+    @property
+    def terms(self) -> tuple[Term, ...]:
+        """Effects found."""
+        return () if self.found is None else self.found.fitted.model.terms
+
+    def as_json(self) -> dict[str, Any]:
+        """The keys of the command."""
+        effects = []
+        for index, (term, row) in enumerate(zip(self.terms, self.parameters, strict=True)):
+            assert self.found is not None
+            effects.append(
+                {
+                    "name": term.name,
+                    **{key: value for key, value in term.table if key not in ("name", "class")},
+                    "parameters": {
+                        each.name: {
+                            "value": each.value,
+                            "interval": [each.low, each.high],
+                            "unit": each.unit,
+                        }
+                        for each in row
+                    },
+                    "not_told_from": self.found.alike[index],
+                }
+            )
+        return {
+            "verdict": self.verdict,
+            "effects": effects,
+            "train": self.trained.as_json(),
+            "test": self.tested.as_json(),
+            "signature": self.signature,
+            **({"reason": self.reason} if self.reason else {}),
+        }
+
+
+def identify(
+    train: Sequence[Swim],
+    test: Sequence[Swim],
+    robot: Robot,
+    own: Path | None = None,
+    progress: Callable[[str, int, int], None] = lambda _what, _done, _whole: None,
+) -> Outcome:
+    """Find what a robot's model lacks from some runs, and predict others with and without it.
+
+    Raises:
+        InputError: the user's effects cannot be used, or no period of the runs can be judged.
+    """
+    candidates = catalogue(robot, own)
+    reason = too_little(train)
+    if reason:
+        return _only_predicted(train, test, robot, reason)
+    found = search(train, robot, candidates, progress)
+    trained = _scored(found.nominal, found.fitted, found.nominal.tracks, found.fitted.tracks, train)
+    nominal_tracks, tracks = tracks_of([found.nominal.model, found.fitted.model], test)
+    tested = _scored(found.nominal, found.fitted, nominal_tracks, tracks, test)
+    return Outcome(
+        verdict=verdict_of(found, trained.before, trained.after, trained.noise_floor),
+        robot=robot,
+        train=train,
+        test=test,
+        found=found,
+        parameters=intervals(found.fitted),
+        trained=trained,
+        tested=tested,
+        nominal_tracks=nominal_tracks,
+        tracks=tracks,
+        signature=signature(found.fitted, found.rows, train),
+    )
+
+
+def _only_predicted(train: Sequence[Swim], test: Sequence[Swim], robot: Robot, reason: str) -> Outcome:
+    """Too little to learn from: the test runs by the nominal model, at their usual noise."""
+    model = Model(robot, (), Noise())
+    swims = [swim for swim in test if len(swim.start_s)]
+    tracks = tracks_of([model], swims)[0] if swims else []
+    error = error_of(gaps(tracks, swims))
+    tested = Scored(error, error, noise_floor(swims, model.noise))
+    unknown = Error(float("nan"), float("nan"))
+    trained = Scored(unknown, unknown, unknown)
+    return Outcome(TOO_LITTLE, robot, train, swims, None, [], trained, tested, tracks, tracks, {}, reason)
+
+
+def _scored(
+    nominal: Fitted, fitted: Fitted, before: Sequence[Track], after: Sequence[Track], swims: Sequence[Swim]
+) -> Scored:
+    return Scored(
+        error_of(gaps(before, swims)),
+        error_of(gaps(after, swims)),
+        noise_floor(swims, fitted.model.noise),
+    )
+
+
+def too_little(swims: Sequence[Swim]) -> str:
+    """Why runs cannot be judged, and what to record; "" where they can."""
+    periods = sum(len(swim.start_s) for swim in swims)
+    if periods < PERIODS_LEAST:
+        return (
+            f"{periods} whole periods with fixes, needed are {PERIODS_LEAST}: record about "
+            f"{PERIODS_LEAST - periods} periods more"
+        )
+    actions = {int(action) for swim in swims for action in swim.action if action >= 0}
+    if len(actions) < ACTIONS_LEAST:
+        return "only one action was done: record a run that turns both ways, or actions in random order"
+    reach = max(float(np.ptp(swim.pose[:, :2], axis=0).max()) for swim in swims if len(swim.pose))
+    if reach < MOTION_LEAST_M:
+        return f"the robot moved {1e3 * reach:.1f} mm: record a run that swims (or check the fixes' unit)"
+    return ""
+
+
+def write_predictions(target: Path, outcome: Outcome) -> None:
+    """Write one row for each period of each test run, in the run's own frame.
+
+    Raises:
+        InputError: the file cannot be written.
+    """
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    poses = ("x_m", "y_m", "heading_rad")
+    predicted = ("x_pred_m", "y_pred_m", "heading_pred_rad")
+    writer.writerow(
+        ["run", "time_s", "horizon_s", *poses, *predicted, *(f"{name}_nominal" for name in predicted)]
+    )
+    for swim, nominal, track in zip(outcome.test, outcome.nominal_tracks, outcome.tracks, strict=True):
+        for k, start_s in enumerate(swim.start_s):
+            row = np.concatenate([swim.measured[k], track.predicted[k], nominal.predicted[k]])
+            if not np.isfinite(row).all():
+                continue
+            row[[2, 5, 8]] = wrap_angle(row[[2, 5, 8]])
+            horizon_s = swim.end_s[k] - start_s
+            writer.writerow([swim.name, f"{start_s:.6f}", f"{horizon_s:.6f}", *(f"{v:.7f}" for v in row)])
+    write_text(target, text.getvalue())
+
+
+def write_robot(target: Path, outcome: Outcome) -> None:
+    """Write the nominal robot's TOML with the effects found.
+
+    Raises:
+        InputError: the file cannot be written.
+    """
+    table = tomllib.loads(outcome.robot.toml)
+    effects = list(table.get("effect", []))
+    for term in outcome.terms:
+        row = dict(term.table)
+        if "file" in row:
+            row["file"] = os.path.relpath(term.folder / str(row["file"]), target.resolve().parent)
+        row.update({p.name: float(v) for p, v in zip(term.parameters, term.values, strict=True)})
+        effects.append(row)
+    if effects:
+        table["effect"] = effects
+    write_text(target, to_toml(table))
+
+
+def robot_of_runs(swims: Sequence[Swim]) -> str:
+    """The robot that all runs are of.
+
+    Raises:
+        InputError: they are of several.
+    """
+    names = sorted({swim.robot_id for swim in swims})
+    if len(names) != 1:
+        raise InputError(f"the runs are of robots {', '.join(names)}: give runs of one")
+    return names[0]

@@ -1,0 +1,327 @@
+"""Follow runs with the rod simulation: predict each period from its start, then take in what was seen.
+
+One lane swims one run with one set of effects from its first fix to its last, all strokes as they were. At
+the start of each period the lane is moved and sped up as a whole to where the fixes known by then say it is,
+its limbs staying amid their strokes; then a period is simulated without any look at the fixes, which is the
+prediction.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from frogkick.der import WIDTH, Batch, Rods, prepare
+from frogkick.effects import ActingLanes, Effect, Fix, changed_robot
+from frogkick.identify.filter import RATE_STD, Filter, Noise, Series
+from frogkick.identify.swim import Swim
+from frogkick.robot import Robot
+
+FloatArray = NDArray[np.float64]
+
+STEP_S = 1.6e-3
+"""Finest time step here: coarser than the pool's, which moves a period's end by less than 0.1 mm."""
+
+WILD = 8.0
+"""How many standard deviations a miss counts at most."""
+
+PARTS = ((0.12, 0.35), (0.35, 0.65), (0.65, 1.0))
+"""Of a period: while limbs straighten, while the robot glides on, towards the end."""
+
+_CHANCE = np.random.default_rng(0)
+_KEPT_S = 1.0  # of the trajectory before a correction, for fixes that are late
+
+
+@dataclass(frozen=True, eq=False)
+class Track:
+    """What one lane gave.
+
+    Attributes:
+        time_s: (n,) capture times of the fixes after its beginning.
+        innovation: (n, 3) fix minus what was expected of it (m, m, rad).
+        variance: (n, 3) of the innovations.
+        difference: (n, 3) fix minus one unbroken trajectory: for other noises.
+        predicted: (m, 3) pose at each period's end as the camera would show it, NaN where none.
+        spread: (m, 3) standard deviation of these, from that of the pose and rate at the period's start.
+        start: (m, 6) pose (world) and velocity (body) at each period's start.
+        missed: (m, 9) mean of fix minus prediction over three parts of each period, forward, left (m) and
+            heading (rad) by the pose at its start; NaN where a part has no fix.
+        failed: it did not converge.
+    """
+
+    time_s: FloatArray
+    innovation: FloatArray
+    variance: FloatArray
+    difference: FloatArray
+    predicted: FloatArray
+    spread: FloatArray
+    start: FloatArray
+    missed: FloatArray
+    failed: bool
+
+    def series(self, swim: Swim) -> tuple[Series, ...]:
+        """What other noises are tried on, for x, y and heading."""
+        busy = np.interp(self.time_s, *swim.busy_s)
+        return tuple(Series(self.time_s, busy, self.difference[:, k], RATE_STD[k]) for k in range(3))
+
+
+@lru_cache(maxsize=64)
+def _rods(robot: Robot) -> Rods:
+    return prepare(robot)
+
+
+@dataclass(frozen=True, eq=False)
+class Lane:
+    """What to follow: a run, by a robot with effects."""
+
+    swim: Swim
+    robot: Robot
+    effects: tuple[Effect, ...]
+    noise: Noise
+    leg_s: float
+
+
+def follow(lanes: Sequence[Lane]) -> list[Track]:
+    """Follow runs, those of one body side by side."""
+    bodies: dict[tuple[Robot, float], list[int]] = {}
+    for index, lane in enumerate(lanes):
+        robot = changed_robot(lane.robot, lane.effects)
+        # What is asked every leg would slow down its neighbours.
+        leg_s = ActingLanes(lane.effects, robot, [], lane.leg_s).leg_s
+        bodies.setdefault((robot, leg_s), []).append(index)
+    tracks: dict[int, Track] = {}
+    for (robot, _), indices in bodies.items():
+        indices.sort(key=lambda i: len(lanes[i].swim.corners_s))  # a batch goes on as long as its longest
+        for first in range(0, len(indices), WIDTH):
+            some = indices[first : first + WIDTH]
+            for index, track in zip(some, _Party([lanes[i] for i in some], robot).go(), strict=True):
+                tracks[index] = track
+    return [tracks[index] for index in range(len(lanes))]
+
+
+@dataclass(eq=False)
+class _Course:
+    """A lane's own way through its run."""
+
+    lane: Lane
+    acting: ActingLanes
+    filter: Filter
+    corners_s: FloatArray
+    claims_s: list[float] = field(default_factory=list)
+    next_fix: int = 0
+    next_stroke: int = 0
+    times: FloatArray = field(default_factory=lambda: np.empty(0))
+    poses: FloatArray = field(default_factory=lambda: np.empty((0, 3)))
+    moved: FloatArray = field(default_factory=lambda: np.zeros((3, 2)))  # all corrections, as of time 0
+    rows: list[tuple[float, FloatArray, FloatArray, FloatArray]] = field(default_factory=list)
+
+
+class _Party:
+    def __init__(self, lanes: Sequence[Lane], robot: Robot) -> None:
+        self.lanes = lanes
+        rods = _rods(robot)
+        self.courses = []
+        first = np.zeros((len(lanes), 3))
+        for index, lane in enumerate(lanes):
+            acting = ActingLanes(lane.effects, robot, [np.random.default_rng(0)], lane.leg_s)
+            course = _Course(
+                lane, acting, Filter(lane.noise, lane.swim.busy_s, lane.swim.begin_s), lane.swim.corners_s
+            )
+            course.next_fix = int(np.searchsorted(lane.swim.time_s, lane.swim.begin_s))
+            course.claims_s = [lane.swim.begin_s]
+            first[index] = self._first_pose(course)
+            self.courses.append(course)
+        self.batch = Batch(
+            rods.mesh,
+            rods.plan,
+            [rods.actuation] * len(lanes),
+            first,
+            np.zeros((len(lanes), 3)),
+            limbs=len(robot.limbs),
+            time_s=0.0,
+            step_s=STEP_S,
+            width=WIDTH,
+        )
+        self.batch.time_s[:] = [lane.swim.begin_s for lane in lanes]
+        self.leg_s = min(course.acting.leg_s for course in self.courses)
+
+    @staticmethod
+    def _first_pose(course: _Course) -> FloatArray:
+        """The true pose that shows as the first fix."""
+        wanted = course.lane.swim.pose[course.next_fix]
+        pose = wanted.copy()
+        for _ in range(4):
+            pose = pose + wanted - _shown(course.lane.effects, course.lane.swim.begin_s, pose)[1]
+        return np.asarray(pose)
+
+    def go(self) -> list[Track]:
+        """Swim all lanes to their ends."""
+        outcome = [
+            (
+                np.full((len(lane.swim.start_s), 3), np.nan),
+                np.full((len(lane.swim.start_s), 3), np.nan),
+                np.full((len(lane.swim.start_s), 6), np.nan),
+                np.full((len(lane.swim.start_s), 3 * len(PARTS)), np.nan),
+            )
+            for lane in self.lanes
+        ]
+        for corner in range(max(len(course.corners_s) for course in self.courses)):
+            until = np.array(
+                [course.corners_s[min(corner, len(course.corners_s) - 1)] for course in self.courses]
+            )
+            self._advance(until)
+            for index, course in enumerate(self.courses):
+                if corner < len(course.corners_s):
+                    self._arrive(index, course, float(course.corners_s[corner]), outcome[index])
+        return [self._track(index, course, *outcome[index]) for index, course in enumerate(self.courses)]
+
+    def _advance(self, until: FloatArray) -> None:
+        """All lanes to their next corner, strokes fired, water asked as often as effects need it."""
+        for index, course in enumerate(self.courses):
+            strokes = course.lane.swim.strokes
+            while course.next_stroke < len(strokes) and strokes[course.next_stroke][0] < until[index] - 1e-9:
+                self._fire(index, course, *strokes[course.next_stroke])
+                course.next_stroke += 1
+        start = self.batch.time_s.copy()
+        longest_s = float((until - start).max(initial=0.0))
+        legs = 1 if math.isinf(self.leg_s) else max(1, round(longest_s / self.leg_s))
+        parts: list[list[tuple[FloatArray, FloatArray]]] = [[] for _ in self.courses]
+        for leg in range(1, legs + 1):
+            if legs > 1:
+                self._set_waters()
+            aim = until if leg == legs else start + (until - start) * leg / legs
+            for part, (at, rows) in zip(parts, self.batch.advance(aim, trace=True), strict=True):
+                part.append((at, rows[:, :3]))
+        for course, part in zip(self.courses, parts, strict=True):
+            course.times = np.concatenate([course.times, *(at for at, _ in part)])
+            joined = np.concatenate([course.poses, *(rows for _, rows in part)])
+            joined[:, 2] = np.unwrap(joined[:, 2])
+            course.poses = joined
+
+    def _fire(self, index: int, course: _Course, time_s: float, limb: int) -> None:
+        stroke = course.acting.stroke(0, limb, time_s)
+        start_s = time_s + stroke.delay_s
+        self.batch.fire(index, limb, start_s, gain=stroke.gain, duration_scale=stroke.duration_scale)
+
+    def _set_waters(self) -> None:
+        motion = self.batch.motion_world()
+        for index, course in enumerate(self.courses):
+            if not math.isinf(course.acting.leg_s):
+                now_s, row = float(self.batch.time_s[index]), motion[index]
+                self.batch.set_water(index, course.acting.water(self.batch, now_s, row[:3], row[3:6]))
+
+    def _arrive(self, index: int, course: _Course, at_s: float, outcome: tuple[FloatArray, ...]) -> None:
+        """At a corner: note the prediction that ends here, take in the fixes known by now, start anew."""
+        swim = course.lane.swim
+        predicted, spread, start, missed = outcome
+        ended = -1
+        for period in np.flatnonzero(np.abs(swim.end_s - at_s) < 1e-6):
+            if course.claims_s[-1] <= swim.start_s[period] + 1e-6 and len(course.times):
+                predicted[period] = self._shown_at(course, at_s)[1]
+                before = Filter(course.lane.noise, swim.busy_s, course.filter.time_s)
+                before.covariance = course.filter.covariance.copy()
+                before.go_to(at_s)
+                spread[period] = np.sqrt(before.covariance[:, 0])
+                ended = int(period)
+        late: list[tuple[float, FloatArray]] = []
+        while course.next_fix < len(swim.time_s) and swim.arrival_s[course.next_fix] <= at_s + 1e-9:
+            time_s = float(swim.time_s[course.next_fix])
+            true_s, shown = self._shown_at(course, time_s)
+            difference = swim.pose[course.next_fix] - shown
+            innovation, variance = course.filter.take(true_s, difference)
+            unbroken = difference + course.moved[:, 0] + true_s * course.moved[:, 1]
+            course.rows.append((true_s, innovation, variance, unbroken))
+            course.next_fix += 1
+            late.append((time_s, difference))
+        if ended >= 0:
+            missed[ended] = _by_parts(swim, ended, late, float(start[ended, 2]))
+        offset, rate = course.filter.correct(at_s)
+        self.batch.shift(index, offset.tolist(), rate.tolist())
+        course.moved[:, 0] += offset - at_s * rate
+        course.moved[:, 1] += rate
+        course.poses = course.poses + offset + (course.times - at_s)[:, None] * rate
+        kept = course.times >= at_s - _KEPT_S
+        course.times, course.poses = course.times[kept], course.poses[kept]
+        course.claims_s.append(at_s)
+        for period in np.flatnonzero(np.abs(swim.start_s - at_s) < 1e-6):
+            start[period] = self.batch.motion_world()[index, :6]
+
+    def _shown_at(self, course: _Course, time_s: float) -> tuple[float, FloatArray]:
+        """What a fix that claims ``time_s`` would say, and when it was really taken."""
+        pose = _at(course.times, course.poses, time_s)
+        true_s, shown = _shown(course.lane.effects, time_s, pose)
+        if true_s != time_s:
+            pose = _at(course.times, course.poses, true_s)
+            _, shown = _shown(course.lane.effects, true_s, pose)
+        return true_s, shown
+
+    def _track(
+        self,
+        index: int,
+        course: _Course,
+        predicted: FloatArray,
+        spread: FloatArray,
+        start: FloatArray,
+        missed: FloatArray,
+    ) -> Track:
+        rows = course.rows
+        empty = np.empty((0, 3))
+        columns = [np.array([row[k] for row in rows]) if rows else empty for k in (1, 2, 3)]
+        failed = index in self.batch.failures
+        if failed:
+            columns[0] = np.full_like(columns[0], np.nan)
+        return Track(
+            np.array([row[0] for row in rows]),
+            columns[0],
+            columns[1],
+            columns[2],
+            predicted,
+            spread,
+            start,
+            missed,
+            failed,
+        )
+
+
+def _by_parts(
+    swim: Swim, period: int, late: Sequence[tuple[float, FloatArray]], heading_rad: float
+) -> FloatArray:
+    """(9,) what a period's prediction missed; see Track.missed."""
+    c, s = math.cos(heading_rad), math.sin(heading_rad)
+    start_s, length_s = float(swim.start_s[period]), float(swim.end_s[period] - swim.start_s[period])
+    found: list[float] = []
+    for low, high in PARTS:
+        rows = [gap for at, gap in late if low <= (at - start_s) / length_s < high]
+        if not rows:
+            return np.full(3 * len(PARTS), np.nan)
+        x, y, turn = (float(value) for value in np.mean(rows, axis=0))
+        found += [c * x + s * y, c * y - s * x, turn]
+    return np.array(found)
+
+
+def _at(times: FloatArray, poses: FloatArray, time_s: float) -> FloatArray:
+    """(3,) pose of a trajectory at a time, held at its ends."""
+    if not len(times):
+        return np.full(3, np.nan)
+    j = int(np.searchsorted(times, time_s))
+    if j == 0 or j == len(times):
+        return np.asarray(poses[min(j, len(times) - 1)])
+    share = (time_s - times[j - 1]) / (times[j] - times[j - 1])
+    return np.asarray(poses[j - 1] + share * (poses[j] - poses[j - 1]))
+
+
+def _shown(effects: Sequence[Effect], time_s: float, pose: FloatArray) -> tuple[float, FloatArray]:
+    """When a fix that claims ``time_s`` was taken, and what one taken of ``pose`` then says."""
+    if not effects:
+        return time_s, pose
+    x, y, heading = (float(value) for value in pose)
+    seen = Fix(time_s, 0.0, x, y, heading)
+    for effect in effects:
+        seen = effect.fix(seen, _CHANCE) or seen  # one that drops fixes has not dropped this one
+    turned = math.remainder(seen.heading_rad - heading, math.tau)
+    return 2.0 * time_s - seen.capture_s, np.array([seen.x_m, seen.y_m, heading + turned])

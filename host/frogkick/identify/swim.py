@@ -1,0 +1,172 @@
+"""A run as identification needs it: trusted fixes, strokes, and periods on the fixes' clock."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from frogkick.errors import InputError
+from frogkick.loop.recorded import load_run
+from frogkick.loop.runlog import FixFlag, RunLog
+from frogkick.robot import Robot
+
+FloatArray = NDArray[np.float64]
+
+LEAD_S = 1.0
+"""How long before the first stroke the simulation starts."""
+
+KICK_S = 0.3
+"""How long after a pulse's start its limb pushes hardest."""
+
+_END_BEFORE_S, _END_AFTER_S = 0.24, 0.03
+"""Fixes that tell the pose at a period's end: before it, where the robot glides."""
+
+_SPOILED = int(FixFlag.MISDETECTION | FixFlag.JUMP | FixFlag.MISSING | FixFlag.DUPLICATE)
+
+
+@dataclass(frozen=True, eq=False)
+class Swim:
+    """One run.
+
+    Attributes:
+        name: of its file.
+        robot_id: who swam.
+        action_names: names that ``action`` counts.
+        time_s: (n,) capture times of the usable fixes.
+        arrival_s: (n,) when each was known.
+        pose: (n, 3) x, y (m), heading (rad, not wrapped), world frame.
+        strokes: (time_s, limb index), in order, on the fixes' clock.
+        start_s: (m,) when each period begins on the fixes' clock.
+        action: (m,) what was done in it; -1 unknown.
+        end_s: (m,) when it ends.
+        period_s: of the run.
+        lag_s: from a command's time in the log to its motion on the fixes' clock, already added.
+    """
+
+    name: str
+    robot_id: str
+    action_names: tuple[str, ...]
+    time_s: FloatArray
+    arrival_s: FloatArray
+    pose: FloatArray
+    strokes: tuple[tuple[float, int], ...]
+    start_s: FloatArray
+    action: NDArray[np.int64]
+    end_s: FloatArray
+    period_s: float
+    lag_s: float
+
+    @cached_property
+    def begin_s(self) -> float:
+        """When its simulation begins: at a fix, at most LEAD_S before anything happens."""
+        first = min([self.start_s[0], *(time_s for time_s, _ in self.strokes[:1])])
+        return float(self.time_s[min(np.searchsorted(self.time_s, first - LEAD_S), len(self.time_s) - 1)])
+
+    @cached_property
+    def busy_s(self) -> FloatArray:
+        """(2, k) knots: time, and for how long limbs had been straightening by then."""
+        knots, total, until = [(self.begin_s - 1e3, 0.0)], 0.0, -math.inf
+        for time_s, _ in self.strokes:
+            start = max(time_s, until)
+            if start > until:
+                knots.append((start, total))
+            if time_s + KICK_S > start:
+                total += time_s + KICK_S - start
+                until = time_s + KICK_S
+                knots.append((until, total))
+        return np.array([*knots, (knots[-1][0] + 1e6, total)]).T
+
+    @cached_property
+    def corners_s(self) -> FloatArray:
+        """When what is known is taken in: every period's start, and ends that are no start."""
+        times = [float(time) for time in self.start_s if time > self.begin_s]
+        times += [float(end) for end in self.end_s if end > self.begin_s]
+        kept: list[float] = []
+        for time in sorted(times):
+            if not kept or time - kept[-1] > 1e-6:
+                kept.append(time)
+        return np.array(kept)
+
+    @cached_property
+    def measured(self) -> FloatArray:
+        """(m, 3) pose at each period's end by the fixes around it; NaN where there are too few."""
+        return np.array([self.pose_at(float(end)) for end in self.end_s]).reshape(-1, 3)
+
+    def pose_at(self, at_s: float) -> FloatArray:
+        """(3,) pose by a straight line through the fixes just before a time; NaN where there are too few."""
+        for before_s in (_END_BEFORE_S, 2.0 * _END_BEFORE_S):
+            near = (self.time_s >= at_s - before_s) & (self.time_s <= at_s + _END_AFTER_S)
+            if near.sum() >= 3:
+                design = np.column_stack([np.ones(near.sum()), self.time_s[near] - at_s])
+                line, *_ = np.linalg.lstsq(design, self.pose[near], rcond=None)
+                return np.asarray(line[0])
+        return np.full(3, np.nan)
+
+
+def read_swim(path: Path | str, robot: Robot | None = None) -> Swim:
+    """Read a run: a log of ours or a recorded run of the paper.
+
+    Raises:
+        InputError: it cannot be read, or is another robot's.
+    """
+    return swim_of(load_run(path), Path(path).name, robot)
+
+
+def swim_of(run: RunLog, name: str, robot: Robot | None = None) -> Swim:
+    """A run's fixes, strokes and periods on one clock.
+
+    The delay between a command and its motion is part of the clock only where the log cannot know when a
+    picture was taken (capture times are arrival times): there it is what the motion itself shows.
+
+    Raises:
+        InputError: the run is another robot's, or its headings or limbs cannot be this robot's.
+    """
+    if robot is not None:
+        if run.robot_id != robot.id:
+            raise InputError(
+                f"run {name!r} is of robot {run.robot_id!r}, the model is {robot.id!r}: "
+                "give --robot or other runs"
+            )
+        if len(run.strokes) and int(run.strokes.limb_mask.max()) >= 1 << len(robot.limbs):
+            raise InputError(
+                f"run {name!r} fires limb {int(run.strokes.limb_mask.max()).bit_length() - 1}, robot "
+                f"{robot.id!r} has {len(robot.limbs)} limbs: give --robot"
+            )
+    fixes = run.fixes
+    usable = fixes.usable & ((fixes.flags & _SPOILED) == 0)
+    time_s, arrival_s = fixes.capture_time_s[usable], fixes.time_s[usable]
+    order = np.argsort(time_s, kind="stable")
+    pose = np.column_stack([fixes.x_m[usable], fixes.y_m[usable], fixes.heading_rad[usable]])[order]
+    pose[:, 2] = np.unwrap(pose[:, 2])
+    seen = len(time_s) > 0 and not np.allclose(time_s, arrival_s, atol=1e-9)
+    lag_s = 0.0 if seen else float(run.measured.get("motion_lag_s", 0.0))
+    strokes = sorted(
+        (float(at_s) + lag_s, limb)
+        for at_s, mask in zip(run.strokes.time_s, run.strokes.limb_mask, strict=True)
+        for limb in range(8)
+        if int(mask) >> limb & 1
+    )
+    start_s = run.decisions.time_s + lag_s
+    last_s = float(time_s.max()) if len(time_s) else -math.inf
+    ends = np.append(start_s[1:], np.inf)
+    end_s = np.where(np.abs(ends - start_s - run.period_s) < 0.2 * run.period_s, ends, start_s + run.period_s)
+    whole = end_s <= last_s + _END_AFTER_S
+    return Swim(
+        name=name,
+        robot_id=run.robot_id,
+        action_names=run.action_names,
+        time_s=time_s[order],
+        arrival_s=arrival_s[order],
+        pose=pose,
+        strokes=tuple(strokes),
+        start_s=start_s[whole],
+        action=np.asarray(run.decisions.action[whole], dtype=np.int64),
+        end_s=end_s[whole],
+        period_s=run.period_s,
+        lag_s=lag_s,
+    )

@@ -1,0 +1,142 @@
+"""Choose a table's states where its error is, and fit what each says of the velocities nearest to it.
+
+A table's states divide velocities into cells, each of the velocities nearest to its state. Beginning with one
+cell, those with the largest sum of squared errors are split again and again, and each state moves to the mean
+of its cell: where transitions bend and where robots are, cells become small. At the best division every cell
+has the same sum (Gersho 1979, IEEE Trans. Inf. Theory 25, 373-380).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+_SPLIT_SHARE = 0.25  # of the cells at once, while there are few
+_MOVES = 2  # to the means after each split
+_RIDGE = 1e-3  # of a cell's variance: where its velocities lie on a line, slopes across it are the whole's
+
+
+@dataclass(frozen=True, eq=False)
+class Cells:
+    """States of a table and what they say.
+
+    Attributes:
+        codes: (n, 3) velocities of the states, whole codes.
+        base: (n, c) values at these.
+        slope: (n, 3, c) derivatives by the velocity, per code; zeros where no slope is fitted.
+        error: (m,) sum of squared errors of each sample, weighted.
+        label: (m,) the cell of each sample.
+        reach: (3,) furthest that a sample is from its state, codes.
+    """
+
+    codes: FloatArray
+    base: FloatArray
+    slope: FloatArray
+    error: FloatArray
+    label: IntArray
+    reach: FloatArray
+
+
+class Division:
+    """Samples of some values over velocity, divided into as many cells as asked for."""
+
+    def __init__(self, codes: FloatArray, values: FloatArray, weight: FloatArray, linear: bool) -> None:
+        """Take samples.
+
+        Args:
+            codes: (m, 3) velocities in codes, as often where robots are often.
+            values: (m, c) there.
+            weight: (c,) what to divide errors of the values by.
+            linear: fit a linear correction in each cell; else the mean.
+        """
+        self._codes = codes
+        self._weight = weight
+        self._linear = linear
+        middle = codes.mean(axis=0)
+        self._trend = np.zeros((4, values.shape[1]))
+        if linear:
+            terms = np.concatenate([np.ones((len(codes), 1)), codes - middle], axis=1)
+            self._trend = np.linalg.lstsq(terms, values, rcond=None)[0]
+        else:
+            self._trend[0] = values.mean(axis=0)
+        self._middle = middle
+        self._rest = values - self._trend_at(codes)
+        self._grown = [middle[None]]
+
+    def _trend_at(self, codes: FloatArray) -> FloatArray:
+        return np.asarray(self._trend[0] + (codes - self._middle) @ self._trend[1:])
+
+    def cells(self, count: int) -> Cells:
+        """Divide into ``count`` cells, or as many as the samples allow."""
+        states = max((grown for grown in self._grown if len(grown) <= count), key=len)
+        while len(states) < count:
+            more = min(count - len(states), max(1, int(_SPLIT_SHARE * len(states))))
+            found = self._split(states, more)
+            if len(found) == len(states):
+                break
+            whole_step = more == max(1, int(_SPLIT_SHARE * len(states)))
+            states = found
+            if whole_step and len(states) > len(self._grown[-1]):
+                self._grown.append(states)
+        return self._fitted(np.unique(np.round(states), axis=0))
+
+    def _split(self, states: FloatArray, more: int) -> FloatArray:
+        """Split the ``more`` cells with the largest error, then move all states towards their means."""
+        fitted = self._fitted(states)
+        total = np.bincount(fitted.label, fitted.error, minlength=len(states))
+        divided, new = states.copy(), []
+        for cell in np.argsort(-total, kind="stable")[:more].tolist():
+            inside = self._codes[fitted.label == cell]
+            centred = inside - inside.mean(axis=0) if len(inside) else inside
+            if len(inside) < 2 or not centred.any() or total[cell] <= 0.0:
+                continue
+            side = centred @ np.linalg.eigh(centred.T @ centred)[1][:, -1] > 0.0
+            if side.all() or not side.any():  # they differ by rounding alone
+                continue
+            divided[cell] = inside[side].mean(axis=0)
+            new.append(inside[~side].mean(axis=0))
+        divided = np.concatenate([divided, np.reshape(new, (-1, 3))])
+        for _ in range(_MOVES):
+            label = cKDTree(divided).query(self._codes)[1]
+            count = np.bincount(label, minlength=len(divided))
+            sums = [np.bincount(label, column, minlength=len(divided)) for column in self._codes.T]
+            means = np.stack(sums, axis=1) / np.maximum(count, 1)[:, None]
+            divided = np.where(count[:, None] > 0, means, divided)
+        return divided
+
+    def _fitted(self, states: FloatArray) -> Cells:
+        """Least squares in each cell; empty ones have the trend of the whole."""
+        label = cKDTree(states).query(self._codes)[1]
+        offset = self._codes - states[label]
+        reach = np.abs(offset).max(axis=0)
+        if not self._linear:
+            offset = np.zeros((len(offset), 0))
+        terms = np.concatenate([np.ones((len(offset), 1)), offset], axis=1)
+        size = terms.shape[1]
+        order = np.argsort(label, kind="stable")
+        count = np.bincount(label, minlength=len(states))
+        filled = np.flatnonzero(count)
+        first = np.concatenate([[0], np.cumsum(count[filled])[:-1]])
+        sorted_terms, sorted_rest = terms[order], self._rest[order]
+        normal = np.add.reduceat(sorted_terms[:, :, None] * sorted_terms[:, None, :], first)
+        right = np.stack(
+            [np.add.reduceat(sorted_terms[:, i : i + 1] * sorted_rest, first) for i in range(size)], axis=1
+        )
+        slopes = np.arange(1, size)
+        if self._linear:
+            least = (offset**2).mean() + 1e-9  # as of one more sample, for cells that have a single one
+            normal[:, slopes, slopes] += _RIDGE * (normal[:, slopes, slopes].mean(axis=1) + least)[:, None]
+        solved = np.zeros((len(states), 4, self._rest.shape[1]))
+        solved[filled, :size] = np.linalg.solve(normal, right)
+        told = np.einsum("mi,mic->mc", sorted_terms, solved[label[order], :size])
+        errors = np.empty(len(label))
+        errors[order] = (((told - sorted_rest) / self._weight) ** 2).sum(axis=1)
+        base = solved[:, 0] + self._trend_at(states)
+        slope = solved[:, 1:] + self._trend[1:]
+        return Cells(states, base, slope, errors, label, reach)

@@ -1,0 +1,94 @@
+"""How recently each limb was used, and what that adds to a stroke: a stroke's tail is there in the next one.
+
+A limb's use is 1 at most. Each period leaves a part of it, ``decay``; firing adds ``gain``. With a gain of 1
+it tells how long ago the limb fired, as where of two strokes the larger one acts; with 1 - decay it tells how
+often, as where heat adds up.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from frogkick.library.transitions import RESTED, IntArray
+from frogkick.robot import Robot
+
+FloatArray = NDArray[np.float64]
+
+DECAYS = (0.0, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8)
+
+
+@dataclass(frozen=True, eq=False)
+class History:
+    """What use adds.
+
+    Attributes:
+        effect: (a, limbs, 6) what a fully used limb adds to an action's motion (m, m, rad) and end velocity
+            (m/s, m/s, rad/s), whatever the velocity at the start.
+        decay: part of a use that is left a period later.
+        gain: what firing adds to it.
+    """
+
+    effect: FloatArray
+    decay: float
+    gain: float
+
+    def added(self, robot: Robot, previous: IntArray) -> FloatArray:
+        """(n, a, 6) what earlier actions, (n, s) newest first, add to each action."""
+        used = limb_use(robot, previous, self.decay, self.gain)
+        return np.asarray(np.einsum("nl,alv->nav", used, self.effect))
+
+
+def no_history(robot: Robot) -> History:
+    """Of limbs that rest before every stroke."""
+    return History(np.zeros((len(robot.actions), len(robot.limbs), 6)), 0.0, 0.0)
+
+
+def limb_use(robot: Robot, previous: IntArray, decay: float, gain: float) -> FloatArray:
+    """(n, limbs) use of each limb, 0 to 1, after (n, s) earlier actions, newest first."""
+    masks = [action.first_mask | action.second_mask for action in robot.actions]
+    fires = np.array([[mask >> limb & 1 for limb in range(len(robot.limbs))] for mask in [*masks, 0]])
+    use = np.zeros((len(previous), len(robot.limbs)))
+    for place in range(previous.shape[1] - 1, -1, -1):
+        use = np.minimum(decay * use + gain * fires[previous[:, place]], 1.0)  # RESTED is the last row
+    return use
+
+
+def fit_history(
+    robot: Robot,
+    rows: FloatArray,
+    previous: IntArray,
+    weight: FloatArray,
+    smoothed: Callable[[FloatArray], FloatArray],
+) -> History:
+    """Find what use adds, apart from what the velocity at the start does.
+
+    What neighbours in velocity predict is taken from transitions and uses alike; what is left of the ones is
+    regressed on what is left of the others, for each decay and gain, and the least squares win. The effect of
+    velocity need not be known (Speckman 1988, J. R. Stat. Soc. B 50, 413-436).
+
+    Args:
+        robot: whose actions.
+        rows: (n, a, 6) transitions.
+        previous: (n, s) earlier actions.
+        weight: (6,) what to divide errors of the six values by.
+        smoothed: of (n, c) values at the states, what each state's neighbours predict, without itself.
+    """
+    if (previous == RESTED).all():
+        return no_history(robot)
+    left = (rows - smoothed(rows.reshape(len(rows), -1)).reshape(rows.shape)) / weight
+    flat = left.reshape(len(rows), -1)
+    best, least = no_history(robot), float((flat**2).sum())
+    for decay in DECAYS:
+        for gain in (1.0, 1.0 - decay) if decay else (1.0,):
+            use = limb_use(robot, previous, decay, gain)
+            other = use - smoothed(use)
+            effect, *_ = np.linalg.lstsq(other, flat, rcond=1e-6)
+            rest = float(((flat - other @ effect) ** 2).sum())
+            if rest < least * (1.0 - 1e-9):
+                shaped = effect.reshape(len(robot.limbs), len(robot.actions), 6).transpose(1, 0, 2)
+                best, least = History(shaped * weight, decay, gain), rest
+    return best

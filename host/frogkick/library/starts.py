@@ -1,0 +1,172 @@
+"""Which states a library's transitions begin in, and which simulation stands for which of them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from frogkick.der import WIDTH
+from frogkick.library.transitions import RESTED, BoolArray, Failed, IntArray, Task, Transitions
+from frogkick.robot import Mirror, Robot, mirror_of
+
+FloatArray = NDArray[np.float64]
+
+TASK_ROBOTS = 2 * WIDTH
+"""Robots of a task, some 0.4 s of work: fine progress, quick end on Ctrl-C, no cost to speak of."""
+
+_LEFT = np.array([1.0, -1.0, -1.0, 1.0, -1.0, -1.0])  # what mirroring does to (x, y, heading, vx, vy, omega)
+
+
+@dataclass(frozen=True, eq=False)
+class Starts:
+    """n states and the simulations that they take; of mirror images only one is simulated.
+
+    Attributes:
+        tasks: what to simulate.
+        part: (n,) the task that stands for each state.
+        row: (n,) and which of its states.
+        mirrored: (n,) whether the state is the mirror image of that one.
+        mirror: what mirroring does; None for a robot without.
+    """
+
+    tasks: tuple[Task, ...]
+    part: IntArray
+    row: IntArray
+    mirrored: BoolArray
+    mirror: Mirror | None
+
+    def __len__(self) -> int:
+        return len(self.part)
+
+    def of(self, state: int, simulated: NDArray[np.floating]) -> NDArray[np.floating]:
+        """A state's results (a, .., 6) from those of the one that stands for it."""
+        if not self.mirrored[state] or self.mirror is None:
+            return simulated
+        return np.asarray(simulated[list(self.mirror.actions)] * _LEFT.astype(simulated.dtype))
+
+    def velocity_body(self, parts: Sequence[Transitions]) -> FloatArray:
+        """(n, 3) velocities of all states."""
+        found = self._taken([part.velocity_body for part in parts])
+        return np.where(self.mirrored[:, None], found * _LEFT[3:], found) + 0.0  # -0.0 is 0.0
+
+    def previous(self, parts: Sequence[Transitions]) -> IntArray:
+        """(n, HISTORY) earlier actions of all states."""
+        found: IntArray = self._taken([part.previous for part in parts]).astype(np.int64)
+        if self.mirror is not None:
+            mirrored = np.array([*self.mirror.actions, RESTED])  # RESTED is the last one of it
+            found = np.where(self.mirrored[:, None], mirrored[found], found)
+        return found
+
+    def rows(self, parts: Sequence[Transitions]) -> FloatArray:
+        """(n, a, 6) transitions of all states."""
+        found = self._taken([part.rows for part in parts])
+        return np.array([self.of(state, row) for state, row in enumerate(found)])
+
+    def _taken(self, values: Sequence[NDArray[Any]]) -> NDArray[Any]:
+        first = np.cumsum([0, *(len(rows) for rows in values)])
+        return np.concatenate(values)[first[self.part] + self.row]
+
+    def failed(self, parts: Sequence[Transitions]) -> tuple[Failed, ...]:
+        """Failures of all states from those of the simulations."""
+        by_source: dict[tuple[int, int], list[Failed]] = {}
+        for index, part in enumerate(parts):
+            for failure in part.failed:
+                by_source.setdefault((index, failure.state), []).append(failure)
+        found: list[Failed] = []
+        for state, source in enumerate(zip(self.part.tolist(), self.row.tolist(), strict=True)):
+            for failure in by_source.get(source, []):
+                if self.mirrored[state] and self.mirror is not None:
+                    reason = f"its mirror image {failure.reason}"
+                    found.append(Failed(state, self.mirror.actions.index(failure.action), reason))
+                else:
+                    found.append(Failed(state, failure.action, failure.reason))
+        return tuple(sorted(found, key=lambda f: (f.state, f.action)))
+
+
+def gliding(robot: Robot, velocities: FloatArray) -> Starts:
+    """States with all limbs at rest, (n, 3) body velocities.
+
+    They are folded to those that drift left, or straight on and turn left, each simulated once.
+    """
+    mirror = mirror_of(robot)
+    plain = velocities + 0.0
+    if mirror is None:
+        mirrored = np.zeros(len(plain), dtype=bool)
+    else:
+        mirrored = (plain[:, 1] < 0.0) | ((plain[:, 1] == 0.0) & (plain[:, 2] < 0.0))
+    folded = np.where(mirrored[:, None], plain * _LEFT[3:], plain) + 0.0
+    place: dict[tuple[float, ...], int] = {}
+    source = np.array([place.setdefault(tuple(row), len(place)) for row in folded.tolist()], dtype=np.int64)
+    unique = np.array(list(place), dtype=np.float64).reshape(-1, 3)
+    tasks = []
+    for first in range(0, len(unique), TASK_ROBOTS):
+        some = unique[first : first + TASK_ROBOTS]
+        tasks.append(
+            Task(some, np.empty((len(some), 0), dtype=np.int64), np.ones((len(some), 1), dtype=bool))
+        )
+    return Starts(tuple(tasks), source // TASK_ROBOTS, source % TASK_ROBOTS, mirrored, mirror)
+
+
+Swims = Iterable[Sequence[int]]
+"""Actions of one swim after another, each from rest, one action a period."""
+
+
+class Met:
+    """The states at the decisions of swims from rest, each once; those of their mirror images too."""
+
+    def __init__(self, robot: Robot) -> None:
+        self._robot = robot
+        self._mirror = mirror_of(robot)
+        self._seen: set[tuple[int, ...]] = set()
+        self._swims: list[tuple[int, ...]] = []
+        self._states: list[tuple[int, int, bool]] = []  # swim, stroke, mirrored
+
+    def __len__(self) -> int:
+        return len(self._states)
+
+    def add(self, swims: Swims, states: int) -> None:
+        """Add the states of some swims until there are so many."""
+        for actions in swims:
+            if len(self) >= states:
+                return
+            had = len(self)
+            for stroke in range(len(actions)):
+                before = self._moved(actions[:stroke])
+                for mirrored, done in ((False, before), (True, self._mirrored(before))):
+                    if done not in self._seen and len(self) < states:
+                        self._states.append((len(self._swims), stroke, mirrored))
+                        self._seen.add(done)
+            if len(self) > had:
+                self._swims.append(tuple(actions))
+
+    def _moved(self, actions: Sequence[int]) -> tuple[int, ...]:
+        """What was done since the first limb fired: all that a state of a swim depends on."""
+        masks = [self._robot.actions[a].first_mask | self._robot.actions[a].second_mask for a in actions]
+        first = next((i for i, mask in enumerate(masks) if mask), len(actions))
+        return tuple(actions[first:])
+
+    def _mirrored(self, actions: tuple[int, ...]) -> tuple[int, ...]:
+        return actions if self._mirror is None else tuple(self._mirror.actions[a] for a in actions)
+
+    def starts(self) -> Starts:
+        """All of them, in the order of meeting."""
+        tasks: list[Task] = []
+        part, row = np.empty(len(self), np.int64), np.empty(len(self), np.int64)
+        order = np.array(self._states, dtype=np.int64).reshape(-1, 3)
+        for first in range(0, len(self._swims), WIDTH):
+            swims = self._swims[first : first + WIDTH]
+            mine = (order[:, 0] >= first) & (order[:, 0] < first + WIDTH)
+            strokes = int(order[mine, 1].max(initial=0))
+            wanted = np.zeros((len(swims), strokes + 1), dtype=bool)
+            wanted[order[mine, 0] - first, order[mine, 1]] = True
+            at = np.cumsum(wanted.ravel()).reshape(wanted.shape) - 1
+            part[mine], row[mine] = len(tasks), at[order[mine, 0] - first, order[mine, 1]]
+            # A shorter swim than its neighbours goes on with its last action, where nothing is wanted of it.
+            actions = [list(swim[:strokes]) + [swim[-1]] * (strokes - len(swim)) for swim in swims]
+            shaped = np.array(actions, dtype=np.int64).reshape(wanted.shape[0], strokes)
+            tasks.append(Task(np.zeros((len(swims), 3)), shaped, wanted))
+        return Starts(tuple(tasks), part, row, order[:, 2].astype(bool), self._mirror)

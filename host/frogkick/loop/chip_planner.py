@@ -1,0 +1,126 @@
+"""The planner of a bench image, called on the virtual chip: its decisions and their cycles."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from frogkick.planner.plan import PLAN_ROW, PathLike, PlanConfig, path_rows
+from frogkick.pool.chip import ChipError, CostModel, VirtualChip
+from frogkick.pool.chip.layout import Layouts
+
+_BOOT_STEP_US = 100_000.0
+_BOOT_STEPS_MAX = 100
+_POSE_MEMBERS = ("x_m", "y_m", "heading_rad", "vx_mps", "vy_mps", "omega_rad_s")
+
+
+class ChipPlanner:
+    """Calls ``fk_plan`` of the very image that is flashed, with its own table.
+
+    Structures are written as the image's debug information lays them out, members by name.
+
+    Attributes:
+        chip: the chip, booted and asleep.
+        open_cycles: what opening the table took.
+    """
+
+    def __init__(self, elf: Path, cost: CostModel | None = None) -> None:
+        """Boot an image and open its table.
+
+        Raises:
+            InputError: not an image for this chip.
+            ChipError: it does not boot, or refuses its table.
+        """
+        self.chip = VirtualChip(elf, cost)
+        self._types = Layouts(elf)
+        for step in range(1, _BOOT_STEPS_MAX + 1):
+            self.chip.run_until(step * _BOOT_STEP_US)
+            if self.chip.sleeping:
+                break
+        self._free = self.chip.symbol("fk_bss_end") + 7 & ~7
+        names = ("fk_tables_t", "fk_path_t", "fk_plan_config_t", "fk_state_t", "fk_plan_t")
+        self._tables, self._path, self._config, self._state, self._plan = map(self.room, names)
+        words = [self.chip.flash_word(self.chip.symbol(f"fk_table_image{end}")) for end in ("", "_bytes")]
+        status, self.open_cycles = self.chip.call("fk_tables_open", *words, self._tables)
+        if status != 0:
+            raise ChipError(f"the image refuses its own table (fk_error_t {status - (1 << 32)})")
+        self._settings = np.zeros((), dtype=self._types["fk_plan_config_t"])
+
+    def room(self, name: str, count: int = 1) -> int:
+        """Return the address of fresh RAM for ``count`` structures of a type."""
+        address = self._free
+        self._free += count * self._types[name].itemsize + 7 & ~7
+        return address
+
+    def configure(self, path: PathLike, config: PlanConfig) -> None:
+        """Set the path and the configuration; ``plan`` is told the depth of each state."""
+        rows = path_rows(path)
+        value = np.zeros((), dtype=self._types["fk_path_t"])
+        value["count"] = rows.shape[1]
+        for member, row in zip(("x_m", "y_m", "tangent_rad"), rows, strict=True):
+            value[member][: rows.shape[1]] = row
+        self.chip.ram_write(self._path, value.tobytes())
+        for member in self._settings.dtype.names or ():
+            self._settings[member] = getattr(config, member)
+
+    def plan(
+        self,
+        states: npt.NDArray[np.float32],
+        depths: npt.NDArray[np.int32],
+        limb_use: npt.NDArray[np.uint16] | None = None,
+        along_points: npt.NDArray[np.float32] | None = None,
+        progress: Callable[[int], None] = lambda _done: None,
+    ) -> tuple[npt.NDArray[Any], npt.NDArray[np.int64]]:
+        """Plan from many states.
+
+        Args:
+            states: (k, 6) float32.
+            depths: (k,) levels to look ahead.
+            limb_use: (k, 8) how much each limb was used lately; None = all rested.
+            along_points: (k,) where along the path each was last; None = at its start.
+            along_points: (k,) where along the path each was last, in points; None = at its start.
+            progress: called with the number of states done.
+
+        Returns:
+            (k,) ``PLAN_ROW`` and (k,) cycles of 64 MHz.
+        """
+        asked = np.zeros(len(states), dtype=self._types["fk_state_t"])
+        for member, column in zip(_POSE_MEMBERS, states.T, strict=True):
+            asked[member] = column
+        if limb_use is not None:
+            asked["limb_use"] = limb_use
+        if along_points is not None and "along_points" in (asked.dtype.names or ()):
+            asked["along_points"] = along_points
+        if along_points is not None and "along_points" in (asked.dtype.names or ()):
+            asked["along_points"] = along_points
+        told = np.zeros(len(states), dtype=self._types["fk_plan_t"])
+        status = np.zeros(len(states), dtype=np.uint32)
+        cycles = np.zeros(len(states), dtype=np.int64)
+        pointers = (self._tables, self._path, self._config, self._state, self._plan)
+        for index in range(len(states)):
+            self._settings["depth"] = depths[index]
+            self.chip.ram_write(self._config, self._settings.tobytes())
+            self.chip.ram_write(self._state, asked[index].tobytes())
+            status[index], cycles[index] = self.chip.call("fk_plan", *pointers)
+            if status[index] == 0:
+                data = self.chip.ram_read(self._plan, told.itemsize)
+                told[index] = np.frombuffer(data, dtype=told.dtype)[0]
+            progress(index + 1)
+        return _rows(status.view(np.int32), told), cycles
+
+
+def _rows(status: npt.NDArray[np.int32], plans: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """``fk_plan_t`` as ``PLAN_ROW``, members by name."""
+    rows = np.zeros(len(plans), dtype=PLAN_ROW)
+    for name in PLAN_ROW.names or ():
+        if name in (plans.dtype.names or ()) and name != "predicted":
+            rows[name] = plans[name]
+    rows["status"] = status
+    for column, member in enumerate(_POSE_MEMBERS):
+        rows["predicted"][:, column] = plans["predicted"][member]
+    rows["predicted_limb_use"] = plans["predicted"]["limb_use"]
+    return rows

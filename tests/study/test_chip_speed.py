@@ -1,0 +1,144 @@
+"""Times of decisions on the virtual chip: what is timed, that it repeats, and that the limits hold."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from tests.codegen import made_up
+from tests.conftest import count
+from tests.loop import rig
+from tests.planner import synthetic
+
+from frogkick.cli.main import run_command
+from frogkick.files import write_bytes
+from frogkick.loop.chip_planner import ChipPlanner
+from frogkick.loop.closed_loop import robot_plan_config
+from frogkick.paths import SHAPES, shape
+from frogkick.planner.image import open_image
+from frogkick.pool.chip.cost import CostModel
+from frogkick.robot import load_robot
+from frogkick.study.chip_speed import (
+    CYCLES_PER_MS,
+    LIMIT_MS,
+    NODE,
+    DepthSpeed,
+    chip_speed,
+    open_ms,
+    states_for_timing,
+)
+from frogkick_codegen import firmware
+
+PATHS = {name: shape(name) for name in SHAPES}
+ROBOT = load_robot("frog2022")
+CONFIG = robot_plan_config(ROBOT)
+
+
+class Built:
+    """A bench image around a table."""
+
+    def __init__(self, folder: Path, image: bytes) -> None:
+        self.file = folder / "t.fkt"
+        write_bytes(self.file, image)
+        self.elf = firmware.build("bench", self.file, ROBOT, folder / "out").image
+
+    def speed(self, counts: dict[int, int], workers: int = 1) -> dict[int, DepthSpeed]:
+        return chip_speed(self.elf, self.file, PATHS, CONFIG, counts, seed=3, workers=workers)
+
+
+@pytest.fixture(scope="module")
+def small(tmp_path_factory: pytest.TempPathFactory) -> Built:
+    return Built(tmp_path_factory.mktemp("small"), synthetic.image())
+
+
+@pytest.fixture(scope="module", params=made_up.KINDS)
+def large(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Built:
+    """As many states as the paper's table, or as an affine one has in 64 KiB."""
+    affine = request.param == "affine"
+    image = made_up.affine_image(100, size_of_motion=0.3) if affine else made_up.paper_size_image()
+    return Built(tmp_path_factory.mktemp(request.param), image)
+
+
+def test_states_are_from_the_box_and_beyond_it() -> None:
+    tables = open_image(synthetic.image())
+    timed = states_for_timing(tables, PATHS["sine"], 4000, np.random.default_rng(1))
+    scale = tables.velocity_scale.astype(float)
+    low, high = tables.states.min(axis=0) * scale, tables.states.max(axis=0) * scale
+    velocity = timed.states[:, 3:]
+    within = ((velocity >= low - 1e-6) & (velocity <= high + 1e-6)).all(axis=1)
+    assert 0.25 <= within.mean() < 0.4
+    assert (np.abs(velocity) > 100 * np.abs(high)).any(axis=0).all()
+    x, y = PATHS["sine"].x_m, PATHS["sine"].y_m
+    distance = np.hypot(timed.states[:, :1] - x, timed.states[:, 1:2] - y).min(axis=1)
+    assert np.quantile(distance[within], 0.9) < 0.25
+    assert distance.max() > 2.0
+    assert timed.limb_use[:, :4].max() > 30_000
+    assert not timed.limb_use[:, 4:].any()
+    assert 0.0 <= timed.along_points.min() <= timed.along_points.max() <= len(x) - 1
+
+
+def test_a_summary_is_of_the_states_that_were_timed(small: Built) -> None:
+    speeds = small.speed({1: 30, 2: 9})
+    assert set(speeds) == {1, 2}
+    for depth, speed in speeds.items():
+        assert speed.states == {1: 30, 2: 9}[depth]
+        assert 0.0 < speed.mean_ms <= speed.worst_ms
+        assert sum(share.percent for share in speed.shares) == pytest.approx(100.0)
+        shares = {share.function: share for share in speed.shares}
+        assert shares["fk_plan"].calls == 1.0
+        assert shares[NODE].calls == speed.nodes
+        # The worst state is one that can be timed again, to the cycle.
+        planner = ChipPlanner(small.elf)
+        planner.configure(PATHS[speed.worst_path], CONFIG)
+        state = np.array([speed.worst_state], dtype=np.float32)
+        along = np.array([speed.worst_along_points], dtype=np.float32)
+        use = np.array([speed.worst_limb_use], dtype=np.uint16)
+        _, cycles = planner.plan(state, np.array([depth], dtype=np.int32), use, along)
+        assert cycles[0] / CYCLES_PER_MS == pytest.approx(speed.worst_ms, rel=0.01)
+    assert speeds[2].nodes > 3 * speeds[1].nodes
+
+
+def test_processes_change_nothing(small: Built) -> None:
+    one, two = small.speed({1: 12}), small.speed({1: 12}, workers=2)
+    assert one[1].mean_ms == pytest.approx(two[1].mean_ms, rel=0.01)
+    assert one[1].nodes == two[1].nodes
+
+
+def test_slower_memory_makes_slower_decisions(small: Built) -> None:
+    """Each part of the model is in the time: without it, the same decisions take less."""
+    state, depth = np.zeros((1, 6), dtype=np.float32), np.array([2], dtype=np.int32)
+
+    def cycles(cost: CostModel) -> int:
+        planner = ChipPlanner(small.elf, cost)
+        planner.configure(PATHS["line"], CONFIG)
+        return int(planner.plan(state, depth)[1][0])
+
+    whole = cycles(CostModel())
+    for part in ("branch_refill_cycles", "cache_miss_cycles", "flash_data_wait_cycles"):
+        assert cycles(dataclasses.replace(CostModel(), **{part: 0})) < whole
+
+
+def test_decisions_are_within_their_limits(large: Built) -> None:
+    """Worst of all states, paths and places; 10^5 decisions at each depth with FK_FULL=1."""
+    counts = {1: count(90, 100_000), 2: count(45, 100_000), 3: count(18, 100_000)}
+    speeds = large.speed(counts, workers=count(1, 2))
+    for depth, limit_ms in LIMIT_MS.items():
+        assert speeds[depth].states >= counts[depth]
+        assert speeds[depth].worst_ms <= limit_ms, speeds[depth]
+    assert open_ms(large.elf) < 200.0
+
+
+def test_the_command_tells_it_and_fails_over_a_limit(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    arguments = ["study", "chip", "--tables", str(rig.small_table()), "--states", "12", "--json"]
+    assert run_command(arguments) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert set(told["plan_ms"]) == {"1", "2", "3", "4"}
+    assert told["limit_ms"] == {"1": 0.45, "2": 4.5, "3": 20.0}
+    assert told["cycle_model"] == dataclasses.asdict(CostModel())
+    monkeypatch.setitem(LIMIT_MS, 1, 0.001)  # type: ignore[call-overload]
+    assert run_command(arguments) == 1

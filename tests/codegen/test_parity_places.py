@@ -164,6 +164,8 @@ def test_a_changed_byte_of_the_table_is_found_by_the_loop(built: Built) -> None:
     settings, image = PlanConfig(), built.tables.image
     loop = loop_of(built, settings)
     assert twin_mismatches(loop, built.tables, PATH, settings) == []
-    place = built.tables.sections.models + 4  # of the first action's motion, in every look-up
+    sections = built.tables.sections
+    # Of the first action's way forward, in every look-up: a coefficient's byte, or the least value's.
+    place = sections.columns + 6 if built.tables.kind == "affine" else sections.models + 4
     changed = open_image(synthetic.resealed(image, place, bytes([image[place] ^ 0x10])))
     assert twin_mismatches(loop, changed, PATH, settings)

@@ -27,8 +27,11 @@ ROBOT = load_robot("frog2022")
 RNG = np.random.default_rng(5)
 
 
+GIVEN = {"group_gain": {"group": "front"}}  # options without a default
+
+
 def effect(name: str, **values: object) -> Effect:
-    return make_effect({"name": name, **values}, Path())
+    return make_effect({"name": name, **GIVEN.get(name, {}), **values}, Path())
 
 
 def swim(

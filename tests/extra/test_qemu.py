@@ -6,6 +6,7 @@ script and, with ARM gcc, the compiler are others.
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +18,8 @@ from tests.extra.tools import chip_compiler, emitted_firmware, program, run
 from tests.planner import synthetic
 
 from frogkick.planner.image import open_image
-from frogkick.planner.plan import PLAN_ROW, PlanConfig, path_rows, plan_batch
+from frogkick.planner.plan import PLAN_ROW, PlanConfig, config_of, path_rows, plan_batch
+from frogkick.robot import load_robot
 from frogkick_codegen.emit import SOURCES
 from frogkick_codegen.parity import KINDS, Cases, compare, make_cases
 from frogkick_codegen.toolchain import FLAGS
@@ -29,7 +31,12 @@ COMPILERS = ("zig", "arm-none-eabi-gcc")
 IMAGE = synthetic.image()
 TABLES = open_image(IMAGE)
 PATH = synthetic.wave_path()
-CONFIG = PlanConfig()
+CONFIGS = {
+    "paper": PlanConfig(),
+    "route within a budget": dataclasses.replace(
+        config_of(load_robot("frog2022").planner), transitions_max=150
+    ),
+}
 STATES = count(1000, 20_000)
 SEED = 386
 ERROR_FLOAT_RULES = -10  # FK_ERROR_FLOAT_RULES in fk_tables.h
@@ -37,7 +44,7 @@ EXIT_FAULT = 9  # FK_EXIT_FAULT in startup.h
 NO_COPROCESSOR = 1 << 19  # UFSR.NOCP in CFSR: ARMv7-M, B3.2.15
 
 
-def cases_header(cases: Cases) -> str:
+def cases_header(cases: Cases, config: PlanConfig) -> str:
     """Return cases.h: every float as its bits."""
 
     def rows(values: np.ndarray) -> str:
@@ -45,18 +52,20 @@ def cases_header(cases: Cases) -> str:
         return ",\n".join("    {" + ", ".join(f"0x{word:08x}u" for word in row) + "}" for row in words)
 
     path = path_rows(PATH)
-    weights = ", ".join(f"0x{word:08x}u" for word in CONFIG.weights().view(np.uint32))
+    weights = ", ".join(f"0x{word:08x}u" for word in config.weights().view(np.uint32))
     return f"""/* Made by tests/extra/test_qemu.py from seed {cases.seed}. Do not edit. */
 #include <stdint.h>
 #define FK_CASES {len(cases.states)}u
 #define FK_CASE_POINTS {path.shape[1]}u
-static const uint32_t fk_case_weights[4] = {{{weights}}};
+#define FK_CASE_COST {int(config.cost)}u
+#define FK_CASE_TRANSITIONS_MAX {config.transitions_max}u
+static const uint32_t fk_case_weights[8] = {{{weights}}};
 static const uint32_t fk_case_path[3][FK_CASE_POINTS] = {{
 {rows(path)}
 }};
 static const uint8_t fk_case_depths[FK_CASES] = {{{", ".join(f"{depth}u" for depth in cases.depths)}}};
-static const uint32_t fk_case_states[FK_CASES][6] = {{
-{rows(cases.states)}
+static const uint32_t fk_case_states[FK_CASES][7] = {{ /* and the place along the path */
+{rows(np.column_stack([cases.states, cases.along_points]))}
 }};
 static const uint16_t fk_case_limb_use[FK_CASES][8] = {{
 {",".join("{" + ", ".join(f"{use}u" for use in row) + "}" for row in cases.limb_use)}
@@ -64,11 +73,18 @@ static const uint16_t fk_case_limb_use[FK_CASES][8] = {{
 """
 
 
-def build(name: str, cases: Cases, folder: Path, *options: str, image: bytes = IMAGE) -> Path:
+def build(
+    name: str,
+    cases: Cases,
+    folder: Path,
+    *options: str,
+    image: bytes = IMAGE,
+    config: PlanConfig = CONFIGS["paper"],
+) -> Path:
     """Build the test program around the emitted table and the cases."""
     driver, libraries = chip_compiler(name)
     emitted, _ = emitted_firmware(image, folder)
-    (folder / "cases.h").write_text(cases_header(cases))
+    (folder / "cases.h").write_text(cases_header(cases, config))
     sources = [
         BOARD / "startup.c",
         BOARD / "main.c",
@@ -108,21 +124,22 @@ def decisions(lines: list[str]) -> np.ndarray:
     return np.ascontiguousarray(words).view(PLAN_ROW).reshape(-1)
 
 
+@pytest.mark.parametrize("cost", CONFIGS)
 @pytest.mark.parametrize("kind", made_up.KINDS)
 @pytest.mark.parametrize("name", COMPILERS)
-def test_qemu_decides_as_the_twin_does(name: str, kind: str, tmp_path: Path) -> None:
+def test_qemu_decides_as_the_twin_does(name: str, kind: str, cost: str, tmp_path: Path) -> None:
     program("qemu-system-arm", "qemu-system-arm")
     image = made_up.image(kind)
-    tables = open_image(image)
+    tables, config = open_image(image), CONFIGS[cost]
     cases = make_cases(tables, PATH, STATES, SEED)
-    code, lines = boot(build(name, cases, tmp_path, image=image))
+    code, lines = boot(build(name, cases, tmp_path, image=image, config=config))
     assert code == 0, lines[:3]
     rows = decisions(lines)
     assert len(rows) == STATES
     (pair,) = compare(
         cases,
         {
-            "python": lambda *given: plan_batch(tables, PATH, CONFIG, *given),
+            "python": lambda *given: plan_batch(tables, PATH, config, *given),
             f"qemu ({name})": lambda *given: rows,
         },
     )

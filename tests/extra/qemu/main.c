@@ -1,4 +1,4 @@
-/* Plans the test's states with the emitted table and prints each decision's bits as nineteen hexadecimal words, in
+/* Plans the test's states with the emitted table and prints each decision's bits as hexadecimal words, in
  * the order of the twin's PLAN_ROW. Floats come in and go out as bits: nothing is rounded on the way. */
 #include <stdint.h>
 
@@ -7,7 +7,7 @@
 #include "fk_table.h"
 #include "startup.h"
 
-#define ROW_WORDS 19u
+#define ROW_WORDS 23u
 
 int main(void);
 
@@ -35,7 +35,7 @@ static void plan_case(const fk_tables_t *tables, const fk_path_t *path, fk_plan_
 {
     const uint32_t *words = fk_case_states[index];
     fk_state_t state = {float_of(words[0]), float_of(words[1]), float_of(words[2]), float_of(words[3]),
-                        float_of(words[4]), float_of(words[5]), {0u}};
+                        float_of(words[4]), float_of(words[5]), {0u}, float_of(words[6])};
     uint32_t row[ROW_WORDS] = {0u};
     fk_plan_t plan;
 
@@ -49,15 +49,19 @@ static void plan_case(const fk_tables_t *tables, const fk_path_t *path, fk_plan_
         row[1] = plan.action;
         row[2] = plan.nearest_state;
         row[3] = plan.path_index;
-        row[4] = bits_of(plan.cost);
-        row[5] = bits_of(plan.predicted.x_m);
-        row[6] = bits_of(plan.predicted.y_m);
-        row[7] = bits_of(plan.predicted.heading_rad);
-        row[8] = bits_of(plan.predicted.vx_mps);
-        row[9] = bits_of(plan.predicted.vy_mps);
-        row[10] = bits_of(plan.predicted.omega_rad_s);
+        row[4] = plan.depth_reached;
+        row[5] = plan.transitions;
+        row[6] = bits_of(plan.cost);
+        row[7] = bits_of(plan.distance_m);
+        row[8] = bits_of(plan.along_points);
+        row[9] = bits_of(plan.predicted.x_m);
+        row[10] = bits_of(plan.predicted.y_m);
+        row[11] = bits_of(plan.predicted.heading_rad);
+        row[12] = bits_of(plan.predicted.vx_mps);
+        row[13] = bits_of(plan.predicted.vy_mps);
+        row[14] = bits_of(plan.predicted.omega_rad_s);
         for (uint32_t limb = 0u; limb < FK_LIMBS_MAX; ++limb) {
-            row[11u + limb] = plan.predicted.limb_use[limb];
+            row[15u + limb] = plan.predicted.limb_use[limb];
         }
     }
     for (uint32_t word = 0u; word < ROW_WORDS; ++word) {
@@ -69,8 +73,19 @@ int main(void)
 {
     static fk_tables_t tables;
     static fk_path_t path;
-    fk_plan_config_t config = {float_of(fk_case_weights[0]), float_of(fk_case_weights[1]),
-                               float_of(fk_case_weights[2]), float_of(fk_case_weights[3]), 1u};
+    fk_plan_config_t config = {
+        .distance_weight_per_m = float_of(fk_case_weights[0]),
+        .angle_weight_per_rad = float_of(fk_case_weights[1]),
+        .progress_weight = float_of(fk_case_weights[2]),
+        .level_weight = float_of(fk_case_weights[3]),
+        .progress_weight_per_m = float_of(fk_case_weights[4]),
+        .look_ahead_m = float_of(fk_case_weights[5]),
+        .soft_distance_m = float_of(fk_case_weights[6]),
+        .turn_lead = float_of(fk_case_weights[7]),
+        .transitions_max = FK_CASE_TRANSITIONS_MAX,
+        .cost = FK_CASE_COST,
+        .depth = 1u,
+    };
     const int32_t error = fk_tables_open(fk_table_image, fk_table_image_bytes, &tables);
 
     if (error != FK_OK) {

@@ -23,6 +23,7 @@ from frogkick.planner.image import open_image
 from frogkick.planner.plan import config_of
 from frogkick.robot import load_robot
 
+STATUS, STATE = link_layout().status, link_layout().state
 SECOND_US = DELAY_US + GAP_US
 DEFAULTS = config_of(load_robot("frog2022").planner)  # what the core is built with
 STALE = link_layout().status["STALE"]
@@ -50,6 +51,69 @@ def test_the_end_of_the_path_ends_the_run() -> None:
     assert robot.start() == "OK", "and another run may follow"
     robot.tick()
     assert [frame.values["decision"] for frame in events(robot)] == [0]
+
+
+SHORT = [(0.0, 0.0, 0.0), (0.05, 0.0, 0.0), (0.1, 0.0, 0.0)]  # a path; the table's reach is 0.15 m
+ENDS = [(0.1, "OK"), (0.2, "PASSED")]  # beside it by less than a reach and by more
+
+
+@pytest.mark.parametrize(("y_m", "name"), ENDS)
+def test_a_run_ends_at_the_fix_that_crosses_the_path_s_end(y_m: float, name: str) -> None:
+    robot = Robot().begin("ARMED")
+    assert robot.status("PATH", {"first": 0, "total": 3, "count": 3}, SHORT) == "OK"
+    assert robot.fix(0.08, y_m) == robot.start() == "OK"
+    robot.tick()
+    assert [frame.name for frame in events(robot)] == ["DECISION"]
+    for x_m in (0.085, 0.09, 0.095):
+        robot.run_until(robot.now_us + 50_000)
+        assert robot.fix(x_m, y_m) == "OK"
+        assert robot.state() == "RUNNING"
+    robot.run_until(robot.now_us + 50_000)
+    robot.keep = True
+    robot.post("FIX", {
+        "fix_sequence": 9, "quality": 1, "capture_age_us": 0, "x_m": 0.101, "y_m": y_m, "heading_rad": 0.0,
+    })  # fmt: skip
+    (ended,) = [frame for frame in robot.take_all() if frame.name == "ENDED"]
+    assert ended.values == {"status": STATUS[name], "state": STATE["ARMED"], "decisions": 1}
+    assert robot.state() == "ARMED"
+
+
+def test_no_fix_ends_a_run_before_its_first_decision_or_with_the_paper_s_cost() -> None:
+    for cost, delay_us in (("ROUTE", 500_000), ("PAPER", 0)):
+        robot = Robot().begin("ARMED")
+        number = {"PAPER": 0, "ROUTE": 1}[cost]
+        assert robot.status("PARAM", {"parameter": PARAMETER["COST"], "value": number}) == "OK"
+        assert robot.status("PATH", {"first": 0, "total": 3, "count": 3}, SHORT) == "OK"
+        assert robot.fix(0.06, 0.1) == robot.start(delay_us) == "OK"
+        for x_m in (0.07, 0.08, 0.09, 0.1, 0.11):
+            robot.run_until(robot.now_us + 50_000)
+            assert robot.fix(x_m, 0.1) == "OK"
+        assert robot.state() == "RUNNING"
+
+
+@pytest.mark.parametrize(("y_m", "name"), ENDS)
+def test_a_run_that_begins_beyond_the_path_s_end_is_over(y_m: float, name: str) -> None:
+    robot = Robot().begin("ARMED")
+    assert robot.status("PATH", {"first": 0, "total": 3, "count": 3}, SHORT) == "OK"
+    assert robot.fix(0.12, y_m) == robot.start() == "OK"
+    robot.tick()
+    decision, ended = events(robot)
+    assert (decision.name, ended.name, ended.values["status"]) == ("DECISION", "ENDED", STATUS[name])
+
+
+def test_a_run_without_progress_ends_and_says_so() -> None:
+    robot = Robot().begin("ARMED")
+    robot.path()
+    robot.keep = True
+    assert robot.fix() == robot.start() == "OK"
+    told: list[Frame] = []
+    while not any(frame.name == "ENDED" for frame in told):
+        robot.run_until(robot.now_us + 200_000)
+        told += robot.take_all()
+        assert robot.now_us < 100 * PERIOD_US
+        robot.fix()
+    assert told[-1].values["status"] == STATUS["STALLED"]
+    assert told[-1].values["decisions"] == 41
 
 
 def test_events_stand_before_the_answers_to_later_commands() -> None:
@@ -231,3 +295,17 @@ def test_a_stroke_that_does_not_begin_is_no_use_of_its_limbs(command: str) -> No
         assert robot.status("DISARM") == robot.status("ARM") == "OK"
         robot.run_until(robot.now_us + 30 * PERIOD_US)
     assert max(told[0]) > 0 and max(told[1]) == 0
+
+
+@pytest.mark.parametrize(("plan_us", "transitions"), [(1, 7), (0, 7 + 56), (500_000, 7 + 56)])
+def test_a_plan_keeps_to_its_time_but_finishes_its_first_level(plan_us: int, transitions: int) -> None:
+    """The table has seven actions: level one, and then both again."""
+    robot = Robot().begin("ARMED")
+    robot.path()
+    for name, value in (("DEPTH", 2), ("PLAN_TIME_US", plan_us)):
+        assert robot.status("PARAM", {"parameter": PARAMETER[name], "value": value}) == "OK"
+    assert robot.fix(0.2, 0.1, 0.4) == robot.start() == "OK"
+    robot.tick()
+    (decision,) = events(robot)
+    assert decision.values["transitions"] <= transitions
+    assert decision.values["depth_reached"] == (1 if plan_us == 1 else 2)

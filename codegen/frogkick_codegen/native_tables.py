@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from importlib import resources
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import cffi
@@ -47,12 +48,21 @@ class NativeTables:
         files: Mapping[str, bytes] | None = None,
         compiler: Compiler | None = None,
         flags: Sequence[str] = FLAGS,
+        library: Path | None = None,
     ) -> None:
         """Build (or find) the library and load it; arguments and errors as for ``build_shared``.
 
         Args:
             files: planner files; the package's own where it is None.
+            library: one that is built already, with these entries; nothing else is looked at then.
         """
+        self._ffi = cffi.FFI()
+        self._ffi.cdef(_DECLARATIONS)
+        built = self._built(files, compiler, flags) if library is None else library
+        self._library: Any = self._ffi.dlopen(str(built))
+
+    @staticmethod
+    def _built(files: Mapping[str, bytes] | None, compiler: Compiler | None, flags: Sequence[str]) -> Path:
         given = planner_files() if files is None else files
         every = {
             name: content
@@ -61,9 +71,7 @@ class NativeTables:
         }
         entries = resources.files("frogkick_codegen") / "templates" / "native_tables.c"
         every["native_tables.c"] = entries.read_bytes()
-        self._ffi = cffi.FFI()
-        self._ffi.cdef(_DECLARATIONS)
-        self._library: Any = self._ffi.dlopen(str(build_shared("fk_tables", every, compiler, flags)))
+        return build_shared("fk_tables", every, compiler, flags)
 
     def open_status(self, image: bytes) -> int:
         """Return what ``fk_tables_open`` says of an image: 0 or a negative fk_error_t."""

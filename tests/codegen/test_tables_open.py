@@ -7,6 +7,7 @@ import struct
 
 import numpy as np
 import pytest
+from tests.codegen import planner_c
 from tests.conftest import count
 from tests.planner import synthetic
 from tests.planner.test_image import WRONG, WRONG_AFFINE, WRONG_NEAREST
@@ -30,7 +31,7 @@ HEADER = layout.HEADER_BYTES
 
 @pytest.fixture(scope="module")
 def library() -> NativeTables:
-    return NativeTables()
+    return planner_c.native_tables()
 
 
 def error_codes() -> dict[str, int]:
@@ -55,6 +56,8 @@ def u16(value: int) -> bytes:
         (IMAGE, 6, u16(3), "KIND"),
         (IMAGE, 8, struct.pack("<I", 99), "LENGTH"),
         (IMAGE, 16, b"\0", "ROBOT_ID"),
+        (IMAGE, 16, b"\x7f", "ROBOT_ID"),
+        (IMAGE, 18, b" ", "ROBOT_ID"),
         (IMAGE, 30, b"x", "ROBOT_ID"),
         (IMAGE, 68, struct.pack("<I", 0), "TIMES"),
         (IMAGE, 72, u16(0), "COUNT"),

@@ -48,7 +48,7 @@ float fk_wrap_angle(float angle_rad)
     if (wrapped <= -FK_PI) {
         wrapped = ((wrapped + FK_TURN_1_RAD) + FK_TURN_2_RAD) + FK_TURN_3_RAD;
     }
-    return (wrapped > FK_PI) ? FK_PI : wrapped;
+    return wrapped; /* no float32 is left beyond half a turn: tests/codegen tries them all */
 }
 
 void fk_sincos(float angle_rad, float *sine, float *cosine)

@@ -6,44 +6,84 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 from matplotlib.figure import Figure
 
 from frogkick.report.style import ALARM, ESTIMATED, MEASURED, PREDICTED, TRUE, styled
 from frogkick.study.loop import Case, Outcome
 
 _COLOURS = (MEASURED, ALARM, PREDICTED, ESTIMATED, TRUE)
-_MEASURES = (("mean_distance_m", "mean distance to the path, mm"), ("progress_mps", "progress, mm/s"))
+_DISTANCE_TICKS_MM = (0, 1, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000)
 
 
 def loop_figure(
     outcomes: Mapping[Case, Outcome], worlds: Sequence[str], paths: Sequence[str], planners: Sequence[str]
 ) -> Figure:
-    """A column for each world; each run a point, each box the middle half of the seeds.
+    """A column for each world; each run a point, a bar the middle half of the seeds, a line their median.
 
     Args:
         outcomes: the study's.
-        worlds, paths, planners: names, in the order to draw them.
+        worlds, paths, planners: names, in the order to draw them; the first planner is the paper's, half of
+            whose mean distance is drawn beside the others'.
     """
     with styled():
-        figure = Figure(figsize=(1.0 + 5.2 * len(worlds), 6.4), layout="constrained")
+        figure = Figure(figsize=(1.6 + 5.2 * len(worlds), 7.0), layout="constrained")
         axes = figure.subplots(2, len(worlds), squeeze=False, sharey="row", sharex=True)
         for column, world in enumerate(worlds):
-            for row, (name, label) in enumerate(_MEASURES):
-                _draw(axes[row, column], outcomes, name, (world, paths, planners))
-                axes[row, column].set_ylabel(label if column == 0 else "")
+            _draw(axes[0, column], outcomes, "mean_distance_m", (world, paths, planners))
+            _draw(axes[1, column], outcomes, "progress_mps", (world, paths, planners))
+            _draw_half(axes[0, column], outcomes, (world, paths, planners))
             axes[0, column].set_title(f"world: {world}")
-            axes[0, column].set_yscale("symlog", linthresh=1.0, linscale=0.4)
-            axes[0, column].set_yticks([0, 1, 2, 5, 10, 20, 50, 100, 200])
-            axes[0, column].set_yticklabels(["0", "1", "2", "5", "10", "20", "50", "100", "200"])
-            axes[0, column].set_ylim(0.0, 400.0)
-            axes[1, column].set_ylim(bottom=0.0)
             axes[1, column].set_xticks(range(len(paths)), paths)
-        handles = [
+            axes[1, column].set_xlim(-0.5, len(paths) - 0.5)
+            for edge in range(1, len(paths)):
+                for row in (0, 1):
+                    axes[row, column].axvline(edge - 0.5, color="black", alpha=0.15, linewidth=0.8)
+        for row in (0, 1):
+            for one in axes[row]:
+                one.grid(axis="x", visible=False)
+        axes[0, 0].set_ylabel("mean distance to the path (mm)")
+        axes[1, 0].set_ylabel("progress along the path (mm/s)")
+        farthest_mm = max(1e3 * outcome.mean_distance_m for outcome in outcomes.values())
+        fastest_mmps = max(1e3 * outcome.progress_mps for outcome in outcomes.values())
+        slowest_mmps = min(1e3 * outcome.progress_mps for outcome in outcomes.values())
+        axes[0, 0].set_yscale("symlog", linthresh=1.0, linscale=0.4)
+        axes[0, 0].set_yticks(_DISTANCE_TICKS_MM, [str(tick) for tick in _DISTANCE_TICKS_MM])
+        axes[0, 0].set_ylim(-0.1, 1.4 * max(farthest_mm, 1.0))
+        axes[0, 0].minorticks_off()
+        axes[1, 0].set_ylim(min(0.0, 1.08 * slowest_mmps), max(1.08 * fastest_mmps, 1.0))
+        handles: list[Any] = [
             axes[0, 0].plot([], [], "s", color=_COLOURS[index % len(_COLOURS)], label=planner)[0]
             for index, planner in enumerate(planners)
         ]
-        figure.legend(handles=handles, loc="outside upper center", ncols=len(planners))
+        handles += axes[0, 0].plot([], [], "--", color="black", linewidth=1, label=f"half of {planners[0]}'s")
+        figure.legend(handles=handles, loc="outside upper center", ncols=min(3, len(handles)))
     return figure
+
+
+def _values(
+    outcomes: Mapping[Case, Outcome], name: str, world: str, path: str, planner: str
+) -> npt.NDArray[np.float64]:
+    """Of each seed, in mm or mm/s."""
+    return np.array(
+        [
+            1e3 * getattr(outcome, name)
+            for case, outcome in outcomes.items()
+            if (case.world, case.path, case.planner) == (world, path, planner)
+        ]
+    )
+
+
+def _draw_half(
+    axes: Any, outcomes: Mapping[Case, Outcome], which: tuple[str, Sequence[str], Sequence[str]]
+) -> None:
+    world, paths, planners = which
+    for place, path in enumerate(paths):
+        values = _values(outcomes, "mean_distance_m", world, path, planners[0])
+        if values.size:
+            axes.plot(
+                [place - 0.45, place + 0.45], [0.5 * values.mean()] * 2, "--", color="black", linewidth=1
+            )
 
 
 def _draw(
@@ -56,13 +96,7 @@ def _draw(
     width = 0.8 / len(planners)
     for place, path in enumerate(paths):
         for index, planner in enumerate(planners):
-            values = np.array(
-                [
-                    1e3 * getattr(outcome, name)
-                    for case, outcome in outcomes.items()
-                    if (case.world, case.path, case.planner) == (world, path, planner)
-                ]
-            )
+            values = _values(outcomes, name, world, path, planner)
             if not values.size:
                 continue
             at = place + (index - 0.5 * (len(planners) - 1)) * width
@@ -70,5 +104,5 @@ def _draw(
             low, middle, high = np.percentile(values, [25, 50, 75])
             axes.bar(at, high - low, width * 0.85, low, color=colour, alpha=0.35, linewidth=0)
             axes.plot([at - 0.42 * width, at + 0.42 * width], [middle, middle], color=colour, linewidth=2)
-            spread = np.linspace(-0.3, 0.3, values.size) * width
+            spread = np.linspace(-0.3, 0.3, values.size) * width if values.size > 1 else 0.0
             axes.plot(at + spread, values, ".", color=colour, markersize=3)

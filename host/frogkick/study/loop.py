@@ -5,7 +5,8 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import json
-from collections.abc import Callable, Iterable, Mapping, Sequence
+import tomllib
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,9 +14,10 @@ from typing import Any
 import numpy as np
 
 from frogkick.chunks import Job, code_stamp, run_chunks
-from frogkick.effects import World
+from frogkick.effects import World, changed_robot, read_world
 from frogkick.effects.registry import make_effects
-from frogkick.files import write_text
+from frogkick.errors import InputError
+from frogkick.files import existing_file, write_text
 from frogkick.loop.closed_loop import RunOptions, run_in_pool
 from frogkick.loop.record import tracking_of_recording
 from frogkick.paths import shape
@@ -29,14 +31,46 @@ from frogkick_codegen.firmware import build
 
 TIME_LIMIT_S = 120.0
 PAPER, ROBOT = "paper", "robot"
-HIDDEN = (
+RATIO_MOST = 0.5
+"""What part of the paper's planner's distance the robot's own may have."""
+_HIDDEN = (
     {"name": "limb_wear", "limb": "front_left", "gain": 0.85},
     {"name": "limb_memory", "loss": 0.2, "fade_s": 1.5},
     {"name": "warm_up", "loss": 0.3, "fade_strokes": 2.0},
     {"name": "steady_current", "x_mps": 0.002, "y_mps": 0.003},
 )
-"""What is true in the world "hidden" and in no table: of a size that recorded runs show."""
-WORLDS: Mapping[str, Sequence[Mapping[str, Any]]] = {"nominal": (), "hidden": HIDDEN}
+
+
+@dataclass(frozen=True)
+class Setting:
+    """A world by name, which can be made again for every run: effects may keep things to themselves.
+
+    Attributes:
+        name: for reports and results.
+        tables: of its effects, as in a world's TOML.
+        folder: where files of its effects are.
+        sha256: of all that it is made of, hex.
+    """
+
+    name: str
+    tables: tuple[Mapping[str, Any], ...] = ()
+    folder: Path = Path()
+    sha256: str = ""
+
+    def world(self) -> World:
+        """Make it."""
+        return World(make_effects(self.tables, self.folder))
+
+
+def _built_in(name: str, *tables: Mapping[str, Any]) -> Setting:
+    return Setting(
+        name, tables, sha256=hashlib.sha256(json.dumps(tables, sort_keys=True).encode()).hexdigest()
+    )
+
+
+NOMINAL = _built_in("nominal")
+HIDDEN = _built_in("hidden", *_HIDDEN)
+"""Effects that are in no table, of a size that recorded runs show."""
 
 
 @dataclass(frozen=True)
@@ -47,11 +81,13 @@ class Planner:
         name: for reports.
         table: PAPER (every state of the paper's, nearest) or ROBOT.
         config: cost, weights, depth.
+        own: the cost is the robot's own.
     """
 
     name: str
     table: str
     config: PlanConfig
+    own: bool = False
 
 
 @dataclass(frozen=True)
@@ -62,11 +98,6 @@ class Case:
     path: str
     planner: str
     seed: int
-
-    @property
-    def key(self) -> str:
-        """Names it in the file of results."""
-        return f"{self.world}/{self.path}/{self.planner}/{self.seed}"
 
 
 @dataclass(frozen=True)
@@ -106,25 +137,62 @@ def planners_of(robot: Robot) -> tuple[Planner, ...]:
     return (
         Planner("paper", PAPER, PlanConfig()),
         Planner("paper, depth 3", ROBOT, PlanConfig(depth=3)),
-        *(Planner(f"robot, depth {d}", ROBOT, dataclasses.replace(own, depth=d)) for d in (1, 2, 3)),
+        *(
+            Planner(f"robot, depth {depth}", ROBOT, dataclasses.replace(own, depth=depth), own=True)
+            for depth in sorted({1, 2, 3, own.depth})
+        ),
     )
+
+
+def setting_of(word: str, robot: Robot) -> Setting:
+    """The world of a name ("nominal", "hidden") or of a TOML file, which is then named after the file.
+
+    Raises:
+        InputError: no such file, or a wrong effect in it, or one that does not fit the robot.
+    """
+    for known in (NOMINAL, HIDDEN):
+        if word == known.name:
+            return known
+    file = existing_file(word, "world file")
+    changed_robot(robot, read_world(file).effects)
+    content = file.read_bytes()
+    tables = tuple(tomllib.loads(content.decode("utf-8")).get("effect", ()))
+    digest = hashlib.sha256(content)
+    for name in sorted({str(table["file"]) for table in tables if "file" in table}):
+        digest.update(name.encode() + b"\0" + (file.parent / name).read_bytes())
+    return Setting(file.stem, tables, file.parent, digest.hexdigest())
+
+
+def settings_of(words: Sequence[str], robot: Robot) -> tuple[Setting, ...]:
+    """The worlds of names or TOML files; see ``setting_of``.
+
+    Raises:
+        InputError: see there; or two of one name.
+    """
+    settings = tuple(setting_of(word, robot) for word in words)
+    names = [setting.name for setting in settings]
+    twice = sorted({name for name in names if names.count(name) > 1})
+    if twice:
+        raise InputError(f"two worlds are named {twice[0]!r}: give each once, and files other names")
+    return settings
 
 
 def run_cases(
     robot: Robot,
     tables: Mapping[str, Path],
     planners: Sequence[Planner],
+    settings: Sequence[Setting],
     cases: Sequence[Case],
     out: Path,
     workers: int = 1,
     progress: Callable[[int, int], None] = lambda _done, _all: None,
 ) -> dict[Case, Outcome]:
-    """Run every case; those that ``out`` holds already, of the same code and tables, are not run again.
+    """Run every case; not again those that ``out`` holds of the same code, tables and world.
 
     Args:
         robot: the swimmer, in the pool and in the tables.
         tables: PAPER and ROBOT -> table image.
-        planners: by which the cases name theirs.
+        planners, settings: by which the cases name theirs.
         cases: what to run.
         out: folder for results and firmware.
         workers: processes.
@@ -133,19 +201,17 @@ def run_cases(
     Raises:
         FrogkickError: of the robot, the pool or the tables.
     """
-    images = {name: path.read_bytes() for name, path in tables.items()}
-    stamp = _stamp(robot, images, planners)
-    kept = _Kept(out / "runs.jsonl", stamp)
     libraries = {
         name: build("native", path, robot, out / f"firmware-{name}").image for name, path in tables.items()
     }
-    waiting = [case for case in cases if case.key not in kept.outcomes]
-    job = Job(_start, (robot, dict(tables), libraries, tuple(planners)), _run, _warm)
+    kept = _Kept(out / "runs.jsonl", _stamp(robot, tables, libraries, planners), settings)
+    waiting = [case for case in cases if case not in kept.outcomes]
+    job = Job(_start, (robot, dict(tables), libraries, tuple(planners), tuple(settings)), _run, _warm)
     progress(len(cases) - len(waiting), len(cases))
     for index, outcome in run_chunks(job, waiting, workers):
         kept.add(waiting[index], outcome)
-        progress(sum(case.key in kept.outcomes for case in cases), len(cases))
-    return {case: kept.outcomes[case.key] for case in cases}
+        progress(sum(case in kept.outcomes for case in cases), len(cases))
+    return {case: kept.outcomes[case] for case in cases}
 
 
 def summaries(outcomes: Mapping[Case, Outcome]) -> list[Summary]:
@@ -170,55 +236,110 @@ def summaries(outcomes: Mapping[Case, Outcome]) -> list[Summary]:
     return found
 
 
-def over_paths(
-    rows: Iterable[Summary], world: str, planner: str, paths: Sequence[str]
-) -> tuple[float, float]:
-    """Mean distance (m) and progress (m/s) of a planner in a world, paths weighing alike."""
-    picked = [row for row in rows if (row.world, row.planner) == (world, planner) and row.path in paths]
-    return (
-        float(np.mean([row.mean_distance_m for row in picked])),
-        float(np.mean([row.progress_mps for row in picked])),
-    )
+@dataclass(frozen=True)
+class Verdict:
+    """Whether looking ahead pays in one world, paths weighing alike.
+
+    Attributes:
+        world: its name.
+        mean_distance_m, progress_mps: of each planner, over the paths.
+        ratio_to_paper: of each planner's distance.
+        missed: what was asked for and is not so, in words; empty where all is.
+    """
+
+    world: str
+    mean_distance_m: dict[str, float]
+    progress_mps: dict[str, float]
+    ratio_to_paper: dict[str, float]
+    missed: tuple[str, ...]
+
+    @property
+    def passed(self) -> bool:
+        """All that was asked for is so."""
+        return not self.missed
 
 
-def _stamp(robot: Robot, images: Mapping[str, bytes], planners: Sequence[Planner]) -> str:
+def judge(rows: Sequence[Summary], world: str, planners: Sequence[Planner], depth: int) -> Verdict:
+    """Judge the robot's planner in a world, over all paths of the rows.
+
+    Asked are, of the robot's own cost at its own depth, at most RATIO_MOST of the paper's planner's mean
+    distance at no less progress; and of the better one of depth 2 and 3, no more distance than of depth 1.
+
+    Args:
+        rows: of ``summaries``; the first planner is the paper's.
+        world: its name.
+        planners: all of the rows'.
+        depth: the robot's own.
+    """
+    distance_m, progress_mps = {}, {}
+    for planner in planners:
+        own = [row for row in rows if (row.world, row.planner) == (world, planner.name)]
+        distance_m[planner.name] = float(np.mean([row.mean_distance_m for row in own]))
+        progress_mps[planner.name] = float(np.mean([row.progress_mps for row in own]))
+    paper = planners[0].name
+    robot = {planner.config.depth: planner.name for planner in planners if planner.own}
+    shipped = robot[depth]
+    missed = []
+    # Compared without dividing: a planner that keeps a path exactly leaves nothing to divide by.
+    if not distance_m[shipped] <= RATIO_MOST * distance_m[paper]:
+        missed.append(f"{shipped} is further off than {RATIO_MOST:g} of the paper's distance")
+    if not progress_mps[shipped] >= progress_mps[paper]:
+        missed.append(f"{shipped} makes less progress than the paper's planner")
+    if not min(distance_m[robot[2]], distance_m[robot[3]]) <= distance_m[robot[1]]:
+        missed.append("neither depth 2 nor depth 3 is as near as depth 1")
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratios = {name: float(np.divide(value, distance_m[paper])) for name, value in distance_m.items()}
+    return Verdict(world, distance_m, progress_mps, ratios, tuple(missed))
+
+
+def _stamp(
+    robot: Robot, tables: Mapping[str, Path], libraries: Mapping[str, Path], planners: Sequence[Planner]
+) -> str:
     digest = hashlib.sha256(code_stamp().encode() + robot.sha256)
-    for name in sorted(images):
-        digest.update(name.encode() + b"\0" + images[name])
-    digest.update(repr(planners).encode() + json.dumps(WORLDS, sort_keys=True).encode())
+    for name in sorted(tables):
+        # A native library is named after all of its sources.
+        digest.update(f"{name} {libraries[name].name}\n".encode() + tables[name].read_bytes())
+    digest.update(repr(planners).encode())
     return digest.hexdigest()
 
 
 class _Kept:
-    """Results in a file, a line each; the first line says what they are of."""
+    """Results in a file, a line each; the first line says what they are of, each line of which world."""
 
-    def __init__(self, file: Path, stamp: str) -> None:
-        self.outcomes: dict[str, Outcome] = {}
+    def __init__(self, file: Path, stamp: str, settings: Sequence[Setting]) -> None:
+        self.outcomes: dict[Case, Outcome] = {}
         self._file = file
+        self._worlds = {setting.name: setting.sha256 for setting in settings}
+        head = json.dumps({"stamp": stamp})
         lines = file.read_text(encoding="utf-8").splitlines() if file.exists() else []
-        if lines[:1] == [json.dumps({"stamp": stamp})]:
-            for line in lines[1:]:
-                values = _read_line(line)
-                if values is not None:
-                    self.outcomes[str(values.pop("key"))] = Outcome(**values)
-        else:
+        kept = [line for line in lines[1:] if _read_line(line)] if lines[:1] == [head] else []
+        if lines != [head, *kept]:  # of other code, or a stop cut a line, which the next would then follow
             file.parent.mkdir(parents=True, exist_ok=True)
-            write_text(file, json.dumps({"stamp": stamp}) + "\n")
+            write_text(file, "".join(line + "\n" for line in (head, *kept)))
+        for line in kept:
+            values = _read_line(line)
+            if self._worlds.get(values["case"]["world"]) == values["world_sha256"]:
+                self.outcomes[Case(**values["case"])] = Outcome(**values["outcome"])
 
     def add(self, case: Case, outcome: Outcome) -> None:
         """Keep a result."""
-        self.outcomes[case.key] = outcome
+        self.outcomes[case] = outcome
+        values = {
+            "case": dataclasses.asdict(case),
+            "world_sha256": self._worlds[case.world],
+            "outcome": dataclasses.asdict(outcome),
+        }
         with self._file.open("a", encoding="utf-8") as file:
-            file.write(json.dumps({"key": case.key, **dataclasses.asdict(outcome)}) + "\n")
+            file.write(json.dumps(values) + "\n")
 
 
-def _read_line(line: str) -> dict[str, Any] | None:
-    """A kept result; None where a stop cut the line."""
+def _read_line(line: str) -> dict[str, Any]:
+    """A kept result; empty where a stop cut the line."""
     try:
         values = json.loads(line)
     except json.JSONDecodeError:
-        return None
-    return values if isinstance(values, dict) else None
+        return {}
+    return values if isinstance(values, dict) else {}
 
 
 @dataclass(frozen=True)
@@ -227,30 +348,38 @@ class _Ready:
     tables: dict[str, Tables]
     libraries: dict[str, Path]
     planners: dict[str, Planner]
+    settings: dict[str, Setting]
 
 
 def _start(
-    robot: Robot, tables: dict[str, Path], libraries: dict[str, Path], planners: tuple[Planner, ...]
+    robot: Robot,
+    tables: dict[str, Path],
+    libraries: dict[str, Path],
+    planners: tuple[Planner, ...],
+    settings: tuple[Setting, ...],
 ) -> _Ready:
-    opened = {name: read_image(path) for name, path in tables.items()}
-    return _Ready(robot, opened, libraries, {planner.name: planner for planner in planners})
+    return _Ready(
+        robot,
+        {name: read_image(path) for name, path in tables.items()},
+        libraries,
+        {planner.name: planner for planner in planners},
+        {setting.name: setting for setting in settings},
+    )
 
 
 def _warm(ready: _Ready) -> None:
-    pool = _pool(ready.robot, "line", "nominal", 0)
-    pool.advance(0.01)
+    _pool(ready.robot, "line", World(), 0).advance(0.01)
 
 
-def _pool(robot: Robot, path_name: str, world: str, seed: int) -> Pool:
+def _pool(robot: Robot, path_name: str, world: World, seed: int) -> Pool:
     path = shape(path_name)
     start = (float(path.x_m[0]), float(path.y_m[0]), float(path.tangent_rad[0]))
-    effects = World(make_effects(WORLDS[world], Path()))
-    return Pool(robot, start, Camera(), np.random.default_rng(seed), effects)
+    return Pool(robot, start, Camera(), np.random.default_rng(seed), world)
 
 
 def _run(ready: _Ready, case: Case) -> Outcome:
     planner, path = ready.planners[case.planner], shape(case.path)
-    pool = _pool(ready.robot, case.path, case.world, case.seed)
+    pool = _pool(ready.robot, case.path, ready.settings[case.world].world(), case.seed)
     recording = run_in_pool(
         NativeRobot(ready.libraries[planner.table], len(ready.robot.limbs)),
         pool,

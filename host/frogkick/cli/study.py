@@ -19,6 +19,7 @@ from frogkick.cli.places import (
     robot_of_table,
     table_image,
 )
+from frogkick.cli.study_ceiling import register as register_ceiling
 from frogkick.cli.study_estimator import register as register_estimator
 from frogkick.cli.study_loop import register as register_loop
 from frogkick.cli.study_tables import register as register_tables
@@ -38,6 +39,7 @@ app = typer.Typer(help="Questions about the method, answered with figures.", no_
 register_tables(app)
 register_estimator(app)
 register_loop(app)
+register_ceiling(app)
 
 
 @app.callback()

@@ -22,6 +22,7 @@ from frogkick.study.table_size import (
     TableSizes,
     first_states,
     least_bytes_as_good,
+    over_full_nearest,
     slope,
     table_sizes,
 )
@@ -68,6 +69,21 @@ def made(kind: str, size: int, states: int, error: float) -> TablePoint:
     return TablePoint(kind, states, size, states, errors, errors)
 
 
+def test_the_ratio_is_of_the_largest_affine_table_within_64_kib_to_the_largest_nearest_one() -> None:
+    points = (
+        made("nearest", 9000, 100, 9.0),
+        made("nearest", 99_999, 8503, 2.0),
+        made("affine", 4096, 9, 1.5),
+        made("affine", 65_536, 290, 0.5),
+        made("affine", 65_540, 300, 0.1),
+    )
+    found = over_full_nearest(TableSizes(points, ()))
+    assert set(found) == {"box", "visited"}
+    assert set(found["box"]) == {"position_m", "heading_rad", "velocity_mps", "omega_rad_s"}
+    assert set(found["box"].values()) == {0.25}
+    assert over_full_nearest(TableSizes(points[:2], ())) == {}
+
+
 def test_the_smallest_table_as_good_and_the_exponent() -> None:
     affine = tuple(made("affine", size, 9, 1e-4 * (8192 / size) ** 0.7) for size in (4096, 8192, 16384))
     sizes = TableSizes((made("nearest", 999, 100, 1.0), made("nearest", 9999, 8503, 1.1e-4), *affine), ())
@@ -87,6 +103,9 @@ def test_the_command_draws_and_tells(
     told = json.loads(capsys.readouterr().out)
     assert [point["kind"] for point in told["by_size"]] == ["nearest", "nearest", "affine", "affine"]
     assert all(point["box"]["position_m"] > 0.0 for point in told["by_size"] + told["by_library"])
+    last, full = told["by_size"][-1]["visited"], told["by_size"][1]["visited"]
+    ratio = told["affine_64_kib_over_full_nearest"]["visited"]
+    assert ratio["heading_rad"] == pytest.approx(last["heading_rad"] / full["heading_rad"])
     assert picture.read_bytes().startswith(b"\x89PNG")
     assert run_command(["study", "tables", str(tmp_path / "none.h5")]) == 2
 

@@ -17,7 +17,7 @@ from frogkick.report.history_figure import history_figure
 from frogkick.report.table_size_figure import table_size_figure
 from frogkick.robot import load_robot
 from frogkick.study.history import history_worth
-from frogkick.study.table_size import least_bytes_as_good, slope, table_sizes
+from frogkick.study.table_size import least_bytes_as_good, over_full_nearest, slope, table_sizes
 
 _PictureOption = Annotated[Path | None, typer.Option(help="Picture to write (PNG).")]
 
@@ -50,6 +50,7 @@ def tables(
             "by_size": [dataclasses.asdict(point) for point in sizes.by_size],
             "by_library": [dataclasses.asdict(point) for point in sizes.by_library],
             "affine_bytes_as_good_as_nearest": least_bytes_as_good(sizes),
+            "affine_64_kib_over_full_nearest": over_full_nearest(sizes),
             "affine_exponent": {
                 name: round(slope(affine, name), 3) for name in ("position_m", "heading_rad")
             },

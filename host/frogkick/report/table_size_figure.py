@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from frogkick.report import style
 from frogkick.study.table_size import KIB, TablePoint, TableSizes
@@ -31,6 +31,10 @@ def table_size_figure(sizes: TableSizes) -> Figure:
                 points = [p for p in sizes.by_size if p.kind == kind]
                 _curve(axes, points, [p.bytes / KIB for p in points], name)
             axes.axvline(64, color=style.DESIRED, linewidth=0.8, linestyle=":")
+            axes.text(
+                66, 0.99, "64 KiB", color=style.DESIRED, va="top", fontsize=7.5,
+                transform=axes.get_xaxis_transform(),
+            )  # fmt: skip
             axes.set_xlabel("table image (KiB)")
             _finish(axes, name)
         panels[0].set_title("Error one period ahead, by table size")
@@ -57,7 +61,7 @@ def _curve(axes: Axes, points: Sequence[TablePoint], along: Sequence[float], nam
             fillstyle=fill,
             markersize=4.5,
             linewidth=1.2,
-            label=f"{kind}, unseen states {'of the box' if tested == 'box' else 'of planned swims'}",
+            label=f"{kind}, unseen states {'of the box' if tested == 'box' else 'of swims'}",
         )
 
 
@@ -70,5 +74,7 @@ def _finish(axes: Axes, name: str) -> None:
         va="bottom", fontsize=7.5, transform=axes.get_yaxis_transform(),
     )  # fmt: skip
     axes.set_ylabel(label)
+    axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
     for axis in (axes.xaxis, axes.yaxis):
         axis.set_major_formatter(FuncFormatter(lambda value, _place: f"{value:g}"))
+        axis.set_minor_formatter(NullFormatter())

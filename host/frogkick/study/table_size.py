@@ -130,6 +130,23 @@ def least_bytes_as_good(sizes: TableSizes) -> int | None:
     return min(good, default=None)
 
 
+def over_full_nearest(sizes: TableSizes) -> dict[str, dict[str, float]]:
+    """Errors of the largest affine table of at most 64 KiB as parts of those of the largest nearest one.
+
+    Returns:
+        For states of the "box" and "visited" ones the ratio of each error; nothing without such a table.
+    """
+    full = max((p for p in sizes.by_size if p.kind == "nearest"), key=lambda p: p.states)
+    small = [p for p in sizes.by_size if p.kind == "affine" and p.bytes <= _AFFINE_KIB * KIB]
+    if not small:
+        return {}
+    best = max(small, key=lambda p: p.bytes)
+    return {
+        tested: {name: getattr(best, tested)[name] / error for name, error in getattr(full, tested).items()}
+        for tested in ("box", "visited")
+    }
+
+
 def slope(points: tuple[TablePoint, ...], name: str) -> float:
     """Exponent of an error's fall with bytes, by least squares of the logarithms."""
     logs = np.log([[p.bytes, p.box[name]] for p in points])

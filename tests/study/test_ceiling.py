@@ -15,6 +15,7 @@ from frogkick.der.swimmer import batch_of
 from frogkick.effects import rods_of
 from frogkick.library import Library, fit_table, quantise, sample_library, write_library
 from frogkick.library.transitions import fire_action, lane_effects
+from frogkick.paths import shape
 from frogkick.planner.image import open_image
 from frogkick.planner.plan import PlanConfig, config_of, plan
 from frogkick.report.ceiling_figure import ceiling_figure
@@ -39,6 +40,7 @@ from frogkick.study.table_size import first_states
 
 ROBOT = load_robot("frog2022")
 ACTIONS = len(ROBOT.actions)
+LINE_M = float(np.hypot(*np.diff(shape("line").points_m[[0, -1]], axis=0)[0]))
 THREE_DECISIONS_S = SETTLE_S + 2.5 * ROBOT.period_s
 
 
@@ -49,8 +51,8 @@ def library() -> Library:
 
 @pytest.fixture(scope="module")
 def images(library: Library) -> dict[str, bytes]:
-    """A good table and, as the nearest one, a bad one: of four states."""
-    return {AFFINE: fit_table(library, "affine").image, NEAREST: quantise(first_states(library, 4))}
+    """A good table and, as the nearest one, a bad one: of one state."""
+    return {AFFINE: fit_table(library, "affine").image, NEAREST: quantise(first_states(library, 1))}
 
 
 @pytest.fixture(scope="module")
@@ -131,6 +133,7 @@ def test_nothing_is_more_exact_than_the_rods_and_a_bad_table_is_off(whole_runs: 
     for run in of[RODS]:
         assert run.completed
         assert len(run.told) > 8
+        assert run.progress_mps * len(run.told) * ROBOT.period_s == pytest.approx(LINE_M, rel=0.2)
         assert not run.told.any()
         assert np.abs(run.planned).max() < 2e-5  # but for the planner's float32
     for name, least in (("position_m", 1e-3), ("heading_rad", 0.02)):
@@ -140,7 +143,7 @@ def test_nothing_is_more_exact_than_the_rods_and_a_bad_table_is_off(whole_runs: 
         assert told[NEAREST] > 4.0 * told[AFFINE] > 0.0
         assert planned[NEAREST] > 2.0 * planned[AFFINE] > 10.0 * planned[RODS]
     distance = {source: over_seeds(of[source], "mean_distance_m").value for source in SOURCES}
-    assert distance[NEAREST] > 1.5 * distance[RODS]
+    assert distance[NEAREST] > 5.0 * distance[RODS]
     more = more_than(of[NEAREST], of[RODS], "mean_distance_m")
     assert more.value == pytest.approx(distance[NEAREST] - distance[RODS])
 
@@ -148,9 +151,9 @@ def test_nothing_is_more_exact_than_the_rods_and_a_bad_table_is_off(whole_runs: 
 def test_a_seed_has_its_run_whatever_else_runs(images: dict[str, bytes]) -> None:
     told: list[tuple[int, int]] = []
     three = follow_paths(
-        ROBOT, images, ["sine"], [1], 3, THREE_DECISIONS_S, 1, lambda *done: told.append(done)
+        ROBOT, images, ["ellipse"], [1], 3, THREE_DECISIONS_S, 1, lambda *done: told.append(done)
     )
-    one = follow_paths(ROBOT, images, ["sine"], [1], 1, THREE_DECISIONS_S)
+    one = follow_paths(ROBOT, images, ["ellipse"], [1], 1, THREE_DECISIONS_S)
     assert told[0] == (0, 9)
     assert told[-1] == (9, 9)
     assert [(run.source, run.seed) for run in three] == [(s, seed) for s in SOURCES for seed in range(3)]
@@ -160,12 +163,15 @@ def test_a_seed_has_its_run_whatever_else_runs(images: dict[str, bytes]) -> None
         assert (alone.mean_distance_m, alone.progress_mps) == (beside.mean_distance_m, beside.progress_mps)
         assert np.array_equal(alone.planned, beside.planned)
         assert np.array_equal(alone.told, beside.told)
-    assert len({run.mean_distance_m for run in three if run.source == RODS}) == 3
+    rods = [run for run in three if run.source == RODS]
+    assert len({run.mean_distance_m for run in rods}) == 3
+    # Some begin before the start, where the ellipse ends as well.
+    assert all(0.0 < run.progress_mps < 0.05 for run in rods)
 
 
-def made(source: str, path: str, seed: int, far_m: float, depth: int = 1) -> Run:
+def made(source: str, path: str, seed: int, far_m: float, depth: int = 1, ended: str = "completed") -> Run:
     errors = np.array([[3e-3, 4e-3, 0.1]])
-    return Run(path, source, depth, seed, far_m, 0.03, "completed", errors, 2.0 * errors)
+    return Run(path, source, depth, seed, far_m, 0.03, ended, errors, 2.0 * errors)
 
 
 def test_means_intervals_and_pairs() -> None:
@@ -195,6 +201,14 @@ def test_the_picture_has_every_source_and_units() -> None:
     bars = sorted(round(bar.get_height(), 6) for bar in figure.axes[0].patches)
     assert bars == [1.5] * 3 + [3.0] * 3 + [4.5] * 3
     assert len({bar.get_facecolor() for bar in figure.axes[0].patches}) == len(SOURCES)
+    assert not figure.axes[0].texts
+    stopped = [
+        made(source, "line", seed, 0.001, 1, TIME if seed else "completed")
+        for source in SOURCES
+        for seed in range(3)
+    ]
+    said = {text.get_text() for text in ceiling_figure(stopped).axes[0].texts}
+    assert said == {"2 of 3\nnot to\nthe end"}
 
 
 def test_the_command_tells_draws_and_refuses(

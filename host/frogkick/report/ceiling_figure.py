@@ -65,6 +65,12 @@ def _by_path(axes: Axes, runs: Sequence[Run], paths: Sequence[str], name: str) -
                 color=_COLOUR[source],
                 capsize=3,
             )
+            over = sum(not run.completed for run in mine)
+            if over:  # a run that stops early can stay near its path: its distance is not to be compared
+                axes.annotate(
+                    f"{over} of {len(mine)}\nnot to\nthe end", (place + offset, 0.0), ha="center",
+                    va="bottom", fontsize=6, xytext=(0, 2), textcoords="offset points",
+                )  # fmt: skip
             if path is not None:
                 spread = place + offset + np.linspace(-0.08, 0.08, len(mine))
                 axes.plot(spread, [1e3 * getattr(r, name) for r in mine], ".", color=_COLOUR[source], ms=3)
@@ -82,5 +88,6 @@ def _ahead(axes: Axes, runs: Sequence[Run], name: str, factor: float) -> None:
                 f"{error:.2g}", (place + offset, error), ha="center", va="bottom", fontsize=8,
                 xytext=(0, 2), textcoords="offset points",
             )  # fmt: skip
+    axes.margins(y=0.12)
     axes.set_xticks([0, 1], ["asked of the true state", "as planned, from fixes"])
     axes.grid(axis="x", visible=False)

@@ -27,7 +27,6 @@ from frogkick.effects import ActingLanes, rods_of
 from frogkick.errors import ConvergenceError, FrogkickError
 from frogkick.library.error import looked_up
 from frogkick.library.transitions import fire_action, lane_effects, previous_actions
-from frogkick.loop.record import along_path
 from frogkick.paths import Path, shape
 from frogkick.planner.estimator import Estimator
 from frogkick.planner.follow import End, Follow
@@ -45,7 +44,7 @@ SETTLE_S = 1.0
 
 TIME_LIMIT_S = 120.0
 TIME = "time limit"
-_START = np.array([0.01, 0.01, np.deg2rad(10.0)])  # how far off a hand puts it into the water: m, m, rad
+_START = np.array([0.005, 0.005, np.deg2rad(5.0)])  # how far off a hand puts it into the water: m, m, rad
 _APART = 100  # velocity codes between the names of a tree's nodes
 _CONFIDENCE = 0.95
 
@@ -66,7 +65,8 @@ class Run:
 
     Attributes:
         path, source, depth, seed: of it.
-        mean_distance_m, progress_mps: of the true poses, from the first decision on.
+        mean_distance_m: of the true poses to the path, from the first decision on.
+        progress_mps: along it, from the first decision to the end of the run.
         ended: why, a value of ``End`` or TIME.
         planned: (n, 3) forward, left (m), turn (rad): the motion that the planner expected of its action,
             from the estimated state, less the motion that came of it; a row for each decision.
@@ -347,6 +347,13 @@ class _Lane:
         self.actions.append(made.action)
         return made.action
 
+    def progress_mps(self) -> float:
+        """Along the path, by the place that is carried along: where a path closes, its ends are one place."""
+        points = self._path.points_m
+        arc_m = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(points, axis=0).T))])
+        reached = len(points) - 1 if self.ended == End.COMPLETED.value else float(self._follow.along_points)
+        return float(np.interp(reached, np.arange(len(points)), arc_m)) / (self.end_s - SETTLE_S)
+
 
 def _run(ready: _Ready, task: Task) -> list[Run]:
     """Runs side by side until all are over."""
@@ -408,15 +415,14 @@ def _told(ready: _Ready, task: Task, path: Path, lane: _Lane, asked: FloatArray)
         asked = found[np.arange(len(done)), done, :3]
     during = [(time_s, pose) for time_s, pose in lane.seen if SETTLE_S <= time_s <= lane.end_s]
     poses = np.array([pose for _, pose in during]).reshape(-1, 3)
-    mean_m, _, progress_mps = along_path(path, np.array([time_s for time_s, _ in during]), poses)
     planned = np.array(lane.expected).reshape(-1, 3) - made
     return Run(
         task.path,
         task.source,
         task.depth,
         lane.seed,
-        mean_m,
-        progress_mps,
+        float(path.distance_m(poses[:, :2]).mean()),
+        lane.progress_mps(),
         lane.ended,
         _wrapped(planned),
         _wrapped(asked - made),

@@ -388,6 +388,21 @@ def test_of_equally_near_rows_the_lowest_answers_wherever_the_tree_finds_it() ->
         assert found.row == row
 
 
+@pytest.mark.parametrize("states", [1, 3, 5, 7, 21])
+def test_what_lies_behind_the_last_row_is_no_row(states: int) -> None:
+    """Rows are read in pairs: asked for exactly the bytes behind an odd last row, a real row answers."""
+    image = synthetic.image(states, 2)
+    tables = open_image(image)
+    behind = tables.sections.states + 6 * states
+    codes = np.clip(np.frombuffer(image[behind : behind + 6], "<i2").astype(np.int64), -16383, 16383)
+    distance2 = ((tables.states.astype(np.int64) - codes) ** 2).sum(axis=1)
+    from_, found = FFI.new("fk_dynamics_t *"), FFI.new("fk_lookup_t *")
+    from_.velocity_code = codes.tolist()
+    opened = planner_c.opened(image)
+    library().fk_lookup(opened.pointer, from_, found)
+    assert found.row == distance2.argmin()
+
+
 def test_the_nearest_point_is_the_lowest_of_equal_ones() -> None:
     path = path_of([(1.0, 0.0, 0.0), (0.0, 0.0, 0.0), (2.0, 0.0, 0.0), (0.0, 0.0, 0.0)])
     distance2 = FFI.new("float *")

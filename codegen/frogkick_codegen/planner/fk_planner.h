@@ -86,7 +86,7 @@ typedef struct {
 /* Choose the next action (the paper's Algorithm 1 with a fixed per-axis metric).
  * Least cost wins, ties take the lowest first action. Branches that cannot win are left: the answer is that of the
  * full tree. Level 1 is searched first, then the depth, or where transitions_max may cut that, level after level;
- * a level that is cut still counts if the best first action of the level before it was finished. Stack: below 2600 bytes.
+ * a level that is cut still counts if the best first action of the level before it was finished. Stack: below 2800 bytes.
  * @retval FK_OK
  * @retval FK_ERROR_NULL, FK_ERROR_DEPTH, FK_ERROR_COST, FK_ERROR_WEIGHT, FK_ERROR_PATH_COUNT,
  *         FK_ERROR_PATH_POINT, FK_ERROR_NOT_FINITE, FK_ERROR_RANGE in this order of checks */

@@ -12,18 +12,7 @@ static int32_t fk_clamp(int32_t value, int32_t limit)
     return (value < -limit) ? -limit : value;
 }
 
-/* The lower and the upper one of two 16-bit numbers in one word: products of two halves are one instruction
- * each on the chip. */
-static int32_t fk_low(uint32_t two)
-{
-    return (int16_t)(uint16_t)two;
-}
-
-static int32_t fk_high(uint32_t two)
-{
-    return (int16_t)(uint16_t)(two >> 16);
-}
-
+/* Products of two halves are one instruction each on the chip. */
 static int32_t fk_products(uint32_t two, uint32_t by)
 {
     return fk_low(two) * fk_low(by) + fk_high(two) * fk_high(by);

@@ -40,6 +40,7 @@ uint16_t fk_nearest(const fk_tables_t *tables, const int32_t codes[3])
     fk_side_t sides[FK_TREE_LEVELS_MAX + 1U]; /* the root, later at most one for each level */
     const uint32_t levels = tables->tree_levels;
     const uint32_t leaves = 1U << levels;
+    const uint32_t states = tables->states;
     uint32_t waiting = 1U;
     uint32_t best_row = 0U;
     uint32_t best_distance2 = UINT32_MAX; /* above every distance, so the first row replaces it */
@@ -58,9 +59,9 @@ uint16_t fk_nearest(const fk_tables_t *tables, const int32_t codes[3])
     while (waiting > 0U) {
         const fk_side_t *from = &sides[waiting - 1U];
         const uint32_t box_distance2 = from->box_distance2;
-        const uint32_t apart2[3] = {from->apart2[0], from->apart2[1], from->apart2[2]};
-        uint32_t axes = from->axes;
-        uint32_t node = from->node;
+        uint32_t apart2[3];
+        uint32_t axes;
+        uint32_t node;
         uint32_t row;
         uint32_t end;
         const uint8_t *state;
@@ -70,6 +71,11 @@ uint16_t fk_nearest(const fk_tables_t *tables, const int32_t codes[3])
         if (box_distance2 > best_distance2) {
             continue;
         }
+        apart2[0] = from->apart2[0];
+        apart2[1] = from->apart2[1];
+        apart2[2] = from->apart2[2];
+        axes = from->axes;
+        node = from->node;
         while (node < leaves) {
             const uint32_t here = axes & 3U; /* 0, 1, 2: checked */
             const int32_t difference = codes[here] - fk_read_i16(tables->splits + 2U * (node - 1U));
@@ -92,21 +98,36 @@ uint16_t fk_nearest(const fk_tables_t *tables, const int32_t codes[3])
             node = near;
         }
         /* Leaf i holds rows [(i n) >> levels, ((i + 1) n) >> levels). Widest: 2^13 * 65535 < 2^32. */
-        row = ((node - leaves) * tables->states) >> levels;
-        end = ((node - leaves + 1U) * tables->states) >> levels;
+        row = ((node - leaves) * states) >> levels;
+        end = ((node - leaves + 1U) * states) >> levels;
+        /* Two rows are three words, aligned where the image is. The row before the leaf's first or behind its last
+         * may come with it: one more candidate, unless it is behind the last of all, where there are bytes enough. */
+        row &= ~1U;
         state = tables->state_rows + 6U * row;
-        for (; row < end; row++) {
-            const int32_t d0 = codes[0] - fk_read_i16(state);
-            const int32_t d1 = codes[1] - fk_read_i16(state + 2);
-            const int32_t d2 = codes[2] - fk_read_i16(state + 4);
-            const uint32_t distance2 =
-                (uint32_t)(d0 * d0) + (uint32_t)(d1 * d1) + (uint32_t)(d2 * d2);
+        for (; row < end; row += 2U) {
+            const uint32_t first = fk_read_u32(state);
+            const uint32_t middle = fk_read_u32(state + 4);
+            const uint32_t last = fk_read_u32(state + 8);
+            const int32_t d0 = fk_low(first) - codes[0];
+            const int32_t d1 = fk_high(first) - codes[1];
+            const int32_t d2 = fk_low(middle) - codes[2];
+            const int32_t e0 = fk_high(middle) - codes[0];
+            const int32_t e1 = fk_low(last) - codes[1];
+            const int32_t e2 = fk_high(last) - codes[2];
+            const uint32_t distance2 = (uint32_t)(d0 * d0) + (uint32_t)(d1 * d1) + (uint32_t)(d2 * d2);
+            const uint32_t other2 = (uint32_t)(e0 * e0) + (uint32_t)(e1 * e1) + (uint32_t)(e2 * e2);
+
             /* Most rows are further: one comparison for them. */
-            if ((distance2 <= best_distance2) && ((distance2 != best_distance2) || (row < best_row))) {
+            if (FK_SELDOM(distance2 <= best_distance2) && ((distance2 != best_distance2) || (row < best_row))) {
                 best_distance2 = distance2;
                 best_row = row;
             }
-            state += 6;
+            if (FK_SELDOM(other2 <= best_distance2) && ((other2 != best_distance2) || (row + 1U < best_row))
+                && (row + 1U < states)) {
+                best_distance2 = other2;
+                best_row = row + 1U;
+            }
+            state += 12;
         }
     }
     return (uint16_t)best_row; /* < states <= 65535 */

@@ -1,10 +1,16 @@
 /* path.c - the path's points: checks, and the nearest one. */
 #include "fk_internal.h"
 
+/* Bits of |values| order like integers, infinity and NaN above every limit; twice them leaves the sign out. */
+static uint32_t fk_twice_magnitude(float value)
+{
+    return fk_bits_of_float(value) << 1;
+}
+
 int32_t fk_path_check(const fk_path_t *path)
 {
-    const uint32_t position_limit = fk_bits_of_float(FK_POSITION_MAX_M);
-    const uint32_t tangent_limit = fk_bits_of_float(FK_HEADING_MAX_RAD);
+    const uint32_t position_limit = fk_twice_magnitude(FK_POSITION_MAX_M);
+    const uint32_t tangent_limit = fk_twice_magnitude(FK_HEADING_MAX_RAD);
     uint32_t index;
 
     if (path == NULL) {
@@ -14,10 +20,9 @@ int32_t fk_path_check(const fk_path_t *path)
         return FK_ERROR_PATH_COUNT;
     }
     for (index = 0U; index < path->count; index++) {
-        /* Magnitude bits order like the values, with infinity and NaN above every limit. */
-        if (((fk_bits_of_float(path->x_m[index]) & FK_FLOAT_MAGNITUDE) > position_limit)
-            || ((fk_bits_of_float(path->y_m[index]) & FK_FLOAT_MAGNITUDE) > position_limit)
-            || ((fk_bits_of_float(path->tangent_rad[index]) & FK_FLOAT_MAGNITUDE) > tangent_limit)) {
+        if (FK_SELDOM(fk_twice_magnitude(path->x_m[index]) > position_limit)
+            || FK_SELDOM(fk_twice_magnitude(path->y_m[index]) > position_limit)
+            || FK_SELDOM(fk_twice_magnitude(path->tangent_rad[index]) > tangent_limit)) {
             return FK_ERROR_PATH_POINT;
         }
     }

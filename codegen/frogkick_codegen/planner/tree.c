@@ -179,31 +179,6 @@ static int32_t fk_try(fk_search_t *search, uint32_t level, uint32_t first_action
     return 1;
 }
 
-/* Search all branches that begin with an action: 1 where the search has to stop instead. */
-static int32_t fk_search_first(fk_search_t *search, uint32_t first_action)
-{
-    const uint32_t limit = search->config->transitions_max;
-    uint32_t level = 0U;
-    uint32_t action = first_action;
-
-    for (;;) {
-        if ((search->levels > 1U) && (limit != 0U) && (search->transitions >= limit)) {
-            return 1;
-        }
-        if (fk_try(search, level, first_action, action) != 0) {
-            level += 1U;
-        }
-        while ((level > 0U) && (search->nodes[level].next_action == search->tables->actions)) {
-            level -= 1U;
-        }
-        if (level == 0U) {
-            return 0;
-        }
-        action = search->nodes[level].next_action;
-        search->nodes[level].next_action += 1U;
-    }
-}
-
 static void fk_search_begin(fk_search_t *search, uint32_t levels)
 {
     uint32_t index;
@@ -248,6 +223,60 @@ static uint32_t fk_second_level(const fk_plan_config_t *config, uint32_t actions
     return ((config->transitions_max == 0U) || (config->transitions_max >= most)) ? config->depth : 2U;
 }
 
+/* Keep what the branches that begin with an action have come to: at level 1 each action's cost by itself. */
+static void fk_search_keep(fk_search_t *search, uint32_t first_action, fk_plan_t *plan)
+{
+    if (search->levels > 1U) {
+        plan->cost = search->best_cost;
+        plan->action = (uint8_t)search->best_action; /* < actions <= FK_ACTIONS_MAX */
+        return;
+    }
+    search->shallow_cost[first_action] = search->best_cost;
+    if (search->best_cost < plan->cost) {
+        plan->cost = search->best_cost;
+        plan->action = (uint8_t)first_action;
+    }
+    search->best_cost = FLT_MAX;
+    search->best_action = search->tables->actions;
+}
+
+/* Search the tree, first actions in some order: 1 where it has to stop before its end. A level that is cut still
+ * counts if the first one in order is finished; level 1 is always finished. */
+FK_CACHE_ALIGNED static int32_t fk_search_tree(fk_search_t *search, const uint8_t order[FK_ACTIONS_MAX], fk_plan_t *plan)
+{
+    const uint32_t limit = (search->levels > 1U) ? search->config->transitions_max : 0U;
+    const uint32_t actions = search->tables->actions;
+    uint32_t level = 0U;
+    uint32_t index = 0U;
+    uint32_t action = order[0];
+
+    for (;;) {
+        if ((limit != 0U) && (search->transitions >= limit)) {
+            if (index > 0U) {
+                fk_search_keep(search, order[index], plan);
+            }
+            return 1;
+        }
+        if (fk_try(search, level, order[index], action) != 0) {
+            level += 1U;
+        }
+        while ((level > 0U) && (search->nodes[level].next_action == actions)) {
+            level -= 1U;
+        }
+        if (level > 0U) {
+            action = search->nodes[level].next_action;
+            search->nodes[level].next_action += 1U;
+            continue;
+        }
+        fk_search_keep(search, order[index], plan);
+        index += 1U;
+        if (index == actions) {
+            return 0;
+        }
+        action = order[index];
+    }
+}
+
 /* Search the first level, then the next ones up to the last. The answer goes to plan. */
 static void fk_search_levels(fk_search_t *search, fk_plan_t *plan)
 {
@@ -260,30 +289,17 @@ static void fk_search_levels(fk_search_t *search, fk_plan_t *plan)
     plan->action = 0U;
     plan->depth_reached = 1U;
     for (index = 0U; index < actions; index++) {
-        fk_search_begin(search, 1U);
-        (void)fk_search_first(search, index); /* the first level is always finished */
-        search->shallow_cost[index] = search->best_cost;
-        if (search->best_cost < plan->cost) {
-            plan->cost = search->best_cost;
-            plan->action = (uint8_t)index; /* < actions <= FK_ACTIONS_MAX */
-        }
+        order[index] = (uint8_t)index; /* < FK_ACTIONS_MAX */
     }
+    fk_search_begin(search, 1U);
+    (void)fk_search_tree(search, order, plan);
     if (search->config->depth == 1U) {
         return;
     }
     for (levels = fk_second_level(search->config, actions); levels <= search->config->depth; levels++) {
-        int32_t stopped = 0;
-
         fk_search_order(search, plan->action, order);
         fk_search_begin(search, levels);
-        for (index = 0U; (index < actions) && (stopped == 0); index++) {
-            stopped = fk_search_first(search, order[index]);
-            if ((stopped == 0) || (index > 0U)) { /* the first one in order is finished */
-                plan->cost = search->best_cost;
-                plan->action = (uint8_t)search->best_action;
-            }
-        }
-        if (stopped != 0) {
+        if (fk_search_tree(search, order, plan) != 0) {
             return;
         }
         plan->depth_reached = (uint8_t)levels;

@@ -233,7 +233,9 @@ def test_a_search_looks_at_few_rows() -> None:
     files = dict(planner_files())
     source = files["nearest.c"].decode()
     counted = source.replace(
-        "            const int32_t d0 =", "            fk_rows_seen += 2U;\n" + " " * 12 + "const int32_t d0 =", 1
+        "            const int32_t d0 =",
+        "            fk_rows_seen += 2U;\n" + " " * 12 + "const int32_t d0 =",
+        1,
     )
     counted = counted.replace(
         "uint16_t fk_nearest(", "static uint32_t fk_rows_seen;\n\nuint16_t fk_nearest(", 1

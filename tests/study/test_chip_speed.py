@@ -25,11 +25,13 @@ from frogkick.study.chip_speed import (
     CYCLES_PER_MS,
     LIMIT_MS,
     NODE,
+    RUN,
     DepthSpeed,
     chip_speed,
     open_ms,
     states_for_timing,
 )
+from frogkick.study.chip_worst import dearest, fit_cycles
 from frogkick_codegen import firmware
 
 PATHS = {name: shape(name) for name in SHAPES}
@@ -101,6 +103,46 @@ def test_a_summary_is_of_the_states_that_were_timed(small: Built) -> None:
     assert speeds[2].nodes > 3 * speeds[1].nodes
 
 
+def test_of_many_states_the_dearest_are_run(small: Built, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A sixth of them is run, and holds what running them all finds worst; the rest is within the bound."""
+    every = small.speed({1: 1800})[1]
+    assert (every.run, every.model_error, every.unrun_ms) == (1800, 0.0, 0.0)
+    monkeypatch.setitem(RUN, 1, 300)  # type: ignore[call-overload]
+    some = small.speed({1: 1800})[1]
+    assert some.states == 1800
+    assert 200 <= some.run <= 300  # the dearest of all and those of a reach are partly the same
+    assert some.worst_ms == pytest.approx(every.worst_ms, rel=0.002)
+    assert (some.worst_path, some.worst_state) == (every.worst_path, every.worst_state)
+    assert some.worst_ms_by_reach == pytest.approx(every.worst_ms_by_reach, rel=0.002)
+    assert 0.0 < some.model_error < 0.02
+    assert every.mean_ms < some.unrun_ms < some.worst_ms * 1.02
+    assert some.mean_ms == pytest.approx(every.mean_ms, rel=0.02)
+
+
+def test_the_model_knows_what_a_block_takes(small: Built) -> None:
+    """Fitted to some states, it tells others' cycles; a state asked for twice costs twice nothing else."""
+    tables, path = open_image(small.file.read_bytes()), PATHS["ellipse"]
+    planner = ChipPlanner(small.elf)
+    planner.configure(path, CONFIG)
+    depth = 2
+    timed = states_for_timing(tables, path, 300, np.random.default_rng(4))
+    _, cycles = planner.plan(timed.states, np.full(300, depth), timed.limb_use, timed.along_points)
+    model = fit_cycles(tables.image, CONFIG, [(path, timed.part(0, 200), cycles[:200])], depth)
+    told = model.predict(tables.image, path, dataclasses.replace(CONFIG, depth=depth), timed.part(200, 100))
+    np.testing.assert_allclose(told, cycles[200:], rtol=0.02)
+    spread = cycles[200:].std() / cycles[200:].mean()
+    assert (told / cycles[200:] - 1.0).std() < spread / 5
+
+
+def test_the_dearest_are_of_every_reach() -> None:
+    predicted = np.arange(100.0)
+    beyond = np.repeat(np.array([30.0, 3.0, 1.0, 1000.0], dtype=np.float32), 25)
+    places = dearest(predicted, beyond, 16)
+    assert {99, 98, 24, 23, 49, 48, 74, 73} <= set(places.tolist())
+    assert len(places) <= 16
+    assert set(range(92, 100)) <= set(places.tolist())
+
+
 def test_processes_change_nothing(small: Built) -> None:
     one, two = small.speed({1: 12}), small.speed({1: 12}, workers=2)
     assert one[1].mean_ms == pytest.approx(two[1].mean_ms, rel=0.01)
@@ -122,7 +164,7 @@ def test_slower_memory_makes_slower_decisions(small: Built) -> None:
 
 
 def test_decisions_are_within_their_limits(large: Built) -> None:
-    """Worst of all states, paths and places; 10^5 decisions at each depth with FK_FULL=1."""
+    """Worst of all states, paths and places; the dearest of 10^5 at each depth with FK_FULL=1."""
     counts = {1: count(90, 100_000), 2: count(45, 100_000), 3: count(18, 100_000)}
     speeds = large.speed(counts, workers=count(1, 2))
     for depth, limit_ms in LIMIT_MS.items():

@@ -90,7 +90,11 @@ def chip(
     seed: SeedOption = 0,
     json: JsonOption = False,
 ) -> None:
-    """How long the chip plans: cycles of the flashed image over many states. Exit 1 over a limit."""
+    """How long the chip plans: cycles of the flashed image over many states. Exit 1 over a limit.
+
+    Of very many states the dearest are run on the virtual chip, which a model of the planner's blocks finds
+    among all of them: "run" is how many, "model_error" its largest error, "unrun_ms" its bound of the rest.
+    """
     image = table_image(tables, model)
     described = robot_of_table(image, model)
     counts = {depth: states if depth in LIMIT_MS else max(3, states // 50) for depth in DEPTHS}
@@ -100,7 +104,11 @@ def chip(
         opened_ms = open_ms(built.image)
         processes = workers or os.cpu_count() or 1
         speeds = chip_speed(built.image, image, paths, config, counts, seed, processes, progress)
-    over = [depth for depth, limit in LIMIT_MS.items() if speeds[depth].worst_ms > limit]
+    over = [
+        depth
+        for depth, limit in LIMIT_MS.items()
+        if max(speeds[depth].worst_ms, speeds[depth].unrun_ms) > limit
+    ]
     show(
         {
             "plan_ms": {
@@ -109,6 +117,13 @@ def chip(
             },
             "limit_ms": {str(depth): limit for depth, limit in LIMIT_MS.items()},
             "states": {str(depth): speed.states for depth, speed in speeds.items()},
+            "run": {str(depth): speed.run for depth, speed in speeds.items()},
+            "model_error": {str(depth): round(speed.model_error, 5) for depth, speed in speeds.items()},
+            "unrun_ms": {str(depth): round(speed.unrun_ms, 4) for depth, speed in speeds.items()},
+            "worst_ms_by_reach": {
+                str(depth): {str(reach): round(one, 4) for reach, one in speed.worst_ms_by_reach.items()}
+                for depth, speed in speeds.items()
+            },
             "nodes": {str(depth): round(speed.nodes, 1) for depth, speed in speeds.items()},
             "instructions_per_node": {
                 str(depth): round(speed.instructions_per_node, 1) for depth, speed in speeds.items()

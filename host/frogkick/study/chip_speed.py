@@ -1,7 +1,12 @@
-"""How long the chip plans: cycles of the flashed image over many states and paths."""
+"""How long the chip plans: cycles of the flashed image over many states and paths.
+
+Up to ``RUN`` states of a depth are all run on the virtual chip. Of more, that many are: half of them at
+random, then those that a model of the planner's blocks finds dearest; frogkick.study.chip_worst says how.
+"""
 
 from __future__ import annotations
 
+import dataclasses
 import multiprocessing
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -16,6 +21,7 @@ from frogkick.paths import Path as SwimPath
 from frogkick.planner.image import Tables, read_image
 from frogkick.planner.layout import LIMBS_MAX
 from frogkick.planner.plan import PlanConfig, path_rows
+from frogkick.study.chip_worst import CycleModel, TimedStates, dearest, fit_cycles
 
 CYCLES_PER_MS = 64_000
 LIMIT_MS: Mapping[int, float] = {1: 0.45, 2: 4.5, 3: 20.0}
@@ -23,6 +29,8 @@ LIMIT_MS: Mapping[int, float] = {1: 0.45, 2: 4.5, 3: 20.0}
 DEPTHS = (1, 2, 3, 4)
 NODE = "fk_lookup_motion"
 """One call of it is one node of the search: a pose that is predicted and costed."""
+RUN: Mapping[int, int] = {1: 3000, 2: 1200, 3: 480, 4: 24}
+"""Depth -> states that are run on the virtual chip at the most."""
 _CHUNK = 50
 _BEYOND = (1.0, 3.0, 30.0, 1000.0)
 """Velocities go to so many times the table's box, in turn; poses to so many times the path's surroundings."""
@@ -42,8 +50,12 @@ class DepthSpeed:
     """What decisions of one depth took.
 
     Attributes:
-        states: how many.
-        mean_ms, worst_ms: at 64 MHz.
+        states: how many, of which ``run`` on the virtual chip.
+        mean_ms, worst_ms: at 64 MHz; the mean of states that were taken at random.
+        worst_ms_by_reach: the worst of velocities from so many times the table's box.
+        model_error: where not all were run, the model's largest relative error over those that were, but for
+            those that it was fitted to; else 0.
+        unrun_ms: no state that was not run is above this by the model and that error; else 0.
         worst_path, worst_state, worst_limb_use, worst_along_points: where it was worst.
         nodes: nodes of the search, mean.
         instructions_per_node: mean.
@@ -51,8 +63,12 @@ class DepthSpeed:
     """
 
     states: int
+    run: int
     mean_ms: float
     worst_ms: float
+    worst_ms_by_reach: Mapping[float, float]
+    model_error: float
+    unrun_ms: float
     worst_path: str
     worst_state: tuple[float, ...]
     worst_limb_use: tuple[int, ...]
@@ -63,20 +79,6 @@ class DepthSpeed:
 
 
 @dataclass(frozen=True, eq=False)
-class TimedStates:
-    """States to time: (k, 6) float32, (k, 8) limb use, (k,) where along the path each was last."""
-
-    states: npt.NDArray[np.float32]
-    limb_use: npt.NDArray[np.uint16]
-    along_points: npt.NDArray[np.float32]
-
-    def part(self, at: int, count: int) -> TimedStates:
-        """Return ``count`` of them."""
-        end = at + count
-        return TimedStates(self.states[at:end], self.limb_use[at:end], self.along_points[at:end])
-
-
-@dataclass(frozen=True, eq=False)
 class _Chunk:
     elf: Path
     config: PlanConfig
@@ -84,6 +86,7 @@ class _Chunk:
     path: SwimPath
     depth: int
     timed: TimedStates
+    at_random: bool
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,6 +95,7 @@ class _Counted:
     path_name: str
     cycles: npt.NDArray[np.int64]
     timed: TimedStates
+    at_random: bool
     functions: tuple[tuple[str, int, int, float], ...]
 
 
@@ -117,7 +121,7 @@ def states_for_timing(tables: Tables, path: SwimPath, count: int, rng: np.random
     limb_use[:, tables.limbs :] = 0
     limb_use[rng.random(count) < 0.25] = 0
     along = np.clip(near - rng.exponential(0.03 * rows.shape[1], count), 0, rows.shape[1] - 1)
-    return TimedStates(states.astype(np.float32), limb_use, along.astype(np.float32))
+    return TimedStates(states.astype(np.float32), limb_use, along.astype(np.float32), far.astype(np.float32))
 
 
 @lru_cache(maxsize=1)
@@ -134,7 +138,7 @@ def _count(chunk: _Chunk) -> _Counted:
     depths = np.full(len(timed.states), chunk.depth, dtype=np.int32)
     _, cycles = planner.plan(timed.states, depths, timed.limb_use, timed.along_points)
     functions = tuple((f.name, f.calls, f.instructions, f.cycles) for f in profile.functions())
-    return _Counted(chunk.depth, chunk.path_name, cycles, timed, functions)
+    return _Counted(chunk.depth, chunk.path_name, cycles, timed, chunk.at_random, functions)
 
 
 def chip_speed(
@@ -162,51 +166,129 @@ def chip_speed(
     Returns:
         Depth -> what was found.
     """
-    tables = read_image(image)
-    chunks = list(_chunks(elf, tables, paths, config, counts, seed))
-    whole = sum(len(chunk.timed.states) for chunk in chunks)
-    found: list[_Counted] = []
-    done = 0
-    if workers > 1:
-        with multiprocessing.get_context("spawn").Pool(workers) as pool:
-            for counted in pool.imap_unordered(_count, chunks):
-                found.append(counted)
-                progress(done := done + len(counted.timed.states), whole)
-    else:
-        for chunk in chunks:
-            found.append(_count(chunk))
-            progress(done := done + len(chunk.timed.states), whole)
-    return {depth: _summary([one for one in found if one.depth == depth]) for depth in counts}
+    study = _Study(elf, read_image(image), paths, config, counts, seed)
+    runner = _Runner(workers, sum(min(counts[depth], RUN[depth]) for depth in counts), progress)
+    found = runner.run(study.at_random())
+    speeds = {}
+    for depth in counts:
+        mine = [one for one in found if one.depth == depth]
+        error, unrun_ms = 0.0, 0.0
+        if counts[depth] > RUN[depth]:
+            chosen, model = study.dearest(depth, mine)
+            mine += runner.run(chosen)
+            error, unrun_ms = study.unrun(depth, mine, model)
+        speeds[depth] = _summary(mine, study.count(depth) * len(paths), error, unrun_ms)
+    return speeds
 
 
-def _chunks(
-    elf: Path,
-    tables: Tables,
-    paths: Mapping[str, SwimPath],
-    config: PlanConfig,
-    counts: Mapping[int, int],
-    seed: int,
-) -> Sequence[_Chunk]:
-    """The dearest first, so that no process is left with a long one at the end."""
-    chunks = []
-    for depth in sorted(counts, reverse=True):
-        for number, (name, path) in enumerate(paths.items()):
-            count = -(-counts[depth] // len(paths))
-            rng = np.random.default_rng([seed, depth, number])
-            timed = states_for_timing(tables, path, count, rng)
-            step = max(_CHUNK, count // 64)
-            chunks += [
-                _Chunk(elf, config, name, path, depth, timed.part(at, step)) for at in range(0, count, step)
-            ]
-    return chunks
+class _Runner:
+    """Runs chunks, in as many processes as are wanted, and tells how far it is."""
+
+    def __init__(self, workers: int, whole: int, progress: Callable[[int, int], None]) -> None:
+        self._workers, self._whole, self._progress, self._done = workers, whole, progress, 0
+
+    def run(self, chunks: Sequence[_Chunk]) -> list[_Counted]:
+        if self._workers <= 1:
+            return [self._note(_count(chunk)) for chunk in chunks]
+        with multiprocessing.get_context("spawn").Pool(self._workers) as pool:
+            return [self._note(counted) for counted in pool.imap_unordered(_count, chunks)]
+
+    def _note(self, counted: _Counted) -> _Counted:
+        self._done += len(counted.timed.states)
+        self._progress(min(self._done, self._whole), self._whole)
+        return counted
 
 
-def _summary(parts: Sequence[_Counted]) -> DepthSpeed:
+@dataclass(frozen=True, eq=False)
+class _Study:
+    """Which states there are, and which of them are run."""
+
+    elf: Path
+    tables: Tables
+    paths: Mapping[str, SwimPath]
+    config: PlanConfig
+    counts: Mapping[int, int]
+    seed: int
+
+    def count(self, depth: int) -> int:
+        """States of a depth along one path."""
+        return -(-self.counts[depth] // len(self.paths))
+
+    def states(self, depth: int, name: str) -> TimedStates:
+        """All states of a depth along a path."""
+        rng = np.random.default_rng([self.seed, depth, list(self.paths).index(name)])
+        return states_for_timing(self.tables, self.paths[name], self.count(depth), rng)
+
+    def first(self, depth: int) -> int:
+        """States along one path that are run at random: all, or half of those that may be run."""
+        if self.counts[depth] <= RUN[depth]:
+            return self.count(depth)
+        return RUN[depth] // (2 * len(self.paths))
+
+    def at_random(self) -> list[_Chunk]:
+        """The dearest depth first, so that no process is left with a long one at the end."""
+        chunks = []
+        for depth in sorted(self.counts, reverse=True):
+            for name in self.paths:
+                timed = self.states(depth, name).part(0, self.first(depth))
+                chunks += self._cut(depth, name, timed, at_random=True)
+        return chunks
+
+    def dearest(self, depth: int, ran: Sequence[_Counted]) -> tuple[list[_Chunk], CycleModel]:
+        """Those of the other states that cost most by a model that is fitted to half of what ran."""
+        model = fit_cycles(
+            self.tables.image,
+            self.config,
+            [(self.paths[one.path_name], one.timed.part(0, half), one.cycles[:half])
+             for one in ran for half in [len(one.cycles) // 2]],
+            depth,
+        )  # fmt: skip
+        chunks = []
+        for name in self.paths:
+            timed, predicted = self._others(depth, name, model)
+            places = dearest(predicted, timed.beyond, RUN[depth] // (2 * len(self.paths)))
+            chunks += self._cut(depth, name, timed.chosen(places), at_random=False)
+        return chunks, model
+
+    def unrun(self, depth: int, ran: Sequence[_Counted], model: CycleModel) -> tuple[float, float]:
+        """The model's largest relative error, and what it bounds the states by that were not run, ms."""
+        settings = dataclasses.replace(self.config, depth=depth)
+        error, most = 0.0, 0.0
+        for one in ran:
+            fitted = len(one.cycles) // 2 if one.at_random else 0
+            predicted = model.predict(self.tables.image, self.paths[one.path_name], settings, one.timed)
+            error = max(error, float(np.abs(one.cycles / predicted - 1.0)[fitted:].max()))
+        for name in self.paths:
+            timed, predicted = self._others(depth, name, model)
+            places = dearest(predicted, timed.beyond, RUN[depth] // (2 * len(self.paths)))
+            most = max(most, float(np.delete(predicted, places).max()))
+        return error, most * (1.0 + error) / CYCLES_PER_MS
+
+    def _others(
+        self, depth: int, name: str, model: CycleModel
+    ) -> tuple[TimedStates, npt.NDArray[np.float64]]:
+        timed = self.states(depth, name).part(self.first(depth), self.count(depth))
+        settings = dataclasses.replace(self.config, depth=depth)
+        return timed, model.predict(self.tables.image, self.paths[name], settings, timed)
+
+    def _cut(self, depth: int, name: str, timed: TimedStates, at_random: bool) -> list[_Chunk]:
+        count = len(timed.states)
+        step = max(_CHUNK, count // 64)
+        return [
+            _Chunk(self.elf, self.config, name, self.paths[name], depth, timed.part(at, step), at_random)
+            for at in range(0, count, step)
+        ]
+
+
+def _summary(parts: Sequence[_Counted], states: int, error: float, unrun_ms: float) -> DepthSpeed:
     cycles = np.concatenate([part.cycles for part in parts])
+    beyond = np.concatenate([part.timed.beyond for part in parts])
+    some = [part for part in parts if part.at_random]
+    number = sum(len(part.cycles) for part in some)
     worst = max(parts, key=lambda part: int(part.cycles.max()))
     at = int(worst.cycles.argmax())
     totals: dict[str, list[float]] = {}
-    for part in parts:
+    for part in some:
         for name, calls, instructions, spent in part.functions:
             total = totals.setdefault(name, [0.0, 0.0, 0.0])
             for place, value in enumerate((calls, instructions, spent)):
@@ -216,17 +298,22 @@ def _summary(parts: Sequence[_Counted]) -> DepthSpeed:
     nodes = totals.get(NODE, [0.0])[0]
     ordered = sorted(totals, key=lambda name: -totals[name][2])
     return DepthSpeed(
-        states=len(cycles),
-        mean_ms=float(cycles.mean()) / CYCLES_PER_MS,
+        states=states,
+        run=len(cycles),
+        mean_ms=sum(float(part.cycles.sum()) for part in some) / number / CYCLES_PER_MS,
         worst_ms=float(cycles.max()) / CYCLES_PER_MS,
+        worst_ms_by_reach={
+            float(kind): float(cycles[beyond == kind].max()) / CYCLES_PER_MS for kind in np.unique(beyond)
+        },
+        model_error=error,
+        unrun_ms=unrun_ms,
         worst_path=worst.path_name,
         worst_state=tuple(worst.timed.states[at].tolist()),
         worst_limb_use=tuple(worst.timed.limb_use[at].tolist()),
         worst_along_points=float(worst.timed.along_points[at]),
-        nodes=nodes / len(cycles),
+        nodes=nodes / number,
         instructions_per_node=instructions_all / max(nodes, 1.0),
         shares=tuple(
-            Share(name, 100.0 * totals[name][2] / spent_all, totals[name][0] / len(cycles))
-            for name in ordered
+            Share(name, 100.0 * totals[name][2] / spent_all, totals[name][0] / number) for name in ordered
         ),
     )

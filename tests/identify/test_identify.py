@@ -16,11 +16,21 @@ from frogkick.cli.main import run_command
 from frogkick.errors import InputError
 from frogkick.identify.filter import Filter, Noise, Series, likeliest, surprise
 from frogkick.identify.fit import Model, bounded_step, fit, tracks_of
-from frogkick.identify.outcome import too_little
+from frogkick.identify.outcome import identify, too_little
 from frogkick.identify.search import countable, search
 from frogkick.identify.swim import Swim, swim_of
 from frogkick.identify.terms import Term, catalogue
-from frogkick.identify.verdict import FOUND, NOTHING, error_of, gaps, intervals, noise_floor, verdict_of
+from frogkick.identify.verdict import (
+    FOUND,
+    NOTHING,
+    TOO_LITTLE,
+    error_of,
+    gaps,
+    intervals,
+    noise_floor,
+    verdict_of,
+)
+from frogkick.loop.runlog import RunLog
 from frogkick.loop.runlog_file import write_run
 from frogkick.robot import load_robot
 
@@ -118,14 +128,14 @@ def test_planted_wear_is_found_among_others(worn: list[Swim]) -> None:
     before, after = (error_of(gaps(each.tracks, worn)) for each in (found.nominal, found.fitted))
     floor = noise_floor(worn, found.fitted.model.noise)
     assert after.position_rmse_m < 0.3 * before.position_rmse_m
-    assert verdict_of(found, before, after, floor) == FOUND
+    assert verdict_of(found, (before, after, floor)) == FOUND
 
 
 def test_nothing_is_found_where_nothing_is_missing(whole: list[Swim]) -> None:
     found = search(whole, robot(), [term("limb_wear rear_left"), term("drag_scale"), term("tag_offset")])
     error = error_of(gaps(found.fitted.tracks, whole))
     assert not found.fitted.model.terms
-    assert verdict_of(found, error, error, noise_floor(whole, found.fitted.model.noise)) == NOTHING
+    assert verdict_of(found, (error, error, noise_floor(whole, found.fitted.model.noise))) == NOTHING
 
 
 def test_effects_of_the_camera_act_on_what_is_shown() -> None:
@@ -160,6 +170,32 @@ def test_too_little_is_said(whole: list[Swim]) -> None:
     assert "moved 0.0 mm" in too_little(still)
     same = [replace(swim, action=np.zeros_like(swim.action)) for swim in whole]
     assert "only one action" in too_little(same)
+
+
+def test_bad_logs_are_one_clear_line_each(whole: list[Swim]) -> None:
+    run = make_run([], 6, 3)
+
+    def with_fixes(**columns: np.ndarray) -> RunLog:
+        return replace(run, fixes=replace(run.fixes, **columns))
+
+    heading_deg = np.degrees(run.fixes.heading_rad) + 100.0
+    x_mm, y_mm = 1e3 * run.fixes.x_m, 1e3 * run.fixes.y_m
+    with pytest.raises(InputError, match="headings are radians"):
+        swim_of(with_fixes(heading_rad=heading_deg), "x.h5", robot())
+    with pytest.raises(InputError, match="positions are metres"):
+        swim_of(with_fixes(x_m=x_mm, y_m=y_mm), "x.h5", robot())
+    with pytest.raises(InputError, match="fixes/x_m row 4 is nan"):
+        with_fixes(x_m=np.where(np.arange(len(x_mm)) == 4, np.nan, run.fixes.x_m))
+    with pytest.raises(InputError, match="time_s row 7 goes back"):
+        with_fixes(time_s=np.where(np.arange(len(x_mm)) == 7, 0.0, run.fixes.time_s))
+    with pytest.raises(InputError, match="no test run has a whole period"):
+        identify(whole, [replace_periods(whole[0], 0)], robot())
+
+
+def test_an_empty_run_among_others_is_left_out(whole: list[Swim]) -> None:
+    outcome = identify([replace_periods(whole[0], 0), whole[1]], whole[:1], robot())
+    assert outcome.verdict == TOO_LITTLE and "6 periods more" in outcome.reason
+    assert len(outcome.train) == 1 and outcome.tested.before.position_rmse_m < 1e-3
 
 
 def replace_periods(swim: Swim, count: int) -> Swim:

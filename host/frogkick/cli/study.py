@@ -23,6 +23,7 @@ from frogkick.cli.study_ceiling import register as register_ceiling
 from frogkick.cli.study_estimator import register as register_estimator
 from frogkick.cli.study_loop import register as register_loop
 from frogkick.cli.study_tables import register as register_tables
+from frogkick.cli.study_verdicts import register as register_verdicts
 from frogkick.der import STEP_S
 from frogkick.files import atomic_path
 from frogkick.paths import SHAPES, shape
@@ -40,6 +41,7 @@ register_tables(app)
 register_estimator(app)
 register_loop(app)
 register_ceiling(app)
+register_verdicts(app)
 
 
 @app.callback()

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 FloatArray = NDArray[np.float64]
@@ -69,31 +70,30 @@ class Filter:
 
     def go_to(self, time_s: float) -> None:
         """Let time pass; never backwards."""
-        dt = time_s - self.time_s
-        if dt <= 0.0:
-            return
-        busy = np.interp((self.time_s, time_s), self.busy_s[0], self.busy_s[1])
-        drive = self._calm + self._kick * (busy[1] - busy[0]) / dt
-        self.time_s = time_s
-        self.error[:, 0] += dt * self.error[:, 1]
-        p = self.covariance
-        p[:, 0] += dt * (2.0 * p[:, 1] + dt * p[:, 2]) + drive * dt**3 / 3.0
-        p[:, 1] += dt * p[:, 2] + drive * dt**2 / 2.0
-        p[:, 2] += drive * dt
+        self.time_s = _go_to(
+            self.error, self.covariance, self.time_s, time_s, self.busy_s, self._calm, self._kick
+        )
 
     def take(self, time_s: float, difference: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Take a fix in: (3,) fix minus simulation. Return innovation and its variance, (3,) each."""
-        self.go_to(time_s)
-        p = self.covariance
-        innovation = difference - self.error[:, 0]
-        variance = p[:, 0] + self._fix
-        gain0, gain1 = p[:, 0] / variance, p[:, 1] / variance
-        self.error[:, 0] += gain0 * innovation
-        self.error[:, 1] += gain1 * innovation
-        p[:, 2] -= gain1 * p[:, 1]
-        p[:, 1] *= 1.0 - gain0
-        p[:, 0] *= 1.0 - gain0
-        return innovation, variance
+        innovation, variance = self.take_all(np.array([time_s]), difference[None, :])
+        return innovation[0], variance[0]
+
+    def take_all(self, times_s: FloatArray, differences: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Take fixes in, in order: (n,) times, (n, 3) differences; see ``take``."""
+        innovations, variances = np.empty_like(differences), np.empty_like(differences)
+        self.time_s = _take_all(
+            self.error,
+            self.covariance,
+            self.time_s,
+            times_s,
+            differences,
+            self.busy_s,
+            (self._fix, self._calm, self._kick),
+            innovations,
+            variances,
+        )
+        return innovations, variances
 
     def correct(self, time_s: float) -> tuple[FloatArray, FloatArray]:
         """Take the error out as of a time: (3,) offset and (3,) rate there, which are zero from now on."""
@@ -103,10 +103,57 @@ class Filter:
         return offset, rate
 
 
-def cost_of(size: FloatArray) -> FloatArray:
-    """Squares of innovations over their deviations; of wild ones no more than in proportion."""
-    size = np.abs(size)
-    return np.where(size < CUT, size**2, CUT * (2.0 * size - CUT))
+@njit(cache=True)
+def _go_to(
+    error: FloatArray,
+    covariance: FloatArray,
+    now_s: float,
+    time_s: float,
+    busy_s: FloatArray,
+    calm: FloatArray,
+    kick: FloatArray,
+) -> float:
+    dt = time_s - now_s
+    if dt <= 0.0:
+        return now_s
+    busy = np.interp(time_s, busy_s[0], busy_s[1]) - np.interp(now_s, busy_s[0], busy_s[1])
+    for axis in range(3):
+        drive = calm[axis] + kick[axis] * busy / dt
+        error[axis, 0] += dt * error[axis, 1]
+        p = covariance[axis]
+        p[0] += dt * (2.0 * p[1] + dt * p[2]) + drive * dt**3 / 3.0
+        p[1] += dt * p[2] + drive * dt**2 / 2.0
+        p[2] += drive * dt
+    return time_s
+
+
+@njit(cache=True)
+def _take_all(
+    error: FloatArray,
+    covariance: FloatArray,
+    now_s: float,
+    times_s: FloatArray,
+    differences: FloatArray,
+    busy_s: FloatArray,
+    noise: tuple[FloatArray, FloatArray, FloatArray],
+    innovations: FloatArray,
+    variances: FloatArray,
+) -> float:
+    fix, calm, kick = noise
+    for row in range(len(times_s)):
+        now_s = _go_to(error, covariance, now_s, times_s[row], busy_s, calm, kick)
+        for axis in range(3):
+            p = covariance[axis]
+            innovation = differences[row, axis] - error[axis, 0]
+            variance = p[0] + fix[axis]
+            gain0, gain1 = p[0] / variance, p[1] / variance
+            error[axis, 0] += gain0 * innovation
+            error[axis, 1] += gain1 * innovation
+            p[2] -= gain1 * p[1]
+            p[1] *= 1.0 - gain0
+            p[0] *= 1.0 - gain0
+            innovations[row, axis], variances[row, axis] = innovation, variance
+    return now_s
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,29 +175,41 @@ class Series:
 
 def surprise(series: Series, fix_std: FloatArray, calm_std: FloatArray, kick_std: FloatArray) -> FloatArray:
     """(k,) minus twice the log likelihood of a series, for k noises at once."""
-    fix, calm, kick = np.square(fix_std), np.square(calm_std), np.square(kick_std)
-    offset, rate, total = np.zeros_like(fix), np.zeros_like(fix), np.zeros_like(fix)
-    p0, p1, p2 = 4.0 * fix, np.zeros_like(fix), np.full_like(fix, series.rate_std**2)
     dts = np.diff(series.time_s, prepend=series.time_s[:1])
     busy = np.diff(series.busy_s, prepend=series.busy_s[:1])
-    for dt, share, value in zip(dts.tolist(), busy.tolist(), series.difference.tolist(), strict=True):
-        if dt > 0.0:
-            drive = calm + kick * (share / dt)
-            offset = offset + dt * rate
-            p0 = p0 + dt * (2.0 * p1 + dt * p2) + drive * (dt**3 / 3.0)
-            p1 = p1 + dt * p2 + drive * (dt**2 / 2.0)
-            p2 = p2 + drive * dt
-        innovation = value - offset
-        variance = p0 + fix
-        deviation = np.sqrt(variance)
-        size = innovation / deviation
-        total += cost_of(size) + np.log(variance)
-        used = np.minimum(np.maximum(size, -CUT), CUT) * deviation
-        gain0, gain1 = p0 / variance, p1 / variance
-        offset, rate = offset + gain0 * used, rate + gain1 * used
-        p2 = p2 - gain1 * p1
-        p1, p0 = p1 * (1.0 - gain0), p0 * (1.0 - gain0)
-    return total
+    noises = np.square(np.column_stack([fix_std, calm_std, kick_std]))
+    return np.asarray(_surprise(dts, busy, series.difference, series.rate_std**2, noises))
+
+
+@njit(cache=True)
+def _surprise(
+    dts: FloatArray, busy: FloatArray, differences: FloatArray, rate: float, noises: FloatArray
+) -> FloatArray:
+    totals = np.zeros(len(noises))
+    for k in range(len(noises)):
+        fix, calm, kick = noises[k]
+        offset, speed, total = 0.0, 0.0, 0.0
+        p0, p1, p2 = 4.0 * fix, 0.0, rate
+        for row in range(len(dts)):
+            dt = dts[row]
+            if dt > 0.0:
+                drive = calm + kick * (busy[row] / dt)
+                offset += dt * speed
+                p0 += dt * (2.0 * p1 + dt * p2) + drive * (dt**3 / 3.0)
+                p1 += dt * p2 + drive * (dt**2 / 2.0)
+                p2 += drive * dt
+            innovation = differences[row] - offset
+            variance = p0 + fix
+            deviation = np.sqrt(variance)
+            size = abs(innovation) / deviation
+            total += (size**2 if size < CUT else CUT * (2.0 * size - CUT)) + np.log(variance)
+            used = min(max(innovation, -CUT * deviation), CUT * deviation)
+            gain0, gain1 = p0 / variance, p1 / variance
+            offset, speed = offset + gain0 * used, speed + gain1 * used
+            p2 -= gain1 * p1
+            p1, p0 = p1 * (1.0 - gain0), p0 * (1.0 - gain0)
+        totals[k] = total
+    return totals
 
 
 LIMITS = (

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from frogkick.effects.acting import LEG_S
 from frogkick.effects.registry import effects_of
 from frogkick.identify.filter import Noise, likeliest
-from frogkick.identify.predict import PARTS, WILD, Lane, Track, follow
+from frogkick.identify.predict import PARTS, STEP_S, WILD, Lane, Track, follow
 from frogkick.identify.swim import Swim
 from frogkick.identify.terms import Term
 from frogkick.robot import Robot
@@ -31,17 +31,21 @@ class Model:
         terms: what it lacks.
         noise: of the fixes and of what is not modelled.
         leg_s: how often flows and wrenches are asked.
+        step_s: finest time step.
+        held: which of the values, counted in a row, a fit leaves as they are.
     """
 
     robot: Robot
     terms: tuple[Term, ...]
     noise: Noise
     leg_s: float = LEG_S
+    step_s: float = STEP_S
+    held: frozenset[int] = frozenset()
 
     def lane(self, swim: Swim) -> Lane:
         """This model on a run."""
         effects = (*effects_of(self.robot), *(term.effect() for term in self.terms))
-        return Lane(swim, self.robot, effects, self.noise, self.leg_s)
+        return Lane(swim, self.robot, effects, self.noise, self.leg_s, self.step_s)
 
     def with_values(self, values: FloatArray) -> Model:
         """The same with other values of all terms, in a row."""
@@ -139,22 +143,45 @@ def steps_of(model: Model) -> FloatArray:
 
 
 def derivatives(
-    model: Model, swims: Sequence[Swim], rows: NDArray[np.bool_]
-) -> tuple[list[Track], FloatArray, FloatArray]:
-    """Tracks at a model, its misses (n, 9), and their (n, 9, p) derivatives by the parameters."""
-    values, step = model.values, steps_of(model)
-    models = [model]
-    for k in range(len(values)):
-        moved = values.copy()
-        moved[k] += step[k]
-        models.append(model.with_values(moved))
-    every = tracks_of(models, swims)
-    base = misses(every[0], rows)
-    columns = [(misses(tracks, rows) - base) / step[k] for k, tracks in enumerate(every[1:])]
-    return every[0], base, np.stack(columns, axis=2) if columns else np.empty((*base.shape, 0))
+    models: Sequence[Model],
+    swims: Sequence[Swim],
+    rows: NDArray[np.bool_],
+    known: FloatArray | None = None,
+) -> list[Fitted]:
+    """Models as they are, with derivatives by their parameters; all are simulated side by side.
+
+    Args:
+        models: at their values.
+        swims, rows: see ``fit``.
+        known: (n, 9, q) derivatives by the first q parameters of every model, which are taken as they are.
+    """
+    skipped = 0 if known is None else known.shape[2]
+    lanes, steps = [], []
+    for model in models:
+        step = steps_of(model)
+        steps.append(step)
+        lanes.append(model)
+        for k in range(skipped, len(step)):
+            moved = model.values
+            moved[k] += step[k]
+            lanes.append(model.with_values(moved))
+    every = iter(tracks_of(lanes, swims))
+    found = []
+    for model, step in zip(models, steps, strict=True):
+        tracks = next(every)
+        base = misses(tracks, rows)
+        columns = [(misses(next(every), rows) - base) / step[k] for k in range(skipped, len(step))]
+        new = np.stack(columns, axis=2) if columns else np.empty((*base.shape, 0))
+        jacobian = new if known is None else np.concatenate([known, new], axis=2)
+        found.append(Fitted(model, tracks, base, jacobian, cost_of(base)))
+    return found
 
 
-DAMPINGS = (1e-6, 1e-3, 1e-1, 10.0)
+DAMPINGS = (1e-6, 1e-1, 30.0)
+"""Of a step that has failed so many times; in units of a parameter's range."""
+
+CLOSE = 0.2
+"""A fall of the cost that ends a fit."""
 
 
 def fit(model: Model, swims: Sequence[Swim], rows: NDArray[np.bool_], rounds: int = 6) -> Fitted:
@@ -164,31 +191,70 @@ def fit(model: Model, swims: Sequence[Swim], rows: NDArray[np.bool_], rounds: in
         model: where to start.
         swims: the runs.
         rows: periods that count.
-        rounds: steps taken at most.
+        rounds: steps tried at most.
     """
-    tracks, missed, jacobian = derivatives(model, swims, rows)
-    cost = cost_of(missed)
-    for _ in range(rounds if len(model.values) else 0):
-        low, high = model.bounds
-        white = whitener(missed)
-        flat, columns = whiten(white, missed, jacobian)
-        tries = []
-        for damping in DAMPINGS:
-            delta = bounded_step(
-                columns, flat, damping * len(flat) / model.range**2, low - model.values, high - model.values
-            )
-            tries.append(model.with_values(model.values + delta))
-        costs = [cost_of(misses(each, rows)) for each in tracks_of(tries, swims)]
-        best = int(np.argmin(costs))
-        gain = cost - costs[best]
-        if not gain > 0.0:
+    return fit_many([model], swims, rows, rounds)[0]
+
+
+def fit_many(
+    models: Sequence[Model],
+    swims: Sequence[Swim],
+    rows: NDArray[np.bool_],
+    rounds: int,
+    known: FloatArray | None = None,
+) -> list[Fitted]:
+    """Fit several models side by side; see ``fit`` and ``derivatives``."""
+    best = derivatives(models, swims, rows, known)
+    failed = [0 if len(model.values) else len(DAMPINGS) for model in models]
+    for _ in range(rounds):
+        going = [k for k in range(len(models)) if failed[k] < len(DAMPINGS)]
+        if not going:
             break
-        model = tries[best]
-        tracks, missed, jacobian = derivatives(model, swims, rows)
-        cost = cost_of(missed)
-        if gain < 0.2:
+        tries = [_stepped(best[k], DAMPINGS[failed[k]]) for k in going]
+        for k, tried in zip(going, derivatives(tries, swims, rows, known), strict=True):
+            gain = best[k].cost - tried.cost
+            if gain > 0.0:
+                best[k] = tried
+                failed[k] = len(DAMPINGS) if gain < CLOSE else 0
+            else:
+                # A step that changes next to nothing has arrived; a worse one was too long.
+                failed[k] = len(DAMPINGS) if gain > -CLOSE else failed[k] + 1
+    return best
+
+
+def _stepped(fitted: Fitted, damping: float) -> Model:
+    """The model one damped Gauss-Newton step further."""
+    model = fitted.model
+    shy = damping * fitted.missed.size / model.range**2
+    step, _ = promised(fitted.missed, fitted.jacobian, *room_of(model), shy)
+    return model.with_values(model.values + step)
+
+
+def room_of(model: Model) -> tuple[FloatArray, FloatArray]:
+    """(p,) how far values may move down and up: not at all where they are held."""
+    low, high = model.bounds
+    free = np.array([k not in model.held for k in range(len(low))], dtype=np.float64)
+    return (low - model.values) * free, (high - model.values) * free
+
+
+def promised(
+    missed: FloatArray, jacobian: FloatArray, low: FloatArray, high: FloatArray, damping: FloatArray
+) -> tuple[FloatArray, float]:
+    """(p,) step within bounds that makes misses likeliest if they were linear, and the cost they would have.
+
+    What is left decides how misses weigh, so the step is made a few times over.
+    """
+    after, step = missed, np.zeros(jacobian.shape[2])
+    best, found = cost_of(missed), step
+    for _ in range(3):
+        flat, columns = whiten(whitener(after), missed, jacobian)
+        step = bounded_step(columns, flat, damping, low, high)
+        after = missed + jacobian @ step
+        cost = cost_of(after)
+        if cost > best - 1e-3:
             break
-    return Fitted(model, tracks, missed, jacobian, cost)
+        best, found = cost, step
+    return found, best
 
 
 def whitener(missed: FloatArray) -> FloatArray:

@@ -49,6 +49,11 @@ class Scored:
     after: Error
     noise_floor: Error
 
+    @property
+    def errors(self) -> tuple[Error, Error, Error]:
+        """Before, after, noise floor."""
+        return self.before, self.after, self.noise_floor
+
     def as_json(self) -> dict[str, dict[str, float]]:
         """The keys of the command."""
         return {
@@ -132,9 +137,14 @@ def identify(
     """Find what a robot's model lacks from some runs, and predict others with and without it.
 
     Raises:
-        InputError: the user's effects cannot be used, or no period of the runs can be judged.
+        InputError: the user's effects cannot be used, no period of the runs can be judged, or no test run
+            has one.
     """
     candidates = catalogue(robot, own)
+    train = [swim for swim in train if len(swim.start_s)]
+    test = [swim for swim in test if len(swim.start_s)]
+    if not test:
+        raise InputError("no test run has a whole period with fixes: give --test a longer run")
     reason = too_little(train)
     if reason:
         return _only_predicted(train, test, robot, reason)
@@ -143,7 +153,7 @@ def identify(
     nominal_tracks, tracks = tracks_of([found.nominal.model, found.fitted.model], test)
     tested = _scored(found.nominal, found.fitted, nominal_tracks, tracks, test)
     return Outcome(
-        verdict=verdict_of(found, trained.before, trained.after, trained.noise_floor),
+        verdict=verdict_of(found, trained.errors, tested.errors),
         robot=robot,
         train=train,
         test=test,
@@ -160,13 +170,13 @@ def identify(
 def _only_predicted(train: Sequence[Swim], test: Sequence[Swim], robot: Robot, reason: str) -> Outcome:
     """Too little to learn from: the test runs by the nominal model, at their usual noise."""
     model = Model(robot, (), Noise())
-    swims = [swim for swim in test if len(swim.start_s)]
-    tracks = tracks_of([model], swims)[0] if swims else []
-    error = error_of(gaps(tracks, swims))
-    tested = Scored(error, error, noise_floor(swims, model.noise))
+    tracks = tracks_of([model], test)[0]
+    error = error_of(gaps(tracks, test))
+    tested = Scored(error, error, noise_floor(test, model.noise))
     unknown = Error(float("nan"), float("nan"))
     trained = Scored(unknown, unknown, unknown)
-    return Outcome(TOO_LITTLE, robot, train, swims, None, [], trained, tested, tracks, tracks, {}, reason)
+    signed = {"text": f"not looked for: {reason}"}
+    return Outcome(TOO_LITTLE, robot, train, test, None, [], trained, tested, tracks, tracks, signed, reason)
 
 
 def _scored(

@@ -24,8 +24,11 @@ from frogkick.robot import Robot
 
 FloatArray = NDArray[np.float64]
 
-STEP_S = 1.6e-3
-"""Finest time step here: coarser than the pool's, which moves a period's end by less than 0.1 mm."""
+STEP_S = 1.2e-3
+"""Finest time step here: coarser than the pool's, which moves a period's end by some 0.02 mm."""
+
+LONGEST_S = 8e-3
+"""No longer steps: some beyond fail to converge, and then their lane goes on alone at the price of eight."""
 
 WILD = 8.0
 """How many standard deviations a miss counts at most."""
@@ -84,18 +87,19 @@ class Lane:
     effects: tuple[Effect, ...]
     noise: Noise
     leg_s: float
+    step_s: float = STEP_S
 
 
 def follow(lanes: Sequence[Lane]) -> list[Track]:
     """Follow runs, those of one body side by side."""
-    bodies: dict[tuple[Robot, float], list[int]] = {}
+    bodies: dict[tuple[Robot, float, float], list[int]] = {}
     for index, lane in enumerate(lanes):
         robot = changed_robot(lane.robot, lane.effects)
         # What is asked every leg would slow down its neighbours.
         leg_s = ActingLanes(lane.effects, robot, [], lane.leg_s).leg_s
-        bodies.setdefault((robot, leg_s), []).append(index)
+        bodies.setdefault((robot, leg_s, lane.step_s), []).append(index)
     tracks: dict[int, Track] = {}
-    for (robot, _), indices in bodies.items():
+    for (robot, *_), indices in bodies.items():
         indices.sort(key=lambda i: len(lanes[i].swim.corners_s))  # a batch goes on as long as its longest
         for first in range(0, len(indices), WIDTH):
             some = indices[first : first + WIDTH]
@@ -118,7 +122,24 @@ class _Course:
     times: FloatArray = field(default_factory=lambda: np.empty(0))
     poses: FloatArray = field(default_factory=lambda: np.empty((0, 3)))
     moved: FloatArray = field(default_factory=lambda: np.zeros((3, 2)))  # all corrections, as of time 0
-    rows: list[tuple[float, FloatArray, FloatArray, FloatArray]] = field(default_factory=list)
+    rows: list[tuple[FloatArray, FloatArray, FloatArray, FloatArray]] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        self.seeing = [effect for effect in self.lane.effects if type(effect).fix is not Effect.fix]
+
+
+class _Gentle(Batch):
+    """Lanes whose steps never get too long."""
+
+    def _times(self, lane: int, until_s: float) -> FloatArray:
+        ends = super()._times(lane, until_s)
+        lengths = np.diff(ends)
+        parts = np.maximum(np.ceil(lengths / LONGEST_S - 1e-9).astype(np.int64), 1)
+        if parts.max(initial=1) == 1:
+            return ends
+        place = np.arange(parts.sum()) - np.repeat(np.cumsum(parts) - parts, parts)
+        starts = np.repeat(ends[:-1], parts) + np.repeat(lengths / parts, parts) * place
+        return np.append(starts, ends[-1])
 
 
 class _Party:
@@ -136,7 +157,7 @@ class _Party:
             course.claims_s = [lane.swim.begin_s]
             first[index] = self._first_pose(course)
             self.courses.append(course)
-        self.batch = Batch(
+        self.batch = _Gentle(
             rods.mesh,
             rods.plan,
             [rods.actuation] * len(lanes),
@@ -144,7 +165,7 @@ class _Party:
             np.zeros((len(lanes), 3)),
             limbs=len(robot.limbs),
             time_s=0.0,
-            step_s=STEP_S,
+            step_s=lanes[0].step_s,
             width=WIDTH,
         )
         self.batch.time_s[:] = [lane.swim.begin_s for lane in lanes]
@@ -228,18 +249,19 @@ class _Party:
                 before.go_to(at_s)
                 spread[period] = np.sqrt(before.covariance[:, 0])
                 ended = int(period)
-        late: list[tuple[float, FloatArray]] = []
+        first = course.next_fix
         while course.next_fix < len(swim.time_s) and swim.arrival_s[course.next_fix] <= at_s + 1e-9:
-            time_s = float(swim.time_s[course.next_fix])
-            true_s, shown = self._shown_at(course, time_s)
-            difference = swim.pose[course.next_fix] - shown
-            innovation, variance = course.filter.take(true_s, difference)
-            unbroken = difference + course.moved[:, 0] + true_s * course.moved[:, 1]
-            course.rows.append((true_s, innovation, variance, unbroken))
             course.next_fix += 1
-            late.append((time_s, difference))
+        times_s = swim.time_s[first : course.next_fix]
+        differences = np.empty((0, 3))
+        if len(times_s):
+            true_s, shown = self._shown_all(course, times_s)
+            differences = swim.pose[first : course.next_fix] - shown
+            innovations, variances = course.filter.take_all(true_s, differences)
+            unbroken = differences + course.moved[:, 0] + true_s[:, None] * course.moved[:, 1]
+            course.rows.append((true_s, innovations, variances, unbroken))
         if ended >= 0:
-            missed[ended] = _by_parts(swim, ended, late, float(start[ended, 2]))
+            missed[ended] = _by_parts(swim, ended, times_s, differences, float(start[ended, 2]))
         offset, rate = course.filter.correct(at_s)
         self.batch.shift(index, offset.tolist(), rate.tolist())
         course.moved[:, 0] += offset - at_s * rate
@@ -251,13 +273,20 @@ class _Party:
         for period in np.flatnonzero(np.abs(swim.start_s - at_s) < 1e-6):
             start[period] = self.batch.motion_world()[index, :6]
 
+    def _shown_all(self, course: _Course, times_s: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """(n,) when fixes that claim these times were really taken, and (n, 3) what they would say."""
+        if not course.seeing:
+            return times_s, _at(course.times, course.poses, times_s)
+        every = [self._shown_at(course, float(time_s)) for time_s in times_s]
+        return np.array([true_s for true_s, _ in every]), np.array([pose for _, pose in every])
+
     def _shown_at(self, course: _Course, time_s: float) -> tuple[float, FloatArray]:
         """What a fix that claims ``time_s`` would say, and when it was really taken."""
-        pose = _at(course.times, course.poses, time_s)
-        true_s, shown = _shown(course.lane.effects, time_s, pose)
+        pose = _at(course.times, course.poses, np.array([time_s]))[0]
+        true_s, shown = _shown(course.seeing, time_s, pose)
         if true_s != time_s:
-            pose = _at(course.times, course.poses, true_s)
-            _, shown = _shown(course.lane.effects, true_s, pose)
+            pose = _at(course.times, course.poses, np.array([true_s]))[0]
+            _, shown = _shown(course.seeing, true_s, pose)
         return true_s, shown
 
     def _track(
@@ -269,17 +298,16 @@ class _Party:
         start: FloatArray,
         missed: FloatArray,
     ) -> Track:
-        rows = course.rows
-        empty = np.empty((0, 3))
-        columns = [np.array([row[k] for row in rows]) if rows else empty for k in (1, 2, 3)]
+        empty = (np.empty(0), *[np.empty((0, 3))] * 3)
+        columns = [np.concatenate(parts) for parts in zip(empty, *course.rows, strict=True)]
         failed = index in self.batch.failures
         if failed:
-            columns[0] = np.full_like(columns[0], np.nan)
+            columns[1] = np.full_like(columns[1], np.nan)
         return Track(
-            np.array([row[0] for row in rows]),
             columns[0],
             columns[1],
             columns[2],
+            columns[3],
             predicted,
             spread,
             start,
@@ -289,30 +317,27 @@ class _Party:
 
 
 def _by_parts(
-    swim: Swim, period: int, late: Sequence[tuple[float, FloatArray]], heading_rad: float
+    swim: Swim, period: int, times_s: FloatArray, gaps: FloatArray, heading_rad: float
 ) -> FloatArray:
     """(9,) what a period's prediction missed; see Track.missed."""
     c, s = math.cos(heading_rad), math.sin(heading_rad)
     start_s, length_s = float(swim.start_s[period]), float(swim.end_s[period] - swim.start_s[period])
+    share = (times_s - start_s) / length_s
     found: list[float] = []
     for low, high in PARTS:
-        rows = [gap for at, gap in late if low <= (at - start_s) / length_s < high]
-        if not rows:
+        rows = gaps[(low <= share) & (share < high)]
+        if not len(rows):
             return np.full(3 * len(PARTS), np.nan)
-        x, y, turn = (float(value) for value in np.mean(rows, axis=0))
+        x, y, turn = rows.mean(axis=0).tolist()
         found += [c * x + s * y, c * y - s * x, turn]
     return np.array(found)
 
 
-def _at(times: FloatArray, poses: FloatArray, time_s: float) -> FloatArray:
-    """(3,) pose of a trajectory at a time, held at its ends."""
+def _at(times: FloatArray, poses: FloatArray, at_s: FloatArray) -> FloatArray:
+    """(n, 3) poses of a trajectory at times, held at its ends."""
     if not len(times):
-        return np.full(3, np.nan)
-    j = int(np.searchsorted(times, time_s))
-    if j == 0 or j == len(times):
-        return np.asarray(poses[min(j, len(times) - 1)])
-    share = (time_s - times[j - 1]) / (times[j] - times[j - 1])
-    return np.asarray(poses[j - 1] + share * (poses[j] - poses[j - 1]))
+        return np.full((len(at_s), 3), np.nan)
+    return np.column_stack([np.interp(at_s, times, poses[:, axis]) for axis in range(3)])
 
 
 def _shown(effects: Sequence[Effect], time_s: float, pose: FloatArray) -> tuple[float, FloatArray]:

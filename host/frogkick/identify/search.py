@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from frogkick.effects import Effect
 from frogkick.errors import InputError
+from frogkick.identify.columns import Column, sensitivities
 from frogkick.identify.filter import Noise
 from frogkick.identify.fit import (
     Fitted,
@@ -17,9 +18,11 @@ from frogkick.identify.fit import (
     bounded_step,
     cost_of,
     fit,
+    fit_many,
     misses,
+    promised,
     renoised,
-    steps_of,
+    room_of,
     tracks_of,
     whiten,
     whitener,
@@ -33,6 +36,9 @@ FloatArray = NDArray[np.float64]
 REFINED = 3
 """Candidates that are fitted by simulation at each turn; the others are judged by their derivatives."""
 
+RIVAL = 0.25
+"""A candidate whose promise is less than the best one's by this share is not fitted."""
+
 MOST = 5
 """Effects taken at most."""
 
@@ -44,8 +50,20 @@ SEEN_LEAST = 1.0
 
 FOLDS_LEAST = 4
 
-COARSE_LEG_S = 0.08
-"""How often flows and wrenches are asked while candidates are only ranked."""
+HOLD = 8.0
+"""A parameter stays where its effect vanishes unless it gains more than this."""
+
+NEAR = 60.0
+"""A value put back that costs more than this at first is not worth another fit."""
+
+ALIKE = 6.0
+"""Effects whose gains differ by less cannot be told apart."""
+
+REFINING_LEG_S, REFINING_ROUNDS = 0.06, 2
+"""How often flows and wrenches are asked while the best candidates are fitted, and steps of these fits."""
+
+WRENCH_LEG_S = 0.03
+"""The same for what was taken, where it pushes or turns the body, which lags by half of it."""
 
 
 @dataclass(frozen=True)
@@ -87,19 +105,6 @@ class Found:
     sensitivities: list[Column] = field(default_factory=list)
 
 
-@dataclass(frozen=True, eq=False)
-class Column:
-    """What a candidate's parameters do to the misses, about one start.
-
-    Attributes:
-        term: at the start.
-        jacobian: (n, 9, p).
-    """
-
-    term: Term
-    jacobian: FloatArray
-
-
 def countable(swims: Sequence[Swim], robot: Robot) -> tuple[Model, NDArray[np.bool_], Fitted]:
     """The nominal model with its noise fitted, the periods that can be judged, and how it fits.
 
@@ -107,112 +112,29 @@ def countable(swims: Sequence[Swim], robot: Robot) -> tuple[Model, NDArray[np.bo
         InputError: nothing can be judged.
     """
     model = Model(robot, (), Noise())
-    for _ in range(2):
-        (tracks,) = tracks_of([model], swims)
-        model = renoised(model, tracks, swims)
     (tracks,) = tracks_of([model], swims)
-    every = np.concatenate([track.missed for track in tracks])
-    rows = np.isfinite(every).all(axis=1)
+    rows = np.isfinite(np.concatenate([track.missed for track in tracks])).all(axis=1)
     if not rows.any():
         raise InputError("no period of the runs has fixes all along: record longer runs with position fixes")
-    model = best_noise(model, swims, rows)
-    return model, rows, fit(model, swims, rows)
+    fitted = best_noise(renoised(model, tracks, swims), swims, rows)
+    return fitted.model, rows, fitted
 
 
-def best_noise(model: Model, swims: Sequence[Swim], rows: NDArray[np.bool_]) -> Model:
-    """The model with its noise scaled to what predicts a period ahead best."""
-    noises = []
-    for fix, calm, kick in itertools.product((1.0,), (1.0, 0.3, 0.1), (1.0, 0.4)):
-        given = model.noise
-        noises.append(
-            Noise(
-                (given.fix[0] * fix, given.fix[1] * fix),
-                (given.calm[0] * calm, given.calm[1] * calm),
-                (given.kick[0] * kick, given.kick[1] * kick),
-            )
+def best_noise(model: Model, swims: Sequence[Swim], rows: NDArray[np.bool_]) -> Fitted:
+    """The model with its noise scaled to what predicts a period ahead best, without derivatives."""
+    given, models = model.noise, []
+    for calm, kick in ((1.0, 1.0), (1.0, 0.4), (0.3, 0.4), (0.1, 0.4)):
+        noise = Noise(
+            given.fix,
+            (given.calm[0] * calm, given.calm[1] * calm),
+            (given.kick[0] * kick, given.kick[1] * kick),
         )
-    models = [replace(model, noise=noise) for noise in noises]
-    costs = [cost_of(misses(tracks, rows)) for tracks in tracks_of(models, swims)]
-    return models[int(np.argmin(costs))]
-
-
-def sensitivities(
-    model: Model,
-    candidates: Sequence[Term],
-    swims: Sequence[Swim],
-    rows: NDArray[np.bool_],
-    progress: Callable[[int, int], None],
-) -> list[Column]:
-    """Derivatives by each candidate's parameters; one that does nothing at first is tried where it does."""
-    bare = replace(model, terms=(), leg_s=COARSE_LEG_S)
-    first = _columns(
-        bare, [(term, np.ones(len(term.values), dtype=bool)) for term in candidates], swims, rows
-    )
-    progress(1, 2)
-    columns: list[Column] = []
-    again: list[tuple[Term, NDArray[np.bool_]]] = []
-    for column in first:
-        width = np.array([p.high - p.low for p in column.term.parameters])
-        dead = np.abs(column.jacobian).max(axis=(0, 1), initial=0.0) * width < 1e-6
-        if dead.any() and not dead.all():
-            again += [(start, ~dead) for start in _starts(column.term, dead)]
-        elif not dead.all():
-            columns.append(column)
-    columns += _columns(bare, again, swims, rows)
-    progress(2, 2)
-    return columns
-
-
-def _columns(
-    bare: Model,
-    starts: Sequence[tuple[Term, NDArray[np.bool_]]],
-    swims: Sequence[Swim],
-    rows: NDArray[np.bool_],
-) -> list[Column]:
-    """Derivatives about each start by those of its parameters that are marked; zeros for the others.
-
-    All are simulated at once, so that lanes are full. A start differs from the bare model only by values that
-    do nothing alone.
-    """
-    models, places = [bare], []
-    for index, (term, live) in enumerate(starts):
-        at = replace(bare, terms=(term,))
-        step = steps_of(at)
-        for k in np.flatnonzero(live).tolist():
-            moved = at.values
-            moved[k] += step[k]
-            models.append(at.with_values(moved))
-            places.append((index, k, float(step[k])))
+        models.append(replace(model, noise=noise))
     every = tracks_of(models, swims)
-    base = misses(every[0], rows)
-    jacobians = [np.zeros((*base.shape, len(term.values))) for term, _ in starts]
-    for (index, k, step_k), tracks in zip(places, every[1:], strict=True):
-        jacobians[index][:, :, k] = (misses(tracks, rows) - base) / step_k
-    return [Column(term, jacobian) for (term, _), jacobian in zip(starts, jacobians, strict=True)]
-
-
-def _starts(term: Term, dead: NDArray[np.bool_]) -> list[Term]:
-    """Starts spread over the parameters that say nothing where the effect vanishes."""
-    count = 1 + 2 * int(dead.sum())
-    starts = [term]
-    primes = (2, 3, 5, 7)
-    for n in range(1, count):
-        values = list(term.values)
-        for order, k in enumerate(np.flatnonzero(dead)):
-            p = term.parameters[k]
-            share = _halton(n, primes[order % len(primes)])
-            values[k] = p.low + share * (p.high - p.low)
-        starts.append(term.at(values))
-    return starts
-
-
-def _halton(index: int, base: int) -> float:
-    share, digit = 0.0, 1.0
-    while index:
-        digit /= base
-        share += digit * (index % base)
-        index //= base
-    return share
+    missed = [misses(tracks, rows) for tracks in every]
+    costs = [cost_of(each) for each in missed]
+    k = int(np.argmin(costs))
+    return Fitted(models[k], every[k], missed[k], np.empty((*missed[k].shape, 0)), costs[k])
 
 
 def folds_of(swims: Sequence[Swim], rows: NDArray[np.bool_]) -> NDArray[np.int64]:
@@ -237,105 +159,201 @@ def search(
         InputError: the runs hold nothing to judge by.
     """
     model, rows, nominal = countable(swims, robot)
-    folds = folds_of(swims, rows)
     columns = sensitivities(model, candidates, swims, rows, lambda d, n: progress("candidates", d, n))
+    hunt = _Hunt(swims, rows, folds_of(swims, rows), columns)
     current, turns, alike = nominal, [], []
     for turn in range(MOST):
         progress("effects", turn, MOST)
-        ranked = _ranked(current, columns)
-        refined: list[tuple[float, Fitted, Column]] = []
-        for gain, column, values in ranked:
-            if len(refined) == REFINED or gain < BASE_GAIN / 2.0:
-                break
-            if any(column.term.title == other.term.title for _, _, other in refined[:2]):
-                continue
-            start = replace(current.model, terms=(*current.model.terms, column.term.at(values)))
-            fitted = fit(start, swims, rows, rounds=3)
-            refined.append((current.cost - fitted.cost, fitted, column))
-        tried, best = [], None
-        for gain, fitted, column in refined:
-            known = len(current.model.values)
-            low, high = fitted.model.bounds
-            room = np.column_stack([low - fitted.model.values, high - fitted.model.values])
-            # Without the effect means at its nominal values: the step back to them is part of the base.
-            fall = _fall(current, fitted, folds, known, room)
-            score = gain - GAIN_EACH * len(column.term.values)
-            tried.append(Tried(column.term.title, gain, fall[0], True))
-            good = score > BASE_GAIN and fall[0] > max(SEEN_LEAST, 2.0 * fall[1])
-            if good and (best is None or score > best[0]):
-                best = (score, fitted, column)
-        names = {each.title for each in tried}
-        tried += [
-            Tried(column.term.title, gain, float("nan"), False)
-            for gain, column, _ in ranked
-            if column.term.title not in names
-        ]
+        taken, tried, others = hunt.turn(current)
         turns.append(tried)
-        if best is None:
+        if taken is None:
             break
-        score, current, chosen = best
-        turns[-1] = [replace(t, chosen=t.title == chosen.term.title and t.refined) for t in tried]
-        alike.append(
-            [
-                c.term.title
-                for gain, _, c in refined
-                if c.term.title != chosen.term.title and gain - GAIN_EACH * len(c.term.values) > score - 6.0
-            ]
-        )
-        again = renoised(current.model, current.tracks, swims)
-        again = best_noise(again, swims, rows)
-        polished = fit(again, swims, rows, rounds=8)
-        current = polished if polished.cost < current.cost + 1.0 else current
+        alike.append(others)
+        current = hunt.polished(taken)
     progress("effects", MOST, MOST)
     return Found(nominal, current, turns, rows, alike, columns)
 
 
-def _fall(
-    current: Fitted, fitted: Fitted, folds: NDArray[np.int64], known: int, room: FloatArray
-) -> tuple[float, float]:
+@dataclass(frozen=True, eq=False)
+class _Offer:
+    """A candidate about one start: what its derivatives promise.
+
+    Attributes:
+        gain: by how much minus twice the log likelihood would fall.
+        score: the same less what its free parameters cost.
+        values: of all its parameters.
+        held: which of them stay where the effect vanishes.
+    """
+
+    column: Column
+    gain: float
+    score: float
+    values: FloatArray
+    held: frozenset[int]
+
+
+@dataclass(frozen=True, eq=False)
+class _Hunt:
+    swims: Sequence[Swim]
+    rows: NDArray[np.bool_]
+    folds: NDArray[np.int64]
+    columns: Sequence[Column]
+
+    def turn(self, current: Fitted) -> tuple[Fitted | None, list[Tried], list[str]]:
+        """One more effect, or none; all that were tried; others that do as well."""
+        offers = self.offers(current)
+        picked: list[_Offer] = []
+        for offer in offers:
+            if len(picked) == REFINED or offer.score < BASE_GAIN / 2.0:
+                break
+            if picked and offer.score < (1.0 - RIVAL) * picked[0].score - BASE_GAIN:
+                break
+            if all(offer.column.term.title != other.column.term.title for other in picked):
+                picked.append(offer)
+        known = len(current.model.values)
+        starts = []
+        for offer in picked:
+            held = current.model.held | {known + k for k in offer.held}
+            terms = (*current.model.terms, offer.column.term.at(offer.values))
+            starts.append(replace(current.model, terms=terms, leg_s=REFINING_LEG_S, held=held))
+        fits = fit_many(starts, self.swims, self.rows, REFINING_ROUNDS, current.jacobian) if starts else []
+        tried: list[Tried] = []
+        scored: list[tuple[float, Fitted]] = []
+        for offer, fitted in zip(picked, fits, strict=True):
+            gain = current.cost - fitted.cost
+            fall = _fall(current, fitted, self.folds, known)
+            score = gain - GAIN_EACH * (len(offer.values) - len(offer.held))
+            good = score > BASE_GAIN and fall[0] > max(SEEN_LEAST, 2.0 * fall[1])
+            tried.append(Tried(offer.column.term.title, gain, fall[0], True))
+            if good:
+                scored.append((score, fitted))
+        scored.sort(key=lambda row: -row[0])
+        equals = [fitted for score, fitted in scored if score > scored[0][0] - ALIKE]
+        # Of those that the data cannot tell apart the one with the fewest parameters.
+        equals.sort(key=lambda fitted: len(fitted.model.values))
+        if equals:
+            title = equals[0].model.terms[-1].title
+            tried = [replace(each, chosen=each.title == title) for each in tried]
+        names = {each.title for each in tried}
+        tried += [
+            Tried(offer.column.term.title, offer.gain, float("nan"), False)
+            for offer in offers
+            if offer.column.term.title not in names
+        ]
+        if not equals:
+            return None, tried, []
+        return equals[0], tried, [fitted.model.terms[-1].title for fitted in equals[1:]]
+
+    def offers(self, current: Fitted) -> list[_Offer]:
+        """Candidates by what their derivatives promise, best first."""
+        taken = {term.title for term in current.model.terms}
+        found = [self.offer(current, each) for each in self.columns if each.term.title not in taken]
+        found.sort(key=lambda offer: offer.column.term.title)
+        found.sort(key=lambda offer: -offer.score)
+        return found
+
+    def offer(self, current: Fitted, column: Column) -> _Offer:
+        """What one promises, with as few of its parameters as do nearly as well."""
+        term, known = column.term, current.jacobian.shape[2]
+        start = np.array(term.values)
+        low = np.array([p.low for p in term.parameters]) - start
+        high = np.array([p.high for p in term.parameters]) - start
+        down, up = room_of(current.model)
+        both = np.concatenate([current.jacobian, column.jacobian], axis=2)
+        damping = np.append(np.full(known, 1e-12), 1e-6 * current.missed.size / (high - low) ** 2)
+
+        def solve(held: frozenset[int]) -> tuple[FloatArray, float]:
+            free = np.array([k not in held for k in range(len(start))])
+            lows, highs = np.append(down, low * free), np.append(up, high * free)
+            return promised(current.missed, both, lows, highs, damping)
+
+        dead = [k for k in range(len(start)) if not column.jacobian[:, :, k].any()]
+        held = frozenset(k for k in dead if start[k] == term.parameters[k].nominal)
+        step, cost = solve(held)
+        for _ in range(len(start) - len(held) - 1):
+            fewer = [held | {k} for k in range(len(start)) if k not in held and k not in dead]
+            if len(fewer) < 2:
+                break
+            solved = [(*solve(each), each) for each in fewer]
+            lighter, dearer, chosen = min(solved, key=lambda row: row[1])
+            if dearer > cost + HOLD:
+                break
+            step, cost, held = lighter, dearer, chosen
+        gain = current.cost - cost
+        score = gain - GAIN_EACH * (len(start) - len(held))
+        return _Offer(column, gain, score, start + step[known:], held)
+
+    def polished(self, taken: Fitted) -> Fitted:
+        """A model with what was taken, fitted as finely as can be, with no more free parameters than help."""
+        again = best_noise(renoised(taken.model, taken.tracks, self.swims), self.swims, self.rows).model
+        pushes = any(type(term.effect()).wrench is not Effect.wrench for term in again.terms)
+        again = replace(again, leg_s=WRENCH_LEG_S if pushes else REFINING_LEG_S)
+        fitted = self.sparer(fit(again, self.swims, self.rows, rounds=2))
+        model = fitted.model
+        promises = []
+        for k in sorted(model.held):
+            freed = replace(model, held=model.held - {k})
+            step, cost = promised(fitted.missed, fitted.jacobian, *room_of(freed), _shy(fitted))
+            promises.append((cost, k, step))
+        if promises:
+            cost, k, step = min(promises, key=lambda row: row[0])
+            if cost < fitted.cost - HOLD:
+                freed = replace(model, held=model.held - {k}).with_values(model.values + step)
+                wider = fit(freed, self.swims, self.rows, rounds=2)
+                fitted = wider if wider.cost < fitted.cost - HOLD else fitted
+        return fitted
+
+    def sparer(self, fitted: Fitted) -> Fitted:
+        """The same with every parameter put back to where its effect vanishes that does no worse there.
+
+        Simulated and not judged by derivatives: how a stroke's delay acts ripples with the frame's swing.
+        """
+        while True:
+            model, tries = fitted.model, []
+            nominal = np.array([p.nominal for term in model.terms for p in term.parameters])
+            first = 0
+            for term in model.terms:
+                own = range(first, first + len(term.values))
+                first += len(term.values)
+                free = [k for k in own if k not in model.held]
+                tries += [(k, _held_at(fitted, k, nominal[k])) for k in free if len(free) > 1]
+            if not tries:
+                return fitted
+            every = tracks_of([tried for _, tried in tries], self.swims)
+            costs = [cost_of(misses(tracks, self.rows)) for tracks in every]
+            near = [tried for (_, tried), cost in zip(tries, costs, strict=True) if cost < fitted.cost + NEAR]
+            best = min(fit_many(near, self.swims, self.rows, 2), key=lambda each: each.cost, default=fitted)
+            if best is fitted or best.cost > fitted.cost + HOLD:
+                return fitted
+            fitted = best
+
+
+def _shy(fitted: Fitted) -> FloatArray:
+    return np.asarray(1e-6 * fitted.missed.size / fitted.model.range**2)
+
+
+def _held_at(fitted: Fitted, k: int, value: float) -> Model:
+    """The model with one value held where it is told, the others as derivatives say they then are."""
+    model = fitted.model
+    back = np.zeros(len(model.values))
+    back[k] = value - model.values[k]
+    there = replace(model.with_values(model.values + back), held=model.held | {k})
+    step, _ = promised(fitted.missed + fitted.jacobian @ back, fitted.jacobian, *room_of(there), _shy(fitted))
+    return there.with_values(there.values + step)
+
+
+def _fall(current: Fitted, fitted: Fitted, folds: NDArray[np.int64], known: int) -> tuple[float, float]:
     """Held-out gain of a fitted candidate over the model before it, each refitted without that part."""
     white = whitener(fitted.missed)
+    low, high = room_of(fitted.model)
     falls = np.zeros(len(folds))
     for label in np.unique(folds):
         test = folds == label
         squares = []
-        for one, limits in ((current, None), (fitted, room)):
+        for one, lows, highs in ((current, low[:known], high[:known]), (fitted, low, high)):
             flat, wide = whiten(white, one.missed[~test], one.jacobian[~test])
-            width = wide.shape[1]
-            low = np.full(width, -np.inf) if limits is None else limits[:, 0]
-            high = np.full(width, np.inf) if limits is None else limits[:, 1]
-            step = bounded_step(wide, flat, np.full(width, 1e-9), low, high)
+            step = bounded_step(wide, flat, np.full(wide.shape[1], 1e-9), lows, highs)
             left = (one.missed[test] + one.jacobian[test] @ step) @ white
             squares.append((np.clip(left, -8.0, 8.0) ** 2).sum(axis=1))
         falls[test] = squares[0] - squares[1]
     return float(falls.mean()), float(falls.std() / np.sqrt(len(falls)))
-
-
-def _ranked(current: Fitted, columns: Sequence[Column]) -> list[tuple[float, Column, FloatArray]]:
-    """Candidates by what their derivatives promise, with the values that would give it."""
-    taken = {term.title for term in current.model.terms}
-    white = whitener(current.missed)
-    ranked = []
-    for column in columns:
-        if column.term.title in taken:
-            continue
-        term = column.term
-        low = np.array([p.low for p in term.parameters]) - np.array(term.values)
-        high = np.array([p.high for p in term.parameters]) - np.array(term.values)
-        known = current.jacobian.shape[2]
-        both = np.concatenate([current.jacobian, column.jacobian], axis=2)
-        flat, wide = whiten(white, current.missed, both)
-        damping = np.concatenate([np.zeros(known), 1e-6 * len(flat) / (high - low) ** 2]) + 1e-12
-        step = bounded_step(
-            wide,
-            flat,
-            damping,
-            np.append(np.full(known, -np.inf), low),
-            np.append(np.full(known, np.inf), high),
-        )
-        after = current.missed + both @ step
-        gain = current.cost - cost_of(after)
-        ranked.append((gain, column, np.array(term.values) + step[known:]))
-    ranked.sort(key=lambda row: row[1].term.title)
-    ranked.sort(key=lambda row: -(row[0] - GAIN_EACH * len(row[2])))
-    return ranked

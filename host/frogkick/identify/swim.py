@@ -26,6 +26,9 @@ KICK_S = 0.3
 _END_BEFORE_S, _END_AFTER_S = 0.24, 0.03
 """Fixes that tell the pose at a period's end: before it, where the robot glides."""
 
+SPEED_MOST_MPS = 1.0
+"""Half of all moves from fix to fix are slower in any pool: else positions are in another unit."""
+
 _SPOILED = int(FixFlag.MISDETECTION | FixFlag.JUMP | FixFlag.MISSING | FixFlag.DUPLICATE)
 
 
@@ -124,7 +127,7 @@ def swim_of(run: RunLog, name: str, robot: Robot | None = None) -> Swim:
     picture was taken (capture times are arrival times): there it is what the motion itself shows.
 
     Raises:
-        InputError: the run is another robot's, or its headings or limbs cannot be this robot's.
+        InputError: the run is another robot's, its limbs cannot be this robot's, or its units are wrong.
     """
     if robot is not None:
         if run.robot_id != robot.id:
@@ -142,6 +145,7 @@ def swim_of(run: RunLog, name: str, robot: Robot | None = None) -> Swim:
     time_s, arrival_s = fixes.capture_time_s[usable], fixes.time_s[usable]
     order = np.argsort(time_s, kind="stable")
     pose = np.column_stack([fixes.x_m[usable], fixes.y_m[usable], fixes.heading_rad[usable]])[order]
+    _check_units(name, time_s[order], pose)
     pose[:, 2] = np.unwrap(pose[:, 2])
     seen = len(time_s) > 0 and not np.allclose(time_s, arrival_s, atol=1e-9)
     lag_s = 0.0 if seen else float(run.measured.get("motion_lag_s", 0.0))
@@ -170,3 +174,27 @@ def swim_of(run: RunLog, name: str, robot: Robot | None = None) -> Swim:
         period_s=run.period_s,
         lag_s=lag_s,
     )
+
+
+def _check_units(name: str, time_s: FloatArray, pose: FloatArray) -> None:
+    """Refuse headings and positions that cannot be in radians and metres.
+
+    Raises:
+        InputError: either.
+    """
+    if not len(pose):
+        return
+    widest = float(np.abs(pose[:, 2]).max())
+    if widest > 2.0 * math.tau:
+        raise InputError(
+            f"run {name!r} has a heading of {widest:.1f}: headings are radians from -pi to pi, convert them"
+        )
+    steps_s = np.maximum(np.diff(time_s), 1e-3)
+    if (
+        len(steps_s)
+        and float(np.median(np.hypot(*np.diff(pose[:, :2], axis=0).T) / steps_s)) > SPEED_MOST_MPS
+    ):
+        raise InputError(
+            f"run {name!r} moves faster than {SPEED_MOST_MPS:g} m/s from fix to fix, mostly: positions are "
+            "metres and times seconds, convert them"
+        )

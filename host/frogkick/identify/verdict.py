@@ -25,18 +25,22 @@ NOTHING, FOUND, UNEXPLAINED, TOO_LITTLE = "nothing missing", "found", "unexplain
 NEAR_FLOOR = 1.35
 """Errors up to so many times the noise floor are noise."""
 
-EXPLAINED = 0.8
-"""Share of the error's square beyond the noise floor that effects must explain to be what was missing."""
+CHANCE = 5.0
+"""The same by how many standard deviations a mean square of few periods may lie above its expectation."""
+
+INEXACT = 0.03
+"""Of the error before, what an effect leaves that is the right one: simulations are as coarse as that."""
 
 CONFIDENCE = 0.95
 
 
 @dataclass(frozen=True)
 class Error:
-    """How far predictions a period ahead are off, root mean square."""
+    """How far predictions a period ahead are off, root mean square over ``count`` periods."""
 
     position_rmse_m: float
     heading_rmse_rad: float
+    count: int = 0
 
     def as_json(self) -> dict[str, float]:
         """The keys of the command."""
@@ -57,7 +61,9 @@ def error_of(gap: FloatArray) -> Error:
     if not len(known):
         return Error(math.nan, math.nan)
     return Error(
-        float(np.sqrt((known[:, :2] ** 2).sum(axis=1).mean())), float(np.sqrt((known[:, 2] ** 2).mean()))
+        float(np.sqrt((known[:, :2] ** 2).sum(axis=1).mean())),
+        float(np.sqrt((known[:, 2] ** 2).mean())),
+        len(known),
     )
 
 
@@ -136,31 +142,36 @@ def intervals(fitted: Fitted) -> list[list[Interval]]:
 
 
 def explained(before: Error, after: Error, floor: Error) -> float:
-    """Share of the squares beyond the floor that is gone; each of position and heading by its floor."""
+    """Share of the error's square beyond the noise floor that is gone; 1 where there was none."""
 
     def beyond(error: Error) -> float:
         position = (error.position_rmse_m / floor.position_rmse_m) ** 2 - 1.0
         heading = (error.heading_rmse_rad / floor.heading_rmse_rad) ** 2 - 1.0
         return max(position, 0.0) + max(heading, 0.0)
 
-    return 1.0 - beyond(after) / max(beyond(before), 1e-12)
+    return 1.0 - beyond(after) / beyond(before) if beyond(before) > 0.0 else 1.0
 
 
-def near(error: Error, floor: Error) -> bool:
-    """An error is no more than noise."""
-    return (
-        error.position_rmse_m <= NEAR_FLOOR * floor.position_rmse_m
-        and error.heading_rmse_rad <= NEAR_FLOOR * floor.heading_rmse_rad
+def near(error: Error, floor: Error, before: Error) -> bool:
+    """An error is no more than noise, and what is inexact where a large one was explained."""
+    over = max(NEAR_FLOOR, math.sqrt(1.0 + CHANCE * math.sqrt(2.0 / max(error.count, 1))))
+    return error.position_rmse_m <= math.hypot(
+        over * floor.position_rmse_m, INEXACT * before.position_rmse_m
+    ) and error.heading_rmse_rad <= math.hypot(
+        over * floor.heading_rmse_rad, INEXACT * before.heading_rmse_rad
     )
 
 
-def verdict_of(found: Found, before: Error, after: Error, floor: Error) -> str:
-    """One of the verdicts, from the runs that were searched."""
-    if not found.fitted.model.terms:
-        return NOTHING if near(before, floor) else UNEXPLAINED
-    if near(after, floor) or explained(before, after, floor) >= EXPLAINED:
-        return FOUND
-    return UNEXPLAINED
+def verdict_of(found: Found, *judged: tuple[Error, Error, Error]) -> str:
+    """One of the verdicts: what is left must be noise on all runs, those kept out of the search too.
+
+    Args:
+        found: by the search.
+        judged: of each set of runs errors before and after, and their noise floor.
+    """
+    if not all(near(after, floor, before) for before, after, floor in judged if after.count):
+        return UNEXPLAINED
+    return FOUND if found.fitted.model.terms else NOTHING
 
 
 def signature(fitted: Fitted, rows: NDArray[np.bool_], swims: Sequence[Swim]) -> dict[str, Any]:

@@ -1,0 +1,83 @@
+"""Planted worlds: all can be made, and what was found is held against them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, cast
+
+import numpy as np
+import pytest
+
+from frogkick.effects import changed_robot, make_effects
+from frogkick.identify.outcome import Outcome
+from frogkick.identify.terms import Term, catalogue
+from frogkick.identify.verdict import FOUND, NOTHING, UNEXPLAINED, Error, Interval
+from frogkick.report.verdicts_figure import verdicts_figure
+from frogkick.robot import load_robot
+from frogkick.study.verdicts import NULL, OUTSIDE, OUTSIDE_FILE, OUTSIDE_TEXT, Case, judged, kinds, recovered
+
+ROBOT = load_robot("frog2022")
+
+
+@pytest.mark.parametrize("name", kinds())
+def test_every_world_can_be_made(name: str, tmp_path: Path) -> None:
+    (tmp_path / OUTSIDE_FILE).write_text(OUTSIDE_TEXT)
+    kind = kinds()[name]
+    for seed in range(20):
+        tables = kind.draw(np.random.default_rng(seed))
+        changed_robot(ROBOT, make_effects(tables, tmp_path))
+        assert [("file" in table) for table in tables] == [kind.group == OUTSIDE] * len(tables)
+    assert bool(tables) == (kind.group != NULL)
+
+
+def outcome(verdict: str, *found: tuple[str, dict[str, tuple[float, float]]]) -> Outcome:
+    """An outcome with effects by title and the intervals of their parameters."""
+    terms: list[Term] = []
+    rows = []
+    for title, ends in found:
+        terms.append(next(each for each in catalogue(ROBOT) if each.title == title))
+        rows.append(
+            [
+                Interval(p.name, p.nominal, *ends.get(p.name, (p.low, p.high)), p.unit)
+                for p in terms[-1].parameters
+            ]
+        )
+    error = Error(1e-3, 1e-2)
+    scored = SimpleNamespace(before=error, after=error, noise_floor=error)
+    given = SimpleNamespace(
+        verdict=verdict,
+        terms=terms,
+        parameters=rows,
+        found=SimpleNamespace(alike=[[] for _ in terms]),
+        tested=scored,
+        train=[],
+    )
+    return cast(Any, given)
+
+
+def test_found_means_the_right_effect_with_its_parameters_inside() -> None:
+    worn = {"name": "limb_wear", "limb": "rear_left", "gain": 0.7}
+    right = outcome(FOUND, ("limb_wear rear_left", {"gain": (0.68, 0.72)}))
+    beside = outcome(FOUND, ("limb_wear rear_left", {"gain": (0.71, 0.75)}))
+    late = outcome(FOUND, ("limb_wear rear_left", {"gain": (0.68, 0.72), "delay_s": (0.01, 0.02)}))
+    other = outcome(FOUND, ("limb_wear rear_right", {"gain": (0.68, 0.72)}))
+    assert recovered(worn, right)
+    assert not any(recovered(worn, each) for each in (beside, late, other))
+    kind = kinds()["wear"]
+    assert judged(kind, [worn], right, 1.0).right
+    assert judged(kind, [worn], other, 1.0).wrong
+    missed = judged(kind, [worn], outcome(UNEXPLAINED), 1.0)
+    assert not missed.right and not missed.wrong
+
+
+def test_outside_effects_may_be_named_by_what_is_the_same() -> None:
+    whirl, waves = kinds()["whirl"], kinds()["waves"]
+    shear = outcome(FOUND, ("shear_current", {}))
+    assert judged(whirl, [], shear, 1.0).right
+    assert judged(waves, [], shear, 1.0).wrong
+    assert judged(waves, [], outcome(UNEXPLAINED, ("shear_current", {})), 1.0).right
+    null = kinds()["null"]
+    assert judged(null, [], outcome(NOTHING), 1.0).right and judged(null, [], shear, 1.0).wrong
+    results = {Case("whirl", 0): judged(whirl, [], shear, 1.0)}
+    assert len(verdicts_figure(results).axes) == 2

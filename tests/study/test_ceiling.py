@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +20,7 @@ from frogkick.paths import shape
 from frogkick.planner.image import open_image
 from frogkick.planner.plan import PlanConfig, config_of, plan
 from frogkick.report.ceiling_figure import ceiling_figure
-from frogkick.robot import load_robot
+from frogkick.robot import load_robot, parse_robot
 from frogkick.study.ceiling import (
     AFFINE,
     NEAREST,
@@ -28,14 +29,13 @@ from frogkick.study.ceiling import (
     SOURCES,
     TIME,
     Run,
-    ask_rods,
     follow_paths,
     mean_of,
     more_than,
     over_seeds,
     rms_error,
-    table_of_motions,
 )
+from frogkick.study.rod_tree import ask_rods, table_of_motions
 from frogkick.study.table_size import first_states
 
 ROBOT = load_robot("frog2022")
@@ -62,28 +62,29 @@ def whole_runs(images: dict[str, bytes]) -> list[Run]:
 
 def test_the_rods_tell_to_the_last_bit_what_sequences_lead_to() -> None:
     lanes, depth = 2, 2
+    robot = replace(ROBOT, actions=ROBOT.actions[3:6])
     rng = np.random.default_rng(3)
     begin = rng.normal(0.0, 0.3, (lanes, 3))
-    batch = batch_of([rods_of(ROBOT)] * lanes, begin, np.zeros_like(begin), 0.0, STEP_S, WIDTH)
-    acting = lane_effects(ROBOT, lanes)
-    period = ROBOT.period_s
+    batch = batch_of([rods_of(robot)] * lanes, begin, np.zeros_like(begin), 0.0, STEP_S, WIDTH)
+    acting = lane_effects(robot, lanes)
+    period = robot.period_s
 
     def swim(actions: list[int]) -> np.ndarray:
         start_s, before = float(batch.time_s[0]), batch.pose_world()
         for lane, action in enumerate(actions):
-            fire_action(ROBOT, batch, acting, lane, action, start_s)
+            fire_action(robot, batch, acting, lane, action, start_s)
         acting.advance(batch, start_s + period)
         moved = batch.pose_world() - before
         turn = np.arctan2(np.sin(moved[:, 2]), np.cos(moved[:, 2]))
         c, s = np.cos(before[:, 2]), np.sin(before[:, 2])
         return np.stack([c * moved[:, 0] + s * moved[:, 1], c * moved[:, 1] - s * moved[:, 0], turn], axis=1)
 
-    swim([2, 5])  # its strokes go on in what is asked
+    swim([2, 0])  # its strokes go on in what is asked
     nodes = batch.nodes_world()
-    told = ask_rods(ROBOT, batch, acting, depth)
-    assert told.shape == (lanes, 1 + ACTIONS, ACTIONS, 3)
+    told = ask_rods(robot, batch, acting, depth)
+    assert told.shape == (lanes, 1 + 3, 3, 3)
     assert np.array_equal(batch.nodes_world(), nodes)
-    first, second = [7, 3], [1, 8]
+    first, second = [1, 2], [2, 0]
     for made, expected in (
         (swim(first), [told[lane, 0, first[lane]] for lane in range(lanes)]),
         (swim(second), [told[lane, 1 + first[lane], second[lane]] for lane in range(lanes)]),
@@ -231,9 +232,16 @@ def test_the_command_tells_draws_and_refuses(
     assert told["table_bytes"][AFFINE] == len(images[AFFINE])
     assert run_command(command) == 0
     assert "further from the paths than the rods" in capsys.readouterr().out
+    strangers = []
+    for old, new in (('"frog2022"', '"newt"'), ("period_s = 1.425", "period_s = 1.6")):
+        assert old in ROBOT.toml
+        stranger = parse_robot(ROBOT.toml.replace(old, new), source="stranger")
+        strangers.append(tmp_path / f"{len(strangers)}.fkt")
+        strangers[-1].write_bytes(quantise(sample_library(stranger, 2, 0, "box")))
     for wrong in (
         ["study", "ceiling", str(tmp_path / "none.h5")],
         [*command, "--tables", str(file)],
+        *([*command, "--tables", str(stranger)] for stranger in strangers),
         [*command, "--out", str(tmp_path)],
         [*command, "--depth", "4"],
     ):

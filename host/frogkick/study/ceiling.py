@@ -20,13 +20,13 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from frogkick.chunks import Job, run_chunks
-from frogkick.der import STEP_S, WIDTH, Batch
+from frogkick.der import STEP_S, WIDTH
 from frogkick.der.strokes import between, body_from_world
 from frogkick.der.swimmer import batch_of
-from frogkick.effects import ActingLanes, rods_of
-from frogkick.errors import ConvergenceError, FrogkickError
+from frogkick.effects import rods_of
+from frogkick.errors import FrogkickError
 from frogkick.library.error import looked_up
-from frogkick.library.transitions import fire_action, lane_effects, previous_actions
+from frogkick.library.transitions import lane_effects, previous_actions
 from frogkick.paths import Path, shape
 from frogkick.planner.estimator import Estimator
 from frogkick.planner.follow import End, Follow
@@ -34,6 +34,7 @@ from frogkick.planner.image import Tables, open_image
 from frogkick.planner.plan import PlanConfig, config_of, plan
 from frogkick.pool.camera import Camera, Fix, measure
 from frogkick.robot import Robot
+from frogkick.study.rod_tree import ask_rods, motion_of, swim_a_period, table_of_motions
 
 FloatArray = NDArray[np.float64]
 
@@ -45,7 +46,6 @@ SETTLE_S = 1.0
 TIME_LIMIT_S = 120.0
 TIME = "time limit"
 _START = np.array([0.005, 0.005, np.deg2rad(5.0)])  # how far off a hand puts it into the water: m, m, rad
-_APART = 100  # velocity codes between the names of a tree's nodes
 _CONFIDENCE = 0.95
 
 
@@ -176,97 +176,6 @@ def rms_error(runs: Sequence[Run], name: str) -> dict[str, float]:
     }
 
 
-def ask_rods(robot: Robot, batch: Batch, acting: ActingLanes, depth: int) -> FloatArray:
-    """Let copies of swimming robots try every sequence of actions.
-
-    Args:
-        robot: whose actions.
-        batch, acting: at a decision; they are left as they are.
-        depth: actions in a row.
-
-    Returns:
-        (lanes, nodes, a, 3) motions over a period, forward, left (m), turn (rad), body frame at its start,
-        from each node of the tree: the present, then where action 0, 1, .. leads, then the sequences (0, 0),
-        (0, 1), ...
-
-    Raises:
-        ConvergenceError: the rods failed.
-    """
-    level, nodes = [(batch, acting)], []
-    lanes = range(batch.lanes)
-    for depth_left in range(depth, 0, -1):
-        following = []
-        for before, acted in level:
-            motions = []
-            for action in range(len(robot.actions)):
-                twin, twin_acting = before.copy(), acted.copy()
-                swum = _swim(robot, twin, twin_acting, dict.fromkeys(lanes, action))
-                motions.append([_motion(*swum[lane]) for lane in lanes])
-                if depth_left > 1:
-                    following.append((twin, twin_acting))
-            nodes.append(motions)
-        level = following
-    return np.asarray(np.array(nodes).transpose(2, 0, 1, 3))
-
-
-def table_of_motions(motions: FloatArray, like: Tables) -> Tables:
-    """A table in which the planner finds the motions of a tree instead of those of velocities.
-
-    What an action's end is called there, in place of its velocity, is the next node; the present has the
-    velocity 0. The planner's costs look at poses alone, so it searches as it does in any table.
-
-    Args:
-        motions: (nodes, a, 3) as ``ask_rods`` gives them for a lane.
-        like: whose actions, scales and reach the table has; the reach grows where a motion is beyond it.
-    """
-    nodes, actions = motions.shape[:2]
-    name = np.zeros((nodes * actions + 1, 3), dtype=np.int64)
-    name[:nodes, 0], name[:nodes, 1] = np.arange(nodes) % _APART, np.arange(nodes) // _APART
-    name *= _APART
-    leads_to = 1 + np.arange(nodes * actions).reshape(nodes, actions)
-    codes = np.rint(motions / like.motion_scale.astype(np.float64)).astype(np.int64)
-    return replace(
-        like,
-        image=b"",  # it is nowhere but here
-        kind="nearest",
-        states=name[:nodes].astype(np.int16),
-        transitions=np.concatenate([codes, name[leads_to]], axis=2).astype(np.int32),
-        derivatives=np.empty((0, actions, 6, 3), dtype=np.int32),
-        motion_limit=np.maximum(like.motion_limit, np.abs(codes).max(axis=(0, 1))),
-    )
-
-
-_Swum = tuple[FloatArray, FloatArray]
-
-
-def _swim(robot: Robot, batch: Batch, acting: ActingLanes, actions: Mapping[int, int]) -> dict[int, _Swum]:
-    """Some lanes do an action each for a period; (k,) times and (k, MOTION) rows of each, the start first.
-
-    Raises:
-        ConvergenceError: the rods failed.
-    """
-    start_s, before, until = batch.time_s.copy(), batch.motion_world(), batch.time_s.copy()
-    for lane, action in actions.items():
-        fire_action(robot, batch, acting, lane, action, float(start_s[lane]))
-        until[lane] += robot.period_s
-    told = acting.advance(batch, until, trace=True)
-    for lane, failure in batch.failures.items():
-        raise ConvergenceError(f"a swim of {robot.id!r} {failure} (lane {lane})")
-    return {
-        lane: (
-            np.concatenate([start_s[lane : lane + 1], told[lane][0]]),
-            np.concatenate([before[lane : lane + 1], told[lane][1]]),
-        )
-        for lane in actions
-    }
-
-
-def _motion(times_s: FloatArray, rows: FloatArray) -> FloatArray:
-    """(3,) from the first row to the last one, in the body frame of the first."""
-    pose = between(times_s, rows, times_s[[0, -1]])[0]
-    return body_from_world(pose[0, 2], pose[1] - pose[0])
-
-
 @dataclass(frozen=True)
 class _Ready:
     robot: Robot
@@ -392,8 +301,8 @@ def _run(ready: _Ready, task: Task) -> list[Run]:
                 if motions is not None:
                     asked[k].append(motions[k, 0, action])
         if chosen:
-            for k, (times_s, rows) in _swim(robot, batch, acting, chosen).items():
-                lanes[k].made.append(_motion(times_s, rows))
+            for k, (times_s, rows) in swim_a_period(robot, batch, acting, chosen).items():
+                lanes[k].made.append(motion_of(times_s, rows))
                 lanes[k].look(times_s, rows)
         at_s += robot.period_s
         if at_s > ready.limit_s:

@@ -1,0 +1,111 @@
+"""The rods asked what every sequence of actions does, and their answers as a table that a planner reads."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from frogkick.der import Batch
+from frogkick.der.strokes import between, body_from_world
+from frogkick.effects import ActingLanes
+from frogkick.errors import ConvergenceError
+from frogkick.library.transitions import fire_action
+from frogkick.planner.image import Tables
+from frogkick.robot import Robot
+
+FloatArray = NDArray[np.float64]
+
+_APART = 100  # velocity codes between the names of a tree's nodes
+
+
+def swim_a_period(
+    robot: Robot, batch: Batch, acting: ActingLanes, actions: Mapping[int, int]
+) -> dict[int, tuple[FloatArray, FloatArray]]:
+    """Some lanes do an action each for a period; (k,) times and (k, MOTION) rows of each, the start first.
+
+    Raises:
+        ConvergenceError: the rods failed.
+    """
+    start_s, before, until = batch.time_s.copy(), batch.motion_world(), batch.time_s.copy()
+    for lane, action in actions.items():
+        fire_action(robot, batch, acting, lane, action, float(start_s[lane]))
+        until[lane] += robot.period_s
+    told = acting.advance(batch, until, trace=True)
+    for lane, failure in batch.failures.items():
+        raise ConvergenceError(f"a swim of {robot.id!r} {failure} (lane {lane})")
+    return {
+        lane: (
+            np.concatenate([start_s[lane : lane + 1], told[lane][0]]),
+            np.concatenate([before[lane : lane + 1], told[lane][1]]),
+        )
+        for lane in actions
+    }
+
+
+def motion_of(times_s: FloatArray, rows: FloatArray) -> FloatArray:
+    """(3,) from the first row to the last one, in the body frame of the first."""
+    pose = between(times_s, rows, times_s[[0, -1]])[0]
+    return body_from_world(pose[0, 2], pose[1] - pose[0])
+
+
+def ask_rods(robot: Robot, batch: Batch, acting: ActingLanes, depth: int) -> FloatArray:
+    """Let copies of swimming robots try every sequence of actions.
+
+    Args:
+        robot: whose actions.
+        batch, acting: at a decision; they are left as they are.
+        depth: actions in a row.
+
+    Returns:
+        (lanes, nodes, a, 3) motions over a period, forward, left (m), turn (rad), body frame at its start,
+        from each node of the tree: the present, then where action 0, 1, .. leads, then the sequences (0, 0),
+        (0, 1), ...
+
+    Raises:
+        ConvergenceError: the rods failed.
+    """
+    level, nodes = [(batch, acting)], []
+    lanes = range(batch.lanes)
+    for depth_left in range(depth, 0, -1):
+        following = []
+        for before, acted in level:
+            motions = []
+            for action in range(len(robot.actions)):
+                twin, twin_acting = before.copy(), acted.copy()
+                swum = swim_a_period(robot, twin, twin_acting, dict.fromkeys(lanes, action))
+                motions.append([motion_of(*swum[lane]) for lane in lanes])
+                if depth_left > 1:
+                    following.append((twin, twin_acting))
+            nodes.append(motions)
+        level = following
+    return np.asarray(np.array(nodes).transpose(2, 0, 1, 3))
+
+
+def table_of_motions(motions: FloatArray, like: Tables) -> Tables:
+    """A table in which the planner finds the motions of a tree instead of those of velocities.
+
+    What an action's end is called there, in place of its velocity, is the next node; the present has the
+    velocity 0. The planner's costs look at poses alone, so it searches as it does in any table.
+
+    Args:
+        motions: (nodes, a, 3) as ``ask_rods`` gives them for a lane.
+        like: whose actions, scales and reach the table has; the reach grows where a motion is beyond it.
+    """
+    nodes, actions = motions.shape[:2]
+    name = np.zeros((nodes * actions + 1, 3), dtype=np.int64)
+    name[:nodes, 0], name[:nodes, 1] = np.arange(nodes) % _APART, np.arange(nodes) // _APART
+    name *= _APART
+    leads_to = 1 + np.arange(nodes * actions).reshape(nodes, actions)
+    codes = np.rint(motions / like.motion_scale.astype(np.float64)).astype(np.int64)
+    return replace(
+        like,
+        image=b"",  # it is nowhere but here
+        kind="nearest",
+        states=name[:nodes].astype(np.int16),
+        transitions=np.concatenate([codes, name[leads_to]], axis=2).astype(np.int32),
+        derivatives=np.empty((0, actions, 6, 3), dtype=np.int32),
+        motion_limit=np.maximum(like.motion_limit, np.abs(codes).max(axis=(0, 1))),
+    )

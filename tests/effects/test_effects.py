@@ -27,7 +27,7 @@ ROBOT = load_robot("frog2022")
 RNG = np.random.default_rng(5)
 
 
-GIVEN = {"group_gain": {"group": "front"}}  # options without a default
+GIVEN = {name: {"group": "front"} for name in ("group_gain", "limb_mount", "limb_fatigue")}  # options without a default
 
 
 def effect(name: str, **values: object) -> Effect:

@@ -124,6 +124,7 @@ class Effect:
         options: other keys that a TOML may or must give, with their default (None: must be given).
         about: the physics, in a line.
         shown_by: which data could show it, in a line.
+        together: it is told from others of this kind only by fitting all of them to many runs at once.
     """
 
     name: ClassVar[str] = ""
@@ -131,6 +132,7 @@ class Effect:
     options: ClassVar[dict[str, Any]] = {}
     about: ClassVar[str] = ""
     shown_by: ClassVar[str] = ""
+    together: ClassVar[bool] = False
 
     def __init__(self, **values: Any) -> None:
         """Set parameters and options as attributes.

@@ -9,6 +9,20 @@ from frogkick.errors import InputError
 from frogkick.robot import Robot
 
 
+def require_group(effect: Effect, group: str, robot: Robot) -> None:
+    """Refuse a word that is in no limb's name.
+
+    Raises:
+        InputError: it names the words that are.
+    """
+    words = sorted({word for limb in robot.limbs for word in limb.name.split("_")})
+    if group not in words:
+        raise InputError(
+            f"effect {effect.title!r}: robot {robot.id!r} has no limb with {group!r} in its name: "
+            f"choose from {', '.join(words)}"
+        )
+
+
 class GroupGain(Effect):
     """Limbs of one place work otherwise than the model has it: in another's wake, or made otherwise."""
 
@@ -28,12 +42,7 @@ class GroupGain(Effect):
     duration_scale: float
 
     def check(self, robot: Robot) -> None:
-        words = sorted({word for limb in robot.limbs for word in limb.name.split("_")})
-        if self.group not in words:
-            raise InputError(
-                f"effect {self.title!r}: robot {robot.id!r} has no limb with {self.group!r} in its name: "
-                f"choose from {', '.join(words)}"
-            )
+        require_group(self, self.group, robot)
 
     def stroke(self, stroke: Stroke, history: History, rng: np.random.Generator) -> Stroke:
         if self.group in stroke.limb.split("_"):

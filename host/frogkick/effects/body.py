@@ -1,0 +1,134 @@
+"""Effects of how a robot was built and swims, where its drawing only comes near.
+
+They belong together: how much water a body takes along, how it resists and how strongly its limbs push can
+only be told from one another by many runs. A search does not try them one by one; they are fitted to runs
+from the values of a robot that was measured (see frogkick.identify.relatives).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from frogkick.effects.base import Body, Effect, History, Parameter, Stroke
+from frogkick.effects.groups import require_group
+from frogkick.robot import Limb, Robot
+
+_FATIGUE_STROKES = 24  # of a limb, that are remembered: older ones have faded
+
+
+class Hull(Effect):
+    """A body with height and corners takes more water along, and its limbs push more, than a flat model's."""
+
+    name = "hull"
+    about = "mass with the water taken along, where it sits, drag of the frame and of the limbs, times factors"
+    shown_by = "surge, turn and glide of all strokes together"
+    together = True
+    parameters = (
+        Parameter("mass", "1", 0.2, 6.0, 1.0, "factor on the frame's mass in motion"),
+        Parameter("centre_share", "1", 0.0, 0.97, 0.0, "share of that mass at the centre, not on the outline"),
+        Parameter("frame_drag", "1", 0.05, 4.0, 1.0, "factor on the frame's drag coefficients"),
+        Parameter("limb_drag", "1", 0.2, 12.0, 1.0, "factor on the limbs' drag coefficients"),
+    )
+
+    mass: float
+    centre_share: float
+    frame_drag: float
+    limb_drag: float
+
+    def robot(self, robot: Robot) -> Robot:
+        frame = robot.frame
+        plain = frame.mass_per_length_kg_per_m
+        whole = self.mass * (plain + frame.added_mass_per_length_kg_per_m)
+        body = replace(
+            frame,
+            mass_per_length_kg_per_m=min(plain, whole),
+            added_mass_per_length_kg_per_m=max(0.0, whole - plain),
+            centre_mass_share=1.0 - (1.0 - frame.centre_mass_share) * (1.0 - self.centre_share),
+            drag_normal=frame.drag_normal * self.frame_drag,
+            drag_tangential=frame.drag_tangential * self.frame_drag,
+        )
+        return replace(robot, frame=body, limbs=tuple(self._limb(limb) for limb in robot.limbs))
+
+    def _limb(self, limb: Limb) -> Limb:
+        return replace(
+            limb,
+            drag_normal=limb.drag_normal * self.limb_drag,
+            drag_tangential=limb.drag_tangential * self.limb_drag,
+        )
+
+
+class LimbMount(Effect):
+    """Limbs that stand otherwise at their corners than drawn: glued, or bent by their own rest curl."""
+
+    name = "limb_mount"
+    about = "limbs whose name has a word in it are turned at their roots, away from straight back"
+    shown_by = "how far strokes push aside and turn, against how far they push forward"
+    together = True
+    parameters = (Parameter("outward_deg", "deg", -45.0, 45.0, 0.0, "turn of the root's tangent"),)
+    options = {"group": None}  # noqa: RUF012 - declared ClassVar in Effect
+
+    group: str
+    outward_deg: float
+
+    def check(self, robot: Robot) -> None:
+        require_group(self, self.group, robot)
+
+    def robot(self, robot: Robot) -> Robot:
+        return replace(robot, limbs=tuple(self._limb(limb) for limb in robot.limbs))
+
+    def _limb(self, limb: Limb) -> Limb:
+        if self.group not in limb.name.split("_"):
+            return limb
+        # A root that points back and to the left turns clockwise to point more to the left.
+        side = math.copysign(1.0, math.sin(limb.direction_rad))
+        return replace(limb, direction_rad=limb.direction_rad - side * math.radians(self.outward_deg))
+
+
+class LimbFatigue(Effect):
+    """A limb that fired often lately is warm throughout: each stroke of before takes a share of this one."""
+
+    name = "limb_fatigue"
+    about = "a stroke loses a share for each earlier one of the same limb, fading with the time since"
+    shown_by = "the same action after strokes of the same limbs, against after strokes of others"
+    together = True
+    parameters = (
+        Parameter("loss", "1", -0.3, 0.5, 0.0, "share lost for each stroke of just before"),
+        Parameter("fade_s", "s", 0.3, 10.0, 2.5, "time in which that falls to 37 %"),
+    )
+    options = {"group": None}  # noqa: RUF012 - declared ClassVar in Effect
+
+    group: str
+    loss: float
+    fade_s: float
+
+    def check(self, robot: Robot) -> None:
+        require_group(self, self.group, robot)
+
+    def stroke(self, stroke: Stroke, history: History, rng: np.random.Generator) -> Stroke:
+        if self.group in stroke.limb.split("_"):
+            earlier = [then for then, limb in history.strokes if limb == stroke.index][-_FATIGUE_STROKES:]
+            use = sum(math.exp((then - stroke.time_s) / self.fade_s) for then in earlier)
+            stroke.gain *= max(0.0, 1.0 - self.loss * use)
+        return stroke
+
+
+class MunkMoment(Effect):
+    """A body that takes more water along one way than across is turned by drifting (Munk's moment)."""
+
+    name = "munk_moment"
+    about = "a torque in proportion to forward times sideways speed"
+    shown_by = "turns while gliding sideways, whatever the limbs do"
+    together = True
+    parameters = (
+        Parameter("mass_gap_kg", "kg", -0.4, 0.4, 0.0, "mass in motion forward less that to the side"),
+    )
+
+    mass_gap_kg: float
+
+    def wrench(self, time_s: float, body: Body) -> Sequence[float]:
+        forward, left, _ = body.velocity_body
+        return (0.0, 0.0, self.mass_gap_kg * forward * left)

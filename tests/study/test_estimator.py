@@ -105,10 +105,33 @@ def test_errors_are_those_of_the_states_at_decision_time() -> None:
     assert study._outcome([gaps], {"line": [swim]}).unknown == 1
 
 
+def test_a_run_begins_when_the_robot_knows_where_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Without a fix for five seconds it waits, and is measured from its first decision; else not at all."""
+    setting = study._start(rig.robot(), rig.small_table().read_bytes(), (shape("line"),), PlanConfig(), 12.0)
+    task = study._Task(Condition(15.0, "none"), "track", 0, 0)
+    whole = study._run(setting, task)
+    advance = study.Pool.advance
+    monkeypatch.setattr(
+        study.Pool, "advance",
+        lambda pool, until_s: [fix for fix in advance(pool, until_s) if fix.capture_s > 5.0],
+    )  # fmt: skip
+    late = study._run(setting, task)
+    assert 0 < len(late.errors["track"]) < len(whole.errors["track"])
+    assert np.isfinite(late.distance_m)
+    monkeypatch.setattr(study.Pool, "advance", lambda pool, until_s: advance(pool, until_s) and [])
+    never = study._run(setting, task)
+    assert not never.errors["track"]
+    assert np.isnan(study._outcome([[]], {"line": [never]}).distance_m["line"])
+    assert study._outcome([[]], {"line": [never, late]}).distance_m["line"] == late.distance_m
+
+
 def test_the_picture_shows_every_method(outcomes: Outcomes) -> None:
     figure = estimator_figure(outcomes)
     titles = [axes.get_title(loc="left") for axes in figure.axes]
-    assert "RMS error at decision time" in titles and "Closed loop: ellipse" in titles
+    assert "Position at decision time" in titles and "Closed loop: ellipse" in titles
+    words = [text.get_text() for text in figure.legends[0].get_texts()]
+    assert len(words) == len(METHODS) + 2 and "all faults together" in words
+    assert figure.axes[4].get_ylim()[0] == 0.0, "a distance is drawn from nothing on"
     position = figure.axes[0]
     drawn = sorted(float(line.get_ydata()[0]) for line in position.lines)
     told = [

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Literal
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+from matplotlib.lines import Line2D
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter, NullLocator
 
 from frogkick.report import style
 from frogkick.study.estimator import METHODS, Condition, Outcome
@@ -29,9 +31,13 @@ _FAULT = {
     "world": "other\nworld",
 }
 _QUANTITIES = (
-    ("position_m", 1e3, "position error (mm)"),
-    ("heading_rad", 180.0 / np.pi, "heading error (degrees)"),
-    ("velocity_mps", 1e3, "velocity error (mm/s)"),
+    ("position_m", 1e3, "Position at decision time", "RMS error (mm)"),
+    ("heading_rad", 180.0 / np.pi, "Heading at decision time", "RMS error (degrees)"),
+    ("velocity_mps", 1e3, "Velocity at decision time", "RMS error (mm/s)"),
+)
+_STYLES: tuple[tuple[str, Literal["-", "--"], str], ...] = (
+    ("none", "-", "as the recorded runs' camera"),
+    ("all", "--", "all faults together"),
 )
 
 
@@ -41,22 +47,26 @@ def estimator_figure(outcomes: Mapping[Condition, Mapping[str, Outcome]]) -> Fig
     with style.styled():
         figure = Figure(figsize=(12.5, 7.6), layout="constrained")
         panels = figure.subplots(2, 3)
-        for axes, (name, factor, label) in zip(panels[0], _QUANTITIES, strict=True):
-            for fault, line in (("none", "-"), ("all", "--")):
+        for axes, (name, factor, title, label) in zip(panels[0], _QUANTITIES, strict=True):
+            for fault, line, _ in _STYLES:
                 _by_rate(axes, outcomes, fault, line, lambda o, n=name, f=factor: getattr(o, n) * f)
             _finish(axes, label)
-        panels[0, 0].set_title("RMS error at decision time")
-        panels[0, 1].set_title("solid: the recorded runs' camera")
-        panels[0, 2].set_title("dashed: with all faults together")
+            _plain_decades(axes)
+            axes.set_title(title)
         _by_fault(panels[1, 0], outcomes)
         for axes, path in zip(panels[1, 1:], names, strict=False):
-            for fault, line in (("none", "-"), ("all", "--")):
+            for fault, line, _ in _STYLES:
                 _by_rate(axes, outcomes, fault, line, lambda o, p=path: o.distance_m[p] * 1e3)
             _finish(axes, "mean distance to the path (mm)")
+            axes.set_ylim(bottom=0.0)
             axes.set_title(f"Closed loop: {path}")
         for axes in panels[1, 1 + len(names) :]:
             axes.set_axis_off()
-        figure.legend(*panels[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=3)
+        handles, labels = panels[0, 0].get_legend_handles_labels()
+        for _, line, label in _STYLES:
+            handles.append(Line2D([], [], color="0.3", linestyle=line))
+            labels.append(label)
+        figure.legend(handles, labels, loc="outside lower center", ncols=5)
     return figure
 
 
@@ -77,8 +87,7 @@ def _finish(axes: Axes, label: str) -> None:
     axes.set_xscale("log")
     rates = sorted({float(x) for line in axes.get_lines() for x in np.asarray(line.get_xdata())})
     axes.set_xticks(rates, [f"{rate:g}" for rate in rates])
-    axes.xaxis.set_minor_formatter(NullFormatter())
-    _plain_decades(axes)
+    axes.xaxis.set_minor_locator(NullLocator())
     axes.set_xlabel("fixes per second")
     axes.set_ylabel(label)
 

@@ -81,7 +81,8 @@ class Outcome:
             robot's own estimator steered; the same fixes and decisions for all methods.
         median_position_m: of the position's error: what a few wrong fixes cannot spoil.
         decisions, unknown: decisions looked at; those of them without an estimate.
-        distance_m: mean distance to each path, m, by its name, where this method steered.
+        distance_m: mean distance to each path, m, by its name, where this method steered; from the first
+            decision on, NaN where it never knew enough for one.
     """
 
     position_m: float
@@ -191,9 +192,15 @@ def _outcome(errors: list[list[FloatArray]], steered: Mapping[str, list[Swim]]) 
         decisions=len(every),
         unknown=len(every) - len(known),
         distance_m={
-            name: float(np.mean([swim.distance_m for swim in swims])) for name, swims in steered.items()
+            name: _mean_of_begun([swim.distance_m for swim in swims]) for name, swims in steered.items()
         },
     )
+
+
+def _mean_of_begun(distances_m: Sequence[float]) -> float:
+    """NaN where no run began."""
+    begun = [one for one in distances_m if np.isfinite(one)]
+    return float(np.mean(begun)) if begun else float("nan")
 
 
 def _start(
@@ -218,14 +225,21 @@ def _run(setting: _Setting, task: _Task) -> Swim:
     twin = DecisionTwin(tables, path, setting.config, methods[task.steered_by])
     swim = Swim({name: [] for name in METHODS})
     at_us = SETTLE_US
+    begun_s = np.inf
     while at_us * 1e-6 < setting.limit_s and twin.ended is None:
         for fix in pool.advance(at_us * 1e-6):
             capture_us = round(fix.capture_s * 1e6)
             for name, method in methods.items():
                 add = twin.add_fix if name == task.steered_by else method.add
                 add(capture_us, fix.pose_world, fix.sequence)
-        if twin.ended is not None or twin.is_lost(at_us):
+        if twin.ended is not None:
             break
+        if twin.is_lost(at_us):
+            if np.isfinite(begun_s):
+                break
+            at_us += tables.period_us  # a robot that does not know yet where it is does not start
+            continue
+        begun_s = min(begun_s, at_us * 1e-6)
         truth = np.concatenate(pool.state())
         for name, method in methods.items():
             swim.errors[name].append(_error(method, at_us, truth))
@@ -237,9 +251,10 @@ def _run(setting: _Setting, task: _Task) -> Swim:
             _heat(pool, tables, action, at_us * 1e-6)
         at_us += tables.period_us
     time_s = np.array(pool.truth.time_s)
-    during = time_s >= SETTLE_US * 1e-6
-    poses = np.array(pool.truth.pose_world).reshape(-1, 3)[during]
-    swim.distance_m = along_path(path, time_s[during], poses)[0]
+    during = time_s >= begun_s
+    if during.any():
+        poses = np.array(pool.truth.pose_world).reshape(-1, 3)[during]
+        swim.distance_m = along_path(path, time_s[during], poses)[0]
     return swim
 
 

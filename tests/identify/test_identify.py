@@ -18,7 +18,7 @@ from frogkick.identify.filter import Filter, Noise, Series, likeliest, surprise
 from frogkick.identify.fit import Model, bounded_step, fit, tracks_of
 from frogkick.identify.outcome import identify, too_little
 from frogkick.identify.search import countable, search
-from frogkick.identify.swim import Swim, swim_of
+from frogkick.identify.swim import Swim, copies, swim_of
 from frogkick.identify.terms import Term, catalogue
 from frogkick.identify.verdict import (
     FOUND,
@@ -170,6 +170,12 @@ def test_too_little_is_said(whole: list[Swim]) -> None:
     assert "moved 0.0 mm" in too_little(still)
     same = [replace(swim, action=np.zeros_like(swim.action)) for swim in whole]
     assert "only one action" in too_little(same)
+
+
+def test_runs_of_one_seed_are_known_by_their_noise(whole: list[Swim]) -> None:
+    assert copies(whole) == 1
+    moved = replace(whole[0], pose=whole[0].pose + np.array([0.3, -0.2, 0.0]))
+    assert copies([*whole, moved]) == 2
 
 
 def test_bad_logs_are_one_clear_line_each(whole: list[Swim]) -> None:

@@ -7,7 +7,7 @@ import io
 import os
 import tomllib
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +19,7 @@ from frogkick.identify.filter import Noise
 from frogkick.identify.fit import Fitted, Model, tracks_of
 from frogkick.identify.predict import Track
 from frogkick.identify.search import Found, search
-from frogkick.identify.swim import Swim
+from frogkick.identify.swim import Swim, copies
 from frogkick.identify.terms import Term, catalogue
 from frogkick.identify.verdict import (
     TOO_LITTLE,
@@ -182,11 +182,10 @@ def _only_predicted(train: Sequence[Swim], test: Sequence[Swim], robot: Robot, r
 def _scored(
     nominal: Fitted, fitted: Fitted, before: Sequence[Track], after: Sequence[Track], swims: Sequence[Swim]
 ) -> Scored:
-    return Scored(
-        error_of(gaps(before, swims)),
-        error_of(gaps(after, swims)),
-        noise_floor(swims, fitted.model.noise),
-    )
+    errors = [error_of(gaps(tracks, swims)) for tracks in (before, after)]
+    one_noise = copies(swims)
+    first, second = (replace(error, count=error.count // one_noise) for error in errors)
+    return Scored(first, second, noise_floor(swims, fitted.model.noise))
 
 
 def too_little(swims: Sequence[Swim]) -> str:

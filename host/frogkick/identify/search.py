@@ -27,7 +27,7 @@ from frogkick.identify.fit import (
     whiten,
     whitener,
 )
-from frogkick.identify.swim import Swim
+from frogkick.identify.swim import Swim, copies
 from frogkick.identify.terms import Term
 from frogkick.robot import Robot
 
@@ -39,7 +39,7 @@ REFINED = 3
 RIVAL = 0.25
 """A candidate whose promise is less than the best one's by this share is not fitted."""
 
-MOST = 5
+MOST = 4
 """Effects taken at most."""
 
 BASE_GAIN, GAIN_EACH = 20.0, 4.0
@@ -160,7 +160,7 @@ def search(
     """
     model, rows, nominal = countable(swims, robot)
     columns = sensitivities(model, candidates, swims, rows, lambda d, n: progress("candidates", d, n))
-    hunt = _Hunt(swims, rows, folds_of(swims, rows), columns)
+    hunt = _Hunt(swims, rows, folds_of(swims, rows), columns, copies(swims))
     current, turns, alike = nominal, [], []
     for turn in range(MOST):
         progress("effects", turn, MOST)
@@ -198,6 +198,8 @@ class _Hunt:
     rows: NDArray[np.bool_]
     folds: NDArray[np.int64]
     columns: Sequence[Column]
+    copies: int
+    """Of the same noise: a gain counts once."""
 
     def turn(self, current: Fitted) -> tuple[Fitted | None, list[Tried], list[str]]:
         """One more effect, or none; all that were tried; others that do as well."""
@@ -222,7 +224,7 @@ class _Hunt:
         for offer, fitted in zip(picked, fits, strict=True):
             gain = current.cost - fitted.cost
             fall = _fall(current, fitted, self.folds, known)
-            score = gain - GAIN_EACH * (len(offer.values) - len(offer.held))
+            score = gain / self.copies - GAIN_EACH * (len(offer.values) - len(offer.held))
             good = score > BASE_GAIN and fall[0] > max(SEEN_LEAST, 2.0 * fall[1])
             tried.append(Tried(offer.column.term.title, gain, fall[0], True))
             if good:
@@ -280,15 +282,17 @@ class _Hunt:
                 break
             step, cost, held = lighter, dearer, chosen
         gain = current.cost - cost
-        score = gain - GAIN_EACH * (len(start) - len(held))
+        score = gain / self.copies - GAIN_EACH * (len(start) - len(held))
         return _Offer(column, gain, score, start + step[known:], held)
 
     def polished(self, taken: Fitted) -> Fitted:
         """A model with what was taken, fitted as finely as can be, with no more free parameters than help."""
-        again = best_noise(renoised(taken.model, taken.tracks, self.swims), self.swims, self.rows).model
-        pushes = any(type(term.effect()).wrench is not Effect.wrench for term in again.terms)
-        again = replace(again, leg_s=WRENCH_LEG_S if pushes else REFINING_LEG_S)
-        fitted = self.sparer(fit(again, self.swims, self.rows, rounds=2))
+        pushes = any(type(term.effect()).wrench is not Effect.wrench for term in taken.model.terms)
+        rough = replace(taken.model, leg_s=WRENCH_LEG_S if pushes else REFINING_LEG_S)
+        fitted = self.sparer(fit(rough, self.swims, self.rows, rounds=1))
+        # Only now is what is left more noise than misfit.
+        quiet = best_noise(renoised(fitted.model, fitted.tracks, self.swims), self.swims, self.rows)
+        fitted = fit(quiet.model, self.swims, self.rows, rounds=2)
         model = fitted.model
         promises = []
         for k in sorted(model.held):
@@ -299,30 +303,27 @@ class _Hunt:
             cost, k, step = min(promises, key=lambda row: row[0])
             if cost < fitted.cost - HOLD:
                 freed = replace(model, held=model.held - {k}).with_values(model.values + step)
-                wider = fit(freed, self.swims, self.rows, rounds=2)
+                wider = fit(freed, self.swims, self.rows, rounds=1)
                 fitted = wider if wider.cost < fitted.cost - HOLD else fitted
         return fitted
 
     def sparer(self, fitted: Fitted) -> Fitted:
-        """The same with every parameter put back to where its effect vanishes that does no worse there.
+        """The same with each parameter of its last term put back to where it vanishes, if that does no worse.
 
         Simulated and not judged by derivatives: how a stroke's delay acts ripples with the frame's swing.
         """
         while True:
-            model, tries = fitted.model, []
-            nominal = np.array([p.nominal for term in model.terms for p in term.parameters])
-            first = 0
-            for term in model.terms:
-                own = range(first, first + len(term.values))
-                first += len(term.values)
-                free = [k for k in own if k not in model.held]
-                tries += [(k, _held_at(fitted, k, nominal[k])) for k in free if len(free) > 1]
+            model, tries = fitted.model, list[Model]()
+            first, newest = len(model.values) - len(model.terms[-1].values), model.terms[-1]
+            free = [k for k in range(len(newest.values)) if first + k not in model.held]
+            if len(free) > 1:
+                tries = [_held_at(fitted, first + k, newest.parameters[k].nominal) for k in free]
             if not tries:
                 return fitted
-            every = tracks_of([tried for _, tried in tries], self.swims)
+            every = tracks_of(tries, self.swims)
             costs = [cost_of(misses(tracks, self.rows)) for tracks in every]
-            near = [tried for (_, tried), cost in zip(tries, costs, strict=True) if cost < fitted.cost + NEAR]
-            best = min(fit_many(near, self.swims, self.rows, 2), key=lambda each: each.cost, default=fitted)
+            near = [tried for tried, cost in zip(tries, costs, strict=True) if cost < fitted.cost + NEAR]
+            best = min(fit_many(near, self.swims, self.rows, 1), key=lambda each: each.cost, default=fitted)
             if best is fitted or best.cost > fitted.cost + HOLD:
                 return fitted
             fitted = best

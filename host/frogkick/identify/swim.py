@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -28,6 +29,8 @@ _END_BEFORE_S, _END_AFTER_S = 0.24, 0.03
 
 SPEED_MOST_MPS = 1.0
 """Half of all moves from fix to fix are slower in any pool: else positions are in another unit."""
+
+_STILL = 8  # fixes before anything moves that tell one camera's noise from another's
 
 _SPOILED = int(FixFlag.MISDETECTION | FixFlag.JUMP | FixFlag.MISSING | FixFlag.DUPLICATE)
 
@@ -174,6 +177,20 @@ def swim_of(run: RunLog, name: str, robot: Robot | None = None) -> Swim:
         period_s=run.period_s,
         lag_s=lag_s,
     )
+
+
+def copies(swims: Sequence[Swim]) -> int:
+    """How many of the runs, at most, have one and the same camera noise: simulated with one seed.
+
+    Told by the fixes before anything moved. What such runs agree in may be that noise.
+    """
+    kinds: dict[bytes, int] = {}
+    for swim in swims:
+        still = swim.pose[swim.time_s < swim.start_s[0]][:_STILL] if len(swim.start_s) else swim.pose[:0]
+        if len(still) == _STILL and np.ptp(still, axis=0).max() > 1e-4:
+            key = np.round((still[:, :2] - still[0, :2]) * 1e5).astype(np.int64).tobytes()
+            kinds[key] = kinds.get(key, 0) + 1
+    return max(kinds.values(), default=1)
 
 
 def _check_units(name: str, time_s: FloatArray, pose: FloatArray) -> None:

@@ -34,6 +34,10 @@ INEXACT = 0.03
 CONFIDENCE = 0.95
 
 
+RHYTHMS, RHYTHM_LEAST = 24, 16
+"""Periods of time that are tried on what is left, and misses that this needs."""
+
+
 @dataclass(frozen=True)
 class Error:
     """How far predictions a period ahead are off, root mean square over ``count`` periods."""
@@ -199,13 +203,15 @@ def signature(fitted: Fitted, rows: NDArray[np.bool_], swims: Sequence[Swim]) ->
         "constant, world frame": (world, one),
         "action": (missed, _dummies(action)),
         "previous action": (missed, np.column_stack([one, _dummies(previous)[:, 1:]])),
+        "heading": (missed, np.column_stack([one, np.cos(start[:, 2]), np.sin(start[:, 2])])),
         "velocity at the start": (missed, np.column_stack([one, start[:, 3:6]])),
-        "place": (world, np.column_stack([one, start[:, :2]])),
+        "place": (world, _place(start[:, :2])),
         "time in the run": (missed, np.column_stack([one, order, np.exp(-order / 2.0)])),
         "clock": (world, np.column_stack([one, clock - clock.mean()])),
         "run": (missed, _dummies(run)),
     }
     shares = {name: _share(values, design) for name, (values, design) in views.items()}
+    shares["rhythm"], rhythm_s = _rhythm(missed, clock)
     by_action = {
         str(names[a]) if a >= 0 else "unknown": {
             "periods": int((action == a).sum()),
@@ -221,11 +227,33 @@ def signature(fitted: Fitted, rows: NDArray[np.bool_], swims: Sequence[Swim]) ->
         f"what is left at the end of a period: {1e3 * float(size[0]):.2f} mm forward, "
         f"{1e3 * float(size[1]):.2f} mm left, {np.degrees(float(size[2])):.2f} deg RMS; "
         f"best told by {strongest} ({100 * shares[strongest]:.0f} % of its squares)"
+        + (f", of {rhythm_s:.0f} s" if strongest == "rhythm" else "")
         if shares[strongest] > 0.05
         else f"what is left at the end of a period: {1e3 * float(size[0]):.2f} mm forward, "
         f"{1e3 * float(size[1]):.2f} mm left, {np.degrees(float(size[2])):.2f} deg RMS, without a pattern"
     )
     return {"shares": shares, "strongest": strongest, "by_action": by_action, "text": text}
+
+
+def _place(xy_m: FloatArray) -> FloatArray:
+    """(n, 6) polynomial of second degree in a place."""
+    x, y = (xy_m - xy_m.mean(axis=0)).T
+    return np.column_stack([np.ones(len(x)), x, y, x * x, x * y, y * y])
+
+
+def _rhythm(values: FloatArray, clock_s: FloatArray) -> tuple[float, float]:
+    """Share of what a swing of one period in time explains, and that period in s; the best of many."""
+    if len(values) < RHYTHM_LEAST:
+        return 0.0, 0.0
+    beat_s = float(np.median(np.diff(np.unique(clock_s))))
+    found = []
+    for period_s in np.geomspace(3.0 * beat_s, max(np.ptp(clock_s), 4.0 * beat_s), RHYTHMS):
+        angle = math.tau * clock_s / period_s
+        design = np.column_stack([np.ones(len(angle)), np.cos(angle), np.sin(angle)])
+        # The best of many explains something of pure noise: what that is, is taken off.
+        share = _share(values, design) - 2.0 * math.log(RHYTHMS) / len(values)
+        found.append((max(share, 0.0), float(period_s)))
+    return max(found)
 
 
 def _dummies(labels: NDArray[np.int64]) -> FloatArray:

@@ -56,7 +56,7 @@ HOLD = 8.0
 NEAR = 60.0
 """A value put back that costs more than this at first is not worth another fit."""
 
-ALIKE = 6.0
+ALIKE = 10.0
 """Effects whose gains differ by less cannot be told apart."""
 
 REFINING_LEG_S, REFINING_ROUNDS = 0.06, 2

@@ -145,17 +145,6 @@ def intervals(fitted: Fitted) -> list[list[Interval]]:
     return found
 
 
-def explained(before: Error, after: Error, floor: Error) -> float:
-    """Share of the error's square beyond the noise floor that is gone; 1 where there was none."""
-
-    def beyond(error: Error) -> float:
-        position = (error.position_rmse_m / floor.position_rmse_m) ** 2 - 1.0
-        heading = (error.heading_rmse_rad / floor.heading_rmse_rad) ** 2 - 1.0
-        return max(position, 0.0) + max(heading, 0.0)
-
-    return 1.0 - beyond(after) / beyond(before) if beyond(before) > 0.0 else 1.0
-
-
 def near(error: Error, floor: Error, before: Error) -> bool:
     """An error is no more than noise, and what is inexact where a large one was explained."""
     over = max(NEAR_FLOOR, math.sqrt(1.0 + CHANCE * math.sqrt(2.0 / max(error.count, 1))))

@@ -42,9 +42,9 @@ def swim(
     [
         (polyline((0.4, 0.1), (0.8, 0.1)), (0.0, 0.0, 0.0)),  # seven reaches ahead, and beside
         (polyline((0.0, 0.0), (0.4, 0.0)), (0.0, 0.1, 0.0)),  # nearly two reaches beside
-        (polyline((0.0, 0.0), (0.5, 0.0)), (0.0, 0.0, math.radians(90.0))),
+        (polyline((0.0, 0.0), (0.5, 0.0)), (0.0, 0.0, math.radians(45.0))),
     ],
-    ids=["far ahead", "beside", "across"],
+    ids=["far ahead", "beside", "askew"],
 )
 def test_a_path_that_can_be_reached_is_reached_and_followed(
     path: Path, start: tuple[float, float, float]

@@ -115,7 +115,9 @@ def countable(swims: Sequence[Swim], robot: Robot) -> tuple[Model, NDArray[np.bo
     (tracks,) = tracks_of([model], swims)
     rows = np.isfinite(np.concatenate([track.missed for track in tracks])).all(axis=1)
     if not rows.any():
-        raise InputError("no period of the runs has fixes all along: record longer runs with position fixes")
+        raise InputError(
+            "no period of the runs has fixes all along: record runs with position fixes, times in seconds"
+        )
     fitted = best_noise(renoised(model, tracks, swims), swims, rows)
     return fitted.model, rows, fitted
 
@@ -164,12 +166,15 @@ def search(
     current, turns, alike = nominal, [], []
     for turn in range(MOST):
         progress("effects", turn, MOST)
-        taken, tried, others = hunt.turn(current)
+        taken, tried, rivals = hunt.turn(current)
+        if taken is not None:
+            current, others = hunt.settled(hunt.polished(taken), rivals)
+            title = current.model.terms[-1].title
+            tried = [replace(each, chosen=each.title == title) for each in tried]
+            alike.append(others)
         turns.append(tried)
         if taken is None:
             break
-        alike.append(others)
-        current = hunt.polished(taken)
     progress("effects", MOST, MOST)
     return Found(nominal, current, turns, rows, alike, columns)
 
@@ -201,8 +206,8 @@ class _Hunt:
     copies: int
     """Of the same noise: a gain counts once."""
 
-    def turn(self, current: Fitted) -> tuple[Fitted | None, list[Tried], list[str]]:
-        """One more effect, or none; all that were tried; others that do as well."""
+    def turn(self, current: Fitted) -> tuple[Fitted | None, list[Tried], list[Fitted]]:
+        """One more effect, or none; all that were tried; others that do nearly as well."""
         offers = self.offers(current)
         picked: list[_Offer] = []
         for offer in offers:
@@ -230,21 +235,33 @@ class _Hunt:
             if good:
                 scored.append((score, fitted))
         scored.sort(key=lambda row: -row[0])
-        equals = [fitted for score, fitted in scored if score > scored[0][0] - ALIKE]
-        # Of those that the data cannot tell apart the one with the fewest parameters.
-        equals.sort(key=lambda fitted: len(fitted.model.values))
-        if equals:
-            title = equals[0].model.terms[-1].title
-            tried = [replace(each, chosen=each.title == title) for each in tried]
         names = {each.title for each in tried}
         tried += [
             Tried(offer.column.term.title, offer.gain, float("nan"), False)
             for offer in offers
             if offer.column.term.title not in names
         ]
-        if not equals:
+        if not scored:
             return None, tried, []
-        return equals[0], tried, [fitted.model.terms[-1].title for fitted in equals[1:]]
+        best = scored[0][0]
+        rivals = [fitted for score, fitted in scored[1:] if score > best - max(NEAR, RIVAL * best)]
+        return scored[0][1], tried, rivals
+
+    def settled(self, taken: Fitted, rivals: Sequence[Fitted]) -> tuple[Fitted, list[str]]:
+        """The best of a polished model and its rivals at its noise, and what cannot be told from that.
+
+        Of those that cannot be told apart it is the one with the fewest parameters.
+        """
+        if not rivals:
+            return taken, []
+        starts = [
+            replace(each.model, noise=taken.model.noise, leg_s=_fine_leg_s(each.model)) for each in rivals
+        ]
+        every = [taken, *fit_many(starts, self.swims, self.rows, 2)]
+        every.sort(key=_price)
+        equals = [each for each in every if _price(each) < _price(every[0]) + ALIKE * self.copies]
+        equals.sort(key=lambda each: len(each.model.values))
+        return equals[0], [each.model.terms[-1].title for each in equals[1:]]
 
     def offers(self, current: Fitted) -> list[_Offer]:
         """Candidates by what their derivatives promise, best first."""
@@ -287,8 +304,7 @@ class _Hunt:
 
     def polished(self, taken: Fitted) -> Fitted:
         """A model with what was taken, fitted as finely as can be, with no more free parameters than help."""
-        pushes = any(type(term.effect()).wrench is not Effect.wrench for term in taken.model.terms)
-        rough = replace(taken.model, leg_s=WRENCH_LEG_S if pushes else REFINING_LEG_S)
+        rough = replace(taken.model, leg_s=_fine_leg_s(taken.model))
         fitted = self.sparer(fit(rough, self.swims, self.rows, rounds=1))
         # Only now is what is left more noise than misfit.
         quiet = best_noise(renoised(fitted.model, fitted.tracks, self.swims), self.swims, self.rows)
@@ -327,6 +343,16 @@ class _Hunt:
             if best is fitted or best.cost > fitted.cost + HOLD:
                 return fitted
             fitted = best
+
+
+def _fine_leg_s(model: Model) -> float:
+    pushes = any(type(term.effect()).wrench is not Effect.wrench for term in model.terms)
+    return WRENCH_LEG_S if pushes else REFINING_LEG_S
+
+
+def _price(fitted: Fitted) -> float:
+    """Cost, and what the free parameters cost."""
+    return fitted.cost + GAIN_EACH * (len(fitted.model.values) - len(fitted.model.held))
 
 
 def _shy(fitted: Fitted) -> FloatArray:

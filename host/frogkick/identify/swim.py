@@ -30,6 +30,9 @@ _END_BEFORE_S, _END_AFTER_S = 0.24, 0.03
 SPEED_MOST_MPS = 1.0
 """Half of all moves from fix to fix are slower in any pool: else positions are in another unit."""
 
+AGE_OFF_S, AGE_SHARE = 1.0, 0.05
+"""Of a run's fixes so many may be older than the others by so much: held back on their way."""
+
 _STILL = 8  # fixes before anything moves that tell one camera's noise from another's
 
 _SPOILED = int(FixFlag.MISDETECTION | FixFlag.JUMP | FixFlag.MISSING | FixFlag.DUPLICATE)
@@ -149,6 +152,7 @@ def swim_of(run: RunLog, name: str, robot: Robot | None = None) -> Swim:
     order = np.argsort(time_s, kind="stable")
     pose = np.column_stack([fixes.x_m[usable], fixes.y_m[usable], fixes.heading_rad[usable]])[order]
     _check_units(name, time_s[order], pose)
+    _check_clock(name, arrival_s - time_s)
     pose[:, 2] = np.unwrap(pose[:, 2])
     seen = len(time_s) > 0 and not np.allclose(time_s, arrival_s, atol=1e-9)
     lag_s = 0.0 if seen else float(run.measured.get("motion_lag_s", 0.0))
@@ -214,4 +218,18 @@ def _check_units(name: str, time_s: FloatArray, pose: FloatArray) -> None:
         raise InputError(
             f"run {name!r} moves faster than {SPEED_MOST_MPS:g} m/s from fix to fix, mostly: positions are "
             "metres and times seconds, convert them"
+        )
+
+
+def _check_clock(name: str, age_s: FloatArray) -> None:
+    """Refuse capture times by a clock that jumped against the one of arrivals.
+
+    Raises:
+        InputError: more than a few fixes are much older or younger than the others.
+    """
+    off = np.abs(age_s - np.median(age_s)) if len(age_s) else age_s
+    if np.count_nonzero(off > AGE_OFF_S) > AGE_SHARE * len(off):
+        raise InputError(
+            f"run {name!r}: the camera's clock jumps by {float(off.max()):.1f} s against the arrivals of its "
+            "fixes: cut the run there or correct fixes/capture_time_s"
         )

@@ -12,6 +12,7 @@ from frogkick.der import Swimmer, prepare
 from frogkick.effects import (
     BUILT_IN,
     Acting,
+    Body,
     Effect,
     Fix,
     History,
@@ -27,7 +28,9 @@ ROBOT = load_robot("frog2022")
 RNG = np.random.default_rng(5)
 
 
-GIVEN = {name: {"group": "front"} for name in ("group_gain", "limb_mount", "limb_fatigue")}  # options without a default
+GIVEN = {
+    name: {"group": "front"} for name in ("group_gain", "limb_mount", "limb_fatigue")
+}  # options without a default
 
 
 def effect(name: str, **values: object) -> Effect:
@@ -123,6 +126,37 @@ def test_resistance_slows_and_a_wrench_turns() -> None:
     free.advance(0.3)
     ratio = spun.velocity_body()[2] / free.velocity_body()[2]
     assert ratio == pytest.approx(math.exp(-1e-3 * 0.3 / inertia), rel=0.05)
+
+
+def test_a_hull_a_mount_and_fatigue_change_what_strokes_do() -> None:
+    plain = swim([])
+    heavy = swim([effect("hull", mass=2.0)])
+    assert heavy.mass_kg > 1.5 * plain.mass_kg and heavy.pose_world()[0] < 0.95 * plain.pose_world()[0]
+    filled = swim([effect("hull", centre_share=0.8)])
+    assert filled.mass_kg == pytest.approx(plain.mass_kg)
+    assert filled.inertia_kg_m2 < 0.6 * plain.inertia_kg_m2
+    assert swim([effect("hull", limb_drag=2.0)]).pose_world()[0] > 1.1 * plain.pose_world()[0]
+    turned = changed_robot(ROBOT, [effect("limb_mount", group="rear", outward_deg=20.0)])
+    was, now = ([math.degrees(limb.direction_rad) for limb in each.limbs] for each in (ROBOT, turned))
+    assert np.subtract(now, was) == pytest.approx([0.0, 0.0, -20.0, 20.0]), "both point more to their sides"
+    tired = effect("limb_fatigue", group="rear", loss=0.2, fade_s=2.0)
+    history = History([(0.0, 2), (2.0, 2), (2.0, 1)])
+    gain = 1.0 - 0.2 * (math.exp(-2.0) + math.exp(-1.0))
+    assert tired.stroke(Stroke("rear_left", 2, 4.0), history, RNG).gain == pytest.approx(gain)  # type: ignore[union-attr]
+    assert tired.stroke(Stroke("front_left", 1, 4.0), history, RNG).gain == 1.0  # type: ignore[union-attr]
+    with pytest.raises(InputError, match="no limb with 'middle' in its name: choose from front"):
+        changed_robot(ROBOT, [effect("limb_fatigue", group="middle")])
+
+
+def test_drifting_turns_a_body_by_munk_s_moment() -> None:
+    moment = effect("munk_moment", mass_gap_kg=0.2)
+    body = Body(0.0, (0.0, 0.0, 0.0), (0.03, 0.01, 0.0))
+    assert moment.wrench(0.0, body) == pytest.approx((0.0, 0.0, 0.2 * 0.03 * 0.01))
+    drifting = Swimmer(ROBOT, velocity_body=(0.03, 0.02, 0.0))
+    Acting([moment], ROBOT, RNG).advance(drifting, 0.5)
+    plain = Swimmer(ROBOT, velocity_body=(0.03, 0.02, 0.0))
+    plain.advance(0.5)
+    assert drifting.velocity_body()[2] - plain.velocity_body()[2] > 0.01
 
 
 def test_legs_are_short_enough() -> None:

@@ -145,3 +145,22 @@ def test_fitted_profiles_follow_the_formula_outside_of_the_cycle() -> None:
     profile = ROBOT.profiles[0]
     k = profile.curvature_per_m(np.array([-1.0, 0.0, profile.duration_s, 99.0]))
     assert k == pytest.approx(profile.rest_curvature_per_m)
+
+
+def test_a_file_on_a_base_has_its_keys_but_those_of_its_own(tmp_path: Path) -> None:
+    file = tmp_path / "mine.toml"
+    file.write_text('base = "frog2022"\ntitle = "mine"\nperiod_s = 1.5\n')
+    mine = load_robot(file)
+    assert (mine.title, mine.period_s, mine.frame, mine.profiles) == (
+        "mine",
+        1.5,
+        ROBOT.frame,
+        ROBOT.profiles,
+    )
+    assert parse_robot(mine.toml, "again").sha256 == mine.sha256, "its text is whole"
+    measured = load_robot("frog2022-measured")
+    assert measured.id == ROBOT.id and len(measured.effects) > 5
+    for base, says in (("frog2021", "did you mean 'frog2022'"), ("frog2022-measured", "has a base itself")):
+        file.write_text(f'base = "{base}"\n')
+        with pytest.raises(InputError, match=says):
+            load_robot(file)

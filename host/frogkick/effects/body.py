@@ -24,12 +24,12 @@ class Hull(Effect):
     """A body with height and corners takes more water along, and its limbs push more, than a flat model's."""
 
     name = "hull"
-    about = "mass with the water taken along, where it sits, drag of the frame and of the limbs, times factors"
+    about = "mass with the water taken along and where it sits, drag of frame and limbs, times factors"
     shown_by = "surge, turn and glide of all strokes together"
     together = True
     parameters = (
         Parameter("mass", "1", 0.2, 6.0, 1.0, "factor on the frame's mass in motion"),
-        Parameter("centre_share", "1", 0.0, 0.97, 0.0, "share of that mass at the centre, not on the outline"),
+        Parameter("centre_share", "1", 0.0, 0.97, 0.0, "share of that mass at the centre"),
         Parameter("frame_drag", "1", 0.05, 4.0, 1.0, "factor on the frame's drag coefficients"),
         Parameter("limb_drag", "1", 0.2, 12.0, 1.0, "factor on the limbs' drag coefficients"),
     )

@@ -18,10 +18,12 @@ from frogkick.files import write_text
 from frogkick.identify.filter import Noise
 from frogkick.identify.fit import Fitted, Model, tracks_of
 from frogkick.identify.predict import Track
-from frogkick.identify.search import Found, search
+from frogkick.identify.relatives import end_cost, refitted, relatives
+from frogkick.identify.search import GAIN_EACH, Found, countable, search
 from frogkick.identify.swim import Swim, copies
 from frogkick.identify.terms import Term, catalogue
 from frogkick.identify.verdict import (
+    FOUND,
     TOO_LITTLE,
     Error,
     Interval,
@@ -35,6 +37,11 @@ from frogkick.identify.verdict import (
 from frogkick.paths import wrap_angle
 from frogkick.robot import Robot
 from frogkick.robot.toml_text import to_toml
+
+Progress = Callable[[str, int, int], None]
+
+SEARCHED_MOST = 200
+"""Periods from which on a measured relative that explains much is not held against a whole search."""
 
 PERIODS_LEAST = 20
 ACTIONS_LEAST = 2
@@ -132,7 +139,7 @@ def identify(
     test: Sequence[Swim],
     robot: Robot,
     own: Path | None = None,
-    progress: Callable[[str, int, int], None] = lambda _what, _done, _whole: None,
+    progress: Progress = lambda _what, _done, _whole: None,
 ) -> Outcome:
     """Find what a robot's model lacks from some runs, and predict others with and without it.
 
@@ -148,7 +155,7 @@ def identify(
     reason = too_little(train)
     if reason:
         return _only_predicted(train, test, robot, reason)
-    found = search(train, robot, candidates, progress)
+    found = _found(train, robot, candidates, progress)
     trained = _scored(found.nominal, found.fitted, found.nominal.tracks, found.fitted.tracks, train)
     nominal_tracks, tracks = tracks_of([found.nominal.model, found.fitted.model], test)
     tested = _scored(found.nominal, found.fitted, nominal_tracks, tracks, test)
@@ -165,6 +172,30 @@ def identify(
         tracks=tracks,
         signature=signature(found.fitted, found.rows, train),
     )
+
+
+def _found(train: Sequence[Swim], robot: Robot, candidates: Sequence[Term], progress: Progress) -> Found:
+    """Effects of a robot of the same body that was measured before, fitted to these runs; or a search's."""
+    known = relatives(robot)
+    if known:
+        _, rows, nominal = countable(train, robot)
+        fits = []
+        for done, terms in enumerate(known.values()):
+            progress("measured robots", done, len(known))
+            fits.append(refitted(nominal, terms, train, rows))
+        taken = [each for each in fits if each is not None]
+        best = min(taken, key=lambda fitted: end_cost(fitted.tracks, train), default=None)
+        if best is not None:
+            relative = Found(nominal, best, [], rows, [[] for _ in best.model.terms])
+            errors = _scored(nominal, best, nominal.tracks, best.tracks, train).errors
+            if int(rows.sum()) > SEARCHED_MOST or verdict_of(relative, errors) == FOUND:
+                return relative
+            # Few runs: what was planted in a simulated pool may look like a relative from afar.
+            found = search(train, robot, candidates, progress)
+            dear = GAIN_EACH * (len(best.model.values) - len(best.model.held))
+            searched = end_cost(found.fitted.tracks, train)
+            return relative if end_cost(best.tracks, train) + dear < searched else found
+    return search(train, robot, candidates, progress)
 
 
 def _only_predicted(train: Sequence[Swim], test: Sequence[Swim], robot: Robot, reason: str) -> Outcome:

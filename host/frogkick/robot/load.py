@@ -64,11 +64,12 @@ def parse_robot(content: str, source: str, folder: Path | None = None) -> Robot:
         InputError: see load_robot.
     """
     table = _parse_toml(content, source)
+    table, profiles = _on_base(table, source, folder)
     name = table.pop("profiles_file", None)
     if name is not None:
-        if not isinstance(name, str) or folder is None or "profile" in table:
+        if not isinstance(name, str) or profiles is None or "profile" in table:
             raise InputError(f"{source}: profiles_file needs a file name, a folder and no [[profile]]")
-        file = existing_file(folder / name, "profiles file")
+        file = existing_file(profiles / name, "profiles file")
         table["profile"] = _parse_toml(file.read_text(encoding="utf-8"), str(name)).get("profile", [])
     default = table.pop("limb_default", {})
     limbs = table.get("limb")
@@ -81,6 +82,30 @@ def parse_robot(content: str, source: str, folder: Path | None = None) -> Robot:
     except ValidationError as error:
         raise InputError(f"{source}: {_first_error(error)}") from None
     return _robot(file_model, source, folder)
+
+
+def _on_base(
+    table: dict[str, Any], source: str, folder: Path | None
+) -> tuple[dict[str, Any], Path | None]:
+    """A file's keys on top of those of its ``base``, a built-in robot, and where its profiles are.
+
+    Raises:
+        InputError: no such robot, or one with a base itself.
+    """
+    base = table.pop("base", None)
+    if base is None:
+        return table, folder
+    if base not in built_in_robots():
+        known = built_in_robots()
+        hint = nearest_name(str(base), known)
+        raise InputError(f"{source}: base is {base!r}{hint}: give one of {', '.join(known)}")
+    below = _parse_toml((BUILT_IN / f"{base}.toml").read_text(encoding="utf-8"), str(base))
+    if "base" in below:
+        raise InputError(f"{source}: base {base!r} has a base itself: give {below['base']!r}")
+    if "profiles_file" in table or "profile" in table:
+        below.pop("profiles_file", None)
+        return {**below, **table}, folder
+    return {**below, **table}, BUILT_IN
 
 
 def _parse_toml(content: str, source: str) -> dict[str, Any]:

@@ -1,0 +1,61 @@
+"""Many effects fitted at once, from a robot that was measured before."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from made import make_swim, robot
+
+from frogkick.identify import relatives as module
+from frogkick.identify.fit import tracks_of
+from frogkick.identify.relatives import refitted, relatives
+from frogkick.identify.search import countable
+from frogkick.identify.swim import read_swim
+from frogkick.identify.terms import catalogue
+from frogkick.identify.verdict import error_of, gaps
+from frogkick.robot import load_robot
+
+GENERIC = {
+    "hull": (1.5, 0.85, 0.5, 4.0),
+    "limb_mount front": (30.0,),
+    "limb_mount rear": (30.0,),
+    "limb_fatigue front": (0.1, 2.0),
+    "munk_moment": (0.1,),
+}
+"""Rough values, from which no run's own are told."""
+
+
+def test_a_robot_measured_before_is_a_relative_of_its_own_body_alone() -> None:
+    found = relatives(load_robot("frog2022"))
+    assert set(found) == {"frog2022-measured"}
+    assert {"hull", "munk_moment"} <= {term.name for term in found["frog2022-measured"]}
+    assert relatives(load_robot("hexapod")) == {}
+    alone = {term.name for term in catalogue(load_robot("frog2022"))}
+    assert not {"hull", "limb_mount", "limb_fatigue", "munk_moment"} & alone, "told together only"
+
+
+def test_a_robot_that_swims_as_drawn_is_no_relative() -> None:
+    swims = [make_swim([], seed, 14) for seed in (3, 4)]
+    _, rows, nominal = countable(swims, robot())
+    assert refitted(nominal, relatives(load_robot("frog2022"))["frog2022-measured"], swims, rows) is None
+
+
+def test_effects_fitted_to_recorded_runs_predict_another_one(
+    frog2022_dir: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Three short runs to learn from, two steps from rough values; one run that was kept out."""
+    monkeypatch.setattr(module, "ROUNDS", 2)
+    model = load_robot("frog2022")
+    train = [read_swim(frog2022_dir / "control" / f"{name}.csv", model) for name in ("line1", "sin1", "sin3")]
+    test = [read_swim(frog2022_dir / "control" / "ellipse5.csv", model)]
+    _, rows, nominal = countable(train, model)
+    start = [term.at(GENERIC.get(term.title, term.values)) for term in relatives(model)["frog2022-measured"]]
+    fitted = refitted(nominal, start, train, rows)
+    assert fitted is not None
+    after, before = (
+        error_of(gaps(tracks, test)) for tracks in tracks_of([fitted.model, nominal.model], test)
+    )
+    assert before.heading_rmse_rad > np.radians(6.0) and before.position_rmse_m > 0.007
+    assert after.heading_rmse_rad < np.radians(4.5) and after.position_rmse_m < 0.006

@@ -56,7 +56,7 @@ HOLD = 8.0
 NEAR = 60.0
 """A value put back that costs more than this at first is not worth another fit."""
 
-ALIKE = 10.0
+ALIKE = 15.0
 """Effects whose gains differ by less cannot be told apart."""
 
 REFINING_LEG_S, REFINING_ROUNDS = 0.06, 2
@@ -175,6 +175,8 @@ def search(
         turns.append(tried)
         if taken is None:
             break
+    if len(current.model.terms) > 1:
+        current = hunt.sparer(current, whole=True)  # what the first effect stood in for has come since
     progress("effects", MOST, MOST)
     return Found(nominal, current, turns, rows, alike, columns)
 
@@ -323,17 +325,18 @@ class _Hunt:
                 fitted = wider if wider.cost < fitted.cost - HOLD else fitted
         return fitted
 
-    def sparer(self, fitted: Fitted) -> Fitted:
-        """The same with each parameter of its last term put back to where it vanishes, if that does no worse.
+    def sparer(self, fitted: Fitted, whole: bool = False) -> Fitted:
+        """The same with parameters of its last term, or of all, put back to nominal if that does no worse.
 
         Simulated and not judged by derivatives: how a stroke's delay acts ripples with the frame's swing.
         """
         while True:
-            model, tries = fitted.model, list[Model]()
-            first, newest = len(model.values) - len(model.terms[-1].values), model.terms[-1]
-            free = [k for k in range(len(newest.values)) if first + k not in model.held]
-            if len(free) > 1:
-                tries = [_held_at(fitted, first + k, newest.parameters[k].nominal) for k in free]
+            model, tries, first = fitted.model, list[Model](), 0
+            for number, term in enumerate(model.terms, 1):
+                free = [k for k in range(len(term.values)) if first + k not in model.held]
+                if len(free) > 1 and (whole or number == len(model.terms)):
+                    tries += [_held_at(fitted, first + k, term.parameters[k].nominal) for k in free]
+                first += len(term.values)
             if not tries:
                 return fitted
             every = tracks_of(tries, self.swims)

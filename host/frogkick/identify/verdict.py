@@ -33,6 +33,9 @@ INEXACT = 0.03
 
 CONFIDENCE = 0.95
 
+WIDER = 1.3
+"""Intervals over those of independent periods and straight derivatives: by that planted values are inside."""
+
 
 RHYTHMS, RHYTHM_LEAST = 24, 16
 """Periods of time that are tried on what is left, and misses that this needs."""
@@ -130,7 +133,9 @@ def intervals(fitted: Fitted) -> list[list[Interval]]:
         row = []
         for k, (parameter, value) in enumerate(zip(term.parameters, term.values, strict=True)):
             # Simulations with coarser steps here than in the pool: half a percent of the range is not known.
-            reach = float(np.hypot(wide * deviation[first + k], 0.005 * (parameter.high - parameter.low)))
+            reach = float(
+                np.hypot(WIDER * wide * deviation[first + k], 0.005 * (parameter.high - parameter.low))
+            )
             row.append(
                 Interval(
                     parameter.name,

@@ -16,7 +16,7 @@ def verdicts_figure(results: Mapping[Case, Result]) -> Figure:
     names = list(dict.fromkeys(case.kind for case in results))
     place = np.arange(len(names))[::-1]
     with style.styled():
-        figure = Figure(figsize=(11.0, 1.6 + 0.28 * len(names)), layout="constrained")
+        figure = Figure(figsize=(11.0, 2.2 + 0.28 * len(names)), layout="constrained")
         left, right = figure.subplots(1, 2, sharey=True)
         for at, name in zip(place, names, strict=True):
             some = [result for case, result in results.items() if case.kind == name]
@@ -43,10 +43,11 @@ def verdicts_figure(results: Mapping[Case, Result]) -> Figure:
         left.set_yticks(place, names)
         left.set_xlabel("of the cases, % (white: how many)")
         left.set_title("Verdicts")
-        left.legend(loc="lower right")
+        left.legend(loc="upper center", bbox_to_anchor=(0.5, -0.6 / figure.get_figheight()), ncols=2)
         right.axvline(1.0, color=style.ALARM, linestyle="--", linewidth=0.8)
         right.set_xscale("log")
         right.set_xlabel("position missed a period ahead, over the noise floor (test runs)")
         right.set_title("Errors before and after")
-        right.legend(loc="lower right")
+        right.set_xlim(0.5, None)
+        right.legend(loc="upper center", bbox_to_anchor=(0.5, -0.6 / figure.get_figheight()), ncols=2)
     return figure

@@ -14,6 +14,7 @@ from frogkick.cli import (
     library,
     parity,
     replay,
+    retune,
     robot,
     run,
     simulate,
@@ -30,7 +31,9 @@ app = typer.Typer(
     no_args_is_help=True,
     add_completion=False,
 )
-for _module in (demo, doctor, simulate, sweep, validate, codegen, run, replay, parity, importing, identify):
+for _module in (
+    demo, doctor, simulate, sweep, validate, codegen, run, replay, parity, importing, identify, retune,
+):  # fmt: skip
     _module.register(app)
 app.add_typer(robot.app, name="robot")
 app.add_typer(library.app, name="library")

@@ -1,0 +1,132 @@
+"""``frogkick retune``: tables that know what has changed in a robot, from its last runs."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import typer
+from numpy.typing import NDArray
+
+from frogkick.cli.common import JsonOption, SeedOption, progress_bar, require_writable, show, stderr
+from frogkick.cli.places import robot_of_table
+from frogkick.errors import InputError
+from frogkick.identify.retune import Retuned, Stage, require_new, retune
+from frogkick.identify.swim import read_swim
+from frogkick.library import build_library, fit_table, read_library
+from frogkick.library.error import looked_up
+from frogkick.library.fitting import WHOLE_MIN
+from frogkick.planner.image import open_image, read_image
+from frogkick.robot import Robot, load_robot
+from frogkick_codegen.firmware import build as build_firmware
+
+STATES = 800
+SAMPLING = "visited"
+KIND = "affine"
+
+
+@dataclass(frozen=True)
+class _Tools:
+    """Tables of so many states by so many processes; see frogkick.identify.retune.Tools."""
+
+    count: int
+    seed: int
+    workers: int
+
+    def tables(self, robot: Robot, library: Path, stage: Stage) -> bytes:
+        with stage(f"library of {self.count} states") as progress:
+            build_library(
+                robot, self.count, self.seed, self.workers, library, progress, SAMPLING, record_s=0.0
+            )
+        with stage("tables tried") as progress:
+            return fit_table(read_library(library), KIND, progress=progress).image
+
+    def states(self, image: bytes) -> int:
+        return len(open_image(image).states)
+
+    def looked_up(
+        self, image: bytes, velocity_body: NDArray[np.float64], previous: NDArray[np.int64]
+    ) -> NDArray[np.float64]:
+        return looked_up(open_image(image), velocity_body, previous)
+
+    def firmware(self, tables: Path, robot: Robot, out: Path) -> Mapping[str, Any]:
+        built = build_firmware("bench", tables, robot, out)
+        return {"image": built.image.name, "flash_bytes": built.flash_bytes, "ram_bytes": built.ram_bytes}
+
+
+def command(
+    runs: Annotated[
+        list[Path],
+        typer.Argument(help="The robot's last runs: logs, or recorded runs (.csv). Last: to judge."),
+    ],
+    robot: Annotated[str, typer.Option(help="Robot TOML or name that its tables were made from.")],
+    out: Annotated[Path, typer.Option(help="New folder for robot, library, tables and firmware.")],
+    tables: Annotated[
+        Path | None,
+        typer.Option(help="Table image that it carries (.fkt), to compare with; default: made from --robot."),
+    ] = None,
+    states: Annotated[
+        int, typer.Option(min=WHOLE_MIN, max=65535, help="States of the libraries that are simulated.")
+    ] = STATES,
+    workers: Annotated[int, typer.Option(min=0, max=256, help="Processes; 0 = one for each core.")] = 0,
+    push: Annotated[
+        str | None, typer.Option(metavar="TARGET", help="Send the tables to a robot: not possible yet.")
+    ] = None,
+    seed: SeedOption = 0,
+    json: JsonOption = False,
+) -> None:
+    """Make a worn robot new tables. Exit 1 where they are no better on held-out periods or runs too short."""
+    if push is not None:
+        raise InputError(
+            f"--push {push!r}: tables cannot be sent over the link yet; leave --push out and flash the image "
+            "in OUT/firmware (or make it with 'frogkick firmware build --tables OUT/tables.fkt')"
+        )
+    require_writable(out, folder=True)
+    require_new(out)
+    described = load_robot(robot)
+    swims = [read_swim(path, described) for path in runs]
+    old = None
+    if tables is not None:
+        opened = read_image(tables)
+        robot_of_table(tables, robot)
+        if opened.period_us != round(described.period_s * 1e6):
+            raise InputError(
+                f"table {tables.name!r} has a period of {opened.period_us * 1e-6:.3f} s, robot "
+                f"{described.id!r} {described.period_s:.3f} s: give the robot's own"
+            )
+        old = opened.image
+    tools = _Tools(states, seed, workers or os.cpu_count() or 1)
+    result = retune(swims, described, out, tools, progress_bar, old)
+    show({**result.as_json(), "out": str(out) if result.tables else None}, json, _text(result, out))
+    if result.reason and not result.done:
+        stderr.print(f"frogkick: {result.reason}", markup=False, highlight=False, soft_wrap=True)
+    if not result.done:
+        raise typer.Exit(1)
+
+
+def _text(result: Retuned, out: Path) -> str:
+    lines = [f"verdict: {result.outcome.verdict}", f"held out: {result.held_out}"]
+    for term, row in zip(result.outcome.terms, result.outcome.parameters, strict=True):
+        values = ", ".join(f"{p.name} {p.value:.4g} [{p.low:.4g}, {p.high:.4g}] {p.unit}" for p in row)
+        lines.append(f"effect {term.title}: {values}")
+    for name, error in (("old", result.before), ("new", result.after)):
+        if error.count:
+            lines.append(
+                f"{name} tables: {1e3 * error.position_rmse_m:.2f} mm, "
+                f"{np.degrees(error.heading_rmse_rad):.2f} deg RMS a period ahead ({error.count} periods)"
+            )
+    if result.done and result.reason:
+        lines.append(result.reason)
+    if result.better and result.tables is not None:
+        lines.append(f"new tables: {result.tables['file']}, firmware: {out / 'firmware'}")
+        lines.append(f"old tables, to go back to: {out / 'before.fkt'}")
+    return "\n".join(lines)
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command."""
+    app.command(name="retune")(command)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import zlib
 from typing import Any
 
 import numpy as np
@@ -13,7 +12,6 @@ from tests.codegen.planner_c import FFI, config_of, library, path_of, state_of
 from tests.conftest import count
 from tests.planner import synthetic
 
-from frogkick.planner import floats
 from frogkick.planner.image import open_image
 from frogkick.planner.plan import Cost, PlanConfig, plan_batch
 
@@ -367,99 +365,3 @@ def test_a_robot_at_its_look_ahead_has_no_direction_to_take() -> None:
     (told,) = c_plan(STILL, Points(POINTS), config, states, use, along)
     assert np.frombuffer(told["cost"], np.float32)[0] == 0.0
     assert [told] == twin_plan(STILL, Points(POINTS), config, states, use, along)
-
-
-def test_of_equally_near_rows_the_lowest_answers_wherever_the_tree_finds_it() -> None:
-    tables = synthetic.grid_tables(states=300)
-    rng = np.random.default_rng(14)
-    low, high = tables.states.min(axis=0) - 900, tables.states.max(axis=0) + 900
-    codes = rng.integers(low, high, (count(1000, 20_000), 3))
-    codes[::2] = codes[::2] // 400 * 400
-    distance2 = ((tables.states.astype(np.int64)[None] - codes[:, None]) ** 2).sum(axis=2)
-    assert ((distance2 == distance2.min(axis=1, keepdims=True)).sum(axis=1) > 1).sum() > 100
-    pointer, from_, found = (
-        planner_c.opened(tables.image),
-        FFI.new("fk_dynamics_t *"),
-        FFI.new("fk_lookup_t *"),
-    )
-    for code, row in zip(codes.tolist(), distance2.argmin(axis=1).tolist(), strict=True):
-        from_.velocity_code = code
-        library().fk_lookup(pointer.pointer, from_, found)
-        assert found.row == row
-
-
-@pytest.mark.parametrize("states", [1, 3, 5, 7, 21])
-def test_what_lies_behind_the_last_row_is_no_row(states: int) -> None:
-    """Rows are read in pairs: asked for exactly the bytes behind an odd last row, a real row answers."""
-    image = synthetic.image(states, 2)
-    tables = open_image(image)
-    behind = tables.sections.states + 6 * states
-    codes = np.clip(np.frombuffer(image[behind : behind + 6], "<i2").astype(np.int64), -16383, 16383)
-    distance2 = ((tables.states.astype(np.int64) - codes) ** 2).sum(axis=1)
-    from_, found = FFI.new("fk_dynamics_t *"), FFI.new("fk_lookup_t *")
-    from_.velocity_code = codes.tolist()
-    opened = planner_c.opened(image)
-    library().fk_lookup(opened.pointer, from_, found)
-    assert found.row == distance2.argmin()
-
-
-def test_the_nearest_point_is_the_lowest_of_equal_ones() -> None:
-    path = path_of([(1.0, 0.0, 0.0), (0.0, 0.0, 0.0), (2.0, 0.0, 0.0), (0.0, 0.0, 0.0)])
-    distance2 = FFI.new("float *")
-    assert library().fk_path_nearest(path, 0.0, 3.0, distance2) == 1
-    assert distance2[0] == 9.0
-    assert library().fk_path_nearest(path, 1.5, 0.0, FFI.NULL) == 0
-
-
-@pytest.mark.parametrize("flush", [0, 1])
-def test_a_processor_that_breaks_a_float_rule_opens_no_table(flush: int) -> None:
-    image, tables = FFI.new("uint8_t[]", NEAREST), FFI.new("fk_tables_t *")
-    before = bytes(FFI.buffer(tables))
-    status = library().fk_test_open_spoiled(image, len(NEAREST), flush, tables)
-    assert status == CODES["FLOAT_RULES"]
-    assert bytes(FFI.buffer(tables)) == before
-    assert library().fk_tables_open(image, len(NEAREST), tables) == 0
-
-
-def test_angles_are_wrapped_at_every_half_turn_as_in_the_twin() -> None:
-    """Around odd multiples of pi, where the quotient's rounding may choose either turn."""
-    odd = np.arange(-667, 668, 2) * np.pi
-    near = np.concatenate([odd + off for off in (-2e-4, -6e-5, -2e-5, 0.0, 2e-5, 6e-5, 2e-4)])
-    angles = np.concatenate([near, [0.0, -0.0, np.pi, -np.pi, 2100.0, -2100.0, 2100.5, NAN, INFINITY]])
-    for angle in angles.astype(np.float32):
-        native = np.float32(library().fk_wrap_angle(float(angle)))
-        twin = np.float32(floats.wrap_angle(angle))
-        assert native.tobytes() == twin.tobytes() or (np.isnan(native) and np.isnan(twin)), angle
-        if not np.isnan(native):
-            assert -np.float32(np.pi) < native <= np.float32(np.pi)
-
-
-def test_no_angle_at_all_is_wrapped_beyond_half_a_turn() -> None:
-    """Every float32 from FK_PI to FK_ANGLE_MAX_RAD, of both signs; in the counted build every thousandth."""
-    step = 1009 if planner_c.COVERAGE_DIR else 1
-    assert library().fk_test_wrapped_wrong(step) == 0
-
-
-def test_a_velocity_is_turned_into_the_body_frame() -> None:
-    forward, left = FFI.new("float *"), FFI.new("float *")
-    for heading_rad in (-3.0, -1.6, -0.4, 0.0, 0.8, 1.6, 2.4, 700.0):
-        library().fk_velocity_to_body(heading_rad, 0.3, -0.2, forward, left)
-        cosine, sine = np.cos(np.float32(heading_rad)), np.sin(np.float32(heading_rad))
-        assert forward[0] == pytest.approx(cosine * 0.3 - sine * 0.2, abs=1e-6)
-        assert left[0] == pytest.approx(-cosine * 0.2 - sine * 0.3, abs=1e-6)
-    library().fk_velocity_to_body(3000.0, 0.3, -0.2, forward, left)
-    assert np.isnan(forward[0])
-    assert np.isnan(left[0])
-
-
-def test_floats_that_are_not_finite_are_told() -> None:
-    for value in (0.0, -0.0, 3.4e38, -3.4e38, 1e-45):
-        assert library().fk_float_is_not_finite(value) == 0
-    for value in (NAN, -NAN, INFINITY, -INFINITY):
-        assert library().fk_float_is_not_finite(value) == 1
-
-
-def test_the_crc_is_zlib_s_and_takes_nothing_of_nothing() -> None:
-    assert library().fk_crc32(0, FFI.NULL, 0) == 0
-    part = library().fk_crc32(0, NEAREST, 100)
-    assert library().fk_crc32(part, NEAREST[100:], len(NEAREST) - 100) == zlib.crc32(NEAREST)

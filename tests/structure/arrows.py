@@ -26,7 +26,19 @@ ARROWS: Mapping[str, frozenset[str]] = {
     "loop": frozenset({"robot", "effects", "planner", "paths", "link", "pool"}),
     "identify": frozenset({"robot", "der", "effects", "paths", "loop"}),
     "study": frozenset(
-        {"robot", "der", "effects", "library", "planner", "paths", "link", "pool", "loop", CODEGEN}
+        {
+            "robot",
+            "der",
+            "effects",
+            "library",
+            "planner",
+            "paths",
+            "link",
+            "pool",
+            "loop",
+            "identify",
+            CODEGEN,
+        }
     ),
     "report": frozenset(
         {

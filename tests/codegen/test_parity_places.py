@@ -116,6 +116,18 @@ def test_a_whole_loop_is_the_same_everywhere(built: Built, config: str, depth: i
         assert call_mismatches(loop, live_on_chip(built.bench, loop.calls)) == []
 
 
+@pytest.mark.parametrize("built", ["affine"], indirect=True)
+def test_a_run_started_again_after_its_fixes_were_lost_begins_at_the_path_s_start(built: Built) -> None:
+    settings = dataclasses.replace(CONFIGS["route"], depth=1)
+    loop = loop_of(built, settings, decisions=40)
+    assert any(event.lost for event in loop.events)
+    assert twin_mismatches(loop, built.tables, PATH, settings) == []
+    # Who is not told of the lost run seeks its place near the one before.
+    untold = dataclasses.replace(loop, events=[event for event in loop.events if not event.lost])
+    fields = {name for _, names in twin_mismatches(untold, built.tables, PATH, settings) for name in names}
+    assert "along_points" in fields
+
+
 def test_a_loop_has_what_makes_estimates_hard(built: Built) -> None:
     loop = loop_of(built, PlanConfig())
     frames = FrameCollector().feed(b"".join(call.stream for call in loop.calls))

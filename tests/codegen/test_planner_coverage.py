@@ -15,7 +15,7 @@ from tests.conftest import REPOSITORY
 
 from frogkick_codegen.native import PLANNER_SOURCES
 
-TESTS = ("test_planner_c.py", "test_tables_open.py")
+TESTS = ("test_planner_c.py", "test_planner_parts.py", "test_planner_rest.py", "test_tables_open.py")
 AT_RANDOM = "not same_images and not any_change and not same_break"
 """Cases made on purpose count; thousands made at random do not."""
 HEADERS = ("fk_route.h", "fk_trig.h", "fk_internal.h")

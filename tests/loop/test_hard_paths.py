@@ -26,6 +26,9 @@ def polyline(*points_m: tuple[float, float]) -> Path:
     return from_waypoints(points_m, smooth=False, points=40)
 
 
+STRAIGHT = polyline((0.0, 0.0), (0.5, 0.0))
+
+
 def swim(
     path: Path, start: tuple[float, float, float], onboard: bool = True
 ) -> tuple[Recording, np.ndarray, np.ndarray]:
@@ -42,16 +45,20 @@ def swim(
     [
         (polyline((0.4, 0.1), (0.8, 0.1)), (0.0, 0.0, 0.0)),  # seven reaches ahead, and beside
         (polyline((0.0, 0.0), (0.4, 0.0)), (0.0, 0.1, 0.0)),  # nearly two reaches beside
-        (polyline((0.0, 0.0), (0.5, 0.0)), (0.0, 0.0, math.radians(45.0))),
+        (STRAIGHT, (0.0, 0.0, math.radians(45.0))),
+        (STRAIGHT, (0.0, 0.0, math.radians(90.0))),
+        (STRAIGHT, (0.0, 0.0, math.radians(-90.0))),
+        (polyline((0.0, 0.0), (-0.4, 0.0)), (0.0, 0.0, 0.0)),
     ],
-    ids=["far ahead", "beside", "askew"],
+    ids=["far ahead", "beside", "askew", "across", "across to the right", "behind"],
 )
 def test_a_path_that_can_be_reached_is_reached_and_followed(
     path: Path, start: tuple[float, float, float]
 ) -> None:
     recording, distance_m, pose = swim(path, start)
     assert (recording.completed, recording.ended) == (True, End.COMPLETED.value)
-    assert max(distance_m[0], abs(start[2])) > 0.09, "it is not on its way from the start"
+    askew_rad = abs(math.remainder(start[2] - float(path.tangent_rad[0]), 2.0 * math.pi))
+    assert max(distance_m[0], askew_rad) > 0.09, "it is not on its way from the start"
     assert distance_m[-3:].max() < 0.5 * REACH_M
     assert math.dist(pose[:2], path.points_m[-1]) < REACH_M
     assert recording.end_s < 0.5 * LIMIT_S
@@ -60,20 +67,35 @@ def test_a_path_that_can_be_reached_is_reached_and_followed(
 @pytest.mark.parametrize(
     ("path", "start"),
     [
-        (polyline((0.0, 0.0), (-0.4, 0.0)), (0.0, 0.0, 0.0)),
+        (STRAIGHT, (0.0, 0.0, math.radians(135.0))),
         (polyline((0.0, 0.0), (0.2, 0.0)), (0.4, 0.0, 0.0)),
         (polyline((0.0, 0.0), (0.1, 0.0), (0.1, 0.05), (0.0, 0.05), (0.0, 0.1), (0.1, 0.1)), (0.0, 0.0, 0.0)),
     ],
-    ids=["behind", "already passed", "too tight"],
+    ids=["turned away", "already passed", "too tight"],
 )
-def test_where_no_motion_helps_the_robot_rests_and_gives_up(
+def test_a_path_beyond_the_robot_is_tried_and_its_end_told_as_it_was(
     path: Path, start: tuple[float, float, float]
 ) -> None:
     recording, _, pose = swim(path, start)
+    actions = [decision.action for decision in recording.decisions]
+    assert actions[0] != RESTING and actions.count(RESTING) < 0.5 * len(actions)
+    turned_rad = [abs(math.remainder(d.estimate[2] - start[2], 2.0 * math.pi)) for d in recording.decisions]
+    assert max(turned_rad) > 0.5 * math.pi, "it turns round"
+    assert recording.ended in {end.value for end in End} and recording.end_s < LIMIT_S
+    is_there = math.dist(pose[:2], path.points_m[-1]) < 1.5 * REACH_M
+    assert recording.completed is is_there is (recording.ended == End.COMPLETED.value)
+
+
+def test_a_robot_that_cannot_move_gives_up() -> None:
+    """Its limbs are dead: no decision gets it any further."""
+    port = rig.port("pool")
+    pool = Pool(rig.robot(), (0.0, 0.0, 0.0), Camera(), np.random.default_rng(0))
+    pool.heat = lambda limb, time_s: None  # type: ignore[method-assign]
+    options = RunOptions(robot_plan_config(rig.robot()), True, LIMIT_S)
+    recording = run_in_pool(port, pool, rig.tables(), STRAIGHT, options)
     assert (recording.completed, recording.ended) == (False, End.STALLED.value)
     assert len(recording.decisions) == IDLE_DECISIONS_MAX + 1
-    assert {decision.action for decision in recording.decisions} == {RESTING} and not recording.edges
-    assert math.dist(pose[:2], start[:2]) < 2e-3
+    assert math.dist(pool.state()[0][:2], (0.0, 0.0)) < 2e-3
 
 
 def test_a_circle_much_smaller_than_the_robot_ends_before_the_time_does() -> None:

@@ -10,6 +10,7 @@
 #define FK_ROUTE_BEHIND 2U        /* knots behind the one where the route begins */
 #define FK_ROUTE_KNOTS_MAX 80U
 #define FK_ROUTE_REACH_MIN_M 1e-4f
+#define FK_ROUTE_STILL_RAD 0.125f /* 7 degrees in a period: far beyond what noise makes of rest */
 
 /* A place of the route and its direction there. */
 typedef struct {
@@ -51,6 +52,10 @@ void fk_route_foot(const fk_path_t *path, float reach_m, float along_points, flo
 /* Lay out the knots from a foot on, for a search of some levels. */
 void fk_route_lay_out(const fk_path_t *path, const fk_plan_config_t *config, float reach_m, const fk_foot_t *foot,
                       fk_route_t *route);
+
+/* 1 where a state moves so little that a period of it counts for nothing: not by a step between knots, and not
+ * turned by FK_ROUTE_STILL_RAD. */
+int32_t fk_route_is_still(const fk_tables_t *tables, const fk_route_t *route, const fk_state_t *state);
 
 /* Length that scales a route: the table's reach, but not nothing. */
 float fk_route_reach(const fk_tables_t *tables);

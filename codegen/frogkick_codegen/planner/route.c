@@ -170,3 +170,16 @@ void fk_route_lay_out(const fk_path_t *path, const fk_plan_config_t *config, flo
     route->last = count - 1U;
     route->ahead = (foot->held != 0U) ? 0U : FK_ROUTE_AHEAD;
 }
+
+int32_t fk_route_is_still(const fk_tables_t *tables, const fk_route_t *route, const fk_state_t *state)
+{
+    const float period_s = (float)tables->period_us * 1e-6f;
+    const float speed2 = state->vx_mps * state->vx_mps + state->vy_mps * state->vy_mps;
+    const float turn_rad = state->omega_rad_s * period_s;
+
+    /* Speeds may be of any size: an infinite product is not still. */
+    return ((speed2 * (period_s * period_s) <= route->step_m * route->step_m) && (turn_rad <= FK_ROUTE_STILL_RAD)
+            && (turn_rad >= -FK_ROUTE_STILL_RAD))
+             ? 1
+             : 0;
+}

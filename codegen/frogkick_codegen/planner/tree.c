@@ -27,6 +27,7 @@ typedef struct {
     float level_factor[FK_DEPTH_MAX];   /* paper: of each level of the search under way */
     float best_cost;                    /* of the search under way */
     uint32_t best_action;
+    uint32_t left_out;                  /* first actions that are not tried, a bit each */
     uint32_t transitions;
     uint32_t levels;                    /* of the search under way */
 } fk_search_t;
@@ -191,22 +192,53 @@ static void fk_search_begin(fk_search_t *search, uint32_t levels)
     }
 }
 
-/* The order in which a deeper level tries the first actions: the best so far, then by their cost at level 1, the
- * lowest on ties. */
-static void fk_search_order(const fk_search_t *search, uint32_t best_action, uint8_t order[FK_ACTIONS_MAX])
+/* First actions that are not tried: with the route cost those that fire nothing, where the robot hardly moves. To
+ * rest from rest changes nothing, so the next decision would be the same one and the robot would rest for ever. Where
+ * nothing else is in the table they stay. */
+static uint32_t fk_left_out(const fk_search_t *search, const fk_state_t *state)
 {
+    const uint8_t *row = search->tables->action_rows; /* name, first mask, second mask, 0 */
+    uint32_t left_out = 0U;
+    uint32_t firing = 0U;
+    uint32_t action;
+
+    if ((search->config->cost != (uint8_t)FK_COST_ROUTE)
+        || (fk_route_is_still(search->tables, &search->route, state) == 0)) {
+        return 0U;
+    }
+    for (action = 0U; action < search->tables->actions; action++) {
+        if (((uint32_t)row[1] | (uint32_t)row[2]) != 0U) {
+            firing = 1U;
+        } else {
+            left_out |= 1U << action; /* < FK_ACTIONS_MAX = 32 */
+        }
+        row += 4;
+    }
+    return (firing != 0U) ? left_out : 0U;
+}
+
+/* The order in which a deeper level tries the first actions: the best so far, then by their cost at level 1, the
+ * lowest on ties. How many they are. */
+static uint32_t fk_search_order(const fk_search_t *search, uint32_t best_action, uint8_t order[FK_ACTIONS_MAX])
+{
+    uint32_t firsts = 0U;
     uint32_t count;
 
     for (count = 0U; count < search->tables->actions; count++) {
-        uint32_t place = count;
+        uint32_t place = firsts;
 
+        if (((search->left_out >> count) & 1U) != 0U) {
+            continue;
+        }
         while ((place > 0U) && (order[place - 1U] != best_action)
                && ((count == best_action) || (search->shallow_cost[count] < search->shallow_cost[order[place - 1U]]))) {
             order[place] = order[place - 1U];
             place -= 1U;
         }
         order[place] = (uint8_t)count; /* < FK_ACTIONS_MAX */
+        firsts += 1U;
     }
+    return firsts;
 }
 
 /* The level to search after the first one: the next, or at once the last where nothing can cut that. */
@@ -242,7 +274,8 @@ static void fk_search_keep(fk_search_t *search, uint32_t first_action, fk_plan_t
 
 /* Search the tree, first actions in some order: 1 where it has to stop before its end. A level that is cut still
  * counts if the first one in order is finished; level 1 is always finished. */
-FK_CACHE_ALIGNED static int32_t fk_search_tree(fk_search_t *search, const uint8_t order[FK_ACTIONS_MAX], fk_plan_t *plan)
+FK_CACHE_ALIGNED static int32_t fk_search_tree(fk_search_t *search, const uint8_t order[FK_ACTIONS_MAX],
+                                               uint32_t firsts, fk_plan_t *plan)
 {
     const uint32_t limit = (search->levels > 1U) ? search->config->transitions_max : 0U;
     const uint32_t actions = search->tables->actions;
@@ -270,7 +303,7 @@ FK_CACHE_ALIGNED static int32_t fk_search_tree(fk_search_t *search, const uint8_
         }
         fk_search_keep(search, order[index], plan);
         index += 1U;
-        if (index == actions) {
+        if (index == firsts) {
             return 0;
         }
         action = order[index];
@@ -282,6 +315,7 @@ static void fk_search_levels(fk_search_t *search, fk_plan_t *plan)
 {
     const uint32_t actions = search->tables->actions;
     uint8_t order[FK_ACTIONS_MAX];
+    uint32_t firsts;
     uint32_t levels;
     uint32_t index;
 
@@ -289,17 +323,18 @@ static void fk_search_levels(fk_search_t *search, fk_plan_t *plan)
     plan->action = 0U;
     plan->depth_reached = 1U;
     for (index = 0U; index < actions; index++) {
-        order[index] = (uint8_t)index; /* < FK_ACTIONS_MAX */
+        search->shallow_cost[index] = 0.0f; /* all alike: the first level goes by their numbers */
     }
     fk_search_begin(search, 1U);
-    (void)fk_search_tree(search, order, plan);
+    firsts = fk_search_order(search, actions, order);
+    (void)fk_search_tree(search, order, firsts, plan);
     if (search->config->depth == 1U) {
         return;
     }
     for (levels = fk_second_level(search->config, actions); levels <= search->config->depth; levels++) {
-        fk_search_order(search, plan->action, order);
+        (void)fk_search_order(search, plan->action, order);
         fk_search_begin(search, levels);
-        if (fk_search_tree(search, order, plan) != 0) {
+        if (fk_search_tree(search, order, firsts, plan) != 0) {
             return;
         }
         plan->depth_reached = (uint8_t)levels;
@@ -399,6 +434,7 @@ int32_t fk_plan(const fk_tables_t *tables, const fk_path_t *path, const fk_plan_
     fk_node_open(tables, root);
     plan->nearest_state = root->lookup.row;
     fk_find_on_path(&search, state, plan);
+    search.left_out = fk_left_out(&search, state);
     fk_search_levels(&search, plan);
     plan->transitions = search.transitions;
     fk_predict(&search, plan);

@@ -76,26 +76,28 @@ class Decision:
 
 @dataclass(frozen=True)
 class RobotEvent:
-    """What the robot's estimator met, in its order: a fix (with pose), an action, or a decision (neither).
+    """What the robot met, in its order: a fix (with pose), an action, a run lost, or a decision (none).
 
     Attributes:
-        time_us: capture time, time at which the action begins, or decision time, robot's clock.
+        time_us: capture time, time at which the action begins, or decision time, robot's clock; 0 if lost.
         pose_world: (3,) float32 of a fix.
         sequence: number of the fix.
         action: what began by command, or RESTING where the guard refused what was to begin.
+        lost: the run ended for want of fixes. No decision shows that; other ends follow from one or a fix.
     """
 
     time_us: int
     pose_world: npt.NDArray[np.float32] | None = None
     sequence: int = 0
     action: int | None = None
+    lost: bool = False
 
 
 def events_of_frame(frame: Frame, poses: Mapping[int, npt.NDArray[np.float32]]) -> list[RobotEvent]:
     """What a frame from the robot tells of what its estimator met.
 
     Args:
-        frame: any; an answer to FIX, REFUSED and DECISION tell something.
+        frame: any; an answer to FIX, REFUSED, DECISION and an ENDED without fixes tell something.
         poses: of the fixes on their way, by the sequence of their frame.
     """
     values = frame.values
@@ -106,6 +108,8 @@ def events_of_frame(frame: Frame, poses: Mapping[int, npt.NDArray[np.float32]]) 
         return [RobotEvent(int(values["begin_us"]), action=RESTING)]
     if frame.name == "DECISION":
         return [RobotEvent(int(values["scheduled_us"]))]
+    if frame.name == "ENDED" and values["status"] == STALE:
+        return [RobotEvent(0, lost=True)]
     return []
 
 
@@ -165,12 +169,19 @@ class DecisionTwin:
         """An action begins that ``decide`` did not ask for; RESTING: the one it asked for does not."""
         self._estimator.act(at_us, self._resting_action if action == RESTING else action)
 
+    def lose(self) -> None:
+        """The run ends for want of fixes: the next decision begins a new one, at the path's start."""
+        self._follow.begin()
+        self.ended = None
+
     def meet(self, event: RobotEvent) -> Decision | None:
         """Live through what the robot met; its decision is decided again."""
         if event.pose_world is not None:
             self.add_fix(event.time_us, event.pose_world, event.sequence)
         elif event.action is not None:
             self.act(event.time_us, event.action)
+        elif event.lost:
+            self.lose()
         else:
             return self.decide(event.time_us)
         return None

@@ -290,13 +290,25 @@ def second_level(limit: int, depth: int, actions: int) -> int:
 
 
 @njit(error_model="numpy")
-def search_levels(search: _Search, depth: int) -> tuple[int, int]:
+def is_tried(search: _Search, moves: bool, action: int) -> bool:
+    """Whether an action may be the first; to rest may not, from rest, unless there is nothing else."""
+    if moves or search.settings.cost != COST_ROUTE or not np.any(search.table.fires):
+        return True
+    return bool(np.any(search.table.fires[action]))
+
+
+@njit(error_model="numpy")
+def search_levels(search: _Search, depth: int, moves: bool) -> tuple[int, int]:
     """Search level after level; leave cost and first action in ``search``. Return (action, depth reached)."""
     actions = action_count(search.table)
-    shallow = np.zeros(actions, dtype=np.float32)
+    shallow = np.full(actions, np.inf, dtype=np.float32)
+    firsts = 0
     best_action = 0
     best_cost = np.float32(np.inf)
     for action in range(actions):
+        if not is_tried(search, moves, action):
+            continue
+        firsts += 1
         search.best[0] = actions
         search.best_cost[0] = np.float32(np.inf)
         try_first(search, 1, action)
@@ -310,7 +322,7 @@ def search_levels(search: _Search, depth: int) -> tuple[int, int]:
         search.best_cost[0] = np.float32(np.inf)
         stopped = False
         finished = 0
-        for action in first_actions(shallow, best_action):
+        for action in first_actions(shallow, best_action)[:firsts]:
             stopped = try_first(search, levels, action)
             if stopped:
                 break
@@ -390,7 +402,8 @@ def plan_one(
     for limb in range(len(limb_use)):
         search.dynamics[0, 3 + limb] = limb_use[limb]
     search.rows[0] = find_row(table, search.dynamics[0])
-    numbers[1], numbers[4] = search_levels(search, depth)
+    moves = not route.is_still(state, spacing, table.period_s[0])
+    numbers[1], numbers[4] = search_levels(search, depth, moves)
     numbers[2] = search.rows[0]
     numbers[5] = search.best[1]
     values[0] = search.best_cost[0]

@@ -23,7 +23,7 @@ class TableArrays(NamedTuple):
 
     A state's dynamics are an int64 row of 3 + LIMBS_MAX: velocity codes, then how much each limb was used.
     ``fires`` (a, l) is 1 where an action fires a limb; ``use`` holds decay and gain; reach_m and turn_max_rad
-    are (1,) float32: no look-up moves or turns the robot further.
+    are (1,) float32: no look-up moves or turns the robot further; period_s is (1,) float32.
     """
 
     states: Array
@@ -39,6 +39,7 @@ class TableArrays(NamedTuple):
     use: Array
     reach_m: Array
     turn_max_rad: Array
+    period_s: Array
 
 
 DYNAMICS = 3 + LIMBS_MAX
@@ -61,6 +62,7 @@ def arrays_of(tables: Tables) -> TableArrays:
         use=np.array([tables.use_decay, tables.use_gain], dtype=np.int64),
         reach_m=np.array([tables.reach_m], dtype=np.float32),
         turn_max_rad=np.array([tables.turn_max_rad], dtype=np.float32),
+        period_s=np.array([tables.period_us], dtype=np.float32) * np.float32(1e-6),
     )
 
 

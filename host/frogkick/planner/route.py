@@ -8,6 +8,7 @@ The twin of route.c, written from these rules:
 - From there a route is laid out: knots at equal steps along the polyline, straight on beyond both of its
   ends. A pose belongs to the nearest of every third knot that one motion can reach, or to a neighbour of it,
   and lies off it along and across the route's direction there.
+- A robot that hardly moves does not choose to rest: that changes nothing, so it would rest for ever.
 - A motion costs distance from the route, softened near it, and what it advances less than the table's longest
   motion. A branch's end costs how far the robot points away from the route's place a look-ahead further on.
 
@@ -31,6 +32,7 @@ BEHIND = 2
 """Knots of the route behind where it begins."""
 KNOTS_MAX = 80
 REACH_MIN_M = np.float32(1e-4)
+STILL_RAD = np.float32(0.125)
 
 _F0 = np.float32(0)
 _F1 = np.float32(1)
@@ -45,6 +47,14 @@ _PER_STEP = np.float32(0.125)
 def reach_of(reach_m: np.float32) -> Any:
     """Return the length that scales everything here: the table's longest motion, but not nothing."""
     return max(reach_m, REACH_MIN_M)
+
+
+@njit(error_model="numpy")
+def is_still(state: Array, step: np.float32, period: np.float32) -> bool:
+    """Whether a state (6,) moves so little that a period of it counts for nothing."""
+    speed2 = state[3] * state[3] + state[4] * state[4]
+    turn = state[5] * period
+    return bool(speed2 * (period * period) <= step * step and abs(turn) <= STILL_RAD)
 
 
 @njit(error_model="numpy")

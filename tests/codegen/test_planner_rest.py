@@ -1,0 +1,79 @@
+"""A robot that lies still does not choose to rest: that changes nothing, so it would rest for ever."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+from tests.codegen.test_planner_c import ROUTE, c_plan, twin_plan
+from tests.planner import synthetic
+
+from frogkick.planner.image import open_image
+from frogkick.planner.plan import Cost, PlanConfig
+
+PATH = synthetic.wave_path()
+CONFIG = PlanConfig(**ROUTE)
+PERIOD_S = 1.425
+FIRES = [("A", 0, 0), ("B", 1, 0), ("C", 0, 0), ("D", 0, 4), ("E", 2, 1)]
+STILL_ROWS = [(name, 0, 0) for name, _, _ in FIRES]
+
+
+def decided(image: bytes, config: PlanConfig, *velocities: tuple[float, float, float]) -> list[int]:
+    """Actions of the C, which are the twin's, from all around the path's start, at velocities."""
+    rng = np.random.default_rng(3)
+    places = rng.uniform([-0.05, -0.3, -math.pi], [0.2, 0.3, math.pi], (200, 3))
+    states = np.array([[*place, *speed] for speed in velocities for place in places], dtype=np.float32)
+    given = (PATH, config, states, np.zeros((len(states), 8), np.uint16), np.zeros(len(states), np.float32))
+    told = c_plan(image, *given)
+    assert told == twin_plan(image, *given)
+    return [row["action"] for row in told]
+
+
+def table(rows: list[tuple[str, int, int]]) -> bytes:
+    """A table whose resting actions move the robot next to nothing."""
+    parts = synthetic.affine_parts(60, len(rows), 1)
+    for action in (0, 2):
+        parts["base"][:, action] *= 1e-3
+    return synthetic.affine_image(60, len(rows), action_rows=rows, **parts)
+
+
+@pytest.mark.parametrize("limit", [0, 40])
+@pytest.mark.parametrize("depth", [1, 2, 3])
+def test_from_rest_it_moves_at_any_depth_and_within_any_budget(depth: int, limit: int) -> None:
+    config = dataclasses.replace(CONFIG, depth=depth, transitions_max=limit)
+    rests = {index for index, (_, first, second) in enumerate(FIRES) if not first | second}
+    actions = decided(table(FIRES), config, (0.0, 0.0, 0.0), (1e-4, -1e-4, 1e-3))
+    assert set(actions) and not rests & set(actions)
+
+
+@pytest.mark.parametrize("axis", range(3))
+@pytest.mark.parametrize("sign", [-1.0, 1.0])
+def test_while_it_moves_it_may_rest(axis: int, sign: float) -> None:
+    """Beyond an eighth of a reach in a period, or an eighth of a radian."""
+    image = table(FIRES)
+    step = float(open_image(image).reach_m) / 8 if axis < 2 else 0.125
+    for part, may_rest in ((0.99, False), (1.01, True)):
+        speed = [0.0, 0.0, 0.0]
+        speed[axis] = sign * part * step / PERIOD_S
+        actions = decided(image, CONFIG, (speed[0], speed[1], speed[2]))
+        assert bool({0, 2} & set(actions)) is may_rest
+
+
+def test_speed_counts_in_any_direction_and_any_size() -> None:
+    image = table(FIRES)
+    speed = 0.9 * float(open_image(image).reach_m) / 8 / PERIOD_S
+    for velocity in ((speed, speed, 0.0), (3e38, 0.0, 0.0), (0.0, -3e38, 0.0), (0.0, 0.0, 3e38)):
+        assert {0, 2} & set(decided(image, CONFIG, velocity))
+
+
+def test_a_table_that_can_only_rest_rests() -> None:
+    assert set(decided(table(STILL_ROWS), CONFIG, (0.0, 0.0, 0.0))) <= set(range(5))
+    assert {0, 2} & set(decided(table(STILL_ROWS), CONFIG, (0.0, 0.0, 0.0)))
+
+
+def test_the_paper_s_cost_rests_as_it_did() -> None:
+    paper = PlanConfig()
+    assert paper.cost == Cost.PAPER
+    assert {0, 2} & set(decided(table(FIRES), paper, (0.0, 0.0, 0.0)))

@@ -4,6 +4,8 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 export FK_FULL ?= 0
+# Tests side by side, one process for each core; a file's tests stay together and share what they have built.
+SPREAD := -n logical --dist loadfile
 
 .PHONY: demo test test-full bench extra lint types check venv clean
 
@@ -11,10 +13,10 @@ demo: $(STAMP)
 	$(BIN)/frogkick demo --out demo
 
 test: $(STAMP)
-	$(BIN)/python -m pytest -m "not extra"
+	$(BIN)/python -m pytest $(SPREAD) -m "not extra"
 
 test-full: $(STAMP)
-	FK_FULL=1 $(BIN)/python -m pytest
+	FK_FULL=1 $(BIN)/python -m pytest $(SPREAD)
 
 # What simulating costs, about a minute. PyElastica is fetched to compare with, and left out where it cannot be.
 bench: $(STAMP)
@@ -23,7 +25,7 @@ bench: $(STAMP)
 
 # Needs tools that are no wheels (ARM gcc, QEMU, cppcheck, gcc, clang); says which are not there.
 extra: $(STAMP)
-	$(BIN)/python -m pytest -m extra
+	$(BIN)/python -m pytest $(SPREAD) -m extra
 
 check: test extra lint types
 

@@ -332,7 +332,8 @@ def test_from_logs_to_firmware(
     assert make_effect(effect, out).value("gain") == pytest.approx(0.7, abs=0.05)
     assert (out / "firmware" / values["firmware"]["image"]).stat().st_size > 0
     assert not [path for path in tmp_path.iterdir() if path.name.startswith(".")]
-    for stage in ("identify: candidates", f"library of {STATES} states", "tables tried", "firmware"):
+    libraries = [f"{which} library of {STATES} states" for which in ("new", "old")]
+    for stage in ("identify: candidates", *libraries, "new tables tried", "firmware"):
         assert f"{stage}: " in stderr
 
     again = tmp_path / "again"

@@ -154,9 +154,9 @@ def retune(
     with _folder(out) as made:
         write_robot(made / ROBOT, outcome)
         worn = load_robot(made / ROBOT)
-        new = tools.tables(worn, made / LIBRARY, stage)
+        new = tools.tables(worn, made / LIBRARY, lambda title: stage(f"new {title}"))
         if old is None:
-            old = tools.tables(robot, made / f"before-{LIBRARY}", stage)
+            old = tools.tables(robot, made / f"before-{LIBRARY}", lambda title: stage(f"old {title}"))
             (made / f"before-{LIBRARY}").unlink()
         write_bytes(made / BEFORE, old)
         before, after = (table_error(tools, image, outcome) for image in (old, new))

@@ -440,15 +440,3 @@ int32_t fk_plan(const fk_tables_t *tables, const fk_path_t *path, const fk_plan_
     fk_predict(&search, plan);
     return FK_OK;
 }
-
-float fk_path_along(const fk_tables_t *tables, const fk_path_t *path, float along_points, float x_m, float y_m,
-                    float *distance_m)
-{
-    fk_foot_t foot;
-
-    fk_route_foot(path, fk_route_reach(tables), along_points, x_m, y_m, &foot);
-    if (distance_m != NULL) {
-        *distance_m = FK_SQRT(foot.distance2_m2);
-    }
-    return (float)foot.segment + foot.part;
-}

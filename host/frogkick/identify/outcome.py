@@ -43,6 +43,10 @@ Progress = Callable[[str, int, int], None]
 SEARCHED_MOST = 200
 """Periods from which on a measured relative that explains much is not held against a whole search."""
 
+FAR, NEARER = (0.006, 0.07), 0.6
+"""A model off by more than so much (m, rad) lacks more than an effect or two; a relative that leaves no more
+than this share of both errors is then taken without a search."""
+
 PERIODS_LEAST = 20
 ACTIONS_LEAST = 2
 MOTION_LEAST_M = 0.01
@@ -190,12 +194,25 @@ def _found(train: Sequence[Swim], robot: Robot, candidates: Sequence[Term], prog
             errors = _scored(nominal, best, nominal.tracks, best.tracks, train).errors
             if int(rows.sum()) > SEARCHED_MOST or verdict_of(relative, errors) == FOUND:
                 return relative
+            if _is_far(errors[0]) and all(
+                after <= NEARER * before
+                for before, after in zip(_pair(errors[0]), _pair(errors[1]), strict=True)
+            ):
+                return relative
             # Few runs: what was planted in a simulated pool may look like a relative from afar.
             found = search(train, robot, candidates, progress)
             dear = GAIN_EACH * (len(best.model.values) - len(best.model.held))
             searched = end_cost(found.fitted.tracks, train)
             return relative if end_cost(best.tracks, train) + dear < searched else found
     return search(train, robot, candidates, progress)
+
+
+def _pair(error: Error) -> tuple[float, float]:
+    return error.position_rmse_m, error.heading_rmse_rad
+
+
+def _is_far(error: Error) -> bool:
+    return all(value > far for value, far in zip(_pair(error), FAR, strict=True))
 
 
 def _only_predicted(train: Sequence[Swim], test: Sequence[Swim], robot: Robot, reason: str) -> Outcome:

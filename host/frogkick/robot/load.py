@@ -84,9 +84,7 @@ def parse_robot(content: str, source: str, folder: Path | None = None) -> Robot:
     return _robot(file_model, source, folder)
 
 
-def _on_base(
-    table: dict[str, Any], source: str, folder: Path | None
-) -> tuple[dict[str, Any], Path | None]:
+def _on_base(table: dict[str, Any], source: str, folder: Path | None) -> tuple[dict[str, Any], Path | None]:
     """A file's keys on top of those of its ``base``, a built-in robot, and where its profiles are.
 
     Raises:

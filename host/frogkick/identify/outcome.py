@@ -284,7 +284,10 @@ def write_robot(target: Path, outcome: Outcome) -> None:
         InputError: the file cannot be written.
     """
     table = tomllib.loads(outcome.robot.toml)
-    effects = list(table.get("effect", []))
+    effects = [dict(row) for row in table.get("effect", [])]
+    for row in effects:
+        if "file" in row and outcome.robot.folder is not None:
+            row["file"] = os.path.relpath(outcome.robot.folder / str(row["file"]), target.resolve().parent)
     for term in outcome.terms:
         row = dict(term.table)
         if "file" in row:

@@ -128,6 +128,12 @@ def _effects(outcome: Outcome) -> Section:
 
 def _tried(outcome: Outcome) -> Section:
     assert outcome.found is not None
+    if outcome.terms and not outcome.found.turns:
+        text = (
+            "The effects of a robot of the same body that was measured before were fitted to these runs, all "
+            "at once: they explain so much of so large a miss that no search for single effects was made."
+        )
+        return Section("What was tried", [text])
     rows = [
         (
             str(turn + 1),

@@ -18,11 +18,14 @@ import platform
 import re
 import signal
 import sys
+import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib import metadata, resources, util
+from types import FrameType
 from typing import Any, Generic, TypeVar
 
 from frogkick.errors import FrogkickError, InputError
@@ -79,12 +82,41 @@ def run_chunks(
         return
     if cluster is not None:
         yield from _on_cluster(job, tasks, cluster)
-    elif workers == 1 or len(tasks) == 1:
-        ready = job.start(*job.given)
-        for index, task in enumerate(tasks):
-            yield index, job.run(ready, task)
-    else:
-        yield from _on_pool(job, tasks, workers)
+        return
+    with _interrupts() as check:
+        if workers == 1 or len(tasks) == 1:
+            ready = job.start(*job.given)
+            for index, task in enumerate(tasks):
+                check()
+                yield index, job.run(ready, task)
+        else:
+            yield from _on_pool(job, tasks, workers, check)
+
+
+@contextmanager
+def _interrupts() -> Iterator[Callable[[], None]]:
+    """Give what raises a Ctrl-C again that fell into code which swallows it, as a compiler's callbacks do."""
+    seen: list[int] = []
+
+    def note(number: int, frame: FrameType | None) -> None:
+        seen.append(number)
+        signal.default_int_handler(number, frame)
+
+    def check() -> None:
+        if seen:
+            raise KeyboardInterrupt
+
+    if (
+        threading.current_thread() is not threading.main_thread()
+        or signal.getsignal(signal.SIGINT) is not signal.default_int_handler
+    ):
+        yield check
+        return
+    signal.signal(signal.SIGINT, note)
+    try:
+        yield check
+    finally:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 # Set in each worker process by _start_worker, so that a task carries its own numbers only.
@@ -105,9 +137,10 @@ def _run_in_worker(task: Any) -> Any:
 
 
 def _on_pool(
-    job: Job[Ready, Task, Result], tasks: Sequence[Task], workers: int
+    job: Job[Ready, Task, Result], tasks: Sequence[Task], workers: int, check: Callable[[], None]
 ) -> Iterator[tuple[int, Result]]:
     job.warm(job.start(*job.given))
+    check()
     # Forked before this process has threads, which a fork would copy with their locks held.
     method = "fork" if sys.platform == "linux" else "spawn"
     executor = ProcessPoolExecutor(
@@ -119,6 +152,7 @@ def _on_pool(
     try:
         pending = {executor.submit(_run_in_worker, task): index for index, task in enumerate(tasks)}
         for future in as_completed(pending):
+            check()
             yield pending.pop(future), future.result()
     except BrokenProcessPool as error:
         raise FrogkickError(

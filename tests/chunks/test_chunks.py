@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import importlib.util
 import os
 import signal
@@ -31,6 +32,11 @@ def start(base: int) -> list[int]:
     return [base]
 
 
+def swallow_at_start(base: int) -> list[int]:
+    swallow([])
+    return [base]
+
+
 def add(ready: list[int], task: int) -> int:
     return ready[0] + task
 
@@ -56,6 +62,23 @@ ADDING = Job(start, (100,), add, len)
 def test_every_task_once_on_this_machine(workers: int) -> None:
     assert sorted(run_chunks(ADDING, range(7), workers)) == [(k, 100 + k) for k in range(7)]
     assert list(run_chunks(ADDING, [], workers)) == []
+
+
+def swallow(_ready: list[int]) -> None:
+    """Is interrupted, and swallows it."""
+    with contextlib.suppress(KeyboardInterrupt):
+        signal.raise_signal(signal.SIGINT)
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_ctrl_c_counts_even_where_it_was_swallowed(workers: int) -> None:
+    handler = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            list(run_chunks(Job(swallow_at_start, (100,), add, swallow), range(4), workers))
+        assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    finally:
+        signal.signal(signal.SIGINT, handler)
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="sends SIGKILL")

@@ -129,7 +129,7 @@ def test_the_model_knows_what_a_block_takes(small: Built) -> None:
     _, cycles = planner.plan(timed.states, np.full(300, depth), timed.limb_use, timed.along_points)
     model = fit_cycles(tables.image, CONFIG, [(path, timed.part(0, 200), cycles[:200])], depth)
     told = model.predict(tables.image, path, dataclasses.replace(CONFIG, depth=depth), timed.part(200, 100))
-    np.testing.assert_allclose(told, cycles[200:], rtol=0.02)
+    np.testing.assert_allclose(told, cycles[200:], rtol=0.03)  # as the study says of its bound
     spread = cycles[200:].std() / cycles[200:].mean()
     assert (told / cycles[200:] - 1.0).std() < spread / 5
 

@@ -81,6 +81,16 @@ def require_replayable(run: RunLog) -> None:
         raise InputError(f"run {run.source!r} has no decisions: nothing to replay")
     if not run.fixes.usable.any():
         raise InputError(f"run {run.source!r} has no usable fix: nothing to replay")
+    for name in ("x_m", "y_m", "heading_rad"):
+        far = float(np.abs(getattr(run.fixes, name)[run.fixes.usable]).max())
+        if not far <= _FAR:
+            raise InputError(
+                f"run {run.source!r} has a fix with {name} of {far:g}: {_FAR:g} at most; correct it"
+            )
+
+
+_FAR = 1e6
+"""Of a fix, m or rad: no pool is as large, and float32 still holds it."""
 
 
 def _schedule(run: RunLog) -> Schedule:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 import pytest
 from tests.core.core import ACTION_ROWS, PERIOD_US, RESTING, STATUS, image
@@ -257,10 +259,11 @@ def test_how_large_kicks_are_is_learned(kick: float, low: float, high: float) ->
 
 
 @pytest.mark.parametrize("period_us", [20_000, 2**32 - 1])
-def test_tables_of_strange_periods(period_us: int) -> None:
+def test_tables_of_strange_periods(period_us: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """A gap holds more of these than are predicted at once; and one that, stretched, leaves 32 bits."""
     name = str(period_us)
-    IMAGES[name] = lambda: image(period_us=period_us, pulse_us=9000, second_delay_us=9000)
+    strange = partial(image, period_us=period_us, pulse_us=9000, second_delay_us=9000)
+    monkeypatch.setitem(IMAGES, name, strange)
     told: list[list[object]] = []
     for made in (CEstimator(name), Twin(name)):
         said: list[object] = [

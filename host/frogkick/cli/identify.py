@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -9,9 +10,20 @@ import typer
 from typer.core import TyperCommand
 
 from frogkick.cli.common import JsonOption, progress_bar, require_writable, show
+from frogkick.identify.horizons import Horizon
 from frogkick.identify.outcome import Outcome, identify, robot_of_runs, write_predictions, write_robot
+from frogkick.identify.retune import steps
 from frogkick.identify.swim import read_swim
 from frogkick.robot import load_robot
+
+
+def horizon_line(horizon: Horizon) -> str:
+    """Errors some periods ahead, in words."""
+    before, after = (
+        f"{1e3 * error.position_rmse_m:.2f} mm, {math.degrees(error.heading_rmse_rad):.2f} deg"
+        for error in (horizon.before, horizon.after)
+    )
+    return f"{horizon.periods} periods ahead: {before} before, {after} after ({horizon.before.count} starts)"
 
 
 def _text(outcome: Outcome) -> str:
@@ -27,8 +39,9 @@ def _text(outcome: Outcome) -> str:
         ):
             lines.append(
                 f"{name}: {1e3 * error.position_rmse_m:.2f} mm, "
-                f"{57.29578 * error.heading_rmse_rad:.2f} deg RMS a period ahead"
+                f"{math.degrees(error.heading_rmse_rad):.2f} deg RMS a period ahead"
             )
+        lines += [horizon_line(each) for each in outcome.horizons if each.periods > 1]
         lines.append(str(outcome.signature["text"]))
     return "\n".join(lines)
 
@@ -56,10 +69,10 @@ def command(
     described = load_robot(robot or robot_of_runs(runs))
     learned = [read_swim(path, described) for path in train]
     kept = [read_swim(path, described) for path in test]
-    with progress_bar("identify") as progress:
-        outcome = identify(
-            learned, kept, described, effects, lambda _what, done, whole: progress(done, whole)
-        )
+    with steps(progress_bar) as tell:
+        outcome = identify(learned, kept, described, effects, tell)
+    with progress_bar("several periods ahead") as progress:
+        progress(bool(outcome.horizons), 1)
     write_robot(out, outcome)
     if predictions is not None:
         write_predictions(predictions, outcome)

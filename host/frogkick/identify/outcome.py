@@ -8,6 +8,7 @@ import os
 import tomllib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,7 @@ from frogkick.errors import InputError
 from frogkick.files import write_text
 from frogkick.identify.filter import Noise
 from frogkick.identify.fit import Fitted, Model, tracks_of
+from frogkick.identify.horizons import Horizon, horizons_of
 from frogkick.identify.predict import Track
 from frogkick.identify.relatives import end_cost, refitted, relatives
 from frogkick.identify.search import GAIN_EACH, Found, countable, search
@@ -108,6 +110,13 @@ class Outcome:
         """Effects found."""
         return () if self.found is None else self.found.fitted.model.terms
 
+    @cached_property
+    def horizons(self) -> list[Horizon]:
+        """Errors on the test runs by how many periods ahead; none where nothing was learned."""
+        if self.found is None:
+            return []
+        return horizons_of(self.found.nominal.model, self.found.fitted.model, self.test)
+
     def as_json(self) -> dict[str, Any]:
         """The keys of the command."""
         effects = []
@@ -132,7 +141,7 @@ class Outcome:
             "verdict": self.verdict,
             "effects": effects,
             "train": self.trained.as_json(),
-            "test": self.tested.as_json(),
+            "test": {**self.tested.as_json(), "horizons": [each.as_json() for each in self.horizons]},
             "signature": self.signature,
             **({"reason": self.reason} if self.reason else {}),
         }

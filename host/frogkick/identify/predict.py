@@ -9,16 +9,16 @@ prediction.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
-from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
-from frogkick.der import WIDTH, Batch, Rods, prepare
+from frogkick.der import WIDTH
 from frogkick.effects import ActingLanes, Effect, Fix, changed_robot
 from frogkick.identify.filter import RATE_STD, Filter, Noise, Series
+from frogkick.identify.gentle import gentle
 from frogkick.identify.swim import Swim
 from frogkick.robot import Robot
 
@@ -26,9 +26,6 @@ FloatArray = NDArray[np.float64]
 
 STEP_S = 1.2e-3
 """Finest time step here: coarser than the pool's, which moves a period's end by some 0.02 mm."""
-
-LONGEST_S = 8e-3
-"""No longer steps: some beyond fail to converge, and then their lane goes on alone at the price of eight."""
 
 WILD = 8.0
 """How many standard deviations a miss counts at most."""
@@ -73,11 +70,6 @@ class Track:
         return tuple(Series(self.time_s, busy, self.difference[:, k], RATE_STD[k]) for k in range(3))
 
 
-@lru_cache(maxsize=64)
-def _rods(robot: Robot) -> Rods:
-    return prepare(robot)
-
-
 @dataclass(frozen=True, eq=False)
 class Lane:
     """What to follow: a run, by a robot with effects."""
@@ -92,24 +84,28 @@ class Lane:
 
 def follow(lanes: Sequence[Lane]) -> list[Track]:
     """Follow runs, those of one body side by side."""
+    tracks: dict[int, Track] = {}
+    for indices, robot in parties(lanes):
+        tracks.update(zip(indices, Party([lanes[i] for i in indices], robot).go(), strict=True))
+    return [tracks[index] for index in range(len(lanes))]
+
+
+def parties(lanes: Sequence[Lane]) -> Iterator[tuple[list[int], Robot]]:
+    """Indices of lanes that go side by side, and the body that they have."""
     bodies: dict[tuple[Robot, float, float], list[int]] = {}
     for index, lane in enumerate(lanes):
         robot = changed_robot(lane.robot, lane.effects)
         # What is asked every leg would slow down its neighbours.
         leg_s = ActingLanes(lane.effects, robot, [], lane.leg_s).leg_s
         bodies.setdefault((robot, leg_s, lane.step_s), []).append(index)
-    tracks: dict[int, Track] = {}
     for (robot, *_), indices in bodies.items():
         indices.sort(key=lambda i: len(lanes[i].swim.corners_s))  # a batch goes on as long as its longest
         for first in range(0, len(indices), WIDTH):
-            some = indices[first : first + WIDTH]
-            for index, track in zip(some, _Party([lanes[i] for i in some], robot).go(), strict=True):
-                tracks[index] = track
-    return [tracks[index] for index in range(len(lanes))]
+            yield indices[first : first + WIDTH], robot
 
 
 @dataclass(eq=False)
-class _Course:
+class Course:
     """A lane's own way through its run."""
 
     lane: Lane
@@ -128,51 +124,28 @@ class _Course:
         self.seeing = [effect for effect in self.lane.effects if type(effect).fix is not Effect.fix]
 
 
-class _Gentle(Batch):
-    """Lanes whose steps never get too long."""
+class Party:
+    """Lanes of one body on their ways through their runs."""
 
-    def _times(self, lane: int, until_s: float) -> FloatArray:
-        ends = super()._times(lane, until_s)
-        lengths = np.diff(ends)
-        parts = np.maximum(np.ceil(lengths / LONGEST_S - 1e-9).astype(np.int64), 1)
-        if parts.max(initial=1) == 1:
-            return ends
-        place = np.arange(parts.sum()) - np.repeat(np.cumsum(parts) - parts, parts)
-        starts = np.repeat(ends[:-1], parts) + np.repeat(lengths / parts, parts) * place
-        return np.append(starts, ends[-1])
-
-
-class _Party:
     def __init__(self, lanes: Sequence[Lane], robot: Robot) -> None:
         self.lanes = lanes
-        rods = _rods(robot)
         self.courses = []
         first = np.zeros((len(lanes), 3))
         for index, lane in enumerate(lanes):
             acting = ActingLanes(lane.effects, robot, [np.random.default_rng(0)], lane.leg_s)
-            course = _Course(
+            course = Course(
                 lane, acting, Filter(lane.noise, lane.swim.busy_s, lane.swim.begin_s), lane.swim.corners_s
             )
             course.next_fix = int(np.searchsorted(lane.swim.time_s, lane.swim.begin_s))
             course.claims_s = [lane.swim.begin_s]
             first[index] = self._first_pose(course)
             self.courses.append(course)
-        self.batch = _Gentle(
-            rods.mesh,
-            rods.plan,
-            [rods.actuation] * len(lanes),
-            first,
-            np.zeros((len(lanes), 3)),
-            limbs=len(robot.limbs),
-            time_s=0.0,
-            step_s=lanes[0].step_s,
-            width=WIDTH,
-        )
+        self.batch = gentle(robot, first, lanes[0].step_s)
         self.batch.time_s[:] = [lane.swim.begin_s for lane in lanes]
         self.leg_s = min(course.acting.leg_s for course in self.courses)
 
     @staticmethod
-    def _first_pose(course: _Course) -> FloatArray:
+    def _first_pose(course: Course) -> FloatArray:
         """The true pose that shows as the first fix."""
         wanted = course.lane.swim.pose[course.next_fix]
         pose = wanted.copy()
@@ -195,13 +168,13 @@ class _Party:
             until = np.array(
                 [course.corners_s[min(corner, len(course.corners_s) - 1)] for course in self.courses]
             )
-            self._advance(until)
+            self.advance(until)
             for index, course in enumerate(self.courses):
                 if corner < len(course.corners_s):
                     self._arrive(index, course, float(course.corners_s[corner]), outcome[index])
         return [self._track(index, course, *outcome[index]) for index, course in enumerate(self.courses)]
 
-    def _advance(self, until: FloatArray) -> None:
+    def advance(self, until: FloatArray) -> None:
         """All lanes to their next corner, strokes fired, water asked as often as effects need it."""
         for index, course in enumerate(self.courses):
             strokes = course.lane.swim.strokes
@@ -224,7 +197,7 @@ class _Party:
             joined[:, 2] = np.unwrap(joined[:, 2])
             course.poses = joined
 
-    def _fire(self, index: int, course: _Course, time_s: float, limb: int) -> None:
+    def _fire(self, index: int, course: Course, time_s: float, limb: int) -> None:
         stroke = course.acting.stroke(0, limb, time_s)
         start_s = time_s + stroke.delay_s
         self.batch.fire(index, limb, start_s, gain=stroke.gain, duration_scale=stroke.duration_scale)
@@ -236,14 +209,14 @@ class _Party:
                 now_s, row = float(self.batch.time_s[index]), motion[index]
                 self.batch.set_water(index, course.acting.water(self.batch, now_s, row[:3], row[3:6]))
 
-    def _arrive(self, index: int, course: _Course, at_s: float, outcome: tuple[FloatArray, ...]) -> None:
+    def _arrive(self, index: int, course: Course, at_s: float, outcome: tuple[FloatArray, ...]) -> None:
         """At a corner: note the prediction that ends here, take in the fixes known by now, start anew."""
         swim = course.lane.swim
         predicted, spread, start, missed = outcome
         ended = -1
         for period in np.flatnonzero(np.abs(swim.end_s - at_s) < 1e-6):
             if course.claims_s[-1] <= swim.start_s[period] + 1e-6 and len(course.times):
-                predicted[period] = self._shown_at(course, at_s)[1]
+                predicted[period] = self.shown_at(course, at_s)[1]
                 before = Filter(course.lane.noise, swim.busy_s, course.filter.time_s)
                 before.covariance = course.filter.covariance.copy()
                 before.go_to(at_s)
@@ -272,15 +245,19 @@ class _Party:
         course.claims_s.append(at_s)
         for period in np.flatnonzero(np.abs(swim.start_s - at_s) < 1e-6):
             start[period] = self.batch.motion_world()[index, :6]
+            self.began(index, int(period))
 
-    def _shown_all(self, course: _Course, times_s: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def began(self, index: int, period: int) -> None:
+        """A lane stands where a period of its run begins; for those who want to know."""
+
+    def _shown_all(self, course: Course, times_s: FloatArray) -> tuple[FloatArray, FloatArray]:
         """(n,) when fixes that claim these times were really taken, and (n, 3) what they would say."""
         if not course.seeing:
             return times_s, _at(course.times, course.poses, times_s)
-        every = [self._shown_at(course, float(time_s)) for time_s in times_s]
+        every = [self.shown_at(course, float(time_s)) for time_s in times_s]
         return np.array([true_s for true_s, _ in every]), np.array([pose for _, pose in every])
 
-    def _shown_at(self, course: _Course, time_s: float) -> tuple[float, FloatArray]:
+    def shown_at(self, course: Course, time_s: float) -> tuple[float, FloatArray]:
         """What a fix that claims ``time_s`` would say, and when it was really taken."""
         pose = _at(course.times, course.poses, np.array([time_s]))[0]
         true_s, shown = _shown(course.seeing, time_s, pose)
@@ -292,7 +269,7 @@ class _Party:
     def _track(
         self,
         index: int,
-        course: _Course,
+        course: Course,
         predicted: FloatArray,
         spread: FloatArray,
         start: FloatArray,

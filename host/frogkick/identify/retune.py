@@ -145,7 +145,7 @@ def retune(
     require_new(out)
     _check_periods(swims, robot)
     train, test, held_out = split(swims)
-    with _steps(stage) as tell:
+    with steps(stage) as tell:
         outcome = identify(train, test, robot, progress=tell)
     unknown = Error(math.nan, math.nan)
     reason = _needless(outcome, len(swims) == 1)
@@ -351,7 +351,7 @@ def _check_periods(swims: Sequence[Swim], robot: Robot) -> None:
 
 
 @contextmanager
-def _steps(stage: Stage) -> Iterator[Callable[[str, int, int], None]]:
+def steps(stage: Stage) -> Iterator[Callable[[str, int, int], None]]:
     """A function of (what, done, all) that begins a stage with each new ``what``."""
     with ExitStack() as begun:
         shown: dict[str, Callable[[int, int], None]] = {}

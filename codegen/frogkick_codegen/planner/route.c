@@ -18,18 +18,9 @@ float fk_route_reach(const fk_tables_t *tables)
     return fk_larger(tables->reach_m, FK_ROUTE_REACH_MIN_M);
 }
 
-static float fk_segment_length(const fk_path_t *path, uint32_t segment)
+/* Nearest part of a segment, given by its extent, to an offset from its first point. */
+static inline float fk_segment_part(float dx_m, float dy_m, float length2_m2, float offset_x_m, float offset_y_m)
 {
-    const float dx_m = path->x_m[segment + 1U] - path->x_m[segment];
-    const float dy_m = path->y_m[segment + 1U] - path->y_m[segment];
-
-    return FK_SQRT(dx_m * dx_m + dy_m * dy_m);
-}
-
-/* Nearest part of a segment to an offset from its first point. */
-static float fk_segment_part(float dx_m, float dy_m, float offset_x_m, float offset_y_m)
-{
-    const float length2_m2 = dx_m * dx_m + dy_m * dy_m;
     const float along_m2 = offset_x_m * dx_m + offset_y_m * dy_m;
 
     if (along_m2 <= 0.0f) {
@@ -41,14 +32,34 @@ static float fk_segment_part(float dx_m, float dy_m, float offset_x_m, float off
     return along_m2 / length2_m2;
 }
 
+/* Take a segment as the foot's if it is nearer, or as near and wins ties. Returns the segment's length. */
+static inline float fk_foot_try(const fk_path_t *path, uint32_t segment, int32_t wins_ties, float x_m, float y_m,
+                                fk_foot_t *foot)
+{
+    const float dx_m = path->x_m[segment + 1U] - path->x_m[segment];
+    const float dy_m = path->y_m[segment + 1U] - path->y_m[segment];
+    const float length2_m2 = dx_m * dx_m + dy_m * dy_m;
+    const float offset_x_m = x_m - path->x_m[segment];
+    const float offset_y_m = y_m - path->y_m[segment];
+    const float part = fk_segment_part(dx_m, dy_m, length2_m2, offset_x_m, offset_y_m);
+    const float across_x_m = offset_x_m - part * dx_m;
+    const float across_y_m = offset_y_m - part * dy_m;
+    const float distance2_m2 = across_x_m * across_x_m + across_y_m * across_y_m;
+
+    if ((distance2_m2 < foot->distance2_m2) || ((wins_ties != 0) && (distance2_m2 == foot->distance2_m2))) {
+        foot->distance2_m2 = distance2_m2;
+        foot->segment = (uint16_t)segment; /* < FK_PATH_POINTS_MAX */
+        foot->part = part;
+    }
+    return FK_SQRT(length2_m2);
+}
+
 void fk_route_foot(const fk_path_t *path, float reach_m, float along_points, float x_m, float y_m, fk_foot_t *foot)
 {
     const uint32_t last = path->count - 2U; /* count >= 2, checked */
     const float far_m = FK_ROUTE_FAR_REACHES * reach_m;
     const float ahead_limit_m = FK_ROUTE_AHEAD_REACHES * reach_m;
     uint32_t home = (uint32_t)along_points; /* 0 to count - 1, checked */
-    uint32_t first;
-    uint32_t end;
     uint32_t segment;
     float home_part;
     float length_m;
@@ -57,32 +68,16 @@ void fk_route_foot(const fk_path_t *path, float reach_m, float along_points, flo
 
     home = (home > last) ? last : home;
     home_part = along_points - (float)home;
-    length_m = fk_segment_length(path, home);
+    foot->distance2_m2 = FLT_MAX; /* positions are within 1000 m, so squares stay below 1e7 */
+    length_m = fk_foot_try(path, home, 0, x_m, y_m, foot);
+    /* Outwards from there; the lowest segment keeps a tie. */
     behind_m = home_part * length_m;
-    for (first = home; (first > 0U) && (behind_m < reach_m); first--) {
-        behind_m = behind_m + fk_segment_length(path, first - 1U);
+    for (segment = home; (segment > 0U) && (behind_m < reach_m); segment--) {
+        behind_m = behind_m + fk_foot_try(path, segment - 1U, 1, x_m, y_m, foot);
     }
     ahead_m = (1.0f - home_part) * length_m;
-    for (end = home; (end < last) && (ahead_m < ahead_limit_m); end++) {
-        ahead_m = ahead_m + fk_segment_length(path, end + 1U);
-    }
-
-    foot->distance2_m2 = FLT_MAX;
-    for (segment = first; segment <= end; segment++) {
-        const float dx_m = path->x_m[segment + 1U] - path->x_m[segment];
-        const float dy_m = path->y_m[segment + 1U] - path->y_m[segment];
-        const float offset_x_m = x_m - path->x_m[segment];
-        const float offset_y_m = y_m - path->y_m[segment];
-        const float part = fk_segment_part(dx_m, dy_m, offset_x_m, offset_y_m);
-        const float across_x_m = offset_x_m - part * dx_m;
-        const float across_y_m = offset_y_m - part * dy_m;
-        const float distance2_m2 = across_x_m * across_x_m + across_y_m * across_y_m;
-
-        if (distance2_m2 < foot->distance2_m2) {
-            foot->distance2_m2 = distance2_m2;
-            foot->segment = (uint16_t)segment; /* < FK_PATH_POINTS_MAX */
-            foot->part = part;
-        }
+    for (segment = home; (segment < last) && (ahead_m < ahead_limit_m); segment++) {
+        ahead_m = ahead_m + fk_foot_try(path, segment + 1U, 0, x_m, y_m, foot);
     }
     foot->held = 0U;
     if (foot->distance2_m2 > far_m * far_m) {
@@ -124,50 +119,77 @@ static void fk_route_settings(const fk_plan_config_t *config, float reach_m, fk_
     route->half_per_soft = (soft_m > 0.0f) ? 0.5f / soft_m : 0.0f;
 }
 
+/* A segment while a route is laid out: its first point, its extent from there, its length. */
+typedef struct {
+    float x_m;
+    float y_m;
+    float dx_m;
+    float dy_m;
+    float length_m;
+} fk_segment_t;
+
+static inline void fk_segment_between(fk_segment_t *segment, float x_m, float y_m, float next_x_m, float next_y_m)
+{
+    segment->x_m = x_m;
+    segment->y_m = y_m;
+    segment->dx_m = next_x_m - x_m;
+    segment->dy_m = next_y_m - y_m;
+    segment->length_m = FK_SQRT(segment->dx_m * segment->dx_m + segment->dy_m * segment->dy_m);
+}
+
 void fk_route_lay_out(const fk_path_t *path, const fk_plan_config_t *config, float reach_m, const fk_foot_t *foot,
                       fk_route_t *route)
 {
     const uint32_t last = path->count - 2U;
-    uint32_t segment = foot->segment;
-    uint32_t count;
-    uint32_t index;
+    const float step_m = reach_m * FK_ROUTE_PER_STEP;
+    uint32_t index = foot->segment;
+    fk_knot_t *knot = route->knots;
+    const fk_knot_t *end;
+    fk_segment_t here;
     int32_t fresh = 1; /* the segment's direction is still to be computed */
-    float length_m = fk_segment_length(path, segment);
     float direction_x = 1.0f;
     float direction_y = 0.0f;
+    float next_x_m = path->x_m[index + 1U]; /* the segment's last point */
+    float next_y_m = path->y_m[index + 1U];
     float along_m; /* from the segment's first point; below 0 before the path, above its length beyond it */
 
     fk_route_settings(config, reach_m, route);
-    along_m = foot->part * length_m - (float)FK_ROUTE_BEHIND * route->step_m;
-    while ((along_m < 0.0f) && (segment > 0U)) {
-        segment -= 1U;
-        length_m = fk_segment_length(path, segment);
-        along_m = along_m + length_m;
+    fk_segment_between(&here, path->x_m[index], path->y_m[index], next_x_m, next_y_m);
+    along_m = foot->part * here.length_m - (float)FK_ROUTE_BEHIND * step_m;
+    while ((along_m < 0.0f) && (index > 0U)) {
+        index -= 1U;
+        next_x_m = here.x_m;
+        next_y_m = here.y_m;
+        fk_segment_between(&here, path->x_m[index], path->y_m[index], next_x_m, next_y_m);
+        along_m = along_m + here.length_m;
     }
-    count = fk_route_knots(config->depth, config->look_ahead_m / route->step_m);
-    for (index = 0U; index < count; index++) {
-        fk_knot_t *knot = &route->knots[index];
+    route->last = fk_route_knots(config->depth, config->look_ahead_m / step_m) - 1U;
+    end = &route->knots[route->last];
+    for (; knot <= end; knot++) {
+        while ((along_m > here.length_m) && (index < last)) {
+            const float x_m = next_x_m;
+            const float y_m = next_y_m;
 
-        while ((along_m > length_m) && (segment < last)) {
-            along_m = along_m - length_m;
-            segment += 1U;
-            length_m = fk_segment_length(path, segment);
+            along_m = along_m - here.length_m;
+            index += 1U;
+            next_x_m = path->x_m[index + 1U];
+            next_y_m = path->y_m[index + 1U];
+            fk_segment_between(&here, x_m, y_m, next_x_m, next_y_m);
             fresh = 1;
         }
-        if ((fresh != 0) && (length_m > 0.0f)) { /* else the direction of the segment before stays */
-            const float per_m = 1.0f / length_m;
+        if ((fresh != 0) && (here.length_m > 0.0f)) { /* else the direction of the segment before stays */
+            const float per_m = 1.0f / here.length_m;
 
-            direction_x = (path->x_m[segment + 1U] - path->x_m[segment]) * per_m;
-            direction_y = (path->y_m[segment + 1U] - path->y_m[segment]) * per_m;
+            direction_x = here.dx_m * per_m;
+            direction_y = here.dy_m * per_m;
         }
         fresh = 0;
-        knot->x_m = path->x_m[segment] + along_m * direction_x;
-        knot->y_m = path->y_m[segment] + along_m * direction_y;
+        knot->x_m = here.x_m + along_m * direction_x;
+        knot->y_m = here.y_m + along_m * direction_y;
         knot->direction_x = direction_x;
         knot->direction_y = direction_y;
-        along_m = along_m + route->step_m;
+        along_m = along_m + step_m;
     }
-    route->last = count - 1U;
     route->ahead = (foot->held != 0U) ? 0U : FK_ROUTE_AHEAD;
 }
 

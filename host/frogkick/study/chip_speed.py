@@ -32,6 +32,8 @@ NODE = "fk_lookup_motion"
 RUN: Mapping[int, int] = {1: 3000, 2: 1200, 3: 480, 4: 24}
 """Depth -> states that are run on the virtual chip at the most."""
 _CHUNK = 50
+_DEAR = 0.75
+"""States that take at least so much of what the dearest takes are about as dear."""
 BOX = 1.0
 _BEYOND = (BOX, BOX, BOX, BOX, BOX, 3.0, 30.0, 1000.0)
 """Velocities go to so many times the table's box, in turn; poses to so many times the path's surroundings."""
@@ -254,18 +256,25 @@ class _Study:
         return chunks, model
 
     def unrun(self, depth: int, ran: Sequence[_Counted], model: CycleModel) -> tuple[float, float]:
-        """The model's largest relative error, and what it bounds the states by that were not run, ms."""
+        """The model's largest relative error, and what it bounds the states by that were not run, ms.
+
+        The dear ones are bounded by its error in states about as dear, the others by its error in all.
+        """
         settings = dataclasses.replace(self.config, depth=depth)
-        error, most = 0.0, 0.0
+        predicted, errors = [], []
         for one in ran:
             fitted = len(one.cycles) // 2 if one.at_random else 0
-            predicted = model.predict(self.tables.image, self.paths[one.path_name], settings, one.timed)
-            error = max(error, float(np.abs(one.cycles / predicted - 1.0)[fitted:].max()))
+            told = model.predict(self.tables.image, self.paths[one.path_name], settings, one.timed)
+            predicted.append(told[fitted:])
+            errors.append(np.abs(one.cycles / told - 1.0)[fitted:])
+        most = 0.0
         for name in self.paths:
-            timed, predicted = self._others(depth, name, model)
-            places = dearest(predicted, timed.beyond, RUN[depth] // (2 * len(self.paths)))
-            most = max(most, float(np.delete(predicted, places).max()))
-        return error, most * (1.0 + error) / CYCLES_PER_MS
+            timed, others = self._others(depth, name, model)
+            places = dearest(others, timed.beyond, RUN[depth] // (2 * len(self.paths)))
+            most = max(most, float(np.delete(others, places).max()))
+        error, dear = np.concatenate(errors), np.concatenate(predicted) >= _DEAR * most
+        bound = max(most * (1.0 + error[dear].max(initial=0.0)), _DEAR * most * (1.0 + error.max()))
+        return float(error.max()), float(bound) / CYCLES_PER_MS
 
     def _others(
         self, depth: int, name: str, model: CycleModel

@@ -93,6 +93,12 @@ def build_shared(
     return library
 
 
+def native_entries(name: str) -> dict[str, bytes]:
+    """The file of that name which a host's library has beside the planner's, and the header it needs."""
+    folder = resources.files("frogkick_codegen") / "templates"
+    return {each: (folder / each).read_bytes() for each in (name, "native_inputs.h")}
+
+
 class NativeLibrary:
     """The C planner as this machine's code."""
 
@@ -112,8 +118,7 @@ class NativeLibrary:
             ToolchainError: as ``build_shared``, or the library does not load.
         """
         every = dict(planner_files() if files is None else files)
-        batch = resources.files("frogkick_codegen") / "templates" / "native_batch.c"
-        every["native_batch.c"] = batch.read_bytes()
+        every |= native_entries("native_batch.c")
         path = build_shared("fk_planner", every, compiler, flags)
         self._ffi = cffi.FFI()
         self._ffi.cdef(_DECLARATIONS)

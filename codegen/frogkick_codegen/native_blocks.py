@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from importlib import resources
 from typing import Any
 
 import cffi
@@ -11,7 +10,7 @@ import numpy.typing as npt
 
 from frogkick.planner.image import TableError
 from frogkick.planner.plan import PathLike, PlanConfig, path_rows
-from frogkick_codegen.native import build_shared, planner_files
+from frogkick_codegen.native import build_shared, native_entries, planner_files
 from frogkick_codegen.toolchain import FLOAT_RULES, WARNINGS
 
 _FLAGS = ("-std=c99", "-O1", "-fno-vectorize", "-fno-unroll-loops", *WARNINGS, *FLOAT_RULES)
@@ -32,8 +31,7 @@ class BlockCounter:
 
     def __init__(self) -> None:
         """Build (or find) the library and load it; errors as for ``build_shared``."""
-        entries = resources.files("frogkick_codegen") / "templates" / "native_blocks.c"
-        files = planner_files() | {"native_blocks.c": entries.read_bytes()}
+        files = planner_files() | native_entries("native_blocks.c")
         self._ffi = cffi.FFI()
         self._ffi.cdef(_DECLARATIONS)
         built = build_shared("fk_blocks", files, flags=(*_FLAGS, _COUNTED))

@@ -1,12 +1,6 @@
 /* native_batch.c - flat-array entries to the planner for a host that binds them without its structures.
  * Part of the host's shared library only, never of an emitted directory. */
-#include "fk_planner.h"
-
-#if defined(_WIN32)
-#define FK_EXPORT __declspec(dllexport)
-#else
-#define FK_EXPORT __attribute__((visibility("default")))
-#endif
+#include "native_inputs.h"
 
 /* As frogkick.planner.plan.PLAN_ROW: 92 bytes, every member 4 bytes wide, so without padding. */
 typedef struct {
@@ -61,42 +55,16 @@ int32_t fk_native_plan_batch(const uint8_t *image, uint32_t size, const float *p
     if (error != FK_OK) {
         return error;
     }
-    /* A count beyond 16 bits must not wrap to a valid one. */
-    route.count = (points > UINT16_MAX) ? (uint16_t)UINT16_MAX : (uint16_t)points;
-    for (index = 0U; (index < points) && (index < FK_PATH_POINTS_MAX); index++) {
-        route.x_m[index] = path[index];
-        route.y_m[index] = path[points + index];
-        route.tangent_rad[index] = path[2U * points + index];
-    }
-    config.distance_weight_per_m = weights[0];
-    config.angle_weight_per_rad = weights[1];
-    config.progress_weight = weights[2];
-    config.level_weight = weights[3];
-    config.progress_weight_per_m = weights[4];
-    config.look_ahead_m = weights[5];
-    config.soft_distance_m = weights[6];
-    config.turn_lead = weights[7];
-    config.transitions_max = transitions_max;
-    config.cost = (cost > UINT8_MAX) ? (uint8_t)UINT8_MAX : (uint8_t)cost; /* must not wrap to a valid one */
+    fk_native_path(path, points, &route);
+    fk_native_config(weights, cost, transitions_max, &config);
     for (index = 0U; index < count; index++) {
-        const float *values = states + 6U * index;
         fk_native_row_t *row = &rows[index];
         fk_state_t state;
         fk_plan_t plan;
         uint32_t limb;
 
-        state.x_m = values[0];
-        state.y_m = values[1];
-        state.heading_rad = values[2];
-        state.vx_mps = values[3];
-        state.vy_mps = values[4];
-        state.omega_rad_s = values[5];
-        for (limb = 0U; limb < FK_LIMBS_MAX; limb++) {
-            state.limb_use[limb] = limb_use[FK_LIMBS_MAX * index + limb];
-        }
-        state.along_points = along_points[index];
-        /* Likewise for a depth beyond 8 bits. */
-        config.depth = ((depths[index] < 0) || (depths[index] > 255)) ? (uint8_t)255U : (uint8_t)depths[index];
+        fk_native_state(states + 6U * index, limb_use + FK_LIMBS_MAX * index, along_points[index], &state);
+        config.depth = fk_native_u8((uint32_t)depths[index]); /* below 0 becomes very large */
         row->status = fk_plan(&tables, &route, &config, &state, &plan);
         if (row->status != FK_OK) {
             continue;

@@ -1,13 +1,7 @@
 /* native_blocks.c - plans from many states and counts how often each basic block of the planner runs for each.
  * Part of a shared library of the host only, built with -fsanitize-coverage=trace-pc-guard: the compiler then calls
  * the two functions below, at the library's start and in every block. */
-#include "fk_planner.h"
-
-#if defined(_WIN32)
-#define FK_EXPORT __declspec(dllexport)
-#else
-#define FK_EXPORT __attribute__((visibility("default")))
-#endif
+#include "native_inputs.h"
 
 #define FK_BLOCKS_MAX 4096U
 
@@ -62,39 +56,15 @@ int32_t fk_native_blocks_plan(const uint8_t *image, uint32_t size, const float *
     if (error != FK_OK) {
         return error;
     }
-    route.count = (uint16_t)points;
-    for (index = 0U; (index < points) && (index < FK_PATH_POINTS_MAX); index++) {
-        route.x_m[index] = path[index];
-        route.y_m[index] = path[points + index];
-        route.tangent_rad[index] = path[2U * points + index];
-    }
-    config.distance_weight_per_m = weights[0];
-    config.angle_weight_per_rad = weights[1];
-    config.progress_weight = weights[2];
-    config.level_weight = weights[3];
-    config.progress_weight_per_m = weights[4];
-    config.look_ahead_m = weights[5];
-    config.soft_distance_m = weights[6];
-    config.turn_lead = weights[7];
-    config.transitions_max = transitions_max;
-    config.cost = (uint8_t)cost;
-    config.depth = (uint8_t)depth;
+    fk_native_path(path, points, &route);
+    fk_native_config(weights, cost, transitions_max, &config);
+    config.depth = fk_native_u8(depth);
     for (index = 0U; index < count; index++) {
-        const float *values = states + 6U * index;
         fk_state_t state;
         fk_plan_t plan;
         uint32_t place;
 
-        state.x_m = values[0];
-        state.y_m = values[1];
-        state.heading_rad = values[2];
-        state.vx_mps = values[3];
-        state.vy_mps = values[4];
-        state.omega_rad_s = values[5];
-        for (place = 0U; place < FK_LIMBS_MAX; place++) {
-            state.limb_use[place] = limb_use[FK_LIMBS_MAX * index + place];
-        }
-        state.along_points = along_points[index];
+        fk_native_state(states + 6U * index, limb_use + FK_LIMBS_MAX * index, along_points[index], &state);
         for (place = 0U; place < width; place++) {
             fk_block_counts[place] = 0U;
         }

@@ -1,0 +1,65 @@
+/* native_inputs.h - the planner's arguments from flat arrays, for the host's shared libraries. */
+#ifndef FK_NATIVE_INPUTS_H
+#define FK_NATIVE_INPUTS_H
+
+#include "fk_planner.h"
+
+#if defined(_WIN32)
+#define FK_EXPORT __declspec(dllexport)
+#else
+#define FK_EXPORT __attribute__((visibility("default")))
+#endif
+
+/* What is too large for a field goes there as its largest number: it must not wrap to a valid one. */
+static inline uint8_t fk_native_u8(uint32_t value)
+{
+    return (value > UINT8_MAX) ? (uint8_t)UINT8_MAX : (uint8_t)value;
+}
+
+/* path: x, y, tangent of `points` points, one after the other. */
+static inline void fk_native_path(const float *path, uint32_t points, fk_path_t *route)
+{
+    uint32_t index;
+
+    route->count = (points > UINT16_MAX) ? (uint16_t)UINT16_MAX : (uint16_t)points;
+    for (index = 0U; (index < points) && (index < FK_PATH_POINTS_MAX); index++) {
+        route->x_m[index] = path[index];
+        route->y_m[index] = path[points + index];
+        route->tangent_rad[index] = path[2U * points + index];
+    }
+}
+
+/* weights: the floats of fk_plan_config_t in its order. The depth is the caller's to set. */
+static inline void fk_native_config(const float *weights, uint32_t cost, uint32_t transitions_max,
+                                    fk_plan_config_t *config)
+{
+    config->distance_weight_per_m = weights[0];
+    config->angle_weight_per_rad = weights[1];
+    config->progress_weight = weights[2];
+    config->level_weight = weights[3];
+    config->progress_weight_per_m = weights[4];
+    config->look_ahead_m = weights[5];
+    config->soft_distance_m = weights[6];
+    config->turn_lead = weights[7];
+    config->transitions_max = transitions_max;
+    config->cost = fk_native_u8(cost);
+}
+
+/* values: the first six floats of fk_state_t in its order. limb_use: FK_LIMBS_MAX. */
+static inline void fk_native_state(const float *values, const uint16_t *limb_use, float along_points, fk_state_t *state)
+{
+    uint32_t limb;
+
+    state->x_m = values[0];
+    state->y_m = values[1];
+    state->heading_rad = values[2];
+    state->vx_mps = values[3];
+    state->vy_mps = values[4];
+    state->omega_rad_s = values[5];
+    for (limb = 0U; limb < FK_LIMBS_MAX; limb++) {
+        state->limb_use[limb] = limb_use[limb];
+    }
+    state->along_points = along_points;
+}
+
+#endif

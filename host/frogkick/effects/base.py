@@ -15,7 +15,7 @@ what it acts on:
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
@@ -38,6 +38,8 @@ class Parameter:
         low, high: bounds, inclusive.
         nominal: where the effect vanishes, or is as in the plain model.
         about: what it means, in half a line.
+        step: by which it changes little enough that what it does is in proportion; 0: a twentieth of its
+            bounds' distance.
     """
 
     name: str
@@ -46,6 +48,7 @@ class Parameter:
     high: float
     nominal: float
     about: str = ""
+    step: float = 0.0
 
 
 @dataclass
@@ -181,6 +184,18 @@ class Effect:
         Raises:
             InputError: it names the right ones.
         """
+
+    def starts(self, low_m: FloatArray, high_m: FloatArray) -> Sequence[Mapping[str, float]]:
+        """Values at which a search for this effect begins, instead of ones that it spreads by itself.
+
+        Args:
+            low_m, high_m: (2,) ends of the places where runs went, world frame.
+
+        Returns:
+            For each start values of some parameters, which say where the effect is and not how strong; none
+            where any values do.
+        """
+        return ()
 
     def robot(self, robot: Robot) -> Robot:
         """The robot as this effect makes it: what is another body, not another force."""

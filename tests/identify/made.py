@@ -25,14 +25,17 @@ def robot() -> Robot:
     return load_robot("frog2022")
 
 
-def make_run(effects: Sequence[Mapping[str, Any]], seed: int, periods: int) -> RunLog:
-    """A run of random actions in a pool where ``effects`` are true."""
+def make_run(effects: Sequence[Mapping[str, Any]], seed: int, periods: int, row: str | None = None) -> RunLog:
+    """A run of random actions, or of those that ``row`` names, in a pool where ``effects`` are true."""
     swimmer, rng = robot(), np.random.default_rng(seed)
     world = World(make_effects(effects, Path()))
     start = (float(rng.uniform(-0.5, 0.5)), float(rng.uniform(-0.5, 0.5)), float(rng.uniform(-3.0, 3.0)))
     pool = Pool(swimmer, start, Camera(), np.random.default_rng([seed, 1]), world)
     period_s = swimmer.period_s
     actions = rng.integers(0, len(swimmer.actions) - 1, periods)
+    if row is not None:
+        actions = np.array([[action.name for action in swimmer.actions].index(name) for name in row])
+        periods = len(row)
     decided_s = START_S + period_s * np.arange(periods)
     fixes, strokes = pool.advance(START_S), []
     for at_s, index in zip(decided_s.tolist(), actions.tolist(), strict=True):
@@ -85,5 +88,5 @@ def make_run(effects: Sequence[Mapping[str, Any]], seed: int, periods: int) -> R
     )
 
 
-def make_swim(effects: Sequence[Mapping[str, Any]], seed: int, periods: int) -> Swim:
-    return swim_of(make_run(effects, seed, periods), f"made{seed}", robot())
+def make_swim(effects: Sequence[Mapping[str, Any]], seed: int, periods: int, row: str | None = None) -> Swim:
+    return swim_of(make_run(effects, seed, periods, row), f"made{seed}", robot())

@@ -87,10 +87,6 @@ class History:
         """How long ago a limb fired last; infinite where it did not."""
         return min((time_s - then for then, limb in self.strokes if limb == index), default=math.inf)
 
-    def since_any_s(self, indices: Sequence[int], time_s: float) -> float:
-        """How long ago any of some limbs fired last; infinite where none did."""
-        return min((self.since_s(index, time_s) for index in indices), default=math.inf)
-
 
 @dataclass(frozen=True)
 class Body:

@@ -9,17 +9,15 @@ import numpy as np
 import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
-from tests.identify.made import make_swim, robot
+from tests.identify.made import known_outcome, make_swim, robot
 from tests.report.test_report import self_contained
 
 from frogkick.identify.columns import Column
-from frogkick.identify.fit import derivatives, tracks_of
-from frogkick.identify.outcome import Outcome, Scored, identify
-from frogkick.identify.predict import Track
-from frogkick.identify.search import Found, Tried, countable
-from frogkick.identify.swim import Swim
+from frogkick.identify.fit import derivatives
+from frogkick.identify.outcome import Outcome, identify
+from frogkick.identify.search import Tried
 from frogkick.identify.terms import catalogue
-from frogkick.identify.verdict import FOUND, UNEXPLAINED, error_of, gaps, intervals, noise_floor, signature
+from frogkick.identify.verdict import UNEXPLAINED
 from frogkick.report.identify_figures import (
     cause_figure,
     error_figure,
@@ -45,24 +43,14 @@ TURNS = [
 def outcome() -> Outcome:
     """What a search would end with on a worn robot's runs, at the true values."""
     train, test = [make_swim([WORN], 31, 9)], [make_swim([WORN], 32, 7), make_swim([WORN], 33, 6)]
-    model, rows, nominal = countable(train, robot())
+    known = known_outcome(train, test, TITLE, (0.7, 0.0, 1.0))
+    assert known.found is not None
     plain = next(each for each in catalogue(robot()) if each.title == TITLE)
-    worn = replace(model, terms=(plain.at((0.7, 0.0, 1.0)),), held=frozenset({1, 2}))
-    at_start = replace(model, terms=(plain,))
-    fitted, started = derivatives([worn, at_start], train, rows)
-    column = Column(plain, started.jacobian)
-    found = Found(nominal, fitted, TURNS, rows, [["group_gain rear"]], [column])
-    nominal_tracks, worn_tracks = tracks_of([nominal.model, worn], test)
-
-    def scored(swims: list[Swim], one: list[Track], other: list[Track]) -> Scored:
-        errors = (error_of(gaps(each, swims)) for each in (one, other))
-        return Scored(*errors, noise_floor(swims, fitted.model.noise))
-
-    return Outcome(
-        FOUND, robot(), train, test, found, intervals(fitted),
-        scored(train, nominal.tracks, fitted.tracks), scored(test, nominal_tracks, worn_tracks),
-        nominal_tracks, worn_tracks, signature(fitted, rows, train),
-    )  # fmt: skip
+    at_start = replace(known.found.nominal.model, terms=(plain,))
+    (started,) = derivatives([at_start], train, known.found.rows)
+    columns = [Column(plain, started.jacobian)]
+    found = replace(known.found, turns=TURNS, alike=[["group_gain rear"]], sensitivities=columns)
+    return replace(known, found=found)
 
 
 def figures(outcome: Outcome) -> dict[str, Figure]:

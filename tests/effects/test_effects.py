@@ -99,6 +99,9 @@ def test_history_decides_what_a_stroke_is_worth() -> None:
     assert warm.stroke(Stroke("a", 0, 3.0), history, RNG).gain == pytest.approx(1 - 0.5 * math.exp(-1.0))  # type: ignore[union-attr]
     beside = group.stroke(Stroke("a", 0, 1.58), history, RNG)
     assert beside is not None and beside.gain == pytest.approx(1 - 0.3 * math.exp(-0.08 / 0.15))
+    fired = History([(0.0, 0), (0.0, 1), (1.4, 0)])  # the limb beside it, now, and both 1.4 s ago
+    again = group.stroke(Stroke("b", 1, 1.4), fired, RNG)
+    assert again is not None and again.gain == pytest.approx(1 - 0.3 * math.exp(-1.4 / 0.15))
     sag = effect("battery_sag", loss_per_min=0.2).stroke(Stroke("a", 0, 30.0), history, RNG)
     assert sag is not None and sag.gain == pytest.approx(0.9)
 

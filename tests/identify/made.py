@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -10,7 +11,14 @@ from typing import Any
 import numpy as np
 
 from frogkick.effects import World, make_effects
+from frogkick.identify.filter import Noise
+from frogkick.identify.fit import derivatives, tracks_of
+from frogkick.identify.outcome import Outcome, Scored
+from frogkick.identify.predict import Track
+from frogkick.identify.search import Found, countable
 from frogkick.identify.swim import Swim, swim_of
+from frogkick.identify.terms import catalogue
+from frogkick.identify.verdict import FOUND, error_of, gaps, intervals, noise_floor, signature
 from frogkick.loop.runlog import Decisions, Fixes, RunLog, Strokes, Truth
 from frogkick.paths import wrap_angle
 from frogkick.pool.camera import Camera
@@ -25,14 +33,17 @@ def robot() -> Robot:
     return load_robot("frog2022")
 
 
-def make_run(effects: Sequence[Mapping[str, Any]], seed: int, periods: int) -> RunLog:
-    """A run of random actions in a pool where ``effects`` are true."""
+def make_run(effects: Sequence[Mapping[str, Any]], seed: int, periods: int, row: str | None = None) -> RunLog:
+    """A run of random actions, or of those that ``row`` names, in a pool where ``effects`` are true."""
     swimmer, rng = robot(), np.random.default_rng(seed)
     world = World(make_effects(effects, Path()))
     start = (float(rng.uniform(-0.5, 0.5)), float(rng.uniform(-0.5, 0.5)), float(rng.uniform(-3.0, 3.0)))
     pool = Pool(swimmer, start, Camera(), np.random.default_rng([seed, 1]), world)
     period_s = swimmer.period_s
     actions = rng.integers(0, len(swimmer.actions) - 1, periods)
+    if row is not None:
+        actions = np.array([[action.name for action in swimmer.actions].index(name) for name in row])
+        periods = len(row)
     decided_s = START_S + period_s * np.arange(periods)
     fixes, strokes = pool.advance(START_S), []
     for at_s, index in zip(decided_s.tolist(), actions.tolist(), strict=True):
@@ -85,5 +96,35 @@ def make_run(effects: Sequence[Mapping[str, Any]], seed: int, periods: int) -> R
     )
 
 
-def make_swim(effects: Sequence[Mapping[str, Any]], seed: int, periods: int) -> Swim:
-    return swim_of(make_run(effects, seed, periods), f"made{seed}", robot())
+def make_swim(effects: Sequence[Mapping[str, Any]], seed: int, periods: int, row: str | None = None) -> Swim:
+    return swim_of(make_run(effects, seed, periods, row), f"made{seed}", robot())
+
+
+def known_outcome(
+    train: Sequence[Swim], test: Sequence[Swim], title: str, values: Sequence[float]
+) -> Outcome:
+    """What identification would end with, were these the right values of the right effect: no search."""
+    plain = next(each for each in catalogue(robot()) if each.title == title)
+    model, rows, nominal = countable(train, robot())
+    known = replace(model, terms=(plain.at(values),), noise=Noise((2e-4, 3.5e-3), (1e-4, 1e-3), (1e-4, 1e-3)))
+    free = replace(known, held=frozenset(k for k, p in enumerate(plain.parameters) if values[k] == p.nominal))
+    (fitted,) = derivatives([free], train, rows)
+    tracks = tracks_of([nominal.model, known], test)
+
+    def scored(swims: Sequence[Swim], one: Sequence[Track], other: Sequence[Track]) -> Scored:
+        before, after = error_of(gaps(one, swims)), error_of(gaps(other, swims))
+        return Scored(before, after, noise_floor(swims, known.noise))
+
+    return Outcome(
+        verdict=FOUND,
+        robot=robot(),
+        train=train,
+        test=test,
+        found=Found(nominal, fitted, [], rows, [[]]),
+        parameters=intervals(fitted),
+        trained=scored(train, nominal.tracks, fitted.tracks),
+        tested=scored(test, *tracks),
+        nominal_tracks=tracks[0],
+        tracks=tracks[1],
+        signature=signature(fitted, rows, train),
+    )

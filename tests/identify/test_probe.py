@@ -27,7 +27,7 @@ def test_parameters_that_do_nothing_are_told_from_those_that_do() -> None:
     loss, fade = change("limb_memory")
     assert loss is not None and loss.any()
     assert fade is not None and not fade.any()
-    assert change("mass_scale") == [None]
+    assert change("mass_scale") == [None, None]
 
 
 def test_limbs_add_up_to_their_group_and_delays_do_not() -> None:

@@ -11,28 +11,26 @@ from typing import Any
 
 import numpy as np
 import pytest
-from made import make_run, make_swim, robot
+from made import known_outcome, make_run, make_swim, robot
 
+from frogkick.cli import retune as command_module
 from frogkick.cli.main import run_command
 from frogkick.effects import make_effect
 from frogkick.errors import InputError
-from frogkick.identify import outcome as outcome_module
 from frogkick.identify import retune as module
-from frogkick.identify.outcome import Outcome, identify
+from frogkick.identify.outcome import Outcome
 from frogkick.identify.retune import (
     BEFORE,
     LIBRARY,
     REFUSED,
-    RESTED,
     ROBOT,
     TABLES,
-    earlier_actions,
     is_better,
     retune,
     split,
-    table_error,
 )
-from frogkick.identify.swim import Swim
+from frogkick.identify.swim import Swim, read_swim
+from frogkick.identify.tables import RESTED, Tracked, earlier_actions, table_error
 from frogkick.identify.terms import catalogue
 from frogkick.identify.verdict import FOUND, NOTHING, TOO_LITTLE, UNEXPLAINED, Error
 from frogkick.loop.runlog_file import write_run
@@ -40,18 +38,8 @@ from frogkick.planner.image import read_image
 from frogkick.robot import Robot, load_robot
 
 WORN = {"name": "limb_wear", "limb": "rear_left", "gain": 0.7}
-FEW = ("limb_wear rear_left", "mass_scale")
-STATES = "64"
-
-
-@contextmanager
-def few_candidates() -> Iterator[None]:
-    """Identification tries a few effects alone, for time."""
-    with pytest.MonkeyPatch.context() as patch:
-        few = [term for term in catalogue(robot()) if term.title in FEW]
-        patch.setattr(outcome_module, "catalogue", lambda *_: few)
-        patch.setattr(outcome_module, "relatives", lambda _robot: {})
-        yield
+WEAR = ("limb_wear rear_left", (0.7, 0.0, 1.0))
+STATES = "46"  # the fewest that a table can be fitted to
 
 
 @pytest.fixture(scope="module")
@@ -62,8 +50,7 @@ def swims() -> list[Swim]:
 @pytest.fixture(scope="module")
 def found(swims: list[Swim]) -> Outcome:
     """What identification makes of the worn robot's first runs, the last held out."""
-    with few_candidates():
-        return identify(swims[:2], swims[2:], robot())
+    return known_outcome(swims[:2], swims[2:], *WEAR)
 
 
 @dataclass
@@ -72,6 +59,7 @@ class Tools:
 
     answers: Mapping[bytes, np.ndarray]
     made: list[str] = field(default_factory=list)
+    swum: list[bytes] = field(default_factory=list)
 
     def tables(self, swimmer: Robot, library: Path, stage: module.Stage) -> bytes:
         self.made.append("worn" if swimmer.effects else "nominal")
@@ -86,6 +74,12 @@ class Tools:
     def looked_up(self, image: bytes, velocity_body: np.ndarray, previous: np.ndarray) -> np.ndarray:
         assert velocity_body.shape == (len(previous), 3) and np.isfinite(velocity_body).all()
         return self.answers[image]
+
+    def tracked(self, tables: Path, swimmer: Robot, progress: Any) -> Tracked:
+        assert [table["name"] for table in swimmer.effects] == ["limb_wear"]
+        self.swum.append(tables.read_bytes())
+        progress(1, 1)
+        return Tracked(0.01 * len(self.swum), 0.02, 1, 2)
 
     def firmware(self, tables: Path, swimmer: Robot, out: Path) -> Mapping[str, Any]:
         out.mkdir()
@@ -196,6 +190,11 @@ def test_better_tables_are_kept_with_the_old_ones(known: Outcome, swims: list[Sw
     assert result.before.position_rmse_m == pytest.approx(2e-3)
     assert result.after.position_rmse_m == pytest.approx(0.5e-3)
     assert [path.name for path in tmp_path.iterdir()] == ["new"]
+    assert tools.swum == [b"nominal", b"worn"]  # old tables first, both by the robot as it is now
+    assert result.as_json()["closed_loop"] == {
+        "before": {"mean_distance_m": 0.01, "progress_mps": 0.02, "completed": 1, "runs": 2},
+        "after": {"mean_distance_m": 0.02, "progress_mps": 0.02, "completed": 1, "runs": 2},
+    }
 
 
 @pytest.mark.parametrize("worn_m", [2e-3, 1.99e-3, 3e-3])
@@ -205,7 +204,7 @@ def test_tables_that_are_no_better_are_refused(
     tools, out = tools_of(known, worn_m, 2e-3), tmp_path / "new"
     result = retune(swims, robot(), out, tools, silent, old=b"old")
     assert not result.better and not result.done and "no better on held-out" in result.reason
-    assert tools.made == ["worn"]  # the old ones were given
+    assert tools.made == ["worn"] and tools.swum == [b"old", b"worn"]  # the old ones were given
     assert sorted(path.name for path in out.iterdir()) == sorted([BEFORE, LIBRARY, REFUSED, ROBOT])
     assert (out / REFUSED).read_bytes() == b"worn" and (out / BEFORE).read_bytes() == b"old"
 
@@ -231,7 +230,8 @@ def test_without_an_effect_nothing_is_made(
     tools = tools_of(found, 0.0, 0.0)
     result = retune(swims, robot(), tmp_path / "new", tools, silent)
     assert result.done is done and not result.better and said in result.reason
-    assert result.tables is None and not tools.made and not list(tmp_path.iterdir())
+    assert result.tables is None and not tools.made and not tools.swum and result.loop is None
+    assert not list(tmp_path.iterdir())
 
 
 def test_what_tables_cannot_know_is_said_before_they_are_made(
@@ -301,19 +301,22 @@ def test_from_logs_to_firmware(
 ) -> None:
     """All of it; then again from the tables that it made, which cannot be bettered."""
     runs = []
-    for seed, periods in ((4, 12), (5, 12), (6, 8)):
+    for seed, periods in ((4, 8), (5, 8), (6, 8)):
         runs.append(tmp_path / f"run{seed}.h5")
         write_run(runs[-1], make_run([WORN], seed, periods))
     out, given = tmp_path / "new", ["--robot", "frog2022", "--states", STATES, "--workers", "1", "--json"]
-    outcomes: list[Outcome] = []
+    outcome = known_outcome(*(list(map(read_swim, some)) for some in (runs[:2], runs[2:])), *WEAR)
 
-    def once(*arguments: Any, **more: Any) -> Outcome:
-        if not outcomes:
-            with few_candidates():
-                outcomes.append(identify(*arguments, **more))
-        return outcomes[0]
+    def told(*arguments: Any, progress: Any, **more: Any) -> Outcome:
+        assert [[swim.name for swim in swims] for swims in arguments[:2]] == [
+            [run.name for run in some] for some in (runs[:2], runs[2:])
+        ]
+        progress("candidates", 1, 1)
+        return outcome
 
-    monkeypatch.setattr(module, "identify", once)
+    monkeypatch.setattr(module, "identify", told)
+    monkeypatch.setattr(command_module, "LOOP_PATHS", ("line",))
+    monkeypatch.setattr(command_module, "LOOP_SEEDS", 1)
     code, stdout, stderr = command(capsys, *runs, *given, "--out", out)
     values = json.loads(stdout)
     assert code == 0, stderr
@@ -336,6 +339,20 @@ def test_from_logs_to_firmware(
     for stage in ("identify: candidates", *libraries, "new tables tried", "firmware"):
         assert f"{stage}: " in stderr
 
+    loop = values["closed_loop"]
+    assert loop["before"]["runs"] == loop["after"]["runs"] == 1
+    assert loop["before"]["completed"] == loop["after"]["completed"] == 1
+    assert 0.0 < loop["after"]["mean_distance_m"] < 0.02 and loop["before"] != loop["after"]
+    horizons = values["rods"]["horizons"]
+    assert [row["periods"] for row in horizons] == [1, 2, 3, 5]
+    assert horizons[3]["after"]["position_rmse_m"] < 0.5 * horizons[3]["before"]["position_rmse_m"]
+
+    def same(_tools: object, _robot: Robot, library: Path, _stage: object) -> bytes:
+        library.write_bytes(b"library")
+        return tables.image
+
+    monkeypatch.setattr(command_module._Tools, "tables", same)
+    monkeypatch.setattr(command_module._Tools, "tracked", lambda *_: Tracked(0.01, 0.02, 1, 1))
     again = tmp_path / "again"
     code, stdout, stderr = command(capsys, *runs, *given, "--tables", out / TABLES, "--out", again)
     values = json.loads(stdout)

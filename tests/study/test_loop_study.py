@@ -18,13 +18,12 @@ from frogkick.library import build_library
 from frogkick.planner.plan import Cost, PlanConfig
 from frogkick.report.loop_figure import loop_figure
 from frogkick.study import loop as study
+from frogkick.study.kept import Case, Outcome
 from frogkick.study.loop import (
     HIDDEN,
     NOMINAL,
     PAPER,
     ROBOT,
-    Case,
-    Outcome,
     Setting,
     Summary,
     judge,

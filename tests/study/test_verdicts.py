@@ -15,7 +15,8 @@ from frogkick.identify.terms import Term, catalogue
 from frogkick.identify.verdict import FOUND, NOTHING, UNEXPLAINED, Error, Interval
 from frogkick.report.verdicts_figure import verdicts_figure
 from frogkick.robot import load_robot
-from frogkick.study.verdicts import NULL, OUTSIDE, OUTSIDE_FILE, OUTSIDE_TEXT, Case, judged, kinds, recovered
+from frogkick.study.planted import NULL, OUTSIDE, OUTSIDE_FILE, OUTSIDE_TEXT, kinds
+from frogkick.study.verdicts import Case, judged, recovered
 
 ROBOT = load_robot("frog2022")
 

@@ -5,13 +5,16 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
+import numpy as np
 import typer
 
 from frogkick.cli.common import JsonOption, SeedOption, progress_bar, require_writable, show
 from frogkick.cli.places import DepthOption, PlannerName, plan_config
+from frogkick.report.identify_page import write_identify_page
 from frogkick.report.ring_page import write_ring_report
 from frogkick.robot import load_robot
-from frogkick.study.ring import go_round
+from frogkick.study.closing import Closing
+from frogkick.study.ring import close, go_round
 
 
 def demo(
@@ -22,12 +25,16 @@ def demo(
     seed: SeedOption = 0,
     json: JsonOption = False,
 ) -> None:
-    """Simulate, tabulate, emit C, build firmware, swim three paths with it on the virtual chip, report."""
+    """Simulate, tabulate, build firmware, swim on the virtual chip; wear a limb, find and learn it, again."""
     described = load_robot(robot)
     require_writable(out, folder=True)
     levels = plan_config(described, PlannerName.robot, depth).depth
     ring = go_round(described, out, states, levels, seed, progress_bar)
+    close(ring, out, seed, progress_bar)
+    assert ring.closing is not None
+    closing = ring.closing.as_json()
     report = out / "report.html"
+    write_identify_page(out / "identify.html", ring.closing.outcome)
     write_ring_report(report, ring)
     paths = {
         run.log.path.name: {**run.tracking.as_json(), "mismatches": run.mismatches}
@@ -37,9 +44,8 @@ def demo(
     values = {
         "mean_distance_m": ring.mean_distance_m,
         "paths": paths,
-        # What the model missed. Nothing is identified and added yet, so there is no "after".
-        "before": ring.missed,
-        "after": None,
+        **closing,  # before and after: see Closing
+        "table_missed": ring.missed,
         "chip_checks_passed": ring.chip.passed,
         "report": str(report),
     }
@@ -49,10 +55,28 @@ def demo(
         f"{path['mismatches']} mismatches between chip and twin"
         for name, path in paths.items()
     ]
+    lines += _closing_lines(ring.closing)
     show(values, json, "\n".join([*lines, f"report: {report.resolve()}"]))
     broken = any(run.mismatches or run.tracking.limit_violations for run in ring.runs)
     if broken or not ring.chip.passed:
         raise typer.Exit(1)
+
+
+def _closing_lines(closing: Closing) -> list[str]:
+    tested, found = closing.outcome.tested, [term.title for term in closing.outcome.terms]
+    hidden = ", ".join(str(value) for value in closing.planted.values())
+    lines = [f"hidden: {hidden}; verdict: {closing.outcome.verdict} ({', '.join(found) or 'no effect'})"]
+    lines += [
+        f"{name:8s} {1e3 * error.position_rmse_m:.2f} mm, {np.degrees(error.heading_rmse_rad):.2f} deg RMS a "
+        "period ahead on the run kept out of learning"
+        for name, error in (("before", tested.before), ("after", tested.after), ("noise", tested.noise_floor))
+    ]
+    if closing.new:
+        lines.append(
+            f"worn robot: {1e3 * closing.distance_m(closing.old):.1f} mm from its paths with the old "
+            f"firmware, {1e3 * closing.distance_m(closing.new):.1f} mm with the new"
+        )
+    return lines
 
 
 def register(app: typer.Typer) -> None:

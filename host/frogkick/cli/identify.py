@@ -43,6 +43,7 @@ def _text(outcome: Outcome) -> str:
             )
         lines += [horizon_line(each) for each in outcome.horizons if each.periods > 1]
         lines.append(str(outcome.signature["text"]))
+        lines += [] if outcome.experiment is None else [outcome.experiment.text]
     return "\n".join(lines)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -13,25 +13,31 @@ import typer
 from numpy.typing import NDArray
 
 from frogkick.cli.common import JsonOption, SeedOption, progress_bar, require_writable, show, stderr
-from frogkick.cli.places import robot_of_table
+from frogkick.cli.identify import horizon_line
+from frogkick.cli.places import built_firmware, robot_of_table
+from frogkick.effects import World, effects_of
 from frogkick.errors import InputError
-from frogkick.identify.retune import Retuned, Stage, require_new, retune
+from frogkick.identify.retune import Retuned, require_new, retune
 from frogkick.identify.swim import read_swim
+from frogkick.identify.tables import Stage, Tracked
 from frogkick.library import build_library, fit_table, read_library
 from frogkick.library.error import looked_up
 from frogkick.library.fitting import WHOLE_MIN
+from frogkick.paths import SHAPES
 from frogkick.planner.image import open_image, read_image
 from frogkick.robot import Robot, load_robot
+from frogkick.study.trial import trials
 from frogkick_codegen.firmware import build as build_firmware
 
 STATES = 800
 SAMPLING = "visited"
 KIND = "affine"
+LOOP_PATHS, LOOP_SEEDS = tuple(SHAPES), 2
 
 
 @dataclass(frozen=True)
 class _Tools:
-    """Tables of so many states by so many processes; see frogkick.identify.retune.Tools."""
+    """Tables of so many states by so many processes; see frogkick.identify.tables.Tools."""
 
     count: int
     seed: int
@@ -52,6 +58,25 @@ class _Tools:
         self, image: bytes, velocity_body: NDArray[np.float64], previous: NDArray[np.int64]
     ) -> NDArray[np.float64]:
         return looked_up(open_image(image), velocity_body, previous)
+
+    def tracked(self, tables: Path, robot: Robot, progress: Callable[[int, int], None]) -> Tracked:
+        with built_firmware("native", tables, robot) as built:
+            runs = trials(
+                built.image,
+                read_image(tables),
+                robot,
+                lambda: World(effects_of(robot)),
+                LOOP_PATHS,
+                LOOP_SEEDS,
+                progress=progress,
+            )
+        numbers = [run.tracking for run in runs]
+        return Tracked(
+            float(np.mean([each.mean_distance_m for each in numbers])),
+            float(np.mean([each.progress_mps for each in numbers])),
+            sum(each.completed for each in numbers),
+            len(numbers),
+        )
 
     def firmware(self, tables: Path, robot: Robot, out: Path) -> Mapping[str, Any]:
         built = build_firmware("bench", tables, robot, out)
@@ -119,6 +144,15 @@ def _text(result: Retuned, out: Path) -> str:
                 f"{name} tables: {1e3 * error.position_rmse_m:.2f} mm, "
                 f"{np.degrees(error.heading_rmse_rad):.2f} deg RMS a period ahead ({error.count} periods)"
             )
+    if result.loop is not None:
+        for name, tracked in zip(("old", "new"), result.loop, strict=True):
+            lines.append(
+                f"{name} tables in closed loop, in a simulated pool with what was found: "
+                f"{1e3 * tracked.mean_distance_m:.1f} mm from the path, "
+                f"{1e3 * tracked.progress_mps:.1f} mm/s along it, "
+                f"{tracked.completed} of {tracked.runs} runs completed"
+            )
+    lines += [f"rods, {horizon_line(each)}" for each in result.outcome.horizons if each.periods > 1]
     if result.done and result.reason:
         lines.append(result.reason)
     if result.better and result.tables is not None:

@@ -12,16 +12,16 @@ import typer
 from frogkick.cli.common import JsonOption, progress_bar, require_writable, show
 from frogkick.errors import InputError
 from frogkick.files import atomic_path, write_bytes
-from frogkick.library import build_library, fit_table, quantise, read_library
+from frogkick.library import Library, build_library, fit_table, quantise, read_library
 from frogkick.paths import SHAPES, shape
 from frogkick.report.loop_figure import loop_figure
 from frogkick.robot import Robot, load_robot
+from frogkick.study.kept import Case
 from frogkick.study.loop import (
     HIDDEN,
     NOMINAL,
     PAPER,
     ROBOT,
-    Case,
     Summary,
     Verdict,
     judge,
@@ -68,11 +68,14 @@ def loop(
     """
     described = load_robot(robot)
     settings = settings_of(world or [NOMINAL.name, HIDDEN.name], described)
-    paths = _paths(path or list(SHAPES))
+    paths = shape_names(path)
     require_writable(out, folder=True)
     processes = workers or os.cpu_count() or 1
     images = {PAPER: out / "paper.fkt", ROBOT: out / "robot.fkt" if tables is None else tables}
-    _make_tables(described, out, library, tables, images, processes)
+    read = library_of(described, library, out / "library.h5", processes)
+    write_bytes(images[PAPER], quantise(read))
+    if tables is None:
+        fit_own_table(read, images[ROBOT])
     planners = planners_of(described)
     cases = [
         Case(setting.name, name, planner.name, seed)
@@ -104,26 +107,55 @@ def loop(
         raise typer.Exit(1)
 
 
-def _paths(names: list[str]) -> list[str]:
+def shape_names(given: list[str] | None) -> list[str]:
+    """Names of shapes, each once, the paper's where none is given.
+
+    Raises:
+        InputError: no such shape.
+    """
+    names = given or list(SHAPES)
     for name in names:
         shape(name)
     return list(dict.fromkeys(names))
 
 
-def _make_tables(
-    robot: Robot, out: Path, library: Path | None, tables: Path | None, images: dict[str, Path], workers: int
-) -> None:
-    source = out / "library.h5" if library is None else library
-    if library is None and not source.exists():
-        with progress_bar("library") as progress:
-            build_library(robot, PAPER_STATES, 0, workers, source, progress, record_s=0.0)
+def library_of(
+    robot: Robot,
+    given: Path | None,
+    made: Path,
+    workers: int,
+    states: int = PAPER_STATES,
+    sampling: str = "box",
+) -> Library:
+    """Read a library of a robot, or one made once.
+
+    Args:
+        robot: whose it has to be.
+        given: its file, None for ``made``.
+        made: written where it is not there yet, of ``states`` and ``sampling`` as for ``build_library``.
+        workers: processes.
+
+    Raises:
+        InputError: it is of another robot, or of another version of it.
+    """
+    source = made if given is None else given
+    if given is None and not made.exists():
+        with progress_bar(f"library {made.name}") as progress:
+            build_library(robot, states, 0, workers, made, progress, sampling, record_s=0.0)
     read = read_library(source)
     if _swimmer(read.robot()) != _swimmer(robot):
-        raise InputError(f"library {source.name!r} is not of robot {robot.id!r} as it is now: build it again")
-    write_bytes(images[PAPER], quantise(read))
-    if tables is None:
-        with progress_bar("robot's table") as progress:
-            write_bytes(images[ROBOT], fit_table(read, "affine", ROBOT_BYTES, progress).image)
+        raise InputError(f"library {source.name!r} is not of {robot.title!r} as it is now: build it again")
+    return read
+
+
+def fit_own_table(library: Library, image: Path) -> None:
+    """Write the affine table of 64 KiB of a library.
+
+    Raises:
+        InputError: it has too few states.
+    """
+    with progress_bar("robot's table") as progress:
+        write_bytes(image, fit_table(library, "affine", ROBOT_BYTES, progress).image)
 
 
 def _swimmer(robot: Robot) -> Robot:
@@ -131,18 +163,24 @@ def _swimmer(robot: Robot) -> Robot:
     return dataclasses.replace(robot, planner=None, toml="", sha256=b"")  # type: ignore[arg-type]
 
 
-def _text(rows: list[Summary], verdicts: list[Verdict]) -> str:
+def table_of_rows(rows: list[Summary]) -> list[str]:
+    """A line of text for each."""
     wide = [max(len(getattr(row, name)) for row in rows) for name in ("world", "path", "planner")]
-    lines = [
+    return [
         f"{row.world:{wide[0]}s}  {row.path:{wide[1]}s}  {row.planner:{wide[2]}s}  "
         f"{1e3 * row.mean_distance_m:6.2f} +- {1e3 * row.deviation_m:5.2f} mm, "
         f"{1e3 * row.progress_mps:5.1f} mm/s, {100 * row.completed:3.0f} % completed"
         for row in rows
     ]
+
+
+def _text(rows: list[Summary], verdicts: list[Verdict]) -> str:
+    lines = table_of_rows(rows)
+    wide = max(len(row.planner) for row in rows)
     for verdict in verdicts:
         lines.append(f"{verdict.world}, over all paths:")
         lines += [
-            f"  {name:{wide[2]}s}  {1e3 * distance_m:6.2f} mm ({verdict.ratio_to_paper[name]:.2f} of the "
+            f"  {name:{wide}s}  {1e3 * distance_m:6.2f} mm ({verdict.ratio_to_paper[name]:.2f} of the "
             f"paper's), {1e3 * verdict.progress_mps[name]:5.1f} mm/s"
             for name, distance_m in verdict.mean_distance_m.items()
         ]

@@ -12,7 +12,8 @@ from frogkick.cli.places import TablesOption, robot_of_table, table_image
 from frogkick.errors import InputError
 from frogkick.files import atomic_path
 from frogkick.report.verdicts_figure import verdicts_figure
-from frogkick.study.verdicts import NULL, ONE, OUTSIDE, TWO, Case, Result, kinds, run_cases
+from frogkick.study.planted import NULL, ONE, OUTSIDE, TWO, kinds
+from frogkick.study.verdicts import Case, Result, run_cases
 
 LEAST = {NULL: 0.95, ONE: 0.95, TWO: 0.90, OUTSIDE: 0.95}
 """Share of the cases of a group that must be right."""

@@ -153,7 +153,8 @@ def build_mesh(robot: Robot) -> tuple[Mesh, Plan]:
         order.append(len(points))
         edges += [(len(points), corner) for corner in corners]
         rows += [(frame.stretching_stiffness_n, 0.0, 0.0, 0.0)] * len(corners)
-        points.append(tuple(np.mean([points[corner] for corner in corners], axis=0).tolist()))
+        centre = np.mean([points[corner] for corner in corners], axis=0) + frame.centre_mass_at_m
+        points.append(tuple(centre.tolist()))
     rest = np.array(points, dtype=np.float64)
     ends = np.array(edges, dtype=np.int32)
     length = np.hypot(*(rest[ends[:, 1]] - rest[ends[:, 0]]).T)

@@ -15,7 +15,7 @@ what it acts on:
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
@@ -38,6 +38,8 @@ class Parameter:
         low, high: bounds, inclusive.
         nominal: where the effect vanishes, or is as in the plain model.
         about: what it means, in half a line.
+        step: by which it changes little enough that what it does is in proportion; 0: a twentieth of its
+            bounds' distance.
     """
 
     name: str
@@ -46,6 +48,7 @@ class Parameter:
     high: float
     nominal: float
     about: str = ""
+    step: float = 0.0
 
 
 @dataclass
@@ -83,10 +86,6 @@ class History:
     def since_s(self, index: int, time_s: float) -> float:
         """How long ago a limb fired last; infinite where it did not."""
         return min((time_s - then for then, limb in self.strokes if limb == index), default=math.inf)
-
-    def since_any_s(self, indices: Sequence[int], time_s: float) -> float:
-        """How long ago any of some limbs fired last; infinite where none did."""
-        return min((self.since_s(index, time_s) for index in indices), default=math.inf)
 
 
 @dataclass(frozen=True)
@@ -181,6 +180,18 @@ class Effect:
         Raises:
             InputError: it names the right ones.
         """
+
+    def starts(self, low_m: FloatArray, high_m: FloatArray) -> Sequence[Mapping[str, float]]:
+        """Values at which a search for this effect begins, instead of ones that it spreads by itself.
+
+        Args:
+            low_m, high_m: (2,) ends of the places where runs went, world frame.
+
+        Returns:
+            For each start values of some parameters, which say where the effect is and not how strong; none
+            where any values do.
+        """
+        return ()
 
     def robot(self, robot: Robot) -> Robot:
         """The robot as this effect makes it: what is another body, not another force."""

@@ -15,6 +15,7 @@ import numpy as np
 
 from frogkick.effects.base import Body, Effect, History, Parameter, Stroke
 from frogkick.effects.groups import require_group
+from frogkick.effects.inertia import with_inertia
 from frogkick.robot import Limb, Robot
 
 _FATIGUE_STROKES = 24  # of a limb, that are remembered: older ones have faded
@@ -44,10 +45,9 @@ class Hull(Effect):
         plain = frame.mass_per_length_kg_per_m
         whole = self.mass * (plain + frame.added_mass_per_length_kg_per_m)
         body = replace(
-            frame,
+            with_inertia(frame, (0.0, 0.0), self.centre_share),
             mass_per_length_kg_per_m=min(plain, whole),
             added_mass_per_length_kg_per_m=max(0.0, whole - plain),
-            centre_mass_share=1.0 - (1.0 - frame.centre_mass_share) * (1.0 - self.centre_share),
             drag_normal=frame.drag_normal * self.frame_drag,
             drag_tangential=frame.drag_tangential * self.frame_drag,
         )

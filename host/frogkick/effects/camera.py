@@ -26,7 +26,12 @@ class CameraScale(Effect):
 
 
 class TagOffset(Effect):
-    """The tag is not where the model has the body's centre, or not straight on it."""
+    """The tag is not where the model has the body's centre, or not straight on it.
+
+    A camera that is turned about its axis turns places and headings alike: no run shows that, and none is
+    the worse for it. What is left of it, headings turned against places, is a tag that is turned; likewise a
+    camera that stands elsewhere moves all places alike, and only a tag beside the centre shows.
+    """
 
     name = "tag_offset"
     about = "the tag sits beside the body's centre and turned against its forward axis"

@@ -1,11 +1,58 @@
-"""Effects of where the body's mass is."""
+"""Effects of where the body's mass is.
+
+A rigid frame moves as its mass, its centre of mass and its moment of inertia say. The rods have these three
+by an even outline and one more mass point, held by stiff spokes without weight: a share S of the mass at a
+place p from the outline's centre. With k the outline's radius of gyration the centre of mass lies at S p, and
+the moment of inertia about the outline's centre is (1 - S) + S p^2 / k^2 of that of the bare outline.
+"""
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
+from itertools import pairwise
 
-from frogkick.effects.base import Effect, Parameter
+import numpy as np
+
+from frogkick.effects.base import Effect, Fix, Parameter
 from frogkick.robot import Robot
+from frogkick.robot.model import Frame, Limb
+
+_LEAST_INERTIA = 0.02
+"""Share of the outline's moment of inertia, about the centre of mass, that no combination goes below."""
+
+
+def gyration_m(frame: Frame) -> float:
+    """Radius of gyration of a frame's bare outline about the mean of its corners."""
+    corners = np.array(frame.corners_m) - np.mean(frame.corners_m, axis=0)
+    squares, whole = 0.0, 0.0
+    for a, b in pairwise([*corners, corners[0]]):
+        length = float(np.hypot(*(b - a)))
+        squares += length * float(a @ a + a @ b + b @ b) / 3.0
+        whole += length
+    return math.sqrt(squares / whole)
+
+
+def with_inertia(frame: Frame, moved_m: tuple[float, float], share: float) -> Frame:
+    """A frame whose mass sits otherwise.
+
+    Args:
+        frame: it may have a mass point already.
+        moved_m: by how much its centre of mass moves, body frame.
+        share: by what share its moment of inertia about the outline's centre falls.
+    """
+    k = gyration_m(frame)
+    had, at = frame.centre_mass_share, np.array(frame.centre_mass_at_m)
+    centre = had * at + np.array(moved_m)
+    inertia = (1.0 - share) * ((1.0 - had) + had * float(at @ at) / k**2)
+    apart = float(centre @ centre) / k**2
+    # Of S p = centre and (1 - S) + S p^2 / k^2 = inertia the root that is a share.
+    less = 1.0 - max(inertia, apart + _LEAST_INERTIA)
+    point = 0.5 * (less + math.sqrt(less * less + 4.0 * apart))
+    if point < 1e-9:
+        return replace(frame, centre_mass_share=0.0, centre_mass_at_m=(0.0, 0.0))
+    x, y = (centre / point).tolist()
+    return replace(frame, centre_mass_share=point, centre_mass_at_m=(x, y))
 
 
 class CentreMass(Effect):
@@ -19,5 +66,48 @@ class CentreMass(Effect):
     share: float
 
     def robot(self, robot: Robot) -> Robot:
-        on_outline = (1.0 - robot.frame.centre_mass_share) * (1.0 - self.share)
-        return replace(robot, frame=replace(robot.frame, centre_mass_share=1.0 - on_outline))
+        return replace(robot, frame=with_inertia(robot.frame, (0.0, 0.0), self.share))
+
+
+class OffCentreMass(Effect):
+    """Batteries or electronics that do not balance: the body turns about another point than its middle.
+
+    Pushes of limbs that met the centre of mass pass beside it now and turn the body, and water that slows the
+    frame turns it as well. The moment of inertia about the middle stays. A camera goes on seeing the tag,
+    which sits where it sat on the frame and not on the centre of mass.
+    """
+
+    name = "off_centre_mass"
+    about = "the centre of mass, with the water taken along, lies beside where the model has it"
+    shown_by = "turns of strokes that push straight, and the opposite turn while the robot glides"
+    parameters = (
+        Parameter("forward_m", "m", -0.015, 0.015, 0.0, "centre of mass in front of where the model has it"),
+        Parameter("left_m", "m", -0.015, 0.015, 0.0, "centre of mass left of it"),
+    )
+
+    forward_m: float
+    left_m: float
+
+    def robot(self, robot: Robot) -> Robot:
+        frame, limbs = frame_mass_kg(robot.frame), sum(limb_mass_kg(limb) for limb in robot.limbs)
+        whole = (frame + limbs) / frame
+        moved = (whole * self.forward_m, whole * self.left_m)
+        return replace(robot, frame=with_inertia(robot.frame, moved, 0.0))
+
+    def fix(self, fix: Fix, rng: np.random.Generator) -> Fix:
+        c, s = math.cos(fix.heading_rad), math.sin(fix.heading_rad)
+        fix.x_m -= c * self.forward_m - s * self.left_m
+        fix.y_m -= s * self.forward_m + c * self.left_m
+        return fix
+
+
+def frame_mass_kg(frame: Frame) -> float:
+    """Of a frame, with the water that it takes along."""
+    around = [*frame.corners_m, frame.corners_m[0]]
+    outline_m = sum(math.dist(a, b) for a, b in pairwise(around))
+    return outline_m * (frame.mass_per_length_kg_per_m + frame.added_mass_per_length_kg_per_m)
+
+
+def limb_mass_kg(limb: Limb) -> float:
+    """Of a limb, likewise."""
+    return limb.length_m * (limb.mass_per_length_kg_per_m + limb.added_mass_per_length_kg_per_m)

@@ -111,7 +111,8 @@ class GroupLoss(Effect):
     fade_s: float
 
     def stroke(self, stroke: Stroke, history: History, rng: np.random.Generator) -> Stroke:
-        others = [i for t, i in history.strokes if i != stroke.index and t < stroke.time_s]
-        since_s = history.since_any_s(others, stroke.time_s)
+        # Limbs that fire at the same time disturb each other as little as when their profile was measured.
+        earlier = [then for then, limb in history.strokes if limb != stroke.index and then < stroke.time_s]
+        since_s = stroke.time_s - max(earlier, default=-math.inf)
         stroke.gain *= 1.0 - self.loss * math.exp(-since_s / self.fade_s)
         return stroke

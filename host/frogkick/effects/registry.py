@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from frogkick.effects import body, camera, groups, inertia, limbs, water
+from frogkick.effects import body, camera, groups, inertia, limbs, walls, water
 from frogkick.effects.base import Effect
 from frogkick.errors import InputError, nearest_name
 from frogkick.files import existing_file
@@ -19,7 +19,7 @@ from frogkick.robot import Robot
 
 def _built_in() -> dict[str, type[Effect]]:
     found = {}
-    for module in (limbs, groups, body, inertia, water, camera):
+    for module in (limbs, groups, body, inertia, water, walls, camera):
         for _, kind in inspect.getmembers(module, inspect.isclass):
             if issubclass(kind, Effect) and kind.name:
                 found[kind.name] = kind

@@ -5,9 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import TypeVar
 
 from frogkick.effects.base import Body, Effect, FloatArray, Parameter
-from frogkick.robot import Robot
+from frogkick.robot import Limb, Robot
+from frogkick.robot.model import Frame
+
+Part = TypeVar("Part", Frame, Limb)
 
 
 class SteadyCurrent(Effect):
@@ -102,24 +106,33 @@ class DragScale(Effect):
 
 
 class MassScale(Effect):
-    """A body that is heavier, or takes more water along, than the model has it."""
+    """A body or limbs that are heavier, or take more water along, than the model has them."""
 
     name = "mass_scale"
-    about = "mass of the frame with the water that it takes along, times a factor"
+    about = "mass of the frame, and of the limbs, with the water that each takes along, times a factor each"
     shown_by = "surge and turn of single strokes together with how long the robot glides"
-    parameters = (Parameter("frame", "1", 0.2, 5.0, 1.0, "factor on the frame's mass in motion"),)
+    parameters = (
+        Parameter("frame", "1", 0.2, 5.0, 1.0, "factor on the frame's mass in motion"),
+        Parameter("limbs", "1", 0.2, 5.0, 1.0, "factor on the limbs' mass in motion"),
+    )
 
     frame: float
+    limbs: float
 
     def robot(self, robot: Robot) -> Robot:
-        whole = robot.frame.mass_per_length_kg_per_m + robot.frame.added_mass_per_length_kg_per_m
-        added = whole * self.frame - robot.frame.mass_per_length_kg_per_m
-        if added >= 0.0:
-            return replace(robot, frame=replace(robot.frame, added_mass_per_length_kg_per_m=added))
-        lighter = replace(
-            robot.frame, mass_per_length_kg_per_m=whole * self.frame, added_mass_per_length_kg_per_m=0.0
-        )
-        return replace(robot, frame=lighter)
+        limbs = tuple(_times_mass(limb, self.limbs) for limb in robot.limbs)
+        return replace(robot, frame=_times_mass(robot.frame, self.frame), limbs=limbs)
+
+
+def _times_mass(part: Part, factor: float) -> Part:
+    """A frame or limb whose mass in motion is some times as much: what it weighs stays while it can."""
+    plain = part.mass_per_length_kg_per_m
+    whole = factor * (plain + part.added_mass_per_length_kg_per_m)
+    return replace(
+        part,
+        mass_per_length_kg_per_m=min(plain, whole),
+        added_mass_per_length_kg_per_m=max(0.0, whole - plain),
+    )
 
 
 class YawDrag(Effect):

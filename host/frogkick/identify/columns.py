@@ -12,6 +12,7 @@ from frogkick.identify.fit import Model, misses, steps_of, tracks_of
 from frogkick.identify.probe import Probes, Sums, changes, probes_of, spread_first
 from frogkick.identify.swim import Swim
 from frogkick.identify.terms import Term
+from frogkick.robot import Robot
 
 FloatArray = NDArray[np.float64]
 
@@ -49,6 +50,14 @@ def sensitivities(
     starts: list[Term] = []
     wanted: list[tuple[FloatArray | None, tuple[int, int]]] = []
     for term in candidates:
+        own = _own_starts(term, model.robot, swims)
+        for start, placed in own:
+            wanted += [
+                (None, (len(starts), k)) for k, p in enumerate(term.parameters) if p.name not in placed
+            ]
+            starts.append(start)
+        if own:
+            continue
         told = _changes(probes, bare, term)
         dead = np.array([change is not None and not change.any() for change in told])
         if dead.all():
@@ -95,6 +104,21 @@ def sensitivities(
 
 def _changes(probes: Probes, bare: Model, term: Term) -> list[FloatArray | None]:
     return changes(probes, term, steps_of(replace(bare, terms=(term,))))
+
+
+def _own_starts(term: Term, robot: Robot, swims: Sequence[Swim]) -> list[tuple[Term, set[str]]]:
+    """Starts that an effect asks for by itself, and which parameters say where it is there.
+
+    Probes are here and there, such an effect is in one place: all its other parameters are simulated.
+    """
+    effect = term.effect()
+    effect.check(robot)
+    reached = np.concatenate([swim.pose[:, :2] for swim in swims])
+    found = []
+    for given in effect.starts(reached.min(axis=0), reached.max(axis=0)):
+        values = dict(zip((p.name for p in term.parameters), term.values, strict=True))
+        found.append((term.at(list({**values, **given}.values())), set(given)))
+    return found
 
 
 def _starts(term: Term, dead: NDArray[np.bool_], swims: Sequence[Swim]) -> list[Term]:

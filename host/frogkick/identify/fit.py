@@ -19,7 +19,7 @@ from frogkick.robot import Robot
 FloatArray = NDArray[np.float64]
 
 STEP_SHARE = 0.05
-"""Of a parameter's range: the step of its finite difference."""
+"""Of a parameter's range: the step of its finite difference, where it names none."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,7 +138,8 @@ class Fitted:
 def steps_of(model: Model) -> FloatArray:
     """(p,) steps for finite differences, turned around where they would leave the bounds."""
     low, high = model.bounds
-    step = STEP_SHARE * (high - low)
+    given = np.array([p.step for term in model.terms for p in term.parameters])
+    step = np.where(given > 0.0, given, STEP_SHARE * (high - low))
     return np.where(model.values + step > high, -step, step)
 
 

@@ -23,7 +23,7 @@ FloatArray = NDArray[np.float64]
 HORIZONS = (1, 2, 3, 5)
 """Periods ahead."""
 
-STARTS_MOST = 160
+STARTS_MOST = 60
 """Starts in all runs together; of more, evenly spread ones are taken: each costs as much as its periods."""
 
 

@@ -16,6 +16,7 @@ import numpy as np
 
 from frogkick.errors import InputError
 from frogkick.files import write_text
+from frogkick.identify.experiment import Experiment, experiment_of
 from frogkick.identify.filter import Noise
 from frogkick.identify.fit import Fitted, Model, tracks_of
 from frogkick.identify.horizons import Horizon, horizons_of
@@ -117,6 +118,13 @@ class Outcome:
             return []
         return horizons_of(self.found.nominal.model, self.found.fitted.model, self.test)
 
+    @cached_property
+    def experiment(self) -> Experiment | None:
+        """What to record to settle what was found but is still open; None where nothing is."""
+        if self.found is None or self.verdict != FOUND:
+            return None
+        return experiment_of(self.found, self.parameters, self.train)
+
     def as_json(self) -> dict[str, Any]:
         """The keys of the command."""
         effects = []
@@ -143,6 +151,7 @@ class Outcome:
             "train": self.trained.as_json(),
             "test": {**self.tested.as_json(), "horizons": [each.as_json() for each in self.horizons]},
             "signature": self.signature,
+            "experiment": None if self.experiment is None else self.experiment.as_json(),
             **({"reason": self.reason} if self.reason else {}),
         }
 

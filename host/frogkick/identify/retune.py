@@ -11,27 +11,25 @@ import os
 import shutil
 import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from frogkick.effects import Effect, Fix
+from frogkick.effects import Effect
 from frogkick.errors import InputError
 from frogkick.files import write_bytes
 from frogkick.identify.outcome import Outcome, identify, write_robot
-from frogkick.identify.predict import Track
 from frogkick.identify.swim import Swim
-from frogkick.identify.verdict import NOTHING, TOO_LITTLE, Error, error_of
-from frogkick.paths import wrap_angle
+from frogkick.identify.tables import PERIOD_OFF, Stage, Tools, Tracked, table_error
+from frogkick.identify.verdict import NOTHING, TOO_LITTLE, Error
 from frogkick.robot import Robot, load_robot
 
 FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 BETTER = 0.98
 """New tables must err at most so many times as much as the old ones, in position or in heading."""
@@ -42,38 +40,8 @@ HELD_LEAST = 5
 HELD_SHARE = 1.0 / 3.0
 """Of a single run's periods, its last: held out."""
 
-EARLIER = 8
-"""How many earlier actions a look-up is told."""
-
-RESTED = -1
-"""In place of an earlier action: there was none, as libraries have it."""
-
-PERIOD_OFF = 0.1
-"""A run's period may differ by such a share from the one that tables are made for."""
-
 ROBOT, LIBRARY, TABLES = "robot.toml", "library.h5", "tables.fkt"
 BEFORE, REFUSED, FIRMWARE = "before.fkt", "refused.fkt", "firmware"
-
-_CHANCE = np.random.default_rng(0)
-
-Stage = Callable[[str], AbstractContextManager[Callable[[int, int], None]]]
-"""Begins a stage of the work by its title; what it yields is called with (done, all)."""
-
-
-class Tools(Protocol):
-    """What is done with robots and tables that is no identification."""
-
-    def tables(self, robot: Robot, library: Path, stage: Stage) -> bytes:
-        """Simulate a robot's library into a file, and make the table image of it."""
-
-    def states(self, image: bytes) -> int:
-        """How many states a table image has."""
-
-    def looked_up(self, image: bytes, velocity_body: FloatArray, previous: IntArray) -> FloatArray:
-        """(n, a, 6) transitions in a table image from (n, 3) velocities after (n, EARLIER) actions."""
-
-    def firmware(self, tables: Path, robot: Robot, out: Path) -> Mapping[str, Any]:
-        """Build the robot's image around a table file into a folder; its sizes."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,6 +57,8 @@ class Retuned:
         held_out: what was held out, in words.
         tables: path, bytes and states of the new tables, refused ones too; None where none were made.
         firmware: sizes of the image; None where none was made.
+        loop: the old and the new tables in closed loop, in a pool with what was found; None where none were
+            made.
     """
 
     outcome: Outcome
@@ -99,6 +69,7 @@ class Retuned:
     held_out: str
     tables: Mapping[str, Any] | None = None
     firmware: Mapping[str, Any] | None = None
+    loop: tuple[Tracked, Tracked] | None = None
 
     @property
     def done(self) -> bool:
@@ -113,6 +84,9 @@ class Retuned:
             "effects": found["effects"],
             "before": {**self.before.as_json(), "periods": self.before.count},
             "after": {**self.after.as_json(), "periods": self.after.count},
+            "closed_loop": None
+            if self.loop is None
+            else {"before": self.loop[0].as_json(), "after": self.loop[1].as_json()},
             "rods": found["test"],
             "held_out": self.held_out,
             "better": self.better,
@@ -163,6 +137,10 @@ def retune(
         better = is_better(before, after)
         name = TABLES if better else REFUSED
         write_bytes(made / name, new)
+        loop = []
+        for file, which in ((made / BEFORE, "old"), (made / name, "new")):
+            with stage(f"paths followed with the {which} tables, by a simulated robot like this") as progress:
+                loop.append(tools.tracked(file, worn, progress))
         firmware = None
         if better:
             with stage("firmware") as progress:
@@ -170,7 +148,7 @@ def retune(
                 progress(1, 1)
     tables = {"file": str(out / name), "bytes": len(new), "states": tools.states(new)}
     reason = "" if better else _no_better(before, after)
-    return Retuned(outcome, before, after, better, reason, held_out, tables, firmware)
+    return Retuned(outcome, before, after, better, reason, held_out, tables, firmware, (loop[0], loop[1]))
 
 
 def require_new(out: Path) -> None:
@@ -222,65 +200,6 @@ class _Later(Swim):
         """(m, 3) as Swim has it; NaN for the periods before."""
         ends = [self.pose_at(float(end)) for end in self.end_s]
         return np.array([np.full(3, np.nan)] * self.judged_from + ends[self.judged_from :]).reshape(-1, 3)
-
-
-def table_error(tools: Tools, image: bytes, outcome: Outcome) -> Error:
-    """How far a table errs a period ahead on the test runs: one look-up from where each period began.
-
-    Old and new tables begin from the same states, the best that are known of the robot: those of the rods
-    with what was found. Their poses are taken as the camera shows them, as the robot will be told them.
-
-    Args:
-        tools: look it up.
-        image: of the table.
-        outcome: knows runs, starts and effects.
-    """
-    effects = [term.effect() for term in outcome.terms]
-    gaps = [_gaps(tools, image, *pair, effects) for pair in zip(outcome.test, outcome.tracks, strict=True)]
-    return error_of(np.concatenate(gaps))
-
-
-def _gaps(tools: Tools, image: bytes, swim: Swim, track: Track, effects: Sequence[Effect]) -> FloatArray:
-    """(m, 3) measured minus looked-up pose at each period's end; NaN where one is not known."""
-    gap = np.full((len(swim.start_s), 3), np.nan)
-    known = np.isfinite(track.start).all(axis=1) & (swim.action >= 0)
-    # What a table does not know of is not held against it: a period that was cut short or lengthened.
-    known &= np.abs((swim.end_s - swim.start_s) / swim.period_s - 1.0) < PERIOD_OFF
-    if not known.any():
-        return gap
-    found = tools.looked_up(image, track.start[known, 3:], earlier_actions(swim)[known])
-    moved = found[np.arange(len(found)), swim.action[known], :3]
-    shown = np.array(
-        [
-            _shown(effects, float(at_s), pose)
-            for at_s, pose in zip(swim.start_s[known], track.start[known, :3], strict=True)
-        ]
-    )
-    c, s = np.cos(shown[:, 2]), np.sin(shown[:, 2])
-    ends = shown + np.column_stack(
-        [c * moved[:, 0] - s * moved[:, 1], s * moved[:, 0] + c * moved[:, 1], moved[:, 2]]
-    )
-    gap[known] = swim.measured[known] - ends
-    gap[:, 2] = wrap_angle(gap[:, 2])
-    return gap
-
-
-def _shown(effects: Sequence[Effect], time_s: float, pose: FloatArray) -> tuple[float, float, float]:
-    """A pose as the camera shows it."""
-    seen = Fix(time_s, 0.0, *(float(value) for value in pose))
-    for effect in effects:
-        seen = effect.fix(seen, _CHANCE) or seen
-    return seen.x_m, seen.y_m, seen.heading_rad
-
-
-def earlier_actions(swim: Swim) -> IntArray:
-    """(m, EARLIER) actions of the periods before each one, newest first, RESTED beyond a gap or the start."""
-    previous = np.full((len(swim.start_s), EARLIER), RESTED, dtype=np.int64)
-    for period in range(1, len(previous)):
-        apart_s = float(swim.start_s[period] - swim.start_s[period - 1])
-        if swim.action[period - 1] >= 0 and apart_s < 1.5 * swim.period_s:
-            previous[period] = [swim.action[period - 1], *previous[period - 1, :-1]]
-    return previous
 
 
 def is_better(before: Error, after: Error) -> bool:

@@ -98,6 +98,7 @@ class Found:
         turns: what was tried at each turn.
         rows: periods that counted.
         alike: for each effect chosen, others that did as well within what the data can tell.
+        rivals: these others themselves, fitted.
     """
 
     nominal: Fitted
@@ -106,6 +107,7 @@ class Found:
     rows: NDArray[np.bool_]
     alike: list[list[str]]
     sensitivities: list[Column] = field(default_factory=list)
+    rivals: list[list[Term]] = field(default_factory=list)
 
 
 def countable(swims: Sequence[Swim], robot: Robot) -> tuple[Model, NDArray[np.bool_], Fitted]:
@@ -166,7 +168,7 @@ def search(
     model, rows, nominal = countable(swims, robot)
     columns = sensitivities(model, candidates, swims, rows, lambda d, n: progress("candidates", d, n))
     hunt = _Hunt(swims, rows, folds_of(swims, rows), columns, copies(swims))
-    current, turns, alike = nominal, [], []
+    current, turns, equals = nominal, [], list[list[Term]]()
     for turn in range(MOST):
         progress("effects", turn, MOST)
         taken, tried, rivals = hunt.turn(current)
@@ -174,14 +176,15 @@ def search(
             current, others = hunt.settled(hunt.polished(taken), rivals)
             title = current.model.terms[-1].title
             tried = [replace(each, chosen=each.title == title) for each in tried]
-            alike.append(others)
+            equals.append(others)
         turns.append(tried)
         if taken is None:
             break
     if len(current.model.terms) > 1:
         current = hunt.sparer(current, whole=True)  # what the first effect stood in for has come since
     progress("effects", MOST, MOST)
-    return Found(nominal, current, turns, rows, alike, columns)
+    alike = [[term.title for term in others] for others in equals]
+    return Found(nominal, current, turns, rows, alike, columns, equals)
 
 
 @dataclass(frozen=True, eq=False)
@@ -254,7 +257,7 @@ class _Hunt:
         rivals = [fitted for score, fitted in scored[1:] if score > best - max(NEAR, RIVAL * best)]
         return scored[0][1], tried, rivals
 
-    def settled(self, taken: Fitted, rivals: Sequence[Fitted]) -> tuple[Fitted, list[str]]:
+    def settled(self, taken: Fitted, rivals: Sequence[Fitted]) -> tuple[Fitted, list[Term]]:
         """The best of a polished model and its rivals at its noise, and what cannot be told from that.
 
         Of those that cannot be told apart it is the one with the fewest parameters.
@@ -268,7 +271,7 @@ class _Hunt:
         every.sort(key=_price)
         equals = [each for each in every if _price(each) < _price(every[0]) + ALIKE * self.copies]
         equals.sort(key=lambda each: len(each.model.values))
-        return equals[0], [each.model.terms[-1].title for each in equals[1:]]
+        return equals[0], [each.model.terms[-1] for each in equals[1:]]
 
     def offers(self, current: Fitted) -> list[_Offer]:
         """Candidates by what their derivatives promise, best first."""
@@ -340,7 +343,7 @@ class _Hunt:
             for number, term in enumerate(model.terms, 1):
                 free = [k for k in range(len(term.values)) if first + k not in model.held]
                 if len(free) > 1 and (whole or number == len(model.terms)):
-                    tries += [_held_at(fitted, first + k, term.parameters[k].nominal) for k in free]
+                    tries += [held_at(fitted, first + k, term.parameters[k].nominal) for k in free]
                 first += len(term.values)
             if not tries:
                 return fitted
@@ -367,7 +370,7 @@ def _shy(fitted: Fitted) -> FloatArray:
     return np.asarray(1e-6 * fitted.missed.size / fitted.model.range**2)
 
 
-def _held_at(fitted: Fitted, k: int, value: float) -> Model:
+def held_at(fitted: Fitted, k: int, value: float) -> Model:
     """The model with one value held where it is told, the others as derivatives say they then are."""
     model = fitted.model
     back = np.zeros(len(model.values))

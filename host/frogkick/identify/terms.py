@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from frogkick.effects import BUILT_IN, Effect, Parameter
 from frogkick.effects.registry import effect_classes, make_effect
+from frogkick.effects.walls import OUTWARD
 from frogkick.errors import InputError
 from frogkick.robot import Robot
 
@@ -92,12 +93,14 @@ def _term(table: Mapping[str, Any], folder: Path, kind: type) -> Term:
 
 
 def _options(kind: type, robot: Robot) -> list[dict[str, Any]]:
-    """Option values to try: each limb, and what the effect has by default."""
+    """Option values to try: each limb, and what the effect has by default; each word; each side of a pool."""
     options: Mapping[str, Any] = getattr(kind, "options", {})
     if "limb" in options:
         names = [limb.name for limb in robot.limbs]
         default = [options["limb"]] if options["limb"] is not None else []
         return [{"limb": name} for name in [*names, *default]]
+    if "side" in options:
+        return [{"side": side} for side in OUTWARD]
     if "group" in options:
         words = sorted({word for limb in robot.limbs for word in limb.name.split("_")})
         return [{"group": word} for word in words]

@@ -1,19 +1,37 @@
-"""The report of ``frogkick identify``: what was predicted, what happened, which effects were tried."""
+"""The report of ``frogkick identify``: what was predicted, what happened, what was tried, taken, and why."""
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
-import numpy as np
-import numpy.typing as npt
 from matplotlib.figure import Figure
 
 from frogkick.identify.outcome import Outcome
-from frogkick.identify.verdict import gaps
-from frogkick.report import style
+from frogkick.identify.search import BASE_GAIN, GAIN_EACH, HOLD, PLAIN_GAIN, SEEN_LEAST
+from frogkick.identify.swim import Swim
+from frogkick.identify.verdict import FOUND, NEAR_FLOOR, NOTHING, UNEXPLAINED, Error
+from frogkick.report.identify_figures import (
+    cause_figure,
+    error_figure,
+    place_figure,
+    rest_figure,
+    time_figure,
+    track_figure,
+    tried_figure,
+)
+from frogkick.report.identify_misses import Misses, mimics, misses_of
 from frogkick.report.page import Section, Table, write_page
+from frogkick.report.style import figure_uri
 
-FloatArray = npt.NDArray[np.float64]
+TITLE = "What the model lacks"
+MIMICS_MOST = 8
+
+MEANS = {
+    NOTHING: "the nominal model predicts these runs as well as their fixes allow",
+    FOUND: "with the effects below, predictions are as good as the fixes allow",
+    UNEXPLAINED: "something is missing that the effects tried do not explain, or not all of it",
+}
 
 
 def write_identify_page(target: Path, outcome: Outcome) -> None:
@@ -24,142 +42,260 @@ def write_identify_page(target: Path, outcome: Outcome) -> None:
     """
     if outcome.found is None:
         lead = f"Verdict: {outcome.verdict}. {outcome.reason[:1].upper()}{outcome.reason[1:]}."
-        write_page(target, "What the model lacks", lead, [])
+        write_page(target, TITLE, lead, [_terms(outcome)])
         return
     tested = outcome.tested
     names = ", ".join(term.title for term in outcome.terms) or "no effect"
-    before, after, floor = (
-        f"{1e3 * error.position_rmse_m:.2f} mm and {np.rad2deg(error.heading_rmse_rad):.2f} degrees"
-        for error in (tested.before, tested.after, tested.noise_floor)
-    )
     lead = (
-        f"Verdict: {outcome.verdict} ({names}). A period ahead, on runs kept out of learning, the nominal "
-        f"model of {outcome.robot.title} is off by {before} (RMSE), with what was found by {after}; what the "
-        f"fixes themselves allow is {floor}."
+        f"Verdict: {outcome.verdict} ({names}): {MEANS[outcome.verdict]}. A period ahead, on runs kept out "
+        "of "
+        f"learning, the nominal model of {outcome.robot.title} is off by {_words(tested.before)} (RMS), with "
+        f"what was found by {_words(tested.after)}; noise of the fixes alone makes "
+        f"{_words(tested.noise_floor)}."
     )
-    write_page(
-        target,
-        "What the model lacks",
-        lead,
-        [_errors(outcome), _effects(outcome), _tried(outcome), _rest(outcome)],
-    )
+    misses = misses_of(outcome)
+    sections = [_errors(outcome)]
+    if len(misses.run):
+        sections += [_tracks(outcome, misses), _residual(outcome, misses)]
+    sections += [_effects(outcome), _tried(outcome), _apart(outcome), _rest(outcome), _terms(outcome)]
+    write_page(target, TITLE, lead, sections)
+
+
+def _words(error: Error) -> str:
+    return f"{1e3 * error.position_rmse_m:.2f} mm and {math.degrees(error.heading_rmse_rad):.2f} degrees"
+
+
+def _picture(figure: Figure, caption: str) -> tuple[str, str]:
+    return figure_uri(figure), caption
 
 
 def _errors(outcome: Outcome) -> Section:
-    """Before and after, action by action and period by period, with the noise floor drawn in."""
-    nominal, fitted = gaps(outcome.nominal_tracks, outcome.test), gaps(outcome.tracks, outcome.test)
-    action = np.concatenate([swim.action for swim in outcome.test])
-    known = np.isfinite(nominal).all(axis=1) & np.isfinite(fitted).all(axis=1)
-    nominal, fitted, action = nominal[known], fitted[known], action[known]
-    names = outcome.test[0].action_names
-    floor = outcome.tested.noise_floor
-    with style.styled():
-        figure = Figure(figsize=(11.0, 6.4), layout="constrained")
-        panels = figure.subplots(2, 2)
-        for row, (size, unit, what, level) in enumerate(
-            (
-                (_position_mm, "mm", "position", 1e3 * floor.position_rmse_m),
-                (_heading_deg, "deg", "heading", float(np.rad2deg(floor.heading_rmse_rad))),
-            )
-        ):
-            left, right = panels[row]
-            left.plot(size(nominal), "o-", color=style.DESIRED, markersize=3, linewidth=0.7, label="nominal")
-            left.plot(size(fitted), "o-", color=style.TRUE, markersize=3, linewidth=0.7, label="with effects")
-            left.axhline(level, color=style.ALARM, linestyle="--", label="noise floor (RMS)")
-            left.set_xlabel("period of the test runs")
-            left.set_ylabel(f"{what} missed ({unit})")
-            left.set_title(f"{what.capitalize()} missed, a period ahead")
-            left.legend()
-            labels = np.unique(action)
-            place = np.arange(len(labels))
-            for shift, gap, colour in ((-0.2, nominal, style.DESIRED), (0.2, fitted, style.TRUE)):
-                heights = [float(np.sqrt((size(gap[action == label]) ** 2).mean())) for label in labels]
-                right.bar(place + shift, heights, 0.38, color=colour)
-            right.axhline(level, color=style.ALARM, linestyle="--")
-            right.set_xticks(place, [names[label] if label >= 0 else "?" for label in labels])
-            right.set_xlabel("action")
-            right.set_ylabel(f"RMS ({unit})")
-            right.set_title(f"{what.capitalize()} missed, by action")
-    rows = [
-        (name, f"{1e3 * error.position_rmse_m:.2f}", f"{np.rad2deg(error.heading_rmse_rad):.2f}")
-        for name, error in (
-            ("nominal", outcome.tested.before),
-            ("with effects", outcome.tested.after),
-            ("noise floor", outcome.tested.noise_floor),
+    def row(what: str, error: Error, count: str) -> tuple[str, ...]:
+        return (
+            what,
+            f"{1e3 * error.position_rmse_m:.2f}",
+            f"{math.degrees(error.heading_rmse_rad):.2f}",
+            count,
         )
+
+    tested = outcome.tested
+    rows = [
+        row("1 period ahead, nominal model", tested.before, str(tested.before.count)),
+        row("1 period ahead, with what was found", tested.after, str(tested.after.count)),
+        row("1 period ahead, noise floor", tested.noise_floor, ""),
     ]
-    text = (
-        "Each period of the test runs was predicted from the fixes known at its start, and compared with the "
-        "fixes at its end. Grey is the nominal model, blue the one with the effects found."
+    for each in outcome.horizons:
+        if each.periods > 1:
+            rows.append(
+                row(f"{each.periods} periods ahead, nominal model", each.before, str(each.before.count))
+            )
+            rows.append(
+                row(f"{each.periods} periods ahead, with what was found", each.after, str(each.after.count))
+            )
+    text = [
+        "Each period of the test runs was predicted by the rod simulation from the fixes known at its start "
+        "and the action that was done, and compared with the fixes at its end. Several periods ahead, the "
+        "simulation went on from that same start with the actions that were really done and saw no further "
+        "fix: an error of the model adds up there.",
+        "The noise floor is what a perfect model would miss, because fixes tell the pose and speed at the "
+        f"start and the pose at the end only so well. Errors up to {NEAR_FLOOR:g} times the floor count as "
+        "noise.",
+    ]
+    caption = "Errors on the test runs before and after; the dashed line is the noise floor a period ahead."
+    table = Table(("prediction", "position, mm RMS", "heading, deg RMS", "predictions"), rows)
+    return Section("Error before and after", text, table, [_picture(error_figure(outcome), caption)])
+
+
+def _tracks(outcome: Outcome, misses: Misses) -> Section:
+    caption = (
+        "Left: a whole test run. Right: the periods around the one that the nominal model missed most, with "
+        "the letters of the actions. Dashed lines lead from where each period began to where it was "
+        "predicted "
+        "to end."
     )
-    alt = "missed position and heading of each period and each action, before and after"
-    table = Table(("model", "position, mm RMS", "heading, deg RMS"), rows)
-    return Section("Before and after", [text], table, [(style.figure_uri(figure), alt)])
+    picture = _picture(track_figure(outcome, misses), caption)
+    return Section("What was predicted, and what happened", images=[picture])
 
 
-def _position_mm(gap: FloatArray) -> FloatArray:
-    return np.asarray(1e3 * np.hypot(gap[:, 0], gap[:, 1]))
-
-
-def _heading_deg(gap: FloatArray) -> FloatArray:
-    return np.asarray(np.rad2deg(np.abs(gap[:, 2])))
+def _residual(outcome: Outcome, misses: Misses) -> Section:
+    text = (
+        "What is missed is measured minus predicted. A fault of one limb shows at the actions that fire it "
+        "and "
+        "at its strokes; a current points the same way all over the pool; a wall or a vortex shows in one "
+        "place; a battery or a warm-up shows over time.",
+    )
+    pictures = [
+        _picture(
+            cause_figure(outcome, misses),
+            "Above: what is missed by action. Below: what is missed for each stroke of a limb, by least "
+            "squares "
+            "over all test periods, forward and left as the robot stood; bars are two standard errors.",
+        ),
+        _picture(time_figure(outcome, misses), "What is missed in each period of the test runs."),
+        _picture(
+            place_figure(misses),
+            "Where it is missed: dots are measured ends of periods, arrows what is missed there, drawn "
+            "longer "
+            "than it is, by the same factor on both sides.",
+        ),
+    ]
+    return Section("What is missed: by action, limb, time and place", text, images=pictures)
 
 
 def _effects(outcome: Outcome) -> Section:
-    rows = [
-        (term.title, each.name, f"{each.value:.4g}", f"{each.low:.4g} to {each.high:.4g}", each.unit)
-        for term, parameters in zip(outcome.terms, outcome.parameters, strict=True)
-        for each in parameters
-    ]
+    if not outcome.terms:
+        return Section("What was found", ["No effect was taken into the model."])
+    assert outcome.found is not None
+    held, rows, index = outcome.found.fitted.model.held, [], 0
+    why = (
+        f"held: the runs tell nothing of it (free, it gains less than {HOLD:g})"
+        if outcome.found.turns
+        else "held: it is nominal in the measured robot that the fit began with"
+    )
+    for term, parameters in zip(outcome.terms, outcome.parameters, strict=True):
+        for declared, each in zip(term.parameters, parameters, strict=True):
+            is_held = index in held
+            rows.append(
+                (
+                    term.title,
+                    each.name + (f" ({declared.about})" if declared.about else ""),
+                    f"{each.value:.4g}",
+                    "" if is_held else f"{each.low:.4g} to {each.high:.4g}",
+                    each.unit,
+                    f"{declared.nominal:g}",
+                    why if is_held else "fitted",
+                )
+            )
+            index += 1
     text = [
-        "Intervals hold all parameters of an effect together with 95 percent."
-        if rows
-        else "No effect was taken into the model."
+        "These are terms of the simulator with physical parameters; they go into the robot's file, from "
+        "which "
+        "library and tables are made anew. Intervals hold all fitted parameters of an effect together with "
+        "95 percent.",
     ]
-    if outcome.found is not None:
-        text += [
-            f"The data cannot tell {term.title} from {', '.join(others)}."
-            for term, others in zip(outcome.terms, outcome.found.alike, strict=True)
-            if others
-        ]
-    table = Table(("effect", "parameter", "value", "interval", "unit"), rows) if rows else None
-    return Section("What was found", text, table)
+    header = ("effect", "parameter", "value", "interval", "unit", "plain model", "how")
+    return Section("What was found", text, Table(header, rows))
 
 
 def _tried(outcome: Outcome) -> Section:
     assert outcome.found is not None
-    if outcome.terms and not outcome.found.turns:
+    turns = outcome.found.turns
+    if not turns:
         text = (
             "The effects of a robot of the same body that was measured before were fitted to these runs, all "
             "at once: they explain so much of so large a miss that no search for single effects was made."
         )
-        return Section("What was tried", [text])
-    rows = [
-        (
-            str(turn + 1),
-            each.title,
-            f"{each.gain:.0f}",
-            f"{each.held_out:.2f}" if each.refined else "not simulated",
-            "taken" if each.chosen else "",
-        )
-        for turn, tried in enumerate(outcome.found.turns)
-        for each in tried[:10]
+        return Section("Which effects were tried, and why this one", [text])
+    text_of = [
+        "At each turn every effect of the catalogue was ranked by how much likelier it would make what is "
+        "missed (its gain, pale bars: by derivatives). The best were fitted by simulation (full bars) and "
+        "judged on parts of the training runs that were held out of that fit. An effect is taken where it "
+        "gains "
+        f"more than {BASE_GAIN:g} (dashed), after {GAIN_EACH:g} off for each free parameter, and on each "
+        f"held-out period more than {SEEN_LEAST:g} and, up to a gain of {PLAIN_GAIN:g}, more than twice what "
+        "chance would make of it.",
+        *(_turn_words(turn, outcome) for turn in range(len(turns))),
     ]
-    text = (
-        "At each turn every candidate was ranked by how much likelier it would make the misses; the best "
-        "were fitted by simulation and judged on parts of the runs that were held out. One is taken where it "
-        "gains clearly in both."
+    rows = []
+    for turn, tried in enumerate(turns, 1):
+        seen: set[str] = set()
+        for each in sorted(tried, key=lambda each: (not each.chosen, not each.refined, -each.gain)):
+            if each.title not in seen and (each.refined or len(seen) < 6):
+                held_out = f"{each.held_out:.2f}" if each.refined else "not simulated"
+                rows.append(
+                    (str(turn), each.title, f"{each.gain:.0f}", held_out, "taken" if each.chosen else "")
+                )
+            seen.add(each.title)
+    header = ("turn", "candidate", "gain", "held-out gain for each period", "")
+    images = [_picture(tried_figure(turns), "Gains of the candidates at each turn; magenta was taken.")]
+    return Section("Which effects were tried, and why this one", text_of, Table(header, rows), images)
+
+
+def _turn_words(turn: int, outcome: Outcome) -> str:
+    assert outcome.found is not None
+    tried = outcome.found.turns[turn]
+    taken = next((each for each in tried if each.chosen), None)
+    others = sorted((each for each in tried if each is not taken), key=lambda each: -each.gain)
+    if taken is None:
+        best = f"the best, {others[0].title}, gains {others[0].gain:.0f}" if others else "none was left"
+        return f"Turn {turn + 1}: no effect was taken; {best}."
+    after = f"; next is {others[0].title} with {others[0].gain:.0f}" if others else ""
+    return (
+        f"Turn {turn + 1}: {taken.title} was taken: it gains {taken.gain:.0f}, and {taken.held_out:.2f} for "
+        "each "
+        f"held-out period{after}."
     )
-    header = ("turn", "candidate", "gain in -2 log likelihood", "held-out gain for each period", "")
-    return Section("What was tried", [text], Table(header, rows))
+
+
+def _apart(outcome: Outcome) -> Section:
+    """Which effects this data cannot tell apart, and how alike others look."""
+    assert outcome.found is not None
+    if not outcome.terms:
+        return Section(
+            "Which effects look alike here", ["Nothing was found, so nothing can be mistaken for it."]
+        )
+    text = [
+        f"These runs cannot tell {term.title} from {', '.join(others)}: each explains them as well as the "
+        "other."
+        for term, others in zip(outcome.terms, outcome.found.alike, strict=True)
+        if others
+    ] or ["Every effect found explains these runs clearly better than all others that were tried."]
+    rows = [(title, f"{100.0 * share:.0f}") for title, share in mimics(outcome)[:MIMICS_MOST]]
+    if not rows:
+        return Section("Which effects look alike here", text)
+    text.append(
+        "How much of the change that was found each candidate could make by itself, from its derivatives on "
+        "the "
+        "training runs: one near 100 percent that was not taken would look the same."
+    )
+    return Section("Which effects look alike here", text, Table(("candidate", "of the change, %"), rows))
 
 
 def _rest(outcome: Outcome) -> Section:
-    shares = outcome.signature["shares"]
-    rows = [(view, f"{100 * share:.0f}") for view, share in sorted(shares.items(), key=lambda item: -item[1])]
-    text = str(outcome.signature["text"])
-    return Section(
-        "What is left, in the training runs",
-        [text[:1].upper() + text[1:] + "."],
-        Table(("told by", "share, %"), rows),
-    )
+    sentence = str(outcome.signature["text"])
+    text = [
+        sentence[:1].upper() + sentence[1:] + ".",
+        "Each bar is a way to tell the rest: what share of its squares is explained by knowing, say, only "
+        "the "
+        "action. Where all are small, the rest is noise or something that no such view knows.",
+    ]
+    rows = [
+        (
+            name,
+            str(row["periods"]),
+            f"{1e3 * row['forward_m']:+.2f}",
+            f"{1e3 * row['left_m']:+.2f}",
+            f"{math.degrees(row['heading_rad']):+.2f}",
+        )
+        for name, row in outcome.signature["by_action"].items()
+    ]
+    table = Table(("action", "periods", "mean forward, mm", "mean left, mm", "mean heading, deg"), rows)
+    caption = "What is left after the effects found, on the training runs."
+    return Section("What stays unexplained", text, table, [_picture(rest_figure(outcome), caption)])
+
+
+def _terms(outcome: Outcome) -> Section:
+    """The runs, and what the words mean."""
+
+    def told(which: str, swims: list[Swim]) -> list[tuple[str, ...]]:
+        return [
+            (
+                which,
+                swim.name,
+                str(len(swim.start_s)),
+                f"{swim.period_s:.3f}",
+                f"{1e3 * swim.lag_s:.0f}" if swim.lag_s else "in the log",
+            )
+            for swim in swims
+        ]
+
+    rows = told("learned from", list(outcome.train)) + told("kept out, to judge", list(outcome.test))
+    text = [
+        f"Nominal model: {outcome.robot.title} ({outcome.robot.id}) as its file describes it. A period is "
+        "the time "
+        "of one action, which fires some limbs. The period and the delay from command to motion are taken "
+        "from "
+        "each run first, so that a clock does not pass for physics.",
+    ]
+    header = ("used", "run", "periods", "period, s", "delay to motion, ms")
+    return Section("Runs and words", text, Table(header, rows))

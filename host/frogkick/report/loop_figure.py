@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from math import isnan, nan
 from typing import Any
 
 import numpy as np
@@ -10,29 +11,39 @@ import numpy.typing as npt
 from matplotlib.figure import Figure
 
 from frogkick.report.style import ALARM, ESTIMATED, MEASURED, PREDICTED, TRUE, styled
-from frogkick.study.loop import Case, Outcome
+from frogkick.study.kept import Case, Outcome
 
 _COLOURS = (MEASURED, ALARM, PREDICTED, ESTIMATED, TRUE)
 _DISTANCE_TICKS_MM = (0, 1, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000)
 
 
 def loop_figure(
-    outcomes: Mapping[Case, Outcome], worlds: Sequence[str], paths: Sequence[str], planners: Sequence[str]
+    outcomes: Mapping[Case, Outcome],
+    worlds: Sequence[str],
+    paths: Sequence[str],
+    planners: Sequence[str],
+    recorded: Mapping[str, tuple[float, float]] | None = None,
 ) -> Figure:
     """A column for each world; each run a point, a bar the middle half of the seeds, a line their median.
 
     Args:
         outcomes: the study's.
         worlds, paths, planners: names, in the order to draw them; the first planner is the paper's, half of
-            whose mean distance is drawn beside the others'.
+            whose mean distance is drawn beside the others' where nothing is recorded.
+        recorded: path -> mean distance (m) and progress (m/s) of a recorded run, drawn across.
     """
     with styled():
-        figure = Figure(figsize=(1.6 + 5.2 * len(worlds), 7.0), layout="constrained")
+        wide = max(5.2, 1.2 * len(paths))
+        figure = Figure(figsize=(1.6 + wide * len(worlds), 7.0), layout="constrained")
         axes = figure.subplots(2, len(worlds), squeeze=False, sharey="row", sharex=True)
         for column, world in enumerate(worlds):
             _draw(axes[0, column], outcomes, "mean_distance_m", (world, paths, planners))
             _draw(axes[1, column], outcomes, "progress_mps", (world, paths, planners))
-            _draw_half(axes[0, column], outcomes, (world, paths, planners))
+            if recorded is None:
+                _draw_half(axes[0, column], outcomes, (world, paths, planners))
+            else:
+                _draw_across(axes[0, column], [recorded.get(path, (nan, nan))[0] for path in paths])
+                _draw_across(axes[1, column], [recorded.get(path, (nan, nan))[1] for path in paths])
             axes[0, column].set_title(f"world: {world}")
             axes[1, column].set_xticks(range(len(paths)), paths)
             axes[1, column].set_xlim(-0.5, len(paths) - 0.5)
@@ -44,8 +55,9 @@ def loop_figure(
                 one.grid(axis="x", visible=False)
         axes[0, 0].set_ylabel("mean distance to the path (mm)")
         axes[1, 0].set_ylabel("progress along the path (mm/s)")
-        farthest_mm = max(1e3 * outcome.mean_distance_m for outcome in outcomes.values())
-        fastest_mmps = max(1e3 * outcome.progress_mps for outcome in outcomes.values())
+        drawn = list((recorded or {}).values())
+        drawn += [(outcome.mean_distance_m, outcome.progress_mps) for outcome in outcomes.values()]
+        farthest_mm, fastest_mmps = (1e3 * max(one[which] for one in drawn) for which in (0, 1))
         slowest_mmps = min(1e3 * outcome.progress_mps for outcome in outcomes.values())
         axes[0, 0].set_yscale("symlog", linthresh=1.0, linscale=0.4)
         axes[0, 0].set_yticks(_DISTANCE_TICKS_MM, [str(tick) for tick in _DISTANCE_TICKS_MM])
@@ -56,7 +68,9 @@ def loop_figure(
             axes[0, 0].plot([], [], "s", color=_COLOURS[index % len(_COLOURS)], label=planner)[0]
             for index, planner in enumerate(planners)
         ]
-        handles += axes[0, 0].plot([], [], "--", color="black", linewidth=1, label=f"half of {planners[0]}'s")
+        dashed = f"half of {planners[0]}'s" if recorded is None else "recorded run"
+        if recorded != {}:
+            handles += axes[0, 0].plot([], [], "--", color="black", linewidth=1, label=dashed)
         figure.legend(handles=handles, loc="outside upper center", ncols=min(3, len(handles)))
     return figure
 
@@ -78,12 +92,15 @@ def _draw_half(
     axes: Any, outcomes: Mapping[Case, Outcome], which: tuple[str, Sequence[str], Sequence[str]]
 ) -> None:
     world, paths, planners = which
-    for place, path in enumerate(paths):
-        values = _values(outcomes, "mean_distance_m", world, path, planners[0])
-        if values.size:
-            axes.plot(
-                [place - 0.45, place + 0.45], [0.5 * values.mean()] * 2, "--", color="black", linewidth=1
-            )
+    values = [_values(outcomes, "mean_distance_m", world, path, planners[0]) for path in paths]
+    _draw_across(axes, [0.5e-3 * one.mean() if one.size else nan for one in values])
+
+
+def _draw_across(axes: Any, values: Sequence[float]) -> None:
+    """Draw a dashed line for each path, of a value in SI units; NaN: none."""
+    for place, value in enumerate(values):
+        if not isnan(value):
+            axes.plot([place - 0.45, place + 0.45], [1e3 * value] * 2, "--", color="black", linewidth=1)
 
 
 def _draw(

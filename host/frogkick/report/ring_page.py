@@ -5,10 +5,14 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+from matplotlib.figure import Figure
 
+from frogkick.identify.verdict import Error
+from frogkick.report.identify_figures import error_figure
 from frogkick.report.page import Section, Table, write_page
 from frogkick.report.run_figure import run_figure
-from frogkick.report.style import figure_uri
+from frogkick.report.style import NOMINAL, PREDICTED, figure_uri, styled
+from frogkick.study.closing import Closing
 from frogkick.study.ring import Ring, RingRun
 from frogkick_codegen.firmware import FLASH_BYTES, RAM_BYTES
 
@@ -23,8 +27,81 @@ def write_ring_report(target: Path, ring: Ring) -> None:
         f"{1e3 * float(missed['position_rmse_m']):.1f} mm and "
         f"{np.rad2deg(float(missed['heading_rmse_rad'])):.1f} degrees (RMSE, {missed['periods']} periods)."
     )
-    sections = [_paths(ring), *(_one_path(run) for run in ring.runs), _chip(ring), _how(ring)]
-    write_page(target, "frogkick: once round the ring", lead, sections)
+    sections = [_paths(ring), *(_one_path(run) for run in ring.runs), _chip(ring)]
+    if ring.closing is not None:
+        tested = ring.closing.outcome.tested
+        lead += (
+            " Then a limb wore, which the model was not told. From logs of four runs identification says: "
+            f"{ring.closing.outcome.verdict} ({_found(ring.closing)}). A period ahead on the run kept out of "
+            f"learning, the model was off by {_words(tested.before)}, with what was found it is off by "
+            f"{_words(tested.after)}; noise of the fixes alone makes {_words(tested.noise_floor)}."
+        )
+        sections.append(_closing(ring.closing))
+    write_page(target, "frogkick: once round the ring", lead, [*sections, _how(ring)])
+
+
+def _words(error: Error) -> str:
+    return f"{1e3 * error.position_rmse_m:.2f} mm and {np.rad2deg(error.heading_rmse_rad):.2f} degrees"
+
+
+def _found(closing: Closing) -> str:
+    return ", ".join(term.title for term in closing.outcome.terms) or "no effect"
+
+
+def _closing(closing: Closing) -> Section:
+    """What was hidden, what was found, and what it is worth."""
+    outcome, planted = closing.outcome, closing.planted
+    hidden = {key: value for key, value in planted.items() if key not in ("name", "limb")}
+    true = f"{planted['name']} {planted['limb']}"
+    rows = [
+        (
+            term.title,
+            each.name,
+            f"{each.value:.3g} {each.unit}",
+            f"{each.low:.3g} to {each.high:.3g}",
+            f"{hidden.get(each.name, declared.nominal):g}" if term.title == true else "not there",
+        )
+        for term, parameters in zip(outcome.terms, outcome.parameters, strict=True)
+        for declared, each in zip(term.parameters, parameters, strict=True)
+    ]
+    text = [
+        f"Hidden in the pool: {true}, {', '.join(f'{key} {value:g}' for key, value in hidden.items())}. The "
+        "firmware swam four paths with it. Identification saw the logs of these runs (fixes, strokes, "
+        "decisions) and no truth; it learned from all but the last, which it then predicted.",
+        f"With library, table and firmware made anew from what was found, the worn robot kept "
+        f"{1e3 * closing.distance_m(closing.new):.1f} mm from its paths on average, with the old ones "
+        f"{1e3 * closing.distance_m(closing.old):.1f} mm."
+        if closing.new
+        else "Nothing was found, so library, table and firmware stayed as they were.",
+        "The full report of the identification is identify.html, beside this page.",
+    ]
+    images = [(figure_uri(error_figure(outcome)), "Errors before and after on the run kept out of learning.")]
+    if closing.new:
+        images.append((figure_uri(_distances(closing)), "The worn robot on its paths, same noise for both."))
+    table = Table(("found", "parameter", "value", "interval", "hidden value"), rows) if rows else None
+    return Section("Then a limb wore: what the logs told", text, table, images)
+
+
+def _distances(closing: Closing) -> Figure:
+    names = [run.log.path.name if run.log.path else "" for run in closing.old]
+    with styled():
+        figure = Figure(figsize=(6.0, 2.8), layout="constrained")
+        axes = figure.subplots()
+        for shift, runs, colour, label in (
+            (-0.19, closing.old, NOMINAL, "firmware that knows nothing of it"),
+            (0.19, closing.new, PREDICTED, "firmware that knows what was found"),
+        ):
+            heights = [1e3 * run.tracking.mean_distance_m for run in runs]
+            axes.bar(np.arange(len(runs)) + shift, heights, 0.36, color=colour, label=label)
+            for place, height in enumerate(heights):
+                axes.text(place + shift, height, f"{height:.1f}", ha="center", va="bottom", fontsize=8)
+        axes.set_xticks(range(len(names)), names)
+        axes.set_xlabel("path")
+        axes.set_ylabel("mean distance (mm)")
+        axes.set_title("Worn robot: distance to the path")
+        axes.margins(y=0.12)
+        figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=2)
+    return figure
 
 
 def _paths(ring: Ring) -> Section:
@@ -68,11 +145,17 @@ def _one_path(run: RingRun) -> Section:
 
 
 def _chip(ring: Ring) -> Section:
-    chip = ring.chip
+    chip, built = ring.chip, ring.built
     rows = [
-        ("flash", f"{ring.flash_bytes:,} bytes, {100 * ring.flash_bytes / FLASH_BYTES:.1f} % of the chip"),
+        (
+            "flash",
+            f"{built.flash_bytes:,} bytes, {100 * built.flash_bytes / FLASH_BYTES:.1f} % of the chip",
+        ),
         ("of it the table", f"{len(ring.tables.image):,} bytes, {len(ring.tables.states)} states"),
-        ("RAM with reserved stack", f"{ring.ram_bytes:,} bytes, {100 * ring.ram_bytes / RAM_BYTES:.1f} %"),
+        (
+            "RAM with reserved stack",
+            f"{built.ram_bytes:,} bytes, {100 * built.ram_bytes / RAM_BYTES:.1f} %",
+        ),
         ("deepest stack seen", f"{chip.stack_bytes:,} bytes"),
         *(
             (f"one plan at depth {depth}", f"{ms:.2f} ms ({chip.plan_cycles[depth]:,} cycles at 64 MHz)")

@@ -21,6 +21,8 @@ MEASURED = "#e69f00"
 ESTIMATED = "#009e73"
 PREDICTED = "#cc79a7"
 ALARM = "#d55e00"
+NOMINAL = "#56b4e9"  # predicted by the nominal model; by the corrected one: PREDICTED
+FLOOR = "#000000"  # what noise of the fixes alone makes
 
 _SETTINGS: Any = {
     "font.size": 9,

@@ -27,6 +27,7 @@ class Frame:
         drag_normal: C_n across the edge, dimensionless.
         drag_tangential: C_t along the edge, dimensionless.
         centre_mass_share: of that mass, what sits at the centre of the corners instead: it resists no turn.
+        centre_mass_at_m: (x, y) of that share, from the centre of the corners: an effect moves it, no file.
     """
 
     corners_m: tuple[tuple[float, float], ...]
@@ -39,6 +40,7 @@ class Frame:
     drag_normal: float
     drag_tangential: float
     centre_mass_share: float = 0.0
+    centre_mass_at_m: tuple[float, float] = (0.0, 0.0)
 
 
 @dataclass(frozen=True)

@@ -17,9 +17,10 @@ from frogkick.chunks import Job, code_stamp, run_chunks
 from frogkick.effects import World, changed_robot, read_world
 from frogkick.effects.registry import make_effects
 from frogkick.errors import InputError
-from frogkick.files import existing_file, write_text
+from frogkick.files import existing_file
 from frogkick.loop.closed_loop import RunOptions, run_in_pool
 from frogkick.loop.record import tracking_of_recording
+from frogkick.paths import Path as SwimPath
 from frogkick.paths import shape
 from frogkick.planner.image import Tables, read_image
 from frogkick.planner.plan import PlanConfig, config_of
@@ -27,6 +28,7 @@ from frogkick.pool.camera import Camera
 from frogkick.pool.native_robot import NativeRobot
 from frogkick.pool.pool import Pool
 from frogkick.robot import Robot
+from frogkick.study.kept import Case, Kept, Outcome
 from frogkick_codegen.firmware import build
 
 TIME_LIMIT_S = 120.0
@@ -62,14 +64,16 @@ class Setting:
         return World(make_effects(self.tables, self.folder))
 
 
-def _built_in(name: str, *tables: Mapping[str, Any]) -> Setting:
-    return Setting(
-        name, tables, sha256=hashlib.sha256(json.dumps(tables, sort_keys=True).encode()).hexdigest()
-    )
+def setting_from(name: str, tables: Sequence[Mapping[str, Any]], folder: Path = Path()) -> Setting:
+    """The world of some ``[[effect]]`` tables, with a hash of these and of the files that they name."""
+    digest = hashlib.sha256(json.dumps(list(tables), sort_keys=True).encode())
+    for file in sorted({str(table["file"]) for table in tables if "file" in table}):
+        digest.update(b"\0" + (folder / file).read_bytes())
+    return Setting(name, tuple(tables), folder, digest.hexdigest())
 
 
-NOMINAL = _built_in("nominal")
-HIDDEN = _built_in("hidden", *_HIDDEN)
+NOMINAL = setting_from("nominal", ())
+HIDDEN = setting_from("hidden", _HIDDEN)
 """Effects that are in no table, of a size that recorded runs show."""
 
 
@@ -79,7 +83,7 @@ class Planner:
 
     Attributes:
         name: for reports.
-        table: PAPER (every state of the paper's, nearest) or ROBOT.
+        table: how ``run_cases`` is told its table: PAPER (every state of the paper's, nearest), ROBOT.
         config: cost, weights, depth.
         own: the cost is the robot's own.
     """
@@ -90,25 +94,37 @@ class Planner:
     own: bool = False
 
 
-@dataclass(frozen=True)
-class Case:
-    """One run: names of its world, path and planner, and the seed of the camera's noise."""
+@dataclass(frozen=True, eq=False)
+class Course:
+    """A path, and where the robot lies at rest when its run begins.
 
-    world: str
-    path: str
-    planner: str
-    seed: int
+    Attributes:
+        name: for reports and results.
+        path: to follow, world frame.
+        start_world: x_m, y_m, heading_rad of the robot.
+    """
+
+    name: str
+    path: SwimPath
+    start_world: tuple[float, float, float]
+
+    @property
+    def sha256(self) -> str:
+        """Of path and start, hex."""
+        columns = (self.path.x_m, self.path.y_m, self.path.tangent_rad)
+        digest = hashlib.sha256(b"".join(column.tobytes() for column in columns))
+        digest.update(repr(self.start_world).encode())
+        return digest.hexdigest()
 
 
-@dataclass(frozen=True)
-class Outcome:
-    """What a run gave; see ``frogkick.loop.record.Tracking``."""
+def course_of(name: str) -> Course:
+    """A shape by name, from its first point along its tangent.
 
-    mean_distance_m: float
-    progress_mps: float
-    completed: bool
-    ended: str
-    decisions: int
+    Raises:
+        InputError: no such shape.
+    """
+    path = shape(name)
+    return Course(name, path, (float(path.x_m[0]), float(path.y_m[0]), float(path.tangent_rad[0])))
 
 
 @dataclass(frozen=True)
@@ -155,12 +171,8 @@ def setting_of(word: str, robot: Robot) -> Setting:
             return known
     file = existing_file(word, "world file")
     changed_robot(robot, read_world(file).effects)
-    content = file.read_bytes()
-    tables = tuple(tomllib.loads(content.decode("utf-8")).get("effect", ()))
-    digest = hashlib.sha256(content)
-    for name in sorted({str(table["file"]) for table in tables if "file" in table}):
-        digest.update(name.encode() + b"\0" + (file.parent / name).read_bytes())
-    return Setting(file.stem, tables, file.parent, digest.hexdigest())
+    tables = tomllib.loads(file.read_text(encoding="utf-8")).get("effect", ())
+    return setting_from(file.stem, tables, file.parent)
 
 
 def settings_of(words: Sequence[str], robot: Robot) -> tuple[Setting, ...]:
@@ -186,17 +198,19 @@ def run_cases(
     out: Path,
     workers: int = 1,
     progress: Callable[[int, int], None] = lambda _done, _all: None,
+    courses: Sequence[Course] = (),
 ) -> dict[Case, Outcome]:
-    """Run every case; not again those that ``out`` holds of the same code, tables and world.
+    """Run every case; not again those that ``out`` holds of the same code, tables, world and course.
 
     Args:
-        robot: the swimmer, in the pool and in the tables.
-        tables: PAPER and ROBOT -> table image.
+        robot: the swimmer, as the pool and the firmware have it without the effects of its file.
+        tables: what planners call their table -> table image.
         planners, settings: by which the cases name theirs.
         cases: what to run.
         out: folder for results and firmware.
         workers: processes.
         progress: called with cases done and to do.
+        courses: that cases name besides shapes.
 
     Raises:
         FrogkickError: of the robot, the pool or the tables.
@@ -204,9 +218,17 @@ def run_cases(
     libraries = {
         name: build("native", path, robot, out / f"firmware-{name}").image for name, path in tables.items()
     }
-    kept = _Kept(out / "runs.jsonl", _stamp(robot, tables, libraries, planners), settings)
+    worlds = {setting.name: setting.sha256 for setting in settings}
+    ways = {course.name: course.sha256 for course in courses}
+
+    def conditions(case: Case) -> str | None:
+        return f"{worlds[case.world]} {ways.get(case.path, '')}" if case.world in worlds else None
+
+    stamp = _stamp(robot, tables, libraries, planners)
+    kept = Kept(out / "runs.jsonl", stamp, conditions)
     waiting = [case for case in cases if case not in kept.outcomes]
-    job = Job(_start, (robot, dict(tables), libraries, tuple(planners), tuple(settings)), _run, _warm)
+    given = (robot, dict(tables), libraries, tuple(planners), tuple(settings), tuple(courses))
+    job = Job(_start, given, _run, _warm)
     progress(len(cases) - len(waiting), len(cases))
     for index, outcome in run_chunks(job, waiting, workers):
         kept.add(waiting[index], outcome)
@@ -303,45 +325,6 @@ def _stamp(
     return digest.hexdigest()
 
 
-class _Kept:
-    """Results in a file, a line each; the first line says what they are of, each line of which world."""
-
-    def __init__(self, file: Path, stamp: str, settings: Sequence[Setting]) -> None:
-        self.outcomes: dict[Case, Outcome] = {}
-        self._file = file
-        self._worlds = {setting.name: setting.sha256 for setting in settings}
-        head = json.dumps({"stamp": stamp})
-        lines = file.read_text(encoding="utf-8").splitlines() if file.exists() else []
-        kept = [line for line in lines[1:] if _read_line(line)] if lines[:1] == [head] else []
-        if lines != [head, *kept]:  # of other code, or a stop cut a line, which the next would then follow
-            file.parent.mkdir(parents=True, exist_ok=True)
-            write_text(file, "".join(line + "\n" for line in (head, *kept)))
-        for line in kept:
-            values = _read_line(line)
-            if self._worlds.get(values["case"]["world"]) == values["world_sha256"]:
-                self.outcomes[Case(**values["case"])] = Outcome(**values["outcome"])
-
-    def add(self, case: Case, outcome: Outcome) -> None:
-        """Keep a result."""
-        self.outcomes[case] = outcome
-        values = {
-            "case": dataclasses.asdict(case),
-            "world_sha256": self._worlds[case.world],
-            "outcome": dataclasses.asdict(outcome),
-        }
-        with self._file.open("a", encoding="utf-8") as file:
-            file.write(json.dumps(values) + "\n")
-
-
-def _read_line(line: str) -> dict[str, Any]:
-    """A kept result; empty where a stop cut the line."""
-    try:
-        values = json.loads(line)
-    except json.JSONDecodeError:
-        return {}
-    return values if isinstance(values, dict) else {}
-
-
 @dataclass(frozen=True)
 class _Ready:
     robot: Robot
@@ -349,6 +332,7 @@ class _Ready:
     libraries: dict[str, Path]
     planners: dict[str, Planner]
     settings: dict[str, Setting]
+    courses: dict[str, Course]
 
 
 def _start(
@@ -357,6 +341,7 @@ def _start(
     libraries: dict[str, Path],
     planners: tuple[Planner, ...],
     settings: tuple[Setting, ...],
+    courses: tuple[Course, ...],
 ) -> _Ready:
     return _Ready(
         robot,
@@ -364,30 +349,27 @@ def _start(
         libraries,
         {planner.name: planner for planner in planners},
         {setting.name: setting for setting in settings},
+        {course.name: course for course in courses},
     )
 
 
 def _warm(ready: _Ready) -> None:
-    _pool(ready.robot, "line", World(), 0).advance(0.01)
-
-
-def _pool(robot: Robot, path_name: str, world: World, seed: int) -> Pool:
-    path = shape(path_name)
-    start = (float(path.x_m[0]), float(path.y_m[0]), float(path.tangent_rad[0]))
-    return Pool(robot, start, Camera(), np.random.default_rng(seed), world)
+    Pool(ready.robot, (0.0, 0.0, 0.0), Camera(), np.random.default_rng(0)).advance(0.01)
 
 
 def _run(ready: _Ready, case: Case) -> Outcome:
-    planner, path = ready.planners[case.planner], shape(case.path)
-    pool = _pool(ready.robot, case.path, ready.settings[case.world].world(), case.seed)
+    planner = ready.planners[case.planner]
+    course = ready.courses.get(case.path) or course_of(case.path)
+    world, rng = ready.settings[case.world].world(), np.random.default_rng(case.seed)
+    pool = Pool(ready.robot, course.start_world, Camera(), rng, world)
     recording = run_in_pool(
         NativeRobot(ready.libraries[planner.table], len(ready.robot.limbs)),
         pool,
         ready.tables[planner.table],
-        path,
+        course.path,
         RunOptions(planner.config, time_limit_s=TIME_LIMIT_S),
     )
-    tracked = tracking_of_recording(recording, pool, ready.robot, path)
+    tracked = tracking_of_recording(recording, pool, ready.robot, course.path)
     return Outcome(
         tracked.mean_distance_m,
         tracked.progress_mps,

@@ -1,38 +1,31 @@
-"""The whole ring once: library, tables, firmware, three paths on the virtual chip (``frogkick demo``)."""
+"""The whole ring: library, tables, firmware, paths on the virtual chip; then a change (``frogkick demo``)."""
 
 from __future__ import annotations
 
 import dataclasses
-import os
 import time
 from collections.abc import Callable, Sequence
-from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
-from frogkick.files import write_bytes
-from frogkick.library import build_library, quantise, read_library
 from frogkick.loop.chip_check import ChipReport, check_on_chip
-from frogkick.loop.closed_loop import RunOptions, robot_plan_config, run_in_pool
+from frogkick.loop.closed_loop import RunOptions, robot_plan_config
 from frogkick.loop.decision import DecisionTwin
-from frogkick.loop.record import Tracking, run_log, tracking_of_recording
+from frogkick.loop.record import Tracking
 from frogkick.loop.replay import compare, replay_on_host
 from frogkick.loop.residual import Residual, residual
 from frogkick.loop.runlog import RunLog
 from frogkick.loop.runlog_file import write_run
-from frogkick.paths import SHAPES, shape
+from frogkick.paths import SHAPES
 from frogkick.planner.image import Tables, read_image
-from frogkick.pool.camera import Camera
-from frogkick.pool.pool import Pool
 from frogkick.pool.virtual_robot import VirtualRobot
 from frogkick.robot import Robot
+from frogkick.study.closing import HELD_OUT, Bar, Closing, close_ring, make_tables
+from frogkick.study.trial import swim
 from frogkick_codegen.emit import emit
 from frogkick_codegen.firmware import Build, build
-
-Bar = Callable[[str], AbstractContextManager[Callable[[int, int], None]]]
-"""Makes a progress bar with a title; inside it is a function of (done, all)."""
 
 
 @dataclass(frozen=True)
@@ -54,15 +47,16 @@ class RingRun:
 
 @dataclass
 class Ring:
-    """Everything that going round the ring once gave."""
+    """Everything that going round the ring gave."""
 
     robot: Robot
     tables: Tables
+    built: Build
+    options: RunOptions
     runs: list[RingRun] = field(default_factory=list)
     chip: ChipReport = field(default_factory=ChipReport)
-    flash_bytes: int = 0
-    ram_bytes: int = 0
     stage_s: dict[str, float] = field(default_factory=dict)
+    closing: Closing | None = None
 
     @property
     def mean_distance_m(self) -> float:
@@ -106,74 +100,61 @@ def go_round(
     Raises:
         FrogkickError: any stage's own.
     """
-    clock = _StageClock()
-    with bar("library: simulate transitions") as progress:
-        build_library(
-            robot,
-            states=states,
-            seed=seed,
-            workers=os.cpu_count() or 1,
-            out=out / "library.h5",
-            progress=progress,
-            sampling="visited",
-        )
-    clock.lap("library")
-    image = out / "tables.fkt"
-    write_bytes(image, quantise(read_library(out / "library.h5")))
+    clock = _StageClock({})
+    image = make_tables(robot, out, states, seed, bar, "library: simulate transitions")
+    clock.lap("library, tables")
     tables = read_image(image)
     emit(image, out / "emitted", "frogkick codegen tables.fkt --out emitted")
-    clock.lap("tables, C")
     built = build("bench", image, robot, out / "firmware")
-    clock.lap("firmware")
+    clock.lap("C, firmware")
     options = RunOptions(
         dataclasses.replace(robot_plan_config(robot), depth=depth), time_limit_s=time_limit_s
     )
-    ring = Ring(robot, tables, flash_bytes=built.flash_bytes, ram_bytes=built.ram_bytes, stage_s=clock.laps)
+    ring = Ring(robot, tables, built, options, stage_s=clock.laps)
     with bar("firmware on the virtual chip: commands and limits") as progress:
         ring.chip = check_on_chip(built.image, tables, robot, progress)
     clock.lap("trial of the firmware")
     for name in paths:
         with bar(f"swim the {name}: path points") as progress:
-            ring.runs.append(_swim(ring, built, name, options, seed, progress))
+            ring.runs.append(_swim(ring, name, seed, progress))
         write_run(out / f"{name}.h5", ring.runs[-1].log)
         clock.lap(f"swim the {name}")
     return ring
 
 
-def _swim(
-    ring: Ring,
-    built: Build,
-    name: str,
-    options: RunOptions,
-    seed: int,
-    progress: Callable[[int, int], None],
-) -> RingRun:
-    robot, tables, path = ring.robot, ring.tables, shape(name)
-    start = (float(path.x_m[0]), float(path.y_m[0]), float(path.tangent_rad[0]))
-    pool = Pool(robot, start, Camera(), np.random.default_rng(seed))
-    recording = run_in_pool(
-        VirtualRobot(built.image, len(robot.limbs)),
-        pool,
-        tables,
-        path,
-        options,
-        lambda _time_s, index: progress(index + 1, len(path)),
+def _swim(ring: Ring, name: str, seed: int, progress: Callable[[int, int], None]) -> RingRun:
+    port = VirtualRobot(ring.built.image, len(ring.robot.limbs))
+    trial = swim(port, ring.tables, ring.robot, name, ring.options, seed, "demo", progress=progress)
+    assert trial.log.path is not None
+    again = replay_on_host(
+        trial.recording.events, DecisionTwin(ring.tables, trial.log.path, ring.options.config)
     )
-    again = replay_on_host(recording.events, DecisionTwin(tables, path, options.config))
-    log = run_log(recording, pool, robot, tables, path, options, seed, "demo")
-    return RingRun(
-        log,
-        tracking_of_recording(recording, pool, robot, path),
-        len(compare(recording.decisions, again)),
-        residual(log),
+    mismatches = len(compare(trial.recording.decisions, again))
+    return RingRun(trial.log, trial.tracking, mismatches, residual(trial.log))
+
+
+def close(ring: Ring, out: Path, seed: int, bar: Bar, held_out: str = HELD_OUT) -> None:
+    """Let the robot change in a way that the model is not told, and go round once more; see ``close_ring``.
+
+    Args:
+        ring: of ``go_round``; gets ``closing``.
+        out: the same folder.
+        seed: the same.
+        bar: makes progress bars.
+        held_out: path of the run that nothing is learned from.
+    """
+    clock = _StageClock(ring.stage_s)
+    paths = [run.log.path.name for run in ring.runs if run.log.path is not None]
+    ring.closing = close_ring(
+        ring.robot, ring.tables, ring.built.image, out, ring.options, seed, bar, paths, held_out, clock.lap
     )
 
 
 class _StageClock:
     """How long each stage took, s."""
 
-    def __init__(self) -> None:
-        self.laps: dict[str, float] = {}
+    def __init__(self, laps: dict[str, float]) -> None:
+        self.laps = laps
         self._since = time.perf_counter()
 
     def lap(self, stage: str) -> None:

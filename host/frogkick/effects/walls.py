@@ -1,0 +1,106 @@
+"""Effects of the pool's walls and banks."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from frogkick.effects.base import Body, Effect, FloatArray, Parameter
+from frogkick.errors import InputError, nearest_name
+from frogkick.robot import Robot
+
+OUTWARD: Mapping[str, tuple[float, float]] = {
+    "x_low": (-1.0, 0.0),
+    "x_high": (1.0, 0.0),
+    "y_low": (0.0, -1.0),
+    "y_high": (0.0, 1.0),
+}
+"""Sides of a pool whose walls are along the world's axes: the direction from the water towards the wall."""
+
+REACH_M = 0.08
+"""From a wall, where water that must give way round a body of some 0.1 m begins to resist more."""
+
+LOSSY_S = 0.05
+"""A limb or a bumper pressed in gives back little: its damping over its stiffness."""
+
+_POINT_M = 0.045
+"""Corners of a body that nobody has told its size: half the width of one that can be held in a hand."""
+
+
+class Wall(Effect):
+    """A wall or bank along one side of the pool: near it water resists more, and it stops what touches it.
+
+    Each corner of the frame feels it by itself, so that a body is turned as well: towards the side that is
+    held back. Within REACH_M the resistance grows evenly up to the wall; beyond the wall a corner is pushed
+    back in proportion to how deep it is, more while it goes in and less while it comes out (LOSSY_S), never
+    pulled. A bank of weeds has the first, a bare wall mostly the second.
+    """
+
+    name = "wall"
+    about = "along one side of the pool water resists more, and a wall pushes back what touches it"
+    shown_by = "misses against one direction of the world, only at that end of the pool; turns along it"
+    parameters = (
+        Parameter("at_m", "m", -2.5, 2.5, 2.5, "where it stands, from the origin towards it", 0.01),
+        Parameter("drag_ns_per_m", "N s/m", 0.0, 2.0, 0.0, "resistance to a body that lies at the wall"),
+        Parameter("stiffness_n_per_m", "N/m", 0.0, 30.0, 0.0, "push over depth at each corner"),
+    )
+    options = {"side": "x_high"}  # noqa: RUF012 - declared ClassVar in Effect
+
+    side: str
+    at_m: float
+    drag_ns_per_m: float
+    stiffness_n_per_m: float
+
+    def __init__(self, **values: object) -> None:
+        super().__init__(**values)
+        if self.side not in OUTWARD:
+            raise InputError(
+                f"effect {self.title!r}: side is {self.side!r}{nearest_name(str(self.side), OUTWARD)}: "
+                f"choose from {', '.join(OUTWARD)}"
+            )
+        self._corners = [
+            (_POINT_M, _POINT_M),
+            (-_POINT_M, _POINT_M),
+            (-_POINT_M, -_POINT_M),
+            (_POINT_M, -_POINT_M),
+        ]
+
+    def check(self, robot: Robot) -> None:
+        """Take the robot's size."""
+        corners = np.array(robot.frame.corners_m) - np.mean(robot.frame.corners_m, axis=0)
+        self._corners = [(float(x), float(y)) for x, y in corners]
+
+    def starts(self, low_m: FloatArray, high_m: FloatArray) -> Sequence[Mapping[str, float]]:
+        """Just beyond where runs came nearest to that side: nearer they would have shown it more."""
+        across, along = OUTWARD[self.side]
+        came_m = max(across * low_m[0], across * high_m[0]) + max(along * low_m[1], along * high_m[1])
+        return ({"at_m": float(came_m) + self._half_width_m()},)
+
+    def _half_width_m(self) -> float:
+        return float(np.mean([max(abs(x), abs(y)) for x, y in self._corners]))
+
+    def wrench(self, time_s: float, body: Body) -> Sequence[float]:
+        x_m, y_m, heading = body.pose_world
+        forward_mps, left_mps, omega = body.velocity_body
+        c, s = math.cos(heading), math.sin(heading)
+        across, along = OUTWARD[self.side]
+        out_x, out_y = c * across + s * along, c * along - s * across  # in the body's frame
+        room_m = self.at_m - across * x_m - along * y_m
+        share = self.drag_ns_per_m / len(self._corners)
+        force_x, force_y, torque = 0.0, 0.0, 0.0
+        for x, y in self._corners:
+            gap_m = room_m - out_x * x - out_y * y
+            if gap_m >= REACH_M:
+                continue
+            vx, vy = forward_mps - omega * y, left_mps + omega * x
+            held = share * min(1.0, 1.0 - gap_m / REACH_M)
+            fx, fy = -held * vx, -held * vy
+            if gap_m < 0.0:
+                deeper_mps = out_x * vx + out_y * vy
+                push = max(0.0, self.stiffness_n_per_m * (LOSSY_S * deeper_mps - gap_m))
+                fx, fy = fx - push * out_x, fy - push * out_y
+            force_x, force_y = force_x + fx, force_y + fy
+            torque += x * fy - y * fx
+        return (force_x, force_y, torque)

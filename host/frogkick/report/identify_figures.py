@@ -1,0 +1,318 @@
+"""Pictures of an identification: what was predicted, what happened, what is missed where, what was tried."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+import numpy.typing as npt
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from frogkick.identify.outcome import Outcome
+from frogkick.identify.search import BASE_GAIN, Tried
+from frogkick.identify.verdict import Error
+from frogkick.report import style
+from frogkick.report.identify_misses import Misses, by_limb
+
+FloatArray = npt.NDArray[np.float64]
+
+NOMINAL_LABEL, FOUND_LABEL, FLOOR_LABEL = "nominal model", "with what was found", "noise floor"
+BOTH = (("nominal", style.NOMINAL, NOMINAL_LABEL, -0.19), ("found", style.PREDICTED, FOUND_LABEL, 0.19))
+TRIED_MOST = 10
+AXES = (("forward", "mm", 1e3), ("left", "mm", 1e3), ("heading", "deg", 180.0 / np.pi))
+
+
+def position_mm(missed: FloatArray) -> FloatArray:
+    """(n,) size of the position's part of (n, 3) misses."""
+    return np.asarray(1e3 * np.hypot(missed[:, 0], missed[:, 1]))
+
+
+def heading_deg(missed: FloatArray) -> FloatArray:
+    """(n,) size of the heading's part of (n, 3) misses."""
+    return np.asarray(np.rad2deg(np.abs(missed[:, 2])))
+
+
+Size = Callable[[FloatArray], FloatArray]
+
+
+def _sizes(floor: Error) -> tuple[tuple[str, str, Size, float], ...]:
+    return (
+        ("position", "mm", position_mm, 1e3 * floor.position_rmse_m),
+        ("heading", "deg", heading_deg, float(np.rad2deg(floor.heading_rmse_rad))),
+    )
+
+
+def track_figure(outcome: Outcome, misses: Misses) -> Figure:
+    """The test run with the most periods: where it went, and close by its worst predicted stretch."""
+    run = int(np.bincount(misses.run).argmax())
+    rows = np.flatnonzero(misses.run == run)
+    swim = outcome.test[run]
+    worst = rows[np.argmax(position_mm(misses.missed_world("nominal")[rows]))]
+    near = rows[np.abs(misses.period[rows] - misses.period[worst]) <= 2]
+    with style.styled():
+        figure = Figure(figsize=(11.0, 5.0), layout="constrained")
+        for axes, some in zip(figure.subplots(1, 2), (rows, near), strict=True):
+            close = some is near
+            shown = (swim.time_s >= swim.start_s[misses.period[some[0]]] - 0.1) & (
+                swim.time_s <= swim.end_s[misses.period[some[-1]]] + 0.1
+            )
+            axes.plot(
+                *(100.0 * swim.pose[shown, :2].T),
+                ".-" if close else "-",
+                color=style.MEASURED,
+                linewidth=1.0,
+                markersize=4,
+                label="position fixes",
+            )
+            axes.plot(
+                *(100.0 * misses.measured[some, :2].T),
+                "o",
+                color=style.MEASURED,
+                markersize=7 if close else 4,
+                label="measured end of a period",
+            )
+            for which, colour, label, _ in BOTH:
+                ends = getattr(misses, which)[some]
+                ways = np.stack([misses.pose[some, :2], ends[:, :2], np.full((len(some), 2), np.nan)], axis=1)
+                axes.plot(*(100.0 * ways.reshape(-1, 2).T), "--", color=colour, linewidth=1.0)
+                axes.plot(
+                    *(100.0 * ends[:, :2].T),
+                    "x" if which == "nominal" else "+",
+                    color=colour,
+                    markersize=9 if close else 6,
+                    markeredgewidth=1.8,
+                    label=f"its prediction, {label}",
+                )
+            if close:
+                for row in some:
+                    name = swim.action_names[misses.action[row]] if misses.action[row] >= 0 else "?"
+                    middle = 50.0 * (misses.pose[row, :2] + misses.measured[row, :2])
+                    axes.annotate(name, middle, fontsize=9, fontweight="bold")
+            axes.set_aspect("equal", adjustable="datalim")
+            axes.set_xlabel("x (cm)")
+            axes.set_ylabel("y (cm)")
+            first, last = misses.period[some[0]] + 1, misses.period[some[-1]] + 1
+            what = "Close by, with actions" if close else f"Run {swim.name}"
+            axes.set_title(f"{what}: periods {first} to {last}")
+        _legend(figure, figure.axes[0])
+    return figure
+
+
+def error_figure(outcome: Outcome) -> Figure:
+    """Before and after a period ahead, with the noise floor; and several periods ahead."""
+    tested = outcome.tested
+    horizons = outcome.horizons
+    with style.styled():
+        figure = Figure(figsize=(11.0, 3.6), layout="constrained")
+        panels = figure.subplots(1, 4)
+        for place, (what, unit, _, level) in enumerate(_sizes(tested.noise_floor)):
+            now, ahead = panels[place], panels[place + 2]
+            for at, (error, colour) in enumerate(
+                ((tested.before, style.NOMINAL), (tested.after, style.PREDICTED))
+            ):
+                height = _value(error, what)
+                now.bar(at, height, 0.7, color=colour)
+                now.text(at, height, f"{height:.2f}", ha="center", va="bottom")
+            now.axhline(level, color=style.FLOOR, linestyle="--")
+            now.text(2.2, level, f"{level:.2f}", ha="right", va="bottom")
+            now.set_xlim(-0.6, 2.2)
+            now.set_xticks((0, 1), ("before", "after"))
+            now.set_ylabel(f"{what} missed, RMS ({unit})")
+            now.set_title(f"{what.capitalize()}, one period ahead")
+            now.margins(y=0.12)
+            for name, colour, label, _ in BOTH:
+                errors = [each.before if name == "nominal" else each.after for each in horizons]
+                ahead.plot(
+                    [each.periods for each in horizons],
+                    [_value(error, what) for error in errors],
+                    "o-",
+                    color=colour,
+                    label=label,
+                )
+            ahead.axhline(level, color=style.FLOOR, linestyle="--", label=f"{FLOOR_LABEL}, a period ahead")
+            ahead.set_yscale("log")
+            ahead.yaxis.set_major_formatter("{x:g}")
+            ahead.yaxis.set_minor_formatter(_few)
+            ahead.set_xticks([each.periods for each in horizons])
+            ahead.set_xlabel("periods ahead")
+            ahead.set_ylabel(f"{what} missed, RMS ({unit})")
+            ahead.set_title(f"{what.capitalize()}, several ahead")
+        _legend(figure, panels[2])
+    return figure
+
+
+def _value(error: Error, what: str) -> float:
+    return 1e3 * error.position_rmse_m if what == "position" else float(np.rad2deg(error.heading_rmse_rad))
+
+
+def _few(value: float, _place: int | None = None) -> str:
+    """Labels of a logarithmic axis between its decades: 2 and 5."""
+    return f"{value:g}" if f"{value:e}"[0] in "25" else ""
+
+
+def time_figure(outcome: Outcome, misses: Misses) -> Figure:
+    """Each period of the test runs, in order of time."""
+    with style.styled():
+        figure = Figure(figsize=(11.0, 4.8), layout="constrained")
+        panels = figure.subplots(2, 1, sharex=True)
+        lengths = [swim.end_s[-1] - swim.start_s[0] for swim in outcome.test]
+        begins = np.concatenate([[0.0], np.cumsum(np.array(lengths) + 3.0)])
+        at_s = begins[misses.run] + misses.time_s
+        for axes, (what, unit, size, level) in zip(panels, _sizes(outcome.tested.noise_floor), strict=True):
+            for which, colour, label, _ in BOTH:
+                missed = size(misses.missed_world(which))
+                for run in np.unique(misses.run):
+                    rows = misses.run == run
+                    axes.plot(
+                        at_s[rows],
+                        missed[rows],
+                        "o-",
+                        color=colour,
+                        markersize=3,
+                        linewidth=0.8,
+                        label=label if run == misses.run[0] else None,
+                    )
+            axes.axhline(level, color=style.FLOOR, linestyle="--", label=f"{FLOOR_LABEL} (RMS)")
+            axes.set_ylim(0.0, None)
+            axes.set_ylabel(f"{what} missed ({unit})")
+            axes.set_title(f"{what.capitalize()} missed a period ahead, over time")
+        for run, swim in enumerate(outcome.test):
+            panels[0].annotate(
+                swim.name, (begins[run], 1.0), xycoords=("data", "axes fraction"), fontsize=8, va="top"
+            )
+        panels[-1].set_xlabel("time in the run, runs side by side (s)")
+        _legend(figure, panels[0])
+    return figure
+
+
+def cause_figure(outcome: Outcome, misses: Misses) -> Figure:
+    """Above by action: how much is missed. Below by limb: which way each of its strokes is off."""
+    names = outcome.test[0].action_names
+    labels = np.unique(misses.action)
+    with style.styled():
+        figure = Figure(figsize=(11.0, 6.2), layout="constrained")
+        halves = figure.add_gridspec(2, 1)
+        panels = figure.add_subfigure(halves[0]).subplots(1, 2)
+        for axes, (what, unit, size, level) in zip(panels, _sizes(outcome.tested.noise_floor), strict=True):
+            for which, colour, label, shift in BOTH:
+                missed = size(misses.missed_world(which))
+                heights = [np.sqrt((missed[misses.action == each] ** 2).mean()) for each in labels]
+                axes.bar(np.arange(len(labels)) + shift, heights, 0.36, color=colour, label=label)
+            axes.axhline(level, color=style.FLOOR, linestyle="--", label=FLOOR_LABEL)
+            told = [
+                f"{names[each] if each >= 0 else '?'}\n{(misses.action == each).sum()}" for each in labels
+            ]
+            axes.set_xticks(np.arange(len(labels)), told)
+            axes.set_xlabel("action, and how many periods of it")
+            axes.set_ylabel(f"{what} missed, RMS ({unit})")
+            axes.set_title(f"{what.capitalize()} missed, by action")
+        limbs = [limb.name.replace("_", "\n") for limb in outcome.robot.limbs]
+        lower = figure.add_subfigure(halves[1]).subplots(1, 3)
+        told_by = {which: by_limb(misses.missed_body(which), misses.limbs) for which, *_ in BOTH}
+        for axes, (axis, (what, unit, scale)) in zip(lower, enumerate(AXES), strict=True):
+            for which, colour, _, shift in BOTH:
+                each, error = told_by[which]
+                axes.errorbar(
+                    np.arange(len(limbs)) + shift,
+                    scale * each[:, axis],
+                    2.0 * scale * error[:, axis],
+                    fmt="o",
+                    color=colour,
+                    capsize=3,
+                )
+            axes.axhline(0.0, color=style.DESIRED, linewidth=0.8)
+            axes.set_xticks(np.arange(len(limbs)), limbs)
+            axes.set_xlim(-0.6, len(limbs) - 0.4)
+            axes.set_xlabel("limb")
+            axes.set_ylabel(f"missed for a stroke ({unit})")
+            axes.set_title(f"By limb: {what}")
+        _legend(figure, panels[0])
+    return figure
+
+
+def place_figure(misses: Misses) -> Figure:
+    """Where in the pool what is missed, as arrows; the same scale for both models."""
+    with style.styled():
+        figure = Figure(figsize=(11.0, 4.8), layout="constrained")
+        missed = {which: misses.missed_world(which) for which, *_ in BOTH}
+        reach = 100.0 * float(np.ptp(misses.pose[:, :2], axis=0).max()) + 1.0
+        largest = 0.1 * float(np.percentile(position_mm(missed["nominal"]), 90))  # cm
+        magnified = 0.12 * reach / max(largest, 1e-6)
+        factor = 10.0 ** np.floor(np.log10(magnified))
+        factor *= 5.0 if magnified > 5.0 * factor else 2.0 if magnified > 2.0 * factor else 1.0
+        for axes, (which, colour, label, _) in zip(figure.subplots(1, 2), BOTH, strict=True):
+            axes.plot(*(100.0 * misses.measured[:, :2].T), ".", color=style.MEASURED, markersize=4)
+            axes.quiver(
+                *(100.0 * misses.measured[:, :2].T),
+                *(100.0 * factor * missed[which][:, :2].T),
+                angles="xy",
+                scale_units="xy",
+                scale=1.0,
+                width=0.004,
+                color=colour,
+            )
+            axes.set_aspect("equal", adjustable="datalim")
+            axes.margins(0.15)
+            axes.set_xlabel("x (cm)")
+            axes.set_ylabel("y (cm)")
+            axes.set_title(f"{label.capitalize()}: measured - predicted, {factor:g} times as long")
+    return figure
+
+
+def tried_figure(turns: Sequence[Sequence[Tried]]) -> Figure:
+    """What candidates gain at each turn of the search; the line is what one must gain to be taken."""
+    turns = [_best_each(tried) for tried in turns]
+    most = [min(len(tried), TRIED_MOST) for tried in turns]
+    with style.styled():
+        figure = Figure(figsize=(11.0, 0.9 + 0.27 * sum(most) + 0.75 * len(most)), layout="constrained")
+        panels = figure.subplots(len(turns), 1, squeeze=False, height_ratios=[count + 1 for count in most])
+        for turn, (axes, tried) in enumerate(zip(panels[:, 0], turns, strict=True), 1):
+            _turn(axes, tried)
+            axes.set_title(f"Turn {turn}")
+        panels[-1, 0].set_xlabel("fall of -2 log likelihood on the training runs (1)")
+        for axes in panels[:, 0]:
+            axes.set_xscale("symlog", linthresh=10.0)
+            axes.set_xlim(0.0, 3.0 * max([BASE_GAIN, *(each.gain for tried in turns for each in tried)]))
+    return figure
+
+
+def _best_each(tried: Sequence[Tried]) -> list[Tried]:
+    """Of each effect its best start; those that were simulated first."""
+    best: dict[str, Tried] = {}
+    for each in sorted(tried, key=lambda each: (not each.chosen, not each.refined, -each.gain)):
+        best.setdefault(each.title, each)
+    return list(best.values())
+
+
+def _turn(axes: Axes, tried: Sequence[Tried]) -> None:
+    shown = list(tried)[:TRIED_MOST][::-1]
+    for place, each in enumerate(shown):
+        colour = style.PREDICTED if each.chosen else style.DESIRED
+        axes.barh(place, max(each.gain, 0.0), 0.7, color=colour, alpha=1.0 if each.refined else 0.4)
+        held = f"held out {each.held_out:+.2f} a period" if each.refined else "by derivatives alone"
+        axes.text(max(each.gain, 0.0), place, f" {held}{', taken' if each.chosen else ''}", va="center")
+    axes.axvline(BASE_GAIN, color=style.FLOOR, linestyle="--")
+    axes.set_yticks(range(len(shown)), [each.title for each in shown])
+    axes.grid(axis="y", visible=False)
+
+
+def rest_figure(outcome: Outcome) -> Figure:
+    """What share of the rest each view of it tells."""
+    shares = sorted(outcome.signature["shares"].items(), key=lambda row: row[1])
+    with style.styled():
+        figure = Figure(figsize=(7.5, 0.7 + 0.27 * len(shares)), layout="constrained")
+        axes = figure.subplots()
+        axes.barh(
+            [name for name, _ in shares], [100.0 * share for _, share in shares], 0.7, color=style.PREDICTED
+        )
+        axes.set_xlim(0.0, 100.0)
+        axes.set_xlabel("of the squares of what is left (%)")
+        axes.set_title("What is left on the training runs, told by")
+        axes.grid(axis="y", visible=False)
+    return figure
+
+
+def _legend(figure: Figure, axes: Axes) -> None:
+    handles, labels = axes.get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=5)

@@ -1,0 +1,107 @@
+"""How a table does in a simulated pool where something is true that another model was not told."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from frogkick.effects import World
+from frogkick.loop.closed_loop import Recording, RunOptions, robot_plan_config, run_in_pool
+from frogkick.loop.record import Tracking, run_log, tracking_of_recording
+from frogkick.loop.runlog import RunLog
+from frogkick.paths import SHAPES, shape
+from frogkick.planner.image import Tables
+from frogkick.pool.camera import Camera
+from frogkick.pool.native_robot import NativeRobot
+from frogkick.pool.pool import Pool
+from frogkick.pool.port import RobotPort
+from frogkick.robot import Robot
+
+TIME_LIMIT_S = 90.0
+SEEDS = 2
+
+Progress = Callable[[int, int], None]
+
+
+@dataclass(frozen=True, eq=False)
+class Trial:
+    """One run in a pool."""
+
+    recording: Recording
+    log: RunLog
+    tracking: Tracking
+
+
+def swim(
+    port: RobotPort,
+    tables: Tables,
+    robot: Robot,
+    name: str,
+    options: RunOptions,
+    seed: int | Sequence[int],
+    source: str,
+    world: World = World(),  # noqa: B008 - frozen
+    progress: Progress = lambda _done, _whole: None,
+) -> Trial:
+    """Follow a path by its name, from its first point on.
+
+    Args:
+        port: the robot.
+        tables: its own.
+        robot: the swimmer in the pool.
+        name: of the path.
+        options: of the run.
+        seed: of the camera's noise; of several the log keeps the first.
+        source: what the log says made it.
+        world: what is true besides, made for this run alone.
+        progress: called with path points passed and to pass.
+
+    Raises:
+        FrogkickError: of the path, the robot or the pool.
+    """
+    path = shape(name)
+    start = (float(path.x_m[0]), float(path.y_m[0]), float(path.tangent_rad[0]))
+    pool = Pool(robot, start, Camera(), np.random.default_rng(seed), world)
+    recording = run_in_pool(
+        port, pool, tables, path, options, lambda _time_s, index: progress(index + 1, len(path))
+    )
+    first = seed if isinstance(seed, int) else int(seed[0])
+    log = run_log(recording, pool, robot, tables, path, options, first, source)
+    return Trial(recording, log, tracking_of_recording(recording, pool, robot, path))
+
+
+def trials(
+    core: Path,
+    tables: Tables,
+    robot: Robot,
+    world: Callable[[], World],
+    paths: Sequence[str] = tuple(SHAPES),
+    seeds: int = SEEDS,
+    time_limit_s: float = TIME_LIMIT_S,
+    progress: Progress = lambda _done, _whole: None,
+) -> list[Trial]:
+    """Follow paths with the robot's own core on this computer, each with several seeds.
+
+    Args:
+        core: image of the target "native" with these tables.
+        tables: in it.
+        robot: the swimmer in the pool, whose planner's settings count.
+        world: makes what is true besides, for each run anew: effects may keep things to themselves.
+        paths: by name.
+        seeds: of the camera's noise, from 0; the same for every table.
+        time_limit_s: longest pool time of each.
+        progress: called with runs done and to do.
+    """
+    options = dataclasses.replace(RunOptions(robot_plan_config(robot)), time_limit_s=time_limit_s)
+    found: list[Trial] = []
+    for name in paths:
+        for seed in range(seeds):
+            progress(len(found), len(paths) * seeds)
+            port = NativeRobot(core, len(robot.limbs))
+            found.append(swim(port, tables, robot, name, options, [seed, 7], "trial", world()))
+    progress(len(found), len(found))
+    return found

@@ -1,0 +1,154 @@
+"""The identification's report: all that a reader is to learn from it, in one file; and its arithmetic."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from tests.identify.made import known_outcome, make_swim, robot
+from tests.report.test_report import self_contained
+
+from frogkick.identify.columns import Column
+from frogkick.identify.fit import derivatives
+from frogkick.identify.outcome import Outcome, identify
+from frogkick.identify.search import Tried
+from frogkick.identify.terms import catalogue
+from frogkick.identify.verdict import UNEXPLAINED
+from frogkick.report.identify_figures import (
+    cause_figure,
+    error_figure,
+    place_figure,
+    rest_figure,
+    time_figure,
+    track_figure,
+    tried_figure,
+)
+from frogkick.report.identify_misses import by_limb, mimics, misses_of
+from frogkick.report.identify_page import write_identify_page
+
+WORN = {"name": "limb_wear", "limb": "rear_left", "gain": 0.7}
+TITLE = "limb_wear rear_left"
+TURNS = [
+    [Tried(TITLE, 210.0, 65.36, True, True), Tried("steady_wrench", 22.0, 3.21, True),
+     Tried("warm_up", 7.0, float("nan"), False), Tried("warm_up", 6.0, float("nan"), False)],
+    [Tried("warm_up", 9.0, float("nan"), False)],
+]  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def outcome() -> Outcome:
+    """What a search would end with on a worn robot's runs, at the true values."""
+    train, test = [make_swim([WORN], 31, 9)], [make_swim([WORN], 32, 7), make_swim([WORN], 33, 6)]
+    known = known_outcome(train, test, TITLE, (0.7, 0.0, 1.0))
+    assert known.found is not None
+    plain = next(each for each in catalogue(robot()) if each.title == TITLE)
+    at_start = replace(known.found.nominal.model, terms=(plain,))
+    (started,) = derivatives([at_start], train, known.found.rows)
+    columns = [Column(plain, started.jacobian)]
+    found = replace(known.found, turns=TURNS, alike=[["group_gain rear"]], sensitivities=columns)
+    return replace(known, found=found)
+
+
+def figures(outcome: Outcome) -> dict[str, Figure]:
+    misses = misses_of(outcome)
+    return {
+        "track": track_figure(outcome, misses),
+        "error": error_figure(outcome),
+        "time": time_figure(outcome, misses),
+        "cause": cause_figure(outcome, misses),
+        "place": place_figure(misses),
+        "tried": tried_figure(TURNS),
+        "rest": rest_figure(outcome),
+    }
+
+
+def test_every_axis_says_what_it_is_and_in_which_unit(outcome: Outcome) -> None:
+    no_unit = {"limb", "action, and how many periods of it", "periods ahead", ""}
+    for name, figure in figures(outcome).items():
+        renderer = FigureCanvasAgg(figure).get_renderer()
+        figure.draw_without_rendering()
+        for axes in figure.axes:
+            assert axes.get_title(loc="left"), name
+            for label in (axes.get_xlabel(), axes.get_ylabel()):
+                assert label in no_unit or label.endswith(("(mm)", "(deg)", "(cm)", "(s)", "(%)", "(1)")), (
+                    label
+                )
+            for text in (axes._left_title, axes.xaxis.label, axes.yaxis.label):  # type: ignore[attr-defined]
+                box = text.get_window_extent(renderer)
+                assert not text.get_text() or (box.x0 >= 0 and box.y0 >= 0 and box.x1 <= figure.bbox.width), (
+                    name,
+                    text.get_text(),
+                )
+
+
+def test_the_page_tells_all(outcome: Outcome, tmp_path: Path) -> None:
+    target = tmp_path / "what.html"
+    write_identify_page(target, outcome)
+    links = self_contained(target.read_text(encoding="utf-8"))
+    assert len(links.found) == 7
+    for told in (
+        "Verdict: found (limb_wear rear_left)", "noise floor", "5 periods ahead", "by action, limb, time "
+        "and place",
+        "held: the runs tell nothing of it", "cannot tell limb_wear rear_left from group_gain rear",
+        "limb_wear rear_left was taken: it gains 210, and 65.36 for each held-out period; next is "
+        "steady_wrench",
+        "no effect was taken; the best, warm_up, gains 9", "What stays unexplained", "made31", "made33",
+    ):  # fmt: skip
+        assert told in links.text, told
+    before, after = outcome.tested.before, outcome.tested.after
+    assert f"{1e3 * before.position_rmse_m:.2f}" in links.text
+    assert f"{1e3 * after.position_rmse_m:.2f}" in links.text
+    assert "nan" not in links.text.lower().split() and str(tmp_path) not in links.text
+
+
+def test_a_page_without_effects_or_without_data_is_one_too(outcome: Outcome, tmp_path: Path) -> None:
+    assert outcome.found is not None
+    found = replace(outcome.found, fitted=outcome.found.nominal, turns=TURNS[1:], alike=[])
+    nothing = replace(outcome, verdict=UNEXPLAINED, found=found, parameters=[], tracks=outcome.nominal_tracks)
+    write_identify_page(tmp_path / "nothing.html", nothing)
+    links = self_contained((tmp_path / "nothing.html").read_text(encoding="utf-8"))
+    assert "No effect was taken" in links.text and "Verdict: unexplained (no effect)" in links.text
+    few = identify(outcome.train, outcome.test, robot())
+    write_identify_page(tmp_path / "few.html", few)
+    links = self_contained((tmp_path / "few.html").read_text(encoding="utf-8"))
+    assert "11 periods more" in links.text and not links.found
+
+
+def test_rows_are_the_periods_with_what_was_done_in_them(outcome: Outcome) -> None:
+    misses = misses_of(outcome)
+    assert misses.run.tolist() == [0] * 7 + [1] * 6 and misses.period[7:].tolist() == list(range(6))
+    swim = outcome.test[0]
+    bits = [robot().actions[a].first_mask | robot().actions[a].second_mask for a in swim.action]
+    assert misses.limbs[:7].tolist() == [[mask >> limb & 1 for limb in range(4)] for mask in bits]
+    world, body = misses.missed_world("nominal"), misses.missed_body("nominal")
+    assert np.hypot(*world[:, :2].T) == pytest.approx(np.hypot(*body[:, :2].T))
+    assert np.sqrt((world[:, :2] ** 2).sum(axis=1).mean()) == pytest.approx(
+        outcome.tested.before.position_rmse_m
+    )
+
+
+def test_what_a_limbs_stroke_misses_is_told_from_the_others(outcome: Outcome) -> None:
+    rng = np.random.default_rng(0)
+    limbs = rng.integers(0, 2, (40, 4))
+    limbs[:, 3] = 0
+    truth = np.array([[1.0, 0.0, 0.2], [0.0, -2.0, 0.0], [0.0, 0.0, 0.0]])
+    each, error = by_limb(limbs[:, :3] @ truth + 0.5 + rng.normal(0.0, 0.01, (40, 3)), limbs)
+    assert each[:3] == pytest.approx(truth, abs=0.02) and np.isnan(each[3]).all()
+    assert (np.abs(each[:3] - truth) < 4.0 * error[:3]).all() and (error[:3] < 0.01).all()
+    always = np.ones((10, 1), dtype=np.int64)  # no rest to tell strokes from: they take all
+    assert by_limb(np.full((10, 3), 2.0), always)[0] == pytest.approx(np.full((1, 3), 2.0))
+
+
+def test_what_was_found_can_make_its_own_change(outcome: Outcome) -> None:
+    ((title, share),) = mimics(outcome)
+    assert title == TITLE and 0.8 < share <= 1.0
+    assert outcome.found is not None
+    blind = replace(
+        outcome.found.sensitivities[0], jacobian=np.zeros_like(outcome.found.sensitivities[0].jacobian)
+    )
+    other = replace(outcome, found=replace(outcome.found, sensitivities=[blind]))
+    assert mimics(other)[0][1] == pytest.approx(0.0)

@@ -78,16 +78,15 @@ class Retuned:
 
     def as_json(self) -> dict[str, Any]:
         """The keys of the command."""
-        found = self.outcome.as_json()
         return {
             "verdict": self.outcome.verdict,
-            "effects": found["effects"],
+            "effects": self.outcome.effects_as_json(),
             "before": {**self.before.as_json(), "periods": self.before.count},
             "after": {**self.after.as_json(), "periods": self.after.count},
             "closed_loop": None
             if self.loop is None
             else {"before": self.loop[0].as_json(), "after": self.loop[1].as_json()},
-            "rods": found["test"],
+            "rods": self.outcome.tested_as_json(),
             "held_out": self.held_out,
             "better": self.better,
             "reason": self.reason,

@@ -30,7 +30,7 @@ from frogkick.identify.retune import (
     split,
 )
 from frogkick.identify.swim import Swim, read_swim
-from frogkick.identify.tables import RESTED, Tracked, earlier_actions, table_error
+from frogkick.identify.tables import RESTED, Tracked, earlier_actions, table_error, table_horizons
 from frogkick.identify.terms import catalogue
 from frogkick.identify.verdict import FOUND, NOTHING, TOO_LITTLE, UNEXPLAINED, Error
 from frogkick.loop.runlog_file import write_run
@@ -55,9 +55,13 @@ def found(swims: list[Swim]) -> Outcome:
 
 @dataclass
 class Tools:
-    """Tables that are a robot's name, known by what they say of a period; counts what was asked of it."""
+    """Tables that are a robot's name, known by what they say of a period; counts what was asked of it.
+
+    A period is told by the velocity at its start.
+    """
 
     answers: Mapping[bytes, np.ndarray]
+    starts: np.ndarray = field(default_factory=lambda: np.empty((0, 3)))
     made: list[str] = field(default_factory=list)
     swum: list[bytes] = field(default_factory=list)
 
@@ -73,7 +77,8 @@ class Tools:
 
     def looked_up(self, image: bytes, velocity_body: np.ndarray, previous: np.ndarray) -> np.ndarray:
         assert velocity_body.shape == (len(previous), 3) and np.isfinite(velocity_body).all()
-        return self.answers[image]
+        rows = [int(np.flatnonzero((self.starts == each).all(axis=1))[0]) for each in velocity_body]
+        return self.answers[image][rows]
 
     def tracked(self, tables: Path, swimmer: Robot, progress: Any) -> Tracked:
         assert [table["name"] for table in swimmer.effects] == ["limb_wear"]
@@ -102,13 +107,15 @@ def right_answers(outcome: Outcome, off_m: float = 0.0) -> np.ndarray:
     answers[rows, swim.action, 0] = c * gap[:, 0] + s * gap[:, 1] + off_m
     answers[rows, swim.action, 1] = c * gap[:, 1] - s * gap[:, 0]
     answers[rows, swim.action, 2] = gap[:, 2]
+    answers[rows, swim.action, 3:] = np.roll(track.start[:, 3:], -1, axis=0)
     return answers
 
 
 def tools_of(outcome: Outcome, worn_m: float, nominal_m: float) -> Tools:
     return Tools(
         {b"worn": right_answers(outcome, worn_m), b"nominal": right_answers(outcome, nominal_m),
-         b"old": right_answers(outcome, nominal_m)}
+         b"old": right_answers(outcome, nominal_m)},
+        outcome.tracks[0].start[:, 3:],
     )  # fmt: skip
 
 
@@ -125,6 +132,25 @@ def test_tables_are_judged_by_where_they_say_a_period_ends(found: Outcome) -> No
     assert exact.position_rmse_m < 1e-12 and exact.heading_rmse_rad < 1e-12
     assert off.position_rmse_m == pytest.approx(2e-3) and off.heading_rmse_rad < 1e-12
     assert exact.count == off.count == 10
+
+
+def test_several_periods_ahead_one_look_up_follows_the_other(found: Outcome) -> None:
+    """What a table is off adds up; what the fixes are off where a period begins is a fraction of a mm."""
+    tools = tools_of(found, 0.0, 2e-3)
+    exact, off = (table_error(tools, image, found, 3) for image in (b"worn", b"nominal"))
+    assert exact.count == off.count == 8
+    assert exact.position_rmse_m < 1e-3 and off.position_rmse_m == pytest.approx(6e-3, rel=0.15)
+    horizons = table_horizons(tools, b"nominal", b"worn", found)
+    assert [(each.periods, each.before.count) for each in horizons] == [(1, 10), (2, 9), (3, 8), (5, 6)]
+    assert horizons[2].before == off and horizons[2].after == exact
+    (swim,), (track,) = found.test, found.tracks
+    late = np.where(np.arange(10) >= 4, 0.3 * swim.period_s, 0.0)
+    paused = replace(swim, start_s=swim.start_s + late, end_s=swim.end_s + late)
+    assert table_error(tools, b"worn", replace(found, test=[paused]), 3).count == 8 - 2
+    short = replace(swim, start_s=swim.start_s[:2], end_s=swim.end_s[:2], action=swim.action[:2])
+    begun = replace(track, start=track.start[:2])
+    few = replace(found, test=[short], tracks=[begun])
+    assert [each.periods for each in table_horizons(tools, b"nominal", b"worn", few)] == [1, 2]
 
 
 def test_starts_are_taken_as_the_camera_shows_them(found: Outcome) -> None:
@@ -190,6 +216,12 @@ def test_better_tables_are_kept_with_the_old_ones(known: Outcome, swims: list[Sw
     assert result.before.position_rmse_m == pytest.approx(2e-3)
     assert result.after.position_rmse_m == pytest.approx(0.5e-3)
     assert [path.name for path in tmp_path.iterdir()] == ["new"]
+    said = command_module._text(result, out)
+    for told in (
+        "old tables: 2.00 mm", "new tables: 0.50 mm", "10.0 mm from the path, 20.0 mm/s along it",
+        "1 of 2 runs completed", "tables, 5 periods ahead: ", "effect limb_wear rear_left: gain 0.7 [",
+    ):  # fmt: skip
+        assert told in said, said
     assert tools.swum == [b"nominal", b"worn"]  # old tables first, both by the robot as it is now
     assert result.as_json()["closed_loop"] == {
         "before": {"mean_distance_m": 0.01, "progress_mps": 0.02, "completed": 1, "runs": 2},
@@ -343,9 +375,9 @@ def test_from_logs_to_firmware(
     assert loop["before"]["runs"] == loop["after"]["runs"] == 1
     assert loop["before"]["completed"] == loop["after"]["completed"] == 1
     assert 0.0 < loop["after"]["mean_distance_m"] < 0.02 and loop["before"] != loop["after"]
-    horizons = values["rods"]["horizons"]
-    assert [row["periods"] for row in horizons] == [1, 2, 3, 5]
-    assert horizons[3]["after"]["position_rmse_m"] < 0.5 * horizons[3]["before"]["position_rmse_m"]
+    for horizons in (values["horizons"], values["rods"]["horizons"]):
+        assert [row["periods"] for row in horizons] == [1, 2, 3, 5]
+        assert horizons[3]["after"]["position_rmse_m"] < 0.5 * horizons[3]["before"]["position_rmse_m"]
 
     def same(_tools: object, _robot: Robot, library: Path, _stage: object) -> bytes:
         library.write_bytes(b"library")

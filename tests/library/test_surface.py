@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from tests.library.synthetic import ACTIONS, LIMBS, ROBOT, Known
@@ -9,7 +11,7 @@ from tests.library.synthetic import ACTIONS, LIMBS, ROBOT, Known
 from frogkick.errors import InputError
 from frogkick.library import Library
 from frogkick.library.history import History, fit_history, limb_use
-from frogkick.library.surface import STATES_MIN, Surface, fit_surface
+from frogkick.library.surface import RIDGES, STATES_MIN, Surface, fit_surface
 from frogkick.library.transitions import RESTED
 
 RESOLUTION = np.array(ROBOT.velocity_resolution)
@@ -51,6 +53,24 @@ def test_neighbours_in_a_plane_are_no_obstacle() -> None:
     at = library.initial_velocity_body[:100] + np.array([1e-3, 0.0, 0.01])
     right = known.rows(at, library.previous_actions[:100])
     assert surface.at(at / RESOLUTION) == pytest.approx(right, abs=1e-6)
+
+
+def test_noise_makes_no_slopes_out_of_a_thin_cloud() -> None:
+    """Swims fill a thin sheet of velocities; what a table is not asked with is noise there."""
+    rng, known = np.random.default_rng(7), Known(1, 2)
+    library = known.library(600, 2)
+    library.initial_velocity_body[:, 1] *= 0.01
+    plain = known.rows(library.initial_velocity_body, library.previous_actions)
+    noisy = plain + 2e-4 * rng.standard_normal(plain.shape)
+    assert surface_of(known.library(600, 2)).ridge == RIDGES[-1], "smooth ones are followed closely"
+    surface = fit_surface(ROBOT, library.initial_velocity_body, noisy, library.previous_actions)
+    assert surface.ridge == RIDGES[0]
+    thick = 0.01 * np.ptp(known.library(600, 2).initial_velocity_body[:, 1])
+    beside = library.initial_velocity_body[:200] + np.array([0.0, 3.0 * thick, 0.0])
+    right = known.rows(beside, library.previous_actions[:200])
+    loose = replace(surface, ridge=RIDGES[-1])
+    off, wild = (np.abs(one.at(beside / RESOLUTION) - right).max() for one in (surface, loose))
+    assert off < 0.02 and off < 0.5 * wild
 
 
 def test_too_few_states_are_refused() -> None:

@@ -13,6 +13,7 @@ from tests.identify.made import known_outcome, make_swim, robot
 from tests.report.test_report import self_contained
 
 from frogkick.identify.columns import Column
+from frogkick.identify.experiment import Experiment
 from frogkick.identify.fit import derivatives
 from frogkick.identify.outcome import Outcome, identify
 from frogkick.identify.search import Tried
@@ -86,17 +87,22 @@ def test_every_axis_says_what_it_is_and_in_which_unit(outcome: Outcome) -> None:
 
 
 def test_the_page_tells_all(outcome: Outcome, tmp_path: Path) -> None:
-    target = tmp_path / "what.html"
-    write_identify_page(target, outcome)
+    target, row = tmp_path / "what.html", ("G", "B", "E")
+    told_apart = replace(outcome)
+    told_apart.__dict__["horizons"] = outcome.horizons
+    told_apart.__dict__["experiment"] = Experiment((TITLE, "group_gain rear"), row, (0.0, 0.0, 0.0), 12.0)
+    write_identify_page(target, told_apart)
     links = self_contained(target.read_text(encoding="utf-8"))
     assert len(links.found) == 7
     for told in (
         "Verdict: found (limb_wear rear_left)", "noise floor", "5 periods ahead", "by action, limb, time "
         "and place",
-        "held: the runs tell nothing of it", "cannot tell limb_wear rear_left from group_gain rear",
+        "held at the plain model's value", "cannot tell limb_wear rear_left from group_gain rear",
         "limb_wear rear_left was taken: it gains 210, and 65.36 for each held-out period; next is "
         "steady_wrench",
-        "no effect was taken; the best, warm_up, gains 9", "What stays unexplained", "made31", "made33",
+        "no effect was taken; the best, warm_up, gains 9", "What would settle it: to tell limb_wear "
+        "rear_left from",
+        "record from rest: GBE (3 periods, 12.0 sigma apart)", "What stays unexplained", "made31", "made33",
     ):  # fmt: skip
         assert told in links.text, told
     before, after = outcome.tested.before, outcome.tested.after

@@ -124,7 +124,8 @@ def test_the_rings_report(tmp_path: Path) -> None:
     assert len(links.found) == 2  # a picture for each path
     for told in (
         "distance", "actions", "estimate", "mismatches", "limits broken", "flash", "RAM", "stack",
-        "one plan at depth 1", "one plan at depth 4", "cycles at 64 MHz", "Line", "Sine", "15 Hz", "library, tables",
+        "one plan at depth 1", "one plan at depth 4", "cycles at 64 MHz", "Line", "Sine", "15 Hz",
+        "library, tables",
     ):  # fmt: skip
         assert told in links.text, told
     assert "nan" not in links.text.lower().split()

@@ -72,8 +72,9 @@ def command(
     kept = [read_swim(path, described) for path in test]
     with steps(progress_bar) as tell:
         outcome = identify(learned, kept, described, effects, tell)
-    with progress_bar("several periods ahead") as progress:
-        progress(bool(outcome.horizons), 1)
+    with progress_bar("several periods ahead, what to record next") as progress:
+        values = outcome.as_json()
+        progress(1, 1)
     write_robot(out, outcome)
     if predictions is not None:
         write_predictions(predictions, outcome)
@@ -81,7 +82,7 @@ def command(
         from frogkick.report.identify_page import write_identify_page
 
         write_identify_page(report, outcome)
-    show(outcome.as_json(), json, _text(outcome))
+    show(values, json, _text(outcome))
 
 
 class _ManyRuns(TyperCommand):

@@ -152,7 +152,7 @@ def _text(result: Retuned, out: Path) -> str:
                 f"{1e3 * tracked.progress_mps:.1f} mm/s along it, "
                 f"{tracked.completed} of {tracked.runs} runs completed"
             )
-    lines += [f"rods, {horizon_line(each)}" for each in result.outcome.horizons if each.periods > 1]
+    lines += [f"tables, {horizon_line(each)}" for each in result.horizons if each.periods > 1]
     if result.done and result.reason:
         lines.append(result.reason)
     if result.better and result.tables is not None:

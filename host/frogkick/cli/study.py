@@ -22,7 +22,9 @@ from frogkick.cli.places import (
 from frogkick.cli.study_ceiling import register as register_ceiling
 from frogkick.cli.study_estimator import register as register_estimator
 from frogkick.cli.study_loop import register as register_loop
+from frogkick.cli.study_openloop import register as register_openloop
 from frogkick.cli.study_tables import register as register_tables
+from frogkick.cli.study_twin import register as register_twin
 from frogkick.cli.study_verdicts import register as register_verdicts
 from frogkick.der import STEP_S
 from frogkick.files import atomic_path
@@ -40,8 +42,10 @@ app = typer.Typer(help="Questions about the method, answered with figures.", no_
 register_tables(app)
 register_estimator(app)
 register_loop(app)
+register_twin(app)
 register_ceiling(app)
 register_verdicts(app)
+register_openloop(app)
 
 
 @app.callback()

@@ -125,8 +125,8 @@ class Outcome:
             return None
         return experiment_of(self.found, self.parameters, self.train)
 
-    def as_json(self) -> dict[str, Any]:
-        """The keys of the command."""
+    def effects_as_json(self) -> list[dict[str, Any]]:
+        """What was found."""
         effects = []
         for index, (term, row) in enumerate(zip(self.terms, self.parameters, strict=True)):
             assert self.found is not None
@@ -145,11 +145,19 @@ class Outcome:
                     "not_told_from": self.found.alike[index],
                 }
             )
+        return effects
+
+    def tested_as_json(self) -> dict[str, Any]:
+        """Errors on the test runs, several periods ahead too."""
+        return {**self.tested.as_json(), "horizons": [each.as_json() for each in self.horizons]}
+
+    def as_json(self) -> dict[str, Any]:
+        """The keys of the command."""
         return {
             "verdict": self.verdict,
-            "effects": effects,
+            "effects": self.effects_as_json(),
             "train": self.trained.as_json(),
-            "test": {**self.tested.as_json(), "horizons": [each.as_json() for each in self.horizons]},
+            "test": self.tested_as_json(),
             "signature": self.signature,
             "experiment": None if self.experiment is None else self.experiment.as_json(),
             **({"reason": self.reason} if self.reason else {}),

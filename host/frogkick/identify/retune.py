@@ -23,9 +23,10 @@ from numpy.typing import NDArray
 from frogkick.effects import Effect
 from frogkick.errors import InputError
 from frogkick.files import write_bytes
+from frogkick.identify.horizons import Horizon
 from frogkick.identify.outcome import Outcome, identify, write_robot
 from frogkick.identify.swim import Swim
-from frogkick.identify.tables import PERIOD_OFF, Stage, Tools, Tracked, table_error
+from frogkick.identify.tables import PERIOD_OFF, Stage, Tools, Tracked, table_error, table_horizons
 from frogkick.identify.verdict import NOTHING, TOO_LITTLE, Error
 from frogkick.robot import Robot, load_robot
 
@@ -59,6 +60,7 @@ class Retuned:
         firmware: sizes of the image; None where none was made.
         loop: the old and the new tables in closed loop, in a pool with what was found; None where none were
             made.
+        horizons: of the old and the new tables by how many periods ahead.
     """
 
     outcome: Outcome
@@ -70,6 +72,7 @@ class Retuned:
     tables: Mapping[str, Any] | None = None
     firmware: Mapping[str, Any] | None = None
     loop: tuple[Tracked, Tracked] | None = None
+    horizons: Sequence[Horizon] = ()
 
     @property
     def done(self) -> bool:
@@ -78,16 +81,16 @@ class Retuned:
 
     def as_json(self) -> dict[str, Any]:
         """The keys of the command."""
-        found = self.outcome.as_json()
         return {
             "verdict": self.outcome.verdict,
-            "effects": found["effects"],
+            "effects": self.outcome.effects_as_json(),
             "before": {**self.before.as_json(), "periods": self.before.count},
             "after": {**self.after.as_json(), "periods": self.after.count},
+            "horizons": [each.as_json() for each in self.horizons],
             "closed_loop": None
             if self.loop is None
             else {"before": self.loop[0].as_json(), "after": self.loop[1].as_json()},
-            "rods": found["test"],
+            "rods": self.outcome.tested_as_json(),
             "held_out": self.held_out,
             "better": self.better,
             "reason": self.reason,
@@ -134,6 +137,7 @@ def retune(
             (made / f"before-{LIBRARY}").unlink()
         write_bytes(made / BEFORE, old)
         before, after = (table_error(tools, image, outcome) for image in (old, new))
+        horizons = table_horizons(tools, old, new, outcome)
         better = is_better(before, after)
         name = TABLES if better else REFUSED
         write_bytes(made / name, new)
@@ -148,7 +152,9 @@ def retune(
                 progress(1, 1)
     tables = {"file": str(out / name), "bytes": len(new), "states": tools.states(new)}
     reason = "" if better else _no_better(before, after)
-    return Retuned(outcome, before, after, better, reason, held_out, tables, firmware, (loop[0], loop[1]))
+    return Retuned(
+        outcome, before, after, better, reason, held_out, tables, firmware, (loop[0], loop[1]), horizons
+    )
 
 
 def require_new(out: Path) -> None:

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from frogkick.effects import Effect, Fix
+from frogkick.identify.horizons import HORIZONS, Horizon
 from frogkick.identify.outcome import Outcome
 from frogkick.identify.predict import Track
 from frogkick.identify.swim import Swim
@@ -77,43 +78,67 @@ class Tools(Protocol):
         """Build the robot's image around a table file into a folder; its sizes."""
 
 
-def table_error(tools: Tools, image: bytes, outcome: Outcome) -> Error:
-    """How far a table errs a period ahead on the test runs: one look-up from where each period began.
+def table_error(tools: Tools, image: bytes, outcome: Outcome, periods: int = 1) -> Error:
+    """How far a table errs some periods ahead on the test runs, looked up from where each period began.
 
     Old and new tables begin from the same states, the best that are known of the robot: those of the rods
     with what was found. Their poses are taken as the camera shows them, as the robot will be told them.
+    Further periods begin from where the table says that the one before ended.
 
     Args:
         tools: look it up.
         image: of the table.
         outcome: knows runs, starts and effects.
+        periods: ahead.
     """
     effects = [term.effect() for term in outcome.terms]
-    gaps = [_gaps(tools, image, *pair, effects) for pair in zip(outcome.test, outcome.tracks, strict=True)]
+    gaps = [
+        _gaps(tools, image, *pair, effects, periods)
+        for pair in zip(outcome.test, outcome.tracks, strict=True)
+    ]
     return error_of(np.concatenate(gaps))
 
 
-def _gaps(tools: Tools, image: bytes, swim: Swim, track: Track, effects: Sequence[Effect]) -> FloatArray:
-    """(m, 3) measured minus looked-up pose at each period's end; NaN where one is not known."""
+def table_horizons(tools: Tools, old: bytes, new: bytes, outcome: Outcome) -> list[Horizon]:
+    """Errors of two tables by how many periods ahead, without those that no run is long enough for."""
+    every = [
+        Horizon(periods, *(table_error(tools, image, outcome, periods) for image in (old, new)))
+        for periods in HORIZONS
+    ]
+    return [each for each in every if each.before.count]
+
+
+def _gaps(
+    tools: Tools, image: bytes, swim: Swim, track: Track, effects: Sequence[Effect], periods: int
+) -> FloatArray:
+    """(m, 3) measured minus looked-up pose so many periods after each start; NaN where one is not known."""
     gap = np.full((len(swim.start_s), 3), np.nan)
-    known = np.isfinite(track.start).all(axis=1) & (swim.action >= 0)
     # What a table does not know of is not held against it: a period that was cut short or lengthened.
-    known &= np.abs((swim.end_s - swim.start_s) / swim.period_s - 1.0) < PERIOD_OFF
-    if not known.any():
+    whole = (swim.action >= 0) & (np.abs((swim.end_s - swim.start_s) / swim.period_s - 1.0) < PERIOD_OFF)
+    follows = np.append(np.abs(swim.start_s[1:] - swim.end_s[:-1]) < 1e-6, False)
+    known = np.isfinite(track.start).all(axis=1) & whole
+    for step in range(1, periods):
+        known &= np.append(whole[step:], np.zeros(min(step, len(whole)), dtype=bool))
+        known &= np.append(follows[step - 1 :], np.zeros(min(step - 1, len(whole)), dtype=bool))
+    rows = np.flatnonzero(known)
+    if not len(rows):
         return gap
-    found = tools.looked_up(image, track.start[known, 3:], earlier_actions(swim)[known])
-    moved = found[np.arange(len(found)), swim.action[known], :3]
-    shown = np.array(
+    pose = np.array(
         [
-            _shown(effects, float(at_s), pose)
-            for at_s, pose in zip(swim.start_s[known], track.start[known, :3], strict=True)
+            _shown(effects, float(at_s), start)
+            for at_s, start in zip(swim.start_s[rows], track.start[rows, :3], strict=True)
         ]
     )
-    c, s = np.cos(shown[:, 2]), np.sin(shown[:, 2])
-    ends = shown + np.column_stack(
-        [c * moved[:, 0] - s * moved[:, 1], s * moved[:, 0] + c * moved[:, 1], moved[:, 2]]
-    )
-    gap[known] = swim.measured[known] - ends
+    velocity, previous = track.start[rows, 3:], earlier_actions(swim)
+    for step in range(periods):
+        found = tools.looked_up(image, velocity, previous[rows + step])
+        moved = found[np.arange(len(rows)), swim.action[rows + step]]
+        c, s = np.cos(pose[:, 2]), np.sin(pose[:, 2])
+        pose = pose + np.column_stack(
+            [c * moved[:, 0] - s * moved[:, 1], s * moved[:, 0] + c * moved[:, 1], moved[:, 2]]
+        )
+        velocity = moved[:, 3:]
+    gap[rows] = swim.measured[rows + periods - 1] - pose
     gap[:, 2] = wrap_angle(gap[:, 2])
     return gap
 

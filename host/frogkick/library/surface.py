@@ -22,7 +22,12 @@ NEIGHBOURS = 40
 STATES_MIN = NEIGHBOURS + 1
 
 _AT_ONCE = 1024
-_RIDGE = 1e-9  # for neighbours in a plane or on a line; relative to their number, in units of their reach
+RIDGES = (1e-3, 1e-9)
+"""What keeps slopes small where neighbours lie near a plane or a line, relative to their number, in units of
+their reach. Rods alone are smooth and want the least. Where strokes depend on more than a table is asked
+with, that is noise, and slopes out of the plane that swimming stays in would be made of it."""
+
+_WORSE_MOST = 1.1  # factor on squared errors at states left out, at which the larger one is still taken
 
 
 def noise_of(robot: Robot) -> FloatArray:
@@ -49,6 +54,7 @@ class Surface:
         values: (n, a * 6) transitions without what earlier use added.
         history: what that was.
         tree: finds neighbours.
+        ridge: the largest of RIDGES with which neighbours tell states about as well as with any.
     """
 
     robot: Robot
@@ -56,10 +62,11 @@ class Surface:
     values: FloatArray
     history: History
     tree: Any
+    ridge: float
 
     def at(self, codes: FloatArray) -> FloatArray:
         """(m, a, 6) transitions from (m, 3) velocities in codes, limbs rested."""
-        found = _local(self.tree, self.codes, self.values, codes, skip=0)
+        found = _local(self.tree, self.codes, self.values, codes, self.ridge, skip=0)
         return found.reshape(len(codes), -1, 6)
 
     def predicted(self, codes: FloatArray, previous: IntArray) -> FloatArray:
@@ -85,15 +92,24 @@ def fit_surface(robot: Robot, velocities: FloatArray, rows: FloatArray, previous
             "build it with more --states"
         )
     codes = velocities / np.array(robot.velocity_resolution)
-    tree = cKDTree(codes)
-    history = fit_history(
-        robot, rows, previous, noise_of(robot), lambda values: _local(tree, codes, values, codes, skip=1)
-    )
-    rested = rows - history.added(robot, previous)
-    return Surface(robot, codes, rested.reshape(len(rows), -1), history, tree)
+    tree, noise = cKDTree(codes), noise_of(robot)
+    tried: list[tuple[float, Surface]] = []
+    for ridge in RIDGES:
+
+        def smoothed(values: FloatArray, ridge: float = ridge) -> FloatArray:
+            return _local(tree, codes, values, codes, ridge, skip=1)
+
+        history = fit_history(robot, rows, previous, noise, smoothed)
+        rested = (rows - history.added(robot, previous)).reshape(len(rows), -1)
+        missed = float((((rested - smoothed(rested)) / np.tile(noise, rows.shape[1])) ** 2).mean())
+        tried.append((missed, Surface(robot, codes, rested, history, tree, ridge)))
+    least = min(missed for missed, _ in tried)
+    return next(surface for missed, surface in tried if missed <= _WORSE_MOST * least)
 
 
-def _local(tree: Any, codes: FloatArray, values: FloatArray, at: FloatArray, skip: int) -> FloatArray:
+def _local(
+    tree: Any, codes: FloatArray, values: FloatArray, at: FloatArray, ridge: float, skip: int
+) -> FloatArray:
     """(m, c) quadratics through the NEIGHBOURS nearest states of (m, 3) points, but for the ``skip`` nearest.
 
     Weights are tricubes of the distance (Cleveland 1979, J. Am. Stat. Assoc. 74, 829-836).
@@ -111,6 +127,6 @@ def _local(tree: Any, codes: FloatArray, values: FloatArray, at: FloatArray, ski
         terms = np.concatenate([np.ones((*near.shape, 1)), offset, squares], axis=2)
         weighted = np.swapaxes(terms * weight[:, :, None], 1, 2)
         normal = weighted @ terms
-        normal[:, np.arange(1, 10), np.arange(1, 10)] += _RIDGE * NEIGHBOURS
+        normal[:, np.arange(1, 10), np.arange(1, 10)] += ridge * NEIGHBOURS
         found[begin : begin + _AT_ONCE] = np.linalg.solve(normal, weighted @ values[near])[:, 0]
     return found

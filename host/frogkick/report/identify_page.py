@@ -148,9 +148,9 @@ def _effects(outcome: Outcome) -> Section:
     assert outcome.found is not None
     held, rows, index = outcome.found.fitted.model.held, [], 0
     why = (
-        f"held: the runs tell nothing of it (free, it gains less than {HOLD:g})"
+        f"held at the plain model's value: free, it would gain less than {HOLD:g}, no more than noise"
         if outcome.found.turns
-        else "held: it is nominal in the measured robot that the fit began with"
+        else "held: it is plain in the measured robot that the fit began with"
     )
     for term, parameters in zip(outcome.terms, outcome.parameters, strict=True):
         for declared, each in zip(term.parameters, parameters, strict=True):
@@ -161,7 +161,7 @@ def _effects(outcome: Outcome) -> Section:
                     each.name + (f" ({declared.about})" if declared.about else ""),
                     f"{each.value:.4g}",
                     "" if is_held else f"{each.low:.4g} to {each.high:.4g}",
-                    each.unit,
+                    "" if each.unit == "1" else each.unit,
                     f"{declared.nominal:g}",
                     why if is_held else "fitted",
                 )
@@ -240,6 +240,11 @@ def _apart(outcome: Outcome) -> Section:
         for term, others in zip(outcome.terms, outcome.found.alike, strict=True)
         if others
     ] or ["Every effect found explains these runs clearly better than all others that were tried."]
+    if outcome.experiment is not None:
+        said = outcome.experiment.text
+        text.append(
+            f"What would settle it: {said}." if outcome.experiment.tells else f"{said[:1].upper()}{said[1:]}."
+        )
     rows = [(title, f"{100.0 * share:.0f}") for title, share in mimics(outcome)[:MIMICS_MOST]]
     if not rows:
         return Section("Which effects look alike here", text)

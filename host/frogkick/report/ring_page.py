@@ -57,7 +57,7 @@ def _closing(closing: Closing) -> Section:
         (
             term.title,
             each.name,
-            f"{each.value:.3g} {each.unit}",
+            f"{each.value:.3g}{'' if each.unit == '1' else ' ' + each.unit}",
             f"{each.low:.3g} to {each.high:.3g}",
             f"{hidden.get(each.name, declared.nominal):g}" if term.title == true else "not there",
         )

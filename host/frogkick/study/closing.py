@@ -66,7 +66,7 @@ class Closing:
             "horizons": [each.as_json() for each in self.outcome.horizons],
             "verdict": self.outcome.verdict,
             "planted": self.planted,
-            "found": self.outcome.as_json()["effects"],
+            "found": self.outcome.effects_as_json(),
             "changed_robot": {
                 "mean_distance_before_m": self.distance_m(self.old),
                 "mean_distance_after_m": self.distance_m(self.new),

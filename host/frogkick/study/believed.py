@@ -1,0 +1,184 @@
+"""What a planner believed: the motions with which the paper's cost would have chosen what runs show it chose.
+
+The authors' own library of turning strokes was not published. What their planner took each action to do
+shows in their runs: at every decision pose and path are known, and the action that it found the cheapest. The
+motions sought make those choices likely (inverse planning; a softmax over the cost, with slips).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from frogkick.errors import InputError
+from frogkick.library.quantise import table_fields
+from frogkick.loop.runlog import RunLog
+from frogkick.planner.packing import pack_nearest
+from frogkick.planner.paper_cost import pose_cost
+from frogkick.planner.plan import PlanConfig, path_rows
+from frogkick.robot import Robot, mirror_of
+
+FloatArray = NDArray[np.float64]
+
+DECISIONS_MIN = 60
+"""Fewer choices tell nothing about some thirty numbers."""
+
+_TRIES = 3000
+_TEMPERATURE = np.float32(3.0)  # of the cost: a few millimetres or degrees that the planner saw otherwise
+_SLIP = 0.1  # part of the choices that are as good as any
+_SIZES = (0.05, 0.2)  # of a try's steps, relative
+_MOVED = 0.3  # part of the numbers that a try moves
+
+
+@dataclass(frozen=True, eq=False)
+class Choices:
+    """Decisions of a run: (n, 3) poses in the world by the newest fix before each, (n,) actions chosen."""
+
+    path: NDArray[np.float32]
+    poses_world: NDArray[np.float32]
+    actions: NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class Believed:
+    """Motions that a planner took its actions to have.
+
+    Attributes:
+        motion: (a, 3) forward, left (m) and turn (rad), body frame at the action's start, at any velocity.
+        agreement: part of the choices that they make.
+        held_out_agreement: the same of each run with the motions found from the others.
+        nominal_agreement: the same with the motions that the search began with.
+        decisions: how many.
+    """
+
+    motion: FloatArray
+    agreement: float
+    held_out_agreement: float
+    nominal_agreement: float
+    decisions: int
+
+
+def choices_of(run: RunLog) -> Choices:
+    """A recorded run's decisions whose action is known.
+
+    Raises:
+        InputError: it has no path.
+    """
+    if run.path is None:
+        raise InputError(f"run {run.source!r} has no path: give the one that was followed")
+    fixes, known = run.fixes, run.decisions.action >= 0
+    newest = np.searchsorted(fixes.time_s, run.decisions.time_s[known], side="left") - 1
+    poses = np.column_stack([fixes.x_m, fixes.y_m, fixes.heading_rad])[np.maximum(newest, 0)]
+    return Choices(path_rows(run.path), poses.astype(np.float32), run.decisions.action[known])
+
+
+def believed_motions(runs: Sequence[Choices], robot: Robot, nominal: FloatArray) -> Believed:
+    """Find the motions that make choices of the paper's planner at depth 1 likely.
+
+    Mirrored actions of a robot that is its own mirror image have mirrored motions.
+
+    Args:
+        runs: at least two, of the same robot, with DECISIONS_MIN decisions together.
+        robot: whose actions.
+        nominal: (a, 3) motions to begin with; each number is scaled, so those that are 0 stay so.
+
+    Raises:
+        InputError: fewer decisions.
+    """
+    count = sum(len(run.actions) for run in runs)
+    if len(runs) < 2 or count < DECISIONS_MIN:
+        raise InputError(
+            f"{len(runs)} runs with {count} decisions do not tell what their planner believed: "
+            f"give 2 or more with {DECISIONS_MIN} or more"
+        )
+    begin = _mirrored(robot, nominal)
+    motion = _search(runs, robot, begin)
+    right = 0
+    for left_out in runs:
+        others = _search([run for run in runs if run is not left_out], robot, begin)
+        right += _right(left_out, others)
+    return Believed(
+        motion,
+        sum(_right(run, motion) for run in runs) / count,
+        right / count,
+        sum(_right(run, begin) for run in runs) / count,
+        count,
+    )
+
+
+def image_of_motions(robot: Robot, motion: FloatArray) -> bytes:
+    """A table image of kind nearest in which every action has one motion, whatever the velocity.
+
+    Args:
+        robot: whose table.
+        motion: (a, 3) forward, left (m), turn (rad).
+    """
+    at_rest = np.zeros((1, 3))
+    ends = np.zeros((1, *motion.shape))
+    fields = table_fields(robot, np.asarray(motion, "<f8").tobytes()[:32])
+    return pack_nearest(**fields, velocities=at_rest, displacements=motion[None], velocities_end=ends)
+
+
+def _mirrored(robot: Robot, motion: FloatArray) -> FloatArray:
+    """Motions made equal to their mirror images."""
+    mirror = mirror_of(robot)
+    if mirror is None:
+        return motion
+    return np.asarray(0.5 * (motion + motion[list(mirror.actions)] * [1.0, -1.0, -1.0]))
+
+
+def _search(runs: Sequence[Choices], robot: Robot, begin: FloatArray) -> FloatArray:
+    rng, mirror = np.random.default_rng(0), mirror_of(robot)
+    twins = np.arange(len(begin)) if mirror is None else np.array(mirror.actions)
+    best, most = begin, _likelihood(runs, begin)
+    for _ in range(_TRIES):
+        steps = rng.choice(_SIZES) * rng.standard_normal(begin.shape) * (rng.random(begin.shape) < _MOVED)
+        steps = np.where((twins < np.arange(len(twins)))[:, None], steps[twins], steps)
+        tried = best * np.exp(steps)
+        likely = _likelihood(runs, tried)
+        if likely > most:
+            best, most = tried, likely
+    return best
+
+
+def _likelihood(runs: Sequence[Choices], motion: FloatArray) -> float:
+    total = 0.0
+    for run in runs:
+        costs = _costs(run, motion)
+        apart = (costs - costs.min(axis=1, keepdims=True)) / _TEMPERATURE
+        chances = np.exp(-apart.astype(np.float64))
+        chosen = chances[np.arange(len(chances)), run.actions] / chances.sum(axis=1)
+        total += float(np.log((1.0 - _SLIP) * chosen + _SLIP / chances.shape[1]).sum())
+    return total
+
+
+def _right(run: Choices, motion: FloatArray) -> int:
+    return int((_costs(run, motion).argmin(axis=1) == run.actions).sum())
+
+
+def _costs(run: Choices, motion: FloatArray) -> Any:
+    config = PlanConfig()
+    weights = np.array(
+        [config.distance_weight_per_m, config.angle_weight_per_rad, config.progress_weight], np.float32
+    )
+    return _all_costs(run.path, weights, run.poses_world, motion.astype(np.float32))
+
+
+@njit(error_model="numpy")
+def _all_costs(path: Any, weights: Any, poses: Any, motion: Any) -> Any:
+    """Return the paper's cost (n, a) after each action from each pose."""
+    costs = np.empty((len(poses), len(motion)), dtype=np.float32)
+    for row in range(len(poses)):
+        cosine, sine = np.cos(poses[row, 2]), np.sin(poses[row, 2])
+        for action in range(len(motion)):
+            forward, left, turn = motion[action]
+            x = poses[row, 0] + cosine * forward - sine * left
+            y = poses[row, 1] + sine * forward + cosine * left
+            heading = poses[row, 2] + turn
+            costs[row, action] = pose_cost(path, weights[0], weights[1], weights[2], x, y, heading)
+    return costs

@@ -139,30 +139,30 @@ def test_a_wall_is_felt_near_it_and_only_there() -> None:
 def test_a_wall_pushes_back_from_its_own_side(side: str) -> None:
     out = {"x_low": (-1, 0), "x_high": (1, 0), "y_low": (0, -1), "y_high": (0, 1)}[side]
     heading = math.atan2(out[1], out[0])
-    made = wall(side=side, at_m=0.5, stiffness_n_per_m=20.0)
+    made = wall(side=side, at_m=0.5, hardness=0.75)
     in_front = made.wrench(0.0, body(0.4 * out[0], 0.4 * out[1], heading, (0.0, 0.0, 0.0)))
     assert in_front == (0.0, 0.0, 0.0)
     pressed = 0.5 - HALF_M + 0.002
     pushed = made.wrench(0.0, body(pressed * out[0], pressed * out[1], heading, (0.0, 0.0, 0.0)))
-    assert pushed == pytest.approx((-2 * 20.0 * 0.002, 0.0, 0.0), abs=1e-12)
+    assert pushed == pytest.approx((-2 * 24.0 * 0.002, 0.0, 0.0), abs=1e-12)
     away = made.wrench(0.0, body(pressed * out[0], pressed * out[1], heading, (-0.5, 0.0, 0.0)))
     assert away == pytest.approx((0.0, 0.0, 0.0), abs=1e-12), "a wall never pulls"
 
 
 def test_a_wall_stops_a_robot_that_swims_at_it() -> None:
     ends = {}
-    for stiffness in (0.0, 20.0):
-        made = effect("wall", at_m=0.12, stiffness_n_per_m=stiffness)
+    for hardness in (0.0, 0.75):
+        made = effect("wall", at_m=0.12, hardness=hardness)
         robot = changed_robot(ROBOT, [made])
         swimmer, acting = Swimmer(robot), Acting([made], robot, np.random.default_rng(1))
         for period in range(4):
             for limb in range(4):
                 acting.fire(swimmer, limb, 1.4 * period + (0.0 if limb < 2 else 0.08))
             acting.advance(swimmer, 1.4 * (period + 1))
-        ends[stiffness] = swimmer.pose_world()
+        ends[hardness] = swimmer.pose_world()
     assert ends[0.0][0] > 0.13
-    assert 0.04 < ends[20.0][0] < 0.12 - HALF_M + 0.01
-    assert abs(ends[20.0][2]) < 1e-3
+    assert 0.04 < ends[0.75][0] < 0.12 - HALF_M + 0.01
+    assert abs(ends[0.75][2]) < 1e-3
 
 
 def test_a_wall_s_side_is_named() -> None:
@@ -174,7 +174,7 @@ def test_a_wall_s_side_is_named() -> None:
 
 def test_the_simulated_pool_has_walls_and_robots_out_of_balance() -> None:
     tables = [
-        {"name": "wall", "side": "y_high", "at_m": 0.05, "drag_ns_per_m": 1.0, "stiffness_n_per_m": 15.0},
+        {"name": "wall", "side": "y_high", "at_m": 0.05, "drag_ns_per_m": 1.0, "hardness": 0.6},
         {"name": "off_centre_mass", "left_m": 0.005},
     ]
     shown = []

@@ -61,6 +61,29 @@ class Hull(Effect):
         )
 
 
+class LimbWater(Effect):
+    """A limb is a plate as high as the body: it takes more water along than the round rod of the model.
+
+    A plate's added mass is that of the water in the circle over its height (rho pi / 4 h^2): for the paper's
+    limbs, 24 mm high, 33 times the 13.7 g/m that a rod of their section has.
+    """
+
+    name = "limb_water"
+    about = "water that the limbs take along, times a factor: strokes push by it, fast curling back brakes"
+    shown_by = "steady speeds over frequencies and alloys, which differ by how fast limbs curl back"
+    together = True
+    parameters = (Parameter("added", "1", 0.0, 40.0, 1.0, "factor on the limbs' added mass"),)
+
+    added: float
+
+    def robot(self, robot: Robot) -> Robot:
+        limbs = (
+            replace(limb, added_mass_per_length_kg_per_m=limb.added_mass_per_length_kg_per_m * self.added)
+            for limb in robot.limbs
+        )
+        return replace(robot, limbs=tuple(limbs))
+
+
 class LimbMount(Effect):
     """Limbs that stand otherwise at their corners than drawn: glued, or bent by their own rest curl."""
 

@@ -22,6 +22,10 @@ OUTWARD: Mapping[str, tuple[float, float]] = {
 REACH_M = 0.08
 """From a wall, where water that must give way round a body of some 0.1 m begins to resist more."""
 
+SOFT_N_PER_M = 8.0
+"""Push over depth at each corner of a wall of hardness 1/2: a robot stops about a centimetre deep in it.
+How far it comes in falls evenly with hardness, not with the push itself, and that is what a fit needs."""
+
 LOSSY_S = 0.05
 """A limb or a bumper pressed in gives back little: its damping over its stiffness."""
 
@@ -44,14 +48,14 @@ class Wall(Effect):
     parameters = (
         Parameter("at_m", "m", -2.5, 2.5, 2.5, "where it stands, from the origin towards it", 0.01),
         Parameter("drag_ns_per_m", "N s/m", 0.0, 2.0, 0.0, "resistance to a body that lies at the wall"),
-        Parameter("stiffness_n_per_m", "N/m", 0.0, 30.0, 0.0, "push over depth at each corner"),
+        Parameter("hardness", "1", 0.0, 0.8, 0.0, "h of a push over depth of SOFT_N_PER_M h / (1 - h)", 0.5),
     )
     options = {"side": "x_high"}  # noqa: RUF012 - declared ClassVar in Effect
 
     side: str
     at_m: float
     drag_ns_per_m: float
-    stiffness_n_per_m: float
+    hardness: float
 
     def __init__(self, **values: object) -> None:
         super().__init__(**values)
@@ -89,6 +93,7 @@ class Wall(Effect):
         out_x, out_y = c * across + s * along, c * along - s * across  # in the body's frame
         room_m = self.at_m - across * x_m - along * y_m
         share = self.drag_ns_per_m / len(self._corners)
+        stiffness_n_per_m = SOFT_N_PER_M * self.hardness / (1.0 - self.hardness)
         force_x, force_y, torque = 0.0, 0.0, 0.0
         for x, y in self._corners:
             gap_m = room_m - out_x * x - out_y * y
@@ -99,7 +104,7 @@ class Wall(Effect):
             fx, fy = -held * vx, -held * vy
             if gap_m < 0.0:
                 deeper_mps = out_x * vx + out_y * vy
-                push = max(0.0, self.stiffness_n_per_m * (LOSSY_S * deeper_mps - gap_m))
+                push = max(0.0, stiffness_n_per_m * (LOSSY_S * deeper_mps - gap_m))
                 fx, fy = fx - push * out_x, fy - push * out_y
             force_x, force_y = force_x + fx, force_y + fy
             torque += x * fy - y * fx

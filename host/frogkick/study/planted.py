@@ -189,13 +189,13 @@ def _wall(rng: np.random.Generator) -> Table:
     """Where the paper's paths come near: beside the ellipse, or before the end of the line."""
     side = str(rng.choice(["x_high", "y_low", "y_high"]))
     at_m = _between(rng, 0.42, 0.47) if side == "x_high" else _between(rng, 0.13, 0.16)
-    drag, stiffness = _between(rng, 0.5, 1.5), _between(rng, 8.0, 20.0)
+    drag, hardness = _between(rng, 0.5, 1.5), _between(rng, 0.5, 0.7)
     return {
         "name": "wall",
         "side": side,
         "at_m": at_m,
         "drag_ns_per_m": drag,
-        "stiffness_n_per_m": stiffness,
+        "hardness": hardness,
     }
 
 

@@ -22,7 +22,7 @@ from frogkick.planner.plan import PlanConfig, path_rows, plan
 from frogkick.robot import Robot, load_robot, parse_robot
 from frogkick.study.believed import Choices, believed_motions, choices_of, image_of_motions
 from frogkick.study.kept import Case, Outcome
-from frogkick.study.loop import PAPER, ROBOT, Course, Summary, course_of
+from frogkick.study.loop import PAPER, ROBOT, Course, course_of
 from frogkick.study.twin import (
     BELIEVED,
     FULL,
@@ -90,11 +90,11 @@ def test_only_one_robots_two_files_are_compared() -> None:
 
 def test_the_robots_own_planner_with_its_own_table_is_the_last() -> None:
     planners = planners_of_twin(measured(), True)
-    assert [planner.table for planner in planners] == [PAPER, BELIEVED, FULL, FULL, ROBOT]
-    assert [planner.own for planner in planners] == [False, False, False, True, True]
-    assert all(planner.config == PlanConfig() for planner in planners[:3])
+    assert [planner.table for planner in planners] == [PAPER, BELIEVED, FULL, ROBOT]
+    assert [planner.own for planner in planners] == [False, False, True, True]
+    assert all(planner.config == PlanConfig() for planner in planners[:2])
     assert planners[-1].config.depth == measured().planner.depth
-    assert [planner.table for planner in planners_of_twin(measured(), False)] == [PAPER, FULL, FULL, ROBOT]
+    assert [planner.table for planner in planners_of_twin(measured(), False)] == [PAPER, FULL, ROBOT]
 
 
 def test_recorded_runs_give_path_start_and_figures(frog2022_dir: Path, tmp_path: Path) -> None:
@@ -153,14 +153,22 @@ def test_a_table_of_motions_moves_alike_at_any_velocity() -> None:
 
 
 def test_means_weigh_paths_alike() -> None:
-    rows = [
-        Summary(TWIN, path, name, 1e-3 * mm, 0.0, 0.02, part)
-        for path, mm, part in (("line", 4.0, 1.0), ("sine", 8.0, 0.5), ("line1", 30.0, 0.0))
-        for name in ("paper", "robot")
+    made = [
+        ("line", 4.0, 20.0, True),
+        ("sine", 8.0, 20.0, True),
+        ("sine", 12.0, 500.0, False),
+        ("line1", 30.0, 9.0, False),
     ]
-    mean = mean_over(rows, "robot", ["line", "sine"])
-    assert (mean.mean_distance_m, mean.completed) == (pytest.approx(0.006), 0.75)
-    assert mean_over(rows, "paper", ["line1"]).mean_distance_m == pytest.approx(0.030)
+    outcomes = {
+        Case(TWIN, path, name, seed): Outcome(1e-3 * (mm + more), 1e-3 * mmps, done, "", 9)
+        for seed, (path, mm, mmps, done) in enumerate(made)
+        for name, more in (("paper", 0.0), ("robot", 1.0))
+    }
+    mean = mean_over(outcomes, "paper", ["line", "sine"])
+    assert mean.mean_distance_m == pytest.approx(0.007), "not of the runs: 0.008"
+    assert (mean.completed, mean.skipped) == (0.75, pytest.approx(1 / 3))
+    alone = mean_over(outcomes, "robot", ["line1"])
+    assert (alone.mean_distance_m, alone.completed, alone.skipped) == (pytest.approx(0.031), 0.0, 0.0)
 
 
 def test_a_course_is_known_by_path_and_start() -> None:
@@ -194,7 +202,6 @@ def test_the_command_swims_shapes_in_the_twins_pool(
     told = json.loads(capsys.readouterr().out)
     assert [row["planner"] for row in told["rows"]] == [
         "paper",
-        "paper, full table",
         "robot, full table",
         "robot",
     ]

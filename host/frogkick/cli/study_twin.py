@@ -105,7 +105,9 @@ def twin(
     with atomic_path(figure) as temporary:
         loop_figure(outcomes, [TWIN], paths, names, marks).savefig(temporary, format="png", dpi=120)
     groups = {"shapes": shapes, "recorded_paths": [course.name for course in courses]}
-    over = {group: [mean_over(rows, name, some) for name in names] for group, some in groups.items() if some}
+    over = {
+        group: [mean_over(outcomes, name, some) for name in names] for group, some in groups.items() if some
+    }
     distance_m = {group: means[-1].mean_distance_m for group, means in over.items()}
     passed = all(one <= DISTANCE_MOST_M for one in distance_m.values())
     values: dict[str, Any] = {
@@ -159,6 +161,7 @@ def _text(rows: list[Summary], over: dict[str, list[Mean]], recorded: Sequence[R
         lines += [
             f"  {mean.planner:{wide}s}  {1e3 * mean.mean_distance_m:6.2f} mm, "
             f"{1e3 * mean.progress_mps:5.1f} mm/s, {100 * mean.completed:3.0f} % completed"
+            + (f", {100 * mean.skipped:.0f} % from start to end at once" if mean.skipped else "")
             for mean in means
         ]
     mean_m = _mean_recorded(recorded)

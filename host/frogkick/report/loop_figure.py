@@ -14,6 +14,8 @@ from frogkick.report.style import ALARM, ESTIMATED, MEASURED, PREDICTED, TRUE, s
 from frogkick.study.kept import Case, Outcome
 
 _COLOURS = (MEASURED, ALARM, PREDICTED, ESTIMATED, TRUE)
+_SWUM_MMPS = 50  # no faster does it swim
+_PROGRESS_TICKS_MMPS = (0, 10, 20, 30, 40, 50, 500)
 _DISTANCE_TICKS_MM = (0, 1, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000)
 
 
@@ -63,6 +65,10 @@ def loop_figure(
         axes[0, 0].set_yticks(_DISTANCE_TICKS_MM, [str(tick) for tick in _DISTANCE_TICKS_MM])
         axes[0, 0].set_ylim(-0.1, 1.4 * max(farthest_mm, 1.0))
         axes[0, 0].minorticks_off()
+        if fastest_mmps > _SWUM_MMPS:  # a run that took the path's end for its start
+            axes[1, 0].set_yscale("symlog", linthresh=_SWUM_MMPS, linscale=4.0)
+            axes[1, 0].set_yticks(_PROGRESS_TICKS_MMPS, [str(tick) for tick in _PROGRESS_TICKS_MMPS])
+            axes[1, 0].minorticks_off()
         axes[1, 0].set_ylim(min(0.0, 1.08 * slowest_mmps), max(1.08 * fastest_mmps, 1.0))
         handles: list[Any] = [
             axes[0, 0].plot([], [], "s", color=_COLOURS[index % len(_COLOURS)], label=planner)[0]

@@ -7,7 +7,7 @@ badly as in these runs, and the robot's own planner, whose table knows the effec
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -22,7 +22,8 @@ from frogkick.paths import wrap_angle
 from frogkick.planner.plan import PlanConfig, config_of
 from frogkick.robot import Robot
 from frogkick.study.believed import Choices, choices_of
-from frogkick.study.loop import PAPER, ROBOT, Course, Planner, Setting, Summary, setting_from
+from frogkick.study.kept import Case, Outcome
+from frogkick.study.loop import PAPER, ROBOT, Course, Planner, Setting, setting_from, summaries
 
 FULL, BELIEVED = "full", "believed"
 """How ``run_cases`` is told the tables of every state of the library that ROBOT's is fitted to, and of the
@@ -30,6 +31,10 @@ motions that the authors' planner believed in."""
 
 DISTANCE_MOST_M = 0.010
 """Mean distance to the paths that the robot's own planner may have, with its own table."""
+
+SKIPPED_MPS = 0.1
+"""Progress that no robot makes. The paper's planner takes the nearest path point for where it is: near the
+start of a path that all but closes it may find the end, and its run is over."""
 
 TWIN = "twin"
 
@@ -57,12 +62,14 @@ class Mean:
     Attributes:
         planner: its name.
         mean_distance_m, progress_mps, completed: means of its paths' means over the seeds.
+        skipped: part of the runs that skipped their path, see SKIPPED_MPS; they are in the other figures too.
     """
 
     planner: str
     mean_distance_m: float
     progress_mps: float
     completed: float
+    skipped: float
 
 
 def world_of(robot: Robot) -> Setting:
@@ -105,15 +112,14 @@ def require_related(robot: Robot, nominal: Robot) -> None:
 def planners_of_twin(robot: Robot, is_believed_known: bool) -> tuple[Planner, ...]:
     """The planners that are compared; the robot's own with its own table is the last.
 
-    Before it: the paper's with the nominal robot's table, with the motions that it believed in (where these
-    are known), with every state of a library that knows the effects; and the robot's with the same.
+    Before it: the paper's with the nominal robot's table, and with the motions that it believed in (where
+    these are known); the robot's with every state of a library that knows the effects.
     """
     own = config_of(robot.planner)
     believed = (Planner("paper, as it believed", BELIEVED, PlanConfig()),) if is_believed_known else ()
     return (
         Planner("paper", PAPER, PlanConfig()),
         *believed,
-        Planner("paper, full table", FULL, PlanConfig()),
         Planner("robot, full table", FULL, own, own=True),
         Planner("robot", ROBOT, own, own=True),
     )
@@ -152,18 +158,20 @@ def _recorded(name: str, run: RunLog) -> Recorded:
     return Recorded(Course(name, path, start), choices_of(run), mean_m, progress_mps)
 
 
-def mean_over(rows: Sequence[Summary], planner: str, paths: Sequence[str]) -> Mean:
+def mean_over(outcomes: Mapping[Case, Outcome], planner: str, paths: Sequence[str]) -> Mean:
     """A planner over paths, which weigh alike.
 
     Args:
-        rows: of ``frogkick.study.loop.summaries``, one for each planner and path.
+        outcomes: of ``frogkick.study.loop.run_cases``, of one world.
         planner: its name.
         paths: names, at least one.
     """
-    own = [row for row in rows if row.planner == planner and row.path in paths]
+    own = {case: one for case, one in outcomes.items() if case.planner == planner and case.path in paths}
+    rows = summaries(own)
     return Mean(
         planner,
-        float(np.mean([row.mean_distance_m for row in own])),
-        float(np.mean([row.progress_mps for row in own])),
-        float(np.mean([row.completed for row in own])),
+        float(np.mean([row.mean_distance_m for row in rows])),
+        float(np.mean([row.progress_mps for row in rows])),
+        float(np.mean([row.completed for row in rows])),
+        float(np.mean([one.progress_mps > SKIPPED_MPS for one in own.values()])),
     )

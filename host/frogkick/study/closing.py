@@ -137,7 +137,8 @@ def close_ring(
     with steps(bar) as tell:
         outcome = identify(swims[:-1], swims[-1:], robot, progress=tell)
     with bar("predict several periods ahead") as progress:
-        progress(bool(outcome.horizons), 1)
+        ahead = len(outcome.horizons)
+        progress(ahead, ahead)
     write_robot(out / "found.toml", outcome)
     lap("identify")
     new = []

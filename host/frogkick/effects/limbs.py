@@ -20,7 +20,7 @@ class LimbWear(Effect):
     shown_by = "forward and turn of the actions that fire the limb, against those that do not"
     parameters = (
         Parameter("gain", "1", 0.3, 1.5, 1.0, "share of the measured stroke"),
-        Parameter("delay_s", "s", 0.0, 0.3, 0.0, "from the pulse to the stroke"),
+        Parameter("delay_s", "s", 0.0, 0.3, 0.0, "from the pulse to the stroke", 0.005),
         Parameter("duration_scale", "1", 0.5, 4.0, 1.0, "how many times as long it takes to curl back"),
     )
     options = {"limb": ALL}  # noqa: RUF012 - declared ClassVar in Effect

@@ -187,3 +187,14 @@ def test_the_simulated_pool_has_walls_and_robots_out_of_balance() -> None:
         shown.append(pool.advance(1.4)[-1].pose_world)
     assert shown[1][2] < shown[0][2] - 0.01 or shown[1][2] > shown[0][2] + 0.01
     assert shown[1][0] < shown[0][0] - 0.002
+
+
+def test_searches_begin_where_runs_went() -> None:
+    low, high = np.array([-0.3, 0.0]), np.array([0.3, 0.6])
+    starts = effect("vortex").starts(low, high)
+    assert len(starts) == 9
+    assert {(round(each["x_m"], 6), round(each["y_m"], 6)) for each in starts} == {
+        (x, y) for x in (-0.2, 0.0, 0.2) for y in (0.1, 0.3, 0.5)
+    }
+    assert effect("group_loss").starts(low, high) == ({"fade_s": 0.15},)
+    assert not effect("drag_scale").starts(low, high)

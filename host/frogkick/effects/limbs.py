@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from frogkick.effects.base import Effect, History, Parameter, Stroke, limb_index
+from frogkick.effects.base import Effect, FloatArray, History, Parameter, Stroke, limb_index
 from frogkick.robot import Robot
 
 ALL = "all"
@@ -109,6 +110,10 @@ class GroupLoss(Effect):
 
     loss: float
     fade_s: float
+
+    def starts(self, low_m: FloatArray, high_m: FloatArray) -> Sequence[Mapping[str, float]]:
+        """One: groups mostly fire at one distance in time, and then any fading does for a start."""
+        return ({"fade_s": 0.15},)
 
     def stroke(self, stroke: Stroke, history: History, rng: np.random.Generator) -> Stroke:
         # Limbs that fire at the same time disturb each other as little as when their profile was measured.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import TypeVar
 
@@ -67,6 +67,12 @@ class Vortex(Effect):
     x_m: float
     y_m: float
     core_m: float
+
+    def starts(self, low_m: FloatArray, high_m: FloatArray) -> Sequence[Mapping[str, float]]:
+        """Nine places over where runs went: a whirl is seen from near by only."""
+        shares = (1.0 / 6.0, 0.5, 5.0 / 6.0)
+        places = [(low_m + share * (high_m - low_m)).tolist() for share in shares]
+        return [{"x_m": across[0], "y_m": along[1], "core_m": 0.15} for across in places for along in places]
 
     def flow(self, time_s: float, position_world_m: FloatArray) -> Sequence[float]:
         x, y = float(position_world_m[0]) - self.x_m, float(position_world_m[1]) - self.y_m

@@ -151,11 +151,11 @@ def test_effects_of_the_camera_act_on_what_is_shown() -> None:
 
 def test_fit_needs_no_luck_with_its_start(worn: list[Swim]) -> None:
     noise = Noise((2e-4, 3.5e-3), (1e-4, 1e-3), (1e-4, 1e-3))
-    ((track,),) = tracks_of([Model(robot(), (), noise)], worn[:1])
-    rows = np.isfinite(track.missed).all(axis=1)
+    (tracks,) = tracks_of([Model(robot(), (), noise)], worn)
+    rows = np.isfinite(np.concatenate([track.missed for track in tracks])).all(axis=1)
     starts = [term("limb_wear rear_left").at(values) for values in ((1.0, 0.0, 1.0), (0.5, 0.05, 1.3))]
     models = [Model(robot(), (start,), noise) for start in starts]
-    for fitted in fit_many(models, worn[:1], rows, rounds=6):
+    for fitted in fit_many(models, worn, rows, rounds=8):
         assert fitted.model.values[0] == pytest.approx(0.7, abs=0.05)
 
 

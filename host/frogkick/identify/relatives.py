@@ -52,13 +52,17 @@ NOISES = tuple(
 
 
 def relatives(robot: Robot) -> dict[str, tuple[Term, ...]]:
-    """Built-in robots that are this one with effects: name -> these, with their values."""
+    """Built-in robots that are this one with effects: name -> these, with their values.
+
+    How either plans does not matter.
+    """
     found = {}
     for name in built_in_robots():
         other = load_robot(name)
         plain = replace(
             other,
             title=robot.title,
+            planner=robot.planner,
             effects=robot.effects,
             toml=robot.toml,
             sha256=robot.sha256,

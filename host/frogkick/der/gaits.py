@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from frogkick.der.batch import WIDTH, Failure
+from frogkick.der.batch import WIDTH, Batch, Failure
 from frogkick.der.strokes import between
 from frogkick.der.swimmer import STEP_S, Rods, batch_of, prepare
 from frogkick.der.trajectory import Trajectory, sample_times, trajectory_of
@@ -113,8 +114,40 @@ class Track:
         return np.asarray(self.motion[:, 6])
 
 
+class Acts(Protocol):
+    """What stands between a gait and the rods of several lanes: see frogkick.effects.ActingLanes."""
+
+    def fire(self, batch: Batch, lane: int, limb: int, time_s: float) -> None:
+        """Fire a limb of a lane's robot."""
+
+    def advance(
+        self, batch: Batch, until_s: float | FloatArray, trace: bool = False
+    ) -> list[tuple[FloatArray, FloatArray]]:
+        """Let time pass for all lanes; see Batch.advance."""
+
+
+class Plainly:
+    """A limb does what it is told to, and nothing else acts."""
+
+    def fire(self, batch: Batch, lane: int, limb: int, time_s: float) -> None:
+        """Fire a limb of a lane's robot."""
+        batch.fire(lane, limb, time_s)
+
+    def advance(
+        self, batch: Batch, until_s: float | FloatArray, trace: bool = False
+    ) -> list[tuple[FloatArray, FloatArray]]:
+        """Let time pass for all lanes; see Batch.advance."""
+        return batch.advance(until_s, trace)
+
+
 def swim_tracks(
-    rods: Sequence[Rods], gaits: Sequence[Gait], cycles: int, *, step_s: float = STEP_S, width: int = WIDTH
+    rods: Sequence[Rods],
+    gaits: Sequence[Gait],
+    cycles: int,
+    *,
+    step_s: float = STEP_S,
+    width: int = WIDTH,
+    acts: Callable[[int], Acts] | None = None,
 ) -> list[Track | Failure]:
     """Swim gaits from rest, heading along world x, ``width`` of them side by side.
 
@@ -122,16 +155,18 @@ def swim_tracks(
         rods: one for each gait, of one robot; the gait's frequency and phase say when it fires.
         gaits: phases in [0, 1).
         cycles: to swim.
+        acts: makes, of a number of lanes, what acts on them; by default nothing does.
     """
     tracks: list[Track | Failure] = []
     for first in range(0, len(gaits), width):
         some = slice(first, first + width)
-        tracks += _side_by_side(rods[some], gaits[some], cycles, step_s, width)
+        lanes = acts(len(gaits[some])) if acts else Plainly()
+        tracks += _side_by_side(rods[some], gaits[some], cycles, step_s, width, lanes)
     return tracks
 
 
 def _side_by_side(
-    rods: Sequence[Rods], gaits: Sequence[Gait], cycles: int, step_s: float, width: int
+    rods: Sequence[Rods], gaits: Sequence[Gait], cycles: int, step_s: float, width: int, acts: Acts
 ) -> Iterator[Track | Failure]:
     robot, still = rods[0].robot, np.zeros((len(gaits), 3))
     batch = batch_of(rods, still, still, 0.0, step_s, width)
@@ -143,8 +178,8 @@ def _side_by_side(
             for mask, share in ((robot.gait_lead_mask, 0.0), (robot.gait_lag_mask, gait.phase)):
                 for limb in range(len(robot.limbs)):
                     if mask >> limb & 1:
-                        batch.fire(lane, limb, (cycle + share) * period_s[lane])
-        for lane, (times, motion) in enumerate(batch.advance((cycle + 1) * period_s, trace=True)):
+                        acts.fire(batch, lane, limb, (cycle + share) * period_s[lane])
+        for lane, (times, motion) in enumerate(acts.advance(batch, (cycle + 1) * period_s, trace=True)):
             ends[lane].append(times)
             rows[lane].append(motion)
     for lane in range(len(gaits)):

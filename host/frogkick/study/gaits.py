@@ -10,8 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from frogkick.chunks import Job, run_chunks
-from frogkick.der import Failure, Gait, Rods, Swimmer, Track, prepare, swim_tracks
+from frogkick.der import Failure, Gait, Rods, Swimmer, Track, swim_tracks
+from frogkick.effects import rods_of
 from frogkick.errors import InputError
+from frogkick.library.transitions import lane_effects
 from frogkick.robot import Actuation, Profile, Robot
 from frogkick.robot.model import STANDARD_GRAVITY_MPS2
 from frogkick.robot.profile import actuation
@@ -69,8 +71,10 @@ Swum = list[GaitSwim | str]
 def swim_gaits(rods: Rods, profiles: Sequence[Profile], gaits: Sequence[Gait], cycles: int = CYCLES) -> Swum:
     """Swim gaits from rest, heading forward, several of them side by side.
 
+    The effects of the robot's file act on its strokes and its body; flows of the water do not.
+
     Args:
-        rods: of the robot; their own stroke is not used.
+        rods: of the robot with its effects (frogkick.effects.rods_of); their own stroke is not used.
         profiles: limb profiles to take or to interpolate between.
         cycles: to swim, not less than the eight that the speed is taken from.
 
@@ -83,7 +87,9 @@ def swim_gaits(rods: Rods, profiles: Sequence[Profile], gaits: Sequence[Gait], c
     ready = [(k, gaits[k], stroke) for k, stroke in enumerate(strokes) if not isinstance(stroke, str)]
     ready.sort(key=lambda row: row[1].frequency_hz)  # lanes that last equally long keep each other busy
     some = [replace(rods, actuation=stroke) for _, _, stroke in ready]
-    tracks = swim_tracks(some, [gait for _, gait, _ in ready], cycles)
+    robot = rods.robot
+    acts = (lambda lanes: lane_effects(robot, lanes)) if robot.effects else None
+    tracks = swim_tracks(some, [gait for _, gait, _ in ready], cycles, acts=acts)
     for (place, gait, _), track in zip(ready, tracks, strict=True):
         swum[place] = _swim(rods.robot, gait, track)
     return swum
@@ -110,7 +116,7 @@ _Ready = tuple[Rods, tuple[Profile, ...]]
 
 
 def _start(robot: Robot, profiles: tuple[Profile, ...]) -> _Ready:
-    return prepare(robot), profiles
+    return rods_of(robot), profiles
 
 
 def _swim_chunk(ready: _Ready, gaits: Sequence[Gait]) -> Swum:

@@ -1,0 +1,197 @@
+"""``frogkick study openloop``: effects fitted to swims of one EGaIn fraction, tested on the others."""
+
+from __future__ import annotations
+
+import math
+import os
+import tomllib
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from frogkick.cli.common import JsonOption, progress_bar, require_writable, show
+from frogkick.files import atomic_path, write_text
+from frogkick.report.openloop_figure import openloop_figure
+from frogkick.robot import Robot, load_robot
+from frogkick.robot.toml_text import to_toml
+from frogkick.study.openloop import OpenLoop, Predicted, Split, open_loop, rmse_by_group
+from frogkick.study.steady import with_effects
+from frogkick.study.validate import authors_rmse_mps, speed_rmse_mps
+
+_PercentOption = Annotated[
+    list[float] | None,
+    typer.Option("--train-egain", help="EGaIn fraction to fit to, per cent; may be repeated; default: each."),
+]
+_TestOption = Annotated[
+    list[float] | None,
+    typer.Option("--test-egain", help="Fraction to predict; may be repeated; default: all others."),
+]
+
+
+def openloop(
+    data_dir: Annotated[Path, typer.Argument(help="The paper's data: exp/, profile/.")],
+    train_egain: _PercentOption = None,
+    test_egain: _TestOption = None,
+    robot: Annotated[str, typer.Option(help="TOML file or built-in name.")] = "frog2022",
+    out: Annotated[
+        Path | None, typer.Option(help="Folder for openloop.png and a robot's TOML for each fit.")
+    ] = None,
+    workers: Annotated[int, typer.Option(min=0, max=256, help="Processes; 0 = one for each core.")] = 0,
+    json: JsonOption = False,
+) -> None:
+    """Fit effects to the measured swims of one EGaIn fraction and predict the speeds of the others.
+
+    Without --train-egain each fraction with swims enough is fitted to in turn. Effects are the same for every
+    alloy: alloys differ by their measured limb profiles alone. Which effects are taken up is decided by swims
+    of the training fraction that are left out of the fit.
+    """
+    require_writable(out, folder=True)
+    nominal = load_robot(robot)
+    with progress_bar("openloop: rounds of fits") as progress:
+        found = open_loop(
+            nominal, data_dir, train_egain or (), test_egain or (), workers or os.cpu_count() or 1, progress
+        )
+    values = _result(found)
+    if out is not None:
+        out.mkdir(parents=True, exist_ok=True)
+        with atomic_path(out / "openloop.png") as temporary:
+            openloop_figure(found).savefig(temporary, format="png", dpi=120)
+        values["figure"] = str(out / "openloop.png")
+        for split, row in zip(found.splits, values["splits"], strict=True):
+            target = out / f"{nominal.id}-egain{split.train_percent:g}.toml"
+            _write_robot(target, nominal, split)
+            row["robot"] = str(target)
+    show(values, json, _text(values))
+
+
+def _result(found: OpenLoop) -> dict[str, Any]:
+    validation, splits = found.validation, found.splits
+    group = "experiments"
+    pooled = [row for split in splits for row in split.test]
+    return {
+        "robot": validation.robot.id,
+        "nominal": {
+            "rmse_mps": {g: v for g, v in speed_rmse_mps(validation).items() if g.startswith(group)},
+            "authors_rmse_mps": authors_rmse_mps(validation),
+        },
+        "noise_floor_mps": found.noise.neighbours,
+        "test": _errors(pooled),
+        "splits": [_split(split) for split in splits],
+        "skipped": [
+            {"case": skipped.case, "reason": skipped.reason}
+            for skipped in validation.skipped
+            if skipped.case.startswith(("exp", "profile"))
+        ],
+    }
+
+
+def _split(split: Split) -> dict[str, Any]:
+    scores = split.fitted.left_out_mps
+    return {
+        "train_egain_percent": split.train_percent,
+        "test_egain_percent": sorted({row.experiment.case.gait.egain_percent for row in split.test}),
+        "parameters": [
+            {
+                "name": estimate.free.name,
+                "value": estimate.value,
+                "low": estimate.low,
+                "high": estimate.high,
+                "nominal": estimate.free.declared.nominal,
+                "unit": estimate.free.declared.unit,
+            }
+            for estimate in split.fitted.estimates
+        ],
+        "effects": list(split.fitted.tables),
+        "left_out_rmse_mps": {"nominal": scores[0], "effects": scores[-1]},
+        "assumed_sd_mps": split.fitted.sd_mps,
+        "train": _errors(split.train),
+        "test": _errors(split.test),
+        "cases": [_case(row, name) for name in ("train", "test") for row in getattr(split, name)],
+    }
+
+
+def _errors(rows: list[Predicted] | tuple[Predicted, ...]) -> dict[str, Any]:
+    nominal, effects = rmse_by_group(rows, nominal=True), rmse_by_group(rows)
+    mean = [row.error_mps for row in rows if math.isfinite(row.error_mps)]
+    return {
+        "swims": len(rows),
+        "failed": sum(not math.isfinite(row.speed_mps) for row in rows),
+        "nominal_rmse_mps": nominal["all"],
+        "rmse_mps": effects["all"],
+        "nominal_mean_error_mps": sum(row.experiment.error_mps for row in rows) / max(len(rows), 1),
+        "mean_error_mps": sum(mean) / len(mean) if mean else math.nan,
+        "by_group": {
+            group: {"nominal_rmse_mps": nominal[group], "rmse_mps": effects.get(group, math.nan)}
+            for group in nominal
+            if group != "all"
+        },
+    }
+
+
+def _case(row: Predicted, use: str) -> dict[str, Any]:
+    experiment, gait = row.experiment, row.experiment.case.gait
+    return {
+        "case": experiment.case.name,
+        "use": use,
+        "egain_percent": gait.egain_percent,
+        "frequency_hz": gait.frequency_hz,
+        "phase": gait.phase,
+        "measured_mps": experiment.reference.speed_mps,
+        "nominal_mps": experiment.model_mps,
+        "predicted_mps": row.speed_mps,
+        "profile": experiment.profile,
+    }
+
+
+def _write_robot(target: Path, robot: Robot, split: Split) -> None:
+    table = tomllib.loads(robot.toml)
+    effects = with_effects(robot, split.fitted.tables).effects
+    if effects:
+        table["effect"] = [dict(effect) for effect in effects]
+    write_text(target, to_toml(table))
+
+
+def _mm(value: float) -> str:
+    return f"{1e3 * value:.2f}"
+
+
+def _text(values: dict[str, Any]) -> str:
+    nominal, floor = values["nominal"], values["noise_floor_mps"]
+    lines = []
+    for group, rmse in nominal["rmse_mps"].items():
+        line = f"nominal {group}: speed RMSE {_mm(rmse)} mm/s"
+        if group in nominal["authors_rmse_mps"]:
+            line += f"; the authors' simulation {_mm(nominal['authors_rmse_mps'][group])}"
+        lines.append(line + (f", noise floor {_mm(floor[group])}" if group in floor else ""))
+    for split in values["splits"]:
+        lines.append(f"fitted to {split['train_egain_percent']:g} % EGaIn:")
+        for p in split["parameters"]:
+            unit = "" if p["unit"] == "1" else f" {p['unit']}"
+            lines.append(
+                f"  {p['name']} {p['value']:.3g}{unit} ({p['low']:.3g} to {p['high']:.3g}; "
+                f"plain model {p['nominal']:g})"
+            )
+        if not split["parameters"]:
+            lines.append("  no effect predicts left-out swims of this fraction better: the plain model stays")
+        left = split["left_out_rmse_mps"]
+        lines.append(f"  left-out swims: nominal {_mm(left['nominal'])}, with effects {_mm(left['effects'])}")
+        for use in ("train", "test"):
+            rows = {"all": split[use], **split[use]["by_group"]}
+            for group, row in rows.items():
+                lines.append(
+                    f"  {use} {group}: nominal {_mm(row['nominal_rmse_mps'])}, with effects "
+                    f"{_mm(row['rmse_mps'])} mm/s"
+                )
+    test = values["test"]
+    lines.append(
+        f"all tests: nominal {_mm(test['nominal_rmse_mps'])}, with effects {_mm(test['rmse_mps'])} mm/s over "
+        f"{test['swims']} swims of fractions not fitted to"
+    )
+    lines += [f"skipped {skipped['case']}: {skipped['reason']}" for skipped in values["skipped"]]
+    return "\n".join(lines)
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command."""
+    app.command()(openloop)

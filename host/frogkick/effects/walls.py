@@ -46,7 +46,7 @@ class Wall(Effect):
         Parameter("drag_ns_per_m", "N s/m", 0.0, 2.0, 0.0, "resistance to a body that lies at the wall"),
         Parameter("stiffness_n_per_m", "N/m", 0.0, 30.0, 0.0, "push over depth at each corner"),
     )
-    options = {"side": "x_high"}  # noqa: RUF012 - declared ClassVar in Effect
+    options = {"side": "x_high"}
 
     side: str
     at_m: float

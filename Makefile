@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 export FK_FULL ?= 0
 # Tests side by side, one process for each core; a file's tests stay together and share what they have built.
-SPREAD := -n logical --dist loadfile --durations 25 --durations-min 3
+SPREAD := -n logical --dist loadfile --no-loadscope-reorder --durations 25 --durations-min 3
 
 .PHONY: demo test test-full bench extra lint types check venv clean
 

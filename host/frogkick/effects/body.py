@@ -92,7 +92,7 @@ class LimbMount(Effect):
     shown_by = "how far strokes push aside and turn, against how far they push forward"
     together = True
     parameters = (Parameter("outward_deg", "deg", -45.0, 45.0, 0.0, "turn of the root's tangent"),)
-    options = {"group": None}  # noqa: RUF012 - declared ClassVar in Effect
+    options = {"group": None}
 
     group: str
     outward_deg: float
@@ -122,7 +122,7 @@ class LimbFatigue(Effect):
         Parameter("loss", "1", -0.3, 0.5, 0.0, "share lost for each stroke of just before"),
         Parameter("fade_s", "s", 0.3, 10.0, 2.5, "time in which that falls to 37 %"),
     )
-    options = {"group": None}  # noqa: RUF012 - declared ClassVar in Effect
+    options = {"group": None}
 
     group: str
     loss: float

@@ -35,7 +35,7 @@ class GroupGain(Effect):
             "duration_scale", "1", 0.5, 4.0, 1.0, "how many times as long as measured it takes to curl back"
         ),
     )
-    options = {"group": None}  # noqa: RUF012 - declared ClassVar in Effect
+    options = {"group": None}
 
     group: str
     gain: float

@@ -24,7 +24,7 @@ class LimbWear(Effect):
         Parameter("delay_s", "s", 0.0, 0.3, 0.0, "from the pulse to the stroke", 0.005),
         Parameter("duration_scale", "1", 0.5, 4.0, 1.0, "how many times as long it takes to curl back"),
     )
-    options = {"limb": ALL}  # noqa: RUF012 - declared ClassVar in Effect
+    options = {"limb": ALL}
 
     limb: str
     gain: float

@@ -50,7 +50,7 @@ class Wall(Effect):
         Parameter("drag_ns_per_m", "N s/m", 0.0, 2.0, 0.0, "resistance to a body that lies at the wall"),
         Parameter("hardness", "1", 0.0, 0.8, 0.0, "h of a push over depth of SOFT_N_PER_M h / (1 - h)", 0.5),
     )
-    options = {"side": "x_high"}  # noqa: RUF012 - declared ClassVar in Effect
+    options = {"side": "x_high"}
 
     side: str
     at_m: float

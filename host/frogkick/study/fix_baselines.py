@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
+
 import numpy as np
 import numpy.typing as npt
 
@@ -13,7 +15,7 @@ LINE_FIXES_MAX = 8
 LINE_WINDOW_S = 0.25
 
 
-class _FromLastFixes:
+class _FromLastFixes(ABC):
     """Keeps the last fixes in order of capture; knows nothing of strokes."""
 
     def __init__(self) -> None:
@@ -35,6 +37,7 @@ class _FromLastFixes:
 
     def act(self, at_us: int, action: int) -> None:
         """Strokes do not matter here."""
+        del at_us, action
 
     def at(self, at_us: int) -> Estimate | None:
         """The state at a time; None where no fix is near enough to it."""
@@ -54,9 +57,9 @@ class _FromLastFixes:
         use = np.zeros(8, dtype=np.uint16)
         return Estimate(np.array(state, dtype=np.float32), use, self._fixes[-1][2], len(self._fixes))
 
+    @abstractmethod
     def _state(self, lead_s: float) -> tuple[FloatArray, FloatArray]:
         """Pose and speed (3,), world, a time after the newest fix."""
-        raise NotImplementedError
 
     def _before_newest(self) -> tuple[FloatArray, FloatArray]:
         """Times (n,) s and poses (n, 3) relative to the newest fix, the short way round."""

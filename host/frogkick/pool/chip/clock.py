@@ -16,7 +16,7 @@ class Clock(Peripheral):
     """The 32 MHz crystal's start."""
 
     NAME = "CLOCK"
-    REGISTERS = [  # noqa: RUF012 - constant tables of a peripheral
+    REGISTERS = [
         Register("TASKS_HFCLKSTART", 0x000, "w"),
         Register("EVENTS_HFCLKSTARTED", 0x100, "rw"),
     ]
@@ -35,7 +35,7 @@ class Nvmc(Peripheral):
     """The instruction cache's switch; no erasing or programming."""
 
     NAME = "NVMC"
-    REGISTERS = [Register("ICACHECNF", 0x540, "rw")]  # noqa: RUF012
+    REGISTERS = [Register("ICACHECNF", 0x540, "rw")]
 
     def __init__(self, system: System, name: str, base: int, on_cache: Callable[[bool], None]) -> None:
         """``on_cache`` hears when the cache is switched."""

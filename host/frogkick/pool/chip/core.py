@@ -15,7 +15,7 @@ class CoreRegisters(Peripheral):
     """NVIC and SCB. No interrupt is taken: a pending one can only wake WFE (ARMv7-M ARM, B1.5.18)."""
 
     NAME = "SCS"
-    REGISTERS = [  # noqa: RUF012
+    REGISTERS = [
         Register("NVIC_ICPR0", 0x280, "rw"),
         Register("SCB_SCR", 0xD10, "rw"),
         Register("SCB_CPACR", 0xD88, "rw"),

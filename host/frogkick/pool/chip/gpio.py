@@ -15,7 +15,7 @@ class Gpio(Peripheral):
     """Port P0. A pin's level is known while it is an output or GPIOTE drives it; else it counts as low."""
 
     NAME = "P0"
-    REGISTERS = [  # noqa: RUF012
+    REGISTERS = [
         Register("OUTSET", 0x508, "rw"),
         Register("OUTCLR", 0x50C, "rw"),
         *array("PIN_CNF[{}]", 0x700, "rw", PINS),
@@ -61,7 +61,7 @@ class Gpiote(Peripheral):
     """Channels in task mode."""
 
     NAME = "GPIOTE"
-    REGISTERS = [  # noqa: RUF012
+    REGISTERS = [
         *array("TASKS_SET[{}]", 0x030, "w", CHANNELS),
         *array("TASKS_CLR[{}]", 0x060, "w", CHANNELS),
         *array("CONFIG[{}]", 0x510, "rw", CHANNELS),

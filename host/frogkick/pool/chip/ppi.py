@@ -13,7 +13,7 @@ class Ppi(Peripheral):
     """The 20 programmable channels."""
 
     NAME = "PPI"
-    REGISTERS = [  # noqa: RUF012
+    REGISTERS = [
         Register("CHENSET", 0x504, "rw"),
         *array("CH[{}].EEP", 0x510, "rw", CHANNELS, 8),
         *array("CH[{}].TEP", 0x514, "rw", CHANNELS, 8),

@@ -23,7 +23,7 @@ class Timer(Peripheral):
     """
 
     NAME = "TIMER"
-    REGISTERS = [  # noqa: RUF012
+    REGISTERS = [
         Register("TASKS_START", 0x000, "w"),
         Register("TASKS_STOP", 0x004, "w"),
         Register("TASKS_COUNT", 0x008, "w"),
@@ -38,7 +38,7 @@ class Timer(Peripheral):
         Register("PRESCALER", 0x510, "rw"),
         *array("CC[{}]", 0x540, "rw", CHANNELS),
     ]
-    INTERRUPT_EVENTS = {16 + i: f"EVENTS_COMPARE[{i}]" for i in range(CHANNELS)}  # noqa: RUF012
+    INTERRUPT_EVENTS = {16 + i: f"EVENTS_COMPARE[{i}]" for i in range(CHANNELS)}
 
     def __init__(self, system: System, name: str, base: int) -> None:
         """Start stopped at 0, with the reset value of PRESCALER."""

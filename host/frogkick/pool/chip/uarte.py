@@ -39,7 +39,7 @@ class Uarte(Peripheral):
     """Receiver with a double-buffered pointer, transmitter, both at the wire's pace."""
 
     NAME = "UARTE0"
-    REGISTERS = [  # noqa: RUF012
+    REGISTERS = [
         Register("TASKS_STARTRX", 0x000, "w"),
         Register("TASKS_STOPRX", 0x004, "w"),
         Register("TASKS_STARTTX", 0x008, "w"),
@@ -63,7 +63,7 @@ class Uarte(Peripheral):
         Register("TXD.PTR", 0x544, "rw"),
         Register("TXD.MAXCNT", 0x548, "rw"),
     ]
-    INTERRUPT_EVENTS = {  # noqa: RUF012
+    INTERRUPT_EVENTS = {
         2: "EVENTS_RXDRDY",
         4: "EVENTS_ENDRX",
         8: "EVENTS_ENDTX",

@@ -41,8 +41,8 @@ def test_steps_fill_the_time_and_land_on_strokes(now: float, length: float, star
         for kink in (start, start + PACE.over_s):
             if now < kink < until:
                 assert np.abs(ends - kink).min() <= SLIVER * STEP_S * ROOM
-    if len(steps) > 1:
-        assert steps[:-1].min() > 0.4 * SLIVER * STEP_S
+    if length > SLIVER * STEP_S:
+        assert steps.min() > 0.4 * SLIVER * STEP_S
     for begin, step in zip(ends[:-1], steps, strict=True):
         if any(SLIVER * STEP_S <= begin - start < 0.05 for start in starts):
             assert step <= STEP_S * ROOM
@@ -50,6 +50,24 @@ def test_steps_fill_the_time_and_land_on_strokes(now: float, length: float, star
             assert step <= COARSEST_WHILE_IT_RINGS * STEP_S * ROOM
         if any(SLIVER * STEP_S <= begin - start < PACE.over_s - 1e-9 for start in starts):
             assert step <= COARSEST * STEP_S * ROOM
+
+
+def test_no_sliver_is_left_behind_a_stroke_that_begins_where_steps_end() -> None:
+    for start in (np.nextafter(0.1, 0.0), 0.1 - 0.5 * SLIVER * STEP_S):
+        steps = np.diff(step_times(0.0, 0.1, [Stroke(float(start))], PACE, STEP_S))
+        assert steps.min() > 0.4 * SLIVER * STEP_S
+
+
+@settings(max_examples=300, deadline=None)
+@given(late=st.floats(0.0, 100.0), second_ms=st.integers(1, 400), length_ms=st.integers(500, 3000))
+def test_a_stroke_s_own_time_chooses_no_other_steps(late: float, second_ms: int, length_ms: int) -> None:
+    """The rounding of its time must not, however late it begins."""
+    first, ends = (
+        step_times(at, at + 1e-3 * length_ms, [Stroke(at), Stroke(at + 1e-3 * second_ms)], PACE, STEP_S)
+        for at in (0.0, late)
+    )
+    assert len(ends) == len(first)
+    assert np.abs(ends - late - first).max() < 1e-11
 
 
 def test_steps_are_coarse_long_after_a_stroke_and_shared_out_before_the_next() -> None:

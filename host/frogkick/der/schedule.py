@@ -123,7 +123,8 @@ def _step_times(
         stop, longest = until_s, COARSEST_AT_REST
         for k in range(len(starts_s)):
             if starts_s[k] > now + SLIVER * step_s:
-                stop = min(stop, starts_s[k])
+                if starts_s[k] < until_s - SLIVER * step_s:
+                    stop = starts_s[k]
                 break
             place = int(_measured_s(now - starts_s[k], scales[k], peak_s) / every_s)
             if place < len(coarseness):

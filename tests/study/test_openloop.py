@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from paper_data import write_swim
 from tests.conftest import count
+from tests.study.paper_data import write_swim
 from typer.testing import CliRunner
 
 from frogkick.cli.app import app

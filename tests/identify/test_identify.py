@@ -116,7 +116,7 @@ def test_predictions_look_at_no_later_fix(whole: list[Swim]) -> None:
 
 
 def test_planted_wear_is_found_among_others(worn: list[Swim]) -> None:
-    rivals = [term(name) for name in ("limb_wear rear_left", "limb_wear rear_right", "warm_up")]
+    rivals = [term(name) for name in ("limb_wear rear_left", "limb_wear rear_right", "mass_scale", "warm_up")]
     found = search(worn, robot(), rivals)
     assert [each.title for each in found.fitted.model.terms] == ["limb_wear rear_left"]
     (row,) = intervals(found.fitted)

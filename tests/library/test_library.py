@@ -335,7 +335,7 @@ def test_libraries_of_swims_are_built_alike_whoever_simulates(tmp_path: Path) ->
     for workers, record_s in ((1, 3.0), (2, 3.0), (1, 0.0)):
         build_library(
             ROBOT,
-            12,
+            24,
             SEED,
             workers,
             tmp_path / f"{workers}{record_s}.h5",
@@ -345,7 +345,7 @@ def test_libraries_of_swims_are_built_alike_whoever_simulates(tmp_path: Path) ->
     assert (tmp_path / "13.0.h5").read_bytes() == (tmp_path / "23.0.h5").read_bytes()
     library = read_library(tmp_path / "13.0.h5")
     assert library.has_history()
-    here = sample_library(ROBOT, 12, SEED, "visited")
+    here = sample_library(ROBOT, 24, SEED, "visited")
     assert np.array_equal(library.previous_actions, here.previous_actions)
     assert np.array_equal(library.initial_velocity_body, here.initial_velocity_body)
     assert np.array_equal(library.rows(), here.rows())  # recording on changes nothing
@@ -356,7 +356,7 @@ def test_libraries_of_swims_are_built_alike_whoever_simulates(tmp_path: Path) ->
     assert recorded.time_s[27:29].mean() == pytest.approx(ROBOT.period_s)
     assert halfway == pytest.approx(library.displacement_body, abs=2e-3)
     info = library_info(tmp_path / "13.0.h5")
-    assert info["with_history"] == (library.previous_actions[:, 0] >= 0).sum() == 11
+    assert info["with_history"] == (library.previous_actions[:, 0] >= 0).sum() == 23
     other = replace(ROBOT, period_s=2.0)
     with pytest.raises(InputError, match=r"1\.425 s apart: build one for 2 s"):
         cut_library(tmp_path / "13.0.h5", other)

@@ -25,7 +25,7 @@ def test_second_order_and_the_limit_at_the_default_step(
 ) -> None:
     picture = tmp_path_factory.mktemp("convergence") / "order.png"
     assert (
-        run_command(["study", "convergence", "--json", "--out", str(picture), "--every", str(count(18, 1))])
+        run_command(["study", "convergence", "--json", "--out", str(picture), "--every", str(count(9, 1))])
         == 0
     )
     told = json.loads(capsys.readouterr().out)

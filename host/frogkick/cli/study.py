@@ -98,8 +98,6 @@ def chip(
 ) -> None:
     """How long the chip plans: cycles of the flashed image over many states. Exit 1 over a limit.
 
-    Limits and "plan_ms" are of velocities within the table's box, five of eight states; "worst_ms_by_reach"
-    has those from 3, 30 and 1000 times that box as well.
     Of very many states the dearest are run on the virtual chip, which a model of the planner's blocks finds
     among all of them: "run" is how many, "model_error" its largest error, "unrun_ms" its bound of the rest.
     """

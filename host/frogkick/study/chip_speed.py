@@ -25,17 +25,14 @@ from frogkick.study.chip_worst import CycleModel, TimedStates, dearest, fit_cycl
 
 CYCLES_PER_MS = 64_000
 LIMIT_MS: Mapping[int, float] = {1: 0.45, 2: 4.5, 3: 20.0}
-"""What a decision may take at each depth, worst of all velocities within the table's box."""
+"""What a decision may take at each depth, worst case."""
 DEPTHS = (1, 2, 3, 4)
 NODE = "fk_lookup_motion"
 """One call of it is one node of the search: a pose that is predicted and costed."""
 RUN: Mapping[int, int] = {1: 3000, 2: 1200, 3: 480, 4: 24}
 """Depth -> states that are run on the virtual chip at the most."""
 _CHUNK = 50
-_DEAR = 0.75
-"""States that take at least so much of what the dearest takes are about as dear."""
-BOX = 1.0
-_BEYOND = (BOX, BOX, BOX, BOX, BOX, 3.0, 30.0, 1000.0)
+_BEYOND = (1.0, 3.0, 30.0, 1000.0)
 """Velocities go to so many times the table's box, in turn; poses to so many times the path's surroundings."""
 
 
@@ -54,10 +51,8 @@ class DepthSpeed:
 
     Attributes:
         states: how many, of which ``run`` on the virtual chip.
-        mean_ms: at 64 MHz, of states that were taken at random.
-        worst_ms: the worst of velocities within the table's box.
-        worst_ms_by_reach: the worst of velocities from so many times the table's box. Far outside it, many
-            states are nearly as near, and the search for the exact nearest looks at them.
+        mean_ms, worst_ms: at 64 MHz; the mean of states that were taken at random.
+        worst_ms_by_reach: the worst of velocities from so many times the table's box.
         model_error: where not all were run, the model's largest relative error over those that were, but for
             those that it was fitted to; else 0.
         unrun_ms: no state that was not run is above this by the model and that error; else 0.
@@ -256,25 +251,18 @@ class _Study:
         return chunks, model
 
     def unrun(self, depth: int, ran: Sequence[_Counted], model: CycleModel) -> tuple[float, float]:
-        """The model's largest relative error, and what it bounds the states by that were not run, ms.
-
-        The dear ones are bounded by its error in states about as dear, the others by its error in all.
-        """
+        """The model's largest relative error, and what it bounds the states by that were not run, ms."""
         settings = dataclasses.replace(self.config, depth=depth)
-        predicted, errors = [], []
+        error, most = 0.0, 0.0
         for one in ran:
             fitted = len(one.cycles) // 2 if one.at_random else 0
-            told = model.predict(self.tables.image, self.paths[one.path_name], settings, one.timed)
-            predicted.append(told[fitted:])
-            errors.append(np.abs(one.cycles / told - 1.0)[fitted:])
-        most = 0.0
+            predicted = model.predict(self.tables.image, self.paths[one.path_name], settings, one.timed)
+            error = max(error, float(np.abs(one.cycles / predicted - 1.0)[fitted:].max()))
         for name in self.paths:
-            timed, others = self._others(depth, name, model)
-            places = dearest(others, timed.beyond, RUN[depth] // (2 * len(self.paths)))
-            most = max(most, float(np.delete(others, places).max()))
-        error, dear = np.concatenate(errors), np.concatenate(predicted) >= _DEAR * most
-        bound = max(most * (1.0 + error[dear].max(initial=0.0)), _DEAR * most * (1.0 + error.max()))
-        return float(error.max()), float(bound) / CYCLES_PER_MS
+            timed, predicted = self._others(depth, name, model)
+            places = dearest(predicted, timed.beyond, RUN[depth] // (2 * len(self.paths)))
+            most = max(most, float(np.delete(predicted, places).max()))
+        return error, most * (1.0 + error) / CYCLES_PER_MS
 
     def _others(
         self, depth: int, name: str, model: CycleModel
@@ -297,9 +285,8 @@ def _summary(parts: Sequence[_Counted], states: int, error: float, unrun_ms: flo
     beyond = np.concatenate([part.timed.beyond for part in parts])
     some = [part for part in parts if part.at_random]
     number = sum(len(part.cycles) for part in some)
-    within = [np.where(part.timed.beyond == BOX, part.cycles, 0) for part in parts]
-    number_worst = max(range(len(parts)), key=lambda k: int(within[k].max()))
-    worst, at = parts[number_worst], int(within[number_worst].argmax())
+    worst = max(parts, key=lambda part: int(part.cycles.max()))
+    at = int(worst.cycles.argmax())
     totals: dict[str, list[float]] = {}
     for part in some:
         for name, calls, instructions, spent in part.functions:
@@ -314,7 +301,7 @@ def _summary(parts: Sequence[_Counted], states: int, error: float, unrun_ms: flo
         states=states,
         run=len(cycles),
         mean_ms=sum(float(part.cycles.sum()) for part in some) / number / CYCLES_PER_MS,
-        worst_ms=float(worst.cycles[at]) / CYCLES_PER_MS,
+        worst_ms=float(cycles.max()) / CYCLES_PER_MS,
         worst_ms_by_reach={
             float(kind): float(cycles[beyond == kind].max()) / CYCLES_PER_MS for kind in np.unique(beyond)
         },

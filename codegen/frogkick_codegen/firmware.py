@@ -59,8 +59,46 @@ class Build:
         }
 
 
+PULSE_CEILING_S = 0.1
+REST_FLOOR_S = 0.1
+FIX_FRESH_CEILING_S = 0.5
+FIX_LOST_CEILING_S = 2.0
+"""What no robot's limits may exceed: the same as in fk_guard.h, where the compiler holds them again."""
+
+
+def _require_limits(robot: Robot) -> None:
+    """Refuse limits that are none.
+
+    Raises:
+        InputError: a limit of the guard is beyond what the firmware takes for any robot.
+    """
+    guard = robot.guard
+    for name, value, least, most in (
+        ("pulse_max_s", guard.pulse_max_s, 1e-6, PULSE_CEILING_S),
+        ("rest_min_s", guard.rest_min_s, REST_FLOOR_S, 60.0),
+        ("duty_window_s", guard.duty_window_s, guard.pulse_max_s, 60.0),
+        ("fix_fresh_s", guard.fix_fresh_s, 1e-6, FIX_FRESH_CEILING_S),
+        ("fix_lost_s", guard.fix_lost_s, guard.fix_fresh_s, FIX_LOST_CEILING_S),
+    ):
+        if not least <= value <= most:
+            raise InputError(
+                f"guard.{name} of robot {robot.id!r} is {value:g} s, the firmware takes {least:g} to "
+                f"{most:g} s: correct the robot's file"
+            )
+    if guard.duty_max >= 1.0:
+        raise InputError(
+            f"guard.duty_max of robot {robot.id!r} is {guard.duty_max:g}, which limits nothing: "
+            "give less than 1 in the robot's file"
+        )
+
+
 def robot_config(robot: Robot) -> str:
-    """The header that carries the robot's limits and planner defaults into the core."""
+    """The header that carries the robot's limits and planner defaults into the core.
+
+    Raises:
+        InputError: a limit of the guard is beyond what the firmware takes for any robot.
+    """
+    _require_limits(robot)
     guard, planner = robot.guard, robot.planner
     duty_on_us = round(guard.duty_max * guard.duty_window_s * 1e6)
     lines = [
@@ -78,6 +116,9 @@ def robot_config(robot: Robot) -> str:
         f"#define FK_DUTY_WINDOW_US {round(guard.duty_window_s * 1e6)}u",
         f"#define FK_DUTY_ON_MAX_US {duty_on_us}u",
         f"#define FK_LIMBS_AT_ONCE_MAX {guard.limbs_at_once_max}u",
+        "/* In a closed loop: no new pulse without a fix of the first, disarmed without one of the second. */",
+        f"#define FK_FIX_FRESH_US {round(guard.fix_fresh_s * 1e6)}u",
+        f"#define FK_FIX_LOST_US {round(guard.fix_lost_s * 1e6)}u",
         "",
         "/* Defaults of the planner; PARAM changes them. Hexadecimal floats lose no bit. */",
         f"#define FK_DISTANCE_WEIGHT_PER_M {_c_float(planner.distance_weight_per_m)}",
@@ -114,8 +155,9 @@ def build(target: str, image: Path, robot: Robot, out: Path, compiler: Compiler 
         compiler: for the target "native"; zig where it is None.
 
     Raises:
-        InputError: unknown target, the table is for another robot, the sources are not beside the package,
-            the image does not fit the chip, or ``out`` cannot be written or holds an ``emitted`` of others.
+        InputError: unknown target, the table is for another robot, its guard's limits are none, the sources
+            are not beside the package, the image does not fit the chip, or ``out`` cannot be written or holds
+            an ``emitted`` of others.
         ToolchainError: no compiler, or a refused source.
     """
     if target not in TARGETS:

@@ -116,7 +116,7 @@ def robot_config(robot: Robot) -> str:
         f"#define FK_DUTY_WINDOW_US {round(guard.duty_window_s * 1e6)}u",
         f"#define FK_DUTY_ON_MAX_US {duty_on_us}u",
         f"#define FK_LIMBS_AT_ONCE_MAX {guard.limbs_at_once_max}u",
-        "/* In a closed loop: no new pulse without a fix of the first, disarmed without one of the second. */",
+        "/* In a closed loop no pulse without a fix of the first, disarmed without one of the second. */",
         f"#define FK_FIX_FRESH_US {round(guard.fix_fresh_s * 1e6)}u",
         f"#define FK_FIX_LOST_US {round(guard.fix_lost_s * 1e6)}u",
         "",

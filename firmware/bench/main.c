@@ -17,6 +17,7 @@
 
 static fk_robot_t robot;
 static fk_frame_collector_t collector;
+static fk_guard_kept_t kept __attribute__((section(".noinit")));
 
 static int32_t take_frames(void)
 {
@@ -74,7 +75,7 @@ int main(void)
     fk_uart_init();
     /* With a table that is not for this robot it answers all the same, and tells its fault; no pulse. */
     (void)fk_robot_init(&robot, fk_table_image, fk_table_image_bytes);
-    fk_robot_note_reset(&robot, fk_watchdog_reset_reason());
+    fk_robot_note_reset(&robot, fk_watchdog_reset_reason(), &kept);
 
     for (;;) {
         fk_watchdog_feed();

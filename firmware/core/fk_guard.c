@@ -1,5 +1,9 @@
 #include "fk_guard.h"
 
+#include "fk_frames_layout.h"
+
+#define KEPT_MARK 0x64726147u /* so that RAM of zeros keeps nothing */
+
 void fk_guard_init(fk_guard_t *guard)
 {
     for (uint32_t limb = 0u; limb < FK_LIMBS_MAX; ++limb) {
@@ -64,6 +68,45 @@ static uint64_t on_time_us(const fk_guard_limb_t *limb, uint64_t until_us)
         }
     }
     return sum_us;
+}
+
+static uint32_t crc_of(const fk_guard_kept_t *kept)
+{
+    uint32_t crc = 0u;
+    for (uint32_t i = 0u; i < FK_LIMBS_MAX; ++i) {
+        uint8_t bytes[4];
+        fk_put_u32(bytes, kept->on_us[i]);
+        crc = fk_crc32(crc, bytes, sizeof(bytes));
+    }
+    return crc ^ KEPT_MARK;
+}
+
+void fk_guard_keep(const fk_guard_t *guard, fk_guard_kept_t *kept)
+{
+    for (uint32_t i = 0u; i < FK_LIMBS_MAX; ++i) {
+        const fk_guard_limb_t *limb = &guard->limbs[i];
+        uint32_t last = (limb->next + FK_GUARD_HISTORY - 1u) % FK_GUARD_HISTORY;
+        kept->on_us[i] = (uint32_t)on_time_us(limb, limb->end_us[last]);
+    }
+    kept->crc = crc_of(kept);
+}
+
+void fk_guard_resume(fk_guard_t *guard, const fk_guard_kept_t *kept)
+{
+    if (kept->crc != crc_of(kept)) {
+        return;
+    }
+    for (uint32_t i = 0u; i < FK_LIMBS_MAX; ++i) {
+        fk_guard_limb_t *limb = &guard->limbs[i];
+        uint32_t left_us = kept->on_us[i];
+        /* Pulses side by side from time 0 on: as many as fitted into a window fit into the books. */
+        while (left_us > 0u && limb->next + 1u < FK_GUARD_HISTORY) {
+            uint32_t part_us = (left_us > FK_PULSE_MAX_US) ? FK_PULSE_MAX_US : left_us;
+            limb->end_us[limb->next] = part_us;
+            ++limb->next;
+            left_us -= part_us;
+        }
+    }
 }
 
 int32_t fk_guard_allow(fk_guard_t *guard, uint8_t limb_mask, uint32_t pulse_us, uint64_t now_us)

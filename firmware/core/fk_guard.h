@@ -42,8 +42,21 @@ typedef struct {
     uint8_t closed_loop; /* pulses need a fresh fix */
 } fk_guard_t;
 
+/* What a reset must not wipe out, in RAM that the start-up leaves alone: how long each limb was on within the duty window
+ * that ended with its last pulse. After a time without supply that RAM holds something else, which the CRC-32 tells. */
+typedef struct {
+    uint32_t on_us[FK_LIMBS_MAX];
+    uint32_t crc;
+} fk_guard_kept_t;
+
 /* Empty books. Which limb was hot before the reset is unknown, so all of them rest first, from time 0 on. */
 void fk_guard_init(fk_guard_t *guard);
+
+/* After fk_guard_init: as if all that was kept had happened just now, as nobody knows how long ago it was. */
+void fk_guard_resume(fk_guard_t *guard, const fk_guard_kept_t *kept);
+
+/* Keep what the books hold. */
+void fk_guard_keep(const fk_guard_t *guard, fk_guard_kept_t *kept);
 
 /* The robot follows a path on its own, or no longer. */
 void fk_guard_closed_loop(fk_guard_t *guard, int32_t closed);

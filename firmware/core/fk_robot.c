@@ -39,6 +39,7 @@ int32_t fk_robot_init(fk_robot_t *robot, const uint8_t *image, uint32_t image_by
     robot->fault = FK_FAULT_NONE;
     robot->fault_detail = 0;
     robot->reset = FK_RESET_UNKNOWN;
+    robot->kept = 0;
     robot->conversation = 0u;
     robot->now_us = 0u;
     robot->path_points = 0u;
@@ -90,7 +91,13 @@ int32_t fk_robot_init(fk_robot_t *robot, const uint8_t *image, uint32_t image_by
     return FK_OK;
 }
 
-void fk_robot_note_reset(fk_robot_t *robot, uint8_t reset) { robot->reset = reset; }
+void fk_robot_note_reset(fk_robot_t *robot, uint8_t reset, fk_guard_kept_t *kept)
+{
+    robot->reset = reset;
+    robot->kept = kept;
+    fk_guard_resume(&robot->guard, kept);
+    fk_guard_keep(&robot->guard, kept);
+}
 
 /* From the first pulse's start until the pulse timer is free after the second. 64 bits: a table may hold a delay
  * near 2^32 us. */
@@ -147,6 +154,15 @@ void fk_robot_fault(fk_robot_t *robot, uint8_t fault, int32_t detail)
 
 void fk_robot_note_pulse_failed(fk_robot_t *robot, int32_t error) { fk_robot_fault(robot, FK_FAULT_PULSE, error); }
 
+static void end_run(fk_robot_t *robot, int8_t status)
+{
+    (void)fk_robot_supervise(robot, (status == FK_STATUS_STALE) ? FK_EVENT_FIX_LOST : FK_EVENT_RUN_OVER);
+    robot->ended.status = status;
+    robot->ended.state = robot->state;
+    robot->ended.decisions = robot->decisions;
+    robot->ended_pending = 1u;
+}
+
 /* What must hold whenever the robot is about to do something. */
 void fk_robot_note_time(fk_robot_t *robot, uint64_t now_us)
 {
@@ -158,15 +174,9 @@ void fk_robot_note_time(fk_robot_t *robot, uint64_t now_us)
     if (robot->state >= FK_STATES) {
         fk_robot_fault(robot, FK_FAULT_STATE, 0);
     }
-}
-
-static void end_run(fk_robot_t *robot, int8_t status)
-{
-    (void)fk_robot_supervise(robot, (status == FK_STATUS_STALE) ? FK_EVENT_FIX_LOST : FK_EVENT_RUN_OVER);
-    robot->ended.status = status;
-    robot->ended.state = robot->state;
-    robot->ended.decisions = robot->decisions;
-    robot->ended_pending = 1u;
+    if (robot->state == FK_STATE_RUNNING && now_us >= fk_guard_lost_us(&robot->guard)) {
+        end_run(robot, FK_STATUS_STALE);
+    }
 }
 
 /* Two costs are known by measurement on the chip: what a decision takes at all, and what each transition adds at
@@ -266,6 +276,9 @@ static int32_t fire(fk_robot_t *robot, uint8_t limb_mask, uint64_t now_us, fk_ou
     }
     if (fk_robot_may(robot, FK_EVENT_PULSE) == FK_STATUS_OK &&
         fk_guard_allow(&robot->guard, limb_mask, robot->tables.pulse_us, now_us)) {
+        if (robot->kept != 0) {
+            fk_guard_keep(&robot->guard, robot->kept);
+        }
         outputs->limb_mask = limb_mask;
         outputs->pulse_us = robot->tables.pulse_us;
         robot->free_us = now_us + robot->tables.pulse_us + FK_STROKE_GAP_US;
@@ -305,9 +318,6 @@ void fk_robot_tick(fk_robot_t *robot, uint64_t now_us, fk_outputs_t *outputs)
     outputs->limb_mask = 0u;
     outputs->pulse_us = 0u;
     fk_robot_note_time(robot, now_us);
-    if (robot->state == FK_STATE_RUNNING && now_us >= fk_guard_lost_us(&robot->guard)) {
-        end_run(robot, FK_STATUS_STALE);
-    }
     outputs->all_off = robot->all_off;
     if (robot->all_off != 0u) {
         fk_guard_cut(&robot->guard, now_us);

@@ -50,6 +50,7 @@ typedef struct {
     fk_estimator_t estimator;
     fk_guard_t guard;
 
+    fk_guard_kept_t *kept; /* 0: none */
     fk_repeats_t repeats;
 
     uint8_t state;               /* FK_STATE_...; changed by fk_robot_supervise alone */
@@ -101,8 +102,12 @@ typedef struct {
  */
 int32_t fk_robot_init(fk_robot_t *robot, const uint8_t *image, uint32_t image_bytes);
 
-/* Why the port started, FK_RESET_...; after fk_robot_init. */
-void fk_robot_note_reset(fk_robot_t *robot, uint8_t reset);
+/* Why the port started, after fk_robot_init and before the first tick.
+ * @param reset  FK_RESET_...
+ * @param kept   RAM that no start-up clears, for the robot to use as long as it lives: it holds how hot the limbs may
+ *               be, over resets
+ */
+void fk_robot_note_reset(fk_robot_t *robot, uint8_t reset, fk_guard_kept_t *kept);
 
 /* Take one received frame: COBS, without its delimiter. Answers go to the transmit buffer. */
 void fk_robot_on_frame(fk_robot_t *robot, const uint8_t *encoded, uint32_t length, uint64_t now_us);

@@ -36,7 +36,10 @@ int32_t fk_robot_init(void *robot, const uint8_t *image, uint32_t image_bytes);
 void fk_robot_on_frame(void *robot, const uint8_t *encoded, uint32_t length, uint64_t now_us);
 void fk_robot_tick(void *robot, uint64_t now_us, fk_outputs_t *outputs);
 void fk_robot_note_tick(void *robot, uint32_t elapsed_us);
-void fk_robot_note_reset(void *robot, uint8_t reset);
+typedef struct { uint32_t on_us[8]; uint32_t crc; } fk_guard_kept_t;
+void fk_robot_note_reset(void *robot, uint8_t reset, fk_guard_kept_t *kept);
+void fk_guard_keep(const void *guard, fk_guard_kept_t *kept);
+void fk_guard_resume(void *guard, const fk_guard_kept_t *kept);
 void fk_robot_note_pulse_failed(void *robot, int32_t error);
 uint32_t fk_robot_take_tx(void *robot, uint8_t *bytes, uint32_t capacity);
 void fk_guard_init(void *guard);
@@ -67,6 +70,9 @@ void fk_test_estimator_spoil(void *test, uint32_t speed, float value);
 void fk_test_rule(uint8_t state, uint8_t event, uint8_t *rule);
 void fk_test_spoil_robot(void *robot, int32_t state, int32_t action);
 void fk_test_spoil_guard(void *robot);
+typedef struct { int64_t time_us; int32_t kind; int32_t value; } seen_t;
+uint32_t fk_play(const uint8_t *table, uint32_t bytes, uint64_t seed, uint32_t count, uint32_t commands,
+                 seen_t *to, uint32_t capacity, uint32_t *busy_pulses);
 void fk_test_floats(const uint32_t *bits, uint32_t count, uint8_t *bytes, uint32_t *back);
 """
 
@@ -83,7 +89,8 @@ def source_files() -> dict[str, bytes]:
     """Every file of the core's library by name: planner, core, the robot's limits, the shim."""
     files = planner_files() | {path.name: path.read_bytes() for path in sorted(CORE.glob("*.[ch]"))}
     files["fk_robot_config.h"] = robot_config(load_robot("frog2022")).encode()
-    files["shim.c"] = (Path(__file__).parent / "shim.c").read_bytes()
+    for name in ("shim.c", "play.c"):
+        files[name] = (Path(__file__).parent / name).read_bytes()
     return files
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import zlib
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
@@ -354,6 +355,52 @@ def test_a_cut_between_a_pulse_and_the_end_of_a_late_one_ends_it_in_the_books() 
     assert guard.allow(0b1100, 100_000, 1_100_000)
     assert not guard.allow(0b0011, 100_000, 1_100_000 + LATE_US // 2 + REST_US - 1)
     assert guard.allow(0b0011, 100_000, 1_100_000 + LATE_US // 2 + REST_US)
+
+
+def kept_of(on_us: list[int]) -> Any:
+    """RAM that holds these times, with the CRC that says that they are whole."""
+    kept = FFI.new("fk_guard_kept_t *")
+    kept.on_us = [*on_us, *[0] * (8 - len(on_us))]
+    kept.crc = zlib.crc32(bytes(FFI.buffer(kept))[:32]) ^ 0x64726147
+    return kept
+
+
+def resumed(kept: Any) -> Guard:
+    guard = Guard()
+    core().fk_guard_resume(guard._memory, kept)
+    assert guard.is_sound(0)
+    return guard
+
+
+def test_what_is_kept_over_a_reset_counts_as_if_it_had_just_happened() -> None:
+    before = Guard()
+    for number in range(5):
+        assert before.allow(0b01, 80_000, 10**7 + 600_000 * number)
+    assert before.allow(0b10, 80_000, 2 * 10**7)
+    kept = FFI.new("fk_guard_kept_t *")
+    core().fk_guard_keep(before._memory, kept)
+    assert list(kept.on_us) == [400_000, 80_000, 0, 0, 0, 0, 0, 0]
+    assert bytes(FFI.buffer(kept)) == bytes(FFI.buffer(kept_of([400_000, 80_000])))
+    after = resumed(kept)
+    assert after.allow(0b10, 80_000, REST_US), "its 80 ms and these are far below the limit"
+    for at_us in range(REST_US, WINDOW_US, 100_000):
+        assert not after.allow(0b01, 80_000, at_us)
+    # The first 20 ms of its 100 in all have left the window, five times over.
+    assert not resumed(kept).allow(0b01, 80_000, WINDOW_US + LATE_US - 80_000 + 19_999)
+    assert resumed(kept).allow(0b01, 80_000, WINDOW_US + LATE_US - 80_000 + 20_000)
+
+
+def test_ram_that_lost_its_supply_keeps_nothing() -> None:
+    for kept in (FFI.new("fk_guard_kept_t *"), kept_of([400_000])):
+        kept.crc ^= 0 if not any(kept.on_us) else 1
+        assert resumed(kept).allow(0b01, 80_000, REST_US)
+        assert not resumed(kept).allow(0b01, 80_000, REST_US - 1)
+
+
+def test_more_than_the_books_hold_fills_them() -> None:
+    after = resumed(kept_of([0xFFFFFFFF]))
+    assert not after.allow(0b01, 80_000, WINDOW_US)
+    assert after.allow(0b10, 80_000, WINDOW_US)
 
 
 LIMB_WORDS = 2 * 12 + 3  # fk_guard_limb_t: starts, ends, next, off_us, was_cut

@@ -53,7 +53,7 @@ def test_a_frame_arrives_when_its_last_byte_is_through(robot: NativeRobot) -> No
     assert robot.frames() == []
     robot.advance(0.1 + wire_s(encoded) + 2e-6)
     ((time_s, frame),) = robot.frames()
-    assert frame.values["robot_id"] == "frog2022" and time_s == pytest.approx(0.1 + wire_s(encoded), abs=1e-6)
+    assert frame.name == "STATUS" and time_s == pytest.approx(0.1 + wire_s(encoded), abs=1e-6)
     assert robot.frames() == []
 
 

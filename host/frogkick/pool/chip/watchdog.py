@@ -17,7 +17,7 @@ _CRV_MIN: Final = 0xF
 
 
 class Power(Peripheral):
-    """Why the chip started. Reasons add up and outlive all resets but power-on; writing a one takes it back."""
+    """Why the chip started. They add up over all resets but power-on; writing a one takes one back."""
 
     NAME = "POWER"
     REGISTERS = [Register("RESETREAS", 0x400, "rw")]

@@ -399,7 +399,7 @@ def test_ram_that_lost_its_supply_keeps_nothing() -> None:
 
 def test_more_than_the_books_hold_fills_them() -> None:
     after = resumed(kept_of([0xFFFFFFFF]))
-    assert not after.allow(0b01, 80_000, WINDOW_US)
+    assert not after.allow(0b01, 80_000, WINDOW_US - 80_000)
     assert after.allow(0b10, 80_000, WINDOW_US)
 
 

@@ -21,12 +21,16 @@ from frogkick.files import write_bytes, write_text
 from frogkick.planner.image import read_image
 from frogkick.robot import Robot
 from frogkick_codegen.emit import emit
+from frogkick_codegen.kept import built_once
 from frogkick_codegen.toolchain import FLAGS, Compiler, zig
 
 FIRMWARE = Path(__file__).resolve().parents[2] / "firmware"
 TARGETS = ("bench", "native")
 FLASH_BYTES = 512 * 1024
 RAM_BYTES = 64 * 1024
+
+# Debug information would otherwise name where the compiler's own headers are.
+_FLAGS = (*FLAGS, f"-ffile-prefix-map={sys.prefix}=python")
 
 
 @dataclass(frozen=True)
@@ -189,52 +193,46 @@ def build(target: str, image: Path, robot: Robot, out: Path, compiler: Compiler 
     return Build(target, files["elf" if target == "bench" else "library"], files, *sizes)
 
 
-def _sources(work: Path) -> tuple[list[Path], list[str]]:
-    emitted = [path for path in sorted((work / "emitted").glob("*.c")) if "example" not in path.name]
-    includes = [
-        f"-I{work / 'emitted'}",
-        f"-I{work / 'config'}",
-        f"-I{FIRMWARE / 'core'}",
+def _sources(work: Path) -> tuple[list[Path], list[Path], list[str]]:
+    """C files, headers, and how a compiler is told where they are."""
+    folders = [work / "config", work / "emitted", FIRMWARE / "core"]
+    emitted = [path for path in sorted(folders[1].glob("*.c")) if "example" not in path.name]
+    headers = [path for folder in folders for path in sorted(folder.glob("*.h"))]
+    places = [
+        *(f"-I{folder}" for folder in folders),
         # Debug information would otherwise name this build's temporary folder, and differ each time.
         f"-ffile-prefix-map={work}=.",
         f"-ffile-prefix-map={FIRMWARE}=firmware",
-        f"-ffile-prefix-map={sys.prefix}=python",
     ]
-    return emitted + sorted((FIRMWARE / "core").glob("*.c")), includes
+    return emitted + sorted((FIRMWARE / "core").glob("*.c")), headers, places
 
 
 def _build_bench(work: Path, limbs: int) -> dict[str, Path]:
     bench = FIRMWARE / "bench"
-    sources, includes = _sources(work)
+    sources, headers, places = _sources(work)
+    sources, script = [*sources, *sorted(bench.glob("*.c"))], bench / "nrf52832.ld"
     elf = work / "frogkick-bench.elf"
-    zig("chip").run(
-        [
-            *FLAGS,
-            "-ffreestanding",
-            "-ffunction-sections",
-            "-fdata-sections",
-            *includes,
-            f"-I{bench}",
-            f"-DFK_BOARD_LIMBS={limbs}u",
-            "-fno-unwind-tables",
-            "-fno-asynchronous-unwind-tables",
-            "-nostdlib",
-            "-Wl,--entry=fk_reset",
-            f"-Wl,-T,{bench / 'nrf52832.ld'}",
-            "-Wl,--gc-sections",
-            *sources,
-            *sorted(bench.glob("*.c")),
-            "-o",
-            elf,
-        ],
-        folder=work,
+    flags = [
+        *_FLAGS,
+        "-ffreestanding",
+        "-ffunction-sections",
+        "-fdata-sections",
+        f"-DFK_BOARD_LIMBS={limbs}u",
+        "-fno-unwind-tables",
+        "-fno-asynchronous-unwind-tables",
+        "-nostdlib",
+        "-Wl,--entry=fk_reset",
+        "-Wl,--gc-sections",
+    ]
+    files = [*sources, *headers, *sorted(bench.glob("*.h")), script]
+    elf.write_bytes(
+        built_once(zig("chip"), flags, [*places, f"-I{bench}", f"-Wl,-T,{script}", *sources], files, elf)
     )
     return {"elf": elf, "hex": _hex_of(elf)}
 
 
 def _build_native(work: Path, compiler: Compiler) -> dict[str, Path]:
-    sources, includes = _sources(work)
-    headers = sorted(path for folder in includes[:3] for path in Path(folder[2:]).glob("*.h"))
+    sources, headers, places = _sources(work)
     name = compiler.version.encode()
     digest = hashlib.sha256(name + b"".join(path.read_bytes() for path in [*sources, *headers])).hexdigest()[
         :12
@@ -242,7 +240,8 @@ def _build_native(work: Path, compiler: Compiler) -> dict[str, Path]:
     # A library that is already loaded must not be overwritten: each content has its own name.
     suffix = {"darwin": ".dylib", "win32": ".dll"}.get(sys.platform, ".so")
     library = work / f"frogkick-native-{digest}{suffix}"
-    compiler.run([*FLAGS, "-fPIC", "-shared", *includes, *sources, "-o", library], folder=work)
+    flags = [*_FLAGS, "-fPIC", "-shared"]
+    library.write_bytes(built_once(compiler, flags, [*places, *sources], [*sources, *headers], library))
     return {"library": library}
 
 

@@ -54,12 +54,17 @@ class Cases:
 
     def head(self, count: int) -> Cases:
         """Return the first ``count`` cases, for a slower place."""
+        return self.part(0, count)
+
+    def part(self, at: int, count: int) -> Cases:
+        """Return ``count`` cases from one on, fewer at the end."""
+        some = slice(at, at + count)
         return Cases(
-            self.states[:count],
-            self.depths[:count],
-            self.limb_use[:count],
-            self.along_points[:count],
-            self.kinds[:count],
+            self.states[some],
+            self.depths[some],
+            self.limb_use[some],
+            self.along_points[some],
+            self.kinds[some],
             self.seed,
         )
 

@@ -35,8 +35,10 @@ Task = TypeVar("Task")
 Result = TypeVar("Result")
 
 WORKERS_MAX = 256
-CONNECT_S = 10
-"""How long a scheduler has to answer, and then a first worker of it to be there."""
+CONNECT_S = 30
+"""How long a scheduler has to answer."""
+WORKERS_S = 30
+"""How long a first worker of it then has to be there."""
 
 _RETRIES = 2  # of a chunk that raised, a connection lost within it say; a worker's death is not counted here
 _ADDRESS = re.compile(r"(?:(?:tcp|tls)://)?(?:\[[0-9A-Fa-f:.]+\]|[^\s/:\[\]@]+):(\d{1,5})")
@@ -201,7 +203,7 @@ def _on_cluster(
     log.setLevel(logging.CRITICAL)  # what it has to say is raised as well, and told below in one line
     try:
         try:
-            client.wait_for_workers(1, timeout=CONNECT_S)
+            client.wait_for_workers(1, timeout=WORKERS_S)
         except TimeoutError as error:
             raise InputError(
                 f"the Dask scheduler at {address!r} has no workers: start some with 'dask worker {address}'"

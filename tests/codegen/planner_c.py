@@ -24,6 +24,7 @@ COVERAGE_DIR = os.environ.get("FK_PLANNER_COVERAGE_DIR")
 _SHIM = """
 int32_t fk_test_open_spoiled(const uint8_t *image, uint32_t size, uint32_t flush, fk_tables_t *tables);
 uint32_t fk_test_wrapped_wrong(uint32_t step);
+uint16_t fk_nearest(const fk_tables_t *tables, const int32_t codes[3]);
 """
 _FIELDS = ("distance_weight_per_m", "angle_weight_per_rad", "progress_weight", "level_weight",
            "progress_weight_per_m", "look_ahead_m", "soft_distance_m", "turn_lead",

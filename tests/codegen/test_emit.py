@@ -94,7 +94,7 @@ def test_the_directory_builds_alone_with_its_one_command_and_runs(
     for entry in emitted.iterdir():
         (work / entry.name).write_bytes(entry.read_bytes())
     compiler.run(readme_command(work), folder=work)
-    result = subprocess.run([work / "example"], capture_output=True, text=True, check=True, timeout=60)
+    result = subprocess.run([work / "example"], capture_output=True, text=True, check=True, timeout=300)
     tables = open_image(IMAGE)
     line = synthetic.WavePath(
         np.float32(0.5) * np.arange(100, dtype=np.float32) / np.float32(99),

@@ -54,7 +54,7 @@ def block(folder: Path, language: str) -> str:
 
 
 def run(program: Path) -> int:
-    return subprocess.run([program], capture_output=True, check=False, timeout=60).returncode
+    return subprocess.run([program], capture_output=True, check=False, timeout=300).returncode
 
 
 def first_action(image: bytes) -> int:

@@ -100,8 +100,31 @@ def test_the_chip_gives_the_twin_s_bits(built: Built, config: str) -> None:
     assert pair.mismatches == 0, pair.first_failure
 
 
+@pytest.mark.parametrize("config", CONFIGS)
+def test_so_it_does_over_very_many_states(built: Built, config: str) -> None:
+    """The same instructions, not counted: 10^5 states in all, 10^6 with FK_FULL=1, few of them deep."""
+    settings = CONFIGS[config]
+    number = -(-count(100_000, 1_000_000) // (len(made_up.KINDS) * len(CONFIGS)))
+    cases = make_cases(built.tables, PATH, number, SEED + 1, (0.7, 0.295, 0.005, 0.0))
+    chip = ChipPlanner(built.bench)
+    chip.configure(PATH, settings)
+    places = {"python": python_place(built.tables, PATH, settings), "chip": chip.decide}
+    (pair,) = compare(cases, places)
+    assert pair.mismatches == 0, pair.first_failure
+    counted, _ = chip.plan(cases.states[:40], cases.depths[:40], cases.limb_use[:40], cases.along_points[:40])
+    again = chip.decide(cases.states[:40], cases.depths[:40], cases.limb_use[:40], cases.along_points[:40])
+    assert counted.tobytes() == again.tobytes()
+
+
+_LOOPS: dict[tuple[object, ...], Rehearsal] = {}
+
+
 def loop_of(built: Built, config: PlanConfig, decisions: int = DECISIONS, seed: int = SEED) -> Rehearsal:
-    return rehearse(built.native["native"], built.tables, PATH, config, decisions, seed)
+    """The loop that a library lives through; its file is named for its content."""
+    asked = (built.native["native"].name, config, decisions, seed)
+    if asked not in _LOOPS:
+        _LOOPS[asked] = rehearse(built.native["native"], built.tables, PATH, config, decisions, seed)
+    return _LOOPS[asked]
 
 
 @pytest.mark.parametrize(("config", "depth"), [("paper", 2), ("route", 1), ("budget", 3)])

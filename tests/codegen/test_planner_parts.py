@@ -13,6 +13,7 @@ from tests.planner import synthetic
 
 from frogkick.planner import floats
 from frogkick.planner.image import open_image
+from frogkick.planner.lookup import DYNAMICS, arrays_of, find_row
 
 NEAREST = synthetic.image(60, 5)
 NAN, INFINITY = float("nan"), float("inf")
@@ -26,15 +27,30 @@ def test_of_equally_near_rows_the_lowest_answers_wherever_the_tree_finds_it() ->
     codes[::2] = codes[::2] // 400 * 400
     distance2 = ((tables.states.astype(np.int64)[None] - codes[:, None]) ** 2).sum(axis=2)
     assert ((distance2 == distance2.min(axis=1, keepdims=True)).sum(axis=1) > 1).sum() > 100
-    pointer, from_, found = (
-        planner_c.opened(tables.image),
-        FFI.new("fk_dynamics_t *"),
-        FFI.new("fk_lookup_t *"),
-    )
+    pointer = planner_c.opened(tables.image)
     for code, row in zip(codes.tolist(), distance2.argmin(axis=1).tolist(), strict=True):
-        from_.velocity_code = code
+        assert library().fk_nearest(pointer.pointer, code) == row
+
+
+@pytest.mark.parametrize("image", [NEAREST, synthetic.affine_image()], ids=["nearest", "affine"])
+def test_a_velocity_beyond_the_table_counts_as_the_nearest_one_at_its_edge(image: bytes) -> None:
+    tables = open_image(image)
+    states = tables.states.astype(np.int64)
+    low, high = states.min(axis=0) - tables.offset_limit, states.max(axis=0) + tables.offset_limit
+    codes = np.clip(np.random.default_rng(3).integers(4 * low, 4 * high, (2000, 3)), -16383, 16383)
+    codes[::3] = np.random.default_rng(4).integers(low - 2, high + 3, (len(codes[::3]), 3))  # at the edge
+    edge = np.clip(codes, low, high)
+    rows = ((states[None] - edge[:, None]) ** 2).sum(axis=2).argmin(axis=1)
+    assert (rows != ((states[None] - codes[:, None]) ** 2).sum(axis=2).argmin(axis=1)).sum() > 20
+    pointer = planner_c.opened(image)
+    from_, found = FFI.new("fk_dynamics_t *"), FFI.new("fk_lookup_t *")
+    table, dynamics = arrays_of(tables), np.zeros(DYNAMICS, dtype=np.int64)
+    for code, row in zip(codes, rows.tolist(), strict=True):
+        from_.velocity_code = code.tolist()
         library().fk_lookup(pointer.pointer, from_, found)
         assert found.row == row
+        dynamics[:3] = code
+        assert find_row(table, dynamics) == row
 
 
 @pytest.mark.parametrize("states", [1, 3, 5, 7, 21])
@@ -45,11 +61,8 @@ def test_what_lies_behind_the_last_row_is_no_row(states: int) -> None:
     behind = tables.sections.states + 6 * states
     codes = np.clip(np.frombuffer(image[behind : behind + 6], "<i2").astype(np.int64), -16383, 16383)
     distance2 = ((tables.states.astype(np.int64) - codes) ** 2).sum(axis=1)
-    from_, found = FFI.new("fk_dynamics_t *"), FFI.new("fk_lookup_t *")
-    from_.velocity_code = codes.tolist()
     opened = planner_c.opened(image)
-    library().fk_lookup(opened.pointer, from_, found)
-    assert found.row == distance2.argmin()
+    assert library().fk_nearest(opened.pointer, codes.tolist()) == distance2.argmin()
 
 
 def test_the_nearest_point_is_the_lowest_of_equal_ones() -> None:

@@ -270,6 +270,8 @@ MUTATIONS = {
     "a leaf's first row is left out": ("nearest.c", "row &= ~1U;", "row = (row + 1U) & ~1U;"),
     "a tie of a pair's second takes it": ("nearest.c", "(row + 1U < best_row)", "(row + 1U > best_row)"),
     "the middle word is read the other way": ("nearest.c", "fk_low(middle) -", "fk_high(middle) -"),
+    "a velocity beyond the table stays there": ("lookup.c", "? least :", "? code :"),
+    "the edge is at the states": ("lookup.c", "state_most[axis] + tables", "state_most[axis] + 0 * tables"),
     "blocks begin a row early": ("lookup.c", "- 1U) / tables->states", ") / tables->states"),
     "a coefficient is left out": ("lookup.c", "index < FK_COEFFICIENTS / 2U; index++", "index < 4U; index++"),
     "a product is rounded otherwise": ("lookup.c", "(u1 * u2) >> 14", "(u1 * u2 + 8191) >> 14"),
@@ -302,6 +304,8 @@ def test_a_changed_rule_in_the_c_is_found(name: str) -> None:
     for tables in (*TABLES.values(), synthetic.grid_tables()):
         codes, use = states(tables, 3000, SEED + 2)
         found += sum(differences(mutant.look_up(tables, codes, use), twin(tables, codes, use)).values())
+        rows = brute_force(tables.states.astype(np.int64), codes)
+        found += int((mutant.nearest(tables.image, codes) != rows).sum())
     assert found
 
 

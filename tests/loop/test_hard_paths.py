@@ -82,7 +82,9 @@ def test_a_path_beyond_the_robot_is_tried_and_its_end_told_as_it_was(
     turned_rad = [abs(math.remainder(d.estimate[2] - start[2], 2.0 * math.pi)) for d in recording.decisions]
     assert max(turned_rad) > 0.5 * math.pi, "it turns round"
     assert recording.ended in {end.value for end in End} and recording.end_s < LIMIT_S
-    is_there = math.dist(pose[:2], path.points_m[-1]) < 1.5 * REACH_M
+    is_there = (
+        math.dist(pose[:2], path.points_m[-1]) < 1.1 * REACH_M
+    )  # completed: within a reach, by the fixes
     assert recording.completed is is_there is (recording.ended == End.COMPLETED.value)
 
 

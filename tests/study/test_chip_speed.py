@@ -163,11 +163,6 @@ def test_slower_memory_makes_slower_decisions(small: Built) -> None:
         assert cycles(dataclasses.replace(CostModel(), **{part: 0})) < whole
 
 
-FAR_MS = 0.6
-"""Depth 1 where a velocity is far beyond every state of a large table: many rows are then nearly as near, and
-the search for the exact nearest looks at them. No velocity within the states is over the limit."""
-
-
 def test_decisions_are_within_their_limits(large: Built) -> None:
     """Worst of all states, paths and places; the dearest of 10^5 at each depth with FK_FULL=1."""
     counts = {1: count(90, 100_000), 2: count(45, 100_000), 3: count(18, 100_000)}
@@ -177,7 +172,7 @@ def test_decisions_are_within_their_limits(large: Built) -> None:
         assert speed.states >= counts[depth]
         assert set(speed.worst_ms_by_reach) == {1.0, 3.0, 30.0, 1000.0}
         for reach, worst_ms in speed.worst_ms_by_reach.items():
-            assert worst_ms <= (limit_ms if reach == 1.0 or depth > 1 else FAR_MS), speed
+            assert worst_ms <= limit_ms, (reach, speed)
         assert speed.unrun_ms <= limit_ms, speed
     assert open_ms(large.elf) < 200.0
 

@@ -31,7 +31,7 @@ typedef struct {
     float x_m;         /* |x| <= FK_POSITION_MAX_M */
     float y_m;         /* |y| <= FK_POSITION_MAX_M */
     float heading_rad; /* |heading| <= FK_HEADING_MAX_RAD, any number of turns; outputs are wrapped */
-    float vx_mps;      /* forward; any finite value, clamped to +-16383 codes for the table look-up */
+    float vx_mps;      /* forward; any finite value; beyond the table's states it counts as at their edge */
     float vy_mps;      /* left; clamped likewise */
     float omega_rad_s; /* counter-clockwise; clamped likewise */
     uint16_t limb_use[FK_LIMBS_MAX]; /* how much each limb was used lately, 0 (rested) to FK_LIMB_USE_MAX */

@@ -120,9 +120,27 @@ static void fk_factors(const fk_tables_t *tables, const uint8_t *state, uint32_t
     factors[4] = fk_pair((u1 * u2) >> 14, (u2 * u2) >> 14);
 }
 
+/* The row to look a velocity up in. Beyond all states and the offset that is corrected for the table tells nothing
+ * apart, so a velocity from there counts as the nearest one within, axis by axis: a search from far away would have to
+ * look at many rows. The offset from a row, clamped, is the same either way. */
+static uint16_t fk_row_of(const fk_tables_t *tables, const int32_t velocity_code[3])
+{
+    int32_t codes[3];
+    uint32_t axis;
+
+    for (axis = 0U; axis < 3U; axis++) {
+        const int32_t least = tables->state_least[axis] - tables->offset_limit[axis];
+        const int32_t most = tables->state_most[axis] + tables->offset_limit[axis];
+        const int32_t code = velocity_code[axis];
+
+        codes[axis] = (code < least) ? least : ((code > most) ? most : code);
+    }
+    return fk_nearest(tables, codes);
+}
+
 void fk_lookup(const fk_tables_t *tables, const fk_dynamics_t *from, fk_lookup_t *lookup)
 {
-    const uint32_t row = fk_nearest(tables, from->velocity_code);
+    const uint32_t row = fk_row_of(tables, from->velocity_code);
     const uint8_t *state = tables->state_rows + 6U * row;
     uint32_t index;
 

@@ -1,5 +1,6 @@
 /* native_tables.c - flat-array entries to the table look-up for a host that binds them without its structures.
  * Part of a shared library of the host only, never of an emitted directory. */
+#include "fk_internal.h"
 #include "fk_planner.h"
 
 #if defined(_WIN32)
@@ -85,11 +86,7 @@ int32_t fk_native_nearest(const uint8_t *image, uint32_t size, const int32_t *co
         return error;
     }
     for (index = 0U; index < count; index++) {
-        fk_dynamics_t from;
-        fk_lookup_t lookup;
-        fk_native_dynamics(codes + 3U * index, 0, &from);
-        fk_lookup(&tables, &from, &lookup);
-        rows[index] = lookup.row;
+        rows[index] = fk_nearest(&tables, codes + 3U * index);
     }
     return FK_OK;
 }

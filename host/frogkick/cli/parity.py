@@ -36,7 +36,6 @@ from frogkick_codegen.native import NativeLibrary
 from frogkick_codegen.parity import KINDS, PairReport, Place, compare, make_cases, native_place, python_place
 from frogkick_codegen.toolchain import Compiler, other, zig
 
-CHIP_STATES = 2000
 LOOP_DECISIONS = 200
 
 
@@ -45,8 +44,9 @@ def parity(
         int, typer.Option(min=10, max=10_000_000, help="States for Python and native C.")
     ] = 100_000,
     chip_states: Annotated[
-        int, typer.Option(min=0, max=1_000_000, help="States of them for the virtual chip.")
-    ] = CHIP_STATES,
+        int | None,
+        typer.Option(min=0, max=10_000_000, help="States of them for the virtual chip.  [default: all]"),
+    ] = None,
     loop_decisions: Annotated[
         int, typer.Option(min=0, max=100_000, help="Decisions of a whole loop, fixes in, decisions out.")
     ] = LOOP_DECISIONS,
@@ -69,7 +69,8 @@ def parity(
     with tempfile.TemporaryDirectory(prefix="frogkick-parity-") as folder:
         bench = build("bench", image, described, Path(folder) / "bench").image
         with progress_bar("virtual chip") as progress:
-            reports = _single(opened, config, compilers, bench, (states, chip_states, seed), progress)
+            on_chip = states if chip_states is None else min(chip_states, states)
+            reports = _single(opened, config, compilers, bench, (states, on_chip, seed), progress)
         loops: dict[str, int] = {}
         if loop_decisions:
             libraries = {
@@ -80,7 +81,7 @@ def parity(
     mismatches = {f"{report.first}-{report.second}": report.mismatches for report in reports}
     result: dict[str, Any] = {
         "states": states,
-        "chip_states": min(chip_states, states),
+        "chip_states": on_chip,
         "mismatches": mismatches,
         "loop_decisions": loop_decisions,
         "loop_mismatches": loops,
@@ -111,14 +112,16 @@ def _single(
     for name, compiler in compilers.items():
         places[name] = native_place(NativeLibrary(compiler=compiler), tables, path, config)
     reports = compare(cases, places)
-    count = min(chip_states, states)
-    if count:
+    if chip_states:
         chip = ChipPlanner(bench)
         chip.configure(path, config)
-        places["chip"] = lambda queries, depths, use, along: chip.plan(
-            queries, depths, use, along, lambda done: progress(done, count)
-        )[0]
-        reports += [one for one in compare(cases.head(count), places) if one.second == "chip"]
+
+        def told(done: int) -> None:
+            if done % 100 == 0 or done == chip_states:
+                progress(done, chip_states)
+
+        places["chip"] = lambda queries, depths, use, along: chip.decide(queries, depths, use, along, told)
+        reports += [one for one in compare(cases.head(chip_states), places) if one.second == "chip"]
     return reports
 
 

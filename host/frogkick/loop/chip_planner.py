@@ -12,6 +12,7 @@ import numpy.typing as npt
 from frogkick.planner.plan import PLAN_ROW, PathLike, PlanConfig, path_rows
 from frogkick.pool.chip import ChipError, CostModel, VirtualChip
 from frogkick.pool.chip.layout import Layouts
+from frogkick.pool.chip.uncounted import UncountedCalls
 
 _BOOT_STEP_US = 100_000.0
 _BOOT_STEPS_MAX = 100
@@ -36,6 +37,8 @@ class ChipPlanner:
             ChipError: it does not boot, or refuses its table.
         """
         self.chip = VirtualChip(elf, cost)
+        self._elf = elf
+        self._uncounted: UncountedCalls | None = None
         self._types = Layouts(elf)
         for step in range(1, _BOOT_STEPS_MAX + 1):
             self.chip.run_until(step * _BOOT_STEP_US)
@@ -81,36 +84,67 @@ class ChipPlanner:
             states: (k, 6) float32.
             depths: (k,) levels to look ahead.
             limb_use: (k, 8) how much each limb was used lately; None = all rested.
-            along_points: (k,) where along the path each was last; None = at its start.
             along_points: (k,) where along the path each was last, in points; None = at its start.
             progress: called with the number of states done.
 
         Returns:
             (k,) ``PLAN_ROW`` and (k,) cycles of 64 MHz.
         """
+        cycles: list[int] = []
+
+        def counted(*pointers: int) -> int:
+            status, taken = self.chip.call("fk_plan", *pointers)
+            cycles.append(taken)
+            return status
+
+        rows = self._plan_all(self.chip, counted, (states, depths, limb_use, along_points), progress)
+        return rows, np.array(cycles, dtype=np.int64)
+
+    def decide(
+        self,
+        states: npt.NDArray[np.float32],
+        depths: npt.NDArray[np.int32],
+        limb_use: npt.NDArray[np.uint16] | None = None,
+        along_points: npt.NDArray[np.float32] | None = None,
+        progress: Callable[[int], None] = lambda _done: None,
+    ) -> npt.NDArray[Any]:
+        """Plan as ``plan`` does, many times sooner: the same instructions, their cycles not counted."""
+        if self._uncounted is None:
+            self._uncounted = UncountedCalls(self._elf, self.chip)
+        core = self._uncounted
+        size = self._types["fk_path_t"].itemsize
+        core.ram_write(self._path, self.chip.ram_read(self._path, size))
+        given = (states, depths, limb_use, along_points)
+        return self._plan_all(core, lambda *pointers: core.call("fk_plan", *pointers), given, progress)
+
+    def _plan_all(
+        self,
+        core: VirtualChip | UncountedCalls,
+        plan: Callable[..., int],
+        given: tuple[Any, Any, Any, Any],
+        progress: Callable[[int], None],
+    ) -> npt.NDArray[Any]:
+        states, depths, limb_use, along_points = given
         asked = np.zeros(len(states), dtype=self._types["fk_state_t"])
         for member, column in zip(_POSE_MEMBERS, states.T, strict=True):
             asked[member] = column
         if limb_use is not None:
             asked["limb_use"] = limb_use
-        if along_points is not None and "along_points" in (asked.dtype.names or ()):
-            asked["along_points"] = along_points
-        if along_points is not None and "along_points" in (asked.dtype.names or ()):
+        if along_points is not None:
             asked["along_points"] = along_points
         told = np.zeros(len(states), dtype=self._types["fk_plan_t"])
         status = np.zeros(len(states), dtype=np.uint32)
-        cycles = np.zeros(len(states), dtype=np.int64)
         pointers = (self._tables, self._path, self._config, self._state, self._plan)
         for index in range(len(states)):
             self._settings["depth"] = depths[index]
-            self.chip.ram_write(self._config, self._settings.tobytes())
-            self.chip.ram_write(self._state, asked[index].tobytes())
-            status[index], cycles[index] = self.chip.call("fk_plan", *pointers)
+            core.ram_write(self._config, self._settings.tobytes())
+            core.ram_write(self._state, asked[index].tobytes())
+            status[index] = plan(*pointers)
             if status[index] == 0:
-                data = self.chip.ram_read(self._plan, told.itemsize)
+                data = core.ram_read(self._plan, told.itemsize)
                 told[index] = np.frombuffer(data, dtype=told.dtype)[0]
             progress(index + 1)
-        return _rows(status.view(np.int32), told), cycles
+        return _rows(status.view(np.int32), told)
 
 
 def _rows(status: npt.NDArray[np.int32], plans: npt.NDArray[Any]) -> npt.NDArray[Any]:

@@ -22,6 +22,8 @@ class TableArrays(NamedTuple):
     """A table as the kernels read it; for the fields see frogkick.planner.image.Tables.
 
     A state's dynamics are an int64 row of 3 + LIMBS_MAX: velocity codes, then how much each limb was used.
+    ``least`` and ``most`` (3,) int64 hold what a velocity's codes are clamped to before a row is looked for:
+    all states and the offset beyond them that is corrected for.
     ``fires`` (a, l) is 1 where an action fires a limb; ``use`` holds decay and gain; reach_m and turn_max_rad
     are (1,) float32: no look-up moves or turns the robot further; period_s is (1,) float32.
     """
@@ -36,6 +38,8 @@ class TableArrays(NamedTuple):
     motion_limit: Array
     correction_shift: Array
     offset_limit: Array
+    least: Array
+    most: Array
     use: Array
     reach_m: Array
     turn_max_rad: Array
@@ -47,6 +51,7 @@ DYNAMICS = 3 + LIMBS_MAX
 
 def arrays_of(tables: Tables) -> TableArrays:
     """The arrays of an opened table."""
+    states = tables.states.astype(np.int64)
     masks = np.array([row.first_mask | row.second_mask for row in tables.actions], dtype=np.int64)
     return TableArrays(
         states=tables.states,
@@ -59,6 +64,8 @@ def arrays_of(tables: Tables) -> TableArrays:
         motion_limit=tables.motion_limit,
         correction_shift=tables.correction_shift,
         offset_limit=tables.offset_limit,
+        least=states.min(axis=0) - tables.offset_limit,
+        most=states.max(axis=0) + tables.offset_limit,
         use=np.array([tables.use_decay, tables.use_gain], dtype=np.int64),
         reach_m=np.array([tables.reach_m], dtype=np.float32),
         turn_max_rad=np.array([tables.turn_max_rad], dtype=np.float32),
@@ -101,8 +108,11 @@ def action_count(table: TableArrays) -> int:
 
 @njit(cache=True)
 def find_row(table: TableArrays, dynamics: Array) -> int:
-    """The row that a state with these dynamics is looked up in."""
-    return nearest_state(table.states, dynamics[0], dynamics[1], dynamics[2])
+    """The row that a state with these dynamics is looked up in: the nearest to its velocity, clamped."""
+    code_0 = min(max(dynamics[0], table.least[0]), table.most[0])
+    code_1 = min(max(dynamics[1], table.least[1]), table.most[1])
+    code_2 = min(max(dynamics[2], table.least[2]), table.most[2])
+    return nearest_state(table.states, code_0, code_1, code_2)
 
 
 @njit(cache=True)

@@ -1,0 +1,223 @@
+"""How near to a path any plan could stay: the whole run planned at once, by a table, without noise or delay.
+
+No planner that looks a few strokes ahead and sees the robot through a camera can be expected to do better,
+so this tells what a path asks of the robot from what the planner misses. A beam search: breadth first over
+decisions, of all plans that have come to one part of the path the cheapest stay, and of alike ones the
+cheapest one. What is found can be swum, in the table's eyes; that nothing better exists is not proven, but a
+larger breadth shows whether there is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+from frogkick.compiled import stamp_of
+from frogkick.errors import InputError
+from frogkick.loop.record import along_path
+from frogkick.paths import Path
+from frogkick.planner.image import Tables
+from frogkick.planner.lookup import DYNAMICS, TableArrays, arrays_of, dynamics_after, find_row, motion_of
+
+FloatArray = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.int64]
+
+DECISIONS_MOST = 150
+_LONGER = 2.0  # times the decisions of the fastest plan: slower ones are not looked for
+SAMPLES = 4  # of a motion, on the straight way between its ends
+_FINE_M = 0.002  # between the path's places
+_BEHIND, _AHEAD = 10, 30  # places that a sample may lie behind or ahead of the one before it
+_CELL = (0.003, 0.003, 0.06)  # poses that count as alike: m, m, rad
+_OMEGA_RAD_S = 0.2  # and turn rates
+_PART = 8  # places of the path that share a breadth
+
+
+@dataclass(frozen=True, eq=False)
+class Foreseen:
+    """A plan of a whole run.
+
+    Attributes:
+        actions: indices into the table's actions.
+        mean_distance_m, progress_mps: as for a run in the pool.
+        poses_world: (SAMPLES * decisions + 1, 3) x_m, y_m, heading_rad at equal times.
+    """
+
+    actions: tuple[int, ...]
+    mean_distance_m: float
+    progress_mps: float
+    poses_world: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class _Plans:
+    """Plans side by side, (k, ...), and how each was come by: (k,) place in the level before, and action."""
+
+    pose: FloatArray
+    dynamics: IntArray
+    place: IntArray
+    cost_m: FloatArray  # sum of the decisions' mean distances
+    parent: IntArray
+    action: IntArray
+
+
+def foresee(
+    tables: Tables,
+    path: Path,
+    start_world: tuple[float, float, float],
+    breadth: int = 300,
+    progress: Callable[[int, int], None] = lambda _done, _all: None,
+) -> list[Foreseen]:
+    """Plan a path's whole run, from rest, for each number of decisions.
+
+    Args:
+        tables: that tell what an action does.
+        path: to follow, world frame.
+        start_world: x_m, y_m, heading_rad of the robot.
+        breadth: plans that are kept for each part of the path and number of decisions.
+        progress: called with decisions looked ahead and the most that there may be.
+
+    Returns:
+        The fastest plan, and each slower one that stays nearer than all faster ones.
+
+    Raises:
+        InputError: no plan comes to the path's end within ``DECISIONS_MOST`` decisions.
+    """
+    places_m, table = _places(path), arrays_of(tables)
+    none = np.zeros(1, dtype=np.int64)
+    pose, dynamics = np.array([start_world], dtype=np.float64), np.zeros((1, DYNAMICS), dtype=np.int64)
+    levels = [_Plans(pose, dynamics, none, np.zeros(1), none, none)]
+    found: list[Foreseen] = []
+    most = DECISIONS_MOST
+    while len(levels[-1].cost_m) and len(levels) <= most:
+        plans = _expanded(table, levels[-1], places_m)
+        is_there = plans.place >= len(places_m) - 2
+        at = int(np.where(is_there, plans.cost_m, np.inf).argmin())
+        if is_there[at]:
+            plan = _foreseen(tables, path, start_world, _traced(levels, plans, at))
+            most = most if found else min(most, int(_LONGER * len(levels)))
+            if not found or plan.mean_distance_m < found[-1].mean_distance_m:
+                found.append(plan)
+        progress(len(levels), most)
+        levels.append(_taken(plans, _kept(plans, np.flatnonzero(~is_there), breadth, tables)))
+    if not found:
+        raise InputError(
+            f"no plan comes to the end of path {path.name!r} within {DECISIONS_MOST} decisions: "
+            "give a shorter path, or start nearer to it"
+        )
+    return found
+
+
+def nearest_at(found: Sequence[Foreseen], progress_mps: float) -> float | None:
+    """Least mean distance (m) of the plans that make at least so much progress; None where none does."""
+    near = [plan.mean_distance_m for plan in found if plan.progress_mps >= progress_mps]
+    return min(near) if near else None
+
+
+def _foreseen(
+    tables: Tables, path: Path, start_world: tuple[float, float, float], actions: tuple[int, ...]
+) -> Foreseen:
+    poses = swim(tables, actions, start_world)
+    times_s = np.arange(len(poses)) * (tables.period_us * 1e-6 / SAMPLES)
+    mean_m, _, progress_mps = along_path(path, times_s, poses)
+    return Foreseen(actions, mean_m, progress_mps, poses)
+
+
+def swim(tables: Tables, actions: Sequence[int], start_world: tuple[float, float, float]) -> FloatArray:
+    """(SAMPLES * actions + 1, 3) poses, world frame, by the table, from rest, on straight ways."""
+    table = arrays_of(tables)
+    pose, dynamics = np.array(start_world, dtype=np.float64), np.zeros(DYNAMICS, dtype=np.int64)
+    motion, after = np.zeros(3, dtype=np.float32), np.zeros(DYNAMICS, dtype=np.int64)
+    poses = [pose]
+    for action in actions:
+        row = find_row(table, dynamics)
+        motion_of(table, row, dynamics, action, motion)
+        dynamics_after(table, row, dynamics, action, after)
+        cosine, sine = np.cos(pose[2]), np.sin(pose[2])
+        forward_m, left_m, turn_rad = (float(value) for value in motion)
+        step = np.array([cosine * forward_m - sine * left_m, sine * forward_m + cosine * left_m, turn_rad])
+        poses += [pose + step * (sample / SAMPLES) for sample in range(1, SAMPLES + 1)]
+        pose, dynamics = pose + step, after.copy()
+    return np.array(poses)
+
+
+def _places(path: Path) -> FloatArray:
+    """(k, 2) points of the path's polyline at equal steps, m."""
+    arc_m = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(path.points_m, axis=0).T))])
+    at_m = np.linspace(0.0, arc_m[-1], max(2, round(float(arc_m[-1]) / _FINE_M) + 1))
+    return np.stack([np.interp(at_m, arc_m, path.points_m[:, axis]) for axis in (0, 1)], axis=1)
+
+
+def _expanded(table: TableArrays, plans: _Plans, places_m: FloatArray) -> _Plans:
+    actions = table.transitions.shape[1]
+    count = len(plans.cost_m) * actions
+    pose, place = np.empty((count, 3)), np.empty(count, dtype=np.int64)
+    dynamics, distance_m = np.empty((count, DYNAMICS), dtype=np.int64), np.empty(count)
+    _expand(table, plans.pose, plans.dynamics, plans.place, places_m, pose, dynamics, place, distance_m)
+    parent = np.repeat(np.arange(len(plans.cost_m)), actions)
+    cost_m = plans.cost_m[parent] + distance_m
+    return _Plans(pose, dynamics, place, cost_m, parent, np.tile(np.arange(actions), len(plans.cost_m)))
+
+
+def _kept(plans: _Plans, under_way: IntArray, breadth: int, tables: Tables) -> IntArray:
+    """Of those under way the cheapest of alike ones, and of these the cheapest of each part of the path."""
+    order = under_way[np.argsort(plans.cost_m[under_way], kind="stable")]
+    turning = plans.dynamics[order, 2] * float(tables.velocity_scale[2]) / _OMEGA_RAD_S
+    cells = np.column_stack([np.round(plans.pose[order] / _CELL), np.round(turning), plans.place[order]])
+    order = order[np.sort(np.unique(cells, axis=0, return_index=True)[1])]
+    parts = plans.place[order] // _PART
+    return np.concatenate([order[:0], *(order[parts == part][:breadth] for part in np.unique(parts))])
+
+
+def _taken(plans: _Plans, which: IntArray) -> _Plans:
+    return _Plans(*(getattr(plans, name)[which] for name in _Plans.__dataclass_fields__))
+
+
+def _traced(levels: Sequence[_Plans], plans: _Plans, at: int) -> tuple[int, ...]:
+    """The actions that led to one of the plans, from the levels before."""
+    actions = [int(plans.action[at])]
+    at = int(plans.parent[at])
+    for level in reversed(levels[1:]):
+        actions.append(int(level.action[at]))
+        at = int(level.parent[at])
+    return tuple(reversed(actions))
+
+
+def _compiled(stamp: int) -> Any:
+    @njit(cache=True)
+    def expand(table, poses, states, at, places_m, pose, dynamics, place, distance_m):  # type: ignore[no-untyped-def]
+        motion = np.zeros(3, dtype=np.float32)
+        actions = table.transitions.shape[1]
+        for i in range(len(poses)):
+            row = find_row(table, states[i])
+            cosine, sine = np.cos(poses[i, 2]), np.sin(poses[i, 2])
+            for action in range(actions):
+                k = i * actions + action
+                motion_of(table, row, states[i], action, motion)
+                dynamics_after(table, row, states[i], action, dynamics[k])
+                dx_m = cosine * motion[0] - sine * motion[1]
+                dy_m = sine * motion[0] + cosine * motion[1]
+                now, total_m = at[i], 0.0
+                for sample in range(1, SAMPLES + 1):
+                    x_m = poses[i, 0] + dx_m * sample / SAMPLES
+                    y_m = poses[i, 1] + dy_m * sample / SAMPLES
+                    least, found = np.inf, now
+                    for j in range(max(0, now - _BEHIND), min(len(places_m), now + _AHEAD)):
+                        square = (places_m[j, 0] - x_m) ** 2 + (places_m[j, 1] - y_m) ** 2
+                        if square < least:
+                            least, found = square, j
+                    now = found
+                    total_m += np.sqrt(least)
+                pose[k, 0], pose[k, 1] = poses[i, 0] + dx_m, poses[i, 1] + dy_m
+                pose[k, 2] = poses[i, 2] + motion[2]
+                place[k], distance_m[k] = now, total_m / SAMPLES
+        return stamp
+
+    return expand
+
+
+_expand = _compiled(stamp_of("frogkick.planner"))

@@ -343,6 +343,12 @@ static int32_t length_fits(const fk_frame_t *frame)
         return frame->payload_length == FK_STROKE_COMMAND_BYTES;
     case FK_FRAME_PLAN:
         return frame->payload_length == FK_PLAN_COMMAND_BYTES;
+    case FK_FRAME_TABLE_BEGIN:
+        return frame->payload_length == FK_TABLE_BEGIN_COMMAND_BYTES;
+    case FK_FRAME_TABLE_CHUNK:
+        return frame->payload_length >= FK_TABLE_CHUNK_COMMAND_BYTES;
+    case FK_FRAME_TABLE_ROLLBACK:
+        return frame->payload_length == FK_TABLE_ROLLBACK_COMMAND_BYTES;
     default:
         return frame->payload_length == 0u;
     }
@@ -352,9 +358,6 @@ int32_t fk_robot_command(fk_robot_t *robot, const fk_frame_t *frame, uint64_t no
 {
     if (frame->type < FK_FRAME_HELLO || frame->type > FK_FRAME_TABLE_STATUS) {
         return answer_status(FK_STATUS_UNKNOWN, answer);
-    }
-    if (frame->type >= FK_FRAME_TABLE_BEGIN) {
-        return fk_robot_table_command(robot, frame, now_us, answer);
     }
     if (!length_fits(frame)) {
         return answer_status(FK_STATUS_LENGTH, answer);
@@ -382,7 +385,9 @@ int32_t fk_robot_command(fk_robot_t *robot, const fk_frame_t *frame, uint64_t no
         return on_param(robot, frame->payload, answer);
     case FK_FRAME_STROKE:
         return on_stroke(robot, frame->payload, now_us, answer);
-    default:
+    case FK_FRAME_PLAN:
         return on_plan(robot, frame->payload, answer);
+    default:
+        return fk_robot_table_command(robot, frame, now_us, answer);
     }
 }

@@ -19,9 +19,6 @@ static int32_t is_at_rest(const fk_robot_t *robot, uint64_t now_us)
 static int8_t begin(fk_store_t *store, const fk_frame_t *frame)
 {
     fk_table_begin_command_t command;
-    if (frame->payload_length != FK_TABLE_BEGIN_COMMAND_BYTES) {
-        return FK_STATUS_LENGTH;
-    }
     fk_table_begin_command_unpack(frame->payload, &command);
     const uint32_t hash[FK_SHA256_WORDS] = {command.hash_0, command.hash_1, command.hash_2, command.hash_3,
                                             command.hash_4, command.hash_5, command.hash_6, command.hash_7};
@@ -31,9 +28,6 @@ static int8_t begin(fk_store_t *store, const fk_frame_t *frame)
 static int8_t chunk(fk_store_t *store, const fk_frame_t *frame)
 {
     fk_table_chunk_command_t command;
-    if (frame->payload_length < FK_TABLE_CHUNK_COMMAND_BYTES) {
-        return FK_STATUS_LENGTH;
-    }
     fk_table_chunk_command_unpack(frame->payload, &command);
     return fk_store_chunk(store, command.offset, frame->payload + FK_TABLE_CHUNK_COMMAND_BYTES,
                           frame->payload_length - FK_TABLE_CHUNK_COMMAND_BYTES);
@@ -42,20 +36,13 @@ static int8_t chunk(fk_store_t *store, const fk_frame_t *frame)
 static int8_t rollback(fk_store_t *store, const fk_frame_t *frame, int8_t *error)
 {
     fk_table_rollback_command_t command;
-    if (frame->payload_length != FK_TABLE_ROLLBACK_COMMAND_BYTES) {
-        return FK_STATUS_LENGTH;
-    }
     fk_table_rollback_command_unpack(frame->payload, &command);
     return fk_store_rollback(store, command.table_crc, error);
 }
 
-static int32_t tell(const fk_store_t *store, const fk_frame_t *frame, uint8_t *answer)
+static int32_t tell(const fk_store_t *store, uint8_t *answer)
 {
     fk_table_status_answer_t told;
-    if (frame->payload_length != FK_TABLE_STATUS_COMMAND_BYTES) {
-        fk_put_i8(answer, FK_STATUS_LENGTH);
-        return 1;
-    }
     told.status = FK_STATUS_OK;
     told.running = store->running;
     told.active = store->record.active;
@@ -91,7 +78,7 @@ static int8_t change(fk_robot_t *robot, const fk_frame_t *frame, uint64_t now_us
     case FK_FRAME_TABLE_CHUNK:
         return chunk(store, frame);
     case FK_FRAME_TABLE_COMMIT:
-        return (frame->payload_length != 0u) ? FK_STATUS_LENGTH : fk_store_commit(store, error);
+        return fk_store_commit(store, error);
     default:
         return rollback(store, frame, error);
     }
@@ -105,7 +92,7 @@ int32_t fk_robot_table_command(fk_robot_t *robot, const fk_frame_t *frame, uint6
         return 1;
     }
     if (frame->type == FK_FRAME_TABLE_STATUS) {
-        return tell(store, frame, answer);
+        return tell(store, answer);
     }
     const uint8_t *image = store->image;
     fk_table_begin_answer_t told; /* the commands that write share this answer */

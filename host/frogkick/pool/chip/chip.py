@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ctypes
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any, Final
@@ -57,9 +56,7 @@ class VirtualChip:
             ChipError: the cycle counter cannot be compiled.
         """
         self._cost = cost or CostModel()
-        self._image = load_image(elf_path)
-        if flash is not None:
-            self._image = replace(self._image, flash=flash)
+        self._image = load_image(elf_path, flash)
         self.scheduler = Scheduler()
         self._event_cycle: int | None = None
         self._target_cycle = 0
@@ -72,7 +69,7 @@ class VirtualChip:
         self._access_error: ChipError | None = None
 
         self._power = Power(self, "POWER", 0x4000_0000)
-        self.flash = Flash(self._stall, self.fail)
+        self.flash = Flash(self.fail)
         self._place_peripherals([])
         self._table = CostTable(self._image.flash)
         self._state = HookState(
@@ -90,7 +87,7 @@ class VirtualChip:
             (base, partial(self._mmio_read, base), partial(self._mmio_write, base)) for base in self._by_base
         ]
         self._uc = make_core(self._image, pages, self._on_invalid, self._state)
-        self.flash.attach(self._uc, self._on_flash_error)
+        self.flash.attach(self._uc, self._state, self._refuse)
 
     def _place_peripherals(self, edges: list[tuple[int, int, bool]]) -> None:
         """All peripherals as a reset leaves them; the edges seen so far go on."""
@@ -294,10 +291,7 @@ class VirtualChip:
             self.scheduler.take()()
         self._event_cycle = None
 
-    def _stall(self, cycles: int) -> None:
-        self._state.time += cycles * PARTS
-
-    def _on_flash_error(self, error: ChipError) -> None:
+    def _refuse(self, error: ChipError) -> None:
         self._access_error = error
         self._uc.emu_stop()
 
@@ -395,8 +389,7 @@ class VirtualChip:
                     peripheral.write(offset, value)
                 self._set_limit()
             except ChipError as error:
-                self._access_error = error
-                self._uc.emu_stop()
+                self._refuse(error)
         return result
 
     def _before_access(self, peripheral: Peripheral, offset: int, size: int) -> None:
@@ -447,10 +440,6 @@ class VirtualChip:
     def set_interrupt_line(self, irq: int, level: bool) -> None:
         """Pass a peripheral's interrupt line to the NVIC."""
         self._core.set_line(irq, level)
-
-    def flash_word(self, address: int) -> int:
-        """Word of flash, as loaded."""
-        return int.from_bytes(self._image.flash[address : address + 4], "little")
 
     def ram_read(self, address: int, count: int) -> bytes:
         """Read RAM, as EasyDMA or a debugger does."""

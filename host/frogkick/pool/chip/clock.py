@@ -33,9 +33,7 @@ class Clock(Peripheral):
 
 
 class Nvmc(Peripheral):
-    """The instruction cache's switch, and erasing and writing of flash. The core waits while that lasts, so that it
-    never sees READY at 0.
-    """
+    """The instruction cache's switch, and flash. The core waits for that, and never sees READY at 0."""
 
     NAME = "NVMC"
     REGISTERS = [

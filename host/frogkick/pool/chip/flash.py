@@ -9,7 +9,9 @@ from typing import Any, Final
 import unicorn as unicorn_module
 
 from frogkick.pool.chip.bus import FLASH_BYTES
+from frogkick.pool.chip.cost import PARTS
 from frogkick.pool.chip.errors import ChipError
+from frogkick.pool.chip.hook import HookState
 from frogkick.pool.chip.scheduler import CYCLES_PER_US
 
 unicorn: Any = unicorn_module  # its type hints do not export what it documents
@@ -34,9 +36,8 @@ class Flash:
         erases: times that each page was erased since power-on, by its number.
     """
 
-    def __init__(self, stall: Callable[[int], None], fail: Callable[[str], ChipError]) -> None:
-        """``stall`` lets cycles go by; ``fail`` makes an error with the program's place in it."""
-        self._stall = stall
+    def __init__(self, fail: Callable[[str], ChipError]) -> None:
+        """``fail`` makes an error with the program's place in it."""
         self._fail = fail
         self._uc: Any = None
         self._block_writes: Counter[int] = Counter()
@@ -44,9 +45,10 @@ class Flash:
         self.words_written = 0
         self.erases: Counter[int] = Counter()
 
-    def attach(self, uc: Any, on_error: Callable[[ChipError], None]) -> None:
-        """Take the core's memory; ``on_error`` hears of writes that the flash does not take."""
+    def attach(self, uc: Any, state: HookState, on_error: Callable[[ChipError], None]) -> None:
+        """Take the core's memory and time; ``on_error`` hears of writes that the flash does not take."""
         self._uc = uc
+        self._state = state
 
         def on_write(_uc: Any, _access: int, address: int, size: int, value: int, _data: Any) -> None:
             try:
@@ -73,7 +75,7 @@ class Flash:
             raise self._fail(
                 f"write of {size} bytes to flash at 0x{address:08x}: only aligned words are taken"
             )
-        old = int.from_bytes(self._uc.mem_read(address, 4), "little")
+        old = self.word(address)
         if value & ~old:
             raise self._fail(
                 f"write of 0x{value:08x} to flash at 0x{address:08x}, which holds 0x{old:08x}: "
@@ -107,6 +109,13 @@ class Flash:
             self._block_writes[block] = 0
         self.erases[address // PAGE_BYTES] += 1
         self._stall(ERASE_CYCLES)
+
+    def _stall(self, cycles: int) -> None:
+        self._state.time += cycles * PARTS
+
+    def word(self, address: int) -> int:
+        """One word of it."""
+        return int.from_bytes(self._uc.mem_read(address, 4), "little")
 
     def content(self) -> bytes:
         """All of it, as it outlives a loss of power."""

@@ -39,7 +39,7 @@ def test_every_line_of_the_core_runs(tmp_path: Path) -> None:
         "-p",
         "no:cacheprovider",
         "-k",
-        "not changed and not monitor",
+        "not changed and not monitor and not guided",
     ]
     tests += ["tests/core", "--deselect", "tests/core/test_core_coverage.py"]
     environment = os.environ | {"FK_CORE_COVERAGE_DIR": str(tmp_path)}

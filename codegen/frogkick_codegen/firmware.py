@@ -10,6 +10,7 @@ import hashlib
 import sys
 import tempfile
 from dataclasses import dataclass
+from importlib import resources
 from pathlib import Path
 
 from elftools.elf.elffile import ELFFile
@@ -233,6 +234,9 @@ def _build_bench(work: Path, limbs: int) -> dict[str, Path]:
 
 def _build_native(work: Path, compiler: Compiler) -> dict[str, Path]:
     sources, headers, places = _sources(work)
+    flash = work / "native_flash.c"
+    write_bytes(flash, (resources.files("frogkick_codegen") / "templates" / flash.name).read_bytes())
+    sources.append(flash)
     name = compiler.version.encode()
     digest = hashlib.sha256(name + b"".join(path.read_bytes() for path in [*sources, *headers])).hexdigest()[
         :12

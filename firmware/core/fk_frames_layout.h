@@ -30,7 +30,13 @@ enum { /* status of an answer */
     FK_STATUS_PASSED = -73,
     FK_STATUS_STALLED = -74,
     FK_STATUS_VERSION = -75,
-    FK_STATUS_FAULT = -76
+    FK_STATUS_FAULT = -76,
+    FK_STATUS_FLASH = -96,
+    FK_STATUS_SLOT = -97,
+    FK_STATUS_OFFSET = -98,
+    FK_STATUS_HASH = -99,
+    FK_STATUS_TABLE = -100,
+    FK_STATUS_WORN = -101
 };
 
 enum { /* state of the robot */

@@ -215,4 +215,4 @@ def test_the_layout_is_sound() -> None:
             assert payload.fields[0].name == "status", "a refusal may be the status alone"
     for numbers in (layout.status, layout.state, layout.parameter):
         assert len(set(numbers.values())) == len(numbers)
-    assert layout.status_name(-64) == "STATE" and layout.status_name(-99) == "-99"
+    assert layout.status_name(-64) == "STATE" and layout.status_name(-127) == "-127"

@@ -10,6 +10,11 @@ from typing import Any
 
 import pytest
 
+# Matrices here are small: with a process on each core, threads of the linear algebra wait for each other and
+# take a hundred times as long. Read when numpy is imported, by this process and those that it starts.
+for _name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
+    os.environ.setdefault(_name, "1")
+
 REPOSITORY = Path(__file__).resolve().parents[1]
 FULL = os.environ.get("FK_FULL", "0") == "1"
 

@@ -315,11 +315,12 @@ static void reset(void)
 
 static void go_wrong(void)
 {
+    uint64_t told_us = clock_us();
+    tick();
     see(world_us, SEEN_FAULT, 0);
-    if (below(2u) == 0u && clock_us() > 0u) {
+    if (below(2u) == 0u && told_us > 0u) {
         fk_outputs_t outputs;
-        tick();
-        fk_robot_tick(&robot, clock_us() - 1u, &outputs);
+        fk_robot_tick(&robot, told_us - 1u, &outputs);
         if (outputs.all_off != 0u) {
             touch_pins();
             lows(pin_us);

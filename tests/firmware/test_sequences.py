@@ -1,4 +1,4 @@
-"""Random command sequences to the bench firmware on the virtual chip, and hangs: an onlooker judges its pins."""
+"""Random command sequences to the bench firmware on the virtual chip, and hangs: an onlooker judges pins."""
 
 from __future__ import annotations
 
@@ -111,7 +111,7 @@ class Stranger:
         told = None
         while told is None:
             told = next((f for f in self.live(0.0005) if f.name == "STATUS" and f.kind == "answer"), None)
-        # Read when the frame had come, before the answer went out: off by less than a frame's time and a turn.
+        # Read when the frame had come, before the answer went out: off by less than a frame's time.
         self.clock_s = before_s - int(told.values["now_us"]) * 1e-6
 
     def sequence_of_commands(self) -> None:

@@ -17,7 +17,7 @@ from frogkick.identify.polish import Polisher
 from frogkick.identify.search import Found, countable, search
 from frogkick.identify.swim import Swim
 from frogkick.identify.terms import Term, catalogue
-from frogkick.identify.verdict import FOUND, NOTHING, UNEXPLAINED, intervals
+from frogkick.identify.verdict import FOUND, NOTHING, UNEXPLAINED, Error, intervals
 
 NOISE = Noise((2e-4, 3.5e-3), (1e-4, 1e-3), (1e-4, 1e-3))
 
@@ -111,22 +111,27 @@ def test_effects_that_do_the_same_are_named_together() -> None:
 
 
 @pytest.mark.parametrize(
-    ("searched", "related", "many", "taken"),
+    ("searched", "related", "far", "many", "taken"),
     [
-        (FOUND, FOUND, False, "search"),
-        (NOTHING, FOUND, False, "search"),
-        (UNEXPLAINED, FOUND, False, "relative"),
-        (FOUND, UNEXPLAINED, True, "search"),
-        (FOUND, FOUND, True, "relative"),
-        (UNEXPLAINED, UNEXPLAINED, True, "relative"),
+        (FOUND, FOUND, False, False, "search"),
+        (NOTHING, FOUND, False, False, "search"),
+        (UNEXPLAINED, FOUND, False, False, "relative"),
+        (FOUND, FOUND, True, False, "relative"),
+        (FOUND, UNEXPLAINED, True, False, "part"),
+        (UNEXPLAINED, UNEXPLAINED, True, False, "relative"),
+        (FOUND, FOUND, False, True, "relative"),
+        (FOUND, UNEXPLAINED, False, True, "part"),
+        (UNEXPLAINED, UNEXPLAINED, False, True, "relative"),
     ],
 )
 def test_a_relative_that_does_not_explain_all_is_held_against_a_search(
-    monkeypatch: pytest.MonkeyPatch, searched: str, related: str, many: bool, taken: str
+    monkeypatch: pytest.MonkeyPatch, searched: str, related: str, far: bool, many: bool, taken: str
 ) -> None:
     """A robot at a wall is as far off as a hull from its drawing."""
     rows = np.ones(choice.SEARCHED_MOST + many, dtype=bool)
-    verdicts = {"search": searched, "relative": related}
+    verdicts = {"search": searched, "part": searched, "relative": related}
+    off = Error(*(2.0 * np.array(choice.FAR) if far else 0.5 * np.array(choice.FAR)).tolist(), 10)
+    near = Error(0.5 * off.position_rmse_m, 0.5 * off.heading_rmse_rad, 10)
 
     def named(name: str) -> Any:
         return lambda *_args, **_more: name
@@ -134,21 +139,22 @@ def test_a_relative_that_does_not_explain_all_is_held_against_a_search(
     monkeypatch.setattr(choice, "relatives", lambda _robot: {"measured": ()})
     monkeypatch.setattr(choice, "countable", lambda *_args: (None, rows, None))
     monkeypatch.setattr(choice, "search", named("search"))
-    monkeypatch.setattr(choice, "_searched_in_part", named("search"))
+    monkeypatch.setattr(choice, "_searched_in_part", named("part"))
     monkeypatch.setattr(choice, "_relative", named("relative"))
     monkeypatch.setattr(choice, "_verdict", lambda found, _swims: verdicts[found])
+    monkeypatch.setattr(choice, "_errors", lambda _found, _swims: (off, near, near))
     given: Any = choice.found_in([], robot(), [], lambda *_args: None)
     assert given == taken
 
 
 def test_a_search_in_part_is_fitted_to_all_runs(worn: list[Swim], monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(choice, "SEARCHED_MOST", 20)
+    monkeypatch.setattr(choice, "PART", 20)
     begun = countable(worn, robot())
     seen: list[int] = []
 
-    def searched(swims: list[Swim], *_more: Any) -> Found:
+    def searched(swims: list[Swim], *_args: Any, most: int) -> Found:
         seen.extend(len(swim.start_s) for swim in swims)
-        return search(swims, robot(), [term("limb_wear rear_left")])
+        return search(swims, robot(), [term("limb_wear rear_left")], most=most)
 
     monkeypatch.setattr(choice, "search", searched)
     found = choice._searched_in_part(begun, worn, robot(), [], lambda *_args: None)

@@ -17,8 +17,11 @@ from frogkick.robot import Robot
 Progress = Callable[[str, int, int], None]
 
 SEARCHED_MOST = 200
-"""Periods that are searched at most where a relative explains much: what is found there is then fitted
-to all. With more the relative is taken where neither explains all."""
+"""Periods from which on a measured relative that explains much is tried before a whole search."""
+
+PART, PART_EFFECTS = 60, 2
+"""Periods and effects of a search beside a relative: more effects are for the relative, and a search
+for them would take many minutes."""
 
 FAR, NEARER = (0.006, 0.07), 0.6
 """A model off by more than so much (m, rad) lacks more than an effect or two; a relative that leaves no more
@@ -58,25 +61,26 @@ def found_in(train: Sequence[Swim], robot: Robot, candidates: Sequence[Term], pr
     """
     known = relatives(robot)
     begun = countable(train, robot)
+    nominal = Found(begun[2], begun[2], [], begun[1], [])
+    far = all(value > least for value, least in zip(_pair(_errors(nominal, train)[0]), FAR, strict=True))
     many = int(begun[1].sum()) > SEARCHED_MOST
-    if not (known and many):
+    found = None
+    if not known or not (far or many):
         found = search(train, robot, candidates, progress, begun)
         if not known or _verdict(found, train) != UNEXPLAINED:
             return found
     relative = _relative(begun, list(known.values()), train, progress)
     if relative is None:
-        return search(train, robot, candidates, progress, begun) if many else found
+        return found or search(train, robot, candidates, progress, begun)
     if _verdict(relative, train) == FOUND:
         return relative
-    if many:
-        found = _searched_in_part(begun, train, robot, candidates, progress)
-        return found if _verdict(found, train) == FOUND else relative
-    before, after, _ = _errors(relative, train)
-    pairs = list(zip(_pair(before), _pair(after), strict=True))
-    if all(value > far for value, far in zip(_pair(before), FAR, strict=True)) and all(
-        value <= NEARER * plain for plain, value in pairs
-    ):
-        return relative
+    if found is None:
+        before, after, _ = _errors(relative, train)
+        pairs = zip(_pair(before), _pair(after), strict=True)
+        if many or all(left <= NEARER * plain for plain, left in pairs):
+            found = _searched_in_part(begun, train, robot, candidates, progress)
+            return found if _verdict(found, train) == FOUND else relative
+        found = search(train, robot, candidates, progress, begun)
     model = relative.fitted.model
     dear = GAIN_EACH * (len(model.values) - len(model.held))
     searched = end_cost(found.fitted.tracks, train)
@@ -102,13 +106,14 @@ def _searched_in_part(
 ) -> Found:
     """What a search finds in some of the periods, the same share of each run, fitted to all of them."""
     _, rows, nominal = begun
-    share = SEARCHED_MOST / len(rows)
+    share = min(1.0, PART / len(rows))
     some = []
     for swim in train:
         count = round(share * len(swim.start_s))
         cut = {name: getattr(swim, name)[:count] for name in ("start_s", "end_s", "action")}
         some.append(replace(swim, **cut))
-    found = search([swim for swim in some if len(swim.start_s)], robot, candidates, progress)
+    some = [swim for swim in some if len(swim.start_s)]
+    found = search(some, robot, candidates, progress, most=PART_EFFECTS)
     fitted = found.fitted
     if not fitted.model.terms:
         return Found(nominal, nominal, found.turns, rows, [])

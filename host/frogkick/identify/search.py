@@ -40,6 +40,9 @@ RIVAL = 0.25
 MOST = 4
 """Effects taken at most."""
 
+HOPELESS = 0.7
+"""Share of the misses that the first of few effects may leave."""
+
 BASE_GAIN, GAIN_EACH = 20.0, 4.0
 """By how much minus twice the log likelihood must fall for an effect, and more for each parameter."""
 
@@ -140,6 +143,7 @@ def search(
     candidates: Sequence[Term],
     progress: Callable[[str, int, int], None] = lambda _what, _done, _whole: None,
     begun: Begun | None = None,
+    most: int = MOST,
 ) -> Found:
     """Find what a robot's model lacks.
 
@@ -149,6 +153,7 @@ def search(
         candidates: what is tried.
         progress: told of each stage.
         begun: what ``countable`` gave for these runs, where that is known.
+        most: effects; where fewer than MOST the search ends as well when the first leaves most of the error.
 
     Raises:
         InputError: the runs hold nothing to judge by.
@@ -158,8 +163,8 @@ def search(
     hunt = _Hunt(swims, rows, folds_of(swims, rows), columns, copies(swims))
     polisher = Polisher(swims, rows, hunt.copies)
     current, turns, equals = nominal, [], list[list[Term]]()
-    for turn in range(MOST):
-        progress("effects", turn, MOST)
+    for turn in range(most):
+        progress("effects", turn, most)
         taken, tried, rivals = hunt.turn(current)
         if taken is not None:
             current, others = hunt.settled(polisher.polished(taken), rivals)
@@ -167,15 +172,21 @@ def search(
             tried = [replace(each, chosen=each.title == title) for each in tried]
             equals.append(others)
         turns.append(tried)
-        if taken is None:
+        if taken is None or (most < MOST and _left(nominal, current) > HOPELESS):
             break
     if len(current.model.terms) > 1:
         current = polisher.sparer(current, whole=True)  # what the first effect stood in for has come since
     if current.model.held:
         (current,) = derivatives([current.model], swims, rows)  # what is held has an interval as well
-    progress("effects", MOST, MOST)
+    progress("effects", most, most)
     alike = [[term.title for term in others] for others in equals]
     return Found(nominal, current, turns, rows, alike, columns, equals)
+
+
+def _left(nominal: Fitted, fitted: Fitted) -> float:
+    """Share of the misses at periods' ends that a model leaves: the lesser of place's and heading's."""
+    after, before = (np.sqrt((each.missed[:, -3:] ** 2).mean(axis=0)) for each in (fitted, nominal))
+    return float(min(np.hypot(*after[:2]) / np.hypot(*before[:2]), after[2] / before[2]))
 
 
 @dataclass(frozen=True, eq=False)

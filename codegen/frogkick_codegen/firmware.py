@@ -29,6 +29,10 @@ FIRMWARE = Path(__file__).resolve().parents[2] / "firmware"
 TARGETS = ("bench", "native")
 FLASH_BYTES = 512 * 1024
 RAM_BYTES = 64 * 1024
+FLASH_PAGE_BYTES = 4096
+STORE_END = FLASH_BYTES // 10 * 9  # the linker script refuses more
+SLOT_BYTES_MIN = 64 * 1024
+_CODE_BYTES_MAX = 64 * 1024  # without the table; the linker refuses more
 
 # Debug information would otherwise name where the compiler's own headers are.
 _FLAGS = (*FLAGS, f"-ffile-prefix-map={sys.prefix}=python")
@@ -64,8 +68,46 @@ class Build:
         }
 
 
+PULSE_CEILING_S = 0.1
+REST_FLOOR_S = 0.1
+FIX_FRESH_CEILING_S = 0.5
+FIX_LOST_CEILING_S = 2.0
+"""What no robot's limits may exceed: the same as in fk_guard.h, where the compiler holds them again."""
+
+
+def _require_limits(robot: Robot) -> None:
+    """Refuse limits that are none.
+
+    Raises:
+        InputError: a limit of the guard is beyond what the firmware takes for any robot.
+    """
+    guard = robot.guard
+    for name, value, least, most in (
+        ("pulse_max_s", guard.pulse_max_s, 1e-6, PULSE_CEILING_S),
+        ("rest_min_s", guard.rest_min_s, REST_FLOOR_S, 60.0),
+        ("duty_window_s", guard.duty_window_s, guard.pulse_max_s, 60.0),
+        ("fix_fresh_s", guard.fix_fresh_s, 1e-6, FIX_FRESH_CEILING_S),
+        ("fix_lost_s", guard.fix_lost_s, guard.fix_fresh_s, FIX_LOST_CEILING_S),
+    ):
+        if not least <= value <= most:
+            raise InputError(
+                f"guard.{name} of robot {robot.id!r} is {value:g} s, the firmware takes {least:g} to "
+                f"{most:g} s: correct the robot's file"
+            )
+    if guard.duty_max >= 1.0:
+        raise InputError(
+            f"guard.duty_max of robot {robot.id!r} is {guard.duty_max:g}, which limits nothing: "
+            "give less than 1 in the robot's file"
+        )
+
+
 def robot_config(robot: Robot) -> str:
-    """The header that carries the robot's limits and planner defaults into the core."""
+    """The header that carries the robot's limits and planner defaults into the core.
+
+    Raises:
+        InputError: a limit of the guard is beyond what the firmware takes for any robot.
+    """
+    _require_limits(robot)
     guard, planner = robot.guard, robot.planner
     duty_on_us = round(guard.duty_max * guard.duty_window_s * 1e6)
     lines = [
@@ -83,6 +125,9 @@ def robot_config(robot: Robot) -> str:
         f"#define FK_DUTY_WINDOW_US {round(guard.duty_window_s * 1e6)}u",
         f"#define FK_DUTY_ON_MAX_US {duty_on_us}u",
         f"#define FK_LIMBS_AT_ONCE_MAX {guard.limbs_at_once_max}u",
+        "/* In a closed loop no pulse without a fix of the first, disarmed without one of the second. */",
+        f"#define FK_FIX_FRESH_US {round(guard.fix_fresh_s * 1e6)}u",
+        f"#define FK_FIX_LOST_US {round(guard.fix_lost_s * 1e6)}u",
         "",
         "/* Defaults of the planner; PARAM changes them. Hexadecimal floats lose no bit. */",
         f"#define FK_DISTANCE_WEIGHT_PER_M {_c_float(planner.distance_weight_per_m)}",
@@ -119,8 +164,9 @@ def build(target: str, image: Path, robot: Robot, out: Path, compiler: Compiler 
         compiler: for the target "native"; zig where it is None.
 
     Raises:
-        InputError: unknown target, the table is for another robot, the sources are not beside the package,
-            the image does not fit the chip, or ``out`` cannot be written or holds an ``emitted`` of others.
+        InputError: unknown target, the table is for another robot, its guard's limits are none, the sources
+            are not beside the package, the image does not fit the chip, or ``out`` cannot be written or holds
+            an ``emitted`` of others.
         ToolchainError: no compiler, or a refused source.
     """
     if target not in TARGETS:
@@ -138,7 +184,7 @@ def build(target: str, image: Path, robot: Robot, out: Path, compiler: Compiler 
         emit(image, work / "emitted", command, robot_sha256=robot.sha256)
         write_text(work / "config" / "fk_robot_config.h", config)
         made = (
-            _build_bench(work, tables.limbs)
+            _build_bench(work, tables.limbs, len(tables.image))
             if target == "bench"
             else _build_native(work, compiler or zig("host"))
         )
@@ -166,17 +212,27 @@ def _sources(work: Path) -> tuple[list[Path], list[Path], list[str]]:
     return emitted + sorted((FIRMWARE / "core").glob("*.c")), headers, places
 
 
-def _build_bench(work: Path, limbs: int) -> dict[str, Path]:
+def slots_for(table_bytes: int) -> tuple[int, int]:
+    """Slots for tables by radio beside a built-in table: how many fit, one or two, and bytes of each."""
+    slot = max(SLOT_BYTES_MIN, -(-table_bytes // FLASH_PAGE_BYTES) * FLASH_PAGE_BYTES)
+    room = STORE_END - 2 * FLASH_PAGE_BYTES - _CODE_BYTES_MAX - table_bytes
+    return (2 if 2 * slot <= room else 1), slot
+
+
+def _build_bench(work: Path, limbs: int, table_bytes: int) -> dict[str, Path]:
     bench = FIRMWARE / "bench"
     sources, headers, places = _sources(work)
     sources, script = [*sources, *sorted(bench.glob("*.c"))], bench / "nrf52832.ld"
     elf = work / "frogkick-bench.elf"
+    slots, slot_bytes = slots_for(table_bytes)
     flags = [
         *_FLAGS,
         "-ffreestanding",
         "-ffunction-sections",
         "-fdata-sections",
         f"-DFK_BOARD_LIMBS={limbs}u",
+        f"-DFK_BOARD_SLOTS={slots}u",
+        f"-DFK_BOARD_SLOT_BYTES={slot_bytes}u",
         "-fno-unwind-tables",
         "-fno-asynchronous-unwind-tables",
         "-nostdlib",
@@ -232,6 +288,7 @@ def _sizes(elf: Path) -> tuple[int, int, int]:
             flash += segment["p_filesz"]
             if segment["p_vaddr"] >= 0x20000000:
                 ram += segment["p_memsz"]
+        flash = max(flash, _address(content, elf, "fk_region_end"))
         bottom, top = (_address(content, elf, name) for name in ("fk_stack_bottom", "fk_stack_top"))
     for what, used, limit in (("flash", flash, FLASH_BYTES), ("RAM", ram, RAM_BYTES)):
         if used > limit:

@@ -1,12 +1,12 @@
 /* Made from host/frogkick/link/frames.toml by: python -m frogkick_codegen.frames. Do not edit.
- * Protocol version 1. Payloads of the link: commands are unpacked, answers and events packed.
+ * Protocol version 2. Payloads of the link: commands are unpacked, answers and events packed.
  */
 #ifndef FK_FRAMES_LAYOUT_H
 #define FK_FRAMES_LAYOUT_H
 
 #include <stdint.h>
 
-#define FK_PROTOCOL_VERSION 1u
+#define FK_PROTOCOL_VERSION 2u
 #define FK_PAYLOAD_BYTES_MAX 226u
 #define FK_ANSWER_BIT 0x80u
 
@@ -29,6 +29,8 @@ enum { /* status of an answer */
     FK_STATUS_OUTLIER = -72,
     FK_STATUS_PASSED = -73,
     FK_STATUS_STALLED = -74,
+    FK_STATUS_VERSION = -75,
+    FK_STATUS_FAULT = -76,
     FK_STATUS_FLASH = -96,
     FK_STATUS_SLOT = -97,
     FK_STATUS_OFFSET = -98,
@@ -40,7 +42,27 @@ enum { /* status of an answer */
 enum { /* state of the robot */
     FK_STATE_DISARMED = 0,
     FK_STATE_ARMED = 1,
-    FK_STATE_RUNNING = 2
+    FK_STATE_RUNNING = 2,
+    FK_STATE_FAULT = 3
+};
+
+enum { /* internal errors */
+    FK_FAULT_NONE = 0,
+    FK_FAULT_TABLE = 1,
+    FK_FAULT_TIME = 2,
+    FK_FAULT_STATE = 3,
+    FK_FAULT_GUARD = 4,
+    FK_FAULT_ACTION = 5,
+    FK_FAULT_PULSE = 6
+};
+
+enum { /* why the robot started */
+    FK_RESET_UNKNOWN = 0,
+    FK_RESET_POWER = 1,
+    FK_RESET_PIN = 2,
+    FK_RESET_SOFTWARE = 3,
+    FK_RESET_WATCHDOG = 4,
+    FK_RESET_LOCKUP = 5
 };
 
 enum { /* PARAM */
@@ -71,6 +93,11 @@ enum { /* frame types */
     FK_FRAME_PARAM = 0x09,
     FK_FRAME_STROKE = 0x0a,
     FK_FRAME_PLAN = 0x0b,
+    FK_FRAME_TABLE_BEGIN = 0x0c,
+    FK_FRAME_TABLE_CHUNK = 0x0d,
+    FK_FRAME_TABLE_COMMIT = 0x0e,
+    FK_FRAME_TABLE_ROLLBACK = 0x0f,
+    FK_FRAME_TABLE_STATUS = 0x10,
     FK_FRAME_DECISION = 0x60,
     FK_FRAME_REFUSED = 0x62,
     FK_FRAME_ENDED = 0x61
@@ -129,13 +156,26 @@ static inline float fk_get_f32(const uint8_t *from)
     return pun.value;
 }
 
-#define FK_HELLO_COMMAND_BYTES 0u
+#define FK_HELLO_COMMAND_BYTES 3u
+
+/* Who is there. Of another protocol version, or of a length that only another knows: answered with VERSION. */
+typedef struct {
+    uint8_t protocol_version; /* the host's */
+    uint16_t conversation; /* another than the last HELLO's: sequence numbers begin anew, nothing is a repetition */
+} fk_hello_command_t;
+
+static inline void fk_hello_command_unpack(const uint8_t *from, fk_hello_command_t *to)
+{
+    to->protocol_version = fk_get_u8(from + 0);
+    to->conversation = fk_get_u16(from + 1);
+}
+
 #define FK_HELLO_ANSWER_BYTES 34u
 
 /* Answer to HELLO. */
 typedef struct {
     int8_t status; /* see status */
-    uint8_t protocol_version; /* of this layout */
+    uint8_t protocol_version; /* the robot's */
     char robot_id[16]; /* robot that the table was made for */
     uint32_t table_crc; /* CRC-32 of the table image in use */
     uint16_t states; /* states in the table */
@@ -277,7 +317,7 @@ static inline void fk_path_answer_pack(uint8_t *to, const fk_path_answer_t *from
 
 #define FK_START_COMMAND_BYTES 4u
 
-/* Follow the path with the planner on board. */
+/* Follow the path with the planner on board; needs a position fix of the last 2 s. */
 typedef struct {
     uint32_t delay_us; /* time to the first decision, at most 10 s (us) */
 } fk_start_command_t;
@@ -317,7 +357,7 @@ static inline void fk_stop_answer_pack(uint8_t *to, const fk_stop_answer_t *from
 }
 
 #define FK_STATUS_COMMAND_BYTES 0u
-#define FK_STATUS_ANSWER_BYTES 42u
+#define FK_STATUS_ANSWER_BYTES 49u
 
 /* Answer to STATUS. */
 typedef struct {
@@ -332,6 +372,10 @@ typedef struct {
     uint32_t pulses_refused; /* pulses that the guard refused */
     uint32_t answers_dropped; /* answers that found no room */
     uint32_t restarts; /* times that outliers which agree were believed since boot */
+    uint32_t repeats; /* commands that came again and were answered, not done, since boot */
+    uint8_t reset; /* why the robot started last, see reset */
+    uint8_t fault; /* the first internal error since then, see fault */
+    int8_t fault_detail; /* see fault */
 } fk_status_answer_t;
 
 static inline void fk_status_answer_pack(uint8_t *to, const fk_status_answer_t *from)
@@ -347,6 +391,10 @@ static inline void fk_status_answer_pack(uint8_t *to, const fk_status_answer_t *
     fk_put_u32(to + 30, from->pulses_refused);
     fk_put_u32(to + 34, from->answers_dropped);
     fk_put_u32(to + 38, from->restarts);
+    fk_put_u32(to + 42, from->repeats);
+    fk_put_u8(to + 46, from->reset);
+    fk_put_u8(to + 47, from->fault);
+    fk_put_i8(to + 48, from->fault_detail);
 }
 
 #define FK_PARAM_COMMAND_BYTES 5u
@@ -497,6 +545,183 @@ static inline void fk_plan_answer_pack(uint8_t *to, const fk_plan_answer_t *from
     fk_put_u16(to + 57, from->limb_use_5);
     fk_put_u16(to + 59, from->limb_use_6);
     fk_put_u16(to + 61, from->limb_use_7);
+}
+
+#define FK_TABLE_BEGIN_COMMAND_BYTES 36u
+
+/* Begin to send a table, or go on with one whose sending was cut off. Disarmed and rested only, like the other commands of tables; no ARM until TABLE_COMMIT or TABLE_ROLLBACK. */
+typedef struct {
+    uint32_t length; /* of the image, whole words (byte) */
+    uint32_t hash_0; /* SHA-256 of the image: its first four bytes, the first one uppermost */
+    uint32_t hash_1; /* SHA-256: bytes 4 to 7 */
+    uint32_t hash_2; /* SHA-256: bytes 8 to 11 */
+    uint32_t hash_3; /* SHA-256: bytes 12 to 15 */
+    uint32_t hash_4; /* SHA-256: bytes 16 to 19 */
+    uint32_t hash_5; /* SHA-256: bytes 20 to 23 */
+    uint32_t hash_6; /* SHA-256: bytes 24 to 27 */
+    uint32_t hash_7; /* SHA-256: bytes 28 to 31 */
+} fk_table_begin_command_t;
+
+static inline void fk_table_begin_command_unpack(const uint8_t *from, fk_table_begin_command_t *to)
+{
+    to->length = fk_get_u32(from + 0);
+    to->hash_0 = fk_get_u32(from + 4);
+    to->hash_1 = fk_get_u32(from + 8);
+    to->hash_2 = fk_get_u32(from + 12);
+    to->hash_3 = fk_get_u32(from + 16);
+    to->hash_4 = fk_get_u32(from + 20);
+    to->hash_5 = fk_get_u32(from + 24);
+    to->hash_6 = fk_get_u32(from + 28);
+    to->hash_7 = fk_get_u32(from + 32);
+}
+
+#define FK_TABLE_BEGIN_ANSWER_BYTES 10u
+
+/* Answer to TABLE_BEGIN. */
+typedef struct {
+    int8_t status; /* see status */
+    int8_t error; /* of status TABLE: the planner's fk_error_t */
+    uint32_t next_offset; /* of the chunk wanted next, while an update is open (byte) */
+    uint32_t table_crc; /* CRC-32 of the table image in use */
+} fk_table_begin_answer_t;
+
+static inline void fk_table_begin_answer_pack(uint8_t *to, const fk_table_begin_answer_t *from)
+{
+    fk_put_i8(to + 0, from->status);
+    fk_put_i8(to + 1, from->error);
+    fk_put_u32(to + 2, from->next_offset);
+    fk_put_u32(to + 6, from->table_crc);
+}
+
+#define FK_TABLE_CHUNK_COMMAND_BYTES 4u
+
+/* 128 bytes of the image, or what is left: to flash at once, each page erased before its first chunk. */
+typedef struct {
+    uint32_t offset; /* of the first byte here, as the last answer wanted it (byte) */
+} fk_table_chunk_command_t;
+
+static inline void fk_table_chunk_command_unpack(const uint8_t *from, fk_table_chunk_command_t *to)
+{
+    to->offset = fk_get_u32(from + 0);
+}
+
+#define FK_TABLE_CHUNK_ROW_BYTES 1u
+#define FK_TABLE_CHUNK_ROWS_MAX 128u
+
+/* One repeated row of TABLE_CHUNK. */
+typedef struct {
+    uint8_t byte; /* of the image */
+} fk_table_chunk_row_t;
+
+static inline void fk_table_chunk_row_unpack(const uint8_t *from, fk_table_chunk_row_t *to)
+{
+    to->byte = fk_get_u8(from + 0);
+}
+
+#define FK_TABLE_CHUNK_ANSWER_BYTES 10u
+
+/* Answer to TABLE_CHUNK. */
+typedef struct {
+    int8_t status; /* see status */
+    int8_t error; /* of status TABLE: the planner's fk_error_t */
+    uint32_t next_offset; /* of the chunk wanted next, while an update is open (byte) */
+    uint32_t table_crc; /* CRC-32 of the table image in use */
+} fk_table_chunk_answer_t;
+
+static inline void fk_table_chunk_answer_pack(uint8_t *to, const fk_table_chunk_answer_t *from)
+{
+    fk_put_i8(to + 0, from->status);
+    fk_put_i8(to + 1, from->error);
+    fk_put_u32(to + 2, from->next_offset);
+    fk_put_u32(to + 6, from->table_crc);
+}
+
+#define FK_TABLE_COMMIT_COMMAND_BYTES 0u
+#define FK_TABLE_COMMIT_ANSWER_BYTES 10u
+
+/* Answer to TABLE_COMMIT. */
+typedef struct {
+    int8_t status; /* see status */
+    int8_t error; /* of status TABLE: the planner's fk_error_t */
+    uint32_t next_offset; /* of the chunk wanted next, while an update is open (byte) */
+    uint32_t table_crc; /* CRC-32 of the table image in use */
+} fk_table_commit_answer_t;
+
+static inline void fk_table_commit_answer_pack(uint8_t *to, const fk_table_commit_answer_t *from)
+{
+    fk_put_i8(to + 0, from->status);
+    fk_put_i8(to + 1, from->error);
+    fk_put_u32(to + 2, from->next_offset);
+    fk_put_u32(to + 6, from->table_crc);
+}
+
+#define FK_TABLE_ROLLBACK_COMMAND_BYTES 4u
+
+/* Use a table that is here from now on: the one before, or the built-in one. Closes an open update; that is all where the table is in use already. */
+typedef struct {
+    uint32_t table_crc; /* CRC-32 of that table, as TABLE_STATUS has it */
+} fk_table_rollback_command_t;
+
+static inline void fk_table_rollback_command_unpack(const uint8_t *from, fk_table_rollback_command_t *to)
+{
+    to->table_crc = fk_get_u32(from + 0);
+}
+
+#define FK_TABLE_ROLLBACK_ANSWER_BYTES 10u
+
+/* Answer to TABLE_ROLLBACK. */
+typedef struct {
+    int8_t status; /* see status */
+    int8_t error; /* of status TABLE: the planner's fk_error_t */
+    uint32_t next_offset; /* of the chunk wanted next, while an update is open (byte) */
+    uint32_t table_crc; /* CRC-32 of the table image in use */
+} fk_table_rollback_answer_t;
+
+static inline void fk_table_rollback_answer_pack(uint8_t *to, const fk_table_rollback_answer_t *from)
+{
+    fk_put_i8(to + 0, from->status);
+    fk_put_i8(to + 1, from->error);
+    fk_put_u32(to + 2, from->next_offset);
+    fk_put_u32(to + 6, from->table_crc);
+}
+
+#define FK_TABLE_STATUS_COMMAND_BYTES 0u
+#define FK_TABLE_STATUS_ANSWER_BYTES 38u
+
+/* Answer to TABLE_STATUS. */
+typedef struct {
+    int8_t status; /* see status */
+    uint8_t running; /* table in use */
+    uint8_t active; /* table that was to be in use: another one where it was not good at boot */
+    uint8_t previous; /* table before that */
+    uint8_t open; /* 1 = an update takes chunks */
+    uint8_t slots; /* slots for tables, 1 or 2 */
+    uint32_t slot_bytes; /* room in each (byte) */
+    uint32_t running_crc; /* CRC-32 of the table in use */
+    uint32_t previous_crc; /* CRC-32 of the table before it */
+    uint32_t built_in_crc; /* CRC-32 of the built-in table */
+    uint32_t next_offset; /* of the chunk wanted next, while an update is open (byte) */
+    uint32_t erases_1; /* times that pages of slot 1 were erased, at most, of 10,000 */
+    uint32_t erases_2; /* the same of slot 2 */
+    uint32_t erases_journal; /* of the journal's two pages together */
+} fk_table_status_answer_t;
+
+static inline void fk_table_status_answer_pack(uint8_t *to, const fk_table_status_answer_t *from)
+{
+    fk_put_i8(to + 0, from->status);
+    fk_put_u8(to + 1, from->running);
+    fk_put_u8(to + 2, from->active);
+    fk_put_u8(to + 3, from->previous);
+    fk_put_u8(to + 4, from->open);
+    fk_put_u8(to + 5, from->slots);
+    fk_put_u32(to + 6, from->slot_bytes);
+    fk_put_u32(to + 10, from->running_crc);
+    fk_put_u32(to + 14, from->previous_crc);
+    fk_put_u32(to + 18, from->built_in_crc);
+    fk_put_u32(to + 22, from->next_offset);
+    fk_put_u32(to + 26, from->erases_1);
+    fk_put_u32(to + 30, from->erases_2);
+    fk_put_u32(to + 34, from->erases_journal);
 }
 
 #define FK_DECISION_EVENT_BYTES 106u

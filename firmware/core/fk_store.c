@@ -242,7 +242,7 @@ int8_t fk_store_begin(fk_store_t *store, uint32_t length, const uint32_t hash[FK
 /* The chunk and, where it ends a page, the record of that. */
 static int8_t write_chunk(fk_store_t *store, const uint8_t *bytes, uint32_t count)
 {
-    uint32_t words[FK_STORE_CHUNK_BYTES / 4u];
+    uint32_t words[FK_STORE_CHUNK_BYTES / 4u] = {0u};
     uint32_t at = slot_offset(store, store->record.pending) + store->next_offset;
     for (uint32_t i = 0u; i < count / 4u; ++i) {
         words[i] = fk_get_u32(bytes + 4u * i);

@@ -10,6 +10,7 @@ import hashlib
 import sys
 import tempfile
 from dataclasses import dataclass
+from importlib import resources
 from pathlib import Path
 
 from elftools.elf.elffile import ELFFile
@@ -21,12 +22,16 @@ from frogkick.files import write_bytes, write_text
 from frogkick.planner.image import read_image
 from frogkick.robot import Robot
 from frogkick_codegen.emit import emit
+from frogkick_codegen.kept import built_once
 from frogkick_codegen.toolchain import FLAGS, Compiler, zig
 
 FIRMWARE = Path(__file__).resolve().parents[2] / "firmware"
 TARGETS = ("bench", "native")
 FLASH_BYTES = 512 * 1024
 RAM_BYTES = 64 * 1024
+
+# Debug information would otherwise name where the compiler's own headers are.
+_FLAGS = (*FLAGS, f"-ffile-prefix-map={sys.prefix}=python")
 
 
 @dataclass(frozen=True)
@@ -59,8 +64,46 @@ class Build:
         }
 
 
+PULSE_CEILING_S = 0.1
+REST_FLOOR_S = 0.1
+FIX_FRESH_CEILING_S = 0.5
+FIX_LOST_CEILING_S = 2.0
+"""What no robot's limits may exceed: the same as in fk_guard.h, where the compiler holds them again."""
+
+
+def _require_limits(robot: Robot) -> None:
+    """Refuse limits that are none.
+
+    Raises:
+        InputError: a limit of the guard is beyond what the firmware takes for any robot.
+    """
+    guard = robot.guard
+    for name, value, least, most in (
+        ("pulse_max_s", guard.pulse_max_s, 1e-6, PULSE_CEILING_S),
+        ("rest_min_s", guard.rest_min_s, REST_FLOOR_S, 60.0),
+        ("duty_window_s", guard.duty_window_s, guard.pulse_max_s, 60.0),
+        ("fix_fresh_s", guard.fix_fresh_s, 1e-6, FIX_FRESH_CEILING_S),
+        ("fix_lost_s", guard.fix_lost_s, guard.fix_fresh_s, FIX_LOST_CEILING_S),
+    ):
+        if not least <= value <= most:
+            raise InputError(
+                f"guard.{name} of robot {robot.id!r} is {value:g} s, the firmware takes {least:g} to "
+                f"{most:g} s: correct the robot's file"
+            )
+    if guard.duty_max >= 1.0:
+        raise InputError(
+            f"guard.duty_max of robot {robot.id!r} is {guard.duty_max:g}, which limits nothing: "
+            "give less than 1 in the robot's file"
+        )
+
+
 def robot_config(robot: Robot) -> str:
-    """The header that carries the robot's limits and planner defaults into the core."""
+    """The header that carries the robot's limits and planner defaults into the core.
+
+    Raises:
+        InputError: a limit of the guard is beyond what the firmware takes for any robot.
+    """
+    _require_limits(robot)
     guard, planner = robot.guard, robot.planner
     duty_on_us = round(guard.duty_max * guard.duty_window_s * 1e6)
     lines = [
@@ -78,6 +121,9 @@ def robot_config(robot: Robot) -> str:
         f"#define FK_DUTY_WINDOW_US {round(guard.duty_window_s * 1e6)}u",
         f"#define FK_DUTY_ON_MAX_US {duty_on_us}u",
         f"#define FK_LIMBS_AT_ONCE_MAX {guard.limbs_at_once_max}u",
+        "/* In a closed loop no pulse without a fix of the first, disarmed without one of the second. */",
+        f"#define FK_FIX_FRESH_US {round(guard.fix_fresh_s * 1e6)}u",
+        f"#define FK_FIX_LOST_US {round(guard.fix_lost_s * 1e6)}u",
         "",
         "/* Defaults of the planner; PARAM changes them. Hexadecimal floats lose no bit. */",
         f"#define FK_DISTANCE_WEIGHT_PER_M {_c_float(planner.distance_weight_per_m)}",
@@ -114,8 +160,9 @@ def build(target: str, image: Path, robot: Robot, out: Path, compiler: Compiler 
         compiler: for the target "native"; zig where it is None.
 
     Raises:
-        InputError: unknown target, the table is for another robot, the sources are not beside the package,
-            the image does not fit the chip, or ``out`` cannot be written or holds an ``emitted`` of others.
+        InputError: unknown target, the table is for another robot, its guard's limits are none, the sources
+            are not beside the package, the image does not fit the chip, or ``out`` cannot be written or holds
+            an ``emitted`` of others.
         ToolchainError: no compiler, or a refused source.
     """
     if target not in TARGETS:
@@ -147,52 +194,49 @@ def build(target: str, image: Path, robot: Robot, out: Path, compiler: Compiler 
     return Build(target, files["elf" if target == "bench" else "library"], files, *sizes)
 
 
-def _sources(work: Path) -> tuple[list[Path], list[str]]:
-    emitted = [path for path in sorted((work / "emitted").glob("*.c")) if "example" not in path.name]
-    includes = [
-        f"-I{work / 'emitted'}",
-        f"-I{work / 'config'}",
-        f"-I{FIRMWARE / 'core'}",
+def _sources(work: Path) -> tuple[list[Path], list[Path], list[str]]:
+    """C files, headers, and how a compiler is told where they are."""
+    folders = [work / "config", work / "emitted", FIRMWARE / "core"]
+    emitted = [path for path in sorted(folders[1].glob("*.c")) if "example" not in path.name]
+    headers = [path for folder in folders for path in sorted(folder.glob("*.h"))]
+    places = [
+        *(f"-I{folder}" for folder in folders),
         # Debug information would otherwise name this build's temporary folder, and differ each time.
         f"-ffile-prefix-map={work}=.",
         f"-ffile-prefix-map={FIRMWARE}=firmware",
-        f"-ffile-prefix-map={sys.prefix}=python",
     ]
-    return emitted + sorted((FIRMWARE / "core").glob("*.c")), includes
+    return emitted + sorted((FIRMWARE / "core").glob("*.c")), headers, places
 
 
 def _build_bench(work: Path, limbs: int) -> dict[str, Path]:
     bench = FIRMWARE / "bench"
-    sources, includes = _sources(work)
+    sources, headers, places = _sources(work)
+    sources, script = [*sources, *sorted(bench.glob("*.c"))], bench / "nrf52832.ld"
     elf = work / "frogkick-bench.elf"
-    zig("chip").run(
-        [
-            *FLAGS,
-            "-ffreestanding",
-            "-ffunction-sections",
-            "-fdata-sections",
-            *includes,
-            f"-I{bench}",
-            f"-DFK_BOARD_LIMBS={limbs}u",
-            "-fno-unwind-tables",
-            "-fno-asynchronous-unwind-tables",
-            "-nostdlib",
-            "-Wl,--entry=fk_reset",
-            f"-Wl,-T,{bench / 'nrf52832.ld'}",
-            "-Wl,--gc-sections",
-            *sources,
-            *sorted(bench.glob("*.c")),
-            "-o",
-            elf,
-        ],
-        folder=work,
+    flags = [
+        *_FLAGS,
+        "-ffreestanding",
+        "-ffunction-sections",
+        "-fdata-sections",
+        f"-DFK_BOARD_LIMBS={limbs}u",
+        "-fno-unwind-tables",
+        "-fno-asynchronous-unwind-tables",
+        "-nostdlib",
+        "-Wl,--entry=fk_reset",
+        "-Wl,--gc-sections",
+    ]
+    files = [*sources, *headers, *sorted(bench.glob("*.h")), script]
+    elf.write_bytes(
+        built_once(zig("chip"), flags, [*places, f"-I{bench}", f"-Wl,-T,{script}", *sources], files, elf)
     )
     return {"elf": elf, "hex": _hex_of(elf)}
 
 
 def _build_native(work: Path, compiler: Compiler) -> dict[str, Path]:
-    sources, includes = _sources(work)
-    headers = sorted(path for folder in includes[:3] for path in Path(folder[2:]).glob("*.h"))
+    sources, headers, places = _sources(work)
+    flash = work / "native_flash.c"
+    write_bytes(flash, (resources.files("frogkick_codegen") / "templates" / flash.name).read_bytes())
+    sources.append(flash)
     name = compiler.version.encode()
     digest = hashlib.sha256(name + b"".join(path.read_bytes() for path in [*sources, *headers])).hexdigest()[
         :12
@@ -200,7 +244,8 @@ def _build_native(work: Path, compiler: Compiler) -> dict[str, Path]:
     # A library that is already loaded must not be overwritten: each content has its own name.
     suffix = {"darwin": ".dylib", "win32": ".dll"}.get(sys.platform, ".so")
     library = work / f"frogkick-native-{digest}{suffix}"
-    compiler.run([*FLAGS, "-fPIC", "-shared", *includes, *sources, "-o", library], folder=work)
+    flags = [*_FLAGS, "-fPIC", "-shared"]
+    library.write_bytes(built_once(compiler, flags, [*places, *sources], [*sources, *headers], library))
     return {"library": library}
 
 

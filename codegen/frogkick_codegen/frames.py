@@ -1,6 +1,7 @@
-"""Makes the firmware's view of the link from its one layout: a C header and a table for the README.
+"""Makes the firmware's view of the link and of its supervisor: C headers and tables for the README.
 
-Run ``python -m frogkick_codegen.frames`` after a change of ``frames.toml``; a test fails until it was run.
+Run ``python -m frogkick_codegen.frames`` after a change of ``frames.toml`` or ``supervisor.toml``; a test
+fails until it was run.
 """
 
 from __future__ import annotations
@@ -11,22 +12,32 @@ import jinja2
 
 from frogkick.files import write_text
 from frogkick.link.layout import Field, Payload, link_layout
+from frogkick.link.supervisor import supervisor
 
 FIRMWARE = Path(__file__).resolve().parents[2] / "firmware"
 HEADER = FIRMWARE / "core" / "fk_frames_layout.h"
+SUPERVISOR_HEADER = FIRMWARE / "core" / "fk_supervisor_table.h"
 README = FIRMWARE / "README.md"
-_BEGIN, _END = "<!-- frames: made by python -m frogkick_codegen.frames -->", "<!-- frames end -->"
 
 
-def layout_header() -> str:
-    """The C header with ids, structures and their packing."""
+def _render(template: str) -> str:
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("frogkick_codegen"),
         undefined=jinja2.StrictUndefined,
         keep_trailing_newline=True,
         autoescape=False,
     )
-    return environment.get_template("fk_frames_layout.h.jinja").render(layout=link_layout())
+    return environment.get_template(template).render(layout=link_layout(), table=supervisor())
+
+
+def layout_header() -> str:
+    """The C header with ids, structures and their packing."""
+    return _render("fk_frames_layout.h.jinja")
+
+
+def supervisor_header() -> str:
+    """The C header with the supervisor's rules."""
+    return _render("fk_supervisor_table.h.jinja")
 
 
 def _cell(fields: tuple[Field, ...]) -> str:
@@ -51,17 +62,41 @@ def layout_table() -> str:
     return "\n".join(lines)
 
 
-def readme_with_table(text: str) -> str:
-    """``text`` with the part between the markers replaced by today's table."""
-    head, _, rest = text.partition(_BEGIN)
-    _, _, tail = rest.partition(_END)
-    return f"{head}{_BEGIN}\n{layout_table()}\n{_END}{tail}"
+def supervisor_table() -> str:
+    """The supervisor's rules as a Markdown table: next state, then what is done, then a refusal's status."""
+    table, states = supervisor(), link_layout().state
+    lines = ["| event | " + " | ".join(states) + " |", "|---" * (1 + len(states)) + "|"]
+    for event in table.docs:
+        cells = []
+        for state in states:
+            rule = table.rules[event, state]
+            parts = [rule.next_state if rule.next_state != state else ""]
+            parts += [rule.action if rule.action != "NONE" else ""]
+            parts += [f"refused: {rule.status}" if rule.status != "OK" else ""]
+            cells.append(", ".join(part for part in parts if part) or "-")
+        lines.append(f"| {event} | " + " | ".join(cells) + " |")
+    lines += ["", *(f"- {event}: {doc}." for event, doc in table.docs.items() if doc != "command")]
+    lines += [f"- {action}: {doc}." for action, doc in table.actions.items() if doc != "-"]
+    return "\n".join(lines)
+
+
+def _replaced(text: str, what: str, content: str) -> str:
+    begin, end = f"<!-- {what}: made by python -m frogkick_codegen.frames -->", f"<!-- {what} end -->"
+    head, _, rest = text.partition(begin)
+    _, _, tail = rest.partition(end)
+    return f"{head}{begin}\n{content}\n{end}{tail}"
+
+
+def readme_with_tables(text: str) -> str:
+    """``text`` with the parts between the markers replaced by today's tables."""
+    return _replaced(_replaced(text, "frames", layout_table()), "supervisor", supervisor_table())
 
 
 def main() -> None:
-    """Write the header and the README's table."""
+    """Write the headers and the README's tables."""
     write_text(HEADER, layout_header())
-    write_text(README, readme_with_table(README.read_text(encoding="utf-8")))
+    write_text(SUPERVISOR_HEADER, supervisor_header())
+    write_text(README, readme_with_tables(README.read_text(encoding="utf-8")))
 
 
 if __name__ == "__main__":

@@ -9,6 +9,7 @@ import subprocess
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 
 from frogkick.errors import FrogkickError, nearest_name
@@ -89,8 +90,13 @@ def zig(target: str = "host") -> Compiler:
             "'python -m pip install ziglang==0.17.0', or 'make venv' in the repository"
         )
     driver = (sys.executable, "-m", "ziglang")
-    version = _run("zig", [*driver, "version"], None).stdout.strip()
-    return Compiler("zig", (*driver, "cc"), targets[target], f"zig {version}")
+    return Compiler("zig", (*driver, "cc"), targets[target], f"zig {_version_of_zig(driver)}")
+
+
+@cache
+def _version_of_zig(driver: tuple[str, ...]) -> str:
+    """Asked once in a process, which takes a tenth of a second."""
+    return _run("zig", [*driver, "version"], None).stdout.strip()
 
 
 def other(name: str) -> Compiler | None:

@@ -6,17 +6,18 @@
 #include "sleep.h"
 #include "time.h"
 #include "uart.h"
+#include "watchdog.h"
 
 /* While bytes arrive the core looks at them this often, about 11 bytes at a time, instead of waking for each. */
 #define FK_BENCH_RECEIVE_POLL_US 1000u
 
+/* From reading the clock to the last gate. */
+#define FK_BENCH_PULSE_START_US 20u
+#define FK_BENCH_ERROR_LATE (-16) /* beside FK_PULSE_ERROR_... */
+
 static fk_robot_t robot;
 static fk_frame_collector_t collector;
-
-/* A pulse that the core has asked for while the pulse before it is still on: a decision's computing time delays the
- * first group of a stroke, but not the time of the second. It starts as soon as the gates are free. */
-static uint8_t waiting_mask;
-static uint32_t waiting_pulse_us;
+static fk_guard_kept_t kept __attribute__((section(".noinit")));
 
 static int32_t take_frames(void)
 {
@@ -32,20 +33,25 @@ static int32_t take_frames(void)
     return bytes;
 }
 
-static void drive_limbs(const fk_outputs_t *outputs)
+/* The core's books say that the pulse begins at tick_us. One that would begin later than they allow for does not, and
+ * one that the gates refuse is no less an error: the core sees to it that they are free.
+ * Returns 1 where the core needs a tick at once. */
+static int32_t drive_limbs(const fk_outputs_t *outputs, uint64_t tick_us)
 {
     if (outputs->all_off != 0u) {
         fk_pulse_off();
-        waiting_mask = 0u;
     }
-    if (outputs->limb_mask != 0u) {
-        waiting_mask = outputs->limb_mask;
-        waiting_pulse_us = outputs->pulse_us;
+    if (outputs->limb_mask == 0u) {
+        return 0;
     }
-    /* Busy: it waits, and the pulse's end wakes the core. Any other refusal is final, no limb is heated. */
-    if (waiting_mask != 0u && fk_pulse_start(waiting_mask, waiting_pulse_us) != FK_PULSE_ERROR_BUSY) {
-        waiting_mask = 0u;
+    int32_t error = FK_BENCH_ERROR_LATE;
+    if (fk_time_now_us() + FK_BENCH_PULSE_START_US <= tick_us + FK_PORT_LATE_US) {
+        error = fk_pulse_start(outputs->limb_mask, outputs->pulse_us);
     }
+    if (error != FK_PULSE_OK) {
+        fk_robot_note_pulse_failed(&robot, error);
+    }
+    return error != FK_PULSE_OK;
 }
 
 static void send_answers(void)
@@ -61,18 +67,18 @@ static void send_answers(void)
 int main(void)
 {
     fk_pulse_init();
+    fk_watchdog_init();
     fk_clock_init();
     fk_time_init();
     fk_sleep_init();
     /* Before the table is checked, 0.4 ms for each KB of it: what is asked meanwhile waits in the receive buffers. */
     fk_uart_init();
-    if (fk_robot_init(&robot, fk_table_image, fk_table_image_bytes) != FK_OK) {
-        for (;;) { /* a table that is not for this robot: no answer, no pulse */
-            fk_sleep();
-        }
-    }
+    /* With a table that is not for this robot it answers all the same, and tells its fault; no pulse. */
+    (void)fk_robot_init(&robot, fk_table_image, fk_table_image_bytes);
+    fk_robot_note_reset(&robot, fk_watchdog_reset_reason(), &kept);
 
     for (;;) {
+        fk_watchdog_feed();
         fk_uart_service();
         fk_time_clear_wake();
         (void)fk_pulse_is_on();
@@ -82,11 +88,14 @@ int main(void)
         fk_outputs_t outputs;
         uint64_t begin_us = fk_time_now_us();
         fk_robot_tick(&robot, begin_us, &outputs);
-        drive_limbs(&outputs);
+        int32_t at_once = drive_limbs(&outputs, begin_us);
         fk_robot_note_tick(&robot, (uint32_t)(fk_time_now_us() - begin_us));
         send_answers();
 
-        uint64_t wake_us = outputs.next_tick_us;
+        uint64_t wake_us = (at_once != 0) ? begin_us : outputs.next_tick_us;
+        if (wake_us > begin_us + FK_WATCHDOG_FEED_MAX_US) {
+            wake_us = begin_us + FK_WATCHDOG_FEED_MAX_US;
+        }
         fk_uart_wake_on_byte(bytes == 0);
         if (bytes != 0 && wake_us > begin_us + FK_BENCH_RECEIVE_POLL_US) {
             wake_us = begin_us + FK_BENCH_RECEIVE_POLL_US;

@@ -16,6 +16,26 @@
 #define CLOCK_TASKS_HFCLKSTART FK_REGISTER(CLOCK_BASE + 0x000u)
 #define CLOCK_EVENTS_HFCLKSTARTED FK_REGISTER(CLOCK_BASE + 0x100u)
 
+/* POWER: the same block as CLOCK */
+#define POWER_BASE 0x40000000u
+#define POWER_RESETREAS FK_REGISTER(POWER_BASE + 0x400u)
+#define POWER_RESETREAS_RESETPIN_Msk (1u << 0)
+#define POWER_RESETREAS_DOG_Msk (1u << 1)
+#define POWER_RESETREAS_SREQ_Msk (1u << 2)
+#define POWER_RESETREAS_LOCKUP_Msk (1u << 3)
+
+/* WDT */
+#define WDT_BASE 0x40010000u
+#define WDT_TASKS_START FK_REGISTER(WDT_BASE + 0x000u)
+#define WDT_CRV FK_REGISTER(WDT_BASE + 0x504u)
+#define WDT_RREN FK_REGISTER(WDT_BASE + 0x508u)
+#define WDT_RREN_RR0_Msk (1u << 0)
+#define WDT_CONFIG FK_REGISTER(WDT_BASE + 0x50Cu)
+#define WDT_CONFIG_SLEEP_Pos 0u
+#define WDT_CONFIG_SLEEP_Run 1u
+#define WDT_RR(n) FK_REGISTER(WDT_BASE + 0x600u + 4u * (n))
+#define WDT_RR_RR_Reload 0x6E524635u
+
 /* UARTE0. RXDRDY stands in the product specification but not in the SVD's UARTE0; it is at the place where the same
  * block's UART0 has it. */
 #define UARTE0_BASE 0x40002000u

@@ -22,10 +22,21 @@ static int32_t answer_status(int8_t status, uint8_t *answer)
     return 1;
 }
 
-static int32_t on_hello(const fk_robot_t *robot, uint8_t *answer)
+/* Of any length: the first byte is the version in every protocol from 2 on, and 1 had none. */
+static int32_t on_hello(fk_robot_t *robot, const fk_frame_t *frame, uint8_t *answer)
 {
     fk_hello_answer_t told;
-    told.status = FK_STATUS_OK;
+    told.status = FK_STATUS_VERSION;
+    if (frame->payload_length == FK_HELLO_COMMAND_BYTES && frame->payload[0] == FK_PROTOCOL_VERSION) {
+        fk_hello_command_t command;
+        fk_hello_command_unpack(frame->payload, &command);
+        told.status = FK_STATUS_OK;
+        if (command.conversation != robot->conversation) {
+            robot->conversation = command.conversation;
+            fk_repeats_init(&robot->repeats);
+            fk_repeats_note(&robot->repeats, frame->sequence);
+        }
+    }
     told.protocol_version = FK_PROTOCOL_VERSION;
     for (uint32_t i = 0u; i < 16u; ++i) {
         told.robot_id[i] = robot->tables.robot_id[i];
@@ -40,29 +51,16 @@ static int32_t on_hello(const fk_robot_t *robot, uint8_t *answer)
     return (int32_t)FK_HELLO_ANSWER_BYTES;
 }
 
-static int32_t on_arm(fk_robot_t *robot, uint8_t *answer)
-{
-    if (robot->state == FK_STATE_RUNNING) {
-        return answer_state(robot, FK_STATUS_STATE, answer);
-    }
-    robot->state = FK_STATE_ARMED;
-    return answer_state(robot, FK_STATUS_OK, answer);
-}
-
-static int32_t on_stop(fk_robot_t *robot, uint8_t *answer)
-{
-    if (robot->state == FK_STATE_RUNNING) {
-        robot->state = FK_STATE_ARMED;
-    }
-    fk_robot_no_more_pulses(robot);
-    return answer_state(robot, FK_STATUS_OK, answer);
-}
-
 static int32_t on_fix(fk_robot_t *robot, const uint8_t *payload, uint64_t now_us, uint8_t *answer)
 {
     fk_fix_command_t command;
     fk_fix_command_unpack(payload, &command);
-    fk_fix_answer_t told = {FK_STATUS_VALUE, command.fix_sequence, 0u};
+    fk_fix_answer_t told = {fk_robot_may(robot, FK_EVENT_FIX), command.fix_sequence, 0u};
+    if (told.status != FK_STATUS_OK) {
+        fk_fix_answer_pack(answer, &told);
+        return (int32_t)FK_FIX_ANSWER_BYTES;
+    }
+    told.status = FK_STATUS_VALUE;
     /* A picture from before the clock began has no time on it. */
     if (command.quality != 0u && command.capture_age_us <= FK_CAPTURE_AGE_MAX_US && command.capture_age_us <= now_us) {
         uint64_t capture_us = now_us - command.capture_age_us;
@@ -71,7 +69,7 @@ static int32_t on_fix(fk_robot_t *robot, const uint8_t *payload, uint64_t now_us
         told.capture_us = capture_us;
     }
     if (told.status == FK_STATUS_OK) {
-        fk_robot_note_fix(robot, command.x_m, command.y_m);
+        fk_robot_note_fix(robot, told.capture_us, command.x_m, command.y_m);
         ++robot->fixes_used;
     } else {
         ++robot->fixes_refused;
@@ -84,8 +82,9 @@ static int8_t take_path(fk_robot_t *robot, const uint8_t *payload, uint32_t leng
 {
     fk_path_command_t command;
     fk_path_command_unpack(payload, &command);
-    if (robot->state == FK_STATE_RUNNING) {
-        return FK_STATUS_STATE;
+    int8_t refusal = fk_robot_may(robot, FK_EVENT_PATH);
+    if (refusal != FK_STATUS_OK) {
+        return refusal;
     }
     if (command.count < 1u || command.count > FK_PATH_ROWS_MAX ||
         length != FK_PATH_COMMAND_BYTES + command.count * FK_PATH_ROW_BYTES) {
@@ -132,15 +131,17 @@ static int32_t on_start(fk_robot_t *robot, const uint8_t *payload, uint64_t now_
 {
     fk_start_command_t command;
     fk_start_command_unpack(payload, &command);
-    fk_start_answer_t told = {FK_STATUS_OK, 0u};
-    if (robot->state != FK_STATE_ARMED) {
-        told.status = FK_STATUS_STATE;
+    fk_start_answer_t told = {fk_robot_may(robot, FK_EVENT_START), 0u};
+    if (told.status != FK_STATUS_OK) {
+        /* as it is */
     } else if (command.delay_us > FK_START_DELAY_MAX_US) {
         told.status = FK_STATUS_VALUE;
     } else if (robot->path.count == 0u) {
         told.status = FK_STATUS_NO_PATH;
+    } else if (now_us >= fk_guard_lost_us(&robot->guard)) {
+        told.status = FK_STATUS_STALE;
     } else {
-        robot->state = FK_STATE_RUNNING;
+        (void)fk_robot_supervise(robot, FK_EVENT_START);
         robot->decisions = 0u;
         fk_follow_begin(&robot->follow);
         robot->next_decision_us = now_us + command.delay_us;
@@ -164,6 +165,10 @@ static int32_t on_status(const fk_robot_t *robot, uint64_t now_us, uint8_t *answ
     told.pulses_refused = robot->pulses_refused;
     told.answers_dropped = robot->answers_dropped;
     told.restarts = robot->estimator.restarts;
+    told.repeats = robot->commands_repeated;
+    told.reset = robot->reset;
+    told.fault = robot->fault;
+    told.fault_detail = robot->fault_detail;
     fk_status_answer_pack(answer, &told);
     return (int32_t)FK_STATUS_ANSWER_BYTES;
 }
@@ -190,8 +195,9 @@ static float *weight_of(fk_plan_config_t *plan, uint8_t parameter)
 static int8_t set_parameter(fk_robot_t *robot, uint8_t parameter, float value)
 {
     float *weight = 0;
-    if (robot->state == FK_STATE_RUNNING) {
-        return FK_STATUS_STATE;
+    int8_t refusal = fk_robot_may(robot, FK_EVENT_PARAM);
+    if (refusal != FK_STATUS_OK) {
+        return refusal;
     }
     if (parameter == FK_PARAMETER_DEPTH) {
         if (!is_whole_within(value, 1u, FK_DEPTH_MAX)) {
@@ -226,7 +232,10 @@ static int8_t set_parameter(fk_robot_t *robot, uint8_t parameter, float value)
         if (!is_whole_within(value, 0u, FK_TRANSITIONS_LIMIT)) {
             return FK_STATUS_VALUE;
         }
-        robot->plan.transitions_max = (uint32_t)value;
+        robot->plan.transitions_max = fk_robot_transitions_within(0u);
+        if (value > 0.0f && (uint32_t)value < robot->plan.transitions_max) {
+            robot->plan.transitions_max = (uint32_t)value;
+        }
         return FK_STATUS_OK;
     }
     if (parameter == FK_PARAMETER_TURN_LEAD && !is_finite_within(value, 0.0f, FK_TURN_LEAD_MAX)) {
@@ -251,9 +260,12 @@ static int32_t on_stroke(fk_robot_t *robot, const uint8_t *payload, uint64_t now
 {
     fk_stroke_command_t command;
     fk_stroke_command_unpack(payload, &command);
-    fk_stroke_answer_t told = {FK_STATUS_OK, (robot->free_us > now_us) ? robot->free_us : now_us};
-    if (robot->state != FK_STATE_ARMED || robot->stroke_request != 0u || robot->second_mask != 0u) {
-        told.status = FK_STATUS_STATE; /* not armed, or the last stroke has not fired all its limbs yet */
+    fk_stroke_answer_t told = {fk_robot_may(robot, FK_EVENT_STROKE),
+                               (robot->free_us > now_us) ? robot->free_us : now_us};
+    if (told.status != FK_STATUS_OK) {
+        /* as it is */
+    } else if (robot->stroke_request != 0u || robot->second_mask != 0u) {
+        told.status = FK_STATUS_STATE; /* the last stroke has not fired all its limbs yet */
     } else if (command.action >= robot->tables.actions) {
         told.status = FK_STATUS_VALUE;
     } else {
@@ -269,8 +281,9 @@ static int32_t on_plan(const fk_robot_t *robot, const uint8_t *payload, uint8_t 
     fk_plan_command_unpack(payload, &command);
     fk_plan_answer_t told = {FK_STATUS_OK, 0u,   0u,   0u,   0u,   0u,   0.0f, 0.0f, 0.0f, 0.0f, 0.0f,
                              0.0f,         0.0f, 0.0f, 0.0f, 0u,   0u,   0u,   0u,   0u,   0u,   0u,   0u};
-    if (robot->state == FK_STATE_RUNNING) {
-        told.status = FK_STATUS_STATE;
+    told.status = fk_robot_may(robot, FK_EVENT_PLAN);
+    if (told.status != FK_STATUS_OK) {
+        /* as it is */
     } else if (robot->path.count == 0u) {
         told.status = FK_STATUS_NO_PATH;
     } else {
@@ -312,10 +325,12 @@ static int32_t on_plan(const fk_robot_t *robot, const uint8_t *payload, uint8_t 
     return (int32_t)FK_PLAN_ANSWER_BYTES;
 }
 
-/* Payload length of each command; PATH checks its own. */
+/* Payload length of each command; HELLO and PATH check their own. */
 static int32_t length_fits(const fk_frame_t *frame)
 {
     switch (frame->type) {
+    case FK_FRAME_HELLO:
+        return 1;
     case FK_FRAME_FIX:
         return frame->payload_length == FK_FIX_COMMAND_BYTES;
     case FK_FRAME_PATH:
@@ -343,20 +358,17 @@ int32_t fk_robot_command(fk_robot_t *robot, const fk_frame_t *frame, uint64_t no
     }
     switch (frame->type) {
     case FK_FRAME_HELLO:
-        return on_hello(robot, answer);
+        return on_hello(robot, frame, answer);
     case FK_FRAME_ARM:
-        return on_arm(robot, answer);
     case FK_FRAME_DISARM:
-        fk_robot_disarm(robot);
-        return answer_state(robot, FK_STATUS_OK, answer);
+    case FK_FRAME_STOP:
+        return answer_state(robot, fk_robot_supervise(robot, frame->type), answer);
     case FK_FRAME_FIX:
         return on_fix(robot, frame->payload, now_us, answer);
     case FK_FRAME_PATH:
         return on_path(robot, frame->payload, frame->payload_length, answer);
     case FK_FRAME_START:
         return on_start(robot, frame->payload, now_us, answer);
-    case FK_FRAME_STOP:
-        return on_stop(robot, answer);
     case FK_FRAME_STATUS:
         return on_status(robot, now_us, answer);
     case FK_FRAME_PARAM:

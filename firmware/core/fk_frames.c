@@ -57,9 +57,11 @@ int32_t fk_frame_decode(const uint8_t *encoded, uint32_t length, fk_frame_t *fra
         return -1;
     }
     uint32_t checked = count - FK_FRAME_CRC_BYTES;
-    if (fk_crc32(0u, raw, checked) != fk_get_u32(raw + checked)) {
+    uint32_t crc = fk_crc32(0u, raw, checked);
+    if (crc != fk_get_u32(raw + checked)) {
         return -1;
     }
+    frame->crc = crc;
     frame->type = raw[0];
     frame->sequence = raw[1];
     frame->payload_length = checked - FK_FRAME_HEAD_BYTES;

@@ -24,6 +24,7 @@ typedef struct {
 typedef struct {
     uint8_t type;
     uint8_t sequence;
+    uint32_t crc; /* over type, sequence and payload */
     uint32_t payload_length;
     uint8_t payload[FK_PAYLOAD_BYTES_MAX];
 } fk_frame_t;

@@ -1,12 +1,12 @@
 /* Made from host/frogkick/link/frames.toml by: python -m frogkick_codegen.frames. Do not edit.
- * Protocol version 1. Payloads of the link: commands are unpacked, answers and events packed.
+ * Protocol version 2. Payloads of the link: commands are unpacked, answers and events packed.
  */
 #ifndef FK_FRAMES_LAYOUT_H
 #define FK_FRAMES_LAYOUT_H
 
 #include <stdint.h>
 
-#define FK_PROTOCOL_VERSION 1u
+#define FK_PROTOCOL_VERSION 2u
 #define FK_PAYLOAD_BYTES_MAX 226u
 #define FK_ANSWER_BIT 0x80u
 
@@ -28,13 +28,41 @@ enum { /* status of an answer */
     FK_STATUS_OLD = -71,
     FK_STATUS_OUTLIER = -72,
     FK_STATUS_PASSED = -73,
-    FK_STATUS_STALLED = -74
+    FK_STATUS_STALLED = -74,
+    FK_STATUS_VERSION = -75,
+    FK_STATUS_FAULT = -76,
+    FK_STATUS_FLASH = -96,
+    FK_STATUS_SLOT = -97,
+    FK_STATUS_OFFSET = -98,
+    FK_STATUS_HASH = -99,
+    FK_STATUS_TABLE = -100,
+    FK_STATUS_WORN = -101
 };
 
 enum { /* state of the robot */
     FK_STATE_DISARMED = 0,
     FK_STATE_ARMED = 1,
-    FK_STATE_RUNNING = 2
+    FK_STATE_RUNNING = 2,
+    FK_STATE_FAULT = 3
+};
+
+enum { /* internal errors */
+    FK_FAULT_NONE = 0,
+    FK_FAULT_TABLE = 1,
+    FK_FAULT_TIME = 2,
+    FK_FAULT_STATE = 3,
+    FK_FAULT_GUARD = 4,
+    FK_FAULT_ACTION = 5,
+    FK_FAULT_PULSE = 6
+};
+
+enum { /* why the robot started */
+    FK_RESET_UNKNOWN = 0,
+    FK_RESET_POWER = 1,
+    FK_RESET_PIN = 2,
+    FK_RESET_SOFTWARE = 3,
+    FK_RESET_WATCHDOG = 4,
+    FK_RESET_LOCKUP = 5
 };
 
 enum { /* PARAM */
@@ -123,13 +151,26 @@ static inline float fk_get_f32(const uint8_t *from)
     return pun.value;
 }
 
-#define FK_HELLO_COMMAND_BYTES 0u
+#define FK_HELLO_COMMAND_BYTES 3u
+
+/* Who is there. Of another protocol version, or of a length that only another knows: answered with VERSION. */
+typedef struct {
+    uint8_t protocol_version; /* the host's */
+    uint16_t conversation; /* another than the last HELLO's: sequence numbers begin anew, nothing is a repetition */
+} fk_hello_command_t;
+
+static inline void fk_hello_command_unpack(const uint8_t *from, fk_hello_command_t *to)
+{
+    to->protocol_version = fk_get_u8(from + 0);
+    to->conversation = fk_get_u16(from + 1);
+}
+
 #define FK_HELLO_ANSWER_BYTES 34u
 
 /* Answer to HELLO. */
 typedef struct {
     int8_t status; /* see status */
-    uint8_t protocol_version; /* of this layout */
+    uint8_t protocol_version; /* the robot's */
     char robot_id[16]; /* robot that the table was made for */
     uint32_t table_crc; /* CRC-32 of the table image in use */
     uint16_t states; /* states in the table */
@@ -271,7 +312,7 @@ static inline void fk_path_answer_pack(uint8_t *to, const fk_path_answer_t *from
 
 #define FK_START_COMMAND_BYTES 4u
 
-/* Follow the path with the planner on board. */
+/* Follow the path with the planner on board; needs a position fix of the last 2 s. */
 typedef struct {
     uint32_t delay_us; /* time to the first decision, at most 10 s (us) */
 } fk_start_command_t;
@@ -311,7 +352,7 @@ static inline void fk_stop_answer_pack(uint8_t *to, const fk_stop_answer_t *from
 }
 
 #define FK_STATUS_COMMAND_BYTES 0u
-#define FK_STATUS_ANSWER_BYTES 42u
+#define FK_STATUS_ANSWER_BYTES 49u
 
 /* Answer to STATUS. */
 typedef struct {
@@ -326,6 +367,10 @@ typedef struct {
     uint32_t pulses_refused; /* pulses that the guard refused */
     uint32_t answers_dropped; /* answers that found no room */
     uint32_t restarts; /* times that outliers which agree were believed since boot */
+    uint32_t repeats; /* commands that came again and were answered, not done, since boot */
+    uint8_t reset; /* why the robot started last, see reset */
+    uint8_t fault; /* the first internal error since then, see fault */
+    int8_t fault_detail; /* see fault */
 } fk_status_answer_t;
 
 static inline void fk_status_answer_pack(uint8_t *to, const fk_status_answer_t *from)
@@ -341,6 +386,10 @@ static inline void fk_status_answer_pack(uint8_t *to, const fk_status_answer_t *
     fk_put_u32(to + 30, from->pulses_refused);
     fk_put_u32(to + 34, from->answers_dropped);
     fk_put_u32(to + 38, from->restarts);
+    fk_put_u32(to + 42, from->repeats);
+    fk_put_u8(to + 46, from->reset);
+    fk_put_u8(to + 47, from->fault);
+    fk_put_i8(to + 48, from->fault_detail);
 }
 
 #define FK_PARAM_COMMAND_BYTES 5u

@@ -1,5 +1,6 @@
 /* The guard: limits that no command can raise. It stands between every wish for a pulse and the pins.
- * Its numbers come from the robot's TOML through fk_robot_config.h, at build.
+ * Its numbers come from the robot's TOML through fk_robot_config.h, at build; the assertions below are what no TOML can
+ * exceed. The limits hold on the pins, which the port switches up to FK_PORT_LATE_US after the time that it told.
  */
 #ifndef FK_GUARD_H
 #define FK_GUARD_H
@@ -9,33 +10,73 @@
 #include "fk_planner.h"
 #include "fk_robot_config.h"
 
-/* A limb rests at least FK_REST_MIN_US between pulses, so this many pulses can touch one duty window at most. */
-#define FK_GUARD_HISTORY (FK_DUTY_WINDOW_US / FK_REST_MIN_US + 2u)
+/* From the time told to the core's tick until the port has switched the pins that this tick asks for. A port that is
+ * later must not begin the pulse, and tells the core. */
+#define FK_PORT_LATE_US 200u
 
-typedef char fk_pulse_limit_is_a_limit[(FK_PULSE_MAX_US > 0u && FK_PULSE_MAX_US <= 100000u) ? 1 : -1];
+/* A limb rests at least FK_REST_MIN_US between pulses, so this many pulses can touch one duty window at most. */
+#define FK_GUARD_HISTORY ((FK_DUTY_WINDOW_US + FK_PORT_LATE_US) / FK_REST_MIN_US + 2u)
+
+#define FK_PULSE_CEILING_US 100000u     /* for every robot: a limb of shape memory alloy burns when it is heated on */
+#define FK_FIX_FRESH_CEILING_US 500000u
+#define FK_FIX_LOST_CEILING_US 2000000u
+
+typedef char fk_pulse_limit_is_a_limit[(FK_PULSE_MAX_US > 0u && FK_PULSE_MAX_US <= FK_PULSE_CEILING_US) ? 1 : -1];
 typedef char fk_rest_limit_is_a_limit[(FK_REST_MIN_US >= 100000u) ? 1 : -1];
 typedef char fk_duty_limit_is_a_limit[(FK_DUTY_ON_MAX_US < FK_DUTY_WINDOW_US) ? 1 : -1];
 typedef char fk_limbs_limit_is_a_limit[(FK_LIMBS_AT_ONCE_MAX >= 1u && FK_LIMBS_AT_ONCE_MAX <= FK_LIMBS_MAX) ? 1 : -1];
+typedef char fk_fresh_limit_is_a_limit[(FK_FIX_FRESH_US <= FK_FIX_FRESH_CEILING_US) ? 1 : -1];
+typedef char fk_lost_limit_is_a_limit[(FK_FIX_LOST_US <= FK_FIX_LOST_CEILING_US) ? 1 : -1];
 
 typedef struct {
     uint64_t start_us[FK_GUARD_HISTORY]; /* ring of each limb's latest pulses */
-    uint64_t end_us[FK_GUARD_HISTORY];   /* 0 = this place was never used, and: a limb may have been on until boot */
+    uint64_t end_us[FK_GUARD_HISTORY];   /* 0 = this place was never used */
     uint32_t next;                       /* place of the next pulse, also the oldest */
+    uint64_t off_us;                     /* when its pin is low for certain after the last one; rest begins here */
+    uint8_t was_cut;                     /* that one was cut: the pin was low before any pulse that came later */
 } fk_guard_limb_t;
 
 typedef struct {
     fk_guard_limb_t limbs[FK_LIMBS_MAX];
+    uint64_t fix_us;     /* capture of the newest position fix; 0 also where there was none */
+    uint8_t closed_loop; /* pulses need a fresh fix */
 } fk_guard_t;
+
+/* What a reset must not wipe out, in RAM that the start-up leaves alone: how long each limb was on within the duty window
+ * that ended with its last pulse. After a time without supply that RAM holds something else, which the CRC-32 tells. */
+typedef struct {
+    uint32_t on_us[FK_LIMBS_MAX];
+    uint32_t crc;
+} fk_guard_kept_t;
 
 /* Empty books. Which limb was hot before the reset is unknown, so all of them rest first, from time 0 on. */
 void fk_guard_init(fk_guard_t *guard);
+
+/* After fk_guard_init: as if all that was kept had happened just now, as nobody knows how long ago it was. */
+void fk_guard_resume(fk_guard_t *guard, const fk_guard_kept_t *kept);
+
+/* Keep what the books hold. */
+void fk_guard_keep(const fk_guard_t *guard, fk_guard_kept_t *kept);
+
+/* The robot follows a path on its own, or no longer. */
+void fk_guard_closed_loop(fk_guard_t *guard, int32_t closed);
+
+/* A position fix was taken, a picture of capture_us. */
+void fk_guard_note_fix(fk_guard_t *guard, uint64_t capture_us);
+
+/* When the newest fix becomes older than FK_FIX_LOST_US: from then on a closed loop is over. */
+uint64_t fk_guard_lost_us(const fk_guard_t *guard);
+
+/* 1 where the books are such as only this file writes, else 0: memory is damaged, nothing in them can be believed. */
+int32_t fk_guard_is_sound(const fk_guard_t *guard, uint64_t now_us);
 
 /* May these limbs be heated now? If so the pulse is entered in the books, wholly or not at all.
  * @param limb_mask  bit i = limb i; not 0
  * @param pulse_us   1 to FK_PULSE_MAX_US
  * @param now_us     the robot's clock; never goes back
  * @retval 1  allowed and entered
- * @retval 0  refused: too long, too soon after the last, too much within FK_DUTY_WINDOW_US, or too many limbs at once
+ * @retval 0  refused: too long, too soon after the last, too much within FK_DUTY_WINDOW_US, too many limbs at once, or
+ *            in a closed loop without a fix of the last FK_FIX_FRESH_US
  */
 int32_t fk_guard_allow(fk_guard_t *guard, uint8_t limb_mask, uint32_t pulse_us, uint64_t now_us);
 

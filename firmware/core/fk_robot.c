@@ -4,19 +4,21 @@
 
 uint32_t fk_robot_bytes(void) { return (uint32_t)sizeof(fk_robot_t); }
 
-int32_t fk_robot_init(fk_robot_t *robot, const uint8_t *image, uint32_t image_bytes)
+static int32_t open_tables(fk_robot_t *robot, const uint8_t *image, uint32_t image_bytes)
 {
     int32_t error = fk_tables_open(image, image_bytes, &robot->tables);
-    if (error != FK_OK) {
-        return error;
+    if (error == FK_OK) {
+        error = fk_tables_check_robot(&robot->tables, FK_ROBOT_ID);
     }
-    error = fk_tables_check_robot(&robot->tables, FK_ROBOT_ID);
-    if (error != FK_OK) {
-        return error;
+    if (error == FK_OK && (robot->tables.pulse_us > FK_PULSE_MAX_US ||
+                           fk_robot_stroke_us(robot) > robot->tables.period_us)) {
+        error = FK_ERROR_IMAGE_TIMES;
     }
-    if (robot->tables.pulse_us > FK_PULSE_MAX_US || fk_robot_stroke_us(robot) > robot->tables.period_us) {
-        return FK_ERROR_IMAGE_TIMES;
-    }
+    return error;
+}
+
+int32_t fk_robot_init(fk_robot_t *robot, const uint8_t *image, uint32_t image_bytes)
+{
     robot->plan.distance_weight_per_m = FK_DISTANCE_WEIGHT_PER_M;
     robot->plan.angle_weight_per_rad = FK_ANGLE_WEIGHT_PER_RAD;
     robot->plan.progress_weight = FK_PROGRESS_WEIGHT;
@@ -29,22 +31,19 @@ int32_t fk_robot_init(fk_robot_t *robot, const uint8_t *image, uint32_t image_by
     robot->plan.cost = FK_COST;
     robot->plan.depth = FK_DEPTH;
     robot->path.count = 0u;
-    fk_estimator_init(&robot->estimator, &robot->tables);
     fk_guard_init(&robot->guard);
+    fk_repeats_init(&robot->repeats);
     fk_follow_begin(&robot->follow);
 
     robot->state = FK_STATE_DISARMED;
+    robot->fault = FK_FAULT_NONE;
+    robot->fault_detail = 0;
+    robot->reset = FK_RESET_UNKNOWN;
+    robot->kept = 0;
+    robot->conversation = 0u;
+    robot->now_us = 0u;
     robot->path_points = 0u;
     robot->path_total = 0u;
-    robot->resting_action = robot->tables.actions;
-    for (uint8_t action = robot->tables.actions; action > 0u; --action) {
-        fk_action_t masks;
-        if (fk_tables_action(&robot->tables, (uint8_t)(action - 1u), &masks) == FK_OK && masks.first_mask == 0u &&
-            masks.second_mask == 0u) {
-            robot->resting_action = (uint8_t)(action - 1u);
-        }
-    }
-    robot->period_us = robot->tables.period_us;
     robot->next_decision_us = FK_NEVER_US;
     robot->decisions = 0u;
     robot->second_mask = 0u;
@@ -64,56 +63,40 @@ int32_t fk_robot_init(fk_robot_t *robot, const uint8_t *image, uint32_t image_by
     robot->pulses = 0u;
     robot->pulses_refused = 0u;
     robot->answers_dropped = 0u;
+    robot->commands_repeated = 0u;
+
+    int32_t error = open_tables(robot, image, image_bytes);
+    if (error != FK_OK) {
+        static const fk_tables_t none;
+        static const char robot_id[] = FK_ROBOT_ID;
+        robot->tables = none;
+        for (uint32_t i = 0u; i + 1u < sizeof(robot_id); ++i) {
+            robot->tables.robot_id[i] = robot_id[i];
+        }
+        robot->estimator.restarts = 0u;
+        robot->period_us = 0u;
+        fk_robot_fault(robot, FK_FAULT_TABLE, error);
+        return error;
+    }
+    fk_estimator_init(&robot->estimator, &robot->tables);
+    robot->period_us = robot->tables.period_us;
+    robot->resting_action = robot->tables.actions;
+    for (uint8_t action = robot->tables.actions; action > 0u; --action) {
+        fk_action_t masks;
+        if (fk_tables_action(&robot->tables, (uint8_t)(action - 1u), &masks) == FK_OK && masks.first_mask == 0u &&
+            masks.second_mask == 0u) {
+            robot->resting_action = (uint8_t)(action - 1u);
+        }
+    }
     return FK_OK;
 }
 
-static void send(fk_robot_t *robot, uint8_t type, uint8_t sequence, const uint8_t *payload, uint32_t length)
+void fk_robot_note_reset(fk_robot_t *robot, uint8_t reset, fk_guard_kept_t *kept)
 {
-    uint32_t bytes = fk_frame_encode(type, sequence, payload, length, robot->tx + robot->tx_length,
-                                     FK_TX_BYTES - robot->tx_length);
-    robot->tx_length += bytes;
-    if (bytes == 0u) {
-        ++robot->answers_dropped;
-    }
-}
-
-static void send_events(fk_robot_t *robot)
-{
-    uint8_t payload[FK_PAYLOAD_BYTES_MAX];
-    if (robot->decision_pending != 0u) {
-        fk_decision_event_pack(payload, &robot->decision);
-        send(robot, FK_FRAME_DECISION, robot->event_sequence, payload, FK_DECISION_EVENT_BYTES);
-        ++robot->event_sequence;
-        robot->decision_pending = 0u;
-    }
-    if (robot->refused_pending != 0u) {
-        fk_refused_event_pack(payload, &robot->refused);
-        send(robot, FK_FRAME_REFUSED, robot->event_sequence, payload, FK_REFUSED_EVENT_BYTES);
-        ++robot->event_sequence;
-        robot->refused_pending = 0u;
-    }
-    if (robot->ended_pending != 0u) {
-        fk_ended_event_pack(payload, &robot->ended);
-        send(robot, FK_FRAME_ENDED, robot->event_sequence, payload, FK_ENDED_EVENT_BYTES);
-        ++robot->event_sequence;
-        robot->ended_pending = 0u;
-    }
-}
-
-void fk_robot_on_frame(fk_robot_t *robot, const uint8_t *encoded, uint32_t length, uint64_t now_us)
-{
-    fk_frame_t frame;
-    /* An answer is not a command: on a line that echoes, the robot would answer its own answers for ever. */
-    if (fk_frame_decode(encoded, length, &frame) != 0 || (frame.type & FK_ANSWER_BIT) != 0u) {
-        ++robot->frames_bad;
-        return;
-    }
-    /* Events of an earlier tick go first: the order of what is sent is the order of what happened, and a host
-     * can decide everything again from it. */
-    send_events(robot);
-    uint8_t answer[FK_PAYLOAD_BYTES_MAX];
-    int32_t answer_length = fk_robot_command(robot, &frame, now_us, answer);
-    send(robot, (uint8_t)(frame.type | FK_ANSWER_BIT), frame.sequence, answer, (uint32_t)answer_length);
+    robot->reset = reset;
+    robot->kept = kept;
+    fk_guard_resume(&robot->guard, kept);
+    fk_guard_keep(&robot->guard, kept);
 }
 
 /* From the first pulse's start until the pulse timer is free after the second. 64 bits: a table may hold a delay
@@ -144,53 +127,80 @@ void fk_robot_no_more_pulses(fk_robot_t *robot)
     robot->stroke_request = 0u;
 }
 
-void fk_robot_disarm(fk_robot_t *robot)
+int8_t fk_robot_may(const fk_robot_t *robot, uint8_t event) { return fk_supervisor_rule(robot->state, event).status; }
+
+int8_t fk_robot_supervise(fk_robot_t *robot, uint8_t event)
 {
-    robot->state = FK_STATE_DISARMED;
-    fk_robot_no_more_pulses(robot);
-    robot->all_off = 1u;
+    fk_rule_t rule = fk_supervisor_rule(robot->state, event);
+    if (rule.action != FK_DO_NONE) {
+        fk_robot_no_more_pulses(robot);
+    }
+    if (rule.action == FK_DO_OFF) {
+        robot->all_off = 1u;
+    }
+    robot->state = rule.next;
+    fk_guard_closed_loop(&robot->guard, robot->state == FK_STATE_RUNNING);
+    return rule.status;
 }
+
+void fk_robot_fault(fk_robot_t *robot, uint8_t fault, int32_t detail)
+{
+    if (robot->fault == FK_FAULT_NONE) {
+        robot->fault = fault;
+        robot->fault_detail = (int8_t)detail;
+    }
+    (void)fk_robot_supervise(robot, FK_EVENT_ERROR);
+}
+
+void fk_robot_note_pulse_failed(fk_robot_t *robot, int32_t error) { fk_robot_fault(robot, FK_FAULT_PULSE, error); }
 
 static void end_run(fk_robot_t *robot, int8_t status)
 {
-    if (status == FK_STATUS_STALE) {
-        fk_robot_disarm(robot);
-    } else {
-        robot->state = FK_STATE_ARMED;
-        fk_robot_no_more_pulses(robot);
-    }
+    (void)fk_robot_supervise(robot, (status == FK_STATUS_STALE) ? FK_EVENT_FIX_LOST : FK_EVENT_RUN_OVER);
     robot->ended.status = status;
     robot->ended.state = robot->state;
     robot->ended.decisions = robot->decisions;
     robot->ended_pending = 1u;
 }
 
+/* What must hold whenever the robot is about to do something. */
+void fk_robot_note_time(fk_robot_t *robot, uint64_t now_us)
+{
+    if (now_us < robot->now_us) {
+        fk_robot_fault(robot, FK_FAULT_TIME, 0);
+        return;
+    }
+    robot->now_us = now_us;
+    if (robot->state >= FK_STATES) {
+        fk_robot_fault(robot, FK_FAULT_STATE, 0);
+    }
+    if (robot->state == FK_STATE_RUNNING && now_us >= fk_guard_lost_us(&robot->guard)) {
+        end_run(robot, FK_STATUS_STALE);
+    }
+}
+
 /* Two costs are known by measurement on the chip: what a decision takes at all, and what each transition adds at
  * most. A search that may take a time may evaluate the transitions that fit into it. */
 uint32_t fk_robot_transitions_within(uint32_t plan_us)
 {
-    if (plan_us == 0u) {
-        return 0u; /* no limit */
+    if (plan_us == 0u || plan_us > FK_PLAN_TIME_WATCHDOG_US) {
+        plan_us = FK_PLAN_TIME_WATCHDOG_US; /* no wish is a limit as well: a search that hangs the robot resets it */
     }
     uint32_t left_us = (plan_us > FK_PLAN_FIXED_US) ? plan_us - FK_PLAN_FIXED_US : 0u;
-    uint32_t transitions = left_us * 1000u / FK_TRANSITION_NS; /* left_us <= FK_PLAN_TIME_MAX_US, so it fits */
+    uint32_t transitions = left_us * 1000u / FK_TRANSITION_NS; /* left_us < FK_PLAN_TIME_WATCHDOG_US, so it fits */
     return (transitions > 0u) ? transitions : 1u;
 }
 
 /* A fix was taken: a run may end by it. */
-void fk_robot_note_fix(fk_robot_t *robot, float x_m, float y_m)
+void fk_robot_note_fix(fk_robot_t *robot, uint64_t capture_us, float x_m, float y_m)
 {
+    fk_guard_note_fix(&robot->guard, capture_us);
     if (robot->state == FK_STATE_RUNNING) {
         int32_t status = fk_follow_fixed(&robot->follow, &robot->tables, &robot->path, &robot->plan, x_m, y_m);
         if (status != FK_FOLLOW_ON) {
             end_run(robot, (int8_t)status);
         }
     }
-}
-
-static int32_t fix_is_lost(const fk_robot_t *robot, uint64_t at_us)
-{
-    return fk_estimator_is_lost(&robot->estimator, at_us, FK_FIX_LOST_US);
 }
 
 static void put_state(const fk_state_t *state, float *x_m, float *y_m, float *heading_rad, float *vx_mps,
@@ -261,7 +271,14 @@ static void decide(fk_robot_t *robot)
 
 static int32_t fire(fk_robot_t *robot, uint8_t limb_mask, uint64_t now_us, fk_outputs_t *outputs)
 {
-    if (fk_guard_allow(&robot->guard, limb_mask, robot->tables.pulse_us, now_us)) {
+    if (!fk_guard_is_sound(&robot->guard, now_us)) {
+        fk_robot_fault(robot, FK_FAULT_GUARD, 0);
+    }
+    if (fk_robot_may(robot, FK_EVENT_PULSE) == FK_STATUS_OK &&
+        fk_guard_allow(&robot->guard, limb_mask, robot->tables.pulse_us, now_us)) {
+        if (robot->kept != 0) {
+            fk_guard_keep(&robot->guard, robot->kept);
+        }
         outputs->limb_mask = limb_mask;
         outputs->pulse_us = robot->tables.pulse_us;
         robot->free_us = now_us + robot->tables.pulse_us + FK_STROKE_GAP_US;
@@ -275,8 +292,12 @@ static int32_t fire(fk_robot_t *robot, uint8_t limb_mask, uint64_t now_us, fk_ou
 static void begin_stroke(fk_robot_t *robot, uint8_t action, uint64_t now_us, fk_outputs_t *outputs)
 {
     fk_action_t masks;
-    if (fk_tables_action(&robot->tables, action, &masks) != FK_OK) {
+    if (action == robot->tables.actions) {
         return; /* a table without a resting action, and no estimate: nothing fires */
+    }
+    if (fk_tables_action(&robot->tables, action, &masks) != FK_OK) {
+        fk_robot_fault(robot, FK_FAULT_ACTION, 0);
+        return;
     }
     if (masks.first_mask != 0u && !fire(robot, masks.first_mask, now_us, outputs)) {
         /* Half a stroke is none of the table's motions: none of it begins, and host and estimator are told so. */
@@ -296,6 +317,7 @@ void fk_robot_tick(fk_robot_t *robot, uint64_t now_us, fk_outputs_t *outputs)
 {
     outputs->limb_mask = 0u;
     outputs->pulse_us = 0u;
+    fk_robot_note_time(robot, now_us);
     outputs->all_off = robot->all_off;
     if (robot->all_off != 0u) {
         fk_guard_cut(&robot->guard, now_us);
@@ -315,12 +337,8 @@ void fk_robot_tick(fk_robot_t *robot, uint64_t now_us, fk_outputs_t *outputs)
         }
     } else if (robot->state == FK_STATE_RUNNING && now_us >= robot->next_decision_us) {
         /* What the port has not taken yet goes into the buffer, where a decision that does not fit is counted. */
-        send_events(robot);
-        if (fix_is_lost(robot, robot->next_decision_us)) {
-            end_run(robot, FK_STATUS_STALE);
-        } else {
-            decide(robot);
-        }
+        fk_robot_send_events(robot);
+        decide(robot);
     }
 
     /* A decision waits for a stroke that is under way; it is for its own time whenever it is made. */
@@ -333,6 +351,9 @@ void fk_robot_tick(fk_robot_t *robot, uint64_t now_us, fk_outputs_t *outputs)
     } else {
         outputs->next_tick_us = robot->next_decision_us;
     }
+    if (robot->state == FK_STATE_RUNNING && fk_guard_lost_us(&robot->guard) < outputs->next_tick_us) {
+        outputs->next_tick_us = fk_guard_lost_us(&robot->guard);
+    }
 }
 
 void fk_robot_note_tick(fk_robot_t *robot, uint32_t elapsed_us)
@@ -340,18 +361,4 @@ void fk_robot_note_tick(fk_robot_t *robot, uint32_t elapsed_us)
     if (robot->decision_pending != 0u && robot->decision.plan_us == 0u) {
         robot->decision.plan_us = elapsed_us;
     }
-}
-
-uint32_t fk_robot_take_tx(fk_robot_t *robot, uint8_t *bytes, uint32_t capacity)
-{
-    send_events(robot);
-    uint32_t count = (robot->tx_length < capacity) ? robot->tx_length : capacity;
-    for (uint32_t i = 0u; i < count; ++i) {
-        bytes[i] = robot->tx[i];
-    }
-    for (uint32_t i = count; i < robot->tx_length; ++i) {
-        robot->tx[i - count] = robot->tx[i];
-    }
-    robot->tx_length -= count;
-    return count;
 }

@@ -1,13 +1,11 @@
 /* The robot as one state machine without hardware: frames in, one pulse at a time out, time passed in.
  *
  * A port does four things in a loop: hand over received frames, call fk_robot_tick, start the pulse that outputs
- * ask for (its end is the port's hardware event), and send what fk_robot_take_tx gives.
+ * ask for (its end is the port's hardware event), and send what fk_robot_take_tx gives. Its watchdog resets it where
+ * the loop does not come round within a second.
  *
- *            ARM                   START (path)
- *  DISARMED ------> ARMED -------------------------> RUNNING
- *     ^  ^            |  ^                             |  |
- *     |  +-- DISARM --+  +-- STOP, path at an end -----+  |
- *     +------------------ DISARM, no fix for 2 s ---------+
+ * In which state the robot is and what leads to another one: fk_supervisor.h. An internal error, of which there is a list
+ * in fk_frames_layout.h, switches all off and stays, told by STATUS, until the next reset.
  *
  * A decision and the stroke that it asks for are two ticks: a decision computes for a while, and the guard's books
  * must hold the time at which the pins really switch, so the stroke is begun with the time of its own tick.
@@ -22,14 +20,16 @@
 #include "fk_frames.h"
 #include "fk_guard.h"
 #include "fk_planner.h"
+#include "fk_repeats.h"
+#include "fk_supervisor.h"
 
 #define FK_TX_BYTES 768u            /* room for answers and events that the port has not yet taken */
-#define FK_FIX_LOST_US 2000000u     /* newest fix older than this while running: disarm */
 #define FK_START_DELAY_MAX_US 10000000u
 #define FK_CAPTURE_AGE_MAX_US 2000000u
 #define FK_PERIOD_MIN_US 500000u
 #define FK_PERIOD_MAX_US 5000000u
 #define FK_PLAN_TIME_MAX_US 1000000u
+#define FK_PLAN_TIME_WATCHDOG_US 800000u /* no search takes longer: the port's watchdog waits for 1 s */
 #define FK_TRANSITIONS_LIMIT 10000000u
 #define FK_PLAN_FIXED_US 600u        /* of a decision's time, what no transition takes; measured: study chip */
 #define FK_TRANSITION_NS 22000u      /* the most that one more transition takes on the chip; measured likewise */
@@ -50,7 +50,15 @@ typedef struct {
     fk_estimator_t estimator;
     fk_guard_t guard;
 
-    uint8_t state;               /* FK_STATE_... */
+    fk_guard_kept_t *kept; /* 0: none */
+    fk_repeats_t repeats;
+
+    uint8_t state;               /* FK_STATE_...; changed by fk_robot_supervise alone */
+    uint8_t fault;               /* FK_FAULT_..., the first one since the reset */
+    int8_t fault_detail;
+    uint8_t reset;               /* FK_RESET_... */
+    uint16_t conversation;       /* of the last HELLO */
+    uint64_t now_us;             /* the latest time that the port told */
     uint8_t path_points;         /* points received so far */
     uint8_t path_total;          /* points of the path being received; path is whole when both are equal, not 0 */
     uint8_t resting_action;      /* first action that fires no limb; tables.actions where there is none */
@@ -82,6 +90,7 @@ typedef struct {
     uint32_t pulses;
     uint32_t pulses_refused;
     uint32_t answers_dropped;
+    uint32_t commands_repeated;
 } fk_robot_t;
 
 /* Check the table image and start disarmed.
@@ -89,15 +98,27 @@ typedef struct {
  * @retval 0         ready
  * @retval negative  fk_error_t of fk_tables_open, FK_ERROR_ROBOT where the image is for another robot,
  *                   FK_ERROR_IMAGE_TIMES where its pulse is above the guard's limit, or a whole stroke longer than
- *                   the period
+ *                   the period. The robot has a fault then, but answers; all other functions may be called.
  */
 int32_t fk_robot_init(fk_robot_t *robot, const uint8_t *image, uint32_t image_bytes);
+
+/* Why the port started, after fk_robot_init and before the first tick.
+ * @param reset  FK_RESET_...
+ * @param kept   RAM that no start-up clears, for the robot to use as long as it lives: it holds how hot the limbs may
+ *               be, over resets
+ */
+void fk_robot_note_reset(fk_robot_t *robot, uint8_t reset, fk_guard_kept_t *kept);
 
 /* Take one received frame: COBS, without its delimiter. Answers go to the transmit buffer. */
 void fk_robot_on_frame(fk_robot_t *robot, const uint8_t *encoded, uint32_t length, uint64_t now_us);
 
 /* Do what is due at now_us. A decision computes for up to some milliseconds in here. */
 void fk_robot_tick(fk_robot_t *robot, uint64_t now_us, fk_outputs_t *outputs);
+
+/* The pulse that the last tick asked for did not begin, or not within FK_PORT_LATE_US: an internal error.
+ * @param error  the port's own number, -128 to 127
+ */
+void fk_robot_note_pulse_failed(fk_robot_t *robot, int32_t error);
 
 /* How long the last tick took, measured by the port; travels in the DECISION event. */
 void fk_robot_note_tick(fk_robot_t *robot, uint32_t elapsed_us);
@@ -110,13 +131,17 @@ uint32_t fk_robot_take_tx(fk_robot_t *robot, uint8_t *bytes, uint32_t capacity);
 /* Size of fk_robot_t, for a host that holds one without seeing its type. */
 uint32_t fk_robot_bytes(void);
 
-/* For fk_commands.c */
+/* For fk_commands.c and fk_link.c */
 int32_t fk_robot_command(fk_robot_t *robot, const fk_frame_t *frame, uint64_t now_us, uint8_t *answer);
-void fk_robot_disarm(fk_robot_t *robot);
-void fk_robot_note_fix(fk_robot_t *robot, float x_m, float y_m);
+int8_t fk_robot_may(const fk_robot_t *robot, uint8_t event);
+int8_t fk_robot_supervise(fk_robot_t *robot, uint8_t event);
+void fk_robot_fault(fk_robot_t *robot, uint8_t fault, int32_t detail);
+void fk_robot_note_time(fk_robot_t *robot, uint64_t now_us);
+void fk_robot_note_fix(fk_robot_t *robot, uint64_t capture_us, float x_m, float y_m);
 uint32_t fk_robot_transitions_within(uint32_t plan_us);
 void fk_robot_no_more_pulses(fk_robot_t *robot);
 void fk_robot_ask_stroke(fk_robot_t *robot, uint8_t action, uint64_t begin_us);
 uint64_t fk_robot_stroke_us(const fk_robot_t *robot);
+void fk_robot_send_events(fk_robot_t *robot);
 
 #endif

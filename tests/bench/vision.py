@@ -1,4 +1,4 @@
-"""What a pose costs and how good it is: python -m tests.bench.vision [frames] (PYTHONPATH=.). Prints, fails never.
+"""What a pose costs and how good it is: python -m tests.bench.vision [frames] with PYTHONPATH=. set.
 
 Frames per second are counted in processor time of one thread, so that a busy machine does not show.
 """
@@ -52,8 +52,8 @@ def main(frames: int) -> None:
         print(
             f"{name}: {len(errors)} of {frames} found, place rms {np.sqrt(np.mean(place**2)):.3f} max "
             f"{place.max():.3f} mm, heading rms {np.sqrt(np.mean(turn**2)):.3f} max {turn.max():.3f} deg; "
-            f"{frames / window_s:.0f} frames/s in the window ({windows} of {frames}), {frames / whole_s:.0f} in the "
-            "whole frame",
+            f"{frames / window_s:.0f} frames/s in the window ({windows} of {frames}), "
+            f"{frames / whole_s:.0f} in the whole frame",
             flush=True,
         )
 

@@ -12,6 +12,7 @@ from tests.loop import rig
 
 from frogkick.library import write_library
 from frogkick.planner.image import read_image
+from frogkick_codegen.toolchain import cache_folder
 
 Capture = pytest.CaptureFixture[str]
 
@@ -144,8 +145,21 @@ def test_codegen(here: Path, capsys: Capture) -> None:
 
 
 @pytest.mark.parametrize("target", ["bench", "native"])
-def test_firmware_build(here: Path, capsys: Capture, target: str) -> None:
+def test_firmware_build(
+    here: Path,
+    capsys: Capture,
+    target: str,
+    tmp_path_factory: pytest.TempPathFactory,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     table = rig.small_table()
+
+    def compile_anew() -> None:
+        monkeypatch.setenv("FROGKICK_CACHE_DIR", str(tmp_path_factory.mktemp("kept")))
+
+    for name in ("ZIG_GLOBAL_CACHE_DIR", "ZIG_LOCAL_CACHE_DIR"):  # which takes seconds to fill
+        monkeypatch.setenv(name, str(cache_folder() / "zig"))
+    compile_anew()
     done = frogkick(
         capsys, "firmware", "build", "--target", target, "--tables", table, "--out", "a/fw", "--json"
     )
@@ -156,6 +170,7 @@ def test_firmware_build(here: Path, capsys: Capture, target: str) -> None:
         assert table.stat().st_size < done.json["flash_bytes"] < 512 * 1024
         assert 0 < done.json["stack_bytes"] < done.json["ram_bytes"] < 64 * 1024
     # Other folders, the same bytes: nothing of this machine's paths gets in.
+    compile_anew()
     frogkick(capsys, "firmware", "build", "--target", target, "--tables", table, "--out", "b/other")
     assert listing(here / "a" / "fw") == listing(here / "b" / "other")
     assert sorted(path.name for path in here.iterdir()) == ["a", "b"]

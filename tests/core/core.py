@@ -14,7 +14,7 @@ import cffi
 from tests.conftest import REPOSITORY, count
 from tests.planner import synthetic
 
-from frogkick.link.frames import Frame, FrameCollector, pack_frame
+from frogkick.link.frames import Frame, FrameCollector, hello, pack_frame
 from frogkick.link.layout import Value, link_layout
 from frogkick.robot import load_robot
 from frogkick_codegen.firmware import robot_config
@@ -36,10 +36,19 @@ int32_t fk_robot_init(void *robot, const uint8_t *image, uint32_t image_bytes);
 void fk_robot_on_frame(void *robot, const uint8_t *encoded, uint32_t length, uint64_t now_us);
 void fk_robot_tick(void *robot, uint64_t now_us, fk_outputs_t *outputs);
 void fk_robot_note_tick(void *robot, uint32_t elapsed_us);
+typedef struct { uint32_t on_us[8]; uint32_t crc; } fk_guard_kept_t;
+void fk_robot_note_reset(void *robot, uint8_t reset, fk_guard_kept_t *kept);
+void fk_guard_keep(const void *guard, fk_guard_kept_t *kept);
+void fk_guard_resume(void *guard, const fk_guard_kept_t *kept);
+void fk_robot_note_pulse_failed(void *robot, int32_t error);
 uint32_t fk_robot_take_tx(void *robot, uint8_t *bytes, uint32_t capacity);
 void fk_guard_init(void *guard);
 int32_t fk_guard_allow(void *guard, uint8_t limb_mask, uint32_t pulse_us, uint64_t now_us);
 void fk_guard_cut(void *guard, uint64_t now_us);
+void fk_guard_closed_loop(void *guard, int32_t closed);
+void fk_guard_note_fix(void *guard, uint64_t capture_us);
+uint64_t fk_guard_lost_us(const void *guard);
+int32_t fk_guard_is_sound(const void *guard, uint64_t now_us);
 uint32_t fk_frame_encode(uint8_t type, uint8_t sequence, const uint8_t *payload, uint32_t payload_length,
                          uint8_t *to, uint32_t capacity);
 uint32_t fk_test_guard_bytes(void);
@@ -58,6 +67,12 @@ void fk_test_estimator_act(void *test, uint64_t at_us, uint8_t action);
 int32_t fk_test_estimator_at(void *test, uint64_t at_us, float *state, uint32_t *numbers);
 uint32_t fk_test_estimator_inside(void *test, float *values, uint32_t *counts);
 void fk_test_estimator_spoil(void *test, uint32_t speed, float value);
+void fk_test_rule(uint8_t state, uint8_t event, uint8_t *rule);
+void fk_test_spoil_robot(void *robot, int32_t state, int32_t action);
+void fk_test_spoil_guard(void *robot);
+typedef struct { int64_t time_us; int32_t kind; int32_t value; } seen_t;
+uint32_t fk_play(const uint8_t *table, uint32_t bytes, uint64_t seed, uint32_t count, uint32_t commands,
+                 seen_t *to, uint32_t capacity, uint32_t *busy_pulses);
 void fk_test_floats(const uint32_t *bits, uint32_t count, uint8_t *bytes, uint32_t *back);
 """
 
@@ -74,7 +89,8 @@ def source_files() -> dict[str, bytes]:
     """Every file of the core's library by name: planner, core, the robot's limits, the shim."""
     files = planner_files() | {path.name: path.read_bytes() for path in sorted(CORE.glob("*.[ch]"))}
     files["fk_robot_config.h"] = robot_config(load_robot("frog2022")).encode()
-    files["shim.c"] = (Path(__file__).parent / "shim.c").read_bytes()
+    for name in ("shim.c", "play.c", "flash_sim.c"):
+        files[name] = (Path(__file__).parent / name).read_bytes()
     return files
 
 
@@ -158,6 +174,7 @@ PULSE_US = 80_000
 DELAY_US = 80_000
 PERIOD_US = 1_425_000
 GAP_US = 1_000  # FK_STROKE_GAP_US
+LATE_US = 200  # FK_PORT_LATE_US: what a port may take from the time it tells to the pins
 
 
 def image(**changes: object) -> bytes:
@@ -204,6 +221,7 @@ class Robot:
         self, name: str, values: dict[str, Value] | None = None, rows: Sequence[Sequence[Value]] = ()
     ) -> int:
         self._sequence = (self._sequence + 1) & 0xFF
+        values = hello() if name == "HELLO" and values is None else values
         self.raw(pack_frame(name, "command", self._sequence, values, rows)[:-1])
         return self._sequence
 
@@ -288,7 +306,11 @@ class Robot:
     def begin(self, state: str) -> Robot:
         """Bring a fresh robot into a state; RUNNING has its first decision a second later."""
         self.tick()
-        if state != "DISARMED":
+        if state == "FAULT":
+            self.path()
+            self.core.fk_robot_note_pulse_failed(self.memory, -1)
+            assert self.tick().all_off
+        elif state != "DISARMED":
             assert self.status("ARM") == "OK"
         if state == "RUNNING":
             self.path()

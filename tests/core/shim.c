@@ -22,6 +22,9 @@ void fk_test_estimator_act(fk_test_estimator_t *test, uint64_t at_us, uint8_t ac
 int32_t fk_test_estimator_at(fk_test_estimator_t *test, uint64_t at_us, float *state, uint32_t *numbers);
 uint32_t fk_test_estimator_inside(fk_test_estimator_t *test, float *values, uint32_t *counts);
 void fk_test_estimator_spoil(fk_test_estimator_t *test, uint32_t speed, float value);
+void fk_test_rule(uint8_t state, uint8_t event, uint8_t *rule);
+void fk_test_spoil_robot(fk_robot_t *robot, int32_t state, int32_t action);
+void fk_test_spoil_guard(fk_robot_t *robot);
 void fk_test_floats(const uint32_t *bits, uint32_t count, uint8_t *bytes, uint32_t *back);
 
 uint32_t fk_test_guard_bytes(void) { return (uint32_t)sizeof(fk_guard_t); }
@@ -173,6 +176,24 @@ void fk_test_estimator_spoil(fk_test_estimator_t *test, uint32_t speed, float va
 {
     test->estimator.track.mean[0][2u * (test->estimator.track.count - 1u) + speed] = value;
 }
+
+/* One cell of the supervisor's table, as bytes. */
+void fk_test_rule(uint8_t state, uint8_t event, uint8_t *rule)
+{
+    fk_rule_t found = fk_supervisor_rule(state, event);
+    rule[0] = found.next;
+    rule[1] = found.action;
+    rule[2] = (uint8_t)found.status;
+}
+
+/* What damaged memory may hold: another state, another action asked for; negative: as it is. */
+void fk_test_spoil_robot(fk_robot_t *robot, int32_t state, int32_t action)
+{
+    robot->state = (state < 0) ? robot->state : (uint8_t)state;
+    robot->stroke_request = (action < 0) ? robot->stroke_request : (uint8_t)(action + 1);
+}
+
+void fk_test_spoil_guard(fk_robot_t *robot) { robot->guard.limbs[3].next = FK_GUARD_HISTORY; }
 
 /* Numbers through fk_put_f32 and fk_get_f32: their bytes and what comes back, as bits. */
 void fk_test_floats(const uint32_t *bits, uint32_t count, uint8_t *bytes, uint32_t *back)

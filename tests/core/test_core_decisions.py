@@ -159,9 +159,21 @@ def test_a_late_port_makes_up_for_decisions_at_their_own_times() -> None:
     first_us = robot.now_us
     robot.now_us += PERIOD_US + 7
     pulses = robot.run_until(robot.now_us + 300_000)
-    told = [(frame.values["scheduled_us"], frame.values["status"]) for frame in events(robot)]
+    first, refused, second = events(robot)
+    told = [(frame.values["scheduled_us"], frame.values["status"]) for frame in (first, second)]
     assert told == [(first_us, 0), (first_us + PERIOD_US, STALE)]
-    assert pulses and pulses[0][0] == first_us + PERIOD_US + 7
+    assert refused.name == "REFUSED" and pulses == [], "the first decision's stroke comes when its fix is old"
+
+
+def test_a_port_that_is_a_little_late_begins_the_stroke_late() -> None:
+    robot = Robot().begin("ARMED")
+    robot.path()
+    assert robot.fix() == robot.start() == "OK"
+    robot.now_us += 300_000
+    begin_us = robot.now_us
+    pulses = robot.run_until(robot.now_us + 300_000)
+    assert [at_us for at_us, _ in pulses][:1] == [begin_us]
+    assert [frame.name for frame in events(robot)] == ["DECISION"]
 
 
 def test_a_decision_waits_for_a_stroke_under_way_and_is_for_its_own_time() -> None:
@@ -261,9 +273,9 @@ def test_two_hundred_decisions_with_a_bad_camera_are_the_twins() -> None:
         if not running:
             robot.post("ARM")
             robot.post("START", {"delay_us": 100_000})
-            running = True
         for frame in robot.take_all():
             running = running and frame.name != "ENDED"
+            running = running or (frame.name == "START" and frame.values["status"] == 0)
             statuses |= {frame.values["status"]} if frame.name == "FIX" else set()
             for event in events_of_frame(frame, poses):
                 decision = twin.meet(event)

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import zlib
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 import pytest
-from tests.core.core import FFI, cases, core, library, mutated
+from tests.core.core import FFI, LATE_US, cases, core, library, mutated
 
 from frogkick.pool.monitor import Pulse, violations
 from frogkick.robot import load_robot
@@ -20,6 +21,8 @@ REST_US = round(ROBOT.guard.rest_min_s * 1e6)
 WINDOW_US = round(ROBOT.guard.duty_window_s * 1e6)
 ON_MAX_US = round(ROBOT.guard.duty_max * ROBOT.guard.duty_window_s * 1e6)
 AT_ONCE = ROBOT.guard.limbs_at_once_max
+FRESH_US = round(ROBOT.guard.fix_fresh_s * 1e6)
+LOST_US = round(ROBOT.guard.fix_lost_s * 1e6)
 WISHES = 24
 
 
@@ -37,15 +40,38 @@ class Guard:
     def cut(self, now_us: int) -> None:
         self._core.fk_guard_cut(self._memory, now_us)
 
+    def closed_loop(self, closed: bool) -> None:
+        self._core.fk_guard_closed_loop(self._memory, closed)
+
+    def note_fix(self, capture_us: int) -> None:
+        self._core.fk_guard_note_fix(self._memory, capture_us)
+
+    def is_sound(self, now_us: int) -> bool:
+        return bool(self._core.fk_guard_is_sound(self._memory, now_us))
+
+
+@dataclass
+class Heat:
+    """One pulse in the books: from, to, and when its pin is low for certain."""
+
+    start: int
+    end: int
+    off: int
+    cut: bool = False
+
 
 @dataclass
 class Reference:
-    """The limits word by word over every pulse ever, in whole microseconds. Nothing is on before boot."""
+    """The limits word by word over every pulse ever, in whole microseconds; a port may be LATE_US late."""
 
-    pulses: list[list[tuple[int, int]]] = field(default_factory=lambda: [[] for _ in range(8)])
+    pulses: list[list[Heat]] = field(default_factory=lambda: [[] for _ in range(8)])
+    closed: bool = False
+    fix_us: int = 0
 
     def allow(self, mask: int, pulse_us: int, now_us: int) -> bool:
         if not mask or not 0 < pulse_us <= PULSE_MAX_US:
+            return False
+        if self.closed and now_us + LATE_US - self.fix_us > FRESH_US:
             return False
         end_us = now_us + pulse_us
         on = 0
@@ -53,43 +79,62 @@ class Reference:
             if mask >> limb & 1:
                 on += 1
                 # A limb may have been on until the reset: it rests first.
-                if now_us - max((end for _, end in mine), default=0) < REST_US:
+                if now_us - max((heat.off for heat in mine), default=0) < REST_US:
                     return False
                 # Every window over the old pulses and this one: the fullest ends at some pulse's end.
-                every = [*mine, (now_us, end_us)]
+                every = [*((heat.start, heat.end) for heat in mine), (now_us, end_us)]
                 for _, until in every:
-                    held = sum(max(0, min(e, until) - max(s, until - WINDOW_US)) for s, e in every)
+                    held = sum(max(0, min(e, until) - max(s, until - WINDOW_US - LATE_US)) for s, e in every)
                     if held > ON_MAX_US:
                         return False
             else:
-                on += any(s <= now_us < e for s, e in mine)
+                on += any(heat.start <= now_us < heat.off and not heat.cut for heat in mine)
         if on > AT_ONCE:
             return False
-        for limb in range(8):
-            if mask >> limb & 1:
-                self.pulses[limb].append((now_us, end_us))
+        self.note(mask, pulse_us, now_us)
         return True
-
-    def cut(self, now_us: int) -> None:
-        self.pulses = [[(s, min(e, now_us)) for s, e in mine] for mine in self.pulses]
-
-    def seen(self) -> list[Pulse]:
-        """As the monitor sees pins."""
-        return [
-            Pulse(limb, s * 1e-6, e * 1e-6) for limb, mine in enumerate(self.pulses) for s, e in mine if e > s
-        ]
-
-
-class Book:
-    """What a guard allowed, without judging."""
-
-    def __init__(self) -> None:
-        self.reference = Reference()
 
     def note(self, mask: int, pulse_us: int, now_us: int) -> None:
         for limb in range(8):
             if mask >> limb & 1:
-                self.reference.pulses[limb].append((now_us, now_us + pulse_us))
+                end_us = now_us + pulse_us
+                self.pulses[limb].append(Heat(now_us, end_us, end_us + LATE_US))
+
+    def cut(self, now_us: int) -> None:
+        off_us = now_us + LATE_US
+        for mine in self.pulses:
+            for heat in mine:
+                if heat.off > off_us:
+                    heat.end, heat.off, heat.cut = min(heat.end, off_us), off_us, True
+
+
+class Book:
+    """What a guard allowed, without judging; and the pins of a port that is late by what it may be."""
+
+    def __init__(self, seed: int) -> None:
+        self.reference = Reference()
+        self._late = np.random.default_rng([seed, 1])
+        self._pins_us = 0  # a port does one thing after the other
+        self._on: list[list[int]] = []
+
+    def _pin_us(self, now_us: int) -> int:
+        self._pins_us = max(self._pins_us, now_us + int(self._late.integers(0, LATE_US + 1)))
+        return self._pins_us
+
+    def note(self, mask: int, pulse_us: int, now_us: int) -> None:
+        self.reference.note(mask, pulse_us, now_us)
+        pin_us = self._pin_us(now_us)
+        self._on += [[limb, pin_us, pin_us + pulse_us] for limb in range(8) if mask >> limb & 1]
+
+    def cut(self, now_us: int) -> None:
+        self.reference.cut(now_us)
+        pin_us = self._pin_us(now_us)
+        for pulse in self._on:
+            pulse[2] = min(pulse[2], pin_us)
+
+    def seen(self) -> list[Pulse]:
+        """As the monitor sees pins."""
+        return [Pulse(limb, s * 1e-6, e * 1e-6) for limb, s, e in self._on if e > s]
 
 
 PULSES_US = [
@@ -108,19 +153,20 @@ def next_time_us(rng: np.random.Generator, now_us: int, pulse_us: int, book: Ref
     if choice < 0.15 or not mine:
         at_us = now_us + int(rng.choice([0, 1, 40_000, 100_000, 600_000, 1_425_000]))
     elif choice < 0.55:
-        at_us = mine[-1][1] + REST_US + near
+        at_us = mine[-1].off + REST_US + near
     elif choice < 0.65:
-        at_us = mine[-1][1] + near  # a limb goes off
+        at_us = mine[-1].off + near  # a limb goes off
     else:  # an edge of an old pulse leaves the window as the new pulse ends
-        start, end = mine[int(rng.integers(max(0, len(mine) - 12), len(mine)))]
-        at_us = (start if rng.random() < 0.5 else end) + WINDOW_US - min(pulse_us, PULSE_MAX_US) + near
+        heat = mine[int(rng.integers(max(0, len(mine) - 12), len(mine)))]
+        edge = heat.start if rng.random() < 0.5 else heat.end
+        at_us = edge + WINDOW_US + LATE_US - min(pulse_us, PULSE_MAX_US) + near
     return max(now_us, at_us)
 
 
 def one_sequence(seed: int, guard: Guard, judge: Callable[[str, bool, bool], None]) -> list[Pulse]:
     """Play one random sequence: ``judge`` gets each wish and both answers; returns the pulses."""
     rng = np.random.default_rng(seed)
-    reference, book = Reference(), Book()
+    reference, book = Reference(), Book(seed)
     now_us = int(rng.choice([0, 1, 499_999, 500_000, 10**6, 2**32 - 700_000, 2**40]))
     gentle = rng.random() < 0.3  # one limb, legal pulses: reaches the duty limit
     for _ in range(WISHES):
@@ -130,27 +176,36 @@ def one_sequence(seed: int, guard: Guard, judge: Callable[[str, bool, bool], Non
         if rng.random() < 0.05:
             guard.cut(now_us)
             reference.cut(now_us)
-            book.reference.cut(now_us)
+            book.cut(now_us)
+        if rng.random() < 0.1:
+            closed, fix_us = bool(rng.random() < 0.5), max(0, now_us - int(rng.integers(0, 2 * FRESH_US)))
+            if rng.random() < 0.5:  # the wish comes within a microsecond of where the fix is too old
+                fix_us = max(0, now_us + LATE_US - FRESH_US + int(rng.integers(-1, 2)))
+            guard.closed_loop(closed)
+            guard.note_fix(fix_us)
+            reference.closed, reference.fix_us = closed, max(reference.fix_us, fix_us)
         allowed = guard.allow(mask, pulse_us, now_us)
         judge(
             f"mask {mask} for {pulse_us} us at {now_us} us", allowed, reference.allow(mask, pulse_us, now_us)
         )
         if allowed:
             book.note(mask, pulse_us, now_us)
-    return book.reference.seen()
+    return book.seen()
 
 
 def test_no_wish_breaks_a_limit_and_every_wish_within_them_is_allowed() -> None:
     allowed_count = refused_count = 0
     for seed in range(cases(20_000, 400_000)):
+        guard = Guard()
 
-        def judge(wish: str, allowed: bool, wanted: bool, seed: int = seed) -> None:
+        def judge(wish: str, allowed: bool, wanted: bool, seed: int = seed, guard: Guard = guard) -> None:
             nonlocal allowed_count, refused_count
             assert allowed == wanted, f"{wish}: replay with one_sequence({seed}, Guard(), print)"
             allowed_count += allowed
             refused_count += not allowed
+            assert guard.is_sound(2**63), wish
 
-        pulses = one_sequence(seed, Guard(), judge)
+        pulses = one_sequence(seed, guard, judge)
         broken = violations(ROBOT, pulses)
         assert not broken, f"{broken[:3]}: replay with one_sequence({seed}, Guard(), print)"
     # Both answers are common, or the sequences would test nothing.
@@ -160,16 +215,20 @@ def test_no_wish_breaks_a_limit_and_every_wish_within_them_is_allowed() -> None:
 BROKEN = {
     "pulse unlimited": ("pulse_us > FK_PULSE_MAX_US", "0"),
     "pulse doubled": ("pulse_us > FK_PULSE_MAX_US", "pulse_us > 2u * FK_PULSE_MAX_US"),
-    "rest unlimited": ("now_us < rested_from_us + FK_REST_MIN_US", "0"),
-    "rest halved": ("rested_from_us + FK_REST_MIN_US", "rested_from_us + FK_REST_MIN_US / 2u"),
+    "rest unlimited": ("now_us < limb->off_us + FK_REST_MIN_US", "0"),
+    "rest halved": ("limb->off_us + FK_REST_MIN_US", "limb->off_us + FK_REST_MIN_US / 2u"),
     "duty unlimited": ("+ pulse_us > FK_DUTY_ON_MAX_US", "+ pulse_us > UINT64_MAX"),
     "duty doubled": ("+ pulse_us > FK_DUTY_ON_MAX_US", "+ pulse_us > 2u * FK_DUTY_ON_MAX_US"),
     "new pulse not counted": ("on_time_us(limb, end_us) + pulse_us", "on_time_us(limb, end_us)"),
-    "window halved": ("until_us - FK_DUTY_WINDOW_US", "until_us - FK_DUTY_WINDOW_US / 2u"),
+    "window halved": ("window_us = FK_DUTY_WINDOW_US", "window_us = FK_DUTY_WINDOW_US / 2u"),
     "limbs unlimited": ("limbs_on > FK_LIMBS_AT_ONCE_MAX", "limbs_on > 99u"),
     "limbs doubled": ("limbs_on > FK_LIMBS_AT_ONCE_MAX", "limbs_on > 2u * FK_LIMBS_AT_ONCE_MAX"),
-    "other limbs forgotten": ("limbs_on += (rested_from_us > now_us) ? 1u : 0u", "limbs_on += 0u"),
-    "a cut forgets the pulse": ("end_us[i] = now_us;", "end_us[i] = 0u;"),
+    "other limbs forgotten": (
+        "limbs_on += (limb->off_us > now_us && limb->was_cut == 0u) ? 1u : 0u", "limbs_on += 0u"
+    ),
+    "a cut forgets the pulse": ("            limb->off_us = off_us;", "            limb->off_us = 0u;"),
+    "a late port's rest": ("limb->off_us = end_us + FK_PORT_LATE_US;", "limb->off_us = end_us;"),
+    "a late port's cut": ("off_us = now_us + FK_PORT_LATE_US", "off_us = now_us"),
 }  # fmt: skip
 
 
@@ -185,14 +244,22 @@ def test_the_monitor_finds_a_guard_without_its_limit(name: str) -> None:
 SHIFTED = {
     "pulse": ("pulse_us > FK_PULSE_MAX_US", "pulse_us >= FK_PULSE_MAX_US"),
     "pulse longer": ("pulse_us > FK_PULSE_MAX_US", "pulse_us > FK_PULSE_MAX_US + 1u"),
-    "rest": ("now_us < rested_from_us + FK_REST_MIN_US", "now_us <= rested_from_us + FK_REST_MIN_US"),
-    "rest shorter": ("now_us < rested_from_us", "now_us + 1u < rested_from_us"),
+    "rest": ("now_us < limb->off_us + FK_REST_MIN_US", "now_us <= limb->off_us + FK_REST_MIN_US"),
+    "rest shorter": ("now_us < limb->off_us +", "now_us + 1u < limb->off_us +"),
     "duty": ("+ pulse_us > FK_DUTY_ON_MAX_US", "+ pulse_us >= FK_DUTY_ON_MAX_US"),
     "duty more": ("+ pulse_us > FK_DUTY_ON_MAX_US", "+ pulse_us > FK_DUTY_ON_MAX_US + 1u"),
-    "window": ("until_us - FK_DUTY_WINDOW_US", "until_us - FK_DUTY_WINDOW_US + 1u"),
+    "window": ("window_us = FK_DUTY_WINDOW_US", "window_us = FK_DUTY_WINDOW_US - 1u"),
     "window at the start": ("on_time_us(limb, end_us)", "on_time_us(limb, now_us)"),
+    "a late port's window": ("FK_DUTY_WINDOW_US + FK_PORT_LATE_US;", "FK_DUTY_WINDOW_US;"),
     "limbs": ("limbs_on > FK_LIMBS_AT_ONCE_MAX", "limbs_on >= FK_LIMBS_AT_ONCE_MAX"),
-    "a limb that just went off": ("(rested_from_us > now_us)", "(rested_from_us >= now_us)"),
+    "a limb that just went off": ("limb->off_us > now_us &&", "limb->off_us >= now_us &&"),
+    "a limb that was cut": ("limb->was_cut = 1u;", "limb->was_cut = 0u;"),
+    "a fix that is no longer fresh": (
+        "> guard->fix_us + FK_FIX_FRESH_US",
+        ">= guard->fix_us + FK_FIX_FRESH_US",
+    ),
+    "a fix that is fresh for longer": ("> guard->fix_us + FK_FIX_FRESH_US", "> guard->fix_us + 500001u"),
+    "a fix from before": ("if (capture_us > guard->fix_us)", "if (1)"),
 }
 
 
@@ -215,11 +282,32 @@ def test_limits_to_the_microsecond() -> None:
     assert not guard.allow(1, PULSE_MAX_US + 1, REST_US)
     assert not guard.allow(7, 80_000, REST_US), "three limbs at once"
     assert guard.allow(1, PULSE_MAX_US, REST_US)
-    end_us = REST_US + PULSE_MAX_US
-    assert not guard.allow(6, 80_000, end_us - 1), "limb 0 is still on"
-    assert guard.allow(6, 80_000, end_us)
-    assert not guard.allow(1, 80_000, end_us + REST_US - 1)
-    assert guard.allow(1, 80_000, end_us + REST_US)
+    off_us = REST_US + PULSE_MAX_US + LATE_US
+    assert not guard.allow(6, 80_000, off_us - 1), "limb 0 may still be on"
+    assert guard.allow(6, 80_000, off_us)
+    assert not guard.allow(1, 80_000, off_us + REST_US - 1)
+    assert guard.allow(1, 80_000, off_us + REST_US)
+
+
+def test_a_closed_loop_needs_a_fresh_fix() -> None:
+    guard = Guard()
+    guard.closed_loop(True)
+    assert not guard.allow(1, 80_000, 10**6), "no fix ever"
+    guard.note_fix(10**6)
+    assert not guard.allow(1, 80_000, 10**6 + FRESH_US - LATE_US + 1)
+    guard.note_fix(10**6 - 1)  # one that comes late is not the newest
+    assert guard.allow(1, 80_000, 10**6 + FRESH_US - LATE_US)
+    guard.closed_loop(False)
+    assert guard.allow(2, 80_000, 10**7)
+
+
+def test_when_a_fix_is_lost() -> None:
+    made = core()
+    memory = FFI.new("uint64_t[]", made.fk_test_guard_bytes() // 8)
+    made.fk_guard_init(memory)
+    assert made.fk_guard_lost_us(memory) == 0, "no fix is one that is lost"
+    made.fk_guard_note_fix(memory, 3_000_000)
+    assert made.fk_guard_lost_us(memory) == 3_000_000 + LOST_US + 1
 
 
 def test_a_refused_wish_leaves_no_trace() -> None:
@@ -237,15 +325,16 @@ def test_all_off_in_the_middle_of_a_pulse() -> None:
     assert guard.allow(0b0011, 100_000, 1_000_000)
     guard.cut(1_040_000)
     assert guard.allow(0b1100, 100_000, 1_040_000), "the first two are off"
-    assert not guard.allow(0b0011, 100_000, 1_040_000 + REST_US - 1)
-    assert guard.allow(0b0011, 100_000, 1_040_000 + REST_US)
-    guard.cut(1_040_000 + REST_US)
-    assert not guard.allow(0b0011, 100_000, 1_040_000 + 2 * REST_US - 1)
-    # 40 ms of the first pulse and nothing of the second count: 360 ms are left of the 400 ms within 5 s.
+    off_us = 1_040_000 + LATE_US
+    assert not guard.allow(0b0011, 100_000, off_us + REST_US - 1)
+    assert guard.allow(0b0011, 100_000, off_us + REST_US)
+    guard.cut(off_us + REST_US)
+    assert not guard.allow(0b0011, 100_000, off_us + LATE_US + 2 * REST_US - 1)
+    # 40 ms of the first pulse and what a late port adds to both count: less than 360 ms are left of 400.
     at_us = 2_100_000
-    for pulse_us in (100_000, 100_000, 100_000, 60_000):
+    for pulse_us in (100_000, 100_000, 100_000, 60_000 - 2 * LATE_US):
         assert guard.allow(1, pulse_us, at_us)
-        at_us += pulse_us + REST_US
+        at_us += pulse_us + REST_US + LATE_US
     assert not guard.allow(1, 1, at_us)
 
 
@@ -254,5 +343,87 @@ def test_a_cut_when_nothing_is_on_changes_nothing() -> None:
     assert guard.allow(1, 80_000, 1_000_000)
     guard.cut(1_080_000)
     guard.cut(3_000_000)
-    assert not guard.allow(1, 80_000, 1_579_999)
+    assert not guard.allow(1, 80_000, 1_580_000 + LATE_US - 1)
     assert guard.allow(1, 80_000, 3_000_000)
+
+
+def test_a_cut_between_a_pulse_and_the_end_of_a_late_one_ends_it_in_the_books() -> None:
+    """Its pin may have been on until then; and a cut long after it is none."""
+    guard = Guard()
+    assert guard.allow(0b0011, 100_000, 1_000_000)
+    guard.cut(1_100_000 - LATE_US // 2)
+    assert guard.allow(0b1100, 100_000, 1_100_000)
+    assert not guard.allow(0b0011, 100_000, 1_100_000 + LATE_US // 2 + REST_US - 1)
+    assert guard.allow(0b0011, 100_000, 1_100_000 + LATE_US // 2 + REST_US)
+
+
+def kept_of(on_us: list[int]) -> Any:
+    """RAM that holds these times, with the CRC that says that they are whole."""
+    kept = FFI.new("fk_guard_kept_t *")
+    kept.on_us = [*on_us, *[0] * (8 - len(on_us))]
+    kept.crc = zlib.crc32(bytes(FFI.buffer(kept))[:32]) ^ 0x64726147
+    return kept
+
+
+def resumed(kept: Any) -> Guard:
+    guard = Guard()
+    core().fk_guard_resume(guard._memory, kept)
+    assert guard.is_sound(0)
+    return guard
+
+
+def test_what_is_kept_over_a_reset_counts_as_if_it_had_just_happened() -> None:
+    before = Guard()
+    for number in range(5):
+        assert before.allow(0b01, 80_000, 10**7 + 600_000 * number)
+    assert before.allow(0b10, 80_000, 2 * 10**7)
+    kept = FFI.new("fk_guard_kept_t *")
+    core().fk_guard_keep(before._memory, kept)
+    assert list(kept.on_us) == [400_000, 80_000, 0, 0, 0, 0, 0, 0]
+    assert bytes(FFI.buffer(kept)) == bytes(FFI.buffer(kept_of([400_000, 80_000])))
+    after = resumed(kept)
+    assert after.allow(0b10, 80_000, REST_US), "its 80 ms and these are far below the limit"
+    for at_us in range(REST_US, WINDOW_US, 100_000):
+        assert not after.allow(0b01, 80_000, at_us)
+    # The first 20 ms of its 100 in all have left the window, five times over.
+    assert not resumed(kept).allow(0b01, 80_000, WINDOW_US + LATE_US - 80_000 + 19_999)
+    assert resumed(kept).allow(0b01, 80_000, WINDOW_US + LATE_US - 80_000 + 20_000)
+
+
+def test_ram_that_lost_its_supply_keeps_nothing() -> None:
+    for kept in (FFI.new("fk_guard_kept_t *"), kept_of([400_000])):
+        kept.crc ^= 0 if not any(kept.on_us) else 1
+        assert resumed(kept).allow(0b01, 80_000, REST_US)
+        assert not resumed(kept).allow(0b01, 80_000, REST_US - 1)
+
+
+def test_more_than_the_books_hold_fills_them() -> None:
+    after = resumed(kept_of([0xFFFFFFFF]))
+    assert not after.allow(0b01, 80_000, WINDOW_US - 80_000)
+    assert after.allow(0b10, 80_000, WINDOW_US)
+
+
+LIMB_WORDS = 2 * 12 + 3  # fk_guard_limb_t: starts, ends, next, off_us, was_cut
+
+
+@pytest.mark.parametrize(
+    ("word", "value"),
+    [
+        (0, 2_000_001),  # a pulse from the future
+        (12, 2_200_002),  # a pulse longer than any
+        (12, 0),  # one that ends before it began
+        (24, 12),  # a place that is none
+        (8 * LIMB_WORDS, 2_000_001),  # a fix from the future
+        (8 * LIMB_WORDS + 1, 2),  # neither open nor closed
+        (7 * LIMB_WORDS + 24, 0xFFFFFFFF),
+    ],
+)
+def test_books_that_nobody_wrote_are_found(word: int, value: int) -> None:
+    made = core()
+    assert made.fk_test_guard_bytes() == 8 * (8 * LIMB_WORDS + 2)
+    memory = FFI.new("uint64_t[]", made.fk_test_guard_bytes() // 8)
+    made.fk_guard_init(memory)
+    assert made.fk_guard_allow(memory, 1, 100_000, 1_000_000)
+    assert made.fk_guard_is_sound(memory, 2_000_000)
+    memory[word] = value
+    assert not made.fk_guard_is_sound(memory, 2_000_000)

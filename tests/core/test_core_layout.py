@@ -19,7 +19,7 @@ def test_the_header_is_up_to_date() -> None:
 
 def test_the_readme_s_table_is_up_to_date() -> None:
     text = frames.README.read_text(encoding="utf-8")
-    assert frames.readme_with_table(text) == text, RUN
+    assert frames.readme_with_tables(text) == text, RUN
     assert all(f"| {name} |" in text for name in link_layout().messages)
 
 

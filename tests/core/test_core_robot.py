@@ -12,37 +12,47 @@ import pytest
 from cobs import cobs
 from tests.core.core import ACTION, FFI, PERIOD_US, RESTING, STATE, Robot, bits, cases, core, decode, image
 
+from frogkick.link.frames import hello
 from frogkick.link.layout import Value, link_layout
 from frogkick.loop.decision import LIMB_USE_FIELDS
 from frogkick.planner.plan import PlanConfig
 from frogkick_codegen.native import NativeLibrary
 
-STATES = ("DISARMED", "ARMED", "RUNNING")
+STATES = ("DISARMED", "ARMED", "RUNNING", "FAULT")
 POSE: dict[str, Value] = {"x_m": 0.1, "y_m": 0.02, "heading_rad": 0.1}
 MOTION: dict[str, Value] = {"vx_mps": 0.02, "vy_mps": 0.0, "omega_rad_s": 0.1}
 RESTED: dict[str, Value] = dict.fromkeys(LIMB_USE_FIELDS, 0) | {"along_points": 0.0}
 FIX: dict[str, Value] = {"fix_sequence": 8, "quality": 1, "capture_age_us": 0, **POSE, "y_m": 0.002}
 Rows = Sequence[Sequence[Value]]
 
-# command: values, rows, then (status, next state) from DISARMED, ARMED, RUNNING; the last two with a path.
+# command: values, rows, then (status, next state) from each state; with a path.
 TABLE: dict[str, tuple[dict[str, Value], Rows, tuple[tuple[str, str], ...]]] = {
-    "HELLO": ({}, (), (("OK", "DISARMED"), ("OK", "ARMED"), ("OK", "RUNNING"))),
-    "ARM": ({}, (), (("OK", "ARMED"), ("OK", "ARMED"), ("STATE", "RUNNING"))),
-    "DISARM": ({}, (), (("OK", "DISARMED"), ("OK", "DISARMED"), ("OK", "DISARMED"))),
-    "FIX": (FIX, (), (("OK", "DISARMED"), ("OK", "ARMED"), ("OK", "RUNNING"))),
+    "HELLO": (hello(), (), (("OK", "DISARMED"), ("OK", "ARMED"), ("OK", "RUNNING"), ("OK", "FAULT"))),
+    "ARM": ({}, (), (("OK", "ARMED"), ("OK", "ARMED"), ("STATE", "RUNNING"), ("FAULT", "FAULT"))),
+    "DISARM": ({}, (), (("OK", "DISARMED"), ("OK", "DISARMED"), ("OK", "DISARMED"), ("FAULT", "FAULT"))),
+    "FIX": (FIX, (), (("OK", "DISARMED"), ("OK", "ARMED"), ("OK", "RUNNING"), ("FAULT", "FAULT"))),
     "PATH": (
         {"first": 0, "total": 2, "count": 2},
         [(0.0, 0.0, 0.0), (1.0, 0.0, 0.0)],
-        (("OK", "DISARMED"), ("OK", "ARMED"), ("STATE", "RUNNING")),
+        (("OK", "DISARMED"), ("OK", "ARMED"), ("STATE", "RUNNING"), ("FAULT", "FAULT")),
     ),
-    "START": ({"delay_us": 500_000}, (), (("STATE", "DISARMED"), ("OK", "RUNNING"), ("STATE", "RUNNING"))),
-    "STOP": ({}, (), (("OK", "DISARMED"), ("OK", "ARMED"), ("OK", "ARMED"))),
-    "STATUS": ({}, (), (("OK", "DISARMED"), ("OK", "ARMED"), ("OK", "RUNNING"))),
-    "PARAM": ({"parameter": 1, "value": 2}, (), (("OK", "DISARMED"), ("OK", "ARMED"), ("STATE", "RUNNING"))),
-    "STROKE": ({"action": ACTION["B"]}, (), (("STATE", "DISARMED"), ("OK", "ARMED"), ("STATE", "RUNNING"))),
+    "START": (
+        {"delay_us": 500_000}, (),
+        (("STATE", "DISARMED"), ("OK", "RUNNING"), ("STATE", "RUNNING"), ("FAULT", "FAULT")),
+    ),
+    "STOP": ({}, (), (("OK", "DISARMED"), ("OK", "ARMED"), ("OK", "ARMED"), ("FAULT", "FAULT"))),
+    "STATUS": ({}, (), (("OK", "DISARMED"), ("OK", "ARMED"), ("OK", "RUNNING"), ("OK", "FAULT"))),
+    "PARAM": (
+        {"parameter": 1, "value": 2}, (),
+        (("OK", "DISARMED"), ("OK", "ARMED"), ("STATE", "RUNNING"), ("FAULT", "FAULT")),
+    ),
+    "STROKE": (
+        {"action": ACTION["B"]}, (),
+        (("STATE", "DISARMED"), ("OK", "ARMED"), ("STATE", "RUNNING"), ("FAULT", "FAULT")),
+    ),
     "PLAN": (
         {"depth": 1, **POSE, **MOTION, **RESTED}, (),
-        (("OK", "DISARMED"), ("OK", "ARMED"), ("STATE", "RUNNING")),
+        (("OK", "DISARMED"), ("OK", "ARMED"), ("STATE", "RUNNING"), ("FAULT", "FAULT")),
     ),
 }  # fmt: skip
 
@@ -57,8 +67,9 @@ def test_the_table_has_every_command() -> None:
 def test_every_command_in_every_state(name: str, state: str) -> None:
     values, rows, expected = TABLE[name]
     robot = Robot().begin(state)
-    if state != "RUNNING":
+    if state in ("DISARMED", "ARMED"):
         robot.path()
+        assert name != "START" or robot.fix() == "OK"
     answer = robot.ask(name, values, rows)
     status, next_state = expected[STATES.index(state)]
     assert link_layout().status_name(int(answer["status"])) == status
@@ -77,7 +88,7 @@ def test_boots_disarmed_with_everything_off() -> None:
     assert robot.stroke("B") == "STATE"
     assert robot.tick().limb_mask == 0
     told = robot.ask("HELLO")
-    assert (told["protocol_version"], told["robot_id"], told["period_us"]) == (1, "frog2022", PERIOD_US)
+    assert (told["protocol_version"], told["robot_id"], told["period_us"]) == (2, "frog2022", PERIOD_US)
     assert (told["states"], told["actions"], told["limbs"], told["pulse_us"]) == (60, 7, 4, 80_000)
     assert told["table_crc"] == zlib.crc32(robot.image[16:])
 
@@ -118,7 +129,8 @@ def test_wrong_lengths_are_answered(state: str) -> None:
         for size in range(40):
             fits = size == payload.bytes
             # A PATH while running is refused for that, whatever its rows; a shorter one has no head to read.
-            fits |= name == "PATH" and state == "RUNNING" and size >= payload.bytes
+            fits |= name == "PATH" and state in ("RUNNING", "FAULT") and size >= payload.bytes
+            fits |= name == "HELLO"  # of any length: see the versions
             if not fits:
                 robot.raw(raw_frame(message.id, bytes(size)))
                 answer = decode(robot.take_bytes()[:-1])
@@ -151,7 +163,7 @@ def test_a_bad_part_of_a_path_is_refused(part: tuple[int, int, int], status: str
     # A path that was whole before stays whole: the robot refuses a part by its head and takes nothing.
     robot.path()
     assert robot.status("PATH", {"first": first, "total": total, "count": number}, rows) == status
-    assert robot.start() == "OK"
+    assert robot.fix() == robot.start() == "OK"
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf, 1000.1, -1000.1])
@@ -169,7 +181,7 @@ def test_a_path_with_a_bad_point_is_no_path(bad: float, column: int) -> None:
     assert robot.start() == "NO_PATH"
     assert robot.status("PLAN", {"depth": 1, **POSE, **MOTION, **RESTED}) == "NO_PATH"
     robot.path()
-    assert robot.start() == "OK"
+    assert robot.fix() == robot.start() == "OK"
 
 
 def test_a_path_in_parts() -> None:
@@ -191,7 +203,7 @@ def test_a_path_in_parts() -> None:
     assert robot.start() == "NO_PATH"
     assert part(90, 100, 10) == (0, 100)
     assert part(100, 100, 1)[0] == link_layout().status["VALUE"]
-    assert robot.start() == "OK"
+    assert robot.fix() == robot.start() == "OK"
 
 
 def test_parameters_and_their_limits() -> None:

@@ -10,6 +10,7 @@ from tests.core.core import (
     ACTION,
     DELAY_US,
     GAP_US,
+    LATE_US,
     NEVER_US,
     PERIOD_US,
     PULSE_US,
@@ -145,7 +146,7 @@ def test_a_stroke_right_after_disarm_and_arm() -> None:
     assert robot.stroke("R") == "OK"
     out = robot.tick()
     assert (out.all_off, out.limb_mask) == (1, 0b1100)
-    robot.now_us += 499_999
+    robot.now_us += LATE_US + 499_999
     assert robot.stroke("A") == "OK"
     assert robot.tick().limb_mask == 0
     robot.now_us += 1
@@ -195,7 +196,7 @@ def test_the_host_makes_the_same_decisions() -> None:
         assert robot.status("PARAM", {"parameter": 1, "value": depth}) == "OK"
         robot.keep = True
         twin = DecisionTwin(open_image(robot.image), path, replace(DEFAULTS, depth=depth))
-        robot.post("START", {"delay_us": int(rng.integers(200_000, 400_000))})
+        delay_us = int(rng.integers(200_000, 400_000))
         pose = np.array([0.2, 0.0, rng.uniform(-3, 3)])
         poses: dict[int, np.ndarray] = {}
         while len(poses) <= 80:
@@ -208,6 +209,8 @@ def test_the_host_makes_the_same_decisions() -> None:
             }  # fmt: skip
             poses[len(poses)] = fix
             robot.post("FIX", values)
+            if len(poses) == 1:
+                robot.post("START", {"delay_us": delay_us})
         robot.run_until(robot.now_us + 5_000_000)
         for frame in robot.take_all():
             if frame.name == "FIX":
@@ -269,11 +272,26 @@ def test_no_pulse_breaks_a_limit_whatever_is_commanded() -> None:
     assert pulses_seen > 5 * cases(400, 8000)
 
 
-def test_start_without_any_fix_ends_stale_and_disarmed() -> None:
+def test_start_without_any_fix_is_refused() -> None:
     robot = Robot().begin("ARMED")
     robot.path()
-    assert robot.start(100_000) == "OK"
-    assert robot.run_until(robot.now_us + 3_000_000) == []
+    assert robot.start(100_000) == "STALE"
+    assert robot.run_until(robot.now_us + 3_000_000) == [] == events(robot)
+    assert robot.fix() == "OK"
+    robot.now_us += 2_000_001
+    assert robot.start() == "STALE", "the fix is too old by now"
+    assert robot.state() == "ARMED"
+
+
+def test_a_start_whose_fixes_never_come_ends_stale_and_disarmed() -> None:
+    robot = Robot().begin("ARMED")
+    robot.path()
+    assert robot.fix(capture_age_us=900_000) == "OK"
+    assert robot.start(3_000_000) == "OK"
+    begin_us = robot.now_us
+    out = robot.tick()
+    assert out.next_tick_us == begin_us + 1_100_001, "when the fix is lost, not when the decision is due"
+    assert robot.run_until(begin_us + 3_000_000) == []
     (ended,) = events(robot)
     assert (ended.name, ended.values) == ("ENDED", {"status": STALE, "state": 0, "decisions": 0})
     assert robot.state() == "DISARMED"
@@ -283,6 +301,7 @@ def test_start_limits() -> None:
     robot = Robot().begin("ARMED")
     assert robot.start() == "NO_PATH"
     robot.path()
+    assert robot.fix() == "OK"
     assert robot.start(10_000_001) == "VALUE"
     assert robot.start(0xFFFFFFFF) == "VALUE"
     assert robot.start(10_000_000) == "OK"
@@ -297,13 +316,18 @@ def test_without_fixes_no_stroke_then_disarmed() -> None:
             robot.now_us += 100_000
             capture_us = robot.now_us
             assert robot.fix(capture_age_us=0) == "OK"
+    while robot.state() == "RUNNING":
+        robot.keep = True
+        ended_us = robot.tick(robot.tick().next_tick_us) and robot.now_us
+    robot.keep = False
     robot.run_until(first_us + 4 * PERIOD_US)
-    told = events(robot)
+    told = [frame for frame in robot.take_all() if frame.kind == "event"]
     assert [frame.name for frame in told] == ["DECISION", "DECISION", "ENDED"]
     assert [frame.values["status"] for frame in told] == [0, STALE, STALE]
     assert told[1].values["action"] == RESTING and told[1].values["fixes_in_estimate"] == 0
     assert told[2].values["decisions"] == 2
     assert first_us + 2 * PERIOD_US - capture_us > 2_000_000 >= first_us + PERIOD_US - capture_us
+    assert ended_us == capture_us + 2_000_001, "then, not at the next decision"
     assert robot.state() == "DISARMED"
     assert robot.tick().all_off == 0, "that tick is over"
 
@@ -316,5 +340,4 @@ def test_two_seconds_without_a_fix_to_the_microsecond(age_us: int, state: str) -
     assert robot.start(age_us) == "OK"
     out = robot.tick(robot.now_us + age_us)
     assert robot.state() == state
-    out = robot.tick()
     assert out.all_off == (state == "DISARMED") and out.limb_mask == 0

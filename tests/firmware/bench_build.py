@@ -8,7 +8,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 BENCH = Path(__file__).resolve().parents[2] / "firmware" / "bench"
-DRIVERS = ("clock.c", "pulse.c", "sleep.c", "startup.c", "time.c", "uart.c")
+CORE = BENCH.parent / "core"
+DRIVERS = ("clock.c", "pulse.c", "sleep.c", "startup.c", "time.c", "uart.c", "watchdog.c")
 WARNINGS = (
     "-Wall", "-Wextra", "-Wconversion", "-Wdouble-promotion", "-Wmissing-prototypes", "-Werror",
 )  # fmt: skip
@@ -29,7 +30,18 @@ def build(
 ) -> Path:
     """Compile and link; return the ELF. A warning or error fails with the compiler's own words."""
     files = [str(source) for source in sources] + [str(BENCH / name) for name in DRIVERS if drivers]
-    command = [*compiler, *CODE, *WARNINGS, f"-I{BENCH}", *options, *LINK, "-o", str(elf), *files]
+    command = [
+        *compiler,
+        *CODE,
+        *WARNINGS,
+        f"-I{BENCH}",
+        f"-I{CORE}",
+        *options,
+        *LINK,
+        "-o",
+        str(elf),
+        *files,
+    ]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     assert "warning" not in done.stderr, done.stderr

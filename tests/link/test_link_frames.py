@@ -100,7 +100,7 @@ def test_what_is_not_a_frame_of_the_link_is_an_input_error() -> None:
         pack_frame("HELLO", "event", 1)
     for sequence in (-1, 256):
         with pytest.raises(InputError, match="0 to 255"):
-            pack_frame("HELLO", "command", sequence)
+            pack_frame("STATUS", "command", sequence)
     with pytest.raises(InputError, match="fit"):
         pack_frame("PATH", "command", 1, {"first": 0, "total": 2, "count": 1}, [(1.0, 2.0)])
 
@@ -171,11 +171,11 @@ def test_a_frame_that_never_ends_is_one_bad_frame_and_no_memory() -> None:
     for _ in range(1000):
         assert collector.feed(b"\x07" * 100) == []
     assert collector.bad == 0 and len(collector._bytes) <= ENCODED_MAX + 100
-    good = pack_frame("HELLO", "command", 9)
+    good = pack_frame("STATUS", "command", 9)
     assert [frame.sequence for frame in collector.feed(b"\0" + good)] == [9]
     assert collector.bad == 1
     largest = b"\xff" + b"\x07" * (ENCODED_MAX - 1)
-    assert collector.feed(largest) == [] and collector.feed(b"\0" + good)[0].name == "HELLO"
+    assert collector.feed(largest) == [] and collector.feed(b"\0" + good)[0].name == "STATUS"
     assert collector.bad == 2
 
 
@@ -215,4 +215,4 @@ def test_the_layout_is_sound() -> None:
             assert payload.fields[0].name == "status", "a refusal may be the status alone"
     for numbers in (layout.status, layout.state, layout.parameter):
         assert len(set(numbers.values())) == len(numbers)
-    assert layout.status_name(-64) == "STATE" and layout.status_name(-99) == "-99"
+    assert layout.status_name(-64) == "STATE" and layout.status_name(-127) == "-127"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from tests.loop import rig
 
-from frogkick.link.frames import Frame
+from frogkick.link.frames import Frame, hello
 from frogkick.loop.decision import LIMB_USE_FIELDS
 from frogkick.loop.session import ANSWER_TIMEOUT_S, LinkError, Session
 from frogkick.paths import shape
@@ -73,7 +73,7 @@ def test_greet_refuses_another_table_and_another_robot() -> None:
 def test_answers_find_their_own_request() -> None:
     session = Session(rig.port("pool"))
     first = session.post("STATUS")
-    second = session.post("HELLO")
+    second = session.post("HELLO", hello())
     session.step(0.2)
     frames = {arrival.frame.name: arrival.frame for arrival in session.take("STATUS", "HELLO")}
     assert frames["STATUS"].sequence == first

@@ -47,20 +47,20 @@ def wire_s(encoded: bytes) -> float:
 
 
 def test_a_frame_arrives_when_its_last_byte_is_through(robot: NativeRobot) -> None:
-    encoded = command("HELLO")
+    encoded = command("STATUS")
     robot.send(encoded, 0.1)
     robot.advance(0.1 + wire_s(encoded) - 2e-6)
     assert robot.frames() == []
     robot.advance(0.1 + wire_s(encoded) + 2e-6)
     ((time_s, frame),) = robot.frames()
-    assert frame.values["robot_id"] == "frog2022" and time_s == pytest.approx(0.1 + wire_s(encoded), abs=1e-6)
+    assert frame.name == "STATUS" and time_s == pytest.approx(0.1 + wire_s(encoded), abs=1e-6)
     assert robot.frames() == []
 
 
 def test_frames_queue_on_the_wire(robot: NativeRobot) -> None:
-    encoded = command("HELLO", 1)
-    robot.send(encoded + command("HELLO", 2), 0.1)
-    robot.send(command("HELLO", 3), 0.1)
+    encoded = command("STATUS", 1)
+    robot.send(encoded + command("STATUS", 2), 0.1)
+    robot.send(command("STATUS", 3), 0.1)
     robot.advance(1.0)
     found = robot.frames()
     assert [frame.sequence for _, frame in found] == [1, 2, 3]
@@ -69,7 +69,7 @@ def test_frames_queue_on_the_wire(robot: NativeRobot) -> None:
 
 
 def test_a_frame_may_come_in_parts_and_between_noise(robot: NativeRobot) -> None:
-    encoded = command("HELLO", 5)
+    encoded = command("STATUS", 5)
     robot.send(encoded[:3], 0.1)
     robot.advance(0.2)
     robot.send(encoded[3:], 0.3)
@@ -78,7 +78,7 @@ def test_a_frame_may_come_in_parts_and_between_noise(robot: NativeRobot) -> None
     robot.send(b"\0" + command("STATUS", 6), 0.7)
     robot.advance(1.0)
     first, second = [frame for _, frame in robot.frames()]
-    assert (first.name, first.sequence, second.sequence) == ("HELLO", 5, 6)
+    assert (first.name, first.sequence, second.sequence) == ("STATUS", 5, 6)
     assert second.values["frames_bad"] == 1, "empty frames are nothing, a long one is one"
 
 

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numba import typeof
 from tests.conftest import count
 
 from frogkick.cli.main import run_command
@@ -18,6 +19,7 @@ from frogkick.library import Library, fit_table, quantise, sample_library, write
 from frogkick.library.transitions import fire_action, lane_effects
 from frogkick.paths import shape
 from frogkick.planner.image import open_image
+from frogkick.planner.lookup import arrays_of
 from frogkick.planner.plan import Cost, PlanConfig, config_of, plan
 from frogkick.report.ceiling_figure import ceiling_figure
 from frogkick.robot import load_robot, parse_robot
@@ -110,6 +112,7 @@ def test_the_planner_finds_what_a_tree_holds(config: PlanConfig, images: dict[st
 
     def chosen(motions: np.ndarray, depth: int) -> int:
         tree = table_of_motions(motions, like)
+        assert [typeof(part) for part in arrays_of(tree)] == [typeof(part) for part in arrays_of(like)]
         asked = PlanConfig(**{**config.__dict__, "depth": depth, "transitions_max": 0})
         made = plan(tree, Straight(), asked, np.zeros(6))
         assert made.predicted[:3] == pytest.approx(motions[0, made.action], abs=1e-4)

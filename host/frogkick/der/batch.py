@@ -56,12 +56,11 @@ class _State:
         self.water = [STILL] * width
         self._space = space_of(mesh, plan, width)
 
-    def copy(self) -> _State:
-        """The same state in space of its own."""
+    def pick(self, lanes: Sequence[int]) -> _State:
+        """``width`` of its lanes, some of them more than once, in space of their own."""
         twin = _State(self.mesh, self.plan, self.limbs, self.width)
-        for mine, theirs in ((self.x_m, twin.x_m), (self.v_mps, twin.v_mps), (self.a_mps2, twin.a_mps2)):
-            theirs[...] = mine
-        twin.water = list(self.water)
+        for to, lane in enumerate(lanes):
+            self.copy_lane(lane, twin, to)
         return twin
 
     def start(self) -> None:
@@ -130,11 +129,7 @@ class _State:
 
     def copy_lane(self, lane: int, other: _State, to: int) -> None:
         """Copy one lane of this state into a lane of another."""
-        for mine, theirs in (
-            (self.x_m, other.x_m),
-            (self.v_mps, other.v_mps),
-            (self.a_mps2, other.a_mps2),
-        ):
+        for mine, theirs in ((self.x_m, other.x_m), (self.v_mps, other.v_mps), (self.a_mps2, other.a_mps2)):
             lane_floats(theirs)[..., to] = lane_floats(mine)[..., lane]
         other.water[to] = self.water[lane]
 
@@ -254,14 +249,18 @@ class Batch:
         a[..., lane] = a[..., lane] @ turn.T
         self._origin[lane] += pose_world[:2]
 
-    def copy(self) -> Batch:
-        """The same robots once more, amid their strokes, to go on from here by themselves."""
-        twin = copy.copy(self)
-        twin.time_s, twin.corrections = self.time_s.copy(), self.corrections.copy()
-        twin.failures = dict(self.failures)
-        twin._strokes = [[list(starts) for starts in limbs] for limbs in self._strokes]
-        twin._state, twin._alone = self._state.copy(), None
-        twin._origin = self._origin.copy()
+    def pick(self, lanes: Sequence[int]) -> Batch:
+        """Some lanes' robots again, 1 to the width, amid their strokes, to go on from here by themselves."""
+        twin, chosen, width = copy.copy(self), list(lanes), self._state.width
+        twin.lanes = len(chosen)
+        twin.time_s, twin.corrections = self.time_s[chosen], self.corrections[chosen]
+        twin.failures = {to: self.failures[k] for to, k in enumerate(chosen) if k in self.failures}
+        twin._actuations = tuple(self._actuations[k] for k in chosen)
+        twin._paces = [self._paces[k] for k in chosen]
+        twin._strokes = [[list(starts) for starts in self._strokes[k]] for k in chosen]
+        idle = [chosen[0]] * (width - len(chosen))  # a valid state, as in __init__
+        twin._state, twin._alone = self._state.pick([*chosen, *idle]), None
+        twin._origin = self._origin[chosen]
         return twin
 
     def advance(

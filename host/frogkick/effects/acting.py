@@ -74,9 +74,13 @@ class ActingLanes:
 
     def copy(self) -> ActingLanes:
         """The same effects and histories, to go on from here by themselves."""
+        return self.pick(range(len(self.histories)))
+
+    def pick(self, lanes: Sequence[int]) -> ActingLanes:
+        """Those of some lanes, each as often as it is named, likewise; as Batch.pick."""
         twin = copy.copy(self)
-        twin.histories = [History(list(history.strokes)) for history in self.histories]
-        twin._rngs = [copy.deepcopy(rng) for rng in self._rngs]
+        twin.histories = [History(list(self.histories[lane].strokes)) for lane in lanes]
+        twin._rngs = [copy.deepcopy(self._rngs[lane]) for lane in lanes]
         return twin
 
     def stroke(self, lane: int, limb: int, time_s: float) -> Stroke:

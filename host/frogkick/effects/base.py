@@ -40,6 +40,8 @@ class Parameter:
         about: what it means, in half a line.
         step: by which it changes little enough that what it does is in proportion; 0: a twentieth of its
             bounds' distance.
+        tried: values that a search tries as well, increasing: small steps may lead to a near dip and not to
+            the deepest.
     """
 
     name: str
@@ -49,6 +51,7 @@ class Parameter:
     nominal: float
     about: str = ""
     step: float = 0.0
+    tried: tuple[float, ...] = ()
 
 
 @dataclass

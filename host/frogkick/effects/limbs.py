@@ -12,6 +12,9 @@ from frogkick.robot import Robot
 
 ALL = "all"
 
+DELAYS_S = (0.015, 0.03, 0.045, 0.06, 0.075, 0.09, 0.105, 0.12, 0.135, 0.15, 0.18, 0.22, 0.26)
+"""Closer than half a swing of a frame, some 25 ms: a delayed stroke meets another phase of it."""
+
 
 class LimbWear(Effect):
     """A worn actuator: it straightens less, later, or curls back more slowly."""
@@ -21,7 +24,7 @@ class LimbWear(Effect):
     shown_by = "forward and turn of the actions that fire the limb, against those that do not"
     parameters = (
         Parameter("gain", "1", 0.3, 1.5, 1.0, "share of the measured stroke"),
-        Parameter("delay_s", "s", 0.0, 0.3, 0.0, "from the pulse to the stroke", 0.005),
+        Parameter("delay_s", "s", 0.0, 0.3, 0.0, "from the pulse to the stroke", 0.005, DELAYS_S),
         Parameter("duration_scale", "1", 0.5, 4.0, 1.0, "how many times as long it takes to curl back"),
     )
     options = {"limb": ALL}

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from frogkick.identify.fit import Model, misses, steps_of, tracks_of
+from frogkick.identify.fit import Model, coarse, misses, steps_of, tracks_of
 from frogkick.identify.probe import Probes, Sums, changes, probes_of, spread_first
 from frogkick.identify.swim import Swim
 from frogkick.identify.terms import Term
@@ -42,10 +42,10 @@ def sensitivities(
 ) -> list[Column]:
     """Derivatives by each candidate's parameters; one that does nothing at first is tried where it does.
 
-    Coarser in time than a fit, all side by side so that lanes are full, and none simulated that is a sum of
-    others. A start differs from the bare model only by values that do nothing alone.
+    Coarser in time and in the frame than a fit, all side by side so that lanes are full, and none simulated
+    that is a sum of others. A start differs from the bare model only by values that do nothing alone.
     """
-    bare = replace(model, terms=(), leg_s=COARSE_LEG_S, step_s=COARSE_STEP_S)
+    bare = replace(model, robot=coarse(model.robot), terms=(), leg_s=COARSE_LEG_S, step_s=COARSE_STEP_S)
     probes = probes_of(model.robot)
     starts: list[Term] = []
     wanted: list[tuple[FloatArray | None, tuple[int, int]]] = []
@@ -85,7 +85,7 @@ def sensitivities(
     for index, k in [*places, *bodies]:
         at = replace(bare, terms=(starts[index],))
         moved = at.values
-        moved[k] += steps_of(at)[k]
+        moved[k] += _steps(at)[k]
         simulated.append(at.with_values(moved))
     progress(0, 1)
     every = tracks_of([bare, *simulated], swims)
@@ -94,12 +94,18 @@ def sensitivities(
     jacobians = [np.zeros((*base.shape, len(start.values))) for start in starts]
     columns = []
     for (index, k), tracks in zip([*places, *bodies], every[1:], strict=True):
-        step = steps_of(replace(bare, terms=(starts[index],)))[k]
+        step = _steps(replace(bare, terms=(starts[index],)))[k]
         jacobians[index][:, :, k] = (misses(tracks, rows) - base) / step
         columns.append(jacobians[index][:, :, k])
     for (index, k), weights in made.items():
         jacobians[index][:, :, k] = np.tensordot(weights, np.array(columns[: len(weights)]), axes=1)
     return [Column(term, jacobian) for term, jacobian in zip(starts, jacobians, strict=True)]
+
+
+def _steps(model: Model) -> FloatArray:
+    """As a fit takes them; a long one where small ones tell little of what is farther off."""
+    given = [p.tried[len(p.tried) // 4] if p.tried else 0.0 for term in model.terms for p in term.parameters]
+    return np.where(given, given, steps_of(model))
 
 
 def _changes(probes: Probes, bare: Model, term: Term) -> list[FloatArray | None]:

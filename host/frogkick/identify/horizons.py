@@ -135,9 +135,10 @@ class _Leaving(Party):
         self.departures: list[_Departure] = []
         self._longest, self._every = longest, every
 
-    def began(self, index: int, period: int) -> None:
+    def began(self, seat: int, period: int) -> None:
         if period % self._every:
             return
+        index = self.seats[seat]
         course, swim = self.courses[index], self.lanes[index].swim
         last = period
         while (
@@ -147,7 +148,7 @@ class _Leaving(Party):
             last += 1
         apart = replace(course, acting=course.acting.copy())
         self.departures.append(
-            _Departure(index, period, self.batch.leave(index), apart, swim.end_s[period : last + 1])
+            _Departure(index, period, self.batch.leave(seat), apart, swim.end_s[period : last + 1])
         )
 
 
@@ -157,6 +158,7 @@ class _Flight(Party):
     def __init__(self, departures: Sequence[_Departure], robot: Robot) -> None:
         self.lanes = [each.course.lane for each in departures]
         self.courses = [each.course for each in departures]
+        self.seats = list(range(len(departures)))
         self.batch = gentle(robot, np.zeros((len(departures), 3)), self.lanes[0].step_s)
         for lane, each in enumerate(departures):
             self.batch.enter(lane, each.amid)

@@ -6,8 +6,8 @@ import csv
 import io
 import os
 import tomllib
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -16,14 +16,14 @@ import numpy as np
 
 from frogkick.errors import InputError
 from frogkick.files import write_text
+from frogkick.identify.choice import Progress, Scored, found_in, scored
 from frogkick.identify.experiment import Experiment, experiment_of
 from frogkick.identify.filter import Noise
-from frogkick.identify.fit import Fitted, Model, tracks_of
+from frogkick.identify.fit import Model, tracks_of
 from frogkick.identify.horizons import Horizon, horizons_of
 from frogkick.identify.predict import Track
-from frogkick.identify.relatives import end_cost, refitted, relatives
-from frogkick.identify.search import GAIN_EACH, Found, countable, search
-from frogkick.identify.swim import Swim, copies
+from frogkick.identify.search import Found
+from frogkick.identify.swim import Swim
 from frogkick.identify.terms import Term, catalogue
 from frogkick.identify.verdict import (
     FOUND,
@@ -41,40 +41,9 @@ from frogkick.paths import wrap_angle
 from frogkick.robot import Robot
 from frogkick.robot.toml_text import to_toml
 
-Progress = Callable[[str, int, int], None]
-
-SEARCHED_MOST = 200
-"""Periods from which on a measured relative that explains much is not held against a whole search."""
-
-FAR, NEARER = (0.006, 0.07), 0.6
-"""A model off by more than so much (m, rad) lacks more than an effect or two; a relative that leaves no more
-than this share of both errors is then taken without a search."""
-
 PERIODS_LEAST = 20
 ACTIONS_LEAST = 2
 MOTION_LEAST_M = 0.01
-
-
-@dataclass(frozen=True, eq=False)
-class Scored:
-    """Errors of some runs."""
-
-    before: Error
-    after: Error
-    noise_floor: Error
-
-    @property
-    def errors(self) -> tuple[Error, Error, Error]:
-        """Before, after, noise floor."""
-        return self.before, self.after, self.noise_floor
-
-    def as_json(self) -> dict[str, dict[str, float]]:
-        """The keys of the command."""
-        return {
-            "before": self.before.as_json(),
-            "after": self.after.as_json(),
-            "noise_floor": self.noise_floor.as_json(),
-        }
 
 
 @dataclass(frozen=True, eq=False)
@@ -185,10 +154,10 @@ def identify(
     reason = too_little(train)
     if reason:
         return _only_predicted(train, test, robot, reason)
-    found = _found(train, robot, candidates, progress)
-    trained = _scored(found.nominal, found.fitted, found.nominal.tracks, found.fitted.tracks, train)
+    found = found_in(train, robot, candidates, progress)
+    trained = scored(found.nominal, found.fitted, found.nominal.tracks, found.fitted.tracks, train)
     nominal_tracks, tracks = tracks_of([found.nominal.model, found.fitted.model], test)
-    tested = _scored(found.nominal, found.fitted, nominal_tracks, tracks, test)
+    tested = scored(found.nominal, found.fitted, nominal_tracks, tracks, test)
     return Outcome(
         verdict=verdict_of(found, trained.errors, tested.errors),
         robot=robot,
@@ -204,43 +173,6 @@ def identify(
     )
 
 
-def _found(train: Sequence[Swim], robot: Robot, candidates: Sequence[Term], progress: Progress) -> Found:
-    """Effects of a robot of the same body that was measured before, fitted to these runs; or a search's."""
-    known = relatives(robot)
-    if known:
-        _, rows, nominal = countable(train, robot)
-        fits = []
-        for done, terms in enumerate(known.values()):
-            progress("measured robots", done, len(known))
-            fits.append(refitted(nominal, terms, train, rows))
-        taken = [each for each in fits if each is not None]
-        best = min(taken, key=lambda fitted: end_cost(fitted.tracks, train), default=None)
-        if best is not None:
-            relative = Found(nominal, best, [], rows, [[] for _ in best.model.terms])
-            errors = _scored(nominal, best, nominal.tracks, best.tracks, train).errors
-            if int(rows.sum()) > SEARCHED_MOST or verdict_of(relative, errors) == FOUND:
-                return relative
-            if _is_far(errors[0]) and all(
-                after <= NEARER * before
-                for before, after in zip(_pair(errors[0]), _pair(errors[1]), strict=True)
-            ):
-                return relative
-            # Few runs: what was planted in a simulated pool may look like a relative from afar.
-            found = search(train, robot, candidates, progress)
-            dear = GAIN_EACH * (len(best.model.values) - len(best.model.held))
-            searched = end_cost(found.fitted.tracks, train)
-            return relative if end_cost(best.tracks, train) + dear < searched else found
-    return search(train, robot, candidates, progress)
-
-
-def _pair(error: Error) -> tuple[float, float]:
-    return error.position_rmse_m, error.heading_rmse_rad
-
-
-def _is_far(error: Error) -> bool:
-    return all(value > far for value, far in zip(_pair(error), FAR, strict=True))
-
-
 def _only_predicted(train: Sequence[Swim], test: Sequence[Swim], robot: Robot, reason: str) -> Outcome:
     """Too little to learn from: the test runs by the nominal model, at their usual noise."""
     model = Model(robot, (), Noise())
@@ -251,15 +183,6 @@ def _only_predicted(train: Sequence[Swim], test: Sequence[Swim], robot: Robot, r
     trained = Scored(unknown, unknown, unknown)
     signed = {"text": f"not looked for: {reason}"}
     return Outcome(TOO_LITTLE, robot, train, test, None, [], trained, tested, tracks, tracks, signed, reason)
-
-
-def _scored(
-    nominal: Fitted, fitted: Fitted, before: Sequence[Track], after: Sequence[Track], swims: Sequence[Swim]
-) -> Scored:
-    errors = [error_of(gaps(tracks, swims)) for tracks in (before, after)]
-    one_noise = copies(swims)
-    first, second = (replace(error, count=error.count // one_noise) for error in errors)
-    return Scored(first, second, noise_floor(swims, fitted.model.noise))
 
 
 def too_little(swims: Sequence[Swim]) -> str:

@@ -99,9 +99,7 @@ def parties(lanes: Sequence[Lane]) -> Iterator[tuple[list[int], Robot]]:
         leg_s = ActingLanes(lane.effects, robot, [], lane.leg_s).leg_s
         bodies.setdefault((robot, leg_s, lane.step_s), []).append(index)
     for (robot, *_), indices in bodies.items():
-        indices.sort(key=lambda i: len(lanes[i].swim.corners_s))  # a batch goes on as long as its longest
-        for first in range(0, len(indices), WIDTH):
-            yield indices[first : first + WIDTH], robot
+        yield indices, robot
 
 
 @dataclass(eq=False)
@@ -119,30 +117,41 @@ class Course:
     poses: FloatArray = field(default_factory=lambda: np.empty((0, 3)))
     moved: FloatArray = field(default_factory=lambda: np.zeros((3, 2)))  # all corrections, as of time 0
     rows: list[tuple[FloatArray, FloatArray, FloatArray, FloatArray]] = field(default_factory=list)
+    next_corner: int = 0
+    failed: bool = False
 
     def __post_init__(self) -> None:
         self.seeing = [effect for effect in self.lane.effects if type(effect).fix is not Effect.fix]
 
 
 class Party:
-    """Lanes of one body on their ways through their runs."""
+    """Lanes of one body on their ways through their runs: as many side by side as are fastest.
+
+    Where one has come to its end the next one, the longest first, goes on in its place.
+    """
 
     def __init__(self, lanes: Sequence[Lane], robot: Robot) -> None:
         self.lanes = lanes
+        self.robot = robot
         self.courses = []
-        first = np.zeros((len(lanes), 3))
-        for index, lane in enumerate(lanes):
+        for lane in lanes:
             acting = ActingLanes(lane.effects, robot, [np.random.default_rng(0)], lane.leg_s)
             course = Course(
                 lane, acting, Filter(lane.noise, lane.swim.busy_s, lane.swim.begin_s), lane.swim.corners_s
             )
             course.next_fix = int(np.searchsorted(lane.swim.time_s, lane.swim.begin_s))
             course.claims_s = [lane.swim.begin_s]
-            first[index] = self._first_pose(course)
             self.courses.append(course)
+        self.waiting = sorted(range(len(lanes)), key=lambda index: len(self.courses[index].corners_s))
+        self.seats = [self.waiting.pop() for _ in range(min(WIDTH, len(lanes)))]
+        first = np.array([self._first_pose(self.courses[index]) for index in self.seats])
         self.batch = gentle(robot, first, lanes[0].step_s)
-        self.batch.time_s[:] = [lane.swim.begin_s for lane in lanes]
+        self.batch.time_s[:] = [lanes[index].swim.begin_s for index in self.seats]
         self.leg_s = min(course.acting.leg_s for course in self.courses)
+
+    def seated(self) -> list[tuple[int, Course]]:
+        """Lanes of the batch that are in use, and who swims there."""
+        return [(seat, self.courses[index]) for seat, index in enumerate(self.seats) if index >= 0]
 
     @staticmethod
     def _first_pose(course: Course) -> FloatArray:
@@ -164,52 +173,68 @@ class Party:
             )
             for lane in self.lanes
         ]
-        for corner in range(max(len(course.corners_s) for course in self.courses)):
-            until = np.array(
-                [course.corners_s[min(corner, len(course.corners_s) - 1)] for course in self.courses]
-            )
+        while seated := self.seated():
+            until = self.batch.time_s.copy()
+            for seat, course in seated:
+                if course.next_corner < len(course.corners_s):
+                    until[seat] = course.corners_s[course.next_corner]
             self.advance(until)
-            for index, course in enumerate(self.courses):
-                if corner < len(course.corners_s):
-                    self._arrive(index, course, float(course.corners_s[corner]), outcome[index])
-        return [self._track(index, course, *outcome[index]) for index, course in enumerate(self.courses)]
+            for seat, course in seated:
+                if course.next_corner < len(course.corners_s):
+                    at_s = float(course.corners_s[course.next_corner])
+                    self._arrive(seat, course, at_s, outcome[self.seats[seat]])
+                    course.next_corner += 1
+                if course.next_corner >= len(course.corners_s):
+                    self._leave(seat, course)
+        return [self._track(course, *outcome[index]) for index, course in enumerate(self.courses)]
+
+    def _leave(self, seat: int, course: Course) -> None:
+        """A lane has come to its end: the next one takes its place."""
+        course.failed = self.batch.failures.pop(seat, None) is not None
+        self.seats[seat] = self.waiting.pop() if self.waiting else -1
+        if self.seats[seat] >= 0:
+            follower = self.courses[self.seats[seat]]
+            alone = gentle(self.robot, self._first_pose(follower)[None, :], follower.lane.step_s)
+            alone.time_s[:] = follower.lane.swim.begin_s
+            self.batch.enter(seat, alone.leave(0))
 
     def advance(self, until: FloatArray) -> None:
         """All lanes to their next corner, strokes fired, water asked as often as effects need it."""
-        for index, course in enumerate(self.courses):
+        seated = self.seated()
+        for seat, course in seated:
             strokes = course.lane.swim.strokes
-            while course.next_stroke < len(strokes) and strokes[course.next_stroke][0] < until[index] - 1e-9:
-                self._fire(index, course, *strokes[course.next_stroke])
+            while course.next_stroke < len(strokes) and strokes[course.next_stroke][0] < until[seat] - 1e-9:
+                self._fire(seat, course, *strokes[course.next_stroke])
                 course.next_stroke += 1
         start = self.batch.time_s.copy()
         longest_s = float((until - start).max(initial=0.0))
         legs = 1 if math.isinf(self.leg_s) else max(1, round(longest_s / self.leg_s))
-        parts: list[list[tuple[FloatArray, FloatArray]]] = [[] for _ in self.courses]
+        parts: list[list[tuple[FloatArray, FloatArray]]] = [[] for _ in self.seats]
         for leg in range(1, legs + 1):
             if legs > 1:
                 self._set_waters()
             aim = until if leg == legs else start + (until - start) * leg / legs
             for part, (at, rows) in zip(parts, self.batch.advance(aim, trace=True), strict=True):
                 part.append((at, rows[:, :3]))
-        for course, part in zip(self.courses, parts, strict=True):
-            course.times = np.concatenate([course.times, *(at for at, _ in part)])
-            joined = np.concatenate([course.poses, *(rows for _, rows in part)])
+        for seat, course in seated:
+            course.times = np.concatenate([course.times, *(at for at, _ in parts[seat])])
+            joined = np.concatenate([course.poses, *(rows for _, rows in parts[seat])])
             joined[:, 2] = np.unwrap(joined[:, 2])
             course.poses = joined
 
-    def _fire(self, index: int, course: Course, time_s: float, limb: int) -> None:
+    def _fire(self, seat: int, course: Course, time_s: float, limb: int) -> None:
         stroke = course.acting.stroke(0, limb, time_s)
         start_s = time_s + stroke.delay_s
-        self.batch.fire(index, limb, start_s, gain=stroke.gain, duration_scale=stroke.duration_scale)
+        self.batch.fire(seat, limb, start_s, gain=stroke.gain, duration_scale=stroke.duration_scale)
 
     def _set_waters(self) -> None:
         motion = self.batch.motion_world()
-        for index, course in enumerate(self.courses):
+        for seat, course in self.seated():
             if not math.isinf(course.acting.leg_s):
-                now_s, row = float(self.batch.time_s[index]), motion[index]
-                self.batch.set_water(index, course.acting.water(self.batch, now_s, row[:3], row[3:6]))
+                now_s, row = float(self.batch.time_s[seat]), motion[seat]
+                self.batch.set_water(seat, course.acting.water(self.batch, now_s, row[:3], row[3:6]))
 
-    def _arrive(self, index: int, course: Course, at_s: float, outcome: tuple[FloatArray, ...]) -> None:
+    def _arrive(self, seat: int, course: Course, at_s: float, outcome: tuple[FloatArray, ...]) -> None:
         """At a corner: note the prediction that ends here, take in the fixes known by now, start anew."""
         swim = course.lane.swim
         predicted, spread, start, missed = outcome
@@ -236,7 +261,7 @@ class Party:
         if ended >= 0:
             missed[ended] = _by_parts(swim, ended, times_s, differences, float(start[ended, 2]))
         offset, rate = course.filter.correct(at_s)
-        self.batch.shift(index, offset.tolist(), rate.tolist())
+        self.batch.shift(seat, offset.tolist(), rate.tolist())
         course.moved[:, 0] += offset - at_s * rate
         course.moved[:, 1] += rate
         course.poses = course.poses + offset + (course.times - at_s)[:, None] * rate
@@ -244,10 +269,10 @@ class Party:
         course.times, course.poses = course.times[kept], course.poses[kept]
         course.claims_s.append(at_s)
         for period in np.flatnonzero(np.abs(swim.start_s - at_s) < 1e-6):
-            start[period] = self.batch.motion_world()[index, :6]
-            self.began(index, int(period))
+            start[period] = self.batch.motion_world()[seat, :6]
+            self.began(seat, int(period))
 
-    def began(self, index: int, period: int) -> None:
+    def began(self, seat: int, period: int) -> None:
         """A lane stands where a period of its run begins; for those who want to know."""
 
     def _shown_all(self, course: Course, times_s: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -268,7 +293,6 @@ class Party:
 
     def _track(
         self,
-        index: int,
         course: Course,
         predicted: FloatArray,
         spread: FloatArray,
@@ -277,8 +301,7 @@ class Party:
     ) -> Track:
         empty = (np.empty(0), *[np.empty((0, 3))] * 3)
         columns = [np.concatenate(parts) for parts in zip(empty, *course.rows, strict=True)]
-        failed = index in self.batch.failures
-        if failed:
+        if course.failed:
             columns[1] = np.full_like(columns[1], np.nan)
         return Track(
             columns[0],
@@ -289,7 +312,7 @@ class Party:
             spread,
             start,
             missed,
-            failed,
+            course.failed,
         )
 
 

@@ -19,7 +19,16 @@ from numpy.typing import NDArray
 from frogkick.effects import Effect
 from frogkick.effects.registry import effects_of
 from frogkick.identify.filter import Noise
-from frogkick.identify.fit import Fitted, Model, bounded_step, cost_of, derivatives, misses, tracks_of
+from frogkick.identify.fit import (
+    Fitted,
+    Model,
+    bounded_step,
+    coarse,
+    cost_of,
+    derivatives,
+    misses,
+    tracks_of,
+)
 from frogkick.identify.predict import Track
 from frogkick.identify.search import BASE_GAIN, GAIN_EACH
 from frogkick.identify.swim import Swim
@@ -31,9 +40,6 @@ FloatArray = NDArray[np.float64]
 
 ROUNDS = 5
 """Steps of the fit at most."""
-
-SEGMENTS = 6
-"""Of a frame's edge while fitting: its robot turns 0.2 degrees off what many give, at twice the speed."""
 
 LEG_S = 0.05
 """How often wrenches are asked: a glide changes slowly."""
@@ -100,7 +106,7 @@ def refitted(
         (value, p.nominal) for term in terms for value, p in zip(term.values, term.parameters, strict=True)
     ]
     held = frozenset(k for k, (value, plain) in enumerate(flat) if value == plain)
-    start = Model(_coarse(nominal.model.robot), tuple(terms), NOISES[0], LEG_S, held=held)
+    start = Model(coarse(nominal.model.robot), tuple(terms), NOISES[0], LEG_S, held=held)
     free = len(flat) - len(held)
     least = end_cost(nominal.tracks, swims) - GAIN_EACH * free - BASE_GAIN * len(terms)
     models = [replace(start, noise=noise) for noise in NOISES]
@@ -122,12 +128,6 @@ def end_cost(tracks: Sequence[Track], swims: Sequence[Swim]) -> float:
     size = np.abs(ends) / _size(ends)
     cut = np.where(size < WILD, size**2, WILD * (2.0 * size - WILD))
     return float(len(ends) * (2.0 * np.log(_size(ends)) + cut.mean(axis=0)).sum())
-
-
-def _coarse(robot: Robot) -> Robot:
-    frame = robot.frame
-    segments = tuple(min(count, SEGMENTS) for count in frame.segments)
-    return replace(robot, frame=replace(frame, segments=segments))
 
 
 def _ends(tracks: Sequence[Track], swims: Sequence[Swim]) -> FloatArray:

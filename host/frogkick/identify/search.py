@@ -8,7 +8,6 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from frogkick.effects import Effect
 from frogkick.errors import InputError
 from frogkick.identify.columns import Column, sensitivities
 from frogkick.identify.filter import Noise
@@ -16,10 +15,8 @@ from frogkick.identify.fit import (
     Fitted,
     Model,
     bounded_step,
-    cost_of,
-    fit,
+    derivatives,
     fit_many,
-    misses,
     promised,
     renoised,
     room_of,
@@ -27,6 +24,7 @@ from frogkick.identify.fit import (
     whiten,
     whitener,
 )
+from frogkick.identify.polish import HOLD, NEAR, REFINING_LEG_S, Polisher, best_noise, fine_leg_s
 from frogkick.identify.swim import Swim, copies
 from frogkick.identify.terms import Term
 from frogkick.robot import Robot
@@ -42,6 +40,9 @@ RIVAL = 0.25
 MOST = 4
 """Effects taken at most."""
 
+HOPELESS = 0.7
+"""Share of the misses that the first of few effects may leave."""
+
 BASE_GAIN, GAIN_EACH = 20.0, 4.0
 """By how much minus twice the log likelihood must fall for an effect, and more for each parameter."""
 
@@ -53,20 +54,15 @@ SEEN_LEAST = 1.0
 
 FOLDS_LEAST = 4
 
-HOLD = 8.0
-"""A parameter stays where its effect vanishes unless it gains more than this."""
-
-NEAR = 60.0
-"""A value put back that costs more than this at first is not worth another fit."""
+HELD_SHARE = 0.05
+"""Or less than this share of what all of its effect's parameters gain, as long as that is only promised."""
 
 ALIKE = 15.0
 """Effects whose gains differ by less cannot be told apart."""
 
-REFINING_LEG_S, REFINING_ROUNDS = 0.06, 2
-"""How often flows and wrenches are asked while the best candidates are fitted, and steps of these fits."""
-
-WRENCH_LEG_S = 0.03
-"""The same for what was taken, where it pushes or turns the body, which lags by half of it."""
+REFINING_ROUNDS, REFINED_CLOSE = 5, 4.0
+"""Steps of the fits of the best candidates at most, and the fall of the cost that ends them: after two steps
+a rival that fits as well may seem much worse."""
 
 
 @dataclass(frozen=True)
@@ -110,7 +106,11 @@ class Found:
     rivals: list[list[Term]] = field(default_factory=list)
 
 
-def countable(swims: Sequence[Swim], robot: Robot) -> tuple[Model, NDArray[np.bool_], Fitted]:
+Begun = tuple[Model, NDArray[np.bool_], Fitted]
+"""What ``countable`` gives."""
+
+
+def countable(swims: Sequence[Swim], robot: Robot) -> Begun:
     """The nominal model with its noise fitted, the periods that can be judged, and how it fits.
 
     Raises:
@@ -125,23 +125,6 @@ def countable(swims: Sequence[Swim], robot: Robot) -> tuple[Model, NDArray[np.bo
         )
     fitted = best_noise(renoised(model, tracks, swims), swims, rows)
     return fitted.model, rows, fitted
-
-
-def best_noise(model: Model, swims: Sequence[Swim], rows: NDArray[np.bool_]) -> Fitted:
-    """The model with its noise scaled to what predicts a period ahead best, without derivatives."""
-    given, models = model.noise, []
-    for calm, kick in ((1.0, 1.0), (1.0, 0.4), (0.3, 0.4), (0.1, 0.4)):
-        noise = Noise(
-            given.fix,
-            (given.calm[0] * calm, given.calm[1] * calm),
-            (given.kick[0] * kick, given.kick[1] * kick),
-        )
-        models.append(replace(model, noise=noise))
-    every = tracks_of(models, swims)
-    missed = [misses(tracks, rows) for tracks in every]
-    costs = [cost_of(each) for each in missed]
-    k = int(np.argmin(costs))
-    return Fitted(models[k], every[k], missed[k], np.empty((*missed[k].shape, 0)), costs[k])
 
 
 def folds_of(swims: Sequence[Swim], rows: NDArray[np.bool_]) -> NDArray[np.int64]:
@@ -159,32 +142,51 @@ def search(
     robot: Robot,
     candidates: Sequence[Term],
     progress: Callable[[str, int, int], None] = lambda _what, _done, _whole: None,
+    begun: Begun | None = None,
+    most: int = MOST,
 ) -> Found:
     """Find what a robot's model lacks.
+
+    Args:
+        swims: the runs.
+        robot: nominal.
+        candidates: what is tried.
+        progress: told of each stage.
+        begun: what ``countable`` gave for these runs, where that is known.
+        most: effects; where fewer than MOST the search ends as well when the first leaves most of the error.
 
     Raises:
         InputError: the runs hold nothing to judge by.
     """
-    model, rows, nominal = countable(swims, robot)
+    model, rows, nominal = begun or countable(swims, robot)
     columns = sensitivities(model, candidates, swims, rows, lambda d, n: progress("candidates", d, n))
     hunt = _Hunt(swims, rows, folds_of(swims, rows), columns, copies(swims))
+    polisher = Polisher(swims, rows, hunt.copies)
     current, turns, equals = nominal, [], list[list[Term]]()
-    for turn in range(MOST):
-        progress("effects", turn, MOST)
+    for turn in range(most):
+        progress("effects", turn, most)
         taken, tried, rivals = hunt.turn(current)
         if taken is not None:
-            current, others = hunt.settled(hunt.polished(taken), rivals)
+            current, others = hunt.settled(polisher.polished(taken), rivals)
             title = current.model.terms[-1].title
             tried = [replace(each, chosen=each.title == title) for each in tried]
             equals.append(others)
         turns.append(tried)
-        if taken is None:
+        if taken is None or (most < MOST and _left(nominal, current) > HOPELESS):
             break
     if len(current.model.terms) > 1:
-        current = hunt.sparer(current, whole=True)  # what the first effect stood in for has come since
-    progress("effects", MOST, MOST)
+        current = polisher.sparer(current, whole=True)  # what the first effect stood in for has come since
+    if current.model.held:
+        (current,) = derivatives([current.model], swims, rows)  # what is held has an interval as well
+    progress("effects", most, most)
     alike = [[term.title for term in others] for others in equals]
     return Found(nominal, current, turns, rows, alike, columns, equals)
+
+
+def _left(nominal: Fitted, fitted: Fitted) -> float:
+    """Share of the misses at periods' ends that a model leaves: the lesser of place's and heading's."""
+    after, before = (np.sqrt((each.missed[:, -3:] ** 2).mean(axis=0)) for each in (fitted, nominal))
+    return float(min(np.hypot(*after[:2]) / np.hypot(*before[:2]), after[2] / before[2]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -231,7 +233,11 @@ class _Hunt:
             held = current.model.held | {known + k for k in offer.held}
             terms = (*current.model.terms, offer.column.term.at(offer.values))
             starts.append(replace(current.model, terms=terms, leg_s=REFINING_LEG_S, held=held))
-        fits = fit_many(starts, self.swims, self.rows, REFINING_ROUNDS, current.jacobian) if starts else []
+        fits = (
+            fit_many(starts, self.swims, self.rows, REFINING_ROUNDS, current.jacobian, REFINED_CLOSE)
+            if starts
+            else []
+        )
         tried: list[Tried] = []
         scored: list[tuple[float, Fitted]] = []
         for offer, fitted in zip(picked, fits, strict=True):
@@ -265,7 +271,7 @@ class _Hunt:
         if not rivals:
             return taken, []
         starts = [
-            replace(each.model, noise=taken.model.noise, leg_s=_fine_leg_s(each.model)) for each in rivals
+            replace(each.model, noise=taken.model.noise, leg_s=fine_leg_s(each.model)) for each in rivals
         ]
         every = [taken, *fit_many(starts, self.swims, self.rows, 2)]
         every.sort(key=_price)
@@ -305,79 +311,18 @@ class _Hunt:
                 break
             solved = [(*solve(each), each) for each in fewer]
             lighter, dearer, chosen = min(solved, key=lambda row: row[1])
-            if dearer > cost + HOLD:
+            # Where much is gained derivatives err by more than HOLD; what is held too soon is freed later.
+            if dearer > cost + max(HOLD, HELD_SHARE * (current.cost - cost)):
                 break
             step, cost, held = lighter, dearer, chosen
         gain = current.cost - cost
         score = gain / self.copies - GAIN_EACH * (len(start) - len(held))
         return _Offer(column, gain, score, start + step[known:], held)
 
-    def polished(self, taken: Fitted) -> Fitted:
-        """A model with what was taken, fitted as finely as can be, with no more free parameters than help."""
-        rough = replace(taken.model, leg_s=_fine_leg_s(taken.model))
-        fitted = self.sparer(fit(rough, self.swims, self.rows, rounds=1))
-        # Only now is what is left more noise than misfit.
-        quiet = best_noise(renoised(fitted.model, fitted.tracks, self.swims), self.swims, self.rows)
-        fitted = fit(quiet.model, self.swims, self.rows, rounds=2)
-        model = fitted.model
-        promises = []
-        for k in sorted(model.held):
-            freed = replace(model, held=model.held - {k})
-            step, cost = promised(fitted.missed, fitted.jacobian, *room_of(freed), _shy(fitted))
-            promises.append((cost, k, step))
-        if promises:
-            cost, k, step = min(promises, key=lambda row: row[0])
-            if cost < fitted.cost - HOLD:
-                freed = replace(model, held=model.held - {k}).with_values(model.values + step)
-                wider = fit(freed, self.swims, self.rows, rounds=1)
-                fitted = wider if wider.cost < fitted.cost - HOLD else fitted
-        return fitted
-
-    def sparer(self, fitted: Fitted, whole: bool = False) -> Fitted:
-        """The same with parameters of its last term, or of all, put back to nominal if that does no worse.
-
-        Simulated and not judged by derivatives: how a stroke's delay acts ripples with the frame's swing.
-        """
-        while True:
-            model, tries, first = fitted.model, list[Model](), 0
-            for number, term in enumerate(model.terms, 1):
-                free = [k for k in range(len(term.values)) if first + k not in model.held]
-                if len(free) > 1 and (whole or number == len(model.terms)):
-                    tries += [held_at(fitted, first + k, term.parameters[k].nominal) for k in free]
-                first += len(term.values)
-            if not tries:
-                return fitted
-            every = tracks_of(tries, self.swims)
-            costs = [cost_of(misses(tracks, self.rows)) for tracks in every]
-            near = [tried for tried, cost in zip(tries, costs, strict=True) if cost < fitted.cost + NEAR]
-            best = min(fit_many(near, self.swims, self.rows, 1), key=lambda each: each.cost, default=fitted)
-            if best is fitted or best.cost > fitted.cost + HOLD:
-                return fitted
-            fitted = best
-
-
-def _fine_leg_s(model: Model) -> float:
-    pushes = any(type(term.effect()).wrench is not Effect.wrench for term in model.terms)
-    return WRENCH_LEG_S if pushes else REFINING_LEG_S
-
 
 def _price(fitted: Fitted) -> float:
     """Cost, and what the free parameters cost."""
     return fitted.cost + GAIN_EACH * (len(fitted.model.values) - len(fitted.model.held))
-
-
-def _shy(fitted: Fitted) -> FloatArray:
-    return np.asarray(1e-6 * fitted.missed.size / fitted.model.range**2)
-
-
-def held_at(fitted: Fitted, k: int, value: float) -> Model:
-    """The model with one value held where it is told, the others as derivatives say they then are."""
-    model = fitted.model
-    back = np.zeros(len(model.values))
-    back[k] = value - model.values[k]
-    there = replace(model.with_values(model.values + back), held=model.held | {k})
-    step, _ = promised(fitted.missed + fitted.jacobian @ back, fitted.jacobian, *room_of(there), _shy(fitted))
-    return there.with_values(there.values + step)
 
 
 def _fall(current: Fitted, fitted: Fitted, folds: NDArray[np.int64], known: int) -> tuple[float, float]:

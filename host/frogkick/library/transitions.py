@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -136,9 +137,13 @@ def simulate_task(rods: Rods, task: Task, record_s: float = 0.0) -> Transitions:
                 # What the nodes of a robot placed at rest or gliding come to is this but for rounding.
                 origin = batch.pose_world() if stroke else still
                 velocity[chosen] = (batch.velocity_body() if stroke else task.velocity_body[some])[lanes]
-                for action in range(len(robot.actions)):
-                    motions = _branch(robot, batch, acting, origin, lanes, action, told)
-                    for place, motion in zip(chosen, motions, strict=True):
+                # Side by side whoever they are of, so that few robots fill a batch too.
+                pairs = [(int(n), action) for action in range(len(robot.actions)) for n in lanes]
+                for begin in range(0, len(pairs), WIDTH):
+                    together = pairs[begin : begin + WIDTH]
+                    motions = _branch(robot, batch, acting, origin, together, told)
+                    for (lane, action), motion in zip(together, motions, strict=True):
+                        place = places[first + lane, stroke]
                         if isinstance(motion, str):
                             failed.append(Failed(place, action, motion))
                         else:
@@ -161,26 +166,29 @@ def _branch(
     batch: Batch,
     acting: ActingLanes,
     origin: FloatArray,
-    lanes: IntArray,
-    action: int,
+    pairs: Sequence[tuple[int, int]],
     told_s: FloatArray,
 ) -> list[tuple[FloatArray, FloatArray] | str]:
-    """For each of some lanes the (6,) row at the period's end and the (t, 6) rows told; or why it failed."""
-    began_s = float(batch.time_s[lanes[0]])
+    """What some lanes' robots do, each with an action, at most WIDTH of them.
+
+    Args:
+        pairs: lane of the batch and action.
+
+    Returns:
+        For each the (6,) row at the period's end and the (t, 6) rows told; or why it failed.
+    """
+    began_s = float(batch.time_s[pairs[0][0]])
     times = np.union1d(told_s, [robot.period_s])
     at_period, kept = int(np.searchsorted(times, robot.period_s)), np.isin(times, told_s)
     ends = [robot.period_s] if times[-1] == robot.period_s else [robot.period_s, times[-1]]
-    twin, twin_acting = batch.copy(), acting.copy()
-    for lane in lanes.tolist():
+    of = [lane for lane, _ in pairs]
+    twin, twin_acting = batch.pick(of), acting.pick(of)
+    for lane, (_, action) in enumerate(pairs):
         fire_action(robot, twin, twin_acting, lane, action, began_s)
     before = twin.motion_world()
-    until = twin.time_s.copy()
-    legs = []
-    for end in ends:
-        until[lanes] = began_s + end
-        legs.append(twin_acting.advance(twin, until, trace=True))
+    legs = [twin_acting.advance(twin, began_s + end, trace=True) for end in ends]
     found: list[tuple[FloatArray, FloatArray] | str] = []
-    for lane in lanes.tolist():
+    for lane, (source, _) in enumerate(pairs):
         if lane in twin.failures:
             found.append(str(twin.failures[lane]))
             continue
@@ -188,7 +196,7 @@ def _branch(
         steps[np.cumsum([len(leg[lane][0]) for leg in legs])] = ends  # to the last bit
         traced = np.concatenate([before[lane : lane + 1], *(leg[lane][1] for leg in legs)])
         pose, speed = between(steps, traced, times)
-        moved = body_from_world(origin[lane, 2], pose - origin[lane])
+        moved = body_from_world(origin[source, 2], pose - origin[source])
         motion = np.concatenate([moved, speed], axis=1)
         found.append((motion[at_period], motion[kept]))
     return found

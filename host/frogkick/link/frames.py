@@ -156,6 +156,15 @@ class FrameCollector:
         return frames
 
 
+def hello(conversation: int = 0) -> dict[str, Value]:
+    """The values of a HELLO.
+
+    Args:
+        conversation: 0 to 65535, another number than in the robot's last HELLO: sequence numbers begin anew.
+    """
+    return {"protocol_version": link_layout().protocol_version, "conversation": conversation}
+
+
 def path_frames(
     points: Sequence[tuple[float, float, float]],
 ) -> list[tuple[dict[str, Value], Sequence[Sequence[Value]]]]:

@@ -82,6 +82,8 @@ class Layout:
     payload_bytes_max: int
     status: dict[str, int]
     state: dict[str, int]
+    fault: dict[str, int]
+    reset: dict[str, int]
     parameter: dict[str, int]
     messages: dict[str, Message]
 
@@ -123,6 +125,8 @@ def link_layout() -> Layout:
         raw["payload_bytes_max"],
         raw["status"],
         raw["state"],
+        raw["fault"],
+        raw["reset"],
         raw["parameter"],
         messages,
     )

@@ -9,8 +9,10 @@ import numpy as np
 import numpy.typing as npt
 
 from frogkick.errors import InputError
+from frogkick.link.layout import Value, link_layout
 from frogkick.loop.closed_loop import parameters
 from frogkick.loop.decision import (
+    STALE,
     Decision,
     DecisionTwin,
     RobotEvent,
@@ -207,8 +209,7 @@ def replay_onboard(
         next_us = schedule.first_us + len(decisions) * schedule.period_us
         if not running and next_us * 1e-6 - session.time_s < START_AHEAD_S:
             # Also after an end on board (path completed): the recorded robot swam on, so the replay does.
-            _start(session, next_us)
-            running = True
+            running = _start(session, next_us)
         next_s = waiting[0][0] if waiting else session.time_s + STEP_S
         session.step(max(min(next_s, session.time_s + STEP_S), session.time_s + 1e-6))
         while waiting and waiting[0][0] <= session.time_s:
@@ -230,8 +231,16 @@ def replay_onboard(
     return decisions, events
 
 
-def _start(session: Session, first_us: int) -> None:
-    """ARM, and START so that the first decision falls on a time, to the frame's own time on the wire."""
+def _start(session: Session, first_us: int) -> bool:
+    """ARM, and START so that the first decision falls on a time, to the frame's own time on the wire.
+
+    Returns:
+        Whether the run has begun; it does not before there is a position fix.
+    """
     session.request("ARM")
     delay_us = first_us - round(session.time_s * 1e6)
-    session.request("START", {"delay_us": max(0, delay_us)})
+    values: dict[str, Value] = {"delay_us": max(0, delay_us)}
+    status = int(session.ask("START", values)["status"])
+    if status not in (0, STALE):
+        raise LinkError(f"the robot refuses START {values}: {link_layout().status_name(status)}")
+    return status == 0

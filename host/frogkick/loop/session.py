@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 from frogkick.errors import FrogkickError
-from frogkick.link.frames import Frame, pack_frame, path_frames
+from frogkick.link.frames import Frame, hello, pack_frame, path_frames
 from frogkick.link.layout import Value, link_layout
 from frogkick.paths import Path
 from frogkick.planner.image import Tables
@@ -39,12 +39,14 @@ class Session:
         port: the robot.
         on_step: called after each step with the new time and the pin edges of that step.
         edges: every pin edge so far.
+        conversation: another number for each session with the same robot: sequence numbers begin anew.
     """
 
     port: RobotPort
     on_step: Callable[[float, Sequence[Edge]], None] = lambda _time_s, _edges: None
     time_s: float = 0.0
     edges: list[Edge] = field(default_factory=list)
+    conversation: int = 1
     _sequence: int = 0
     _inbox: list[Arrival] = field(default_factory=list)
 
@@ -147,12 +149,13 @@ class Session:
 
     def _hello(self) -> dict[str, Value]:
         """A robot that has just been switched on checks its table first, and does not listen meanwhile."""
+        values = hello(self.conversation)
         for _ in range(HELLO_TRIES - 1):
             try:
-                return self.ask("HELLO", timeout_s=HELLO_TIMEOUT_S)
+                return self.ask("HELLO", values, timeout_s=HELLO_TIMEOUT_S)
             except LinkError:
                 continue
-        return self.ask("HELLO", timeout_s=HELLO_TIMEOUT_S)
+        return self.ask("HELLO", values, timeout_s=HELLO_TIMEOUT_S)
 
     def send_path(self, path: Path) -> None:
         """Give the robot its path.

@@ -92,13 +92,23 @@ class Action:
 
 @dataclass(frozen=True)
 class Guard:
-    """What the robot refuses to do to its limbs, whatever it is told."""
+    """What the robot refuses to do to its limbs, whatever it is told.
+
+    Attributes:
+        pulse_max_s, rest_min_s: a limb's longest pulse, and its shortest rest.
+        duty_max, duty_window_s: a limb is on for at most this part of any such time.
+        limbs_at_once_max: limbs on together.
+        fix_fresh_s, fix_lost_s: on its own, the robot begins no pulse without a position fix of the last
+            fix_fresh_s, and is disarmed without one of the last fix_lost_s.
+    """
 
     pulse_max_s: float
     rest_min_s: float
     duty_max: float
     duty_window_s: float
     limbs_at_once_max: int
+    fix_fresh_s: float = 0.5
+    fix_lost_s: float = 2.0
 
 
 @dataclass(frozen=True)

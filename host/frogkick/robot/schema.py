@@ -77,6 +77,8 @@ class GuardTable(_Table):
     duty_max: Annotated[float, Field(gt=0.0, le=1.0)]
     duty_window_s: Positive
     limbs_at_once_max: Annotated[int, Field(ge=1, le=8)]
+    fix_fresh_s: Positive = 0.5
+    fix_lost_s: Positive = 2.0
 
 
 class PlannerTable(_Table):

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from frogkick.der import Batch
+from frogkick.der import WIDTH, Batch
 from frogkick.der.strokes import between, body_from_world
 from frogkick.effects import ActingLanes
 from frogkick.errors import ConvergenceError
@@ -67,21 +67,29 @@ def ask_rods(robot: Robot, batch: Batch, acting: ActingLanes, depth: int) -> Flo
     Raises:
         ConvergenceError: the rods failed.
     """
-    level, nodes = [(batch, acting)], []
-    lanes = range(batch.lanes)
-    for depth_left in range(depth, 0, -1):
-        following = []
-        for before, acted in level:
-            motions = []
-            for action in range(len(robot.actions)):
-                twin, twin_acting = before.copy(), acted.copy()
-                swum = swim_a_period(robot, twin, twin_acting, dict.fromkeys(lanes, action))
-                motions.append([motion_of(*swum[lane]) for lane in lanes])
-                if depth_left > 1:
-                    following.append((twin, twin_acting))
-            nodes.append(motions)
-        level = following
-    return np.asarray(np.array(nodes).transpose(2, 0, 1, 3))
+    lanes, actions, nodes = batch.lanes, len(robot.actions), 1
+    told: list[FloatArray] = []
+    level = [(batch, acting, [(lane, 0) for lane in range(lanes)])]  # and whose robots, at which node
+    while len(told) < depth:
+        motions, following = np.empty((lanes, nodes, actions, 3)), []
+        for before, acted, who in level:
+            tries = [(place, action) for action in range(actions) for place in range(len(who))]
+            for first in range(0, len(tries), WIDTH):
+                some = tries[first : first + WIDTH]
+                of = [place for place, _ in some]
+                twin, twin_acting = before.pick(of), acted.pick(of)
+                done = {to: action for to, (_, action) in enumerate(some)}
+                swum = swim_a_period(robot, twin, twin_acting, done)
+                ends = []
+                for to, (place, action) in enumerate(some):
+                    lane, node = who[place]
+                    motions[lane, node, action] = motion_of(*swum[to])
+                    ends.append((lane, node * actions + action))
+                if len(told) < depth - 1:
+                    following.append((twin, twin_acting, ends))
+        told.append(motions)
+        level, nodes = following, nodes * actions
+    return np.concatenate(told, axis=1)
 
 
 def table_of_motions(motions: FloatArray, like: Tables) -> Tables:
@@ -100,12 +108,12 @@ def table_of_motions(motions: FloatArray, like: Tables) -> Tables:
     name *= _APART
     leads_to = 1 + np.arange(nodes * actions).reshape(nodes, actions)
     codes = np.rint(motions / like.motion_scale.astype(np.float64)).astype(np.int64)
-    return replace(
-        like,
-        image=b"",  # it is nowhere but here
-        kind="nearest",
-        states=name[:nodes].astype(np.int16),
-        transitions=np.concatenate([codes, name[leads_to]], axis=2).astype(np.int32),
-        derivatives=np.empty((0, actions, 6, 3), dtype=np.int32),
-        motion_limit=np.maximum(like.motion_limit, np.abs(codes).max(axis=(0, 1))),
-    )
+    arrays = {
+        "states": name[:nodes].astype(np.int16),
+        "transitions": np.concatenate([codes, name[leads_to]], axis=2).astype(np.int32),
+        "derivatives": np.empty((0, actions, 6, 3), dtype=np.int32),
+        "motion_limit": np.maximum(like.motion_limit, np.abs(codes).max(axis=(0, 1))),
+    }
+    for array in arrays.values():
+        array.setflags(write=False)  # as an opened image's: else numba compiles the planner once more
+    return replace(like, image=b"", kind="nearest", **arrays)  # the image is nowhere but here

@@ -24,7 +24,8 @@ class Board:
     """A printed board.
 
     Attributes:
-        kind: ``chessboard`` (its first square black) or ``charuco`` (markers of OpenCV's DICT_4X4_50, three quarters of a square).
+        kind: ``chessboard`` (its first square black) or ``charuco`` (OpenCV's DICT_4X4_50, markers of three
+            quarters of a square).
         columns: squares along.
         rows: squares across.
         square_m: side of a square.
@@ -67,14 +68,12 @@ class Board:
             cols, rows = np.meshgrid(np.arange(shape[0]), np.arange(shape[1]))
             home = np.stack([cols.ravel(), rows.ravel()], axis=1) * self.square_m
             seen = corners.reshape(-1, 2).astype(np.float64)
-            # OpenCV may begin at either end: the printed board's first square, beyond the first corner, is black.
+            # OpenCV may begin at either end: the first square, beyond the first corner, is black.
             plane, _ = cv2.findHomography(home, seen, 0)
             squares = np.array([[[-0.5, -0.5]], [[0.5, -0.5]]]) * self.square_m
-            first, second = (
-                np.rint(cv2.perspectiveTransform(squares, np.asarray(plane))).reshape(2, 2).astype(int)
-            )
+            ends = cv2.perspectiveTransform(squares, np.asarray(plane)).reshape(2, 2)
             height, width = image.shape
-            x, y = np.clip([first, second], 0, [width - 1, height - 1]).T
+            x, y = np.clip(np.rint(ends).astype(int), 0, [width - 1, height - 1]).T
             if image[y[0], x[0]] > image[y[1], x[1]]:
                 seen = seen[::-1].copy()
             return home.astype(np.float64), seen

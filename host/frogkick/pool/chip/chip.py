@@ -24,6 +24,7 @@ from frogkick.pool.chip.profile import Profile
 from frogkick.pool.chip.scheduler import CYCLES_PER_US, Scheduler
 from frogkick.pool.chip.timer import Timer
 from frogkick.pool.chip.uarte import Uarte
+from frogkick.pool.chip.watchdog import DOG, Power, Watchdog
 
 unicorn: Any = unicorn_module  # its type hints do not export what it documents
 _NOWHERE: Final = 0xFFFF_FFF0  # emulation ends by the hook, never by reaching an address
@@ -40,7 +41,7 @@ class VirtualChip:
     """
 
     def __init__(self, elf_path: Path | str, cost: CostModel | None = None) -> None:
-        """Load a firmware and hold it at reset, time 0.
+        """Load a firmware and hold it at reset, time 0. ``resets``: when the watchdog began it anew, us.
 
         Args:
             elf_path: ELF linked with firmware/bench/nrf52832.ld.
@@ -55,30 +56,16 @@ class VirtualChip:
         self.scheduler = Scheduler()
         self._event_cycle: int | None = None
         self._target_cycle = 0
-        self._sleeping = False
+        self._sleeping = self._hung = False
         self._slept_parts = 0
         self._failed: ChipError | None = None
         self._invalid: tuple[int, int, int] | None = None
+        self._reset_due = False
+        self.resets: list[float] = []
         self._access_error: ChipError | None = None
 
-        self._clock = Clock(self, "CLOCK", 0x4000_0000)
-        self._uarte = Uarte(self, "UARTE0", 0x4000_2000)
-        self._gpio = Gpio(self, "P0", 0x5000_0000)
-        self._ppi = Ppi(self, "PPI", 0x4001_F000)
-        self._core = CoreRegisters(self, "SCS", 0xE000_E000, self._switch_fpu)
-        self.peripherals: tuple[Peripheral, ...] = (
-            self._clock,
-            self._uarte,
-            Gpiote(self, "GPIOTE", 0x4000_6000, self._gpio),
-            Timer(self, "TIMER0", 0x4000_8000),
-            Timer(self, "TIMER1", 0x4000_9000),
-            Timer(self, "TIMER2", 0x4000_A000),
-            Nvmc(self, "NVMC", 0x4001_E000, self._switch_cache),
-            self._ppi,
-            self._gpio,
-            self._core,
-        )
-        self._by_base = {peripheral.base: peripheral for peripheral in self.peripherals}
+        self._power = Power(self, "POWER", 0x4000_0000)
+        self._place_peripherals([])
         self._table = CostTable(self._image.flash)
         self._state = HookState(
             expected=self._image.reset_address,
@@ -92,9 +79,39 @@ class VirtualChip:
         )
         self._pc = self._image.reset_address
         pages = [
-            (p.base, partial(self._mmio_read, p), partial(self._mmio_write, p)) for p in self.peripherals
+            (base, partial(self._mmio_read, base), partial(self._mmio_write, base)) for base in self._by_base
         ]
         self._uc = make_core(self._image, pages, self._on_invalid, self._state)
+
+    def _place_peripherals(self, edges: list[tuple[int, int, bool]]) -> None:
+        """All peripherals as a reset leaves them; the edges seen so far go on."""
+        self._uarte = Uarte(self, "UARTE0", 0x4000_2000)
+        self._gpio = Gpio(self, "P0", 0x5000_0000)
+        self._gpio.edges = edges
+        self._ppi = Ppi(self, "PPI", 0x4001_F000)
+        self._core = CoreRegisters(self, "SCS", 0xE000_E000, self._switch_fpu)
+        self.peripherals: tuple[Peripheral, ...] = (
+            Clock(self, "CLOCK", 0x4000_0000),
+            self._power,
+            self._uarte,
+            Gpiote(self, "GPIOTE", 0x4000_6000, self._gpio),
+            Timer(self, "TIMER0", 0x4000_8000),
+            Timer(self, "TIMER1", 0x4000_9000),
+            Timer(self, "TIMER2", 0x4000_A000),
+            Watchdog(self, "WDT", 0x4001_0000, self._on_watchdog),
+            Nvmc(self, "NVMC", 0x4001_E000, self._switch_cache),
+            self._ppi,
+            self._gpio,
+            self._core,
+        )
+        self._by_base: dict[int, list[Peripheral]] = {}
+        for peripheral in self.peripherals:
+            self._by_base.setdefault(peripheral.base, []).append(peripheral)
+
+    def _peripheral(self, address: int) -> Peripheral | None:
+        """The peripheral of a register; two may share a page."""
+        page = self._by_base.get(address & ~(PAGE - 1), [])
+        return next((p for p in page if address & (PAGE - 1) in p.by_offset), page[0] if page else None)
 
     # From outside
 
@@ -179,6 +196,13 @@ class VirtualChip:
             raise ChipError(f"the firmware has no symbol {name!r}: name one of its variables, unstripped")
         return self._image.symbols[name]
 
+    def hang(self) -> None:
+        """Let the core do nothing more, as one that a fault or a loop without end holds, until a reset.
+
+        Time, peripherals and the watchdog go on.
+        """
+        self._hung = True
+
     def run_until(self, time_us: float) -> None:
         """Let the chip live until a virtual time; it may go over by the rest of one instruction or IT block.
 
@@ -191,13 +215,16 @@ class VirtualChip:
         try:
             while self.cycles < self._target_cycle:
                 self._handle_events()
-                if not self._sleeping:
+                if self._reset_due:
+                    self._reset()
+                elif not (self._sleeping or self._hung):
                     self._execute()
-                elif self._core.event_register:
+                elif self._core.event_register and not self._hung:
                     self._core.event_register = self._sleeping = False
                 else:
                     awake_at = PARTS * min(self.scheduler.next_cycle, self._target_cycle)
-                    self._slept_parts += max(0, awake_at - int(self._state.time))
+                    if not self._hung:
+                        self._slept_parts += max(0, awake_at - int(self._state.time))
                     self._state.time = awake_at
             self._handle_events()
         except ChipError as error:
@@ -258,8 +285,27 @@ class VirtualChip:
             self.scheduler.take()()
         self._event_cycle = None
 
+    def _on_watchdog(self) -> None:
+        self._reset_due = True
+
+    def _reset(self) -> None:
+        """The watchdog's reset: core and peripherals begin anew; RAM, the wire and the reset reasons stay."""
+        self.resets.append(self.time_us)
+        self._reset_due = self._hung = self._sleeping = False
+        self._power.values["RESETREAS"] |= DOG
+        self._gpio.release()
+        before = self._uarte
+        self.scheduler.clear()
+        self._place_peripherals(self._gpio.edges)
+        self._uarte.take_wire(before)
+        self._switch_fpu(False)
+        self._switch_cache(False)
+        self._uc.reg_write(arm_const.UC_ARM_REG_SP, self._image.stack_pointer)
+        self._pc = self._state.address = self._state.expected = self._image.reset_address
+
     def _set_limit(self) -> None:
-        self._state.limit = PARTS * min(self.scheduler.next_cycle, self._target_cycle)
+        until = 0 if self._reset_due else min(self.scheduler.next_cycle, self._target_cycle)
+        self._state.limit = PARTS * until
 
     def _execute(self) -> None:
         """Run the core until the next event, the target, sleep or an error."""
@@ -313,19 +359,19 @@ class VirtualChip:
         self._state.line = 0xFFFF_FFFF
         self._state.fetch_wait = 0 if enabled else self._cost.fetch_wait_uncached_parts
 
-    def _mmio_read(self, peripheral: Peripheral, _uc: Any, offset: int, size: int, _data: Any) -> int:
-        return self._access(peripheral, offset, size, None)
+    def _mmio_read(self, base: int, _uc: Any, offset: int, size: int, _data: Any) -> int:
+        return self._access(base, offset, size, None)
 
-    def _mmio_write(
-        self, peripheral: Peripheral, _uc: Any, offset: int, size: int, value: int, _data: Any
-    ) -> None:
-        self._access(peripheral, offset, size, value & 0xFFFF_FFFF)
+    def _mmio_write(self, base: int, _uc: Any, offset: int, size: int, value: int, _data: Any) -> None:
+        self._access(base, offset, size, value & 0xFFFF_FFFF)
 
-    def _access(self, peripheral: Peripheral, offset: int, size: int, value: int | None) -> int:
+    def _access(self, base: int, offset: int, size: int, value: int | None) -> int:
         """Read (value None) or write a register; an error is kept for after the emulator has stopped."""
         result = 0
         if self._access_error is None:
             try:
+                peripheral = self._peripheral(base + offset)
+                assert peripheral is not None
                 self._before_access(peripheral, offset, size)
                 if value is None:
                     result = peripheral.read(offset)
@@ -365,11 +411,12 @@ class VirtualChip:
 
     def trigger(self, task_address: int) -> None:
         """Trigger a task, as PPI does."""
-        peripheral = self._by_base[task_address & ~(PAGE - 1)]
+        peripheral = self._peripheral(task_address)
+        assert peripheral is not None
         peripheral.on_task(peripheral.by_offset[task_address & (PAGE - 1)].name)
 
     def _has(self, address: int, prefix: str) -> bool:
-        peripheral = self._by_base.get(address & ~(PAGE - 1))
+        peripheral = self._peripheral(address)
         register = peripheral.by_offset.get(address & (PAGE - 1)) if peripheral else None
         return register is not None and register.name.startswith(prefix)
 

@@ -49,6 +49,14 @@ class Gpio(Peripheral):
         self._task_levels[pin] = level
         self._update(pin)
 
+    def release(self) -> None:
+        """A reset: all pins become inputs, which gates see as low."""
+        self._out = 0
+        self._task_levels = {}
+        self.values = dict.fromkeys(self.values, 0)
+        for pin in range(PINS):
+            self._update(pin)
+
     def _update(self, pin: int) -> None:
         is_output = bool(self.values[f"PIN_CNF[{pin}]"] & 1)
         level = self._task_levels.get(pin, is_output and bool(self._out >> pin & 1))

@@ -27,6 +27,10 @@ class Scheduler:
         self._callbacks.append(callback)
         return len(self._at) - 1
 
+    def clear(self) -> None:
+        """Forget all sources, as a reset does that places new ones."""
+        self._at, self._callbacks, self.next_cycle = [], [], NEVER
+
     def at(self, source: int, cycle: int) -> None:
         """Set or move the source's next event; ``NEVER`` takes it back."""
         self._at[source] = cycle

@@ -102,6 +102,12 @@ class Uarte(Peripheral):
         self._line_free_cycle = begin + bytes_cycles(len(data))
         self._expect()
 
+    def take_wire(self, before: Uarte) -> None:
+        """After a reset: what is on the wire comes on, and what went out before is still told."""
+        self._arriving, self._line_free_cycle = before._arriving, before._line_free_cycle
+        self.transmitted, self.bytes_lost = before.transmitted, before.bytes_lost
+        self._expect()
+
     def _expect(self) -> None:
         self.system.scheduler.at(self._arrival, self._arriving[0][0] if self._arriving else NEVER)
 

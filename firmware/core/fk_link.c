@@ -1,0 +1,85 @@
+/* What goes in and out: frames to commands, answers and events to the transmit buffer. */
+#include "fk_robot.h"
+
+static void send(fk_robot_t *robot, uint8_t type, uint8_t sequence, const uint8_t *payload, uint32_t length)
+{
+    uint32_t bytes = fk_frame_encode(type, sequence, payload, length, robot->tx + robot->tx_length,
+                                     FK_TX_BYTES - robot->tx_length);
+    robot->tx_length += bytes;
+    if (bytes == 0u) {
+        ++robot->answers_dropped;
+    }
+}
+
+void fk_robot_send_events(fk_robot_t *robot)
+{
+    uint8_t payload[FK_PAYLOAD_BYTES_MAX];
+    if (robot->decision_pending != 0u) {
+        fk_decision_event_pack(payload, &robot->decision);
+        send(robot, FK_FRAME_DECISION, robot->event_sequence, payload, FK_DECISION_EVENT_BYTES);
+        ++robot->event_sequence;
+        robot->decision_pending = 0u;
+    }
+    if (robot->refused_pending != 0u) {
+        fk_refused_event_pack(payload, &robot->refused);
+        send(robot, FK_FRAME_REFUSED, robot->event_sequence, payload, FK_REFUSED_EVENT_BYTES);
+        ++robot->event_sequence;
+        robot->refused_pending = 0u;
+    }
+    if (robot->ended_pending != 0u) {
+        fk_ended_event_pack(payload, &robot->ended);
+        send(robot, FK_FRAME_ENDED, robot->event_sequence, payload, FK_ENDED_EVENT_BYTES);
+        ++robot->event_sequence;
+        robot->ended_pending = 0u;
+    }
+}
+
+/* Commands that change something: a repetition of one of these must not change it again. FIX sees to that itself, by its
+ * own sequence number. */
+static int32_t matters(uint8_t type)
+{
+    return type == FK_FRAME_ARM || type == FK_FRAME_DISARM || type == FK_FRAME_PATH || type == FK_FRAME_START ||
+           type == FK_FRAME_STOP || type == FK_FRAME_PARAM || type == FK_FRAME_STROKE;
+}
+
+void fk_robot_on_frame(fk_robot_t *robot, const uint8_t *encoded, uint32_t length, uint64_t now_us)
+{
+    fk_frame_t frame;
+    /* An answer is not a command: on a line that echoes, the robot would answer its own answers for ever. */
+    if (fk_frame_decode(encoded, length, &frame) != 0 || (frame.type & FK_ANSWER_BIT) != 0u) {
+        ++robot->frames_bad;
+        return;
+    }
+    fk_robot_note_time(robot, now_us);
+    /* Events of an earlier tick go first: the order of what is sent is the order of what happened, and a host
+     * can decide everything again from it. */
+    fk_robot_send_events(robot);
+    uint8_t answer[FK_PAYLOAD_BYTES_MAX];
+    uint8_t type = (uint8_t)(frame.type | FK_ANSWER_BIT);
+    fk_repeats_note(&robot->repeats, frame.sequence);
+    const fk_repeat_t *before = fk_repeats_find(&robot->repeats, &frame);
+    if (before != 0) {
+        ++robot->commands_repeated;
+        send(robot, type, frame.sequence, before->answer, before->length);
+        return;
+    }
+    uint32_t answer_length = (uint32_t)fk_robot_command(robot, &frame, now_us, answer);
+    if (matters(frame.type)) {
+        fk_repeats_keep(&robot->repeats, &frame, answer, answer_length);
+    }
+    send(robot, type, frame.sequence, answer, answer_length);
+}
+
+uint32_t fk_robot_take_tx(fk_robot_t *robot, uint8_t *bytes, uint32_t capacity)
+{
+    fk_robot_send_events(robot);
+    uint32_t count = (robot->tx_length < capacity) ? robot->tx_length : capacity;
+    for (uint32_t i = 0u; i < count; ++i) {
+        bytes[i] = robot->tx[i];
+    }
+    for (uint32_t i = count; i < robot->tx_length; ++i) {
+        robot->tx[i - count] = robot->tx[i];
+    }
+    robot->tx_length -= count;
+    return count;
+}

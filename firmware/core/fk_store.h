@@ -1,0 +1,141 @@
+/* The table store: tables in flash, one in use, one beside it that an update fills; a power cut at any moment leaves
+ * the whole old table or the whole new one.
+ *
+ * The flash region holds two journal pages, then one or two slots of whole pages:
+ *
+ *   | journal 0 | journal 1 | slot 1 ... | slot 2 ... |        table 0 is the one built into the firmware
+ *
+ * The journal is a row of records. Each is the store's whole state with a sequence number, valid only by its own
+ * CRC-32 and never changed; the newest valid one is the truth. So every step is one record: begin, each page that
+ * is done, commit, rollback. A record goes to the next place that was never written; behind the last place the other
+ * page is erased, which holds older records only, and the row goes on there.
+ *
+ * A slot is erased and written only while it is neither in use nor what a rollback leads to, and a record
+ * says so first. What a slot holds is believed when a COMMIT has read it all back (hash, CRC-32, format, every index,
+ * robot, limits) and its record is whole; at boot it is checked again.
+ */
+#ifndef FK_STORE_H
+#define FK_STORE_H
+
+#include <stdint.h>
+
+#include "fk_sha256.h"
+
+#define FK_FLASH_PAGE_BYTES 4096u
+#define FK_FLASH_ERASES_MAX 10000u /* erases that a page endures */
+#define FK_STORE_CHUNK_BYTES 128u  /* of an upload; a page is whole chunks */
+#define FK_STORE_JOURNAL_PAGES 2u
+#define FK_STORE_SLOTS_MAX 2u
+#define FK_STORE_BUILT_IN 0u       /* the table of the firmware itself; slots count from 1 */
+
+/* The region, given by the port. */
+typedef struct {
+    const uint8_t *base; /* where it can be read, on 4 bytes */
+    uint32_t slot_bytes; /* whole pages */
+    uint32_t slots;      /* 1 or 2 */
+    void *context;       /* the port's own */
+} fk_flash_t;
+
+/* What the port implements; names instead of pointers, so that the deepest stack can be worked out. Neither tells of
+ * success: the store reads back. Both return when the flash has done it. */
+
+/* Erase the page that begins at offset. */
+void fk_flash_erase(const fk_flash_t *flash, uint32_t offset);
+
+/* Write words from offset on, in this order, each one once after its page was erased. */
+void fk_flash_program(const fk_flash_t *flash, uint32_t offset, const uint32_t *words, uint32_t count);
+
+/* A record of the journal, as it lies in flash. */
+typedef struct {
+    uint32_t magic;                         /* FK_STORE_MAGIC */
+    uint32_t sequence;                      /* the larger, the newer */
+    uint32_t layout;                        /* slot_bytes + slots: of another layout nothing is believed */
+    uint8_t active;                         /* table in use: FK_STORE_BUILT_IN, 1 or 2 */
+    uint8_t previous;                       /* the table before that, likewise */
+    uint8_t pending;                        /* slot that an update writes, 0: none */
+    uint8_t pages_done;                     /* whole pages of the update that have been written */
+    uint32_t length[FK_STORE_SLOTS_MAX];    /* of the image in each slot, 0: none */
+    uint32_t crc32[FK_STORE_SLOTS_MAX];     /* as in that image's header, from its COMMIT on */
+    uint32_t erases[FK_STORE_SLOTS_MAX];    /* of a slot's pages, at most: uploads begun and resumed there */
+    uint32_t journal_erases;                /* of both pages together */
+    uint32_t hash[FK_SHA256_WORDS];         /* SHA-256 of the image that was begun last */
+    uint32_t check;                         /* CRC-32 of all before it */
+} fk_store_record_t;
+
+#define FK_STORE_MAGIC 0x31534B46u /* "FKS1" */
+#define FK_STORE_RECORD_WORDS 20u
+#define FK_STORE_RECORD_BYTES (4u * FK_STORE_RECORD_WORDS)
+#define FK_STORE_RECORDS (FK_FLASH_PAGE_BYTES / FK_STORE_RECORD_BYTES) /* places in a journal page */
+
+typedef char fk_store_record_is_whole[(sizeof(fk_store_record_t) == FK_STORE_RECORD_BYTES) ? 1 : -1];
+
+typedef struct {
+    const fk_flash_t *flash;
+    const uint8_t *built_in;
+    uint32_t built_in_bytes;
+    const uint8_t *image;     /* the table in use */
+    uint32_t image_bytes;
+    uint8_t running;          /* its number; not record.active where that one was not good at boot */
+    uint8_t open;             /* an update takes chunks */
+    uint32_t next_offset;     /* of the next chunk wanted */
+    fk_store_record_t record; /* the newest */
+    uint32_t sequence;        /* of the newest record, whole or not */
+    uint32_t newest_page;     /* journal page of the newest whole record */
+    uint32_t page;            /* where the next record goes */
+    uint32_t place;           /* FK_STORE_RECORDS: the page is full, it goes to the other one */
+} fk_store_t;
+
+/* Find the last good table: the one in use, else the one before it, else the built-in one. Writes nothing.
+ * @param flash     stays valid as long as the store lives, like built_in
+ * @retval 0         store->image is ready
+ * @retval negative  fk_error_t: not even the built-in table is good
+ */
+int32_t fk_store_boot(fk_store_t *store, const fk_flash_t *flash, const uint8_t *built_in, uint32_t built_in_bytes);
+
+/* Begin an update, or go on with one of the same length and hash at store->next_offset.
+ * @param length  bytes of the image, whole words
+ * @retval FK_STATUS_OK
+ * @retval FK_STATUS_VALUE  no length of a table, or more than a slot has
+ * @retval FK_STATUS_SLOT   the only slot holds the table in use: go back to the built-in one first
+ * @retval FK_STATUS_WORN   the slot has been erased FK_FLASH_ERASES_MAX times
+ * @retval FK_STATUS_FLASH  the flash does not hold what was written
+ */
+int8_t fk_store_begin(fk_store_t *store, uint32_t length, const uint32_t hash[FK_SHA256_WORDS]);
+
+/* Write the next chunk: FK_STORE_CHUNK_BYTES, or what is left.
+ * @retval FK_STATUS_OK
+ * @retval FK_STATUS_STATE   no update is open
+ * @retval FK_STATUS_OFFSET  not the offset wanted; nothing written
+ * @retval FK_STATUS_LENGTH  not as many bytes as wanted
+ * @retval FK_STATUS_FLASH   the flash does not hold what was written; the update is closed
+ */
+int8_t fk_store_chunk(fk_store_t *store, uint32_t offset, const uint8_t *bytes, uint32_t count);
+
+/* Check the whole image and put it in use, by one record. The update is closed either way.
+ * @param error  fk_error_t of FK_STATUS_TABLE
+ * @retval FK_STATUS_OK
+ * @retval FK_STATUS_STATE  no update is open, or chunks are missing; nothing changed
+ * @retval FK_STATUS_HASH   another image than was announced
+ * @retval FK_STATUS_TABLE  not a table, or not for this robot
+ * @retval FK_STATUS_FLASH  the flash does not hold what was written
+ */
+int8_t fk_store_commit(fk_store_t *store, int8_t *error);
+
+/* Put a table in use that is here, by one record: the one before, or the built-in one. An open update is closed; that
+ * is all where the table is in use already, so that asking twice changes nothing.
+ * @param crc32  as in the table's header
+ * @param error  fk_error_t of FK_STATUS_TABLE
+ * @retval FK_STATUS_OK
+ * @retval FK_STATUS_VALUE  no such table here
+ * @retval FK_STATUS_TABLE  it is damaged
+ * @retval FK_STATUS_FLASH  the flash does not hold what was written
+ */
+int8_t fk_store_rollback(fk_store_t *store, uint32_t crc32, int8_t *error);
+
+/* CRC-32 in the header of a table: FK_STORE_BUILT_IN, or a slot that was committed. */
+uint32_t fk_store_crc32(const fk_store_t *store, uint8_t table);
+
+/* Size of fk_store_t, for a host that holds one without seeing its type. */
+uint32_t fk_store_bytes(void);
+
+#endif

@@ -1,0 +1,115 @@
+#include "limbs.h"
+
+#include <helpers/nrfx_gppi.h>
+#include <nrfx_gpiote.h>
+#include <nrfx_timer.h>
+#include <zephyr/devicetree.h>
+#include <zephyr/irq.h>
+#include <zephyr/sys/atomic.h>
+#include <zephyr/sys/util.h>
+
+#define LIMBS_NODE DT_NODELABEL(limbs)
+#define LIMB_PIN(node, property, index) DT_GPIO_PIN_BY_IDX(node, property, index)
+
+static const uint8_t pins[] = {DT_FOREACH_PROP_ELEM_SEP(LIMBS_NODE, gpios, LIMB_PIN, (, ))};
+BUILD_ASSERT(ARRAY_SIZE(pins) <= 8, "the core knows at most eight limbs");
+
+static const nrfx_timer_t timer = NRFX_TIMER_INSTANCE(2);
+static const nrfx_gpiote_t gpiote = NRFX_GPIOTE_INSTANCE(0);
+static void (*tell_end)(void);
+static atomic_t is_on;
+static uint8_t is_ready;
+
+static void timer_event(nrf_timer_event_t event, void *context)
+{
+    (void)context;
+    if (event == NRF_TIMER_EVENT_COMPARE0) {
+        atomic_set(&is_on, 0);
+        tell_end();
+    }
+}
+
+/* The pin low, then its CLR task tied to the timer's end. */
+static int32_t tie(uint8_t pin)
+{
+    static const nrfx_gpiote_output_config_t output = {
+        .drive = NRF_GPIO_PIN_S0S1,
+        .input_connect = NRF_GPIO_PIN_INPUT_DISCONNECT,
+        .pull = NRF_GPIO_PIN_NOPULL,
+    };
+    /* Only the SET and CLR tasks are used; a polarity of none would turn the tasks off. */
+    nrfx_gpiote_task_config_t task = {
+        .polarity = NRF_GPIOTE_POLARITY_TOGGLE,
+        .init_val = NRF_GPIOTE_INITIAL_VALUE_LOW,
+    };
+    uint8_t channel;
+
+    if (nrfx_gpiote_channel_alloc(&gpiote, &task.task_ch) != NRFX_SUCCESS ||
+        nrfx_gpiote_output_configure(&gpiote, pin, &output, &task) != NRFX_SUCCESS ||
+        nrfx_gppi_channel_alloc(&channel) != NRFX_SUCCESS) {
+        return FK_LIMBS_ERROR_HARDWARE;
+    }
+    nrfx_gpiote_out_task_enable(&gpiote, pin);
+    nrfx_gppi_channel_endpoints_setup(channel, nrfx_timer_compare_event_address_get(&timer, NRF_TIMER_CC_CHANNEL0),
+                                      nrfx_gpiote_clr_task_address_get(&gpiote, pin));
+    nrfx_gppi_channels_enable((uint32_t)BIT(channel));
+    return FK_LIMBS_OK;
+}
+
+int32_t fk_limbs_init(void (*ended)(void))
+{
+    nrfx_timer_config_t config = NRFX_TIMER_DEFAULT_CONFIG(1000000);
+
+    tell_end = ended;
+    config.bit_width = NRF_TIMER_BIT_WIDTH_32;
+    IRQ_CONNECT(DT_IRQN(DT_NODELABEL(timer2)), DT_IRQ(DT_NODELABEL(timer2), priority), nrfx_isr,
+                nrfx_timer_2_irq_handler, 0);
+    if (nrfx_timer_init(&timer, &config, timer_event) != NRFX_SUCCESS ||
+        (!nrfx_gpiote_init_check(&gpiote) && nrfx_gpiote_init(&gpiote, 0) != NRFX_SUCCESS)) {
+        return FK_LIMBS_ERROR_HARDWARE;
+    }
+    for (uint32_t limb = 0; limb < ARRAY_SIZE(pins); ++limb) {
+        if (tie(pins[limb]) != FK_LIMBS_OK) {
+            return FK_LIMBS_ERROR_HARDWARE;
+        }
+    }
+    is_ready = 1;
+    return FK_LIMBS_OK;
+}
+
+int32_t fk_limbs_pulse(uint8_t limb_mask, uint32_t pulse_us)
+{
+    if (is_ready == 0) {
+        return FK_LIMBS_ERROR_HARDWARE;
+    }
+    if (limb_mask == 0 || (uint32_t)limb_mask >> ARRAY_SIZE(pins) != 0 || pulse_us == 0 ||
+        pulse_us > FK_LIMBS_PULSE_MAX_US) {
+        return FK_LIMBS_ERROR_RANGE;
+    }
+    if (!atomic_cas(&is_on, 0, 1)) {
+        return FK_LIMBS_ERROR_BUSY;
+    }
+    nrfx_timer_clear(&timer);
+    nrfx_timer_extended_compare(&timer, NRF_TIMER_CC_CHANNEL0, pulse_us,
+                                NRF_TIMER_SHORT_COMPARE0_STOP_MASK | NRF_TIMER_SHORT_COMPARE0_CLEAR_MASK, true);
+    /* The end first, then the beginning: whatever stops the core between these lines, no gate stays high. */
+    nrfx_timer_enable(&timer);
+    for (uint32_t limb = 0; limb < ARRAY_SIZE(pins); ++limb) {
+        if ((limb_mask & BIT(limb)) != 0) {
+            nrfx_gpiote_set_task_trigger(&gpiote, pins[limb]);
+        }
+    }
+    return FK_LIMBS_OK;
+}
+
+void fk_limbs_off(void)
+{
+    if (is_ready == 0) {
+        return;
+    }
+    for (uint32_t limb = 0; limb < ARRAY_SIZE(pins); ++limb) {
+        nrfx_gpiote_clr_task_trigger(&gpiote, pins[limb]);
+    }
+    nrfx_timer_disable(&timer);
+    atomic_set(&is_on, 0);
+}

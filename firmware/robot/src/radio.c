@@ -1,0 +1,200 @@
+#include "radio.h"
+
+#include <errno.h>
+#include <string.h>
+#include <zephyr/bluetooth/bluetooth.h>
+#include <zephyr/bluetooth/conn.h>
+#include <zephyr/bluetooth/gatt.h>
+#include <zephyr/bluetooth/uuid.h>
+#include <zephyr/drivers/hwinfo.h>
+#include <zephyr/kernel.h>
+#include <zephyr/settings/settings.h>
+#include <zephyr/sys/printk.h>
+#include <zephyr/sys/ring_buffer.h>
+#include <zephyr/sys/util.h>
+
+#define RECEIVE_BYTES 2048 /* a frame is at most 253: what comes while a decision computes waits here */
+#define ATT_HEAD_BYTES 3u
+
+#define NUS_SERVICE BT_UUID_128_ENCODE(0x6e400001, 0xb5a3, 0xf393, 0xe0a9, 0xe50e24dcca9e)
+#define NUS_RECEIVE BT_UUID_128_ENCODE(0x6e400002, 0xb5a3, 0xf393, 0xe0a9, 0xe50e24dcca9e)
+#define NUS_TRANSMIT BT_UUID_128_ENCODE(0x6e400003, 0xb5a3, 0xf393, 0xe0a9, 0xe50e24dcca9e)
+
+#if defined(CONFIG_FROGKICK_OPEN_LINK)
+#define WRITE_PERMISSION BT_GATT_PERM_WRITE
+#define SUBSCRIBE_PERMISSION (BT_GATT_PERM_READ | BT_GATT_PERM_WRITE)
+#else
+#define WRITE_PERMISSION BT_GATT_PERM_WRITE_AUTHEN
+#define SUBSCRIBE_PERMISSION (BT_GATT_PERM_READ_AUTHEN | BT_GATT_PERM_WRITE_AUTHEN)
+#endif
+
+RING_BUF_DECLARE(received, RECEIVE_BYTES);
+static void (*tell_arrival)(void);
+
+/* Bytes that find no room are lost; the frame that they belong to fails its CRC and the host repeats it. */
+static ssize_t on_write(struct bt_conn *conn, const struct bt_gatt_attr *attribute, const void *bytes, uint16_t length,
+                        uint16_t offset, uint8_t flags)
+{
+    (void)conn;
+    (void)attribute;
+    (void)flags;
+    if (offset != 0) {
+        return BT_GATT_ERR(BT_ATT_ERR_INVALID_OFFSET);
+    }
+    (void)ring_buf_put(&received, bytes, length);
+    tell_arrival();
+    return length;
+}
+
+BT_GATT_SERVICE_DEFINE(nus, BT_GATT_PRIMARY_SERVICE(BT_UUID_DECLARE_128(NUS_SERVICE)),
+                       BT_GATT_CHARACTERISTIC(BT_UUID_DECLARE_128(NUS_TRANSMIT), BT_GATT_CHRC_NOTIFY,
+                                              BT_GATT_PERM_NONE, NULL, NULL, NULL),
+                       BT_GATT_CCC(NULL, SUBSCRIBE_PERMISSION),
+                       BT_GATT_CHARACTERISTIC(BT_UUID_DECLARE_128(NUS_RECEIVE),
+                                              BT_GATT_CHRC_WRITE | BT_GATT_CHRC_WRITE_WITHOUT_RESP, WRITE_PERMISSION,
+                                              NULL, on_write, NULL));
+#define TRANSMIT_VALUE (&nus.attrs[2])
+
+static const struct bt_data advertised[] = {
+    BT_DATA_BYTES(BT_DATA_FLAGS, BT_LE_AD_GENERAL | BT_LE_AD_NO_BREDR),
+    BT_DATA_BYTES(BT_DATA_UUID128_ALL, NUS_SERVICE),
+};
+static const struct bt_data scan_answer[] = {
+    BT_DATA(BT_DATA_NAME_COMPLETE, CONFIG_BT_DEVICE_NAME, sizeof(CONFIG_BT_DEVICE_NAME) - 1),
+};
+
+static void advertise(struct k_work *work)
+{
+    (void)work;
+    const int error = bt_le_adv_start(BT_LE_ADV_PARAM(BT_LE_ADV_OPT_CONNECTABLE | BT_LE_ADV_OPT_ONE_TIME,
+                                                      BT_GAP_ADV_FAST_INT_MIN_2, BT_GAP_ADV_FAST_INT_MAX_2, NULL),
+                                      advertised, ARRAY_SIZE(advertised), scan_answer, ARRAY_SIZE(scan_answer));
+    if (error != 0 && error != -EALREADY) {
+        printk("no advertising: error %d\n", error);
+    }
+}
+static K_WORK_DEFINE(advertise_work, advertise);
+
+static void on_recycled(void)
+{
+    (void)k_work_submit(&advertise_work); /* the connection is free again: only now may advertising start */
+}
+
+BT_CONN_CB_DEFINE(connection) = {.recycled = on_recycled};
+
+#if !defined(CONFIG_FROGKICK_OPEN_LINK)
+static void count_bond(const struct bt_bond_info *bond, void *count)
+{
+    (void)bond;
+    ++*(uint32_t *)count;
+}
+
+/* Kconfig says why: FROGKICK_PAIRING_S. */
+static enum bt_security_err on_pairing(struct bt_conn *conn, const struct bt_conn_pairing_feat *const feat)
+{
+    uint32_t bonds = 0;
+
+    (void)conn;
+    (void)feat;
+    bt_foreach_bond(BT_ID_DEFAULT, count_bond, &bonds);
+    return (bonds == 0 || k_uptime_get() < 1000 * CONFIG_FROGKICK_PAIRING_S) ? BT_SECURITY_ERR_SUCCESS
+                                                                              : BT_SECURITY_ERR_PAIR_NOT_ALLOWED;
+}
+
+static void on_passkey(struct bt_conn *conn, unsigned int passkey)
+{
+    (void)conn;
+    (void)passkey; /* no display; it was printed at start */
+}
+
+static void on_cancel(struct bt_conn *conn)
+{
+    (void)conn;
+}
+
+static const struct bt_conn_auth_cb authentication = {
+    .pairing_accept = on_pairing,
+    .passkey_display = on_passkey,
+    .cancel = on_cancel,
+};
+
+static unsigned int passkey(void)
+{
+    uint8_t serial[8] = {0};
+    uint32_t hash = 2166136261u; /* FNV-1a */
+
+    if (CONFIG_FROGKICK_PASSKEY != 0) {
+        return CONFIG_FROGKICK_PASSKEY;
+    }
+    (void)hwinfo_get_device_id(serial, sizeof(serial));
+    for (uint32_t index = 0; index < sizeof(serial); ++index) {
+        hash = (hash ^ serial[index]) * 16777619u;
+    }
+    return hash % 1000000u;
+}
+
+static int32_t secure(void)
+{
+    const unsigned int key = passkey();
+    const int error = bt_passkey_set(key);
+
+    printk("passkey %06u\n", key);
+    return (error != 0) ? error : bt_conn_auth_cb_register(&authentication);
+}
+#else
+static int32_t secure(void)
+{
+    printk("the link is open: anybody near can arm this robot\n");
+    return 0;
+}
+#endif
+
+int32_t fk_radio_init(void (*arrived)(void))
+{
+    tell_arrival = arrived;
+    int32_t error = bt_enable(NULL);
+    if (error == 0) {
+        error = settings_load(); /* bonds */
+    }
+    if (error == 0) {
+        error = secure();
+    }
+    if (error == 0) {
+        advertise(NULL);
+    }
+    return error;
+}
+
+int32_t fk_radio_read(uint8_t *byte)
+{
+    return (ring_buf_get(&received, byte, 1) == 1) ? 1 : 0;
+}
+
+static void find(struct bt_conn *conn, void *found)
+{
+    struct bt_conn_info info;
+
+    if (bt_conn_get_info(conn, &info) == 0 && info.state == BT_CONN_STATE_CONNECTED) {
+        *(struct bt_conn **)found = bt_conn_ref(conn);
+    }
+}
+
+void fk_radio_send(const uint8_t *bytes, uint32_t length)
+{
+    struct bt_conn *conn = NULL;
+
+    bt_conn_foreach(BT_CONN_TYPE_LE, find, &conn);
+    if (conn == NULL) {
+        return;
+    }
+    while (length > 0) {
+        const uint32_t room = bt_gatt_get_mtu(conn) - ATT_HEAD_BYTES; /* an MTU is 23 at least */
+        const uint32_t part = MIN(length, room);
+        if (bt_gatt_notify(conn, TRANSMIT_VALUE, bytes, (uint16_t)part) != 0) {
+            break; /* gone, or does not listen: the rest would be a broken frame */
+        }
+        bytes += part;
+        length -= part;
+    }
+    bt_conn_unref(conn);
+}

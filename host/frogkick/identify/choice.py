@@ -1,0 +1,143 @@
+"""Whether effects are searched one by one or taken together from a robot that was measured before."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+from frogkick.identify.fit import Fitted, derivatives, fit
+from frogkick.identify.predict import Track
+from frogkick.identify.relatives import end_cost, refitted, relatives
+from frogkick.identify.search import GAIN_EACH, Begun, Found, countable, search
+from frogkick.identify.swim import Swim, copies
+from frogkick.identify.terms import Term
+from frogkick.identify.verdict import FOUND, UNEXPLAINED, Error, error_of, gaps, noise_floor, verdict_of
+from frogkick.robot import Robot
+
+Progress = Callable[[str, int, int], None]
+
+SEARCHED_MOST = 200
+"""Periods from which on a measured relative that explains much is tried before a whole search."""
+
+PART, PART_EFFECTS = 60, 2
+"""Periods and effects of a search beside a relative: more effects are for the relative, and a search
+for them would take many minutes."""
+
+FAR, NEARER = (0.006, 0.07), 0.6
+"""A model off by more than so much (m, rad) lacks more than an effect or two; a relative that leaves no more
+than this share of both errors is then taken where a search does not explain all."""
+
+
+@dataclass(frozen=True, eq=False)
+class Scored:
+    """Errors of some runs."""
+
+    before: Error
+    after: Error
+    noise_floor: Error
+
+    @property
+    def errors(self) -> tuple[Error, Error, Error]:
+        """Before, after, noise floor."""
+        return self.before, self.after, self.noise_floor
+
+    def as_json(self) -> dict[str, dict[str, float]]:
+        """The keys of the command."""
+        return {
+            "before": self.before.as_json(),
+            "after": self.after.as_json(),
+            "noise_floor": self.noise_floor.as_json(),
+        }
+
+
+def found_in(train: Sequence[Swim], robot: Robot, candidates: Sequence[Term], progress: Progress) -> Found:
+    """What a search finds; or effects of a robot of the same body, fitted to these runs.
+
+    A search that leaves no more than noise is taken as it is, a relative that does so likewise. A robot at a
+    wall is as far off its model as a hull from its drawing: how far alone does not tell which it is.
+
+    Raises:
+        InputError: the runs hold nothing to judge by.
+    """
+    known = relatives(robot)
+    begun = countable(train, robot)
+    nominal = Found(begun[2], begun[2], [], begun[1], [])
+    far = all(value > least for value, least in zip(_pair(_errors(nominal, train)[0]), FAR, strict=True))
+    many = int(begun[1].sum()) > SEARCHED_MOST
+    found = None
+    if not known or not (far or many):
+        found = search(train, robot, candidates, progress, begun)
+        if not known or _verdict(found, train) != UNEXPLAINED:
+            return found
+    relative = _relative(begun, list(known.values()), train, progress)
+    if relative is None:
+        return found or search(train, robot, candidates, progress, begun)
+    if _verdict(relative, train) == FOUND:
+        return relative
+    if found is None:
+        before, after, _ = _errors(relative, train)
+        pairs = zip(_pair(before), _pair(after), strict=True)
+        if many or all(left <= NEARER * plain for plain, left in pairs):
+            found = _searched_in_part(begun, train, robot, candidates, progress)
+            return found if _verdict(found, train) == FOUND else relative
+        found = search(train, robot, candidates, progress, begun)
+    model = relative.fitted.model
+    dear = GAIN_EACH * (len(model.values) - len(model.held))
+    searched = end_cost(found.fitted.tracks, train)
+    return relative if end_cost(relative.fitted.tracks, train) + dear < searched else found
+
+
+def _relative(
+    begun: Begun, known: Sequence[Sequence[Term]], train: Sequence[Swim], progress: Progress
+) -> Found | None:
+    """The relative that fits best; None where all explain too little for their number of effects."""
+    _, rows, nominal = begun
+    fits = []
+    for done, terms in enumerate(known):
+        progress("measured robots", done, len(known))
+        fits.append(refitted(nominal, terms, train, rows))
+    taken = [each for each in fits if each is not None]
+    best = min(taken, key=lambda fitted: end_cost(fitted.tracks, train), default=None)
+    return None if best is None else Found(nominal, best, [], rows, [[] for _ in best.model.terms])
+
+
+def _searched_in_part(
+    begun: Begun, train: Sequence[Swim], robot: Robot, candidates: Sequence[Term], progress: Progress
+) -> Found:
+    """What a search finds in some of the periods, the same share of each run, fitted to all of them."""
+    _, rows, nominal = begun
+    share = min(1.0, PART / len(rows))
+    some = []
+    for swim in train:
+        count = round(share * len(swim.start_s))
+        cut = {name: getattr(swim, name)[:count] for name in ("start_s", "end_s", "action")}
+        some.append(replace(swim, **cut))
+    some = [swim for swim in some if len(swim.start_s)]
+    found = search(some, robot, candidates, progress, most=PART_EFFECTS)
+    fitted = found.fitted
+    if not fitted.model.terms:
+        return Found(nominal, nominal, found.turns, rows, [])
+    fitted = derivatives([fit(fitted.model, train, rows, rounds=2).model], train, rows)[0]
+    return Found(nominal, fitted, found.turns, rows, found.alike, rivals=found.rivals)
+
+
+def _verdict(found: Found, swims: Sequence[Swim]) -> str:
+    return verdict_of(found, _errors(found, swims))
+
+
+def _errors(found: Found, swims: Sequence[Swim]) -> tuple[Error, Error, Error]:
+    return scored(found.nominal, found.fitted, found.nominal.tracks, found.fitted.tracks, swims).errors
+
+
+def _pair(error: Error) -> tuple[float, float]:
+    return error.position_rmse_m, error.heading_rmse_rad
+
+
+def scored(
+    nominal: Fitted, fitted: Fitted, before: Sequence[Track], after: Sequence[Track], swims: Sequence[Swim]
+) -> Scored:
+    """Errors of runs by two models, and their noise floor; runs of one noise count once."""
+    errors = [error_of(gaps(tracks, swims)) for tracks in (before, after)]
+    one_noise = copies(swims)
+    first, second = (replace(error, count=error.count // one_noise) for error in errors)
+    return Scored(first, second, noise_floor(swims, fitted.model.noise))

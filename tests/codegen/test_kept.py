@@ -1,0 +1,130 @@
+"""Built firmware is kept for its content: not compiled twice, and never another one's."""
+
+from __future__ import annotations
+
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from tests.codegen import made_up
+
+from frogkick.robot import Robot, load_robot
+from frogkick_codegen import firmware, kept, toolchain
+from frogkick_codegen.firmware import TARGETS, build
+from frogkick_codegen.toolchain import Compiler
+
+ROBOT = load_robot("frog2022")
+
+
+_BUILT: dict[str, bytes] = {}
+"""What a compiler made of firmware, by the suffix."""
+
+
+@pytest.fixture
+def calls(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[Path]:
+    """A cache folder of the test's own, and what a compiler was called for.
+
+    Firmware is compiled once for each target, later calls write the same: here it matters who is called.
+    """
+    for name in ("ZIG_GLOBAL_CACHE_DIR", "ZIG_LOCAL_CACHE_DIR"):  # which takes seconds to fill
+        monkeypatch.setenv(name, str(toolchain.cache_folder() / "zig"))
+    monkeypatch.setenv("FROGKICK_CACHE_DIR", str(tmp_path / "cache"))
+    made: list[Path] = []
+    run = Compiler.run
+
+    def counted(self: Compiler, arguments: list[str | Path], folder: Path | None = None) -> None:
+        output = Path(arguments[-1])
+        made.append(output)
+        if output.suffix in _BUILT:
+            output.write_bytes(_BUILT[output.suffix])
+            return
+        run(self, arguments, folder)
+        if output.suffix != ".o":
+            _BUILT[output.suffix] = output.read_bytes()
+
+    monkeypatch.setattr(Compiler, "run", counted)
+    return made
+
+
+def table(folder: Path, kind: str = "affine") -> Path:
+    file = folder / f"{kind}.fkt"
+    file.write_bytes(made_up.image(kind))
+    return file
+
+
+@pytest.mark.parametrize("target", TARGETS)
+def test_the_same_firmware_is_compiled_once(target: str, tmp_path: Path, calls: list[Path]) -> None:
+    first = build(target, table(tmp_path), ROBOT, tmp_path / "one")
+    again = build(target, table(tmp_path), ROBOT, tmp_path / "two")
+    assert len(calls) == 1
+    assert again.image.read_bytes() == first.image.read_bytes()
+    assert again.image.name == first.image.name
+    assert (again.flash_bytes, again.ram_bytes, again.stack_bytes) == (
+        first.flash_bytes,
+        first.ram_bytes,
+        first.stack_bytes,
+    )
+    assert {file.name for file in (tmp_path / "two").iterdir()} == {
+        file.name for file in (tmp_path / "one").iterdir()
+    }
+
+
+def test_whatever_is_read_or_said_makes_another_one(
+    tmp_path: Path, calls: list[Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Target, table, robot, sources, headers, linker script, flags and compiler."""
+    file = table(tmp_path)
+    guard = replace(ROBOT.guard, pulse_max_s=0.9 * ROBOT.guard.pulse_max_s)
+
+    def is_new(robot: Robot = ROBOT, image: Path = file, target: str = "bench") -> bool:
+        before = len(calls)
+        build(target, image, robot, tmp_path / f"out{before}")
+        return len(calls) == before + 1
+
+    assert is_new()
+    assert is_new(target="native")
+    assert is_new(image=table(tmp_path, "nearest"))
+    assert is_new(robot=replace(ROBOT, guard=guard))
+    for number, name in enumerate(
+        ("core/fk_guard.c", "core/fk_guard.h", "bench/clock.h", "bench/nrf52832.ld")
+    ):
+        copy = tmp_path / f"sources{number}"
+        shutil.copytree(firmware.FIRMWARE, copy)
+        (copy / name).write_text("/* Changed. */\n" + (copy / name).read_text())
+        with monkeypatch.context() as changed:
+            changed.setattr(firmware, "FIRMWARE", copy)
+            assert is_new(), name
+    with monkeypatch.context() as changed:
+        changed.setattr(firmware, "_FLAGS", (*firmware._FLAGS, "-DFK_ANOTHER=1"))
+        assert is_new()
+    with monkeypatch.context() as changed:
+        changed.setattr(toolchain, "_version_of_zig", lambda _driver: "another")
+        assert is_new()
+    assert not is_new()
+
+
+def test_a_damaged_one_is_not_believed(tmp_path: Path, calls: list[Path]) -> None:
+    whole = build("native", table(tmp_path), ROBOT, tmp_path / "one").image.read_bytes()
+    assert len(whole) > 10_000
+    (file,) = (tmp_path / "cache" / "firmware").iterdir()
+    for damaged in (b"", file.read_bytes()[:-4], b"\0" + file.read_bytes()[1:]):
+        before = len(calls)
+        file.write_bytes(damaged)
+        assert build("native", table(tmp_path), ROBOT, tmp_path / "again").image.read_bytes() == whole
+        assert len(calls) == before + 1
+
+
+def test_only_so_many_are_kept_and_the_last_wanted_stay(
+    tmp_path: Path, calls: list[Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(kept, "KEPT_MAX", 2)
+    source = tmp_path / "small.c"
+
+    def compiled(number: int) -> int:
+        source.write_text(f"int fk_small(void);\nint fk_small(void) {{ return {number}; }}\n")
+        kept.built_once(toolchain.zig(), ["-c"], [source], [source], tmp_path / "small.o")
+        return len(calls)
+
+    assert [compiled(number) for number in (1, 2, 1, 3, 1, 2)] == [1, 2, 2, 3, 3, 4]
+    assert len(list((tmp_path / "cache" / "firmware").iterdir())) == 2

@@ -1,0 +1,240 @@
+"""The core's table store on a NOR flash in memory, whose power fails at any operation."""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from collections.abc import Mapping
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import cffi
+from tests.core.core import COVERAGE_DIR, core, source_files
+from tests.planner import synthetic
+
+from frogkick.link.layout import link_layout
+from frogkick_codegen.native import build_shared
+
+PAGE = 4096
+RECORD = 80
+PLACES = PAGE // RECORD
+JOURNAL = 2 * PAGE
+HOWS = ("not done", "done in part", "garbage")
+
+FFI = cffi.FFI()
+FFI.cdef("""
+typedef struct { const uint8_t *base; uint32_t slot_bytes; uint32_t slots; void *context; } fk_flash_t;
+typedef struct {
+    uint32_t magic, sequence, layout;
+    uint8_t active, previous, pending, pages_done;
+    uint32_t length[2], crc32[2], erases[2], journal_erases, hash[8], check;
+} fk_store_record_t;
+typedef struct {
+    const fk_flash_t *flash;
+    const uint8_t *built_in;
+    uint32_t built_in_bytes;
+    const uint8_t *image;
+    uint32_t image_bytes;
+    uint8_t running, open;
+    uint32_t next_offset;
+    fk_store_record_t record;
+    uint32_t sequence, newest_page, page, place;
+} fk_store_t;
+typedef struct {
+    uint8_t *bytes;
+    uint32_t size, operations, cut_at, cut_how, random, dead, fail_at, refused, keep_from, keep_to, touched;
+    uint32_t words[2], erased[2], page_erases[64], erase_places[64];
+} fk_flash_sim_t;
+uint32_t fk_store_bytes(void);
+uint32_t fk_test_sim_bytes(void);
+int32_t fk_store_boot(fk_store_t *store, const fk_flash_t *flash, const uint8_t *built_in,
+                      uint32_t built_in_bytes);
+int8_t fk_store_begin(fk_store_t *store, uint32_t length, const uint32_t *hash);
+int8_t fk_store_chunk(fk_store_t *store, uint32_t offset, const uint8_t *bytes, uint32_t count);
+int8_t fk_store_commit(fk_store_t *store, int8_t *error);
+int8_t fk_store_rollback(fk_store_t *store, uint32_t crc32, int8_t *error);
+uint32_t fk_store_crc32(const fk_store_t *store, uint8_t table);
+void fk_test_store_setup(fk_flash_sim_t *sim, fk_flash_t *flash);
+int8_t fk_test_store_upload(fk_store_t *store, const uint8_t *image, uint32_t length, uint32_t stop_at,
+                            int8_t *error);
+void fk_test_store_keep(fk_flash_sim_t *sim, const fk_store_t *store);
+void fk_test_sha256(const uint8_t *bytes, uint32_t length, uint8_t *digest);
+""")
+
+
+@cache
+def table(seed: int) -> bytes:
+    """A small table for frog2022: one whole page and a part of another."""
+    return synthetic.affine_image(20, 9, seed)
+
+
+def crc_of(image: bytes) -> int:
+    return zlib.crc32(image[16:])
+
+
+@cache
+def store_library() -> Any:
+    """The core with the store, as it is."""
+    if COVERAGE_DIR:
+        core()  # builds it
+        return FFI.dlopen(str(Path(COVERAGE_DIR) / "core.so"))
+    return changed_library(source_files())
+
+
+def changed_library(files: Mapping[str, bytes]) -> Any:
+    """The same of files that a test changed."""
+    return FFI.dlopen(str(build_shared("fk_core", files)))
+
+
+class Flash:
+    """The region and the store that booted on it last.
+
+    Attributes:
+        memory: its bytes; they outlive a power cut.
+        built_in: the firmware's own table.
+    """
+
+    def __init__(
+        self, lib: Any = None, slots: int = 2, slot_bytes: int = 2 * PAGE, built_in: bytes = b""
+    ) -> None:
+        self.lib = store_library() if lib is None else lib
+        self.built_in = built_in or table(1)
+        self._built_in = FFI.from_buffer(self.built_in)
+        size = JOURNAL + slots * slot_bytes
+        self._bytes = FFI.new("uint8_t[]", b"\xff" * size)
+        self.memory = FFI.buffer(self._bytes, size)
+        self.sim = FFI.new("fk_flash_sim_t *", {"bytes": self._bytes, "size": size, "random": 1})
+        self.flash = FFI.new("fk_flash_t *", {"slot_bytes": slot_bytes, "slots": slots})
+        self.store = FFI.new("fk_store_t *")
+        self.error = FFI.new("int8_t *")
+        lib = self.lib
+        assert lib.fk_store_bytes() == FFI.sizeof("fk_store_t")
+        assert lib.fk_test_sim_bytes() == FFI.sizeof("fk_flash_sim_t")
+        lib.fk_test_store_setup(self.sim, self.flash)
+        assert self.boot() == 0
+
+    def boot(self) -> int:
+        """Power on: what is in flash, and nothing else."""
+        sim = self.sim
+        sim.dead = sim.cut_at = sim.fail_at = sim.operations = sim.keep_from = sim.keep_to = 0
+        FFI.memmove(self.store, b"\xa5" * FFI.sizeof("fk_store_t"), FFI.sizeof("fk_store_t"))
+        found = int(self.lib.fk_store_boot(self.store, self.flash, self._built_in, len(self.built_in)))
+        assert sim.operations == 0, "booting writes"
+        self.lib.fk_test_store_keep(sim, self.store)
+        return found
+
+    def cut(self, at: int, how: int, seed: int) -> None:
+        """Let the power fail in an operation from now on, the first is 1."""
+        self.sim.operations, self.sim.cut_at, self.sim.cut_how, self.sim.random = 0, at, how, seed * 2 + 1
+
+    def fail(self, at: int) -> None:
+        """Let an operation do nothing, the next one is 1; the power stays."""
+        self.sim.operations, self.sim.fail_at = 0, at
+
+    @property
+    def image(self) -> bytes:
+        """The table in use, as the flash has it."""
+        return bytes(FFI.buffer(self.store.image, self.store.image_bytes))
+
+    def _status(self, value: int) -> str:
+        return link_layout().status_name(value)
+
+    def upload(self, image: bytes, stop_at: int = 1 << 30) -> str:
+        """A whole update by the store's own functions; without COMMIT where it stops earlier."""
+        status = self.lib.fk_test_store_upload(self.store, image, len(image), stop_at, self.error)
+        return self._status(status)
+
+    def begin(self, image: bytes, length: int | None = None) -> str:
+        digest = FFI.new("uint8_t[32]")
+        self.lib.fk_test_sha256(image, len(image), digest)
+        raw = bytes(FFI.buffer(digest))
+        words = [int.from_bytes(raw[i : i + 4], "big") for i in range(0, 32, 4)]
+        size = len(image) if length is None else length
+        return self._status(self.lib.fk_store_begin(self.store, size, words))
+
+    def chunk(self, offset: int, data: bytes) -> str:
+        return self._status(self.lib.fk_store_chunk(self.store, offset, data, len(data)))
+
+    def chunks(self, image: bytes) -> list[str]:
+        """All chunks that are left."""
+        told = []
+        while self.store.next_offset < len(image):
+            at = self.store.next_offset
+            told.append(self.chunk(at, image[at : at + 128]))
+        return told
+
+    def commit(self) -> str:
+        return self._status(self.lib.fk_store_commit(self.store, self.error))
+
+    def rollback(self, image: bytes) -> str:
+        return self._status(self.lib.fk_store_rollback(self.store, crc_of(image), self.error))
+
+    def fill_journal(self, left: int) -> None:
+        """Begin uploads until a journal page has so many places left."""
+        while PLACES - self.store.place != left:
+            assert self.begin(table(9)) == "OK"
+
+
+OLD, NEW, NEXT, LATER = table(2), table(3), table(4), table(5)
+
+
+def forged(changes: dict[int, bytes], image: bytes = NEW) -> bytes:
+    """An image with bytes changed and its CRC-32 made right again."""
+    data = bytearray(image)
+    for at, content in changes.items():
+        data[at : at + len(content)] = content
+    data[12:16] = struct.pack("<I", zlib.crc32(bytes(data[16:])))
+    return bytes(data)
+
+
+def wrong_images() -> dict[str, tuple[bytes, int]]:
+    """Images that no robot of this firmware may use, and the fk_error_t that says why."""
+    splits_at = struct.unpack("<I", NEW[120:124])[0]
+    states_at = struct.unpack("<I", NEW[80:84])[0]
+    columns_at = struct.unpack("<I", NEW[116:120])[0]
+    return {
+        "magic": (forged({0: b"XKTB"}), -21),
+        "newer format": (forged({4: b"\x03\0"}), -22),
+        "kind": (forged({6: b"\x07\0"}), -23),
+        "length": (forged({8: struct.pack("<I", len(NEW) - 4)}), -24),
+        "crc": (NEW[:12] + bytes([NEW[12] ^ 1]) + NEW[13:], -25),
+        "states": (forged({72: b"\xff\xff"}), -27),
+        "offset of the states": (forged({80: struct.pack("<I", states_at + 4)}), -27),
+        "robot": (forged({16: b"another\0\0"}), -9),
+        "pulse above the guard's limit": (forged({68: struct.pack("<I", 100_001)}), -29),
+        "stroke longer than the period": (forged({112: struct.pack("<I", 1_400_000)}), -29),
+        "a limb that is not there": (forged({178: b"\xff"}), -31),
+        "a split beyond its codes": (forged({splits_at: b"\xff\x7f"}), -33),
+        "a state beyond its codes": (forged({states_at: b"\xff\x7f"}), -33),
+        "a derivative beyond its range": (forged({columns_at: b"\xff\x7f"}), -33),
+        "a tree axis that is none": (forged({172: b"\x03"}), -34),
+    }
+
+
+def refusals(lib: Any = None) -> None:
+    """A wrong image, sent whole and with its right hash, stays unused; so does what differs from its hash."""
+    for what, (image, error) in wrong_images().items():
+        flash = Flash(lib)
+        assert flash.upload(OLD) == "OK"
+        assert flash.upload(image) == "TABLE", what
+        assert flash.error[0] == error, what
+        assert_unchanged(flash)
+    flash = Flash(lib)
+    assert flash.upload(OLD) == "OK"
+    assert flash.begin(NEW) == "OK"
+    wrong = bytearray(NEW)
+    wrong[200] ^= 4
+    assert set(flash.chunks(bytes(wrong))) == {"OK"}
+    assert flash.commit() == "HASH"
+    assert_unchanged(flash)
+
+
+def assert_unchanged(flash: Flash) -> None:
+    assert flash.image == OLD
+    assert flash.store.open == 0
+    assert flash.boot() == 0
+    assert flash.image == OLD
+    assert flash.store.record.pending == 0  # nothing to go on with
+    assert flash.upload(NEW) == "OK"
+    assert flash.image == NEW

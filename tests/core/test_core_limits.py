@@ -1,0 +1,75 @@
+"""The guard's limits come from the robot's file, and the build refuses what no robot may have."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+from tests.core.core import library, mutated, source_files
+
+from frogkick.errors import InputError
+from frogkick.robot import load_robot
+from frogkick_codegen.firmware import robot_config
+from frogkick_codegen.toolchain import ToolchainError
+
+ROBOT = load_robot("frog2022")
+
+
+@pytest.mark.parametrize("robot_id", ["frog2022", "streamlined", "hexapod", "frog2022-measured"])
+def test_the_limits_in_the_core_are_those_of_the_robot_s_file(robot_id: str) -> None:
+    guard, config = load_robot(robot_id).guard, robot_config(load_robot(robot_id))
+    for name, value in (
+        ("PULSE_MAX_US", guard.pulse_max_s * 1e6),
+        ("REST_MIN_US", guard.rest_min_s * 1e6),
+        ("DUTY_WINDOW_US", guard.duty_window_s * 1e6),
+        ("DUTY_ON_MAX_US", guard.duty_max * guard.duty_window_s * 1e6),
+        ("LIMBS_AT_ONCE_MAX", guard.limbs_at_once_max),
+        ("FIX_FRESH_US", guard.fix_fresh_s * 1e6),
+        ("FIX_LOST_US", guard.fix_lost_s * 1e6),
+    ):
+        assert f"#define FK_{name} {round(value)}u\n" in config
+
+
+def test_the_ten_percent_robot_has_the_limits_of_its_limbs() -> None:
+    guard = ROBOT.guard
+    assert (guard.pulse_max_s, guard.rest_min_s, guard.limbs_at_once_max) == (0.1, 0.5, 2)
+    assert (guard.duty_max, guard.duty_window_s) == (0.08, 5.0)
+    assert (guard.fix_fresh_s, guard.fix_lost_s) == (0.5, 2.0)
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "words"),
+    [
+        ("pulse_max_s", 0.1001, "guard.pulse_max_s of robot 'frog2022' is 0.1001 s.* takes 1e-06 to 0.1 s"),
+        ("rest_min_s", 0.09, "0.1 to 60"),
+        ("duty_window_s", 61.0, "0.1 to 60"),
+        ("duty_window_s", 0.05, "0.1 to 60"),
+        ("duty_max", 1.0, "which limits nothing"),
+        ("fix_fresh_s", 0.51, "1e-06 to 0.5"),
+        ("fix_lost_s", 2.1, "0.5 to 2 s"),
+        ("fix_lost_s", 0.4, "0.5 to 2 s"),
+    ],
+)  # fmt: skip
+def test_a_limit_that_is_none_is_refused(name: str, value: float, words: str) -> None:
+    robot = replace(ROBOT, guard=replace(ROBOT.guard, **{name: value}))
+    with pytest.raises(InputError, match=words):
+        robot_config(robot)
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ("FK_PULSE_MAX_US 100000u", "FK_PULSE_MAX_US 100001u"),
+        ("FK_PULSE_MAX_US 100000u", "FK_PULSE_MAX_US 0u"),
+        ("FK_REST_MIN_US 500000u", "FK_REST_MIN_US 99999u"),
+        ("FK_DUTY_ON_MAX_US 400000u", "FK_DUTY_ON_MAX_US 5000000u"),
+        ("FK_LIMBS_AT_ONCE_MAX 2u", "FK_LIMBS_AT_ONCE_MAX 9u"),
+        ("FK_LIMBS_AT_ONCE_MAX 2u", "FK_LIMBS_AT_ONCE_MAX 0u"),
+        ("FK_FIX_FRESH_US 500000u", "FK_FIX_FRESH_US 500001u"),
+        ("FK_FIX_LOST_US 2000000u", "FK_FIX_LOST_US 2000001u"),
+    ],
+)
+def test_the_compiler_refuses_a_header_beyond_the_ceilings(old: str, new: str) -> None:
+    assert old in source_files()["fk_robot_config.h"].decode()
+    with pytest.raises(ToolchainError, match="limit_is_a_limit"):
+        library(mutated("fk_robot_config.h", old, new))

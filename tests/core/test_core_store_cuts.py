@@ -1,0 +1,327 @@
+"""Tables in flash: whatever happens to the power, the whole old one or the whole new one."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+from tests.core.core import COVERAGE_DIR, cases, mutated
+from tests.core.store_rig import (
+    HOWS,
+    LATER,
+    NEW,
+    NEXT,
+    OLD,
+    PAGE,
+    PLACES,
+    RECORD,
+    Flash,
+    changed_library,
+    refusals,
+    table,
+)  # fmt: skip
+
+Step = Callable[[Flash], str]
+
+
+def upload(flash: Flash) -> str:
+    return flash.upload(NEW)
+
+
+def first(flash: Flash) -> None:
+    """Nothing was ever written."""
+
+
+def second(flash: Flash) -> None:
+    assert flash.upload(OLD) == "OK"
+
+
+def third(flash: Flash) -> None:
+    """Both slots hold tables, the one before is overwritten."""
+    assert flash.upload(LATER) == "OK"
+    assert flash.upload(OLD) == "OK"
+
+
+def page_change(left: int) -> Callable[[Flash], None]:
+    """The journal's page is full after so many records."""
+
+    def prepare(flash: Flash) -> None:
+        second(flash)
+        flash.fill_journal(left)
+
+    return prepare
+
+
+def both_pages_used(flash: Flash) -> None:
+    """The page that is erased holds old records."""
+    second(flash)
+    for _ in range(PLACES):
+        assert flash.begin(table(9)) == "OK"
+    flash.fill_journal(1)
+
+
+def half_sent(flash: Flash) -> None:
+    """The update goes on behind its first page."""
+    second(flash)
+    assert flash.upload(NEW, PAGE + 256) == "OK"
+    assert flash.boot() == 0
+
+
+def back_to_new(flash: Flash) -> None:
+    assert flash.upload(NEW) == "OK"
+    assert flash.upload(OLD) == "OK"
+
+
+def back_and_full(flash: Flash) -> None:
+    back_to_new(flash)
+    # Uploads that are begun overwrite the table before: roll back and forth instead.
+    while flash.store.place < PLACES:
+        assert flash.rollback(NEW if flash.image == OLD else OLD) == "OK"
+    if flash.image == NEW:
+        flash.store.place = PLACES  # as it is
+        assert flash.rollback(OLD) == "OK"
+        while flash.store.place < PLACES - 1:
+            assert flash.rollback(NEW if flash.image == OLD else OLD) == "OK"
+        assert flash.rollback(NEW if flash.image == OLD else OLD) == "OK"
+
+
+def roll_back(flash: Flash) -> str:
+    return flash.rollback(NEW)
+
+
+SCENES: dict[str, tuple[Callable[[Flash], None], Step, int]] = {
+    "first update": (first, upload, 2),
+    "second update": (second, upload, 2),
+    "third update": (third, upload, 2),
+    "journal page changes at BEGIN": (page_change(0), upload, 2),
+    "journal page changes at a page's record": (page_change(1), upload, 2),
+    "journal page changes at COMMIT": (page_change(2), upload, 2),
+    "journal page of old records changes": (both_pages_used, upload, 2),
+    "update goes on": (half_sent, upload, 2),
+    "rollback": (back_to_new, roll_back, 2),
+    "rollback with a full journal page": (back_and_full, roll_back, 2),
+    "one slot": (first, upload, 1),
+}
+
+
+def cuts_of(lib: Any, name: str, few: bool = False) -> tuple[int, int]:
+    """Cut a scene at each operation in each way: how many operations there are, how many cuts were tried.
+
+    ``few``: only where kinds of operations change, and now and then between.
+    """
+    prepare, step, slots = SCENES[name]
+    flash = Flash(lib, slots)
+    prepare(flash)
+    assert flash.boot() == 0
+    before, old = bytes(flash.memory), flash.image
+    assert old != NEW
+    erased = list(flash.sim.page_erases)
+    assert step(flash) == "OK"
+    operations = flash.sim.operations
+    assert flash.sim.touched == 0
+    assert flash.image == NEW
+    assert max(now - then for now, then in zip(flash.sim.page_erases, erased, strict=True)) <= 1
+    places = set(range(1, operations + 1))
+    if few:
+        places &= {*range(25), *range(operations - 45, operations + 1), *range(1, operations, 31)}
+        for page, now in enumerate(flash.sim.page_erases):
+            if now > erased[page]:
+                places |= {flash.sim.erase_places[page] + i for i in range(3)}
+    tried = 0
+    for at in sorted(places):
+        for how in range(len(HOWS)):
+            one_cut(flash, before, step, (at, how), old)
+            tried += 1
+    # The last operation makes the new table the one: not before, and not later.
+    restore(flash, before, (operations, 0))
+    step(flash)
+    assert flash.boot() == 0 and flash.image == old
+    restore(flash, before, (operations + 1, 0))
+    assert step(flash) == "OK"
+    assert flash.boot() == 0 and flash.image == NEW
+    return operations, tried
+
+
+def restore(flash: Flash, before: bytes, cut: tuple[int, int]) -> None:
+    flash.memory[:] = before
+    assert flash.boot() == 0
+    flash.cut(cut[0], cut[1], seed=cut[0])
+
+
+def one_cut(flash: Flash, before: bytes, step: Step, cut: tuple[int, int], old: bytes) -> None:
+    what = f"cut in operation {cut[0]}, {HOWS[cut[1]]}"
+    restore(flash, before, cut)
+    step(flash)
+    assert flash.sim.dead and flash.sim.touched == 0, what
+    assert flash.boot() == 0, what
+    found = flash.image
+    assert found in (old, NEW), what
+    assert flash.boot() == 0 and flash.image == found, what
+    # The same update again, and one more: the cut has left nothing that is in their way.
+    assert step(flash) == "OK" and flash.image == NEW, what
+    assert flash.boot() == 0 and flash.image == NEW, what
+    if cut[0] % 16 == 0:
+        if flash.flash.slots == 1:
+            assert flash.rollback(flash.built_in) == "OK" and flash.boot() == 0
+        assert flash.upload(NEXT) == "OK", what
+        assert flash.boot() == 0 and flash.image == NEXT, what
+    assert flash.sim.refused == 0 and flash.sim.touched == 0, what
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_power_cut_at_every_operation(name: str) -> None:
+    """What coverage counts needs each kind of operation once, not each operation."""
+    operations, tried = cuts_of(None, name, few=bool(COVERAGE_DIR))
+    print(f"{name}: {operations} operations, {tried} cuts")
+    if not COVERAGE_DIR:
+        assert tried == operations * len(HOWS)
+        assert operations >= (1400 if name == "first update" else 20)
+
+
+def test_cut_after_cut() -> None:
+    """Many updates and rollbacks in a row, each cut somewhere: never anything but a whole table."""
+    count = cases(400, 4000)
+    dice = random.Random(7)
+    flash = Flash()
+    whole = [table(seed) for seed in range(2, 7)]
+    now = flash.built_in
+    for turn in range(count):
+        want = dice.choice(whole)
+        limit = dice.choice((30, 400, 1500, 3000))
+        flash.cut(dice.randrange(1, limit), dice.randrange(3), seed=turn)
+        if dice.random() < 0.3:
+            want = dice.choice([*whole, flash.built_in])
+            flash.rollback(want)
+        else:
+            flash.upload(want)
+        assert flash.sim.refused == 0 and flash.sim.touched == 0
+        assert flash.boot() == 0
+        assert flash.image in (now, want), turn
+        now = flash.image
+
+
+WRITE = """    if (program(store, at, words, count / 4u) != FK_STATUS_OK) {
+        return FK_STATUS_FLASH;
+    }"""
+MUTATIONS = {
+    "commit before it is verified": (
+        "    int8_t status = verify(store, &next.crc32[slot - 1u], error);\n",
+        "    (void)append(store, next);\n    int8_t status = FK_STATUS_OK;\n"
+        "    (void)verify(store, &next.crc32[slot - 1u], error);\n",
+    ),
+    "the newest record's page is erased": (
+        "uint32_t page = FK_STORE_JOURNAL_PAGES - 1u - store->newest_page;",
+        "uint32_t page = store->newest_page;",
+    ),
+    "a record needs no CRC": ("words->record.check == check_of(words)", "check_of(words) != 0u"),
+    "the slot in use is erased": ("slot != store->running &&", "slot != 0u &&"),
+    "a slot is written before a record says so": (
+        "    ++next.erases[next.pending - 1u]; /* from here on",
+        "    (void)erase_page(store, slot_offset(store, next.pending));\n"
+        "    ++next.erases[next.pending - 1u]; /* from here on",
+    ),
+    "a page is not erased again after a cut": (
+        "if (store->next_offset % FK_FLASH_PAGE_BYTES == 0u && erase_page(store, at) != FK_STATUS_OK) {",
+        "if (store->next_offset % FK_FLASH_PAGE_BYTES == 0u && word_at(store, at) != UINT32_MAX &&"
+        " erase_page(store, at) != FK_STATUS_OK) {",
+    ),
+    "a torn record's place is used again": (
+        "store->place = place + 1u;\n            }\n        }",
+        "}\n        }",
+    ),
+    "a page counts before it is written": (
+        f"{WRITE}\n    store->next_offset += count;",
+        "    store->next_offset += count;\n    if (store->next_offset % FK_FLASH_PAGE_BYTES == 0u) {\n"
+        "        fk_store_record_t early = store->record;\n"
+        "        early.pages_done = (uint8_t)(store->next_offset / FK_FLASH_PAGE_BYTES);\n"
+        f"        (void)append(store, early);\n    }}\n{WRITE}",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", MUTATIONS)
+def test_a_changed_store_is_found_out(name: str) -> None:
+    lib = changed_library(mutated("fk_store.c", *MUTATIONS[name]))
+    with pytest.raises(AssertionError):
+        all_of(lib)
+
+
+def all_of(lib: Any) -> None:
+    refusals(lib)
+    for scene in reversed(SCENES):
+        cuts_of(lib, scene, few=True)
+
+
+def test_a_record_that_hovers_is_passed_over_for_good() -> None:
+    """A record cut in its last word may read as whole at one boot and not at the next: the newer one wins."""
+    flash = Flash()
+    assert flash.upload(OLD) == "OK"
+    before = bytes(flash.memory)
+    assert flash.boot() == 0
+    assert flash.upload(NEW) == "OK"
+    operations = flash.sim.operations
+    at = (flash.store.place - 1) * RECORD
+    whole = bytes(flash.memory[at : at + RECORD])
+    flash.memory[:] = before
+    assert flash.boot() == 0
+    flash.cut(operations, 1, seed=3)
+    flash.upload(NEW)
+    assert flash.boot() == 0 and flash.image == OLD
+    assert flash.upload(NEXT) == "OK"
+    flash.memory[at : at + RECORD] = whole
+    assert flash.boot() == 0
+    assert flash.image == NEXT
+
+
+def test_flash_that_does_not_hold_what_is_written() -> None:
+    """Wherever a word or an erase does not take: told, the old table stays, and it works again afterwards."""
+    told = []
+    for name in ("third update", "journal page of old records changes", "rollback with a full journal page"):
+        prepare, step, slots = SCENES[name]
+        flash = Flash(slots=slots)
+        prepare(flash)
+        assert flash.boot() == 0
+        before = bytes(flash.memory)
+        assert step(flash) == "OK"
+        operations = flash.sim.operations
+        places = {
+            *range(1, 40),
+            *range(1, operations, cases(29, 7)),
+            *range(max(1, operations - 25), operations + 1),
+        }
+        for at in sorted(place for place in places if place <= operations):
+            flash.memory[:] = before
+            assert flash.boot() == 0
+            flash.fail(at)
+            told.append(step(flash))
+            # Words of the image that are all ones are there without being written.
+            for _ in range(2):
+                assert flash.image == (NEW if told[-1] == "OK" else OLD), (name, at)
+                assert flash.store.open == 0
+                assert flash.boot() == 0
+            assert step(flash) == "OK"
+            assert flash.upload(NEXT) == "OK"
+            assert flash.boot() == 0 and flash.image == NEXT
+    assert set(told) <= {"FLASH", "OK"} and told.count("FLASH") > 10 * told.count("OK")
+
+
+def test_a_journal_page_that_cannot_be_erased_is_tried_again() -> None:
+    flash = Flash()
+    both_pages_used(flash)
+    flash.fill_journal(0)
+    for _ in range(3):
+        flash.fail(1)
+        assert flash.begin(NEW) == "FLASH"
+        assert flash.store.open == 0
+    # Erased, but no record takes in all of that page: the other one still holds the newest.
+    for _ in range(PLACES):
+        flash.fail(flash.sim.operations + (2 if flash.store.place >= PLACES else 1))
+        flash.sim.fail_at = 2 if flash.store.place >= PLACES else 1
+        assert flash.begin(NEW) == "FLASH"
+        assert flash.boot() == 0 if flash.store.place == 1 else True
+    assert flash.boot() == 0
+    assert flash.image == OLD
+    assert flash.upload(NEW) == "OK"
+    assert flash.boot() == 0 and flash.image == NEW

@@ -1,0 +1,309 @@
+"""The supervisor's table is the code and the documentation; internal errors end in its FAULT, and stay."""
+
+from __future__ import annotations
+
+import re
+
+import pytest
+from tests.core.core import ACTION, ACTION_ROWS, FFI, Robot, core, image
+
+from frogkick.link.frames import hello, pack_frame
+from frogkick.link.layout import link_layout
+from frogkick.link.supervisor import supervisor
+from frogkick_codegen import frames
+
+RUN = "run: python -m frogkick_codegen.frames"
+LAYOUT = link_layout()
+FAULT, RESET, STATUS, STATES = LAYOUT.fault, LAYOUT.reset, LAYOUT.status, tuple(LAYOUT.state)
+TABLE = supervisor()
+
+
+def test_the_header_is_up_to_date() -> None:
+    assert frames.SUPERVISOR_HEADER.read_text(encoding="utf-8") == frames.supervisor_header(), RUN
+
+
+def test_the_readme_s_table_is_the_code_s() -> None:
+    """Read back from the text that people read, and asked of the C that runs, cell by cell."""
+    text = frames.README.read_text(encoding="utf-8")
+    part = text.split("<!-- supervisor:")[1].split("<!-- supervisor end -->")[0]
+    rows = [line.strip("| ").split(" | ") for line in part.splitlines() if line.startswith("| ")]
+    assert rows[0] == ["event", *STATES]
+    assert [row[0] for row in rows[1:]] == list(TABLE.docs)
+    rule = FFI.new("uint8_t[3]")
+    for event, *cells in rows[1:]:
+        for state, cell in zip(STATES, cells, strict=True):
+            core().fk_test_rule(LAYOUT.state[state], TABLE.number(event), rule)
+            parts = [] if cell.strip() == "-" else [part.strip() for part in cell.split(",")]
+            refused = [part.removeprefix("refused: ") for part in parts if part.startswith("refused: ")]
+            actions = [part for part in parts if part in TABLE.actions]
+            moves = [part for part in parts if part in STATES]
+            assert len(refused) + len(actions) + len(moves) == len(parts)
+            assert rule[0] == LAYOUT.state[moves[0] if moves else state], (event, state)
+            assert rule[1] == (list(TABLE.actions).index(actions[0]) if actions else 0), (event, state)
+            assert rule[2] == STATUS[refused[0] if refused else "OK"] & 0xFF, (event, state)
+
+
+def test_every_command_is_an_event() -> None:
+    commands = [name for name, message in LAYOUT.messages.items() if message.command]
+    assert list(TABLE.docs)[: len(commands)] == commands
+    assert set(TABLE.docs) - set(commands) == {"PULSE", "RUN_OVER", "FIX_LOST", "ERROR"}
+
+
+def test_nothing_else_changes_the_state() -> None:
+    written = [
+        line.strip()
+        for path in frames.HEADER.parent.glob("*.c")
+        for line in path.read_text().splitlines()
+        if re.search(r"robot->state\s*=[^=]", line)
+    ]
+    assert written == ["robot->state = FK_STATE_DISARMED;", "robot->state = rule.next;"]
+
+
+@pytest.mark.parametrize("number", [4, 5, 77, 255])
+def test_a_state_that_is_none_counts_as_a_fault(number: int) -> None:
+    rule = FFI.new("uint8_t[3]")
+    for event in TABLE.docs:
+        core().fk_test_rule(number, TABLE.number(event), rule)
+        assert rule[0] == LAYOUT.state["FAULT"]
+
+
+# Internal errors
+
+
+def told(robot: Robot) -> tuple[str, str, int]:
+    values = robot.ask("STATUS")
+    names = {number: name for name, number in FAULT.items()}
+    return STATES[int(values["state"])], names[int(values["fault"])], int(values["fault_detail"])
+
+
+def fire_until_fault(robot: Robot) -> None:
+    """A stroke under way is cut in the tick that sees the error or the next, and nothing begins again."""
+    out = robot.tick()
+    out = out if out.all_off else robot.tick(max(robot.now_us, min(out.next_tick_us, robot.now_us + 1)))
+    assert out.all_off == 1 and out.limb_mask == 0
+    for _ in range(50):
+        robot.now_us += 100_000
+        for name in ("ARM", "STOP", "DISARM"):
+            assert robot.status(name) == "FAULT"
+        assert robot.stroke("B") == "FAULT"
+        assert robot.tick().limb_mask == 0
+
+
+@pytest.mark.parametrize("state", ["DISARMED", "ARMED", "RUNNING"])
+def test_a_clock_that_goes_back(state: str) -> None:
+    robot = Robot().begin(state)
+    if state == "ARMED":
+        assert robot.stroke("B") == "OK"
+        assert robot.tick().limb_mask == 0b0011
+    robot.tick(robot.now_us + 1000)
+    robot.now_us -= 1
+    assert told(robot) == ("FAULT", "TIME", 0)
+    robot.now_us += 1
+    fire_until_fault(robot)
+    assert told(robot) == ("FAULT", "TIME", 0), "latched"
+
+
+def test_a_clock_that_goes_back_between_two_ticks() -> None:
+    robot = Robot().begin("ARMED")
+    assert robot.stroke("B") == "OK"
+    assert robot.tick().limb_mask == 0b0011
+    out = robot.tick(robot.now_us - 1)
+    assert (out.all_off, out.limb_mask) == (1, 0), "at once"
+    robot.now_us += 1
+    assert told(robot) == ("FAULT", "TIME", 0)
+
+
+@pytest.mark.parametrize("number", [3, 4, 200])
+def test_a_state_that_nobody_set(number: int) -> None:
+    robot = Robot().begin("ARMED")
+    assert robot.stroke("B") == "OK"
+    core().fk_test_spoil_robot(robot.memory, number, -1)
+    if number == STATES.index("FAULT"):
+        assert robot.tick().limb_mask == 0, "no pulse, though a stroke was asked for"
+        return
+    fire_until_fault(robot)
+    assert told(robot) == ("FAULT", "STATE", 0)
+
+
+def test_a_disarmed_robot_with_a_stroke_asked_for_does_not_fire() -> None:
+    """As damaged memory could have it: the supervisor refuses the pulse before the guard is asked."""
+    robot = Robot().begin("ARMED")
+    assert robot.stroke("B") == "OK"
+    core().fk_test_spoil_robot(robot.memory, STATES.index("DISARMED"), -1)
+    assert robot.run_until(robot.now_us + 500_000) == []
+    assert robot.ask("STATUS")["pulses_refused"] == 1
+
+
+@pytest.mark.parametrize("action", [len(ACTION_ROWS) + 1, 100, 254])
+def test_an_action_that_the_table_lacks(action: int) -> None:
+    robot = Robot().begin("ARMED")
+    assert robot.stroke("B") == "OK"
+    core().fk_test_spoil_robot(robot.memory, -1, action)
+    fire_until_fault(robot)
+    assert told(robot) == ("FAULT", "ACTION", 0)
+
+
+def test_damaged_books_of_the_guard() -> None:
+    robot = Robot().begin("ARMED")
+    assert robot.stroke("A") == "OK"
+    core().fk_test_spoil_guard(robot.memory)
+    fire_until_fault(robot)
+    assert told(robot) == ("FAULT", "GUARD", 0)
+
+
+def test_a_pulse_that_the_port_could_not_start() -> None:
+    robot = Robot().begin("RUNNING")
+    core().fk_robot_note_pulse_failed(robot.memory, -2)
+    fire_until_fault(robot)
+    assert told(robot) == ("FAULT", "PULSE", -2)
+    core().fk_robot_note_pulse_failed(robot.memory, -1)
+    assert told(robot) == ("FAULT", "PULSE", -2), "the first error is the one that is told"
+
+
+def test_a_table_that_is_refused_is_told() -> None:
+    table = bytearray(image())
+    table[500] ^= 1
+    robot = Robot(bytes(table))
+    assert robot.error == -25
+    fire_until_fault(robot)
+    assert told(robot) == ("FAULT", "TABLE", -25)
+    values = robot.ask("HELLO")
+    assert (values["robot_id"], values["actions"], values["table_crc"]) == ("frog2022", 0, 0)
+    rows = [(0.0, 0.0, 0.0), (1.0, 0.0, 0.0)]
+    assert robot.status("PATH", {"first": 0, "total": 2, "count": 2}, rows) == "FAULT"
+    assert robot.fix() == "FAULT" and robot.ask("STATUS")["fixes_refused"] == 0
+    assert robot.start() == "FAULT"
+
+
+@pytest.mark.parametrize("reason", RESET)
+def test_why_it_started_is_told(reason: str) -> None:
+    robot = Robot()
+    assert robot.ask("STATUS")["reset"] == RESET["UNKNOWN"]
+    kept = FFI.new("fk_guard_kept_t *")
+    core().fk_robot_note_reset(robot.memory, RESET[reason], kept)
+    assert robot.ask("STATUS")["reset"] == RESET[reason]
+    assert robot.state() == "DISARMED"
+
+
+# Versions and repetitions
+
+
+def test_another_protocol_is_answered_with_ours() -> None:
+    robot = Robot().begin("ARMED")
+    for version in set(range(256)) - {LAYOUT.protocol_version}:
+        answer = robot.ask("HELLO", {"protocol_version": version, "conversation": 9})
+        assert (answer["status"], answer["protocol_version"]) == (STATUS["VERSION"], LAYOUT.protocol_version)
+        assert answer["robot_id"] == "frog2022"
+    assert robot.status("HELLO", hello()) == "OK"
+
+
+@pytest.mark.parametrize("size", [0, 1, 2, 4, 200])
+def test_a_hello_of_any_length_is_answered(size: int) -> None:
+    robot = Robot()
+    payload = bytes([LAYOUT.protocol_version]) + bytes(size - 1) if size else b""
+    robot.raw(encoded("HELLO", 7, payload))
+    (frame,) = robot.take()
+    assert (frame.name, frame.sequence, frame.values["status"]) == ("HELLO", 7, STATUS["VERSION"])
+
+
+def encoded(name: str, sequence: int, payload: bytes) -> bytes:
+    from tests.core.core import encode
+
+    return encode(LAYOUT.messages[name].id, sequence, payload)[:-1]
+
+
+MATTER = {
+    "ARM": ({}, ()),
+    "DISARM": ({}, ()),
+    "STOP": ({}, ()),
+    "START": ({"delay_us": 0}, ()),
+    "PARAM": ({"parameter": 1, "value": 2.0}, ()),
+    "STROKE": ({"action": ACTION["B"]}, ()),
+    "PATH": ({"first": 0, "total": 2, "count": 2}, [(0.0, 0.0, 0.0), (1.0, 0.0, 0.0)]),
+}
+
+
+@pytest.mark.parametrize("name", MATTER)
+def test_a_command_that_comes_again_acts_once(name: str) -> None:
+    robot = Robot().begin("ARMED")
+    robot.path()
+    assert robot.fix() == "OK"
+    frame = pack_frame(name, "command", 200, *MATTER[name])[:-1]
+    robot.raw(frame)
+    first = robot.take_bytes()
+    robot.now_us += 5_000
+    # Between: something that the repetition would undo or do again.
+    undone = {"ARM": "DISARM", "DISARM": "ARM", "START": "STOP", "STROKE": "STOP", "STOP": "ARM"}.get(name)
+    if undone is not None:
+        assert robot.status(undone) == "OK"
+    if name == "PARAM":
+        assert robot.status("PARAM", {"parameter": 1, "value": 4.0}) == "OK"
+    before, seen = robot.state(), robot.ask("STATUS")
+    for _ in range(3):
+        robot.raw(frame)
+        assert robot.take_bytes() == first, "the same answer"
+    after = robot.ask("STATUS")
+    assert robot.state() == before
+    assert after == seen | {"repeats": 3}
+    if name == "STROKE":
+        assert robot.run_until(robot.now_us + 10**6) == []
+
+
+def test_a_repetition_after_others_and_one_out_of_order() -> None:
+    robot = Robot().begin("ARMED")
+    frame = pack_frame("DISARM", "command", 100, {})[:-1]
+    robot.raw(frame)
+    for sequence in range(101, 100 + 128):
+        robot.raw(pack_frame("STATUS", "command", sequence & 0xFF, {})[:-1])
+    robot.raw(pack_frame("ARM", "command", 99, {})[:-1])  # late, but never had
+    robot.take()
+    assert robot.state() == "ARMED"
+
+
+def test_a_number_may_be_used_again_after_half_of_all() -> None:
+    for apart, state in ((126, "ARMED"), (127, "DISARMED")):
+        robot = Robot().begin("ARMED")
+        frame = pack_frame("DISARM", "command", 250, {})[:-1]
+        robot.raw(frame)
+        robot.raw(pack_frame("ARM", "command", 251, {})[:-1])
+        robot.raw(pack_frame("STATUS", "command", (251 + apart) & 0xFF, {})[:-1])
+        robot.take_bytes()
+        robot.raw(frame)
+        robot.take_bytes()
+        robot._sequence = (251 + apart) & 0xFF
+        assert robot.state() == state
+
+
+def test_only_so_many_commands_are_kept() -> None:
+    for many, state in ((31, "ARMED"), (32, "DISARMED")):
+        robot = Robot().begin("ARMED")
+        frame = pack_frame("DISARM", "command", 10, {})[:-1]
+        robot.raw(frame)
+        for index in range(many):
+            robot.raw(pack_frame("ARM", "command", 11 + index, {})[:-1])
+        robot.take_bytes()
+        robot.raw(frame)
+        robot.take_bytes()
+        robot._sequence = 60
+        assert robot.state() == state
+
+
+def test_the_same_number_with_other_contents_is_another_command() -> None:
+    robot = Robot().begin("ARMED")
+    robot.raw(pack_frame("DISARM", "command", 7, {})[:-1])
+    assert robot.state() == "DISARMED"
+    robot.raw(pack_frame("ARM", "command", 7, {})[:-1])
+    robot.take_bytes()
+    assert robot.state() == "ARMED"
+
+
+def test_a_new_conversation_begins_the_numbers_anew() -> None:
+    robot = Robot()
+    arm, disarm = (pack_frame(name, "command", 2, {})[:-1] for name in ("ARM", "DISARM"))
+    for conversation, state in ((5, "ARMED"), (5, "DISARMED"), (6, "ARMED")):
+        robot.raw(pack_frame("HELLO", "command", 1, hello(conversation))[:-1])
+        robot.raw(arm)
+        robot.take_bytes()
+        assert robot.state() == state, conversation
+        robot.raw(disarm)
+        robot.take_bytes()

@@ -1,0 +1,168 @@
+"""The robot's firmware on the virtual chip where its core hangs: the pulse ends, the watchdog resets it."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import pytest
+from tests.conftest import REPOSITORY
+from tests.loop import rig
+
+from frogkick.link.layout import link_layout
+from frogkick.loop.session import Session
+from frogkick.pool.chip import ChipError
+from frogkick.pool.monitor import pulses_of
+from frogkick.pool.virtual_robot import VirtualRobot
+from frogkick_codegen import firmware
+
+RESET, STATE, FAULT = link_layout().reset, link_layout().state, link_layout().fault
+WATCHDOG_S = 1.0
+
+
+def armed() -> tuple[VirtualRobot, Session]:
+    port = rig.port("virtual")
+    assert isinstance(port, VirtualRobot)
+    session = Session(port)
+    session.greet(rig.tables())
+    session.request("ARM")
+    session.step(max(session.time_s, 0.6))  # limbs rest after the start
+    return port, session
+
+
+def firing() -> int:
+    return next(i for i, row in enumerate(rig.tables().actions) if row.first_mask and row.second_mask)
+
+
+@pytest.mark.parametrize("into_pulse_s", [0.0002, 0.001, 0.04, 0.0795])
+def test_a_hang_in_the_middle_of_a_pulse(into_pulse_s: float) -> None:
+    port, session = armed()
+    assert session.request("STATUS")["reset"] == RESET["POWER"]
+    session.post("STROKE", {"action": firing()})
+    while not session.edges:
+        session.step(session.time_s + 0.0001)
+    begin_s = session.edges[0].time_s
+    session.step(begin_s + into_pulse_s)
+    assert all(edge.level for edge in session.edges), "still on"
+    port.chip.hang()
+    hung_s = session.time_s
+    session.step(begin_s + rig.robot().guard.pulse_max_s)
+    # The hardware ends it to the cycle that the table says, and nothing begins while the core hangs.
+    pulses = pulses_of(session.edges, session.time_s)
+    wanted_s = rig.tables().pulse_us * 1e-6
+    assert pulses and all(wanted_s - 2e-6 <= p.end_s - p.start_s <= wanted_s for p in pulses)
+    first_mask = rig.tables().actions[firing()].first_mask
+    assert sum(1 << pulse.limb for pulse in pulses) == first_mask
+    session.step(hung_s + WATCHDOG_S)
+    (reset_us,) = port.chip.resets
+    assert hung_s < reset_us * 1e-6 <= hung_s + WATCHDOG_S
+    # Disarmed, and it says why it began anew.
+    session.conversation = 2
+    session.greet(rig.tables())
+    told = session.request("STATUS")
+    assert (told["state"], told["reset"], told["fault"]) == (
+        STATE["DISARMED"], RESET["WATCHDOG"], FAULT["NONE"]
+    )  # fmt: skip
+    assert told["now_us"] < 1e6, "its clock began anew"
+    assert session.ask("STROKE", {"action": firing()})["status"] == link_layout().status["STATE"]
+    session.step(session.time_s + 1.0)
+    assert len(session.edges) == 2 * len(pulses), "no pulse since"
+    assert port.chip.resets == [reset_us], "fed again"
+
+
+def test_the_watchdog_is_fed_while_nothing_happens() -> None:
+    port, session = armed()
+    session.step(session.time_s + 5.0)
+    assert port.chip.resets == []
+    assert session.request("STATUS")["state"] == STATE["ARMED"]
+
+
+def test_a_chip_that_hangs_again_and_again_never_fires() -> None:
+    port, session = armed()
+    for _ in range(3):
+        session.step(session.time_s + 0.05)
+        port.chip.hang()
+        session.step(session.time_s + WATCHDOG_S)
+    assert len(port.chip.resets) == 3
+    assert session.edges == []
+
+
+def test_two_reasons_are_not_mixed_up() -> None:
+    """The second start tells its own reason: the first was taken back."""
+    port, session = armed()
+    port.chip.hang()
+    session.step(session.time_s + WATCHDOG_S + 0.1)
+    session.conversation = 2
+    session.greet(rig.tables())
+    assert session.request("STATUS")["reset"] == RESET["WATCHDOG"]
+    (power,) = (block for block in port.chip.peripherals if block.name == "POWER")
+    assert power.values["RESETREAS"] == 0
+
+
+# Each of these protections taken out: the same look at the pins finds it.
+
+MUTANTS = {
+    "no timer ends the pulse": ("pulse.c", "        PPI_CHENSET = 1u << channel;\n", "", "pulse"),
+    "a timer of twice the time": (
+        "pulse.c", "TIMER_CC(PULSE_TIMER, CC_END) = pulse_us;",
+        "TIMER_CC(PULSE_TIMER, CC_END) = 2u * pulse_us;", "pulse",
+    ),
+    "no watchdog": ("watchdog.c", "    WDT_TASKS_START = 1u;\n", "", "reset"),
+    "a watchdog of twice the time": (
+        "watchdog.c", "#define WATCHDOG_TICKS_PER_S 32768u", "#define WATCHDOG_TICKS_PER_S 65536u", "reset",
+    ),
+    "a watchdog that nobody feeds": ("main.c", "        fk_watchdog_feed();\n", "", "unasked"),
+    "a watchdog that sleeps": (
+        "watchdog.c", "WDT_CONFIG_SLEEP_Run << WDT_CONFIG_SLEEP_Pos", "0u", "refused",
+    ),
+    "a reason that is never taken back": ("watchdog.c", "POWER_RESETREAS = reasons;", "", "reason"),
+}  # fmt: skip
+
+
+def what_breaks(elf: Path) -> set[str]:
+    """A hang in the middle of a pulse of this firmware: which protections do not hold."""
+    port = VirtualRobot(elf, len(rig.robot().limbs))
+    session, found = Session(port), set()
+    try:
+        session.step(2.5)
+    except ChipError:
+        return {"refused"}
+    if port.chip.resets:
+        return {"unasked"}
+    session.greet(rig.tables())
+    session.request("ARM")
+    session.post("STROKE", {"action": firing()})
+    session.step(session.time_s + 0.02)
+    assert session.edges and all(edge.level for edge in session.edges)
+    port.chip.hang()
+    hung_s = session.time_s
+    session.step(hung_s + rig.robot().guard.pulse_max_s)
+    wanted_s = rig.tables().pulse_us * 1e-6
+    if any(p.end_s - p.start_s > wanted_s for p in pulses_of(session.edges, session.time_s)):
+        found.add("pulse")
+    session.step(hung_s + WATCHDOG_S)
+    if len(port.chip.resets) != 1:
+        return found | {"reset"}
+    (power,) = (block for block in port.chip.peripherals if block.name == "POWER")
+    session.step(session.time_s + 0.2)
+    return found | ({"reason"} if power.values["RESETREAS"] else set())
+
+
+def test_nothing_breaks() -> None:
+    assert what_breaks(rig.firmware("bench").image) == set()
+
+
+@pytest.mark.parametrize("name", MUTANTS)
+def test_a_firmware_without_a_protection_is_found_out(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file, old, new, what = MUTANTS[name]
+    for part in ("bench", "core"):
+        shutil.copytree(REPOSITORY / "firmware" / part, tmp_path / "firmware" / part)
+    source = tmp_path / "firmware" / "bench" / file
+    text = source.read_text(encoding="utf-8")
+    assert text.count(old) == 1, f"{file} holds {old!r} {text.count(old)} times: correct the mutation"
+    source.write_text(text.replace(old, new), encoding="utf-8")
+    monkeypatch.setattr(firmware, "FIRMWARE", tmp_path / "firmware")
+    built = firmware.build("bench", rig.small_table(), rig.robot(), tmp_path / "out")
+    assert what in what_breaks(built.image)

@@ -1,0 +1,166 @@
+"""The robot's Zephyr application, as far as it can be checked without Zephyr: C, settings, devicetree, lists.
+
+What this cannot show is that Zephyr's own code does as declared; firmware/robot/README.md says so.
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from devicetree import dtlib
+from kconfiglib import Kconfig
+from tests.planner import synthetic
+
+from frogkick.files import write_bytes
+from frogkick.robot import load_robot
+from frogkick_codegen.firmware import build
+from frogkick_codegen.toolchain import ToolchainError, zig
+
+ROBOT = Path(__file__).parents[2] / "firmware" / "robot"
+CORE, BENCH = ROBOT.parent / "core", ROBOT.parent / "bench"
+DECLARED = Path(__file__).parent / "zephyr"
+LIBC = {"errno.h", "string.h", "stdint.h"}
+BOARDS = ("nrf52dk_nrf52832", "bl652_dvk_nrf52832")
+SOURCES = sorted((ROBOT / "src").glob("*.c"))
+PAGE_BYTES, FLASH_BYTES = 4096, 512 * 1024
+WARNINGS = ("-Wall", "-Wextra", "-Wconversion", "-Wdouble-promotion", "-Wmissing-prototypes", "-Werror")
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """What `frogkick firmware build` leaves, and the application's CMake file takes."""
+    folder = tmp_path_factory.mktemp("made")
+    write_bytes(folder / "t.fkt", synthetic.image())
+    build("bench", folder / "t.fkt", load_robot("frog2022"), folder / "out")
+    return folder / "out"
+
+
+def configuration(monkeypatch: pytest.MonkeyPatch, *settings: Path) -> Kconfig:
+    monkeypatch.setenv("srctree", str(DECLARED))
+    found = Kconfig(str(ROBOT / "Kconfig"), warn_to_stderr=False)
+    for number, file in enumerate(settings):
+        found.load_config(str(file), replace=number == 0)
+    return found
+
+
+def check(source: str, made: Path, folder: Path, options: list[str]) -> None:
+    """Let the compiler judge a source, with every header of Zephyr's the declarations."""
+    for name in set(re.findall(r"#include <([^>]+)>", source)) - LIBC:
+        header = folder / "include" / name
+        header.parent.mkdir(parents=True, exist_ok=True)
+        header.write_text('#include "declared.h"\n')
+    (folder / "source.c").write_text(source)
+    includes = [folder / "include", DECLARED, ROBOT / "src", CORE, made, made / "emitted"]
+    flags = ["-std=gnu11", *WARNINGS, *(f"-I{path}" for path in includes), *options]
+    zig("host").run([*flags, "-c", "source.c", "-o", "source.o"], folder)
+
+
+def defines(found: Kconfig) -> list[str]:
+    told = []
+    for symbol in found.unique_defined_syms:
+        if symbol.str_value not in ("n", ""):
+            quoted = symbol.name == "BT_DEVICE_NAME"
+            value = f'"{symbol.str_value}"' if quoted else symbol.str_value.replace("y", "1")
+            told.append(f"-DCONFIG_{symbol.name}={value}")
+    return told
+
+
+@pytest.mark.parametrize("source", [source.name for source in SOURCES])
+@pytest.mark.parametrize("open_link", [False, True])
+def test_the_c_compiles_against_what_zephyr_declares(
+    source: str, open_link: bool, made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    found = configuration(monkeypatch, ROBOT / "prj.conf")
+    if open_link:
+        found.syms["FROGKICK_OPEN_LINK"].set_value("y")
+    check((ROBOT / "src" / source).read_text(), made, tmp_path, defines(found))
+
+
+@pytest.mark.parametrize(
+    ("source", "before", "after"),
+    [
+        ("limbs.c", "nrfx_gpiote_init(&gpiote, 0)", "nrfx_gpiote_init(0)"),
+        ("radio.c", "(uint16_t)part", "part"),
+        ("main.c", "fk_robot_tick(&robot, begin_us, &outputs)", "fk_robot_tick(&robot, &outputs)"),
+    ],
+)
+def test_a_wrong_call_does_not(
+    source: str, before: str, after: str, made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    text = (ROBOT / "src" / source).read_text()
+    assert text.count(before) == 1
+    options = defines(configuration(monkeypatch, ROBOT / "prj.conf"))
+    with pytest.raises(ToolchainError):
+        check(text.replace(before, after), made, tmp_path, options)
+
+
+def test_the_configuration_is_taken_whole(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every line of prj.conf names a symbol that there is, of its type and range, with what it needs."""
+    found = configuration(monkeypatch, ROBOT / "prj.conf")
+    assert found.warnings == []
+    for line in (ROBOT / "prj.conf").read_text().splitlines():
+        if line and not line.startswith("#"):
+            name, value = line.removeprefix("CONFIG_").split("=", 1)
+            assert found.syms[name].str_value == value.strip('"'), line
+    assert found.syms["FROGKICK_OPEN_LINK"].str_value == "n", "secure unless asked otherwise"
+    assert found.syms["BT_SMP_SC_ONLY"].str_value == "y"
+
+
+def test_the_link_asks_for_an_authenticated_host() -> None:
+    source = (ROBOT / "src" / "radio.c").read_text()
+    secure = source.split("#else")[1].split("#endif")[0]
+    assert set(re.findall(r"BT_GATT_PERM_(\w+)", secure)) == {"WRITE_AUTHEN", "READ_AUTHEN"}
+    service = source.split("BT_GATT_SERVICE_DEFINE")[1].split("#define")[0]
+    assert set(re.findall(r"BT_GATT_PERM_(\w+)", service)) == {"NONE"}, "nothing else is read or written"
+
+
+@pytest.mark.parametrize("board", BOARDS)
+def test_the_devicetree_cuts_the_flash_and_names_the_limbs(board: str, tmp_path: Path) -> None:
+    overlay = ROBOT / "boards" / f"{board}.overlay"
+    text = f'#define GPIO_ACTIVE_HIGH 0\n#include "{DECLARED / "board.dts"}"\n#include "{overlay}"\n'
+    (tmp_path / "all.h").write_text(text)
+    zig("host").run(["-E", "-P", "-x", "assembler-with-cpp", "all.h", "-o", "all.dts"], tmp_path)
+    tree = dtlib.DT(str(tmp_path / "all.dts"))
+    parts = []
+    for node in tree.get_node("/flash@0/partitions").nodes.values():
+        begin, size = node.props["reg"].to_nums()
+        assert node.name == f"partition@{begin:x}"
+        assert begin % PAGE_BYTES == 0 and size % PAGE_BYTES == 0
+        parts.append((begin, size))
+    ends = [begin + size for begin, size in sorted(parts)]
+    assert [begin for begin, _ in sorted(parts)] == [0, *ends[:-1]], "side by side"
+    assert ends[-1] == FLASH_BYTES
+    sizes = [tree.label2node[f"table{slot}_partition"].props["reg"].to_nums()[1] for slot in (0, 1)]
+    assert sizes[0] == sizes[1] >= 64 * 1024
+    code = tree.get_node("/chosen").props["zephyr,code-partition"].to_path()
+    assert code is tree.label2node["app_partition"]
+    cells = np.frombuffer(tree.label2node["limbs"].props["gpios"].value, dtype=">u4").tolist()
+    pins = re.search(r"FK_BOARD_LIMB_PINS \{([^}]*)\}", (BENCH / "board.h").read_text())
+    assert pins is not None
+    limbs = len(load_robot("frog2022").limbs)
+    assert cells[1::3] == [int(pin.rstrip("u")) for pin in pins[1].split(", ")][:limbs]
+    assert set(cells[2::3]) == {0}, "high is heating"
+
+
+def test_lists_and_bindings_name_what_is_there() -> None:
+    manifest = yaml.safe_load((ROBOT / "west.yml").read_text())["manifest"]
+    (zephyr,) = manifest["projects"]
+    assert re.fullmatch(r"v\d+\.\d+\.\d+", zephyr["revision"]), "pinned to a release"
+    sample = yaml.safe_load((ROBOT / "sample.yaml").read_text())
+    boards = {board for test in sample["tests"].values() for board in test["platform_allow"]}
+    assert boards == {"nrf52dk/nrf52832", "bl652_dvk"}
+    binding = yaml.safe_load((ROBOT / "dts" / "bindings" / "frogkick,limbs.yaml").read_text())
+    assert binding["compatible"] == "frogkick,limbs"
+    listed = (ROBOT / "CMakeLists.txt").read_text()
+    assert re.findall(r"src/\w+\.c", listed) == [f"src/{name}.c" for name in ("main", "limbs", "radio")]
+    assert {f"src/{source.name}" for source in SOURCES} == set(re.findall(r"src/\w+\.c", listed))
+
+
+def test_the_core_s_limit_is_the_port_s() -> None:
+    limit = re.compile(r"_PULSE_MAX_US (\d+)u")
+    found = [limit.search(file.read_text()) for file in (ROBOT / "src" / "limbs.h", BENCH / "board.h")]
+    assert {match[1] for match in found if match} == {"100000"}

@@ -1,0 +1,274 @@
+/* What firmware/robot uses of Zephyr 3.7 and nrfx 3, declared as there, so that its C can be checked without them.
+ * Every header that it includes leads here. Nothing is defined: this checks names and types, not behaviour. */
+#ifndef DECLARED_H
+#define DECLARED_H
+
+#include <stdbool.h>
+#include <stddef.h>
+#include <stdint.h>
+#include <sys/types.h>
+
+/* zephyr/sys/util.h, toolchain.h */
+#define ARRAY_SIZE(array) (sizeof(array) / sizeof((array)[0]))
+#define BIT(n) (1UL << (n))
+#define MIN(a, b) (((a) < (b)) ? (a) : (b))
+#define BUILD_ASSERT(condition, text) _Static_assert(condition, text)
+
+/* zephyr/devicetree.h: of the board in frogkick's overlay */
+#define DT_NODELABEL(label) DT_##label
+#define DT_FOREACH_PROP_ELEM_SEP(node, property, function, separator) \
+    function(node, property, 0), function(node, property, 1), function(node, property, 2), function(node, property, 3)
+#define DT_GPIO_PIN_BY_IDX(node, property, index) (22 + (index))
+#define DT_IRQN(node) 10
+#define DT_IRQ(node, cell) 1
+#define DEVICE_DT_GET(node) (&declared_device)
+struct device {
+    const char *name;
+};
+extern const struct device declared_device;
+
+/* zephyr/irq.h, nrfx_glue.h */
+#define IRQ_CONNECT(line, priority, routine, parameter, flags) \
+    declared_connect((line), (priority), (routine), (parameter), (flags))
+void declared_connect(unsigned int line, unsigned int priority, void (*routine)(const void *),
+                      void (*parameter)(void), uint32_t flags);
+void nrfx_isr(const void *irq_handler);
+
+/* zephyr/kernel.h */
+typedef struct {
+    int64_t ticks;
+} k_timeout_t;
+k_timeout_t declared_usec(uint64_t microseconds);
+#define K_USEC(t) declared_usec(t)
+struct k_sem {
+    unsigned int count;
+};
+#define K_SEM_DEFINE(name, initial, limit) struct k_sem name = {initial}
+void k_sem_give(struct k_sem *sem);
+int k_sem_take(struct k_sem *sem, k_timeout_t timeout);
+struct k_work;
+typedef void (*k_work_handler_t)(struct k_work *work);
+struct k_work {
+    k_work_handler_t handler;
+};
+#define K_WORK_DEFINE(work, function) struct k_work work = {function}
+int k_work_submit(struct k_work *work);
+int64_t k_uptime_get(void);
+int64_t k_uptime_ticks(void);
+uint64_t k_ticks_to_us_floor64(uint64_t t);
+
+/* zephyr/sys */
+typedef long atomic_t;
+typedef long atomic_val_t;
+bool atomic_cas(atomic_t *target, atomic_val_t old_value, atomic_val_t new_value);
+atomic_val_t atomic_set(atomic_t *target, atomic_val_t value);
+__attribute__((format(printf, 1, 2))) void printk(const char *fmt, ...);
+struct ring_buf {
+    uint8_t *buffer;
+    uint32_t size;
+};
+#define RING_BUF_DECLARE(name, size8) \
+    static uint8_t name##_bytes[size8]; \
+    struct ring_buf name = {name##_bytes, size8}
+uint32_t ring_buf_put(struct ring_buf *buf, const uint8_t *data, uint32_t size);
+uint32_t ring_buf_get(struct ring_buf *buf, uint8_t *data, uint32_t size);
+int settings_load(void);
+
+/* zephyr/drivers */
+ssize_t hwinfo_get_device_id(uint8_t *buffer, size_t length);
+int hwinfo_get_reset_cause(uint32_t *cause);
+int hwinfo_clear_reset_cause(void);
+struct wdt_window {
+    uint32_t min;
+    uint32_t max;
+};
+struct wdt_timeout_cfg {
+    struct wdt_window window;
+    void (*callback)(const struct device *dev, int channel_id);
+    uint8_t flags;
+};
+#define WDT_FLAG_RESET_SOC BIT(1)
+#define WDT_OPT_PAUSE_HALTED_BY_DBG BIT(1)
+int wdt_install_timeout(const struct device *dev, const struct wdt_timeout_cfg *cfg);
+int wdt_setup(const struct device *dev, uint8_t options);
+int wdt_feed(const struct device *dev, int channel_id);
+
+/* zephyr/bluetooth */
+struct bt_conn;
+struct bt_uuid {
+    uint8_t type;
+};
+#define BT_UUID_128_ENCODE(w32, w1, w2, w3, w48) \
+    (uint8_t)((w48) >> 0), (uint8_t)((w48) >> 8), (uint8_t)((w48) >> 16), (uint8_t)((w48) >> 24), \
+        (uint8_t)((w48) >> 32), (uint8_t)((w48) >> 40), (uint8_t)((w3) >> 0), (uint8_t)((w3) >> 8), \
+        (uint8_t)((w2) >> 0), (uint8_t)((w2) >> 8), (uint8_t)((w1) >> 0), (uint8_t)((w1) >> 8), \
+        (uint8_t)((w32) >> 0), (uint8_t)((w32) >> 8), (uint8_t)((w32) >> 16), (uint8_t)((w32) >> 24)
+struct bt_uuid_128 {
+    struct bt_uuid uuid;
+    uint8_t val[16];
+};
+#define BT_UUID_DECLARE_128(...) ((const struct bt_uuid *)&(const struct bt_uuid_128){{2}, {__VA_ARGS__}})
+struct bt_data {
+    uint8_t type;
+    uint8_t data_len;
+    const uint8_t *data;
+};
+#define BT_DATA(kind, bytes, length) {.type = (kind), .data_len = (uint8_t)(length), .data = (const uint8_t *)(bytes)}
+#define BT_DATA_BYTES(kind, ...) \
+    BT_DATA(kind, ((const uint8_t[]){__VA_ARGS__}), sizeof((const uint8_t[]){__VA_ARGS__}))
+#define BT_DATA_FLAGS 0x01
+#define BT_DATA_UUID128_ALL 0x07
+#define BT_DATA_NAME_COMPLETE 0x09
+#define BT_LE_AD_GENERAL 0x02
+#define BT_LE_AD_NO_BREDR 0x04
+#define BT_LE_ADV_OPT_CONNECTABLE BIT(0)
+#define BT_LE_ADV_OPT_ONE_TIME BIT(1)
+#define BT_GAP_ADV_FAST_INT_MIN_2 0x00a0
+#define BT_GAP_ADV_FAST_INT_MAX_2 0x00f0
+typedef struct bt_addr_le bt_addr_le_t;
+struct bt_le_adv_param {
+    uint32_t options;
+    uint32_t interval_min;
+    uint32_t interval_max;
+    const bt_addr_le_t *peer;
+};
+#define BT_LE_ADV_PARAM(options, minimum, maximum, peer) \
+    (&(const struct bt_le_adv_param){(options), (minimum), (maximum), (peer)})
+#define BT_ID_DEFAULT 0
+int bt_enable(void (*ready)(int err));
+int bt_le_adv_start(const struct bt_le_adv_param *param, const struct bt_data *ad, size_t ad_len,
+                    const struct bt_data *sd, size_t sd_len);
+struct bt_bond_info {
+    const bt_addr_le_t *addr;
+};
+void bt_foreach_bond(uint8_t id, void (*func)(const struct bt_bond_info *info, void *user_data), void *user_data);
+
+#define BT_CONN_TYPE_LE BIT(0)
+enum bt_conn_state { BT_CONN_STATE_DISCONNECTED, BT_CONN_STATE_CONNECTED };
+struct bt_conn_info {
+    uint8_t type;
+    enum bt_conn_state state;
+};
+int bt_conn_get_info(const struct bt_conn *conn, struct bt_conn_info *info);
+struct bt_conn *bt_conn_ref(struct bt_conn *conn);
+void bt_conn_unref(struct bt_conn *conn);
+void bt_conn_foreach(int type, void (*func)(struct bt_conn *conn, void *data), void *data);
+struct bt_conn_cb {
+    void (*connected)(struct bt_conn *conn, uint8_t err);
+    void (*recycled)(void);
+};
+#define BT_CONN_CB_DEFINE(name) const struct bt_conn_cb name
+enum bt_security_err { BT_SECURITY_ERR_SUCCESS, BT_SECURITY_ERR_PAIR_NOT_ALLOWED };
+struct bt_conn_pairing_feat {
+    uint8_t io_capability;
+};
+struct bt_conn_auth_cb {
+    enum bt_security_err (*pairing_accept)(struct bt_conn *conn, const struct bt_conn_pairing_feat *const feat);
+    void (*passkey_display)(struct bt_conn *conn, unsigned int passkey);
+    void (*cancel)(struct bt_conn *conn);
+};
+int bt_conn_auth_cb_register(const struct bt_conn_auth_cb *cb);
+int bt_passkey_set(unsigned int passkey);
+
+struct bt_gatt_attr;
+typedef ssize_t (*bt_gatt_attr_read_func_t)(struct bt_conn *conn, const struct bt_gatt_attr *attr, void *buf,
+                                            uint16_t len, uint16_t offset);
+typedef ssize_t (*bt_gatt_attr_write_func_t)(struct bt_conn *conn, const struct bt_gatt_attr *attr, const void *buf,
+                                             uint16_t len, uint16_t offset, uint8_t flags);
+struct bt_gatt_attr {
+    const struct bt_uuid *uuid;
+    bt_gatt_attr_read_func_t read;
+    bt_gatt_attr_write_func_t write;
+    void *user_data;
+    uint16_t perm;
+};
+struct bt_gatt_service_static {
+    const struct bt_gatt_attr *attrs;
+    size_t attr_count;
+};
+#define BT_GATT_PERM_NONE 0
+#define BT_GATT_PERM_READ BIT(0)
+#define BT_GATT_PERM_WRITE BIT(1)
+#define BT_GATT_PERM_READ_AUTHEN BIT(4)
+#define BT_GATT_PERM_WRITE_AUTHEN BIT(5)
+#define BT_GATT_CHRC_WRITE_WITHOUT_RESP 0x04
+#define BT_GATT_CHRC_WRITE 0x08
+#define BT_GATT_CHRC_NOTIFY 0x10
+#define BT_ATT_ERR_INVALID_OFFSET 0x07
+#define BT_GATT_ERR(error) (-(error))
+#define BT_GATT_PRIMARY_SERVICE(service) {.uuid = (service)}
+#define BT_GATT_CHARACTERISTIC(id, properties, permissions, reader, writer, value) \
+    {.perm = (uint16_t)(properties)}, \
+    { \
+        .uuid = (id), .read = (reader), .write = (writer), .user_data = (value), .perm = (uint16_t)(permissions) \
+    }
+#define BT_GATT_CCC(changed, permissions) {.perm = (uint16_t)(permissions), .user_data = (changed)}
+#define BT_GATT_SERVICE_DEFINE(name, ...) \
+    static const struct bt_gatt_attr name##_attributes[] = {__VA_ARGS__}; \
+    static const struct bt_gatt_service_static name = {name##_attributes, ARRAY_SIZE(name##_attributes)}
+uint16_t bt_gatt_get_mtu(struct bt_conn *conn);
+int bt_gatt_notify(struct bt_conn *conn, const struct bt_gatt_attr *attr, const void *data, uint16_t len);
+
+/* nrfx 3 */
+typedef enum { NRFX_SUCCESS = 0x0BAD0000, NRFX_ERROR_NO_MEM } nrfx_err_t;
+typedef uint32_t nrfx_gpiote_pin_t;
+typedef enum { NRF_GPIO_PIN_S0S1 } nrf_gpio_pin_drive_t;
+typedef enum { NRF_GPIO_PIN_INPUT_DISCONNECT } nrf_gpio_pin_input_t;
+typedef enum { NRF_GPIO_PIN_NOPULL } nrf_gpio_pin_pull_t;
+typedef enum { NRF_GPIOTE_POLARITY_NONE, NRF_GPIOTE_POLARITY_TOGGLE } nrf_gpiote_polarity_t;
+typedef enum { NRF_GPIOTE_INITIAL_VALUE_LOW, NRF_GPIOTE_INITIAL_VALUE_HIGH } nrf_gpiote_outinit_t;
+typedef struct {
+    uint8_t drv_inst_idx;
+} nrfx_gpiote_t;
+typedef struct {
+    nrf_gpio_pin_drive_t drive;
+    nrf_gpio_pin_input_t input_connect;
+    nrf_gpio_pin_pull_t pull;
+} nrfx_gpiote_output_config_t;
+typedef struct {
+    uint8_t task_ch;
+    nrf_gpiote_polarity_t polarity;
+    nrf_gpiote_outinit_t init_val;
+} nrfx_gpiote_task_config_t;
+#define NRFX_GPIOTE_INSTANCE(id) {id}
+bool nrfx_gpiote_init_check(const nrfx_gpiote_t *instance);
+nrfx_err_t nrfx_gpiote_init(const nrfx_gpiote_t *instance, uint8_t interrupt_priority);
+nrfx_err_t nrfx_gpiote_channel_alloc(const nrfx_gpiote_t *instance, uint8_t *channel);
+nrfx_err_t nrfx_gpiote_output_configure(const nrfx_gpiote_t *instance, nrfx_gpiote_pin_t pin,
+                                        const nrfx_gpiote_output_config_t *config,
+                                        const nrfx_gpiote_task_config_t *task_config);
+void nrfx_gpiote_out_task_enable(const nrfx_gpiote_t *instance, nrfx_gpiote_pin_t pin);
+void nrfx_gpiote_set_task_trigger(const nrfx_gpiote_t *instance, nrfx_gpiote_pin_t pin);
+void nrfx_gpiote_clr_task_trigger(const nrfx_gpiote_t *instance, nrfx_gpiote_pin_t pin);
+uint32_t nrfx_gpiote_clr_task_address_get(const nrfx_gpiote_t *instance, nrfx_gpiote_pin_t pin);
+
+typedef enum { NRF_TIMER_EVENT_COMPARE0 = 0x140, NRF_TIMER_EVENT_COMPARE1 = 0x144 } nrf_timer_event_t;
+typedef enum { NRF_TIMER_CC_CHANNEL0 } nrf_timer_cc_channel_t;
+typedef enum { NRF_TIMER_BIT_WIDTH_16, NRF_TIMER_BIT_WIDTH_32 = 3 } nrf_timer_bit_width_t;
+#define NRF_TIMER_SHORT_COMPARE0_STOP_MASK (1u << 8)
+#define NRF_TIMER_SHORT_COMPARE0_CLEAR_MASK (1u << 0)
+typedef struct {
+    uint8_t instance_id;
+} nrfx_timer_t;
+typedef struct {
+    uint32_t frequency;
+    nrf_timer_bit_width_t bit_width;
+} nrfx_timer_config_t;
+typedef void (*nrfx_timer_event_handler_t)(nrf_timer_event_t event_type, void *context);
+#define NRFX_TIMER_INSTANCE(id) {id}
+#define NRFX_TIMER_DEFAULT_CONFIG(base_frequency) {(base_frequency), NRF_TIMER_BIT_WIDTH_16}
+nrfx_err_t nrfx_timer_init(const nrfx_timer_t *instance, const nrfx_timer_config_t *config,
+                           nrfx_timer_event_handler_t handler);
+void nrfx_timer_enable(const nrfx_timer_t *instance);
+void nrfx_timer_disable(const nrfx_timer_t *instance);
+void nrfx_timer_clear(const nrfx_timer_t *instance);
+void nrfx_timer_extended_compare(const nrfx_timer_t *instance, nrf_timer_cc_channel_t channel, uint32_t value,
+                                 uint32_t shorts, bool enable_int);
+uint32_t nrfx_timer_compare_event_address_get(const nrfx_timer_t *instance, uint32_t channel);
+void nrfx_timer_2_irq_handler(void);
+
+nrfx_err_t nrfx_gppi_channel_alloc(uint8_t *channel);
+void nrfx_gppi_channel_endpoints_setup(uint8_t channel, uint32_t eep, uint32_t tep);
+void nrfx_gppi_channels_enable(uint32_t mask);
+
+#endif

@@ -29,6 +29,10 @@ FIRMWARE = Path(__file__).resolve().parents[2] / "firmware"
 TARGETS = ("bench", "native")
 FLASH_BYTES = 512 * 1024
 RAM_BYTES = 64 * 1024
+FLASH_PAGE_BYTES = 4096
+STORE_END = FLASH_BYTES // 10 * 9  # the linker script refuses more
+SLOT_BYTES_MIN = 64 * 1024
+_CODE_BYTES_MAX = 64 * 1024  # without the table; the linker refuses more
 
 # Debug information would otherwise name where the compiler's own headers are.
 _FLAGS = (*FLAGS, f"-ffile-prefix-map={sys.prefix}=python")
@@ -180,7 +184,7 @@ def build(target: str, image: Path, robot: Robot, out: Path, compiler: Compiler 
         emit(image, work / "emitted", command, robot_sha256=robot.sha256)
         write_text(work / "config" / "fk_robot_config.h", config)
         made = (
-            _build_bench(work, tables.limbs)
+            _build_bench(work, tables.limbs, len(tables.image))
             if target == "bench"
             else _build_native(work, compiler or zig("host"))
         )
@@ -208,17 +212,27 @@ def _sources(work: Path) -> tuple[list[Path], list[Path], list[str]]:
     return emitted + sorted((FIRMWARE / "core").glob("*.c")), headers, places
 
 
-def _build_bench(work: Path, limbs: int) -> dict[str, Path]:
+def slots_for(table_bytes: int) -> tuple[int, int]:
+    """Slots for tables by radio beside a built-in table: how many fit, one or two, and bytes of each."""
+    slot = max(SLOT_BYTES_MIN, -(-table_bytes // FLASH_PAGE_BYTES) * FLASH_PAGE_BYTES)
+    room = STORE_END - 2 * FLASH_PAGE_BYTES - _CODE_BYTES_MAX - table_bytes
+    return (2 if 2 * slot <= room else 1), slot
+
+
+def _build_bench(work: Path, limbs: int, table_bytes: int) -> dict[str, Path]:
     bench = FIRMWARE / "bench"
     sources, headers, places = _sources(work)
     sources, script = [*sources, *sorted(bench.glob("*.c"))], bench / "nrf52832.ld"
     elf = work / "frogkick-bench.elf"
+    slots, slot_bytes = slots_for(table_bytes)
     flags = [
         *_FLAGS,
         "-ffreestanding",
         "-ffunction-sections",
         "-fdata-sections",
         f"-DFK_BOARD_LIMBS={limbs}u",
+        f"-DFK_BOARD_SLOTS={slots}u",
+        f"-DFK_BOARD_SLOT_BYTES={slot_bytes}u",
         "-fno-unwind-tables",
         "-fno-asynchronous-unwind-tables",
         "-nostdlib",
@@ -274,6 +288,7 @@ def _sizes(elf: Path) -> tuple[int, int, int]:
             flash += segment["p_filesz"]
             if segment["p_vaddr"] >= 0x20000000:
                 ram += segment["p_memsz"]
+        flash = max(flash, _address(content, elf, "fk_region_end"))
         bottom, top = (_address(content, elf, name) for name in ("fk_stack_bottom", "fk_stack_top"))
     for what, used, limit in (("flash", flash, FLASH_BYTES), ("RAM", ram, RAM_BYTES)):
         if used > limit:

@@ -2,6 +2,7 @@
 #include "clock.h"
 #include "fk_robot.h"
 #include "fk_table.h"
+#include "flash.h"
 #include "pulse.h"
 #include "sleep.h"
 #include "time.h"
@@ -17,6 +18,8 @@
 
 static fk_robot_t robot;
 static fk_frame_collector_t collector;
+static fk_flash_t flash;
+static fk_store_t store;
 static fk_guard_kept_t kept __attribute__((section(".noinit")));
 
 static int32_t take_frames(void)
@@ -74,7 +77,13 @@ int main(void)
     /* Before the table is checked, 0.4 ms for each KB of it: what is asked meanwhile waits in the receive buffers. */
     fk_uart_init();
     /* With a table that is not for this robot it answers all the same, and tells its fault; no pulse. */
-    (void)fk_robot_init(&robot, fk_table_image, fk_table_image_bytes);
+    flash = fk_flash_region();
+    if (fk_store_boot(&store, &flash, fk_table_image, fk_table_image_bytes) == FK_OK) {
+        (void)fk_robot_init(&robot, store.image, store.image_bytes);
+        fk_robot_use_store(&robot, &store);
+    } else {
+        (void)fk_robot_init(&robot, fk_table_image, fk_table_image_bytes);
+    }
     fk_robot_note_reset(&robot, fk_watchdog_reset_reason(), &kept);
 
     for (;;) {

@@ -107,8 +107,15 @@
 #define TIMER_PRESCALER(timer) FK_REGISTER((timer) + 0x510u)
 #define TIMER_CC(timer, n) FK_REGISTER((timer) + 0x540u + 4u * (n))
 
-/* NVMC: only its instruction cache */
+/* NVMC */
 #define NVMC_BASE 0x4001E000u
+#define NVMC_READY FK_REGISTER(NVMC_BASE + 0x400u)
+#define NVMC_READY_READY_Busy 0u
+#define NVMC_CONFIG FK_REGISTER(NVMC_BASE + 0x504u)
+#define NVMC_CONFIG_WEN_Ren 0u
+#define NVMC_CONFIG_WEN_Wen 1u
+#define NVMC_CONFIG_WEN_Een 2u
+#define NVMC_ERASEPAGE FK_REGISTER(NVMC_BASE + 0x508u)
 #define NVMC_ICACHECNF FK_REGISTER(NVMC_BASE + 0x540u)
 #define NVMC_ICACHECNF_CACHEEN_Msk (1u << 0)
 

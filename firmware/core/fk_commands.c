@@ -208,7 +208,7 @@ static int8_t set_parameter(fk_robot_t *robot, uint8_t parameter, float value)
     }
     if (parameter == FK_PARAMETER_PERIOD_US) {
         if (!is_whole_within(value, FK_PERIOD_MIN_US, FK_PERIOD_MAX_US) ||
-            (uint32_t)value < fk_robot_stroke_us(robot)) {
+            (uint32_t)value < fk_fit_stroke_us(&robot->tables)) {
             return FK_STATUS_VALUE;
         }
         robot->period_us = (uint32_t)value;
@@ -343,6 +343,12 @@ static int32_t length_fits(const fk_frame_t *frame)
         return frame->payload_length == FK_STROKE_COMMAND_BYTES;
     case FK_FRAME_PLAN:
         return frame->payload_length == FK_PLAN_COMMAND_BYTES;
+    case FK_FRAME_TABLE_BEGIN:
+        return frame->payload_length == FK_TABLE_BEGIN_COMMAND_BYTES;
+    case FK_FRAME_TABLE_CHUNK:
+        return frame->payload_length >= FK_TABLE_CHUNK_COMMAND_BYTES;
+    case FK_FRAME_TABLE_ROLLBACK:
+        return frame->payload_length == FK_TABLE_ROLLBACK_COMMAND_BYTES;
     default:
         return frame->payload_length == 0u;
     }
@@ -350,7 +356,7 @@ static int32_t length_fits(const fk_frame_t *frame)
 
 int32_t fk_robot_command(fk_robot_t *robot, const fk_frame_t *frame, uint64_t now_us, uint8_t *answer)
 {
-    if (frame->type < FK_FRAME_HELLO || frame->type > FK_FRAME_PLAN) {
+    if (frame->type < FK_FRAME_HELLO || frame->type > FK_FRAME_TABLE_STATUS) {
         return answer_status(FK_STATUS_UNKNOWN, answer);
     }
     if (!length_fits(frame)) {
@@ -360,6 +366,10 @@ int32_t fk_robot_command(fk_robot_t *robot, const fk_frame_t *frame, uint64_t no
     case FK_FRAME_HELLO:
         return on_hello(robot, frame, answer);
     case FK_FRAME_ARM:
+        if (robot->store != 0 && robot->store->open != 0u) {
+            return answer_state(robot, FK_STATUS_STATE, answer); /* flash is written with all limbs off */
+        }
+        return answer_state(robot, fk_robot_supervise(robot, frame->type), answer);
     case FK_FRAME_DISARM:
     case FK_FRAME_STOP:
         return answer_state(robot, fk_robot_supervise(robot, frame->type), answer);
@@ -375,7 +385,9 @@ int32_t fk_robot_command(fk_robot_t *robot, const fk_frame_t *frame, uint64_t no
         return on_param(robot, frame->payload, answer);
     case FK_FRAME_STROKE:
         return on_stroke(robot, frame->payload, now_us, answer);
-    default:
+    case FK_FRAME_PLAN:
         return on_plan(robot, frame->payload, answer);
+    default:
+        return fk_robot_table_command(robot, frame, now_us, answer);
     }
 }

@@ -93,6 +93,11 @@ enum { /* frame types */
     FK_FRAME_PARAM = 0x09,
     FK_FRAME_STROKE = 0x0a,
     FK_FRAME_PLAN = 0x0b,
+    FK_FRAME_TABLE_BEGIN = 0x0c,
+    FK_FRAME_TABLE_CHUNK = 0x0d,
+    FK_FRAME_TABLE_COMMIT = 0x0e,
+    FK_FRAME_TABLE_ROLLBACK = 0x0f,
+    FK_FRAME_TABLE_STATUS = 0x10,
     FK_FRAME_DECISION = 0x60,
     FK_FRAME_REFUSED = 0x62,
     FK_FRAME_ENDED = 0x61
@@ -540,6 +545,183 @@ static inline void fk_plan_answer_pack(uint8_t *to, const fk_plan_answer_t *from
     fk_put_u16(to + 57, from->limb_use_5);
     fk_put_u16(to + 59, from->limb_use_6);
     fk_put_u16(to + 61, from->limb_use_7);
+}
+
+#define FK_TABLE_BEGIN_COMMAND_BYTES 36u
+
+/* Begin to send a table, or go on with one whose sending was cut off. Disarmed and rested only, like the other commands of tables; no ARM until TABLE_COMMIT or TABLE_ROLLBACK. */
+typedef struct {
+    uint32_t length; /* of the image, whole words (byte) */
+    uint32_t hash_0; /* SHA-256 of the image: its first four bytes, the first one uppermost */
+    uint32_t hash_1; /* SHA-256: bytes 4 to 7 */
+    uint32_t hash_2; /* SHA-256: bytes 8 to 11 */
+    uint32_t hash_3; /* SHA-256: bytes 12 to 15 */
+    uint32_t hash_4; /* SHA-256: bytes 16 to 19 */
+    uint32_t hash_5; /* SHA-256: bytes 20 to 23 */
+    uint32_t hash_6; /* SHA-256: bytes 24 to 27 */
+    uint32_t hash_7; /* SHA-256: bytes 28 to 31 */
+} fk_table_begin_command_t;
+
+static inline void fk_table_begin_command_unpack(const uint8_t *from, fk_table_begin_command_t *to)
+{
+    to->length = fk_get_u32(from + 0);
+    to->hash_0 = fk_get_u32(from + 4);
+    to->hash_1 = fk_get_u32(from + 8);
+    to->hash_2 = fk_get_u32(from + 12);
+    to->hash_3 = fk_get_u32(from + 16);
+    to->hash_4 = fk_get_u32(from + 20);
+    to->hash_5 = fk_get_u32(from + 24);
+    to->hash_6 = fk_get_u32(from + 28);
+    to->hash_7 = fk_get_u32(from + 32);
+}
+
+#define FK_TABLE_BEGIN_ANSWER_BYTES 10u
+
+/* Answer to TABLE_BEGIN. */
+typedef struct {
+    int8_t status; /* see status */
+    int8_t error; /* of status TABLE: the planner's fk_error_t */
+    uint32_t next_offset; /* of the chunk wanted next, while an update is open (byte) */
+    uint32_t table_crc; /* CRC-32 of the table image in use */
+} fk_table_begin_answer_t;
+
+static inline void fk_table_begin_answer_pack(uint8_t *to, const fk_table_begin_answer_t *from)
+{
+    fk_put_i8(to + 0, from->status);
+    fk_put_i8(to + 1, from->error);
+    fk_put_u32(to + 2, from->next_offset);
+    fk_put_u32(to + 6, from->table_crc);
+}
+
+#define FK_TABLE_CHUNK_COMMAND_BYTES 4u
+
+/* 128 bytes of the image, or what is left: to flash at once, each page erased before its first chunk. */
+typedef struct {
+    uint32_t offset; /* of the first byte here, as the last answer wanted it (byte) */
+} fk_table_chunk_command_t;
+
+static inline void fk_table_chunk_command_unpack(const uint8_t *from, fk_table_chunk_command_t *to)
+{
+    to->offset = fk_get_u32(from + 0);
+}
+
+#define FK_TABLE_CHUNK_ROW_BYTES 1u
+#define FK_TABLE_CHUNK_ROWS_MAX 128u
+
+/* One repeated row of TABLE_CHUNK. */
+typedef struct {
+    uint8_t byte; /* of the image */
+} fk_table_chunk_row_t;
+
+static inline void fk_table_chunk_row_unpack(const uint8_t *from, fk_table_chunk_row_t *to)
+{
+    to->byte = fk_get_u8(from + 0);
+}
+
+#define FK_TABLE_CHUNK_ANSWER_BYTES 10u
+
+/* Answer to TABLE_CHUNK. */
+typedef struct {
+    int8_t status; /* see status */
+    int8_t error; /* of status TABLE: the planner's fk_error_t */
+    uint32_t next_offset; /* of the chunk wanted next, while an update is open (byte) */
+    uint32_t table_crc; /* CRC-32 of the table image in use */
+} fk_table_chunk_answer_t;
+
+static inline void fk_table_chunk_answer_pack(uint8_t *to, const fk_table_chunk_answer_t *from)
+{
+    fk_put_i8(to + 0, from->status);
+    fk_put_i8(to + 1, from->error);
+    fk_put_u32(to + 2, from->next_offset);
+    fk_put_u32(to + 6, from->table_crc);
+}
+
+#define FK_TABLE_COMMIT_COMMAND_BYTES 0u
+#define FK_TABLE_COMMIT_ANSWER_BYTES 10u
+
+/* Answer to TABLE_COMMIT. */
+typedef struct {
+    int8_t status; /* see status */
+    int8_t error; /* of status TABLE: the planner's fk_error_t */
+    uint32_t next_offset; /* of the chunk wanted next, while an update is open (byte) */
+    uint32_t table_crc; /* CRC-32 of the table image in use */
+} fk_table_commit_answer_t;
+
+static inline void fk_table_commit_answer_pack(uint8_t *to, const fk_table_commit_answer_t *from)
+{
+    fk_put_i8(to + 0, from->status);
+    fk_put_i8(to + 1, from->error);
+    fk_put_u32(to + 2, from->next_offset);
+    fk_put_u32(to + 6, from->table_crc);
+}
+
+#define FK_TABLE_ROLLBACK_COMMAND_BYTES 4u
+
+/* Use a table that is here from now on: the one before, or the built-in one. Closes an open update; that is all where the table is in use already. */
+typedef struct {
+    uint32_t table_crc; /* CRC-32 of that table, as TABLE_STATUS has it */
+} fk_table_rollback_command_t;
+
+static inline void fk_table_rollback_command_unpack(const uint8_t *from, fk_table_rollback_command_t *to)
+{
+    to->table_crc = fk_get_u32(from + 0);
+}
+
+#define FK_TABLE_ROLLBACK_ANSWER_BYTES 10u
+
+/* Answer to TABLE_ROLLBACK. */
+typedef struct {
+    int8_t status; /* see status */
+    int8_t error; /* of status TABLE: the planner's fk_error_t */
+    uint32_t next_offset; /* of the chunk wanted next, while an update is open (byte) */
+    uint32_t table_crc; /* CRC-32 of the table image in use */
+} fk_table_rollback_answer_t;
+
+static inline void fk_table_rollback_answer_pack(uint8_t *to, const fk_table_rollback_answer_t *from)
+{
+    fk_put_i8(to + 0, from->status);
+    fk_put_i8(to + 1, from->error);
+    fk_put_u32(to + 2, from->next_offset);
+    fk_put_u32(to + 6, from->table_crc);
+}
+
+#define FK_TABLE_STATUS_COMMAND_BYTES 0u
+#define FK_TABLE_STATUS_ANSWER_BYTES 38u
+
+/* Answer to TABLE_STATUS. */
+typedef struct {
+    int8_t status; /* see status */
+    uint8_t running; /* table in use */
+    uint8_t active; /* table that was to be in use: another one where it was not good at boot */
+    uint8_t previous; /* table before that */
+    uint8_t open; /* 1 = an update takes chunks */
+    uint8_t slots; /* slots for tables, 1 or 2 */
+    uint32_t slot_bytes; /* room in each (byte) */
+    uint32_t running_crc; /* CRC-32 of the table in use */
+    uint32_t previous_crc; /* CRC-32 of the table before it */
+    uint32_t built_in_crc; /* CRC-32 of the built-in table */
+    uint32_t next_offset; /* of the chunk wanted next, while an update is open (byte) */
+    uint32_t erases_1; /* times that pages of slot 1 were erased, at most, of 10,000 */
+    uint32_t erases_2; /* the same of slot 2 */
+    uint32_t erases_journal; /* of the journal's two pages together */
+} fk_table_status_answer_t;
+
+static inline void fk_table_status_answer_pack(uint8_t *to, const fk_table_status_answer_t *from)
+{
+    fk_put_i8(to + 0, from->status);
+    fk_put_u8(to + 1, from->running);
+    fk_put_u8(to + 2, from->active);
+    fk_put_u8(to + 3, from->previous);
+    fk_put_u8(to + 4, from->open);
+    fk_put_u8(to + 5, from->slots);
+    fk_put_u32(to + 6, from->slot_bytes);
+    fk_put_u32(to + 10, from->running_crc);
+    fk_put_u32(to + 14, from->previous_crc);
+    fk_put_u32(to + 18, from->built_in_crc);
+    fk_put_u32(to + 22, from->next_offset);
+    fk_put_u32(to + 26, from->erases_1);
+    fk_put_u32(to + 30, from->erases_2);
+    fk_put_u32(to + 34, from->erases_journal);
 }
 
 #define FK_DECISION_EVENT_BYTES 106u

@@ -39,7 +39,8 @@ void fk_robot_send_events(fk_robot_t *robot)
 static int32_t matters(uint8_t type)
 {
     return type == FK_FRAME_ARM || type == FK_FRAME_DISARM || type == FK_FRAME_PATH || type == FK_FRAME_START ||
-           type == FK_FRAME_STOP || type == FK_FRAME_PARAM || type == FK_FRAME_STROKE;
+           type == FK_FRAME_STOP || type == FK_FRAME_PARAM || type == FK_FRAME_STROKE || type == FK_FRAME_TABLE_BEGIN ||
+           type == FK_FRAME_TABLE_COMMIT || type == FK_FRAME_TABLE_ROLLBACK;
 }
 
 void fk_robot_on_frame(fk_robot_t *robot, const uint8_t *encoded, uint32_t length, uint64_t now_us)

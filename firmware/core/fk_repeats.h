@@ -20,6 +20,8 @@
 typedef char fk_start_answer_is_kept[(FK_START_ANSWER_BYTES <= FK_REPEATS_ANSWER_BYTES) ? 1 : -1];
 typedef char fk_stroke_answer_is_kept[(FK_STROKE_ANSWER_BYTES <= FK_REPEATS_ANSWER_BYTES) ? 1 : -1];
 
+typedef char fk_table_answer_is_kept[(FK_TABLE_BEGIN_ANSWER_BYTES <= FK_REPEATS_ANSWER_BYTES) ? 1 : -1];
+
 typedef struct {
     uint32_t crc;
     uint8_t sequence;

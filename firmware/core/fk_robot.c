@@ -4,17 +4,19 @@
 
 uint32_t fk_robot_bytes(void) { return (uint32_t)sizeof(fk_robot_t); }
 
-static int32_t open_tables(fk_robot_t *robot, const uint8_t *image, uint32_t image_bytes)
+/* What depends on the table. */
+static void begin_with_tables(fk_robot_t *robot)
 {
-    int32_t error = fk_tables_open(image, image_bytes, &robot->tables);
-    if (error == FK_OK) {
-        error = fk_tables_check_robot(&robot->tables, FK_ROBOT_ID);
+    fk_estimator_init(&robot->estimator, &robot->tables);
+    robot->period_us = robot->tables.period_us;
+    robot->resting_action = robot->tables.actions;
+    for (uint8_t action = robot->tables.actions; action > 0u; --action) {
+        fk_action_t masks;
+        if (fk_tables_action(&robot->tables, (uint8_t)(action - 1u), &masks) == FK_OK && masks.first_mask == 0u &&
+            masks.second_mask == 0u) {
+            robot->resting_action = (uint8_t)(action - 1u);
+        }
     }
-    if (error == FK_OK && (robot->tables.pulse_us > FK_PULSE_MAX_US ||
-                           fk_robot_stroke_us(robot) > robot->tables.period_us)) {
-        error = FK_ERROR_IMAGE_TIMES;
-    }
-    return error;
 }
 
 int32_t fk_robot_init(fk_robot_t *robot, const uint8_t *image, uint32_t image_bytes)
@@ -40,6 +42,7 @@ int32_t fk_robot_init(fk_robot_t *robot, const uint8_t *image, uint32_t image_by
     robot->fault_detail = 0;
     robot->reset = FK_RESET_UNKNOWN;
     robot->kept = 0;
+    robot->store = 0;
     robot->conversation = 0u;
     robot->now_us = 0u;
     robot->path_points = 0u;
@@ -65,7 +68,7 @@ int32_t fk_robot_init(fk_robot_t *robot, const uint8_t *image, uint32_t image_by
     robot->answers_dropped = 0u;
     robot->commands_repeated = 0u;
 
-    int32_t error = open_tables(robot, image, image_bytes);
+    int32_t error = fk_fit_open(image, image_bytes, &robot->tables);
     if (error != FK_OK) {
         static const fk_tables_t none;
         static const char robot_id[] = FK_ROBOT_ID;
@@ -78,16 +81,7 @@ int32_t fk_robot_init(fk_robot_t *robot, const uint8_t *image, uint32_t image_by
         fk_robot_fault(robot, FK_FAULT_TABLE, error);
         return error;
     }
-    fk_estimator_init(&robot->estimator, &robot->tables);
-    robot->period_us = robot->tables.period_us;
-    robot->resting_action = robot->tables.actions;
-    for (uint8_t action = robot->tables.actions; action > 0u; --action) {
-        fk_action_t masks;
-        if (fk_tables_action(&robot->tables, (uint8_t)(action - 1u), &masks) == FK_OK && masks.first_mask == 0u &&
-            masks.second_mask == 0u) {
-            robot->resting_action = (uint8_t)(action - 1u);
-        }
-    }
+    begin_with_tables(robot);
     return FK_OK;
 }
 
@@ -99,14 +93,13 @@ void fk_robot_note_reset(fk_robot_t *robot, uint8_t reset, fk_guard_kept_t *kept
     fk_guard_keep(&robot->guard, kept);
 }
 
-/* From the first pulse's start until the pulse timer is free after the second. 64 bits: a table may hold a delay
- * near 2^32 us. */
-uint64_t fk_robot_stroke_us(const fk_robot_t *robot)
+void fk_robot_use_store(fk_robot_t *robot, fk_store_t *store) { robot->store = store; }
+
+/* The store has put another table in use, and checked it; the robot is disarmed. What the guard knows stays. */
+void fk_robot_use_tables(fk_robot_t *robot)
 {
-    uint64_t pulse_us = robot->tables.pulse_us;
-    uint64_t delay_us = robot->tables.second_delay_us;
-    uint64_t second_us = (delay_us > pulse_us) ? delay_us : pulse_us;
-    return second_us + FK_STROKE_GAP_US + pulse_us + FK_STROKE_GAP_US;
+    (void)fk_fit_open(robot->store->image, robot->store->image_bytes, &robot->tables);
+    begin_with_tables(robot);
 }
 
 void fk_robot_ask_stroke(fk_robot_t *robot, uint8_t action, uint64_t begin_us)

@@ -16,11 +16,13 @@
 #include <stdint.h>
 
 #include "fk_estimator.h"
+#include "fk_fit.h"
 #include "fk_follow.h"
 #include "fk_frames.h"
 #include "fk_guard.h"
 #include "fk_planner.h"
 #include "fk_repeats.h"
+#include "fk_store.h"
 #include "fk_supervisor.h"
 
 #define FK_TX_BYTES 768u            /* room for answers and events that the port has not yet taken */
@@ -33,7 +35,6 @@
 #define FK_TRANSITIONS_LIMIT 10000000u
 #define FK_PLAN_FIXED_US 600u        /* of a decision's time, what no transition takes; measured: study chip */
 #define FK_TRANSITION_NS 22000u      /* the most that one more transition takes on the chip; measured likewise */
-#define FK_STROKE_GAP_US 1000u      /* from a pulse's end until the port's one pulse timer is free for the next */
 
 typedef struct {
     uint8_t limb_mask;     /* 0: nothing; else start ONE pulse on these limbs now */
@@ -51,6 +52,7 @@ typedef struct {
     fk_guard_t guard;
 
     fk_guard_kept_t *kept; /* 0: none */
+    fk_store_t *store;     /* 0: no tables by radio */
     fk_repeats_t repeats;
 
     uint8_t state;               /* FK_STATE_...; changed by fk_robot_supervise alone */
@@ -109,6 +111,9 @@ int32_t fk_robot_init(fk_robot_t *robot, const uint8_t *image, uint32_t image_by
  */
 void fk_robot_note_reset(fk_robot_t *robot, uint8_t reset, fk_guard_kept_t *kept);
 
+/* Take tables by radio. The store has booted, and fk_robot_init was given its image. */
+void fk_robot_use_store(fk_robot_t *robot, fk_store_t *store);
+
 /* Take one received frame: COBS, without its delimiter. Answers go to the transmit buffer. */
 void fk_robot_on_frame(fk_robot_t *robot, const uint8_t *encoded, uint32_t length, uint64_t now_us);
 
@@ -141,7 +146,12 @@ void fk_robot_note_fix(fk_robot_t *robot, uint64_t capture_us, float x_m, float 
 uint32_t fk_robot_transitions_within(uint32_t plan_us);
 void fk_robot_no_more_pulses(fk_robot_t *robot);
 void fk_robot_ask_stroke(fk_robot_t *robot, uint8_t action, uint64_t begin_us);
-uint64_t fk_robot_stroke_us(const fk_robot_t *robot);
+
+/* For fk_table_commands.c */
+int32_t fk_robot_table_command(fk_robot_t *robot, const fk_frame_t *frame, uint64_t now_us, uint8_t *answer);
+void fk_robot_use_tables(fk_robot_t *robot);
+
+/* For fk_link.c */
 void fk_robot_send_events(fk_robot_t *robot);
 
 #endif

@@ -33,6 +33,7 @@ _DECLARATIONS = """
 typedef struct { uint8_t limb_mask; uint8_t all_off; uint32_t pulse_us; uint64_t next_tick_us; } fk_outputs_t;
 uint32_t fk_robot_bytes(void);
 int32_t fk_robot_init(void *robot, const uint8_t *image, uint32_t image_bytes);
+void fk_robot_use_store(void *robot, void *store);
 void fk_robot_on_frame(void *robot, const uint8_t *encoded, uint32_t length, uint64_t now_us);
 void fk_robot_tick(void *robot, uint64_t now_us, fk_outputs_t *outputs);
 void fk_robot_note_tick(void *robot, uint32_t elapsed_us);

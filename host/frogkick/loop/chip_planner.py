@@ -47,7 +47,7 @@ class ChipPlanner:
         self._free = self.chip.symbol("fk_bss_end") + 7 & ~7
         names = ("fk_tables_t", "fk_path_t", "fk_plan_config_t", "fk_state_t", "fk_plan_t")
         self._tables, self._path, self._config, self._state, self._plan = map(self.room, names)
-        words = [self.chip.flash_word(self.chip.symbol(f"fk_table_image{end}")) for end in ("", "_bytes")]
+        words = [self.chip.flash.word(self.chip.symbol(f"fk_table_image{end}")) for end in ("", "_bytes")]
         status, self.open_cycles = self.chip.call("fk_tables_open", *words, self._tables)
         if status != 0:
             raise ChipError(f"the image refuses its own table (fk_error_t {status - (1 << 32)})")

@@ -133,7 +133,7 @@ def live_on_chip(elf: Path, calls: Sequence[CoreCall]) -> list[CoreCall]:
     robot, place = chip.symbol("robot"), chip.symbol("fk_bss_end") + 7 & ~7
     outputs = np.dtype(types["fk_outputs_t"])
     frame_at, stream_at = place + 64, place + 64 + 1024
-    table = [chip.flash_word(chip.symbol(f"fk_table_image{end}")) for end in ("", "_bytes")]
+    table = [chip.flash.word(chip.symbol(f"fk_table_image{end}")) for end in ("", "_bytes")]
     chip.call("fk_robot_init", robot, *table)
     found = []
     for call in calls:

@@ -20,12 +20,13 @@ class VirtualRobot:
         chip: the virtual chip itself, for measurements.
     """
 
-    def __init__(self, elf: Path, limbs: int) -> None:
+    def __init__(self, elf: Path, limbs: int, flash: bytes | None = None) -> None:
         """Power the chip on.
 
         Args:
             elf: image of the target "bench".
             limbs: number of limbs of the robot.
+            flash: what the flash of such a robot held when it was switched off; None: as the image has it.
 
         Raises:
             InputError: not such an image, or more limbs than the board has pins.
@@ -34,7 +35,7 @@ class VirtualRobot:
             raise InputError(
                 f"the robot has {limbs} limbs, the bench board {len(LIMB_PINS)} pins: use --robot pool"
             )
-        self.chip = VirtualChip(elf)
+        self.chip = VirtualChip(elf, flash=flash)
         self._limb_of_pin = {pin: limb for limb, pin in enumerate(LIMB_PINS[:limbs])}
         self._collector = FrameCollector()
 

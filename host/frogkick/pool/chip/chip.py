@@ -16,6 +16,7 @@ from frogkick.pool.chip.core import CoreRegisters
 from frogkick.pool.chip.cost import PARTS, CostModel, CostTable
 from frogkick.pool.chip.emulator import PAGE, RETURN_ADDRESS, invalid_access, make_core, set_arguments
 from frogkick.pool.chip.errors import ChipError
+from frogkick.pool.chip.flash import Flash
 from frogkick.pool.chip.gpio import Gpio, Gpiote
 from frogkick.pool.chip.hook import CACHE_WORDS, Flag, HookState, Stop
 from frogkick.pool.chip.image import load_image
@@ -40,19 +41,22 @@ class VirtualChip:
     stopped.
     """
 
-    def __init__(self, elf_path: Path | str, cost: CostModel | None = None) -> None:
+    def __init__(
+        self, elf_path: Path | str, cost: CostModel | None = None, flash: bytes | None = None
+    ) -> None:
         """Load a firmware and hold it at reset, time 0. ``resets``: when the watchdog began it anew, us.
 
         Args:
             elf_path: ELF linked with firmware/bench/nrf52832.ld.
             cost: cycle model; None for the default.
+            flash: ``flash.content()`` of a chip that has lost its power; None: as the ELF has it.
 
         Raises:
             InputError: not a firmware for this chip.
             ChipError: the cycle counter cannot be compiled.
         """
         self._cost = cost or CostModel()
-        self._image = load_image(elf_path)
+        self._image = load_image(elf_path, flash)
         self.scheduler = Scheduler()
         self._event_cycle: int | None = None
         self._target_cycle = 0
@@ -65,6 +69,7 @@ class VirtualChip:
         self._access_error: ChipError | None = None
 
         self._power = Power(self, "POWER", 0x4000_0000)
+        self.flash = Flash(self.fail)
         self._place_peripherals([])
         self._table = CostTable(self._image.flash)
         self._state = HookState(
@@ -82,6 +87,7 @@ class VirtualChip:
             (base, partial(self._mmio_read, base), partial(self._mmio_write, base)) for base in self._by_base
         ]
         self._uc = make_core(self._image, pages, self._on_invalid, self._state)
+        self.flash.attach(self._uc, self._state, self._refuse)
 
     def _place_peripherals(self, edges: list[tuple[int, int, bool]]) -> None:
         """All peripherals as a reset leaves them; the edges seen so far go on."""
@@ -99,7 +105,7 @@ class VirtualChip:
             Timer(self, "TIMER1", 0x4000_9000),
             Timer(self, "TIMER2", 0x4000_A000),
             Watchdog(self, "WDT", 0x4001_0000, self._on_watchdog),
-            Nvmc(self, "NVMC", 0x4001_E000, self._switch_cache),
+            Nvmc(self, "NVMC", 0x4001_E000, self._switch_cache, self.flash),
             self._ppi,
             self._gpio,
             self._core,
@@ -285,6 +291,10 @@ class VirtualChip:
             self.scheduler.take()()
         self._event_cycle = None
 
+    def _refuse(self, error: ChipError) -> None:
+        self._access_error = error
+        self._uc.emu_stop()
+
     def _on_watchdog(self) -> None:
         self._reset_due = True
 
@@ -379,8 +389,7 @@ class VirtualChip:
                     peripheral.write(offset, value)
                 self._set_limit()
             except ChipError as error:
-                self._access_error = error
-                self._uc.emu_stop()
+                self._refuse(error)
         return result
 
     def _before_access(self, peripheral: Peripheral, offset: int, size: int) -> None:
@@ -431,10 +440,6 @@ class VirtualChip:
     def set_interrupt_line(self, irq: int, level: bool) -> None:
         """Pass a peripheral's interrupt line to the NVIC."""
         self._core.set_line(irq, level)
-
-    def flash_word(self, address: int) -> int:
-        """Word of flash, as loaded."""
-        return int.from_bytes(self._image.flash[address : address + 4], "little")
 
     def ram_read(self, address: int, count: int) -> bytes:
         """Read RAM, as EasyDMA or a debugger does."""

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from typing import Final
 
 from frogkick.pool.chip.bus import Peripheral, Register, System
+from frogkick.pool.chip.flash import ERASE, READ_ONLY, WRITE, Flash
 from frogkick.pool.chip.scheduler import CYCLES_PER_US
 
 HFXO_START_CYCLES: Final = 360 * CYCLES_PER_US
@@ -32,18 +33,39 @@ class Clock(Peripheral):
 
 
 class Nvmc(Peripheral):
-    """The instruction cache's switch; no erasing or programming."""
+    """The instruction cache's switch, and flash. The core waits for that, and never sees READY at 0."""
 
     NAME = "NVMC"
-    REGISTERS = [Register("ICACHECNF", 0x540, "rw")]
+    REGISTERS = [
+        Register("READY", 0x400, "r"),
+        Register("CONFIG", 0x504, "rw"),
+        Register("ERASEPAGE", 0x508, "rw"),
+        Register("ICACHECNF", 0x540, "rw"),
+    ]
 
-    def __init__(self, system: System, name: str, base: int, on_cache: Callable[[bool], None]) -> None:
+    def __init__(
+        self, system: System, name: str, base: int, on_cache: Callable[[bool], None], flash: Flash
+    ) -> None:
         """``on_cache`` hears when the cache is switched."""
         super().__init__(system, name, base)
         self._on_cache = on_cache
+        self._flash = flash
+        self.values["READY"] = 1
+        flash.configure(READ_ONLY)
+        # Memory must not change under an instruction of the emulator: it is done before the next one.
+        self._configure = system.scheduler.add(lambda: flash.configure(self.values["CONFIG"]))
+        self._erase = system.scheduler.add(lambda: flash.erase(self.values["ERASEPAGE"]))
 
     def on_write(self, name: str, value: int) -> None:
-        """Switch the cache."""
-        self.allow(name, value, (0, 1))
+        """Switch the cache, allow writing or erasing, erase."""
+        if name == "ERASEPAGE":
+            self._flash.require_erasable(value)
+            self.values[name] = value
+            self.system.scheduler.at(self._erase, self.system.now_cycle)
+            return
+        self.allow(name, value, (0, 1) if name == "ICACHECNF" else (READ_ONLY, WRITE, ERASE))
         self.values[name] = value
-        self._on_cache(bool(value))
+        if name == "CONFIG":
+            self.system.scheduler.at(self._configure, self.system.now_cycle)
+        else:
+            self._on_cache(bool(value))

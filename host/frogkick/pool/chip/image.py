@@ -47,8 +47,12 @@ class FirmwareImage:
         return self.functions[place][1] if place >= 0 else "?"
 
 
-def load_image(path: Path | str) -> FirmwareImage:
+def load_image(path: Path | str, flash_before: bytes | None = None) -> FirmwareImage:
     """Read an ELF for the nRF52832.
+
+    Args:
+        path: the ELF.
+        flash_before: what the flash of such a chip held when it lost its power; None: what the ELF has.
 
     Raises:
         InputError: not an ELF for ARM, content outside flash, or no vectors at address 0.
@@ -88,7 +92,7 @@ def load_image(path: Path | str) -> FirmwareImage:
         raise InputError(
             f"firmware image {str(path)!r} is not a whole ELF file ({error}): build it again"
         ) from error
-    image = FirmwareImage(bytes(flash), symbols, tuple(sorted(functions)), sizes)
+    image = FirmwareImage(flash_before or bytes(flash), symbols, tuple(sorted(functions)), sizes)
     vector = int.from_bytes(image.flash[4:8], "little")
     if not (RAM_BASE < image.stack_pointer <= RAM_BASE + RAM_BYTES and vector & 1 and vector < FLASH_BYTES):
         raise InputError(

@@ -1,0 +1,122 @@
+"""Flash as NVMC erases and writes it: what the product specification allows, what it takes, what it wears."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable
+from typing import Any, Final
+
+import unicorn as unicorn_module
+
+from frogkick.pool.chip.bus import FLASH_BYTES
+from frogkick.pool.chip.cost import PARTS
+from frogkick.pool.chip.errors import ChipError
+from frogkick.pool.chip.hook import HookState
+from frogkick.pool.chip.scheduler import CYCLES_PER_US
+
+unicorn: Any = unicorn_module  # its type hints do not export what it documents
+PAGE_BYTES: Final = 4096
+READ_ONLY, WRITE, ERASE = 0, 1, 2
+"""CONFIG.WEN."""
+WRITE_CYCLES: Final = 338 * CYCLES_PER_US
+"""One word; upper end of the product specification (t_WRITE). A core that runs from flash waits meanwhile."""
+ERASE_CYCLES: Final = 89_700 * CYCLES_PER_US
+"""One page, likewise (t_ERASEPAGE)."""
+BLOCK_BYTES: Final = 512
+BLOCK_WRITES_MAX: Final = 181
+"""Writes to a block between two erases of its page (n_WRITE)."""
+
+
+class Flash:
+    """The flash behind NVMC.
+
+    Attributes:
+        mode: READ_ONLY, WRITE or ERASE.
+        words_written: since power-on.
+        erases: times that each page was erased since power-on, by its number.
+    """
+
+    def __init__(self, fail: Callable[[str], ChipError]) -> None:
+        """``fail`` makes an error with the program's place in it."""
+        self._fail = fail
+        self._uc: Any = None
+        self._block_writes: Counter[int] = Counter()
+        self.mode = READ_ONLY
+        self.words_written = 0
+        self.erases: Counter[int] = Counter()
+
+    def attach(self, uc: Any, state: HookState, on_error: Callable[[ChipError], None]) -> None:
+        """Take the core's memory and time; ``on_error`` hears of writes that the flash does not take."""
+        self._uc = uc
+        self._state = state
+
+        def on_write(_uc: Any, _access: int, address: int, size: int, value: int, _data: Any) -> None:
+            try:
+                self._write(address, size, value & 0xFFFF_FFFF)
+            except ChipError as error:
+                on_error(error)
+
+        uc.hook_add(unicorn.UC_HOOK_MEM_WRITE, on_write, None, 0, FLASH_BYTES - 1)
+        uc.ctl_flush_tb()  # code translated before a hook was added would not call it
+
+    def configure(self, mode: int) -> None:
+        """CONFIG was written: writes by the core pass only in mode WRITE."""
+        self.mode = mode
+        access = unicorn.UC_PROT_READ | unicorn.UC_PROT_EXEC
+        if self._uc is not None:
+            self._uc.mem_protect(
+                0, FLASH_BYTES, access | (unicorn.UC_PROT_WRITE if mode == WRITE else unicorn.UC_PROT_NONE)
+            )
+
+    def _write(self, address: int, size: int, value: int) -> None:
+        if self.mode != WRITE:
+            return  # the core faults by itself
+        if size != 4 or address % 4:
+            raise self._fail(
+                f"write of {size} bytes to flash at 0x{address:08x}: only aligned words are taken"
+            )
+        old = self.word(address)
+        if value & ~old:
+            raise self._fail(
+                f"write of 0x{value:08x} to flash at 0x{address:08x}, which holds 0x{old:08x}: "
+                "only an erase turns bits to 1"
+            )
+        block = address // BLOCK_BYTES
+        self._block_writes[block] += 1
+        if self._block_writes[block] > BLOCK_WRITES_MAX:
+            raise self._fail(
+                f"write to flash at 0x{address:08x}: more than {BLOCK_WRITES_MAX} in its 512 bytes since the "
+                "last erase"
+            )
+        self.words_written += 1
+        self._stall(WRITE_CYCLES)
+
+    def require_erasable(self, address: int) -> None:
+        """Refuse an erase.
+
+        Raises:
+            ChipError: erasing is not enabled, or no page begins there.
+        """
+        if self.mode != ERASE:
+            raise self._fail(f"erase of the page at 0x{address:08x}: NVMC.CONFIG does not enable erasing")
+        if address % PAGE_BYTES or not 0 <= address < FLASH_BYTES:
+            raise self._fail(f"erase at 0x{address:08x}: no page of flash begins there")
+
+    def erase(self, address: int) -> None:
+        """Erase a page."""
+        self._uc.mem_write(address, b"\xff" * PAGE_BYTES)
+        for block in range(address // BLOCK_BYTES, (address + PAGE_BYTES) // BLOCK_BYTES):
+            self._block_writes[block] = 0
+        self.erases[address // PAGE_BYTES] += 1
+        self._stall(ERASE_CYCLES)
+
+    def _stall(self, cycles: int) -> None:
+        self._state.time += cycles * PARTS
+
+    def word(self, address: int) -> int:
+        """One word of it."""
+        return int.from_bytes(self._uc.mem_read(address, 4), "little")
+
+    def content(self) -> bytes:
+        """All of it, as it outlives a loss of power."""
+        return bytes(self._uc.mem_read(0, FLASH_BYTES))

@@ -112,7 +112,9 @@ CODE = {
         "fk_robot.c", "robot->state = FK_STATE_DISARMED;", "robot->state = FK_STATE_ARMED;", "armed lost",
     ),
     "repetitions act": ("fk_link.c", "if (before != 0) {", "if (0) {", "armed"),
-    "damaged frames act": ("fk_frames.c", "if (crc != fk_get_u32(raw + checked)) {", "if (0) {", "armed told"),
+    "damaged frames act": (
+        "fk_frames.c", "if (crc != fk_get_u32(raw + checked)) {", "if (0) {", "armed told",
+    ),
     "an error changes nothing": (
         "fk_robot.c", "    (void)fk_robot_supervise(robot, FK_EVENT_ERROR);", "", "latched",
     ),

@@ -93,9 +93,10 @@ static void read_journal(fk_store_t *store)
 }
 
 /* One record: the step that it stands for has happened when its last word is written, and not before. */
-static int8_t append(fk_store_t *store, fk_store_record_t next)
+static int8_t append(fk_store_t *store, const fk_store_record_t *next)
 {
     fk_store_words_t words;
+    words.record = *next;
     if (store->place >= FK_STORE_RECORDS) {
         /* Never the page that holds the newest whole record. */
         uint32_t page = FK_STORE_JOURNAL_PAGES - 1u - store->newest_page;
@@ -103,17 +104,16 @@ static int8_t append(fk_store_t *store, fk_store_record_t next)
             return FK_STATUS_FLASH;
         }
         ++store->record.journal_erases;
-        next.journal_erases = store->record.journal_erases;
+        words.record.journal_erases = store->record.journal_erases;
         store->page = page;
         store->place = 0u;
     }
     uint32_t offset = store->page * FK_FLASH_PAGE_BYTES + store->place * FK_STORE_RECORD_BYTES;
     ++store->place;
     ++store->sequence;
-    next.magic = FK_STORE_MAGIC;
-    next.layout = layout_of(store->flash);
-    next.sequence = store->sequence;
-    words.record = next;
+    words.record.magic = FK_STORE_MAGIC;
+    words.record.layout = layout_of(store->flash);
+    words.record.sequence = store->sequence;
     words.record.check = check_of(&words);
     if (program(store, offset, words.words, FK_STORE_RECORD_WORDS) != FK_STATUS_OK) {
         return FK_STATUS_FLASH;
@@ -231,7 +231,7 @@ int8_t fk_store_begin(fk_store_t *store, uint32_t length, const uint32_t hash[FK
         return FK_STATUS_WORN;
     }
     ++next.erases[next.pending - 1u]; /* from here on each of its pages is erased once at most */
-    if (append(store, next) != FK_STATUS_OK) {
+    if (append(store, &next) != FK_STATUS_OK) {
         return FK_STATUS_FLASH;
     }
     store->open = 1u;
@@ -242,7 +242,7 @@ int8_t fk_store_begin(fk_store_t *store, uint32_t length, const uint32_t hash[FK
 /* The chunk and, where it ends a page, the record of that. */
 static int8_t write_chunk(fk_store_t *store, const uint8_t *bytes, uint32_t count)
 {
-    uint32_t words[FK_STORE_CHUNK_BYTES / 4u];
+    uint32_t words[FK_STORE_CHUNK_BYTES / 4u] = {0u};
     uint32_t at = slot_offset(store, store->record.pending) + store->next_offset;
     for (uint32_t i = 0u; i < count / 4u; ++i) {
         words[i] = fk_get_u32(bytes + 4u * i);
@@ -257,7 +257,7 @@ static int8_t write_chunk(fk_store_t *store, const uint8_t *bytes, uint32_t coun
     if (store->next_offset % FK_FLASH_PAGE_BYTES == 0u) {
         fk_store_record_t next = store->record;
         next.pages_done = (uint8_t)(store->next_offset / FK_FLASH_PAGE_BYTES);
-        return append(store, next);
+        return append(store, &next);
     }
     return FK_STATUS_OK;
 }
@@ -315,12 +315,12 @@ int8_t fk_store_commit(fk_store_t *store, int8_t *error)
     next.pending = 0u;
     if (status != FK_STATUS_OK) {
         next.length[slot - 1u] = 0u;
-        (void)append(store, next); /* nothing to go on with; what the record does not say stays unused as well */
+        (void)append(store, &next); /* nothing to go on with; what the record does not say stays unused as well */
         return status;
     }
     next.previous = store->running;
     next.active = slot;
-    if (append(store, next) != FK_STATUS_OK) {
+    if (append(store, &next) != FK_STATUS_OK) {
         return FK_STATUS_FLASH;
     }
     use_table(store, slot);
@@ -348,7 +348,7 @@ int8_t fk_store_rollback(fk_store_t *store, uint32_t crc32, int8_t *error)
     }
     next.previous = store->running;
     next.active = table;
-    if (append(store, next) != FK_STATUS_OK) {
+    if (append(store, &next) != FK_STATUS_OK) {
         return FK_STATUS_FLASH;
     }
     use_table(store, table);

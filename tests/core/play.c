@@ -49,6 +49,8 @@ static int64_t due_us;   /* when the core wants its next tick */
 static int64_t pin_us;   /* last time that the port touched the pins */
 static int64_t off_us;   /* when the pulse under way ends */
 static int64_t low_us;   /* when the last one ended */
+static int64_t last_lows_us[8];
+static uint32_t low_count;
 static int64_t fix_us;   /* capture of the last fix that came to the robot */
 static uint32_t on_mask;
 static uint32_t busy;    /* pulses that the core asked for while one was on: never */
@@ -87,7 +89,10 @@ static void lows(int64_t at_us)
             see(at_us, SEEN_LOW, (int32_t)limb);
         }
     }
-    low_us = (on_mask != 0u) ? at_us : low_us;
+    if (on_mask != 0u) {
+        low_us = at_us;
+        last_lows_us[low_count++ % 8u] = at_us;
+    }
     on_mask = 0u;
 }
 
@@ -348,7 +353,8 @@ static int64_t next_us(uint32_t mood)
         return fix_us + 2000000 + near_us;
     case 3u:
         hint = (below(2u) == 0u) ? 20u : hint;
-        return low_us + 5000000 - 5 * 80000 - (int64_t)below(3u) * 580000 + near_us;
+        /* An old pulse leaves the window that ends with one of now. */
+        return last_lows_us[below(8u)] + 5000000 - 80000 + (int64_t)FK_PORT_LATE_US + near_us;
     default:
         return world_us + ((mood == 1u) ? 590000 : (int64_t)gaps_us[below(8u)]);
     }
@@ -399,6 +405,10 @@ static void one_sequence(uint32_t commands)
     uint32_t mood = below(3u);
     world_us = 10000000;
     pin_us = low_us = fix_us = off_us = 0;
+    low_count = 0u;
+    for (uint32_t i = 0u; i < 8u; ++i) {
+        last_lows_us[i] = 0;
+    }
     on_mask = 0u;
     see(world_us, SEEN_POWER_ON, 0);
     kept.crc = (uint32_t)draw(); /* RAM as the supply finds it */

@@ -208,7 +208,7 @@ WRITE = """    if (program(store, at, words, count / 4u) != FK_STATUS_OK) {
 MUTATIONS = {
     "commit before it is verified": (
         "    int8_t status = verify(store, &next.crc32[slot - 1u], error);\n",
-        "    (void)append(store, next);\n    int8_t status = FK_STATUS_OK;\n"
+        "    (void)append(store, &next);\n    int8_t status = FK_STATUS_OK;\n"
         "    (void)verify(store, &next.crc32[slot - 1u], error);\n",
     ),
     "the newest record's page is erased": (
@@ -236,7 +236,7 @@ MUTATIONS = {
         "    store->next_offset += count;\n    if (store->next_offset % FK_FLASH_PAGE_BYTES == 0u) {\n"
         "        fk_store_record_t early = store->record;\n"
         "        early.pages_done = (uint8_t)(store->next_offset / FK_FLASH_PAGE_BYTES);\n"
-        f"        (void)append(store, early);\n    }}\n{WRITE}",
+        f"        (void)append(store, &early);\n    }}\n{WRITE}",
     ),
 }
 

@@ -21,6 +21,7 @@ ARROWS: Mapping[str, frozenset[str]] = {
     "library": frozenset({"robot", "der", "effects", "planner"}),  # planner: it packs the table image
     "planner": frozenset(),
     "paths": frozenset(),
+    "vision": frozenset(),
     "link": frozenset(),
     "pool": frozenset({"robot", "der", "effects", "link"}),
     "loop": frozenset({"robot", "effects", "planner", "paths", "link", "pool"}),
@@ -63,6 +64,7 @@ ARROWS: Mapping[str, frozenset[str]] = {
             "library",
             "planner",
             "paths",
+            "vision",
             "link",
             "pool",
             "loop",
@@ -84,6 +86,7 @@ ARROWS: Mapping[str, frozenset[str]] = {
 WHEELS: Mapping[str, frozenset[str]] = {
     "planner": frozenset({"numpy", "numba"}),
     "paths": frozenset({"numpy", "numba"}),
+    "vision": frozenset({"numpy", "cv2"}),
     "link": frozenset({"cobs"}),
     "errors": frozenset(),
     "files": frozenset(),

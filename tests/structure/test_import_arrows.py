@@ -69,7 +69,9 @@ def test_a_sound_tree_has_no_violation(tmp_path: Path) -> None:
             ":2 errors imports",
         ),
         ("codegen/frogkick_codegen/emit.py", "from frogkick.library import store\n", f":1 {CODEGEN} imports"),
-        ("host/frogkick/vision/tag.py", "import numpy\n", ":1 'vision' has no row"),
+        ("host/frogkick/vision/tag.py", "import scipy\n", ":1 vision imports scipy"),
+        ("host/frogkick/vision/tag.py", "from frogkick.pool import camera\n", ":1 vision imports pool"),
+        ("host/frogkick/radio/tag.py", "import numpy\n", ":1 'radio' has no row"),
     ],
 )
 def test_a_wrong_import_is_found(tmp_path: Path, name: str, text: str, found: str) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import typer
 
 from frogkick.cli import (
+    camera,
     codegen,
     demo,
     doctor,
@@ -36,6 +37,7 @@ for _module in (
 ):  # fmt: skip
     _module.register(app)
 app.add_typer(robot.app, name="robot")
+app.add_typer(camera.app, name="camera")
 app.add_typer(library.app, name="library")
 app.add_typer(tables.app, name="tables")
 app.add_typer(firmware.app, name="firmware")

@@ -51,10 +51,15 @@ def _plain(value: Any) -> Any:
     return value
 
 
+def json_text(values: Mapping[str, Any]) -> str:
+    """One JSON object as text."""
+    return json.dumps(_plain(values), allow_nan=False)
+
+
 def show(values: Mapping[str, Any], as_json: bool, text: str = "") -> None:
     """Print a result: as one JSON object, or as text (by default the values, one a line)."""
     if as_json:
-        print(json.dumps(_plain(values), allow_nan=False))
+        print(json_text(values))
         return
     print(text or "\n".join(f"{key}: {value}" for key, value in values.items()))
 

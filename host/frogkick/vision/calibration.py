@@ -1,0 +1,244 @@
+"""From pixels to the pool's frame and back: one calibration, kept in one TOML file.
+
+The pool's frame: origin in the pool's first corner, x along its length, y along its width, z up, z = 0 on the
+water. A homography takes points of the reference plane (where the four corners or the board were seen) to
+pixels. A tag lies higher or lower than that plane; a point q at height z is seen on the line from the camera
+through q, which meets the reference plane in p = c + (q - c) (Hc - zp) / (Hc - z), c below the camera.
+Heights under water are raised by the refraction offset, depth (1 - 1 / 1.333) for a camera looking down.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from frogkick.errors import InputError
+from frogkick.vision.plane import apply
+from frogkick.vision.tags import check_tag
+
+WATER_INDEX = 1.333
+Array = npt.NDArray[np.float64]
+
+
+def refraction_offset_m(height_m: float) -> float:
+    """By how much a thing appears raised, seen from straight above: 0 above the water."""
+    return max(0.0, -height_m) * (1.0 - 1.0 / WATER_INDEX)
+
+
+@dataclass(frozen=True)
+class Lens:
+    """Intrinsics.
+
+    Attributes:
+        matrix_px: (3, 3) camera matrix.
+        distortion: (5,) k1, k2, p1, p2, k3 of OpenCV's model.
+    """
+
+    matrix_px: Array
+    distortion: Array
+
+
+@dataclass(frozen=True)
+class Tag:
+    """The tag on the robot.
+
+    Attributes:
+        family: ``tag36h11``.
+        id: number in the family.
+        size_m: side of the black square.
+        height_m: of the printed face over the water; negative under it.
+        refraction_offset_m: by how much it appears raised.
+        height_sd_m: standard deviation of its height, as waves and trim make it.
+        mount_heading_rad: the picture's top, counter-clockwise from the robot's forward.
+        offset_body_m: the tag's centre in the body frame, x forward, y left.
+    """
+
+    family: str = "tag36h11"
+    id: int = 0
+    size_m: float = 0.047
+    height_m: float = 0.0
+    refraction_offset_m: float = 0.0
+    height_sd_m: float = 0.0005
+    mount_heading_rad: float = 0.0
+    offset_body_m: tuple[float, float] = (0.0, 0.0)
+
+    def __post_init__(self) -> None:
+        check_tag(self.family, self.id)
+        limits = {
+            "size_m": (self.size_m, 0.005, 1.0),
+            "height_m": (self.height_m, -1.0, 1.0),
+            "refraction_offset_m": (self.refraction_offset_m, 0.0, 0.5),
+            "height_sd_m": (self.height_sd_m, 0.0, 0.1),
+            "mount_heading_rad": (self.mount_heading_rad, -2 * np.pi, 2 * np.pi),
+        }
+        for name, (value, low, high) in limits.items():
+            if not low <= value <= high:
+                raise InputError(f"tag {name} is {value:g}, allowed is {low:g} to {high:g}")
+
+    @property
+    def apparent_height_m(self) -> float:
+        """Height at which the camera sees it."""
+        return self.height_m + self.refraction_offset_m
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """How one camera sees one pool.
+
+    Attributes:
+        image_px: width and height of the pictures.
+        pool_m: length (x) and width (y) of the pool.
+        homography: (3, 3) reference plane, m, to undistorted pixels.
+        plane_height_m: of the reference plane over the water, negative under it.
+        plane_refraction_offset_m: by how much that plane appears raised.
+        camera_m: (3,) the camera in the pool's frame; None where it is not known.
+        lens: intrinsics; None where they are not known.
+        tag: the tag to look for.
+        method: ``corners``, ``chessboard`` or ``charuco``.
+        points: how many points it was made from.
+        rms_px: what these were off by; 0 for four corners, which leave nothing over.
+    """
+
+    image_px: tuple[int, int]
+    pool_m: tuple[float, float]
+    homography: Array
+    plane_height_m: float = 0.0
+    plane_refraction_offset_m: float = 0.0
+    camera_m: Array | None = None
+    lens: Lens | None = None
+    tag: Tag = Tag()
+    method: str = "corners"
+    points: int = 4
+    rms_px: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Refuse what cannot map a tag.
+
+        Raises:
+            InputError: a size, height or matrix that can be none.
+        """
+        for name, value in (("width", self.image_px[0]), ("height", self.image_px[1])):
+            if not 32 <= value <= 16_384:
+                raise InputError(f"image {name} is {value} px, allowed is 32 to 16384")
+        for name, metres in (("length", self.pool_m[0]), ("width", self.pool_m[1])):
+            if not 0.05 <= metres <= 100.0:
+                raise InputError(f"pool {name} is {metres:g} m, allowed is 0.05 to 100")
+        matrix = np.asarray(self.homography)
+        if matrix.shape != (3, 3) or not np.isfinite(matrix).all() or np.linalg.cond(matrix) > 1e12:
+            raise InputError("the homography is no invertible 3 x 3 matrix: calibrate again")
+        apart = self.tag.apparent_height_m - self.plane_apparent_m
+        if self.camera_m is None:
+            if abs(apart) > 1e-6:
+                raise InputError(
+                    f"the tag is {1e3 * apart:.1f} mm over the plane of the calibration and the camera's "
+                    "place is not known: give its height (--camera-height-m) or calibrate with a board"
+                )
+        elif self.camera_m[2] <= max(self.plane_apparent_m, self.tag.apparent_height_m) + 0.01:
+            raise InputError(f"the camera is at {self.camera_m[2]:.3f} m, not above tag and pool")
+
+    @property
+    def plane_apparent_m(self) -> float:
+        """Height at which the camera sees the reference plane."""
+        return self.plane_height_m + self.plane_refraction_offset_m
+
+    def _shift(self, xy_m: Array, from_m: float, to_m: float) -> Array:
+        """Move points along their lines of sight from one apparent height to another, m."""
+        if self.camera_m is None or from_m == to_m:
+            return xy_m
+        below, height = self.camera_m[:2], self.camera_m[2]
+        return np.asarray(below + (xy_m - below) * (height - to_m) / (height - from_m))
+
+    def pixels(self, xy_m: Array, height_m: float | None = None) -> Array:
+        """Where points of the pool are seen, undistorted.
+
+        Args:
+            xy_m: (n, 2) pool frame.
+            height_m: apparent height of them; None for the tag's.
+
+        Returns:
+            (n, 2) undistorted pixels.
+        """
+        height = self.tag.apparent_height_m if height_m is None else height_m
+        return apply(self.homography, self._shift(xy_m, height, self.plane_apparent_m))
+
+    def pool(self, undistorted_px: Array, height_m: float | None = None) -> Array:
+        """The inverse of ``pixels``: (n, 2) m in the pool's frame."""
+        height = self.tag.apparent_height_m if height_m is None else height_m
+        inverse = np.asarray(np.linalg.inv(self.homography), dtype=np.float64)
+        on_plane = apply(inverse, undistorted_px)
+        return self._shift(on_plane, self.plane_apparent_m, height)
+
+    def undistort(self, image_px: Array) -> Array:
+        """(n, 2) pixels of a picture to undistorted ones; the same where no lens is known."""
+        if self.lens is None:
+            return image_px
+        matrix, distortion = self.lens.matrix_px, self.lens.distortion
+        points = np.ascontiguousarray(image_px).reshape(-1, 1, 2)
+        return np.asarray(
+            cv2.undistortPoints(points, matrix, distortion, P=matrix).reshape(-1, 2), dtype=np.float64
+        )
+
+    def distort(self, undistorted_px: Array) -> Array:
+        """The inverse of ``undistort``."""
+        if self.lens is None:
+            return undistorted_px
+        rays = np.c_[undistorted_px, np.ones(len(undistorted_px))] @ np.linalg.inv(self.lens.matrix_px).T
+        seen, _ = cv2.projectPoints(rays, np.zeros(3), np.zeros(3), self.lens.matrix_px, self.lens.distortion)
+        return np.asarray(seen.reshape(-1, 2), dtype=np.float64)
+
+
+def camera_pose(homography: Array, matrix_px: Array, plane_m: float) -> tuple[Array, Array]:
+    """Where the camera is, from the homography of a plane and its camera matrix.
+
+    Returns:
+        (3, 3) rotation pool to camera (z forward, y down) and (3,) the camera in the pool's frame, m.
+
+    Source: Zhang 2000, section 3.1.
+    """
+    a = np.linalg.inv(matrix_px) @ homography
+    a /= np.sqrt(np.linalg.norm(a[:, 0]) * np.linalg.norm(a[:, 1]))
+    if a[2, 2] < 0:  # the pool lies in front of the camera
+        a = -a
+    u, _, vt = np.linalg.svd(np.c_[a[:, 0], a[:, 1], np.cross(a[:, 0], a[:, 1])])
+    rotation = u @ vt
+    place = -rotation.T @ a[:, 2]
+    place[2] += plane_m
+    return rotation, place
+
+
+def lens_from_height(
+    homography: Array, image_px: tuple[int, int], camera_height_m: float, plane_m: float
+) -> Array:
+    """The camera matrix of square pixels, centred, that puts the camera at a measured height.
+
+    Args:
+        homography: reference plane to pixels.
+        image_px: width, height.
+        camera_height_m: over the water.
+        plane_m: apparent height of the reference plane.
+
+    Raises:
+        InputError: no focal length between 0.2 and 20 picture widths gives that height.
+    """
+    width, height = image_px
+
+    def matrix(focal: float) -> Array:
+        return np.array([[focal, 0, (width - 1) / 2], [0, focal, (height - 1) / 2], [0, 0, 1.0]])
+
+    low, high = 0.2 * width, 20.0 * width
+    reach = [camera_pose(homography, matrix(f), plane_m)[1][2] for f in (low, high)]
+    if not reach[0] < camera_height_m < reach[1]:
+        raise InputError(
+            f"a camera {camera_height_m:g} m above the water does not fit the corners: its height can be "
+            f"{reach[0]:.2f} to {reach[1]:.2f} m; measure again"
+        )
+    for _ in range(60):
+        middle = np.sqrt(low * high)
+        if camera_pose(homography, matrix(middle), plane_m)[1][2] < camera_height_m:
+            low = middle
+        else:
+            high = middle
+    return matrix(float(np.sqrt(low * high)))

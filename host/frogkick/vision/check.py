@@ -1,0 +1,198 @@
+"""How far off a calibration and its tag are, over the pool: at marked points, at known places, rendered."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from frogkick.errors import InputError
+from frogkick.files import existing_file
+from frogkick.vision.calibration import Calibration, camera_pose, lens_from_height
+from frogkick.vision.plane import wrap
+from frogkick.vision.pose import tag_place
+from frogkick.vision.scene import Conditions, Scene, Viewpoint
+from frogkick.vision.tracker import Tracker
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Place:
+    """One place that was checked.
+
+    Attributes:
+        x_m: where it is, pool frame.
+        y_m: where it is.
+        error_x_mm: seen minus true; NaN where nothing was seen.
+        error_y_mm: seen minus true.
+        heading_error_deg: seen minus true; NaN where it is not known.
+        reason: ``found``, or why no pose came.
+    """
+
+    x_m: float
+    y_m: float
+    error_x_mm: float
+    error_y_mm: float
+    heading_error_deg: float
+    reason: str
+
+    @property
+    def error_mm(self) -> float:
+        """Distance of the seen from the true place."""
+        return float(np.hypot(self.error_x_mm, self.error_y_mm))
+
+
+def check_points(calibration: Calibration, path: Path | str) -> list[Place]:
+    """Compare marked points of the reference plane with where the calibration puts their pixels.
+
+    Args:
+        calibration: to be checked.
+        path: CSV with columns x_px, y_px, x_m, y_m: pixels of the picture, pool frame.
+
+    Raises:
+        InputError: the file lacks columns, numbers or rows.
+    """
+    rows = _numbers(path, ("x_px", "y_px", "x_m", "y_m"))
+    seen = calibration.pool(calibration.undistort(rows[:, :2]), calibration.plane_apparent_m)
+    off = 1e3 * (seen - rows[:, 2:])
+    return [
+        Place(float(x), float(y), float(dx), float(dy), float("nan"), "found")
+        for (x, y), (dx, dy) in zip(rows[:, 2:], off, strict=True)
+    ]
+
+
+def check_frames(
+    calibration: Calibration, frames: Iterable[tuple[npt.NDArray[np.uint8], float, float, float]]
+) -> list[Place]:
+    """Find the tag in frames whose truth is known, each in the whole frame.
+
+    Args:
+        calibration: to be checked.
+        frames: picture, x_m, y_m, heading_rad (NaN: not known) of the robot.
+    """
+    tracker = Tracker(calibration)
+    places = []
+    for image, x, y, heading in frames:
+        tracker.forget()
+        seen = tracker.observe(image, 0.0)
+        if seen.pose is None:
+            places.append(Place(x, y, float("nan"), float("nan"), float("nan"), seen.reason))
+            continue
+        turned = np.degrees(wrap(seen.pose.heading_rad - heading)) if np.isfinite(heading) else float("nan")
+        off = 1e3 * (np.array([seen.pose.x_m, seen.pose.y_m]) - (x, y))
+        places.append(Place(x, y, float(off[0]), float(off[1]), float(turned), "found"))
+    return places
+
+
+def known_places(path: Path | str) -> Iterable[tuple[npt.NDArray[np.uint8], float, float, float]]:
+    """Pictures of the tag laid at known places.
+
+    Args:
+        path: CSV with columns image, x_m, y_m and, if known, heading_deg; images beside it.
+
+    Raises:
+        InputError: a row or a picture that cannot be read.
+    """
+    rows = _numbers(path, ("x_m", "y_m"), ("heading_deg",))
+    with Path(path).open(encoding="utf-8-sig", newline="") as handle:
+        names = [row.get("image") or "" for row in csv.DictReader(handle)]
+    for name, (x, y, heading) in zip(names, rows, strict=True):
+        picture = existing_file(Path(path).parent / name, "picture") if name else None
+        image = None if picture is None else cv2.imread(str(picture), cv2.IMREAD_GRAYSCALE)
+        if image is None:
+            raise InputError(
+                f"{str(path)!r} names {name!r}, which is no picture: the column 'image' names files"
+            )
+        yield image.astype(np.uint8), float(x), float(y), float(np.deg2rad(heading))
+
+
+def scene_of(calibration: Calibration, conditions: Conditions) -> Scene:
+    """The pool as the calibrated camera would see it.
+
+    Raises:
+        InputError: the camera's place is not known.
+    """
+    if calibration.camera_m is None:
+        raise InputError(
+            "the calibration does not say where the camera is, so no picture can be rendered: calibrate with "
+            "--camera-height-m or a board, or check with --points or --places"
+        )
+    plane = calibration.plane_apparent_m
+    if calibration.lens is not None:
+        matrix, distortion = calibration.lens.matrix_px, calibration.lens.distortion
+    else:
+        height = float(calibration.camera_m[2])
+        matrix = lens_from_height(calibration.homography, calibration.image_px, height, plane)
+        distortion = np.zeros(5)
+    rotation, place = camera_pose(calibration.homography, matrix, plane)
+    tag = calibration.tag
+    return Scene(
+        Viewpoint(calibration.image_px, matrix, rotation, place, distortion),
+        calibration.pool_m, tag.family, tag.id, tag.size_m, tag.apparent_height_m, conditions,
+    )  # fmt: skip
+
+
+def rendered(
+    calibration: Calibration, conditions: Conditions, columns: int, rows: int, rng: np.random.Generator
+) -> Iterable[tuple[npt.NDArray[np.uint8], float, float, float]]:
+    """Pictures of the tag on a grid over the pool, a tag's width from its walls, headings drawn.
+
+    Args:
+        calibration: camera, pool and tag.
+        conditions: what spoils the pictures.
+        columns: places along the pool.
+        rows: places across it.
+        rng: source of headings, noise, waves.
+    """
+    scene = scene_of(calibration, conditions)
+    edge = calibration.tag.size_m
+    length, width = calibration.pool_m
+    for y in np.linspace(edge, width - edge, rows):
+        for x in np.linspace(edge, length - edge, columns):
+            heading = float(rng.uniform(-np.pi, np.pi))
+            at = tag_place(calibration, float(x), float(y), heading)
+            picture = scene.picture((float(at[0]), float(at[1]), float(at[2])), rng)
+            yield picture, float(x), float(y), heading
+
+
+def summary(places: list[Place]) -> dict[str, float | int]:
+    """Root mean square and largest errors; NaN where nothing was seen."""
+    errors = np.array([place.error_mm for place in places if place.reason == "found"])
+    turns = np.array([p.heading_error_deg for p in places if np.isfinite(p.heading_error_deg)])
+    nan = float("nan")
+    return {
+        "places": len(places),
+        "found": len(errors),
+        "rms_mm": float(np.sqrt(np.mean(errors**2))) if len(errors) else nan,
+        "max_mm": float(errors.max()) if len(errors) else nan,
+        "heading_rms_deg": float(np.sqrt(np.mean(turns**2))) if len(turns) else nan,
+        "heading_max_deg": float(np.abs(turns).max()) if len(turns) else nan,
+    }
+
+
+def _numbers(path: Path | str, needed: tuple[str, ...], optional: tuple[str, ...] = ()) -> Array:
+    """(n, columns) of a CSV; optional ones that are not there are NaN."""
+    file = existing_file(path, "CSV")
+    with file.open(encoding="utf-8-sig", newline="") as handle:
+        reader = csv.DictReader(handle)
+        missing = [name for name in needed if name not in (reader.fieldnames or ())]
+        if missing:
+            raise InputError(f"{str(path)!r} has no column {missing[0]!r}: needed are {', '.join(needed)}")
+        values = []
+        for number, row in enumerate(reader, start=2):
+            try:
+                known = [float(row[name]) for name in needed]
+                values.append(known + [float(row.get(name) or "nan") for name in optional])
+            except (TypeError, ValueError) as error:
+                raise InputError(f"{str(path)!r} line {number}: {error}") from error
+            if not np.isfinite(known).all():
+                raise InputError(f"{str(path)!r} line {number} holds a value that is not finite")
+    if not values:
+        raise InputError(f"{str(path)!r} has no rows below its header")
+    return np.array(values)

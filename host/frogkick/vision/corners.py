@@ -1,0 +1,123 @@
+"""Calibration from the pool's four corners, given as pixels in a small file."""
+
+from __future__ import annotations
+
+import csv
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from frogkick.errors import InputError
+from frogkick.files import existing_file
+from frogkick.vision.calibration import (
+    Calibration,
+    Lens,
+    Tag,
+    camera_pose,
+    lens_from_height,
+    refraction_offset_m,
+)
+from frogkick.vision.plane import from_four
+
+Array = npt.NDArray[np.float64]
+ORDER = "(0, 0), (length, 0), (length, width), (0, width)"
+
+
+def read_corners(path: Path | str) -> Array:
+    """Read four corners: TOML ``corners_px = [[x, y], ...]`` or CSV with columns ``x_px,y_px``.
+
+    Returns:
+        (4, 2) pixels, in the order of ``ORDER``.
+
+    Raises:
+        InputError: no such file, or it holds no four pairs of finite numbers.
+    """
+    file = existing_file(path, "corners file")
+    try:
+        if file.suffix.lower() == ".csv":
+            with file.open(encoding="utf-8-sig", newline="") as handle:
+                rows = [(row["x_px"], row["y_px"]) for row in csv.DictReader(handle)]
+        else:
+            rows = tomllib.loads(file.read_text(encoding="utf-8"))["corners_px"]
+        corners = np.array([[float(x), float(y)] for x, y in rows])
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(f"corners file {str(path)!r} is no TOML ({error}); CSV files end in .csv") from error
+    except KeyError as error:
+        raise InputError(
+            f"corners file {str(path)!r} has no {error}: write corners_px = [[x, y], ...], or a CSV with "
+            "the columns x_px,y_px"
+        ) from error
+    except (TypeError, ValueError) as error:
+        raise InputError(f"corners file {str(path)!r}: each corner is two numbers, x and y in px") from error
+    if corners.shape != (4, 2) or not np.isfinite(corners).all():
+        raise InputError(f"corners file {str(path)!r} has {len(corners)} corners, needed are 4: {ORDER}")
+    return corners
+
+
+def calibrate_corners(
+    corners_px: Array,
+    pool_m: tuple[float, float],
+    image_px: tuple[int, int],
+    tag: Tag,
+    corner_height_m: float = 0.0,
+    camera_height_m: float | None = None,
+    lens: Lens | None = None,
+) -> Calibration:
+    """Calibrate from where the pool's corners are seen.
+
+    Args:
+        corners_px: (4, 2) pixels in the order of ``ORDER``.
+        pool_m: length, width.
+        image_px: width, height of the pictures.
+        tag: the tag to look for.
+        corner_height_m: of the corners over the water (a rim's), negative for corners on the floor.
+        camera_height_m: measured, over the water; needed where tag and corners differ in height and no lens
+            is known.
+        lens: intrinsics, if they are known.
+
+    Raises:
+        InputError: corners that are outside of the picture, on one line, crossed or mirrored, or a camera
+            height that does not fit them.
+    """
+    width, height = image_px
+    slack = 0.5 * max(image_px)  # a corner may lie beyond the edge, found by a ruler
+    for k, (x, y) in enumerate(corners_px):
+        if not (-slack <= x <= width + slack and -slack <= y <= height + slack):
+            raise InputError(f"corner {k + 1} at ({x:g}, {y:g}) px is far outside of {width} x {height} px")
+    areas = []
+    for k in range(4):
+        a, b, c = (corners_px[(k + j) % 4] for j in range(3))
+        doubled = float((b[0] - a[0]) * (c[1] - b[1]) - (b[1] - a[1]) * (c[0] - b[0]))
+        span = max(float(np.linalg.norm(side)) for side in (b - a, c - b, c - a)) + 1e-9
+        if abs(doubled) / span < 2.0:
+            raise InputError(
+                f"corners {k + 1}, {(k + 1) % 4 + 1} and {(k + 2) % 4 + 1} lie on one line (within "
+                f"{abs(doubled) / span:.2f} px): give the pool's four corners, {ORDER}"
+            )
+        areas.append(doubled)
+    if not (all(area < 0 for area in areas) or all(area > 0 for area in areas)):
+        raise InputError(f"the corners cross over: give them round the pool, {ORDER}")
+    if areas[0] > 0:
+        raise InputError(
+            "the corners run clockwise as seen from above: give them counter-clockwise, "
+            f"{ORDER}; if the picture is mirrored, switch that off in the camera"
+        )
+    length, across = pool_m
+    offset = refraction_offset_m(corner_height_m)
+    plane = corner_height_m + offset
+    seen = corners_px
+    homes = np.array([[0, 0], [length, 0], [length, across], [0, across]], dtype=np.float64)
+    if lens is not None:
+        seen = Calibration(image_px, pool_m, np.eye(3), lens=lens, tag=Tag()).undistort(corners_px)
+    homography = from_four(homes, seen)
+    camera: Array | None = None
+    if lens is not None:
+        camera = camera_pose(homography, lens.matrix_px, plane)[1]
+    elif camera_height_m is not None:
+        matrix = lens_from_height(homography, image_px, camera_height_m, plane)
+        camera = camera_pose(homography, matrix, plane)[1]
+    return Calibration(
+        image_px, pool_m, homography, corner_height_m, offset, camera, lens, tag, "corners", 4, 0.0
+    )

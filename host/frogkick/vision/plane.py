@@ -1,0 +1,34 @@
+"""Maps of a plane to a plane."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+Array = npt.NDArray[np.float64]
+
+
+def apply(homography: Array, points: Array) -> Array:
+    """Map (n, 2) points by a (3, 3) homography."""
+    mapped = points @ homography[:, :2].T + homography[:, 2]
+    return np.asarray(mapped[:, :2] / mapped[:, 2:])
+
+
+def from_four(source: Array, target: Array) -> Array:
+    """The homography that takes four points (4, 2) exactly to four others.
+
+    Raises:
+        numpy.linalg.LinAlgError: three of the points lie on one line.
+    """
+    rows = np.zeros((8, 8))
+    rows[0::2, :2] = rows[1::2, 3:5] = source
+    rows[0::2, 2] = rows[1::2, 5] = 1.0
+    rows[0::2, 6:] = -source * target[:, :1]
+    rows[1::2, 6:] = -source * target[:, 1:]
+    return np.append(np.linalg.solve(rows, target.ravel()), 1.0).reshape(3, 3)
+
+
+def wrap(angle_rad: float) -> float:
+    """An angle in (-pi, pi]."""
+    turned = float(np.arctan2(np.sin(angle_rad), np.cos(angle_rad)))
+    return np.pi if turned == -np.pi else turned

@@ -1,0 +1,318 @@
+"""Pictures of a pool with known truth: perspective, lens, blur, noise, lighting, glare, waves, other things.
+
+Independent of the calibration's maps: every pixel's ray is followed from a pinhole to the plane that it meets
+(the tag, tilted and heaved by the waves; the water), and the tag's cells are averaged over the pixel.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from frogkick.errors import InputError
+from frogkick.vision.tags import tag_cells
+
+Array = npt.NDArray[np.float64]
+Grey = npt.NDArray[np.uint8]
+Thing = tuple[npt.NDArray[np.float32], float, float, float, float]
+
+
+@dataclass(frozen=True)
+class Viewpoint:
+    """A pinhole camera over the pool.
+
+    Attributes:
+        image_px: width, height.
+        matrix_px: (3, 3) camera matrix.
+        rotation: (3, 3) pool to camera: x right, y down, z forward.
+        place_m: (3,) in the pool's frame.
+        distortion: (5,) k1, k2, p1, p2, k3 of OpenCV's model.
+    """
+
+    image_px: tuple[int, int]
+    matrix_px: Array
+    rotation: Array
+    place_m: Array
+    distortion: Array
+
+    @property
+    def px_per_m(self) -> float:
+        """Pixels per metre straight below the camera."""
+        return float(self.matrix_px[0, 0] / self.place_m[2])
+
+    def pixels(self, points_m: Array) -> Array:
+        """(n, 2) pixels, lens included, of (n, 3) points of the pool's frame."""
+        turn, _ = cv2.Rodrigues(self.rotation)
+        shift = -self.rotation @ self.place_m
+        seen, _ = cv2.projectPoints(points_m, turn, shift, self.matrix_px, self.distortion)
+        return np.asarray(seen.reshape(-1, 2), dtype=np.float64)
+
+    def rays(self, pixels: Array) -> Array:
+        """(n, 3) directions in the pool's frame of (n, 2) pixels."""
+        flat = pixels
+        if self.distortion.any():
+            criteria = (cv2.TERM_CRITERIA_MAX_ITER | cv2.TERM_CRITERIA_EPS, 20, 1e-9)
+            points = np.ascontiguousarray(pixels).reshape(-1, 1, 2)
+            whole = cv2.undistortPointsIter(
+                points, self.matrix_px, self.distortion, np.eye(3), self.matrix_px, criteria
+            )
+            flat = np.asarray(whole, dtype=np.float64).reshape(-1, 2)
+        turned = np.linalg.inv(self.matrix_px).T @ self.rotation
+        return np.asarray(flat[:, :1] * turned[0] + flat[:, 1:] * turned[1] + turned[2])
+
+
+def looking_at(
+    target_m: tuple[float, float] = (0.6, 0.45),
+    place_m: tuple[float, float, float] = (0.7, 0.25, 1.35),
+    image_px: tuple[int, int] = (640, 480),
+    focal_px: float = 640.0,
+    turn_rad: float = 0.0,
+    distortion: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0, 0.0),
+) -> Viewpoint:
+    """A camera of square pixels that looks at a point of the water.
+
+    Args:
+        target_m: (2,) the point in the picture's centre.
+        place_m: (3,) the camera.
+        image_px: width, height.
+        focal_px: focal length.
+        turn_rad: about its axis; 0: the pool's x to the right.
+        distortion: k1, k2, p1, p2, k3.
+    """
+    width, height = image_px
+    matrix = np.array([[focal_px, 0, (width - 1) / 2], [0, focal_px, (height - 1) / 2], [0, 0, 1.0]])
+    forward = np.array([*target_m, 0.0]) - place_m
+    forward /= np.linalg.norm(forward)
+    right = np.cross(forward, [-np.sin(turn_rad), np.cos(turn_rad), 0.0])
+    right /= np.linalg.norm(right)
+    rotation = np.stack([right, np.cross(forward, right), forward])
+    return Viewpoint(image_px, matrix, rotation, np.array(place_m), np.array(distortion))
+
+
+@dataclass(frozen=True)
+class Conditions:
+    """What spoils a picture.
+
+    Attributes:
+        blur_px: standard deviation of the lens's blur.
+        noise: standard deviation of each pixel, grey levels of 255.
+        light_slope: how much darker the picture's left is than its right, as a part.
+        glare: how many blobs of sun the water shows.
+        glare_on_tag: 0 to 1: how bright a blob lies on the tag's side.
+        wave_height_m: standard deviation of the tag's heave; tilts it too.
+        wave_length_m: of the waves, from which the tilt comes.
+        ripple_px: by how much waves shift what is seen of the tag from one place to the next.
+        cover: part of the tag's side that something covers.
+        black: grey level of the tag's ink.
+        white: grey level of its paper.
+    """
+
+    blur_px: float = 0.6
+    noise: float = 2.0
+    light_slope: float = 0.2
+    glare: int = 0
+    glare_on_tag: float = 0.0
+    wave_height_m: float = 0.0
+    wave_length_m: float = 0.3
+    ripple_px: float = 0.0
+    cover: float = 0.0
+    black: float = 45.0
+    white: float = 200.0
+
+    def __post_init__(self) -> None:
+        for name, low, high in (
+            ("blur_px", 0.0, 20.0), ("noise", 0.0, 100.0), ("light_slope", 0.0, 0.9), ("glare", 0, 50),
+            ("glare_on_tag", 0.0, 1.0), ("wave_height_m", 0.0, 0.05), ("wave_length_m", 0.02, 10.0),
+            ("ripple_px", 0.0, 20.0), ("cover", 0.0, 1.0), ("black", 0.0, 255.0), ("white", 0.0, 255.0),
+        ):  # fmt: skip
+            if not low <= getattr(self, name) <= high:
+                raise InputError(f"scene {name} is {getattr(self, name)}, allowed is {low} to {high}")
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A pool, a camera and a tag.
+
+    Attributes:
+        view: the camera.
+        pool_m: length, width.
+        family: of the tag.
+        tag_id: of the tag.
+        tag_size_m: side of its black square.
+        tag_height_m: of its face over the still water.
+        conditions: what spoils the pictures.
+    """
+
+    view: Viewpoint = field(default_factory=looking_at)
+    pool_m: tuple[float, float] = (1.2, 0.9)
+    family: str = "tag36h11"
+    tag_id: int = 0
+    tag_size_m: float = 0.047
+    tag_height_m: float = 0.012
+    conditions: Conditions = field(default_factory=Conditions)
+
+    def corners_px(self) -> Array:
+        """(4, 2) where the pool's corners are seen: origin, along x, opposite, along y."""
+        length, width = self.pool_m
+        return self.view.pixels(np.array([[0, 0, 0], [length, 0, 0], [length, width, 0], [0, width, 0.0]]))
+
+    @cached_property
+    def still(self) -> npt.NDArray[np.float32]:
+        """The pool without waves, light, noise: tiles, walls, a floor beyond."""
+        width, height = self.view.image_px
+        cols, rows = np.meshgrid(np.arange(width, dtype=np.float64), np.arange(height, dtype=np.float64))
+        rays = self.view.rays(np.stack([cols.ravel(), rows.ravel()], axis=1))
+        place = self.view.place_m
+        with np.errstate(divide="ignore", invalid="ignore"):
+            far = np.where(rays[:, 2] < 0, -place[2] / rays[:, 2], np.inf)
+            x, y = (place[i] + far * rays[:, i] for i in (0, 1))
+            inside = (x >= 0) & (x <= self.pool_m[0]) & (y >= 0) & (y <= self.pool_m[1])
+            rim = (x > -0.03) & (x < self.pool_m[0] + 0.03) & (y > -0.03) & (y < self.pool_m[1] + 0.03)
+            tiles = 115 + 8 * np.sign(np.sin(x * np.pi / 0.1) * np.sin(y * np.pi / 0.1))
+            level = np.where(inside, tiles, np.where(rim, 165.0, 70.0))
+        return np.nan_to_num(level, nan=70.0).reshape(height, width).astype(np.float32)
+
+    def picture(
+        self,
+        pose: tuple[float, float, float] | None,
+        rng: np.random.Generator,
+        extra: Sequence[Thing] = (),
+    ) -> Grey:
+        """Render a frame.
+
+        Args:
+            pose: x_m, y_m, heading_rad of the tag, the heading towards its printed top; None: no tag.
+            rng: source of noise, waves, glare.
+            extra: further prints, as (cells, x_m, y_m, heading_rad, size_m of the black square).
+
+        Returns:
+            (height, width) grey levels.
+        """
+        c = self.conditions
+        level = self.still.copy()
+        ripple = self._surface(rng)
+        if c.wave_height_m or c.ripple_px:
+            level += 14 * ripple
+        things = [*extra]
+        if pose is not None:
+            things.append((tag_cells(self.family, self.tag_id), *pose, self.tag_size_m))
+        for thing in things:
+            self._print(level, thing, rng)
+        width, height = self.view.image_px
+        spots = [(rng.uniform(0, width), rng.uniform(0, height), 1.0) for _ in range(c.glare)]
+        if pose is not None and c.glare_on_tag:
+            way = rng.uniform(0, 2 * np.pi)
+            x, y = np.array(pose[:2]) + 0.4 * self.tag_size_m * np.array([np.cos(way), np.sin(way)])
+            spots.append((*self.view.pixels(np.array([[x, y, self.tag_height_m]]))[0], c.glare_on_tag))
+        for x, y, strength in spots:
+            _glare(level, x, y, strength, rng)
+        if c.light_slope:
+            level *= np.linspace(1 - c.light_slope, 1, width, dtype=np.float32)
+        if c.blur_px:
+            level = np.asarray(cv2.GaussianBlur(level, (0, 0), c.blur_px), dtype=np.float32)
+        if c.noise:
+            level += c.noise * rng.standard_normal(level.shape, dtype=np.float32)
+        return np.clip(np.rint(level), 0, 255).astype(np.uint8)
+
+    def _surface(self, rng: np.random.Generator) -> npt.NDArray[np.float32]:
+        """A rough surface of unit deviation over the picture, as long as the waves are."""
+        width, height = self.view.image_px
+        long_px = max(4.0, self.conditions.wave_length_m * self.view.px_per_m / 3)
+        small = rng.standard_normal((int(height / long_px) + 3, int(width / long_px) + 3), dtype=np.float32)
+        return np.asarray(cv2.resize(small, (width, height), interpolation=cv2.INTER_CUBIC), dtype=np.float32)
+
+    def _print(self, level: npt.NDArray[np.float32], thing: Thing, rng: np.random.Generator) -> None:
+        """Draw one printed square with its white edge: each pixel the mean of 5 x 5 rays."""
+        cells, x, y, heading, size = thing
+        c = self.conditions
+        heave = c.wave_height_m * rng.standard_normal()
+        tilt = 2 * np.pi * c.wave_height_m / c.wave_length_m * rng.standard_normal(2)
+        normal = np.array([-tilt[0], -tilt[1], 1.0]) / np.sqrt(1 + tilt @ tilt)
+        top = np.array([np.cos(heading), np.sin(heading), 0.0])
+        top -= (top @ normal) * normal
+        top /= np.linalg.norm(top)
+        left = np.cross(normal, top)
+        centre = np.array([x, y, self.tag_height_m + heave])
+        half = size / 2 * len(cells) / (len(cells) - 2)
+        ends = self.view.pixels(centre + half * np.array([top + left, top - left, -top - left, left - top]))
+        height, width = level.shape
+        low = np.maximum(np.floor(ends.min(axis=0)) - 2, 0).astype(int)
+        high = np.minimum(np.ceil(ends.max(axis=0)) + 3, [width, height]).astype(int)
+        if (high <= low).any():
+            return
+        fine = 5
+        part = (np.arange(fine) + 0.5) / fine - 0.5
+        us = (np.arange(low[0], high[0])[:, None] + part).ravel()
+        vs = (np.arange(low[1], high[1])[:, None] + part).ravel()
+        grid = np.stack(np.meshgrid(us, vs), axis=-1).reshape(-1, 2)
+        if c.ripple_px:
+            phase = rng.uniform(0, 2 * np.pi, 2)
+            wave = 2 * np.pi / max(4.0, c.wave_length_m * self.view.px_per_m)
+            grid = grid + c.ripple_px * np.sin(wave * grid[:, ::-1] + phase)
+        rays = self.view.rays(grid)
+        place = self.view.place_m
+        hits = place + rays * (((centre - place) @ normal) / _dot(rays, normal))[:, None] - centre
+        up, side = (_dot(hits, axis) for axis in (top, left))
+        row = np.floor((half - up) / (2 * half) * len(cells)).astype(int)
+        col = np.floor((half - side) / (2 * half) * len(cells)).astype(int)
+        on = (row >= 0) & (row < len(cells)) & (col >= 0) & (col < len(cells))
+        ink = cells[np.where(on, row, 0), np.where(on, col, 0)]
+        colour = c.black + (c.white - c.black) * ink
+        if c.cover:
+            colour = np.where(side > half * (1 - 2 * c.cover), 90.0, colour)
+        shape = (len(vs) // fine, fine, len(us) // fine, fine)
+        share = on.reshape(shape).mean(axis=(1, 3))
+        drawn = (colour * on).reshape(shape).mean(axis=(1, 3))
+        region = level[low[1] : high[1], low[0] : high[0]]
+        region[:] = region * (1 - share) + drawn
+
+
+def _dot(rows: Array, axis: Array) -> Array:
+    """rows @ axis, without the threads that a product of matrices may start."""
+    return np.asarray(rows[:, 0] * axis[0] + rows[:, 1] * axis[1] + rows[:, 2] * axis[2])
+
+
+def _glare(
+    level: npt.NDArray[np.float32], x_px: float, y_px: float, strength: float, rng: np.random.Generator
+) -> None:
+    """Add an oval of light that saturates in its middle."""
+    height, width = level.shape
+    long, short = rng.uniform(8, 30), rng.uniform(3, 10)
+    turn = rng.uniform(0, np.pi)
+    reach = int(3 * long)
+    c0, c1 = max(0, int(x_px) - reach), min(width, int(x_px) + reach)
+    r0, r1 = max(0, int(y_px) - reach), min(height, int(y_px) + reach)
+    if c1 <= c0 or r1 <= r0:
+        return
+    cols, rows = np.meshgrid(np.arange(c0, c1) - x_px, np.arange(r0, r1) - y_px)
+    along = cols * np.cos(turn) + rows * np.sin(turn)
+    across = rows * np.cos(turn) - cols * np.sin(turn)
+    blob = 320 * strength * np.exp(-0.5 * ((along / long) ** 2 + (across / short) ** 2))
+    level[r0:r1, c0:c1] = np.minimum(level[r0:r1, c0:c1] + blob, 255)
+
+
+def clutter(scene: Scene, rng: np.random.Generator) -> list[Thing]:
+    """Prints that are not the tag: random cells, other tags, its mirror image, its negative, chessboards."""
+    own = tag_cells(scene.family, scene.tag_id)
+    things: list[Thing] = []
+    for _ in range(int(rng.integers(1, 7))):
+        kind = int(rng.integers(5))
+        if kind == 0:
+            cells = np.pad(np.pad(rng.integers(0, 2, (6, 6)), 1), 1, constant_values=1).astype(np.float32)
+        elif kind == 1:
+            cells = tag_cells(scene.family, (scene.tag_id + int(rng.integers(1, 587))) % 587)
+        elif kind == 2:
+            cells = own[:, ::-1]
+        elif kind == 3:
+            cells = 1 - own
+        else:
+            cells = np.pad((np.indices((8, 8)).sum(axis=0) % 2).astype(np.float32), 1, constant_values=1)
+        x, y = rng.uniform(0, scene.pool_m[0]), rng.uniform(0, scene.pool_m[1])
+        size = scene.tag_size_m * rng.uniform(0.7, 1.6)
+        things.append((np.ascontiguousarray(cells), x, y, rng.uniform(-np.pi, np.pi), size))
+    return things

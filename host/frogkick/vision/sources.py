@@ -1,0 +1,168 @@
+"""Where pictures come from: a camera, a video file, a folder of pictures, rendered scenes."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from frogkick.errors import InputError
+from frogkick.vision.board import read_pictures
+from frogkick.vision.scene import Scene
+
+FROZEN_FRAMES = 8
+"""So many equal pictures in a row come from no live camera: its noise alone makes each another."""
+
+
+@dataclass(frozen=True)
+class Frame:
+    """One picture.
+
+    Attributes:
+        image: (height, width) grey or (height, width, 3) BGR.
+        capture_s: when it was taken: ``time.monotonic`` as the driver handed it over, for a camera (exposure
+            and transfer came before); time in the file, for the others.
+        sequence: counts from 0.
+        live: whether ``capture_s`` is on this machine's clock, so that a latency can be told.
+    """
+
+    image: npt.NDArray[np.uint8]
+    capture_s: float
+    sequence: int
+    live: bool
+
+
+def device_frames(index: int, image_px: tuple[int, int] | None = None) -> Iterator[Frame]:
+    """Frames of a camera, until the caller stops.
+
+    Args:
+        index: number of the device, 0 for the first.
+        image_px: width and height to ask for.
+
+    Raises:
+        InputError: no such device, one that stops giving pictures, or one that freezes.
+    """
+    camera = _opened(index, f"camera {index}")
+    try:
+        # Only the newest picture counts: an older one waiting in the driver would be late.
+        camera.set(cv2.CAP_PROP_BUFFERSIZE, 1)
+        if image_px is not None:
+            camera.set(cv2.CAP_PROP_FRAME_WIDTH, image_px[0])
+            camera.set(cv2.CAP_PROP_FRAME_HEIGHT, image_px[1])
+        yield from live_frames(camera, f"camera {index}")
+    finally:
+        camera.release()
+
+
+def live_frames(camera: cv2.VideoCapture, what: str) -> Iterator[Frame]:
+    """Frames of an open camera; ``what`` names it in errors (see ``device_frames``)."""
+    sequence, same, last = 0, 0, None
+    while True:
+        if not camera.grab():
+            raise InputError(f"{what} gave no picture after {sequence}: is it unplugged or used by another?")
+        capture = time.monotonic()
+        ok, image = camera.retrieve()
+        if not ok:
+            raise InputError(f"{what} gave a picture that cannot be decoded: choose another format or size")
+        picture = np.asarray(image, dtype=np.uint8)
+        same = same + 1 if last is not None and np.array_equal(picture, last) else 0
+        if same >= FROZEN_FRAMES:
+            raise InputError(f"{what} is frozen: {same + 1} equal pictures in a row; plug it in again")
+        last = picture
+        yield Frame(picture, capture, sequence, True)
+        sequence += 1
+
+
+def video_frames(path: Path | str) -> Iterator[Frame]:
+    """Frames of a video file.
+
+    Raises:
+        InputError: no such file, or one that is no video.
+    """
+    if not Path(path).is_file():
+        raise InputError(f"video {str(path)!r} does not exist: check the path")
+    video = _opened(str(path), f"video {str(path)!r}")
+    try:
+        sequence = 0
+        while True:
+            ok, image = video.read()
+            if not ok:
+                break
+            capture = video.get(cv2.CAP_PROP_POS_MSEC) / 1000.0
+            yield Frame(np.asarray(image, dtype=np.uint8), capture, sequence, False)
+            sequence += 1
+        if not sequence:
+            raise InputError(f"{str(path)!r} is no video that can be read, or has no pictures")
+    finally:
+        video.release()
+
+
+def folder_frames(folder: Path | str, rate_hz: float = 30.0) -> Iterator[Frame]:
+    """A folder's pictures by name, as if taken at a constant rate (see ``board.read_pictures``)."""
+    for sequence, (_, image) in enumerate(read_pictures(folder)):
+        yield Frame(image, sequence / rate_hz, sequence, False)
+
+
+def scene_frames(
+    scene: Scene,
+    pose_at: Callable[[float], tuple[float, float, float] | None],
+    rng: np.random.Generator,
+    rate_hz: float = 30.0,
+) -> Iterator[Frame]:
+    """Rendered frames, without end.
+
+    Args:
+        scene: pool, camera, tag.
+        pose_at: time, s -> x_m, y_m, heading_rad of the tag; None: no tag.
+        rng: source of noise, waves, glare.
+        rate_hz: frames per second of the time in ``capture_s``.
+    """
+    sequence = 0
+    while True:
+        capture = sequence / rate_hz
+        yield Frame(scene.picture(pose_at(capture), rng), capture, sequence, False)
+        sequence += 1
+
+
+def open_source(text: str, image_px: tuple[int, int] | None = None, rate_hz: float = 30.0) -> Iterator[Frame]:
+    """A camera (``0``, ``device:0``), a video file or a folder of pictures, whichever ``text`` names.
+
+    Raises:
+        InputError: it is none of these, or cannot be opened; some only as the first frame is asked for.
+    """
+    number = text.removeprefix("device:")
+    if number.isascii() and number.isdigit():
+        return device_frames(int(number), image_px)
+    if text.startswith("device:"):
+        raise InputError(f"source {text!r}: a camera is a number, as device:0")
+    if Path(text).is_dir():
+        return folder_frames(text, rate_hz)
+    if Path(text).is_file():
+        return video_frames(text)
+    raise InputError(f"source {text!r} is no camera number, video file or folder of pictures: check it")
+
+
+def _opened(where: int | str, what: str) -> cv2.VideoCapture:
+    """Open a camera or a file without OpenCV's own complaints on stderr."""
+    log: Any = cv2.utils.logging
+    level = log.getLogLevel()
+    log.setLogLevel(0)
+    try:
+        capture = cv2.VideoCapture(where)
+    finally:
+        log.setLogLevel(level)
+    if not capture.isOpened():
+        capture.release()
+        hint = (
+            "is it plugged in, and may this user read it?"
+            if isinstance(where, int)
+            else "is it a video that this OpenCV can decode?"
+        )
+        raise InputError(f"{what} cannot be opened: {hint}")
+    return capture

@@ -1,0 +1,236 @@
+"""Frames in, poses out: the tag looked for around its last place, in the whole frame when it was lost.
+
+No pose without a tag that can be trusted: decoded, once in the picture, of its size, flat, within the pool,
+and printed as the template says. Everything else is an ``Observation`` with a reason.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Literal
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from frogkick.errors import InputError
+from frogkick.vision.calibration import Calibration
+from frogkick.vision.pose import Pose, solve_pose, tag_place
+from frogkick.vision.tags import dictionary, picture_order
+from frogkick.vision.template import Fit, fit_template, likeliest_turn, templates
+
+Array = npt.NDArray[np.float64]
+Grey = npt.NDArray[np.uint8]
+Reason = Literal["found", "no tag", "doubled", "unclear", "not flat", "wrong size", "outside the pool"]
+
+RESIDUAL_MAX = 0.16
+"""What a fit may leave, as a part of the contrast: above it the print is half covered, glaring or torn."""
+CELL_MAX = 0.5
+"""Which part of a flip, black to white, any cell of a tag may show."""
+LIKENESS_MIN = 0.6
+"""Correlation with the print from which a dark square that was not decoded is fitted."""
+SIZE_MAX = 0.12
+"""By what part the tag may look larger or smaller than it is printed."""
+MISFIT_MAX_PX = 0.7
+"""How far corners may be from a flat square's, root mean square."""
+HEADING_SD_MAX_RAD = float(np.deg2rad(0.5))
+"""A pose whose heading is known no better than so is none: most of the tag glares or is blurred away."""
+SMALL_PX = 45.0
+"""A tag with shorter sides is looked for in a picture enlarged twofold."""
+
+
+@dataclass(frozen=True)
+class Observation:
+    """What one frame told.
+
+    Attributes:
+        pose: the robot's; None without a tag to be trusted.
+        reason: ``found``, or why there is no pose.
+        capture_s: when the picture was taken, on the source's clock.
+        latency_s: from its capture to this answer on that clock; NaN for pictures of another time.
+        corners_px: (4, 2) of the tag, in the printed picture's order; None where there is none.
+        residual: what the fit left, as a part of the contrast; NaN without one.
+        windowed: found around its last place.
+    """
+
+    pose: Pose | None
+    reason: Reason
+    capture_s: float
+    latency_s: float = float("nan")
+    corners_px: Array | None = None
+    residual: float = float("nan")
+    windowed: bool = False
+
+
+class Tracker:
+    """Finds one tag frame after frame. One thread; owns the place where it was last."""
+
+    def __init__(self, calibration: Calibration, margin_m: float = 0.05) -> None:
+        """Prepare.
+
+        Args:
+            calibration: camera, pool and tag.
+            margin_m: how far beyond the pool's walls a pose is still believed.
+        """
+        self._calibration = calibration
+        self._margin_m = margin_m
+        self._templates = templates(calibration.tag.family, calibration.tag.id)
+        self._last: Array | None = None
+        middle = np.array([[calibration.pool_m[0] / 2, calibration.pool_m[1] / 2]])
+        half = calibration.tag.size_m / 2
+        ends = calibration.pixels(middle + np.array([[-half, 0.0], [half, 0.0]]))
+        self._side_px = float(np.linalg.norm(ends[1] - ends[0]))
+        if self._side_px < 12.0:
+            raise InputError(
+                f"a tag of {1e3 * calibration.tag.size_m:.0f} mm is {self._side_px:.1f} px wide in this "
+                "camera, 12 are needed: take a larger tag or a nearer camera"
+            )
+
+    def forget(self) -> None:
+        """Look in the whole next frame."""
+        self._last = None
+
+    def observe(
+        self, image: npt.NDArray[np.uint8], capture_s: float, clock_s: float | None = None
+    ) -> Observation:
+        """Look for the tag in a frame.
+
+        Args:
+            image: (height, width) grey or (height, width, 3) BGR, of the calibration's size.
+            capture_s: when it was taken.
+            clock_s: the source's clock as this begins, for the latency; None where there is none.
+
+        Raises:
+            InputError: the frame is not of the calibration's size.
+        """
+        started = time.perf_counter()
+        grey = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
+        width, height = self._calibration.image_px
+        if grey.shape != (height, width):
+            raise InputError(
+                f"the frame is {grey.shape[1]} x {grey.shape[0]} px, the calibration is for {width} x "
+                f"{height}: set the camera to that or calibrate again"
+            )
+        seen = self._look(np.ascontiguousarray(grey), capture_s)
+        self._last = seen.corners_px if seen.pose is not None else None
+        if clock_s is None:
+            return seen
+        latency = clock_s - capture_s + (time.perf_counter() - started)
+        return replace(seen, latency_s=latency)
+
+    def _look(self, grey: Grey, capture_s: float) -> Observation:
+        if self._last is not None:
+            reach = 1.2 * max(np.ptp(self._last, axis=0))
+            height, width = grey.shape
+            low = np.maximum(np.floor(self._last.min(axis=0) - reach), 0).astype(int)
+            high = np.minimum(np.ceil(self._last.max(axis=0) + reach), [width, height]).astype(int)
+            near = self._judge(grey, low, high, capture_s)
+            if near.pose is not None:
+                return replace(near, windowed=True)
+        return self._judge(grey, np.zeros(2, dtype=int), np.array(grey.shape[::-1]), capture_s)
+
+    def _judge(
+        self, grey: Grey, low: npt.NDArray[np.int64], high: npt.NDArray[np.int64], capture_s: float
+    ) -> Observation:
+        """Look in a part of the frame, fit what was found there, say what is wrong with it, if anything."""
+        window = grey[low[1] : high[1], low[0] : high[0]]
+        decoded, squares = find_corners(window, self._calibration.tag.id, self._side_px)
+        fits = [fit_template(grey, one + low, self._templates) for one in decoded]
+        clear = [fit for fit in fits if fit is not None and _as_printed(fit)]
+        clear += self._undecoded(grey, [one + low for one in squares], clear)
+        if len(clear) > 1:
+            return Observation(None, "doubled", capture_s)
+        if not clear:
+            return Observation(None, "unclear" if decoded else "no tag", capture_s)
+        fit = clear[0]
+
+        def refuse(reason: Reason) -> Observation:
+            return Observation(None, reason, capture_s, float("nan"), fit.corners_px, fit.residual)
+
+        pose = solve_pose(self._calibration, fit.corners_px, fit.covariance_px2, capture_s)
+        if pose is None:
+            return refuse("not flat")
+        if abs(pose.size_m / self._calibration.tag.size_m - 1.0) > SIZE_MAX:
+            return refuse("wrong size")
+        if pose.misfit_px > MISFIT_MAX_PX:
+            return refuse("not flat")
+        if pose.covariance[2, 2] > HEADING_SD_MAX_RAD**2:
+            return refuse("unclear")
+        length, width = self._calibration.pool_m
+        x, y, _ = tag_place(self._calibration, pose.x_m, pose.y_m, pose.heading_rad)
+        margin = self._margin_m
+        if not (-margin <= x <= length + margin and -margin <= y <= width + margin):
+            return refuse("outside the pool")
+        return Observation(pose, "found", capture_s, float("nan"), fit.corners_px, fit.residual)
+
+    def _undecoded(self, grey: Grey, squares: list[Array], clear: list[Fit]) -> list[Fit]:
+        """Tags among dark squares whose cells are too small or too blurred to be read one by one."""
+        found: list[Fit] = []
+        for square in squares:
+            if _near(square, [fit.corners_px for fit in clear + found], self._side_px):
+                continue
+            turn, likeness = likeliest_turn(grey, square, self._templates)
+            if likeness < LIKENESS_MIN:
+                continue
+            fit = fit_template(grey, np.roll(square, -turn, axis=0), self._templates)
+            if fit is None or not _as_printed(fit):
+                continue
+            if not _near(fit.corners_px, [one.corners_px for one in clear + found], self._side_px):
+                found.append(fit)
+        return found
+
+
+def _as_printed(fit: Fit) -> bool:
+    return fit.residual <= RESIDUAL_MAX and fit.worst_cell <= CELL_MAX
+
+
+def _near(corners: Array, others: list[Array], side_px: float) -> bool:
+    """Whether a square's centre is within half a tag of another's."""
+    centre = corners.mean(axis=0)
+    return any(np.linalg.norm(centre - other.mean(axis=0)) < 0.5 * side_px for other in others)
+
+
+def find_corners(grey: Grey, tag_id: int, side_px: float) -> tuple[list[Array], list[Array]]:
+    """Find every place where a tag is decoded, and dark squares of its size that no tag was decoded in.
+
+    Args:
+        grey: (height, width).
+        tag_id: number of the tag in tag36h11.
+        side_px: about how wide it is.
+
+    Returns:
+        (4, 2) corners of each, within about a pixel; those of tags in the printed picture's order, those of
+        squares clockwise. Places nearer to each other than half a tag are one.
+    """
+    scale = 2 if side_px < SMALL_PX else 1
+    image = grey if scale == 1 else cv2.resize(grey, None, fx=2, fy=2, interpolation=cv2.INTER_LINEAR)
+    longest = max(image.shape)
+    settings = cv2.aruco.DetectorParameters()
+    settings.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_NONE
+    settings.minMarkerPerimeterRate = 4 * 0.5 * scale * side_px / longest
+    settings.maxMarkerPerimeterRate = 4 * 2.0 * scale * side_px / longest
+    window = max(3, int(scale * side_px / 4) | 1)
+    settings.adaptiveThreshWinSizeMin = window
+    settings.adaptiveThreshWinSizeMax = 2 * window + 1
+    settings.adaptiveThreshWinSizeStep = window + 1
+    settings.perspectiveRemovePixelPerCell = 6
+    settings.minDistanceToBorder = 1
+    settings.errorCorrectionRate = 1.0
+    corners, ids, rejected = cv2.aruco.ArucoDetector(dictionary(), settings).detectMarkers(image)
+    numbers = [] if ids is None else ids.ravel().tolist()
+    ours = [np.asarray(one) for one, number in zip(corners, numbers, strict=True) if number == tag_id]
+    squares = [np.asarray(one) for one in rejected]
+    return _places(ours, scale, side_px), _places(squares, scale, side_px)
+
+
+def _places(quads: Sequence[npt.NDArray[Any]], scale: int, side_px: float) -> list[Array]:
+    """OpenCV's corners as pixels of the frame in the printed picture's order, each place once."""
+    kept: list[Array] = []
+    for quad in quads:
+        # Pixel centres are whole numbers: those of the enlarged picture lie a quarter of a pixel off.
+        place = (picture_order(quad.reshape(4, 2).astype(np.float64)) + 0.5) / scale - 0.5
+        if not _near(place, kept, side_px):
+            kept.append(place)
+    return kept

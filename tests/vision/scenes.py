@@ -1,0 +1,55 @@
+"""Scenes that the suite shares: a 1.2 m pool at 640 x 480, seen from the side of its middle."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from frogkick.vision.calibration import Calibration, Tag
+from frogkick.vision.corners import calibrate_corners
+from frogkick.vision.plane import wrap
+from frogkick.vision.scene import Conditions, Scene
+from frogkick.vision.tracker import Observation, Tracker
+
+
+def scene(**conditions: float) -> Scene:
+    """The usual pool, spoilt as told."""
+    return Scene(conditions=Conditions(**conditions))  # type: ignore[arg-type]
+
+
+def calibration(of: Scene, **tag: float) -> Calibration:
+    """What ``camera calibrate`` makes of the four corners and the camera's height."""
+    described = Tag(id=of.tag_id, size_m=of.tag_size_m, height_m=of.tag_height_m, **tag)  # type: ignore[arg-type]
+    height = float(of.view.place_m[2])
+    return calibrate_corners(of.corners_px(), of.pool_m, of.view.image_px, described, 0.0, height)
+
+
+def drawn_pose(of: Scene, rng: np.random.Generator) -> tuple[float, float, float]:
+    """Anywhere a tag's width from the walls, any heading."""
+    edge = of.tag_size_m
+    return (
+        float(rng.uniform(edge, of.pool_m[0] - edge)),
+        float(rng.uniform(edge, of.pool_m[1] - edge)),
+        float(rng.uniform(-np.pi, np.pi)),
+    )
+
+
+def errors(
+    of: Scene, poses: int, rng: np.random.Generator
+) -> tuple[npt.NDArray[np.float64], list[Observation]]:
+    """Look for tags at drawn poses, each in the whole frame.
+
+    Returns:
+        (found, 3) errors in x and y, m, and heading, rad; and every observation.
+    """
+    tracker = Tracker(calibration(of))
+    off, seen = [], []
+    for _ in range(poses):
+        truth = drawn_pose(of, rng)
+        tracker.forget()
+        one = tracker.observe(of.picture(truth, rng), 0.0)
+        seen.append(one)
+        if one.pose is not None:
+            pose = one.pose
+            off.append([pose.x_m - truth[0], pose.y_m - truth[1], wrap(pose.heading_rad - truth[2])])
+    return np.array(off).reshape(-1, 3), seen

@@ -1,0 +1,210 @@
+"""``frogkick camera``: from corners and boards to a file, from the file to an error map; wrong input."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from tests.cli.commands import frogkick
+from tests.vision.scenes import scene
+
+from frogkick.vision.board import Board
+from frogkick.vision.calibration_file import read_calibration
+
+USUAL = scene()
+
+
+def corners_file(folder: Path) -> Path:
+    file = folder / "corners.toml"
+    rows = ", ".join(f"[{x:.3f}, {y:.3f}]" for x, y in USUAL.corners_px())
+    file.write_text(f"corners_px = [{rows}]\n")
+    return file
+
+
+def calibrated(folder: Path, capsys: pytest.CaptureFixture[str]) -> Path:
+    out = folder / "camera.toml"
+    done = frogkick(
+        capsys, "camera", "calibrate", "--pool", "1.2x0.9", "--image", "640x480", "--corners",
+        corners_file(folder), "--camera-height-m", "1.35", "--tag-height-mm", "12", "--out", out, "--json",
+    )  # fmt: skip
+    assert done.code == 0, done.stderr
+    assert done.json["px_per_mm"] == pytest.approx(0.47, abs=0.02)
+    return out
+
+
+def test_calibrate_and_check(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = calibrated(tmp_path, capsys)
+    assert read_calibration(file).tag.height_m == pytest.approx(0.012)
+    done = frogkick(capsys, "camera", "check", file, "--grid", "3x2", "--out", tmp_path / "map", "--json")
+    assert done.code == 0, done.stderr
+    assert done.json["found"] == done.json["places"] == 6
+    assert done.json["max_mm"] < 1.0 and done.json["heading_max_deg"] < 0.5
+    assert json.loads((tmp_path / "map" / "error_map.json").read_text())["map"] == done.json["map"]
+    picture = cv2.imread(str(tmp_path / "map" / "error_map.png"))
+    assert picture is not None and picture.std() > 5
+
+
+def test_check_says_what_is_beyond_the_limit(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = calibrated(tmp_path, capsys)
+    truth = np.array([[0.2, 0.2], [0.9, 0.6]])
+    seen = USUAL.view.pixels(np.c_[truth, np.zeros(2)])
+    points = tmp_path / "points.csv"
+
+    def write(off_px: float) -> None:
+        rows = [f"{x + off_px},{y},{a},{b}" for (x, y), (a, b) in zip(seen, truth, strict=True)]
+        points.write_text("x_px,y_px,x_m,y_m\n" + "\n".join(rows) + "\n")
+
+    write(0.0)
+    assert frogkick(capsys, "camera", "check", file, "--points", points).code == 0
+    write(2.0)
+    done = frogkick(capsys, "camera", "check", file, "--points", points, "--json")
+    assert done.code == 1
+    assert 3.0 < done.json["max_mm"] < 6.0
+    assert "2 of 2 places found, largest error" in done.stderr
+
+
+def test_check_with_tags_laid_down(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = calibrated(tmp_path, capsys)
+    rng = np.random.default_rng(21)
+    rows = ["image,x_m,y_m,heading_deg"]
+    for k, (x, y, turn) in enumerate([(0.3, 0.2, 10.0), (1.0, 0.7, -120.0)]):
+        cv2.imwrite(str(tmp_path / f"{k}.png"), USUAL.picture((x, y, float(np.deg2rad(turn))), rng))
+        rows.append(f"{k}.png,{x},{y},{turn}")
+    (tmp_path / "places.csv").write_text("\n".join(rows) + "\n")
+    done = frogkick(capsys, "camera", "check", file, "--places", tmp_path / "places.csv", "--json")
+    assert done.code == 0, done.stderr
+    assert done.json["found"] == 2
+    (tmp_path / "1.png").write_bytes(b"none")
+    wrong = frogkick(capsys, "camera", "check", file, "--places", tmp_path / "places.csv")
+    assert wrong.code == 2
+    assert "names '1.png', which is no picture" in wrong.stderr
+
+
+def board_pictures(folder: Path, kind: str) -> tuple[Path, np.ndarray]:
+    """A board of 9 x 6 squares of 40 mm, held in eight ways before a known lens; and the camera matrix."""
+    cell = 60
+    if kind == "charuco":
+        flat = Board(kind, 9, 6, 0.04).charuco().generateImage((9 * cell, 6 * cell))
+    else:
+        flat = (255 * ((np.indices((6, 9)).sum(axis=0)) % 2)).astype(np.uint8)
+        flat = np.kron(flat, np.ones((cell, cell), np.uint8))
+    flat = cv2.copyMakeBorder(flat, cell, cell, cell, cell, cv2.BORDER_CONSTANT, value=255)
+    matrix = np.array([[640.0, 0, 319.5], [0, 640.0, 239.5], [0, 0, 1]])
+    flat = cv2.GaussianBlur(flat, (0, 0), 1.2)  # or the smaller pictures would alias
+    folder.mkdir()
+    for k, tilt in enumerate(
+        [(0, 0), (0.4, 0), (-0.4, 0.1), (0, 0.4), (0.1, -0.4), (0.3, 0.3), (-0.3, 0.3), (0.3, -0.3)]
+    ):
+        turn, _ = cv2.Rodrigues(np.array([*tilt, 0.1 * k - 0.3]))
+        # Into every corner of the picture: a lens is not known where no board was.
+        shift = np.array([0.16 * (-1) ** k, 0.1 * (-1) ** (k // 2), 0.7 + 0.02 * k])
+        # A pixel of the drawn board to metres, its centre to the origin.
+        scale = 0.04 / cell
+        home = np.array(
+            [[scale, 0, -scale * (11 * cell - 1) / 2], [0, scale, -scale * (8 * cell - 1) / 2], [0, 0, 1]]
+        )
+        view = matrix @ np.c_[turn[:, :2], shift] @ home
+        image = cv2.warpPerspective(flat, view, (640, 480), flags=cv2.INTER_AREA, borderValue=(90.0,))
+        cv2.imwrite(str(folder / f"{k}.png"), cv2.GaussianBlur(image, (0, 0), 0.7))
+    return folder, matrix
+
+
+@pytest.mark.parametrize("kind", ["chessboard", "charuco"])
+def test_a_board_gives_the_lens(kind: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder, matrix = board_pictures(tmp_path / "board", kind)
+    out = tmp_path / "camera.toml"
+    done = frogkick(
+        capsys, "camera", "calibrate", "--pool", "1.2x0.9", "--corners", corners_file(tmp_path),
+        "--board", kind, "--squares", "9x6", "--square-mm", "40", "--pictures", folder,
+        "--tag-height-mm", "12", "--out", out, "--json",
+    )  # fmt: skip
+    assert done.code == 0, done.stderr
+    assert done.json["lens_rms_px"] < 0.3
+    lens = read_calibration(out).lens
+    assert lens is not None
+    assert np.allclose(lens.matrix_px[:2], matrix[:2], atol=12.0)
+    assert np.allclose(done.json["camera_m"], USUAL.view.place_m, atol=0.03)
+
+
+def test_a_board_laid_down_gives_the_plane(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    cells = (np.indices((6, 9)).sum(axis=0) % 2).astype(np.float32)
+    # The renderer prints squares: 9 x 9 cells with the board in the upper rows, 60 mm each, white around.
+    whole = np.pad(np.vstack([cells, np.ones((3, 9), np.float32)]), 1, constant_values=1.0)
+    still = scene(light_slope=0.0)
+    size = 0.06 * 9
+    flat = type(still)(tag_height_m=0.0, conditions=still.conditions)
+    # The printed top to +y: columns along +x, rows along -y, 60 mm each.
+    image = flat.picture(None, np.random.default_rng(22), [(whole, 0.6, 0.45, np.pi / 2, size)])
+    cv2.imwrite(str(tmp_path / "plane.png"), image)
+    out = tmp_path / "camera.toml"
+    done = frogkick(
+        capsys, "camera", "calibrate", "--pool", "1.2x0.9", "--board", "chessboard", "--squares", "9x6",
+        "--square-mm", "60", "--plane-picture", tmp_path / "plane.png",
+        "--board-at", f"{0.6 - 0.21},{0.45 + 0.21}", "--out", out, "--json",
+    )  # fmt: skip
+    assert done.code == 0, done.stderr
+    assert done.json["points"] == 40 and done.json["rms_px"] < 0.2
+    truth = np.array([[0.3, 0.3], [0.9, 0.7]])
+    made = read_calibration(out)
+    assert np.allclose(made.pool(USUAL.view.pixels(np.c_[truth, np.zeros(2)])), truth, atol=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (["--pool", "1.2", "--corners", "c.toml", "--out", "o.toml"], "--pool '1.2' is not two numbers"),
+        (["--pool", "1.2x0.9", "--out", "o.toml"], "give the pool's corners"),
+        (["--pool", "1.2x0.9", "--corners", "c.toml", "--out", "o.toml"], "give its size, as --image"),
+        (
+            ["--pool", "1.2x0.9", "--corners", "none.toml", "--image", "640x480", "--out", "o.toml"],
+            "corners file 'none.toml' does not exist",
+        ),
+        (
+            ["--pool", "1.2x0.9", "--corners", "line.toml", "--image", "640x480", "--out", "o.toml"],
+            "lie on one line",
+        ),
+        (
+            ["--pool", "1.2x0.9", "--board", "chessboard", "--plane-picture", "grey.png", "--out", "o.toml"],
+            "no chessboard board of 9 x 6 squares is seen",
+        ),
+        (
+            [
+                "--pool",
+                "1.2x0.9",
+                "--corners",
+                "c.toml",
+                "--board",
+                "chessboard",
+                "--pictures",
+                ".",
+                "--out",
+                "o.toml",
+            ],
+            "seen in 0 of 1 pictures, needed are 5",
+        ),
+        (
+            ["--pool", "1.2x0.9", "--corners", "c.toml", "--pictures", ".", "--out", "o.toml"],
+            "say which with --board",
+        ),
+        (
+            ["--pool", "1.2x0.9", "--board", "circles", "--plane-picture", "grey.png", "--out", "o.toml"],
+            "board 'circles' is not known",
+        ),
+    ],
+)
+def test_wrong_input_is_one_line(
+    arguments: list[str], says: str, tmp_path: Path, capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
+    monkeypatch.chdir(tmp_path)
+    corners_file(tmp_path).rename(tmp_path / "c.toml")
+    (tmp_path / "line.toml").write_text("corners_px = [[10, 400], [300, 400], [600, 400], [30, 30]]\n")
+    cv2.imwrite("grey.png", np.full((480, 640), 128, np.uint8))
+    done = frogkick(capsys, "camera", "calibrate", *arguments)
+    assert done.code == 2
+    assert says in done.stderr
+    assert done.stderr.count("\n") == 1
+    assert not (tmp_path / "o.toml").exists()

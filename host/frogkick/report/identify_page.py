@@ -8,7 +8,8 @@ from pathlib import Path
 from matplotlib.figure import Figure
 
 from frogkick.identify.outcome import Outcome
-from frogkick.identify.search import BASE_GAIN, GAIN_EACH, HOLD, PLAIN_GAIN, SEEN_LEAST
+from frogkick.identify.polish import HOLD
+from frogkick.identify.search import BASE_GAIN, GAIN_EACH, PLAIN_GAIN, SEEN_LEAST
 from frogkick.identify.swim import Swim
 from frogkick.identify.verdict import FOUND, NEAR_FLOOR, NOTHING, UNEXPLAINED, Error
 from frogkick.report.identify_figures import (

@@ -90,7 +90,7 @@ def source_files() -> dict[str, bytes]:
     """Every file of the core's library by name: planner, core, the robot's limits, the shim."""
     files = planner_files() | {path.name: path.read_bytes() for path in sorted(CORE.glob("*.[ch]"))}
     files["fk_robot_config.h"] = robot_config(load_robot("frog2022")).encode()
-    for name in ("shim.c", "play.c", "flash_sim.c"):
+    for name in ("shim.c", "play.c", "play.h", "flash_sim.c"):
         files[name] = (Path(__file__).parent / name).read_bytes()
     return files
 

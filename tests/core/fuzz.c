@@ -97,7 +97,8 @@ static uint32_t encoded_of(const uint8_t *raw, uint32_t length, uint8_t *encoded
     return at;
 }
 
-/* All that the robot has to send; the type and number of the last frame, 0 where there was none. */
+/* All that the robot has to send; the type and number of the last answer, 0 where there was none. Events may come with
+ * it: a fix that ends a run is answered, and the end told. */
 static uint32_t hear(void)
 {
     uint8_t bytes[64];
@@ -112,7 +113,7 @@ static uint32_t hear(void)
                     wrong = "the robot sent a torn frame";
                     return 0u;
                 }
-                last = 0x10000u | (uint32_t)raw[0] << 8 | raw[1];
+                last = (raw[0] & FK_ANSWER_BIT) != 0u ? 0x10000u | (uint32_t)raw[0] << 8 | raw[1] : last;
             }
         }
     }

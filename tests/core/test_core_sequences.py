@@ -111,7 +111,7 @@ CODE = {
     "boots armed": (
         "fk_robot.c", "robot->state = FK_STATE_DISARMED;", "robot->state = FK_STATE_ARMED;", "armed lost",
     ),
-    "repetitions act": ("fk_link.c", "if (before != 0) {", "if (0) {", "armed"),
+    "repetitions act": ("fk_link.c", "if (before != 0) {", "if (0) {", "armed lost"),
     "damaged frames act": (
         "fk_frames.c", "if (crc != fk_get_u32(raw + checked)) {", "if (0) {", "armed told",
     ),

@@ -8,20 +8,22 @@
 
 #include "fk_robot.h"
 #include "fk_table.h"
+#include "flash.h"
 #include "limbs.h"
 #include "radio.h"
 
 #define WATCHDOG_MS 1000u
 #define LONGEST_SLEEP_US 400000u /* the watchdog is fed by this loop alone: where it hangs, the robot resets */
+#define PULSE_START_US 20u       /* from reading the clock to the last gate */
+#define ERROR_LATE (-16)         /* beside FK_LIMBS_ERROR_... */
 #define SEND_BYTES 244u          /* what one notification holds at most */
 
 static fk_robot_t robot;
 static fk_frame_collector_t collector;
+static fk_flash_t flash;
+static fk_store_t store;
+static __noinit fk_guard_kept_t kept;
 static K_SEM_DEFINE(wake, 0, 1);
-
-/* A pulse that the core has asked for while the one before it is still on. */
-static uint8_t waiting_mask;
-static uint32_t waiting_pulse_us;
 
 static void wake_up(void)
 {
@@ -60,20 +62,61 @@ static void take_frames(void)
     }
 }
 
-static void drive_limbs(const fk_outputs_t *outputs)
+/* The core's books say that the pulse begins at tick_us. One that would begin later than they allow for does not, and
+ * one that the gates refuse is no less an error. Returns 1 where the core needs a tick at once. */
+static int32_t drive_limbs(const fk_outputs_t *outputs, uint64_t tick_us)
 {
+    int32_t error = ERROR_LATE;
+
     if (outputs->all_off != 0u) {
         fk_limbs_off();
-        waiting_mask = 0u;
     }
-    if (outputs->limb_mask != 0u) {
-        waiting_mask = outputs->limb_mask;
-        waiting_pulse_us = outputs->pulse_us;
+    if (outputs->limb_mask == 0u) {
+        return 0;
     }
-    /* Busy: it waits, and the pulse's end wakes this loop. Any other refusal is final, no limb is heated. */
-    if (waiting_mask != 0u && fk_limbs_pulse(waiting_mask, waiting_pulse_us) != FK_LIMBS_ERROR_BUSY) {
-        waiting_mask = 0u;
+    if (now_us() + PULSE_START_US <= tick_us + FK_PORT_LATE_US) {
+        error = fk_limbs_pulse(outputs->limb_mask, outputs->pulse_us);
     }
+    if (error != FK_LIMBS_OK) {
+        fk_robot_note_pulse_failed(&robot, error);
+    }
+    return error != FK_LIMBS_OK;
+}
+
+static uint8_t reset_reason(void)
+{
+    uint32_t cause = 0u;
+
+    if (hwinfo_get_reset_cause(&cause) != 0) {
+        return FK_RESET_UNKNOWN;
+    }
+    (void)hwinfo_clear_reset_cause();
+    if ((cause & RESET_WATCHDOG) != 0u) {
+        return FK_RESET_WATCHDOG;
+    }
+    if ((cause & RESET_CPU_LOCKUP) != 0u) {
+        return FK_RESET_LOCKUP;
+    }
+    if ((cause & RESET_SOFTWARE) != 0u) {
+        return FK_RESET_SOFTWARE;
+    }
+    if ((cause & RESET_PIN) != 0u) {
+        return FK_RESET_PIN;
+    }
+    return (cause == 0u) ? FK_RESET_POWER : FK_RESET_UNKNOWN; /* this chip notes no cause for power */
+}
+
+/* With a table that is not for this robot it answers all the same, and tells its fault; no pulse. */
+static void boot_robot(void)
+{
+    flash = fk_flash_region();
+    if (fk_store_boot(&store, &flash, fk_table_image, fk_table_image_bytes) == FK_OK) {
+        (void)fk_robot_init(&robot, store.image, store.image_bytes);
+        fk_robot_use_store(&robot, &store);
+    } else {
+        (void)fk_robot_init(&robot, fk_table_image, fk_table_image_bytes);
+    }
+    fk_robot_note_reset(&robot, reset_reason(), &kept);
 }
 
 static void send_answers(void)
@@ -90,24 +133,16 @@ static void send_answers(void)
 int main(void)
 {
     const struct device *const watchdog = DEVICE_DT_GET(DT_NODELABEL(wdt0));
-    uint32_t reset_cause = 0u;
 
-    (void)hwinfo_get_reset_cause(&reset_cause);
-    (void)hwinfo_clear_reset_cause();
-    printk("frogkick robot, reset cause 0x%x\n", reset_cause);
     if (fk_limbs_init(wake_up) != FK_LIMBS_OK) {
         printk("the limbs' timer or channels are taken: no pulse will start\n");
-        return 0;
-    }
-    if (fk_robot_init(&robot, fk_table_image, fk_table_image_bytes) != FK_OK) {
-        printk("the table is not for this robot: build the firmware again\n");
-        return 0;
     }
     const int channel = start_watchdog(watchdog);
     if (channel < 0) {
         printk("no watchdog: error %d\n", channel);
         return 0;
     }
+    boot_robot();
     const int32_t error = fk_radio_init(wake_up);
     if (error != 0) {
         printk("no radio: error %d\n", error);
@@ -119,14 +154,15 @@ int main(void)
         (void)wdt_feed(watchdog, channel);
         take_frames();
         const uint64_t begin_us = now_us();
-        fk_robot_tick(&robot, begin_us, &outputs);
-        drive_limbs(&outputs);
+        fk_robot_tick(&robot, begin_us, &outputs); /* a decision computes for less than the watchdog waits */
+        const int32_t at_once = drive_limbs(&outputs, begin_us);
         fk_robot_note_tick(&robot, (uint32_t)(now_us() - begin_us));
         send_answers();
 
         const uint64_t after_us = now_us();
         uint64_t sleep_us = (outputs.next_tick_us > after_us) ? outputs.next_tick_us - after_us : 0u;
         sleep_us = (sleep_us > LONGEST_SLEEP_US) ? LONGEST_SLEEP_US : sleep_us;
-        (void)k_sem_take(&wake, K_USEC(sleep_us));
+        (void)wdt_feed(watchdog, channel);
+        (void)k_sem_take(&wake, K_USEC((at_once != 0) ? 0u : sleep_us));
     }
 }

@@ -21,6 +21,9 @@
 #define DT_GPIO_PIN_BY_IDX(node, property, index) (22 + (index))
 #define DT_IRQN(node) 10
 #define DT_IRQ(node, cell) 1
+#define DT_REG_ADDR(node) 0x4b000
+#define DT_REG_SIZE(node) 0x32000
+#define DT_MTD_FROM_FIXED_PARTITION(node) DT_flash_controller
 #define DEVICE_DT_GET(node) (&declared_device)
 struct device {
     const char *name;
@@ -35,6 +38,7 @@ void declared_connect(unsigned int line, unsigned int priority, void (*routine)(
 void nrfx_isr(const void *irq_handler);
 
 /* zephyr/kernel.h */
+#define __noinit __attribute__((section(".noinit")))
 typedef struct {
     int64_t ticks;
 } k_timeout_t;
@@ -75,6 +79,12 @@ uint32_t ring_buf_get(struct ring_buf *buf, uint8_t *data, uint32_t size);
 int settings_load(void);
 
 /* zephyr/drivers */
+int flash_erase(const struct device *dev, off_t offset, size_t size);
+int flash_write(const struct device *dev, off_t offset, const void *data, size_t len);
+#define RESET_PIN BIT(0)
+#define RESET_SOFTWARE BIT(1)
+#define RESET_WATCHDOG BIT(4)
+#define RESET_CPU_LOCKUP BIT(7)
 ssize_t hwinfo_get_device_id(uint8_t *buffer, size_t length);
 int hwinfo_get_reset_cause(uint32_t *cause);
 int hwinfo_clear_reset_cause(void);

@@ -96,6 +96,7 @@ class VirtualChip:
         self._gpio.edges = edges
         self._ppi = Ppi(self, "PPI", 0x4001_F000)
         self._core = CoreRegisters(self, "SCS", 0xE000_E000, self._switch_fpu)
+        self._watchdog = Watchdog(self, "WDT", 0x4001_0000, partial(setattr, self, "_reset_due", True))
         self.peripherals: tuple[Peripheral, ...] = (
             Clock(self, "CLOCK", 0x4000_0000),
             self._power,
@@ -104,7 +105,7 @@ class VirtualChip:
             Timer(self, "TIMER0", 0x4000_8000),
             Timer(self, "TIMER1", 0x4000_9000),
             Timer(self, "TIMER2", 0x4000_A000),
-            Watchdog(self, "WDT", 0x4001_0000, self._on_watchdog),
+            self._watchdog,
             Nvmc(self, "NVMC", 0x4001_E000, self._switch_cache, self.flash),
             self._ppi,
             self._gpio,
@@ -259,9 +260,10 @@ class VirtualChip:
         self._pc = self._state.address = self._state.expected = entry
         self._state.counted = self._state.time
         try:
-            while self._pc != RETURN_ADDRESS:
-                self._handle_events()
-                self._execute()
+            with self._watchdog.held():  # nobody feeds it meanwhile
+                while self._pc != RETURN_ADDRESS:
+                    self._handle_events()
+                    self._execute()
         except ChipError as error:
             self._failed = error
             raise
@@ -294,9 +296,6 @@ class VirtualChip:
     def _refuse(self, error: ChipError) -> None:
         self._access_error = error
         self._uc.emu_stop()
-
-    def _on_watchdog(self) -> None:
-        self._reset_due = True
 
     def _reset(self) -> None:
         """The watchdog's reset: core and peripherals begin anew; RAM, the wire and the reset reasons stay."""

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import Final
 
 from frogkick.pool.chip.bus import Peripheral, Register, System, array
-from frogkick.pool.chip.scheduler import CYCLES_PER_US
+from frogkick.pool.chip.scheduler import CYCLES_PER_US, NEVER
 
 LFCLK_HZ: Final = 32_768
 DOG: Final = 1 << 1
@@ -44,11 +45,25 @@ class Watchdog(Peripheral):
         super().__init__(system, name, base)
         self.values |= {"CRV": 0xFFFF_FFFF, "RREN": 1, "CONFIG": 1}
         self._running = False
+        self._due = NEVER
         self._timeout = system.scheduler.add(on_timeout)
+
+    @contextmanager
+    def held(self) -> Iterator[None]:
+        """Meanwhile it stands still, as under a debugger: who calls from outside does not feed it."""
+        left = self._due - self.system.now_cycle
+        self.system.scheduler.at(self._timeout, NEVER)
+        try:
+            yield
+        finally:
+            if self._running:
+                self._due = self.system.now_cycle + left
+                self.system.scheduler.at(self._timeout, self._due)
 
     def _reload(self) -> None:
         cycles = (self.values["CRV"] + 1) * _CYCLES_PER_S // LFCLK_HZ
-        self.system.scheduler.at(self._timeout, self.system.now_cycle + cycles)
+        self._due = self.system.now_cycle + cycles
+        self.system.scheduler.at(self._timeout, self._due)
 
     def on_task(self, name: str) -> None:
         """Start; a second time does nothing."""

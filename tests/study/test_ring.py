@@ -15,6 +15,7 @@ from tests.loop import rig
 from frogkick.cli import demo as demo_module
 from frogkick.cli.common import progress_bar
 from frogkick.cli.main import run_command
+from frogkick.identify import choice as choice_module
 from frogkick.identify import outcome as outcome_module
 from frogkick.identify.outcome import Outcome, identify
 from frogkick.identify.swim import Swim
@@ -83,7 +84,7 @@ def test_the_ring_closes(
         return identify(train, test, *more, **options)
 
     monkeypatch.setattr(outcome_module, "catalogue", lambda *_: few)
-    monkeypatch.setattr(outcome_module, "relatives", lambda _robot: {})
+    monkeypatch.setattr(choice_module, "relatives", lambda _robot: {})
     monkeypatch.setattr(closing_module, "identify", watched)
     ring = replace(round_once[0])
     close(ring, tmp_path, 3, progress_bar, held_out="bends")

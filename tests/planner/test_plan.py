@@ -34,7 +34,9 @@ def reference_cost(config: PlanConfig, x: float, y: float, heading: float) -> fl
 
 
 def reference_row(tables: Tables, codes: np.ndarray) -> int:
-    distance2 = ((tables.states.astype(np.int64) - codes) ** 2).sum(axis=1)
+    """The nearest row; beyond all rows a velocity counts as the one at their edge."""
+    states = tables.states.astype(np.int64)
+    distance2 = ((states - np.clip(codes, states.min(axis=0), states.max(axis=0))) ** 2).sum(axis=1)
     return int(np.argmin(distance2))
 
 
@@ -97,7 +99,10 @@ def test_the_nearest_state_is_exact_and_ties_take_the_lowest_row() -> None:
     states = np.zeros((len(codes), 6))
     states[:, 3:] = codes * tables.velocity_scale.astype(float)
     rows = plan_batch(tables, PATH, PlanConfig(), states)
-    distance2 = ((tables.states.astype(np.int64)[None] - codes[:, None]) ** 2).sum(axis=2)
+    edge = np.clip(
+        codes, tables.states.min(axis=0), tables.states.max(axis=0)
+    )  # a velocity beyond counts as there
+    distance2 = ((tables.states.astype(np.int64)[None] - edge[:, None]) ** 2).sum(axis=2)
     ties = (distance2 == distance2.min(axis=1, keepdims=True)).sum(axis=1)
     assert (ties > 1).sum() > 100
     np.testing.assert_array_equal(rows["nearest_state"], distance2.argmin(axis=1))

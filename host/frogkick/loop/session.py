@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import signal
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 
 from frogkick.errors import FrogkickError
@@ -17,10 +20,24 @@ STEP_S = 0.002
 ANSWER_TIMEOUT_S = 1.0
 HELLO_TIMEOUT_S = 0.05
 HELLO_TRIES = 20
+DISARM_TRIES = 3
 
 
 class LinkError(FrogkickError):
     """The robot refused a command or did not answer."""
+
+
+@contextmanager
+def uninterrupted() -> Iterator[None]:
+    """Ctrl-C does nothing meanwhile."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 @dataclass(frozen=True)
@@ -126,6 +143,25 @@ class Session:
                     self._inbox.remove(arrival)
                     return frame.values
         raise LinkError(f"no answer to {name} within {timeout_s:g} s: is the firmware running?")
+
+    def make_safe(self) -> bool:
+        """DISARM, whatever was going on; False where the robot does not say that its outputs are off.
+
+        Nothing but the robot lives on meanwhile, and Ctrl-C does nothing.
+        """
+        self.on_step = lambda _time_s, _edges: None
+        with uninterrupted():
+            for _ in range(DISARM_TRIES):
+                try:
+                    self.ask("DISARM")
+                except FrogkickError:
+                    continue
+                return True  # disarmed, or in a fault, which has its outputs off as well
+        return False
+
+    def robot_clock_offset_us(self) -> int:
+        """Robot time minus this session's: 0 in simulated time."""
+        return 0
 
     def greet(self, tables: Tables) -> dict[str, Value]:
         """HELLO, and refuse a robot with other tables than ours.

@@ -1,0 +1,142 @@
+"""Talking with a real robot: answers in real time, drops that heal, and what to say where they do not."""
+
+from __future__ import annotations
+
+import math
+import secrets
+import signal
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from types import FrameType
+from typing import Any
+
+from frogkick.link.frames import hello
+from frogkick.link.layout import Value
+from frogkick.link.wire import Wire
+from frogkick.loop.lab_port import LabPort
+from frogkick.loop.session import ANSWER_TIMEOUT_S, STEP_S, Arrival, LinkError, Session
+from frogkick.pool.port import Edge
+
+HELLO_S = 1.0
+HELLO_TIMES = 3
+CLOCK_ASKED = 5
+SAFE_S = 5.0
+
+
+def _new_conversation() -> int:
+    return 1 + secrets.randbelow(65_535)
+
+
+@dataclass
+class LabSession(Session):
+    """A ``Session`` in real time.
+
+    Attributes:
+        patience_s: how long a wire may be down while an answer is waited for; that time does not count as
+            waiting.
+    """
+
+    port: LabPort
+    conversation: int = field(default_factory=_new_conversation)
+    patience_s: float = math.inf
+
+    def step(self, until_s: float) -> None:
+        """Wait until a time, or until something comes; ``time_s`` is the real one then."""
+        self.port.advance(until_s)
+        self._inbox += [Arrival(time_s, frame) for time_s, frame in self.port.frames()]
+        self.time_s = self.port.now_s
+        self.on_step(self.time_s, [])
+
+    def ask(
+        self,
+        name: str,
+        values: dict[str, Value] | None = None,
+        rows: Sequence[Sequence[Value]] = (),
+        timeout_s: float = ANSWER_TIMEOUT_S,
+    ) -> dict[str, Value]:
+        """Send a command and wait for its answer.
+
+        Raises:
+            LinkError: none in time, though the wire was up.
+            WireError: the robot is gone.
+        """
+        sequence = self.post(name, values, rows)
+        waited_s = down_s = 0.0
+        try:
+            while waited_s < timeout_s and down_s < self.patience_s:
+                before_s, was_up = self.port.now_s, self.port.wire.is_up
+                self.step(before_s + STEP_S)
+                for arrival in self._inbox:
+                    frame = arrival.frame
+                    if (frame.name, frame.kind, frame.sequence) == (name, "answer", sequence):
+                        self._inbox.remove(arrival)
+                        return frame.values
+                if was_up:
+                    waited_s += self.port.now_s - before_s
+                else:
+                    down_s += self.port.now_s - before_s
+        finally:
+            self.port.forget(sequence)
+        raise LinkError(f"no answer to {name} within {timeout_s:g} s: bring the robot nearer, charge it")
+
+    def make_safe(self) -> bool:
+        """DISARM; a wire that is down is not waited for as long as otherwise."""
+        self.patience_s = SAFE_S
+        return super().make_safe()
+
+    def robot_clock_offset_us(self) -> int:
+        """Robot time minus this session's, from the quickest of some answers to STATUS.
+
+        Raises:
+            LinkError: no answer.
+        """
+        quickest_s, offset_us = float("inf"), 0
+        for _ in range(CLOCK_ASKED):
+            before_s = self.port.now_s
+            told_us = int(self.request("STATUS")["now_us"])
+            trip_s = self.port.now_s - before_s
+            if trip_s < quickest_s:
+                quickest_s, offset_us = trip_s, told_us - round((before_s + trip_s / 2.0) * 1e6)
+        return offset_us
+
+    def _hello(self) -> dict[str, Value]:
+        for _ in range(HELLO_TIMES):
+            try:
+                return self.ask("HELLO", hello(self.conversation), timeout_s=HELLO_S)
+            except LinkError:
+                continue
+        damaged = f", {self.port.bad} damaged frames came" if self.port.bad else ""
+        raise LinkError(
+            f"{self.port.wire.name} is connected and does not answer HELLO{damaged}: it runs other firmware "
+            "or at another speed; flash it ('frogkick firmware flash'), or for the authors' own give "
+            "--dialect frog2022"
+        )
+
+
+def lab_session(wire: Wire, on_step: Callable[[float, Sequence[Edge]], None] | None = None) -> LabSession:
+    """A session over a wire."""
+    session = LabSession(LabPort(wire))
+    if on_step is not None:
+        session.on_step = on_step
+    return session
+
+
+@contextmanager
+def stops_are_interrupts() -> Iterator[None]:
+    """Let SIGTERM and a closed terminal interrupt as Ctrl-C does, so that a robot is disarmed first."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+
+    def interrupt(_number: int, _frame: FrameType | None) -> None:
+        raise KeyboardInterrupt
+
+    numbers = [getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]
+    before: list[Any] = [signal.signal(number, interrupt) for number in numbers]
+    try:
+        yield
+    finally:
+        for number, handler in zip(numbers, before, strict=True):
+            signal.signal(number, handler)

@@ -25,7 +25,10 @@ class FrameError(FrogkickError):
 
 @dataclass(frozen=True)
 class Frame:
-    """A decoded frame: the message's name, its direction, its sequence number, its values by field name."""
+    """A decoded frame: the message's name, its direction, its sequence number, its values by field name.
+
+    Bytes that an answer carries at its end are a value too, a string of them in Latin-1.
+    """
 
     name: str
     kind: str  # "command", "answer" or "event"
@@ -77,7 +80,12 @@ def pack_frame(
         body += b"".join(struct.pack(payload.repeat_format, *row) for row in rows)
     except (struct.error, OverflowError, UnicodeEncodeError) as error:
         raise InputError(f"{name} {given} does not fit its fields: {error}") from error
-    head = struct.pack("<BB", message.id | (ANSWER_BIT if kind == "answer" else 0), sequence)
+    return pack_raw(message.id | (ANSWER_BIT if kind == "answer" else 0), sequence, body)
+
+
+def pack_raw(number: int, sequence: int, body: bytes) -> bytes:
+    """The bytes on the wire for a frame of any type and payload, delimiter included."""
+    head = struct.pack("<BB", number, sequence)
     crc = struct.pack("<I", zlib.crc32(head + body))
     return bytes(cobs.encode(head + body + crc)) + DELIMITER
 
@@ -122,6 +130,9 @@ def unpack_frame(encoded: bytes) -> Frame:
         field.name: number.rstrip(b"\x00").decode("ascii", "replace") if isinstance(number, bytes) else number
         for field, number in zip(payload.fields, numbers, strict=True)
     }
+    if kind == "answer" and per_row:  # what an answer repeats are bytes: a string of them, Latin-1
+        values[payload.repeat[0].name] = body[payload.bytes :].decode("latin-1")
+        return Frame(message.name, kind, raw[1], values)
     rows = tuple(struct.iter_unpack(payload.repeat_format, body[payload.bytes :])) if extra else ()
     return Frame(message.name, kind, raw[1], values, rows)
 

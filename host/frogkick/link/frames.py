@@ -50,8 +50,8 @@ def pack_frame(
         name: message name of ``frames.toml``.
         kind: "command", "answer" or "event".
         sequence: 0 to 255.
-        values: one value for each fixed field of the payload.
-        rows: repeated rows, in the field order of the layout.
+        values: one value for each fixed field of the payload, and one for bytes at an answer's end, if any.
+        rows: repeated rows of a command, in the field order of the layout.
 
     Raises:
         InputError: a value does not fit its field's type, a field is missing or unknown, or there is no such
@@ -69,8 +69,9 @@ def pack_frame(
     if payload is None:
         raise InputError(f"{name} has no {kind}: see frames.toml")
     given = values or {}
+    tail = payload.repeat[0].name if kind == "answer" and payload.repeat else ""
     wanted = [field.name for field in payload.fields]
-    if sorted(given) != sorted(wanted):
+    if sorted(given.keys() - {tail}) != sorted(wanted):
         raise InputError(f"{name} takes the fields {wanted}, got {sorted(given)}: give exactly these")
     if len(rows) > payload.repeat_max:
         raise InputError(f"{name} carries at most {payload.repeat_max} rows, got {len(rows)}: split them")
@@ -78,6 +79,7 @@ def pack_frame(
         ordered = [_wire_value(given[field.name], field.bytes) for field in payload.fields]
         body = struct.pack(payload.format, *ordered)
         body += b"".join(struct.pack(payload.repeat_format, *row) for row in rows)
+        body += str(given.get(tail, "")).encode("latin-1") if tail else b""
     except (struct.error, OverflowError, UnicodeEncodeError) as error:
         raise InputError(f"{name} {given} does not fit its fields: {error}") from error
     return pack_raw(message.id | (ANSWER_BIT if kind == "answer" else 0), sequence, body)

@@ -123,7 +123,7 @@ def _snapshots(records: list[Record]) -> list[_Snapshot]:
     snapshots, begin, content = [], 0, b""
     for index, record in enumerate(records):
         if record.name != "SNAPSHOT":
-            content = b""
+            begin, content = -len(records), b""  # no part that follows is the one wanted
             continue
         if record.values["part"] == 0:
             begin, content = index, b""
@@ -169,6 +169,8 @@ class _Segment:
         self.found.segments += 1
         self.found.replayed += snapshot.end - snapshot.begin
         for index, record in enumerate(self.records):
+            if not self.made and self._is_cut(index):
+                return index
             if not self.made:
                 self.made = self._let_happen(index)
             if not self.made:
@@ -187,12 +189,15 @@ class _Segment:
         self.found.decisions += twin.decisions
         return len(self.records)
 
+    def _is_cut(self, index: int) -> bool:
+        """Whether the command before which a snapshot was taken is not there any more, or not yet."""
+        return all(record.name == "SNAPSHOT" for record in self.records[index:])
+
     def _let_happen(self, index: int) -> list[Record]:
-        """What leads to the record: the command that comes next where it is one or a snapshot before it."""
+        """What leads to the record: of a snapshot the command that comes after it."""
         record = self.records[index]
         if record.name == "SNAPSHOT":
-            following = next((r for r in self.records[index:] if r.name != "SNAPSHOT"), record)
-            record = following if following.name == "COMMAND" else record
+            record = next(r for r in self.records[index:] if r.name != "SNAPSHOT")
         if record.name == "COMMAND":
             return self.core.command(record)
         if record.name == "FAULT":

@@ -7,8 +7,8 @@ from functools import cache
 from pathlib import Path
 
 import pytest
-from tests.core.core import ACTION, COVERAGE_DIR, FFI, Robot, cases, core, image, source_files
-from tests.core.test_core_log import RING_BYTES, Log, fetched, robot_with_log
+from tests.core.core import ACTION, COVERAGE_DIR, Robot, cases, core, image, source_files
+from tests.core.log_rig import RING_BYTES, Log, fetched, robot_with_log
 
 from frogkick.link.layout import Value, link_layout
 from frogkick.link.log import HEAD_BYTES, ChipLog, Record, Stretch, check_of, records_of
@@ -241,8 +241,6 @@ def test_another_table_is_not_decided_by_this_one() -> None:
 
 
 # The core's own side
-
-FFI.cdef("int32_t fk_robot_restore(void *robot, const uint8_t *snapshot, uint32_t length);")
 
 
 def snapshot_of(robot: Robot) -> bytes:

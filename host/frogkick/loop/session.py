@@ -159,6 +159,10 @@ class Session:
                 return True  # disarmed, or in a fault, which has its outputs off as well
         return False
 
+    def reconnected(self) -> bool:
+        """The connection has dropped and come back since this was asked last; never in simulated time."""
+        return False
+
     def robot_clock_offset_us(self) -> int:
         """Robot time minus this session's: 0 in simulated time."""
         return 0

@@ -136,11 +136,14 @@ def test_a_table_cut_at_every_tenth_chunk(robot: LiveRobot, there: Rigged) -> No
     took_s = time.monotonic() - begin_s
     assert (done.bytes_sent, done.table_crc) == (len(NEW), crc_of(NEW))
     chunks = -(-len(NEW) // CHUNK_BYTES)
-    assert there.wire.connections == 1 + chunks // 10 >= 5
+    drops = there.wire.connections - 1
+    assert drops >= chunks // 10 >= 5
+    if there.wire.window == 1:  # else some chunks behind a cut one come twice, and are counted
+        assert drops == chunks // 10
     session.on_step = lambda _time_s, _edges: None
     robot.deaf_to = lambda _frame: False
     session.greet(open_image(NEW))
-    print(f"\n{len(NEW)} bytes with {chunks // 10} drops in {took_s:.2f} s")
+    print(f"\n{len(NEW)} bytes with {drops} drops in {took_s:.2f} s")
     # Another, without a drop: how fast it is.
     begin_s = time.monotonic()
     upload(session, NEXT)

@@ -16,7 +16,7 @@ from frogkick.link.frames import hello
 from frogkick.link.layout import Value
 from frogkick.link.wire import Wire
 from frogkick.loop.lab_port import LabPort
-from frogkick.loop.session import ANSWER_TIMEOUT_S, STEP_S, Arrival, LinkError, Session
+from frogkick.loop.session import ANSWER_TIMEOUT_S, STEP_S, Arrival, Asked, LinkError, Session
 from frogkick.pool.port import RobotPort
 
 HELLO_S = 1.0
@@ -70,36 +70,36 @@ class LabSession(Session):
         self.edges += edges
         self.on_step(self.time_s, edges)
 
-    def ask(
-        self,
-        name: str,
-        values: dict[str, Value] | None = None,
-        rows: Sequence[Sequence[Value]] = (),
-        timeout_s: float = ANSWER_TIMEOUT_S,
-    ) -> dict[str, Value]:
-        """Send a command and wait for its answer.
+    @property
+    def window(self) -> int:
+        """Commands that may be asked at once."""
+        return self.port.wire.window
+
+    def ask_all(
+        self, name: str, many: Sequence[Asked], timeout_s: float = ANSWER_TIMEOUT_S
+    ) -> list[dict[str, Value]]:
+        """Ask several times the same at once, and wait for all answers.
 
         Raises:
-            LinkError: none in time, though the wire was up.
+            LinkError: one is missing, though the wire was up.
             WireError: the robot is gone.
         """
-        sequence = self.post(name, values, rows)
+        sequences = [self.post(name, values, rows) for values, rows in many]
+        told: dict[int, dict[str, Value]] = {}
         waited_s = down_s = 0.0
         try:
             while waited_s < timeout_s and down_s < self.patience_s:
                 before_s, was_up = self.port.now_s, self.port.wire.is_up
                 self.step(before_s + STEP_S)
-                for arrival in self._inbox:
-                    frame = arrival.frame
-                    if (frame.name, frame.kind, frame.sequence) == (name, "answer", sequence):
-                        self._inbox.remove(arrival)
-                        return frame.values
+                if self._answered(name, sequences, told):
+                    return [told[sequence] for sequence in sequences]
                 if was_up:
                     waited_s += self.port.now_s - before_s
                 else:
                     down_s += self.port.now_s - before_s
         finally:
-            self.port.forget(sequence)
+            for sequence in sequences:
+                self.port.forget(sequence)
         raise LinkError(f"no answer to {name} within {timeout_s:g} s: bring the robot nearer, charge it")
 
     def make_safe(self) -> bool:

@@ -13,7 +13,7 @@ from collections.abc import Callable
 
 from frogkick.link.frames import Frame, FrameCollector
 from frogkick.link.text_dialect import fire_line, limb_numbers
-from frogkick.link.wire import Wire
+from frogkick.link.wire import Delivery, Wire
 from frogkick.pool.native_robot import NativeRobot
 from frogkick.pool.port import Edge
 from frogkick.robot import Robot
@@ -121,7 +121,7 @@ class TextRobot:
         limbs = [limb for limb in range(len(self._numbers)) if limb_mask >> limb & 1]
         if limbs and not self._closing:
             if self.wire.is_up:
-                self.wire.send(fire_line([self._numbers[limb] for limb in limbs]), acknowledged=True)
+                self.wire.send(fire_line([self._numbers[limb] for limb in limbs]), Delivery.ACKNOWLEDGED)
             else:
                 self.lost += 1
             self._edges += [Edge(now_s, limb, True) for limb in limbs]

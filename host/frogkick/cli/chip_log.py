@@ -1,4 +1,4 @@
-"""``frogkick log fetch`` and ``log replay``: what a robot wrote down in its RAM, and the same decided again."""
+"""``frogkick log fetch`` and ``log replay``: what a robot wrote down in its RAM, and decided again."""
 
 from __future__ import annotations
 
@@ -11,10 +11,11 @@ import typer
 from frogkick.cli import log
 from frogkick.cli.common import JsonOption, progress_bar, require_writable, show
 from frogkick.cli.places import TablesOption, built_firmware, robot_of_table, table_image
-from frogkick.cli.push import require_target, session_at
-from frogkick.errors import InputError
+from frogkick.cli.push import session_at
+from frogkick.errors import InputError, nearest_name
 from frogkick.link.layout import link_layout
 from frogkick.link.log import Record, fetch_log
+from frogkick.link.wire import is_target, parse_target
 from frogkick.loop.chip_log_file import FetchedLog, read_log, write_log
 from frogkick.loop.chip_log_replay import LogReplay, replay_log
 from frogkick.loop.session import Session
@@ -59,8 +60,13 @@ def fetch(
     json: JsonOption = False,
 ) -> None:
     """Fetch what a robot wrote down in its RAM; in a run or after it, also after a reset. Changes nothing."""
-    require_target(robot)
+    if not is_target(robot):
+        raise InputError(
+            f"robot {robot!r}{nearest_name(robot, ('ble', 'serial'))} keeps no log to fetch: choose ble:NAME or "
+            "serial:PORT"
+        )
     require_writable(out)
+    parse_target(robot)
     with session_at(robot, None) as session:
         fetched = fetch_from(session)
     write_log(out, fetched)
@@ -76,7 +82,8 @@ def replayed(fetched: FetchedLog, image: Path, model: str | None) -> LogReplay:
     described = robot_of_table(image, model)
     if described.id != fetched.robot_id:
         raise InputError(
-            f"the log is of robot {fetched.robot_id!r}, not {described.id!r}: give its own table"
+            f"the log is of robot {fetched.robot_id!r}, not {described.id!r}: give its own table "
+            "with --tables"
         )
     with built_firmware("native", image, described) as built, progress_bar("records") as progress:
         return replay_log(fetched.log, built.image, [read_image(image)], progress)

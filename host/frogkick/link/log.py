@@ -6,10 +6,10 @@ import struct
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Protocol
 
 from frogkick.errors import FrogkickError
 from frogkick.link.layout import Field, RecordType, Value, link_layout
-from frogkick.link.upload import Conversation
 
 HEAD_BYTES = 10
 UNFINISHED = -128
@@ -24,6 +24,13 @@ _COMMANDS = {message.id: message for message in link_layout().messages.values() 
 
 class LogError(FrogkickError):
     """The robot has no log, or does not answer."""
+
+
+class Conversation(Protocol):
+    """What of a session is needed here."""
+
+    def ask(self, name: str, values: dict[str, Value] | None = None) -> dict[str, Value]:
+        """Send a command and wait for its answer; FrogkickError where none comes in time."""
 
 
 @dataclass(frozen=True)

@@ -114,7 +114,7 @@ class _Mark(int):
         mark = ((2166136261 ^ sequence) * 16777619) & 0xFFFFFFFF
         for half in struct.unpack("<6H", pose):
             mark = ((mark ^ half) * 16777619) & 0xFFFFFFFF
-        return int(self) == mark | 1
+        return bool(int(self) == mark | 1)
 
     def __hash__(self) -> int:
         return hash(int(self))
@@ -160,7 +160,8 @@ def _read_estimator(reader: _Reader, tables: Tables) -> Estimator:
     following = reader.one("B", MARKS - 1)
     marks = reader.take(f"{MARKS}I")
     oldest_first = marks[following:] + marks[:following]
-    estimator._marks = deque((_Mark(mark) for mark in oldest_first if mark), maxlen=MARKS)  # type: ignore[arg-type]
+    known: deque[Any] = deque((_Mark(mark) for mark in oldest_first if mark), maxlen=MARKS)
+    estimator._marks = known
     if action_waits:
         estimator.act(action_us, action)
     return estimator

@@ -62,8 +62,8 @@ def fetch(
     """Fetch what a robot wrote down in its RAM; in a run or after it, also after a reset. Changes nothing."""
     if not is_target(robot):
         raise InputError(
-            f"robot {robot!r}{nearest_name(robot, ('ble', 'serial'))} keeps no log to fetch: choose ble:NAME or "
-            "serial:PORT"
+            f"robot {robot!r}{nearest_name(robot, ('ble', 'serial'))} keeps no log to fetch: "
+            "choose ble:NAME or serial:PORT"
         )
     require_writable(out)
     parse_target(robot)

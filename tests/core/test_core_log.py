@@ -216,7 +216,7 @@ def test_there_is_always_a_whole_snapshot() -> None:
     robot, _ = robot_with_log()
     robot.begin("ARMED")
     robot.path(100)
-    for _ in range(cases(40, 400)):
+    for _ in range(10 + cases(30, 390)):
         for _ in range(5):
             robot.now_us += 20_000
             robot.fix()

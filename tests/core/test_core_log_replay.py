@@ -9,6 +9,8 @@ from pathlib import Path
 import pytest
 from tests.core.core import ACTION, COVERAGE_DIR, Robot, cases, core, image, source_files
 from tests.core.log_rig import RING_BYTES, Log, fetched, robot_with_log
+from tests.core.store_rig import NEW, OLD, crc_of
+from tests.core.test_core_table_commands import begin_values, robot_with_store, send
 
 from frogkick.link.layout import Value, link_layout
 from frogkick.link.log import HEAD_BYTES, ChipLog, Record, Stretch, check_of, records_of
@@ -99,7 +101,7 @@ def test_everything_a_host_can_do() -> None:
         dice = random.Random(seed)
         robot, _ = robot_with_log()
         robot.tick()
-        for _ in range(cases(60, 60)):
+        for _ in range(60):
             what = dice.choice(DOINGS)
             if what == "PATH":
                 total = dice.choice((2, 20, 37))
@@ -232,6 +234,48 @@ def test_a_reset_in_between() -> None:
     assert (told.mismatches, told.segments) == ([], 2)
     boots = [r for r in fetched(again).records()[0] if r.name == "BOOT"]
     assert [boot.values["continued"] for boot in boots] == [0, 1]
+
+
+def test_an_update_of_the_table_in_between() -> None:
+    """What was done by a table is decided again by that table; nothing is while it changes."""
+    robot, flash = robot_with_store()
+    log = Log()
+    log.memory[0] = 0
+    robot.core.fk_robot_use_log(robot.memory, log.memory)
+    swim_a_little(robot)
+    robot.status("DISARM")
+    robot.run_until(robot.now_us + 1_000_000)
+    told = robot.ask("TABLE_BEGIN", begin_values(NEW))
+    assert (told["status"], robot.status("ARM")) == (0, "STATE")
+    robot.fix(0.1)
+    send(robot, NEW)
+    assert robot.status("ARM") == "STATE"
+    assert robot.status("TABLE_COMMIT") == "OK"
+    swim_a_little(robot)
+    robot.status("DISARM")
+    robot.run_until(robot.now_us + 1_000_000)
+    assert robot.status("TABLE_ROLLBACK", {"table_crc": crc_of(OLD)}) == "OK"
+    swim_a_little(robot)
+    fetch = fetched(robot)
+    both = [open_image(OLD), open_image(NEW)]
+    again = replay_log(fetch, library(), both)
+    assert (again.mismatches, again.segments) == ([], 3)
+    assert len(again.decisions) == decisions_of(fetch) >= 6
+    for one in both:
+        assert replay_log(fetch, library(), [one]).mismatches == []
+    assert replay_log(fetch, library(), both[1:]).segments == 1
+    assert flash.sim.refused == 0
+
+
+def swim_a_little(robot: Robot) -> None:
+    robot.path()
+    assert robot.status("ARM") == "OK"
+    robot.fix(0.1)
+    assert robot.start(0) == "OK"
+    for number in range(40):
+        robot.run_until(robot.now_us + 80_000)
+        robot.take()
+        robot.fix(0.1 + 0.001 * number)
 
 
 def test_another_table_is_not_decided_by_this_one() -> None:

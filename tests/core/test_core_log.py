@@ -9,7 +9,8 @@ from tests.core.core import Robot, cases, core
 from tests.core.log_rig import RING_BYTES, Asking, Log, content_of, fetched, names, robot_with_log
 
 from frogkick.link.layout import link_layout
-from frogkick.link.log import HEAD_BYTES, Stretch, check_of, fetch_log, records_of
+from frogkick.link.log import HEAD_BYTES, LogError, Stretch, check_of, fetch_log, records_of
+from frogkick.loop.session import LinkError
 
 
 def test_ram_as_found_is_an_empty_log() -> None:
@@ -246,6 +247,30 @@ def test_a_start_with_a_fault_says_so() -> None:
     robot.core.fk_robot_use_log(robot.memory, log.memory)
     assert [record.name for record in log.records()] == ["BOOT", "FAULT"]
     assert log.records()[1].values == {"fault": link_layout().fault["TABLE"], "detail": robot.error}
+
+
+def test_an_answer_that_is_lost_is_asked_for_again() -> None:
+    robot, _ = robot_with_log()
+    robot.begin("ARMED")
+    robot.path()
+
+    class Lossy(Asking):
+        def ask(self, *words: object, **more: object) -> dict:  # type: ignore[type-arg]
+            told = super().ask(*words, **more)  # type: ignore[arg-type]
+            if self.asked % 3:
+                raise LinkError("lost")
+            return told
+
+    assert fetch_log(Lossy(robot)) == fetched(robot)
+
+    class Dead(Asking):
+        def ask(self, *words: object, **more: object) -> dict:  # type: ignore[type-arg]
+            raise LinkError("no answer")
+
+    with pytest.raises(LogError, match=r"no answer to LOG, asked 5 times \(no answer\): bring"):
+        fetch_log(Dead(robot))
+    with pytest.raises(LogError, match="answers LOG with UNKNOWN: its firmware keeps no log"):
+        fetched(Robot())
 
 
 def test_without_a_log() -> None:

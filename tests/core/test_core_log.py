@@ -231,6 +231,24 @@ def test_there_is_always_a_whole_snapshot() -> None:
     assert 2500 < max(sizes) <= 4096, "FK_LOG_SNAPSHOT_MAX_BYTES"
 
 
+def test_no_snapshot_while_a_pulse_of_a_stroke_is_due() -> None:
+    """On the chip it takes 2 ms, by which the pulse would be late."""
+    robot, _ = robot_with_log(now_us=2_000_000)
+    robot.begin("ARMED")
+
+    def flooded() -> int:
+        for _ in range(40):
+            robot.path(18)
+        return sum(bool(r.values.get("last")) for records in fetched(robot).records() for r in records)
+
+    assert robot.stroke("B") == "OK"
+    assert flooded() == 1, "that of ARM"
+    assert robot.tick().limb_mask == 0b0011
+    assert flooded() == 1
+    assert robot.run_until(robot.now_us + 200_000) == [(robot.now_us - 200_000 + 81_000, 0b1100)]
+    assert flooded() == 2
+
+
 def test_a_command_that_comes_again_is_logged_once() -> None:
     robot, _ = robot_with_log()
     robot.tick()

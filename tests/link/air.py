@@ -136,13 +136,18 @@ class Peripheral:
 
 
 class Air:
-    """What robots and host have in common. It lives in the event loop of whoever scans in it first."""
+    """What robots and host have in common. It lives in the event loop of whoever scans in it first.
+
+    Attributes:
+        writes: of the host: bytes, and whether with response.
+    """
 
     now: ClassVar[Air]
     _kept: ClassVar[set[asyncio.Task[None]]] = set()
 
     def __init__(self, *robots: Peripheral) -> None:
         self.robots = list(robots)
+        self.writes: list[tuple[bytes, bool]] = []
         self.loop: asyncio.AbstractEventLoop | None = None
 
     @classmethod
@@ -268,6 +273,7 @@ class VirtualClient(BaseBleakClient):
     async def write_gatt_char(self, characteristic: Any, data: Any, response: bool) -> None:
         if self._connection is None:
             raise BleakError("Not connected")
+        Air.now.writes.append((bytes(data), response))
         try:
             await characteristic.obj.write_value(bytes(data), with_response=response)
         except att.ATT_Error as error:

@@ -34,6 +34,7 @@ class LiveRobot:
 
     Attributes:
         built_in: table in its firmware.
+        on_for_s: how long it has been switched on already.
         pulses: (clock s, limb mask, length us) of each that began.
         heard: frames that it was given whole, with their clock.
         mute: it takes frames and never answers.
@@ -42,6 +43,7 @@ class LiveRobot:
 
     built_in: bytes = field(default_factory=lambda: rig.small_table().read_bytes())
     clock: Callable[[], float] = time.monotonic
+    on_for_s: float = 0.7
     pulses: list[tuple[float, int, int]] = field(default_factory=list)
     heard: list[tuple[float, Frame]] = field(default_factory=list)
     off_at: list[float] = field(default_factory=list)
@@ -58,7 +60,7 @@ class LiveRobot:
         self.core = Robot(self.flash.image, 0)
         assert self.core.error == 0
         self.core.core.fk_robot_use_store(self.core.memory, self.flash.store)
-        self._begin_s = self.clock()
+        self._begin_s = self.clock() - self.on_for_s
         self._received = b""
         self._next_tick_us = 0
 

@@ -19,9 +19,12 @@ from bleak.exc import (
 from tests.link.air import Air, Peripheral, VirtualScanner, breathe
 from tests.link.live_robot import LiveRobot
 from tests.loop import rig
+from tests.planner import synthetic
 
 from frogkick.link import ble
 from frogkick.link.ble import BleWire, explained
+from frogkick.link.frames import unpack_frame
+from frogkick.link.upload import upload
 from frogkick.link.wire import WireError
 from frogkick.loop.lab_session import lab_session
 from frogkick.paths import shape
@@ -121,6 +124,25 @@ def test_frames_are_cut_to_the_size_negotiated(monkeypatch: pytest.MonkeyPatch, 
         assert int(session.request("STATUS")["frames_bad"]) == 0
     assert live.names().count("PATH") == 6
     assert live.names().count("FIX") >= 10
+
+
+def test_how_frames_are_written(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Commands with response; fixes, and chunks of a table, which the robot answers anyway, without."""
+    new = synthetic.affine_image(20, 9, 2)
+    air = breathe(monkeypatch, Peripheral(LiveRobot()))
+    with connected("frogkick") as wire:
+        session = lab_session(wire)
+        session.greet(rig.tables())
+        session.post_fix(Fix(0, 0.0, 0.0, np.zeros(3, dtype=np.float32)), session.port.now_s)
+        upload(session, new)
+    with_response: dict[str, set[bool]] = {}
+    for data, response in air.writes:
+        if data != b"\0":
+            with_response.setdefault(unpack_frame(data[:-1]).name, set()).add(response)
+    assert with_response == {
+        "HELLO": {True}, "FIX": {False}, "TABLE_STATUS": {True}, "TABLE_BEGIN": {True},
+        "TABLE_CHUNK": {False}, "TABLE_COMMIT": {True},
+    }  # fmt: skip
 
 
 def test_fixes_that_wait_are_the_newest(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -65,7 +65,7 @@ def test_a_conversation(robot: LiveRobot, there: Rigged) -> None:
     with pytest.raises(LinkError, match=r"refuses STROKE .*STATE"):
         session.request("STROKE", {"action": 0})
     offset_us = session.robot_clock_offset_us()
-    assert abs(robot.now_us - offset_us - session.port.now_s * 1e6) < 50_000
+    assert abs(robot.now_us - offset_us - session.port.now_s * 1e6) < 500_000
     assert session.port.bad == 0
 
 
@@ -130,19 +130,20 @@ def cut_session(robot: LiveRobot, there: Rigged, every: int) -> LabSession:
 
 
 def test_a_table_cut_at_every_tenth_chunk(robot: LiveRobot, there: Rigged) -> None:
-    while robot.now_us < 700_000:  # limbs at rest
-        time.sleep(0.01)
     session = cut_session(robot, there, 10)
     begin_s = time.monotonic()
     done = upload(session, NEW)
     took_s = time.monotonic() - begin_s
     assert (done.bytes_sent, done.table_crc) == (len(NEW), crc_of(NEW))
     chunks = -(-len(NEW) // CHUNK_BYTES)
-    assert there.wire.connections == 1 + chunks // 10 >= 5
+    drops = there.wire.connections - 1
+    assert drops >= chunks // 10 >= 5
+    if there.wire.window == 1:  # else some chunks behind a cut one come twice, and are counted
+        assert drops == chunks // 10
     session.on_step = lambda _time_s, _edges: None
     robot.deaf_to = lambda _frame: False
     session.greet(open_image(NEW))
-    print(f"\n{len(NEW)} bytes with {chunks // 10} drops in {took_s:.2f} s")
+    print(f"\n{len(NEW)} bytes with {drops} drops in {took_s:.2f} s")
     # Another, without a drop: how fast it is.
     begin_s = time.monotonic()
     upload(session, NEXT)
@@ -151,8 +152,6 @@ def test_a_table_cut_at_every_tenth_chunk(robot: LiveRobot, there: Rigged) -> No
 
 
 def test_an_upload_that_was_given_up_is_resumed(robot: LiveRobot, there: Rigged) -> None:
-    while robot.now_us < 700_000:
-        time.sleep(0.01)
 
     class Lost(Exception):
         pass
@@ -164,8 +163,6 @@ def test_an_upload_that_was_given_up_is_resumed(robot: LiveRobot, there: Rigged)
     with pytest.raises(Lost):
         upload(lab_session(there.wire), NEW, stop)
     robot.restart()  # power lost
-    while robot.now_us < 700_000:
-        time.sleep(0.01)
     session = lab_session(there.wire)
     session.greet(rig.tables())
     assert upload(session, NEW).resumed_at == 4096

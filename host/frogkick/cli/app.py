@@ -6,6 +6,7 @@ import typer
 
 from frogkick.cli import (
     camera,
+    chip_log,
     codegen,
     demo,
     doctor,
@@ -15,6 +16,7 @@ from frogkick.cli import (
     library,
     log,
     parity,
+    push,
     replay,
     retune,
     robot,
@@ -34,7 +36,8 @@ app = typer.Typer(
     add_completion=False,
 )
 for _module in (
-    demo, doctor, simulate, sweep, validate, codegen, run, replay, parity, importing, identify, retune, log,
+    demo, doctor, simulate, sweep, validate, codegen, run, replay, parity, importing, identify, retune, push,
+    log, chip_log,
 ):  # fmt: skip
     _module.register(app)
 app.add_typer(robot.app, name="robot")

@@ -23,7 +23,7 @@ from bleak.exc import (
 )
 
 from frogkick.link.frames import DELIMITER
-from frogkick.link.wire import Inbox, WireError
+from frogkick.link.wire import Delivery, Inbox, WireError
 
 SERVICE = "6e400001-b5a3-f393-e0a9-e50e24dcca9e"
 RECEIVE = "6e400002-b5a3-f393-e0a9-e50e24dcca9e"
@@ -37,6 +37,7 @@ CONNECT_TRIES = 3
 RECONNECT_S = 20.0
 FIXES_WAITING = 2
 _AGAIN_S = 0.05
+_Queue = asyncio.Queue[tuple[bytes, bool]]  # frames, and whether the radio is to acknowledge them
 _PART_MIN = 20  # what every Bluetooth robot takes at once
 _DEFINITE = (
     BleakGATTProtocolErrorCode.INSUFFICIENT_AUTHENTICATION,
@@ -76,8 +77,8 @@ class BleWire:
         self._inbox = Inbox()
         self._loop: asyncio.AbstractEventLoop | None = None
         self._stop = asyncio.Event()
-        self._commands: asyncio.Queue[bytes] = asyncio.Queue()
-        self._fixes: asyncio.Queue[bytes] = asyncio.Queue()
+        self._commands: _Queue = asyncio.Queue()
+        self._fixes: _Queue = asyncio.Queue()
         self._thread = threading.Thread(target=self._run, name=self.name, daemon=True)
         self._thread.start()
         try:
@@ -107,11 +108,11 @@ class BleWire:
         """Bytes in one write, as negotiated."""
         return self._part_bytes
 
-    def send(self, encoded: bytes, acknowledged: bool) -> None:
+    def send(self, encoded: bytes, how: Delivery) -> None:
         """Send a frame; of fixes that wait for the radio only the newest are kept."""
         if self._loop is not None and self.is_up:
             with contextlib.suppress(RuntimeError):  # the loop has just ended
-                self._loop.call_soon_threadsafe(self._put, encoded, acknowledged)
+                self._loop.call_soon_threadsafe(self._put, encoded, how)
 
     def receive(self, timeout_s: float) -> list[tuple[float, bytes]]:
         """Wait for bytes, and take them."""
@@ -124,11 +125,11 @@ class BleWire:
                 self._loop.call_soon_threadsafe(self._stop.set)
         self._thread.join(CONNECT_S)
 
-    def _put(self, encoded: bytes, acknowledged: bool) -> None:
-        if acknowledged:
-            self._commands.put_nowait(encoded)
+    def _put(self, encoded: bytes, how: Delivery) -> None:
+        if how is not Delivery.NEWEST:
+            self._commands.put_nowait((encoded, how is Delivery.ACKNOWLEDGED))
             return
-        self._fixes.put_nowait(encoded)
+        self._fixes.put_nowait((encoded, False))
         while self._fixes.qsize() > FIXES_WAITING:
             self._fixes.get_nowait()
 
@@ -216,13 +217,13 @@ class BleWire:
                 raise BleakCharacteristicNotFoundError(RECEIVE)
             await client.start_notify(TRANSMIT, lambda _from, data: self._inbox.put(bytes(data)))
             self._commands, self._fixes = asyncio.Queue(), asyncio.Queue()
-            self._commands.put_nowait(self._greeting)
+            self._commands.put_nowait((self._greeting, True))
             self._address = device.address
             self._part_bytes = max(_PART_MIN, receiver.max_write_without_response_size)
             whole = asyncio.Lock()
             tasks = [
-                asyncio.create_task(self._write(client, receiver, self._commands, True, whole)),
-                asyncio.create_task(self._write(client, receiver, self._fixes, False, whole)),
+                asyncio.create_task(self._write(client, receiver, self._commands, whole)),
+                asyncio.create_task(self._write(client, receiver, self._fixes, whole)),
                 asyncio.create_task(gone.wait()),
                 asyncio.create_task(self._stop.wait()),
             ]
@@ -241,13 +242,12 @@ class BleWire:
         self,
         client: BleakClient,
         receiver: BleakGATTCharacteristic,
-        queue: asyncio.Queue[bytes],
-        acknowledged: bool,
+        queue: _Queue,
         whole: asyncio.Lock,
     ) -> NoReturn:
         """Write what a queue brings, in parts as long as negotiated; no two frames get mixed."""
         while True:
-            encoded = await queue.get()
+            encoded, acknowledged = await queue.get()
             size = self._part_bytes = max(_PART_MIN, receiver.max_write_without_response_size)
             async with whole:
                 if len(encoded) > size:

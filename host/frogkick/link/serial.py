@@ -12,7 +12,7 @@ from typing import Any
 
 from frogkick.errors import InputError
 from frogkick.link.frames import DELIMITER
-from frogkick.link.wire import BAUD, Inbox, WireError
+from frogkick.link.wire import BAUD, Delivery, Inbox, WireError
 
 RECONNECT_S = 20.0
 _AGAIN_S = 0.1
@@ -61,7 +61,7 @@ class SerialWire:
         """The port is open."""
         return self._inbox.is_up
 
-    def send(self, encoded: bytes, acknowledged: bool) -> None:
+    def send(self, encoded: bytes, how: Delivery) -> None:
         """Put bytes on the line, which acknowledges nothing; lost while it is down."""
         line = self._line
         # What a broken line swallows is lost as on any wire; the reading thread finds out and opens it again.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import enum
 import threading
 import time
 from collections.abc import Callable
@@ -17,6 +18,17 @@ KINDS = ("ble", "serial")
 
 class WireError(FrogkickError):
     """The robot cannot be reached, or no longer; its text says what failed and what to do."""
+
+
+class Delivery(enum.Enum):
+    """How a radio sends a frame; a line knows no difference."""
+
+    ACKNOWLEDGED = enum.auto()
+    """The radio says that it arrived, before the next one goes."""
+    ANSWERED = enum.auto()
+    """At once: the robot's own answers are waited for, and pace the sender."""
+    NEWEST = enum.auto()
+    """At once, before others; worth nothing once there is a newer one."""
 
 
 class Wire(Protocol):
@@ -38,13 +50,8 @@ class Wire(Protocol):
     @property
     def is_up(self) -> bool: ...
 
-    def send(self, encoded: bytes, acknowledged: bool) -> None:
-        """Send whole frames. While the wire is down they are lost.
-
-        Args:
-            encoded: frames with their delimiters.
-            acknowledged: let the radio say that they arrived; else they are gone at once and may get lost.
-        """
+    def send(self, encoded: bytes, how: Delivery) -> None:
+        """Send a frame, with its delimiter. While the wire is down it is lost."""
 
     def receive(self, timeout_s: float) -> list[tuple[float, bytes]]:
         """Wait until something arrives, and take it, with the times (monotonic) at which it came.

@@ -35,6 +35,7 @@ START_DELAY_S = 0.1
 # A chip boots longer than the core on this computer. From a common time on, both meet the same fixes.
 READY_S = 1.0
 TIME = "time limit"
+DROPPED = "connection lost, and the robot ended the run meanwhile"
 ENDED = {
     "OK": End.COMPLETED.value,
     "PASSED": End.PASSED.value,
@@ -57,7 +58,7 @@ class Recording:
         decisions: in order.
         edges: pin edges.
         completed: the path's end was reached.
-        ended: why the run ended: a value of ENDED, or TIME.
+        ended: why the run ended: a value of ENDED, TIME or DROPPED.
         fixes_refused: the robot's own counter.
         first_decision_s, end_s: session time.
         clock_offset_us: robot time minus session time; 0 in simulated time.
@@ -239,10 +240,19 @@ class _Run:
         limit_s = recording.first_decision_s + self.options.time_limit_s
         while session.time_s < limit_s:
             self._live_until(min(session.time_s + 0.05, limit_s))
+            if session.reconnected() and not recording.ended:
+                self._look_again()
             if recording.ended:
                 return
         session.request("STOP")
         recording.ended = TIME
+
+    def _look_again(self) -> None:
+        """Whether the robot is still at it, where its word that it is not may have been lost."""
+        if int(self.session.request("STATUS")["state"]) != link_layout().state["RUNNING"]:
+            for arrival in self.session.take("ENDED"):
+                self._note(arrival.frame)
+            self.recording.ended = self.recording.ended or DROPPED
 
     def _run_on_host(self) -> None:
         session, recording = self.session, self.recording

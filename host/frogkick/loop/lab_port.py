@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from frogkick.link.frames import Frame, FrameCollector, unpack_frame
-from frogkick.link.wire import Wire
+from frogkick.link.wire import Delivery, Wire
 from frogkick.pool.port import Edge
 
 RESEND_S = 0.25
@@ -61,7 +61,7 @@ class LabPort:
         """Send a frame now; ``at_s`` is for robots in simulated time."""
         frame = unpack_frame(encoded[:-1])
         if frame.name == "FIX":
-            self.wire.send(encoded, acknowledged=False)
+            self.wire.send(encoded, Delivery.NEWEST)
             return
         self._commands.append(_Command(frame.name, frame.sequence, encoded))
         self._fill_window()
@@ -127,4 +127,6 @@ class LabPort:
 
     def _put(self, one: _Command) -> None:
         one.sent_s, one.connection = self.now_s, self.wire.connections
-        self.wire.send(one.encoded, acknowledged=True)
+        # The many chunks of a table would wait a connection interval each for the radio to acknowledge them.
+        how = Delivery.ANSWERED if one.name == "TABLE_CHUNK" else Delivery.ACKNOWLEDGED
+        self.wire.send(one.encoded, how)

@@ -6,18 +6,18 @@ import math
 import secrets
 import signal
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from types import FrameType
-from typing import Any
+from typing import Any, Protocol
 
 from frogkick.link.frames import hello
 from frogkick.link.layout import Value
 from frogkick.link.wire import Wire
 from frogkick.loop.lab_port import LabPort
-from frogkick.loop.session import ANSWER_TIMEOUT_S, STEP_S, Arrival, LinkError, Session
-from frogkick.pool.port import Edge
+from frogkick.loop.session import ANSWER_TIMEOUT_S, STEP_S, Arrival, Asked, LinkError, Session
+from frogkick.pool.port import RobotPort
 
 HELLO_S = 1.0
 HELLO_TIMES = 3
@@ -26,7 +26,25 @@ SAFE_S = 5.0
 
 
 def _new_conversation() -> int:
+    """Another one than the last: 0 and a robot's first are left to simulated ones."""
     return 1 + secrets.randbelow(65_535)
+
+
+class RealPort(RobotPort, Protocol):
+    """A port in real time: a ``LabPort``, or a ``TextRobot``, which looks the same."""
+
+    wire: Wire
+
+    @property
+    def now_s(self) -> float:
+        """Time since the port began."""
+
+    @property
+    def bad(self) -> int:
+        """Frames that came damaged so far."""
+
+    def forget(self, sequence: int) -> None:
+        """Wait no longer for the answer to a command."""
 
 
 @dataclass
@@ -38,53 +56,61 @@ class LabSession(Session):
             waiting.
     """
 
-    port: LabPort
+    port: RealPort
     conversation: int = field(default_factory=_new_conversation)
     patience_s: float = math.inf
+    _connections: int = 1
 
     def step(self, until_s: float) -> None:
         """Wait until a time, or until something comes; ``time_s`` is the real one then."""
         self.port.advance(until_s)
         self._inbox += [Arrival(time_s, frame) for time_s, frame in self.port.frames()]
         self.time_s = self.port.now_s
-        self.on_step(self.time_s, [])
+        edges = self.port.edges()
+        self.edges += edges
+        self.on_step(self.time_s, edges)
 
-    def ask(
-        self,
-        name: str,
-        values: dict[str, Value] | None = None,
-        rows: Sequence[Sequence[Value]] = (),
-        timeout_s: float = ANSWER_TIMEOUT_S,
-    ) -> dict[str, Value]:
-        """Send a command and wait for its answer.
+    @property
+    def window(self) -> int:
+        """Commands that may be asked at once."""
+        return self.port.wire.window
+
+    def ask_all(
+        self, name: str, many: Sequence[Asked], timeout_s: float = ANSWER_TIMEOUT_S
+    ) -> list[dict[str, Value]]:
+        """Ask several times the same at once, and wait for all answers.
 
         Raises:
-            LinkError: none in time, though the wire was up.
+            LinkError: one is missing, though the wire was up.
             WireError: the robot is gone.
         """
-        sequence = self.post(name, values, rows)
+        sequences = [self.post(name, values, rows) for values, rows in many]
+        told: dict[int, dict[str, Value]] = {}
         waited_s = down_s = 0.0
         try:
             while waited_s < timeout_s and down_s < self.patience_s:
                 before_s, was_up = self.port.now_s, self.port.wire.is_up
                 self.step(before_s + STEP_S)
-                for arrival in self._inbox:
-                    frame = arrival.frame
-                    if (frame.name, frame.kind, frame.sequence) == (name, "answer", sequence):
-                        self._inbox.remove(arrival)
-                        return frame.values
+                if self._answered(name, sequences, told):
+                    return [told[sequence] for sequence in sequences]
                 if was_up:
                     waited_s += self.port.now_s - before_s
                 else:
                     down_s += self.port.now_s - before_s
         finally:
-            self.port.forget(sequence)
+            for sequence in sequences:
+                self.port.forget(sequence)
         raise LinkError(f"no answer to {name} within {timeout_s:g} s: bring the robot nearer, charge it")
 
     def make_safe(self) -> bool:
         """DISARM; a wire that is down is not waited for as long as otherwise."""
         self.patience_s = SAFE_S
         return super().make_safe()
+
+    def reconnected(self) -> bool:
+        """The wire has dropped and come back since this was asked last: events may be missing."""
+        before, self._connections = self._connections, self.port.wire.connections
+        return self._connections != before
 
     def robot_clock_offset_us(self) -> int:
         """Robot time minus this session's, from the quickest of some answers to STATUS.
@@ -115,12 +141,9 @@ class LabSession(Session):
         )
 
 
-def lab_session(wire: Wire, on_step: Callable[[float, Sequence[Edge]], None] | None = None) -> LabSession:
-    """A session over a wire."""
-    session = LabSession(LabPort(wire))
-    if on_step is not None:
-        session.on_step = on_step
-    return session
+def lab_session(wire: Wire) -> LabSession:
+    """A session with a robot that speaks this project's link, over a wire."""
+    return LabSession(LabPort(wire))
 
 
 @contextmanager

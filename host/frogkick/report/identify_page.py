@@ -104,9 +104,9 @@ def _errors(outcome: Outcome) -> Section:
     ]
     if outcome.drift is not None:
         text.append(
-            "Limbs drifted in the training runs: what a stroke did beside the model the next one of that limb "
-            "mostly did as well. A period ahead, what was found therefore goes with what the run had shown of "
-            "each limb by then; several periods ahead, and for the verdict, it stands alone."
+            "Limbs drifted in the training runs: what a stroke did beside the model the next one of that "
+            "limb mostly did as well. A period ahead, what was found therefore goes with what the run had "
+            "shown of each limb by then; several periods ahead, and for the verdict, it stands alone."
         )
     caption = "Errors on the test runs before and after; the dashed line is the noise floor a period ahead."
     table = Table(("prediction", "position, mm RMS", "heading, deg RMS", "predictions"), rows)

@@ -217,7 +217,7 @@ def test_there_is_always_a_whole_snapshot() -> None:
     robot, _ = robot_with_log()
     robot.begin("ARMED")
     robot.path(100)
-    for _ in range(10 + cases(30, 390)):
+    for _ in range(30 + cases(10, 370)):
         for _ in range(5):
             robot.now_us += 20_000
             robot.fix()

@@ -78,7 +78,8 @@ def misses_of(outcome: Outcome) -> Misses:
         time_s=joined([swim.start_s - swim.start_s[0] for swim in swims]),
         action=np.concatenate([swim.action[kept] for swim, kept in zip(swims, rows, strict=True)]),
         limbs=np.concatenate([counts[kept] for counts, kept in zip(limbs, rows, strict=True)]),
-        pose=joined([track.start[:, :3] for track in outcome.tracks]),
+        # The nominal model's: what was found may have the centre of mass beside the tag that a camera sees.
+        pose=joined([track.start[:, :3] for track in outcome.nominal_tracks]),
         measured=joined([swim.measured for swim in swims]),
         nominal=joined([track.predicted for track in outcome.nominal_tracks]),
         found=joined([track.predicted for track in outcome.tracks]),

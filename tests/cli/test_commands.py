@@ -42,7 +42,16 @@ def test_doctor(here: Path, capsys: Capture) -> None:
     assert {"needed", "optional", "ready_without_robot"} <= done.json.keys()
     assert all(finding["works"] for finding in done.json["needed"])
     assert listing(here) == {}
-    assert "ready" in frogkick(capsys, "doctor").stdout
+    assert [stage["name"] for stage in done.json["stages"]] == [
+        "no hardware", "a development kit", "a robot in a pool",
+    ]  # fmt: skip
+    assert done.json["stages"][0]["ready"]
+    for stage in done.json["stages"]:
+        assert stage["ready"] == (not stage["missing"])
+    said = frogkick(capsys, "doctor").stdout
+    assert "ready     no hardware: frogkick demo" in said
+    for stage in done.json["stages"]:
+        assert all(finding["install"] in said for finding in stage["missing"])
 
 
 def test_simulate_a_gait(here: Path, capsys: Capture) -> None:

@@ -2,36 +2,19 @@
 
 from __future__ import annotations
 
-import importlib.util
 import os
 import platform
 import shutil
 import sys
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 
 import typer
 
 from frogkick import __version__
 from frogkick.cli.common import JsonOption, show
+from frogkick.cli.readiness import Finding, package, stages
 from frogkick.errors import FrogkickError
-
-
-@dataclass(frozen=True)
-class Finding:
-    """One thing looked at: what it is for, whether it works, what to do if not."""
-
-    name: str
-    works: bool
-    detail: str
-    needed_for: str
-    install: str = ""
-
-
-def _package(name: str, needed_for: str, extra: str) -> Finding:
-    found = importlib.util.find_spec(name) is not None
-    hint = "" if found else f"pip install 'frogkick[{extra}]'" if extra else "make venv"
-    return Finding(name, found, "installed" if found else "missing", needed_for, hint)
 
 
 def _program(name: str, needed_for: str, package: str) -> Finding:
@@ -79,15 +62,14 @@ def doctor(json: JsonOption = False) -> None:
             "pip install 'frogkick[firmware]'",
             _compile_here,
         ),
-        _package("unicorn", "virtual chip", "firmware"),
-        _package("capstone", "virtual chip", "firmware"),
-        _package("elftools", "firmware", "firmware"),
-        _package("intelhex", "firmware", "firmware"),
+        package("unicorn", "virtual chip", "firmware"),
+        package("capstone", "virtual chip", "firmware"),
+        package("elftools", "firmware", "firmware"),
+        package("intelhex", "firmware", "firmware"),
     ]
     optional = [
-        _package("pyocd", "flashing a development kit", "flash"),
-        _package("distributed", "--cluster", "cluster"),
-        _package("mcap_protobuf", "export --mcap", "mcap"),
+        package("distributed", "--cluster", "cluster"),
+        package("mcap_protobuf", "export --mcap", "mcap"),
         _program("arm-none-eabi-gcc", "extra checks", "apt install gcc-arm-none-eabi"),
         _program("qemu-system-arm", "extra checks", "apt install qemu-system-arm"),
         _program("cppcheck", "extra checks", "apt install cppcheck"),
@@ -100,6 +82,7 @@ def doctor(json: JsonOption = False) -> None:
         "ready_without_robot": ready,
         "needed": [asdict(finding) for finding in needed],
         "optional": [asdict(finding) for finding in optional],
+        "stages": [stage.as_json() for stage in stages(needed)],
     }
     lines = [f"frogkick {__version__}, Python {platform.python_version()}, {os.cpu_count()} cores"]
     for title, findings in (("needed", needed), ("for more", optional)):
@@ -108,7 +91,14 @@ def doctor(json: JsonOption = False) -> None:
             mark = "ok     " if finding.works else "MISSING"
             hint = f" -> {finding.install}" if finding.install else ""
             lines.append(f"  {mark} {finding.name}: {finding.detail} ({finding.needed_for}){hint}")
-    lines.append("ready: 'frogkick demo' runs here" if ready else "not ready: install what is missing above")
+    lines.append("ready for:")
+    for stage in stages(needed):
+        lines.append(f"  {'ready    ' if stage.ready else 'NOT READY'} {stage.name}: {stage.begin}")
+        lines += [
+            f"            {finding.name}: {finding.detail} -> {finding.install}"
+            for finding in stage.findings
+            if not finding.works
+        ]
     show(values, json, "\n".join(lines))
     if not ready:
         print("frogkick: doctor found something missing", file=sys.stderr)

@@ -1,8 +1,9 @@
-"""``frogkick firmware``: build, measure and test the robot's image."""
+"""``frogkick firmware``: build, measure, flash and test the robot's image."""
 
 from __future__ import annotations
 
 import enum
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -10,11 +11,12 @@ import typer
 
 from frogkick.cli.common import JsonOption, progress_bar, require_writable, show
 from frogkick.cli.places import TablesOption, built_firmware, robot_of_table, table_image
+from frogkick.errors import InputError
 from frogkick.files import existing_file
 from frogkick.loop.chip_check import check_on_chip
 from frogkick.planner.image import read_image
 
-app = typer.Typer(help="Build, measure and test the robot's image.", no_args_is_help=True)
+app = typer.Typer(help="Build, measure, flash and test the robot's image.", no_args_is_help=True)
 
 
 class Target(enum.StrEnum):
@@ -69,6 +71,36 @@ def size(
         "stack_reserved_bytes": built.stack_bytes,
     }
     show(values, json)
+
+
+@app.command()
+def flash(
+    image: Annotated[
+        Path | None,
+        typer.Option(help="Intel HEX (bench.hex of firmware build); default: built from --tables."),
+    ] = None,
+    tables: TablesOption = None,
+    robot: RobotOption = None,
+    probe: Annotated[
+        str | None, typer.Option(help="Number of the debug probe, where there are several.")
+    ] = None,
+    json: JsonOption = False,
+) -> None:
+    """Write the bench image into a development kit, through its debug probe."""
+    from frogkick_codegen.probe import check_image
+    from frogkick_codegen.probe import flash as flash_image
+
+    if image is not None and tables is not None:
+        raise InputError("give --image or --tables: an image has its table in it")
+    with ExitStack() as stack:
+        if image is None:
+            table = table_image(tables, robot)
+            built = stack.enter_context(built_firmware("bench", table, robot_of_table(table, robot)))
+            image = built.files["hex"]
+        length = check_image(existing_file(image, "image"))
+        progress = stack.enter_context(progress_bar("flash"))
+        name = flash_image(image, probe, progress)
+    show({"probe": name, "bytes": length}, json)
 
 
 @app.command("test")

@@ -1,4 +1,4 @@
-"""Tables of some pages for the same robot: each state of a small one some times, a little beside itself."""
+"""Tables of some pages for the robot: a small one, smoothed, at other states than its own."""
 
 from __future__ import annotations
 
@@ -7,17 +7,26 @@ import numpy as np
 from frogkick.planner.image import Tables
 from frogkick.planner.packing import pack_nearest
 
-_TIMES = 6
-_BESIDE = 30  # codes of velocity
+_BESIDE = 0.3  # of the states' spread in each velocity
+_OFF = 0.02  # part of each motion
 
 
-def spread_table(tables: Tables, seed: int) -> bytes:
-    """The image of such a table, of kind nearest; another one for each seed."""
+def spread_table(tables: Tables, seed: int, states: int = 300) -> bytes:
+    """The image of such a table, of kind nearest; at other states for each seed.
+
+    What an action does is taken as linear in the velocity, fitted to all states of the small table: the few
+    that it has are too far apart for a planner to rely on each by itself. And a little off everywhere.
+    """
     dice = np.random.default_rng(seed)
-    states = np.repeat(tables.states.astype(np.int64), _TIMES, axis=0)
-    states += dice.integers(-_BESIDE, _BESIDE, states.shape, endpoint=True)
-    moves = np.repeat(tables.transitions.astype(np.float64), _TIMES, axis=0)
-    moves *= dice.uniform(0.99, 1.01, moves.shape)
+    scale, unit = tables.velocity_scale.astype(np.float64), tables.motion_scale.astype(np.float64)
+    known = tables.states * scale
+    moves = tables.transitions * np.concatenate([unit, scale])
+    fitted = np.linalg.lstsq(_terms(known), moves.reshape(len(known), -1), rcond=None)[0]
+    begin = known[dice.integers(len(known), size=states)]
+    begin = begin + _BESIDE * known.std(axis=0) * dice.standard_normal(begin.shape)
+    begin = np.clip(begin, known.min(axis=0), known.max(axis=0))
+    made = (_terms(begin) @ fitted).reshape(states, *moves.shape[1:])
+    made *= dice.uniform(1.0 - _OFF, 1.0 + _OFF, made.shape)
     return pack_nearest(
         tables.robot_id,
         tables.provenance,
@@ -26,8 +35,12 @@ def spread_table(tables: Tables, seed: int) -> bytes:
         tables.second_delay_us,
         tables.limbs,
         [(row.name, row.first_mask, row.second_mask) for row in tables.actions],
-        [float(scale) for scale in tables.velocity_scale],
-        states * tables.velocity_scale.astype(np.float64),
-        moves[..., :3] * tables.motion_scale.astype(np.float64),
-        moves[..., 3:] * tables.velocity_scale.astype(np.float64),
+        [float(each) for each in scale],
+        begin,
+        made[..., :3],
+        made[..., 3:],
     )
+
+
+def _terms(velocity: np.ndarray) -> np.ndarray:
+    return np.column_stack([np.ones(len(velocity)), velocity])

@@ -402,7 +402,7 @@ def test_bad_arguments_are_one_clear_line_each(tmp_path: Path, capsys: pytest.Ca
     (full / "kept").write_bytes(b"x")
     new, name = tmp_path / "new", "frog2022"
     cases: list[tuple[list[str | Path], str]] = [
-        (["missing.h5", "--robot", name, "--out", new, "--push", "ble"], "cannot be sent over the link yet"),
+        (["missing.h5", "--robot", name, "--out", new, "--push", "ble"], "neither ble:NAME nor serial:PORT"),
         ([run, "--robot", name, "--out", full], "is not empty"),
         ([run, "--robot", name, "--out", run], "is a file"),
         ([run, "--robot", "frog2023", "--out", new], "no robot 'frog2023'"),

@@ -87,7 +87,7 @@ WHEELS: Mapping[str, frozenset[str]] = {
     "planner": frozenset({"numpy", "numba"}),
     "paths": frozenset({"numpy", "numba"}),
     "vision": frozenset({"numpy", "cv2"}),
-    "link": frozenset({"cobs"}),
+    "link": frozenset({"cobs", "serial", "bleak"}),
     "errors": frozenset(),
     "files": frozenset(),
     "chunks": frozenset({"distributed"}),

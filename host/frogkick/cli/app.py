@@ -6,6 +6,7 @@ import typer
 
 from frogkick.cli import (
     camera,
+    chip_log,
     codegen,
     demo,
     doctor,
@@ -13,7 +14,9 @@ from frogkick.cli import (
     identify,
     importing,
     library,
+    log,
     parity,
+    push,
     replay,
     retune,
     robot,
@@ -33,11 +36,13 @@ app = typer.Typer(
     add_completion=False,
 )
 for _module in (
-    demo, doctor, simulate, sweep, validate, codegen, run, replay, parity, importing, identify, retune,
+    demo, doctor, simulate, sweep, validate, codegen, run, replay, parity, importing, identify, retune, push,
+    log, chip_log,
 ):  # fmt: skip
     _module.register(app)
 app.add_typer(robot.app, name="robot")
 app.add_typer(camera.app, name="camera")
+app.add_typer(log.app, name="log")
 app.add_typer(library.app, name="library")
 app.add_typer(tables.app, name="tables")
 app.add_typer(firmware.app, name="firmware")

@@ -87,6 +87,7 @@ def doctor(json: JsonOption = False) -> None:
     optional = [
         _package("pyocd", "flashing a development kit", "flash"),
         _package("distributed", "--cluster", "cluster"),
+        _package("mcap_protobuf", "export --mcap", "mcap"),
         _program("arm-none-eabi-gcc", "extra checks", "apt install gcc-arm-none-eabi"),
         _program("qemu-system-arm", "extra checks", "apt install qemu-system-arm"),
         _program("cppcheck", "extra checks", "apt install cppcheck"),

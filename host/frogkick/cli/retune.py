@@ -15,14 +15,16 @@ from numpy.typing import NDArray
 from frogkick.cli.common import JsonOption, SeedOption, progress_bar, require_writable, show, stderr
 from frogkick.cli.identify import horizon_line
 from frogkick.cli.places import built_firmware, robot_of_table
+from frogkick.cli.push import VIRTUAL, push_tables, require_target, text_of
 from frogkick.effects import World, effects_of
-from frogkick.errors import InputError
-from frogkick.identify.retune import Retuned, require_new, retune
+from frogkick.errors import FrogkickError, InputError
+from frogkick.identify.retune import BEFORE, TABLES, Retuned, require_new, retune
 from frogkick.identify.swim import read_swim
 from frogkick.identify.tables import Stage, Tracked
 from frogkick.library import build_library, fit_table, read_library
 from frogkick.library.error import looked_up
 from frogkick.library.fitting import WHOLE_MIN
+from frogkick.loop.pushing import Pushed
 from frogkick.paths import SHAPES
 from frogkick.planner.image import open_image, read_image
 from frogkick.robot import Robot, load_robot
@@ -99,17 +101,17 @@ def command(
     ] = STATES,
     workers: Annotated[int, typer.Option(min=0, max=256, help="Processes; 0 = one for each core.")] = 0,
     push: Annotated[
-        str | None, typer.Option(metavar="TARGET", help="Send the tables to a robot: not possible yet.")
+        str | None,
+        typer.Option(
+            metavar="TARGET", help="Send better tables to ble:NAME, serial:PORT or virtual; it keeps the old."
+        ),
     ] = None,
     seed: SeedOption = 0,
     json: JsonOption = False,
 ) -> None:
     """Make a worn robot new tables. Exit 1 where they are no better on held-out periods or runs too short."""
     if push is not None:
-        raise InputError(
-            f"--push {push!r}: tables cannot be sent over the link yet; leave --push out and flash the image "
-            "in OUT/firmware (or make it with 'frogkick firmware build --tables OUT/tables.fkt')"
-        )
+        require_target(push, (VIRTUAL,))
     require_writable(out, folder=True)
     require_new(out)
     described = load_robot(robot)
@@ -126,11 +128,34 @@ def command(
         old = opened.image
     tools = _Tools(states, seed, workers or os.cpu_count() or 1)
     result = retune(swims, described, out, tools, progress_bar, old)
-    show({**result.as_json(), "out": str(out) if result.tables else None}, json, _text(result, out))
+    pushed, failed = _pushed(push, result, out)
+    told = {**result.as_json(), "out": str(out) if result.tables else None, "pushed": None}
+    if pushed is not None:
+        told |= {"bytes_sent": pushed.bytes_sent, "pushed": pushed.as_json()}
+    lines = [
+        _text(result, out),
+        *([text_of(pushed, push)] if push is not None and pushed is not None else []),
+    ]
+    show(told, json, "\n".join(lines))
+    if failed is not None:
+        raise InputError(
+            f"the new tables are made, and not sent: {failed}; then send them by 'frogkick push "
+            f"{out / TABLES} --robot {push}'"
+        ) from failed
     if result.reason and not result.done:
         stderr.print(f"frogkick: {result.reason}", markup=False, highlight=False, soft_wrap=True)
     if not result.done:
         raise typer.Exit(1)
+
+
+def _pushed(target: str | None, result: Retuned, out: Path) -> tuple[Pushed | None, FrogkickError | None]:
+    """Send tables that are better, and only those; or why that failed. What was made stays either way."""
+    if target is None or not result.better:
+        return None, None
+    try:
+        return push_tables(target, out / TABLES, out / BEFORE), None
+    except FrogkickError as error:
+        return None, error
 
 
 def _text(result: Retuned, out: Path) -> str:

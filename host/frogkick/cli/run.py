@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import enum
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Annotated
 
@@ -10,6 +11,7 @@ import numpy as np
 import typer
 
 from frogkick.cli.common import JsonOption, SeedOption, progress_bar, require_writable, show
+from frogkick.cli.lab import require_bench, run_on_bench
 from frogkick.cli.places import (
     DepthOption,
     PlannerName,
@@ -24,6 +26,7 @@ from frogkick.cli.places import (
     table_image,
 )
 from frogkick.effects import World, read_world
+from frogkick.link.wire import is_target
 from frogkick.loop.closed_loop import RunOptions, require_time, run_in_pool
 from frogkick.loop.record import run_log, tracking_of_recording
 from frogkick.loop.runlog_file import write_run
@@ -45,7 +48,10 @@ class PlanWhere(enum.StrEnum):
 
 def run(
     robot: Annotated[
-        str, typer.Option(help="virtual: firmware on the virtual chip; pool: the core here.")
+        str,
+        typer.Option(
+            help="virtual: firmware on the virtual chip; pool: the core here; real: ble:NAME, serial:PORT."
+        ),
     ] = "virtual",
     plan: Annotated[PlanWhere, typer.Option(help="Who decides: the robot or the host.")] = PlanWhere.onboard,
     path: Annotated[
@@ -55,15 +61,30 @@ def run(
     depth: DepthOption = None,
     tables: TablesOption = None,
     model: Annotated[str | None, typer.Option(help="Robot TOML or name; default: the table's robot.")] = None,
-    simulated_time: Annotated[float, typer.Option(help="Longest pool time, s.")] = 120.0,
-    fix_rate: Annotated[float, typer.Option(help="Position fixes per second.")] = 15.0,
+    simulated_time: Annotated[
+        float, typer.Option(help="Longest pool time, s; real for a real robot.")
+    ] = 120.0,
+    fix_rate: Annotated[float, typer.Option(help="Position fixes per second, simulated.")] = 15.0,
+    fixes: Annotated[
+        str | None,
+        typer.Option(help="A real robot's: stdin = lines 'x_m y_m heading_rad [age_s]' from a tracker."),
+    ] = None,
+    dialect: Annotated[
+        str, typer.Option(help="A real robot's: frogkick, or frog2022 = the authors' firmware, as text.")
+    ] = "frogkick",
     world: WorldOption = None,
     seed: SeedOption = 0,
     out: Annotated[Path | None, typer.Option(help="Log to write (HDF5).")] = None,
     json: JsonOption = False,
 ) -> None:
-    """Follow a path: position fixes in, strokes out. Exit 1 if the guard's limits were broken."""
-    require_simulated(robot)
+    """Follow a path: position fixes in, strokes out. Exit 1 if the guard's limits were broken.
+
+    Stopped by Ctrl-C, a real robot is disarmed first.
+    """
+    require_bench(robot, dialect, fixes, world)
+    is_real = is_target(robot)
+    if not is_real:
+        require_simulated(robot)
     require_writable(out)
     desired, camera = swim_path(path), Camera(rate_hz=fix_rate)
     require_time(simulated_time)
@@ -72,21 +93,24 @@ def run(
     described = robot_of_table(image, model)
     opened = read_image(image)
     options = RunOptions(plan_config(described, planner, depth), plan is PlanWhere.onboard, simulated_time)
-    with simulated_robot(robot, image, described) as port:
-        pool = Pool(described, start_pose(desired), camera, np.random.default_rng(seed), true_world)
-        with progress_bar(f"{desired.name}: path points") as progress:
-            recording = run_in_pool(
-                port,
-                pool,
-                opened,
-                desired,
-                options,
-                lambda _time_s, index: progress(index + 1, len(desired)),
-            )
+    pool = None
+    with ExitStack() as stack:
+        bar = stack.enter_context(progress_bar(f"{desired.name}: path points"))
+
+        def progress(_time_s: float, index: int) -> None:
+            bar(index + 1, len(desired))
+
+        if is_real:
+            recording = run_on_bench(robot, dialect, image, described, opened, desired, options, progress)
+        else:
+            port = stack.enter_context(simulated_robot(robot, image, described))
+            pool = Pool(described, start_pose(desired), camera, np.random.default_rng(seed), true_world)
+            recording = run_in_pool(port, pool, opened, desired, options, progress)
     tracked = tracking_of_recording(recording, pool, described, desired)
     if out is not None:
-        source = f"run --robot {robot} --plan {plan.value}"
-        write_run(out, run_log(recording, pool, described, opened, desired, options, seed, source))
+        source = f"run --robot {robot.replace('/', ' ').replace(chr(92), ' ')} --plan {plan.value}"
+        known_seed = None if is_real else seed
+        write_run(out, run_log(recording, pool, described, opened, desired, options, known_seed, source))
     show({**tracked.as_json(), "ended": recording.ended}, json)
     if tracked.limit_violations:
         raise typer.Exit(1)

@@ -22,16 +22,25 @@ class UploadError(FrogkickError):
 
 
 class Conversation(Protocol):
-    """What of a session is needed here."""
+    """What of a session is needed here.
 
-    def ask(
+    Attributes:
+        window: commands that may be asked at once.
+    """
+
+    @property
+    def window(self) -> int: ...
+
+    def ask_all(
         self,
         name: str,
-        values: dict[str, Value] | None = None,
-        rows: Sequence[Sequence[Value]] = (),
+        many: Sequence[tuple[dict[str, Value] | None, Sequence[Sequence[Value]]]],
         timeout_s: float = 1.0,
-    ) -> dict[str, Value]:
-        """Send a command and wait for its answer; FrogkickError where none comes in time."""
+    ) -> list[dict[str, Value]]:
+        """Send a command several times and wait for all answers; FrogkickError where one does not come."""
+
+
+_Asked = tuple[dict[str, Value] | None, Sequence[Sequence[Value]]]
 
 
 @dataclass(frozen=True)
@@ -83,11 +92,13 @@ def upload(
     first = offset = int(told["next_offset"])
     while offset < len(image):
         progress(offset, len(image))
-        part = image[offset : offset + CHUNK_BYTES]
-        told = _ask(
-            link, "TABLE_CHUNK", {"offset": offset}, [(byte,) for byte in part], allowed=("OK", "OFFSET")
-        )
-        offset = int(told["next_offset"])
+        places = range(offset, min(len(image), offset + link.window * CHUNK_BYTES), CHUNK_BYTES)
+        chunks: list[_Asked] = [
+            ({"offset": at}, [(byte,) for byte in image[at : at + CHUNK_BYTES]]) for at in places
+        ]
+        answers = _ask_all(link, "TABLE_CHUNK", chunks, ("OK", "OFFSET"))
+        # One that came out of turn, after another was lost, comes again.
+        offset = max(int(told["next_offset"]) for told in answers)
     told = _ask(link, "TABLE_COMMIT")
     if int(told["table_crc"]) != crc:
         raise UploadError(
@@ -105,17 +116,25 @@ def _ask(
     rows: Sequence[Sequence[Value]] = (),
     allowed: tuple[str, ...] = ("OK",),
 ) -> dict[str, Value]:
+    return _ask_all(link, name, [(values, rows)], allowed)[0]
+
+
+def _ask_all(
+    link: Conversation, name: str, many: Sequence[_Asked], allowed: tuple[str, ...]
+) -> list[dict[str, Value]]:
     """Ask, some times where no answer comes: asking twice does no harm with any of these commands."""
     lost: FrogkickError | None = None
     for _ in range(_TRIES):
         try:
-            told = link.ask(name, values, rows, timeout_s=_TIMEOUT_S)
+            answers = link.ask_all(name, many, timeout_s=_TIMEOUT_S)
         except FrogkickError as error:
             lost = error
             continue
-        status = link_layout().status_name(int(told["status"]))
-        if status in allowed:
-            return told
+        names = [(link_layout().status_name(int(told["status"])), told) for told in answers]
+        refused = [(status, told) for status, told in names if status not in allowed]
+        if not refused:
+            return answers
+        status, told = refused[0]
         why = f" (fk_error_t {told['error']})" if told.get("error") else ""
         raise UploadError(
             f"the robot refuses {name} with {status}{why}: "

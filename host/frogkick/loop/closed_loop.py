@@ -1,4 +1,4 @@
-"""A closed-loop run in the simulated pool: fixes in, strokes out, everything logged."""
+"""A closed-loop run, in the simulated pool or on the bench: fixes in, strokes out, everything logged."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from typing import Protocol
 
 from frogkick.errors import InputError
 from frogkick.link.frames import Frame
@@ -18,7 +19,7 @@ from frogkick.loop.decision import (
     decision_of_event,
     events_of_frame,
 )
-from frogkick.loop.session import Session
+from frogkick.loop.session import LinkError, Session
 from frogkick.paths import Path
 from frogkick.planner import kernel
 from frogkick.planner.follow import End
@@ -34,6 +35,7 @@ START_DELAY_S = 0.1
 # A chip boots longer than the core on this computer. From a common time on, both meet the same fixes.
 READY_S = 1.0
 TIME = "time limit"
+DROPPED = "connection lost, and the robot ended the run meanwhile"
 ENDED = {
     "OK": End.COMPLETED.value,
     "PASSED": End.PASSED.value,
@@ -56,9 +58,10 @@ class Recording:
         decisions: in order.
         edges: pin edges.
         completed: the path's end was reached.
-        ended: why the run ended: a value of ENDED, or TIME.
+        ended: why the run ended: a value of ENDED, TIME or DROPPED.
         fixes_refused: the robot's own counter.
-        first_decision_s, end_s: robot time.
+        first_decision_s, end_s: session time.
+        clock_offset_us: robot time minus session time; 0 in simulated time.
     """
 
     fixes: list[Fix] = field(default_factory=list)
@@ -73,6 +76,21 @@ class Recording:
     fixes_refused: int = 0
     first_decision_s: float = 0.0
     end_s: float = 0.0
+    clock_offset_us: int = 0
+
+
+class FixSource(Protocol):
+    """Where position fixes come from: a simulated pool, or a camera over a real one. Session time."""
+
+    @property
+    def next_event_s(self) -> float:
+        """When the next fix may come."""
+
+    def advance(self, until_s: float) -> list[Fix]:
+        """Fixes that have come by then, in order."""
+
+    def heat(self, limb: int, start_s: float) -> None:
+        """A limb's pin was seen to switch on."""
 
 
 @dataclass(frozen=True)
@@ -140,36 +158,68 @@ def run_in_pool(
         LinkError: the robot refuses or does not answer.
         ConvergenceError: the pool's physics failed.
     """
+    return run_session(Session(port), pool, tables, path, options, progress)
+
+
+def run_session(
+    session: Session,
+    source: FixSource,
+    tables: Tables,
+    path: Path,
+    options: RunOptions,
+    progress: Callable[[float, int], None] = lambda _time_s, _path_index: None,
+) -> Recording:
+    """The same with any robot and any source of fixes. However it ends, the robot is disarmed first.
+
+    Args:
+        session: with the robot; its ``on_step`` is taken.
+        source: of the fixes, on the session's clock.
+        tables, path, options, progress: as in ``run_in_pool``.
+
+    Raises:
+        InputError: the time limit is not a finite number above 0.
+        LinkError: the robot refuses or does not answer.
+    """
     require_time(options.time_limit_s)
-    run = _PoolRun(port, pool, tables, path, options, progress)
-    return run.go()
+    run = _Run(session, source, tables, path, options, progress)
+    try:
+        return run.go()
+    except BaseException as error:
+        if run.may_be_armed and not session.make_safe():
+            said = str(error) or "interrupted"
+            raise LinkError(f"{said}; the robot did not say that it is disarmed: switch it off") from error
+        raise
 
 
-class _PoolRun:
+class _Run:
     def __init__(
         self,
-        port: RobotPort,
-        pool: Pool,
+        session: Session,
+        source: FixSource,
         tables: Tables,
         path: Path,
         options: RunOptions,
         progress: Callable[[float, int], None],
     ) -> None:
-        self.pool = pool
+        self.source = source
         self.tables = tables
         self.path = path
         self.options = options
         self.progress = progress
         self.recording = Recording()
-        self.session = Session(port, self._pool_step)
+        self.may_be_armed = False
+        self.session = session
+        session.on_step = self._source_step
         self.twin = DecisionTwin(tables, path, options.config)
         self._awaited: dict[int, int] = {}
 
     def go(self) -> Recording:
         session, options = self.session, self.options
         session.greet(self.tables)
+        self.recording.clock_offset_us = session.robot_clock_offset_us()
         session.set_parameters(parameters(options.config))
         session.send_path(self.path)
+        self.may_be_armed = True
         session.request("ARM")
         self._live_until(max(session.time_s + SETTLE_S, READY_S))
         if options.onboard:
@@ -185,16 +235,24 @@ class _PoolRun:
     def _run_onboard(self) -> None:
         session, recording = self.session, self.recording
         delay_us = round(START_DELAY_S * 1e6)
-        recording.first_decision_s = (
-            int(session.request("START", {"delay_us": delay_us})["first_decision_us"]) * 1e-6
-        )
+        first_us = int(session.request("START", {"delay_us": delay_us})["first_decision_us"])
+        recording.first_decision_s = (first_us - recording.clock_offset_us) * 1e-6
         limit_s = recording.first_decision_s + self.options.time_limit_s
         while session.time_s < limit_s:
             self._live_until(min(session.time_s + 0.05, limit_s))
+            if session.reconnected() and not recording.ended:
+                self._look_again()
             if recording.ended:
                 return
         session.request("STOP")
         recording.ended = TIME
+
+    def _look_again(self) -> None:
+        """Whether the robot is still at it, where its word that it is not may have been lost."""
+        if int(self.session.request("STATUS")["state"]) != link_layout().state["RUNNING"]:
+            for arrival in self.session.take("ENDED"):
+                self._note(arrival.frame)
+            self.recording.ended = self.recording.ended or DROPPED
 
     def _run_on_host(self) -> None:
         session, recording = self.session, self.recording
@@ -232,7 +290,7 @@ class _PoolRun:
 
     def _live_until(self, until_s: float) -> None:
         while self.session.time_s < until_s and (self.options.onboard or self.twin.ended is None):
-            self.session.step(min(max(self.pool.next_event_s, self.session.time_s + 1e-6), until_s))
+            self.session.step(min(max(self.source.next_event_s, self.session.time_s + 1e-6), until_s))
             for arrival in self.session.take("FIX", "STROKE", "DECISION", "REFUSED", "ENDED"):
                 self._note(arrival.frame)
 
@@ -247,7 +305,7 @@ class _PoolRun:
                 recording.capture_us[row] = int(values["capture_us"])
         elif frame.name == "REFUSED":
             if not self.options.onboard:
-                self.twin.act(int(values["begin_us"]), RESTING)
+                self.twin.act(int(values["begin_us"]) - recording.clock_offset_us, RESTING)
         elif frame.name == "DECISION":
             decision = decision_of_event(values)
             recording.decisions.append(decision)
@@ -257,12 +315,12 @@ class _PoolRun:
             name = link_layout().status_name(int(values["status"]))
             recording.ended = ENDED.get(name, name)
 
-    def _pool_step(self, until_s: float, edges: Sequence[Edge]) -> None:
-        """The pool lives through a step of the robot; fixes that arrive go straight to the robot."""
+    def _source_step(self, until_s: float, edges: Sequence[Edge]) -> None:
+        """The source lives through a step of the robot; fixes that arrive go straight to the robot."""
         for edge in edges:
             if edge.level:
-                self.pool.heat(edge.limb, edge.time_s)
-        for fix in self.pool.advance(until_s):
+                self.source.heat(edge.limb, edge.time_s)
+        for fix in self.source.advance(until_s):
             at_s = max(until_s, fix.arrival_s)
             sequence = self.session.post_fix(fix, at_s)
             recording = self.recording

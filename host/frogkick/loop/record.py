@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, fields, replace
+from typing import Any
 
 import numpy as np
 
@@ -29,6 +30,7 @@ class Tracking:
     """How well a run followed its path, from the first decision to the end.
 
     Distances are of the true pose (simulated runs) or of the fixes to the path's polyline.
+    ``limit_violations`` is None where nobody saw the pins.
     """
 
     mean_distance_m: float
@@ -37,25 +39,28 @@ class Tracking:
     completed: bool
     decisions: int
     fixes_lost: int
-    limit_violations: int
+    limit_violations: int | None
     plan_ms_p99: float
 
-    def as_json(self) -> dict[str, float | int | bool]:
+    def as_json(self) -> dict[str, Any]:
         """The keys of the command ``run``."""
         return asdict(self)
 
 
-def decision_columns(decisions: Sequence[Decision], fix_rows: dict[int, int]) -> Decisions:
+def decision_columns(
+    decisions: Sequence[Decision], fix_rows: dict[int, int], clock_offset_us: int = 0
+) -> Decisions:
     """Decisions as log columns.
 
     Args:
         decisions: in order.
         fix_rows: row in ``fixes`` of each fix sequence number.
+        clock_offset_us: robot time minus the log's.
     """
     failed = np.array([d.status != 0 for d in decisions], dtype=bool)
     not_planned = np.where(failed, np.nan, 1.0)
     return Decisions(
-        time_s=np.array([d.scheduled_us * 1e-6 for d in decisions]),
+        time_s=np.array([(d.scheduled_us - clock_offset_us) * 1e-6 for d in decisions]),
         action=np.array([d.action for d in decisions], dtype=np.int64),
         fix_sequence=np.array([fix_rows.get(d.fix_sequence, -1) if d.fixes else -1 for d in decisions]),
         flags=np.where(failed, int(DecisionFlag.NO_PLAN), 0),
@@ -76,21 +81,21 @@ def decision_columns(decisions: Sequence[Decision], fix_rows: dict[int, int]) ->
 
 def run_log(
     recording: Recording,
-    pool: Pool,
+    pool: Pool | None,
     robot: Robot,
     tables: Tables,
     path: Path,
     options: RunOptions,
-    seed: int,
+    seed: int | None,
     source: str,
 ) -> RunLog:
-    """The log of a run in the pool.
+    """The log of a run.
 
     Args:
-        recording: of ``run_in_pool``.
-        pool: where it swam; gives the truth.
+        recording: of ``run_in_pool`` or ``run_session``.
+        pool: the simulated one where it swam, which gives the truth; None: a real one.
         robot, tables, path, options: as in the run.
-        seed: of the camera's noise.
+        seed: of the camera's noise, where that was simulated.
         source: what made the log, without folders.
     """
     fixes = recording.fixes
@@ -101,7 +106,9 @@ def run_log(
     masks = [sum(1 << p.limb for p in pulses if (p.start_s, p.end_s) == start) for start in starts]
     tracked = tracking_of_recording(recording, pool, robot, path).as_json()
     rows = {fix.sequence: row for row, fix in reversed(list(enumerate(fixes)))}  # of a doubled one the first
-    decisions = decision_columns(recording.decisions, rows)
+    # The host decides on its own clock.
+    offset_us = recording.clock_offset_us if options.onboard else 0
+    decisions = decision_columns(recording.decisions, rows, offset_us)
     if not options.onboard:
         # Measured on this computer's clock, not the robot's: the same seed shall give the same log.
         decisions = replace(decisions, plan_s=None)
@@ -139,16 +146,22 @@ def run_log(
             pulse_s=np.array([end - start for start, end in starts]),
         ),
         path=path,
-        truth=Truth(
-            time_s=np.array(pool.truth.time_s),
-            pose_world=np.array(pool.truth.pose_world).reshape(-1, 3),
-            velocity_body=np.array(pool.truth.velocity_body).reshape(-1, 3),
-        ),
+        truth=None if pool is None else _truth(pool),
         table_crc=tables.crc32,
         seed=seed,
         notes=recording.ended,
-        measured={key: float(value) for key, value in tracked.items() if np.isfinite(value)},
+        measured={
+            key: float(value) for key, value in tracked.items() if value is not None and np.isfinite(value)
+        },
         planner={key: float(value) for key, value in asdict(options.config).items()},
+    )
+
+
+def _truth(pool: Pool) -> Truth:
+    return Truth(
+        time_s=np.array(pool.truth.time_s),
+        pose_world=np.array(pool.truth.pose_world).reshape(-1, 3),
+        velocity_body=np.array(pool.truth.velocity_body).reshape(-1, 3),
     )
 
 
@@ -176,11 +189,16 @@ def config_of_log(run: RunLog) -> PlanConfig:
     return PlanConfig(**{**weights, **whole})  # type: ignore[arg-type]
 
 
-def tracking_of_recording(recording: Recording, pool: Pool, robot: Robot, path: Path) -> Tracking:
-    """Numbers of a run in the pool, distances from the true poses."""
-    time_s = np.array(pool.truth.time_s)
+def tracking_of_recording(recording: Recording, pool: Pool | None, robot: Robot, path: Path) -> Tracking:
+    """Numbers of a run: distances of the true poses, or where there is no simulated pool of the fixes."""
+    if pool is None:
+        taken = [f for f, status in zip(recording.fixes, recording.fix_status, strict=True) if status == 0]
+        time_s = np.array([fix.capture_s for fix in taken])
+        seen = np.array([fix.pose_world for fix in taken], dtype=np.float64).reshape(-1, 3)
+    else:
+        time_s, seen = np.array(pool.truth.time_s), np.array(pool.truth.pose_world).reshape(-1, 3)
     during = (time_s >= recording.first_decision_s) & (time_s <= recording.end_s)
-    poses = np.array(pool.truth.pose_world).reshape(-1, 3)[during]
+    poses = seen[during]
     plan_ms = [d.plan_us * 1e-3 for d in recording.decisions if d.status == 0]
     pulses = pulses_of(recording.edges, recording.end_s)
     mean_m, p95_m, progress_mps = along_path(path, time_s[during], poses)
@@ -191,7 +209,7 @@ def tracking_of_recording(recording: Recording, pool: Pool, robot: Robot, path: 
         completed=recording.completed,
         decisions=len(recording.decisions),
         fixes_lost=recording.fixes_refused,
-        limit_violations=len(violations(robot, pulses)),
+        limit_violations=None if pool is None and not pulses else len(violations(robot, pulses)),
         plan_ms_p99=float(np.percentile(plan_ms, 99)) if plan_ms else 0.0,
     )
 

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import signal
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 
 from frogkick.errors import FrogkickError
@@ -17,10 +20,28 @@ STEP_S = 0.002
 ANSWER_TIMEOUT_S = 1.0
 HELLO_TIMEOUT_S = 0.05
 HELLO_TRIES = 20
+DISARM_TRIES = 3
 
 
 class LinkError(FrogkickError):
     """The robot refused a command or did not answer."""
+
+
+@contextmanager
+def uninterrupted() -> Iterator[None]:
+    """Ctrl-C does nothing meanwhile."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+Asked = tuple[dict[str, Value] | None, Sequence[Sequence[Value]]]
+"""Values and rows of a command."""
 
 
 @dataclass(frozen=True)
@@ -116,22 +137,73 @@ class Session:
         Raises:
             LinkError: no answer in time.
         """
-        sequence = self.post(name, values, rows)
+        return self.ask_all(name, [(values, rows)], timeout_s)[0]
+
+    @property
+    def window(self) -> int:
+        """Commands that may be asked at once: a UART's chip takes no more than one."""
+        return 1
+
+    def ask_all(
+        self, name: str, many: Sequence[Asked], timeout_s: float = ANSWER_TIMEOUT_S
+    ) -> list[dict[str, Value]]:
+        """Ask several times the same at once, and wait for all answers.
+
+        Args:
+            name: of the command.
+            many: values and rows of each.
+            timeout_s: for all together.
+
+        Raises:
+            LinkError: an answer is missing.
+        """
+        sequences = [self.post(name, values, rows) for values, rows in many]
+        told: dict[int, dict[str, Value]] = {}
         deadline_s = self.time_s + timeout_s
         while self.time_s < deadline_s:
             self.step(self.time_s + STEP_S)
-            for arrival in self._inbox:
-                frame = arrival.frame
-                if (frame.name, frame.kind, frame.sequence) == (name, "answer", sequence):
-                    self._inbox.remove(arrival)
-                    return frame.values
+            if self._answered(name, sequences, told):
+                return [told[sequence] for sequence in sequences]
         raise LinkError(f"no answer to {name} within {timeout_s:g} s: is the firmware running?")
 
-    def greet(self, tables: Tables) -> dict[str, Value]:
-        """HELLO, and refuse a robot with other tables than ours.
+    def _answered(self, name: str, sequences: Sequence[int], told: dict[int, dict[str, Value]]) -> bool:
+        """Take the answers that have come; whether these are all."""
+        for arrival in self.take(name):
+            frame = arrival.frame
+            if frame.kind == "answer" and frame.sequence in sequences:
+                told[frame.sequence] = frame.values
+            else:
+                self._inbox.append(arrival)
+        return len(told) == len(sequences)
+
+    def make_safe(self) -> bool:
+        """DISARM, whatever was going on; False where the robot does not say that its outputs are off.
+
+        Nothing but the robot lives on meanwhile, and Ctrl-C does nothing.
+        """
+        self.on_step = lambda _time_s, _edges: None
+        with uninterrupted():
+            for _ in range(DISARM_TRIES):
+                try:
+                    self.ask("DISARM")
+                except FrogkickError:
+                    continue
+                return True  # disarmed, or in a fault, which has its outputs off as well
+        return False
+
+    def reconnected(self) -> bool:
+        """The connection has dropped and come back since this was asked last; never in simulated time."""
+        return False
+
+    def robot_clock_offset_us(self) -> int:
+        """Robot time minus this session's: 0 in simulated time."""
+        return 0
+
+    def meet(self) -> dict[str, Value]:
+        """HELLO, and refuse a robot that speaks another protocol.
 
         Raises:
-            LinkError: another protocol, robot or table.
+            LinkError: no answer, or another protocol.
         """
         told = self._hello()
         ours = link_layout().protocol_version
@@ -139,11 +211,20 @@ class Session:
             raise LinkError(
                 f"the robot speaks protocol {told['protocol_version']}, this host {ours}: flash it again"
             )
+        return told
+
+    def greet(self, tables: Tables) -> dict[str, Value]:
+        """HELLO, and refuse a robot with other tables than ours.
+
+        Raises:
+            LinkError: another protocol, robot or table.
+        """
+        told = self.meet()
         tables.require_robot(str(told["robot_id"]))
         if told["table_crc"] != tables.crc32:
             raise LinkError(
                 f"the robot's table has CRC-32 {told['table_crc']:08x}, ours {tables.crc32:08x}: "
-                "build the firmware with this table"
+                "build the firmware with this table, or send it ('frogkick push')"
             )
         return told
 

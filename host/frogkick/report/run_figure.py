@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import dataclass
+
 import numpy as np
 import numpy.typing as npt
 from matplotlib.axes import Axes
@@ -9,6 +12,7 @@ from matplotlib.figure import Figure
 
 from frogkick.loop.residual import Residual, residual, true_poses_at
 from frogkick.loop.runlog import RunLog
+from frogkick.loop.summary import track_of
 from frogkick.paths import wrap_angle
 from frogkick.report import style
 
@@ -16,27 +20,63 @@ FloatArray = npt.NDArray[np.float64]
 
 
 def run_figure(run: RunLog, title: str) -> Figure:
-    """Draw a simulated run.
+    """Draw a run, by its truth where it is simulated, else by its fixes; panels without data are left out.
 
     Args:
-        run: with path, truth and at least two decisions.
+        run: with two decisions at least.
         title: of the picture.
+
+    Raises:
+        InputError: nobody saw the robot, or nothing was decided.
     """
+    seen = _Seen.of(run)
+    panels: list[Callable[[Axes, RunLog, _Seen], None]] = [_distance] if run.path is not None else []
+    panels.append(_actions)
+    if run.truth is not None and run.decisions.estimate is not None:
+        panels.append(_estimate)
+        if run.decisions.predicted is not None:
+            panels.append(_prediction)
     with style.styled():
         figure = Figure(figsize=(11.5, 7.2), layout="constrained")
         figure.suptitle(title, fontweight="bold")
         halves = figure.add_gridspec(1, 2, width_ratios=(1.05, 1.0))
-        _track(figure.add_subfigure(halves[0]).subplots(), run)
-        panels = figure.add_subfigure(halves[1]).subplots(4, 1, sharex=True)
-        for axes, draw in zip(panels, (_distance, _actions, _estimate, _prediction), strict=True):
-            draw(axes, run)
-        panels[-1].set_xlabel("time (s)")
+        _track(figure.add_subfigure(halves[0]).subplots(), run, seen)
+        every = figure.add_subfigure(halves[1]).subplots(len(panels), 1, sharex=True, squeeze=False)[:, 0]
+        for axes, draw in zip(every, panels, strict=True):
+            draw(axes, run, seen)
+        every[-1].set_xlabel("time (s)")
     return figure
 
 
-def _centred(run: RunLog, points_m: FloatArray) -> FloatArray:
-    assert run.path is not None
-    return np.asarray(100.0 * (points_m - run.path.points_m.mean(axis=0)))
+@dataclass(frozen=True, eq=False)
+class _Seen:
+    """Where the robot was from the first decision on, by truth or by fixes.
+
+    Attributes:
+        time_s: (n,).
+        poses: (n, 3).
+        colour: of what it is seen by.
+        middle_m: (2,) where the picture has its origin.
+    """
+
+    time_s: FloatArray
+    poses: FloatArray
+    colour: str
+    middle_m: FloatArray
+
+    @classmethod
+    def of(cls, run: RunLog) -> _Seen:
+        time_s, poses, by = track_of(run)
+        middle = poses[:, :2].mean(axis=0) if run.path is None else run.path.points_m.mean(axis=0)
+        return cls(time_s, poses, style.TRUE if by == "truth" else style.MEASURED, np.asarray(middle))
+
+    def centred(self, points_m: FloatArray) -> FloatArray:
+        """(n, 2) cm from the middle."""
+        return np.asarray(100.0 * (points_m - self.middle_m))
+
+    def at(self, time_s: FloatArray) -> FloatArray:
+        """(n, 2) positions at times."""
+        return np.column_stack([np.interp(time_s, self.time_s, self.poses[:, k]) for k in range(2)])
 
 
 def _beside(points: FloatArray) -> FloatArray:
@@ -49,17 +89,19 @@ def _beside(points: FloatArray) -> FloatArray:
     return np.asarray(7.0 * np.column_stack([-along[:, 1], along[:, 0]]))
 
 
-def _track(axes: Axes, run: RunLog) -> None:
-    assert run.path is not None and run.truth is not None
-    path = _centred(run, run.path.points_m)
-    track = _centred(run, run.truth.pose_world[:, :2])
-    fixes = _centred(run, np.column_stack([run.fixes.x_m, run.fixes.y_m]))
-    axes.plot(*path.T, color=style.DESIRED, linewidth=2.5, linestyle="--", label="desired path")
+def _track(axes: Axes, run: RunLog, seen: _Seen) -> None:
+    if run.path is not None:
+        path = seen.centred(run.path.points_m)
+        axes.plot(*path.T, color=style.DESIRED, linewidth=2.5, linestyle="--", label="desired path")
+    usable = run.fixes.usable
+    fixes = seen.centred(np.column_stack([run.fixes.x_m, run.fixes.y_m])[usable])
     axes.plot(*fixes.T, ".", color=style.MEASURED, markersize=2.5, label="position fixes")
-    axes.plot(*track.T, color=style.TRUE, linewidth=1.5, label="true track")
-    here = _centred(run, true_poses_at(run, run.decisions.time_s)[:, :2])
-    names = [run.action_names[index] for index in run.decisions.action]
-    axes.plot(*here.T, "o", color=style.TRUE, markersize=3)
+    if run.truth is not None:
+        track = seen.centred(run.truth.pose_world[:, :2])
+        axes.plot(*track.T, color=style.TRUE, linewidth=1.5, label="true track")
+    here = seen.centred(seen.at(run.decisions.time_s))
+    names = [run.action_names[index] if index >= 0 else "?" for index in run.decisions.action]
+    axes.plot(*here.T, "o", color=seen.colour, markersize=3)
     for (x, y), name, offset in zip(here, names, _beside(here), strict=True):
         axes.annotate(
             name,
@@ -69,9 +111,10 @@ def _track(axes: Axes, run: RunLog) -> None:
             ha="center",
             va="center",
             fontsize=7,
-            color=style.TRUE,
+            color=seen.colour,
         )
-    axes.plot(*path[0], "s", color=style.DESIRED, label="start of the path")
+    if run.path is not None:
+        axes.plot(*path[0], "s", color=style.DESIRED, label="start of the path")
     axes.set_aspect("equal", adjustable="datalim")
     axes.set_xlabel("x (cm)")
     axes.set_ylabel("y (cm)")
@@ -79,21 +122,19 @@ def _track(axes: Axes, run: RunLog) -> None:
     axes.legend(loc="best")
 
 
-def _distance(axes: Axes, run: RunLog) -> None:
-    assert run.path is not None and run.truth is not None
-    time_s = run.truth.time_s
-    during = time_s >= run.decisions.time_s[0]
-    distance_mm = 1e3 * run.path.distance_m(run.truth.pose_world[during, :2])
+def _distance(axes: Axes, run: RunLog, seen: _Seen) -> None:
+    assert run.path is not None
+    distance_mm = 1e3 * run.path.distance_m(seen.poses[:, :2])
     mean_mm = float(distance_mm.mean())
-    axes.plot(time_s[during], distance_mm, color=style.TRUE)
+    axes.plot(seen.time_s, distance_mm, color=seen.colour)
     axes.axhline(mean_mm, color=style.DESIRED, linestyle="--")
     axes.set_ylabel("distance (mm)")
     axes.set_title(f"Distance to the path, mean {mean_mm:.1f} mm (dashed)")
 
 
-def _actions(axes: Axes, run: RunLog) -> None:
-    axes.step(run.decisions.time_s, run.decisions.action, where="post", color=style.TRUE, linewidth=0.8)
-    axes.plot(run.decisions.time_s, run.decisions.action, "s", color=style.TRUE, markersize=4)
+def _actions(axes: Axes, run: RunLog, seen: _Seen) -> None:
+    axes.step(run.decisions.time_s, run.decisions.action, where="post", color=seen.colour, linewidth=0.8)
+    axes.plot(run.decisions.time_s, run.decisions.action, "s", color=seen.colour, markersize=4)
     axes.set_yticks(range(len(run.action_names)), list(run.action_names))
     axes.set_ylabel("action")
     axes.set_title("Actions chosen")
@@ -111,7 +152,7 @@ def _errors(
     axes.legend(loc="upper right", ncols=2)
 
 
-def _estimate(axes: Axes, run: RunLog) -> None:
+def _estimate(axes: Axes, run: RunLog, seen: _Seen) -> None:
     assert run.decisions.estimate is not None
     time_s = run.decisions.time_s
     truth = true_poses_at(run, time_s)
@@ -122,7 +163,7 @@ def _estimate(axes: Axes, run: RunLog) -> None:
     axes.set_title("Error of the robot's estimate, at each decision")
 
 
-def _prediction(axes: Axes, run: RunLog) -> None:
+def _prediction(axes: Axes, run: RunLog, seen: _Seen) -> None:
     missed: Residual = residual(run)
     _errors(
         axes,

@@ -1,0 +1,117 @@
+"""``frogkick log``: look at runs; and ``frogkick export``: give them to other programs."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from matplotlib.figure import Figure
+
+from frogkick.cli.common import JsonOption, require_writable, show
+from frogkick.errors import InputError
+from frogkick.files import atomic_path
+from frogkick.loop.export_csv import export_csv
+from frogkick.loop.export_mcap import export_mcap
+from frogkick.loop.recorded import load_run
+from frogkick.loop.summary import compare_runs, summary
+from frogkick.report.compare_figure import compare_figure
+from frogkick.report.run_figure import run_figure
+
+app = typer.Typer(help="Runs afterwards: one picture, or two runs side by side.", no_args_is_help=True)
+
+RunArgument = Annotated[
+    Path, typer.Argument(help="Log of ours (.h5) or a recorded run of the paper (line1.csv).")
+]
+
+
+@app.command(name="show")
+def show_(
+    run: RunArgument,
+    out: Annotated[Path | None, typer.Option(help="Picture (.png) to write.")] = None,
+    json: JsonOption = False,
+) -> None:
+    """A run in numbers and in one picture: track, distance, actions, what the prediction missed."""
+    _require_picture(out)
+    log = load_run(run)
+    found = summary(log)
+    if out is not None:
+        _write(run_figure(log, f"{run.name}: {found.decisions} decisions"), out)
+    show({**found.as_json(), "picture": out and str(out)}, json, _lines(found.as_json()))
+
+
+@app.command()
+def compare(
+    a: RunArgument,
+    b: RunArgument,
+    out: Annotated[Path | None, typer.Option(help="Picture (.png) to write.")] = None,
+    json: JsonOption = False,
+) -> None:
+    """Two runs side by side: which kept nearer to its path, where decisions part, how far apart they swam."""
+    _require_picture(out)
+    logs = (load_run(a), load_run(b))
+    found = compare_runs(*logs)
+    if out is not None:
+        names = (a.name, b.name) if a.name != b.name else (str(a), str(b))
+        _write(compare_figure(logs, names), out)
+    told = found.as_json()
+    rows = [
+        f"{key:18s}  {_short(told['a'][key]):>22s}  {_short(told['b'][key]):>22s}"
+        for key in told["a"]
+        if key not in ("actions", "notes")
+    ]
+    more = {key: told[key] for key in ("same_robot", "same_table", "same_path", "same_decisions", "apart_m")}
+    show({**told, "picture": out and str(out)}, json, "\n".join([*rows, _lines(more)]))
+
+
+def export(
+    run: RunArgument,
+    out: Annotated[Path, typer.Option(help="File (.mcap), or folder for CSV.")],
+    csv: Annotated[bool, typer.Option("--csv", help="One CSV for each group of columns.")] = False,
+    mcap: Annotated[bool, typer.Option("--mcap", help="One MCAP, as Foxglove opens it.")] = False,
+    json: JsonOption = False,
+) -> None:
+    """Write a run as CSV (a folder of files) or as MCAP (poses, path and plan in Foxglove's schemas)."""
+    if csv == mcap:
+        raise InputError("give one of --csv and --mcap: CSV is a folder of files, MCAP one file")
+    require_writable(out, folder=csv)
+    log = load_run(run)
+    if csv:
+        files = [str(out / name) for name in export_csv(log, out)]
+        show({"files": files}, json, "\n".join(files))
+        return
+    counts = export_mcap(log, out)
+    show(
+        {"files": [str(out)], "messages": counts},
+        json,
+        "\n".join([str(out), *(f"  {topic:12s} {count}" for topic, count in counts.items())]),
+    )
+
+
+def _require_picture(out: Path | None) -> None:
+    """Raises InputError: the picture cannot be written there, or is no PNG."""
+    require_writable(out)
+    if out is not None and out.suffix.lower() != ".png":
+        raise InputError(f"--out {str(out)!r} is no .png: pictures are PNG here")
+
+
+def _write(figure: Figure, out: Path) -> None:
+    with atomic_path(out) as temporary:
+        figure.savefig(temporary, format="png", dpi=120, metadata={"Software": None})
+
+
+def _short(value: Any) -> str:
+    return "-" if value is None else f"{value:.4g}" if isinstance(value, float) else str(value)
+
+
+def _lines(values: Mapping[str, Any]) -> str:
+    texts = {key: _short(value) for key, value in values.items() if key != "actions"}
+    if "actions" in values:
+        texts["actions"] = " ".join(f"{name}{count}" for name, count in values["actions"].items())
+    return "\n".join(f"{key}: {text}" for key, text in texts.items())
+
+
+def register(parent: typer.Typer) -> None:
+    """Add the command ``export``."""
+    parent.command()(export)

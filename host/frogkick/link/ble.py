@@ -1,0 +1,321 @@
+"""The link by Bluetooth: the Nordic UART Service through bleak, in a thread with its own event loop."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import threading
+import time
+from typing import NoReturn
+
+from bleak import BleakClient, BleakScanner
+from bleak.backends.characteristic import BleakGATTCharacteristic
+from bleak.backends.device import BLEDevice
+from bleak.backends.scanner import AdvertisementData
+from bleak.exc import (
+    BleakBluetoothNotAvailableError,
+    BleakBluetoothNotAvailableReason,
+    BleakCharacteristicNotFoundError,
+    BleakDBusError,
+    BleakError,
+    BleakGATTProtocolError,
+    BleakGATTProtocolErrorCode,
+)
+
+from frogkick.link.frames import DELIMITER
+from frogkick.link.wire import Delivery, Inbox, WireError
+
+SERVICE = "6e400001-b5a3-f393-e0a9-e50e24dcca9e"
+RECEIVE = "6e400002-b5a3-f393-e0a9-e50e24dcca9e"
+"""The robot receives here."""
+TRANSMIT = "6e400003-b5a3-f393-e0a9-e50e24dcca9e"
+
+SCAN_S = 10.0
+LOOK_ROUND_S = 1.0  # for a second robot of that name: it advertises at least every 0.15 s
+CONNECT_S = 10.0
+CONNECT_TRIES = 3
+RECONNECT_S = 20.0
+FIXES_WAITING = 2
+_AGAIN_S = 0.05
+_Queue = asyncio.Queue[tuple[bytes, bool]]  # frames, and whether the radio is to acknowledge them
+_PART_MIN = 20  # what every Bluetooth robot takes at once
+_DEFINITE = (
+    BleakGATTProtocolErrorCode.INSUFFICIENT_AUTHENTICATION,
+    BleakGATTProtocolErrorCode.INSUFFICIENT_AUTHORIZATION,
+    BleakGATTProtocolErrorCode.INSUFFICIENT_ENCRYPTION,
+)
+
+
+class BleWire:
+    """A ``Wire`` by Bluetooth. A robot that drops out is looked for again, by its address, and connected."""
+
+    window = 4  # a frame each: the robot's receive buffer holds eight
+
+    def __init__(
+        self,
+        place: str,
+        scan_s: float = SCAN_S,
+        reconnect_s: float = RECONNECT_S,
+        greeting: bytes = DELIMITER,
+    ) -> None:
+        """Look for the robot and connect.
+
+        Args:
+            place: the name that it advertises, or its address.
+            scan_s: how long to look for it.
+            reconnect_s: how long to look for it again after it dropped out.
+            greeting: sent at each connect; ends what a cut-off frame left in the robot's receiver.
+
+        Raises:
+            WireError: no adapter, no permission, no such robot, two of them, or none that speaks this link.
+        """
+        self.name = f"ble:{place}"
+        self._place, self._scan_s, self._reconnect_s = place, scan_s, reconnect_s
+        self._greeting = greeting
+        self._address: str | None = None
+        self._part_bytes = 0
+        self._inbox = Inbox()
+        self._loop: asyncio.AbstractEventLoop | None = None
+        self._stop = asyncio.Event()
+        self._commands: _Queue = asyncio.Queue()
+        self._fixes: _Queue = asyncio.Queue()
+        self._thread = threading.Thread(target=self._run, name=self.name, daemon=True)
+        self._thread.start()
+        try:
+            while not self._inbox.wait_up(1.0):
+                continue
+        except BaseException:
+            self.close()
+            raise
+
+    @property
+    def connections(self) -> int:
+        """How often it was connected."""
+        return self._inbox.connections
+
+    @property
+    def is_up(self) -> bool:
+        """It is connected."""
+        return self._inbox.is_up
+
+    @property
+    def address(self) -> str | None:
+        """The robot's address, as this computer's Bluetooth has it."""
+        return self._address
+
+    @property
+    def part_bytes(self) -> int:
+        """Bytes in one write, as negotiated."""
+        return self._part_bytes
+
+    def send(self, encoded: bytes, how: Delivery) -> None:
+        """Send a frame; of fixes that wait for the radio only the newest are kept."""
+        if self._loop is not None and self.is_up:
+            with contextlib.suppress(RuntimeError):  # the loop has just ended
+                self._loop.call_soon_threadsafe(self._put, encoded, how)
+
+    def receive(self, timeout_s: float) -> list[tuple[float, bytes]]:
+        """Wait for bytes, and take them."""
+        return self._inbox.receive(timeout_s)
+
+    def close(self) -> None:
+        """Disconnect."""
+        if self._loop is not None:
+            with contextlib.suppress(RuntimeError):
+                self._loop.call_soon_threadsafe(self._stop.set)
+        self._thread.join(CONNECT_S)
+
+    def _put(self, encoded: bytes, how: Delivery) -> None:
+        if how is not Delivery.NEWEST:
+            self._commands.put_nowait((encoded, how is Delivery.ACKNOWLEDGED))
+            return
+        self._fixes.put_nowait((encoded, False))
+        while self._fixes.qsize() > FIXES_WAITING:
+            self._fixes.get_nowait()
+
+    def _run(self) -> None:
+        try:
+            asyncio.run(self._live())
+        except Exception as error:
+            self._inbox.fail(explained(error, self._place))
+
+    async def _live(self) -> None:
+        self._loop = asyncio.get_running_loop()
+        tries, deadline_s = CONNECT_TRIES, 0.0
+        while not self._stop.is_set():
+            connections = self.connections
+            error: Exception | None = None
+            try:
+                await self._converse(await self._find())
+            except Exception as raised:
+                error = raised
+            if self.connections > connections:
+                deadline_s = time.monotonic() + self._reconnect_s
+            if error is None:
+                continue
+            tries -= 1
+            why = explained(error, self._place)
+            is_first = self.connections == 0
+            if is_definite(error, is_first) or (is_first and tries <= 0):
+                raise why from error
+            if not is_first and time.monotonic() > deadline_s:
+                raise WireError(f"{self.name} dropped out for {self._reconnect_s:g} s: {why}") from error
+            await asyncio.sleep(_AGAIN_S)
+
+    async def _find(self) -> BLEDevice:
+        seen: dict[str, tuple[BLEDevice, str]] = {}
+        wanted = (self._address or self._place).lower()
+        found = asyncio.Event()
+
+        def matching(by_address: bool) -> list[BLEDevice]:
+            return [
+                device
+                for device, name in seen.values()
+                if (device.address.lower() == wanted if by_address else name == self._place)
+            ]
+
+        def heard(device: BLEDevice, advertised: AdvertisementData) -> None:
+            seen[device.address] = (device, advertised.local_name or device.name or "")
+            if matching(True) or (self._address is None and matching(False)):
+                found.set()
+
+        async with BleakScanner(heard, service_uuids=[SERVICE]):
+            stop = asyncio.create_task(self._stop.wait())
+            look = asyncio.create_task(found.wait())
+            await asyncio.wait({stop, look}, timeout=self._scan_s, return_when=asyncio.FIRST_COMPLETED)
+            stop.cancel()
+            look.cancel()
+            if found.is_set() and not matching(True):
+                await asyncio.sleep(LOOK_ROUND_S)
+        if by_address := matching(True):
+            return by_address[0]
+        named = matching(False) if self._address is None else []
+        if len(named) > 1:
+            addresses = sorted(device.address for device in named)
+            raise _Definite(
+                f"{len(named)} robots are called {self._place!r} ({', '.join(addresses)}): switch the others "
+                f"off, or give the address, as --robot ble:{addresses[0]}"
+            )
+        if named:
+            return named[0]
+        others = sorted({name or device.address for device, name in seen.values()})
+        raise _Asleep(
+            f"no robot {self._place!r} advertises within {self._scan_s:g} s (heard: "
+            f"{', '.join(others) or 'none'}): switch it on, charge it, bring it nearer, and disconnect other "
+            "hosts from it"
+        )
+
+    async def _converse(self, device: BLEDevice) -> None:
+        """Until the connection drops or is to be closed."""
+        gone = asyncio.Event()
+        client = BleakClient(device, disconnected_callback=lambda _client: gone.set(), timeout=CONNECT_S)
+        tasks: list[asyncio.Task[object]] = []
+        try:
+            await client.connect()
+            receiver = client.services.get_characteristic(RECEIVE)
+            if receiver is None:
+                raise BleakCharacteristicNotFoundError(RECEIVE)
+            await client.start_notify(TRANSMIT, lambda _from, data: self._inbox.put(bytes(data)))
+            self._commands, self._fixes = asyncio.Queue(), asyncio.Queue()
+            self._commands.put_nowait((self._greeting, True))
+            self._address = device.address
+            self._part_bytes = max(_PART_MIN, receiver.max_write_without_response_size)
+            whole = asyncio.Lock()
+            tasks = [
+                asyncio.create_task(self._write(client, receiver, self._commands, whole)),
+                asyncio.create_task(self._write(client, receiver, self._fixes, whole)),
+                asyncio.create_task(gone.wait()),
+                asyncio.create_task(self._stop.wait()),
+            ]
+            self._inbox.connected()
+            done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+            for task in done:
+                task.result()
+        finally:
+            self._inbox.lost()
+            for task in tasks:
+                task.cancel()
+            with contextlib.suppress(Exception):  # it may be gone already
+                await client.disconnect()
+
+    async def _write(
+        self,
+        client: BleakClient,
+        receiver: BleakGATTCharacteristic,
+        queue: _Queue,
+        whole: asyncio.Lock,
+    ) -> NoReturn:
+        """Write what a queue brings, in parts as long as negotiated; no two frames get mixed."""
+        while True:
+            encoded, acknowledged = await queue.get()
+            size = self._part_bytes = max(_PART_MIN, receiver.max_write_without_response_size)
+            async with whole:
+                if len(encoded) > size:
+                    for first in range(0, len(encoded), size):
+                        part = encoded[first : first + size]
+                        await client.write_gatt_char(receiver, part, response=acknowledged)
+                    continue
+            # A frame in one write needs not keep others waiting for its acknowledgement.
+            await client.write_gatt_char(receiver, encoded, response=acknowledged)
+
+
+class _Definite(WireError):
+    """Trying again would not help."""
+
+
+class _Asleep(WireError):
+    """Nobody there."""
+
+
+def is_definite(error: Exception, is_first: bool) -> bool:
+    """Trying again would not help. A robot that is not heard may come back, where it was there once."""
+    if isinstance(error, _Asleep):
+        return is_first
+    if isinstance(error, BleakGATTProtocolError):
+        return error.code in _DEFINITE
+    return isinstance(
+        error,
+        _Definite
+        | BleakBluetoothNotAvailableError
+        | BleakCharacteristicNotFoundError
+        | PermissionError
+        | FileNotFoundError,
+    )
+
+
+def explained(error: Exception, place: str) -> WireError:
+    """What failed, in one line: which of adapter, permission, robot or firmware, and what to do."""
+    if isinstance(error, WireError):
+        return error
+    reasons = BleakBluetoothNotAvailableReason
+    reason = error.reason if isinstance(error, BleakBluetoothNotAvailableError) else None
+    dbus = error.dbus_error if isinstance(error, BleakDBusError) else ""
+    if reason is reasons.POWERED_OFF or dbus.endswith("NotReady"):
+        text = "Bluetooth is switched off here: switch it on ('bluetoothctl power on' on Linux)"
+    elif (
+        reason in (reasons.DENIED_BY_USER, reasons.DENIED_BY_SYSTEM, reasons.DENIED_BY_UNKNOWN)
+        or isinstance(error, PermissionError)
+        or dbus.endswith("AccessDenied")
+    ):
+        text = (
+            "no permission for Bluetooth here: allow it for this program (Linux: group bluetooth, then log "
+            f"in again; macOS, Windows: privacy settings) ({error.args[0] if error.args else error})"
+        )
+    elif reason is not None:
+        text = f"no Bluetooth adapter that could talk with a robot here ({error.args[0]}): plug one in"
+    elif isinstance(error, FileNotFoundError | ConnectionError) or dbus.endswith("ServiceUnknown"):
+        text = f"no Bluetooth service runs here ({error}): install and start it (Linux: bluez, 'bluetoothd')"
+    elif isinstance(error, BleakCharacteristicNotFoundError):
+        text = f"{place!r} has no Nordic UART Service, so it runs other firmware: flash it anew"
+    elif isinstance(error, BleakGATTProtocolError) and error.code in _DEFINITE:
+        text = (
+            f"{place!r} wants pairing: pair with it in the system's Bluetooth settings; the passkey stands "
+            "on the robot and on its console"
+        )
+    elif isinstance(error, TimeoutError):
+        text = f"{place!r} advertises and takes no connection within {CONNECT_S:g} s: bring it nearer"
+    elif isinstance(error, BleakError):
+        text = f"Bluetooth with {place!r} failed ({error}): bring it nearer, switch it off and on"
+    else:
+        text = f"Bluetooth failed ({type(error).__name__}: {error}): switch it off and on"
+    return WireError(text)

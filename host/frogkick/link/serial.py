@@ -1,0 +1,151 @@
+"""The link over a serial line: a development kit's USB port, or an adapter at the robot's UART."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import importlib
+import threading
+import time
+from importlib import util
+from typing import Any
+
+from frogkick.errors import InputError
+from frogkick.link.frames import DELIMITER
+from frogkick.link.wire import BAUD, Delivery, Inbox, WireError
+
+RECONNECT_S = 20.0
+_AGAIN_S = 0.1
+_READ_S = 0.05
+_WRITE_S = 1.0
+
+
+class SerialWire:
+    """A ``Wire`` over a serial port. One that goes away (a cable pulled) is opened again when it is back."""
+
+    window = 1  # a chip that erases flash takes no more than a buffer meanwhile
+
+    def __init__(
+        self, port: str, baud: int = BAUD, reconnect_s: float = RECONNECT_S, greeting: bytes = DELIMITER
+    ) -> None:
+        """Open the port.
+
+        Args:
+            port: device (``/dev/ttyACM0``, ``COM3``).
+            baud: bits per second.
+            reconnect_s: how long to try again after it went away.
+            greeting: sent at each connect; ends what noise may have left in the robot's receiver.
+
+        Raises:
+            WireError: no such port, no permission, or another program has it.
+            InputError: the package is not installed.
+        """
+        self.name = f"serial:{port}"
+        self._port, self._baud, self._reconnect_s, self._greeting = port, baud, reconnect_s, greeting
+        self._serial = _package()
+        self._inbox = Inbox()
+        self._closing = threading.Event()
+        self._write_lock = threading.Lock()
+        self._line: Any = self._open()
+        self._inbox.connected()
+        self._thread = threading.Thread(target=self._live, name=self.name, daemon=True)
+        self._thread.start()
+
+    @property
+    def connections(self) -> int:
+        """How often the port was opened."""
+        return self._inbox.connections
+
+    @property
+    def is_up(self) -> bool:
+        """The port is open."""
+        return self._inbox.is_up
+
+    def send(self, encoded: bytes, how: Delivery) -> None:
+        """Put bytes on the line, which acknowledges nothing; lost while it is down."""
+        line = self._line
+        # What a broken line swallows is lost as on any wire; the reading thread finds out and opens it again.
+        with self._write_lock, contextlib.suppress(self._serial.SerialException, OSError, TypeError):
+            if line is not None:
+                line.write(encoded)
+
+    def receive(self, timeout_s: float) -> list[tuple[float, bytes]]:
+        """Wait for bytes, and take them."""
+        return self._inbox.receive(timeout_s)
+
+    def close(self) -> None:
+        """Close the port."""
+        self._closing.set()
+        self._thread.join()
+        line, self._line = self._line, None
+        if line is not None:
+            with contextlib.suppress(self._serial.SerialException, OSError):
+                line.close()
+
+    def _open(self) -> Any:
+        try:
+            line = self._serial.Serial(
+                self._port, self._baud, timeout=_READ_S, write_timeout=_WRITE_S, exclusive=True
+            )
+            line.write(self._greeting)
+        except (self._serial.SerialException, OSError, ValueError) as error:
+            raise WireError(_account(self._port, error)) from error
+        return line
+
+    def _live(self) -> None:
+        while not self._closing.is_set():
+            try:
+                data = self._line.read(max(1, self._line.in_waiting))
+            # A port that was pulled out is an OSError here, a TypeError there.
+            except (self._serial.SerialException, OSError, TypeError):
+                self._inbox.lost()
+                if not self._open_again():
+                    return
+                self._inbox.connected()
+                continue
+            if data:
+                self._inbox.put(bytes(data))
+
+    def _open_again(self) -> bool:
+        line, self._line = self._line, None
+        with contextlib.suppress(self._serial.SerialException, OSError):
+            line.close()
+        deadline_s = time.monotonic() + self._reconnect_s
+        while not self._closing.wait(_AGAIN_S):
+            try:
+                self._line = self._open()
+                return True
+            except WireError as error:
+                if time.monotonic() > deadline_s:
+                    self._inbox.fail(WireError(f"{self.name} went away for {self._reconnect_s:g} s: {error}"))
+                    return False
+        return False
+
+
+def _package() -> Any:
+    if util.find_spec("serial") is None:
+        raise InputError("serial: needs the package 'pyserial', not installed: pip install 'frogkick[link]'")
+    return importlib.import_module("serial")
+
+
+def ports() -> list[str]:
+    """Names of the serial ports of this computer."""
+    return sorted(port.device for port in importlib.import_module("serial.tools.list_ports").comports())
+
+
+def _account(port: str, error: Exception) -> str:
+    """What failed, in one line."""
+    code, text = getattr(error, "errno", None), str(error).lower()
+    if code == errno.EBUSY or "lock" in text:
+        return f"serial port {port!r} is in use by another program: close that one (a terminal, another run)"
+    if code == errno.EACCES or "access is denied" in text:
+        return (
+            f"no permission for serial port {port!r}: on Linux add yourself to its group (sudo usermod -aG "
+            "dialout $USER, then log in again); on Windows close the program that has it open"
+        )
+    if code in (errno.ENOENT, errno.ENXIO, errno.ENODEV) or "cannot find" in text:
+        there = ", ".join(ports()) or "none"
+        return f"serial port {port!r} is not there (ports here: {there}): plug it in or name another"
+    if "configure" in text or code == errno.ENOTTY:
+        return f"{port!r} is no serial port: name one, as /dev/ttyACM0 (ports here: {', '.join(ports())})"
+    return f"serial port {port!r} does not open: {error}"

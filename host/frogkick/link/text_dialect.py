@@ -1,0 +1,67 @@
+"""The text dialect of the robot's authors, for robots that carry their firmware: what is known of it.
+
+Lines of text, of which two are known: ``p 80`` sets the pulse's length in ms, ``h 0 1`` fires limbs
+together (front left 0, front right 1, rear left 2, rear right 3). Not known: how a line must end (here:
+with a newline), whether it is answered (here: whatever comes is not looked at), and how to cut a pulse
+short (here: not at all, it ends by itself). Source: Huang, Patterson et al. 2022, whose robot obeys pulses
+sent by a computer.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from frogkick.errors import InputError, nearest_name
+
+DIALECTS = ("frogkick", "frog2022")
+LIMBS = ("front_left", "front_right", "rear_left", "rear_right")
+"""By their numbers in a line."""
+
+
+def require_dialect(name: str) -> None:
+    """Refuse a dialect that nobody speaks.
+
+    Raises:
+        InputError: not one of ``DIALECTS``.
+    """
+    if name not in DIALECTS:
+        raise InputError(
+            f"--dialect is {name!r}{nearest_name(name, DIALECTS)}: choose frogkick (this project's firmware) "
+            "or frog2022 (the authors')"
+        )
+
+
+def limb_numbers(names: Sequence[str]) -> tuple[int, ...]:
+    """The dialect's number of each limb.
+
+    Args:
+        names: of a robot's limbs, in its order.
+
+    Raises:
+        InputError: a limb that the dialect has no number for.
+    """
+    unknown = [name for name in names if name not in LIMBS]
+    if unknown:
+        raise InputError(
+            f"dialect frog2022 knows the limbs {', '.join(LIMBS)}, not {unknown[0]!r}: give the authors' "
+            "robot, or flash this project's firmware"
+        )
+    return tuple(LIMBS.index(name) for name in names)
+
+
+def pulse_line(pulse_us: int) -> bytes:
+    """The line that sets the pulse's length.
+
+    Raises:
+        InputError: not a whole number of milliseconds.
+    """
+    if pulse_us % 1000:
+        raise InputError(
+            f"the table's pulse is {pulse_us} us, dialect frog2022 takes whole ms: build it with another"
+        )
+    return b"p %d\n" % (pulse_us // 1000)
+
+
+def fire_line(limbs: Sequence[int]) -> bytes:
+    """The line that fires limbs, by their numbers."""
+    return b"h " + b" ".join(b"%d" % limb for limb in sorted(limbs)) + b"\n"

@@ -1,0 +1,161 @@
+"""Bytes to and from a robot on the bench, over a line or by radio, that may drop and comes back by itself."""
+
+from __future__ import annotations
+
+import enum
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol
+
+from frogkick.errors import FrogkickError, InputError, nearest_name
+
+BAUD = 115_200
+BAUD_MAX = 4_000_000
+KINDS = ("ble", "serial")
+
+
+class WireError(FrogkickError):
+    """The robot cannot be reached, or no longer; its text says what failed and what to do."""
+
+
+class Delivery(enum.Enum):
+    """How a radio sends a frame; a line knows no difference."""
+
+    ACKNOWLEDGED = enum.auto()
+    """The radio says that it arrived, before the next one goes."""
+    ANSWERED = enum.auto()
+    """At once: the robot's own answers are waited for, and pace the sender."""
+    NEWEST = enum.auto()
+    """At once, before others; worth nothing once there is a newer one."""
+
+
+class Wire(Protocol):
+    """Bytes to and from one robot. Reading and reconnecting happen in a thread of its own.
+
+    Attributes:
+        name: what a user called it.
+        window: commands that may wait for their answer together.
+        connections: how often it has been connected so far.
+        is_up: it is connected now.
+    """
+
+    name: str
+    window: int
+
+    @property
+    def connections(self) -> int: ...
+
+    @property
+    def is_up(self) -> bool: ...
+
+    def send(self, encoded: bytes, how: Delivery) -> None:
+        """Send a frame, with its delimiter. While the wire is down it is lost."""
+
+    def receive(self, timeout_s: float) -> list[tuple[float, bytes]]:
+        """Wait until something arrives, and take it, with the times (monotonic) at which it came.
+
+        Raises:
+            WireError: the wire is down and could not be brought back.
+        """
+
+    def close(self) -> None:
+        """Let go of it."""
+
+
+class Inbox:
+    """Where a wire's thread puts what arrives, and how the wire is; everything under one lock."""
+
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+        self._clock = clock
+        self._condition = threading.Condition()
+        self._arrived: list[tuple[float, bytes]] = []
+        self._error: FrogkickError | None = None
+        self.connections = 0
+        self.is_up = False
+
+    def put(self, data: bytes) -> None:
+        """Bytes have come."""
+        with self._condition:
+            self._arrived.append((self._clock(), data))
+            self._condition.notify_all()
+
+    def connected(self) -> None:
+        """The wire is up (again)."""
+        with self._condition:
+            self.is_up, self.connections = True, self.connections + 1
+            self._condition.notify_all()
+
+    def lost(self) -> None:
+        """The wire is down; whoever waits is told."""
+        with self._condition:
+            self.is_up = False
+            self._condition.notify_all()
+
+    def fail(self, error: FrogkickError) -> None:
+        """The wire does not come back."""
+        with self._condition:
+            self.is_up, self._error = False, error
+            self._condition.notify_all()
+
+    def wait_up(self, timeout_s: float) -> bool:
+        """Wait for the wire to be up; False where it is not in time.
+
+        Raises:
+            FrogkickError: as given to ``fail``.
+        """
+        with self._condition:
+            self._condition.wait_for(lambda: self.is_up or self._error is not None, timeout_s)
+            if self._error is not None:
+                raise self._error
+            return self.is_up
+
+    def receive(self, timeout_s: float) -> list[tuple[float, bytes]]:
+        """See ``Wire.receive``."""
+        with self._condition:
+            if timeout_s > 0.0:
+                self._condition.wait_for(lambda: self._arrived or self._error is not None, timeout_s)
+            taken, self._arrived = self._arrived, []
+            if not taken and self._error is not None:
+                raise self._error
+            return taken
+
+
+@dataclass(frozen=True)
+class Target:
+    """Where a robot is: "ble" and its name or address, or "serial" and its port and speed."""
+
+    kind: str
+    place: str
+    baud: int = BAUD
+
+
+def is_target(text: str) -> bool:
+    """It is meant as one: begins as ``ble:`` or ``serial:``."""
+    return text.partition(":")[0] in KINDS
+
+
+def parse_target(text: str) -> Target:
+    """Read ``ble:NAME``, ``ble:ADDRESS`` or ``serial:PORT[:BAUD]``.
+
+    Raises:
+        InputError: none of these, or no such speed.
+    """
+    kind, _, place = text.partition(":")
+    if kind not in KINDS or not place:
+        raise InputError(
+            f"robot {text!r}{nearest_name(kind, KINDS)} is neither ble:NAME nor serial:PORT[:BAUD]: give one "
+            "of them, as ble:frogkick or serial:/dev/ttyACM0"
+        )
+    if kind == "ble":
+        return Target(kind, place)
+    port, colon, speed = place.rpartition(":")
+    if not colon or not speed.isdigit():
+        return Target(kind, place)
+    if not port:
+        raise InputError(f"robot {text!r} names no port: give it, as serial:/dev/ttyACM0:{speed}")
+    baud = int(speed)
+    if not 1200 <= baud <= BAUD_MAX:
+        raise InputError(f"robot {text!r} has {baud} bits/s, allowed is 1200 to {BAUD_MAX}: leave it out")
+    return Target(kind, port, baud)

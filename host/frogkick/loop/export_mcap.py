@@ -1,0 +1,207 @@
+"""A run as MCAP, which Foxglove opens: poses, path and plan in its own schemas, the rest as JSON.
+
+Times are those of the log, nanoseconds from the epoch as a viewer sees them: it shows 1970. Poses are in the
+frame of the pool; the robot's own frame has x forward and y left.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import pathlib
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from frogkick.errors import InputError
+from frogkick.files import atomic_path
+from frogkick.loop.runlog import RunLog
+
+POOL, ROBOT = "pool", "robot"
+"""Frames' names."""
+
+CHANNELS = ("/fix", "/estimate", "/predicted", "/truth", "/path", "/plan", "/tf", "/decision", "/stroke")
+"""What there may be; those without a row are left out."""
+
+
+def export_mcap(run: RunLog, target: pathlib.Path) -> dict[str, int]:
+    """Write an MCAP: poses, path and plan in Foxglove's own schemas, decisions and strokes as JSON.
+
+    Args:
+        run: the log.
+        target: file to write.
+
+    Returns:
+        Messages of each channel.
+
+    Raises:
+        InputError: the packages for it are not installed, or the file cannot be written.
+    """
+    try:
+        from mcap.writer import CompressionType, Writer
+
+        from frogkick.loop.foxglove import Foxglove
+    except ImportError as error:
+        raise InputError(
+            f"MCAP needs a package that is not installed ({error.name}): pip install 'frogkick[mcap]'"
+        ) from error
+    said = sorted(_messages(run, Foxglove()), key=lambda message: message.time_ns)
+    counts: dict[str, int] = {}
+    with atomic_path(target) as temporary, temporary.open("wb") as file:
+        # Not compressed: the same run gives the same bytes with any version of a compressor.
+        writer = Writer(file, compression=CompressionType.NONE)
+        writer.start(profile="", library="frogkick")
+        writer.add_metadata(
+            "run",
+            {
+                "robot_id": run.robot_id,
+                "source": run.source,
+                "period_s": repr(run.period_s),
+                "pulse_s": repr(run.pulse_s),
+                "table_crc": "" if run.table_crc is None else f"{run.table_crc:08x}",
+                "notes": run.notes,
+            },
+        )
+        channels: dict[str, int] = {}
+        schemas: dict[str, int] = {}
+        for message in said:
+            schema = message.schema
+            if schema.name not in schemas:
+                schemas[schema.name] = writer.register_schema(schema.name, schema.encoding, schema.data)
+            if message.topic not in channels:
+                channels[message.topic] = writer.register_channel(
+                    message.topic, schema.message_encoding, schemas[schema.name]
+                )
+            writer.add_message(
+                channels[message.topic],
+                log_time=message.time_ns,
+                publish_time=message.time_ns,
+                sequence=counts.get(message.topic, 0),
+                data=message.data,
+            )
+            counts[message.topic] = counts.get(message.topic, 0) + 1
+        writer.finish()  # type: ignore[no-untyped-call]
+    return {topic: counts[topic] for topic in CHANNELS if topic in counts}
+
+
+@dataclass(frozen=True)
+class Schema:
+    """How a channel's messages are written.
+
+    Attributes:
+        name: as Foxglove knows it.
+        encoding: of the schema itself.
+        message_encoding: of messages.
+        data: the schema.
+    """
+
+    name: str
+    encoding: str
+    message_encoding: str
+    data: bytes
+
+
+@dataclass(frozen=True)
+class Message:
+    """One message of a channel."""
+
+    topic: str
+    time_ns: int
+    schema: Schema
+    data: bytes
+
+
+def _ns(time_s: float) -> int:
+    return round(float(time_s) * 1e9)
+
+
+def _messages(run: RunLog, foxglove: Any) -> Iterator[Message]:
+    """Every message, channel by channel; times before the run's start are its start."""
+    begin_ns = 0
+
+    def at(time_s: float) -> int:
+        return max(begin_ns, _ns(time_s))
+
+    fixes = run.fixes
+    seen = np.column_stack([fixes.x_m, fixes.y_m, fixes.heading_rad])
+    for row in np.flatnonzero(fixes.usable):
+        # Arrived then, taken before: the message says both.
+        taken_ns = at(fixes.capture_time_s[row])
+        yield Message("/fix", at(fixes.time_s[row]), *foxglove.pose(taken_ns, POOL, seen[row]))
+    decisions = run.decisions
+    for number, time_s in enumerate(decisions.time_s):
+        yield from _decision(run, number, at(time_s), foxglove)
+    for time_s, mask, pulse_s in zip(
+        run.strokes.time_s, run.strokes.limb_mask, run.strokes.pulse_s, strict=True
+    ):
+        limbs = [limb for limb in range(8) if int(mask) >> limb & 1]
+        told = {"limb_mask": int(mask), "limbs": limbs, "pulse_s": float(pulse_s)}
+        yield Message("/stroke", at(time_s), _STROKE, json.dumps(told).encode())
+    if run.truth is not None:
+        for time_s, pose in zip(run.truth.time_s, run.truth.pose_world, strict=True):
+            yield Message("/truth", at(time_s), *foxglove.pose(at(time_s), POOL, pose))
+    if run.path is not None:
+        poses = np.column_stack([run.path.x_m, run.path.y_m, run.path.tangent_rad])
+        yield Message("/path", begin_ns, *foxglove.poses(begin_ns, POOL, poses))
+    for time_s, pose in _best_poses(run):
+        yield Message("/tf", at(time_s), *foxglove.transform(at(time_s), POOL, ROBOT, pose))
+
+
+def _decision(run: RunLog, row: int, time_ns: int, foxglove: Any) -> Iterator[Message]:
+    decisions = run.decisions
+    action = int(decisions.action[row])
+    name = run.action_names[action] if action >= 0 else ""
+    told: dict[str, Any] = {"action": action, "name": name}
+    for key in ("cost", "plan_s"):
+        values = getattr(decisions, key)
+        if values is not None and math.isfinite(values[row]):
+            told[key] = float(values[row])
+    yield Message("/decision", time_ns, _DECISION, json.dumps(told).encode())
+    if decisions.estimate is None or not np.isfinite(decisions.estimate[row]).all():
+        return
+    estimate = decisions.estimate[row]
+    yield Message("/estimate", time_ns, *foxglove.pose(time_ns, POOL, estimate[:3]))
+    if decisions.predicted is None or not np.isfinite(decisions.predicted[row]).all():
+        return
+    predicted = decisions.predicted[row]
+    yield Message("/predicted", time_ns, *foxglove.pose(time_ns + _ns(run.period_s), POOL, predicted[:3]))
+    step = (estimate[:3], predicted[:3])
+    yield Message("/plan", time_ns, *foxglove.step(time_ns, POOL, step, name, _ns(run.period_s)))
+
+
+def _best_poses(run: RunLog) -> Iterator[tuple[float, NDArray[np.float64]]]:
+    """Where the robot was: the truth of a simulated run, else its fixes."""
+    if run.truth is not None:
+        yield from zip(run.truth.time_s, run.truth.pose_world, strict=True)
+        return
+    fixes = run.fixes
+    for row in np.flatnonzero(fixes.usable):
+        pose = np.array([fixes.x_m[row], fixes.y_m[row], fixes.heading_rad[row]])
+        yield float(fixes.capture_time_s[row]), pose
+
+
+def _json_schema(name: str, properties: dict[str, Any]) -> Schema:
+    text = json.dumps({"title": name, "type": "object", "properties": properties})
+    return Schema(name, "jsonschema", "json", text.encode())
+
+
+_DECISION = _json_schema(
+    "frogkick.Decision",
+    {
+        "action": {"type": "integer"},
+        "name": {"type": "string"},
+        "cost": {"type": "number"},
+        "plan_s": {"type": "number"},
+    },
+)
+_STROKE = _json_schema(
+    "frogkick.Stroke",
+    {
+        "limb_mask": {"type": "integer"},
+        "limbs": {"type": "array", "items": {"type": "integer"}},
+        "pulse_s": {"type": "number"},
+    },
+)

@@ -1,0 +1,165 @@
+"""Talking with a real robot: answers in real time, drops that heal, and what to say where they do not."""
+
+from __future__ import annotations
+
+import math
+import secrets
+import signal
+import threading
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from types import FrameType
+from typing import Any, Protocol
+
+from frogkick.link.frames import hello
+from frogkick.link.layout import Value
+from frogkick.link.wire import Wire
+from frogkick.loop.lab_port import LabPort
+from frogkick.loop.session import ANSWER_TIMEOUT_S, STEP_S, Arrival, Asked, LinkError, Session
+from frogkick.pool.port import RobotPort
+
+HELLO_S = 1.0
+HELLO_TIMES = 3
+CLOCK_ASKED = 5
+SAFE_S = 5.0
+
+
+def _new_conversation() -> int:
+    """Another one than the last: 0 and a robot's first are left to simulated ones."""
+    return 1 + secrets.randbelow(65_535)
+
+
+class RealPort(RobotPort, Protocol):
+    """A port in real time: a ``LabPort``, or a ``TextRobot``, which looks the same."""
+
+    wire: Wire
+
+    @property
+    def now_s(self) -> float:
+        """Time since the port began."""
+
+    @property
+    def bad(self) -> int:
+        """Frames that came damaged so far."""
+
+    def forget(self, sequence: int) -> None:
+        """Wait no longer for the answer to a command."""
+
+
+@dataclass
+class LabSession(Session):
+    """A ``Session`` in real time.
+
+    Attributes:
+        patience_s: how long a wire may be down while an answer is waited for; that time does not count as
+            waiting.
+    """
+
+    port: RealPort
+    conversation: int = field(default_factory=_new_conversation)
+    patience_s: float = math.inf
+    _connections: int = 1
+
+    def step(self, until_s: float) -> None:
+        """Wait until a time, or until something comes; ``time_s`` is the real one then."""
+        self.port.advance(until_s)
+        self._inbox += [Arrival(time_s, frame) for time_s, frame in self.port.frames()]
+        self.time_s = self.port.now_s
+        edges = self.port.edges()
+        self.edges += edges
+        self.on_step(self.time_s, edges)
+
+    @property
+    def window(self) -> int:
+        """Commands that may be asked at once."""
+        return self.port.wire.window
+
+    def ask_all(
+        self, name: str, many: Sequence[Asked], timeout_s: float = ANSWER_TIMEOUT_S
+    ) -> list[dict[str, Value]]:
+        """Ask several times the same at once, and wait for all answers.
+
+        Raises:
+            LinkError: one is missing, though the wire was up.
+            WireError: the robot is gone.
+        """
+        sequences = [self.post(name, values, rows) for values, rows in many]
+        told: dict[int, dict[str, Value]] = {}
+        waited_s = down_s = 0.0
+        try:
+            while waited_s < timeout_s and down_s < self.patience_s:
+                before_s, was_up = self.port.now_s, self.port.wire.is_up
+                self.step(before_s + STEP_S)
+                if self._answered(name, sequences, told):
+                    return [told[sequence] for sequence in sequences]
+                if was_up:
+                    waited_s += self.port.now_s - before_s
+                else:
+                    down_s += self.port.now_s - before_s
+        finally:
+            for sequence in sequences:
+                self.port.forget(sequence)
+        raise LinkError(f"no answer to {name} within {timeout_s:g} s: bring the robot nearer, charge it")
+
+    def make_safe(self) -> bool:
+        """DISARM; a wire that is down is not waited for as long as otherwise."""
+        self.patience_s = SAFE_S
+        return super().make_safe()
+
+    def reconnected(self) -> bool:
+        """The wire has dropped and come back since this was asked last: events may be missing."""
+        before, self._connections = self._connections, self.port.wire.connections
+        return self._connections != before
+
+    def robot_clock_offset_us(self) -> int:
+        """Robot time minus this session's, from the quickest of some answers to STATUS.
+
+        Raises:
+            LinkError: no answer.
+        """
+        quickest_s, offset_us = float("inf"), 0
+        for _ in range(CLOCK_ASKED):
+            before_s = self.port.now_s
+            told_us = int(self.request("STATUS")["now_us"])
+            trip_s = self.port.now_s - before_s
+            if trip_s < quickest_s:
+                quickest_s, offset_us = trip_s, told_us - round((before_s + trip_s / 2.0) * 1e6)
+        return offset_us
+
+    def _hello(self) -> dict[str, Value]:
+        for _ in range(HELLO_TIMES):
+            try:
+                return self.ask("HELLO", hello(self.conversation), timeout_s=HELLO_S)
+            except LinkError:
+                continue
+        damaged = f", {self.port.bad} damaged frames came" if self.port.bad else ""
+        raise LinkError(
+            f"{self.port.wire.name} is connected and does not answer HELLO{damaged}: it runs other firmware "
+            "or at another speed; flash it ('frogkick firmware flash'), or for the authors' own give "
+            "--dialect frog2022"
+        )
+
+
+def lab_session(wire: Wire) -> LabSession:
+    """A session with a robot that speaks this project's link, over a wire."""
+    return LabSession(LabPort(wire))
+
+
+@contextmanager
+def stops_are_interrupts() -> Iterator[None]:
+    """Let SIGTERM and a closed terminal interrupt as Ctrl-C does, so that a robot is disarmed first."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+
+    def interrupt(_number: int, _frame: FrameType | None) -> None:
+        raise KeyboardInterrupt
+
+    numbers = [getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]
+    before: list[Any] = [signal.signal(number, interrupt) for number in numbers]
+    try:
+        yield
+    finally:
+        for number, handler in zip(numbers, before, strict=True):
+            signal.signal(number, handler)

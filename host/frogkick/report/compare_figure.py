@@ -1,0 +1,83 @@
+"""The picture of two runs side by side: both tracks, distances over time, both rows of actions."""
+
+from __future__ import annotations
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from frogkick.loop.runlog import RunLog
+from frogkick.loop.summary import track_of
+from frogkick.report import style
+
+COLOURS = (style.TRUE, style.ALARM)
+MARKS = ("o", "^")
+
+
+def compare_figure(runs: tuple[RunLog, RunLog], names: tuple[str, str]) -> Figure:
+    """Draw two runs, each from its first decision on.
+
+    Args:
+        runs: with decisions, and seen.
+        names: of each, for the legend.
+
+    Raises:
+        InputError: nobody saw one of the robots, or nothing was decided.
+    """
+    tracks = [track_of(run) for run in runs]
+    with style.styled():
+        figure = Figure(figsize=(11.5, 7.2), layout="constrained")
+        figure.suptitle(f"{names[0]} and {names[1]}", fontweight="bold")
+        halves = figure.add_gridspec(1, 2, width_ratios=(1.05, 1.0))
+        _tracks(figure.add_subfigure(halves[0]).subplots(), runs, names, [poses for _, poses, _ in tracks])
+        upper, lower = figure.add_subfigure(halves[1]).subplots(2, 1, sharex=True)
+        every = sorted({letter for run in runs for letter in (*run.action_names, *_letters(run))})
+        for run, name, colour, mark, (time_s, poses, _) in zip(
+            runs, names, COLOURS, MARKS, tracks, strict=True
+        ):
+            first_s = run.decisions.time_s[0]
+            if run.path is not None:
+                distance_mm = 1e3 * run.path.distance_m(poses[:, :2])
+                label = f"{name}, mean {distance_mm.mean():.1f} mm"
+                upper.plot(time_s - first_s, distance_mm, color=colour, label=label)
+            heights = [every.index(letter) for letter in _letters(run)]
+            # Hollow and larger, so that one shows around the other.
+            how = {"markersize": 4} if run is runs[0] else {"markersize": 7, "markerfacecolor": "none"}
+            lower.plot(run.decisions.time_s - first_s, heights, mark, color=colour, label=name, **how)
+        upper.set_ylabel("distance (mm)")
+        upper.set_title("Distance, each to its own path")
+        if upper.lines:
+            upper.legend(loc="best")
+        lower.set_yticks(range(len(every)), every)
+        lower.set_ylabel("action")
+        lower.set_title("Actions chosen")
+        lower.set_xlabel("time since the first decision (s)")
+        lower.legend(loc="best")
+    return figure
+
+
+def _letters(run: RunLog) -> list[str]:
+    return [run.action_names[index] if index >= 0 else "?" for index in run.decisions.action]
+
+
+def _tracks(axes: Axes, runs: tuple[RunLog, RunLog], names: tuple[str, str], every: list[np.ndarray]) -> None:
+    paths = [None if run.path is None else run.path.points_m for run in runs]
+    known = [path for path in paths if path is not None]
+    middle = (known[0] if known else every[0][:, :2]).mean(axis=0)
+    same = len(known) == 2 and np.array_equal(known[0], known[1])
+    for k, path in enumerate(paths):
+        if path is not None and not (k and same):
+            label = "desired path" if same or len(known) == 1 else f"desired path of {names[k]}"
+            shade = "--" if k == 0 else ":"
+            axes.plot(
+                *(100.0 * (path - middle)).T, color=style.DESIRED, linewidth=2.5, linestyle=shade, label=label
+            )
+    for name, colour, mark, poses in zip(names, COLOURS, MARKS, every, strict=True):
+        points = 100.0 * (poses[:, :2] - middle)
+        axes.plot(*points.T, color=colour, linewidth=1.5, label=name)
+        axes.plot(*points[0], mark, color=colour, markersize=7)
+    axes.set_aspect("equal", adjustable="datalim")
+    axes.set_xlabel("x (cm)")
+    axes.set_ylabel("y (cm)")
+    axes.set_title("Tracks; marks are where they begin")
+    axes.legend(loc="best")

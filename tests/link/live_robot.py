@@ -1,0 +1,110 @@
+"""The robot's core living in real time, for transports to talk to: bytes in, bytes out."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Protocol
+
+from tests.core.core import Robot
+from tests.core.store_rig import PAGE, Flash
+from tests.loop import rig
+
+from frogkick.link.frames import Frame, FrameError, unpack_frame
+
+
+class Listener(Protocol):
+    """What sits behind a transport."""
+
+    def feed(self, data: bytes) -> bytes:
+        """Take bytes; return what is to be sent at once."""
+
+    def tick(self) -> bytes:
+        """Live on; return what is to be sent."""
+
+    @property
+    def sleep_s(self) -> float:
+        """Until the next tick."""
+
+
+@dataclass
+class LiveRobot:
+    """A robot just switched on: the C core with its table store, on a flash that outlives a restart.
+
+    Attributes:
+        built_in: table in its firmware.
+        on_for_s: how long it has been switched on already.
+        pulses: (clock s, limb mask, length us) of each that began.
+        heard: frames that it was given whole, with their clock.
+        mute: it takes frames and never answers.
+        deaf_to: says of a frame whether it is lost on its way in.
+    """
+
+    built_in: bytes = field(default_factory=lambda: rig.small_table().read_bytes())
+    clock: Callable[[], float] = time.monotonic
+    on_for_s: float = 0.7
+    pulses: list[tuple[float, int, int]] = field(default_factory=list)
+    heard: list[tuple[float, Frame]] = field(default_factory=list)
+    off_at: list[float] = field(default_factory=list)
+    mute: bool = False
+    deaf_to: Callable[[Frame], bool] = lambda _frame: False
+
+    def __post_init__(self) -> None:
+        self.flash = Flash(slot_bytes=16 * PAGE, built_in=self.built_in)
+        self.restart()
+
+    def restart(self) -> None:
+        """Power off and on: disarmed, no path, a clock from 0, and the table that its flash says."""
+        self.flash.boot()
+        self.core = Robot(self.flash.image, 0)
+        assert self.core.error == 0
+        self.core.core.fk_robot_use_store(self.core.memory, self.flash.store)
+        self._begin_s = self.clock() - self.on_for_s
+        self._received = b""
+        self._next_tick_us = 0
+
+    @property
+    def now_us(self) -> int:
+        return int((self.clock() - self._begin_s) * 1e6)
+
+    @property
+    def sleep_s(self) -> float:
+        """Until it wants a tick, at most 0.02 s."""
+        return min(0.02, max(0.0, (self._next_tick_us - self.now_us) * 1e-6))
+
+    def feed(self, data: bytes) -> bytes:
+        self._received += data
+        stream = b""
+        while (end := self._received.find(b"\0")) >= 0:
+            encoded, self._received = self._received[:end], self._received[end + 1 :]
+            try:
+                frame = unpack_frame(encoded)
+            except FrameError:
+                frame = None
+            if encoded and (frame is None or not self.deaf_to(frame)):
+                if frame is not None:
+                    self.heard.append((self.clock(), frame))
+                stream += self._turn(encoded)
+        return stream
+
+    def tick(self) -> bytes:
+        return self._turn(b"") if self.now_us >= self._next_tick_us else b""
+
+    def names(self) -> list[str]:
+        """Names of the frames heard."""
+        return [frame.name for _, frame in self.heard]
+
+    def _turn(self, encoded: bytes) -> bytes:
+        now_us = self.now_us
+        self.core.now_us = now_us
+        if encoded:
+            self.core.raw(encoded)
+        out = self.core.tick(now_us)
+        self._next_tick_us = out.next_tick_us
+        if out.all_off:
+            self.off_at.append(self.clock())
+        if out.limb_mask:
+            self.pulses.append((self.clock(), out.limb_mask, out.pulse_us))
+        stream = self.core.take_bytes()
+        return b"" if self.mute else stream

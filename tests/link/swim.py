@@ -1,0 +1,94 @@
+"""A tracker over a simulated pool that swims in real time with a live robot; and a robot that obeys text."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+from tests.loop import rig
+
+from frogkick.link.text_dialect import LIMBS
+from frogkick.pool.camera import Fix
+
+PATH = "line"
+
+
+class LivePool:
+    """A ``FixSource``: the pool swims as the clock goes, by the pulses that the robot really began.
+
+    Args:
+        pulses: of the live robot: (monotonic s, limb mask, length us).
+    """
+
+    def __init__(self, pulses: Sequence[tuple[float, int, int]]) -> None:
+        self.pool = rig.new_pool(PATH)
+        self._pulses, self._taken = pulses, 0
+        self._begin_s = time.monotonic()
+        self._looked_s = 0.0
+        self._lock = threading.Lock()
+
+    @property
+    def next_event_s(self) -> float:
+        return self._looked_s + 0.002
+
+    def swim(self) -> list[Fix]:
+        """Up to now; the fixes that arrived, with times of this pool."""
+        with self._lock:
+            for at_s, limb_mask, _pulse_us in list(self._pulses[self._taken :]):
+                self._taken += 1
+                for limb in range(4):
+                    if limb_mask >> limb & 1:
+                        self.pool.heat(limb, max(self.pool.time_s, at_s - self._begin_s))
+            return self.pool.advance(time.monotonic() - self._begin_s)
+
+    def advance(self, until_s: float) -> list[Fix]:
+        self._looked_s = until_s
+        shift_s = until_s - (time.monotonic() - self._begin_s)
+        return [Fix(fix.sequence, fix.capture_s + shift_s, until_s, fix.pose_world) for fix in self.swim()]
+
+    def heat(self, limb: int, start_s: float) -> None:
+        pass
+
+    def lines(self, write: Callable[[str], object], stop: threading.Event) -> None:
+        """Be a tracker that prints its fixes."""
+        while not stop.wait(0.005):
+            for fix in self.swim():
+                x_m, y_m, heading_rad = fix.pose_world
+                age_s = time.monotonic() - self._begin_s - fix.capture_s
+                write(f"{x_m:.6f} {y_m:.6f} {heading_rad:.6f} {age_s:.4f}\n")
+
+
+@dataclass
+class TextFrog:
+    """A robot that carries other firmware: it fires the limbs that a line names, whenever and however often.
+
+    Attributes:
+        lines: that came, with their times.
+        pulses: (monotonic s, limb mask in the robot's own order, length us) of each that began.
+    """
+
+    lines: list[tuple[float, str]] = field(default_factory=list)
+    pulses: list[tuple[float, int, int]] = field(default_factory=list)
+    pulse_us: int = 0
+    sleep_s: float = 0.02
+    _rest: bytes = b""
+
+    def feed(self, data: bytes) -> bytes:
+        *lines, self._rest = (self._rest + data).split(b"\n")
+        order = [limb.name for limb in rig.robot().limbs]
+        for line in lines:
+            now_s = time.monotonic()
+            words = line.decode("ascii").split()
+            self.lines.append((now_s, line.decode("ascii")))
+            if words[0] == "p":
+                (self.pulse_us,) = (1000 * int(word) for word in words[1:])
+            else:
+                assert words[0] == "h" and self.pulse_us, words
+                mask = sum(1 << order.index(LIMBS[int(word)]) for word in words[1:])
+                self.pulses.append((now_s, mask, self.pulse_us))
+        return b""
+
+    def tick(self) -> bytes:
+        return b""

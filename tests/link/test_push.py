@@ -1,0 +1,193 @@
+"""Tables to a robot by ``frogkick push`` and ``retune --push``: sent where better, the old kept, and back."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from tests.cli.commands import Outcome, frogkick
+from tests.core.store_rig import crc_of
+from tests.identify.made import make_run
+from tests.link.live_robot import LiveRobot
+from tests.link.pty_line import PtyLine
+from tests.link.rigged import TRANSPORTS, rigged
+from tests.loop import rig
+from tests.planner import synthetic
+
+from frogkick.cli import retune as command_module
+from frogkick.files import write_bytes
+from frogkick.identify.retune import BEFORE, TABLES, Retuned
+from frogkick.identify.verdict import FOUND, Error
+from frogkick.loop.runlog_file import write_run
+
+OLD, NEW, OTHER = (synthetic.affine_image(20, 9, seed) for seed in (1, 2, 3))
+
+
+@pytest.fixture
+def robot() -> LiveRobot:
+    return LiveRobot(OLD)
+
+
+@pytest.fixture
+def line(robot: LiveRobot, tmp_path: Path) -> Iterator[PtyLine]:
+    with PtyLine(tmp_path, robot) as there:
+        yield there
+
+
+@pytest.fixture
+def new(tmp_path: Path) -> Path:
+    write_bytes(tmp_path / "new.fkt", NEW)
+    return tmp_path / "new.fkt"
+
+
+@pytest.mark.parametrize("transport", TRANSPORTS)
+def test_push_and_back(
+    transport: str,
+    robot: LiveRobot,
+    new: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    with rigged(transport, robot, tmp_path, monkeypatch) as there:
+        there.wire.close()  # the command opens its own
+        told = frogkick(capsys, "push", new, "--robot", there.target, "--json")
+        assert told.code == 0, told.stderr
+        numbers = told.json
+        assert (numbers["bytes_sent"], numbers["resumed_at"]) == (len(NEW), 0)
+        assert (numbers["table_crc"], numbers["kept_crc"]) == (f"{crc_of(NEW):08x}", f"{crc_of(OLD):08x}")
+        assert robot.flash.image == NEW
+        again = frogkick(capsys, "push", new, "--robot", there.target)
+        assert again.code == 0 and "which it had" in again.stdout
+        back = frogkick(capsys, "push", "--rollback", "--robot", there.target, "--json")
+        assert back.code == 0 and back.json["table_crc"] == f"{crc_of(OLD):08x}"
+        assert robot.flash.image == OLD
+
+
+def test_a_robot_left_armed_is_disarmed_and_rests_first(
+    robot: LiveRobot, line: PtyLine, new: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert robot.core.status("ARM") == "OK"
+    told = frogkick(capsys, "push", new, "--robot", f"serial:{line.path}")
+    assert told.code == 0, told.stderr
+    assert f"took {len(NEW)} bytes" in told.stdout and "frogkick push --rollback" in told.stdout
+    assert robot.core.state() == "DISARMED"
+
+
+def test_another_robot_refuses(
+    robot: LiveRobot, line: PtyLine, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_bytes(tmp_path / "newt.fkt", synthetic.affine_image(20, 9, 1, robot_id="newt"))
+    told = frogkick(capsys, "push", tmp_path / "newt.fkt", "--robot", f"serial:{line.path}")
+    assert (told.code, told.stdout) == (2, "") and "newt" in told.stderr
+    assert robot.flash.image == OLD and "TABLE_BEGIN" not in robot.names()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ("push --robot serial:COM3", "push takes a table image or --rollback"),
+        ("push x.fkt --rollback --robot serial:COM3", "push takes a table image or --rollback"),
+        ("push x.fkt --robot pool", "'pool' takes no tables: choose ble:NAME, serial:PORT"),
+        ("push x.fkt --robot seriel", "did you mean 'serial'"),
+        ("retune x.h5 --robot frog2022 --out new --push virtuel", "did you mean 'virtual'"),
+        ("push x.fkt --robot ble:", "neither ble:NAME nor serial:PORT"),
+        ("push missing.fkt --robot serial:COM3", "missing.fkt"),
+    ],
+)
+def test_bad_arguments(capsys: pytest.CaptureFixture[str], arguments: str, words: str) -> None:
+    told = frogkick(capsys, *arguments.split())
+    assert (told.code, told.stdout) == (2, "")
+    assert words in told.stderr and told.stderr.count("\n") == 1
+
+
+def retuned(
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    folder: Path,
+    target: str,
+    better: bool,
+    before: bytes = OLD,
+    after: bytes = NEW,
+) -> Outcome:
+    """``retune --push`` whose search and tables are given; everything else is the command's own."""
+    write_run(folder / "run.h5", make_run([], 1, 6))
+
+    class Known:
+        verdict = FOUND
+        terms: tuple[object, ...] = ()
+        parameters: tuple[object, ...] = ()
+
+        def effects_as_json(self) -> list[object]:
+            return []
+
+        def tested_as_json(self) -> dict[str, object]:
+            return {}
+
+    def given(_swims: Any, _robot: Any, out: Path, *_more: Any) -> Retuned:
+        out.mkdir()
+        write_bytes(out / BEFORE, before)
+        write_bytes(out / (TABLES if better else "refused.fkt"), after)
+        errors = [Error(0.002, 0.01, 10), Error(0.001, 0.005, 10)]
+        outcome: Any = Known()
+        reason = "" if better else "no better"
+        tables = {"file": str(out / TABLES), "bytes": len(after), "states": 20}
+        return Retuned(outcome, errors[0], errors[1], better, reason, "run.h5", tables)
+
+    monkeypatch.setattr(command_module, "retune", given)
+    return frogkick(
+        capsys, "retune", folder / "run.h5", "--robot", "frog2022", "--out", folder / "out", "--push", target,
+        "--json",
+    )  # fmt: skip
+
+
+def test_retune_sends_what_is_better(
+    robot: LiveRobot, line: PtyLine, tmp_path: Path, monkeypatch: Any, capsys: Any
+) -> None:
+    told = retuned(monkeypatch, capsys, tmp_path, f"serial:{line.path}", better=True)
+    assert told.code == 0, told.stderr
+    assert told.json["bytes_sent"] == len(NEW)
+    assert told.json["pushed"]["kept_crc"] == f"{crc_of(OLD):08x}"
+    assert robot.flash.image == NEW
+
+
+def test_retune_sends_nothing_that_is_no_better(
+    robot: LiveRobot, line: PtyLine, tmp_path: Path, monkeypatch: Any, capsys: Any
+) -> None:
+    told = retuned(monkeypatch, capsys, tmp_path, f"serial:{line.path}", better=False)
+    assert told.code == 1 and told.json["bytes_sent"] == 0 and told.json["pushed"] is None
+    assert robot.heard == [] and line.received == 0
+
+
+def test_retune_sends_nothing_to_a_robot_with_other_tables(
+    robot: LiveRobot, line: PtyLine, tmp_path: Path, monkeypatch: Any, capsys: Any
+) -> None:
+    """It was weighed against tables that this robot does not carry."""
+    told = retuned(monkeypatch, capsys, tmp_path, f"serial:{line.path}", better=True, before=OTHER)
+    assert told.code == 2 and told.json["pushed"] is None and told.json["better"] is True
+    assert told.stderr.splitlines()[-1].startswith(
+        f"frogkick: the new tables are made, and not sent: the robot carries the table with CRC-32 "
+        f"{crc_of(OLD):08x}, the new one was weighed against {crc_of(OTHER):08x}"
+    )
+    assert "TABLE_BEGIN" not in robot.names() and (tmp_path / "out" / TABLES).exists()
+
+
+def test_retune_keeps_what_it_made_where_no_robot_answers(
+    tmp_path: Path, monkeypatch: Any, capsys: Any
+) -> None:
+    told = retuned(monkeypatch, capsys, tmp_path, f"serial:{tmp_path / 'none'}", better=True)
+    assert told.code == 2 and told.json["bytes_sent"] == 0
+    last = told.stderr.splitlines()[-1]
+    assert "is not there" in last and f"'frogkick push {tmp_path / 'out' / TABLES} --robot serial:" in last
+
+
+def test_retune_sends_to_a_virtual_robot(tmp_path: Path, monkeypatch: Any, capsys: Any) -> None:
+    """Switched on with the old tables, it takes the new ones by its UART."""
+    old, new = rig.small_table().read_bytes(), rig.changed_image(32, b"another library")
+    told = retuned(monkeypatch, capsys, tmp_path, "virtual", True, old, new)
+    assert told.code == 0, told.stderr
+    pushed = told.json["pushed"]
+    assert told.json["bytes_sent"] == pushed["bytes_sent"] == len(new)
+    assert (pushed["table_crc"], pushed["kept_crc"]) == (f"{crc_of(new):08x}", f"{crc_of(old):08x}")

@@ -1,0 +1,283 @@
+"""Runs in real time: a live robot that swims in a simulated pool, over a line, by Bluetooth, and by text."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+from tests.cli.commands import frogkick
+from tests.link.live_robot import LiveRobot
+from tests.link.pty_line import PtyLine
+from tests.link.rigged import TRANSPORTS, rigged
+from tests.link.swim import PATH, LivePool, TextFrog
+from tests.loop import rig
+
+from frogkick.link.layout import link_layout
+from frogkick.link.opening import opened
+from frogkick.link.text_dialect import DIALECTS, pulse_line
+from frogkick.link.wire import Target
+from frogkick.loop.closed_loop import DROPPED, TIME, RunOptions, run_session
+from frogkick.loop.decision import DecisionTwin
+from frogkick.loop.lab_session import LabSession, lab_session
+from frogkick.loop.record import run_log, tracking_of_recording
+from frogkick.loop.runlog_file import read_run
+from frogkick.loop.session import LinkError
+from frogkick.loop.text_robot import TextRobot
+from frogkick.paths import shape
+from frogkick.planner.plan import PlanConfig
+from frogkick.pool.monitor import Pulse, pulses_of, violations
+from frogkick.pool.native_robot import NativeRobot
+
+PERIOD_S = rig.tables().period_us * 1e-6
+SECOND_S = 2.2 * PERIOD_S
+STATE = link_layout().state
+
+
+def seen_pulses(pulses: list[tuple[float, int, int]]) -> list[Pulse]:
+    """One for each limb."""
+    return [
+        Pulse(limb, at_s, at_s + pulse_us * 1e-6)
+        for at_s, limb_mask, pulse_us in pulses
+        for limb in range(4)
+        if limb_mask >> limb & 1
+    ]
+
+
+@pytest.mark.parametrize("onboard", [True, False], ids=["onboard", "host"])
+@pytest.mark.parametrize("transport", TRANSPORTS)
+def test_a_run(transport: str, onboard: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    robot = LiveRobot(on_for_s=100.0)  # its clock is not the host's
+    options = RunOptions(PlanConfig(depth=2), onboard, 2.2 * PERIOD_S)
+    with rigged(transport, robot, tmp_path, monkeypatch) as there:
+        session = lab_session(there.wire)
+        source = LivePool(robot.pulses)
+        recording = run_session(session, source, rig.tables(), shape(PATH), options)
+        assert int(session.request("STATUS")["state"]) == STATE["DISARMED"]
+    assert recording.ended == TIME and len(recording.decisions) == 3
+    assert all(decision.status == 0 for decision in recording.decisions)
+    assert recording.fix_status.count(0) >= 0.9 * len(recording.fixes) > 30
+    assert len({at_s for at_s, _, _ in robot.pulses}) >= 3
+    assert violations(rig.robot(), seen_pulses(robot.pulses)) == []
+    tracked = tracking_of_recording(recording, None, rig.robot(), shape(PATH))
+    assert tracked.mean_distance_m < 0.02 and tracked.progress_mps > 0.005
+    assert tracked.limit_violations is None
+    log = run_log(recording, None, rig.robot(), rig.tables(), shape(PATH), options, None, "test")
+    at_s = log.decisions.time_s  # on the fixes' clock: each decision rests on fixes not long before it
+    assert np.all(np.diff(at_s) == pytest.approx(PERIOD_S, abs=1e-6))
+    newest_s = log.fixes.capture_time_s[log.decisions.fix_sequence]
+    assert np.all(np.abs(at_s - newest_s) < 1.0)
+    if onboard:  # the robot's decisions, again by the twin from what the robot told that it met
+        twin = DecisionTwin(rig.tables(), shape(PATH), options.config)
+        again = [decision for event in recording.events if (decision := twin.meet(event))]
+        assert [one.differences(two) for one, two in zip(recording.decisions, again, strict=True)] == [[]] * 3
+
+
+@pytest.mark.parametrize("transport", TRANSPORTS)
+def test_a_run_goes_on_through_a_drop(
+    transport: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    robot, options = LiveRobot(), RunOptions(PlanConfig(), True, 1.5 * PERIOD_S)
+    with rigged(transport, robot, tmp_path, monkeypatch) as there:
+        session = lab_session(there.wire)
+        dropped = []
+
+        def drop(_time_s: float, _index: int) -> None:
+            if not dropped:
+                dropped.append(True)
+                there.drop()
+
+        recording = run_session(session, LivePool(robot.pulses), rig.tables(), shape(PATH), options, drop)
+        assert there.wire.connections == 2
+    assert recording.ended == TIME and len(recording.decisions) == 2
+    assert recording.fix_status.count(0) > 20
+
+
+@pytest.mark.parametrize("transport", TRANSPORTS)
+def test_a_robot_that_restarts_in_a_drop_has_ended_its_run(
+    transport: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    robot, options = LiveRobot(), RunOptions(PlanConfig(), True, 10 * PERIOD_S)
+    with rigged(transport, robot, tmp_path, monkeypatch) as there:
+        session = lab_session(there.wire)
+
+        def power(_time_s: float, _index: int) -> None:
+            robot.restart()
+            there.drop()
+
+        recording = run_session(session, LivePool(robot.pulses), rig.tables(), shape(PATH), options, power)
+    assert recording.ended == DROPPED
+
+
+@pytest.mark.parametrize("when", ["settling", "running"])
+def test_whatever_ends_a_run_disarms_first(
+    when: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    robot, options = LiveRobot(), RunOptions(PlanConfig(), True, 10 * PERIOD_S)
+
+    class Breaks(LivePool):
+        def advance(self, until_s: float) -> list[object]:  # type: ignore[override]
+            if "START" in robot.names() if when == "running" else "ARM" in robot.names():
+                raise RuntimeError("the camera is gone")
+            return list(super().advance(until_s))
+
+    with rigged("serial", robot, tmp_path, monkeypatch) as there:
+        session = lab_session(there.wire)
+        with pytest.raises(RuntimeError, match="the camera is gone"):
+            run_session(session, Breaks(robot.pulses), rig.tables(), shape(PATH), options)  # type: ignore[arg-type]
+        assert int(session.request("STATUS")["state"]) == STATE["DISARMED"]
+    assert "DISARM" in robot.names()
+
+
+def test_a_robot_that_does_not_say_so_is_told_of(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    robot, options = LiveRobot(), RunOptions(PlanConfig(), True, 10 * PERIOD_S)
+    with rigged("serial", robot, tmp_path, monkeypatch) as there:
+        session = lab_session(there.wire)
+
+        def fall_silent(_time_s: float, _index: int) -> None:
+            robot.mute = True
+            raise KeyboardInterrupt
+
+        with pytest.raises(LinkError, match="interrupted; the robot did not say that it is disarmed: switch"):
+            run_session(session, LivePool(robot.pulses), rig.tables(), shape(PATH), options, fall_silent)
+
+
+@pytest.mark.parametrize("onboard", [True, False], ids=["core", "twin"])
+def test_the_authors_dialect(onboard: bool, tmp_path: Path) -> None:
+    """Their robot fires whatever a line says: it is the host that keeps the limits."""
+    frog, options = TextFrog(), RunOptions(PlanConfig(), onboard, 2.2 * PERIOD_S)
+    with (
+        PtyLine(tmp_path, frog) as line,
+        opened(Target("serial", str(line.path)), pulse_line(rig.tables().pulse_us)) as wire,
+    ):
+        core = TextRobot(wire, NativeRobot(rig.firmware("native").image, 4), rig.robot())
+        session = LabSession(core)
+        recording = run_session(session, LivePool(frog.pulses), rig.tables(), shape(PATH), options)
+        fired = len(frog.pulses)
+        # A host that asks for more than the limits allow gets what they allow.
+        session.request("ARM")
+        for _ in range(8):
+            session.ask("STROKE", {"action": 1})
+            end_s = session.port.now_s + 0.3
+            while session.time_s < end_s:
+                session.step(end_s)
+        session.request("DISARM")
+        core.close()
+    assert recording.ended == TIME and len(recording.decisions) == 3
+    assert frog.lines[0][1] == f"p {rig.tables().pulse_us // 1000}"
+    assert fired >= 4 and len(frog.pulses) > fired
+    assert violations(rig.robot(), pulses_of(session.edges, math.inf)) == []
+    # As they came down the line, later by what the line takes: rests and heat with that much room.
+    pulses = seen_pulses(frog.pulses)
+    for limb in range(4):
+        mine = [pulse for pulse in pulses if pulse.limb == limb]
+        rests_s = [two.start_s - one.end_s for one, two in pairwise(mine)]
+        assert min(rests_s) > rig.robot().guard.rest_min_s - 0.05
+    tracked = tracking_of_recording(recording, None, rig.robot(), shape(PATH))
+    assert tracked.limit_violations == 0
+
+
+@contextmanager
+def command(line: PtyLine, pool: LivePool, *options: str) -> Iterator[subprocess.Popen[str]]:
+    """``frogkick run`` with the robot on a line, and a tracker that pipes its fixes in until the end."""
+    process = subprocess.Popen(
+        [
+            sys.executable, "-m", "frogkick.cli.main", "run", "--path", PATH, "--tables", rig.small_table(),
+            "--robot", f"serial:{line.path}:115200", "--fixes", "stdin", *options,
+        ],
+        cwd=line.path.parent, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+        text=True, start_new_session=True,
+    )  # fmt: skip
+    assert process.stdin is not None
+    stdin, stop = process.stdin, threading.Event()
+
+    def write(text: str) -> None:
+        with suppress(BrokenPipeError):
+            stdin.write(text)
+            stdin.flush()
+
+    tracker = threading.Thread(target=pool.lines, args=(write, stop), daemon=True)
+    tracker.start()
+    try:
+        yield process
+    finally:
+        process.kill()
+        stop.set()
+        tracker.join()
+        with suppress(BrokenPipeError):
+            stdin.close()
+        process.wait()
+        for stream in (process.stdout, process.stderr):
+            assert stream is not None
+            stream.close()
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="sends signals")
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_disarms_first(tmp_path: Path, number: signal.Signals) -> None:
+    robot = LiveRobot()
+    with PtyLine(tmp_path, robot) as line, command(line, LivePool(robot.pulses)) as process:
+        deadline_s = time.monotonic() + 60.0
+        while not robot.pulses and time.monotonic() < deadline_s:
+            time.sleep(0.005)
+        assert robot.pulses, "it never swam"
+        asked_s = time.monotonic()
+        os.kill(process.pid, number)
+        assert process.stdout is not None and process.stderr is not None
+        stdout, stderr = process.stdout.read(), process.stderr.read()
+        assert (process.wait(), stdout) == (130, ""), stderr
+        assert stderr.splitlines()[-1] == "frogkick: interrupted: nothing half-written was left"
+        assert robot.names()[-1] == "DISARM", "the last that the robot heard"
+        assert robot.heard[-1][0] >= asked_s and robot.off_at
+        assert int(robot.core.ask("STATUS")["state"]) == STATE["DISARMED"]
+
+
+@pytest.mark.parametrize("dialect", DIALECTS)
+def test_a_whole_run_by_the_command(tmp_path: Path, dialect: str) -> None:
+    """Fixes piped in, numbers and a log out."""
+    robot = LiveRobot() if dialect == "frogkick" else TextFrog()
+    options = ("--plan", "host", "--simulated-time", f"{1.2 * PERIOD_S}", "--json", "--out", "run.h5")
+    with (
+        PtyLine(tmp_path, robot) as line,
+        command(line, LivePool(robot.pulses), "--dialect", dialect, *options) as process,
+    ):
+        assert process.stdout is not None and process.stderr is not None
+        told, said = process.stdout.read(), process.stderr.read()
+        assert process.wait() == 0, said
+    numbers = json.loads(told)
+    assert (numbers["decisions"], numbers["ended"]) == (2, TIME)
+    assert numbers["limit_violations"] == (0 if dialect == "frog2022" else None)
+    log = read_run(tmp_path / "run.h5")
+    assert log.truth is None and len(log.fixes.x_m) > 20 and len(log.decisions.action) == 2
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ("--robot ble:frogkick", "--robot ble:frogkick swims by position fixes, and none are given: pipe"),
+        ("--robot serial:/dev/none", "--fixes stdin"),
+        ("--robot ble:frogkick --fixes camera", "--fixes is 'camera': choose stdin"),
+        ("--robot ble:frogkick --fixes stdim", "did you mean 'stdin'"),
+        ("--robot ble: --fixes stdin", "neither ble:NAME nor serial:PORT"),
+        ("--robot ble:frogkick --world w.toml --fixes stdin", "--world 'w.toml' is for a simulated pool"),
+        ("--robot pool --fixes stdin", "--fixes stdin is for a real robot"),
+        ("--robot virtual --dialect frog2022", "--dialect frog2022 is for a real robot"),
+        ("--robot serial:COM3 --dialect frog2023", "did you mean 'frog2022'"),
+        ("--robot bel:frog", "--robot is 'bel:frog'"),
+    ],
+)
+def test_what_does_not_go_together(capsys: pytest.CaptureFixture[str], options: str, words: str) -> None:
+    told = frogkick(capsys, "run", "--tables", rig.small_table(), *options.split())
+    assert (told.code, told.stdout) == (2, "")
+    assert told.stderr.count("\n") == 1 and words in told.stderr

@@ -21,7 +21,7 @@ from frogkick.link.frames import hello
 from frogkick.link.layout import Value, link_layout
 from frogkick.link.upload import upload
 from frogkick.loop.closed_loop import SETTLE_S, START_DELAY_S, parameters, robot_plan_config
-from frogkick.loop.session import STEP_S, LinkError, Session
+from frogkick.loop.session import ANSWER_TIMEOUT_S, STEP_S, Asked, LinkError, Session
 from frogkick.planner.image import Tables
 from frogkick.pool.camera import Camera
 from frogkick.pool.pool import Pool
@@ -44,25 +44,23 @@ WRAP_US = (2**32, 2**32 * 1000, 2**33, 2**40)
 class PatientSession(Session):
     """A session that asks again, with the same bytes, where no answer comes: the robot acts once."""
 
-    def ask(
-        self,
-        name: str,
-        values: dict[str, Value] | None = None,
-        rows: Sequence[Sequence[Value]] = (),
-        timeout_s: float = 1.0,
-    ) -> dict[str, Value]:
-        sequence = self.post(name, values, rows)
+    def ask_all(
+        self, name: str, many: Sequence[Asked], timeout_s: float = ANSWER_TIMEOUT_S
+    ) -> list[dict[str, Value]]:
         assert isinstance(self.port, Radio)
-        encoded = self.port.last
+        sent: dict[int, bytes] = {}
+        for values, rows in many:
+            sent[self.post(name, values, rows)] = self.port.last
+        told: dict[int, dict[str, Value]] = {}
         deadline_s, again_s = self.time_s + timeout_s, self.time_s + _AGAIN_S
         while self.time_s < deadline_s:
             self.step(self.time_s + STEP_S)
-            for arrival in self.take(name):
-                if (arrival.frame.kind, arrival.frame.sequence) == ("answer", sequence):
-                    return arrival.frame.values
+            if self._answered(name, list(sent), told):
+                return [told[sequence] for sequence in sent]
             if self.time_s >= again_s:
-                self.port.send(encoded, self.time_s)
                 again_s += _AGAIN_S
+                for encoded in (sent[sequence] for sequence in sent if sequence not in told):
+                    self.port.send(encoded, self.time_s)
         raise LinkError(f"no answer to {name} within {timeout_s:g} s")
 
 

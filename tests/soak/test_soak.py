@@ -51,10 +51,10 @@ def test_a_robot_comes_through_its_life() -> None:
     assert 0.27 < lost < 0.33
     radio = life.radio
     assert min(radio.lost, radio.doubled, radio.held, radio.damaged) > 5 * minutes
-    assert total["again"] > 20 * minutes and total["bad"] > radio.damaged // 2
+    assert total["again"] > 10 * minutes and total["bad"] > radio.damaged // 2
     assert life.counts["updates"] >= 2 * rounds and life.counts["updates resumed"] >= rounds // 4
     assert 0 < total["committed"] <= total["begun"]
     # And it swam.
     assert figures.pulses > 60 * minutes and seen["pulses in a run"] > 0.98 * figures.pulses
-    assert figures.advanced_m > 0.3 * minutes
-    assert len(figures.back_s) > 0.5 * sum(figures.disturbances.values())
+    assert figures.advanced_m > minutes
+    assert len(figures.back_s) > 0.4 * sum(figures.disturbances.values())

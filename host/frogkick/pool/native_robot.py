@@ -24,6 +24,7 @@ JOURNAL_BYTES, PAGE_BYTES, SLOT_BYTES_MIN, SLOTS = 2 * 4096, 4096, 65536, 2
 _BOOT_S, _BOOT_S_PER_BYTE = 1e-3, 0.4e-6  # the second for the check of the table
 _BESIDE = 64  # bytes before and behind the core's memory, which nobody may write to
 _BESIDE_BYTE = 0xC5
+_CLEARED = 2  # of the core's structures, how many the start-up clears; the others stand in .noinit
 _DECLARATIONS = """
 typedef struct { uint8_t bytes[%d]; uint32_t length; } fk_frame_collector_t;
 uint32_t fk_frame_collect(fk_frame_collector_t *collector, uint8_t byte);
@@ -42,7 +43,9 @@ int32_t fk_store_boot(void *store, const fk_flash_t *flash, const uint8_t *built
 uint32_t fk_robot_bytes(void);
 int32_t fk_robot_init(void *robot, const uint8_t *image, uint32_t image_bytes);
 void fk_robot_use_store(void *robot, void *store);
-void fk_robot_note_reset(void *robot, uint8_t reset, fk_guard_kept_t *kept);
+void fk_robot_note_reset(void *robot, uint8_t reset, void *kept);
+void fk_robot_use_log(void *robot, void *log);
+uint32_t fk_log_bytes(void);
 void fk_robot_on_frame(void *robot, const uint8_t *encoded, uint32_t length, uint64_t now_us);
 void fk_robot_tick(void *robot, uint64_t now_us, fk_outputs_t *outputs);
 uint32_t fk_robot_take_tx(void *robot, uint8_t *bytes, uint32_t capacity);
@@ -97,10 +100,11 @@ class NativeRobot:
         self._blocks: list[tuple[Any, int]] = []
         self._memory = self._ram(self._core.fk_robot_bytes())
         self._store = self._ram(self._core.fk_store_bytes())
+        self._log = self._ram(self._core.fk_log_bytes())
         self._wire = self._ffi.new("fk_frame_collector_t *")
         self._outputs = self._ffi.new("fk_outputs_t *")
         self._buffer = self._ffi.new("uint8_t[]", 1024)
-        self._kept = self._ffi.new("fk_guard_kept_t *")
+        self._kept = self._ram(self._ffi.sizeof("fk_guard_kept_t"))
         self._built_in = (self._core.fk_table_image, int(self._core.fk_table_image_bytes))
         slot_bytes = max(SLOT_BYTES_MIN, -(-self._built_in[1] // PAGE_BYTES) * PAGE_BYTES)
         self._words = self._ffi.new("uint32_t[]", (JOURNAL_BYTES + SLOTS * slot_bytes) // 4)
@@ -257,12 +261,13 @@ class NativeRobot:
 
     def _lose_ram(self) -> None:
         """What RAM that no start-up clears holds after a time without supply: something."""
-        self._ffi.buffer(self._kept)[:] = b"\xa5" * self._ffi.sizeof("fk_guard_kept_t")
+        for words, size in self._blocks[_CLEARED:]:
+            self._ffi.memmove(words + _BESIDE // 8, b"\xa5" * size, size)
 
     def _boot(self, reset: str, idle_us: int = 0) -> None:
         """What firmware/bench/main.c does before its loop."""
         core, (image, image_bytes) = self._core, self._built_in
-        for words, size in self._blocks:  # the start-up clears RAM
+        for words, size in self._blocks[:_CLEARED]:
             self._ffi.memmove(words + _BESIDE // 8, bytes(size), size)
         self._wire.length = 0
         waiting, self._waiting = self._waiting, []
@@ -277,6 +282,7 @@ class NativeRobot:
         if error:
             raise FrogkickError(f"the core refuses its table (fk_error_t {error}): build it again")
         core.fk_robot_note_reset(self._memory, link_layout().reset[reset], self._kept)
+        core.fk_robot_use_log(self._memory, self._log)
         if idle_us:
             self.turn(0, b"")
         self._zero_us = self._up_us - idle_us

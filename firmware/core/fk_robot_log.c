@@ -75,7 +75,12 @@ static int32_t wants_snapshot(const fk_robot_t *robot, uint8_t type)
         (type != FK_FRAME_ARM || (robot->store != 0 && robot->store->open != 0u))) {
         return 0;
     }
-    return robot->log_broken != 0u || robot->log->end - robot->log_mark >= FK_LOG_SNAPSHOT_EVERY_BYTES;
+    if (robot->log_broken != 0u) {
+        return 1;
+    }
+    /* It takes some 2 ms on the chip: not while a pulse of a stroke is due. */
+    return robot->log->end - robot->log_mark >= FK_LOG_SNAPSHOT_EVERY_BYTES && robot->stroke_request == 0u &&
+           robot->second_mask == 0u;
 }
 
 uint32_t fk_robot_log_command(fk_robot_t *robot, const fk_frame_t *frame)

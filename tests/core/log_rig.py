@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import random
+from typing import Any
 
 from tests.core.core import FFI, Robot, core
 
@@ -53,8 +54,8 @@ def content_of(number: int, length: int) -> bytes:
     return number.to_bytes(7, "little") + random.Random(number).randbytes(length)
 
 
-def robot_with_log(now_us: int = 1_000_000) -> tuple[Robot, Log]:
-    robot, log = Robot(now_us=now_us), Log()
+def robot_with_log(now_us: int = 1_000_000, made: Any = None) -> tuple[Robot, Log]:
+    robot, log = Robot(now_us=now_us, made=made), Log()
     log.memory[0] = 0  # as found
     robot._log = log  # type: ignore[attr-defined] # lives as long
     robot.core.fk_robot_use_log(robot.memory, log.memory)

@@ -9,7 +9,8 @@ from tests.core.core import Robot, cases, core
 from tests.core.log_rig import RING_BYTES, Asking, Log, content_of, fetched, names, robot_with_log
 
 from frogkick.link.layout import link_layout
-from frogkick.link.log import HEAD_BYTES, Stretch, check_of, fetch_log, records_of
+from frogkick.link.log import HEAD_BYTES, LogError, Stretch, check_of, fetch_log, records_of
+from frogkick.loop.session import LinkError
 
 
 def test_ram_as_found_is_an_empty_log() -> None:
@@ -216,7 +217,7 @@ def test_there_is_always_a_whole_snapshot() -> None:
     robot, _ = robot_with_log()
     robot.begin("ARMED")
     robot.path(100)
-    for _ in range(10 + cases(30, 390)):
+    for _ in range(30 + cases(10, 370)):
         for _ in range(5):
             robot.now_us += 20_000
             robot.fix()
@@ -228,6 +229,24 @@ def test_there_is_always_a_whole_snapshot() -> None:
         size = (0 if record.values["part"] == 0 else size) + HEAD_BYTES + len(record.content)
         sizes.append(size)
     assert 2500 < max(sizes) <= 4096, "FK_LOG_SNAPSHOT_MAX_BYTES"
+
+
+def test_no_snapshot_while_a_pulse_of_a_stroke_is_due() -> None:
+    """On the chip it takes 2 ms, by which the pulse would be late."""
+    robot, _ = robot_with_log(now_us=2_000_000)
+    robot.begin("ARMED")
+
+    def flooded() -> int:
+        for _ in range(40):
+            robot.path(18)
+        return sum(bool(r.values.get("last")) for records in fetched(robot).records() for r in records)
+
+    assert robot.stroke("B") == "OK"
+    assert flooded() == 1, "that of ARM"
+    assert robot.tick().limb_mask == 0b0011
+    assert flooded() == 1
+    assert robot.run_until(robot.now_us + 200_000) == [(robot.now_us - 200_000 + 81_000, 0b1100)]
+    assert flooded() == 2
 
 
 def test_a_command_that_comes_again_is_logged_once() -> None:
@@ -246,6 +265,30 @@ def test_a_start_with_a_fault_says_so() -> None:
     robot.core.fk_robot_use_log(robot.memory, log.memory)
     assert [record.name for record in log.records()] == ["BOOT", "FAULT"]
     assert log.records()[1].values == {"fault": link_layout().fault["TABLE"], "detail": robot.error}
+
+
+def test_an_answer_that_is_lost_is_asked_for_again() -> None:
+    robot, _ = robot_with_log()
+    robot.begin("ARMED")
+    robot.path()
+
+    class Lossy(Asking):
+        def ask(self, *words: object, **more: object) -> dict:  # type: ignore[type-arg]
+            told = super().ask(*words, **more)  # type: ignore[arg-type]
+            if self.asked % 3:
+                raise LinkError("lost")
+            return told
+
+    assert fetch_log(Lossy(robot)) == fetched(robot)
+
+    class Dead(Asking):
+        def ask(self, *words: object, **more: object) -> dict:  # type: ignore[type-arg]
+            raise LinkError("no answer")
+
+    with pytest.raises(LogError, match=r"no answer to LOG, asked 5 times \(no answer\): bring"):
+        fetch_log(Dead(robot))
+    with pytest.raises(LogError, match="answers LOG with UNKNOWN: its firmware keeps no log"):
+        fetched(Robot())
 
 
 def test_without_a_log() -> None:

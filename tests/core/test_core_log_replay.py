@@ -7,7 +7,8 @@ from functools import cache
 from pathlib import Path
 
 import pytest
-from tests.core.core import ACTION, COVERAGE_DIR, Robot, cases, core, image, source_files
+from tests.core.core import ACTION, COVERAGE_DIR, Robot, cases, core, image, mutated, source_files
+from tests.core.core import library as core_library
 from tests.core.log_rig import RING_BYTES, Log, fetched, robot_with_log
 from tests.core.store_rig import NEW, OLD, crc_of
 from tests.core.test_core_table_commands import begin_values, robot_with_store, send
@@ -52,8 +53,12 @@ def live(robot: Robot, until_us: int, dice: random.Random, every_us: int = 66_00
 
 def run(seed: int, seconds: float = 20.0, path_points: int = 20) -> Robot:
     """A robot that has swum for a while; what was logged before ARM is not enough to begin from."""
+    return swim(robot_with_log()[0], seed, seconds, path_points)
+
+
+def swim(robot: Robot, seed: int, seconds: float, path_points: int = 20) -> Robot:
+    """The same, of this robot."""
     dice = random.Random(seed)
-    robot, _ = robot_with_log()
     robot.tick()
     robot.fix()
     robot.path(path_points)
@@ -276,6 +281,50 @@ def swim_a_little(robot: Robot) -> None:
         robot.run_until(robot.now_us + 80_000)
         robot.take()
         robot.fix(0.1 + 0.001 * number)
+
+
+DECIDES_OTHERWISE = {
+    "a later decision": (
+        "fk_robot.c", "robot->next_decision_us += robot->period_us;",
+        "robot->next_decision_us += robot->period_us + 1u;", "core twin",
+    ),
+    "another estimate": (
+        "fk_estimator.c", "fix.pose[2] = fk_wrap_angle(fix.pose[2]);",
+        "fix.pose[2] = fk_wrap_angle(fix.pose[2] + 1e-4f);", "core twin",
+    ),
+    "another cost": (
+        "fk_robot.c", "event->cost = plan.cost;", "event->cost = plan.cost * 1.0001f;", "core twin",
+    ),
+    "a shorter rest": ("fk_robot_config.h", "FK_REST_MIN_US 500000u", "FK_REST_MIN_US 1500000u", "core"),
+    "no word of a pulse": (
+        "fk_robot.c", "        fk_robot_log_pulse(robot, limb_mask, 1u);\n", "", "core",
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", DECIDES_OTHERWISE)
+def test_a_firmware_that_was_changed_is_found(name: str) -> None:
+    """Its log, decided again by the core and the twin as they are."""
+    file, old, new, places = DECIDES_OTHERWISE[name]
+    robot, _ = robot_with_log(made=core_library(mutated(file, old, new)))
+    told = replayed(fetched(swim(robot, 1, 8.0)))
+    found = {mismatch.place for mismatch in told.mismatches}
+    assert found >= set(places.split()), told.mismatches[:3]
+    unchanged = replayed(fetched(run(1, 8.0)))
+    assert unchanged.mismatches == []
+
+
+def test_a_command_that_hung_is_the_end_of_a_segment() -> None:
+    """The core never came back from it: what it did is not known. After another command that cannot be."""
+    log = fetched(run(8, 4.0))
+    records = log.records()[0]
+    place = max(i for i, record in enumerate(records) if record.command == "FIX")
+    hung = records[place]
+    told = replayed(changed(log, hung, hung.content[:-1] + b"\x80", fitting=True))
+    assert (told.mismatches, told.segments) == ([], 1)
+    earlier = next(r for r in records[place // 2 :] if r.command == "FIX")
+    told = replayed(changed(log, earlier, earlier.content[:-1] + b"\x80", fitting=True))
+    assert [m.what for m in told.mismatches] == ["the command before never ended"]
 
 
 def test_another_table_is_not_decided_by_this_one() -> None:

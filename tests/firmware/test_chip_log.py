@@ -27,7 +27,7 @@ def swum() -> tuple[VirtualRobot, Session, Recording]:
     """A closed-loop run, the robot after it, and a new session with it."""
     port = rig.port("virtual")
     assert isinstance(port, VirtualRobot)
-    seconds = count(20.0, 60.0)
+    seconds = count(14.0, 60.0)
     recording = run_in_pool(
         port,
         rig.new_pool("sine"),

@@ -93,15 +93,37 @@ def replay_log(
     stretches = log.records()
     every = sum(map(len, stretches))
     for records in stretches:
-        found.mismatches += [
-            Mismatch(record.offset, record.time_us, "log", "the record's check does not fit")
-            for record in records
-            if record.name == DAMAGED
-        ]
+        found.mismatches += _damage(records)
         _replay_stretch(records, by_crc, cores, found)
         found.records += len(records)
         progress(found.records, every)
     found.mismatches.sort(key=lambda mismatch: mismatch.time_us)
+    return found
+
+
+def _damage(records: list[Record]) -> list[Mismatch]:
+    """What no robot writes.
+
+    A check that does not fit; a command after one that never ended; a run, or a fix, after a start or an
+    update of the table without a snapshot in between.
+    """
+    found, unfinished, without = [], False, ""
+    for record in records:
+        what = ""
+        if record.name == DAMAGED:
+            what = "the record's check does not fit"
+        elif record.name == "COMMAND" and unfinished:
+            what = "the command before never ended"
+        elif without and (record.name == "DECISION" or record.command == "FIX"):
+            what = f"no snapshot since {without}"
+        if what:
+            found.append(Mismatch(record.offset, record.time_us, "log", what))
+        if record.name in ("COMMAND", "BOOT"):
+            unfinished = record.name == "COMMAND" and record.values["status"] == UNFINISHED
+        if record.name == "BOOT" or record.command in _TABLE_COMMANDS:
+            without = record.command or record.name
+        elif what or record.name == "SNAPSHOT":
+            without = ""
     return found
 
 
@@ -183,6 +205,11 @@ class _Segment:
                 return index
             if made.content != record.content:
                 self._tell(record, "core", f"{record.name} differs in {_fields(made, record)}")
+                if (
+                    record.name == "COMMAND"
+                ):  # taken by one, refused by the other: what follows is not the same
+                    self.made = []
+                    return index
             for what in twin.meet(record):
                 self._tell(record, "twin", what)
             self.found.replayed += 1

@@ -23,6 +23,12 @@ def tables() -> tuple[Tables, Tables]:
 
 
 @functools.cache
+def truth() -> Tables:
+    """As the swimmer moves: like neither of them, and finer."""
+    return open_image(spread_table(rig.tables(), 3, states=1000))
+
+
+@functools.cache
 def library() -> Path:
     """The target "native", as ``firmware build`` makes it."""
     image = Path(_FOLDER.name) / "soak.fkt"

@@ -6,7 +6,7 @@ import math
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import AbstractContextManager, ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -158,6 +158,7 @@ def run_on_bench(
     path: SwimPath,
     options: RunOptions,
     sight: Sight,
+    logged: Callable[[SwimPath], AbstractContextManager[Callable[[Recording], None]]],
     progress: Callable[[float, int], None],
 ) -> tuple[Recording, SwimPath]:
     """A run with a real robot, and the path as it was placed. Stopped in any way, it disarms the robot first.
@@ -168,6 +169,7 @@ def run_on_bench(
         image: table image of ``tables``.
         robot, tables, path, options, progress: see ``run_session``.
         sight: fixes, and where the path begins.
+        logged: makes, from the path as placed, what keeps the recording while it grows.
 
     Raises:
         WireError: the robot cannot be reached.
@@ -187,4 +189,5 @@ def run_on_bench(
         wire = stack.enter_context(opened(target, greeting))
         session = stack.enter_context(session_with(wire, dialect, image, robot))
         source: FixSource = fixes
-        return run_session(session, source, tables, path, options, progress), path
+        keep = stack.enter_context(logged(path))
+        return run_session(session, source, tables, path, options, progress, keep), path

@@ -10,7 +10,7 @@ from typing import Annotated
 import numpy as np
 import typer
 
-from frogkick.cli.common import JsonOption, SeedOption, progress_bar, require_writable, show
+from frogkick.cli.common import JsonOption, SeedOption, progress_bar, require_writable, show, stderr
 from frogkick.cli.lab import Sight, require_bench, run_on_bench
 from frogkick.cli.places import (
     DepthOption,
@@ -28,6 +28,7 @@ from frogkick.cli.places import (
 from frogkick.effects import World, read_world
 from frogkick.link.wire import is_target
 from frogkick.loop.closed_loop import RunOptions, require_time, run_in_pool
+from frogkick.loop.live_log import logged, part_of
 from frogkick.loop.record import run_log, tracking_of_recording
 from frogkick.loop.runlog_file import write_run
 from frogkick.planner.image import read_image
@@ -102,6 +103,7 @@ def run(
     described = robot_of_table(image, model)
     opened = read_image(image)
     options = RunOptions(plan_config(described, planner, depth), plan is PlanWhere.onboard, simulated_time)
+    name = f"run --robot {robot.replace('/', ' ').replace(chr(92), ' ')} --plan {plan.value}"
     pool = None
     with ExitStack() as stack:
         bar = stack.enter_context(progress_bar(f"{desired.name}: path points"))
@@ -111,18 +113,24 @@ def run(
 
         if is_real:
             sight = Sight(str(fixes), source, begin)
-            recording, desired = run_on_bench(
-                robot, dialect, image, described, opened, desired, options, sight, progress
-            )
+            keep = logged(out, described, opened, options, name)
+            try:
+                recording, desired = run_on_bench(
+                    robot, dialect, image, described, opened, desired, options, sight, keep, progress
+                )
+            except BaseException:
+                if out is not None and part_of(out).exists():
+                    stderr.print(f"frogkick: what was recorded until then is in {str(part_of(out))!r}")
+                raise
         else:
             port = stack.enter_context(simulated_robot(robot, image, described))
             pool = Pool(described, start_pose(desired), camera, np.random.default_rng(seed), true_world)
             recording = run_in_pool(port, pool, opened, desired, options, progress)
     tracked = tracking_of_recording(recording, pool, described, desired)
     if out is not None:
-        source = f"run --robot {robot.replace('/', ' ').replace(chr(92), ' ')} --plan {plan.value}"
         known_seed = None if is_real else seed
-        write_run(out, run_log(recording, pool, described, opened, desired, options, known_seed, source))
+        write_run(out, run_log(recording, pool, described, opened, desired, options, known_seed, name))
+        part_of(out).unlink(missing_ok=True)
     show({**tracked.as_json(), "ended": recording.ended}, json)
     if tracked.limit_violations:
         raise typer.Exit(1)

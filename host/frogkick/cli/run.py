@@ -11,7 +11,7 @@ import numpy as np
 import typer
 
 from frogkick.cli.common import JsonOption, SeedOption, progress_bar, require_writable, show
-from frogkick.cli.lab import require_bench, run_on_bench
+from frogkick.cli.lab import Sight, require_bench, run_on_bench
 from frogkick.cli.places import (
     DepthOption,
     PlannerName,
@@ -67,7 +67,16 @@ def run(
     fix_rate: Annotated[float, typer.Option(help="Position fixes per second, simulated.")] = 15.0,
     fixes: Annotated[
         str | None,
-        typer.Option(help="A real robot's: stdin = lines 'x_m y_m heading_rad [age_s]' from a tracker."),
+        typer.Option(
+            help="A real robot's: camera.toml of 'camera calibrate', or stdin = a tracker's lines "
+            "'x_m y_m heading_rad [age_s]'."
+        ),
+    ] = None,
+    source: Annotated[
+        str, typer.Option(help="The camera of --fixes camera.toml: number, video, folder of pictures.")
+    ] = "0",
+    begin: Annotated[
+        str | None, typer.Option(help="A real robot's path begins at X,Y,DEG (m, degrees), or here.")
     ] = None,
     dialect: Annotated[
         str, typer.Option(help="A real robot's: frogkick, or frog2022 = the authors' firmware, as text.")
@@ -101,7 +110,10 @@ def run(
             bar(index + 1, len(desired))
 
         if is_real:
-            recording = run_on_bench(robot, dialect, image, described, opened, desired, options, progress)
+            sight = Sight(str(fixes), source, begin)
+            recording, desired = run_on_bench(
+                robot, dialect, image, described, opened, desired, options, sight, progress
+            )
         else:
             port = stack.enter_context(simulated_robot(robot, image, described))
             pool = Pool(described, start_pose(desired), camera, np.random.default_rng(seed), true_world)

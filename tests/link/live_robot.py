@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -12,6 +13,27 @@ from tests.core.store_rig import PAGE, Flash
 from tests.loop import rig
 
 from frogkick.link.frames import Frame, FrameError, unpack_frame
+
+
+class PatientClock:
+    """Time in which everything that lives here had its turn.
+
+    A busy machine lets no process run for a while now and then; a robot in real time would lose its fixes by
+    that. Such a pause counts as a moment.
+    """
+
+    MOMENT_S = 0.02
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._time_s, self._looked_s = 0.0, time.monotonic()
+
+    def __call__(self) -> float:
+        with self._lock:
+            now_s = time.monotonic()
+            self._time_s += min(now_s - self._looked_s, self.MOMENT_S)
+            self._looked_s = now_s
+            return self._time_s
 
 
 class Listener(Protocol):
@@ -35,7 +57,7 @@ class LiveRobot:
     Attributes:
         built_in: table in its firmware.
         on_for_s: how long it has been switched on already.
-        pulses: (clock s, limb mask, length us) of each that began.
+        pulses: (clock s, limb mask, length us) of each that began, at the time that the core was told.
         heard: frames that it was given whole, with their clock.
         mute: it takes frames and never answers.
         deaf_to: says of a frame whether it is lost on its way in.
@@ -105,6 +127,6 @@ class LiveRobot:
         if out.all_off:
             self.off_at.append(self.clock())
         if out.limb_mask:
-            self.pulses.append((self.clock(), out.limb_mask, out.pulse_us))
+            self.pulses.append((self._begin_s + now_us * 1e-6, out.limb_mask, out.pulse_us))
         stream = self.core.take_bytes()
         return b"" if self.mute else stream

@@ -19,13 +19,17 @@ class LivePool:
     """A ``FixSource``: the pool swims as the clock goes, by the pulses that the robot really began.
 
     Args:
-        pulses: of the live robot: (monotonic s, limb mask, length us).
+        pulses: of the live robot: (clock s, limb mask, length us).
+        clock: the robot's.
     """
 
-    def __init__(self, pulses: Sequence[tuple[float, int, int]]) -> None:
+    def __init__(
+        self, pulses: Sequence[tuple[float, int, int]], clock: Callable[[], float] = time.monotonic
+    ) -> None:
         self.pool = rig.new_pool(PATH)
         self._pulses, self._taken = pulses, 0
-        self._begin_s = time.monotonic()
+        self._clock = clock
+        self._begin_s = clock()
         self._looked_s = 0.0
         self._lock = threading.Lock()
 
@@ -41,11 +45,11 @@ class LivePool:
                 for limb in range(4):
                     if limb_mask >> limb & 1:
                         self.pool.heat(limb, max(self.pool.time_s, at_s - self._begin_s))
-            return self.pool.advance(time.monotonic() - self._begin_s)
+            return self.pool.advance(self._clock() - self._begin_s)
 
     def advance(self, until_s: float) -> list[Fix]:
         self._looked_s = until_s
-        shift_s = until_s - (time.monotonic() - self._begin_s)
+        shift_s = until_s - (self._clock() - self._begin_s)
         return [Fix(fix.sequence, fix.capture_s + shift_s, until_s, fix.pose_world) for fix in self.swim()]
 
     def heat(self, limb: int, start_s: float) -> None:
@@ -56,7 +60,7 @@ class LivePool:
         while not stop.wait(0.005):
             for fix in self.swim():
                 x_m, y_m, heading_rad = fix.pose_world
-                age_s = time.monotonic() - self._begin_s - fix.capture_s
+                age_s = self._clock() - self._begin_s - fix.capture_s
                 write(f"{x_m:.6f} {y_m:.6f} {heading_rad:.6f} {age_s:.4f}\n")
 
 
@@ -66,9 +70,10 @@ class TextFrog:
 
     Attributes:
         lines: that came, with their times.
-        pulses: (monotonic s, limb mask in the robot's own order, length us) of each that began.
+        pulses: (clock s, limb mask in the robot's own order, length us) of each that began.
     """
 
+    clock: Callable[[], float] = time.monotonic
     lines: list[tuple[float, str]] = field(default_factory=list)
     pulses: list[tuple[float, int, int]] = field(default_factory=list)
     pulse_us: int = 0
@@ -79,7 +84,7 @@ class TextFrog:
         *lines, self._rest = (self._rest + data).split(b"\n")
         order = [limb.name for limb in rig.robot().limbs]
         for line in lines:
-            now_s = time.monotonic()
+            now_s = self.clock()
             words = line.decode("ascii").split()
             self.lines.append((now_s, line.decode("ascii")))
             if words[0] == "p":

@@ -19,8 +19,9 @@ from frogkick.loop.lab_port import LabPort
 from frogkick.loop.session import ANSWER_TIMEOUT_S, STEP_S, Arrival, Asked, LinkError, Session
 from frogkick.pool.port import RobotPort
 
-HELLO_S = 1.0
-HELLO_TIMES = 3
+ANSWER_S = 2.0
+"""The least that an answer is waited for: a busy host is late by itself."""
+HELLO_TIMES = 2
 CLOCK_ASKED = 5
 SAFE_S = 5.0
 
@@ -86,7 +87,7 @@ class LabSession(Session):
         """
         sequences = [self.post(name, values, rows) for values, rows in many]
         told: dict[int, dict[str, Value]] = {}
-        waited_s = down_s = 0.0
+        timeout_s, waited_s, down_s = max(timeout_s, ANSWER_S), 0.0, 0.0
         try:
             while waited_s < timeout_s and down_s < self.patience_s:
                 before_s, was_up = self.port.now_s, self.port.wire.is_up
@@ -130,7 +131,7 @@ class LabSession(Session):
     def _hello(self) -> dict[str, Value]:
         for _ in range(HELLO_TIMES):
             try:
-                return self.ask("HELLO", hello(self.conversation), timeout_s=HELLO_S)
+                return self.ask("HELLO", hello(self.conversation))
             except LinkError:
                 continue
         damaged = f", {self.port.bad} damaged frames came" if self.port.bad else ""

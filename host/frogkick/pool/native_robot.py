@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import cffi
+import numpy as np
 
 from frogkick.errors import FrogkickError
 from frogkick.link.frames import Frame, FrameCollector
@@ -16,12 +17,35 @@ from frogkick.pool.port import BYTE_S, Edge
 
 # FK_FRAME_ENCODED_MAX: head, CRC-32, COBS code byte and delimiter around the largest payload.
 _ENCODED_MAX = link_layout().payload_bytes_max + 8
+WATCHDOG_S = 0.98
+"""From the last feeding to the reset; firmware/bench/watchdog.c."""
+JOURNAL_BYTES, PAGE_BYTES, SLOT_BYTES_MIN, SLOTS = 2 * 4096, 4096, 65536, 2
+"""The flash for tables: two pages of journal, then slots of whole pages; fk_store.h."""
+_BOOT_S, _BOOT_S_PER_BYTE = 1e-3, 0.4e-6  # the second for the check of the table
+_BESIDE = 64  # bytes before and behind the core's memory, which nobody may write to
+_BESIDE_BYTE = 0xC5
+_CLEARED = 2  # of the core's structures, how many the start-up clears; the others stand in .noinit
 _DECLARATIONS = """
 typedef struct { uint8_t bytes[%d]; uint32_t length; } fk_frame_collector_t;
 uint32_t fk_frame_collect(fk_frame_collector_t *collector, uint8_t byte);
 typedef struct { uint8_t limb_mask; uint8_t all_off; uint32_t pulse_us; uint64_t next_tick_us; } fk_outputs_t;
+typedef struct { uint32_t on_us[8]; uint32_t crc; } fk_guard_kept_t;
+typedef struct { const uint8_t *base; uint32_t slot_bytes; uint32_t slots; void *context; } fk_flash_t;
+typedef struct {
+    const fk_flash_t *flash;
+    const uint8_t *built_in;
+    uint32_t built_in_bytes;
+    const uint8_t *image;
+    uint32_t image_bytes;
+} fk_store_head_t; /* how an fk_store_t begins */
+uint32_t fk_store_bytes(void);
+int32_t fk_store_boot(void *store, const fk_flash_t *flash, const uint8_t *built_in, uint32_t built_in_bytes);
 uint32_t fk_robot_bytes(void);
 int32_t fk_robot_init(void *robot, const uint8_t *image, uint32_t image_bytes);
+void fk_robot_use_store(void *robot, void *store);
+void fk_robot_note_reset(void *robot, uint8_t reset, void *kept);
+void fk_robot_use_log(void *robot, void *log);
+uint32_t fk_log_bytes(void);
 void fk_robot_on_frame(void *robot, const uint8_t *encoded, uint32_t length, uint64_t now_us);
 void fk_robot_tick(void *robot, uint64_t now_us, fk_outputs_t *outputs);
 uint32_t fk_robot_take_tx(void *robot, uint8_t *bytes, uint32_t capacity);
@@ -50,10 +74,13 @@ class CoreCall:
 class NativeRobot:
     """A ``RobotPort`` over a shared library made by ``firmware build --target native``.
 
-    Computing takes no simulated time here; the virtual chip is where it does.
+    Computing takes no simulated time here; the virtual chip is where it does. The port's clock goes on
+    through resets, the robot's own begins anew with each. Flash outlives all of them; RAM none, but what the
+    start-up leaves alone: that outlives a watchdog's.
 
     Attributes:
         calls: every turn of the core, where they are to be kept.
+        flash: the bytes of its flash for tables, as they are; may be written to.
     """
 
     def __init__(self, library: Path, limbs: int, keep_calls: bool = False) -> None:
@@ -70,19 +97,29 @@ class NativeRobot:
         self._ffi = cffi.FFI()
         self._ffi.cdef(_DECLARATIONS % _ENCODED_MAX)
         self._core: Any = self._ffi.dlopen(str(library))
-        self._memory = self._ffi.new("uint64_t[]", (self._core.fk_robot_bytes() + 7) // 8)
+        self._blocks: list[tuple[Any, int]] = []
+        self._memory = self._ram(self._core.fk_robot_bytes())
+        self._store = self._ram(self._core.fk_store_bytes())
+        self._log = self._ram(self._core.fk_log_bytes())
         self._wire = self._ffi.new("fk_frame_collector_t *")
         self._outputs = self._ffi.new("fk_outputs_t *")
         self._buffer = self._ffi.new("uint8_t[]", 1024)
-        error = self._core.fk_robot_init(
-            self._memory, self._core.fk_table_image, self._core.fk_table_image_bytes
-        )
-        if error:
-            raise FrogkickError(f"the core refuses its table (fk_error_t {error}): build it again")
-        self._limbs = limbs
+        self._kept = self._ram(self._ffi.sizeof("fk_guard_kept_t"))
+        self._built_in = (self._core.fk_table_image, int(self._core.fk_table_image_bytes))
+        slot_bytes = max(SLOT_BYTES_MIN, -(-self._built_in[1] // PAGE_BYTES) * PAGE_BYTES)
+        self._words = self._ffi.new("uint32_t[]", (JOURNAL_BYTES + SLOTS * slot_bytes) // 4)
+        self.flash = self._ffi.buffer(self._words)
+        self.flash[:] = b"\xff" * len(self.flash)
+        base = self._ffi.cast("uint8_t *", self._words)
+        self._flash = self._ffi.new("fk_flash_t *", [base, slot_bytes, SLOTS, self._words])
+        self._waiting: list[tuple[int, int, bytes]] = []
         self._now_us = 0
         self._next_tick_us = 0
-        self._waiting: list[tuple[int, int, bytes]] = []
+        self._zero_us = 0  # when the robot's clock was 0, on the port's
+        self._up_us = 0  # the firmware runs from then on
+        self._lose_ram()
+        self._boot("POWER")
+        self._limbs = limbs
         self._sent = 0
         self._line_free_us = 0.0
         self._collector = FrameCollector()
@@ -100,22 +137,29 @@ class NativeRobot:
                 part = bytes(self._ffi.buffer(self._wire.bytes, length))
                 self._sent += 1
                 arrival_us = begin_us + (index + 1) * BYTE_S * 1e6
-                heapq.heappush(self._waiting, (round(arrival_us), self._sent, part))
+                self._wait(round(arrival_us), self._sent, part)
         self._line_free_us = begin_us + len(encoded) * BYTE_S * 1e6
+
+    def _wait(self, arrival_us: int, order: int, part: bytes) -> None:
+        """Of a frame, what comes while nobody listens is lost; its end alone is a frame too, a bad one."""
+        whole = (arrival_us - self._up_us) / (BYTE_S * 1e6)  # bytes, but for rounding to us
+        heard = min(len(part), int(whole + 0.05) - 1)  # the delimiter is one of them
+        if heard > 0:
+            heapq.heappush(self._waiting, (arrival_us, order, part[len(part) - heard :]))
 
     def advance(self, until_s: float) -> None:
         """Give the core its frames and ticks in order of time."""
         until_us = round(until_s * 1e6)
         while True:
             frame_us = self._waiting[0][0] if self._waiting else until_us + 1
-            due_us = min(frame_us, max(self._next_tick_us, self._now_us))
+            due_us = min(frame_us, max(self._next_tick_us, self._now_us, self._up_us))
             if due_us > until_us:
                 break
             self._now_us = max(self._now_us, due_us)
             encoded = b""
             if frame_us <= due_us:
                 encoded = heapq.heappop(self._waiting)[2]
-            self._note(self.turn(self._now_us, encoded))
+            self._note(self.turn(self._now_us - self._zero_us, encoded))
         self._now_us = max(self._now_us, until_us)
 
     def turn(self, now_us: int, frame: bytes) -> CoreCall:
@@ -133,18 +177,22 @@ class NativeRobot:
     def _note(self, call: CoreCall) -> None:
         if self._keep_calls:
             self.calls.append(call)
-        limb_mask, all_off, pulse_us, self._next_tick_us = call.outputs
+        limb_mask, all_off, pulse_us, next_tick_us = call.outputs
+        self._next_tick_us = next_tick_us + self._zero_us
         now_s = self._now_us * 1e-6
         if all_off:
-            # A pulse that was on ends now; its planned end is taken back.
-            still_on = {edge.limb for edge in self._edges if not edge.level and edge.time_s > now_s}
-            self._edges = [edge for edge in self._edges if edge.level or edge.time_s <= now_s]
-            self._edges += [Edge(now_s, limb, False) for limb in sorted(still_on)]
+            self._pins_low(now_s)
         for limb in range(self._limbs):
             if limb_mask >> limb & 1:
                 self._edges.append(Edge(now_s, limb, True))
                 self._edges.append(Edge(now_s + pulse_us * 1e-6, limb, False))
         self._frames += [(now_s, frame) for frame in self._collector.feed(call.stream)]
+
+    def _pins_low(self, now_s: float) -> None:
+        """A pulse that was on ends now; its planned end is taken back."""
+        still_on = {edge.limb for edge in self._edges if not edge.level and edge.time_s > now_s}
+        self._edges = [edge for edge in self._edges if edge.level or edge.time_s <= now_s]
+        self._edges += [Edge(now_s, limb, False) for limb in sorted(still_on)]
 
     def frames(self) -> list[tuple[float, Frame]]:
         """Frames from the core since the last call."""
@@ -157,3 +205,85 @@ class NativeRobot:
         taken = sorted((e for e in self._edges if e.time_s <= now_s), key=lambda edge: edge.time_s)
         self._edges = [edge for edge in self._edges if edge.time_s > now_s]
         return taken
+
+    @property
+    def up_s(self) -> float:
+        """When the firmware runs, or has run since: the port's time."""
+        return self._up_us * 1e-6
+
+    @property
+    def time_s(self) -> float:
+        """The port's time."""
+        return self._now_us * 1e-6
+
+    def cut_power(self, off_s: float, idle_s: float = 0.0) -> None:
+        """Take the supply away now, and give it back.
+
+        Args:
+            off_s: how long it is away.
+            idle_s: what the robot's clock shows when it is to be talked to again: as if it had lain idle that
+                long meanwhile, which takes none of the port's time. Its limbs are cold then: let ``off_s``
+                be longer than their duty's window.
+        """
+        self._pins_low(self._now_us * 1e-6)
+        self._lose_ram()
+        self._up_us = self._now_us + round((off_s + self._boot_s) * 1e6)
+        self._boot("POWER", round(idle_s * 1e6))
+
+    def hang(self) -> None:
+        """Let the firmware hang from now on, until its watchdog resets it. Pulses end by their timer."""
+        self._up_us = self._now_us + round((WATCHDOG_S + self._boot_s) * 1e6)
+        self._boot("WATCHDOG")
+
+    @property
+    def _boot_s(self) -> float:
+        return _BOOT_S + _BOOT_S_PER_BYTE * self._built_in[1]
+
+    def _ram(self, size: int) -> Any:
+        """Memory for a structure of the core, on 8 bytes, with bytes on both sides that are not its own."""
+        words = self._ffi.new("uint64_t[]", (size + 7) // 8 + 2 * _BESIDE // 8)
+        self._ffi.memmove(words, bytes([_BESIDE_BYTE]) * self._ffi.sizeof(words), self._ffi.sizeof(words))
+        self._blocks.append((words, size))
+        return words + _BESIDE // 8
+
+    def ram_bytes(self) -> int:
+        """Bytes of RAM that the core's structures take: always the same.
+
+        Raises:
+            FrogkickError: the core has written beside one of them.
+        """
+        for words, size in self._blocks:
+            content = np.frombuffer(self._ffi.buffer(words), dtype=np.uint8)
+            beside = np.concatenate([content[:_BESIDE], content[_BESIDE + size :]])
+            if (beside != _BESIDE_BYTE).any():
+                raise FrogkickError(f"the core wrote beside a structure of {size} bytes: a fault in it")
+        return sum(size for _, size in self._blocks)
+
+    def _lose_ram(self) -> None:
+        """What RAM that no start-up clears holds after a time without supply: something."""
+        for words, size in self._blocks[_CLEARED:]:
+            self._ffi.memmove(words + _BESIDE // 8, b"\xa5" * size, size)
+
+    def _boot(self, reset: str, idle_us: int = 0) -> None:
+        """What firmware/bench/main.c does before its loop."""
+        core, (image, image_bytes) = self._core, self._built_in
+        for words, size in self._blocks[:_CLEARED]:
+            self._ffi.memmove(words + _BESIDE // 8, bytes(size), size)
+        self._wire.length = 0
+        waiting, self._waiting = self._waiting, []
+        for arrival_us, order, part in waiting:
+            self._wait(arrival_us, order, part)
+        if core.fk_store_boot(self._store, self._flash, image, image_bytes) == 0:
+            head = self._ffi.cast("fk_store_head_t *", self._store)
+            error = core.fk_robot_init(self._memory, head.image, head.image_bytes)
+            core.fk_robot_use_store(self._memory, self._store)
+        else:
+            error = core.fk_robot_init(self._memory, image, image_bytes)
+        if error:
+            raise FrogkickError(f"the core refuses its table (fk_error_t {error}): build it again")
+        core.fk_robot_note_reset(self._memory, link_layout().reset[reset], self._kept)
+        core.fk_robot_use_log(self._memory, self._log)
+        if idle_us:
+            self.turn(0, b"")
+        self._zero_us = self._up_us - idle_us
+        self._next_tick_us = self._up_us

@@ -50,7 +50,8 @@ class PatientSession(Session):
         assert isinstance(self.port, Radio)
         sent: dict[int, bytes] = {}
         for values, rows in many:
-            sent[self.post(name, values, rows)] = self.port.last
+            sequence = self.post(name, values, rows)
+            sent[sequence] = self.port.last
         told: dict[int, dict[str, Value]] = {}
         deadline_s, again_s = self.time_s + timeout_s, self.time_s + _AGAIN_S
         while self.time_s < deadline_s:

@@ -24,7 +24,6 @@ from frogkick.loop.closed_loop import SETTLE_S, START_DELAY_S, parameters, robot
 from frogkick.loop.session import ANSWER_TIMEOUT_S, STEP_S, Asked, LinkError, Session
 from frogkick.planner.image import Tables
 from frogkick.pool.camera import Camera
-from frogkick.pool.pool import Pool
 from frogkick.pool.port import Edge
 from frogkick.robot import Robot
 
@@ -105,16 +104,13 @@ class Life:
         seed: int,
         truth: Tables,
         warm_s: float = 300.0,
-        rods: bool = False,
         made: type[SeenRobot] = SeenRobot,
     ) -> None:
         self.dice = random.Random(seed)
         self.route = Route()
         self.robot = made(library, len(robot.limbs), Limits.of(robot))
         self.radio = Radio(self.robot, random.Random(seed + 1), Faults())
-        rng, start = np.random.default_rng(seed), self.route.start()
-        # The rods take a thirtieth of the time that they simulate: for hours it is a table that swims.
-        self.pool = Pool(robot, start, CAMERA, rng) if rods else TablePool(truth, start, CAMERA, rng)
+        self.pool = TablePool(truth, self.route.start(), CAMERA, np.random.default_rng(seed))
         self.watch = Watch(robot, self.route, warm_s)
         self.plan = plan
         self.counts: Counter[str] = Counter()

@@ -44,7 +44,7 @@ def _cell(fields: tuple[Field, ...]) -> str:
     return ", ".join(f"`{field.name}` {field.type}" for field in fields) or "-"
 
 
-def _command_cell(payload: Payload) -> str:
+def _payload_cell(payload: Payload) -> str:
     rows = f"; then up to {payload.repeat_max} x ({_cell(payload.repeat)})" if payload.repeat else ""
     return _cell(payload.fields) + rows
 
@@ -54,11 +54,20 @@ def layout_table() -> str:
     lines = ["| id | frame | meaning | carries | answer |", "|---|---|---|---|---|"]
     for message in link_layout().messages.values():
         if message.command is not None and message.answer is not None:
-            carries, answer = _command_cell(message.command), _cell(message.answer.fields)
+            carries, answer = _payload_cell(message.command), _payload_cell(message.answer)
         else:
             assert message.event is not None
             carries, answer = _cell(message.event.fields), "(event)"
         lines.append(f"| 0x{message.id:02x} | {message.name} | {message.doc} | {carries} | {answer} |")
+    return "\n".join(lines)
+
+
+def records_table() -> str:
+    """The log's records as a Markdown table."""
+    lines = ["| id | record | meaning | content |", "|---|---|---|---|"]
+    for record in link_layout().records.values():
+        rest = f"; then {record.rest}" if record.rest else ""
+        lines.append(f"| {record.id} | {record.name} | {record.doc} | {_cell(record.payload.fields)}{rest} |")
     return "\n".join(lines)
 
 
@@ -89,7 +98,13 @@ def _replaced(text: str, what: str, content: str) -> str:
 
 def readme_with_tables(text: str) -> str:
     """``text`` with the parts between the markers replaced by today's tables."""
-    return _replaced(_replaced(text, "frames", layout_table()), "supervisor", supervisor_table())
+    for what, table in (
+        ("frames", layout_table()),
+        ("records", records_table()),
+        ("supervisor", supervisor_table()),
+    ):
+        text = _replaced(text, what, table)
+    return text
 
 
 def main() -> None:

@@ -21,6 +21,7 @@ static fk_frame_collector_t collector;
 static fk_flash_t flash;
 static fk_store_t store;
 static fk_guard_kept_t kept __attribute__((section(".noinit")));
+static fk_log_t history __attribute__((section(".noinit")));
 
 static int32_t take_frames(void)
 {
@@ -85,6 +86,7 @@ int main(void)
         (void)fk_robot_init(&robot, fk_table_image, fk_table_image_bytes);
     }
     fk_robot_note_reset(&robot, fk_watchdog_reset_reason(), &kept);
+    fk_robot_use_log(&robot, &history);
 
     for (;;) {
         fk_watchdog_feed();

@@ -349,6 +349,8 @@ static int32_t length_fits(const fk_frame_t *frame)
         return frame->payload_length >= FK_TABLE_CHUNK_COMMAND_BYTES;
     case FK_FRAME_TABLE_ROLLBACK:
         return frame->payload_length == FK_TABLE_ROLLBACK_COMMAND_BYTES;
+    case FK_FRAME_LOG:
+        return frame->payload_length == FK_LOG_COMMAND_BYTES;
     default:
         return frame->payload_length == 0u;
     }
@@ -356,7 +358,7 @@ static int32_t length_fits(const fk_frame_t *frame)
 
 int32_t fk_robot_command(fk_robot_t *robot, const fk_frame_t *frame, uint64_t now_us, uint8_t *answer)
 {
-    if (frame->type < FK_FRAME_HELLO || frame->type > FK_FRAME_TABLE_STATUS) {
+    if (frame->type < FK_FRAME_HELLO || frame->type > FK_FRAME_LOG) {
         return answer_status(FK_STATUS_UNKNOWN, answer);
     }
     if (!length_fits(frame)) {
@@ -387,6 +389,8 @@ int32_t fk_robot_command(fk_robot_t *robot, const fk_frame_t *frame, uint64_t no
         return on_stroke(robot, frame->payload, now_us, answer);
     case FK_FRAME_PLAN:
         return on_plan(robot, frame->payload, answer);
+    case FK_FRAME_LOG:
+        return fk_robot_log_answer(robot, frame->payload, answer);
     default:
         return fk_robot_table_command(robot, frame, now_us, answer);
     }

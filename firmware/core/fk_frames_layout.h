@@ -98,9 +98,26 @@ enum { /* frame types */
     FK_FRAME_TABLE_COMMIT = 0x0e,
     FK_FRAME_TABLE_ROLLBACK = 0x0f,
     FK_FRAME_TABLE_STATUS = 0x10,
+    FK_FRAME_LOG = 0x11,
     FK_FRAME_DECISION = 0x60,
     FK_FRAME_REFUSED = 0x62,
     FK_FRAME_ENDED = 0x61
+};
+
+enum { /* records of the log */
+    FK_RECORD_BOOT = 1,
+    FK_RECORD_COMMAND = 2,
+    FK_RECORD_DECISION = 3,
+    FK_RECORD_STROKE = 4,
+    FK_RECORD_BEGUN = 5,
+    FK_RECORD_REFUSED = 6,
+    FK_RECORD_DROPPED = 7,
+    FK_RECORD_PULSE = 8,
+    FK_RECORD_OFF = 9,
+    FK_RECORD_STATE = 10,
+    FK_RECORD_ENDED = 11,
+    FK_RECORD_FAULT = 12,
+    FK_RECORD_SNAPSHOT = 13
 };
 
 typedef union {
@@ -724,6 +741,39 @@ static inline void fk_table_status_answer_pack(uint8_t *to, const fk_table_statu
     fk_put_u32(to + 34, from->erases_journal);
 }
 
+#define FK_LOG_COMMAND_BYTES 4u
+
+/* What the robot lived through: its log's records from an offset on. Where that place is there no longer: from the oldest record on. */
+typedef struct {
+    uint32_t offset; /* where to read: 0 at first, then behind what has come (byte) */
+} fk_log_command_t;
+
+static inline void fk_log_command_unpack(const uint8_t *from, fk_log_command_t *to)
+{
+    to->offset = fk_get_u32(from + 0);
+}
+
+#define FK_LOG_ANSWER_BYTES 17u
+#define FK_LOG_ANSWER_ROWS_MAX 208u /* of 1 bytes */
+
+/* Answer to LOG. */
+typedef struct {
+    int8_t status; /* see status */
+    uint32_t offset; /* of the first byte here (byte) */
+    uint32_t begin; /* of the oldest record that is there (byte) */
+    uint32_t end; /* behind the newest record (byte) */
+    uint32_t lost; /* records overwritten since the log began */
+} fk_log_answer_t;
+
+static inline void fk_log_answer_pack(uint8_t *to, const fk_log_answer_t *from)
+{
+    fk_put_i8(to + 0, from->status);
+    fk_put_u32(to + 1, from->offset);
+    fk_put_u32(to + 5, from->begin);
+    fk_put_u32(to + 9, from->end);
+    fk_put_u32(to + 13, from->lost);
+}
+
 #define FK_DECISION_EVENT_BYTES 106u
 
 /* A decision of the planner on board. */
@@ -830,6 +880,113 @@ static inline void fk_ended_event_pack(uint8_t *to, const fk_ended_event_t *from
     fk_put_i8(to + 0, from->status);
     fk_put_u8(to + 1, from->state);
     fk_put_u32(to + 2, from->decisions);
+}
+
+#define FK_BOOT_RECORD_BYTES 6u
+
+/* The robot started. */
+typedef struct {
+    uint8_t continued; /* 1 = what stands before it is from before the reset */
+    uint8_t reset; /* see reset */
+    uint32_t table_crc; /* CRC-32 of the table in use */
+} fk_boot_record_t;
+
+static inline void fk_boot_record_pack(uint8_t *to, const fk_boot_record_t *from)
+{
+    fk_put_u8(to + 0, from->continued);
+    fk_put_u8(to + 1, from->reset);
+    fk_put_u32(to + 2, from->table_crc);
+}
+
+#define FK_COMMAND_RECORD_BYTES 1u
+
+/* A command that changes something came; what it did follows. Not of a robot in FAULT; FIX not of a disarmed one. */
+typedef struct {
+    uint8_t type; /* id of its frame */
+} fk_command_record_t;
+
+static inline void fk_command_record_pack(uint8_t *to, const fk_command_record_t *from)
+{
+    fk_put_u8(to + 0, from->type);
+}
+
+#define FK_STROKE_RECORD_BYTES 9u
+
+/* An action is asked for, by a decision or STROKE. */
+typedef struct {
+    uint8_t action; /* index in the table's actions */
+    uint64_t begin_us; /* when it is to begin, on the robot's clock (us) */
+} fk_stroke_record_t;
+
+static inline void fk_stroke_record_pack(uint8_t *to, const fk_stroke_record_t *from)
+{
+    fk_put_u8(to + 0, from->action);
+    fk_put_u64(to + 1, from->begin_us);
+}
+
+#define FK_PULSE_RECORD_BYTES 6u
+
+/* Limbs were to be switched on now. */
+typedef struct {
+    uint8_t limb_mask; /* bit i = limb i */
+    uint8_t allowed; /* 1 = the port was told to, 0 = the guard refused it */
+    uint32_t pulse_us; /* length (us) */
+} fk_pulse_record_t;
+
+static inline void fk_pulse_record_pack(uint8_t *to, const fk_pulse_record_t *from)
+{
+    fk_put_u8(to + 0, from->limb_mask);
+    fk_put_u8(to + 1, from->allowed);
+    fk_put_u32(to + 2, from->pulse_us);
+}
+
+#define FK_OFF_RECORD_BYTES 0u
+#define FK_STATE_RECORD_BYTES 3u
+
+/* The state changed. */
+typedef struct {
+    uint8_t before; /* see state */
+    uint8_t state; /* see state */
+    uint8_t event; /* what led to it: its number in the supervisor's table, from 1; of a command its id */
+} fk_state_record_t;
+
+static inline void fk_state_record_pack(uint8_t *to, const fk_state_record_t *from)
+{
+    fk_put_u8(to + 0, from->before);
+    fk_put_u8(to + 1, from->state);
+    fk_put_u8(to + 2, from->event);
+}
+
+#define FK_FAULT_RECORD_BYTES 2u
+
+/* An internal error, also one that a start found. */
+typedef struct {
+    uint8_t fault; /* see fault */
+    int8_t detail; /* see fault */
+} fk_fault_record_t;
+
+static inline void fk_fault_record_pack(uint8_t *to, const fk_fault_record_t *from)
+{
+    fk_put_u8(to + 0, from->fault);
+    fk_put_i8(to + 1, from->detail);
+}
+
+#define FK_SNAPSHOT_RECORD_BYTES 7u
+
+/* A part of the robot's whole state, from which all that follows can be decided again. */
+typedef struct {
+    uint8_t part; /* counts from 0 */
+    uint8_t last; /* 1 = the state is whole with it */
+    uint8_t anew; /* 1 = something was not logged before it; 0 = it follows from what was */
+    uint32_t table_crc; /* CRC-32 of the table in use */
+} fk_snapshot_record_t;
+
+static inline void fk_snapshot_record_pack(uint8_t *to, const fk_snapshot_record_t *from)
+{
+    fk_put_u8(to + 0, from->part);
+    fk_put_u8(to + 1, from->last);
+    fk_put_u8(to + 2, from->anew);
+    fk_put_u32(to + 3, from->table_crc);
 }
 
 #endif

@@ -36,7 +36,7 @@ void fk_robot_send_events(fk_robot_t *robot)
 
 /* Commands that change something: a repetition of one of these must not change it again. FIX sees to that itself, by its
  * own sequence number. */
-static int32_t matters(uint8_t type)
+int32_t fk_robot_matters(uint8_t type)
 {
     return type == FK_FRAME_ARM || type == FK_FRAME_DISARM || type == FK_FRAME_PATH || type == FK_FRAME_START ||
            type == FK_FRAME_STOP || type == FK_FRAME_PARAM || type == FK_FRAME_STROKE || type == FK_FRAME_TABLE_BEGIN ||
@@ -64,8 +64,12 @@ void fk_robot_on_frame(fk_robot_t *robot, const uint8_t *encoded, uint32_t lengt
         send(robot, type, frame.sequence, before->answer, before->length);
         return;
     }
+    uint32_t record = fk_robot_log_command(robot, &frame);
     uint32_t answer_length = (uint32_t)fk_robot_command(robot, &frame, now_us, answer);
-    if (matters(frame.type)) {
+    if (record != FK_LOG_NOTHING) {
+        fk_log_finish(robot->log, record, answer[0]);
+    }
+    if (fk_robot_matters(frame.type)) {
         fk_repeats_keep(&robot->repeats, &frame, answer, answer_length);
     }
     send(robot, type, frame.sequence, answer, answer_length);

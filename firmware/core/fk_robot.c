@@ -43,6 +43,9 @@ int32_t fk_robot_init(fk_robot_t *robot, const uint8_t *image, uint32_t image_by
     robot->reset = FK_RESET_UNKNOWN;
     robot->kept = 0;
     robot->store = 0;
+    robot->log = 0;
+    robot->log_mark = 0u;
+    robot->log_broken = 1u;
     robot->conversation = 0u;
     robot->now_us = 0u;
     robot->path_points = 0u;
@@ -106,6 +109,7 @@ void fk_robot_ask_stroke(fk_robot_t *robot, uint8_t action, uint64_t begin_us)
 {
     robot->stroke_request = (uint8_t)(action + 1u);
     robot->stroke_us = begin_us;
+    fk_robot_log_stroke(robot, FK_RECORD_STROKE, action);
     fk_estimator_act(&robot->estimator, begin_us, action);
 }
 
@@ -113,6 +117,7 @@ void fk_robot_ask_stroke(fk_robot_t *robot, uint8_t action, uint64_t begin_us)
 void fk_robot_no_more_pulses(fk_robot_t *robot)
 {
     if (robot->stroke_request != 0u) {
+        fk_robot_log_stroke(robot, FK_RECORD_DROPPED, (uint8_t)(robot->stroke_request - 1u));
         fk_estimator_act(&robot->estimator, robot->stroke_us, robot->resting_action);
     }
     robot->next_decision_us = FK_NEVER_US;
@@ -131,7 +136,11 @@ int8_t fk_robot_supervise(fk_robot_t *robot, uint8_t event)
     if (rule.action == FK_DO_OFF) {
         robot->all_off = 1u;
     }
+    const uint8_t before = robot->state;
     robot->state = rule.next;
+    if (before != robot->state) {
+        fk_robot_log_state(robot, before, event);
+    }
     fk_guard_closed_loop(&robot->guard, robot->state == FK_STATE_RUNNING);
     return rule.status;
 }
@@ -141,6 +150,7 @@ void fk_robot_fault(fk_robot_t *robot, uint8_t fault, int32_t detail)
     if (robot->fault == FK_FAULT_NONE) {
         robot->fault = fault;
         robot->fault_detail = (int8_t)detail;
+        fk_robot_log_fault(robot);
     }
     (void)fk_robot_supervise(robot, FK_EVENT_ERROR);
 }
@@ -154,6 +164,9 @@ static void end_run(fk_robot_t *robot, int8_t status)
     robot->ended.state = robot->state;
     robot->ended.decisions = robot->decisions;
     robot->ended_pending = 1u;
+    uint8_t content[FK_ENDED_EVENT_BYTES];
+    fk_ended_event_pack(content, &robot->ended);
+    fk_robot_log(robot, FK_RECORD_ENDED, content, FK_ENDED_EVENT_BYTES);
 }
 
 /* What must hold whenever the robot is about to do something. */
@@ -254,6 +267,9 @@ static void decide(fk_robot_t *robot)
     event->limb_use_7 = estimate.state.limb_use[7];
     robot->decision_pending = 1u;
     ++robot->decisions;
+    uint8_t content[FK_DECISION_EVENT_BYTES];
+    fk_decision_event_pack(content, event);
+    fk_robot_log(robot, FK_RECORD_DECISION, content, FK_DECISION_EVENT_BYTES);
     if (end != FK_FOLLOW_ON) {
         end_run(robot, (int8_t)end);
         return;
@@ -276,15 +292,18 @@ static int32_t fire(fk_robot_t *robot, uint8_t limb_mask, uint64_t now_us, fk_ou
         outputs->pulse_us = robot->tables.pulse_us;
         robot->free_us = now_us + robot->tables.pulse_us + FK_STROKE_GAP_US;
         ++robot->pulses;
+        fk_robot_log_pulse(robot, limb_mask, 1u);
         return 1;
     }
     ++robot->pulses_refused;
+    fk_robot_log_pulse(robot, limb_mask, 0u);
     return 0;
 }
 
 static void begin_stroke(fk_robot_t *robot, uint8_t action, uint64_t now_us, fk_outputs_t *outputs)
 {
     fk_action_t masks;
+    fk_robot_log_stroke(robot, FK_RECORD_BEGUN, action);
     if (action == robot->tables.actions) {
         return; /* a table without a resting action, and no estimate: nothing fires */
     }
@@ -298,6 +317,7 @@ static void begin_stroke(fk_robot_t *robot, uint8_t action, uint64_t now_us, fk_
         robot->refused.action = action;
         robot->refused.begin_us = robot->stroke_us;
         robot->refused_pending = 1u;
+        fk_robot_log_stroke(robot, FK_RECORD_REFUSED, action);
         return;
     }
     robot->second_mask = masks.second_mask;
@@ -313,6 +333,7 @@ void fk_robot_tick(fk_robot_t *robot, uint64_t now_us, fk_outputs_t *outputs)
     fk_robot_note_time(robot, now_us);
     outputs->all_off = robot->all_off;
     if (robot->all_off != 0u) {
+        fk_robot_log(robot, FK_RECORD_OFF, 0, 0u);
         fk_guard_cut(&robot->guard, now_us);
         robot->free_us = now_us;
         robot->all_off = 0u;

@@ -20,6 +20,7 @@
 #include "fk_follow.h"
 #include "fk_frames.h"
 #include "fk_guard.h"
+#include "fk_log.h"
 #include "fk_planner.h"
 #include "fk_repeats.h"
 #include "fk_store.h"
@@ -54,6 +55,10 @@ typedef struct {
     fk_guard_kept_t *kept; /* 0: none */
     fk_store_t *store;     /* 0: no tables by radio */
     fk_repeats_t repeats;
+
+    fk_log_t *log;      /* 0: none */
+    uint32_t log_mark;  /* its end after the last snapshot */
+    uint8_t log_broken; /* something that changes decisions was not logged since then: another one is due */
 
     uint8_t state;               /* FK_STATE_...; changed by fk_robot_supervise alone */
     uint8_t fault;               /* FK_FAULT_..., the first one since the reset */
@@ -114,6 +119,11 @@ void fk_robot_note_reset(fk_robot_t *robot, uint8_t reset, fk_guard_kept_t *kept
 /* Take tables by radio. The store has booted, and fk_robot_init was given its image. */
 void fk_robot_use_store(fk_robot_t *robot, fk_store_t *store);
 
+/* Keep a log, which LOG fetches. After fk_robot_note_reset and before the first tick.
+ * @param log  RAM for the robot to use as long as it lives; where no start-up clears it, it goes on over a reset
+ */
+void fk_robot_use_log(fk_robot_t *robot, fk_log_t *log);
+
 /* Take one received frame: COBS, without its delimiter. Answers go to the transmit buffer. */
 void fk_robot_on_frame(fk_robot_t *robot, const uint8_t *encoded, uint32_t length, uint64_t now_us);
 
@@ -133,6 +143,14 @@ void fk_robot_note_tick(fk_robot_t *robot, uint32_t elapsed_us);
  */
 uint32_t fk_robot_take_tx(fk_robot_t *robot, uint8_t *bytes, uint32_t capacity);
 
+/* Go on from a snapshot of a log, as a host does that decides again. After fk_robot_init with the same table, and
+ * fk_robot_use_log.
+ * @param snapshot  contents of its SNAPSHOT records without their heads, one behind the other
+ * @retval 0   done
+ * @retval -1  no such snapshot; the robot is not to be used
+ */
+int32_t fk_robot_restore(fk_robot_t *robot, const uint8_t *snapshot, uint32_t length);
+
 /* Size of fk_robot_t, for a host that holds one without seeing its type. */
 uint32_t fk_robot_bytes(void);
 
@@ -147,11 +165,24 @@ uint32_t fk_robot_transitions_within(uint32_t plan_us);
 void fk_robot_no_more_pulses(fk_robot_t *robot);
 void fk_robot_ask_stroke(fk_robot_t *robot, uint8_t action, uint64_t begin_us);
 
+/* For the log: fk_robot_log.c, fk_snapshot.c. The first writes nothing where there is no log. */
+#define FK_LOG_NOTHING UINT32_MAX  /* no offset of a record: the command is not logged */
+#define FK_LOG_UNFINISHED (-128)    /* status of a command that the robot has not yet done */
+void fk_robot_log(fk_robot_t *robot, uint8_t id, const uint8_t *content, uint32_t length);
+void fk_robot_log_fault(fk_robot_t *robot);
+void fk_robot_log_state(fk_robot_t *robot, uint8_t before, uint8_t event);
+void fk_robot_log_stroke(fk_robot_t *robot, uint8_t id, uint8_t action);
+void fk_robot_log_pulse(fk_robot_t *robot, uint8_t limb_mask, uint8_t allowed);
+uint32_t fk_robot_log_command(fk_robot_t *robot, const fk_frame_t *frame);
+void fk_robot_log_snapshot(fk_robot_t *robot);
+int32_t fk_robot_log_answer(const fk_robot_t *robot, const uint8_t *payload, uint8_t *answer);
+
 /* For fk_table_commands.c */
 int32_t fk_robot_table_command(fk_robot_t *robot, const fk_frame_t *frame, uint64_t now_us, uint8_t *answer);
 void fk_robot_use_tables(fk_robot_t *robot);
 
-/* For fk_link.c */
+/* For fk_link.c, and what it has for the log */
 void fk_robot_send_events(fk_robot_t *robot);
+int32_t fk_robot_matters(uint8_t type);
 
 #endif

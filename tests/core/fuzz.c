@@ -22,6 +22,7 @@ enum { /* what is counted */
 
 static fk_robot_t robot;
 static fk_robot_t fresh;
+static fk_log_t history;
 static fk_robot_t before;
 static fk_frame_collector_t into;
 static fk_frame_collector_t out_of;
@@ -146,9 +147,10 @@ static void deliver(const uint8_t *encoded, uint32_t length)
         ++counts[FUZZ_ANSWERS];
     } else {
         memcpy(&before, &robot, sizeof(robot));
+        uint32_t logged = history.end;
         fk_robot_on_frame(&robot, exact, length, now_us);
         ++before.frames_bad;
-        if (memcmp(&before, &robot, sizeof(robot)) != 0) {
+        if (memcmp(&before, &robot, sizeof(robot)) != 0 || history.end != logged) {
             wrong = "a bad frame changed the robot";
         }
         ++counts[FUZZ_BAD];
@@ -203,6 +205,8 @@ static void begin(uint32_t state)
     static const uint8_t delay[4] = {0u, 0u, 0u, 0u};
     memcpy(&robot, &fresh, sizeof(robot));
     robot.estimator.track.tables = &robot.tables;
+    history.magic = 0u;
+    fk_robot_use_log(&robot, &history);
     into.length = 0u;
     out_of.length = 0u;
     now_us = 4294000000u;
@@ -312,6 +316,7 @@ static uint32_t any_payload(uint8_t type, uint8_t *payload)
 {
     static const uint8_t lengths[] = {0u, 3u, 0u, 0u, 19u, 27u, 4u, 0u, 0u, 5u, 1u, 45u, 0u};
     uint32_t length = (type < sizeof(lengths) && below(8u) != 0u) ? lengths[type] : below(FK_PAYLOAD_BYTES_MAX + 1u);
+    length = (type == FK_FRAME_LOG && below(8u) != 0u) ? FK_LOG_COMMAND_BYTES : length;
     uint32_t kind = below(4u);
     for (uint32_t i = 0u; i < length; ++i) {
         payload[i] = (uint8_t)(kind == 0u ? below(256u) : kind == 1u ? below(3u) : (below(4u) == 0u) ? below(256u) : 0u);
@@ -336,7 +341,7 @@ const char *fk_fuzz(const uint8_t *table, uint32_t bytes, uint64_t seed, uint64_
             }
             begin(below(4u));
         }
-        raw[0] = (uint8_t)((below(8u) != 0u) ? 1u + below(11u) : below(256u));
+        raw[0] = (uint8_t)((below(8u) != 0u) ? 1u + below(11u) : (below(4u) == 0u) ? FK_FRAME_LOG : below(256u));
         raw[1] = (uint8_t)((below(8u) != 0u) ? n : below(256u));
         uint32_t length = encoded_of(raw, 2u + any_payload(raw[0], raw + 2), encoded);
         switch (below(8u)) {

@@ -42,6 +42,7 @@ static uint32_t sent_count;
 static uint32_t is_again; /* what the robot hears now it has heard before: its answer is the one of then */
 static fk_frame_collector_t collector;
 static fk_guard_kept_t kept; /* RAM that a reset leaves alone */
+static fk_log_t history;     /* likewise */
 
 static uint64_t draw(void)
 {
@@ -173,6 +174,7 @@ static void start_robot(uint64_t clock)
     collector.length = 0u;
     (void)fk_robot_init(&robot, image, image_bytes);
     fk_robot_note_reset(&robot, FK_RESET_UNKNOWN, &kept);
+    fk_robot_use_log(&robot, &history);
     tick();
 }
 

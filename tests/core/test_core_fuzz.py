@@ -116,6 +116,7 @@ def seeds() -> bytes:
     commands = [
         frame("HELLO", hello()), frame("ARM", {}), path, fix, frame("START", {"delay_us": 0}),
         frame("STATUS", {}), frame("STROKE", {"action": 1}), frame("STOP", {}), frame("DISARM", {}),
+        frame("LOG", {"offset": 0}), frame("LOG", {"offset": 2**32 - 1}),
         *(frame("PARAM", {"parameter": number, "value": 1.0}) for number in range(1, 14)),
         record(0, plan.id, 8, bytes([2]) + bytes(plan.command.bytes - 1)),
     ]  # fmt: skip

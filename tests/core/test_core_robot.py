@@ -63,6 +63,7 @@ for _name, _values in (
     ("TABLE_ROLLBACK", {"table_crc": 0}), ("TABLE_STATUS", {}),
 ):  # fmt: skip
     TABLE[_name] = (_values, (), UNKNOWN)
+TABLE["LOG"] = ({"offset": 0}, (), UNKNOWN)  # without a log; test_core_log.py has one
 
 
 def test_the_table_has_every_command() -> None:

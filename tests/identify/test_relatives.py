@@ -23,6 +23,7 @@ GENERIC = {
     "limb_mount rear": (30.0,),
     "limb_fatigue front": (0.1, 2.0),
     "munk_moment": (0.1,),
+    "off_centre_mass": (0.0, -0.001),
 }
 """Rough values, from which no run's own are told."""
 

@@ -24,7 +24,7 @@ ARROWS: Mapping[str, frozenset[str]] = {
     "vision": frozenset(),
     "link": frozenset(),
     "pool": frozenset({"robot", "der", "effects", "link"}),
-    "loop": frozenset({"robot", "effects", "planner", "paths", "link", "pool"}),
+    "loop": frozenset({"robot", "effects", "planner", "paths", "vision", "link", "pool"}),
     "identify": frozenset({"robot", "der", "effects", "paths", "loop"}),
     "study": frozenset(
         {

@@ -23,6 +23,7 @@ static fk_frame_collector_t collector;
 static fk_flash_t flash;
 static fk_store_t store;
 static __noinit fk_guard_kept_t kept;
+static __noinit fk_log_t history;
 static K_SEM_DEFINE(wake, 0, 1);
 
 static void wake_up(void)
@@ -117,6 +118,7 @@ static void boot_robot(void)
         (void)fk_robot_init(&robot, fk_table_image, fk_table_image_bytes);
     }
     fk_robot_note_reset(&robot, reset_reason(), &kept);
+    fk_robot_use_log(&robot, &history);
 }
 
 static void send_answers(void)

@@ -6,6 +6,7 @@ import typer
 
 from frogkick.cli import (
     camera,
+    chip_log,
     codegen,
     demo,
     doctor,
@@ -36,7 +37,7 @@ app = typer.Typer(
 )
 for _module in (
     demo, doctor, simulate, sweep, validate, codegen, run, replay, parity, importing, identify, retune, push,
-    log,
+    log, chip_log,
 ):  # fmt: skip
     _module.register(app)
 app.add_typer(robot.app, name="robot")

@@ -41,6 +41,8 @@ def _text(outcome: Outcome) -> str:
                 f"{name}: {1e3 * error.position_rmse_m:.2f} mm, "
                 f"{math.degrees(error.heading_rmse_rad):.2f} deg RMS a period ahead"
             )
+        if outcome.drift is not None:
+            lines.append("limbs drift: 'after' follows what each run has shown of their strokes so far")
         lines += [horizon_line(each) for each in outcome.horizons if each.periods > 1]
         lines.append(str(outcome.signature["text"]))
         lines += [] if outcome.experiment is None else [outcome.experiment.text]

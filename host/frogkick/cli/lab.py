@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import math
 import sys
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager, ExitStack, contextmanager
+from dataclasses import dataclass
 from pathlib import Path
+
+import numpy as np
 
 from frogkick.cli.places import built_firmware
 from frogkick.errors import InputError, nearest_name
@@ -13,17 +18,21 @@ from frogkick.link.frames import DELIMITER
 from frogkick.link.opening import opened
 from frogkick.link.text_dialect import pulse_line, require_dialect
 from frogkick.link.wire import Wire, is_target, parse_target
+from frogkick.loop.camera_fixes import CameraFixes
 from frogkick.loop.closed_loop import FixSource, Recording, RunOptions, run_session
 from frogkick.loop.lab_session import LabSession, lab_session, stops_are_interrupts
 from frogkick.loop.line_fixes import LineFixes
+from frogkick.loop.start_checks import check_start, look
 from frogkick.loop.text_robot import TextRobot
 from frogkick.paths import Path as SwimPath
 from frogkick.planner.image import Tables
 from frogkick.pool.native_robot import NativeRobot
 from frogkick.robot import Robot
+from frogkick.vision.calibration_file import read_calibration
+from frogkick.vision.sources import open_source
 
 FIRST_FIX_S = 10.0
-FIXES = ("stdin",)
+STDIN = "stdin"
 
 
 def require_bench(robot: str, dialect: str, fixes: str | None, world: Path | None) -> None:
@@ -49,10 +58,81 @@ def require_bench(robot: str, dialect: str, fixes: str | None, world: Path | Non
     if fixes is None:
         raise InputError(
             f"--robot {robot} swims by position fixes, and none are given: pipe them in from a tracker, "
-            "as lines 'x_m y_m heading_rad [age_s]', with --fixes stdin"
+            "as lines 'x_m y_m heading_rad [age_s]', with --fixes stdin, or give the calibration of the "
+            "camera over the pool, as --fixes camera.toml"
         )
-    if fixes not in FIXES:
-        raise InputError(f"--fixes is {fixes!r}{nearest_name(fixes, FIXES)}: choose {', '.join(FIXES)}")
+    if fixes != STDIN and not fixes.endswith(".toml"):
+        raise InputError(
+            f"--fixes is {fixes!r}{nearest_name(fixes, (STDIN,))}: choose stdin, or the file of "
+            "'frogkick camera calibrate' (.toml)"
+        )
+
+
+@dataclass(frozen=True)
+class Sight:
+    """Where position fixes come from, and where the path begins.
+
+    Attributes:
+        fixes: ``stdin``, or the file of a camera's calibration.
+        source: camera number, video file or folder of pictures.
+        begin: ``x_m,y_m,deg`` where the path is to begin, ``here`` for where the robot is; None = as it is.
+    """
+
+    fixes: str
+    source: str = "0"
+    begin: str | None = None
+
+    def __post_init__(self) -> None:
+        if self.begin not in (None, "here"):
+            parse_begin(str(self.begin))
+
+    @contextmanager
+    def opened(self) -> Iterator[tuple[LineFixes | CameraFixes, tuple[float, float] | None]]:
+        """The source, at work, and the pool's length and width where they are known.
+
+        Raises:
+            InputError: no such calibration or camera.
+        """
+        if self.fixes == STDIN:
+            yield LineFixes(sys.stdin.fileno(), "standard input"), None
+            return
+        calibration = read_calibration(Path(self.fixes))
+        name = f"camera {self.source}" if self.source.isdigit() else self.source
+        frames = open_source(self.source, calibration.image_px)
+        camera = CameraFixes(frames, calibration, name)
+        try:
+            yield camera, calibration.pool_m
+        finally:
+            camera.close()
+
+    def placed(self, path: SwimPath, pose_world: Sequence[float]) -> SwimPath:
+        """The path where it is to begin."""
+        if self.begin is None:
+            return path
+        x_m, y_m, heading_rad = pose_world if self.begin == "here" else parse_begin(self.begin)
+        first = np.array([path.x_m[0], path.y_m[0]], dtype=np.float64)
+        turn = heading_rad - float(path.tangent_rad[0])
+        c, s = math.cos(turn), math.sin(turn)
+        shift = np.array([x_m, y_m]) - np.array([[c, -s], [s, c]]) @ first
+        return path.place((float(shift[0]), float(shift[1]), turn))
+
+
+def parse_begin(text: str) -> tuple[float, float, float]:
+    """x (m), y (m), heading (rad) of ``X,Y,DEG``.
+
+    Raises:
+        InputError: not three numbers.
+    """
+    try:
+        x_m, y_m, heading_deg = (float(word) for word in text.split(","))
+    except ValueError:
+        raise InputError(f"--begin is {text!r}: give X,Y,DEG in m and degrees, or here") from None
+    if not all(math.isfinite(value) and abs(value) <= COORDINATE_MAX for value in (x_m, y_m, heading_deg)):
+        raise InputError(f"--begin is {text!r}: numbers up to {COORDINATE_MAX:g}")
+    return x_m, y_m, math.radians(heading_deg)
+
+
+COORDINATE_MAX = 1000.0
 
 
 @contextmanager
@@ -77,28 +157,37 @@ def run_on_bench(
     tables: Tables,
     path: SwimPath,
     options: RunOptions,
+    sight: Sight,
+    logged: Callable[[SwimPath], AbstractContextManager[Callable[[Recording], None]]],
     progress: Callable[[float, int], None],
-) -> Recording:
-    """A run with a real robot, by fixes from standard input. Stopped in any way, it disarms the robot first.
+) -> tuple[Recording, SwimPath]:
+    """A run with a real robot, and the path as it was placed. Stopped in any way, it disarms the robot first.
 
     Args:
         name: where the robot is, as the user gave it.
         dialect: what it speaks.
         image: table image of ``tables``.
         robot, tables, path, options, progress: see ``run_session``.
+        sight: fixes, and where the path begins.
+        logged: makes, from the path as placed, what keeps the recording while it grows.
 
     Raises:
         WireError: the robot cannot be reached.
         LinkError: it refuses or does not answer.
-        InputError: no fixes come.
+        InputError: no fixes come, or what ``check_start`` finds.
     """
     target = parse_target(name)
     greeting = DELIMITER if dialect == "frogkick" else pulse_line(tables.pulse_us)
     with ExitStack() as stack:
         stack.enter_context(stops_are_interrupts())
-        fixes = LineFixes(sys.stdin.fileno(), "standard input")
+        fixes, pool_m = stack.enter_context(sight.opened())
         fixes.wait_first(FIRST_FIX_S)
+        seen = look(fixes, time.monotonic, time.sleep)
+        if seen:
+            path = sight.placed(path, [float(value) for value in seen[-1].pose_world])
+        check_start(seen, path, pool_m)
         wire = stack.enter_context(opened(target, greeting))
         session = stack.enter_context(session_with(wire, dialect, image, robot))
         source: FixSource = fixes
-        return run_session(session, source, tables, path, options, progress)
+        keep = stack.enter_context(logged(path))
+        return run_session(session, source, tables, path, options, progress, keep), path

@@ -19,7 +19,9 @@ from frogkick.loop.summary import compare_runs, summary
 from frogkick.report.compare_figure import compare_figure
 from frogkick.report.run_figure import run_figure
 
-app = typer.Typer(help="Runs afterwards: one picture, or two runs side by side.", no_args_is_help=True)
+app = typer.Typer(
+    help="Runs afterwards: pictures, two side by side; what a robot itself wrote down.", no_args_is_help=True
+)
 
 RunArgument = Annotated[
     Path, typer.Argument(help="Log of ours (.h5) or a recorded run of the paper (line1.csv).")

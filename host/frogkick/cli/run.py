@@ -10,8 +10,8 @@ from typing import Annotated
 import numpy as np
 import typer
 
-from frogkick.cli.common import JsonOption, SeedOption, progress_bar, require_writable, show
-from frogkick.cli.lab import require_bench, run_on_bench
+from frogkick.cli.common import JsonOption, SeedOption, progress_bar, require_writable, show, stderr
+from frogkick.cli.lab import Sight, require_bench, run_on_bench
 from frogkick.cli.places import (
     DepthOption,
     PlannerName,
@@ -28,6 +28,7 @@ from frogkick.cli.places import (
 from frogkick.effects import World, read_world
 from frogkick.link.wire import is_target
 from frogkick.loop.closed_loop import RunOptions, require_time, run_in_pool
+from frogkick.loop.live_log import logged, part_of
 from frogkick.loop.record import run_log, tracking_of_recording
 from frogkick.loop.runlog_file import write_run
 from frogkick.planner.image import read_image
@@ -67,7 +68,16 @@ def run(
     fix_rate: Annotated[float, typer.Option(help="Position fixes per second, simulated.")] = 15.0,
     fixes: Annotated[
         str | None,
-        typer.Option(help="A real robot's: stdin = lines 'x_m y_m heading_rad [age_s]' from a tracker."),
+        typer.Option(
+            help="A real robot's: camera.toml of 'camera calibrate', or stdin = a tracker's lines "
+            "'x_m y_m heading_rad [age_s]'."
+        ),
+    ] = None,
+    source: Annotated[
+        str, typer.Option(help="The camera of --fixes camera.toml: number, video, folder of pictures.")
+    ] = "0",
+    begin: Annotated[
+        str | None, typer.Option(help="A real robot's path begins at X,Y,DEG (m, degrees), or here.")
     ] = None,
     dialect: Annotated[
         str, typer.Option(help="A real robot's: frogkick, or frog2022 = the authors' firmware, as text.")
@@ -93,6 +103,7 @@ def run(
     described = robot_of_table(image, model)
     opened = read_image(image)
     options = RunOptions(plan_config(described, planner, depth), plan is PlanWhere.onboard, simulated_time)
+    name = f"run --robot {robot.replace('/', ' ').replace(chr(92), ' ')} --plan {plan.value}"
     pool = None
     with ExitStack() as stack:
         bar = stack.enter_context(progress_bar(f"{desired.name}: path points"))
@@ -101,16 +112,25 @@ def run(
             bar(index + 1, len(desired))
 
         if is_real:
-            recording = run_on_bench(robot, dialect, image, described, opened, desired, options, progress)
+            sight = Sight(str(fixes), source, begin)
+            keep = logged(out, described, opened, options, name)
+            try:
+                recording, desired = run_on_bench(
+                    robot, dialect, image, described, opened, desired, options, sight, keep, progress
+                )
+            except BaseException:
+                if out is not None and part_of(out).exists():
+                    stderr.print(f"frogkick: what was recorded until then is in {str(part_of(out))!r}")
+                raise
         else:
             port = stack.enter_context(simulated_robot(robot, image, described))
             pool = Pool(described, start_pose(desired), camera, np.random.default_rng(seed), true_world)
             recording = run_in_pool(port, pool, opened, desired, options, progress)
     tracked = tracking_of_recording(recording, pool, described, desired)
     if out is not None:
-        source = f"run --robot {robot.replace('/', ' ').replace(chr(92), ' ')} --plan {plan.value}"
         known_seed = None if is_real else seed
-        write_run(out, run_log(recording, pool, described, opened, desired, options, known_seed, source))
+        write_run(out, run_log(recording, pool, described, opened, desired, options, known_seed, name))
+        part_of(out).unlink(missing_ok=True)
     show({**tracked.as_json(), "ended": recording.ended}, json)
     if tracked.limit_violations:
         raise typer.Exit(1)

@@ -17,6 +17,7 @@ import numpy as np
 from frogkick.errors import InputError
 from frogkick.files import write_text
 from frogkick.identify.choice import Progress, Scored, found_in, scored
+from frogkick.identify.drift import Drift, drift_of
 from frogkick.identify.experiment import Experiment, experiment_of
 from frogkick.identify.filter import Noise
 from frogkick.identify.fit import Model, tracks_of
@@ -58,6 +59,7 @@ class Outcome:
         parameters: of each term found.
         trained, tested: errors.
         nominal_tracks, tracks: of the test runs.
+        drift: of limbs, by the training runs, which predictions of the test runs follow; None without one.
         signature: of what is left, or for "nothing missing" of the nominal model's misses.
         reason: what to record where there was not enough data.
     """
@@ -74,6 +76,7 @@ class Outcome:
     tracks: list[Track]
     signature: dict[str, Any]
     reason: str = ""
+    drift: Drift | None = None
 
     @property
     def terms(self) -> tuple[Term, ...]:
@@ -127,6 +130,7 @@ class Outcome:
             "effects": self.effects_as_json(),
             "train": self.trained.as_json(),
             "test": self.tested_as_json(),
+            "drift": None if self.drift is None else self.drift.as_json(),
             "signature": self.signature,
             "experiment": None if self.experiment is None else self.experiment.as_json(),
             **({"reason": self.reason} if self.reason else {}),
@@ -158,8 +162,14 @@ def identify(
     trained = scored(found.nominal, found.fitted, found.nominal.tracks, found.fitted.tracks, train)
     nominal_tracks, tracks = tracks_of([found.nominal.model, found.fitted.model], test)
     tested = scored(found.nominal, found.fitted, nominal_tracks, tracks, test)
+    verdict = verdict_of(found, trained.errors, tested.errors)
+    # The verdict is of the effects alone: what a run has shown of late says nothing of its reason.
+    drift = drift_of(found.fitted.tracks, train, robot) if found.fitted.model.terms else None
+    if drift is not None:
+        tracks = drift.followed(tracks, test, robot)
+        tested = scored(found.nominal, found.fitted, nominal_tracks, tracks, test)
     return Outcome(
-        verdict=verdict_of(found, trained.errors, tested.errors),
+        verdict=verdict,
         robot=robot,
         train=train,
         test=test,
@@ -170,6 +180,7 @@ def identify(
         nominal_tracks=nominal_tracks,
         tracks=tracks,
         signature=signature(found.fitted, found.rows, train),
+        drift=drift,
     )
 
 

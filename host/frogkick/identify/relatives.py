@@ -47,6 +47,9 @@ LEG_S = 0.05
 WILD = 2.5
 """Misses count by their squares up to so many times their size, beyond in proportion."""
 
+START_SHARE = 0.5
+"""Of what a relative's effects must explain for their number, so much before they are fitted."""
+
 DAMPINGS = (1e-5, 1e-4, 1e-3, 1e-2, 0.1, 1.0)
 """Of a step, all tried side by side; a share of what a step of a whole range would gain."""
 
@@ -108,10 +111,10 @@ def refitted(
     held = frozenset(k for k, (value, plain) in enumerate(flat) if value == plain)
     start = Model(coarse(nominal.model.robot), tuple(terms), NOISES[0], LEG_S, held=held)
     free = len(flat) - len(held)
-    least = end_cost(nominal.tracks, swims) - GAIN_EACH * free - BASE_GAIN * len(terms)
+    plain, dear = end_cost(nominal.tracks, swims), GAIN_EACH * free + BASE_GAIN * len(terms)
     models = [replace(start, noise=noise) for noise in NOISES]
     costs = [end_cost(tracks, swims) for tracks in tracks_of(models, swims)]
-    if min(costs) > least:
+    if min(costs) > plain - START_SHARE * dear:
         return None  # another robot than that one
     model = _Descent(models[int(np.argmin(costs))], swims).run()
     rough = derivatives([model], swims, rows)[0]
@@ -119,7 +122,7 @@ def refitted(
     (tracks,) = tracks_of([fine], swims)
     missed = misses(tracks, rows)
     fitted = Fitted(fine, tracks, missed, rough.jacobian, cost_of(missed))
-    return fitted if end_cost(fitted.tracks, swims) < least else None
+    return fitted if end_cost(fitted.tracks, swims) < plain - dear else None
 
 
 def end_cost(tracks: Sequence[Track], swims: Sequence[Swim]) -> float:

@@ -25,7 +25,10 @@ class FrameError(FrogkickError):
 
 @dataclass(frozen=True)
 class Frame:
-    """A decoded frame: the message's name, its direction, its sequence number, its values by field name."""
+    """A decoded frame: the message's name, its direction, its sequence number, its values by field name.
+
+    Bytes that an answer carries at its end are a value too, a string of them in Latin-1.
+    """
 
     name: str
     kind: str  # "command", "answer" or "event"
@@ -47,8 +50,8 @@ def pack_frame(
         name: message name of ``frames.toml``.
         kind: "command", "answer" or "event".
         sequence: 0 to 255.
-        values: one value for each fixed field of the payload.
-        rows: repeated rows, in the field order of the layout.
+        values: one value for each fixed field of the payload, and one for bytes at an answer's end, if any.
+        rows: repeated rows of a command, in the field order of the layout.
 
     Raises:
         InputError: a value does not fit its field's type, a field is missing or unknown, or there is no such
@@ -66,8 +69,9 @@ def pack_frame(
     if payload is None:
         raise InputError(f"{name} has no {kind}: see frames.toml")
     given = values or {}
+    tail = payload.repeat[0].name if kind == "answer" and payload.repeat else ""
     wanted = [field.name for field in payload.fields]
-    if sorted(given) != sorted(wanted):
+    if sorted(given.keys() - {tail}) != sorted(wanted):
         raise InputError(f"{name} takes the fields {wanted}, got {sorted(given)}: give exactly these")
     if len(rows) > payload.repeat_max:
         raise InputError(f"{name} carries at most {payload.repeat_max} rows, got {len(rows)}: split them")
@@ -75,9 +79,15 @@ def pack_frame(
         ordered = [_wire_value(given[field.name], field.bytes) for field in payload.fields]
         body = struct.pack(payload.format, *ordered)
         body += b"".join(struct.pack(payload.repeat_format, *row) for row in rows)
+        body += str(given.get(tail, "")).encode("latin-1") if tail else b""
     except (struct.error, OverflowError, UnicodeEncodeError) as error:
         raise InputError(f"{name} {given} does not fit its fields: {error}") from error
-    head = struct.pack("<BB", message.id | (ANSWER_BIT if kind == "answer" else 0), sequence)
+    return pack_raw(message.id | (ANSWER_BIT if kind == "answer" else 0), sequence, body)
+
+
+def pack_raw(number: int, sequence: int, body: bytes) -> bytes:
+    """The bytes on the wire for a frame of any type and payload, delimiter included."""
+    head = struct.pack("<BB", number, sequence)
     crc = struct.pack("<I", zlib.crc32(head + body))
     return bytes(cobs.encode(head + body + crc)) + DELIMITER
 
@@ -122,6 +132,9 @@ def unpack_frame(encoded: bytes) -> Frame:
         field.name: number.rstrip(b"\x00").decode("ascii", "replace") if isinstance(number, bytes) else number
         for field, number in zip(payload.fields, numbers, strict=True)
     }
+    if kind == "answer" and per_row:  # what an answer repeats are bytes: a string of them, Latin-1
+        values[payload.repeat[0].name] = body[payload.bytes :].decode("latin-1")
+        return Frame(message.name, kind, raw[1], values)
     rows = tuple(struct.iter_unpack(payload.repeat_format, body[payload.bytes :])) if extra else ()
     return Frame(message.name, kind, raw[1], values, rows)
 

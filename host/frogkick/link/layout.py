@@ -7,6 +7,7 @@ import tomllib
 from dataclasses import dataclass
 from functools import cache
 from importlib import resources
+from typing import Any
 
 _FORMATS = {"u8": "B", "i8": "b", "u16": "H", "u32": "I", "u64": "Q", "f32": "f", "char16": "16s"}
 
@@ -35,7 +36,7 @@ class Field:
 
 @dataclass(frozen=True)
 class Payload:
-    """A payload's fixed fields, and the fields repeated after them (PATH's points)."""
+    """A payload's fixed fields, and the fields repeated after them (PATH's points, LOG's bytes)."""
 
     fields: tuple[Field, ...]
     repeat: tuple[Field, ...] = ()
@@ -75,8 +76,26 @@ class Message:
 
 
 @dataclass(frozen=True)
+class RecordType:
+    """A type of record of the robot's log.
+
+    Attributes:
+        payload: its fields.
+        rest: what follows them, "" where nothing does.
+        like: event or record whose fields these are, "" where they are its own.
+    """
+
+    name: str
+    id: int
+    doc: str
+    payload: Payload
+    rest: str
+    like: str
+
+
+@dataclass(frozen=True)
 class Layout:
-    """The whole link: messages by name, and the named numbers that their fields carry."""
+    """The whole link: messages by name, records of the log, and the named numbers that their fields carry."""
 
     protocol_version: int
     payload_bytes_max: int
@@ -86,6 +105,7 @@ class Layout:
     reset: dict[str, int]
     parameter: dict[str, int]
     messages: dict[str, Message]
+    records: dict[str, RecordType]
 
     def status_name(self, value: int) -> str:
         """Name of a status value; its number where this host does not know it."""
@@ -99,14 +119,25 @@ def _payload(table: dict[str, object], key: str) -> Payload | None:
     if key not in table:
         return None
 
-    def fields(rows: object) -> tuple[Field, ...]:
-        assert isinstance(rows, list)
-        return tuple(Field(*row) for row in rows)
-
-    repeat = fields(table.get("repeat", [])) if key == "command" else ()
-    repeat_max = table.get("repeat_max", 0) if repeat else 0
+    prefix = {"command": "", "answer": "answer_", "event": "event_"}[key]
+    repeat = _fields(table.get(f"{prefix}repeat", []))
+    repeat_max = table.get(f"{prefix}repeat_max", 0)
     assert isinstance(repeat_max, int)
-    return Payload(fields(table[key]), repeat, repeat_max)
+    return Payload(_fields(table[key]), repeat, repeat_max)
+
+
+def _fields(rows: object) -> tuple[Field, ...]:
+    assert isinstance(rows, list)
+    return tuple(Field(*row) for row in rows)
+
+
+def _record(name: str, tables: dict[str, dict[str, Any]], messages: dict[str, Message]) -> RecordType:
+    table = tables[name]
+    payload = messages[table["event"]].event if "event" in table else None
+    if payload is None:
+        payload = Payload(_fields(tables[table.get("like", name)]["fields"]))
+    like = table.get("event", table.get("like", ""))
+    return RecordType(name, table["id"], table["doc"], payload, table.get("rest", ""), like)
 
 
 @cache
@@ -129,4 +160,5 @@ def link_layout() -> Layout:
         raw["reset"],
         raw["parameter"],
         messages,
+        {name: _record(name, raw["record"], messages) for name in raw["record"]},
     )

@@ -168,6 +168,7 @@ def run_session(
     path: Path,
     options: RunOptions,
     progress: Callable[[float, int], None] = lambda _time_s, _path_index: None,
+    keep: Callable[[Recording], None] = lambda _recording: None,
 ) -> Recording:
     """The same with any robot and any source of fixes. However it ends, the robot is disarmed first.
 
@@ -175,13 +176,14 @@ def run_session(
         session: with the robot; its ``on_step`` is taken.
         source: of the fixes, on the session's clock.
         tables, path, options, progress: as in ``run_in_pool``.
+        keep: called over and over with what is recorded so far.
 
     Raises:
         InputError: the time limit is not a finite number above 0.
         LinkError: the robot refuses or does not answer.
     """
     require_time(options.time_limit_s)
-    run = _Run(session, source, tables, path, options, progress)
+    run = _Run(session, source, tables, path, options, progress, keep)
     try:
         return run.go()
     except BaseException as error:
@@ -200,8 +202,10 @@ class _Run:
         path: Path,
         options: RunOptions,
         progress: Callable[[float, int], None],
+        keep: Callable[[Recording], None],
     ) -> None:
         self.source = source
+        self.keep = keep
         self.tables = tables
         self.path = path
         self.options = options
@@ -293,6 +297,7 @@ class _Run:
             self.session.step(min(max(self.source.next_event_s, self.session.time_s + 1e-6), until_s))
             for arrival in self.session.take("FIX", "STROKE", "DECISION", "REFUSED", "ENDED"):
                 self._note(arrival.frame)
+            self.keep(self.recording)
 
     def _note(self, frame: Frame) -> None:
         recording, values = self.recording, frame.values

@@ -14,7 +14,7 @@ from frogkick.paths import Path
 from frogkick.planner.estimator import LOST_US, Estimates, Estimator
 from frogkick.planner.follow import End, Follow
 from frogkick.planner.image import Tables
-from frogkick.planner.plan import PlanConfig, PlanError, plan
+from frogkick.planner.plan import PathLike, PlanConfig, PlanError, plan
 from frogkick.planner.track import resting_action_of
 
 STATE_FIELDS = ("x_m", "y_m", "heading_rad", "vx_mps", "vy_mps", "omega_rad_s")
@@ -139,6 +139,54 @@ def decision_of_event(values: dict[str, Value]) -> Decision:
     )
 
 
+def decide(
+    tables: Tables,
+    path: PathLike,
+    config: PlanConfig,
+    estimator: Estimates,
+    follow: Follow,
+    at_us: int,
+) -> tuple[Decision, End | None]:
+    """Estimate and plan for a time, as the robot on board does; and why the run is over with it, or None.
+
+    ``follow`` notes the progress; that the action begins is for the caller to tell the estimator.
+    """
+    nowhere = np.zeros(6, dtype=np.float32)
+    resting_action = resting_action_of(tables)
+    along = follow.along_points
+    estimate = estimator.at(at_us)
+    if estimate is None:
+        return Decision(
+            STALE, resting_action, at_us, 0, 0, 0, 0, np.float32(0.0), nowhere, nowhere, along_points=along
+        ), None
+    limb_use = tuple(int(use) for use in estimate.limb_use)
+    try:
+        made = plan(tables, path, config, estimate.state, estimate.limb_use, float(along))
+    except PlanError as error:
+        return Decision(
+            error.status, resting_action, at_us, estimate.fix_sequence, estimate.fixes, 0, 0,
+            np.float32(0.0), estimate.state, nowhere, limb_use=limb_use, along_points=along,
+        ), None  # fmt: skip
+    decision = Decision(
+        status=0,
+        action=made.action,
+        scheduled_us=at_us,
+        fix_sequence=estimate.fix_sequence,
+        fixes=estimate.fixes,
+        path_index=made.path_index,
+        nearest_state=made.nearest_state,
+        cost=made.cost,
+        estimate=estimate.state,
+        predicted=made.predicted,
+        limb_use=limb_use,
+        depth_reached=made.depth_reached,
+        transitions=made.transitions,
+        distance_m=made.distance_m,
+        along_points=made.along_points,
+    )
+    return decision, follow.decided(made)
+
+
 class DecisionTwin:
     """Estimator and planner on the host, deciding as the robot on board would.
 
@@ -196,45 +244,9 @@ class DecisionTwin:
         if self.ended is not None:
             self._follow.begin()
             self.ended = None
-        decision = self._decide(at_us)
+        decision, self.ended = decide(
+            self._tables, self._path, self._config, self._estimator, self._follow, at_us
+        )
         if self.ended is None:
             self._estimator.act(at_us, decision.action)
         return decision
-
-    def _decide(self, at_us: int) -> Decision:
-        nowhere = np.zeros(6, dtype=np.float32)
-        along = self._follow.along_points
-        estimate = self._estimator.at(at_us)
-        if estimate is None:
-            return Decision(
-                STALE, self._resting_action, at_us, 0, 0, 0, 0, np.float32(0.0), nowhere, nowhere,
-                along_points=along,
-            )  # fmt: skip
-        limb_use = tuple(int(use) for use in estimate.limb_use)
-        try:
-            made = plan(
-                self._tables, self._path, self._config, estimate.state, estimate.limb_use, float(along)
-            )
-        except PlanError as error:
-            return Decision(
-                error.status, self._resting_action, at_us, estimate.fix_sequence, estimate.fixes, 0, 0,
-                np.float32(0.0), estimate.state, nowhere, limb_use=limb_use, along_points=along,
-            )  # fmt: skip
-        self.ended = self._follow.decided(made)
-        return Decision(
-            status=0,
-            action=made.action,
-            scheduled_us=at_us,
-            fix_sequence=estimate.fix_sequence,
-            fixes=estimate.fixes,
-            path_index=made.path_index,
-            nearest_state=made.nearest_state,
-            cost=made.cost,
-            estimate=estimate.state,
-            predicted=made.predicted,
-            limb_use=limb_use,
-            depth_reached=made.depth_reached,
-            transitions=made.transitions,
-            distance_m=made.distance_m,
-            along_points=made.along_points,
-        )

@@ -79,6 +79,33 @@ def decision_columns(
     )
 
 
+def fix_columns(recording: Recording, first: int = 0) -> Fixes:
+    """Fixes as log columns, from a row on."""
+    fixes = recording.fixes[first:]
+    poses = np.array([fix.pose_world for fix in fixes], dtype=np.float64).reshape(-1, 3)
+    count = len(fixes)
+    return Fixes(
+        time_s=np.array(recording.sent_s[first:]),
+        capture_time_s=np.array([fix.capture_s for fix in fixes]),
+        x_m=poses[:, 0],
+        y_m=poses[:, 1],
+        heading_rad=wrap_angle(poses[:, 2]),
+        quality=np.ones(count, dtype=np.uint8),
+        flags=np.zeros(count, dtype=np.uint16),
+        extra={
+            "sequence": np.array([fix.sequence for fix in fixes], dtype=np.int64),
+            # On the robot's clock; -1 where the robot took none.
+            "robot_capture_us": np.array(
+                [-1 if us is None else us for us in recording.capture_us[first:]], dtype=np.int64
+            ),
+            # What the robot answered to it; 1 where no answer came.
+            "robot_status": np.array(
+                [1 if status is None else status for status in recording.fix_status[first:]], dtype=np.int64
+            ),
+        },
+    )
+
+
 def run_log(
     recording: Recording,
     pool: Pool | None,
@@ -99,8 +126,6 @@ def run_log(
         source: what made the log, without folders.
     """
     fixes = recording.fixes
-    poses = np.array([fix.pose_world for fix in fixes], dtype=np.float64).reshape(-1, 3)
-    count = len(fixes)
     pulses = pulses_of(recording.edges, recording.end_s)
     starts = sorted({(pulse.start_s, pulse.end_s) for pulse in pulses})
     masks = [sum(1 << p.limb for p in pulses if (p.start_s, p.end_s) == start) for start in starts]
@@ -119,26 +144,7 @@ def run_log(
         period_s=tables.period_us * 1e-6,
         pulse_s=tables.pulse_us * 1e-6,
         action_names=tuple(row.name for row in tables.actions),
-        fixes=Fixes(
-            time_s=np.array(recording.sent_s),
-            capture_time_s=np.array([fix.capture_s for fix in fixes]),
-            x_m=poses[:, 0],
-            y_m=poses[:, 1],
-            heading_rad=wrap_angle(poses[:, 2]),
-            quality=np.ones(count, dtype=np.uint8),
-            flags=np.zeros(count, dtype=np.uint16),
-            extra={
-                "sequence": np.array([fix.sequence for fix in fixes], dtype=np.int64),
-                # On the robot's clock; -1 where the robot took none.
-                "robot_capture_us": np.array(
-                    [-1 if us is None else us for us in recording.capture_us], dtype=np.int64
-                ),
-                # What the robot answered to it; 1 where no answer came.
-                "robot_status": np.array(
-                    [1 if status is None else status for status in recording.fix_status], dtype=np.int64
-                ),
-            },
-        ),
+        fixes=fix_columns(recording),
         decisions=decisions,
         strokes=Strokes(
             time_s=np.array([start for start, _ in starts]),

@@ -42,32 +42,35 @@ def write_run(target: pathlib.Path | str, run: RunLog) -> None:
         InputError: the folder cannot be written to.
     """
     with atomic_path(target) as temporary, h5py.File(temporary, "w") as file:
-        file.attrs["format"] = FORMAT
-        file.attrs["format_version"] = FORMAT_VERSION
-        for name in ("robot_id", "source", "period_s", "pulse_s", "notes"):
-            file.attrs[name] = getattr(run, name)
-        if run.table_crc is not None:
-            file.attrs["table_crc"] = np.uint32(run.table_crc)
-        if run.seed is not None:
-            file.attrs["seed"] = np.int64(run.seed)
-        for group in (run.fixes, run.decisions, run.strokes, run.truth):
-            if group is not None:
-                _write_group(file, group)
-        for name, flag in (("fixes", FixFlag), ("decisions", DecisionFlag)):
-            file[f"{name}/flags"].attrs["bits"] = [
-                f"{bit.name.lower()}={int(bit)}" for bit in flag if bit.name
-            ]
-        file["decisions/action"].attrs["names"] = list(run.action_names) or h5py.Empty("S1")
-        if run.path is not None:
-            group = file.create_group("path")
-            group.attrs["name"] = run.path.name
-            for name, unit in (("x_m", "m"), ("y_m", "m"), ("tangent_rad", "rad")):
-                group.create_dataset(name, data=getattr(run.path, name)).attrs["unit"] = unit
-        for title, numbers in (("measured", run.measured), ("planner", run.planner)):
-            if numbers:
-                group = file.create_group(title)
-                for name in sorted(numbers):
-                    group.attrs[name] = float(numbers[name])
+        fill(file, run)
+
+
+def fill(file: h5py.File, run: RunLog, chunk_rows: int = 0) -> None:
+    """Write a run into an open file; with ``chunk_rows`` its columns can grow."""
+    file.attrs["format"] = FORMAT
+    file.attrs["format_version"] = FORMAT_VERSION
+    for name in ("robot_id", "source", "period_s", "pulse_s", "notes"):
+        file.attrs[name] = getattr(run, name)
+    if run.table_crc is not None:
+        file.attrs["table_crc"] = np.uint32(run.table_crc)
+    if run.seed is not None:
+        file.attrs["seed"] = np.int64(run.seed)
+    for group in (run.fixes, run.decisions, run.strokes, run.truth):
+        if group is not None:
+            _write_group(file, group, chunk_rows)
+    for name, flag in (("fixes", FixFlag), ("decisions", DecisionFlag)):
+        file[f"{name}/flags"].attrs["bits"] = [f"{bit.name.lower()}={int(bit)}" for bit in flag if bit.name]
+    file["decisions/action"].attrs["names"] = list(run.action_names) or h5py.Empty("S1")
+    if run.path is not None:
+        group = file.create_group("path")
+        group.attrs["name"] = run.path.name
+        for name, unit in (("x_m", "m"), ("y_m", "m"), ("tangent_rad", "rad")):
+            group.create_dataset(name, data=getattr(run.path, name)).attrs["unit"] = unit
+    for title, numbers in (("measured", run.measured), ("planner", run.planner)):
+        if numbers:
+            group = file.create_group(title)
+            for name in sorted(numbers):
+                group.attrs[name] = float(numbers[name])
 
 
 def read_run(source: pathlib.Path | str) -> RunLog:
@@ -80,7 +83,7 @@ def read_run(source: pathlib.Path | str) -> RunLog:
     file_path = existing_file(source, "run log")
     name = file_path.name
     try:
-        with h5py.File(file_path, "r") as file:
+        with _opened(file_path) as file:
             return _read(file, name)
     except InputError as error:
         raise InputError(f"run log {name!r}: {str(error).removeprefix('run: ')}") from error
@@ -89,6 +92,17 @@ def read_run(source: pathlib.Path | str) -> RunLog:
         raise InputError(
             f"run log {name!r} is not HDF5, is cut short or is damaged ({reason}): record or import it again"
         ) from error
+
+
+def _opened(path: pathlib.Path) -> h5py.File:
+    """A log; also one that a run is still writing, or wrote when it was killed."""
+    try:
+        return h5py.File(path, "r")
+    except OSError as error:
+        try:
+            return h5py.File(path, "r", libver="latest", swmr=True)
+        except (OSError, ValueError):
+            raise error from None
 
 
 def _read(file: h5py.File, name: str) -> RunLog:
@@ -128,15 +142,22 @@ def _numbers(file: h5py.File, title: str) -> dict[str, float]:
     return {name: float(value) for name, value in file[title].attrs.items()} if title in file else {}
 
 
-def _write_group(file: h5py.File, group: Fixes | Decisions | Strokes | Truth) -> None:
+def _write_group(file: h5py.File, group: Fixes | Decisions | Strokes | Truth, chunk_rows: int) -> None:
     target = file.create_group(group.NAME)
+
+    def write(name: str, values: Any, unit: str) -> None:
+        grows: dict[str, Any] = {}
+        if chunk_rows:
+            grows = {"maxshape": (None, *values.shape[1:]), "chunks": (chunk_rows, *values.shape[1:])}
+        target.create_dataset(name, data=values, **grows).attrs["unit"] = unit
+
     for name, column in group.SCHEMA.items():
         values = getattr(group, name)
         if values is not None:
-            target.create_dataset(name, data=values).attrs["unit"] = column.unit
+            write(name, values, column.unit)
     for name, values in sorted(group.extra.items()):
         unit = next((unit for end, unit in _SUFFIX_UNITS.items() if name.endswith(end)), "1")
-        target.create_dataset(name, data=values).attrs["unit"] = unit
+        write(name, values, unit)
 
 
 def _read_group(file: h5py.File, kind: type[Fixes | Decisions | Strokes | Truth]) -> dict[str, Any]:
@@ -151,4 +172,18 @@ def _read_group(file: h5py.File, kind: type[Fixes | Decisions | Strokes | Truth]
             raise InputError(f"run: column {kind.NAME}/{name} is missing: record or import it again")
     known = {entry.name for entry in fields(kind)}
     columns["extra"] = {name: group[name][:] for name in group if name not in known}
+    if file.attrs.get("live", False):
+        _cut(columns, len(file[Fixes.NAME]["time_s"]))
     return columns
+
+
+def _cut(columns: dict[str, Any], fixes: int) -> None:
+    """Of a log that was being written: only rows that are there in every column."""
+    given = [values for name, values in columns.items() if name != "extra"]
+    whole = min(len(values) for values in [*given, *columns["extra"].values()])
+    for part in (columns, columns["extra"]):
+        for name, values in part.items():
+            if name != "extra":
+                part[name] = values[:whole]
+    if "fix_sequence" in columns:
+        columns["fix_sequence"] = np.where(columns["fix_sequence"] < fixes, columns["fix_sequence"], -1)

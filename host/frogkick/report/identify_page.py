@@ -102,6 +102,12 @@ def _errors(outcome: Outcome) -> Section:
         f"start and the pose at the end only so well. Errors up to {NEAR_FLOOR:g} times the floor count as "
         "noise.",
     ]
+    if outcome.drift is not None:
+        text.append(
+            "Limbs drifted in the training runs: what a stroke did beside the model the next one of that "
+            "limb mostly did as well. A period ahead, what was found therefore goes with what the run had "
+            "shown of each limb by then; several periods ahead, and for the verdict, it stands alone."
+        )
     caption = "Errors on the test runs before and after; the dashed line is the noise floor a period ahead."
     table = Table(("prediction", "position, mm RMS", "heading, deg RMS", "predictions"), rows)
     return Section("Error before and after", text, table, [_picture(error_figure(outcome), caption)])

@@ -1,0 +1,143 @@
+#include "fk_log.h"
+
+#define LOG_MAGIC 0x314C4B46u /* "FKL1" */
+#define CHECK_AT 2u           /* within the head: sum, then sum of sums */
+#define TIME_AT 4u
+
+typedef struct {
+    uint8_t sum;
+    uint8_t sums;
+} fk_check_t;
+
+uint32_t fk_log_bytes(void) { return (uint32_t)sizeof(fk_log_t); }
+
+static void add(fk_check_t *check, uint8_t byte)
+{
+    check->sum = (uint8_t)(check->sum + byte);
+    check->sums = (uint8_t)(check->sums + check->sum);
+}
+
+/* Place of a byte that is held, or the next one to be. */
+static uint32_t place_of(const fk_log_t *log, uint32_t offset)
+{
+    uint32_t place = log->first + (offset - log->begin);
+    return (place < FK_LOG_BYTES) ? place : place - FK_LOG_BYTES;
+}
+
+static void clear(fk_log_t *log)
+{
+    log->magic = LOG_MAGIC;
+    log->begin = 0u;
+    log->end = 0u;
+    log->first = 0u;
+    log->lost = 0u;
+}
+
+static int32_t is_record(const fk_log_t *log, uint32_t offset, uint32_t length)
+{
+    fk_check_t check = {0u, 0u};
+    for (uint32_t i = 0u; i < length; ++i) {
+        if (i < CHECK_AT || i >= TIME_AT) {
+            add(&check, log->bytes[place_of(log, offset + i)]);
+        }
+    }
+    return check.sum == log->bytes[place_of(log, offset + CHECK_AT)] &&
+           check.sums == log->bytes[place_of(log, offset + CHECK_AT + 1u)];
+}
+
+static int32_t is_whole(const fk_log_t *log)
+{
+    if (log->magic != LOG_MAGIC || log->first >= FK_LOG_BYTES || log->end - log->begin > FK_LOG_BYTES) {
+        return 0;
+    }
+    uint32_t length = 0u;
+    for (uint32_t offset = log->begin; offset != log->end; offset += length) {
+        length = FK_LOG_HEAD_BYTES + log->bytes[place_of(log, offset)];
+        if (length > log->end - offset || !is_record(log, offset, length)) {
+            return 0;
+        }
+    }
+    return 1;
+}
+
+int32_t fk_log_open(fk_log_t *log)
+{
+    if (is_whole(log)) {
+        return 1;
+    }
+    clear(log);
+    return 0;
+}
+
+/* Also where a damaged length is dropped the end is not passed: no record is as long as what is held by then. */
+static void make_room(fk_log_t *log, uint32_t bytes)
+{
+    while (log->end - log->begin > FK_LOG_BYTES - bytes) {
+        uint32_t length = FK_LOG_HEAD_BYTES + log->bytes[log->first];
+        log->first = place_of(log, log->begin + length);
+        log->begin += length;
+        ++log->lost;
+    }
+}
+
+static void put(fk_log_t *log, uint32_t *place, uint8_t byte)
+{
+    log->bytes[*place] = byte;
+    ++*place;
+    *place = (*place < FK_LOG_BYTES) ? *place : 0u;
+}
+
+uint32_t fk_log_write(fk_log_t *log, uint8_t id, uint64_t time_us, const uint8_t *content, uint32_t length)
+{
+    uint8_t head[FK_LOG_HEAD_BYTES] = {(uint8_t)length, id};
+    fk_check_t check = {0u, 0u};
+    fk_put_u32(head + TIME_AT, (uint32_t)(time_us & 0xFFFFFFFFu));
+    fk_put_u16(head + TIME_AT + 4u, (uint16_t)((time_us >> 32) & 0xFFFFu));
+    add(&check, head[0]);
+    add(&check, head[1]);
+    for (uint32_t i = TIME_AT; i < FK_LOG_HEAD_BYTES; ++i) {
+        add(&check, head[i]);
+    }
+    for (uint32_t i = 0u; i < length; ++i) {
+        add(&check, content[i]);
+    }
+    head[CHECK_AT] = check.sum;
+    head[CHECK_AT + 1u] = check.sums;
+
+    make_room(log, FK_LOG_HEAD_BYTES + length);
+    uint32_t offset = log->end;
+    uint32_t place = place_of(log, offset);
+    for (uint32_t i = 0u; i < FK_LOG_HEAD_BYTES; ++i) {
+        put(log, &place, head[i]);
+    }
+    for (uint32_t i = 0u; i < length; ++i) {
+        put(log, &place, content[i]);
+    }
+    log->end = offset + FK_LOG_HEAD_BYTES + length; /* a reset in the middle leaves the records before */
+    return offset;
+}
+
+void fk_log_finish(fk_log_t *log, uint32_t offset, uint8_t last)
+{
+    uint32_t length = FK_LOG_HEAD_BYTES + log->bytes[place_of(log, offset)];
+    uint8_t *at = &log->bytes[place_of(log, offset + length - 1u)];
+    uint8_t *sum = &log->bytes[place_of(log, offset + CHECK_AT)];
+    uint8_t *sums = &log->bytes[place_of(log, offset + CHECK_AT + 1u)];
+    uint8_t more = (uint8_t)(last - *at); /* the last byte counts once in either sum */
+    *sum = (uint8_t)(*sum + more);
+    *sums = (uint8_t)(*sums + more);
+    *at = last;
+}
+
+uint32_t fk_log_read(const fk_log_t *log, uint32_t offset, uint8_t *bytes, uint32_t capacity, uint32_t *from)
+{
+    if (offset - log->begin > log->end - log->begin) {
+        offset = log->begin;
+    }
+    uint32_t count = (log->end - offset < capacity) ? log->end - offset : capacity;
+    for (uint32_t i = 0u; i < count; ++i) {
+        bytes[i] = log->bytes[place_of(log, offset + i)];
+    }
+    *from = offset;
+    return count;
+}

@@ -1,0 +1,126 @@
+/* What of the robot goes into its log, and when: enough to decide everything again from any snapshot on.
+ *
+ * Logged are the commands that change something, with how they were answered, and all that the robot does by itself.
+ * Fixes that come while it is disarmed are not, nor anything that a robot in FAULT refuses: a camera that goes on for
+ * minutes would overwrite the run before. The next ARM begins with a snapshot then.
+ */
+#include "fk_robot.h"
+
+void fk_robot_use_log(fk_robot_t *robot, fk_log_t *log)
+{
+    fk_boot_record_t boot;
+    uint8_t content[FK_BOOT_RECORD_BYTES];
+    boot.continued = (uint8_t)fk_log_open(log);
+    boot.reset = robot->reset;
+    boot.table_crc = robot->tables.image_crc32;
+    robot->log = log;
+    robot->log_mark = log->end;
+    robot->log_broken = 1u;
+    fk_boot_record_pack(content, &boot);
+    fk_robot_log(robot, FK_RECORD_BOOT, content, FK_BOOT_RECORD_BYTES);
+    if (robot->fault != FK_FAULT_NONE) {
+        fk_robot_log_fault(robot);
+    }
+}
+
+void fk_robot_log(fk_robot_t *robot, uint8_t id, const uint8_t *content, uint32_t length)
+{
+    if (robot->log != 0) {
+        (void)fk_log_write(robot->log, id, robot->now_us, content, length);
+    }
+}
+
+void fk_robot_log_fault(fk_robot_t *robot)
+{
+    fk_fault_record_t told = {robot->fault, robot->fault_detail};
+    uint8_t content[FK_FAULT_RECORD_BYTES];
+    fk_fault_record_pack(content, &told);
+    fk_robot_log(robot, FK_RECORD_FAULT, content, FK_FAULT_RECORD_BYTES);
+}
+
+void fk_robot_log_state(fk_robot_t *robot, uint8_t before, uint8_t event)
+{
+    fk_state_record_t told = {before, robot->state, event};
+    uint8_t content[FK_STATE_RECORD_BYTES];
+    fk_state_record_pack(content, &told);
+    fk_robot_log(robot, FK_RECORD_STATE, content, FK_STATE_RECORD_BYTES);
+}
+
+void fk_robot_log_stroke(fk_robot_t *robot, uint8_t id, uint8_t action)
+{
+    fk_stroke_record_t told = {action, robot->stroke_us}; /* all records of strokes have the same content */
+    uint8_t content[FK_STROKE_RECORD_BYTES];
+    fk_stroke_record_pack(content, &told);
+    fk_robot_log(robot, id, content, FK_STROKE_RECORD_BYTES);
+}
+
+void fk_robot_log_pulse(fk_robot_t *robot, uint8_t limb_mask, uint8_t allowed)
+{
+    fk_pulse_record_t told = {limb_mask, allowed, robot->tables.pulse_us};
+    uint8_t content[FK_PULSE_RECORD_BYTES];
+    fk_pulse_record_pack(content, &told);
+    fk_robot_log(robot, FK_RECORD_PULSE, content, FK_PULSE_RECORD_BYTES);
+}
+
+static int32_t is_of_tables(uint8_t type)
+{
+    return type == FK_FRAME_TABLE_BEGIN || type == FK_FRAME_TABLE_COMMIT || type == FK_FRAME_TABLE_ROLLBACK;
+}
+
+/* A snapshot begins what can be decided again: before ARM where there is none that does, and in between so that the
+ * ring always has one. While an update of the table is open ARM is refused, and the tables change. */
+static int32_t wants_snapshot(const fk_robot_t *robot, uint8_t type)
+{
+    if (robot->state == FK_STATE_DISARMED &&
+        (type != FK_FRAME_ARM || (robot->store != 0 && robot->store->open != 0u))) {
+        return 0;
+    }
+    if (robot->log_broken != 0u) {
+        return 1;
+    }
+    /* It takes some 2 ms on the chip: not while a pulse of a stroke is due. */
+    return robot->log->end - robot->log_mark >= FK_LOG_SNAPSHOT_EVERY_BYTES && robot->stroke_request == 0u &&
+           robot->second_mask == 0u;
+}
+
+uint32_t fk_robot_log_command(fk_robot_t *robot, const fk_frame_t *frame)
+{
+    uint8_t content[FK_COMMAND_RECORD_BYTES + FK_PAYLOAD_BYTES_MAX + 1u];
+    const int32_t is_fix = frame->type == FK_FRAME_FIX;
+    if (robot->log == 0 || robot->state == FK_STATE_FAULT || (!is_fix && !fk_robot_matters(frame->type))) {
+        return FK_LOG_NOTHING;
+    }
+    if (is_fix && robot->state == FK_STATE_DISARMED) {
+        robot->log_broken = 1u;
+        return FK_LOG_NOTHING;
+    }
+    if (wants_snapshot(robot, frame->type)) {
+        fk_robot_log_snapshot(robot);
+    }
+    if (is_of_tables(frame->type)) {
+        robot->log_broken = 1u;
+    }
+    fk_command_record_t told = {frame->type};
+    fk_command_record_pack(content, &told);
+    for (uint32_t i = 0u; i < frame->payload_length; ++i) {
+        content[FK_COMMAND_RECORD_BYTES + i] = frame->payload[i];
+    }
+    uint32_t length = FK_COMMAND_RECORD_BYTES + frame->payload_length;
+    fk_put_i8(content + length, FK_LOG_UNFINISHED);
+    return fk_log_write(robot->log, FK_RECORD_COMMAND, robot->now_us, content, length + 1u);
+}
+
+int32_t fk_robot_log_answer(const fk_robot_t *robot, const uint8_t *payload, uint8_t *answer)
+{
+    if (robot->log == 0) { /* a port without one */
+        fk_put_i8(answer, FK_STATUS_UNKNOWN);
+        return 1;
+    }
+    fk_log_command_t command;
+    fk_log_command_unpack(payload, &command);
+    fk_log_answer_t told = {FK_STATUS_OK, 0u, robot->log->begin, robot->log->end, robot->log->lost};
+    uint32_t count = fk_log_read(robot->log, command.offset, answer + FK_LOG_ANSWER_BYTES, FK_LOG_ANSWER_ROWS_MAX,
+                                 &told.offset);
+    fk_log_answer_pack(answer, &told);
+    return (int32_t)(FK_LOG_ANSWER_BYTES + count);
+}

@@ -1,0 +1,134 @@
+"""Position fixes from the camera over the pool: pictures in, poses out, in a thread of its own."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator
+
+import numpy as np
+
+from frogkick.errors import InputError
+from frogkick.pool.camera import Fix
+from frogkick.vision.calibration import Calibration
+from frogkick.vision.sources import Frame
+from frogkick.vision.tracker import Tracker
+
+POLL_S = 0.002
+KEEP_S = 2.0
+
+
+class CameraFixes:
+    """A ``FixSource`` that finds the robot's tag in each picture; poses are in the pool's frame.
+
+    Pictures of a camera count from when its driver handed them over. Those of a video or a folder come as
+    fast as they were taken, as if a camera saw them now; their end is a camera that sees nothing more.
+
+    Attributes:
+        reasons: how many pictures told a pose (``found``), or why not.
+    """
+
+    def __init__(
+        self,
+        frames: Iterator[Frame],
+        calibration: Calibration,
+        name: str,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        """Begin to look.
+
+        Args:
+            frames: pictures, as they come.
+            calibration: of the camera that took them.
+            name: of the camera, for people.
+            clock: in s, the one that live pictures' capture times are of.
+        """
+        self.reasons: Counter[str] = Counter()
+        self._frames, self._tracker, self._name, self._clock = frames, Tracker(calibration), name, clock
+        self._condition = threading.Condition()
+        self._stop = threading.Event()
+        self._poses: list[tuple[float, tuple[float, float, float]]] = []
+        self._error: Exception | None = None
+        self._sequence = 0
+        self._looked_s = 0.0
+        self._thread = threading.Thread(target=self._look, name=name, daemon=True)
+        self._thread.start()
+
+    @property
+    def next_event_s(self) -> float:
+        """A moment later: nobody knows when the next picture comes."""
+        return self._looked_s + POLL_S
+
+    def wait_first(self, timeout_s: float) -> None:
+        """Wait for the first pose.
+
+        Raises:
+            InputError: none came in time, or the camera failed.
+        """
+        with self._condition:
+            self._condition.wait_for(lambda: self.reasons["found"] > 0 or self._error is not None, timeout_s)
+            if self._error is not None:
+                raise self._error
+            if not self.reasons["found"]:
+                told = ", ".join(f"{count} x {reason}" for reason, count in self.reasons.most_common())
+                raise InputError(
+                    f"{self._name} saw no tag within {timeout_s:g} s ({told or 'not one picture came'}): put "
+                    "the robot under it, and look at 'frogkick camera check'"
+                )
+
+    def advance(self, until_s: float) -> list[Fix]:
+        """Fixes that came since the last call; those older than 2 s are left out.
+
+        Raises:
+            InputError: the camera failed: unplugged, frozen, of another size than its calibration.
+        """
+        self._looked_s = until_s
+        with self._condition:
+            if self._error is not None:
+                raise self._error
+            taken, self._poses = self._poses, []
+        now_s = self._clock()
+        fixes = []
+        for captured_s, pose in taken:
+            age_s = now_s - captured_s
+            if age_s <= KEEP_S:
+                told = np.array(pose, dtype=np.float32)
+                fixes.append(Fix(self._sequence, until_s - age_s, until_s, told))
+                self._sequence = (self._sequence + 1) & 0xFFFF
+        return fixes
+
+    def heat(self, limb: int, start_s: float) -> None:
+        """A real limb needs no telling."""
+
+    def close(self) -> None:
+        """Let the camera go."""
+        self._stop.set()
+        self._thread.join(timeout=2.0)
+
+    def _look(self) -> None:
+        begin_s: float | None = None
+        try:
+            for frame in self._frames:
+                captured_s = frame.capture_s
+                if not frame.live:
+                    begin_s = self._clock() - frame.capture_s if begin_s is None else begin_s
+                    captured_s += begin_s
+                    self._stop.wait(max(0.0, captured_s - self._clock()))
+                if self._stop.is_set():
+                    return
+                seen = self._tracker.observe(frame.image, captured_s)
+                with self._condition:
+                    self.reasons[seen.reason] += 1
+                    if seen.pose is not None:
+                        pose = (seen.pose.x_m, seen.pose.y_m, seen.pose.heading_rad)
+                        self._poses.append((captured_s, pose))
+                    self._condition.notify_all()
+        except Exception as error:  # whatever it is, the run has to hear of it and disarm the robot
+            with self._condition:
+                self._error = error
+                self._condition.notify_all()
+        finally:
+            close = getattr(self._frames, "close", None)
+            if close is not None:
+                close()

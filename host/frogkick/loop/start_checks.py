@@ -1,0 +1,74 @@
+"""What is looked at before a real robot is armed: is it seen well, is it in the pool, is its path."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from frogkick.errors import InputError
+from frogkick.loop.closed_loop import FixSource
+from frogkick.paths import Path
+from frogkick.pool.camera import Fix
+
+LOOK_S = 1.0
+FIXES_LEAST = 2
+"""In that time: the guard fires no limb on an older fix than half a second."""
+
+APART_MOST_M = 0.02
+"""Between two fixes in a row: a robot at rest does not move so far, so one of them is of something else."""
+
+START_MOST_M = 0.3
+"""From the robot to its path: farther off the planner swims to the path for many strokes."""
+
+WALL_M = 0.05
+"""A path keeps so far from the walls: half a robot."""
+
+
+def look(source: FixSource, clock: Callable[[], float], wait: Callable[[float], None]) -> list[Fix]:
+    """Fixes of a second or so, before anything moves."""
+    seen: list[Fix] = []
+    begin_s = clock()
+    while clock() - begin_s < LOOK_S:
+        seen += source.advance(clock())
+        wait(0.01)
+    return seen
+
+
+def check_start(fixes: Sequence[Fix], path: Path, pool_m: tuple[float, float] | None) -> None:
+    """Refuse to begin where a run can only fail.
+
+    Args:
+        fixes: of about a second, the robot at rest.
+        path: to swim, in the fixes' frame.
+        pool_m: length and width, origin in a corner; None where nobody knows them.
+
+    Raises:
+        InputError: too few fixes, fixes that jump, a path outside the pool, a robot far from its path.
+    """
+    if len(fixes) < FIXES_LEAST:
+        raise InputError(
+            f"{len(fixes)} position fixes came in {LOOK_S:g} s, {FIXES_LEAST} are needed: light the pool, "
+            "look at 'frogkick camera check'"
+        )
+    places = np.array([fix.pose_world[:2] for fix in fixes], dtype=np.float64)
+    apart_m = np.hypot(*np.diff(places, axis=0).T)
+    if apart_m.max() > APART_MOST_M:
+        raise InputError(
+            f"position fixes jump by {1e3 * apart_m.max():.0f} mm while the robot rests, "
+            f"{1e3 * APART_MOST_M:.0f} are allowed: is another tag in the picture, or a hand?"
+        )
+    if pool_m is not None:
+        low, high = path.points_m.min(axis=0), path.points_m.max(axis=0)
+        if (low < WALL_M).any() or (high > np.array(pool_m) - WALL_M).any():
+            raise InputError(
+                f"the path reaches from ({low[0]:.2f}, {low[1]:.2f}) to ({high[0]:.2f}, {high[1]:.2f}) m, "
+                f"the pool is {pool_m[0]:g} x {pool_m[1]:g} m and {WALL_M:g} m from its walls are kept free: "
+                "give --begin X,Y,DEG or --begin here, or a shorter path"
+            )
+    far_m = float(path.distance_m(places[-1:])[0])
+    if far_m > START_MOST_M:
+        raise InputError(
+            f"the robot is {far_m:.2f} m from its path, {START_MOST_M:g} are allowed: put it there, or give "
+            "--begin here"
+        )

@@ -1,0 +1,85 @@
+"""A log in C, a robot that keeps one, and what the suites of the log share."""
+
+from __future__ import annotations
+
+import random
+from typing import Any
+
+from tests.core.core import FFI, Robot, core
+
+from frogkick.link.layout import link_layout
+from frogkick.link.log import ChipLog, Record, Stretch, fetch_log, records_of
+
+FFI.cdef("""
+uint32_t fk_log_bytes(void);
+int32_t fk_log_open(void *log);
+uint32_t fk_log_write(void *log, uint8_t id, uint64_t time_us, const uint8_t *content, uint32_t length);
+void fk_log_finish(void *log, uint32_t offset, uint8_t last);
+uint32_t fk_log_read(const void *log, uint32_t offset, uint8_t *bytes, uint32_t capacity, uint32_t *from);
+void fk_robot_use_log(void *robot, void *log);
+int32_t fk_robot_restore(void *robot, const uint8_t *snapshot, uint32_t length);
+""")
+RING_BYTES = 24576
+SNAPSHOT = link_layout().records["SNAPSHOT"].id
+
+
+class Log:
+    """A log in C, in RAM as found: random bytes."""
+
+    def __init__(self, seed: int = 1) -> None:
+        size = core().fk_log_bytes()
+        self.memory = FFI.new("uint32_t[]", (size + 3) // 4)
+        self.raw = FFI.buffer(self.memory, size)
+        self.raw[:] = random.Random(seed).randbytes(size)
+        self.kept = core().fk_log_open(self.memory)
+
+    def word(self, place: int) -> int:
+        return int(self.memory[place])
+
+    def write(self, content: bytes, time_us: int = 0) -> int:
+        return int(core().fk_log_write(self.memory, SNAPSHOT, time_us, content, len(content)))
+
+    def read(self, offset: int = 0, capacity: int = 2**20) -> tuple[int, bytes]:
+        buffer, at = FFI.new("uint8_t[]", max(1, min(capacity, RING_BYTES))), FFI.new("uint32_t *")
+        count = core().fk_log_read(self.memory, offset, buffer, min(capacity, RING_BYTES), at)
+        return int(at[0]), bytes(FFI.buffer(buffer, count))
+
+    def records(self) -> list[Record]:
+        offset, content = self.read()
+        return records_of(Stretch(offset, content))
+
+
+def content_of(number: int, length: int) -> bytes:
+    """For a SNAPSHOT record, which takes any bytes behind its fields."""
+    return number.to_bytes(7, "little") + random.Random(number).randbytes(length)
+
+
+def robot_with_log(now_us: int = 1_000_000, made: Any = None) -> tuple[Robot, Log]:
+    robot, log = Robot(now_us=now_us, made=made), Log()
+    log.memory[0] = 0  # as found
+    robot._log = log  # type: ignore[attr-defined] # lives as long
+    robot.core.fk_robot_use_log(robot.memory, log.memory)
+    return robot, log
+
+
+class Asking:
+    """A robot as a conversation."""
+
+    def __init__(self, robot: Robot) -> None:
+        self.robot = robot
+        self.asked = 0
+        self.between = lambda: None
+
+    def ask(self, name: str, values: object = None, rows: object = (), timeout_s: float = 1.0) -> dict:  # type: ignore[type-arg]
+        self.asked += 1
+        told = self.robot.ask(name, values)  # type: ignore[arg-type]
+        self.between()
+        return told
+
+
+def fetched(robot: Robot, known: ChipLog | None = None) -> ChipLog:
+    return fetch_log(Asking(robot), known)
+
+
+def names(log: ChipLog) -> list[str]:
+    return [record.command or record.name for records in log.records() for record in records]

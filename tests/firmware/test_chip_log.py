@@ -1,0 +1,176 @@
+"""The bench firmware's log on the virtual chip: fetched in a run, after it, over a reset; decided again."""
+
+from __future__ import annotations
+
+import random
+from functools import cache
+
+import pytest
+from tests.conftest import count
+from tests.loop import rig
+
+from frogkick.link.layout import link_layout
+from frogkick.link.log import HEAD_BYTES, ChipLog, Record, Stretch, check_of, fetch_log, records_of
+from frogkick.loop.chip_log_replay import LogReplay, replay_log
+from frogkick.loop.closed_loop import Recording, RunOptions, run_in_pool
+from frogkick.loop.session import Session
+from frogkick.paths import shape
+from frogkick.planner.plan import PlanConfig
+from frogkick.pool.virtual_robot import VirtualRobot
+from frogkick_codegen.firmware import FLASH_BYTES, RAM_BYTES
+
+RESET = link_layout().reset
+
+
+@cache
+def swum() -> tuple[VirtualRobot, Session, Recording]:
+    """A closed-loop run, the robot after it, and a new session with it."""
+    port = rig.port("virtual")
+    assert isinstance(port, VirtualRobot)
+    seconds = count(14.0, 60.0)
+    recording = run_in_pool(
+        port,
+        rig.new_pool("sine"),
+        rig.tables(),
+        shape("sine"),
+        RunOptions(PlanConfig(depth=2), True, seconds),
+    )
+    session = Session(port, time_s=recording.end_s + 1.0, conversation=2)
+    session.greet(rig.tables())
+    return port, session, recording
+
+
+@cache
+def log_of_run() -> ChipLog:
+    return fetch_log(swum()[1])
+
+
+def replayed(log: ChipLog) -> LogReplay:
+    return replay_log(log, rig.firmware("native").image, [rig.tables()])
+
+
+def flat(log: ChipLog) -> list[Record]:
+    return [record for records in log.records() for record in records]
+
+
+def test_sizes_with_the_log() -> None:
+    built = rig.firmware("bench")
+    print(f"flash {built.flash_bytes}, RAM {built.ram_bytes} bytes")
+    assert built.flash_bytes <= 0.9 * FLASH_BYTES
+    assert built.ram_bytes <= 0.75 * RAM_BYTES, "with the stack's whole reserve"
+
+
+def test_a_closed_loop_run_is_decided_again_from_the_chip_s_log() -> None:
+    _, _, recording = swum()
+    told = replayed(log_of_run())
+    assert told.mismatches == []
+    assert told.segments >= 1 and told.replayed > 0.5 * told.records
+    # The same decisions as the events told while it swam, to the bit.
+    made = {decision.scheduled_us: decision for decision in recording.decisions}
+    assert len(told.decisions) >= min(len(made), 10)
+    for decision in told.decisions:
+        assert decision.differences(made[decision.scheduled_us]) == []
+
+
+def test_the_log_tells_the_pins() -> None:
+    """Each pulse of the log is one on the pins, within what a port may take."""
+    _, _, recording = swum()
+    highs = sorted((edge.time_s * 1e6, edge.limb) for edge in recording.edges if edge.level)
+    records = flat(log_of_run())
+    told = [
+        (record.time_us, limb)
+        for record in records
+        if record.name == "PULSE" and record.values["allowed"]
+        for limb in range(8)
+        if int(record.values["limb_mask"]) >> limb & 1
+    ]
+    assert len(told) >= 10
+    assert [limb for _, limb in told] == [limb for _, limb in highs[-len(told) :]]
+    late_us = [
+        seen_us - told_us for (told_us, _), (seen_us, _) in zip(told, highs[-len(told) :], strict=True)
+    ]
+    # The robot's clock begins at the end of its start-up, which all of them have in common.
+    assert 0.0 < min(late_us) < 2000.0
+    assert max(late_us) - min(late_us) <= 200.0
+
+
+@pytest.mark.parametrize("name", ["DECISION", "FIX", "PULSE"])
+def test_a_wrong_bit_is_a_mismatch(name: str) -> None:
+    log = log_of_run()
+    stretch = log.stretches[0]
+    records = [record for record in records_of(stretch) if name in (record.name, record.command)]
+    dice = random.Random(name)
+    for _ in range(count(1, 20)):
+        record = dice.choice(records[len(records) // 2 :])
+        at = record.offset - stretch.offset
+        raw = bytearray(stretch.content)
+        # Of a fix: its place; else anything.
+        place = dice.randrange(8, 16) if name == "FIX" else dice.randrange(len(record.content))
+        raw[at + HEAD_BYTES + place] ^= 1 << dice.randrange(8)
+        told = replayed(ChipLog((Stretch(stretch.offset, bytes(raw)),), log.lost))
+        assert ("log", record.offset) in [(m.place, m.offset) for m in told.mismatches]
+        whole = bytes(raw[at : at + HEAD_BYTES + len(record.content)])
+        raw[at + 2 : at + 4] = check_of(whole).to_bytes(2, "little")
+        told = replayed(ChipLog((Stretch(stretch.offset, bytes(raw)),), log.lost))
+        assert told.mismatches != [], f"place {place}"
+
+
+def test_fetching_in_a_run_changes_nothing_and_goes_on_where_it_ended() -> None:
+    port = rig.port("virtual")
+    session, path = Session(port), shape("line")
+    session.greet(rig.tables())
+    session.send_path(path)
+    session.request("ARM")
+    log: ChipLog | None = None
+
+    def live(until_s: float) -> None:
+        while session.time_s < until_s:
+            session.step(session.time_s + 0.07)
+            x_m = float(path.x_m[0]) + 0.02 * session.time_s
+            values = {
+                "fix_sequence": round(session.time_s * 1e3) & 0xFFFF,
+                "quality": 1,
+                "capture_age_us": 5000,
+            }
+            session.request("FIX", {**values, "x_m": x_m, "y_m": float(path.y_m[0]), "heading_rad": 0.0})
+
+    live(1.0)
+    session.request("START", {"delay_us": 100_000})
+    for _ in range(3):
+        live(session.time_s + 2.0)
+        log = fetch_log(session, log)
+    assert log is not None
+    assert session.request("STATUS")["state"] == link_layout().state["RUNNING"]
+    assert len(log.stretches) == 1 and log.lost == 0
+    at_once = fetch_log(session).stretches[0].content  # and what happened since
+    assert at_once.startswith(log.stretches[0].content)
+    told = replayed(log)
+    assert told.mismatches == []
+    assert len(told.decisions) >= 4
+
+
+def test_what_led_to_a_hang_is_fetched_after_the_reset() -> None:
+    port = rig.port("virtual")
+    assert isinstance(port, VirtualRobot)
+    session = Session(port)
+    session.greet(rig.tables())
+    session.request("ARM")
+    session.step(max(session.time_s, 0.6))
+    action = next(i for i, row in enumerate(rig.tables().actions) if row.first_mask and row.second_mask)
+    session.request("STROKE", {"action": action})
+    session.step(session.time_s + 0.03)
+    before = fetch_log(session)
+    port.chip.hang()
+    session.step(session.time_s + 1.1)
+    again = Session(port, time_s=session.time_s, conversation=2)
+    again.greet(rig.tables())
+    log = fetch_log(again)
+    assert log.stretches[0].content.startswith(before.stretches[0].content)
+    names = [record.command or record.name for record in flat(log)]
+    boots = [record for record in flat(log) if record.name == "BOOT"]
+    assert [(boot.values["continued"], boot.values["reset"]) for boot in boots] == [
+        (0, RESET["POWER"]), (1, RESET["WATCHDOG"])
+    ]  # fmt: skip
+    assert names[names.index("STROKE") :][:4] == ["STROKE", "STROKE", "BEGUN", "PULSE"]
+    told = replayed(log)
+    assert (told.mismatches, told.segments) == ([], 1)

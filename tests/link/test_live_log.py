@@ -1,0 +1,135 @@
+"""A run's log while it runs: rows on disk as they come, there after a kill, gone where the whole log is."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+from tests.cli.commands import frogkick
+from tests.link.live_robot import LiveRobot
+from tests.link.pty_line import PtyLine
+from tests.link.rigged import rigged
+from tests.link.swim import PATH, LivePool
+from tests.link.test_run_live import command
+from tests.loop import rig
+
+from frogkick.errors import InputError
+from frogkick.loop.closed_loop import Recording, RunOptions, run_session
+from frogkick.loop.lab_session import lab_session
+from frogkick.loop.live_log import CUT_OFF, LiveLog, logged, part_of
+from frogkick.loop.record import run_log
+from frogkick.loop.runlog import RunLog
+from frogkick.loop.runlog_file import read_run, write_run
+from frogkick.paths import shape
+from frogkick.planner.plan import PlanConfig
+
+PERIOD_S = rig.tables().period_us * 1e-6
+OPTIONS = RunOptions(PlanConfig(), True, 1.2 * PERIOD_S)
+
+
+def same_columns(one: RunLog, two: RunLog, group: str) -> None:
+    first, second = getattr(one, group), getattr(two, group)
+    for name in first.SCHEMA:
+        assert np.array_equal(getattr(first, name), getattr(second, name), equal_nan=True), name
+    for name in first.extra:
+        assert np.array_equal(first.extra[name], second.extra[name]), name
+
+
+def test_it_says_what_the_whole_log_says(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also while the run goes on: a reader never meets half a row."""
+    robot, target, seen = LiveRobot(), tmp_path / "run.h5", []
+    with rigged("serial", robot, tmp_path, monkeypatch) as there:
+        begin = logged(target, rig.robot(), rig.tables(), OPTIONS, "test")
+        with begin(shape(PATH)) as keep:
+
+            def keep_and_look(recording: Recording) -> None:
+                keep(recording)
+                if len(recording.fixes) % 10 == 9:
+                    seen.append(len(read_run(part_of(target)).fixes))
+
+            session = lab_session(there.wire)
+            recording = run_session(
+                session, LivePool(robot.pulses), rig.tables(), shape(PATH), OPTIONS, keep=keep_and_look
+            )
+            keep(recording)
+    assert len(recording.decisions) == 2 and len(seen) > 2 and seen == sorted(seen)
+    whole = run_log(recording, None, rig.robot(), rig.tables(), shape(PATH), OPTIONS, None, "test")
+    live = read_run(part_of(target))
+    same_columns(live, whole, "fixes")
+    same_columns(live, whole, "decisions")
+    assert live.path is not None and np.array_equal(live.path.points_m, shape(PATH).points_m)
+    assert (live.notes, live.planner, live.table_crc) == (CUT_OFF, whole.planner, whole.table_crc)
+    write_run(target, live)  # as good as any other log
+    same_columns(read_run(target), whole, "fixes")
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="sends SIGKILL")
+def test_a_killed_run_leaves_what_it_had_recorded(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    robot, target = LiveRobot(), tmp_path / "run.h5"
+    with (
+        PtyLine(tmp_path, robot) as line,
+        command(line, LivePool(robot.pulses), "--out", str(target)) as process,
+    ):
+        deadline_s = time.monotonic() + 60.0
+        while len(robot.pulses) < 2 and time.monotonic() < deadline_s:
+            time.sleep(0.005)
+        assert len(robot.pulses) >= 2, "it never swam"
+        time.sleep(0.3)
+        process.kill()
+        process.wait()
+        assert not target.exists()
+        log = read_run(part_of(target))
+    assert len(log.decisions) >= 1 and len(log.fixes) > 10
+    assert (log.fixes.extra["robot_status"] == 0).mean() > 0.8
+    told = frogkick(capsys, "log", "show", part_of(target), "--out", tmp_path / "killed.png", "--json")
+    assert told.code == 0 and CUT_OFF in told.stdout
+    assert (tmp_path / "killed.png").stat().st_size > 5000
+
+
+@contextmanager
+def empty_log(tmp_path: Path) -> Iterator[LiveLog]:
+    empty = run_log(Recording(), None, rig.robot(), rig.tables(), shape(PATH), OPTIONS, None, "test")
+    live = LiveLog(tmp_path / "run.h5", empty, True)
+    try:
+        yield live
+    finally:
+        live.close()
+
+
+def test_a_log_cut_amid_a_row_is_read_up_to_the_row_before(tmp_path: Path) -> None:
+    recording, _, _ = rig.swim("pool", PATH, 4.0)
+    with empty_log(tmp_path) as live:
+        live.keep(recording)
+    whole = read_run(live.path)
+    with h5py.File(live.path, "r+") as file:  # a kill between two columns
+        file["fixes/heading_rad"].resize(len(whole.fixes) - 1, axis=0)
+        file["decisions/cost"].resize(len(whole.decisions) - 1, axis=0)
+    cut = read_run(live.path)
+    assert len(cut.fixes) == len(whole.fixes) - 1 and len(cut.decisions) == len(whole.decisions) - 1
+    assert np.array_equal(cut.fixes.x_m, whole.fixes.x_m[:-1])
+
+
+def test_a_folder_that_cannot_be_written_to_is_said(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("no folder")
+    begin = logged(tmp_path / "file" / "run.h5", rig.robot(), rig.tables(), OPTIONS, "test")
+    with pytest.raises(InputError, match="choose another --out"), begin(shape(PATH)):
+        pass
+
+
+def test_a_full_disk_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    recording, _, _ = rig.swim("pool", PATH, 4.0)
+
+    def full(*_values: object, **_more: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    with empty_log(tmp_path) as live:
+        monkeypatch.setattr(h5py.Dataset, "flush", full)
+        with pytest.raises(InputError, match="is the disk full"):
+            live.keep(recording)
+        monkeypatch.undo()

@@ -1,0 +1,151 @@
+"""From camera to limbs and back: a robot on a line swims by pictures of the pool that it swims in."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from tests.cli.commands import frogkick
+from tests.link.live_robot import LiveRobot
+from tests.link.pty_line import PtyLine
+from tests.link.rigged import rigged
+from tests.link.swim import PATH, LivePool
+from tests.loop import rig
+from tests.vision.scenes import calibration, scene
+
+from frogkick.cli.lab import Sight
+from frogkick.loop.camera_fixes import CameraFixes
+from frogkick.loop.closed_loop import ENDED, TIME, RunOptions, run_session
+from frogkick.loop.lab_session import lab_session
+from frogkick.loop.record import tracking_of_recording
+from frogkick.loop.runlog_file import read_run
+from frogkick.paths import shape
+from frogkick.planner.plan import PlanConfig
+from frogkick.vision.calibration_file import write_calibration
+from frogkick.vision.sources import Frame
+
+PERIOD_S = rig.tables().period_us * 1e-6
+SCENE = scene(noise=3.0)
+START = (0.35, 0.45, 0.2)
+"""In the rendered pool, where the simulated one has its origin."""
+
+
+def placed(pose: np.ndarray) -> tuple[float, float, float]:
+    """A pose of the simulated pool in the rendered one."""
+    c, s = np.cos(START[2]), np.sin(START[2])
+    x, y, heading = (float(value) for value in pose)
+    return START[0] + c * x - s * y, START[1] + s * x + c * y, heading + START[2]
+
+
+class Filmed:
+    """Live pictures of the pool, taken where the robot is by the pulses that it really began."""
+
+    def __init__(self, robot: LiveRobot, rate_hz: float = 20.0) -> None:
+        self.pool = LivePool(robot.pulses)
+        self.rate_hz = rate_hz
+        self.rng = np.random.default_rng(4)
+
+    def __iter__(self) -> Iterator[Frame]:
+        sequence, begin_s = 0, time.monotonic()
+        while True:
+            time.sleep(max(0.0, begin_s + sequence / self.rate_hz - time.monotonic()))
+            taken_s = time.monotonic()
+            self.pool.swim()
+            told = self.pool.pool.truth.pose_world
+            pose = np.array(told[-1] if told else (0.0, 0.0, 0.0))
+            yield Frame(SCENE.picture(placed(pose), self.rng), taken_s, sequence, True)
+            sequence += 1
+
+
+def test_a_run_by_pictures(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    robot = LiveRobot()
+    path = Sight("stdin", begin=f"{START[0]},{START[1]},{np.degrees(START[2])}").placed(shape(PATH), START)
+    options = RunOptions(PlanConfig(depth=2), True, 2.2 * PERIOD_S)
+    with rigged("serial", robot, tmp_path, monkeypatch) as there:
+        camera = CameraFixes(iter(Filmed(robot)), calibration(SCENE), "camera")
+        try:
+            camera.wait_first(10.0)
+            recording = run_session(lab_session(there.wire), camera, rig.tables(), path, options)
+        finally:
+            camera.close()
+    assert recording.ended == TIME and len(recording.decisions) == 3
+    assert all(decision.status == 0 for decision in recording.decisions)
+    assert len({at_s for at_s, _, _ in robot.pulses}) >= 3
+    assert recording.fix_status.count(0) >= 0.9 * len(recording.fixes) > 20
+    tracked = tracking_of_recording(recording, None, rig.robot(), path)
+    assert tracked.mean_distance_m < 0.02 and tracked.progress_mps > 0.005
+    assert camera.reasons["found"] >= 0.95 * sum(camera.reasons.values())
+
+
+@pytest.fixture(scope="module")
+def filmed(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A calibration, and a folder of pictures of a robot that rests for three seconds."""
+    folder = tmp_path_factory.mktemp("filmed")
+    (folder / "pictures").mkdir()
+    rng = np.random.default_rng(5)
+    for k in range(90):
+        cv2.imwrite(str(folder / "pictures" / f"{k:03d}.png"), SCENE.picture(START, rng))
+    write_calibration(folder / "camera.toml", calibration(SCENE))
+    return folder
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="needs a pseudo-terminal")
+def test_the_command_takes_a_camera(filmed: Path, tmp_path: Path) -> None:
+    """The pictures end: a camera that sees nothing more, so the robot ends the run by itself."""
+    robot = LiveRobot()
+    with PtyLine(tmp_path, robot) as line:
+        done = subprocess.run(
+            [
+                sys.executable, "-m", "frogkick.cli.main", "run", "--path", PATH, "--json",
+                "--tables", str(rig.small_table()), "--robot", f"serial:{line.path}:115200",
+                "--fixes", str(filmed / "camera.toml"), "--source", str(filmed / "pictures"),
+                "--begin", "here", "--out", str(tmp_path / "run.h5"),
+            ],
+            capture_output=True, text=True, check=False, timeout=120, env=dict(os.environ),
+        )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    told = json.loads(done.stdout)
+    assert told["ended"] == ENDED["STALE"] and told["decisions"] >= 1
+    log = read_run(tmp_path / "run.h5")
+    assert log.path is not None
+    assert log.path.points_m[0] == pytest.approx(START[:2], abs=2e-3), "it begins where the robot is"
+    assert float(np.hypot(log.fixes.x_m - START[0], log.fixes.y_m - START[1]).max()) < 2e-3
+
+
+def test_a_path_outside_the_pool_is_refused_before_the_robot_is_looked_for(
+    filmed: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    told = frogkick(
+        capsys, "run", "--tables", rig.small_table(), "--robot", "serial:/dev/none", "--path", PATH,
+        "--fixes", filmed / "camera.toml", "--source", filmed / "pictures", "--begin", "1.1,0.8,0",
+    )  # fmt: skip
+    assert (told.code, told.stdout) == (2, "")
+    assert told.stderr.count("\n") == 1 and "the pool is 1.2 x 0.9 m" in told.stderr
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ("--fixes none.toml", "none.toml"),
+        ("--fixes CAMERA --source none", "source 'none' is no camera number"),
+        ("--fixes CAMERA --source PICTURES --begin there", "--begin is 'there'"),
+    ],
+)
+def test_what_is_no_camera(
+    filmed: Path, capsys: pytest.CaptureFixture[str], options: str, words: str
+) -> None:
+    given = options.replace("CAMERA", str(filmed / "camera.toml"))
+    given = given.replace("PICTURES", str(filmed / "pictures"))
+    told = frogkick(
+        capsys, "run", "--tables", rig.small_table(), "--robot", "serial:/dev/none", *given.split()
+    )
+    assert (told.code, told.stdout) == (2, "")
+    assert told.stderr.count("\n") == 1 and words in told.stderr

@@ -8,9 +8,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import cffi
+import numpy as np
 from tests.conftest import REPOSITORY, count
 from tests.planner import synthetic
 
@@ -28,6 +29,7 @@ CORE = REPOSITORY / "firmware" / "core"
 STATUS = link_layout().status
 STATE = link_layout().state
 NEVER_US = 2**64 - 1
+Picked = TypeVar("Picked")
 
 _DECLARATIONS = """
 typedef struct { uint8_t limb_mask; uint8_t all_off; uint32_t pulse_us; uint64_t next_tick_us; } fk_outputs_t;
@@ -84,6 +86,11 @@ FFI.cdef(_DECLARATIONS)
 def cases(normal: int, full: int) -> int:
     """``count``, but a hundredth of it where gcov counts: there every line once is enough."""
     return max(1, normal // 100) if COVERAGE_DIR else count(normal, full)
+
+
+def pick(rng: np.random.Generator, values: Sequence[Picked]) -> Picked:
+    """The very one that ``rng.choice`` takes, several times sooner: that makes an array of them first."""
+    return values[int(rng.integers(len(values)))]
 
 
 def source_files() -> dict[str, bytes]:

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from tests.core.core import ACTION_ROWS, FFI, PERIOD_US, RESTING, STATUS, core, image
+from tests.core.core import ACTION_ROWS, FFI, PERIOD_US, RESTING, STATUS, core, image, pick
 from tests.planner import synthetic
 
 from frogkick.planner.estimator import FUTURE_US, STALE_US, Estimator
@@ -125,55 +125,55 @@ def stream(seed: int) -> Stream:
         return obedient(seed)
     rng = np.random.default_rng(seed)
     name = str(rng.choice(list(IMAGES), p=[0.4, 0.3, 0.1, 0.1, 0.1]))
-    begin_us = int(rng.choice([2 * 10**6, 3 * 10**6 + 1, 2**32 - 2 * 10**6, 2**53, 2**62]))
-    period_us = int(rng.choice([table(name)[1].period_us, 1_423_000, 1_428_000, 500_000]))
-    rate_hz = rng.choice([2, 5, 10, 15, 30, 60])
+    begin_us = pick(rng, [2 * 10**6, 3 * 10**6 + 1, 2**32 - 2 * 10**6, 2**53, 2**62])
+    period_us = pick(rng, [table(name)[1].period_us, 1_423_000, 1_428_000, 500_000])
+    rate_hz = pick(rng, [2, 5, 10, 15, 30, 60])
     end_us = begin_us + int(rng.choice([6, 12, 25, 150], p=[0.6, 0.3, 0.08, 0.02]) * 1e6 / rate_hz)
-    late_us = int(rng.choice([0, 80_000, 300_000]))
-    pose = np.array([*rng.uniform(-2, 2, 2), rng.choice([0.0, 3.1, -3.1, rng.uniform(-20, 20)])])
+    late_us = pick(rng, [0, 80_000, 300_000])
+    pose = np.array([*rng.uniform(-2, 2, 2), pick(rng, [0.0, 3.1, -3.1, rng.uniform(-20, 20)])])
     if rng.random() < 0.05:
         pose[:2] = rng.uniform(-999, 999, 2)
     speed = np.array([*rng.normal(0, 0.03, 2), rng.normal(0, 0.2)])
-    wild = rng.choice([0.0, 0.02, 0.3])
+    wild = pick(rng, [0.0, 0.02, 0.3])
     events: list[tuple[int, tuple[str, int, Any, int]]] = []
-    time_us, sequence = begin_us + int(rng.integers(0, 200_000)), int(rng.choice([0, 65_530]))
+    time_us, sequence = begin_us + int(rng.integers(0, 200_000)), pick(rng, [0, 65_530])
     while time_us < end_us:
         kind = rng.random()
         if kind < 0.01:
-            time_us += int(rng.choice([400_000, 700_000, 3_000_000, 20_000_000]))  # nothing is seen
+            time_us += pick(rng, [400_000, 700_000, 3_000_000, 20_000_000])  # nothing is seen
         elif kind < 0.02:
             pose[:2] += rng.uniform(-0.3, 0.3, 2)  # by hand
         fix = (pose + rng.normal(0, [2e-4, 2e-4, 3e-3])).astype(np.float32)
         if rng.random() < wild:
-            fix[int(rng.integers(3))] = rng.choice([*WILD, *rng.uniform(-0.5, 0.5, 12)])
+            fix[int(rng.integers(3))] = pick(rng, [*WILD, *rng.uniform(-0.5, 0.5, 12)])
         arrival_us = time_us + int(late_us * rng.uniform(0.5, 1.5))
         event = ("fix", time_us, fix, sequence)
         if rng.random() > 0.1:
             events.append((arrival_us, event))
         if rng.random() < 0.05:  # twice; the second time with an age that is not its own
-            again = ("fix", time_us + int(rng.choice([0, 9000])), fix, sequence)
+            again = ("fix", time_us + pick(rng, [0, 9000]), fix, sequence)
             events.append((arrival_us + int(rng.integers(0, 10**6)), again))
-        moved_us = max(1, round(1e6 / rate_hz * rng.choice([1.0, 1.0, rng.uniform(0.5, 1.5)])))
+        moved_us = max(1, round(1e6 / rate_hz * pick(rng, [1.0, 1.0, rng.uniform(0.5, 1.5)])))
         time_us, sequence = time_us + moved_us, (sequence + 1) & 0xFFFF
         pose = pose + speed * moved_us * 1e-6
     at_us = begin_us + int(rng.integers(0, 10**6))
     while at_us < end_us:
         action = int(rng.integers(0, len(ACTION_ROWS) + 1))
-        asked_us = at_us + int(rng.choice([0, 0, 15_000, 160_000, 350_000]))
+        asked_us = at_us + pick(rng, [0, 0, 15_000, 160_000, 350_000])
         if rng.random() < 0.8:
             events.append((asked_us, ("at", at_us, None, 0)))
         if rng.random() < 0.9:
             events.append((asked_us, ("act", at_us, action, 0)))
         if rng.random() < 0.1:  # refused, or another instead
-            again_us = at_us + int(rng.choice([0, 0, 10_000, PERIOD_LEAST_US, 200_000]))
+            again_us = at_us + pick(rng, [0, 0, 10_000, PERIOD_LEAST_US, 200_000])
             events.append((max(asked_us, again_us), ("act", again_us, RESTING, 0)))
         at_us += period_us if rng.random() < 0.95 else int(rng.integers(0, 3 * 10**6))
     for _ in range(3):
         asked_us = int(rng.integers(begin_us, end_us + 10**6))
-        lead_us = int(rng.choice([0, 1, -1, -FUTURE_US, STALE_US, -900_000, rng.integers(-600_000, 600_000)]))
+        lead_us = int(pick(rng, [0, 1, -1, -FUTURE_US, STALE_US, -900_000, rng.integers(-600_000, 600_000)]))
         events.append((asked_us, ("at", asked_us + lead_us, None, 0)))
     for arrival_us, event in events[::17]:
-        limit_us = int(rng.choice([STALE_US, STALE_US + 1, -FUTURE_US, -FUTURE_US - 1]))
+        limit_us = pick(rng, [STALE_US, STALE_US + 1, -FUTURE_US, -FUTURE_US - 1])
         if event[0] == "fix":
             events.append((arrival_us, ("at", event[1] + limit_us, None, 0)))
     return Stream(name, [event for _, event in sorted(events, key=lambda row: row[0])])

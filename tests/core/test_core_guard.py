@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tests.core.core import FFI, LATE_US, cases, core, library, mutated
+from tests.core.core import FFI, LATE_US, cases, core, library, mutated, pick
 
 from frogkick.pool.monitor import Pulse, violations
 from frogkick.robot import load_robot
@@ -151,7 +151,7 @@ def next_time_us(rng: np.random.Generator, now_us: int, pulse_us: int, book: Ref
     mine = book.pulses[limb]
     choice = rng.random()
     if choice < 0.15 or not mine:
-        at_us = now_us + int(rng.choice([0, 1, 40_000, 100_000, 600_000, 1_425_000]))
+        at_us = now_us + pick(rng, [0, 1, 40_000, 100_000, 600_000, 1_425_000])
     elif choice < 0.55:
         at_us = mine[-1].off + REST_US + near
     elif choice < 0.65:
@@ -167,11 +167,11 @@ def one_sequence(seed: int, guard: Guard, judge: Callable[[str, bool, bool], Non
     """Play one random sequence: ``judge`` gets each wish and both answers; returns the pulses."""
     rng = np.random.default_rng(seed)
     reference, book = Reference(), Book(seed)
-    now_us = int(rng.choice([0, 1, 499_999, 500_000, 10**6, 2**32 - 700_000, 2**40]))
+    now_us = pick(rng, [0, 1, 499_999, 500_000, 10**6, 2**32 - 700_000, 2**40])
     gentle = rng.random() < 0.3  # one limb, legal pulses: reaches the duty limit
     for _ in range(WISHES):
-        pulse_us = int(rng.choice([PULSE_MAX_US, 80_000] if gentle else PULSES_US))
-        mask = 1 if gentle else int(rng.choice(MASKS))
+        pulse_us = pick(rng, [PULSE_MAX_US, 80_000] if gentle else PULSES_US)
+        mask = 1 if gentle else pick(rng, MASKS)
         now_us = next_time_us(rng, now_us, pulse_us, book.reference)
         if rng.random() < 0.05:
             guard.cut(now_us)

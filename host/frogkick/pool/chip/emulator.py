@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import struct
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, Final
 
 import unicorn as unicorn_module
@@ -20,6 +20,7 @@ unicorn: Any = unicorn_module  # its type hints do not export what it documents
 PAGE: Final = 0x1000
 RETURN_ADDRESS: Final = FLASH_BYTES - 16
 """Where a call from outside returns to: erased flash, which no program runs."""
+_ACCESS: Final = unicorn.UC_HOOK_MEM_READ | unicorn.UC_HOOK_MEM_WRITE
 _UNINITIALISED: Final = b"\xcd"  # RAM after power-on: what .data and .bss do not set is not zero
 
 
@@ -40,10 +41,6 @@ def make_core(
     Raises:
         ChipError: unicorn does not take the callbacks.
     """
-    state.emu_stop = ctypes.cast(uclib.uc_emu_stop, ctypes.c_void_p)
-    state.reg_read = ctypes.cast(uclib.uc_reg_read, ctypes.c_void_p)
-    state.reg_write = ctypes.cast(uclib.uc_reg_write, ctypes.c_void_p)
-    state.cpsr = arm_const.UC_ARM_REG_CPSR
     uc = unicorn.Uc(unicorn.UC_ARCH_ARM, unicorn.UC_MODE_THUMB | unicorn.UC_MODE_MCLASS)
     uc.ctl_set_cpu_model(arm_const.UC_CPU_ARM_CORTEX_M4)
     uc.mem_map(0, FLASH_BYTES, unicorn.UC_PROT_READ | unicorn.UC_PROT_EXEC)
@@ -54,26 +51,41 @@ def make_core(
         uc.mmio_map(base, PAGE, read, None, write, None)
     uc.hook_add(unicorn.UC_HOOK_MEM_INVALID, on_invalid)
     uc.reg_write(arm_const.UC_ARM_REG_SP, image.stack_pointer)
+    add_hooks(uc, state, {unicorn.UC_HOOK_CODE: "fk_hook_code", _ACCESS: "fk_hook_memory"})
+    return uc
+
+
+def add_hooks(uc: Any, state: HookState, functions: Mapping[int, str]) -> None:
+    """Let a core call functions of hook.c.
+
+    Args:
+        uc: the core.
+        state: what they work on; gets unicorn's functions, and must live as long as the core.
+        functions: unicorn's kind of hook -> name of the function.
+
+    Raises:
+        ChipError: unicorn does not take them.
+    """
+    state.emu_stop = ctypes.cast(uclib.uc_emu_stop, ctypes.c_void_p)
+    state.reg_read = ctypes.cast(uclib.uc_reg_read, ctypes.c_void_p)
+    state.reg_write = ctypes.cast(uclib.uc_reg_write, ctypes.c_void_p)
+    state.cpsr = arm_const.UC_ARM_REG_CPSR
     library = load_hook()
-    for kind, function in (
-        (unicorn.UC_HOOK_CODE, library.fk_hook_code),
-        (unicorn.UC_HOOK_MEM_READ | unicorn.UC_HOOK_MEM_WRITE, library.fk_hook_memory),
-    ):
+    for kind, name in functions.items():
         handle = ctypes.c_size_t()
         # The Python binding would put a Python function between; the C one is handed over as it is.
         error = uclib.uc_hook_add(
             uc._uch,
             ctypes.byref(handle),
             kind,
-            ctypes.cast(function, ctypes.c_void_p),
+            ctypes.cast(getattr(library, name), ctypes.c_void_p),
             ctypes.byref(state),
             ctypes.c_uint64(0),
             ctypes.c_uint64(0xFFFF_FFFF),
         )
         if error != unicorn.UC_ERR_OK:
-            raise ChipError(f"unicorn refuses the cycle counter (error {error}): install unicorn 2.1")
+            raise ChipError(f"unicorn refuses {name} (error {error}): install unicorn 2.1")
     uc.ctl_flush_tb()  # code translated before a hook was added would not call it
-    return uc
 
 
 def set_arguments(uc: Any, arguments: Sequence[int | float], return_address: int) -> None:

@@ -105,6 +105,7 @@ static void fetch_line(fk_hook_state_t *state, uint32_t line)
 
 void fk_hook_code(void *uc, uint64_t address64, uint32_t size, void *user);
 void fk_hook_memory(void *uc, int type, uint64_t address64, int size, int64_t value, void *user);
+void fk_hook_block(void *uc, uint64_t address, uint32_t size, void *user);
 
 void fk_hook_code(void *uc, uint64_t address64, uint32_t size, void *user)
 {
@@ -186,4 +187,16 @@ void fk_hook_memory(void *uc, int type, uint64_t address64, int size, int64_t va
         state->unaligned = address;
         stop(state, uc, STOP_UNALIGNED, state->address);
     }
+}
+
+/* Alone, where cycles do not matter: before each block of instructions without a branch, to stop what does not end.
+ * An instruction has at most 4 bytes, so a block has at least as many as are counted here. */
+void fk_hook_block(void *uc, uint64_t address, uint32_t size, void *user)
+{
+    fk_hook_state_t *state = user;
+
+    if (state->instructions >= state->limit) {
+        stop(state, uc, STOP_LIMIT, (uint32_t)address);
+    }
+    state->instructions += (size + 3u) / 4u;
 }

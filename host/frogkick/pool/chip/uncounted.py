@@ -14,8 +14,9 @@ from unicorn import arm_const
 
 from frogkick.pool.chip.bus import FLASH_BYTES, RAM_BASE, RAM_BYTES
 from frogkick.pool.chip.chip import VirtualChip
-from frogkick.pool.chip.emulator import RETURN_ADDRESS, set_arguments
+from frogkick.pool.chip.emulator import RETURN_ADDRESS, add_hooks, set_arguments
 from frogkick.pool.chip.errors import ChipError
+from frogkick.pool.chip.hook import HookState, Stop
 from frogkick.pool.chip.image import load_image
 
 unicorn: Any = unicorn_module  # its type hints do not export what it documents
@@ -42,6 +43,9 @@ class UncountedCalls:
         uc.mem_write(0, load_image(elf).flash)
         uc.mem_write(RAM_BASE, chip.ram_read(RAM_BASE, RAM_BYTES))
         self._uc = uc
+        # unicorn's own limit of instructions is a call for each of them, half of the time that all takes.
+        self._state = HookState()
+        add_hooks(uc, self._state, {unicorn.UC_HOOK_BLOCK: "fk_hook_block"})
 
     def ram_write(self, address: int, data: bytes) -> None:
         """Write to the copy's RAM."""
@@ -59,8 +63,9 @@ class UncountedCalls:
         """
         self._uc.reg_write(arm_const.UC_ARM_REG_SP, self._stack_top)
         set_arguments(self._uc, arguments, RETURN_ADDRESS)
+        self._state.instructions, self._state.limit, self._state.stop = 0, _LONGEST, Stop.NONE
         try:
-            self._uc.emu_start(self._symbol(function) | 1, RETURN_ADDRESS, count=_LONGEST)
+            self._uc.emu_start(self._symbol(function) | 1, RETURN_ADDRESS)
         except unicorn.UcError as error:
             raise ChipError(f"{function} failed at 0x{self._pc:08x}: {error}") from error
         if self._pc != RETURN_ADDRESS:

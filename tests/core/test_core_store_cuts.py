@@ -7,6 +7,7 @@ from collections.abc import Callable
 from typing import Any
 
 import pytest
+from tests.conftest import count
 from tests.core.core import COVERAGE_DIR, cases, mutated
 from tests.core.store_rig import (
     HOWS,
@@ -288,7 +289,7 @@ def test_flash_that_does_not_hold_what_is_written() -> None:
         operations = flash.sim.operations
         places = {
             *range(1, 40),
-            *range(1, operations, cases(29, 7)),
+            *range(1, operations, count(29, 7)),
             *range(max(1, operations - 25), operations + 1),
         }
         for at in sorted(place for place in places if place <= operations):

@@ -23,6 +23,7 @@ from frogkick.planner.image import read_image
 from frogkick.robot import Robot
 from frogkick_codegen.emit import emit
 from frogkick_codegen.kept import built_once
+from frogkick_codegen.map_file import write_map
 from frogkick_codegen.toolchain import FLAGS, Compiler, zig
 
 FIRMWARE = Path(__file__).resolve().parents[2] / "firmware"
@@ -243,7 +244,7 @@ def _build_bench(work: Path, limbs: int, table_bytes: int) -> dict[str, Path]:
     elf.write_bytes(
         built_once(zig("chip"), flags, [*places, f"-I{bench}", f"-Wl,-T,{script}", *sources], files, elf)
     )
-    return {"elf": elf, "hex": _hex_of(elf)}
+    return {"elf": elf, "hex": _hex_of(elf), "map": write_map(elf)}
 
 
 def _build_native(work: Path, compiler: Compiler) -> dict[str, Path]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from itertools import pairwise
 
 from tests.loop import rig
 
@@ -17,15 +18,13 @@ def test_the_map_says_what_is_where() -> None:
         for found in re.finditer(r"^0x([0-9a-f]{8}) +(\d+)  (\.\S+)  (\S+)$", text, re.MULTILINE)
     ]
     names = {name for *_, name in rows}
-    assert {"fk_robot_tick", "fk_guard_allow", "fk_plan", "fk_reset", "fk_vectors"} <= names
-    code = sorted((address, size) for address, size, section, _ in rows if section == ".text")
+    assert {"fk_robot_tick", "fk_guard_allow", "fk_plan", "fk_reset"} <= names
+    # A set: some functions have several names.
+    code = sorted({(address, size) for address, size, section, _ in rows if section == ".text"})
     assert len(code) > 100
-    assert all(one[0] + one[1] <= two[0] for one, two in zip(code, code[1:], strict=False)), "no overlap"
+    assert all(one[0] + one[1] <= two[0] for one, two in pairwise(code)), "no overlap"
     sections = re.findall(r"^0x[0-9a-f]{8} +(\d+)  (\.\S+)$", text, re.MULTILINE)
     (text_bytes,) = (int(size) for size, name in sections if name == ".text")
     used = sum(size for _, size in code)
     assert 0.9 * text_bytes <= used <= text_bytes, "the map tells of nearly all of it"
-    assert not [
-        name for name in names if re.match(r"__aeabi_(ul|l|d|f)|malloc|free|__udivmoddi4|sinf|sqrt$", name)
-    ]
-    assert unwanted(built.image) == []
+    assert unwanted(names) == [], "no 64-bit division, float in software, libm, heap"

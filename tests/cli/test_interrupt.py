@@ -55,9 +55,9 @@ def test_while_it_is_still_loading(tmp_path: Path) -> None:
         "import sys, builtins, os, signal\n"
         "from frogkick.cli.main import run_command\n"
         "real = builtins.__import__\n"
-        "def load(name, *rest):\n"
+        "def load(name, *rest, **more):\n"
         "    if name == 'numba': os.kill(os.getpid(), signal.SIGINT)\n"
-        "    return real(name, *rest)\n"
+        "    return real(name, *rest, **more)\n"
         "builtins.__import__ = load\n"
         "sys.exit(run_command(['doctor', '--json']))\n"
     )

@@ -19,7 +19,7 @@ RUN_S = 10.0
 """After a disturbance the robot decides again within this; without one it never pauses for longer."""
 BACK_S = 45.0
 """After a disturbance it is back on the route within this, and stays there until the next one."""
-NEAR_M = 0.06
+NEAR_M = 0.05
 """On the route: the true mean distance to it over MEAN_S is below this."""
 MEAN_S = 20
 ADVANCE_S, ADVANCE_M = 90, 0.3

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import enum
-from contextlib import ExitStack
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Annotated
 
@@ -25,12 +26,14 @@ from frogkick.cli.places import (
     swim_path,
     table_image,
 )
+from frogkick.cli.viewing import viewed
 from frogkick.effects import World, read_world
 from frogkick.link.wire import is_target
-from frogkick.loop.closed_loop import RunOptions, require_time, run_in_pool
+from frogkick.loop.closed_loop import Recording, RunOptions, require_time, run_in_pool
 from frogkick.loop.live_log import logged, part_of
 from frogkick.loop.record import run_log, tracking_of_recording
 from frogkick.loop.runlog_file import write_run
+from frogkick.paths import Path as SwimPath
 from frogkick.planner.image import read_image
 from frogkick.pool.camera import Camera
 from frogkick.pool.pool import Pool
@@ -85,6 +88,9 @@ def run(
     world: WorldOption = None,
     seed: SeedOption = 0,
     out: Annotated[Path | None, typer.Option(help="Log to write (HDF5).")] = None,
+    view: Annotated[
+        bool, typer.Option("--view", help="Draw the run in the browser; a simulated one in real time.")
+    ] = False,
     json: JsonOption = False,
 ) -> None:
     """Follow a path: position fixes in, strokes out. Exit 1 if the guard's limits were broken.
@@ -113,10 +119,21 @@ def run(
 
         if is_real:
             sight = Sight(str(fixes), source, begin)
-            keep = logged(out, described, opened, options, name)
+            log = logged(out, described, opened, options, name)
+
+            @contextmanager
+            def kept(placed: SwimPath) -> Iterator[Callable[[Recording], None]]:
+                with log(placed) as write, viewed(view, opened, placed, options, None) as draw:
+
+                    def keep(recording: Recording) -> None:
+                        write(recording)
+                        draw(recording)
+
+                    yield keep
+
             try:
                 recording, desired = run_on_bench(
-                    robot, dialect, image, described, opened, desired, options, sight, keep, progress
+                    robot, dialect, image, described, opened, desired, options, sight, kept, progress
                 )
             except BaseException:
                 if out is not None and part_of(out).exists():
@@ -125,7 +142,8 @@ def run(
         else:
             port = stack.enter_context(simulated_robot(robot, image, described))
             pool = Pool(described, start_pose(desired), camera, np.random.default_rng(seed), true_world)
-            recording = run_in_pool(port, pool, opened, desired, options, progress)
+            draw = stack.enter_context(viewed(view, opened, desired, options, pool))
+            recording = run_in_pool(port, pool, opened, desired, options, progress, draw)
     tracked = tracking_of_recording(recording, pool, described, desired)
     if out is not None:
         known_seed = None if is_real else seed

@@ -142,6 +142,7 @@ def run_in_pool(
     path: Path,
     options: RunOptions,
     progress: Callable[[float, int], None] = lambda _time_s, _path_index: None,
+    keep: Callable[[Recording], None] = lambda _recording: None,
 ) -> Recording:
     """Follow a path in the simulated pool.
 
@@ -152,13 +153,14 @@ def run_in_pool(
         path: where to swim, world frame.
         options: who plans, and how.
         progress: called after each decision with the pool time and the nearest path point.
+        keep: called over and over with what is recorded so far.
 
     Raises:
         InputError: the time limit is not a finite number above 0.
         LinkError: the robot refuses or does not answer.
         ConvergenceError: the pool's physics failed.
     """
-    return run_session(Session(port), pool, tables, path, options, progress)
+    return run_session(Session(port), pool, tables, path, options, progress, keep)
 
 
 def run_session(

@@ -1,0 +1,63 @@
+"""``run --view``: a page in the browser that draws the run."""
+
+from __future__ import annotations
+
+import sys
+import time
+import webbrowser
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+import numpy as np
+
+from frogkick.loop.closed_loop import Recording, RunOptions
+from frogkick.loop.live_view import LiveView
+from frogkick.paths import Path as SwimPath
+from frogkick.planner.image import Tables
+from frogkick.pool.pool import Pool
+from frogkick.report.live_page import served
+
+EVERY_S = 0.1
+LINGER_S = 0.5
+"""After the end, for the page's last look."""
+
+
+@contextmanager
+def viewed(
+    wanted: bool, tables: Tables, path: SwimPath, options: RunOptions, pool: Pool | None
+) -> Iterator[Callable[[Recording], None]]:
+    """What shows the recording while it grows; a simulated pool is kept from running ahead of the clock.
+
+    Args:
+        wanted: False = there is no page, and nothing is slowed.
+        tables, path, options: of the run.
+        pool: the simulated one; None: a real one.
+    """
+    if not wanted:
+        yield lambda _recording: None
+        return
+    view, begin_s, shown_s = LiveView(tables, path, options.config), time.monotonic(), 0.0
+    newest = Recording()
+
+    def draw() -> None:
+        track = None if pool is None else np.array(pool.truth.pose_world).reshape(-1, 3)
+        view.show(newest, track)
+
+    def keep(recording: Recording) -> None:
+        nonlocal newest, shown_s
+        newest = recording
+        if pool is not None:
+            time.sleep(max(0.0, begin_s + pool.time_s - time.monotonic()))
+        if time.monotonic() - shown_s >= EVERY_S:
+            draw()
+            shown_s = time.monotonic()
+
+    with served(lambda: view.text) as address:
+        print(f"frogkick: the run is drawn at {address}", file=sys.stderr, flush=True)
+        if sys.stderr.isatty():
+            webbrowser.open(address)
+        try:
+            yield keep
+        finally:
+            draw()
+            time.sleep(LINGER_S)

@@ -1,0 +1,68 @@
+"""A page that draws a run while it runs, served on this computer alone."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+
+import jinja2
+
+from frogkick.report import style
+
+HOST = "127.0.0.1"
+
+
+def page() -> str:
+    """The page: one HTML file that needs no other, and asks for ``state.json`` ten times a second."""
+    environment = jinja2.Environment(
+        loader=jinja2.PackageLoader("frogkick.report"), autoescape=True, undefined=jinja2.StrictUndefined
+    )
+    colours = {
+        name.lower(): getattr(style, name)
+        for name in ("DESIRED", "TRUE", "MEASURED", "ESTIMATED", "PREDICTED", "NOMINAL")
+    }
+    return environment.get_template("live.html.jinja").render(colours=colours)
+
+
+@contextmanager
+def served(state: Callable[[], str], port: int = 0) -> Iterator[str]:
+    """Serve the page as long as the context lives.
+
+    Args:
+        state: gives the newest state as JSON; called from other threads.
+        port: 0 = a free one.
+
+    Returns:
+        Its address.
+    """
+    text = page().encode()
+
+    class Handler(BaseHTTPRequestHandler):
+        def do_GET(self) -> None:
+            content, kind = {
+                "/": (text, "text/html; charset=utf-8"),
+                "/state.json": (state().encode(), "application/json"),
+            }.get(self.path, (b"", ""))
+            if not kind:
+                self.send_error(404)
+                return
+            self.send_response(200)
+            self.send_header("Content-Type", kind)
+            self.send_header("Content-Length", str(len(content)))
+            self.send_header("Cache-Control", "no-store")
+            self.end_headers()
+            self.wfile.write(content)
+
+        def log_message(self, format: str, *args: object) -> None:
+            """Nobody wants to read of every look."""
+
+    server = ThreadingHTTPServer((HOST, port), Handler)
+    server.daemon_threads = True
+    threading.Thread(target=server.serve_forever, daemon=True).start()
+    try:
+        yield f"http://{HOST}:{server.server_address[1]}/"
+    finally:
+        server.shutdown()
+        server.server_close()

@@ -1,0 +1,117 @@
+"""What is drawn of a run while it runs: the planner's own predictions, by the command too."""
+
+from __future__ import annotations
+
+import json
+import re
+import subprocess
+import sys
+import time
+import urllib.request
+from pathlib import Path
+from typing import Any
+from urllib.error import HTTPError
+
+import numpy as np
+import pytest
+from tests.loop import rig
+
+from frogkick.loop.live_view import LiveView, branch_of, fan_of
+from frogkick.paths import shape
+from frogkick.planner.plan import PlanConfig, plan
+from frogkick.report.live_page import HOST, page, served
+
+CONFIG = PlanConfig(depth=3)
+
+
+def test_the_fan_is_what_the_planner_predicts() -> None:
+    rng = np.random.default_rng(3)
+    for _ in range(20):
+        state = np.array([*rng.uniform(-0.2, 0.2, 2), rng.uniform(-3, 3), 0.02, 0.0, 0.1], dtype=np.float32)
+        told = plan(rig.tables(), shape("sine"), CONFIG, state)
+        fan = fan_of(rig.tables(), state, (0,) * 8)
+        assert len(fan) == len(rig.tables().actions)
+        assert fan[told.action, :2] == pytest.approx(told.predicted[:2], abs=1e-5)
+        turned = np.angle(np.exp(1j * (fan[told.action, 2] - float(told.predicted[2]))))
+        assert abs(turned) < 1e-5
+
+
+def test_the_branch_begins_with_the_decision_and_is_as_deep_as_the_plan() -> None:
+    recording, _, _ = rig.swim("pool", "sine", 6.0)
+    decision = recording.decisions[-1]
+    poses, names = branch_of(rig.tables(), shape("sine"), CONFIG, decision)
+    assert len(poses) == 4 and len(names) == 3
+    assert names[0] == rig.tables().actions[decision.action].name
+    assert poses[:2] == [decision.estimate[:3].tolist(), decision.predicted[:3].tolist()]
+    alone, _ = branch_of(rig.tables(), shape("sine"), PlanConfig(depth=1), decision)
+    assert len(alone) == 2
+
+
+def test_the_newest_state_is_told() -> None:
+    recording, pool, _ = rig.swim("pool", "sine", 6.0)
+    view = LiveView(rig.tables(), shape("sine"), CONFIG)
+    assert json.loads(view.text) == {}
+    view.show(recording, np.array(pool.truth.pose_world))
+    told = json.loads(view.text)
+    assert len(told["path"]) == 100 and len(told["decisions"]) == len(recording.decisions)
+    assert len(told["branch"]) == 4 and len(told["fan"]) == len(rig.tables().actions)
+    assert told["track"][-1] == pytest.approx(pool.truth.pose_world[-1], abs=1e-4)
+    assert told["fix_age_s"] == pytest.approx(0.08, abs=0.05)
+
+
+def test_a_run_without_a_decision_is_drawn_too() -> None:
+    from frogkick.loop.closed_loop import Recording
+
+    view = LiveView(rig.tables(), shape("line"), CONFIG)
+    view.show(Recording())
+    told = json.loads(view.text)
+    assert (told["fixes"], told["decisions"], told["branch"], told["fix_age_s"]) == ([], [], [], None)
+
+
+def fetched(address: str) -> str:
+    with urllib.request.urlopen(address, timeout=5.0) as answer:
+        return str(answer.read().decode())
+
+
+def test_the_page_is_served_here_alone() -> None:
+    with served(lambda: '{"newest": 1}') as address:
+        assert address.startswith(f"http://{HOST}:") and HOST == "127.0.0.1"
+        assert fetched(address) == page()
+        assert fetched(address + "state.json") == '{"newest": 1}'
+        with pytest.raises(HTTPError, match="404"):
+            fetched(address + "etc/passwd")
+    assert not re.search(r"https?:|src=|@import|url[(]", page()), "it needs no other file"
+
+
+def test_the_command_draws_a_run(tmp_path: Path) -> None:
+    """In real time: it takes no less than what is simulated."""
+    began = time.monotonic()
+    process = subprocess.Popen(
+        [
+            sys.executable, "-m", "frogkick.cli.main", "run", "--robot", "pool", "--path", "line", "--view",
+            "--tables", str(rig.small_table()), "--simulated-time", "3", "--json",
+        ],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=tmp_path,
+    )  # fmt: skip
+    assert process.stderr is not None and process.stdout is not None
+    address = ""
+    while not address:
+        line = process.stderr.readline()
+        assert line, "it ended without an address"
+        found = re.search(r"the run is drawn at (http://\S+)", line)
+        address = found[1] if found else ""
+    seen: list[dict[str, Any]] = []
+    while process.poll() is None:
+        try:
+            told = json.loads(fetched(address + "state.json"))
+        except OSError:
+            break
+        if told:
+            seen.append(told)
+        time.sleep(0.1)
+    out, _ = process.communicate(timeout=60)
+    assert process.returncode == 0 and json.loads(out)["decisions"] >= 2
+    assert time.monotonic() - began > 3.0
+    counts = [len(told["decisions"]) for told in seen]
+    assert counts == sorted(counts) and counts[-1] >= 2 and len(set(counts)) >= 2
+    assert seen[-1]["branch"] and len(seen[-1]["track"]) > 10

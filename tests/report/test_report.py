@@ -1,4 +1,4 @@
-"""The report: one file that needs no other, all that issue 3 lists in it, axes with units."""
+"""The report: one file that needs no other, all that a reader is promised in it, axes with units."""
 
 from __future__ import annotations
 

@@ -32,8 +32,8 @@ FIRST = 0.05
 CUT = (2.0, 4.0)
 """What a period shows counts up to so many times the size of misses."""
 
-GAIN_LEAST = 0.02
-"""Of the squares of the misses in the training runs: less is no drift."""
+GAIN_LEAST = 3.0
+"""Gain of twice the log likelihood of the training runs' misses: of fewer periods a larger share must go."""
 
 
 @dataclass(frozen=True)
@@ -127,7 +127,7 @@ def drift_of(tracks: Sequence[Track], swims: Sequence[Swim], robot: Robot) -> Dr
     wander, cuts = [0.0, 0.0, 0.0], [CUT[-1]] * 3
     for axis in range(3):
         plain = _square(missed, axis, [np.zeros(len(each)) for each in missed])
-        best = (1.0 - GAIN_LEAST) * plain
+        best = plain * float(np.exp(-GAIN_LEAST / known.sum()))
         for way in WANDERS:
             for cut in CUT:
                 expected = [

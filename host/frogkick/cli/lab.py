@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
+from frogkick.cli.common import stderr
 from frogkick.cli.places import built_firmware
 from frogkick.errors import InputError, nearest_name
 from frogkick.link.frames import DELIMITER
@@ -185,9 +186,12 @@ def run_on_bench(
         seen = look(fixes, time.monotonic, time.sleep)
         if seen:
             path = sight.placed(path, [float(value) for value in seen[-1].pose_world])
-        check_start(seen, path, pool_m)
+        checked = check_start(seen, path, pool_m)
         wire = stack.enter_context(opened(target, greeting))
         session = stack.enter_context(session_with(wire, dialect, image, robot))
+        session.greet(tables)
+        for line in [*checked[:-1], f"table: {tables.crc32:08x}, the robot's own", checked[-1]]:
+            stderr.print(f"start check: {line}", highlight=False, soft_wrap=True)
         source: FixSource = fixes
         keep = stack.enter_context(logged(path))
         return run_session(session, source, tables, path, options, progress, keep), path

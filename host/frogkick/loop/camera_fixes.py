@@ -17,6 +17,8 @@ from frogkick.vision.tracker import Tracker
 
 POLL_S = 0.002
 KEEP_S = 2.0
+STALL_S = 1.0
+"""Without a picture of a live camera: its driver hangs, and does not say so."""
 
 
 class CameraFixes:
@@ -52,6 +54,7 @@ class CameraFixes:
         self._error: Exception | None = None
         self._sequence = 0
         self._looked_s = 0.0
+        self._heard_s: float | None = None  # when a live camera gave its last picture
         self._thread = threading.Thread(target=self._look, name=name, daemon=True)
         self._thread.start()
 
@@ -81,14 +84,19 @@ class CameraFixes:
         """Fixes that came since the last call; those older than 2 s are left out.
 
         Raises:
-            InputError: the camera failed: unplugged, frozen, of another size than its calibration.
+            InputError: the camera failed: unplugged, frozen, hanging, of another size than its calibration.
         """
         self._looked_s = until_s
         with self._condition:
             if self._error is not None:
                 raise self._error
             taken, self._poses = self._poses, []
-        now_s = self._clock()
+            heard_s, now_s = self._heard_s, self._clock()
+        if heard_s is not None and now_s - heard_s > STALL_S:
+            raise InputError(
+                f"{self._name} has given no picture for {now_s - heard_s:.1f} s: plug it in "
+                "again, or choose a lower rate or another port"
+            )
         fixes = []
         for captured_s, pose in taken:
             age_s = now_s - captured_s
@@ -117,6 +125,8 @@ class CameraFixes:
                     self._stop.wait(max(0.0, captured_s - self._clock()))
                 if self._stop.is_set():
                     return
+                with self._condition:
+                    self._heard_s = self._clock() if frame.live else None
                 seen = self._tracker.observe(frame.image, captured_s)
                 with self._condition:
                     self.reasons[seen.reason] += 1
@@ -129,6 +139,8 @@ class CameraFixes:
                 self._error = error
                 self._condition.notify_all()
         finally:
+            with self._condition:
+                self._heard_s = None  # the end of the pictures is told otherwise
             close = getattr(self._frames, "close", None)
             if close is not None:
                 close()

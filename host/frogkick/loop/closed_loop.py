@@ -324,6 +324,8 @@ class _Run:
             recording.fix_status[row] = int(values["status"])
             if values["status"] == 0:
                 recording.capture_us[row] = int(values["capture_us"])
+            elif values["status"] == link_layout().status["FAULT"]:
+                self._fail()
         elif frame.name == "REFUSED":
             if not self.options.onboard:
                 self.twin.act(int(values["begin_us"]) - recording.clock_offset_us, RESTING)
@@ -334,6 +336,15 @@ class _Run:
             recording.completed = values["status"] == 0
             name = link_layout().status_name(int(values["status"]))
             recording.ended = ENDED.get(name, name)
+
+    def _fail(self) -> None:
+        """The robot is in FAULT: nothing goes on, whatever is sent."""
+        told, names = self.session.request("STATUS"), link_layout().fault
+        name = next((name for name, number in names.items() if number == told["fault"]), "of a kind unknown")
+        raise LinkError(
+            f"the robot met the internal error {name} ({told['fault_detail']}) and has switched its outputs "
+            "off: 'frogkick log fetch' tells what led to it, then switch it off and on"
+        )
 
     def _source_step(self, until_s: float, edges: Sequence[Edge]) -> None:
         """The source lives through a step of the robot; fixes that arrive go straight to the robot."""

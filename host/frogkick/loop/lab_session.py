@@ -24,6 +24,8 @@ ANSWER_S = 2.0
 HELLO_TIMES = 2
 CLOCK_ASKED = 5
 SAFE_S = 5.0
+CLOCK_BACK_S = 0.01
+"""No monotonic clock does so; one that does leaves a robot armed that nobody looks after."""
 
 
 def _new_conversation() -> int:
@@ -65,12 +67,20 @@ class LabSession(Session):
     conversation: int = field(default_factory=_new_conversation)
     patience_s: float = math.inf
     _connections: int = 1
+    _was_told: bool = False
 
     def step(self, until_s: float) -> None:
         """Wait until a time, or until something comes; ``time_s`` is the real one then."""
         self.port.advance(until_s)
         self._inbox += [Arrival(time_s, frame) for time_s, frame in self.port.frames()]
-        self.time_s = self.port.now_s
+        now_s = self.port.now_s
+        if now_s < self.time_s - CLOCK_BACK_S and not self._was_told:
+            self._was_told = True  # what disarms the robot afterwards takes the clock as it is
+            raise LinkError(
+                f"this computer's clock went back by {self.time_s - now_s:.1f} s while the robot ran: "
+                "run again, and let nothing set it meanwhile"
+            )
+        self.time_s = now_s
         edges = self.port.edges()
         self.edges += edges
         self.on_step(self.time_s, edges)

@@ -75,11 +75,21 @@ class LiveLog:
             if decided:
                 self._keep_decisions(recording)
         except (OSError, RuntimeError) as error:
-            raise InputError(f"the log {str(self.path)!r} cannot be written on: is the disk full?") from error
+            raise self._full() from error
 
     def close(self) -> None:
-        """End it."""
-        self._file.close()
+        """End it.
+
+        Raises:
+            InputError: the disk is full.
+        """
+        try:
+            self._file.close()
+        except (OSError, RuntimeError) as error:
+            raise self._full() from error
+
+    def _full(self) -> InputError:
+        return InputError(f"the log {str(self.path)!r} cannot be written on: is the disk full?")
 
     def _keep_fixes(self, recording: Recording, told: list[int]) -> None:
         first, self._fixes = self._fixes, len(recording.fixes)

@@ -227,8 +227,11 @@ class Session:
         told = self.meet()
         tables.require_robot(str(told["robot_id"]))
         if told["table_crc"] != tables.crc32:
+            period_s = [int(us) * 1e-6 for us in (told["period_us"], tables.period_us)]
+            of = f" and a period of {period_s[0]:.3f} s, ours {period_s[1]:.3f} s"
             raise LinkError(
-                f"the robot's table has CRC-32 {told['table_crc']:08x}, ours {tables.crc32:08x}: "
+                f"the robot's table has CRC-32 {told['table_crc']:08x}, ours {tables.crc32:08x}"
+                f"{of if period_s[0] != period_s[1] else ''}: "
                 "build the firmware with this table, or send it ('frogkick push')"
             )
         return told

@@ -44,6 +44,10 @@ class RealPort(RobotPort, Protocol):
     def bad(self) -> int:
         """Frames that came damaged so far."""
 
+    @property
+    def gaps(self) -> int:
+        """How often frames from the robot may have been lost so far."""
+
     def forget(self, sequence: int) -> None:
         """Wait no longer for the answer to a command."""
 
@@ -112,6 +116,11 @@ class LabSession(Session):
         """The wire has dropped and come back since this was asked last: events may be missing."""
         before, self._connections = self._connections, self.port.wire.connections
         return self._connections != before
+
+    @property
+    def gaps(self) -> int:
+        """How often something that the robot said may have been lost."""
+        return self.port.gaps
 
     def robot_clock_offset_us(self) -> int:
         """Robot time minus this session's, from the quickest of some answers to STATUS.

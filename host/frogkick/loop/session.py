@@ -195,6 +195,11 @@ class Session:
         """The connection has dropped and come back since this was asked last; never in simulated time."""
         return False
 
+    @property
+    def gaps(self) -> int:
+        """How often something that the robot said may have been lost; 0 in simulated time."""
+        return 0
+
     def robot_clock_offset_us(self) -> int:
         """Robot time minus this session's: 0 in simulated time."""
         return 0

@@ -46,9 +46,9 @@ class Tag:
     """The tag on the robot.
 
     Attributes:
-        family: ``tag36h11``.
+        family: ``tag36h11``, or ``tagStandard41h12`` with the extra ``apriltag``.
         id: number in the family.
-        size_m: side of the black square.
+        size_m: side of tag36h11's black square, of tagStandard41h12's white one (5 of its 9 cells).
         height_m: of the printed face over the water; negative under it.
         refraction_offset_m: by how much it appears raised.
         height_sd_m: standard deviation of its height, as waves and trim make it.

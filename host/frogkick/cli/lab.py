@@ -31,9 +31,22 @@ from frogkick.pool.native_robot import NativeRobot
 from frogkick.robot import Robot
 from frogkick.vision.calibration_file import read_calibration
 from frogkick.vision.sources import open_source
+from frogkick.vision.video import Video
 
 FIRST_FIX_S = 10.0
 STDIN = "stdin"
+
+
+def require_film(video: bool, fixes: str | None, out: Path | None) -> None:
+    """Refuse a video without pictures, or without a place.
+
+    Raises:
+        InputError: --video without the camera of a real robot, or without --out.
+    """
+    if video and (fixes is None or fixes == STDIN):
+        raise InputError("--video keeps a camera's pictures, and none is looked at: give --fixes camera.toml")
+    if video and out is None:
+        raise InputError("--video is kept beside the log: give --out run.h5")
 
 
 def require_bench(robot: str, dialect: str, fixes: str | None, world: Path | None) -> None:
@@ -161,6 +174,7 @@ def run_on_bench(
     sight: Sight,
     logged: Callable[[SwimPath], AbstractContextManager[Callable[[Recording], None]]],
     progress: Callable[[float, int], None],
+    film: Path | None = None,
 ) -> tuple[Recording, SwimPath]:
     """A run with a real robot, and the path as it was placed. Stopped in any way, it disarms the robot first.
 
@@ -171,6 +185,7 @@ def run_on_bench(
         robot, tables, path, options, progress: see ``run_session``.
         sight: fixes, and where the path begins.
         logged: makes, from the path as placed, what keeps the recording while it grows.
+        film: the log beside which the camera's pictures are kept; None: they are not.
 
     Raises:
         WireError: the robot cannot be reached.
@@ -192,6 +207,11 @@ def run_on_bench(
         session.greet(tables)
         for line in [*checked[:-1], f"table: {tables.crc32:08x}, the robot's own", checked[-1]]:
             stderr.print(f"start check: {line}", highlight=False, soft_wrap=True)
+        if film is not None and isinstance(fixes, CameraFixes):
+            video = Video(film, time.monotonic() - session.port.now_s)
+            stack.callback(video.close)
+            stack.callback(fixes.close)  # before the video: its thread writes there
+            fixes.film(video)
         source: FixSource = fixes
         keep = stack.enter_context(logged(path))
         return run_session(session, source, tables, path, options, progress, keep), path

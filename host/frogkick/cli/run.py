@@ -12,7 +12,7 @@ import numpy as np
 import typer
 
 from frogkick.cli.common import JsonOption, SeedOption, progress_bar, require_writable, show, stderr
-from frogkick.cli.lab import Sight, require_bench, run_on_bench
+from frogkick.cli.lab import Sight, require_bench, require_film, run_on_bench
 from frogkick.cli.places import (
     DepthOption,
     PlannerName,
@@ -96,6 +96,9 @@ def run(
     view: Annotated[
         bool, typer.Option("--view", help="Draw the run in the browser; a simulated one in real time.")
     ] = False,
+    video: Annotated[
+        bool, typer.Option("--video", help="Keep the camera's pictures beside --out: .avi, .frames.csv.")
+    ] = False,
     json: JsonOption = False,
 ) -> None:
     """Follow a path: position fixes in, strokes out. Exit 1 if the guard's limits were broken, or robot and
@@ -104,6 +107,7 @@ def run(
     Stopped by Ctrl-C, a real robot is disarmed first.
     """
     require_bench(robot, dialect, fixes, world)
+    require_film(video, fixes, out)
     is_real = is_target(robot)
     if not is_real:
         require_simulated(robot)
@@ -141,7 +145,17 @@ def run(
 
             try:
                 recording, desired = run_on_bench(
-                    robot, dialect, image, described, opened, desired, options, sight, kept, progress
+                    robot,
+                    dialect,
+                    image,
+                    described,
+                    opened,
+                    desired,
+                    options,
+                    sight,
+                    kept,
+                    progress,
+                    out if video else None,
                 )
             except BaseException:
                 if out is not None and part_of(out).exists():

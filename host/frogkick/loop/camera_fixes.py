@@ -14,6 +14,7 @@ from frogkick.pool.camera import Fix
 from frogkick.vision.calibration import Calibration
 from frogkick.vision.sources import Frame
 from frogkick.vision.tracker import Tracker
+from frogkick.vision.video import Video
 
 POLL_S = 0.002
 KEEP_S = 2.0
@@ -52,6 +53,7 @@ class CameraFixes:
         self._stop = threading.Event()
         self._poses: list[tuple[float, tuple[float, float, float]]] = []
         self._error: Exception | None = None
+        self._video: Video | None = None
         self._sequence = 0
         self._looked_s = 0.0
         self._heard_s: float | None = None  # when a live camera gave its last picture
@@ -106,6 +108,10 @@ class CameraFixes:
                 self._sequence = (self._sequence + 1) & 0xFFFF
         return fixes
 
+    def film(self, video: Video) -> None:
+        """Keep each picture from now on; its fix has gone before it is written."""
+        self._video = video
+
     def heat(self, limb: int, start_s: float) -> None:
         """A real limb needs no telling."""
 
@@ -134,6 +140,8 @@ class CameraFixes:
                         pose = (seen.pose.x_m, seen.pose.y_m, seen.pose.heading_rad)
                         self._poses.append((captured_s, pose))
                     self._condition.notify_all()
+                if self._video is not None:
+                    self._video.write(frame.image, captured_s)
         except Exception as error:  # whatever it is, the run has to hear of it and disarm the robot
             with self._condition:
                 self._error = error

@@ -76,6 +76,7 @@ def calibrate(
     ] = 47.0,
     tag_height_mm: Annotated[float, typer.Option(help="Over the water; negative: under it.")] = 0.0,
     tag_height_sd_mm: Annotated[float, typer.Option(help="By how much waves move it.")] = 0.5,
+    tag_tilt_sd_deg: Annotated[float, typer.Option(help="By how much waves and swimming tilt it.")] = 1.15,
     tag_heading_deg: Annotated[
         float, typer.Option(help="Its picture's top, counter-clockwise from the robot's forward.")
     ] = 0.0,
@@ -97,6 +98,7 @@ def calibrate(
         height_m=tag_height_mm / 1e3,
         refraction_offset_m=refraction_offset_m(tag_height_mm / 1e3),
         height_sd_m=tag_height_sd_mm / 1e3,
+        tilt_sd_rad=float(np.deg2rad(tag_tilt_sd_deg)),
         mount_heading_rad=float(np.deg2rad(tag_heading_deg)),
         offset_body_m=_signed_pair(tag_at_mm, "--tag-at-mm", 1e-3),
     )

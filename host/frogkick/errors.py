@@ -13,6 +13,10 @@ class FrogkickError(Exception):
     """
 
 
+class CheckError(FrogkickError):
+    """A check that failed while a command ran; the command line exits with 1."""
+
+
 class InputError(FrogkickError):
     """A file, option or value that cannot be used as given."""
 

@@ -6,6 +6,9 @@ What this cannot show is that Zephyr's own code does as declared; firmware/robot
 from __future__ import annotations
 
 import re
+import shutil
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +17,7 @@ import yaml
 from devicetree import dtlib
 from kconfiglib import Kconfig
 from tests.planner import synthetic
+from west.manifest import ImportFlag, Manifest
 
 from frogkick.files import write_bytes
 from frogkick.robot import load_robot
@@ -121,7 +125,9 @@ def test_the_link_asks_for_an_authenticated_host() -> None:
 @pytest.mark.parametrize("board", BOARDS)
 def test_the_devicetree_cuts_the_flash_and_names_the_limbs(board: str, tmp_path: Path) -> None:
     overlay = ROBOT / "boards" / f"{board}.overlay"
-    text = f'#define GPIO_ACTIVE_HIGH 0\n#include "{DECLARED / "board.dts"}"\n#include "{overlay}"\n'
+    board_name = board.removesuffix("_nrf52832").upper()
+    text = f"#define {board_name}\n#define GPIO_ACTIVE_HIGH 0\n"
+    text += f'#include "{DECLARED / "board.dts"}"\n#include "{overlay}"\n'
     (tmp_path / "all.h").write_text(text)
     zig("host").run(["-E", "-P", "-x", "assembler-with-cpp", "all.h", "-o", "all.dts"], tmp_path)
     tree = dtlib.DT(str(tmp_path / "all.dts"))
@@ -149,6 +155,7 @@ def test_the_devicetree_cuts_the_flash_and_names_the_limbs(board: str, tmp_path:
 def test_lists_and_bindings_name_what_is_there() -> None:
     manifest = yaml.safe_load((ROBOT / "west.yml").read_text())["manifest"]
     (zephyr,) = manifest["projects"]
+    assert manifest["self"]["path"] == "frogkick"
     assert re.fullmatch(r"v\d+\.\d+\.\d+", zephyr["revision"]), "pinned to a release"
     sample = yaml.safe_load((ROBOT / "sample.yaml").read_text())
     boards = {board for test in sample["tests"].values() for board in test["platform_allow"]}
@@ -157,6 +164,21 @@ def test_lists_and_bindings_name_what_is_there() -> None:
     assert binding["compatible"] == "frogkick,limbs"
     listed = (ROBOT / "CMakeLists.txt").read_text()
     assert {f"src/{source.name}" for source in SOURCES} == set(re.findall(r"src/\w+\.c", listed))
+
+
+def test_the_readme_s_west_finds_its_workspace(tmp_path: Path) -> None:
+    """Its lines up to the first that needs a network, with west itself and a copy for the clone."""
+    lines = (ROBOT / "README.md").read_text().split("## Build")[1].split("```")[1].split("\n")
+    (init,) = [line.split(" && ")[0] for line in lines if line.startswith("west init")]
+    (clone,) = [line.split()[-1] for line in lines if line.startswith("git clone")]
+    shutil.copytree(ROBOT, tmp_path / clone / "firmware" / "robot")
+    done = subprocess.run([sys.executable, "-m", *init.split()], cwd=tmp_path, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    west = Manifest.from_topdir(tmp_path, import_flags=ImportFlag.IGNORE)
+    assert west.repo_abspath == str(tmp_path / clone)
+    assert [project.name for project in west.projects] == ["manifest", "zephyr"]
+    build = next(line for line in lines if line.startswith("west build"))
+    assert (tmp_path / build.split(" -- ")[0].split()[-1] / "CMakeLists.txt").is_file()
 
 
 def test_the_core_s_limit_is_the_port_s() -> None:

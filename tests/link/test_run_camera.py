@@ -113,6 +113,8 @@ def test_the_command_takes_a_camera(filmed: Path, tmp_path: Path) -> None:
         )  # fmt: skip
     assert done.returncode == 0, done.stderr
     told = json.loads(done.stdout)
+    checks = [line.split(": ")[1] for line in done.stderr.splitlines() if line.startswith("start check: ")]
+    assert checks == ["position fixes", "path", "table", "battery"], done.stderr
     assert told["ended"] == ENDED["STALE"] and told["decisions"] >= 1
     log = read_run(tmp_path / "run.h5")
     assert log.path is not None

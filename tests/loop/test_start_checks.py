@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from tests.conftest import REPOSITORY
 
 from frogkick.cli.lab import Sight, parse_begin
 from frogkick.errors import InputError
@@ -23,8 +24,21 @@ LINE = Sight("stdin", begin="0.3,0.4,20").placed(shape("line"), (0.0, 0.0, 0.0))
 
 
 def test_a_robot_on_its_path_in_the_pool_may_swim() -> None:
-    check_start(AT_REST, LINE, POOL_M)
-    check_start(AT_REST, LINE, None)
+    assert check_start(AT_REST, LINE, POOL_M) == [
+        "position fixes: 10 in 1 s, at most 0.0 mm apart",
+        "path: inside the pool, 0 mm from the robot",
+        "battery: not measured by this robot (host/FIRST_DAY.md: how to, by hand)",
+    ]
+    assert "not looked at, the pool's size is not known" in check_start(AT_REST, LINE, None)[1]
+
+
+def test_what_the_start_check_says_of_batteries_the_first_day_explains() -> None:
+    """No firmware here has a pin for it: the page has to say how a person does it."""
+    page = (REPOSITORY / "host/FIRST_DAY.md").read_text(encoding="utf-8")
+    assert "battery: not measured by this robot" in page and "11.1 V" in page
+    assert not any(
+        "saadc" in file.read_text("utf-8").lower() for file in (REPOSITORY / "firmware").rglob("*.[ch]")
+    )
 
 
 @pytest.mark.parametrize(

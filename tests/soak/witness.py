@@ -34,7 +34,6 @@ from frogkick.link.frames import Frame, FrameCollector
 from frogkick.link.layout import ANSWER_BIT, link_layout
 from frogkick.pool.native_robot import PAGE_BYTES, CoreCall, NativeRobot
 
-_MOST = 200_000  # things seen in one life: memory that is there, and touched, from the beginning
 _AGAIN_FRAMES = 100  # a frame that comes twice comes within so many
 _NAMES = {message.id: name for name, message in link_layout().messages.items()}
 _HEARD = {"ARM": ARM, "DISARM": DISARM, "STOP": STOP, "START": STARTED}
@@ -50,7 +49,11 @@ class SeenRobot(NativeRobot):
         total: frames heard good, bad and again, by name the good ones; table commands that were done.
         lives: starts so far.
         wraps: times that the robot's clock passed 2**32 us, and 2**32 ms.
+        rows: things seen in one life that there is room for: memory that is there, and touched, from the
+            beginning.
     """
+
+    rows = 200_000
 
     def __init__(self, library: Path, limbs: int, limits: Limits) -> None:
         self.faults: list[str] = []
@@ -59,7 +62,7 @@ class SeenRobot(NativeRobot):
         self.wraps: Counter[str] = Counter()
         self.lives = 1
         self._limits = limits
-        self._rows = np.full(_MOST, 1, SEEN)
+        self._rows = np.full(self.rows, 1, SEEN)
         self._many = 0
         self._latest_us = 0
         self._lows: list[tuple[int, int]] = []

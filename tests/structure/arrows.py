@@ -86,7 +86,7 @@ ARROWS: Mapping[str, frozenset[str]] = {
 WHEELS: Mapping[str, frozenset[str]] = {
     "planner": frozenset({"numpy", "numba"}),
     "paths": frozenset({"numpy", "numba"}),
-    "vision": frozenset({"numpy", "cv2"}),
+    "vision": frozenset({"numpy", "cv2", "pupil_apriltags"}),
     "link": frozenset({"cobs", "serial", "bleak"}),
     "errors": frozenset(),
     "files": frozenset(),

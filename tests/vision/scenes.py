@@ -19,7 +19,7 @@ def scene(**conditions: float) -> Scene:
 
 def calibration(of: Scene, **tag: float) -> Calibration:
     """What ``camera calibrate`` makes of the four corners and the camera's height."""
-    described = Tag(id=of.tag_id, size_m=of.tag_size_m, height_m=of.tag_height_m, **tag)  # type: ignore[arg-type]
+    described = Tag(family=of.family, id=of.tag_id, size_m=of.tag_size_m, height_m=of.tag_height_m, **tag)  # type: ignore[arg-type]
     height = float(of.view.place_m[2])
     return calibrate_corners(of.corners_px(), of.pool_m, of.view.image_px, described, 0.0, height)
 

@@ -67,10 +67,16 @@ def calibrate(
         str,
         typer.Option(help="Its first inner corner in the pool, m; its rows along the pool.", metavar="X,Y"),
     ] = "0,0",
-    tag_id: Annotated[int, typer.Option(help="Number of the tag36h11.")] = 0,
-    tag_size_mm: Annotated[float, typer.Option(help="Side of its black square.")] = 47.0,
+    tag_family: Annotated[
+        str, typer.Option(help="tag36h11, or tagStandard41h12 (with the extra 'apriltag').")
+    ] = "tag36h11",
+    tag_id: Annotated[int, typer.Option(help="Number of the tag in its family.")] = 0,
+    tag_size_mm: Annotated[
+        float, typer.Option(help="Side of tag36h11's black, of tagStandard41h12's white square.")
+    ] = 47.0,
     tag_height_mm: Annotated[float, typer.Option(help="Over the water; negative: under it.")] = 0.0,
     tag_height_sd_mm: Annotated[float, typer.Option(help="By how much waves move it.")] = 0.5,
+    tag_tilt_sd_deg: Annotated[float, typer.Option(help="By how much waves and swimming tilt it.")] = 1.15,
     tag_heading_deg: Annotated[
         float, typer.Option(help="Its picture's top, counter-clockwise from the robot's forward.")
     ] = 0.0,
@@ -86,11 +92,13 @@ def calibrate(
             "give the pool's corners (--corners) or a picture of the board (--plane-picture), one"
         )
     tag = Tag(
+        family=tag_family,
         id=tag_id,
         size_m=tag_size_mm / 1e3,
         height_m=tag_height_mm / 1e3,
         refraction_offset_m=refraction_offset_m(tag_height_mm / 1e3),
         height_sd_m=tag_height_sd_mm / 1e3,
+        tilt_sd_rad=float(np.deg2rad(tag_tilt_sd_deg)),
         mount_heading_rad=float(np.deg2rad(tag_heading_deg)),
         offset_body_m=_signed_pair(tag_at_mm, "--tag-at-mm", 1e-3),
     )

@@ -6,10 +6,10 @@ import json
 import math
 import os
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Protocol
 
 import numpy as np
 import typer
@@ -99,18 +99,25 @@ def share_out(workers: int, cluster: str | None) -> int:
     return workers or os.cpu_count() or 1
 
 
+class Tell(Protocol):
+    """What shows progress."""
+
+    def __call__(self, done: int, whole: int, /, note: str = "") -> None:
+        """So much is done, and a word on how it goes."""
+
+
 @contextmanager
-def progress_bar(title: str) -> Iterator[Callable[[int, int], None]]:
+def progress_bar(title: str) -> Iterator[Tell]:
     """A bar on stderr; yields a function of (done, all). Without a terminal: a line at each tenth."""
     if not sys.stderr.isatty():
         told = -1
 
-        def tell(done: int, whole: int) -> None:
+        def tell(done: int, whole: int, /, note: str = "") -> None:
             nonlocal told
             tenth = 10 * done // max(whole, 1)
             if tenth > told:
                 told = tenth
-                print(f"{title}: {done}/{whole}", file=sys.stderr, flush=True)
+                print(f"{title}: {done}/{whole}{note and f', {note}'}", file=sys.stderr, flush=True)
 
         yield tell
         return
@@ -123,4 +130,8 @@ def progress_bar(title: str) -> Iterator[Callable[[int, int], None]]:
     )
     with Progress(*columns, console=stderr, transient=False) as bar:
         task = bar.add_task(title, total=None)
-        yield lambda done, whole: bar.update(task, completed=done, total=whole)
+
+        def update(done: int, whole: int, /, note: str = "") -> None:
+            bar.update(task, completed=done, total=whole, description=f"{title}{note and f', {note}'}")
+
+        yield update

@@ -70,6 +70,7 @@ def doctor(json: JsonOption = False) -> None:
     optional = [
         package("distributed", "--cluster", "cluster"),
         package("mcap_protobuf", "export --mcap", "mcap"),
+        package("pupil_apriltags", "tags of the family tagStandard41h12", "apriltag"),
         _program("arm-none-eabi-gcc", "extra checks", "apt install gcc-arm-none-eabi"),
         _program("qemu-system-arm", "extra checks", "apt install qemu-system-arm"),
         _program("cppcheck", "extra checks", "apt install cppcheck"),

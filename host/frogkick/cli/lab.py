@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
+from frogkick.cli.common import stderr
 from frogkick.cli.places import built_firmware
 from frogkick.errors import InputError, nearest_name
 from frogkick.link.frames import DELIMITER
@@ -20,6 +21,7 @@ from frogkick.link.text_dialect import pulse_line, require_dialect
 from frogkick.link.wire import Wire, is_target, parse_target
 from frogkick.loop.camera_fixes import CameraFixes
 from frogkick.loop.closed_loop import FixSource, Recording, RunOptions, run_session
+from frogkick.loop.in_time import warm_up
 from frogkick.loop.lab_session import LabSession, lab_session, stops_are_interrupts
 from frogkick.loop.line_fixes import LineFixes
 from frogkick.loop.start_checks import check_start, look
@@ -30,9 +32,22 @@ from frogkick.pool.native_robot import NativeRobot
 from frogkick.robot import Robot
 from frogkick.vision.calibration_file import read_calibration
 from frogkick.vision.sources import open_source
+from frogkick.vision.video import Video
 
 FIRST_FIX_S = 10.0
 STDIN = "stdin"
+
+
+def require_film(video: bool, fixes: str | None, out: Path | None) -> None:
+    """Refuse a video without pictures, or without a place.
+
+    Raises:
+        InputError: --video without the camera of a real robot, or without --out.
+    """
+    if video and (fixes is None or fixes == STDIN):
+        raise InputError("--video keeps a camera's pictures, and none is looked at: give --fixes camera.toml")
+    if video and out is None:
+        raise InputError("--video is kept beside the log: give --out run.h5")
 
 
 def require_bench(robot: str, dialect: str, fixes: str | None, world: Path | None) -> None:
@@ -160,6 +175,7 @@ def run_on_bench(
     sight: Sight,
     logged: Callable[[SwimPath], AbstractContextManager[Callable[[Recording], None]]],
     progress: Callable[[float, int], None],
+    film: Path | None = None,
 ) -> tuple[Recording, SwimPath]:
     """A run with a real robot, and the path as it was placed. Stopped in any way, it disarms the robot first.
 
@@ -170,6 +186,7 @@ def run_on_bench(
         robot, tables, path, options, progress: see ``run_session``.
         sight: fixes, and where the path begins.
         logged: makes, from the path as placed, what keeps the recording while it grows.
+        film: the log beside which the camera's pictures are kept; None: they are not.
 
     Raises:
         WireError: the robot cannot be reached.
@@ -180,14 +197,24 @@ def run_on_bench(
     greeting = DELIMITER if dialect == "frogkick" else pulse_line(tables.pulse_us)
     with ExitStack() as stack:
         stack.enter_context(stops_are_interrupts())
+        if options.check is not None or not options.onboard:
+            warm_up(tables, path, options.config)
         fixes, pool_m = stack.enter_context(sight.opened())
         fixes.wait_first(FIRST_FIX_S)
         seen = look(fixes, time.monotonic, time.sleep)
         if seen:
             path = sight.placed(path, [float(value) for value in seen[-1].pose_world])
-        check_start(seen, path, pool_m)
+        checked = check_start(seen, path, pool_m)
         wire = stack.enter_context(opened(target, greeting))
         session = stack.enter_context(session_with(wire, dialect, image, robot))
+        session.greet(tables)
+        for line in [*checked[:-1], f"table: {tables.crc32:08x}, the robot's own", checked[-1]]:
+            stderr.print(f"start check: {line}", highlight=False, soft_wrap=True)
+        if film is not None and isinstance(fixes, CameraFixes):
+            video = Video(film, time.monotonic() - session.port.now_s)
+            stack.callback(video.close)
+            stack.callback(fixes.close)  # before the video: its thread writes there
+            fixes.film(video)
         source: FixSource = fixes
         keep = stack.enter_context(logged(path))
         return run_session(session, source, tables, path, options, progress, keep), path

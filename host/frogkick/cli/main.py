@@ -8,8 +8,9 @@ from __future__ import annotations
 import os
 import sys
 
-from frogkick.errors import FrogkickError
+from frogkick.errors import CheckError, FrogkickError
 
+CHECK_FAILED = 1
 BAD_INPUT = 2
 INTERRUPTED = 130
 
@@ -29,6 +30,9 @@ def run_command(arguments: list[str] | None = None) -> int:
         # Whoever read stdout has enough (head, less); the interpreter would complain again at its end.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
+    except CheckError as error:
+        _complain(str(error))
+        return CHECK_FAILED
     except FrogkickError as error:
         _complain(str(error))
     except UnicodeError as error:

@@ -61,6 +61,19 @@ def show_robot(
     show(facts, json, _text(described, rods))
 
 
+@app.command("frames")
+def draw_frames(
+    out: Annotated[Path, typer.Option(help="Picture to write (.png, .svg or .pdf).")],
+    json: JsonOption = False,
+) -> None:
+    """Draw the frames and units that files, options and logs speak in: pool, robot, tag, heights."""
+    require_writable(out)
+    from frogkick.report.frames_figure import UNITS, write_frames_figure
+
+    write_frames_figure(out)
+    show({"out": str(out), "units": {what: unit for what, unit, _ in UNITS}}, json)
+
+
 def _limb_names(robot: Robot, mask: int) -> list[str]:
     return [limb.name for i, limb in enumerate(robot.limbs) if mask >> i & 1]
 

@@ -12,7 +12,7 @@ import numpy as np
 import typer
 
 from frogkick.cli.common import JsonOption, SeedOption, progress_bar, require_writable, show, stderr
-from frogkick.cli.lab import Sight, require_bench, run_on_bench
+from frogkick.cli.lab import Sight, require_bench, require_film, run_on_bench
 from frogkick.cli.places import (
     DepthOption,
     PlannerName,
@@ -30,6 +30,7 @@ from frogkick.cli.viewing import viewed
 from frogkick.effects import World, read_world
 from frogkick.link.wire import is_target
 from frogkick.loop.closed_loop import Recording, RunOptions, require_time, run_in_pool
+from frogkick.loop.live_check import LiveCheck
 from frogkick.loop.live_log import logged, part_of
 from frogkick.loop.record import run_log, tracking_of_recording
 from frogkick.loop.runlog_file import write_run
@@ -48,6 +49,7 @@ class PlanWhere(enum.StrEnum):
 
     onboard = "onboard"
     host = "host"
+    both = "both"
 
 
 def run(
@@ -57,7 +59,10 @@ def run(
             help="virtual: firmware on the virtual chip; pool: the core here; real: ble:NAME, serial:PORT."
         ),
     ] = "virtual",
-    plan: Annotated[PlanWhere, typer.Option(help="Who decides: the robot or the host.")] = PlanWhere.onboard,
+    plan: Annotated[
+        PlanWhere,
+        typer.Option(help="Who decides: the robot, the host, or the robot checked live by the host."),
+    ] = PlanWhere.onboard,
     path: Annotated[
         str, typer.Option(help="line, sine, ellipse, circle, bends, eight, or CSV file")
     ] = "line",
@@ -91,13 +96,18 @@ def run(
     view: Annotated[
         bool, typer.Option("--view", help="Draw the run in the browser; a simulated one in real time.")
     ] = False,
+    video: Annotated[
+        bool, typer.Option("--video", help="Keep the camera's pictures beside --out: .avi, .frames.csv.")
+    ] = False,
     json: JsonOption = False,
 ) -> None:
-    """Follow a path: position fixes in, strokes out. Exit 1 if the guard's limits were broken.
+    """Follow a path: position fixes in, strokes out. Exit 1 if the guard's limits were broken, or robot and
+    host decide differently (--plan both).
 
     Stopped by Ctrl-C, a real robot is disarmed first.
     """
     require_bench(robot, dialect, fixes, world)
+    require_film(video, fixes, out)
     is_real = is_target(robot)
     if not is_real:
         require_simulated(robot)
@@ -108,14 +118,16 @@ def run(
     image = table_image(tables, model)
     described = robot_of_table(image, model)
     opened = read_image(image)
-    options = RunOptions(plan_config(described, planner, depth), plan is PlanWhere.onboard, simulated_time)
+    check = LiveCheck() if plan is PlanWhere.both else None
+    config = plan_config(described, planner, depth)
+    options = RunOptions(config, plan is not PlanWhere.host, simulated_time, check)
     name = f"run --robot {robot.replace('/', ' ').replace(chr(92), ' ')} --plan {plan.value}"
     pool = None
     with ExitStack() as stack:
         bar = stack.enter_context(progress_bar(f"{desired.name}: path points"))
 
         def progress(_time_s: float, index: int) -> None:
-            bar(index + 1, len(desired))
+            bar(index + 1, len(desired), "" if check is None else check.said)
 
         if is_real:
             sight = Sight(str(fixes), source, begin)
@@ -133,7 +145,17 @@ def run(
 
             try:
                 recording, desired = run_on_bench(
-                    robot, dialect, image, described, opened, desired, options, sight, kept, progress
+                    robot,
+                    dialect,
+                    image,
+                    described,
+                    opened,
+                    desired,
+                    options,
+                    sight,
+                    kept,
+                    progress,
+                    out if video else None,
                 )
             except BaseException:
                 if out is not None and part_of(out).exists():
@@ -149,7 +171,8 @@ def run(
         known_seed = None if is_real else seed
         write_run(out, run_log(recording, pool, described, opened, desired, options, known_seed, name))
         part_of(out).unlink(missing_ok=True)
-    show({**tracked.as_json(), "ended": recording.ended}, json)
+    checked = {} if check is None else check.as_json()
+    show({**tracked.as_json(), **checked, "ended": recording.ended}, json)
     if tracked.limit_violations:
         raise typer.Exit(1)
 

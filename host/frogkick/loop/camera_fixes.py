@@ -14,9 +14,12 @@ from frogkick.pool.camera import Fix
 from frogkick.vision.calibration import Calibration
 from frogkick.vision.sources import Frame
 from frogkick.vision.tracker import Tracker
+from frogkick.vision.video import Video
 
 POLL_S = 0.002
 KEEP_S = 2.0
+STALL_S = 1.0
+"""Without a picture of a live camera: its driver hangs, and does not say so."""
 
 
 class CameraFixes:
@@ -50,8 +53,10 @@ class CameraFixes:
         self._stop = threading.Event()
         self._poses: list[tuple[float, tuple[float, float, float]]] = []
         self._error: Exception | None = None
+        self._video: Video | None = None
         self._sequence = 0
         self._looked_s = 0.0
+        self._heard_s: float | None = None  # when a live camera gave its last picture
         self._thread = threading.Thread(target=self._look, name=name, daemon=True)
         self._thread.start()
 
@@ -81,14 +86,19 @@ class CameraFixes:
         """Fixes that came since the last call; those older than 2 s are left out.
 
         Raises:
-            InputError: the camera failed: unplugged, frozen, of another size than its calibration.
+            InputError: the camera failed: unplugged, frozen, hanging, of another size than its calibration.
         """
         self._looked_s = until_s
         with self._condition:
             if self._error is not None:
                 raise self._error
             taken, self._poses = self._poses, []
-        now_s = self._clock()
+            heard_s, now_s = self._heard_s, self._clock()
+        if heard_s is not None and now_s - heard_s > STALL_S:
+            raise InputError(
+                f"{self._name} has given no picture for {now_s - heard_s:.1f} s: plug it in "
+                "again, or choose a lower rate or another port"
+            )
         fixes = []
         for captured_s, pose in taken:
             age_s = now_s - captured_s
@@ -97,6 +107,10 @@ class CameraFixes:
                 fixes.append(Fix(self._sequence, until_s - age_s, until_s, told))
                 self._sequence = (self._sequence + 1) & 0xFFFF
         return fixes
+
+    def film(self, video: Video) -> None:
+        """Keep each picture from now on; its fix has gone before it is written."""
+        self._video = video
 
     def heat(self, limb: int, start_s: float) -> None:
         """A real limb needs no telling."""
@@ -117,6 +131,8 @@ class CameraFixes:
                     self._stop.wait(max(0.0, captured_s - self._clock()))
                 if self._stop.is_set():
                     return
+                with self._condition:
+                    self._heard_s = self._clock() if frame.live else None
                 seen = self._tracker.observe(frame.image, captured_s)
                 with self._condition:
                     self.reasons[seen.reason] += 1
@@ -124,11 +140,15 @@ class CameraFixes:
                         pose = (seen.pose.x_m, seen.pose.y_m, seen.pose.heading_rad)
                         self._poses.append((captured_s, pose))
                     self._condition.notify_all()
+                if self._video is not None:
+                    self._video.write(frame.image, captured_s)
         except Exception as error:  # whatever it is, the run has to hear of it and disarm the robot
             with self._condition:
                 self._error = error
                 self._condition.notify_all()
         finally:
+            with self._condition:
+                self._heard_s = None  # the end of the pictures is told otherwise
             close = getattr(self._frames, "close", None)
             if close is not None:
                 close()

@@ -19,6 +19,7 @@ from frogkick.loop.decision import (
     decision_of_event,
     events_of_frame,
 )
+from frogkick.loop.live_check import LiveCheck
 from frogkick.loop.session import LinkError, Session
 from frogkick.paths import Path
 from frogkick.planner import kernel
@@ -101,11 +102,13 @@ class RunOptions:
         config: cost weights and depth of the planner.
         onboard: True = the robot's planner decides, False = the twin on the host does.
         time_limit_s: pool time after which the run is stopped.
+        check: compares the robot's decisions with the host's while they are made; None: nobody does.
     """
 
     config: PlanConfig
     onboard: bool = True
     time_limit_s: float = 120.0
+    check: LiveCheck | None = None
 
 
 def robot_plan_config(robot: Robot) -> PlanConfig:
@@ -183,11 +186,13 @@ def run_session(
     Raises:
         InputError: the time limit is not a finite number above 0.
         LinkError: the robot refuses or does not answer.
+        CheckError: ``options.check`` found a decision that the host makes otherwise.
     """
     require_time(options.time_limit_s)
     run = _Run(session, source, tables, path, options, progress, keep)
     try:
-        return run.go()
+        with session.in_time():
+            return run.go()
     except BaseException as error:
         if run.may_be_armed and not session.make_safe():
             said = str(error) or "interrupted"
@@ -218,12 +223,15 @@ class _Run:
         session.on_step = self._source_step
         self.twin = DecisionTwin(tables, path, options.config)
         self._awaited: dict[int, int] = {}
+        self._too_late = 0
 
     def go(self) -> Recording:
         session, options = self.session, self.options
         session.greet(self.tables)
         self.recording.clock_offset_us = session.robot_clock_offset_us()
         session.set_parameters(parameters(options.config))
+        if options.check is not None:
+            options.check.begin(self.tables, self.path, options.config)
         session.send_path(self.path)
         self.may_be_armed = True
         session.request("ARM")
@@ -303,24 +311,41 @@ class _Run:
 
     def _note(self, frame: Frame) -> None:
         recording, values = self.recording, frame.values
+        if frame.name == "FIX" and frame.sequence not in self._awaited:
+            self._too_late += 1  # its number has been given again meanwhile: nobody knows which fix it was
+            return
         poses = {key: recording.fixes[row].pose_world for key, row in self._awaited.items()}
-        recording.events += events_of_frame(frame, poses)
+        events = events_of_frame(frame, poses)
+        recording.events += events
+        decision = decision_of_event(values) if frame.name == "DECISION" else None
+        if self.options.check is not None:
+            self.options.check.meet(events, decision, self.session.gaps + self._too_late)
         if frame.name == "FIX":
             row = self._awaited.pop(frame.sequence)
             recording.fix_status[row] = int(values["status"])
             if values["status"] == 0:
                 recording.capture_us[row] = int(values["capture_us"])
+            elif values["status"] == link_layout().status["FAULT"]:
+                self._fail()
         elif frame.name == "REFUSED":
             if not self.options.onboard:
                 self.twin.act(int(values["begin_us"]) - recording.clock_offset_us, RESTING)
-        elif frame.name == "DECISION":
-            decision = decision_of_event(values)
+        elif decision is not None:
             recording.decisions.append(decision)
             self.progress(self.session.time_s, decision.path_index)
         elif frame.name == "ENDED":
             recording.completed = values["status"] == 0
             name = link_layout().status_name(int(values["status"]))
             recording.ended = ENDED.get(name, name)
+
+    def _fail(self) -> None:
+        """The robot is in FAULT: nothing goes on, whatever is sent."""
+        told, names = self.session.request("STATUS"), link_layout().fault
+        name = next((name for name, number in names.items() if number == told["fault"]), "of a kind unknown")
+        raise LinkError(
+            f"the robot met the internal error {name} ({told['fault_detail']}) and has switched its outputs "
+            "off: 'frogkick log fetch' tells what led to it, then switch it off and on"
+        )
 
     def _source_step(self, until_s: float, edges: Sequence[Edge]) -> None:
         """The source lives through a step of the robot; fixes that arrive go straight to the robot."""

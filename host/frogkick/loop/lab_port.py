@@ -43,7 +43,7 @@ class LabPort:
         self._clock = clock
         self._begin_s = clock()
         self._collector = FrameCollector()
-        self._connection = wire.connections
+        self._first_connection = wire.connections
         self._commands: list[_Command] = []
         self._frames: list[tuple[float, Frame]] = []
 
@@ -56,6 +56,11 @@ class LabPort:
     def bad(self) -> int:
         """Frames that came damaged so far."""
         return self._collector.bad
+
+    @property
+    def gaps(self) -> int:
+        """Frames that came damaged, and drops of the connection, so far."""
+        return self.bad + self.wire.connections - self._first_connection
 
     def send(self, encoded: bytes, at_s: float) -> None:
         """Send a frame now; ``at_s`` is for robots in simulated time."""

@@ -7,7 +7,7 @@ import secrets
 import signal
 import threading
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, field
 from types import FrameType
 from typing import Any, Protocol
@@ -15,6 +15,7 @@ from typing import Any, Protocol
 from frogkick.link.frames import hello
 from frogkick.link.layout import Value
 from frogkick.link.wire import Wire
+from frogkick.loop.in_time import in_time
 from frogkick.loop.lab_port import LabPort
 from frogkick.loop.session import ANSWER_TIMEOUT_S, STEP_S, Arrival, Asked, LinkError, Session
 from frogkick.pool.port import RobotPort
@@ -24,6 +25,8 @@ ANSWER_S = 2.0
 HELLO_TIMES = 2
 CLOCK_ASKED = 5
 SAFE_S = 5.0
+CLOCK_BACK_S = 0.01
+"""No monotonic clock does so; one that does leaves a robot armed that nobody looks after."""
 
 
 def _new_conversation() -> int:
@@ -44,6 +47,10 @@ class RealPort(RobotPort, Protocol):
     def bad(self) -> int:
         """Frames that came damaged so far."""
 
+    @property
+    def gaps(self) -> int:
+        """How often frames from the robot may have been lost so far."""
+
     def forget(self, sequence: int) -> None:
         """Wait no longer for the answer to a command."""
 
@@ -61,12 +68,20 @@ class LabSession(Session):
     conversation: int = field(default_factory=_new_conversation)
     patience_s: float = math.inf
     _connections: int = 1
+    _was_told: bool = False
 
     def step(self, until_s: float) -> None:
         """Wait until a time, or until something comes; ``time_s`` is the real one then."""
         self.port.advance(until_s)
         self._inbox += [Arrival(time_s, frame) for time_s, frame in self.port.frames()]
-        self.time_s = self.port.now_s
+        now_s = self.port.now_s
+        if now_s < self.time_s - CLOCK_BACK_S and not self._was_told:
+            self._was_told = True  # what disarms the robot afterwards takes the clock as it is
+            raise LinkError(
+                f"this computer's clock went back by {self.time_s - now_s:.1f} s while the robot ran: "
+                "run again, and let nothing set it meanwhile"
+            )
+        self.time_s = now_s
         edges = self.port.edges()
         self.edges += edges
         self.on_step(self.time_s, edges)
@@ -112,6 +127,15 @@ class LabSession(Session):
         """The wire has dropped and come back since this was asked last: events may be missing."""
         before, self._connections = self._connections, self.port.wire.connections
         return self._connections != before
+
+    def in_time(self) -> AbstractContextManager[None]:
+        """Nothing in this program holds the run up for long meanwhile."""
+        return in_time()
+
+    @property
+    def gaps(self) -> int:
+        """How often something that the robot said may have been lost."""
+        return self.port.gaps
 
     def robot_clock_offset_us(self) -> int:
         """Robot time minus this session's, from the quickest of some answers to STATUS.

@@ -5,7 +5,7 @@ from __future__ import annotations
 import signal
 import threading
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass, field
 
 from frogkick.errors import FrogkickError
@@ -195,6 +195,15 @@ class Session:
         """The connection has dropped and come back since this was asked last; never in simulated time."""
         return False
 
+    def in_time(self) -> AbstractContextManager[None]:
+        """What a run goes on in; in simulated time nothing hurries."""
+        return nullcontext()
+
+    @property
+    def gaps(self) -> int:
+        """How often something that the robot said may have been lost; 0 in simulated time."""
+        return 0
+
     def robot_clock_offset_us(self) -> int:
         """Robot time minus this session's: 0 in simulated time."""
         return 0
@@ -222,8 +231,11 @@ class Session:
         told = self.meet()
         tables.require_robot(str(told["robot_id"]))
         if told["table_crc"] != tables.crc32:
+            period_s = [int(us) * 1e-6 for us in (told["period_us"], tables.period_us)]
+            of = f" and a period of {period_s[0]:.3f} s, ours {period_s[1]:.3f} s"
             raise LinkError(
-                f"the robot's table has CRC-32 {told['table_crc']:08x}, ours {tables.crc32:08x}: "
+                f"the robot's table has CRC-32 {told['table_crc']:08x}, ours {tables.crc32:08x}"
+                f"{of if period_s[0] != period_s[1] else ''}: "
                 "build the firmware with this table, or send it ('frogkick push')"
             )
         return told

@@ -1,4 +1,7 @@
-"""What is looked at before a real robot is armed: is it seen well, is it in the pool, is its path."""
+"""What is looked at before a real robot is armed: is it seen well, is it in the pool, is its path.
+
+No pin of the robot measures its batteries (by hand: host/FIRST_DAY.md), and that is said each time.
+"""
 
 from __future__ import annotations
 
@@ -25,6 +28,9 @@ WALL_M = 0.05
 """A path keeps so far from the walls: half a robot."""
 
 
+BATTERY = "battery: not measured by this robot (host/FIRST_DAY.md: how to, by hand)"
+
+
 def look(source: FixSource, clock: Callable[[], float], wait: Callable[[float], None]) -> list[Fix]:
     """Fixes of a second or so, before anything moves."""
     seen: list[Fix] = []
@@ -35,13 +41,16 @@ def look(source: FixSource, clock: Callable[[], float], wait: Callable[[float], 
     return seen
 
 
-def check_start(fixes: Sequence[Fix], path: Path, pool_m: tuple[float, float] | None) -> None:
+def check_start(fixes: Sequence[Fix], path: Path, pool_m: tuple[float, float] | None) -> list[str]:
     """Refuse to begin where a run can only fail.
 
     Args:
         fixes: of about a second, the robot at rest.
         path: to swim, in the fixes' frame.
         pool_m: length and width, origin in a corner; None where nobody knows them.
+
+    Returns:
+        What was looked at, a line each, with what was not.
 
     Raises:
         InputError: too few fixes, fixes that jump, a path outside the pool, a robot far from its path.
@@ -72,3 +81,9 @@ def check_start(fixes: Sequence[Fix], path: Path, pool_m: tuple[float, float] | 
             f"the robot is {far_m:.2f} m from its path, {START_MOST_M:g} are allowed: put it there, or give "
             "--begin here"
         )
+    inside = "not looked at, the pool's size is not known" if pool_m is None else "inside the pool"
+    return [
+        f"position fixes: {len(fixes)} in {LOOK_S:g} s, at most {1e3 * apart_m.max():.1f} mm apart",
+        f"path: {inside}, {1e3 * far_m:.0f} mm from the robot",
+        BATTERY,
+    ]

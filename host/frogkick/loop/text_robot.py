@@ -30,6 +30,8 @@ class TextRobot:
     """
 
     bad = 0
+    gaps = 0
+    """The core runs here: nothing that it says is lost."""
 
     def __init__(
         self, wire: Wire, core: NativeRobot, robot: Robot, clock: Callable[[], float] = time.monotonic

@@ -46,12 +46,13 @@ class Tag:
     """The tag on the robot.
 
     Attributes:
-        family: ``tag36h11``.
+        family: ``tag36h11``, or ``tagStandard41h12`` with the extra ``apriltag``.
         id: number in the family.
-        size_m: side of the black square.
+        size_m: side of tag36h11's black square, of tagStandard41h12's white one (5 of its 9 cells).
         height_m: of the printed face over the water; negative under it.
         refraction_offset_m: by how much it appears raised.
         height_sd_m: standard deviation of its height, as waves and trim make it.
+        tilt_sd_rad: standard deviation of its slopes along x and y, as waves and swimming make them.
         mount_heading_rad: the picture's top, counter-clockwise from the robot's forward.
         offset_body_m: the tag's centre in the body frame, x forward, y left.
     """
@@ -62,6 +63,7 @@ class Tag:
     height_m: float = 0.0
     refraction_offset_m: float = 0.0
     height_sd_m: float = 0.0005
+    tilt_sd_rad: float = 0.02
     mount_heading_rad: float = 0.0
     offset_body_m: tuple[float, float] = (0.0, 0.0)
 
@@ -72,6 +74,7 @@ class Tag:
             "height_m": (self.height_m, -1.0, 1.0),
             "refraction_offset_m": (self.refraction_offset_m, 0.0, 0.5),
             "height_sd_m": (self.height_sd_m, 0.0, 0.1),
+            "tilt_sd_rad": (self.tilt_sd_rad, 0.0, 0.3),
             "mount_heading_rad": (self.mount_heading_rad, -2 * np.pi, 2 * np.pi),
         }
         for name, (value, low, high) in limits.items():

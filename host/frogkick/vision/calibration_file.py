@@ -21,7 +21,7 @@ KEYS: dict[str, tuple[set[str], set[str]]] = {
     "camera": (set(), {"place_m", "matrix_px", "distortion"}),
     "tag": (
         {"family", "id", "size_m", "height_m", "refraction_offset_m"},
-        {"height_sd_m", "mount_heading_rad", "offset_body_m"},
+        {"height_sd_m", "tilt_sd_rad", "mount_heading_rad", "offset_body_m"},
     ),
     "made": ({"method", "points", "rms_px"}, set()),
 }
@@ -62,7 +62,8 @@ def calibration_text(c: Calibration) -> str:
     lines += [
         "[tag]", f'family = "{tag.family}"', f"id = {tag.id}", f"size_m = {_number(tag.size_m)}",
         f"height_m = {_number(tag.height_m)}", f"refraction_offset_m = {_number(tag.refraction_offset_m)}",
-        f"height_sd_m = {_number(tag.height_sd_m)}", f"mount_heading_rad = {_number(tag.mount_heading_rad)}",
+        f"height_sd_m = {_number(tag.height_sd_m)}", f"tilt_sd_rad = {_number(tag.tilt_sd_rad)}",
+        f"mount_heading_rad = {_number(tag.mount_heading_rad)}",
         f"offset_body_m = {_row(np.array(tag.offset_body_m))}",
         "[made]", f'method = "{c.method}"', f"points = {c.points}", f"rms_px = {_number(c.rms_px)}",
     ]  # fmt: skip
@@ -138,7 +139,8 @@ def _made(whole: dict[str, Any]) -> Calibration:
         Tag(
             str(tag["family"]), int(tag["id"]), float(tag["size_m"]), float(tag["height_m"]),
             float(tag["refraction_offset_m"]), float(tag.get("height_sd_m", Tag.height_sd_m)),
-            float(tag.get("mount_heading_rad", 0.0)), (float(x), float(y)),
+            float(tag.get("tilt_sd_rad", Tag.tilt_sd_rad)), float(tag.get("mount_heading_rad", 0.0)),
+            (float(x), float(y)),
         ),
         str(made["method"]), int(made["points"]), float(made["rms_px"]),
     )  # fmt: skip

@@ -2,6 +2,10 @@
 
 The tag is a flat square at a known height, so that eight coordinates tell four numbers, its size among them:
 the other four say whether it is a square at all, and the size whether it is the tag that was printed.
+
+Water tilts it. Seen from aside, a slope of the tag shears its picture, which would turn it: at half a metre
+beside a camera 1 m above, 0.02 rad of slope are half a degree of heading. The same shear shows in how far the
+picture is from a square, so that the two slopes, of which calm water is the more likely, are found with it.
 """
 
 from __future__ import annotations
@@ -73,7 +77,7 @@ def solve_pose(
     if np.hypot(along, across) <= np.hypot(turned, mirrored):
         return None
     state = np.array([*on_pool.mean(axis=0), np.arctan2(across, along), tag.size_m])
-    weight = np.linalg.inv(covariance_px2 + FLOOR_PX**2 * np.eye(8))
+    weight = np.asarray(np.linalg.inv(covariance_px2 + FLOOR_PX**2 * np.eye(8)), dtype=np.float64)
     for _ in range(4):
         expected = _corners(calibration, square, state)
         jacobian = np.empty((8, 4))
@@ -86,7 +90,11 @@ def solve_pose(
         if not np.isfinite(state).all():
             return None
     left = seen_px.ravel() - _corners(calibration, square, state)
-    covariance = np.linalg.inv(information)[:3, :3] * max(1.0, float(left @ weight @ left) / 4.0)
+    misfit_px = float(np.sqrt(np.mean(left**2) * 2))
+    found = _with_slopes(calibration, square, state, seen_px, weight)
+    if found is None:
+        return None
+    state, covariance = found
     if calibration.camera_m is not None:
         # A tag that is higher than stated is seen further from the camera's foot.
         above = calibration.camera_m[2] - tag.apparent_height_m
@@ -104,15 +112,55 @@ def solve_pose(
         lever @ covariance @ lever.T,
         capture_s,
         float(state[3]),
-        float(np.sqrt(np.mean(left**2) * 2)),
+        misfit_px,
     )
 
 
+def _with_slopes(
+    calibration: Calibration, square: Array, flat: Array, seen_px: Array, weight: Array
+) -> tuple[Array, Array] | None:
+    """(4,) state and (3, 3) covariance with the tag's two slopes unknown; None where there are none.
+
+    Args:
+        calibration: its camera's place tells how slopes show; where it is not known, they are taken as 0.
+        square: the printed corners.
+        flat: (4,) state of the flat square.
+        seen_px: (4, 2) undistorted.
+        weight: (8, 8).
+    """
+    sloped = calibration.camera_m is not None and calibration.tag.tilt_sd_rad > 0.0
+    state = np.concatenate([flat, np.zeros(2 if sloped else 0)])
+    prior = np.zeros(len(state))
+    prior[4:] = 1.0 / max(calibration.tag.tilt_sd_rad, 1e-9) ** 2
+    for _ in range(2):
+        expected = _corners(calibration, square, state)
+        jacobian = np.empty((8, len(state)))
+        for k, step in enumerate((1e-4, 1e-4, 1e-3, 1e-4, 1e-3, 1e-3)[: len(state)]):
+            moved = state.copy()
+            moved[k] += step
+            jacobian[:, k] = (_corners(calibration, square, moved) - expected) / step
+        information = jacobian.T @ weight @ jacobian + np.diag(prior)
+        gradient = jacobian.T @ weight @ (seen_px.ravel() - expected) - prior * state
+        state = state + np.linalg.solve(information, gradient)
+        if not np.isfinite(state).all():
+            return None
+    left = seen_px.ravel() - _corners(calibration, square, state)
+    spread = float(left @ weight @ left + state @ (prior * state)) / 4.0
+    covariance = np.linalg.inv(information)[:3, :3] * max(1.0, spread)
+    return state[:4], np.asarray(covariance, dtype=np.float64)
+
+
 def _corners(calibration: Calibration, square: Array, state: Array) -> Array:
-    """(8,) undistorted pixels of the tag's corners at x, y, heading and size of the tag."""
+    """(8,) undistorted pixels of the tag's corners at x, y, heading, size of the tag, and slopes if any."""
     c, s = np.cos(state[2]), np.sin(state[2])
     turned = state[3] * square @ np.array([[c, s], [-s, c]])
-    return calibration.pixels(state[:2] + turned).ravel()
+    places = state[:2] + turned
+    if len(state) > 4 and calibration.camera_m is not None:
+        # A corner that is higher than the tag's middle is seen further from the camera's foot.
+        rise = turned @ state[4:]
+        above = calibration.camera_m[2] - calibration.tag.apparent_height_m
+        places = places + (places - calibration.camera_m[:2]) * (rise / (above - rise))[:, None]
+    return calibration.pixels(places).ravel()
 
 
 def tag_place(calibration: Calibration, x_m: float, y_m: float, heading_rad: float) -> Array:

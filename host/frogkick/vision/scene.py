@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from frogkick.errors import InputError
-from frogkick.vision.tags import tag_cells
+from frogkick.vision.tags import tag_cells, tag_count, tag_margin, tag_white
 
 Array = npt.NDArray[np.float64]
 Grey = npt.NDArray[np.uint8]
@@ -143,7 +143,7 @@ class Scene:
         pool_m: length, width.
         family: of the tag.
         tag_id: of the tag.
-        tag_size_m: side of its black square.
+        tag_size_m: side of the square that is its size (``tag_margin``).
         tag_height_m: of its face over the still water.
         conditions: what spoils the pictures.
     """
@@ -188,7 +188,7 @@ class Scene:
         Args:
             pose: x_m, y_m, heading_rad of the tag, the heading towards its printed top; None: no tag.
             rng: source of noise, waves, glare.
-            extra: further prints, as (cells, x_m, y_m, heading_rad, size_m of the black square).
+            extra: further prints, as (cells, x_m, y_m, heading_rad, size_m of all but their outermost ring).
 
         Returns:
             (height, width) grey levels.
@@ -200,7 +200,7 @@ class Scene:
             level += 14 * ripple
         things = [*extra]
         if pose is not None:
-            things.append((tag_cells(self.family, self.tag_id), *pose, self.tag_size_m))
+            things.append(self.print_of(self.tag_id, pose, self.tag_size_m))
         for thing in things:
             self._print(level, thing, rng)
         width, height = self.view.image_px
@@ -218,6 +218,12 @@ class Scene:
         if c.noise:
             level += c.noise * rng.standard_normal(level.shape, dtype=np.float32)
         return np.clip(np.rint(level), 0, 255).astype(np.uint8)
+
+    def print_of(self, tag_id: int, pose: tuple[float, float, float], size_m: float) -> Thing:
+        """A tag of the scene's family as ``extra`` takes it; ``size_m`` as in ``tag_size_m``."""
+        cells = tag_cells(self.family, tag_id)
+        wide = len(cells)
+        return (cells, *pose, size_m * (wide - 2) / (wide - 2 * tag_margin(self.family)))
 
     def _surface(self, rng: np.random.Generator) -> npt.NDArray[np.float32]:
         """A rough surface of unit deviation over the picture, as long as the waves are."""
@@ -303,9 +309,10 @@ def clutter(scene: Scene, rng: np.random.Generator) -> list[Thing]:
     for _ in range(int(rng.integers(1, 7))):
         kind = int(rng.integers(5))
         if kind == 0:
-            cells = np.pad(np.pad(rng.integers(0, 2, (6, 6)), 1), 1, constant_values=1).astype(np.float32)
+            cells = _random_cells(own, scene.family, rng)
         elif kind == 1:
-            cells = tag_cells(scene.family, (scene.tag_id + int(rng.integers(1, 587))) % 587)
+            tags = tag_count(scene.family)
+            cells = tag_cells(scene.family, (scene.tag_id + int(rng.integers(1, tags))) % tags)
         elif kind == 2:
             cells = own[:, ::-1]
         elif kind == 3:
@@ -316,3 +323,16 @@ def clutter(scene: Scene, rng: np.random.Generator) -> list[Thing]:
         size = scene.tag_size_m * rng.uniform(0.7, 1.6)
         things.append((np.ascontiguousarray(cells), x, y, rng.uniform(-np.pi, np.pi), size))
     return things
+
+
+def _random_cells(
+    own: npt.NDArray[np.float32], family: str, rng: np.random.Generator
+) -> npt.NDArray[np.float32]:
+    """A tag's frame with random cells where its code is."""
+    if tag_white(family):
+        return np.pad(np.pad(rng.integers(0, 2, (6, 6)), 1), 1, constant_values=1).astype(np.float32)
+    cells = rng.integers(0, 2, own.shape).astype(np.float32)
+    cells[1:-1, 1:-1] = 0.0
+    cells[2:-2, 2:-2] = 1.0
+    cells[3:-3, 3:-3] = rng.integers(0, 2, (3, 3))
+    return cells

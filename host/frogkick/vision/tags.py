@@ -14,8 +14,11 @@ import numpy as np
 import numpy.typing as npt
 
 from frogkick.errors import InputError
+from frogkick.vision import standard
 
-FAMILIES = ("tag36h11",)
+STANDARD = "tagStandard41h12"
+"""The authors' robot wears one; OpenCV does not know them, the extra 'apriltag' does."""
+FAMILIES = ("tag36h11", STANDARD)
 OPENCV_HALF_TURN = 2
 """By how many corners OpenCV 4's order is ahead of the picture's; a golden tag in the tests holds it."""
 
@@ -28,29 +31,55 @@ def dictionary() -> cv2.aruco.Dictionary:
     return found
 
 
+def tag_count(family: str) -> int:
+    """How many tags a family has.
+
+    Raises:
+        InputError: an unknown family, or one whose detector is not installed.
+    """
+    if family not in FAMILIES:
+        raise InputError(f"tag family {family!r} is not known, known are {', '.join(FAMILIES)}")
+    return standard.count() if family == STANDARD else len(dictionary().bytesList)
+
+
 def check_tag(family: str, tag_id: int) -> None:
     """Refuse a tag that does not exist.
 
     Raises:
-        InputError: an unknown family or a number that it does not have.
+        InputError: an unknown family, a number that it does not have, or no detector for it.
     """
-    if family not in FAMILIES:
-        raise InputError(f"tag family {family!r} is not known, known is {', '.join(FAMILIES)}")
-    count = len(dictionary().bytesList)
+    count = tag_count(family)
     if not 0 <= tag_id < count:
         raise InputError(f"{family} has no tag {tag_id}: its tags are 0 to {count - 1}")
 
 
+def tag_margin(family: str) -> int:
+    """Cells between the edge of a tag's picture and the square that is its size and whose corners are found.
+
+    tag36h11: the white around its black square. tagStandard41h12: a ring of its code, and the black around
+    its white square of 5 cells.
+    """
+    return 2 if family == STANDARD else 1
+
+
+def tag_white(family: str) -> int:
+    """Cells of white paper in a tag's picture round everything that is printed."""
+    return 0 if family == STANDARD else 1
+
+
 def tag_cells(family: str, tag_id: int) -> npt.NDArray[np.float32]:
-    """Return a tag's cells with its black border and one cell of white around it.
+    """Return a tag's cells: with ``tag_white`` cells of white around them.
 
     Returns:
-        (10, 10): 0 black, 1 white; row 0 is the picture's top, column 0 its left.
+        (10, 10) of tag36h11, (9, 9) of tagStandard41h12: 0 black, 1 white; row 0 is the picture's top, column
+        0 its left.
 
     Raises:
         InputError: there is no such tag.
     """
     check_tag(family, tag_id)
+    if family == STANDARD:
+        return standard.cells(tag_id)
     codes = dictionary()
     bits = cv2.aruco.Dictionary.getBitsFromByteList(codes.bytesList[tag_id : tag_id + 1], codes.markerSize)
     upright = np.rot90(bits, OPENCV_HALF_TURN)

@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from frogkick.vision.plane import apply, from_four
-from frogkick.vision.tags import tag_cells
+from frogkick.vision.tags import tag_cells, tag_margin, tag_white
 
 Array = npt.NDArray[np.float64]
 PER_CELL = 4
@@ -26,7 +26,7 @@ PER_CELL = 4
 BLURS = (0.45, 0.7, 1.0, 1.4, 2.0, 2.8)
 """Standard deviations of the picture's blur that are tried, samples: pixels, lens, motion together."""
 EDGE = PER_CELL // 2
-"""Samples of the white's outer edge that are left out: what lies around the tag shines into them."""
+"""Samples of the picture's outer edge that are left out: what lies around the tag shines into them."""
 SUSPECT = 0.06
 """Residual, as a part of the contrast, from which samples that stand out count less."""
 FREE = 12
@@ -39,12 +39,12 @@ class Template:
 
     Attributes:
         side: samples a side, the white around included.
-        corners: (4, 2) corners of the black square in samples, in the picture's order.
+        corners: (4, 2) corners of the tag's square in samples, in the picture's order.
         inside: (side^2,) which samples count.
         columns: (side^2, 12) derivatives by the eight corner coordinates, picture, ones, slopes.
         solve: (12, side^2) its pseudoinverse.
-        matched: (64, side^2) how much of a cell's flip, black to white, a residual holds, cell by cell of the
-            black square.
+        matched: (cells, side^2) how much of a cell's flip, black to white, a residual holds, cell by cell
+            of what is printed.
         unit_covariance: (8, 8) covariance of the corners for unit noise and unit contrast, samples^2.
     """
 
@@ -66,7 +66,7 @@ class Fit:
         covariance_px2: (8, 8) of the corners x0, y0, x1, ...
         contrast: white minus black, grey levels.
         residual: standard deviation of what the fit leaves, as a part of the contrast.
-        worst_cell: the largest part of a flip that any cell of the black square shows: 0 as printed, 1 wrong.
+        worst_cell: the largest part of a flip that any printed cell shows: 0 as printed, 1 wrong.
         moved_px: by how far the last step moved a corner.
     """
 
@@ -94,7 +94,8 @@ def _template(family: str, tag_id: int, blur: float) -> Template:
         borderType=cv2.BORDER_REPLICATE,
     ).astype(np.float64)
     gradient_y, gradient_x = np.gradient(picture)
-    low, high = PER_CELL - 0.5, side - PER_CELL - 0.5
+    margin = PER_CELL * tag_margin(family)
+    low, high = margin - 0.5, side - margin - 0.5
     corners = np.array([[low, low], [high, low], [high, high], [low, high]])
     rows, cols = np.mgrid[:side, :side].astype(np.float64)
     points = np.stack([cols.ravel(), rows.ravel()], axis=1)
@@ -113,7 +114,7 @@ def _template(family: str, tag_id: int, blur: float) -> Template:
     inside[EDGE:-EDGE, EDGE:-EDGE] = True
     columns[~inside.ravel()] = 0.0
     solve = np.asarray(np.linalg.pinv(columns), dtype=np.float64)
-    inner = range(1, len(cells) - 1)
+    inner = range(tag_white(family), len(cells) - tag_white(family))
     flips = inside.ravel() * np.stack(
         [_blurred_cell(len(cells), row, col, blur) for row in inner for col in inner]
     )
@@ -220,7 +221,7 @@ def fit_template(
     worst = float(np.abs(which.matched @ left).max()) / float(contrast)
     # Neighbouring samples share pixels: their noise counts once a pixel.
     side_px = float(np.sqrt(abs(cv2.contourArea(corners.astype(np.float32)))))
-    shared = max(1.0, ((which.side - 2 * PER_CELL) / max(side_px, 1.0)) ** 2)
+    shared = max(1.0, (float(np.ptp(which.corners[:, 0])) / max(side_px, 1.0)) ** 2)
     jacobian = _jacobian(home, which.corners)
     covariance = jacobian @ unit @ jacobian.T * (shared * (noise / contrast) ** 2)
     return Fit(corners, covariance, float(contrast), noise / float(contrast), worst, last)

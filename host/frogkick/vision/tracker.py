@@ -18,7 +18,8 @@ import numpy.typing as npt
 from frogkick.errors import InputError
 from frogkick.vision.calibration import Calibration
 from frogkick.vision.pose import Pose, solve_pose, tag_place
-from frogkick.vision.tags import dictionary, picture_order
+from frogkick.vision.standard import find_standard
+from frogkick.vision.tags import STANDARD, dictionary, picture_order
 from frogkick.vision.template import Fit, fit_template, likeliest_turn, templates
 
 Array = npt.NDArray[np.float64]
@@ -136,7 +137,8 @@ class Tracker:
     ) -> Observation:
         """Look in a part of the frame, fit what was found there, say what is wrong with it, if anything."""
         window = grey[low[1] : high[1], low[0] : high[0]]
-        decoded, squares = find_corners(window, self._calibration.tag.id, self._side_px)
+        tag = self._calibration.tag
+        decoded, squares = find_corners(window, tag.id, self._side_px, tag.family)
         fits = [fit_template(grey, one + low, self._templates) for one in decoded]
         clear = [fit for fit in fits if fit is not None and _as_printed(fit)]
         clear += self._undecoded(grey, [one + low for one in squares], clear)
@@ -152,7 +154,7 @@ class Tracker:
         pose = solve_pose(self._calibration, fit.corners_px, fit.covariance_px2, capture_s)
         if pose is None:
             return refuse("not flat")
-        if abs(pose.size_m / self._calibration.tag.size_m - 1.0) > SIZE_MAX:
+        if abs(pose.size_m / tag.size_m - 1.0) > SIZE_MAX:
             return refuse("wrong size")
         if pose.misfit_px > MISFIT_MAX_PX:
             return refuse("not flat")
@@ -192,13 +194,16 @@ def _near(corners: Array, others: list[Array], side_px: float) -> bool:
     return any(np.linalg.norm(centre - other.mean(axis=0)) < 0.5 * side_px for other in others)
 
 
-def find_corners(grey: Grey, tag_id: int, side_px: float) -> tuple[list[Array], list[Array]]:
+def find_corners(
+    grey: Grey, tag_id: int, side_px: float, family: str = "tag36h11"
+) -> tuple[list[Array], list[Array]]:
     """Find every place where a tag is decoded, and dark squares of its size that no tag was decoded in.
 
     Args:
         grey: (height, width).
-        tag_id: number of the tag in tag36h11.
+        tag_id: number of the tag in its family.
         side_px: about how wide it is.
+        family: of the tag; squares that were not decoded are told for tag36h11 alone.
 
     Returns:
         (4, 2) corners of each, within about a pixel; those of tags in the printed picture's order, those of
@@ -206,6 +211,8 @@ def find_corners(grey: Grey, tag_id: int, side_px: float) -> tuple[list[Array], 
     """
     scale = 2 if side_px < SMALL_PX else 1
     image = grey if scale == 1 else cv2.resize(grey, None, fx=2, fy=2, interpolation=cv2.INTER_LINEAR)
+    if family == STANDARD:
+        return _places(find_standard(np.asarray(image, dtype=np.uint8), tag_id), scale, side_px), []
     longest = max(image.shape)
     settings = cv2.aruco.DetectorParameters()
     settings.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_NONE
@@ -220,17 +227,22 @@ def find_corners(grey: Grey, tag_id: int, side_px: float) -> tuple[list[Array], 
     settings.errorCorrectionRate = 1.0
     corners, ids, rejected = cv2.aruco.ArucoDetector(dictionary(), settings).detectMarkers(image)
     numbers = [] if ids is None else ids.ravel().tolist()
-    ours = [np.asarray(one) for one, number in zip(corners, numbers, strict=True) if number == tag_id]
-    squares = [np.asarray(one) for one in rejected]
+    ours = [_quad(one) for one, number in zip(corners, numbers, strict=True) if number == tag_id]
+    squares = [_quad(one) for one in rejected]
     return _places(ours, scale, side_px), _places(squares, scale, side_px)
 
 
-def _places(quads: Sequence[npt.NDArray[Any]], scale: int, side_px: float) -> list[Array]:
-    """OpenCV's corners as pixels of the frame in the printed picture's order, each place once."""
+def _quad(corners: npt.NDArray[Any]) -> Array:
+    """OpenCV's corners in the printed picture's order."""
+    return picture_order(np.asarray(corners).reshape(4, 2).astype(np.float64))
+
+
+def _places(quads: Sequence[Array], scale: int, side_px: float) -> list[Array]:
+    """Corners in the enlarged picture as pixels of the frame, each place once."""
     kept: list[Array] = []
     for quad in quads:
         # Pixel centres are whole numbers: those of the enlarged picture lie a quarter of a pixel off.
-        place = (picture_order(quad.reshape(4, 2).astype(np.float64)) + 0.5) / scale - 0.5
+        place = (quad + 0.5) / scale - 0.5
         if not _near(place, kept, side_px):
             kept.append(place)
     return kept

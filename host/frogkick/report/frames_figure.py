@@ -1,0 +1,174 @@
+"""One picture of the frames and units that every file, option and log of this project speaks in."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import Arc, Polygon, Rectangle
+
+from frogkick.files import atomic_path
+from frogkick.report import style
+from frogkick.report.robot_figure import require_picture_name
+
+POOL_M = (1.2, 0.9)
+POSE = (0.62, 0.42, math.radians(35.0))
+"""Of the robot that is drawn: x, y in m, heading in rad."""
+SIDE_M, LIMB_M, TAG_M = 0.16, 0.075, 0.085
+"""Drawn twice as large as it is, to be seen."""
+CAMERA_M, TAG_HEIGHT_M = 1.35, 0.012
+UNITS = (
+    ("length", "m", "_m; _mm and _cm on the command line and in pictures alone"),
+    ("angle", "rad", "_rad, in (-pi, pi]; degrees only where a name says _deg"),
+    ("time", "s", "_s from the log's start; the robot's own clock in _us"),
+    ("speed, turning", "m/s, rad/s", "_mps, _rad_s, in the robot's frame"),
+    ("picture", "px", "_px, the middle of the first pixel is (0, 0), y down"),
+)
+
+
+def frames_figure() -> Figure:
+    """Pool from above with its frame, the robot's and the tag's; the heights from the side; the units."""
+    with style.styled():
+        figure = Figure(figsize=(10.5, 7.4), layout="constrained")
+        grid = figure.add_gridspec(2, 2, width_ratios=(1.75, 1.0), height_ratios=(1.0, 0.28))
+        _above(figure.add_subplot(grid[0, 0]))
+        _beside(figure.add_subplot(grid[0, 1]))
+        _units(figure.add_subplot(grid[1, :]))
+    return figure
+
+
+def write_frames_figure(target: Path) -> None:
+    """Draw it into a picture file, by the kind that its name says; the same bytes each time.
+
+    Raises:
+        InputError: an unknown kind, or a place that cannot be written to.
+    """
+    require_picture_name(target)
+    figure = frames_figure()
+    undated = {".png": "Software", ".svg": "Date", ".pdf": "CreationDate"}[target.suffix.lower()]
+    with style.styled(), atomic_path(target) as temporary:
+        figure.savefig(temporary, dpi=90, metadata={undated: None})
+
+
+def _arrow(axes: Axes, start: np.ndarray, end: np.ndarray, colour: str) -> None:
+    axes.annotate(
+        "",
+        (end[0], end[1]),
+        (start[0], start[1]),
+        arrowprops={"arrowstyle": "-|>", "color": colour, "linewidth": 2.0, "shrinkA": 0},
+    )
+
+
+def _text(axes: Axes, point: np.ndarray, words: str, **look: Any) -> None:
+    axes.text(float(point[0]), float(point[1]), words, **look)
+
+
+def _above(axes: Axes) -> None:
+    length, width = POOL_M
+    axes.add_patch(
+        Rectangle((0, 0), length, width, facecolor="#eaf4fb", edgecolor=style.FLOOR, linewidth=1.5)
+    )
+    for point, text in (
+        ((0, 0), "(0, 0)"),
+        ((length, 0), "(L, 0)"),
+        (POOL_M, "(L, W)"),
+        ((0, width), "(0, W)"),
+    ):
+        low = point[1] == 0
+        axes.annotate(
+            text, point, (0, -12 if low else 6), textcoords="offset points", ha="center", color="#555555"
+        )
+    _arrow(axes, np.zeros(2), np.array([0.28, 0.0]), style.TRUE)
+    _arrow(axes, np.zeros(2), np.array([0.0, 0.28]), style.TRUE)
+    axes.text(0.29, 0.02, "x, along the length", color=style.TRUE)
+    axes.text(0.015, 0.29, "y", color=style.TRUE)
+    axes.plot(0, 0, "o", color=style.TRUE, markersize=11, fillstyle="none", clip_on=False)
+    axes.plot(0, 0, ".", color=style.TRUE, clip_on=False)
+    axes.text(0.03, 0.05, "z up, 0 on the water", color=style.TRUE)
+    axes.text(0.03, width - 0.06, "pool frame (world): origin in the pool's first corner", color=style.TRUE)
+    _robot(axes)
+    axes.set_xlim(-0.08, length + 0.05)
+    axes.set_ylim(-0.09, width + 0.07)
+    axes.set_aspect("equal")
+    axes.axis("off")
+    axes.set_title("from above, as the camera sees it")
+
+
+def _robot(axes: Axes) -> None:
+    x, y, heading = POSE
+    turn = np.array([[math.cos(heading), -math.sin(heading)], [math.sin(heading), math.cos(heading)]])
+
+    def place(forward_m: float, left_m: float) -> np.ndarray:
+        return np.asarray(np.array([x, y]) + turn @ np.array([forward_m, left_m]))
+
+    half = SIDE_M / 2
+    axes.add_patch(
+        Polygon([place(half * a, half * b) for a, b in ((1, 1), (1, -1), (-1, -1), (-1, 1))], closed=True,
+                facecolor="white", edgecolor=style.FLOOR, linewidth=2.0)
+    )  # fmt: skip
+    for name, a, b in (
+        ("front_left", 1, 1),
+        ("front_right", 1, -1),
+        ("rear_left", -1, 1),
+        ("rear_right", -1, -1),
+    ):
+        tip = LIMB_M / math.sqrt(2)
+        ends = np.array([place(half * a, half * b), place(half * a - tip, half * b + tip * b)])
+        axes.plot(*ends.T, color=style.ALARM, linewidth=3.0, solid_capstyle="round")
+        beside = place(half * a - (0.1 if a > 0 else 1.2) * tip, half * b + (1.5 if b > 0 else 1.8) * tip * b)
+        _text(axes, beside, name, color=style.ALARM, ha="center", va="center", fontsize=8)
+    tag = TAG_M / 2
+    square = [place(tag * a, tag * b) for a, b in ((1, 1), (1, -1), (-1, -1), (-1, 1))]
+    axes.add_patch(Polygon(square, closed=True, color="#333333"))
+    _text(axes, place(0.0, 0.0), "TAG", color="white", ha="center", va="center",
+              rotation=math.degrees(heading) - 90.0, fontweight="bold")  # fmt: skip
+    _text(axes, place(0.6 * half, 0.0), "top", color="#333333", ha="center", va="bottom", fontsize=8,
+              rotation=math.degrees(heading) - 90.0)  # fmt: skip
+    _arrow(axes, place(half, 0.0), place(half + 0.2, 0.0), style.ESTIMATED)
+    _arrow(axes, place(0.0, half), place(0.0, half + 0.17), style.ESTIMATED)
+    _text(axes, place(half + 0.22, 0.0), "x, forward", color=style.ESTIMATED, va="center")
+    _text(axes, place(0.0, half + 0.195), "y, left", color=style.ESTIMATED, ha="right", va="bottom")
+    axes.text(
+        x + 0.14, y - 0.235, "robot frame (body): origin\nin the middle of its frame", color=style.ESTIMATED
+    )
+    axes.plot([x, x + 0.5], [y, y], ":", color=style.PREDICTED, linewidth=1.2)
+    axes.add_patch(Arc((x, y), 0.66, 0.66, theta1=0.0, theta2=math.degrees(heading), color=style.PREDICTED,
+                       linewidth=2.0))  # fmt: skip
+    middle = np.array([x, y]) + 0.35 * np.array([math.cos(0.42 * heading), math.sin(0.42 * heading)])
+    _text(axes, middle, "heading: from +x,\ncounter-clockwise", color=style.PREDICTED, va="center")
+
+
+def _beside(axes: Axes) -> None:
+    axes.fill_between([0.0, 1.0], -0.3, 0.0, color="#eaf4fb")
+    axes.axhline(0.0, color=style.TRUE, linewidth=1.5)
+    axes.text(0.02, -0.07, "z = 0, the water", color=style.TRUE)
+    axes.text(0.02, -0.24, "under water: z < 0, raised by refraction\n(refraction_offset_m)", color="#555555")
+    axes.add_patch(Rectangle((0.38, CAMERA_M), 0.12, 0.08, color="#333333"))
+    axes.add_patch(Polygon([(0.40, CAMERA_M), (0.48, CAMERA_M), (0.44, CAMERA_M - 0.06)], color="#333333"))
+    for end in (0.04, 0.84):
+        axes.plot([0.44, end], [CAMERA_M - 0.06, 0.0], ":", color="#888888")
+    _arrow(axes, np.array([0.92, 0.0]), np.array([0.92, CAMERA_M]), style.TRUE)
+    axes.text(0.89, 0.75, "--camera-height-m", color=style.TRUE, rotation=90, ha="right", va="center")
+    tag = 8 * TAG_HEIGHT_M
+    axes.add_patch(Rectangle((0.5, 0.0), 0.24, tag - 0.02, facecolor="white", edgecolor=style.FLOOR))
+    axes.plot([0.54, 0.7], [tag, tag], color="#333333", linewidth=5.0, solid_capstyle="butt")
+    axes.text(0.62, tag + 0.04, "tag, --tag-height-mm\nover the water", ha="center", color=style.ALARM)
+    axes.set_xlim(0.0, 1.0)
+    axes.set_ylim(-0.34, CAMERA_M + 0.12)
+    axes.axis("off")
+    axes.set_title("from the side (not to scale)")
+
+
+def _units(axes: Axes) -> None:
+    axes.axis("off")
+    rows = [list(row) for row in UNITS]
+    heads = ["what", "unit inside and in files", "how a name says it"]
+    table = axes.table(
+        rows, colLabels=heads, cellLoc="left", loc="center", colWidths=[0.18, 0.22, 0.6], edges="horizontal"
+    )
+    table.auto_set_font_size(False)
+    table.set_fontsize(9)

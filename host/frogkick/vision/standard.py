@@ -1,0 +1,95 @@
+"""tagStandard41h12 by the AprilTag library, an extra: what a tag looks like, where one is decoded.
+
+Its picture is 9 x 9 cells: a ring of code, a black ring, a white square of 5 cells with 9 of the code in it.
+What the library calls its size and corners are those of the white square.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+from functools import cache
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from frogkick.errors import InputError
+
+NAME = "tagStandard41h12"
+INSTALL = "pip install 'frogkick[apriltag]'"
+HAMMING_MAX = 2
+"""Wrong cells that are corrected, as for tag36h11; these codes are 12 apart."""
+
+
+@cache
+def _detector() -> Any:
+    """The library's detector, once: it makes a table of all codes.
+
+    Raises:
+        InputError: it is not installed.
+    """
+    if importlib.util.find_spec("pupil_apriltags") is None:
+        raise InputError(f"tag family {NAME} needs a detector that is not installed: {INSTALL}")
+    from pupil_apriltags import Detector
+
+    # Its own end frees the family before the detector that still looks at it: now and then the interpreter
+    # fell over as it ended, and with it the exit code of a run. There is one, and it lives as long as we do.
+    lasting = type("LastingDetector", (Detector,), {"__del__": lambda _self: None})
+    # Squares are looked for at half the size (of small tags, enlarged twofold before), codes at the whole.
+    return lasting(families=NAME, nthreads=1, quad_decimate=2.0)
+
+
+def _family() -> Any:
+    """The library's own description of the family."""
+    return _detector().tag_families[NAME].contents
+
+
+def count() -> int:
+    """How many tags there are.
+
+    Raises:
+        InputError: the detector is not installed.
+    """
+    return int(_family().ncodes)
+
+
+def cells(tag_id: int) -> npt.NDArray[np.float32]:
+    """Return a tag's (9, 9) cells from the library's codes: 0 black, 1 white, row 0 the picture's top.
+
+    Raises:
+        InputError: the detector is not installed.
+    """
+    family = _family()
+    wide, inner, bits = int(family.total_width), int(family.width_at_border), int(family.nbits)
+    first = (wide - inner) // 2
+    picture = np.zeros((wide, wide), np.float32)
+    picture[first:-first, first:-first] = 1.0
+    picture[first + 1 : -first - 1, first + 1 : -first - 1] = 0.0
+    # Places count from the white square's corner, negative outside of it; the binding calls them unsigned.
+    cols, rows = (np.array(place[:bits], np.uint32).view(np.int32) for place in (family.bit_x, family.bit_y))
+    code = int(family.codes[tag_id])
+    picture[rows + first, cols + first] = [code >> (bits - 1 - k) & 1 for k in range(bits)]
+    return picture
+
+
+def find_standard(image: npt.NDArray[np.uint8], tag_id: int) -> list[npt.NDArray[np.float64]]:
+    """Find every place where a tag is decoded.
+
+    Args:
+        image: (height, width) grey levels.
+        tag_id: its number.
+
+    Returns:
+        (4, 2) corners of the white square of each, in the printed picture's order; the centre of the first
+        pixel is (0, 0).
+
+    Raises:
+        InputError: the detector is not installed.
+    """
+    found = _detector().detect(np.ascontiguousarray(image))
+    # Its order begins at the bottom left and goes round the other way; its first pixel begins at (0, 0).
+    return [
+        np.asarray(one.corners, dtype=np.float64)[::-1] - 0.5
+        for one in found
+        if one.tag_id == tag_id and one.hamming <= HAMMING_MAX
+    ]

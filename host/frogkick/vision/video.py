@@ -1,0 +1,97 @@
+"""The pictures that a run was steered by, beside its log: a video, and when each picture was taken.
+
+Motion JPEG in AVI: each picture stands by itself, so that what was written before a kill can be read. The
+video plays at a nominal rate; the times are in the table beside it, on the log's clock.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import pathlib
+from typing import Any
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from frogkick.errors import InputError
+
+NOMINAL_HZ = 30.0
+LOOK_EVERY = 100
+"""Pictures after which the file must have grown: OpenCV does not say that a disk is full."""
+
+
+def video_of(log: pathlib.Path) -> pathlib.Path:
+    """Where the video of a log is."""
+    return log.with_suffix(".avi")
+
+
+def times_of(log: pathlib.Path) -> pathlib.Path:
+    """Where the capture times of its pictures are: CSV with frame, capture_time_s."""
+    return log.with_suffix(".frames.csv")
+
+
+class Video:
+    """One run's video. One thread writes; whoever made it closes it.
+
+    Attributes:
+        frames: pictures written so far.
+    """
+
+    def __init__(self, log: pathlib.Path, zero_s: float) -> None:
+        """Prepare; files are made with the first picture.
+
+        Args:
+            log: the run's log, which gives the names.
+            zero_s: the log's time zero on the camera's clock.
+        """
+        self.frames = 0
+        self._log, self._zero_s = log, zero_s
+        self._writer: Any = None
+        self._times: Any = None
+        self._grown_bytes = 0
+
+    def write(self, image: npt.NDArray[np.uint8], capture_s: float) -> None:
+        """Add a picture.
+
+        Args:
+            image: (height, width) grey or (height, width, 3) BGR; all of one size.
+            capture_s: when it was taken, on the camera's clock.
+
+        Raises:
+            InputError: the files cannot be written.
+        """
+        try:
+            if self._writer is None:
+                self._open(image.shape[1], image.shape[0])
+            self._writer.write(image if image.ndim == 3 else cv2.cvtColor(image, cv2.COLOR_GRAY2BGR))
+            self._times.write(f"{self.frames},{capture_s - self._zero_s:.6f}\n")
+            self._times.flush()
+        except OSError as error:
+            raise self._full() from error
+        self.frames += 1
+        if self.frames % LOOK_EVERY == 0:
+            length = os.stat(video_of(self._log)).st_size
+            if length <= self._grown_bytes:
+                raise self._full()
+            self._grown_bytes = length
+
+    def close(self) -> None:
+        """End the files."""
+        if self._writer is not None:
+            self._writer.release()
+            with contextlib.suppress(OSError):
+                self._times.close()
+
+    def _open(self, width: int, height: int) -> None:
+        target = video_of(self._log)
+        self._times = times_of(self._log).open("w", encoding="utf-8", newline="")
+        self._times.write("frame,capture_time_s\n")
+        kind = cv2.VideoWriter_fourcc(*"MJPG")  # type: ignore[attr-defined]
+        self._writer = cv2.VideoWriter(str(target), kind, NOMINAL_HZ, (width, height))
+        if not self._writer.isOpened():
+            raise InputError(f"the video {str(target)!r} cannot be written: choose another --out")
+
+    def _full(self) -> InputError:
+        return InputError(f"the video {str(video_of(self._log))!r} cannot be written on: is the disk full?")

@@ -1,0 +1,254 @@
+"""What goes wrong in a lab while a robot runs: one clear line each, the robot disarmed, its log kept."""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+import resource
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+from tests.conftest import REPOSITORY
+from tests.link.live_robot import LiveRobot, PatientClock
+from tests.link.rigged import Rigged, rigged
+from tests.link.swim import PATH, LivePool
+from tests.link.test_run_camera import SCENE, START, Filmed
+from tests.loop import rig
+from tests.vision.scenes import calibration
+
+from frogkick.cli.lab import Sight
+from frogkick.errors import FrogkickError, InputError
+from frogkick.link.layout import link_layout
+from frogkick.loop import session as session_module
+from frogkick.loop.camera_fixes import CameraFixes
+from frogkick.loop.closed_loop import ENDED, TIME, FixSource, Recording, RunOptions, run_session
+from frogkick.loop.lab_port import LabPort
+from frogkick.loop.lab_session import LabSession, lab_session
+from frogkick.loop.live_log import LiveLog, logged, part_of
+from frogkick.loop.runlog_file import read_run
+from frogkick.loop.session import LinkError
+from frogkick.paths import Path as SwimPath
+from frogkick.paths import shape
+from frogkick.planner.plan import PlanConfig
+from frogkick.vision.sources import Frame, live_frames
+
+PERIOD_S = rig.tables().period_us * 1e-6
+STATE = link_layout().state
+OPTIONS = RunOptions(PlanConfig(), True, 10 * PERIOD_S)
+
+
+class Stepping:
+    """A clock that somebody sets."""
+
+    def __init__(self) -> None:
+        self._clock, self.offset_s = PatientClock(), 0.0
+
+    def __call__(self) -> float:
+        return self._clock() + self.offset_s
+
+
+@dataclasses.dataclass
+class Day:
+    """A robot on a line, with a log that grows."""
+
+    robot: LiveRobot
+    there: Rigged
+    session: LabSession
+    folder: Path
+
+    def run(
+        self,
+        source: FixSource,
+        path: SwimPath,
+        options: RunOptions = OPTIONS,
+        decided: Callable[[], None] = lambda: None,
+    ) -> Recording:
+        with logged(self.folder / "run.h5", rig.robot(), rig.tables(), options, "test")(path) as keep:
+            return run_session(
+                self.session, source, rig.tables(), path, options, lambda _t, _i: decided(), keep
+            )
+
+    def fails(self, error: type[FrogkickError], words: str, go: Callable[[], object]) -> None:
+        """One line, no limb on any more, the rows so far kept."""
+        with pytest.raises(error, match=words) as said:
+            go()
+        assert "\n" not in str(said.value) and "did not say that it is disarmed" not in str(said.value)
+        assert self.robot.names()[-1] in ("DISARM", "STATUS") and "DISARM" in self.robot.names()
+        assert int(self.session.request("STATUS")["state"]) in (STATE["DISARMED"], STATE["FAULT"])
+        assert len(read_run(part_of(self.folder / "run.h5")).fixes.x_m) > 3
+
+
+@contextmanager
+def day(folder: Path, patch: pytest.MonkeyPatch, clock: Callable[[], float] | None = None) -> Iterator[Day]:
+    robot = LiveRobot(clock=PatientClock())
+    with rigged("serial", robot, folder, patch) as there:
+        yield Day(robot, there, LabSession(LabPort(there.wire, clock or robot.clock)), folder)
+
+
+def pool_of(robot: LiveRobot) -> LivePool:
+    return LivePool(robot.pulses, robot.clock)
+
+
+class Camera:
+    """A driver that works for some pictures, and then hands over the last one for ever, or nothing."""
+
+    def __init__(self, robot: LiveRobot, pictures: int, hangs: bool) -> None:
+        self._frames, self._left, self._hangs = iter(Filmed(robot)), pictures, hangs
+        self._last: Frame | None = None
+        self.over = threading.Event()
+
+    def grab(self) -> bool:
+        self._left -= 1
+        if self._left >= 0:
+            self._last = next(self._frames)
+        elif self._hangs:
+            return not self.over.wait(60.0)
+        else:
+            time.sleep(0.02)
+        return True
+
+    def retrieve(self) -> tuple[bool, np.ndarray]:
+        assert self._last is not None
+        return True, self._last.image
+
+
+@pytest.mark.parametrize(
+    ("hangs", "words"),
+    [(False, "camera 3 is frozen: 9 equal pictures"), (True, r"camera 3 has given no picture for 1\.\d s")],
+    ids=["frozen", "hanging"],
+)
+def test_a_camera_that_freezes_while_the_robot_runs(
+    hangs: bool, words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    robot = LiveRobot()
+    path = Sight("stdin", begin="here").placed(shape(PATH), START)
+    driver = Camera(robot, 40, hangs)
+    with rigged("serial", robot, tmp_path, monkeypatch) as there:
+        source = CameraFixes(live_frames(driver, "camera 3"), calibration(SCENE), "camera 3")  # type: ignore[arg-type]
+        source.wait_first(20.0)
+        now = Day(robot, there, lab_session(there.wire), tmp_path)
+        now.fails(InputError, words, lambda: now.run(source, path))
+        driver.over.set()
+        source.close()
+
+
+@pytest.mark.parametrize("onboard", [True, False], ids=["onboard", "host"])
+def test_this_computer_s_clock_goes_back(
+    onboard: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    clock = Stepping()
+    with day(tmp_path, monkeypatch, clock) as now:
+        options = dataclasses.replace(OPTIONS, onboard=onboard)
+
+        def go() -> object:
+            return now.run(
+                pool_of(now.robot), shape(PATH), options, lambda: setattr(clock, "offset_s", -30.0)
+            )
+
+        now.fails(LinkError, r"this computer's clock went back by (29|30)\.\d s while the robot ran", go)
+
+
+@pytest.mark.parametrize("onboard", [True, False], ids=["onboard", "host"])
+def test_this_computer_s_clock_goes_ahead(
+    onboard: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its time is over, or fixes that look old are: either way the run ends as runs end."""
+    clock = Stepping()
+    with day(tmp_path, monkeypatch, clock) as now:
+        options = dataclasses.replace(OPTIONS, onboard=onboard)
+        recording = now.run(
+            pool_of(now.robot), shape(PATH), options, lambda: setattr(clock, "offset_s", 300.0)
+        )
+        assert recording.ended in (TIME, ENDED["STALE"]) and len(recording.decisions) <= 2
+        assert int(now.session.request("STATUS")["state"]) == STATE["DISARMED"]
+
+
+def test_the_time_of_day_is_not_asked() -> None:
+    """It is set by the network while robots run; what runs them goes by clocks that only go on."""
+    asks = re.compile(r"\btime\.time\(|\btime_ns\(|datetime\.(now|utcnow|today)\(")
+    for folder in ("link", "loop", "vision", "pool", "planner"):
+        for file in (REPOSITORY / "host/frogkick" / folder).rglob("*.py"):
+            assert not asks.search(file.read_text(encoding="utf-8")), file
+
+
+def test_the_robot_s_clock_goes_back(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with day(tmp_path, monkeypatch) as now:
+
+        def back() -> None:
+            now.robot._begin_s += 0.5
+
+        def go() -> object:
+            return now.run(pool_of(now.robot), shape(PATH), decided=back)
+
+        now.fails(LinkError, r"the robot met the internal error TIME \(0\) and has switched", go)
+        assert int(now.session.request("STATUS")["state"]) == STATE["FAULT"]
+
+
+def test_the_robot_s_clock_goes_ahead(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It has heard of no fix for a minute, as far as it knows."""
+    with day(tmp_path, monkeypatch) as now:
+        steps = iter([60.0])
+
+        def ahead() -> None:
+            now.robot._begin_s -= next(steps, 0.0)
+
+        recording = now.run(pool_of(now.robot), shape(PATH), decided=ahead)
+        assert recording.ended == ENDED["STALE"]
+        assert int(now.session.request("STATUS")["state"]) == STATE["DISARMED"]
+
+
+@contextmanager
+def files_up_to(length: int) -> Iterator[None]:
+    """No file grows beyond a length: what a full disk is to whoever writes."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (length, hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+
+
+def test_the_disk_is_full_while_the_robot_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with day(tmp_path, monkeypatch) as now:
+        part = part_of(tmp_path / "run.h5")
+        write = LiveLog._write
+
+        def write_on_a_full_disk(self: LiveLog, rows: list[object]) -> None:
+            if now.robot.names().count("FIX") < 12:
+                write(self, rows)  # type: ignore[arg-type]
+                return
+            with files_up_to(part.stat().st_size):
+                write(self, rows * 300)  # type: ignore[arg-type] # more than a chunk, which needs room
+
+        monkeypatch.setattr(LiveLog, "_write", write_on_a_full_disk)
+        now.fails(
+            InputError,
+            r"run\.h5\.part' cannot be written on: is the disk full\?",
+            lambda: now.run(pool_of(now.robot), shape(PATH)),
+        )
+
+
+def test_a_robot_that_speaks_another_protocol(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    newer = dataclasses.replace(link_layout(), protocol_version=3)
+    with day(tmp_path, monkeypatch) as now:
+        monkeypatch.setattr(session_module, "link_layout", lambda: newer)
+        with pytest.raises(LinkError, match="the robot speaks protocol 2, this host 3: flash it again"):
+            now.session.greet(rig.tables())
+        assert "ARM" not in now.robot.names()
+
+
+def test_a_robot_with_a_table_for_another_period(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    slower = dataclasses.replace(
+        rig.tables(), period_us=2_000_000, image=rig.changed_image(rig.tables().sections.actions, b"Z")
+    )
+    with (
+        day(tmp_path, monkeypatch) as now,
+        pytest.raises(LinkError, match=r"a period of 1\.425 s, ours 2\.000 s: build the firmware") as said,
+    ):
+        now.session.greet(slower)
+    assert "\n" not in str(said.value) and "ARM" not in now.robot.names()

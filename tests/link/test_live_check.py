@@ -1,0 +1,147 @@
+"""Both planners at work: the robot decides, the host decides again while it swims, and any bit counts."""
+
+from __future__ import annotations
+
+import functools
+from pathlib import Path
+
+import numpy as np
+import pytest
+from tests.cli.commands import frogkick
+from tests.link.live_robot import LiveRobot, PatientClock
+from tests.link.rigged import TRANSPORTS, rigged
+from tests.link.swim import PATH, LivePool
+from tests.loop import rig
+
+from frogkick.errors import CheckError, InputError
+from frogkick.link.layout import link_layout
+from frogkick.loop.closed_loop import TIME, RunOptions, run_in_pool, run_session
+from frogkick.loop.lab_port import LabPort
+from frogkick.loop.lab_session import LabSession
+from frogkick.loop.live_check import LiveCheck
+from frogkick.loop.live_log import logged, part_of
+from frogkick.loop.runlog_file import read_run
+from frogkick.loop.session import Session
+from frogkick.paths import shape
+from frogkick.planner.image import Tables, open_image
+from frogkick.planner.plan import PlanConfig
+
+PERIOD_S = rig.tables().period_us * 1e-6
+STATE = link_layout().state
+
+
+@functools.cache
+def image_with_one_entry_changed() -> bytes:
+    """The small table, but for the transition that its second decision takes; its CRC-32 is right."""
+    recording, _, _ = rig.swim("pool", PATH, 2.0)
+    entry = (recording.decisions[1].nearest_state, recording.decisions[1].action)
+    ours = rig.tables()
+    for at in range(ours.sections.models, ours.sections.length):
+        for bit in range(8):
+            image = rig.changed_image(at, bytes([ours.image[at] ^ 1 << bit]))
+            try:
+                rows = np.argwhere((open_image(image).transitions != ours.transitions).any(axis=2))
+            except InputError:
+                continue
+            if [tuple(row) for row in rows] == [entry]:
+                return image
+    raise AssertionError("no bit of the image holds that entry alone")
+
+
+@pytest.fixture
+def past_the_hash(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The hash of the robot's table is not asked: a fault that lies behind it, as one in its memory would."""
+
+    def greet(self: Session, tables: Tables) -> dict[str, object]:
+        told = self.meet()
+        tables.require_robot(str(told["robot_id"]))
+        return dict(told)
+
+    monkeypatch.setattr(Session, "greet", greet)
+
+
+@pytest.mark.parametrize("transport", TRANSPORTS)
+def test_host_and_robot_agree(transport: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    robot, check = LiveRobot(clock=PatientClock(), on_for_s=100.0), LiveCheck()
+    options = RunOptions(PlanConfig(depth=2), True, 2.5 * PERIOD_S, check)
+    told: list[str] = []
+    with rigged(transport, robot, tmp_path, monkeypatch) as there:
+        session = LabSession(LabPort(there.wire, robot.clock))
+        source = LivePool(robot.pulses, robot.clock)
+        path = shape(PATH)
+        recording = run_session(
+            session, source, rig.tables(), path, options, lambda _t, _i: told.append(check.said)
+        )
+    assert recording.ended == TIME and len(recording.decisions) == 3
+    assert check.as_json() == {"decisions_checked": 3, "decisions_unchecked": 0, "mismatches": 0}
+    assert told == [f"host agrees with {count} decisions" for count in (1, 2, 3)]
+
+
+def test_another_entry_in_the_robot_s_table_ends_the_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, past_the_hash: None
+) -> None:
+    robot = LiveRobot(built_in=image_with_one_entry_changed(), clock=PatientClock())
+    options = RunOptions(PlanConfig(), True, 20 * PERIOD_S, LiveCheck())
+    with rigged("serial", robot, tmp_path, monkeypatch) as there:
+        session = LabSession(LabPort(there.wire, robot.clock))
+        source = LivePool(robot.pulses, robot.clock)
+        log = logged(tmp_path / "run.h5", rig.robot(), rig.tables(), options, "test")
+        with log(shape(PATH)) as keep, pytest.raises(CheckError, match=r"decision \d+ .* every bit") as said:
+            run_session(session, source, rig.tables(), shape(PATH), options, keep=keep)
+        assert int(session.request("STATUS")["state"]) == STATE["DISARMED"]
+    assert "\n" not in str(said.value) and "did not say that it is disarmed" not in str(said.value)
+    assert robot.off_at and "DISARM" in robot.names()
+    assert len(read_run(part_of(tmp_path / "run.h5")).fixes.x_m) > 3
+
+
+def test_after_a_drop_nothing_is_compared_and_that_is_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    robot, check = LiveRobot(clock=PatientClock()), LiveCheck()
+    options = RunOptions(PlanConfig(), True, 1.5 * PERIOD_S, check)
+    with rigged("serial", robot, tmp_path, monkeypatch) as there:
+        session = LabSession(LabPort(there.wire, robot.clock))
+        dropped = []
+
+        def drop(_time_s: float, _index: int) -> None:
+            if not dropped:
+                dropped.append(True)
+                there.drop()
+
+        source = LivePool(robot.pulses, robot.clock)
+        run_session(session, source, rig.tables(), shape(PATH), options, drop)
+    assert (check.agreed, check.unchecked) == (1, 1)
+    assert check.said == "host agrees with 1 decisions, 1 not compared after a gap"
+
+
+def test_the_command_tells_the_agreement(capsys: pytest.CaptureFixture[str]) -> None:
+    options = ["--tables", rig.small_table(), "--robot", "pool", "--path", "sine", "--simulated-time", "6"]
+    told = frogkick(capsys, "run", *options, "--plan", "both", "--json")
+    assert told.code == 0, told.stderr
+    assert told.json["decisions_checked"] == told.json["decisions"] >= 4
+    assert (told.json["decisions_unchecked"], told.json["mismatches"]) == (0, 0)
+    assert "host agrees with" in told.stderr
+
+
+def test_a_mismatch_is_a_check_that_failed(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Exit 1, one line. Here the host's planner is given another weight than the robot."""
+    begin = LiveCheck.begin
+    monkeypatch.setattr(
+        LiveCheck,
+        "begin",
+        lambda self, tables, path, _config: begin(self, tables, path, PlanConfig(angle_weight_per_rad=51.0)),
+    )
+    options = ["--tables", rig.small_table(), "--robot", "pool", "--path", "sine", "--simulated-time", "6"]
+    told = frogkick(capsys, "run", *options, "--plan", "both", "--json")
+    assert (told.code, told.stdout) == (1, "")
+    last = told.stderr.splitlines()[-1]
+    assert last.startswith("frogkick: decision ") and "cost" in last
+
+
+def test_the_chip_is_checked_too() -> None:
+    check = LiveCheck()
+    options = RunOptions(PlanConfig(depth=2), True, 3.0, check)
+    run_in_pool(rig.port("virtual"), rig.new_pool("sine"), rig.tables(), shape("sine"), options)
+    assert check.agreed >= 2 and check.unchecked == 0

@@ -8,6 +8,20 @@ from __future__ import annotations
 
 import hashlib
 from importlib import resources
+from typing import Any
+
+BARE: dict[str, Any] = {"error_model": "numpy", "_nrt": False}
+"""Options of numba's njit for a function that makes no arrays: references to those that it is handed are not
+counted, each of which is an atomic operation, and code to compile. numba refuses one that makes an array."""
+
+INNER: dict[str, Any] = {**BARE, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+"""Likewise, for one that compiled code alone calls: no way in from Python is compiled."""
+
+ALLOCATING: dict[str, Any] = {**INNER, "_nrt": True}
+"""As INNER, for a function that makes arrays."""
+
+KEPT: dict[str, Any] = {**BARE, "cache": True}
+"""As BARE, and kept on disk."""
 
 
 def stamp_of(package: str) -> int:

@@ -26,6 +26,7 @@ from tests.vision.scenes import calibration
 from frogkick.cli.lab import Sight
 from frogkick.loop.camera_fixes import CameraFixes
 from frogkick.loop.closed_loop import RunOptions, run_session
+from frogkick.loop.in_time import warm_up
 from frogkick.loop.lab_session import lab_session
 from frogkick.loop.live_log import logged
 from frogkick.paths import shape
@@ -46,6 +47,7 @@ def main(seconds: float) -> None:
             time.sleep(max(0.0, begin_s + sequence / RATE_HZ - time.monotonic()))
             yield Frame(pictures[sequence % len(pictures)], time.monotonic(), sequence, True)
 
+    warm_up(rig.tables(), shape(PATH), PlanConfig(depth=3))
     path = Sight("stdin", begin="here").placed(shape(PATH), START)
     options = RunOptions(PlanConfig(depth=3), False, seconds)
     strokes: list[tuple[float, float]] = []

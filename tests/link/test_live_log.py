@@ -50,7 +50,7 @@ def test_it_says_what_the_whole_log_says(tmp_path: Path, monkeypatch: pytest.Mon
 
             def keep_and_look(recording: Recording) -> None:
                 keep(recording)
-                if len(recording.fixes) % 10 == 9:
+                if len(recording.fixes) % 10 == 9:  # written by another thread, a moment later
                     seen.append(len(read_run(part_of(target)).fixes))
 
             session = lab_session(there.wire)
@@ -128,8 +128,15 @@ def test_a_full_disk_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
     def full(*_values: object, **_more: object) -> None:
         raise OSError(28, "No space left on device")
 
-    with empty_log(tmp_path) as live:
-        monkeypatch.setattr(h5py.Dataset, "flush", full)
-        with pytest.raises(InputError, match="is the disk full"):
+    def go() -> None:
+        with empty_log(tmp_path) as live:
+            monkeypatch.setattr(h5py.Dataset, "flush", full)
             live.keep(recording)
-        monkeypatch.undo()
+            live.settle()
+            monkeypatch.undo()
+            with pytest.raises(InputError, match="is the disk full"):
+                live.keep(recording)
+            assert not live._thread.is_alive()
+
+    with pytest.raises(InputError, match="is the disk full"):  # what was lost is told at the end as well
+        go()

@@ -16,6 +16,8 @@ import numpy as np
 import pytest
 from tests.loop import rig
 
+from frogkick.cli.viewing import viewed
+from frogkick.loop.closed_loop import RunOptions
 from frogkick.loop.live_view import LiveView, branch_of, fan_of
 from frogkick.paths import shape
 from frogkick.planner.plan import PlanConfig, plan
@@ -115,3 +117,17 @@ def test_the_command_draws_a_run(tmp_path: Path) -> None:
     counts = [len(told["decisions"]) for told in seen]
     assert counts == sorted(counts) and counts[-1] >= 2 and len(set(counts)) >= 2
     assert seen[-1]["branch"] and len(seen[-1]["track"]) > 10
+
+
+def test_a_real_run_is_drawn_by_a_thread_of_its_own(capsys: pytest.CaptureFixture[str]) -> None:
+    """What is recorded is handed over and no more: fixes wait for no picture."""
+    recording, _, _ = rig.swim("pool", "sine", 4.0)
+    options = RunOptions(CONFIG)
+    with viewed(True, rig.tables(), shape("sine"), options, None) as keep:
+        address = re.findall(r"http://\S+", capsys.readouterr().err)[0]
+        keep(recording)
+        deadline_s = time.monotonic() + 30.0
+        while not (told := json.loads(fetched(address + "state.json"))).get("decisions"):
+            assert time.monotonic() < deadline_s, "nobody draws"
+            time.sleep(0.02)
+    assert len(told["decisions"]) == sum(one.status == 0 for one in recording.decisions)

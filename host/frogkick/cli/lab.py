@@ -21,6 +21,7 @@ from frogkick.link.text_dialect import pulse_line, require_dialect
 from frogkick.link.wire import Wire, is_target, parse_target
 from frogkick.loop.camera_fixes import CameraFixes
 from frogkick.loop.closed_loop import FixSource, Recording, RunOptions, run_session
+from frogkick.loop.in_time import warm_up
 from frogkick.loop.lab_session import LabSession, lab_session, stops_are_interrupts
 from frogkick.loop.line_fixes import LineFixes
 from frogkick.loop.start_checks import check_start, look
@@ -196,6 +197,8 @@ def run_on_bench(
     greeting = DELIMITER if dialect == "frogkick" else pulse_line(tables.pulse_us)
     with ExitStack() as stack:
         stack.enter_context(stops_are_interrupts())
+        if options.check is not None or not options.onboard:
+            warm_up(tables, path, options.config)
         fixes, pool_m = stack.enter_context(sight.opened())
         fixes.wait_first(FIRST_FIX_S)
         seen = look(fixes, time.monotonic, time.sleep)

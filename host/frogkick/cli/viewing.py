@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import threading
 import time
 import webbrowser
 from collections.abc import Callable, Iterator
@@ -48,16 +49,29 @@ def viewed(
         newest = recording
         if pool is not None:
             time.sleep(max(0.0, begin_s + pool.time_s - time.monotonic()))
-        if time.monotonic() - shown_s >= EVERY_S:
+        if pool is not None and time.monotonic() - shown_s >= EVERY_S:
             draw()
             shown_s = time.monotonic()
 
+    over = threading.Event()
+
+    def draw_on() -> None:
+        # A real robot's fixes do not wait for a picture.
+        while not over.wait(EVERY_S):
+            draw()
+
+    drawing = threading.Thread(target=draw_on, name="view", daemon=True)
     with served(lambda: view.text) as address:
         print(f"frogkick: the run is drawn at {address}", file=sys.stderr, flush=True)
         if sys.stderr.isatty():
             webbrowser.open(address)
+        if pool is None:
+            drawing.start()
         try:
             yield keep
         finally:
+            over.set()
+            if pool is None:
+                drawing.join()
             draw()
             time.sleep(LINGER_S)

@@ -12,6 +12,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from frogkick.compiled import INNER
 from frogkick.der.lanes import Numbers, get, put
 from frogkick.der.mesh import Mesh
 
@@ -21,7 +22,7 @@ SUMS = 10
 MOTION = 8
 
 
-@njit(error_model="numpy")
+@njit(**INNER)
 def set_sums(mesh: Mesh, x_m: Numbers, v_mps: Numbers, row: int, sums: Numbers) -> None:
     """Set a row of (rows, SUMS): what ``body_motion`` needs.
 

@@ -9,12 +9,12 @@ from typing import Any
 
 from numba import njit
 
-from frogkick.compiled import stamp_of
+from frogkick.compiled import KEPT, stamp_of
 from frogkick.der import body, stepping
 
 
 def _compiled(stamp: int) -> tuple[Any, Any, Any]:
-    @njit(cache=True, error_model="numpy")
+    @njit(**KEPT)
     def run_steps(  # type: ignore[no-untyped-def]
         mesh, plan, space, x_m, v_mps, a_mps2, step_s, active, water, factor_every, report, sums
     ):
@@ -22,12 +22,12 @@ def _compiled(stamp: int) -> tuple[Any, Any, Any]:
             mesh, plan, space, x_m, v_mps, a_mps2, step_s, active, water, factor_every, report, sums
         )
 
-    @njit(cache=True, error_model="numpy")
+    @njit(**KEPT)
     def set_accelerations(mesh, edges, x_m, v_mps, active, water, a_mps2):  # type: ignore[no-untyped-def]
         stepping.set_accelerations(mesh, edges, x_m, v_mps, active, water, a_mps2)
         return stamp
 
-    @njit(cache=True, error_model="numpy")
+    @njit(**KEPT)
     def set_sums(mesh, x_m, v_mps, row, sums):  # type: ignore[no-untyped-def]
         body.set_sums(mesh, x_m, v_mps, row, sums)
         return stamp

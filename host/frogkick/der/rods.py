@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 
 from numba import njit
 
+from frogkick.compiled import BARE
 from frogkick.der.lanes import Numbers, add, get, lane_zeros, put, root, size
 from frogkick.der.mesh import Mesh
 from frogkick.der.plan import Plan
@@ -43,7 +44,7 @@ def edges_of(mesh: Mesh, width: int) -> Edges:
     return Edges(*(lane_zeros(shape, width) for shape in shapes))
 
 
-@njit(error_model="numpy")
+@njit(**BARE)
 def add_forces(
     mesh: Mesh,
     edges: Edges,
@@ -130,7 +131,7 @@ def add_forces(
             add(force_n, i, 1, mesh.mass_kg[i] * push_y(water, px, py))
 
 
-@njit(error_model="numpy")
+@njit(**BARE)
 def add_stiffness(
     mesh: Mesh,
     plan: Plan,

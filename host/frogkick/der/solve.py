@@ -7,11 +7,12 @@ from __future__ import annotations
 
 from numba import njit
 
+from frogkick.compiled import BARE
 from frogkick.der.lanes import Numbers, add, get, put
 from frogkick.der.plan import Plan
 
 
-@njit(error_model="numpy")
+@njit(**BARE)
 def factor(plan: Plan, diagonal: Numbers, pair: Numbers, held: Numbers) -> None:
     """Factor a matrix in place into L D L^T, without pivoting.
 
@@ -62,7 +63,7 @@ def factor(plan: Plan, diagonal: Numbers, pair: Numbers, held: Numbers) -> None:
             put(pair, i, 3, get(held, i - begin, 3))
 
 
-@njit(error_model="numpy")
+@njit(**BARE)
 def solve(plan: Plan, diagonal: Numbers, pair: Numbers, right: Numbers) -> None:
     """Solve a factored system in place.
 

@@ -14,8 +14,10 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
+import numpy as np
 from numba import njit
 
+from frogkick.compiled import INNER
 from frogkick.der.body import set_sums
 from frogkick.der.lanes import Numbers, add, any_above, choose_above, get, lane_zeros, put
 from frogkick.der.mesh import Mesh
@@ -59,7 +61,7 @@ def space_of(mesh: Mesh, plan: Plan, width: int) -> Space:
     return Space(edges_of(mesh, width), *nodal, *blocks)
 
 
-@njit(error_model="numpy")
+@njit(**INNER)
 def set_accelerations(
     mesh: Mesh,
     edges: Edges,
@@ -77,13 +79,13 @@ def set_accelerations(
     for i in range(mesh.mass_kg.shape[0]):
         for d in range(2):
             put(a_mps2, i, d, 0.0)
-    add_forces(mesh, edges, x_m, v_mps, active, 0, water, a_mps2)
+    add_forces(mesh, edges, x_m, v_mps, active, np.int64(0), water, a_mps2)
     for i in range(mesh.mass_kg.shape[0]):
         for d in range(2):
             put(a_mps2, i, d, get(a_mps2, i, d) / mesh.mass_kg[i])
 
 
-@njit(error_model="numpy")
+@njit(**INNER)
 def set_residual(
     mesh: Mesh,
     space: Space,
@@ -109,7 +111,7 @@ def set_residual(
     return total
 
 
-@njit(error_model="numpy")
+@njit(**INNER)
 def set_factor(
     mesh: Mesh, plan: Plan, space: Space, water: Numbers, velocity_gain: Any, mass_gain: Any
 ) -> None:
@@ -137,7 +139,7 @@ def set_factor(
     factor(plan, space.diagonal, space.pair, space.held)
 
 
-@njit(error_model="numpy")
+@njit(**INNER)
 def run_steps(
     mesh: Mesh,
     plan: Plan,

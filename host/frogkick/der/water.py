@@ -14,6 +14,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from frogkick.compiled import INNER
 from frogkick.der.lanes import Numbers, get
 
 FloatArray = NDArray[np.float64]
@@ -54,25 +55,25 @@ class Water:
 STILL = Water()
 
 
-@njit(error_model="numpy")
+@njit(**INNER)
 def flow_x(water: Numbers, x: Any, y: Any) -> Any:
     """World x velocity of the water at a place about the origin."""
     return get(water, 0, 0) + (get(water, 2, 0) * x + get(water, 3, 0) * y)
 
 
-@njit(error_model="numpy")
+@njit(**INNER)
 def flow_y(water: Numbers, x: Any, y: Any) -> Any:
     """World y velocity likewise."""
     return get(water, 1, 0) + (get(water, 4, 0) * x + get(water, 5, 0) * y)
 
 
-@njit(error_model="numpy")
+@njit(**INNER)
 def push_x(water: Numbers, x: Any, y: Any) -> Any:
     """World x acceleration of a node at a place about the origin."""
     return get(water, 6, 0) - get(water, 8, 0) * y
 
 
-@njit(error_model="numpy")
+@njit(**INNER)
 def push_y(water: Numbers, x: Any, y: Any) -> Any:
     """World y acceleration likewise."""
     return get(water, 7, 0) + get(water, 8, 0) * x

@@ -191,7 +191,8 @@ def run_session(
     require_time(options.time_limit_s)
     run = _Run(session, source, tables, path, options, progress, keep)
     try:
-        return run.go()
+        with session.in_time():
+            return run.go()
     except BaseException as error:
         if run.may_be_armed and not session.make_safe():
             said = str(error) or "interrupted"

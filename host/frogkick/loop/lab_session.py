@@ -7,7 +7,7 @@ import secrets
 import signal
 import threading
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, field
 from types import FrameType
 from typing import Any, Protocol
@@ -15,6 +15,7 @@ from typing import Any, Protocol
 from frogkick.link.frames import hello
 from frogkick.link.layout import Value
 from frogkick.link.wire import Wire
+from frogkick.loop.in_time import in_time
 from frogkick.loop.lab_port import LabPort
 from frogkick.loop.session import ANSWER_TIMEOUT_S, STEP_S, Arrival, Asked, LinkError, Session
 from frogkick.pool.port import RobotPort
@@ -126,6 +127,10 @@ class LabSession(Session):
         """The wire has dropped and come back since this was asked last: events may be missing."""
         before, self._connections = self._connections, self.port.wire.connections
         return self._connections != before
+
+    def in_time(self) -> AbstractContextManager[None]:
+        """Nothing in this program holds the run up for long meanwhile."""
+        return in_time()
 
     @property
     def gaps(self) -> int:

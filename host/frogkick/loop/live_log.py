@@ -1,4 +1,4 @@
-"""A run's log while it runs: HDF5 whose rows are on disk as soon as they are known, readable after a kill.
+"""A run's log while it runs: HDF5 whose rows are on disk a moment after they come, readable after a kill.
 
 Beside the log that is asked for, as ``run.h5.part``, in its layout; what was not known yet (the robot's
 answer to a fix) is as if it never came. A run that ends by itself writes its log whole, and this one goes.
@@ -7,11 +7,13 @@ answer to a fix) is as if it never came. A run that ends by itself writes its lo
 from __future__ import annotations
 
 import pathlib
-from collections.abc import Callable, Iterator
+import threading
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import h5py
+import numpy as np
 
 from frogkick.errors import InputError
 from frogkick.loop.closed_loop import Recording, RunOptions
@@ -23,7 +25,17 @@ from frogkick.planner.image import Tables
 from frogkick.robot import Robot
 
 CHUNK_ROWS = 256
+GATHER_S = 0.02
 CUT_OFF = "cut off while it ran"
+
+
+@dataclass(frozen=True)
+class _Answer:
+    """What the robot answered to the fix of a row that was written before."""
+
+    row: int
+    capture_us: int
+    status: int
 
 
 def part_of(target: pathlib.Path) -> pathlib.Path:
@@ -32,7 +44,7 @@ def part_of(target: pathlib.Path) -> pathlib.Path:
 
 
 class LiveLog:
-    """Rows of one run, appended and flushed."""
+    """Rows of one run, appended and flushed by a thread of its own, so that no fix waits for the disk."""
 
     def __init__(self, target: pathlib.Path, empty: RunLog, onboard: bool) -> None:
         """Begin a log beside ``target``.
@@ -58,70 +70,127 @@ class LiveLog:
         self._file.attrs["live"] = True
         # From here on another program, or the next one after a kill, reads what was flushed.
         self._file.swmr_mode = True
+        self._condition = threading.Condition()
+        self._waiting: list[Fixes | Decisions | _Answer] = []
+        self._writing = self._closing = False
+        self._error: Exception | None = None
+        self._thread = threading.Thread(target=self._live, name="log", daemon=True)
+        self._thread.start()
 
     def keep(self, recording: Recording) -> None:
-        """Write what is new.
+        """Hand over what is new: it is on the disk a few hundredths of a second later.
 
         Raises:
             InputError: the disk is full.
         """
+        if self._error is not None:
+            raise self._full() from self._error
         new, decided = len(recording.fixes) - self._fixes, len(recording.decisions) - self._decisions
         told = [row for row in self._open if recording.fix_status[row] is not None]
         if not (new or decided or told):
             return
-        try:
-            if new or told:
-                self._keep_fixes(recording, told)
-            if decided:
-                self._keep_decisions(recording)
-        except (OSError, RuntimeError) as error:
-            raise self._full() from error
+        rows: list[Fixes | Decisions | _Answer] = []
+        if new or told:
+            rows += self._new_fixes(recording, told)
+        if decided:
+            rows.append(self._new_decisions(recording))
+        with self._condition:
+            self._waiting += rows
+            self._condition.notify_all()
+
+    def settle(self) -> None:
+        """Wait until all that was handed over is on the disk."""
+        with self._condition:
+            self._condition.wait_for(lambda: self._error or not (self._waiting or self._writing))
 
     def close(self) -> None:
-        """End it.
+        """Write what waits, and end it.
 
         Raises:
             InputError: the disk is full.
         """
+        with self._condition:
+            self._closing = True
+            self._condition.notify_all()
+        self._thread.join()
         try:
             self._file.close()
         except (OSError, RuntimeError) as error:
             raise self._full() from error
+        if self._error is not None:
+            raise self._full() from self._error
 
     def _full(self) -> InputError:
         return InputError(f"the log {str(self.path)!r} cannot be written on: is the disk full?")
 
-    def _keep_fixes(self, recording: Recording, told: list[int]) -> None:
+    def _new_fixes(self, recording: Recording, told: list[int]) -> list[Fixes | _Answer]:
         first, self._fixes = self._fixes, len(recording.fixes)
+        rows: list[Fixes | _Answer] = []
         if self._fixes > first:
-            self._append(fix_columns(recording, first))
+            rows.append(fix_columns(recording, first))
         for row in told:
-            taken_us = recording.capture_us[row]
-            for name, value in (
-                ("robot_capture_us", -1 if taken_us is None else taken_us),
-                ("robot_status", recording.fix_status[row]),
-            ):
-                data = self._file[f"{Fixes.NAME}/{name}"]
-                data[row] = value
-                data.flush()
+            taken_us, status = recording.capture_us[row], recording.fix_status[row]
+            assert status is not None
+            rows.append(_Answer(row, -1 if taken_us is None else taken_us, status))
         waiting = [*self._open, *range(first, self._fixes)]
         self._open = [row for row in waiting[-CHUNK_ROWS:] if recording.fix_status[row] is None]
+        return rows
 
-    def _keep_decisions(self, recording: Recording) -> None:
+    def _new_decisions(self, recording: Recording) -> Decisions:
         first, self._decisions = self._decisions, len(recording.decisions)
         rows = {fix.sequence: row for row, fix in reversed(list(enumerate(recording.fixes)))}
         offset_us = recording.clock_offset_us if self._onboard else 0
-        made = decision_columns(recording.decisions[first:], rows, offset_us)
-        self._append(made)
+        return decision_columns(recording.decisions[first:], rows, offset_us)
 
-    def _append(self, group: Fixes | Decisions) -> None:
-        columns = {name: getattr(group, name) for name in group.SCHEMA} | dict(group.extra)
-        for name, rows in columns.items():
-            if f"{group.NAME}/{name}" not in self._file:
+    def _live(self) -> None:
+        while True:
+            with self._condition:
+                self._condition.wait_for(lambda: self._waiting or self._closing)
+                rows, self._waiting = self._waiting, []
+                self._writing = True
+                if not rows:
+                    return
+            try:
+                self._write(rows)
+            except Exception as error:  # the run has to hear of it, whatever it is
+                self._error = error
+            with self._condition:
+                self._writing = False
+                self._condition.notify_all()
+                if self._error is not None:
+                    return
+                # A row costs as much as ten: what comes meanwhile is written with it.
+                self._condition.wait_for(lambda: self._closing, GATHER_S)
+
+    def _write(self, rows: list[Fixes | Decisions | _Answer]) -> None:
+        """Append and flush: whole tables at once, then the answers that belong to rows in them."""
+        for kind in (Fixes, Decisions):
+            groups = [one for one in rows if isinstance(one, kind)]
+            if groups:
+                self._append(groups)
+        answers = sorted((one for one in rows if isinstance(one, _Answer)), key=lambda one: one.row)
+        while answers:
+            joined = [k for k, one in enumerate(answers) if one.row == answers[0].row + k]
+            block, answers = answers[: len(joined)], answers[len(joined) :]
+            rows_here = slice(block[0].row, block[-1].row + 1)
+            for name, values in (
+                ("robot_capture_us", [one.capture_us for one in block]),
+                ("robot_status", [one.status for one in block]),
+            ):
+                data = self._file[f"{Fixes.NAME}/{name}"]
+                data[rows_here] = values
+                data.flush()
+
+    def _append(self, groups: Sequence[Fixes | Decisions]) -> None:
+        kind = groups[0]
+        for name in [*kind.SCHEMA, *kind.extra]:
+            if f"{kind.NAME}/{name}" not in self._file:
                 continue  # times of plans made on this computer are not logged
-            data = self._file[f"{group.NAME}/{name}"]
-            data.resize(len(data) + len(rows), axis=0)
-            data[len(data) - len(rows) :] = rows
+            columns = [one.extra[name] if name in one.extra else getattr(one, name) for one in groups]
+            values = np.concatenate(columns)
+            data = self._file[f"{kind.NAME}/{name}"]
+            data.resize(len(data) + len(values), axis=0)
+            data[len(data) - len(values) :] = values
             data.flush()
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import signal
 import threading
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass, field
 
 from frogkick.errors import FrogkickError
@@ -194,6 +194,10 @@ class Session:
     def reconnected(self) -> bool:
         """The connection has dropped and come back since this was asked last; never in simulated time."""
         return False
+
+    def in_time(self) -> AbstractContextManager[None]:
+        """What a run goes on in; in simulated time nothing hurries."""
+        return nullcontext()
 
     @property
     def gaps(self) -> int:

@@ -8,6 +8,8 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+from frogkick.compiled import KEPT
+
 ANGLE_MAX_RAD = np.float32(2100)
 
 _F1 = np.float32(1)
@@ -31,7 +33,7 @@ _C1 = np.float32(-0.00138873595)
 _C2 = np.float32(2.44375333e-05)
 
 
-@njit(cache=True)
+@njit(**KEPT)
 def wrap_angle(angle: np.float32) -> np.float32:
     """Wrap an angle to (-pi, pi]; NaN beyond +-2100 rad."""
     if not (abs(angle) <= ANGLE_MAX_RAD):
@@ -47,7 +49,7 @@ def wrap_angle(angle: np.float32) -> np.float32:
     return min(wrapped, _PI)
 
 
-@njit(cache=True)
+@njit(**KEPT)
 def sincos(angle: np.float32) -> tuple[np.float32, np.float32]:
     """Return (sine, cosine) of an angle in rad; NaN beyond +-2100 rad."""
     if not (abs(angle) <= ANGLE_MAX_RAD):

@@ -27,7 +27,7 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
-from frogkick.compiled import stamp_of
+from frogkick.compiled import ALLOCATING, BARE, INNER, stamp_of
 from frogkick.planner import route
 from frogkick.planner.floats import sincos, wrap_angle
 from frogkick.planner.lookup import (
@@ -107,13 +107,13 @@ class _Search(NamedTuple):
     motion: Array  # (3,) float32, of the action under way
 
 
-@njit(error_model="numpy")
+@njit(**INNER)
 def is_weight(value: Any) -> bool:
     """Whether a value is 0 to the largest weight; -0.0 is not."""
     return bool(_F0 <= value <= WEIGHT_MAX) and not (value == _F0 and np.signbit(value))
 
 
-@njit(error_model="numpy")
+@njit(**BARE)
 def check_settings(settings: Settings, depth: int) -> int:
     """Return OK or the code of the first thing that is wrong, in the C's order."""
     if not 1 <= depth <= DEPTH_MAX:
@@ -133,10 +133,10 @@ def check_settings(settings: Settings, depth: int) -> int:
     return OK if weights_fit and settings.turn_lead <= TURN_LEAD_MAX else ERROR_WEIGHT
 
 
-@njit(error_model="numpy")
+@njit(**INNER)
 def check(path: Array, settings: Settings, depth: int, state: Array, limb_use: Array, along: Any) -> int:
     """Return OK or the code of the first thing that is wrong, in the C's order."""
-    status = check_settings(settings, depth)
+    status: int = check_settings(settings, depth)
     if status != OK:
         return status
     if not 2 <= path.shape[1] <= PATH_POINTS_MAX:
@@ -161,7 +161,7 @@ def check(path: Array, settings: Settings, depth: int, state: Array, limb_use: A
     return OK
 
 
-@njit(error_model="numpy")
+@njit(**INNER)
 def step(pose: Array, motion: Array, after: Array) -> None:
     """Write the pose after an action: (x, y, wrapped heading) float32; motion (3,) float32, body frame."""
     sine, cosine = sincos(pose[2])
@@ -170,7 +170,7 @@ def step(pose: Array, motion: Array, after: Array) -> None:
     after[2] = wrap_angle(pose[2] + motion[2])
 
 
-@njit(error_model="numpy")
+@njit(**INNER)
 def motion_cost(search: _Search, level: int, depth: int) -> Any:
     """Return what the motion from a level to the next one costs, without what the branch's end costs."""
     settings = search.settings
@@ -199,7 +199,7 @@ def motion_cost(search: _Search, level: int, depth: int) -> Any:
     return settings.distance_weight_per_m * off + settings.progress_weight_per_m * short
 
 
-@njit(error_model="numpy")
+@njit(**INNER)
 def end_cost(search: _Search, level: int, motion: Array) -> Any:
     """Return what it costs to end a branch at a level, reached by a motion (3,)."""
     settings = search.settings
@@ -219,7 +219,7 @@ def end_cost(search: _Search, level: int, motion: Array) -> Any:
     return settings.angle_weight_per_rad * angle
 
 
-@njit(error_model="numpy")
+@njit(**INNER)
 def is_left(search: _Search, first: int, cost: Any) -> bool:
     """Whether a branch with this first action and at least this cost can no longer be the best."""
     if cost == search.best_cost[0]:
@@ -227,7 +227,7 @@ def is_left(search: _Search, first: int, cost: Any) -> bool:
     return bool(cost > search.best_cost[0])
 
 
-@njit(error_model="numpy")
+@njit(**INNER)
 def goes_on(search: _Search, level: int, depth: int, first: int, action: int) -> bool:
     """Take an action at a level; True where its branch has a next level and is not left."""
     search.best[1] += 1
@@ -249,13 +249,13 @@ def goes_on(search: _Search, level: int, depth: int, first: int, action: int) ->
     return False
 
 
-@njit(error_model="numpy")
+@njit(**ALLOCATING)
 def try_first(search: _Search, depth: int, first: int) -> bool:
     """Count through the sequences of ``depth`` actions that begin with one; True where it has to stop."""
     limit = search.settings.transitions_max
     sequence = np.zeros(DEPTH_MAX, dtype=np.int64)
     sequence[0] = first
-    level = 0
+    level: Any = np.int64(0)
     while True:
         if depth > 1 and limit > 0 and search.best[1] >= limit:
             return True
@@ -272,15 +272,22 @@ def try_first(search: _Search, depth: int, first: int) -> bool:
             return False
 
 
-@njit(error_model="numpy")
+@njit(**ALLOCATING)
 def first_actions(shallow: Array, best: int) -> Array:
     """Return the order in which a deeper level tries the first actions: ``best``, then by cost at level 1."""
     keys = shallow.copy()
     keys[best] = -_F1
-    return np.argsort(keys, kind="mergesort")
+    order = np.zeros(len(keys), dtype=np.int64)
+    for action in range(len(keys)):
+        place = action
+        while place > 0 and keys[order[place - 1]] > keys[action]:
+            order[place] = order[place - 1]
+            place -= 1
+        order[place] = action
+    return order
 
 
-@njit(error_model="numpy")
+@njit(**INNER)
 def second_level(limit: int, depth: int, actions: int) -> int:
     """Return the level that is searched after the first: the last one where ``limit`` cannot cut that."""
     most = actions
@@ -289,7 +296,7 @@ def second_level(limit: int, depth: int, actions: int) -> int:
     return max(2, depth) if limit == 0 or limit >= most else 2
 
 
-@njit(error_model="numpy")
+@njit(**INNER)
 def is_tried(search: _Search, moves: bool, action: int) -> bool:
     """Whether an action may be the first; to rest may not, from rest, unless there is nothing else."""
     if moves or search.settings.cost != COST_ROUTE or not np.any(search.table.fires):
@@ -297,13 +304,13 @@ def is_tried(search: _Search, moves: bool, action: int) -> bool:
     return bool(np.any(search.table.fires[action]))
 
 
-@njit(error_model="numpy")
-def search_levels(search: _Search, depth: int, moves: bool) -> tuple[int, int]:
+@njit(**ALLOCATING)
+def search_levels(search: _Search, depth: int, moves: bool) -> Any:
     """Search level after level; leave cost and first action in ``search``. Return (action, depth reached)."""
     actions = action_count(search.table)
     shallow = np.full(actions, np.inf, dtype=np.float32)
     firsts = 0
-    best_action = 0
+    best_action: Any = np.int64(0)  # a plain 0 is a type of its own: all below would be compiled for it too
     best_cost = np.float32(np.inf)
     for action in range(actions):
         if not is_tried(search, moves, action):
@@ -311,7 +318,7 @@ def search_levels(search: _Search, depth: int, moves: bool) -> tuple[int, int]:
         firsts += 1
         search.best[0] = actions
         search.best_cost[0] = np.float32(np.inf)
-        try_first(search, 1, action)
+        try_first(search, np.int64(1), action)
         shallow[action] = search.best_cost[0]
         if shallow[action] < best_cost:
             best_cost = shallow[action]
@@ -337,7 +344,7 @@ def search_levels(search: _Search, depth: int, moves: bool) -> tuple[int, int]:
     return best_action, reached
 
 
-@njit(error_model="numpy")
+@njit(**ALLOCATING)
 def plan_one(
     table: TableArrays,
     path: Array,
@@ -407,9 +414,10 @@ def plan_one(
     numbers[2] = search.rows[0]
     numbers[5] = search.best[1]
     values[0] = search.best_cost[0]
-    motion_of(table, search.rows[0], search.dynamics[0], numbers[1], search.motion)
+    action = np.int64(numbers[1])
+    motion_of(table, search.rows[0], search.dynamics[0], action, search.motion)
     step(search.poses[0], search.motion, values[3:6])
-    dynamics_after(table, search.rows[0], search.dynamics[0], numbers[1], search.dynamics[1])
+    dynamics_after(table, search.rows[0], search.dynamics[0], action, search.dynamics[1])
     for axis in range(3):
         values[6 + axis] = np.float32(search.dynamics[1, axis]) * table.velocity_scale[axis]
     for limb in range(len(limb_use)):

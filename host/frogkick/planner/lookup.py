@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
+from frogkick.compiled import INNER, KEPT
 from frogkick.planner.image import Tables
 from frogkick.planner.layout import LIMBS_MAX, VELOCITY_CODE_MAX
 
@@ -73,7 +74,7 @@ def arrays_of(tables: Tables) -> TableArrays:
     )
 
 
-@njit(cache=True)
+@njit(**KEPT)
 def velocity_code(velocity: np.float32, codes_per_velocity: np.float32) -> Any:
     """Return a velocity as a code, rounded half away from zero, clamped to +-16383."""
     code = velocity * codes_per_velocity
@@ -84,7 +85,7 @@ def velocity_code(velocity: np.float32, codes_per_velocity: np.float32) -> Any:
     return -whole if code < _F0 else whole
 
 
-@njit(cache=True)
+@njit(**INNER)
 def nearest_state(states: Array, code_0: Any, code_1: Any, code_2: Any) -> int:
     """Return the row nearest to a velocity in codes, the lowest on ties; 64-bit sums."""
     best = np.int64(2) ** 62
@@ -100,22 +101,23 @@ def nearest_state(states: Array, code_0: Any, code_1: Any, code_2: Any) -> int:
     return row
 
 
-@njit(cache=True)
+@njit(**INNER)
 def action_count(table: TableArrays) -> int:
     """How many actions the table has."""
     return int(table.transitions.shape[1])
 
 
-@njit(cache=True)
+@njit(**KEPT)
 def find_row(table: TableArrays, dynamics: Array) -> int:
     """The row that a state with these dynamics is looked up in: the nearest to its velocity, clamped."""
     code_0 = min(max(dynamics[0], table.least[0]), table.most[0])
     code_1 = min(max(dynamics[1], table.least[1]), table.most[1])
     code_2 = min(max(dynamics[2], table.least[2]), table.most[2])
-    return nearest_state(table.states, code_0, code_1, code_2)
+    row: int = nearest_state(table.states, code_0, code_1, code_2)
+    return row
 
 
-@njit(cache=True)
+@njit(**INNER)
 def _value(table: TableArrays, row: int, dynamics: Array, action: int, value: int, limit: int) -> Any:
     """One of the six values of a transition in codes: the row's, corrected if the kind is affine, clamped."""
     code = np.int64(table.transitions[row, action, value])
@@ -137,7 +139,7 @@ def _value(table: TableArrays, row: int, dynamics: Array, action: int, value: in
     return -limit if code < -limit else code
 
 
-@njit(cache=True)
+@njit(**KEPT)
 def motion_of(table: TableArrays, row: int, dynamics: Array, action: int, motion: Array) -> None:
     """Write the motion (3,) float32 m, m, rad over one period, in the body frame at its start."""
     for axis in range(3):
@@ -145,7 +147,7 @@ def motion_of(table: TableArrays, row: int, dynamics: Array, action: int, motion
         motion[axis] = np.float32(code) * table.motion_scale[axis]
 
 
-@njit(cache=True)
+@njit(**KEPT)
 def limb_use_after(table: TableArrays, use: Array, action: int, after: Array) -> None:
     """Write how much each limb was used lately, (LIMBS_MAX,), after an action: 0 for limbs not there."""
     after[:] = 0
@@ -154,9 +156,9 @@ def limb_use_after(table: TableArrays, use: Array, action: int, after: Array) ->
         after[limb] = min(left + table.fires[action, limb] * table.use[1], 32767)
 
 
-@njit(cache=True)
+@njit(**KEPT)
 def dynamics_after(table: TableArrays, row: int, dynamics: Array, action: int, after: Array) -> None:
     """Write the dynamics (DYNAMICS,) at the period's end."""
     for axis in range(3):
-        after[axis] = _value(table, row, dynamics, action, 3 + axis, VELOCITY_CODE_MAX)
+        after[axis] = _value(table, row, dynamics, action, 3 + axis, np.int64(VELOCITY_CODE_MAX))
     limb_use_after(table, dynamics[3:], action, after[3:])

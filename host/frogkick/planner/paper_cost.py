@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
+from frogkick.compiled import INNER
 from frogkick.planner.floats import wrap_angle
 
 Array = npt.NDArray[Any]
@@ -18,7 +19,7 @@ Array = npt.NDArray[Any]
 _F1 = np.float32(1)
 
 
-@njit(error_model="numpy")
+@njit(**INNER)
 def nearest_point(x_m: Array, y_m: Array, x: np.float32, y: np.float32) -> tuple[int, np.float32]:
     """Return the index of the nearest path point, the lowest on ties, and the squared distance, m^2."""
     index = 0
@@ -33,7 +34,7 @@ def nearest_point(x_m: Array, y_m: Array, x: np.float32, y: np.float32) -> tuple
     return index, best
 
 
-@njit(error_model="numpy")
+@njit(**INNER)
 def pose_cost(
     path: Array, distance_w: Any, angle_w: Any, progress_w: Any, x: Any, y: Any, heading: Any
 ) -> Any:

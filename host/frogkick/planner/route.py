@@ -23,6 +23,8 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
+from frogkick.compiled import BARE, INNER
+
 Array = npt.NDArray[Any]
 
 STEPS_PER_REACH = 8
@@ -43,13 +45,13 @@ _FAR_REACHES = np.float32(2)
 _PER_STEP = np.float32(0.125)
 
 
-@njit(error_model="numpy")
+@njit(**BARE)
 def reach_of(reach_m: np.float32) -> Any:
     """Return the length that scales everything here: the table's longest motion, but not nothing."""
     return max(reach_m, REACH_MIN_M)
 
 
-@njit(error_model="numpy")
+@njit(**INNER)
 def is_still(state: Array, step: np.float32, period: np.float32) -> bool:
     """Whether a state (6,) moves so little that a period of it counts for nothing."""
     speed2 = state[3] * state[3] + state[4] * state[4]
@@ -57,7 +59,7 @@ def is_still(state: Array, step: np.float32, period: np.float32) -> bool:
     return bool(speed2 * (period * period) <= step * step and abs(turn) <= STILL_RAD)
 
 
-@njit(error_model="numpy")
+@njit(**INNER)
 def segment_length(path: Array, segment: int) -> Any:
     """Return the length of the piece from a point to the next, m."""
     dx = path[0, segment + 1] - path[0, segment]
@@ -65,7 +67,7 @@ def segment_length(path: Array, segment: int) -> Any:
     return np.sqrt(dx * dx + dy * dy)
 
 
-@njit(error_model="numpy")
+@njit(**INNER)
 def offset_from(path: Array, segment: int, part: np.float32, x: np.float32, y: np.float32) -> Any:
     """Return the squared distance of a position from a place on a segment."""
     dx = path[0, segment + 1] - path[0, segment]
@@ -75,7 +77,7 @@ def offset_from(path: Array, segment: int, part: np.float32, x: np.float32, y: n
     return across_x * across_x + across_y * across_y
 
 
-@njit(error_model="numpy")
+@njit(**INNER)
 def part_of_segment(path: Array, segment: int, x: np.float32, y: np.float32) -> Any:
     """Return how far along a segment its nearest place to a position lies, 0 to 1."""
     dx = path[0, segment + 1] - path[0, segment]
@@ -89,7 +91,7 @@ def part_of_segment(path: Array, segment: int, x: np.float32, y: np.float32) -> 
     return along / length2
 
 
-@njit(error_model="numpy")
+@njit(**BARE)
 def foot(path: Array, reach: np.float32, begin: np.float32, x: np.float32, y: np.float32) -> Any:
     """Find where along the path a position is.
 
@@ -133,7 +135,7 @@ def foot(path: Array, reach: np.float32, begin: np.float32, x: np.float32, y: np
     return segment, part, best, False
 
 
-@njit(error_model="numpy")
+@njit(**INNER)
 def knot_count(depth: int, look_ahead: np.float32, step: np.float32) -> int:
     """Return how many knots a search needs, at most KNOTS_MAX."""
     room = KNOTS_MAX - (BEHIND + AHEAD * depth + 2)
@@ -142,7 +144,7 @@ def knot_count(depth: int, look_ahead: np.float32, step: np.float32) -> int:
     return BEHIND + AHEAD * depth + 2 + beyond
 
 
-@njit(error_model="numpy")
+@njit(**INNER)
 def lay_out(path: Array, segment: int, part: np.float32, step: np.float32, knots: Array) -> None:
     """Write the knots (n, 4) float32: x, y, and the unit vector along the route.
 
@@ -176,7 +178,7 @@ def lay_out(path: Array, segment: int, part: np.float32, step: np.float32, knots
         along = along + step
 
 
-@njit(error_model="numpy")
+@njit(**INNER)
 def knot_distance2(knots: Array, knot: int, x: np.float32, y: np.float32) -> Any:
     """Return the squared distance of a position from a knot, m^2."""
     dx = x - knots[knot, 0]
@@ -184,7 +186,7 @@ def knot_distance2(knots: Array, knot: int, x: np.float32, y: np.float32) -> Any
     return dx * dx + dy * dy
 
 
-@njit(error_model="numpy")
+@njit(**INNER)
 def nearest_knot(knots: Array, low: int, high: int, x: np.float32, y: np.float32) -> Any:
     """Find the knot of low, low + 3, ... high that is nearest, or one of its neighbours if that is nearer."""
     knot = low
@@ -201,7 +203,7 @@ def nearest_knot(knots: Array, low: int, high: int, x: np.float32, y: np.float32
     return knot
 
 
-@njit(error_model="numpy")
+@njit(**INNER)
 def place_on(knots: Array, step: np.float32, low: int, high: int, x: np.float32, y: np.float32) -> Any:
     """Find a position among the knots low to high: (knot, metres from knot 0, squared distance m^2)."""
     knot = nearest_knot(knots, low, high, x, y)
@@ -211,7 +213,7 @@ def place_on(knots: Array, step: np.float32, low: int, high: int, x: np.float32,
     return knot, np.float32(knot) * step + moved, max(_F0, distance2)
 
 
-@njit(error_model="numpy")
+@njit(**INNER)
 def softened(distance2: np.float32, soft: np.float32) -> Any:
     """Return a distance less half of ``soft``; within ``soft`` a part of its square, which meets that."""
     if distance2 < soft * soft:
@@ -219,7 +221,7 @@ def softened(distance2: np.float32, soft: np.float32) -> Any:
     return np.sqrt(distance2) - _HALF * soft
 
 
-@njit(error_model="numpy")
+@njit(**INNER)
 def end_angle(
     knots: Array,
     step: np.float32,

@@ -21,6 +21,7 @@ from __future__ import annotations
 import ctypes
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any, Final
 
 import capstone
@@ -144,32 +145,93 @@ def cycles_and_flags(instruction: Any) -> tuple[int, Flag]:
     return 1, flags
 
 
-def cycles_behind(before: Any, instruction: Any) -> int:
-    """What an instruction costs more, or less, right behind the one before it in memory."""
-    name, name_before = _stem(instruction.mnemonic), _stem(before.mnemonic)
-    written = set(before.regs_access()[1])
-    if name_before.startswith(_FLOAT_ARITHMETIC):
-        # A core register takes a float result by VMOV, which reads it as another does.
-        return 1 if written & _float_parts(instruction.regs_access()[0]) else 0
+@dataclass(frozen=True, slots=True)
+class Decoded:
+    """What the count takes of an instruction.
+
+    Attributes:
+        offset: bytes behind the first of its run; size: its own.
+        cycles, flags: as ``cycles_and_flags`` gives them.
+        guarded: how many instructions behind it are in its IT block; 0 where it is no IT.
+        jumps: whether the next instruction may be elsewhere.
+        written: registers that it writes.
+        floats_read: registers that it reads, with the single ones that a double one is made of.
+        address: registers that it needs for an address; None where it has none.
+        gives_float, loads: a float result; a load or store of any kind.
+        first, second: a load that others may follow within its time; a single load or store that may follow.
+    """
+
+    offset: int
+    size: int
+    cycles: int
+    flags: int
+    guarded: int
+    jumps: bool
+    written: frozenset[int]
+    floats_read: frozenset[int]
+    address: frozenset[int] | None
+    gives_float: bool
+    loads: bool
+    first: bool
+    second: bool
+
+
+def _decoded(instruction: Any) -> Decoded:
+    name = _stem(instruction.mnemonic)
+    read, written = instruction.regs_access()
     memory = _memory(instruction)
+    address = None
     if memory is not None:
-        address = {memory.mem.base, memory.mem.index} - {0, arm.ARM_REG_PC}
+        address = frozenset({memory.mem.base, memory.mem.index} - {0, arm.ARM_REG_PC})
     elif name.startswith(_MULTIPLE):
-        address = {arm.ARM_REG_SP if name.startswith(("push", "pop", "vp")) else instruction.operands[0].reg}
-    else:
-        return 0
-    before_loads = name_before.startswith(_LOAD_STORE + _DOUBLE + _MULTIPLE)
-    if not before_loads:
-        return 1 if written & address & _CORE else 0
-    single = ("ldr", "str")
-    pipelined = (
-        name_before.startswith("ldr")
-        and not name_before.startswith(("ldrd", "ldrex"))
-        and name.startswith(single)
-        and not name.startswith((*_DOUBLE, "ldrex", "strex"))
-        and not written & address
+        on_stack = name.startswith(("push", "pop", "vp"))
+        address = frozenset({arm.ARM_REG_SP if on_stack else instruction.operands[0].reg})
+    cycles, flags = cycles_and_flags(instruction)
+    return Decoded(
+        instruction.address,
+        instruction.size,
+        cycles,
+        int(flags),
+        guarded=len(name) - 1 if instruction.id == arm.ARM_INS_IT else 0,
+        jumps=instruction.group(capstone.CS_GRP_JUMP),
+        written=frozenset(written),
+        floats_read=frozenset(_float_parts(read)),
+        address=address,
+        gives_float=name.startswith(_FLOAT_ARITHMETIC),
+        loads=name.startswith(_LOAD_STORE + _DOUBLE + _MULTIPLE),
+        first=name.startswith("ldr") and not name.startswith(("ldrd", "ldrex")),
+        second=name.startswith(("ldr", "str")) and not name.startswith((*_DOUBLE, "ldrex", "strex")),
     )
-    return -1 if pipelined and cycles_and_flags(instruction)[0] > 1 else 0
+
+
+@lru_cache(
+    maxsize=1 << 14
+)  # a firmware has some two thousand runs, and most chips of a process have one firmware
+def _run(code: bytes) -> tuple[Decoded, ...]:
+    """The instructions from the beginning of these bytes to the next branch, 64 at most."""
+    reader = capstone.Cs(capstone.CS_ARCH_ARM, capstone.CS_MODE_THUMB | capstone.CS_MODE_MCLASS)
+    reader.detail = True
+    found: list[Decoded] = []
+    in_it = 0
+    for instruction in reader.disasm(code, 0, 64):
+        found.append(_decoded(instruction))
+        in_it = in_it - 1 if in_it else found[-1].guarded
+        if not in_it and found[-1].jumps:
+            break
+    return tuple(found)
+
+
+def cycles_behind(before: Decoded, instruction: Decoded) -> int:
+    """What an instruction costs more, or less, right behind the one before it in memory."""
+    if before.gives_float:
+        # A core register takes a float result by VMOV, which reads it as another does.
+        return 1 if before.written & instruction.floats_read else 0
+    if instruction.address is None:
+        return 0
+    if not before.loads:
+        return 1 if before.written & instruction.address & _CORE else 0
+    pipelined = before.first and instruction.second and not before.written & instruction.address
+    return -1 if pipelined and instruction.cycles > 1 else 0
 
 
 def _float_parts(registers: Iterable[int]) -> set[int]:
@@ -180,6 +242,9 @@ def _float_parts(registers: Iterable[int]) -> set[int]:
             first = arm.ARM_REG_S0 + 2 * (register - arm.ARM_REG_D0)
             found |= {first, first + 1}
     return found
+
+
+_IN_IT: Final = int(Flag.IN_IT)
 
 
 class CostTable:
@@ -193,9 +258,7 @@ class CostTable:
         """``flash``: the whole flash, as loaded."""
         self._flash = flash
         self.entries = (ctypes.c_uint32 * (FLASH_BYTES // 2))()
-        self._capstone = capstone.Cs(capstone.CS_ARCH_ARM, capstone.CS_MODE_THUMB | capstone.CS_MODE_MCLASS)
-        self._capstone.detail = True
-        self._last: dict[int, Any] = {}  # address -> what ends there, where a run was cut off
+        self._last: dict[int, Decoded] = {}  # address -> what ends there, where a run was cut off
 
     def decode_from(self, address: int) -> None:
         """Fill entries from here to the next branch, or to one that is known.
@@ -205,28 +268,29 @@ class CostTable:
         """
         in_it = it_place = 0
         first = address
-        before = self._last.pop(address, None)
+        before: Decoded | None = self._last.pop(address, None)
         # 64 instructions of at most 4 bytes: longer runs are continued when the core gets there.
-        for instruction in self._capstone.disasm(self._flash[address : address + 256], address, 64):
-            place = instruction.address // 2
-            cycles, flags = cycles_and_flags(instruction)
-            behind = cycles + (0 if before is None else cycles_behind(before, instruction))
+        for instruction in _run(self._flash[address : address + 256]):
+            place = (first + instruction.offset) // 2
+            flags = instruction.flags
+            behind = instruction.cycles + (0 if before is None else cycles_behind(before, instruction))
             if in_it:
-                flags |= Flag.IN_IT
+                flags |= _IN_IT
                 in_it -= 1
             elif self.entries[place]:
                 # Known from elsewhere, where what stands before it was not.
                 self.entries[place] = self.entries[place] & 0xFFFF | behind << 16
                 return
-            if instruction.id == arm.ARM_INS_IT:
-                in_it, it_place = len(_stem(instruction.mnemonic)) - 1, place
-            self.entries[place] = behind << 16 | cycles << 8 | flags
-            address = instruction.address + instruction.size
+            if instruction.guarded:
+                in_it, it_place = instruction.guarded, place
+            self.entries[place] = behind << 16 | instruction.cycles << 8 | flags
+            address = first + instruction.offset + instruction.size
             before = instruction
-            if not in_it and instruction.group(capstone.CS_GRP_JUMP):
-                self._last[address] = before
+            if not in_it and instruction.jumps:
+                self._last[address] = instruction
                 return
-        self._last[address] = before
+        if before is not None:
+            self._last[address] = before
         if in_it:
             # Cut off inside an IT block, where the core must not be stopped: the next run begins with the IT.
             for place in range(it_place, address // 2):

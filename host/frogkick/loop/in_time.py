@@ -1,0 +1,43 @@
+"""What keeps a run with a real robot from being held up by its own program."""
+
+from __future__ import annotations
+
+import gc
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import numpy as np
+
+from frogkick.loop.decision import DecisionTwin
+from frogkick.paths import Path
+from frogkick.planner.image import Tables
+from frogkick.planner.plan import PlanConfig
+
+SWITCH_S = 0.002
+"""How long a thread that computes keeps others waiting: Python's 5 ms are a quarter of a fix's time."""
+
+
+@contextmanager
+def in_time() -> Iterator[None]:
+    """Threads give way to each other soon, and nothing that is there already is looked through for garbage.
+
+    A full collection goes through all that numba, OpenCV and the rest have made: 0.1 s and more.
+    """
+    before_s = sys.getswitchinterval()
+    sys.setswitchinterval(SWITCH_S)
+    gc.freeze()
+    try:
+        yield
+    finally:
+        gc.unfreeze()
+        sys.setswitchinterval(before_s)
+
+
+def warm_up(tables: Tables, path: Path, config: PlanConfig) -> None:
+    """Let the twin decide once on nothing: loading its kernels takes 0.3 s, which no fix shall wait for."""
+    twin = DecisionTwin(tables, path, config)
+    for sequence in range(3):
+        pose = np.array([path.x_m[0], path.y_m[0], path.tangent_rad[0]], dtype=np.float32)
+        twin.add_fix(100_000 * sequence, pose, sequence)
+    twin.decide(250_000)

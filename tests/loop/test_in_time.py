@@ -1,0 +1,69 @@
+"""What a run in real time goes on in: given back afterwards, and no wait for the disk."""
+
+from __future__ import annotations
+
+import gc
+import sys
+import threading
+from pathlib import Path
+
+import pytest
+from tests.loop import rig
+
+from frogkick.loop.closed_loop import Recording, RunOptions
+from frogkick.loop.decision import DecisionTwin
+from frogkick.loop.in_time import SWITCH_S, in_time, warm_up
+from frogkick.loop.live_log import LiveLog, logged, part_of
+from frogkick.loop.runlog_file import read_run
+from frogkick.paths import shape
+from frogkick.planner.plan import PlanConfig
+
+
+def stop_at_once() -> None:
+    with in_time():
+        raise KeyboardInterrupt
+
+
+def test_threads_give_way_soon_and_what_is_there_is_not_looked_through() -> None:
+    before_s, frozen = sys.getswitchinterval(), gc.get_freeze_count()
+    with in_time():
+        assert sys.getswitchinterval() == pytest.approx(SWITCH_S) and before_s > SWITCH_S
+        assert gc.get_freeze_count() > frozen + 10_000
+    assert (sys.getswitchinterval(), gc.get_freeze_count()) == (before_s, 0)
+    with pytest.raises(KeyboardInterrupt):
+        stop_at_once()
+    assert sys.getswitchinterval() == before_s
+
+
+@pytest.mark.parametrize("path", ["line", "sine"])
+def test_a_twin_is_warm_once_it_has_decided(path: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    decided = []
+    decide = DecisionTwin.decide
+    monkeypatch.setattr(
+        DecisionTwin, "decide", lambda self, at_us: decided.append(decide(self, at_us)) or decided[-1]
+    )
+    warm_up(rig.tables(), shape(path), PlanConfig(depth=3))
+    assert [one.status for one in decided] == [0] and decided[0].depth_reached == 3
+
+
+def test_nobody_waits_for_a_disk_that_is_slow(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    recording, _, options = rig.swim("pool", "line", 4.0)
+    wakes, write = threading.Event(), LiveLog._write
+
+    def slow(self: LiveLog, rows: list[object]) -> None:
+        assert wakes.wait(60.0)
+        write(self, rows)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(LiveLog, "_write", slow)
+    target = tmp_path / "run.h5"
+    begin = logged(target, rig.robot(), rig.tables(), RunOptions(options.config), "test")
+    with begin(shape("line")) as keep:
+        grown = Recording()
+        for row, fix in enumerate(recording.fixes):
+            grown.fixes.append(fix)
+            for name in ("sent_s", "capture_us", "fix_status"):
+                getattr(grown, name).append(getattr(recording, name)[row])
+            keep(grown)  # comes back, though nothing is written
+        assert len(read_run(part_of(target)).fixes) == 0
+        wakes.set()
+    assert len(read_run(part_of(target)).fixes) == len(recording.fixes) > 20

@@ -21,9 +21,10 @@ from frogkick.identify.experiment import (
     separation,
 )
 from frogkick.identify.filter import Noise
-from frogkick.identify.fit import Fitted, Model, fit, misses, tracks_of, whitener
+from frogkick.identify.fit import Fitted, Model, fit, misses, tracks_of
 from frogkick.identify.search import Found
 from frogkick.identify.side_by_side import Row, Side, grow, swim_of_row
+from frogkick.identify.steps import whitener
 from frogkick.identify.swim import Swim
 from frogkick.identify.terms import Term, catalogue
 from frogkick.identify.verdict import Interval, intervals

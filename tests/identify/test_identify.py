@@ -15,9 +15,10 @@ from frogkick.cli.identify import spread
 from frogkick.cli.main import run_command
 from frogkick.errors import InputError
 from frogkick.identify.filter import Filter, Noise, Series, likeliest, surprise
-from frogkick.identify.fit import Model, bounded_step, fit_many, tracks_of
+from frogkick.identify.fit import Model, fit_many, tracks_of
 from frogkick.identify.outcome import identify, too_little
 from frogkick.identify.search import countable, search
+from frogkick.identify.steps import bounded_step
 from frogkick.identify.swim import Swim, copies, swim_of
 from frogkick.identify.terms import Term, catalogue
 from frogkick.identify.verdict import (

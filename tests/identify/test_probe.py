@@ -7,8 +7,9 @@ from made import make_swim, robot
 
 from frogkick.identify.columns import sensitivities
 from frogkick.identify.filter import Noise
-from frogkick.identify.fit import Model, misses, promised, steps_of, tracks_of
+from frogkick.identify.fit import Model, misses, steps_of, tracks_of
 from frogkick.identify.probe import Sums, changes, probes_of
+from frogkick.identify.steps import promised
 from frogkick.identify.terms import Term, catalogue
 
 NOISE = Noise((2e-4, 3.5e-3), (1e-4, 1e-3), (1e-4, 1e-3))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,8 +10,9 @@ import pytest
 from made import make_swim, robot
 
 from frogkick.identify import relatives as module
-from frogkick.identify.fit import tracks_of
-from frogkick.identify.relatives import refitted, relatives
+from frogkick.identify.filter import Noise
+from frogkick.identify.fit import derivatives, tracks_of
+from frogkick.identify.relatives import best_end_cost, end_cost, refitted, relatives
 from frogkick.identify.search import countable
 from frogkick.identify.swim import read_swim
 from frogkick.identify.terms import catalogue
@@ -41,6 +43,16 @@ def test_a_robot_that_swims_as_drawn_is_no_relative() -> None:
     swims = [make_swim([], seed, 14) for seed in (3, 4)]
     _, rows, nominal = countable(swims, robot())
     assert refitted(nominal, relatives(load_robot("frog2022"))["frog2022-measured"], swims, rows) is None
+
+
+def test_a_model_is_held_against_at_its_best_noise() -> None:
+    """A noise that trusts a wrong model makes its ends worse than they need be."""
+    swims = [make_swim([{"name": "limb_wear", "limb": "front_left", "gain": 0.4}], 3, 8)]
+    _, rows, nominal = countable(swims, robot())
+    sure = replace(nominal.model, noise=Noise((5e-3, 5e-2), (2e-5, 5e-4), (2e-5, 5e-4)))
+    (fitted,) = derivatives([sure], swims, rows)
+    assert best_end_cost(fitted, swims) < end_cost(fitted.tracks, swims) - 5.0
+    assert best_end_cost(nominal, swims) <= end_cost(nominal.tracks, swims)
 
 
 def test_effects_fitted_to_recorded_runs_predict_another_one(

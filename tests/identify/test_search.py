@@ -12,9 +12,10 @@ from made import make_swim, robot
 from frogkick.der import WIDTH
 from frogkick.identify import choice
 from frogkick.identify.filter import Noise
-from frogkick.identify.fit import Model, cost_of, derivatives, fit_many, promised, tracks_of
+from frogkick.identify.fit import Model, derivatives, fit_many, fit_on, told, tracks_of
 from frogkick.identify.polish import Polisher
 from frogkick.identify.search import Found, countable, search
+from frogkick.identify.steps import cost_of, promised
 from frogkick.identify.swim import Swim
 from frogkick.identify.terms import Term, catalogue
 from frogkick.identify.verdict import FOUND, NOTHING, UNEXPLAINED, Error, intervals
@@ -73,6 +74,22 @@ def test_what_is_held_is_not_simulated_in_a_fit(worn: list[Swim]) -> None:
     assert not fitted.jacobian[:, :, 1:].any()
     (whole,) = derivatives([fitted.model], worn, rows)
     assert whole.jacobian.any(axis=(0, 1)).all()
+
+
+def test_derivatives_that_mislead_are_simulated_anew(worn: list[Swim]) -> None:
+    """Of another place a third as steep: the first step goes three times too far, and the fit notices."""
+    model = Model(robot(), (term("limb_wear rear_left").at((0.9, 0.0, 1.0)),), NOISE, held=frozenset({1, 2}))
+    rows = polisher(worn).rows
+    (right,) = derivatives([model], worn, rows, held=False)
+    misled = replace(right, jacobian=right.jacobian / 3.0, fresh=False)
+    (fitted,) = fit_on([misled], worn, rows, 6)
+    (straight,) = fit_on([right], worn, rows, 6)
+    assert fitted.model.values[0] == pytest.approx(straight.model.values[0], abs=2e-3)
+    assert abs(fitted.cost - straight.cost) < 0.5
+    (whole,) = told([fitted], worn, rows)
+    (exact,) = derivatives([fitted.model], worn, rows)
+    assert np.array_equal(whole.missed, exact.missed)
+    assert whole.fresh and np.allclose(whole.jacobian[:, :, 1:], exact.jacobian[:, :, 1:], rtol=0.0)
 
 
 def test_a_delay_that_settled_in_a_dip_is_put_back(worn: list[Swim]) -> None:

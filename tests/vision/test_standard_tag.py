@@ -6,7 +6,9 @@ each of the 41 bits.
 
 from __future__ import annotations
 
+import subprocess
 import sys
+import textwrap
 from dataclasses import replace
 from pathlib import Path
 
@@ -166,6 +168,25 @@ def test_the_command_writes_the_family_and_checks_with_it(
     refused = frogkick(capsys, *made, "--tag-id", "2115")
     assert refused.code == 2
     assert "tagStandard41h12 has no tag 2115: its tags are 0 to 2114" in refused.stderr
+
+
+def test_a_program_that_looked_for_one_ends_in_peace() -> None:
+    """The library's own detector frees what it still looks at when it goes, which now and then is a fault."""
+    from pupil_apriltags import Detector
+
+    assert isinstance(standard._detector(), Detector)
+    assert type(standard._detector()).__del__ is not Detector.__del__
+    program = """
+        import gc
+        import numpy as np
+        from frogkick.vision import standard
+        for _ in range(20):
+            standard._detector.cache_clear()
+            assert standard.find_standard(np.zeros((60, 80), np.uint8), 0) == []
+            gc.collect()
+    """
+    done = subprocess.run([sys.executable, "-c", textwrap.dedent(program)], capture_output=True, check=False)
+    assert (done.returncode, done.stderr) == (0, b"")
 
 
 def test_without_the_extra_it_is_refused_in_one_line(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 from frogkick.identify.fit import Fitted, derivatives, fit
 from frogkick.identify.predict import Track
-from frogkick.identify.relatives import end_cost, refitted, relatives
+from frogkick.identify.relatives import best_end_cost, end_cost, refitted, relatives
 from frogkick.identify.search import GAIN_EACH, Begun, Found, countable, search
 from frogkick.identify.swim import Swim, copies
 from frogkick.identify.terms import Term
@@ -83,7 +83,7 @@ def found_in(train: Sequence[Swim], robot: Robot, candidates: Sequence[Term], pr
         found = search(train, robot, candidates, progress, begun)
     model = relative.fitted.model
     dear = GAIN_EACH * (len(model.values) - len(model.held))
-    searched = end_cost(found.fitted.tracks, train)
+    searched = best_end_cost(found.fitted, train)
     return relative if end_cost(relative.fitted.tracks, train) + dear < searched else found
 
 

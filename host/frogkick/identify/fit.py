@@ -11,9 +11,11 @@ from numpy.typing import NDArray
 from frogkick.effects.acting import LEG_S
 from frogkick.effects.registry import effects_of
 from frogkick.identify.filter import Noise, likeliest
-from frogkick.identify.predict import PARTS, STEP_S, WILD, Lane, Track, follow
+from frogkick.identify.predict import PARTS, STEP_S, Lane, Track
+from frogkick.identify.steps import CLOSE, cost_of, promised
 from frogkick.identify.swim import Swim
 from frogkick.identify.terms import Term
+from frogkick.identify.together import follow
 from frogkick.robot import Robot
 
 FloatArray = NDArray[np.float64]
@@ -108,18 +110,6 @@ def misses(tracks: Sequence[Track], rows: NDArray[np.bool_] | None = None) -> Fl
 LOST = np.tile([0.1, 0.1, 1.0], len(PARTS))
 """Counted as missed where a simulation failed: m, m, rad."""
 
-_LEAST = np.tile([2e-5, 2e-5, 2e-4], len(PARTS))
-
-
-def spread_of(missed: FloatArray) -> FloatArray:
-    """(9, 9) second moments, never quite singular."""
-    return np.asarray(missed.T @ missed / max(len(missed), 1) + np.diag(_LEAST**2))
-
-
-def cost_of(missed: FloatArray) -> float:
-    """Minus twice the log likelihood of misses that are normal with their own second moments."""
-    return float(len(missed) * np.linalg.slogdet(spread_of(missed))[1])
-
 
 def renoised(model: Model, tracks: Sequence[Track], swims: Sequence[Swim]) -> Model:
     """The same with the noise under which these tracks are likeliest."""
@@ -137,6 +127,7 @@ class Fitted:
         missed: (n, 9) of the periods that count.
         jacobian: (n, 9, p) of these by the parameters.
         cost: minus twice the log likelihood.
+        fresh: the derivatives are of these values and this noise; else of some that are not far.
     """
 
     model: Model
@@ -144,6 +135,7 @@ class Fitted:
     missed: FloatArray
     jacobian: FloatArray
     cost: float
+    fresh: bool = True
 
 
 def steps_of(model: Model) -> FloatArray:
@@ -200,11 +192,56 @@ def _told(model: Model, skipped: int, held: bool) -> list[int]:
 DAMPINGS = (1e-6, 1e-1, 30.0)
 """Of a step that has failed so many times; in units of a parameter's range."""
 
-CLOSE = 0.2
-"""A fall of the cost that ends a fit."""
+SURPRISE = 0.2
+"""Derivatives are simulated anew where a step gains another share more or less than they promised."""
 
-WEIGHED = 20
-"""Times that misses are weighed anew at most, for one step."""
+
+def begun_at(
+    models: Sequence[Model], jacobians: Sequence[FloatArray], swims: Sequence[Swim], rows: NDArray[np.bool_]
+) -> list[Fitted]:
+    """Models simulated as they are; derivatives are taken from where those of others are near."""
+    found = []
+    for model, jacobian, tracks in zip(models, jacobians, tracks_of(models, swims), strict=True):
+        missed = misses(tracks, rows)
+        found.append(Fitted(model, tracks, missed, jacobian, cost_of(missed), fresh=False))
+    return found
+
+
+def told(
+    fits: Sequence[Fitted],
+    swims: Sequence[Swim],
+    rows: NDArray[np.bool_],
+    skipped: int = 0,
+    held: bool = True,
+) -> list[Fitted]:
+    """The same with derivatives of their values, where they are simulated already only those that lack.
+
+    Args:
+        fits: as they are.
+        swims, rows: see ``fit``.
+        skipped: so many first parameters keep their derivatives.
+        held: see ``derivatives``.
+    """
+    lanes, wanted = [], []
+    for fitted in fits:
+        step = steps_of(fitted.model)
+        some = [
+            k
+            for k in _told(fitted.model, skipped, held)
+            if not fitted.fresh or not fitted.jacobian[:, :, k].any()
+        ]
+        wanted.append([(k, float(step[k])) for k in some])
+        for k in some:
+            moved = fitted.model.values
+            moved[k] += step[k]
+            lanes.append(fitted.model.with_values(moved))
+    every, found = iter(tracks_of(lanes, swims)), []
+    for fitted, columns in zip(fits, wanted, strict=True):
+        jacobian = fitted.jacobian.copy()
+        for k, step_k in columns:
+            jacobian[:, :, k] = (misses(next(every), rows) - fitted.missed) / step_k
+        found.append(replace(fitted, jacobian=jacobian, fresh=True))
+    return found
 
 
 def fit(model: Model, swims: Sequence[Swim], rows: NDArray[np.bool_], rounds: int = 6) -> Fitted:
@@ -228,30 +265,66 @@ def fit_many(
     close: float = CLOSE,
 ) -> list[Fitted]:
     """Fit several models side by side; see ``fit`` and ``derivatives``, here without those held."""
-    best = derivatives(models, swims, rows, known, held=False)
-    failed = [0 if len(model.values) else len(DAMPINGS) for model in models]
-    for _ in range(rounds):
-        going = [k for k in range(len(models)) if failed[k] < len(DAMPINGS)]
+    begun = derivatives(models, swims, rows, known, held=False)
+    return fit_on(begun, swims, rows, rounds, 0 if known is None else known.shape[2], close)
+
+
+def fit_on(
+    begun: Sequence[Fitted],
+    swims: Sequence[Swim],
+    rows: NDArray[np.bool_],
+    rounds: int,
+    skipped: int = 0,
+    close: float = CLOSE,
+) -> list[Fitted]:
+    """Fit several models side by side from where they stand with the derivatives that they have.
+
+    Only steps are simulated, side by side; derivatives are again where they have misled: a step gained much
+    less or more than they promised, or lost.
+
+    Args:
+        begun: where to start.
+        swims, rows, rounds: see ``fit``.
+        skipped: so many first parameters keep their derivatives.
+        close: a fall of the cost that ends a fit.
+    """
+    best = list(begun)
+    failed = [0 if len(each.model.values) else len(DAMPINGS) for each in best]
+    for turn in range(rounds):
+        going = [k for k in range(len(best)) if failed[k] < len(DAMPINGS)]
         if not going:
             break
         tries = [_stepped(best[k], DAMPINGS[failed[k]]) for k in going]
-        for k, tried in zip(going, derivatives(tries, swims, rows, known, held=False), strict=True):
-            gain = best[k].cost - tried.cost
+        jacobians = [best[k].jacobian for k in going]
+        misled = []
+        ends = begun_at([model for model, _ in tries], jacobians, swims, rows)
+        for k, (_, cost), tried in zip(going, tries, ends, strict=True):
+            gain, promise, fresh = best[k].cost - tried.cost, best[k].cost - cost, best[k].fresh
+            let_down = abs(gain - promise) > max(SURPRISE * promise, close)
             if gain > 0.0:
                 best[k] = tried
-                failed[k] = len(DAMPINGS) if gain < close else 0
+            if let_down and not fresh:
+                misled.append(k)
+            elif abs(gain) < close:
+                failed[k] = len(DAMPINGS)  # a step that changes next to nothing has arrived
+            elif gain > 0.0:
+                failed[k] = 0
+                if let_down:
+                    misled.append(k)
             else:
-                # A step that changes next to nothing has arrived; a worse one was too long.
-                failed[k] = len(DAMPINGS) if gain > -close else failed[k] + 1
+                failed[k] += 1  # it was too long
+        if misled and turn + 1 < rounds:
+            fits = told([best[k] for k in misled], swims, rows, skipped, held=False)
+            best = [dict(zip(misled, fits, strict=True)).get(k, each) for k, each in enumerate(best)]
     return best
 
 
-def _stepped(fitted: Fitted, damping: float) -> Model:
-    """The model one damped Gauss-Newton step further."""
+def _stepped(fitted: Fitted, damping: float) -> tuple[Model, float]:
+    """The model one damped Gauss-Newton step further, and the cost that is promised there."""
     model = fitted.model
     shy = damping * fitted.missed.size / model.range**2
-    step, _ = promised(fitted.missed, fitted.jacobian, *room_of(model), shy)
-    return model.with_values(model.values + step)
+    step, cost = promised(fitted.missed, fitted.jacobian, *room_of(model), shy)
+    return model.with_values(model.values + step), cost
 
 
 def room_of(model: Model) -> tuple[FloatArray, FloatArray]:
@@ -259,64 +332,3 @@ def room_of(model: Model) -> tuple[FloatArray, FloatArray]:
     low, high = model.bounds
     free = np.array([k not in model.held for k in range(len(low))], dtype=np.float64)
     return (low - model.values) * free, (high - model.values) * free
-
-
-def promised(
-    missed: FloatArray, jacobian: FloatArray, low: FloatArray, high: FloatArray, damping: FloatArray
-) -> tuple[FloatArray, float]:
-    """(p,) step within bounds that makes misses likeliest if they were linear, and the cost they would have.
-
-    What is left decides how misses weigh, so the step is made over and over: what few periods show counts
-    little until the step explains it.
-    """
-    found = np.zeros(jacobian.shape[2])
-    after, best = missed, cost_of(missed)
-    for _ in range(WEIGHED):
-        # From where it stands: what was wild at first and is explained by now is not cut.
-        flat, columns = whiten(whitener(after), after, jacobian)
-        flat = np.concatenate([flat, np.sqrt(damping) * found])
-        columns = np.concatenate([columns, np.diag(np.sqrt(damping))])
-        move = bounded_step(columns, flat, np.zeros(len(found)), low - found, high - found)
-        gain, step = 0.0, found + move
-        while (cost := cost_of(missed + jacobian @ step)) < best:
-            gain, best, found = gain + best - cost, cost, step
-            # Each weighing goes the same way a little farther: twice as far saves some.
-            move = 2.0 * move
-            step = np.clip(found + move, low, high)
-        if gain < CLOSE / 4.0:
-            break
-        after = missed + jacobian @ found
-    return found, best
-
-
-def whitener(missed: FloatArray) -> FloatArray:
-    """(9, 9) that makes misses uncorrelated and of size one: rows times it."""
-    return np.asarray(np.linalg.inv(np.linalg.cholesky(spread_of(missed))).T)
-
-
-def whiten(white: FloatArray, missed: FloatArray, jacobian: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """(9 n,) misses and (9 n, p) derivatives, whitened; wild ones are cut."""
-    flat = np.clip(missed @ white, -WILD, WILD).ravel()
-    columns = np.einsum("nip,ij->njp", jacobian, white)
-    return flat, columns.reshape(missed.size, jacobian.shape[2])
-
-
-def bounded_step(
-    jacobian: FloatArray, residual: FloatArray, damping: FloatArray, low: FloatArray, high: FloatArray
-) -> FloatArray:
-    """(p,) step that makes residual + jacobian step smallest within bounds, by fixing what hits them."""
-    normal = jacobian.T @ jacobian + np.diag(damping)
-    right = -jacobian.T @ residual
-    step = np.zeros(len(right))
-    free = np.ones(len(right), dtype=bool)
-    for _ in range(len(right) + 1):
-        if not free.any():
-            break
-        held = right[free] - normal[np.ix_(free, ~free)] @ step[~free]
-        step[free] = np.linalg.lstsq(normal[np.ix_(free, free)], held, rcond=1e-12)[0]
-        out = free & ((step < low) | (step > high))
-        step = np.clip(step, low, high)
-        if not out.any():
-            break
-        free &= ~out
-    return step

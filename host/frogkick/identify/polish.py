@@ -13,16 +13,16 @@ from frogkick.identify.filter import Noise
 from frogkick.identify.fit import (
     Fitted,
     Model,
-    cost_of,
-    derivatives,
+    begun_at,
     fit,
-    fit_many,
+    fit_on,
     misses,
-    promised,
     renoised,
     room_of,
+    told,
     tracks_of,
 )
+from frogkick.identify.steps import cost_of, promised
 from frogkick.identify.swim import Swim
 
 FloatArray = NDArray[np.float64]
@@ -82,8 +82,11 @@ class Polisher:
 
     def polished(self, taken: Fitted) -> Fitted:
         """A model with what was taken, fitted as finely as can be, with no more free parameters than help."""
-        rough = replace(taken.model, leg_s=fine_leg_s(taken.model))
-        fitted = fit(rough, self.swims, self.rows, rounds=1)
+        leg_s = fine_leg_s(taken.model)
+        if leg_s != taken.model.leg_s:
+            rough = replace(taken.model, leg_s=leg_s)
+            (taken,) = begun_at([rough], [taken.jacobian], self.swims, self.rows)
+        (fitted,) = fit_on([taken], self.swims, self.rows, rounds=1)
         # Only now is what is left more noise than misfit.
         fitted = self.quietened(fitted)
         while (freer := self.freed(fitted)) is not None:
@@ -93,11 +96,15 @@ class Polisher:
     def quietened(self, fitted: Fitted) -> Fitted:
         """A model fitted once more, under the noise that it leaves."""
         quiet = best_noise(renoised(fitted.model, fitted.tracks, self.swims), self.swims, self.rows)
-        return fit(quiet.model, self.swims, self.rows, rounds=2)
+        quiet = replace(quiet, jacobian=fitted.jacobian, fresh=False)
+        flat = [parameter for term in quiet.model.terms for parameter in term.parameters]
+        if any(each.tried for k, each in enumerate(flat) if k not in quiet.model.held):
+            (quiet,) = told([quiet], self.swims, self.rows, held=False)  # dips are narrow
+        return fit_on([quiet], self.swims, self.rows, rounds=2)[0]
 
     def freed(self, fitted: Fitted) -> Fitted | None:
         """The model with one more free parameter, where one helps."""
-        whole = derivatives([fitted.model], self.swims, self.rows)[0]
+        (whole,) = told([fitted], self.swims, self.rows)
         model, tries = whole.model, list[tuple[float, Model]]()
         for k in sorted(model.held):
             freed = replace(model, held=model.held - {k})
@@ -155,9 +162,13 @@ class Polisher:
             if not tries:
                 return fitted
             every = tracks_of(tries, self.swims)
-            costs = [cost_of(misses(tracks, self.rows)) for tracks in every]
+            missed = [misses(tracks, self.rows) for tracks in every]
+            costs = [cost_of(each) for each in missed]
             near = [k for k, cost in enumerate(costs) if cost < fitted.cost + NEAR]
-            fits = fit_many([tries[k] for k in near], self.swims, self.rows, 2)
+            begun = [
+                Fitted(tries[k], every[k], missed[k], fitted.jacobian, costs[k], fresh=False) for k in near
+            ]
+            fits = fit_on(begun, self.swims, self.rows, 2)
             dearer = [each.cost - fitted.cost - worth[k] for k, each in zip(near, fits, strict=True)]
             if min(dearer, default=0.0) >= 0.0:
                 return fitted

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from frogkick.der import WIDTH
 from frogkick.effects import ActingLanes, Effect, Fix, changed_robot
 from frogkick.identify.filter import RATE_STD, Filter, Noise, Series
-from frogkick.identify.gentle import gentle
+from frogkick.identify.gentle import Amid, gentle
 from frogkick.identify.swim import Swim
 from frogkick.robot import Robot
 
@@ -148,6 +148,7 @@ class Party:
         self.batch = gentle(robot, first, lanes[0].step_s)
         self.batch.time_s[:] = [lanes[index].swim.begin_s for index in self.seats]
         self.leg_s = min(course.acting.leg_s for course in self.courses)
+        self._ready: dict[int, Amid] = {}
 
     def seated(self) -> list[tuple[int, Course]]:
         """Lanes of the batch that are in use, and who swims there."""
@@ -179,11 +180,13 @@ class Party:
                 if course.next_corner < len(course.corners_s):
                     until[seat] = course.corners_s[course.next_corner]
             self.advance(until)
+            there = [row for row in seated if row[1].next_corner < len(row[1].corners_s)]
+            moves = {seat: self._arrive(course, outcome[self.seats[seat]]) for seat, course in there}
+            self.batch.shift_some(moves)
+            motion = self.batch.motion_world()
+            for seat, course in there:
+                self._begin(seat, course, motion[seat, :6], outcome[self.seats[seat]][2])
             for seat, course in seated:
-                if course.next_corner < len(course.corners_s):
-                    at_s = float(course.corners_s[course.next_corner])
-                    self._arrive(seat, course, at_s, outcome[self.seats[seat]])
-                    course.next_corner += 1
                 if course.next_corner >= len(course.corners_s):
                     self._leave(seat, course)
         return [self._track(course, *outcome[index]) for index, course in enumerate(self.courses)]
@@ -193,10 +196,17 @@ class Party:
         course.failed = self.batch.failures.pop(seat, None) is not None
         self.seats[seat] = self.waiting.pop() if self.waiting else -1
         if self.seats[seat] >= 0:
-            follower = self.courses[self.seats[seat]]
-            alone = gentle(self.robot, self._first_pose(follower)[None, :], follower.lane.step_s)
-            alone.time_s[:] = follower.lane.swim.begin_s
-            self.batch.enter(seat, alone.leave(0))
+            self.batch.enter(seat, self._placed(self.seats[seat]))
+
+    def _placed(self, index: int) -> Amid:
+        """A lane's robot at rest where its run begins; those of the next ones are placed with it."""
+        if index not in self._ready:
+            some = [index, *self.waiting[:-WIDTH:-1]]
+            poses = np.array([self._first_pose(self.courses[each]) for each in some])
+            batch = gentle(self.robot, poses, self.lanes[index].step_s)
+            batch.time_s[:] = [self.lanes[each].swim.begin_s for each in some]
+            self._ready = {each: batch.leave(lane) for lane, each in enumerate(some)}
+        return self._ready.pop(index)
 
     def advance(self, until: FloatArray) -> None:
         """All lanes to their next corner, strokes fired, water asked as often as effects need it."""
@@ -234,9 +244,13 @@ class Party:
                 now_s, row = float(self.batch.time_s[seat]), motion[seat]
                 self.batch.set_water(seat, course.acting.water(self.batch, now_s, row[:3], row[3:6]))
 
-    def _arrive(self, seat: int, course: Course, at_s: float, outcome: tuple[FloatArray, ...]) -> None:
-        """At a corner: note the prediction that ends here, take in the fixes known by now, start anew."""
-        swim = course.lane.swim
+    def _arrive(self, course: Course, outcome: tuple[FloatArray, ...]) -> tuple[FloatArray, FloatArray]:
+        """At a corner: note the prediction that ends here, take in the fixes known by now.
+
+        Returns:
+            By what pose and velocity these say that the robot is off, (3,) each, world frame.
+        """
+        swim, at_s = course.lane.swim, float(course.corners_s[course.next_corner])
         predicted, spread, start, missed = outcome
         ended = -1
         for period in np.flatnonzero(np.abs(swim.end_s - at_s) < 1e-6):
@@ -261,15 +275,20 @@ class Party:
         if ended >= 0:
             missed[ended] = _by_parts(swim, ended, times_s, differences, float(start[ended, 2]))
         offset, rate = course.filter.correct(at_s)
-        self.batch.shift(seat, offset.tolist(), rate.tolist())
         course.moved[:, 0] += offset - at_s * rate
         course.moved[:, 1] += rate
         course.poses = course.poses + offset + (course.times - at_s)[:, None] * rate
         kept = course.times >= at_s - _KEPT_S
         course.times, course.poses = course.times[kept], course.poses[kept]
         course.claims_s.append(at_s)
-        for period in np.flatnonzero(np.abs(swim.start_s - at_s) < 1e-6):
-            start[period] = self.batch.motion_world()[seat, :6]
+        return offset, rate
+
+    def _begin(self, seat: int, course: Course, motion: FloatArray, start: FloatArray) -> None:
+        """Start anew from a corner, where the robot is now known to move like this."""
+        at_s = float(course.corners_s[course.next_corner])
+        course.next_corner += 1
+        for period in np.flatnonzero(np.abs(course.lane.swim.start_s - at_s) < 1e-6):
+            start[period] = motion
             self.began(seat, int(period))
 
     def began(self, seat: int, period: int) -> None:

@@ -14,17 +14,16 @@ from frogkick.identify.filter import Noise
 from frogkick.identify.fit import (
     Fitted,
     Model,
-    bounded_step,
-    derivatives,
+    begun_at,
     fit_many,
-    promised,
+    fit_on,
     renoised,
     room_of,
+    told,
     tracks_of,
-    whiten,
-    whitener,
 )
 from frogkick.identify.polish import HOLD, NEAR, REFINING_LEG_S, Polisher, best_noise, fine_leg_s
+from frogkick.identify.steps import bounded_step, promised, whiten, whitener
 from frogkick.identify.swim import Swim, copies
 from frogkick.identify.terms import Term
 from frogkick.robot import Robot
@@ -176,8 +175,7 @@ def search(
             break
     if len(current.model.terms) > 1:
         current = polisher.sparer(current, whole=True)  # what the first effect stood in for has come since
-    if current.model.held:
-        (current,) = derivatives([current.model], swims, rows)  # what is held has an interval as well
+    (current,) = told([current], swims, rows)  # what is held has an interval as well
     progress("effects", most, most)
     alike = [[term.title for term in others] for others in equals]
     return Found(nominal, current, turns, rows, alike, columns, equals)
@@ -273,7 +271,8 @@ class _Hunt:
         starts = [
             replace(each.model, noise=taken.model.noise, leg_s=fine_leg_s(each.model)) for each in rivals
         ]
-        every = [taken, *fit_many(starts, self.swims, self.rows, 2)]
+        begun = begun_at(starts, [each.jacobian for each in rivals], self.swims, self.rows)
+        every = [taken, *fit_on(begun, self.swims, self.rows, 2)]
         every.sort(key=_price)
         equals = [each for each in every if _price(each) < _price(every[0]) + ALIKE * self.copies]
         equals.sort(key=lambda each: len(each.model.values))

@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from frogkick.identify.filter import Filter, Noise
-from frogkick.identify.fit import Fitted, whiten, whitener
+from frogkick.identify.fit import Fitted
 from frogkick.identify.predict import Track
 from frogkick.identify.search import Found
+from frogkick.identify.steps import whiten, whitener
 from frogkick.identify.swim import Swim
 from frogkick.paths import wrap_angle
 

@@ -7,8 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from frogkick.identify.fit import Fitted, whitener
+from frogkick.identify.fit import Fitted
 from frogkick.identify.outcome import Outcome
+from frogkick.identify.steps import whitener
 from frogkick.identify.verdict import gaps
 
 FloatArray = npt.NDArray[np.float64]

@@ -9,9 +9,9 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +23,7 @@ from frogkick.effects.registry import make_effects
 from frogkick.files import write_text
 from frogkick.identify.outcome import Outcome, identify
 from frogkick.identify.swim import Swim, swim_of
+from frogkick.identify.together import all_at_once, cpu_s
 from frogkick.identify.verdict import FOUND, NOTHING, UNEXPLAINED
 from frogkick.loop.closed_loop import RunOptions, robot_plan_config, run_in_pool
 from frogkick.loop.record import run_log
@@ -37,6 +38,9 @@ from frogkick_codegen.firmware import build
 
 TRAIN, TEST = ("sine", "ellipse", "line"), ("ellipse",)
 TIME_LIMIT_S = 60.0
+
+GROUP = 24
+"""Cases that a process does before their results are written: towards its end batches are less full."""
 
 
 @dataclass(frozen=True)
@@ -113,11 +117,14 @@ def run_cases(
         write_text(file, stamp + "\n")
     waiting = [case for case in cases if case.key not in kept]
     progress(len(cases) - len(waiting), len(cases))
+    size = max(1, min(GROUP, -(-len(waiting) // workers)))
+    groups = [waiting[first : first + size] for first in range(0, len(waiting), size)]
     job = Job(_start, (robot, tables, library, out), _run, lambda _ready: None)
-    for index, result in run_chunks(job, waiting, workers):
-        kept[waiting[index].key] = result
-        with file.open("a", encoding="utf-8") as target:
-            target.write(json.dumps({"key": waiting[index].key, **dataclasses.asdict(result)}) + "\n")
+    for index, results in run_chunks(job, groups, workers):
+        for case, result in zip(groups[index], results, strict=True):
+            kept[case.key] = result
+            with file.open("a", encoding="utf-8") as target:
+                target.write(json.dumps({"key": case.key, **dataclasses.asdict(result)}) + "\n")
         progress(sum(case.key in kept for case in cases), len(cases))
     return {case: kept[case.key] for case in cases}
 
@@ -150,14 +157,22 @@ def swims_of(ready: _Ready, planted: Sequence[Table], seed: int, paths: Sequence
     return swims
 
 
-def _run(ready: _Ready, case: Case) -> Result:
+def _run(ready: _Ready, cases: Sequence[Case]) -> list[Result]:
+    """Several cases, their simulations in shared batches: each comes out as it would alone."""
+    found: list[Result | None] = [None] * len(cases)
+    for index, result in all_at_once([partial(_run_one, ready, case) for case in cases]):
+        found[index] = result
+    return [result for result in found if result is not None]
+
+
+def _run_one(ready: _Ready, case: Case) -> Result:
     kind = kinds()[case.kind]
     seed = [case.seed, *case.kind.encode()]
     planted = kind.draw(np.random.default_rng(seed))
     every = swims_of(ready, planted, case.seed, [*TRAIN, *TEST])
-    begun_s = time.process_time()
+    begun_s = cpu_s()
     outcome = identify(every[: len(TRAIN)], every[len(TRAIN) :], ready.robot)
-    return judged(kind, planted, outcome, time.process_time() - begun_s)
+    return judged(kind, planted, outcome, cpu_s() - begun_s)
 
 
 def judged(kind: Kind, planted: Sequence[Table], outcome: Outcome, cpu_s: float) -> Result:

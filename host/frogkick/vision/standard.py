@@ -32,7 +32,11 @@ def _detector() -> Any:
         raise InputError(f"tag family {NAME} needs a detector that is not installed: {INSTALL}")
     from pupil_apriltags import Detector
 
-    return Detector(families=NAME, nthreads=1, quad_decimate=1.0)
+    # Its own end frees the family before the detector that still looks at it: now and then the interpreter
+    # fell over as it ended, and with it the exit code of a run. There is one, and it lives as long as we do.
+    lasting = type("LastingDetector", (Detector,), {"__del__": lambda _self: None})
+    # Squares are looked for at half the size (of small tags, enlarged twofold before), codes at the whole.
+    return lasting(families=NAME, nthreads=1, quad_decimate=2.0)
 
 
 def _family() -> Any:

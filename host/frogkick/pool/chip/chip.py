@@ -112,18 +112,13 @@ class VirtualChip:
             self._core,
         )
         self._by_base: dict[int, list[Peripheral]] = {}
-        self._by_address: dict[int, Peripheral | None] = {}  # what was asked for
         for peripheral in self.peripherals:
             self._by_base.setdefault(peripheral.base, []).append(peripheral)
 
     def _peripheral(self, address: int) -> Peripheral | None:
         """The peripheral of a register; two may share a page."""
-        if address not in self._by_address:
-            page = self._by_base.get(address & ~(PAGE - 1), [])
-            self._by_address[address] = next(
-                (p for p in page if address & (PAGE - 1) in p.by_offset), page[0] if page else None
-            )
-        return self._by_address[address]
+        page = self._by_base.get(address & ~(PAGE - 1), [])
+        return next((p for p in page if address & (PAGE - 1) in p.by_offset), page[0] if page else None)
 
     # From outside
 

@@ -4,7 +4,9 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 export FK_FULL ?= 0
-# Tests side by side, one process for each core; a file's tests stay together and share what they have built.
+# Dozens of processes load the same files: what Python has compiled of them is kept, whatever a machine's settings say.
+unexport PYTHONDONTWRITEBYTECODE
+# Tests side by side; how many processes tests/conftest.py says. A file's tests stay together and share what they built.
 SPREAD := -n logical --dist loadfile --no-loadscope-reorder --durations 25 --durations-min 3
 
 .PHONY: demo test test-full bench extra lint types check venv clean

@@ -33,9 +33,37 @@ def count(normal: int, full: int) -> int:
     return full if FULL else normal
 
 
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_auto_num_workers() -> int:
+    """Half as many processes again as cores: while some tests wait for a radio or a clock, others compute."""
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return cores + (cores + 1) // 2
+
+
 def pytest_configure(config: pytest.Config) -> None:
-    if hasattr(config, "workerinput") and sys.platform != "win32":
-        compile_once()
+    if hasattr(config, "workerinput"):
+        if not sys.dont_write_bytecode:
+            rewrite_a_share(
+                config, int(config.workerinput["workerid"][2:]), config.workerinput["workercount"]
+            )
+        if sys.platform != "win32":
+            compile_once()
+
+
+def rewrite_a_share(config: pytest.Config, worker: int, workers: int) -> None:
+    """Each process prepares the asserts of some test files, for all to load, instead of each of all files.
+
+    pytest by itself does that in every process of a fresh clone, for ten seconds.
+    """
+    from _pytest.assertion import rewrite
+
+    state = config.stash[rewrite.assertstate_key]
+    for file in sorted((REPOSITORY / "tests").rglob("test_*.py"))[worker::workers]:
+        folder = rewrite.get_cache_dir(file)
+        kept = folder / (file.stem + rewrite.PYC_TAIL)
+        if rewrite.try_makedirs(folder) and rewrite._read_pyc(file, kept, state.trace) is None:
+            source, code = rewrite._rewrite_test(file, config)
+            rewrite._write_pyc(state, code, source, kept)
 
 
 def compile_once() -> None:
@@ -70,15 +98,21 @@ def compile_once() -> None:
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """The dearest folders first: files are dealt to processes in this order, which then end together.
 
-    Before them two files that compile different halves in a fresh clone, the rods and the planner.
+    Before them two files that compile different halves in a fresh clone, the rods and the planner. Files that
+    wait for a radio in real time are spread among those that compute, or all processes would wait at once.
     """
     first = ("study/test_convergence.py", "codegen/test_parity.py")
-    dear = ("study", "identify", "library", "codegen", "loop")
+    dear = ("study", "identify", "library", "codegen", "loop", "core", "soak")
 
-    def rank(item: pytest.Item) -> int:
-        place = item.path.relative_to(REPOSITORY / "tests")
+    def rank(file: Path) -> int:
+        place = file.relative_to(REPOSITORY / "tests")
         if place.as_posix() in first:
             return first.index(place.as_posix()) - len(first)
         return dear.index(place.parts[0]) if place.parts[0] in dear else len(dear)
 
-    items.sort(key=rank)
+    files = sorted(dict.fromkeys(item.path for item in items), key=rank)
+    waiting = [file for file in files if file.parent.name == "link"]
+    computing = [file for file in files if file.parent.name != "link"]
+    turn = {file: (k + 0.5) / len(computing) for k, file in enumerate(computing)}
+    turn |= {file: 0.8 * (k + 0.5) / len(waiting) for k, file in enumerate(waiting)}
+    items.sort(key=lambda item: turn[item.path])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 import time
 from collections.abc import Iterator
 
@@ -104,4 +105,33 @@ def test_an_old_fix_is_left_out() -> None:
     source.wait_first(10.0)
     now_s[0] += 3.0
     assert source.advance(103.0) == []
+    source.close()
+
+
+def stay_quiet(source: CameraFixes, now_s: list[float]) -> None:
+    for _ in range(20):
+        now_s[0] += 0.1
+        source.advance(30.0)
+
+
+def test_a_computer_that_slept_does_not_blame_the_camera() -> None:
+    """A live camera, and a clock that stood still for this program: pictures may come again."""
+    now_s, goes_on = [100.0], threading.Event()
+    picture = SCENE.picture(POSE, np.random.default_rng(2))
+
+    def filmed() -> Iterator[Frame]:
+        yield Frame(picture, now_s[0], 0, True)
+        goes_on.wait(60.0)
+
+    source = CameraFixes(filmed(), calibration(SCENE), "camera 2", clock=lambda: now_s[0])
+    source.wait_first(20.0)
+    source.advance(0.0)
+    now_s[0] += 30.0
+    source.advance(30.0)
+    for _ in range(9):  # awake for 0.9 s more, in which it says nothing
+        now_s[0] += 0.1
+        source.advance(30.0)
+    with pytest.raises(InputError, match=r"camera 2 has given no picture for 31\.\d s: plug it in again"):
+        stay_quiet(source, now_s)
+    goes_on.set()
     source.close()

@@ -32,11 +32,17 @@ def shell_lines(markdown: str) -> list[str]:
     return lines + SPAN.findall(BLOCK.sub("", markdown))
 
 
+HELP: dict[tuple[str, ...], str] = {}
+"""What was asked for before: the same few commands stand in many lines."""
+
+
 def help_of(words: list[str], capsys: pytest.CaptureFixture[str]) -> str:
     """Return what ``frogkick WORDS --help`` prints, or "" where there is no such command."""
-    code = run_command([*words, "--help"])
-    printed = capsys.readouterr()
-    return printed.out if code == 0 else ""
+    if tuple(words) not in HELP:
+        code = run_command([*words, "--help"])
+        printed = capsys.readouterr()
+        HELP[tuple(words)] = printed.out if code == 0 else ""
+    return HELP[tuple(words)]
 
 
 def problem(line: str, makefile: str, capsys: pytest.CaptureFixture[str]) -> str:

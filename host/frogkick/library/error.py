@@ -99,7 +99,7 @@ def _compiled(stamp: int) -> Any:
             now[:] = 0
             for place in range(previous.shape[1] - 1, -1, -1):
                 if previous[k, place] >= 0:  # how a limb was used does not depend on the row
-                    dynamics_after(table, 0, now, previous[k, place], after)
+                    dynamics_after(table, np.int64(0), now, np.int64(previous[k, place]), after)
                     now[3:] = after[3:]
             for axis in range(3):
                 now[axis] = velocity_code(velocities[k, axis], one / table.velocity_scale[axis])

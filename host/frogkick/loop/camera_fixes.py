@@ -18,6 +18,7 @@ from frogkick.vision.video import Video
 
 POLL_S = 0.002
 KEEP_S = 2.0
+AWAKE_S = 0.1
 STALL_S = 1.0
 """Without a picture of a live camera: its driver hangs, and does not say so."""
 
@@ -57,6 +58,9 @@ class CameraFixes:
         self._sequence = 0
         self._looked_s = 0.0
         self._heard_s: float | None = None  # when a live camera gave its last picture
+        self._quiet_since_s: float | None = None
+        self._quiet_s = 0.0
+        self._asked_s = clock()
         self._thread = threading.Thread(target=self._look, name=name, daemon=True)
         self._thread.start()
 
@@ -94,11 +98,7 @@ class CameraFixes:
                 raise self._error
             taken, self._poses = self._poses, []
             heard_s, now_s = self._heard_s, self._clock()
-        if heard_s is not None and now_s - heard_s > STALL_S:
-            raise InputError(
-                f"{self._name} has given no picture for {now_s - heard_s:.1f} s: plug it in "
-                "again, or choose a lower rate or another port"
-            )
+        self._require_alive(heard_s, now_s)
         fixes = []
         for captured_s, pose in taken:
             age_s = now_s - captured_s
@@ -107,6 +107,20 @@ class CameraFixes:
                 fixes.append(Fix(self._sequence, until_s - age_s, until_s, told))
                 self._sequence = (self._sequence + 1) & 0xFFFF
         return fixes
+
+    def _require_alive(self, heard_s: float | None, now_s: float) -> None:
+        """Refuse a live camera that has given nothing for ``STALL_S``, this program being awake."""
+        # A computer that slept or was busy elsewhere kept the camera's thread from its pictures as well.
+        awake_s, self._asked_s = min(now_s - self._asked_s, AWAKE_S), now_s
+        if heard_s is None or heard_s != self._quiet_since_s:
+            self._quiet_since_s, self._quiet_s = heard_s, 0.0
+            return
+        self._quiet_s += awake_s
+        if self._quiet_s > STALL_S:
+            raise InputError(
+                f"{self._name} has given no picture for {now_s - heard_s:.1f} s: plug it in again, or choose "
+                "a lower rate or another port"
+            )
 
     def film(self, video: Video) -> None:
         """Keep each picture from now on; its fix has gone before it is written."""

@@ -112,8 +112,8 @@ def profile_within(since_s: np.float32, period_s: np.float32, fire_s: np.float32
 
 def _weighted(weights: Float32, values: Float32) -> Float32:
     """Weights (4,) times the last axis (..., 4), added from the left."""
-    first = weights[0] * values[..., 0] + weights[1] * values[..., 1]
-    return np.asarray((first + weights[2] * values[..., 2]) + weights[3] * values[..., 3])
+    parts = weights * values
+    return np.asarray(((parts[..., 0] + parts[..., 1]) + parts[..., 2]) + parts[..., 3])
 
 
 def wrapped(angle: np.float32) -> np.float32:

@@ -14,6 +14,8 @@ from tests.loop import rig
 from frogkick.link.frames import Frame, hello, pack_frame, path_frames
 from frogkick.link.layout import Value, link_layout
 from frogkick.paths import shape
+from frogkick.pool.chip.timer import Timer
+from frogkick.pool.port import BYTE_S
 from frogkick.pool.virtual_robot import VirtualRobot
 
 COMMANDS = 10
@@ -75,7 +77,8 @@ class Stranger:
         if not again:
             self.sent.append(encoded)
             if name == "ARM":
-                self.note(self.time_s, onlooker.ARM)
+                # With its last byte it has reached the robot, which may have disarmed itself meanwhile.
+                self.note(self.time_s + len(encoded) * BYTE_S, onlooker.ARM)
         self.port.send(encoded, self.time_s)
         if self.rng.random() < 0.1:
             self.port.send(encoded, self.time_s)  # doubled by the radio
@@ -104,15 +107,17 @@ class Stranger:
             self.faults += int(values["fault"]) != FAULT["NONE"]
 
     def find_clock(self) -> None:
-        """The robot's clock against the chip's, by the latest that it can have begun."""
+        """The robot's clock against the chip's, to the cycle: TIMER0 is that clock."""
         self.ask("HELLO", hello(1 + self.resets))
+        (timer,) = (one for one in self.port.chip.peripherals if one.name == "TIMER0")
+        assert isinstance(timer, Timer)
+        self.clock_s = timer.zero_cycle / CYCLES * 1e-6
         before_s = self.time_s
         self.port.send(pack_frame("STATUS", "command", 200, {}), before_s)
         told = None
         while told is None:
             told = next((f for f in self.live(0.0005) if f.name == "STATUS" and f.kind == "answer"), None)
-        # Read when the frame had come, before the answer went out: off by less than a frame's time.
-        self.clock_s = before_s - int(told.values["now_us"]) * 1e-6
+        assert before_s < self.clock_s + int(told.values["now_us"]) * 1e-6 < self.time_s
 
     def sequence_of_commands(self) -> None:
         rng = self.rng

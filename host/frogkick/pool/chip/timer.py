@@ -61,6 +61,11 @@ class Timer(Peripheral):
     def _ticks_by_itself(self) -> bool:
         return self._running and self.values["MODE"] == _MODE_TIMER
 
+    @property
+    def zero_cycle(self) -> int:
+        """Cycle at which the counter of a timer that runs was 0, had it always counted as it does now."""
+        return self._since - self._count * self._tick_cycles
+
     def _counter(self) -> int:
         ticks = (self.system.now_cycle - self._since) // self._tick_cycles if self._ticks_by_itself else 0
         return (self._count + ticks) & self._mask

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from frogkick.der.schedule import (
@@ -27,6 +27,7 @@ ROOM = 1.0 + 1e-6
 times = st.floats(0.0, 3.0)
 
 
+@example(now=0.8, length=1.0, starts=[1e-05])
 @settings(max_examples=300, deadline=None)
 @given(now=times, length=st.floats(1e-6, 3.0), starts=st.lists(times, max_size=6))
 def test_steps_fill_the_time_and_land_on_strokes(now: float, length: float, starts: list[float]) -> None:

@@ -10,6 +10,7 @@ and the ends of strokes, where the activation has kinks that would cost the orde
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -69,7 +70,7 @@ def pace_of(actuation: Actuation) -> Pace:
     """How long steps may be during this stroke."""
     active, every_s = actuation.activation, actuation.step_s
     last = int(np.flatnonzero(active > 0.0)[-1]) + 1
-    rings = int(RINGS_S / every_s)
+    rings = math.ceil(RINGS_S / every_s)
     bend = np.zeros(last + 1)
     bend[1:-1] = np.abs(np.diff(active[: last + 1], 2)) / every_s**2
     bend[0], bend[-1] = SHARP_PER_S2, bend[-2]

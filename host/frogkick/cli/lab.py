@@ -7,12 +7,13 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from frogkick.cli.common import stderr
+from frogkick.cli.keys import Keys
 from frogkick.cli.places import built_firmware
 from frogkick.errors import InputError, nearest_name
 from frogkick.link.frames import DELIMITER
@@ -176,8 +177,11 @@ def run_on_bench(
     logged: Callable[[SwimPath], AbstractContextManager[Callable[[Recording], None]]],
     progress: Callable[[float, int], None],
     film: Path | None = None,
+    yes: bool = False,
 ) -> tuple[Recording, SwimPath]:
     """A run with a real robot, and the path as it was placed. Stopped in any way, it disarms the robot first.
+
+    At a terminal the robot is armed by Enter, and any key stops the run.
 
     Args:
         name: where the robot is, as the user gave it.
@@ -187,6 +191,7 @@ def run_on_bench(
         sight: fixes, and where the path begins.
         logged: makes, from the path as placed, what keeps the recording while it grows.
         film: the log beside which the camera's pictures are kept; None: they are not.
+        yes: arm without asking.
 
     Raises:
         WireError: the robot cannot be reached.
@@ -217,4 +222,8 @@ def run_on_bench(
             fixes.film(video)
         source: FixSource = fixes
         keep = stack.enter_context(logged(path))
+        keys = stack.enter_context(Keys(None if sight.fixes == STDIN else sys.stdin))
+        if not yes:
+            keys.wait_to_arm()
+        options = replace(options, stop=keys.pressed)
         return run_session(session, source, tables, path, options, progress, keep), path

@@ -99,12 +99,14 @@ def run(
     video: Annotated[
         bool, typer.Option("--video", help="Keep the camera's pictures beside --out: .avi, .frames.csv.")
     ] = False,
+    yes: Annotated[bool, typer.Option("--yes", help="Arm a real robot without asking for Enter.")] = False,
     json: JsonOption = False,
 ) -> None:
     """Follow a path: position fixes in, strokes out. Exit 1 if the guard's limits were broken, or robot and
     host decide differently (--plan both).
 
-    Stopped by Ctrl-C, a real robot is disarmed first.
+    At a terminal a real robot is armed by Enter, and any key stops the run. However it ends, the robot is
+    disarmed first.
     """
     require_bench(robot, dialect, fixes, world)
     require_film(video, fixes, out)
@@ -156,6 +158,7 @@ def run(
                     kept,
                     progress,
                     out if video else None,
+                    yes,
                 )
             except BaseException:
                 if out is not None and part_of(out).exists():

@@ -36,6 +36,7 @@ START_DELAY_S = 0.1
 # A chip boots longer than the core on this computer. From a common time on, both meet the same fixes.
 READY_S = 1.0
 TIME = "time limit"
+STOPPED = "stopped by key"
 DROPPED = "connection lost, and the robot ended the run meanwhile"
 ENDED = {
     "OK": End.COMPLETED.value,
@@ -103,12 +104,14 @@ class RunOptions:
         onboard: True = the robot's planner decides, False = the twin on the host does.
         time_limit_s: pool time after which the run is stopped.
         check: compares the robot's decisions with the host's while they are made; None: nobody does.
+        stop: whether somebody wants the run to end; asked at each step.
     """
 
     config: PlanConfig
     onboard: bool = True
     time_limit_s: float = 120.0
     check: LiveCheck | None = None
+    stop: Callable[[], bool] = lambda: False
 
 
 def robot_plan_config(robot: Robot) -> PlanConfig:
@@ -200,6 +203,10 @@ def run_session(
         raise
 
 
+class _StopError(Exception):
+    """Somebody wants the run to end."""
+
+
 class _Run:
     def __init__(
         self,
@@ -224,6 +231,7 @@ class _Run:
         self.twin = DecisionTwin(tables, path, options.config)
         self._awaited: dict[int, int] = {}
         self._too_late = 0
+        self._stopped = False
 
     def go(self) -> Recording:
         session, options = self.session, self.options
@@ -234,12 +242,16 @@ class _Run:
             options.check.begin(self.tables, self.path, options.config)
         session.send_path(self.path)
         self.may_be_armed = True
-        session.request("ARM")
-        self._live_until(max(session.time_s + SETTLE_S, READY_S))
-        if options.onboard:
-            self._run_onboard()
-        else:
-            self._run_on_host()
+        try:
+            session.request("ARM")
+            self._live_until(max(session.time_s + SETTLE_S, READY_S))
+            if options.onboard:
+                self._run_onboard()
+            else:
+                self._run_on_host()
+        except _StopError:
+            session.request("STOP")
+            self.recording.ended = STOPPED
         self.recording.end_s = session.time_s
         session.request("DISARM")
         self.recording.fixes_refused = int(session.request("STATUS")["fixes_refused"])
@@ -349,6 +361,9 @@ class _Run:
 
     def _source_step(self, until_s: float, edges: Sequence[Edge]) -> None:
         """The source lives through a step of the robot; fixes that arrive go straight to the robot."""
+        if self.may_be_armed and not self._stopped and self.options.stop():
+            self._stopped = True
+            raise _StopError
         for edge in edges:
             if edge.level:
                 self.source.heat(edge.limb, edge.time_s)

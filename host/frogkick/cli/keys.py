@@ -1,0 +1,70 @@
+"""Keys of the terminal while a real robot swims: Enter arms, any key stops."""
+
+from __future__ import annotations
+
+import os
+import sys
+from types import TracebackType
+from typing import TextIO
+
+if sys.platform == "win32":
+    import msvcrt
+else:
+    import select
+    import termios
+    import tty
+
+from frogkick.cli.common import stderr
+
+
+class Keys:
+    """What is pressed, without waiting and without Enter, while this is entered; Ctrl-C stays what it is.
+
+    Where ``stream`` is no terminal nothing is asked, and nothing is ever pressed.
+    """
+
+    def __init__(self, stream: TextIO | None) -> None:
+        """``stream``: where keys come from; None: from nowhere."""
+        self._stream = stream
+        self.is_terminal = stream is not None and stream.isatty()
+
+    def __enter__(self) -> Keys:
+        if self._stream is not None and self.is_terminal and sys.platform != "win32":
+            self._number = self._stream.fileno()
+            self._before = termios.tcgetattr(self._number)
+            tty.setcbreak(self._number)
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self.is_terminal and sys.platform != "win32":
+            termios.tcsetattr(self._number, termios.TCSADRAIN, self._before)
+
+    def wait_to_arm(self) -> None:
+        """Ask for Enter, and wait for it; what was pressed before does not count."""
+        if not self.is_terminal:
+            return
+        while self._read():
+            pass
+        stderr.print("press Enter to arm, Ctrl-C to leave; any key stops the run", highlight=False)
+        while not {b"\r", b"\n"} & set(self._read(wait=True)):
+            pass
+
+    def pressed(self) -> bool:
+        """Whether a key has been pressed since this was asked last."""
+        return self.is_terminal and bool(self._read())
+
+    def _read(self, wait: bool = False) -> list[bytes]:
+        """The bytes that are there; at least one where it is waited for."""
+        if sys.platform == "win32":
+            found = [msvcrt.getch()] if wait else []
+            while msvcrt.kbhit():
+                found.append(msvcrt.getch())
+            return found
+        if not select.select([self._number], [], [], None if wait else 0.0)[0]:
+            return []
+        read = os.read(self._number, 64)
+        if not read:
+            raise KeyboardInterrupt  # the terminal is closed
+        return [bytes([one]) for one in read]

@@ -1,0 +1,40 @@
+"""Each folder's README is there, and names files that there are."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+REPOSITORY = Path(__file__).parents[2]
+FOLDERS = sorted(
+    [
+        *(path.parent for path in (REPOSITORY / "host" / "frogkick").glob("*/__init__.py")),
+        *(REPOSITORY / name for name in ("host", "codegen", "firmware", "tests")),
+        *(path for path in (REPOSITORY / "firmware").iterdir() if path.is_dir()),
+    ]
+)
+KINDS = re.compile(r"`([\w./-]+\.(?:py|c|h|toml|md|ld))`")
+OTHERS = {
+    "robot.toml", "camera.toml", "corners.toml", "world.toml", "mine.py", "fk_table.c", "fk_robot_config.h",
+}  # fmt: skip
+"""What users write, or a build makes."""
+
+
+@pytest.mark.parametrize("folder", FOLDERS, ids=lambda path: path.relative_to(REPOSITORY).as_posix())
+def test_a_folder_s_readme_names_what_is_there(folder: Path) -> None:
+    readme = folder / "README.md"
+    assert readme.is_file(), f"{readme.relative_to(REPOSITORY)} is missing: what is this folder, in a minute?"
+    there = {
+        path.name
+        for root in ("host", "firmware", "codegen", "tests")
+        for path in (REPOSITORY / root).rglob("*")
+        if path.suffix and "__pycache__" not in path.parts
+    }
+    named = {Path(name).name for name in KINDS.findall(readme.read_text(encoding="utf-8"))}
+    assert named - OTHERS <= there, sorted(named - OTHERS - there)
+    if folder.parent.name == "frogkick":
+        mine = {path.name for path in folder.glob("*.py")} - {"__init__.py"}
+        own = {name for name in named if name in mine}
+        assert own, "names none of its own files"

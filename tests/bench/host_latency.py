@@ -63,12 +63,12 @@ def main(seconds: float) -> None:
             post = session.post
 
             def timed_post(name: str, *rest: object, **more: object) -> int:
-                sequence = post(name, *rest, **more)  # type: ignore[arg-type]
+                sequence = post(name, *rest, **more)
                 if name == "STROKE":
                     strokes.append((session.port.now_s, session.time_s))
                 return sequence
 
-            session.post = timed_post  # type: ignore[method-assign]
+            session.post = timed_post
             recording = run_session(session, camera, rig.tables(), path, options, keep=keep)
             camera.close()
     period_s = rig.tables().period_us * 1e-6

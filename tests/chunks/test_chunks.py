@@ -243,7 +243,7 @@ def test_a_worker_with_other_code_is_refused(cluster: Cluster, monkeypatch: pyte
 def test_what_a_caller_drops_does_not_stay(cluster: Cluster) -> None:
     first, _ = next(running := run_chunks(ADDING, range(200), 1, cluster.address))
     assert first in range(200)
-    running.close()  # type: ignore[attr-defined]
+    running.close()
     assert len(list(run_chunks(ADDING, range(3), 1, cluster.address))) == 3
 
 

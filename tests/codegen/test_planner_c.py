@@ -233,7 +233,7 @@ def test_everything_at_its_limit_is_planned(image: bytes, cost: Cost) -> None:
              "progress_weight_per_m", "look_ahead_m", "soft_distance_m")  # fmt: skip
     corners = [(-1000.0, -1000.0, -1000.0), (1000.0, 1000.0, 1000.0), (1000.0, -1000.0, 0.0)]
     for weight in (0.0, 1e6):
-        config = PlanConfig(**dict.fromkeys(names, weight), cost=cost, depth=2, turn_lead=weight / 5e5)  # type: ignore[arg-type]
+        config = PlanConfig(**dict.fromkeys(names, weight), cost=cost, depth=2, turn_lead=weight / 5e5)
         values = np.array(
             [[1e3, 1e3, 1e3, 3e38, -3e38, 3e38], [-1e3, 1e3, -1e3, -3e38, 1e-45, 0.0]], dtype=np.float32
         )
@@ -250,8 +250,8 @@ def test_both_costs_answer_as_the_twin_does(kind: str, depth: int) -> None:
     states = some_states(count(40, 400), 100, depth)
     for config in (
         PlanConfig(depth=depth),
-        PlanConfig(depth=depth, **ROUTE),  # type: ignore[arg-type]
-        PlanConfig(depth=depth, **(ROUTE | {"soft_distance_m": 0.0, "look_ahead_m": 1e6, "turn_lead": 2.0})),  # type: ignore[arg-type]
+        PlanConfig(depth=depth, **ROUTE),
+        PlanConfig(depth=depth, **(ROUTE | {"soft_distance_m": 0.0, "look_ahead_m": 1e6, "turn_lead": 2.0})),
     ):
         path = synthetic.wave_path()
         told = c_plan(IMAGES[kind], path, config, *states)
@@ -289,11 +289,11 @@ def test_a_budget_cuts_the_search_anywhere_and_the_answer_is_the_best_so_far(
     for depth in (1, 2, 3):
         whole = sum(5**level for level in range(1, depth + 1)) + 5
         alone = {
-            level: c_plan(image, path, PlanConfig(depth=level, **settings), *states)  # type: ignore[arg-type]
+            level: c_plan(image, path, PlanConfig(depth=level, **settings), *states)
             for level in range(1, depth + 1)
         }
         for limit in sorted({*range(1, min(whole + 3, 80)), whole - 1, whole, whole + 1, 2**32 - 1}):
-            config = PlanConfig(depth=depth, transitions_max=limit, **settings)  # type: ignore[arg-type]
+            config = PlanConfig(depth=depth, transitions_max=limit, **settings)
             told = c_plan(image, path, config, *states)
             assert told == twin_plan(image, path, config, *states)
             for index, row in enumerate(told):
@@ -332,7 +332,7 @@ def test_degenerate_paths_are_planned_along(shape: str, kind: str) -> None:
     states[:, :2] = near + off * rng.normal(0.0, 1.0, (number, 2))
     for depth in (1, 2):
         for settings in ({}, ROUTE, ROUTE | {"look_ahead_m": 0.0}):
-            config = PlanConfig(depth=depth, **settings)  # type: ignore[arg-type]
+            config = PlanConfig(depth=depth, **settings)
             told = c_plan(IMAGES[kind], Points(points), config, states, use, along)
             assert told == twin_plan(IMAGES[kind], Points(points), config, states, use, along)
             assert all(np.isfinite(np.frombuffer(row["predicted"], np.float32)).all() for row in told)
@@ -359,7 +359,7 @@ def test_a_place_on_the_path_is_found_again_and_a_far_robot_keeps_its_own() -> N
 
 def test_a_robot_at_its_look_ahead_has_no_direction_to_take() -> None:
     """Nothing moves, and the branch ends where it should point to: the end costs nothing."""
-    config = PlanConfig(depth=1, **(ROUTE | {"look_ahead_m": 0.0, "progress_weight_per_m": 0.0}))  # type: ignore[arg-type]
+    config = PlanConfig(depth=1, **(ROUTE | {"look_ahead_m": 0.0, "progress_weight_per_m": 0.0}))
     states = np.array([[0.0, 0.0, 1.0, 0.0, 0.0, 0.0]], dtype=np.float32)
     use, along = np.zeros((1, 8), dtype=np.uint16), np.zeros(1, dtype=np.float32)
     (told,) = c_plan(STILL, Points(POINTS), config, states, use, along)

@@ -57,7 +57,7 @@ def content_of(number: int, length: int) -> bytes:
 def robot_with_log(now_us: int = 1_000_000, made: Any = None) -> tuple[Robot, Log]:
     robot, log = Robot(now_us=now_us, made=made), Log()
     log.memory[0] = 0  # as found
-    robot._log = log  # type: ignore[attr-defined] # lives as long
+    robot._log = log  # lives as long
     robot.core.fk_robot_use_log(robot.memory, log.memory)
     return robot, log
 
@@ -70,9 +70,9 @@ class Asking:
         self.asked = 0
         self.between = lambda: None
 
-    def ask(self, name: str, values: object = None, rows: object = (), timeout_s: float = 1.0) -> dict:  # type: ignore[type-arg]
+    def ask(self, name: str, values: object = None, rows: object = (), timeout_s: float = 1.0) -> dict:
         self.asked += 1
-        told = self.robot.ask(name, values)  # type: ignore[arg-type]
+        told = self.robot.ask(name, values)
         self.between()
         return told
 

@@ -74,7 +74,7 @@ def broken(counts: dict[str, int]) -> dict[str, int]:
 
 
 @numba.njit(cache=True)
-def _judge(limits, times, kinds, values, counts):  # type: ignore[no-untyped-def]
+def _judge(limits, times, kinds, values, counts):
     pulse_max, rest_min, window, on_max, together_max, fresh, lost, late = limits
     starts = np.full((8, _RING), _NEVER)
     ends = np.full((8, _RING), _NEVER)

@@ -42,5 +42,5 @@ def test_sizes_in_the_header_are_those_of_the_host(message: object) -> None:
     for kind in ("command", "answer", "event"):
         payload = getattr(message, kind)
         if payload is not None:
-            define = f"#define FK_{message.name}_{kind.upper()}_BYTES {payload.bytes}u"  # type: ignore[attr-defined]
+            define = f"#define FK_{message.name}_{kind.upper()}_BYTES {payload.bytes}u"
             assert define in text

@@ -273,8 +273,8 @@ def test_an_answer_that_is_lost_is_asked_for_again() -> None:
     robot.path()
 
     class Lossy(Asking):
-        def ask(self, *words: object, **more: object) -> dict:  # type: ignore[type-arg]
-            told = super().ask(*words, **more)  # type: ignore[arg-type]
+        def ask(self, *words: object, **more: object) -> dict:
+            told = super().ask(*words, **more)
             if self.asked % 3:
                 raise LinkError("lost")
             return told
@@ -282,7 +282,7 @@ def test_an_answer_that_is_lost_is_asked_for_again() -> None:
     assert fetch_log(Lossy(robot)) == fetched(robot)
 
     class Dead(Asking):
-        def ask(self, *words: object, **more: object) -> dict:  # type: ignore[type-arg]
+        def ask(self, *words: object, **more: object) -> dict:
             raise LinkError("no answer")
 
     with pytest.raises(LogError, match=r"no answer to LOG, asked 5 times \(no answer\): bring"):

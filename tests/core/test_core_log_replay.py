@@ -229,9 +229,9 @@ def test_a_port_that_fails_is_lived_through_too() -> None:
 def test_a_reset_in_between() -> None:
     """The log goes on; what stands before the reset is decided again, and what comes after it."""
     robot = run(7, 5.0)
-    log: Log = robot._log  # type: ignore[attr-defined]
+    log: Log = robot._log
     again = Robot()
-    again._log = log  # type: ignore[attr-defined]
+    again._log = log
     again.core.fk_robot_use_log(again.memory, log.memory)
     again.begin("RUNNING")
     again.run_until(again.now_us + 3_000_000)

@@ -360,7 +360,7 @@ def test_plan_gives_the_planner_s_bits(depth: int, cost: int) -> None:
     along = rng.uniform(0, 17, len(states)).astype(np.float32)
     wanted = NativeLibrary().plan_batch(
         robot.image,
-        Columns,  # type: ignore[arg-type]
+        Columns,
         config,
         states,
         limb_use=uses,

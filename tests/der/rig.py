@@ -73,7 +73,7 @@ def forces(mesh: Mesh, x: np.ndarray, v: np.ndarray, activation: np.ndarray, dro
     return force
 
 
-def forces_and_edges(mesh: Mesh, x: np.ndarray, v: np.ndarray, activation: np.ndarray, drop_per_m: float):  # type: ignore[no-untyped-def]
+def forces_and_edges(mesh: Mesh, x: np.ndarray, v: np.ndarray, activation: np.ndarray, drop_per_m: float):
     edges = edges_of(mesh, 1)
     active = np.zeros((1, 2 * len(activation) + 2))
     active[0, :-2:2], active[0, 1:-2:2] = activation, drop_per_m * activation
@@ -82,7 +82,7 @@ def forces_and_edges(mesh: Mesh, x: np.ndarray, v: np.ndarray, activation: np.nd
     return np.array(force), edges
 
 
-def stiffness(  # type: ignore[no-untyped-def]
+def stiffness(
     mesh: Mesh, plan: Plan, x, v, activation, drop_per_m: float, position_gain: float, velocity_gain: float
 ) -> np.ndarray:
     """Minus the derivative of the forces as one dense (2n, 2n) matrix, as the solver sees it."""
@@ -109,7 +109,7 @@ def dense(plan: Plan, diagonal: np.ndarray, pair: np.ndarray) -> np.ndarray:
     return full
 
 
-def central(function, at: np.ndarray, step: float) -> np.ndarray:  # type: ignore[no-untyped-def]
+def central(function, at: np.ndarray, step: float) -> np.ndarray:
     """Derivative by central differences: columns are inputs."""
     columns = []
     for i in range(at.size):

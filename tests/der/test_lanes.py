@@ -24,7 +24,7 @@ WIDTHS = (1, 2, 4, 8, 16)
 
 
 @njit(error_model="numpy")
-def _formula(a, out):  # type: ignore[no-untyped-def]
+def _formula(a, out):
     total = 0.0 * get(a, 0, 0)
     for i in range(a.shape[0]):
         x, y = get(a, i, 0), get(a, i, 1)

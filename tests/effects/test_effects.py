@@ -93,10 +93,10 @@ def test_history_decides_what_a_stroke_is_worth() -> None:
         effect("group_loss", loss=0.3),
     )
     history = History([(0.0, 1), (1.5, 1), (1.5, 2)])
-    assert memory.stroke(Stroke("a", 0, 3.0), history, RNG).gain == 1.0  # type: ignore[union-attr]
-    assert memory.stroke(Stroke("b", 1, 3.0), history, RNG).gain == pytest.approx(1 - 0.4 * math.exp(-1.0))  # type: ignore[union-attr]
-    assert warm.stroke(Stroke("a", 0, 0.0), History(), RNG).gain == 0.5  # type: ignore[union-attr]
-    assert warm.stroke(Stroke("a", 0, 3.0), history, RNG).gain == pytest.approx(1 - 0.5 * math.exp(-1.0))  # type: ignore[union-attr]
+    assert memory.stroke(Stroke("a", 0, 3.0), history, RNG).gain == 1.0
+    assert memory.stroke(Stroke("b", 1, 3.0), history, RNG).gain == pytest.approx(1 - 0.4 * math.exp(-1.0))
+    assert warm.stroke(Stroke("a", 0, 0.0), History(), RNG).gain == 0.5
+    assert warm.stroke(Stroke("a", 0, 3.0), history, RNG).gain == pytest.approx(1 - 0.5 * math.exp(-1.0))
     beside = group.stroke(Stroke("a", 0, 1.58), history, RNG)
     assert beside is not None and beside.gain == pytest.approx(1 - 0.3 * math.exp(-0.08 / 0.15))
     fired = History([(0.0, 0), (0.0, 1), (1.4, 0)])  # the limb beside it, now, and both 1.4 s ago
@@ -145,8 +145,8 @@ def test_a_hull_a_mount_and_fatigue_change_what_strokes_do() -> None:
     tired = effect("limb_fatigue", group="rear", loss=0.2, fade_s=2.0)
     history = History([(0.0, 2), (2.0, 2), (2.0, 1)])
     gain = 1.0 - 0.2 * (math.exp(-2.0) + math.exp(-1.0))
-    assert tired.stroke(Stroke("rear_left", 2, 4.0), history, RNG).gain == pytest.approx(gain)  # type: ignore[union-attr]
-    assert tired.stroke(Stroke("front_left", 1, 4.0), history, RNG).gain == 1.0  # type: ignore[union-attr]
+    assert tired.stroke(Stroke("rear_left", 2, 4.0), history, RNG).gain == pytest.approx(gain)
+    assert tired.stroke(Stroke("front_left", 1, 4.0), history, RNG).gain == 1.0
     with pytest.raises(InputError, match="no limb with 'middle' in its name: choose from front"):
         changed_robot(ROBOT, [effect("limb_fatigue", group="middle")])
 

@@ -198,7 +198,7 @@ def life(chip: VirtualChip, step_us: float) -> tuple[object, ...]:
 
 def test_the_same_twice_and_however_time_is_cut_up(echo_elf: Path) -> None:
     first = life(VirtualChip(echo_elf), 400_000)
-    assert len(first[2]) == 803  # type: ignore[arg-type]
+    assert len(first[2]) == 803
     assert life(VirtualChip(echo_elf), 400_000) == first
     assert life(VirtualChip(echo_elf), 37.7) == first
 

@@ -66,7 +66,7 @@ def registers(name: str, file: str = "nrf52.svd") -> dict[str, ElementTree.Eleme
                     copy.extend(list(child))
                     found[label] = copy
 
-    walk(source.find("registers"), "", 0)  # type: ignore[arg-type]
+    walk(source.find("registers"), "", 0)
     return found
 
 

@@ -72,7 +72,7 @@ class Stranger:
     ) -> None:
         """Send a command, wait for its answer, note what an onlooker makes of both."""
         self.sequence = (self.sequence + 1) & 0xFF
-        encoded = again or pack_frame(name, "command", self.sequence, values, rows)  # type: ignore[arg-type]
+        encoded = again or pack_frame(name, "command", self.sequence, values, rows)
         self.commands += 1
         if not again:
             self.sent.append(encoded)

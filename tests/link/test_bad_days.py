@@ -129,7 +129,7 @@ def test_a_camera_that_freezes_while_the_robot_runs(
     path = Sight("stdin", begin="here").placed(shape(PATH), START)
     driver = Camera(robot, 40, hangs)
     with rigged("serial", robot, tmp_path, monkeypatch) as there:
-        source = CameraFixes(live_frames(driver, "camera 3"), calibration(SCENE), "camera 3")  # type: ignore[arg-type]
+        source = CameraFixes(live_frames(driver, "camera 3"), calibration(SCENE), "camera 3")
         source.wait_first(20.0)
         now = Day(robot, there, lab_session(there.wire), tmp_path)
         now.fails(InputError, words, lambda: now.run(source, path))
@@ -220,10 +220,10 @@ def test_the_disk_is_full_while_the_robot_runs(tmp_path: Path, monkeypatch: pyte
 
         def write_on_a_full_disk(self: LiveLog, rows: list[object]) -> None:
             if now.robot.names().count("FIX") < 12:
-                write(self, rows)  # type: ignore[arg-type]
+                write(self, rows)
                 return
             with files_up_to(part.stat().st_size):
-                write(self, rows * 300)  # type: ignore[arg-type] # more than a chunk, which needs room
+                write(self, rows * 300)  # more than a chunk, which needs room
 
         monkeypatch.setattr(LiveLog, "_write", write_on_a_full_disk)
         now.fails(

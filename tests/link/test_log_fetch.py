@@ -20,7 +20,7 @@ from frogkick.paths import shape
 def robot() -> LiveRobot:
     """With a log."""
     live, log = LiveRobot(), Log()
-    live.core._log = log  # type: ignore[attr-defined] # lives as long
+    live.core._log = log  # lives as long
     live.core.core.fk_robot_use_log(live.core.memory, log.memory)
     return live
 

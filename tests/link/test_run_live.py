@@ -130,7 +130,7 @@ def test_whatever_ends_a_run_disarms_first(
     robot, options = LiveRobot(clock=PatientClock()), RunOptions(PlanConfig(), True, 10 * PERIOD_S)
 
     class Breaks(LivePool):
-        def advance(self, until_s: float) -> list[object]:  # type: ignore[override]
+        def advance(self, until_s: float) -> list[object]:
             if "START" in robot.names() if when == "running" else "ARM" in robot.names():
                 raise RuntimeError("the camera is gone")
             return list(super().advance(until_s))
@@ -138,7 +138,7 @@ def test_whatever_ends_a_run_disarms_first(
     with rigged("serial", robot, tmp_path, monkeypatch) as there:
         session = LabSession(LabPort(there.wire, robot.clock))
         with pytest.raises(RuntimeError, match="the camera is gone"):
-            run_session(session, Breaks(robot.pulses, robot.clock), rig.tables(), shape(PATH), options)  # type: ignore[arg-type]
+            run_session(session, Breaks(robot.pulses, robot.clock), rig.tables(), shape(PATH), options)
         assert int(session.request("STATUS")["state"]) == STATE["DISARMED"]
     assert "DISARM" in robot.names()
 

@@ -74,7 +74,7 @@ def test_a_frozen_camera_ends_the_run_in_one_line() -> None:
         def retrieve(self) -> tuple[bool, object]:
             return True, self.picture
 
-    source = CameraFixes(live_frames(Frozen(), "camera 7"), calibration(SCENE), "camera 7")  # type: ignore[arg-type]
+    source = CameraFixes(live_frames(Frozen(), "camera 7"), calibration(SCENE), "camera 7")
     with pytest.raises(InputError, match="camera 7 is frozen: 9 equal pictures in a row"):
         collected(source, 10.0)
     source.close()

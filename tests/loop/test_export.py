@@ -70,7 +70,7 @@ def messages(file: Path) -> dict[str, list[tuple[int, Any]]]:
             if schema.encoding == "jsonschema":
                 said = json.loads(message.data)
             else:
-                said = DecoderFactory().decoder_for("protobuf", schema)(message.data)  # type: ignore[misc]
+                said = DecoderFactory().decoder_for("protobuf", schema)(message.data)
             found.setdefault(channel.topic, []).append((message.log_time, said))
     return found
 

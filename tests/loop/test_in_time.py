@@ -52,7 +52,7 @@ def test_nobody_waits_for_a_disk_that_is_slow(tmp_path: Path, monkeypatch: pytes
 
     def slow(self: LiveLog, rows: list[object]) -> None:
         assert wakes.wait(60.0)
-        write(self, rows)  # type: ignore[arg-type]
+        write(self, rows)
 
     monkeypatch.setattr(LiveLog, "_write", slow)
     target = tmp_path / "run.h5"

@@ -46,7 +46,7 @@ def synthetic_run(offset_body_m: tuple[float, float], turn_rad: float) -> RunLog
         period_s=PERIOD_S,
         pulse_s=0.08,
         action_names=("A", "B"),
-        fixes=Fixes([0.0], [0.0], [0.0], [0.0], [0.0], [1], [0]),  # type: ignore[arg-type]
+        fixes=Fixes([0.0], [0.0], [0.0], [0.0], [0.0], [1], [0]),
         decisions=Decisions(
             time_s=decided_s,
             action=np.arange(count) % 2,
@@ -55,7 +55,7 @@ def synthetic_run(offset_body_m: tuple[float, float], turn_rad: float) -> RunLog
             estimate=estimate,
             predicted=predicted,
         ),
-        strokes=Strokes([], [], []),  # type: ignore[arg-type]
+        strokes=Strokes([], [], []),
         path=line(0.4),
         truth=Truth(time_s, truth, np.zeros((len(time_s), 3))),
     )

@@ -75,7 +75,7 @@ def test_a_run_without_what_a_replay_needs_is_refused(own_log: RunLog) -> None:
     bare = dataclasses.replace(own_log, path=None)
     with pytest.raises(InputError, match="has no path"):
         both(bare, "pool")
-    none = dataclasses.replace(own_log, decisions=Decisions([], [], [], []))  # type: ignore[arg-type]
+    none = dataclasses.replace(own_log, decisions=Decisions([], [], [], []))
     with pytest.raises(InputError, match="no decisions"):
         both(none, "pool")
     lost = np.full(len(own_log.fixes), int(FixFlag.MISSING))

@@ -52,7 +52,7 @@ def test_what_the_start_check_says_of_batteries_the_first_day_explains() -> None
 )
 def test_what_can_only_fail_is_refused(seen: list[Fix], path: object, complaint: str) -> None:
     with pytest.raises(InputError, match=complaint):
-        check_start(seen, path, POOL_M)  # type: ignore[arg-type]
+        check_start(seen, path, POOL_M)
 
 
 @pytest.mark.parametrize("name", ["line", "sine", "ellipse"])
@@ -86,4 +86,4 @@ def test_a_look_takes_what_comes_in_a_second() -> None:
     def wait(seconds: float) -> None:
         now_s[0] += seconds
 
-    assert 95 <= len(look(Source(), lambda: now_s[0], wait)) <= 105  # type: ignore[arg-type]
+    assert 95 <= len(look(Source(), lambda: now_s[0], wait)) <= 105

@@ -63,7 +63,7 @@ def pack(velocity: npt.ArrayLike, motion: npt.ArrayLike, end: npt.ArrayLike, **c
         "displacements": motion,
         "velocities_end": end,
     }
-    return pack_nearest(**(arguments | changes))  # type: ignore[arg-type]
+    return pack_nearest(**(arguments | changes))
 
 
 def image(states: int = 300, actions: int = 9, seed: int = 1) -> bytes:
@@ -101,7 +101,7 @@ def affine_image(states: int = 120, actions: int = 9, seed: int = 1, **changes: 
         "use_gain": 0.43,
         **affine_parts(states, actions, seed),
     }
-    return pack_affine(**(arguments | changes))  # type: ignore[arg-type]
+    return pack_affine(**(arguments | changes))
 
 
 def grid_tables(seed: int = 3, states: int = 200) -> Tables:

@@ -19,7 +19,7 @@ def swum(world: World, camera: Camera = Camera(), seed: int = 1) -> Pool:  # noq
     pool = Pool(ROBOT, (0.0, 0.0, 0.0), camera, np.random.default_rng(seed), world)
     for limb in range(4):
         pool.heat(limb, 0.1)
-    pool.fixes = pool.advance(1.5)  # type: ignore[attr-defined]
+    pool.fixes = pool.advance(1.5)
     return pool
 
 
@@ -29,7 +29,7 @@ def test_a_world_without_effects_is_the_plain_pool_to_the_bit() -> None:
         empty.heat(limb, 0.1)
     fixes = empty.advance(1.5)
     assert np.array_equal(plain.truth.pose_world, empty.truth.pose_world)
-    assert [fix.pose_world.tolist() for fix in plain.fixes] == [fix.pose_world.tolist() for fix in fixes]  # type: ignore[attr-defined]
+    assert [fix.pose_world.tolist() for fix in plain.fixes] == [fix.pose_world.tolist() for fix in fixes]
 
 
 def test_effects_act_on_the_robot_the_water_and_the_camera(tmp_path: Path) -> None:
@@ -40,7 +40,7 @@ def test_effects_act_on_the_robot_the_water_and_the_camera(tmp_path: Path) -> No
     assert current.truth.pose_world[-1][1] > plain.truth.pose_world[-1][1] + 1e-3
     exact = Camera(position_noise_m=0.0, heading_noise_rad=0.0)
     scaled = swum(World((make_effect({"name": "camera_scale", "scale": 1.1}, tmp_path),)), exact)
-    for fix in scaled.fixes:  # type: ignore[attr-defined]
+    for fix in scaled.fixes:
         row = int(np.argmin(np.abs(np.array(scaled.truth.time_s) - fix.capture_s)))
         assert fix.pose_world[0] == pytest.approx(1.1 * scaled.truth.pose_world[row][0], abs=1e-6)
 
@@ -51,6 +51,6 @@ def test_a_dropped_fix_is_lost_and_its_number_with_it(tmp_path: Path) -> None:
     )
     (tmp_path / "world.toml").write_text('[[effect]]\nfile = "dark.py"\n')
     pool = swum(read_world(tmp_path / "world.toml"))
-    numbers = [fix.sequence for fix in pool.fixes]  # type: ignore[attr-defined]
+    numbers = [fix.sequence for fix in pool.fixes]
     assert 3 < len(numbers) < 18
     assert numbers == sorted(set(numbers))

@@ -78,7 +78,7 @@ def test_every_axis_says_what_it_is_and_in_which_unit(outcome: Outcome) -> None:
                 assert label in no_unit or label.endswith(("(mm)", "(deg)", "(cm)", "(s)", "(%)", "(1)")), (
                     label
                 )
-            for text in (axes._left_title, axes.xaxis.label, axes.yaxis.label):  # type: ignore[attr-defined]
+            for text in (axes._left_title, axes.xaxis.label, axes.yaxis.label):
                 box = text.get_window_extent(renderer)
                 assert not text.get_text() or (box.x0 >= 0 and box.y0 >= 0 and box.x1 <= figure.bbox.width), (
                     name,

@@ -92,7 +92,7 @@ def test_no_text_of_a_figure_is_cut_off() -> None:
     drawn.draw_without_rendering()
     width, height = drawn.bbox.width, drawn.bbox.height
     for axes in drawn.axes:
-        for text in (axes.title, axes._left_title, axes.xaxis.label, axes.yaxis.label):  # type: ignore[attr-defined]
+        for text in (axes.title, axes._left_title, axes.xaxis.label, axes.yaxis.label):
             if text.get_text():
                 box = text.get_window_extent(renderer)
                 assert box.x0 >= 0 and box.y0 >= 0 and box.x1 <= width and box.y1 <= height, text.get_text()

@@ -37,7 +37,7 @@ def test_names_say_the_same() -> None:
 
 
 def lame(robot: Robot, **changes: object) -> Robot:
-    return replace(robot, limbs=(replace(robot.limbs[0], **changes), *robot.limbs[1:]))  # type: ignore[arg-type]
+    return replace(robot, limbs=(replace(robot.limbs[0], **changes), *robot.limbs[1:]))
 
 
 @pytest.mark.parametrize(

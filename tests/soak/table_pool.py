@@ -116,8 +116,8 @@ class TablePool(Pool):
     ) -> None:
         self.camera = camera
         self.truth = Truth()
-        self._acting = _NoEffects()  # type: ignore[assignment]
-        self._swimmer = TableSwimmer(tables, pose_world, rng.spawn(1)[0])  # type: ignore[assignment]
+        self._acting = _NoEffects()
+        self._swimmer = TableSwimmer(tables, pose_world, rng.spawn(1)[0])
         self._rng = rng
         self._captured = 0
         self._sent = 0

@@ -34,7 +34,7 @@ def disagreements(project: dict[str, object], lock: str) -> list[str]:
         if name in pinned:
             found.append(f"lock line {number}: {name} is there twice")
         pinned[name] = Version(exact[0].version)
-    groups = [project["dependencies"], *dict(project["optional-dependencies"]).values()]  # type: ignore[call-overload]
+    groups = [project["dependencies"], *dict(project["optional-dependencies"]).values()]
     for wanted in (Requirement(text) for group in groups for text in group):
         name = canonicalize_name(wanted.name)
         if name not in pinned:

@@ -107,7 +107,7 @@ def test_of_many_states_the_dearest_are_run(small: Built, monkeypatch: pytest.Mo
     """A sixth of them is run, and holds what running them all finds worst; the rest is within the bound."""
     every = small.speed({1: 1800})[1]
     assert (every.run, every.model_error, every.unrun_ms) == (1800, 0.0, 0.0)
-    monkeypatch.setitem(RUN, 1, 300)  # type: ignore[call-overload]
+    monkeypatch.setitem(RUN, 1, 300)
     some = small.speed({1: 1800})[1]
     assert some.states == 1800
     assert 200 <= some.run <= 300  # the dearest of all and those of a reach are partly the same
@@ -186,5 +186,5 @@ def test_the_command_tells_it_and_fails_over_a_limit(
     assert set(told["plan_ms"]) == {"1", "2", "3", "4"}
     assert told["limit_ms"] == {"1": 0.45, "2": 4.5, "3": 20.0}
     assert told["cycle_model"] == dataclasses.asdict(CostModel())
-    monkeypatch.setitem(LIMIT_MS, 1, 0.001)  # type: ignore[call-overload]
+    monkeypatch.setitem(LIMIT_MS, 1, 0.001)
     assert run_command(arguments) == 1

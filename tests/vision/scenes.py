@@ -14,12 +14,12 @@ from frogkick.vision.tracker import Observation, Tracker
 
 def scene(**conditions: float) -> Scene:
     """The usual pool, spoilt as told."""
-    return Scene(conditions=Conditions(**conditions))  # type: ignore[arg-type]
+    return Scene(conditions=Conditions(**conditions))
 
 
 def calibration(of: Scene, **tag: float) -> Calibration:
     """What ``camera calibrate`` makes of the four corners and the camera's height."""
-    described = Tag(family=of.family, id=of.tag_id, size_m=of.tag_size_m, height_m=of.tag_height_m, **tag)  # type: ignore[arg-type]
+    described = Tag(family=of.family, id=of.tag_id, size_m=of.tag_size_m, height_m=of.tag_height_m, **tag)
     height = float(of.view.place_m[2])
     return calibrate_corners(of.corners_px(), of.pool_m, of.view.image_px, described, 0.0, height)
 

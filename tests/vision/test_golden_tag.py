@@ -113,7 +113,7 @@ def test_which_way_round_a_square_is(turn: int) -> None:
 def test_where_the_tag_sits_on_the_robot() -> None:
     """A tag 30 mm ahead and 10 mm to the left of the robot's origin, its top to the robot's left."""
     usual = scene()
-    moved = calibration(usual, mount_heading_rad=np.pi / 2, offset_body_m=(0.03, 0.01))  # type: ignore[arg-type]
+    moved = calibration(usual, mount_heading_rad=np.pi / 2, offset_body_m=(0.03, 0.01))
     robot = (0.5, 0.4, 0.3)
     c, s = np.cos(0.3), np.sin(0.3)
     tag = (0.5 + 0.03 * c - 0.01 * s, 0.4 + 0.03 * s + 0.01 * c, 0.3 + np.pi / 2)

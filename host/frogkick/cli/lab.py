@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from frogkick.cli.common import stderr
-from frogkick.cli.keys import Keys
+from frogkick.cli.keys import Keys, terminal
 from frogkick.cli.places import built_firmware
 from frogkick.errors import InputError, nearest_name
 from frogkick.link.frames import DELIMITER
@@ -21,11 +21,11 @@ from frogkick.link.opening import opened
 from frogkick.link.text_dialect import pulse_line, require_dialect
 from frogkick.link.wire import Wire, is_target, parse_target
 from frogkick.loop.camera_fixes import CameraFixes
-from frogkick.loop.closed_loop import FixSource, Recording, RunOptions, run_session
+from frogkick.loop.closed_loop import Recording, RunOptions, run_session
 from frogkick.loop.in_time import warm_up
 from frogkick.loop.lab_session import LabSession, lab_session, stops_are_interrupts
 from frogkick.loop.line_fixes import LineFixes
-from frogkick.loop.start_checks import check_start, look
+from frogkick.loop.start_checks import check_battery, check_start, look
 from frogkick.loop.text_robot import TextRobot
 from frogkick.paths import Path as SwimPath
 from frogkick.planner.image import Tables
@@ -51,7 +51,9 @@ def require_film(video: bool, fixes: str | None, out: Path | None) -> None:
         raise InputError("--video is kept beside the log: give --out run.h5")
 
 
-def require_bench(robot: str, dialect: str, fixes: str | None, world: Path | None) -> None:
+def require_bench(
+    robot: str, dialect: str, fixes: str | None, world: Path | None, battery_v: float | None = None
+) -> None:
     """Refuse what does not go with a real robot, or with a simulated one.
 
     Raises:
@@ -59,7 +61,11 @@ def require_bench(robot: str, dialect: str, fixes: str | None, world: Path | Non
     """
     require_dialect(dialect)
     if not is_target(robot):
-        for name, value in (("--fixes", fixes), ("--dialect", None if dialect == "frogkick" else dialect)):
+        for name, value in (
+            ("--fixes", fixes),
+            ("--dialect", None if dialect == "frogkick" else dialect),
+            ("--battery-v", battery_v),
+        ):
             if value is not None:
                 raise InputError(
                     f"{name} {value} is for a real robot, --robot is {robot!r}: leave it out, or give "
@@ -165,65 +171,83 @@ def session_with(wire: Wire, dialect: str, image: Path, robot: Robot) -> Iterato
             core.close()
 
 
+@dataclass(frozen=True)
+class Bench:
+    """A robot on the bench, and what a person says of it.
+
+    Attributes:
+        name: where it is: ble:NAME or serial:PORT.
+        dialect: what it speaks.
+        sight: its position fixes, and where its path begins.
+        battery_v: of its lowest battery, measured by hand; None: nobody did.
+        film: the log beside which the camera's pictures are kept; None: they are not.
+        yes: arm without asking.
+    """
+
+    name: str
+    dialect: str
+    sight: Sight
+    battery_v: float | None = None
+    film: Path | None = None
+    yes: bool = False
+
+
+Kept = Callable[[SwimPath, CameraFixes | None], AbstractContextManager[Callable[[Recording], None]]]
+"""Makes, from the path as placed and the camera if there is one, what keeps a recording while it grows."""
+
+
 def run_on_bench(
-    name: str,
-    dialect: str,
+    bench: Bench,
     image: Path,
     robot: Robot,
     tables: Tables,
     path: SwimPath,
     options: RunOptions,
-    sight: Sight,
-    logged: Callable[[SwimPath], AbstractContextManager[Callable[[Recording], None]]],
+    kept: Kept,
     progress: Callable[[float, int], None],
-    film: Path | None = None,
-    yes: bool = False,
 ) -> tuple[Recording, SwimPath]:
     """A run with a real robot, and the path as it was placed. Stopped in any way, it disarms the robot first.
 
     At a terminal the robot is armed by Enter, and any key stops the run.
 
     Args:
-        name: where the robot is, as the user gave it.
-        dialect: what it speaks.
+        bench: the robot, and what is around it.
         image: table image of ``tables``.
         robot, tables, path, options, progress: see ``run_session``.
-        sight: fixes, and where the path begins.
-        logged: makes, from the path as placed, what keeps the recording while it grows.
-        film: the log beside which the camera's pictures are kept; None: they are not.
-        yes: arm without asking.
+        kept: keeps the recording while it grows.
 
     Raises:
         WireError: the robot cannot be reached.
         LinkError: it refuses or does not answer.
-        InputError: no fixes come, or what ``check_start`` finds.
+        InputError: its batteries are low, no fixes come, or what ``check_start`` finds.
     """
-    target = parse_target(name)
-    greeting = DELIMITER if dialect == "frogkick" else pulse_line(tables.pulse_us)
+    sight, target = bench.sight, parse_target(bench.name)
+    battery = check_battery(robot, bench.battery_v)
+    greeting = DELIMITER if bench.dialect == "frogkick" else pulse_line(tables.pulse_us)
     with ExitStack() as stack:
         stack.enter_context(stops_are_interrupts())
         if options.check is not None or not options.onboard:
             warm_up(tables, path, options.config)
         fixes, pool_m = stack.enter_context(sight.opened())
+        camera = fixes if isinstance(fixes, CameraFixes) else None
         fixes.wait_first(FIRST_FIX_S)
         seen = look(fixes, time.monotonic, time.sleep)
         if seen:
             path = sight.placed(path, [float(value) for value in seen[-1].pose_world])
         checked = check_start(seen, path, pool_m)
         wire = stack.enter_context(opened(target, greeting))
-        session = stack.enter_context(session_with(wire, dialect, image, robot))
+        session = stack.enter_context(session_with(wire, bench.dialect, image, robot))
         session.greet(tables)
-        for line in [*checked[:-1], f"table: {tables.crc32:08x}, the robot's own", checked[-1]]:
+        for line in (*checked, f"table: {tables.crc32:08x}, the robot's own", battery):
             stderr.print(f"start check: {line}", highlight=False, soft_wrap=True)
-        if film is not None and isinstance(fixes, CameraFixes):
-            video = Video(film, time.monotonic() - session.port.now_s)
+        if bench.film is not None and camera is not None:
+            video = Video(bench.film, time.monotonic() - session.port.now_s)
             stack.callback(video.close)
-            stack.callback(fixes.close)  # before the video: its thread writes there
-            fixes.film(video)
-        source: FixSource = fixes
-        keep = stack.enter_context(logged(path))
-        keys = stack.enter_context(Keys(None if sight.fixes == STDIN else sys.stdin))
-        if not yes:
+            stack.callback(camera.close)  # before the video: its thread writes there
+            camera.film(video)
+        keep = stack.enter_context(kept(path, camera))
+        keys = stack.enter_context(Keys(stack.enter_context(terminal(sight.fixes == STDIN))))
+        if not bench.yes:
             keys.wait_to_arm()
         options = replace(options, stop=keys.pressed)
-        return run_session(session, source, tables, path, options, progress, keep), path
+        return run_session(session, fixes, tables, path, options, progress, keep), path

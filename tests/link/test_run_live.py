@@ -285,6 +285,15 @@ def test_a_whole_run_by_the_command(tmp_path: Path, dialect: str) -> None:
             "--robot serial:/dev/none --fixes stdin --battery-v 3.9",
             "the battery has 3.9 V, 10.5 V is the least",
         ),
+        (
+            "--robot serial:COM3 --fixes pool --begin here",
+            "--begin is for a robot in water, --fixes pool for a",
+        ),
+        (
+            "--robot serial:COM3 --fixes pool --battery-v 12",
+            "--battery-v is for a robot in water, --fixes pool",
+        ),
+        ("--robot serial:COM3 --fixes pol", "did you mean 'pool'"),
         ("--robot pool --battery-v 12", "--battery-v 12.0 is for a real robot"),
     ],
 )

@@ -79,7 +79,7 @@ def run(
         str | None,
         typer.Option(
             help="A real robot's: camera.toml of 'camera calibrate', or stdin = a tracker's lines "
-            "'x_m y_m heading_rad [age_s]'."
+            "'x_m y_m heading_rad [age_s]'; pool = simulated, for a kit without limbs."
         ),
     ] = None,
     source: Annotated[
@@ -113,7 +113,7 @@ def run(
     At a terminal a real robot is armed by Enter, and any key stops the run. However it ends, the robot is
     disarmed first.
     """
-    require_bench(robot, dialect, fixes, world, battery_v)
+    require_bench(robot, dialect, fixes, world, battery_v, begin)
     require_film(video, fixes, out)
     is_real = is_target(robot)
     if not is_real:
@@ -138,7 +138,7 @@ def run(
             bar(index + 1, len(desired), "" if check is None else check.said)
 
         if is_real:
-            sight = Sight(str(fixes), source, begin)
+            sight = Sight(str(fixes), source, begin, seed)
             bench = Bench(robot, dialect, sight, battery_v, out if video else None, yes)
             log = logged(out, described, opened, options, name, known)
 

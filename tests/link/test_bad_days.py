@@ -46,10 +46,10 @@ class Stepping:
     """A clock that somebody sets."""
 
     def __init__(self) -> None:
-        self._clock, self.offset_s = PatientClock(), 0.0
+        self.steady, self.offset_s = PatientClock(), 0.0
 
     def __call__(self) -> float:
-        return self._clock() + self.offset_s
+        return self.steady() + self.offset_s
 
 
 @dataclasses.dataclass
@@ -84,8 +84,9 @@ class Day:
 
 
 @contextmanager
-def day(folder: Path, patch: pytest.MonkeyPatch, clock: Callable[[], float] | None = None) -> Iterator[Day]:
-    robot = LiveRobot(clock=PatientClock())
+def day(folder: Path, patch: pytest.MonkeyPatch, clock: Stepping | None = None) -> Iterator[Day]:
+    # One clock below both: on a busy machine two would drift apart by its pauses.
+    robot = LiveRobot(clock=clock.steady if clock else PatientClock())
     with rigged("serial", robot, folder, patch) as there:
         yield Day(robot, there, LabSession(LabPort(there.wire, clock or robot.clock)), folder)
 

@@ -18,7 +18,7 @@ from tests.loop import rig
 
 from frogkick.cli.viewing import viewed
 from frogkick.loop.closed_loop import RunOptions
-from frogkick.loop.live_view import LiveView, branch_of, fan_of
+from frogkick.loop.live_view import LiveView, fan_of, tree_of
 from frogkick.paths import shape
 from frogkick.planner.plan import PlanConfig, plan
 from frogkick.report.live_page import HOST, page, served
@@ -39,15 +39,19 @@ def test_the_fan_is_what_the_planner_predicts() -> None:
         assert abs(turned) < 1e-5
 
 
-def test_the_branch_begins_with_the_decision_and_is_as_deep_as_the_plan() -> None:
+def test_the_tree_begins_with_the_decision_and_is_as_deep_as_the_plan() -> None:
     recording, _, _ = rig.swim("pool", "sine", 6.0)
     decision = recording.decisions[-1]
-    poses, names = branch_of(rig.tables(), shape("sine"), CONFIG, decision)
-    assert len(poses) == 4 and len(names) == 3
-    assert names[0] == rig.tables().actions[decision.action].name
-    assert poses[:2] == [decision.estimate[:3].tolist(), decision.predicted[:3].tolist()]
-    alone, _ = branch_of(rig.tables(), shape("sine"), PlanConfig(depth=1), decision)
-    assert len(alone) == 2
+    tree = tree_of(rig.tables(), shape("sine"), CONFIG, decision)
+    assert len(tree.branch) == 4 and len(tree.fans) == len(tree.names) == 3
+    assert tree.names[0] == rig.tables().actions[decision.action].name
+    assert tree.branch[:2] == [decision.estimate[:3].tolist(), decision.predicted[:3].tolist()]
+    actions = [row.name for row in rig.tables().actions]
+    for level, fan in enumerate(tree.fans):  # the branch goes on along one of each node's actions
+        end = fan[actions.index(tree.names[level])]
+        assert end[:2] == pytest.approx(tree.branch[level + 1][:2], abs=1e-5)
+    alone = tree_of(rig.tables(), shape("sine"), PlanConfig(depth=1), decision)
+    assert len(alone.branch) == 2 and len(alone.fans) == 1
 
 
 def test_the_newest_state_is_told() -> None:
@@ -57,7 +61,7 @@ def test_the_newest_state_is_told() -> None:
     view.show(recording, np.array(pool.truth.pose_world))
     told = json.loads(view.text)
     assert len(told["path"]) == 100 and len(told["decisions"]) == len(recording.decisions)
-    assert len(told["branch"]) == 4 and len(told["fan"]) == len(rig.tables().actions)
+    assert len(told["branch"]) == 4 and len(told["fan"]) == 3 * len(rig.tables().actions)
     assert told["track"][-1] == pytest.approx(pool.truth.pose_world[-1], abs=1e-4)
     assert len(told["letters"]) == len(told["decisions"]) and set("".join(told["letters"])) <= set(
         "ABCDEFGHI"

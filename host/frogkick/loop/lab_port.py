@@ -11,6 +11,8 @@ from frogkick.link.wire import Delivery, Wire
 from frogkick.pool.port import Edge
 
 RESEND_S = 0.25
+LOOK_S = 0.1
+"""No wait is longer: whether the clock went back in it is seen only afterwards."""
 TIMED = ("FIX", "STROKE")
 """Commands that are worth nothing later: never sent again."""
 
@@ -77,17 +79,21 @@ class LabPort:
         self._fill_window()
 
     def advance(self, until_s: float) -> None:
-        """Wait until a time, or until a frame comes.
+        """Wait until a time, or until a frame comes, or the clock goes back.
 
         Raises:
             WireError: the robot is gone.
         """
+        before_s = self.now_s
         while True:
             now_s = self.now_s
+            if now_s < before_s:
+                return  # that time may be far ahead now
+            before_s = now_s
             self._send_again(now_s)
             waiting = [one.sent_s + RESEND_S for one in self._commands if one.sent_s >= 0.0]
             wake_s = min([until_s, *waiting])
-            for arrival_s, data in self.wire.receive(max(0.0, wake_s - now_s)):
+            for arrival_s, data in self.wire.receive(min(LOOK_S, max(0.0, wake_s - now_s))):
                 self._take(arrival_s - self._begin_s, data)
             if self._frames or self.now_s >= until_s:
                 return

@@ -80,8 +80,23 @@ class LabSession(Session):
 
     def step(self, until_s: float) -> None:
         """Wait until a time, or until something comes; ``time_s`` is the real one then."""
+        self._forward_s()  # set back since the last step, it would be waited for
         self.port.advance(until_s)
         self._inbox += [Arrival(time_s, frame) for time_s, frame in self.port.frames()]
+        now_s = self._forward_s()
+        paused_s, self.time_s = now_s - self.time_s, now_s
+        edges = self.port.edges()
+        self.edges += edges
+        self.on_step(self.time_s, edges)
+        if paused_s > PAUSE_S:
+            self._compare_clocks()
+
+    def _forward_s(self) -> float:
+        """The time, which is no earlier than before.
+
+        Raises:
+            LinkError: it is.
+        """
         now_s = self.port.now_s
         if now_s < self.time_s - CLOCK_BACK_S and not self._was_told:
             self._was_told = True  # what disarms the robot afterwards takes the clock as it is
@@ -89,12 +104,7 @@ class LabSession(Session):
                 f"this computer's clock went back by {self.time_s - now_s:.1f} s while the robot ran: "
                 "run again, and let nothing set it meanwhile"
             )
-        paused_s, self.time_s = now_s - self.time_s, now_s
-        edges = self.port.edges()
-        self.edges += edges
-        self.on_step(self.time_s, edges)
-        if paused_s > PAUSE_S:
-            self._compare_clocks()
+        return now_s
 
     def mind_clock(self, capture_s: float, capture_us: int) -> None:
         """Look whether a fix was taken at the same time by both clocks, this computer's and the robot's.

@@ -44,15 +44,29 @@ def fan_of(tables: Tables, state: NDArray[np.float32], limb_use: tuple[int, ...]
     return np.array(poses)
 
 
-def branch_of(
-    tables: Tables, path: Path, config: PlanConfig, decision: Decision
-) -> tuple[list[list[float]], str]:
-    """Where the chosen branch leads: its poses, and its actions' names.
+@dataclass(frozen=True)
+class Tree:
+    """What the planner looked at, along the branch that it chose.
 
-    The first action is the decision's; each further one what the planner chooses from there with what is left
-    of its depth.
+    Attributes:
+        branch: poses from the estimate on, one more than there are actions in it.
+        fans: for each but the last of these, (actions, 3) poses where every action would lead from there.
+        names: of the branch's actions.
     """
-    poses = [decision.estimate[:3].tolist(), decision.predicted[:3].tolist()]
+
+    branch: list[list[float]]
+    fans: list[FloatArray]
+    names: str
+
+
+def tree_of(tables: Tables, path: Path, config: PlanConfig, decision: Decision) -> Tree:
+    """The tree of a decision.
+
+    The branch's first action is the decision's; each further one what the planner chooses from there with
+    what is left of its depth.
+    """
+    branch = [decision.estimate[:3].tolist(), decision.predicted[:3].tolist()]
+    fans = [fan_of(tables, decision.estimate, decision.limb_use)]
     names = [tables.actions[decision.action].name]
     state: NDArray[np.float32] = decision.predicted
     use: NDArray[Any] = _used(tables, decision)
@@ -61,10 +75,11 @@ def branch_of(
             told = plan(tables, path, replace(config, depth=depth), state, limb_use=use)
         except PlanError:
             break
-        poses.append(told.predicted[:3].tolist())
+        branch.append(told.predicted[:3].tolist())
+        fans.append(fan_of(tables, state, tuple(int(one) for one in use)))
         names.append(tables.actions[told.action].name)
         state, use = told.predicted, told.predicted_limb_use
-    return poses, "".join(names)
+    return Tree(branch, fans, "".join(names))
 
 
 def _used(tables: Tables, decision: Decision) -> NDArray[np.int64]:
@@ -142,13 +157,10 @@ class LiveView:
         if not last or last[-1].action >= len(self.tables.actions):
             return
         newest = last[-1]
-        branch, names = branch_of(self.tables, self.path, self.config, newest)
-        self._drawn |= {
-            "fan": fan_of(self.tables, newest.estimate, newest.limb_use).tolist(),
-            "branch": branch,
-        }
+        tree = tree_of(self.tables, self.path, self.config, newest)
+        self._drawn |= {"fan": np.vstack(tree.fans).tolist(), "branch": tree.branch}
         self._told |= {
-            "actions": names,
+            "actions": tree.names,
             "cost": round(float(newest.cost), 3),
             "distance_mm": round(1e3 * float(newest.distance_m), 1),
             "plan_ms": round(1e-3 * newest.plan_us, 2),

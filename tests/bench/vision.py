@@ -10,7 +10,7 @@ import time
 
 import cv2
 import numpy as np
-from tests.vision.scenes import calibration, drawn_pose, scene
+from tests.vision.scenes import Told, aside, calibration, drawn_pose, scene
 
 from frogkick.vision.plane import wrap
 from frogkick.vision.tracker import Tracker
@@ -31,8 +31,8 @@ def main(frames: int) -> None:
     for name, conditions in CASES.items():
         one = scene(**conditions)
         tracker = Tracker(calibration(one))
-        rng = np.random.default_rng(41)
-        off, whole_s, window_s, windows = [], 0.0, 0.0, 0
+        rng, height_m = Told(41), one.conditions.wave_height_m
+        off, left, whole_s, window_s, windows = [], [], 0.0, 0.0, 0
         for _ in range(frames):
             truth = drawn_pose(one, rng)
             picture = one.picture(truth, rng)
@@ -47,6 +47,7 @@ def main(frames: int) -> None:
             if seen.pose is not None:
                 pose = seen.pose
                 off.append([pose.x_m - truth[0], pose.y_m - truth[1], wrap(pose.heading_rad - truth[2])])
+                left.append(np.array(off[-1][:2]) - height_m * rng.heave * aside(one, truth[:2]))
         errors = np.array(off).reshape(-1, 3)
         place, turn = 1e3 * np.hypot(errors[:, 0], errors[:, 1]), np.degrees(np.abs(errors[:, 2]))
         print(
@@ -56,6 +57,9 @@ def main(frames: int) -> None:
             f"{frames / whole_s:.0f} in the whole frame",
             flush=True,
         )
+        if height_m:
+            rest = 1e3 * np.hypot(*np.array(left).T)
+            print(f"    place without the heave: rms {np.sqrt(np.mean(rest**2)):.3f} max {rest.max():.3f} mm")
 
 
 if __name__ == "__main__":

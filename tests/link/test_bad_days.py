@@ -26,9 +26,9 @@ from frogkick.errors import FrogkickError, InputError
 from frogkick.link.layout import link_layout
 from frogkick.loop import session as session_module
 from frogkick.loop.camera_fixes import CameraFixes
-from frogkick.loop.closed_loop import ENDED, TIME, FixSource, Recording, RunOptions, run_session
+from frogkick.loop.closed_loop import ENDED, FixSource, Recording, RunOptions, run_session
 from frogkick.loop.lab_port import LabPort
-from frogkick.loop.lab_session import LabSession, lab_session
+from frogkick.loop.lab_session import CLOCK_ASKED, LabSession, lab_session
 from frogkick.loop.live_log import LiveLog, logged, part_of
 from frogkick.loop.runlog_file import read_run
 from frogkick.loop.session import LinkError
@@ -154,18 +154,49 @@ def test_this_computer_s_clock_goes_back(
 
 
 @pytest.mark.parametrize("onboard", [True, False], ids=["onboard", "host"])
+@pytest.mark.parametrize("by_s", [0.4, 1.5, 300.0])
 def test_this_computer_s_clock_goes_ahead(
-    onboard: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    by_s: float, onboard: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Its time is over, or fixes that look old are: either way the run ends as runs end."""
+    """Fixes look older than they are, or the time of the run over: the robot's own clock tells."""
     clock = Stepping()
     with day(tmp_path, monkeypatch, clock) as now:
         options = dataclasses.replace(OPTIONS, onboard=onboard)
-        recording = now.run(
-            pool_of(now.robot), shape(PATH), options, lambda: setattr(clock, "offset_s", 300.0)
-        )
-        assert recording.ended in (TIME, ENDED["STALE"]) and len(recording.decisions) <= 2
+
+        def go() -> object:
+            return now.run(pool_of(now.robot), shape(PATH), options, lambda: setattr(clock, "offset_s", by_s))
+
+        words = rf"clock went ahead by {by_s:.1f} s while the robot ran, so that ages of .* the run was ended"
+        now.fails(LinkError, words, go)
+
+
+def test_a_computer_that_is_held_up_has_the_right_time(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Both clocks went on meanwhile: the run ends for want of fixes, as with a covered camera."""
+    clock = Stepping()
+    robot = LiveRobot(clock=clock)
+    with rigged("serial", robot, tmp_path, monkeypatch) as there:
+        now = Day(robot, there, LabSession(LabPort(there.wire, clock)), tmp_path)
+        asked = robot.names().count("STATUS")
+        recording = now.run(pool_of(robot), shape(PATH), OPTIONS, lambda: setattr(clock, "offset_s", 3.0))
+        assert recording.ended == ENDED["STALE"]
+        assert robot.names().count("STATUS") > asked + CLOCK_ASKED + 1, "the robot was not asked for its time"
         assert int(now.session.request("STATUS")["state"]) == STATE["DISARMED"]
+
+
+def test_a_robot_whose_power_fails_for_a_moment(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """On a line nothing drops: its clock, which begins anew, is all that tells."""
+    with day(tmp_path, monkeypatch) as now:
+        restarts = iter([now.robot.restart])
+
+        def fail() -> None:
+            next(restarts, lambda: None)()
+
+        def go() -> object:
+            return now.run(pool_of(now.robot), shape(PATH), decided=fail)
+
+        now.fails(LinkError, "the robot was switched off and on while it ran, or its firmware began anew", go)
 
 
 def test_the_time_of_day_is_not_asked() -> None:

@@ -23,7 +23,7 @@ from frogkick.errors import InputError
 from frogkick.loop.closed_loop import Recording, RunOptions, run_session
 from frogkick.loop.lab_session import lab_session
 from frogkick.loop.live_log import CUT_OFF, LiveLog, logged, part_of
-from frogkick.loop.record import run_log
+from frogkick.loop.record import BATTERY_V, run_log
 from frogkick.loop.runlog import RunLog
 from frogkick.loop.runlog_file import read_run, write_run
 from frogkick.paths import shape
@@ -45,7 +45,7 @@ def test_it_says_what_the_whole_log_says(tmp_path: Path, monkeypatch: pytest.Mon
     """Also while the run goes on: a reader never meets half a row."""
     robot, target, seen = LiveRobot(), tmp_path / "run.h5", []
     with rigged("serial", robot, tmp_path, monkeypatch) as there:
-        begin = logged(target, rig.robot(), rig.tables(), OPTIONS, "test")
+        begin = logged(target, rig.robot(), rig.tables(), OPTIONS, "test", {BATTERY_V: 11.7})
         with begin(shape(PATH)) as keep:
 
             def keep_and_look(recording: Recording) -> None:
@@ -61,6 +61,7 @@ def test_it_says_what_the_whole_log_says(tmp_path: Path, monkeypatch: pytest.Mon
     assert len(recording.decisions) == 2 and len(seen) > 2 and seen == sorted(seen)
     whole = run_log(recording, None, rig.robot(), rig.tables(), shape(PATH), OPTIONS, None, "test")
     live = read_run(part_of(target))
+    assert live.measured == {BATTERY_V: 11.7}, "known before it began"
     same_columns(live, whole, "fixes")
     same_columns(live, whole, "decisions")
     assert live.path is not None and np.array_equal(live.path.points_m, shape(PATH).points_m)

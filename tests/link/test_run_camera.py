@@ -27,6 +27,7 @@ from frogkick.loop.closed_loop import ENDED, TIME, RunOptions, run_session
 from frogkick.loop.lab_session import lab_session
 from frogkick.loop.record import tracking_of_recording
 from frogkick.loop.runlog_file import read_run
+from frogkick.loop.summary import summary
 from frogkick.paths import shape
 from frogkick.planner.plan import PlanConfig
 from frogkick.vision.calibration_file import write_calibration
@@ -107,7 +108,7 @@ def test_the_command_takes_a_camera(filmed: Path, tmp_path: Path) -> None:
                 sys.executable, "-m", "frogkick.cli.main", "run", "--path", PATH, "--json",
                 "--tables", str(rig.small_table()), "--robot", f"serial:{line.path}:115200",
                 "--fixes", str(filmed / "camera.toml"), "--source", str(filmed / "pictures"),
-                "--begin", "here", "--out", str(tmp_path / "run.h5"),
+                "--begin", "here", "--out", str(tmp_path / "run.h5"), "--battery-v", "11.9",
             ],
             capture_output=True, text=True, check=False, timeout=120, env=dict(os.environ),
         )  # fmt: skip
@@ -116,7 +117,9 @@ def test_the_command_takes_a_camera(filmed: Path, tmp_path: Path) -> None:
     checks = [line.split(": ")[1] for line in done.stderr.splitlines() if line.startswith("start check: ")]
     assert checks == ["position fixes", "path", "table", "battery"], done.stderr
     assert told["ended"] == ENDED["STALE"] and told["decisions"] >= 1
+    assert "start check: battery: 11.9 V, measured by hand" in done.stderr
     log = read_run(tmp_path / "run.h5")
+    assert log.measured["battery_v"] == 11.9 and summary(log).battery_v == 11.9
     assert log.path is not None
     assert log.path.points_m[0] == pytest.approx(START[:2], abs=2e-3), "it begins where the robot is"
     assert float(np.hypot(log.fixes.x_m - START[0], log.fixes.y_m - START[1]).max()) < 2e-3

@@ -281,6 +281,20 @@ def test_a_whole_run_by_the_command(tmp_path: Path, dialect: str) -> None:
         ("--robot virtual --dialect frog2022", "--dialect frog2022 is for a real robot"),
         ("--robot serial:COM3 --dialect frog2023", "did you mean 'frog2022'"),
         ("--robot bel:frog", "--robot is 'bel:frog'"),
+        (
+            "--robot serial:/dev/none --fixes stdin --battery-v 3.9",
+            "the battery has 3.9 V, 10.5 V is the least",
+        ),
+        (
+            "--robot serial:COM3 --fixes pool --begin here",
+            "--begin is for a robot in water, --fixes pool for a",
+        ),
+        (
+            "--robot serial:COM3 --fixes pool --battery-v 12",
+            "--battery-v is for a robot in water, --fixes pool",
+        ),
+        ("--robot serial:COM3 --fixes pol", "did you mean 'pool'"),
+        ("--robot pool --battery-v 12", "--battery-v 12.0 is for a real robot"),
     ],
 )
 def test_what_does_not_go_together(capsys: pytest.CaptureFixture[str], options: str, words: str) -> None:

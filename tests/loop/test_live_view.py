@@ -24,6 +24,7 @@ from frogkick.planner.plan import PlanConfig, plan
 from frogkick.report.live_page import HOST, page, served
 
 CONFIG = PlanConfig(depth=3)
+OUTLINE = rig.robot().frame.corners_m
 
 
 def test_the_fan_is_what_the_planner_predicts() -> None:
@@ -51,20 +52,30 @@ def test_the_branch_begins_with_the_decision_and_is_as_deep_as_the_plan() -> Non
 
 def test_the_newest_state_is_told() -> None:
     recording, pool, _ = rig.swim("pool", "sine", 6.0)
-    view = LiveView(rig.tables(), shape("sine"), CONFIG)
+    view = LiveView(rig.tables(), shape("sine"), CONFIG, OUTLINE)
     assert json.loads(view.text) == {}
     view.show(recording, np.array(pool.truth.pose_world))
     told = json.loads(view.text)
     assert len(told["path"]) == 100 and len(told["decisions"]) == len(recording.decisions)
     assert len(told["branch"]) == 4 and len(told["fan"]) == len(rig.tables().actions)
     assert told["track"][-1] == pytest.approx(pool.truth.pose_world[-1], abs=1e-4)
+    assert len(told["letters"]) == len(told["decisions"]) and set("".join(told["letters"])) <= set(
+        "ABCDEFGHI"
+    )
+    assert told["camera"] is None
+    *corners, centre, foremost = told["robot"]
+    assert centre == pytest.approx(pool.truth.pose_world[-1][:2], abs=1e-4) and len(corners) == len(OUTLINE)
+    ahead = np.array(foremost) - centre
+    assert np.arctan2(ahead[1], ahead[0]) == pytest.approx(pool.truth.pose_world[-1][2], abs=5e-3)
+    apart = np.hypot(*(np.array(corners) - centre).T)
+    assert apart == pytest.approx(np.hypot(*np.array(OUTLINE).T), abs=2e-4)
     assert told["fix_age_s"] == pytest.approx(0.08, abs=0.05)
 
 
 def test_a_run_without_a_decision_is_drawn_too() -> None:
     from frogkick.loop.closed_loop import Recording
 
-    view = LiveView(rig.tables(), shape("line"), CONFIG)
+    view = LiveView(rig.tables(), shape("line"), CONFIG, OUTLINE)
     view.show(Recording())
     told = json.loads(view.text)
     assert (told["fixes"], told["decisions"], told["branch"], told["fix_age_s"]) == ([], [], [], None)
@@ -80,8 +91,9 @@ def test_the_page_is_served_here_alone() -> None:
         assert address.startswith(f"http://{HOST}:") and HOST == "127.0.0.1"
         assert fetched(address) == page()
         assert fetched(address + "state.json") == '{"newest": 1}'
-        with pytest.raises(HTTPError, match="404"):
-            fetched(address + "etc/passwd")
+        for name in ("etc/passwd", "picture.jpg"):
+            with pytest.raises(HTTPError, match="404"):
+                fetched(address + name)
     assert not re.search(r"https?:|src=|@import|url[(]", page()), "it needs no other file"
 
 
@@ -123,7 +135,7 @@ def test_a_real_run_is_drawn_by_a_thread_of_its_own(capsys: pytest.CaptureFixtur
     """What is recorded is handed over and no more: fixes wait for no picture."""
     recording, _, _ = rig.swim("pool", "sine", 4.0)
     options = RunOptions(CONFIG)
-    with viewed(True, rig.tables(), shape("sine"), options, None) as keep:
+    with viewed(True, rig.robot(), rig.tables(), shape("sine"), options) as keep:
         address = re.findall(r"http://\S+", capsys.readouterr().err)[0]
         keep(recording)
         deadline_s = time.monotonic() + 30.0

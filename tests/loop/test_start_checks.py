@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from tests.conftest import REPOSITORY
+from tests.loop import rig
 
 from frogkick.cli.lab import Sight, parse_begin
 from frogkick.errors import InputError
-from frogkick.loop.start_checks import check_start, look
+from frogkick.loop.start_checks import check_battery, check_start, look
 from frogkick.paths import shape
 from frogkick.pool.camera import Fix
+from frogkick.robot.model import Battery
 
 POOL_M = (1.2, 0.9)
 
@@ -27,18 +31,67 @@ def test_a_robot_on_its_path_in_the_pool_may_swim() -> None:
     assert check_start(AT_REST, LINE, POOL_M) == [
         "position fixes: 10 in 1 s, at most 0.0 mm apart",
         "path: inside the pool, 0 mm from the robot",
-        "battery: not measured by this robot (host/FIRST_DAY.md: how to, by hand)",
     ]
     assert "not looked at, the pool's size is not known" in check_start(AT_REST, LINE, None)[1]
 
 
-def test_what_the_start_check_says_of_batteries_the_first_day_explains() -> None:
-    """No firmware here has a pin for it: the page has to say how a person does it."""
-    page = (REPOSITORY / "host/FIRST_DAY.md").read_text(encoding="utf-8")
-    assert "battery: not measured by this robot" in page and "11.1 V" in page
+def test_batteries_that_nobody_measured_are_said_to_be_unknown_and_how_to_measure_them() -> None:
+    said = check_battery(rig.robot(), None)
+    assert said == (
+        "battery: unknown, not measured by this robot: do so at each battery's plug, at rest (4 of them, "
+        "10.5 V is low, 12.6 V full), give the lowest, as --battery-v 11.1"
+    )
     assert not any(
         "saadc" in file.read_text("utf-8").lower() for file in (REPOSITORY / "firmware").rglob("*.[ch]")
+    ), "the robot measures them by now"
+    page = (REPOSITORY / "host/FIRST_DAY.md").read_text(encoding="utf-8")
+    for word in ("--battery-v", "12.6 V", "10.5 V", "battery: unknown, not measured by this robot"):
+        assert word in page, word
+    assert check_battery(replace(rig.robot(), battery=None), None) == (
+        "battery: unknown, nobody measured it, and frog2022 has no [battery] in its file"
     )
+
+
+def test_batteries_that_are_charged_are_said_to_be() -> None:
+    for measured_v in (10.5, 11.4, 12.6, 13.0):
+        assert check_battery(rig.robot(), measured_v) == (
+            f"battery: {measured_v:g} V, measured by hand (10.5 V is low, 12.6 V full)"
+        )
+
+
+@pytest.mark.parametrize(
+    ("measured_v", "complaint"),
+    [
+        (
+            10.49,
+            r"^the battery has 10\.49 V, 10\.5 V is the least for frog2022: charge all 4 together, to 12\.6",
+        ),
+        (3.9, r"has 3\.9 V, 10\.5 V is the least"),
+        (
+            14.8,
+            r"--battery-v is 14\.8, a full battery of frog2022 has 12\.6 V: measure again, at each battery's",
+        ),
+        (0.0, "--battery-v is 0, a full"),
+        (-11.0, "--battery-v is -11, a full"),
+        (float("nan"), "--battery-v is nan, a full"),
+        (float("inf"), "--battery-v is inf, a full"),
+    ],
+)
+def test_batteries_that_are_low_or_none_are_refused(measured_v: float, complaint: str) -> None:
+    with pytest.raises(InputError, match=complaint):
+        check_battery(rig.robot(), measured_v)
+
+
+def test_a_robot_with_one_battery_and_one_that_does_not_say() -> None:
+    one = replace(rig.robot(), battery=Battery(1, 3.7, 3.5, 4.2, "at its plug"))
+    with pytest.raises(
+        InputError, match=r"has 3\.4 V, 3\.5 V is the least for frog2022: charge it, to 4\.2 V"
+    ):
+        check_battery(one, 3.4)
+    with pytest.raises(
+        InputError, match=r"frog2022 does not say which voltage is low: add \[battery\] to its"
+    ):
+        check_battery(replace(one, battery=None), 3.9)
 
 
 @pytest.mark.parametrize(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import tomllib
 from dataclasses import replace
 from pathlib import Path
 
@@ -116,6 +117,23 @@ def test_between_profiles_a_stroke_lies_between_them() -> None:
         assert stroke.activation.max() == 1.0
 
 
+def test_a_battery_is_what_the_file_says_or_none() -> None:
+    assert ROBOT.battery is not None
+    assert (ROBOT.battery.count, ROBOT.battery.low_v, ROBOT.battery.full_v) == (4, 10.5, 12.6)
+    assert ROBOT.battery.low_v < ROBOT.battery.nominal_v < ROBOT.battery.full_v
+    without = ROBOT.toml.replace("[battery]", "[batery]")
+    with pytest.raises(InputError, match=r"unknown key 'batery'.*'battery'"):
+        parse_robot(without, source="text")
+    with pytest.raises(
+        InputError, match=r"battery\.low_v is 12\.6 V and battery\.full_v 12\.6 V: a full one"
+    ):
+        parse_robot(ROBOT.toml.replace("low_v = 10.5", "low_v = 12.6"), source="text")
+    table = tomllib.loads(ROBOT.toml)
+    del table["battery"]
+    assert parse_robot(to_toml(table), source="text").battery is None
+    assert load_robot("frog2022-measured").battery == ROBOT.battery
+
+
 def test_toml_refuses_what_it_cannot_hold() -> None:
     with pytest.raises(InputError):
         to_toml({"a": math.inf})
@@ -127,7 +145,6 @@ def test_another_number_of_limbs_follows_from_the_file() -> None:
     """Nothing but the TOML knows of four limbs: a hexagon with six limbs loads and has 6 mask bits."""
     radius = 0.06
     corners = [[radius * math.cos(k * math.pi / 3), radius * math.sin(k * math.pi / 3)] for k in range(6)]
-    import tomllib
 
     table = tomllib.loads(ROBOT.toml)
     limb = table["limb"][1]

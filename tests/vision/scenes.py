@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import numpy.typing as npt
 
@@ -10,6 +12,30 @@ from frogkick.vision.corners import calibrate_corners
 from frogkick.vision.plane import wrap
 from frogkick.vision.scene import Conditions, Scene
 from frogkick.vision.tracker import Observation, Tracker
+
+
+class Told(np.random.Generator):
+    """A generator that tells how far the tag of the last picture was lifted, which no picture shows.
+
+    Attributes:
+        heave: in standard deviations: a scene draws it as the only single number of a normal distribution.
+    """
+
+    def __init__(self, seed: int) -> None:
+        super().__init__(np.random.PCG64(seed))
+        self.heave = 0.0
+
+    def standard_normal(self, size: Any = None, *more: Any, **named: Any) -> Any:
+        drawn = super().standard_normal(size, *more, **named)
+        if size is None:
+            self.heave = float(drawn)
+        return drawn
+
+
+def aside(of: Scene, place_m: tuple[float, float]) -> npt.NDArray[np.float64]:
+    """(2,) how far aside the camera sees a place, in its heights: by so many mm a mm of heave shifts it."""
+    camera = of.view.place_m
+    return np.asarray((np.array(place_m) - camera[:2]) / (camera[2] - of.tag_height_m))
 
 
 def scene(**conditions: float) -> Scene:

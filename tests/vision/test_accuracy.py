@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from tests.conftest import count
-from tests.vision.scenes import calibration, drawn_pose, errors, scene
+from tests.vision.scenes import Told, aside, calibration, drawn_pose, errors, scene
 
 from frogkick.vision.plane import wrap
 from frogkick.vision.tracker import Tracker
@@ -55,6 +55,24 @@ def test_the_heading_holds_on_waves_that_tilt_the_tag(wave_height_m: float) -> N
         pose = tracker.observe(rough.picture(truth, rng), 0.0).pose
         flat_off += [] if pose is None else [wrap(pose.heading_rad - truth[2])]
     assert np.std(flat_off) > 2.0 * np.std(off[:, 2])
+
+
+@pytest.mark.parametrize("wave_height_m", [0.001, 0.002])
+def test_waves_move_the_place_by_their_heave_alone(wave_height_m: float) -> None:
+    """One camera does not see how high a wave lifts the tag; all else that waves do is found."""
+    rough = scene(wave_height_m=wave_height_m)
+    tracker, rng = Tracker(calibration(rough)), Told(9)
+    off, left = [], []
+    for _ in range(count(25, 500)):
+        truth = drawn_pose(rough, rng)
+        tracker.forget()
+        pose = tracker.observe(rough.picture(truth, rng), 0.0).pose
+        if pose is not None:
+            error = np.array([pose.x_m - truth[0], pose.y_m - truth[1]])
+            off.append(np.hypot(*error))
+            left.append(np.hypot(*(error - wave_height_m * rng.heave * aside(rough, truth[:2]))))
+    assert len(off) >= 0.95 * count(25, 500)
+    assert max(left) < 2e-4 and max(off) > 4 * max(left)
 
 
 def test_the_covariance_holds_the_errors() -> None:

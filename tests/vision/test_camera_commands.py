@@ -32,6 +32,8 @@ def calibrated(folder: Path, capsys: pytest.CaptureFixture[str]) -> Path:
     )  # fmt: skip
     assert done.code == 0, done.stderr
     assert done.json["px_per_mm"] == pytest.approx(0.47, abs=0.02)
+    farthest = np.hypot(0.7, 0.65) / (1.35 - 0.012)  # the camera over (0.7, 0.25), the corner (0, 0.9)
+    assert done.json["heave_shift_mm_per_mm"] == pytest.approx(farthest, abs=0.01)
     return out
 
 

@@ -152,6 +152,10 @@ def _facts(made: Calibration, lens_rms_px: float) -> dict[str, Any]:
     corner = np.array([[0, 0], [made.pool_m[0], 0], [*made.pool_m], [0, made.pool_m[1]]], dtype=float)
     middle = corner.mean(axis=0, keepdims=True)
     step = made.pixels(middle + np.array([[0, 0], [1e-3, 0], [0, 1e-3]]))
+    shift = None
+    if made.camera_m is not None:
+        above = made.camera_m[2] - made.tag.apparent_height_m
+        shift = float(np.hypot(*(corner - made.camera_m[:2]).T).max() / above)
     return {
         "method": made.method,
         "points": made.points,
@@ -160,6 +164,7 @@ def _facts(made: Calibration, lens_rms_px: float) -> dict[str, Any]:
         "camera_m": made.camera_m,
         "tag_height_m": made.tag.height_m,
         "refraction_offset_m": made.tag.refraction_offset_m,
+        "heave_shift_mm_per_mm": shift,
         "px_per_mm": float(np.sqrt(abs(np.linalg.det(step[1:] - step[0])))),
     }
 

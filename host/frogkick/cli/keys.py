@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from types import TracebackType
 from typing import TextIO
 
@@ -15,6 +17,27 @@ else:
     import tty
 
 from frogkick.cli.common import stderr
+
+
+@contextmanager
+def terminal(stdin_is_taken: bool) -> Iterator[TextIO | None]:
+    """Where keys are pressed: standard input, or where that brings something else the terminal itself.
+
+    None: there is none, or this program is in its background, where it may not read.
+    """
+    if not stdin_is_taken:
+        yield sys.stdin
+        return
+    if sys.platform == "win32":
+        yield sys.stdin  # no terminal: nothing is asked
+        return
+    try:
+        number = os.open("/dev/tty", os.O_RDWR | os.O_NOCTTY)
+    except OSError:
+        yield None
+        return
+    with os.fdopen(number, closefd=True) as stream:
+        yield stream if os.tcgetpgrp(number) == os.getpgrp() else None
 
 
 class Keys:

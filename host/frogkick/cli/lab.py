@@ -13,19 +13,20 @@ from pathlib import Path
 import numpy as np
 
 from frogkick.cli.common import stderr
-from frogkick.cli.keys import Keys
-from frogkick.cli.places import built_firmware
+from frogkick.cli.keys import Keys, terminal
+from frogkick.cli.places import built_firmware, start_pose
 from frogkick.errors import InputError, nearest_name
 from frogkick.link.frames import DELIMITER
 from frogkick.link.opening import opened
 from frogkick.link.text_dialect import pulse_line, require_dialect
 from frogkick.link.wire import Wire, is_target, parse_target
 from frogkick.loop.camera_fixes import CameraFixes
-from frogkick.loop.closed_loop import FixSource, Recording, RunOptions, run_session
+from frogkick.loop.closed_loop import Recording, RunOptions, run_session
 from frogkick.loop.in_time import warm_up
 from frogkick.loop.lab_session import LabSession, lab_session, stops_are_interrupts
 from frogkick.loop.line_fixes import LineFixes
-from frogkick.loop.start_checks import check_start, look
+from frogkick.loop.pool_fixes import PoolFixes
+from frogkick.loop.start_checks import check_battery, check_start, look
 from frogkick.loop.text_robot import TextRobot
 from frogkick.paths import Path as SwimPath
 from frogkick.planner.image import Tables
@@ -37,6 +38,7 @@ from frogkick.vision.video import Video
 
 FIRST_FIX_S = 10.0
 STDIN = "stdin"
+POOL = "pool"
 
 
 def require_film(video: bool, fixes: str | None, out: Path | None) -> None:
@@ -45,13 +47,20 @@ def require_film(video: bool, fixes: str | None, out: Path | None) -> None:
     Raises:
         InputError: --video without the camera of a real robot, or without --out.
     """
-    if video and (fixes is None or fixes == STDIN):
+    if video and (fixes is None or fixes in (STDIN, POOL)):
         raise InputError("--video keeps a camera's pictures, and none is looked at: give --fixes camera.toml")
     if video and out is None:
         raise InputError("--video is kept beside the log: give --out run.h5")
 
 
-def require_bench(robot: str, dialect: str, fixes: str | None, world: Path | None) -> None:
+def require_bench(
+    robot: str,
+    dialect: str,
+    fixes: str | None,
+    world: Path | None,
+    battery_v: float | None = None,
+    begin: str | None = None,
+) -> None:
     """Refuse what does not go with a real robot, or with a simulated one.
 
     Raises:
@@ -59,7 +68,11 @@ def require_bench(robot: str, dialect: str, fixes: str | None, world: Path | Non
     """
     require_dialect(dialect)
     if not is_target(robot):
-        for name, value in (("--fixes", fixes), ("--dialect", None if dialect == "frogkick" else dialect)):
+        for name, value in (
+            ("--fixes", fixes),
+            ("--dialect", None if dialect == "frogkick" else dialect),
+            ("--battery-v", battery_v),
+        ):
             if value is not None:
                 raise InputError(
                     f"{name} {value} is for a real robot, --robot is {robot!r}: leave it out, or give "
@@ -75,12 +88,17 @@ def require_bench(robot: str, dialect: str, fixes: str | None, world: Path | Non
         raise InputError(
             f"--robot {robot} swims by position fixes, and none are given: pipe them in from a tracker, "
             "as lines 'x_m y_m heading_rad [age_s]', with --fixes stdin, or give the calibration of the "
-            "camera over the pool, as --fixes camera.toml"
+            "camera over the pool, as --fixes camera.toml; for a kit without limbs --fixes pool"
         )
-    if fixes != STDIN and not fixes.endswith(".toml"):
+    if fixes not in (STDIN, POOL) and not fixes.endswith(".toml"):
         raise InputError(
-            f"--fixes is {fixes!r}{nearest_name(fixes, (STDIN,))}: choose stdin, or the file of "
+            f"--fixes is {fixes!r}{nearest_name(fixes, (STDIN, POOL))}: choose stdin, pool, or the file of "
             "'frogkick camera calibrate' (.toml)"
+        )
+    if fixes == POOL and (begin is not None or battery_v is not None):
+        name = "--battery-v" if begin is None else "--begin"
+        raise InputError(
+            f"{name} is for a robot in water, --fixes pool for a kit without limbs: leave it out"
         )
 
 
@@ -89,28 +107,38 @@ class Sight:
     """Where position fixes come from, and where the path begins.
 
     Attributes:
-        fixes: ``stdin``, or the file of a camera's calibration.
+        fixes: ``stdin``, ``pool`` (simulated, for a kit), or the file of a camera's calibration.
         source: camera number, video file or folder of pictures.
         begin: ``x_m,y_m,deg`` where the path is to begin, ``here`` for where the robot is; None = as it is.
+        seed: of a simulated camera's noise.
     """
 
     fixes: str
     source: str = "0"
     begin: str | None = None
+    seed: int = 0
 
     def __post_init__(self) -> None:
         if self.begin not in (None, "here"):
             parse_begin(str(self.begin))
 
     @contextmanager
-    def opened(self) -> Iterator[tuple[LineFixes | CameraFixes, tuple[float, float] | None]]:
+    def opened(
+        self, robot: Robot, tables: Tables, path: SwimPath
+    ) -> Iterator[tuple[LineFixes | CameraFixes | PoolFixes, tuple[float, float] | None]]:
         """The source, at work, and the pool's length and width where they are known.
+
+        Args:
+            robot, tables, path: what swims in a simulated pool, and from where on.
 
         Raises:
             InputError: no such calibration or camera.
         """
         if self.fixes == STDIN:
             yield LineFixes(sys.stdin.fileno(), "standard input"), None
+            return
+        if self.fixes == POOL:
+            yield PoolFixes(robot, tables, start_pose(path), np.random.default_rng(self.seed)), None
             return
         calibration = read_calibration(Path(self.fixes))
         name = f"camera {self.source}" if self.source.isdigit() else self.source
@@ -165,65 +193,89 @@ def session_with(wire: Wire, dialect: str, image: Path, robot: Robot) -> Iterato
             core.close()
 
 
+@dataclass(frozen=True)
+class Bench:
+    """A robot on the bench, and what a person says of it.
+
+    Attributes:
+        name: where it is: ble:NAME or serial:PORT.
+        dialect: what it speaks.
+        sight: its position fixes, and where its path begins.
+        battery_v: of its lowest battery, measured by hand; None: nobody did.
+        film: the log beside which the camera's pictures are kept; None: they are not.
+        yes: arm without asking.
+    """
+
+    name: str
+    dialect: str
+    sight: Sight
+    battery_v: float | None = None
+    film: Path | None = None
+    yes: bool = False
+
+
+Kept = Callable[[SwimPath, CameraFixes | None], AbstractContextManager[Callable[[Recording], None]]]
+"""Makes, from the path as placed and the camera if there is one, what keeps a recording while it grows."""
+
+
 def run_on_bench(
-    name: str,
-    dialect: str,
+    bench: Bench,
     image: Path,
     robot: Robot,
     tables: Tables,
     path: SwimPath,
     options: RunOptions,
-    sight: Sight,
-    logged: Callable[[SwimPath], AbstractContextManager[Callable[[Recording], None]]],
+    kept: Kept,
     progress: Callable[[float, int], None],
-    film: Path | None = None,
-    yes: bool = False,
 ) -> tuple[Recording, SwimPath]:
     """A run with a real robot, and the path as it was placed. Stopped in any way, it disarms the robot first.
 
     At a terminal the robot is armed by Enter, and any key stops the run.
 
     Args:
-        name: where the robot is, as the user gave it.
-        dialect: what it speaks.
+        bench: the robot, and what is around it.
         image: table image of ``tables``.
         robot, tables, path, options, progress: see ``run_session``.
-        sight: fixes, and where the path begins.
-        logged: makes, from the path as placed, what keeps the recording while it grows.
-        film: the log beside which the camera's pictures are kept; None: they are not.
-        yes: arm without asking.
+        kept: keeps the recording while it grows.
 
     Raises:
         WireError: the robot cannot be reached.
         LinkError: it refuses or does not answer.
-        InputError: no fixes come, or what ``check_start`` finds.
+        InputError: its batteries are low, no fixes come, or what ``check_start`` finds.
     """
-    target = parse_target(name)
-    greeting = DELIMITER if dialect == "frogkick" else pulse_line(tables.pulse_us)
+    sight, target = bench.sight, parse_target(bench.name)
+    battery = "battery: none, a kit" if sight.fixes == POOL else check_battery(robot, bench.battery_v)
+    greeting = DELIMITER if bench.dialect == "frogkick" else pulse_line(tables.pulse_us)
     with ExitStack() as stack:
         stack.enter_context(stops_are_interrupts())
         if options.check is not None or not options.onboard:
             warm_up(tables, path, options.config)
-        fixes, pool_m = stack.enter_context(sight.opened())
+        fixes, pool_m = stack.enter_context(sight.opened(robot, tables, path))
+        camera = fixes if isinstance(fixes, CameraFixes) else None
         fixes.wait_first(FIRST_FIX_S)
         seen = look(fixes, time.monotonic, time.sleep)
         if seen:
             path = sight.placed(path, [float(value) for value in seen[-1].pose_world])
         checked = check_start(seen, path, pool_m)
         wire = stack.enter_context(opened(target, greeting))
-        session = stack.enter_context(session_with(wire, dialect, image, robot))
+        session = stack.enter_context(session_with(wire, bench.dialect, image, robot))
         session.greet(tables)
-        for line in [*checked[:-1], f"table: {tables.crc32:08x}, the robot's own", checked[-1]]:
+        for line in (*checked, f"table: {tables.crc32:08x}, the robot's own", battery):
             stderr.print(f"start check: {line}", highlight=False, soft_wrap=True)
-        if film is not None and isinstance(fixes, CameraFixes):
-            video = Video(film, time.monotonic() - session.port.now_s)
+        if bench.film is not None and camera is not None:
+            video = Video(bench.film, time.monotonic() - session.port.now_s)
             stack.callback(video.close)
-            stack.callback(fixes.close)  # before the video: its thread writes there
-            fixes.film(video)
-        source: FixSource = fixes
-        keep = stack.enter_context(logged(path))
-        keys = stack.enter_context(Keys(None if sight.fixes == STDIN else sys.stdin))
-        if not yes:
+            stack.callback(camera.close)  # before the video: its thread writes there
+            camera.film(video)
+        write = stack.enter_context(kept(path, camera))
+
+        def keep(recording: Recording) -> None:
+            write(recording)
+            if isinstance(fixes, PoolFixes):
+                fixes.follow(recording, options.onboard)
+
+        keys = stack.enter_context(Keys(stack.enter_context(terminal(sight.fixes == STDIN))))
+        if not bench.yes:
             keys.wait_to_arm()
         options = replace(options, stop=keys.pressed)
-        return run_session(session, source, tables, path, options, progress, keep), path
+        return run_session(session, fixes, tables, path, options, progress, keep), path

@@ -73,7 +73,11 @@ def stages(without_robot: Sequence[Finding]) -> list[Stage]:
     )
     return [
         Stage("no hardware", "frogkick demo", tuple(without_robot)),
-        Stage("a development kit", "frogkick firmware build --target bench, firmware flash", kit),
+        Stage(
+            "a development kit",
+            "frogkick firmware build --target bench, firmware flash, run --robot serial:PORT --fixes pool",
+            kit,
+        ),
         Stage(
             "a robot in a pool", "frogkick camera calibrate, run --robot ble:NAME --fixes camera.toml", robot
         ),

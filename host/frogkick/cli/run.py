@@ -12,7 +12,7 @@ import numpy as np
 import typer
 
 from frogkick.cli.common import JsonOption, SeedOption, progress_bar, require_writable, show, stderr
-from frogkick.cli.lab import Sight, require_bench, require_film, run_on_bench
+from frogkick.cli.lab import Bench, Sight, require_bench, require_film, run_on_bench
 from frogkick.cli.places import (
     DepthOption,
     PlannerName,
@@ -29,10 +29,11 @@ from frogkick.cli.places import (
 from frogkick.cli.viewing import viewed
 from frogkick.effects import World, read_world
 from frogkick.link.wire import is_target
+from frogkick.loop.camera_fixes import CameraFixes
 from frogkick.loop.closed_loop import Recording, RunOptions, require_time, run_in_pool
 from frogkick.loop.live_check import LiveCheck
 from frogkick.loop.live_log import logged, part_of
-from frogkick.loop.record import run_log, tracking_of_recording
+from frogkick.loop.record import BATTERY_V, run_log, tracking_of_recording
 from frogkick.loop.runlog_file import write_run
 from frogkick.paths import Path as SwimPath
 from frogkick.planner.image import read_image
@@ -78,7 +79,7 @@ def run(
         str | None,
         typer.Option(
             help="A real robot's: camera.toml of 'camera calibrate', or stdin = a tracker's lines "
-            "'x_m y_m heading_rad [age_s]'."
+            "'x_m y_m heading_rad [age_s]'; pool = simulated, for a kit without limbs."
         ),
     ] = None,
     source: Annotated[
@@ -99,6 +100,10 @@ def run(
     video: Annotated[
         bool, typer.Option("--video", help="Keep the camera's pictures beside --out: .avi, .frames.csv.")
     ] = False,
+    battery_v: Annotated[
+        float | None,
+        typer.Option(help="Of a real robot's lowest battery, measured by hand at rest; too low is refused."),
+    ] = None,
     yes: Annotated[bool, typer.Option("--yes", help="Arm a real robot without asking for Enter.")] = False,
     json: JsonOption = False,
 ) -> None:
@@ -108,7 +113,7 @@ def run(
     At a terminal a real robot is armed by Enter, and any key stops the run. However it ends, the robot is
     disarmed first.
     """
-    require_bench(robot, dialect, fixes, world)
+    require_bench(robot, dialect, fixes, world, battery_v, begin)
     require_film(video, fixes, out)
     is_real = is_target(robot)
     if not is_real:
@@ -124,6 +129,7 @@ def run(
     config = plan_config(described, planner, depth)
     options = RunOptions(config, plan is not PlanWhere.host, simulated_time, check)
     name = f"run --robot {robot.replace('/', ' ').replace(chr(92), ' ')} --plan {plan.value}"
+    known = {} if battery_v is None else {BATTERY_V: battery_v}
     pool = None
     with ExitStack() as stack:
         bar = stack.enter_context(progress_bar(f"{desired.name}: path points"))
@@ -132,12 +138,14 @@ def run(
             bar(index + 1, len(desired), "" if check is None else check.said)
 
         if is_real:
-            sight = Sight(str(fixes), source, begin)
-            log = logged(out, described, opened, options, name)
+            sight = Sight(str(fixes), source, begin, seed)
+            bench = Bench(robot, dialect, sight, battery_v, out if video else None, yes)
+            log = logged(out, described, opened, options, name, known)
 
             @contextmanager
-            def kept(placed: SwimPath) -> Iterator[Callable[[Recording], None]]:
-                with log(placed) as write, viewed(view, opened, placed, options, None) as draw:
+            def kept(placed: SwimPath, eye: CameraFixes | None) -> Iterator[Callable[[Recording], None]]:
+                seen = viewed(view, described, opened, placed, options, camera=eye)
+                with log(placed) as write, seen as draw:
 
                     def keep(recording: Recording) -> None:
                         write(recording)
@@ -147,18 +155,7 @@ def run(
 
             try:
                 recording, desired = run_on_bench(
-                    robot,
-                    dialect,
-                    image,
-                    described,
-                    opened,
-                    desired,
-                    options,
-                    sight,
-                    kept,
-                    progress,
-                    out if video else None,
-                    yes,
+                    bench, image, described, opened, desired, options, kept, progress
                 )
             except BaseException:
                 if out is not None and part_of(out).exists():
@@ -167,12 +164,12 @@ def run(
         else:
             port = stack.enter_context(simulated_robot(robot, image, described))
             pool = Pool(described, start_pose(desired), camera, np.random.default_rng(seed), true_world)
-            draw = stack.enter_context(viewed(view, opened, desired, options, pool))
+            draw = stack.enter_context(viewed(view, described, opened, desired, options, pool))
             recording = run_in_pool(port, pool, opened, desired, options, progress, draw)
     tracked = tracking_of_recording(recording, pool, described, desired)
     if out is not None:
         known_seed = None if is_real else seed
-        write_run(out, run_log(recording, pool, described, opened, desired, options, known_seed, name))
+        write_run(out, run_log(recording, pool, described, opened, desired, options, known_seed, name, known))
         part_of(out).unlink(missing_ok=True)
     checked = {} if check is None else check.as_json()
     show({**tracked.as_json(), **checked, "ended": recording.ended}, json)

@@ -11,12 +11,15 @@ from contextlib import contextmanager
 
 import numpy as np
 
+from frogkick.loop.camera_fixes import CameraFixes
+from frogkick.loop.camera_view import CameraView
 from frogkick.loop.closed_loop import Recording, RunOptions
 from frogkick.loop.live_view import LiveView
 from frogkick.paths import Path as SwimPath
 from frogkick.planner.image import Tables
 from frogkick.pool.pool import Pool
 from frogkick.report.live_page import served
+from frogkick.robot import Robot
 
 EVERY_S = 0.1
 LINGER_S = 0.5
@@ -25,19 +28,28 @@ LINGER_S = 0.5
 
 @contextmanager
 def viewed(
-    wanted: bool, tables: Tables, path: SwimPath, options: RunOptions, pool: Pool | None
+    wanted: bool,
+    robot: Robot,
+    tables: Tables,
+    path: SwimPath,
+    options: RunOptions,
+    pool: Pool | None = None,
+    camera: CameraFixes | None = None,
 ) -> Iterator[Callable[[Recording], None]]:
     """What shows the recording while it grows; a simulated pool is kept from running ahead of the clock.
 
     Args:
         wanted: False = there is no page, and nothing is slowed.
-        tables, path, options: of the run.
+        robot, tables, path, options: of the run.
         pool: the simulated one; None: a real one.
+        camera: over a real one, whose pictures are shown; None: the pool is drawn.
     """
     if not wanted:
         yield lambda _recording: None
         return
-    view, begin_s, shown_s = LiveView(tables, path, options.config), time.monotonic(), 0.0
+    eye = None if camera is None else CameraView(camera)
+    view = LiveView(tables, path, options.config, robot.frame.corners_m, eye)
+    begin_s, shown_s = time.monotonic(), 0.0
     newest = Recording()
 
     def draw() -> None:
@@ -61,7 +73,7 @@ def viewed(
             draw()
 
     drawing = threading.Thread(target=draw_on, name="view", daemon=True)
-    with served(lambda: view.text) as address:
+    with served(lambda: view.text, None if eye is None else eye.picture) as address:
         print(f"frogkick: the run is drawn at {address}", file=sys.stderr, flush=True)
         if sys.stderr.isatty():
             webbrowser.open(address)

@@ -6,8 +6,10 @@ import threading
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from frogkick.errors import InputError
 from frogkick.pool.camera import Fix
@@ -23,6 +25,21 @@ STALL_S = 1.0
 """Without a picture of a live camera: its driver hangs, and does not say so."""
 
 
+@dataclass(frozen=True)
+class Sighting:
+    """A picture, and the tag in it.
+
+    Attributes:
+        image: (height, width) grey or (height, width, 3) BGR; nobody writes to it.
+        captured_s: when it was taken, on the fixes' clock.
+        corners_px: (4, 2) of the tag, trusted or not; None where there is none.
+    """
+
+    image: NDArray[np.uint8]
+    captured_s: float
+    corners_px: NDArray[np.float64] | None
+
+
 class CameraFixes:
     """A ``FixSource`` that finds the robot's tag in each picture; poses are in the pool's frame.
 
@@ -30,7 +47,9 @@ class CameraFixes:
     fast as they were taken, as if a camera saw them now; their end is a camera that sees nothing more.
 
     Attributes:
+        calibration: of the camera.
         reasons: how many pictures told a pose (``found``), or why not.
+        newest: the last picture that was looked at; None before the first.
     """
 
     def __init__(
@@ -48,7 +67,9 @@ class CameraFixes:
             name: of the camera, for people.
             clock: in s, the one that live pictures' capture times are of.
         """
+        self.calibration = calibration
         self.reasons: Counter[str] = Counter()
+        self.newest: Sighting | None = None
         self._frames, self._tracker, self._name, self._clock = frames, Tracker(calibration), name, clock
         self._condition = threading.Condition()
         self._stop = threading.Event()
@@ -148,6 +169,7 @@ class CameraFixes:
                 with self._condition:
                     self._heard_s = self._clock() if frame.live else None
                 seen = self._tracker.observe(frame.image, captured_s)
+                self.newest = Sighting(frame.image, captured_s, seen.corners_px)
                 with self._condition:
                     self.reasons[seen.reason] += 1
                     if seen.pose is not None:

@@ -337,6 +337,7 @@ class _Run:
             recording.fix_status[row] = int(values["status"])
             if values["status"] == 0:
                 recording.capture_us[row] = int(values["capture_us"])
+                self.session.mind_clock(recording.fixes[row].capture_s, int(values["capture_us"]))
             elif values["status"] == link_layout().status["FAULT"]:
                 self._fail()
         elif frame.name == "REFUSED":

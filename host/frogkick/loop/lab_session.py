@@ -27,6 +27,12 @@ CLOCK_ASKED = 5
 SAFE_S = 5.0
 CLOCK_BACK_S = 0.01
 """No monotonic clock does so; one that does leaves a robot armed that nobody looks after."""
+CLOCK_AHEAD_S = 0.2
+"""So far beyond the robot's own this computer's clock may be: by no more is a fix that looks fresh older."""
+CLOCK_DRIFT = 5e-4
+"""And by such a part of the time besides: no two crystals go alike."""
+PAUSE_S = 1.0
+"""Between two steps: either this program was held up for so long, or its clock was set."""
 
 
 def _new_conversation() -> int:
@@ -69,6 +75,8 @@ class LabSession(Session):
     patience_s: float = math.inf
     _connections: int = 1
     _was_told: bool = False
+    _offset_us: int | None = None
+    _robot_us: int = 0
 
     def step(self, until_s: float) -> None:
         """Wait until a time, or until something comes; ``time_s`` is the real one then."""
@@ -81,10 +89,51 @@ class LabSession(Session):
                 f"this computer's clock went back by {self.time_s - now_s:.1f} s while the robot ran: "
                 "run again, and let nothing set it meanwhile"
             )
-        self.time_s = now_s
+        paused_s, self.time_s = now_s - self.time_s, now_s
         edges = self.port.edges()
         self.edges += edges
         self.on_step(self.time_s, edges)
+        if paused_s > PAUSE_S:
+            self._compare_clocks()
+
+    def mind_clock(self, capture_s: float, capture_us: int) -> None:
+        """Look whether a fix was taken at the same time by both clocks, this computer's and the robot's.
+
+        Raises:
+            LinkError: this computer's clock went ahead, or the robot was switched off and on.
+        """
+        if self._ahead_s(capture_s, capture_us) > self._ahead_most_s:
+            self._compare_clocks()
+        else:
+            self._robot_us = max(self._robot_us, capture_us)
+
+    @property
+    def _ahead_most_s(self) -> float:
+        return CLOCK_AHEAD_S + CLOCK_DRIFT * self.time_s
+
+    def _ahead_s(self, here_s: float, robot_us: int) -> float:
+        """By how much a time of this computer's clock is beyond the same on the robot's."""
+        return 0.0 if self._offset_us is None else here_s - (robot_us - self._offset_us) * 1e-6
+
+    def _compare_clocks(self) -> None:
+        """Ask the robot what time it is: it was not held up, and nobody sets its clock."""
+        if self._was_told or self._offset_us is None or self.port.wire.connections != self._connections:
+            return
+        self._was_told = True  # nor is it asked while it is asked
+        told_us = int(self.request("STATUS")["now_us"])
+        ahead_s = self._ahead_s(self.port.now_s, told_us)
+        if told_us < self._robot_us:
+            raise LinkError(
+                "the robot was switched off and on while it ran, or its firmware began anew: charge it, look "
+                "at its plugs, and at what 'frogkick log fetch' tells"
+            )
+        if ahead_s > self._ahead_most_s:
+            raise LinkError(
+                f"this computer's clock went ahead by {ahead_s:.1f} s while the robot ran, so that ages of "
+                "position fixes cannot be trusted, and the run was ended: run again, and let nothing set it "
+                "meanwhile"
+            )
+        self._was_told = False
 
     @property
     def window(self) -> int:
@@ -150,6 +199,7 @@ class LabSession(Session):
             trip_s = self.port.now_s - before_s
             if trip_s < quickest_s:
                 quickest_s, offset_us = trip_s, told_us - round((before_s + trip_s / 2.0) * 1e6)
+        self._offset_us = offset_us
         return offset_us
 
     def _hello(self) -> dict[str, Value]:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import pathlib
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, replace
 
@@ -195,9 +195,17 @@ class LiveLog:
 
 
 def logged(
-    target: pathlib.Path | None, robot: Robot, tables: Tables, options: RunOptions, source: str
+    target: pathlib.Path | None,
+    robot: Robot,
+    tables: Tables,
+    options: RunOptions,
+    source: str,
+    known: Mapping[str, float] | None = None,
 ) -> Callable[[Path], AbstractContextManager[Callable[[Recording], None]]]:
-    """What begins, once the path is known, a live log beside ``target``; without a target there is none."""
+    """What begins, once the path is known, a live log beside ``target``; without a target there is none.
+
+    ``known``: numbers about the run that are told from its start on.
+    """
 
     @contextmanager
     def begin(path: Path) -> Iterator[Callable[[Recording], None]]:
@@ -205,7 +213,7 @@ def logged(
             yield lambda _recording: None
             return
         empty = run_log(Recording(), None, robot, tables, path, options, None, source)
-        live = LiveLog(target, replace(empty, measured={}, notes=CUT_OFF), options.onboard)
+        live = LiveLog(target, replace(empty, measured=known or {}, notes=CUT_OFF), options.onboard)
         try:
             yield live.keep
         finally:

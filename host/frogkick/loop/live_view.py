@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from frogkick.loop.camera_view import CameraView
 from frogkick.loop.closed_loop import Recording
 from frogkick.loop.decision import Decision
 from frogkick.paths import Path
@@ -78,51 +80,76 @@ class LiveView:
 
     Attributes:
         tables, path, config: of the run.
+        outline_m: (n)(2) the robot's frame, body frame, to be drawn where it is.
+        camera: over the pool, where its pictures are shown: all is told in their pixels as well.
         text: the newest state.
     """
 
     tables: Tables
     path: Path
     config: PlanConfig
+    outline_m: Sequence[tuple[float, float]]
+    camera: CameraView | None = None
     text: str = "{}"
     _decisions: int = -1
-    _planned: dict[str, Any] = field(default_factory=dict)
+    _drawn: dict[str, list[list[float]]] = field(default_factory=dict)
+    _told: dict[str, Any] = field(default_factory=dict)
 
     def show(self, recording: Recording, track: FloatArray | None = None) -> None:
         """Take what is recorded so far, and in a simulated pool (n, 3) where the robot really was."""
         if len(recording.decisions) != self._decisions:
             self._decisions = len(recording.decisions)
-            self._planned = self._plan(recording)
+            self._plan(recording)
         fixes = np.array([fix.pose_world for fix in recording.fixes[-FIXES_SHOWN:]]).reshape(-1, 3)
         newest = recording.fixes[-1] if recording.fixes else None
-        self.text = json.dumps(
-            {
-                "path": np.round(self.path.points_m, 4).tolist(),
-                "fixes": np.round(fixes, 4).tolist(),
-                "track": [] if track is None else np.round(track[-4 * FIXES_SHOWN :], 4).tolist(),
-                "fix_age_s": None if newest is None else round(newest.arrival_s - newest.capture_s, 3),
-                "ended": recording.ended,
-                **self._planned,
-            }
-        )
+        swum = np.zeros((0, 3)) if track is None else track[-4 * FIXES_SHOWN :]
+        state = {
+            "path": self.path.points_m,
+            "fixes": fixes,
+            "track": swum,
+            "robot": self._outline(swum if len(swum) else fixes),
+            **{name: np.array(rows, dtype=np.float64).reshape(-1, 3) for name, rows in self._drawn.items()},
+        }
+        told: dict[str, Any] = {
+            **{name: np.round(rows, 4).tolist() for name, rows in state.items()},
+            "camera": None,
+            "fix_age_s": None if newest is None else round(newest.arrival_s - newest.capture_s, 3),
+            "ended": recording.ended,
+            **self._told,
+        }
+        if self.camera is not None:
+            seen = {name: self.camera.pixels(rows[:, :2]) for name, rows in state.items()}
+            pixels = {name: np.round(rows, 1).tolist() for name, rows in seen.items()}
+            told["camera"] = {"size": self.camera.size_px, **pixels}
+        self.text = json.dumps(told)
 
-    def _plan(self, recording: Recording) -> dict[str, Any]:
+    def _outline(self, poses: FloatArray) -> FloatArray:
+        """(n + 2, 2) the frame's corners at the last of (m, 3) poses, its centre, its foremost place."""
+        if not len(poses):
+            return np.zeros((0, 2))
+        corners = np.array(self.outline_m, dtype=np.float64)
+        ends = np.vstack([corners, [[0.0, 0.0], [corners[:, 0].max(), 0.0]]])
+        x, y, heading = (float(value) for value in poses[-1])
+        c, s = np.cos(heading), np.sin(heading)
+        return np.asarray([x, y] + ends @ np.array([[c, s], [-s, c]]))
+
+    def _plan(self, recording: Recording) -> None:
+        """What is told of the newest decision, and of those before it."""
         planned = [one for one in recording.decisions if one.status == 0]
-        letters = [
-            [*np.round(one.estimate[:2], 4).tolist(), self.tables.actions[one.action].name]
-            for one in planned[-DECISIONS_SHOWN:]
-        ]
-        if not planned or planned[-1].action >= len(self.tables.actions):
-            return {"decisions": letters, "fan": [], "branch": [], "actions": "", "cost": None}
-        last = planned[-1]
-        branch, names = branch_of(self.tables, self.path, self.config, last)
-        fan = fan_of(self.tables, last.estimate, last.limb_use)
-        return {
-            "decisions": letters,
-            "fan": np.round(fan, 4).tolist(),
-            "branch": np.round(np.array(branch), 4).tolist(),
+        last = planned[-DECISIONS_SHOWN:]
+        self._drawn = {"decisions": [one.estimate[:3].tolist() for one in last], "fan": [], "branch": []}
+        self._told = {"letters": [self.tables.actions[one.action].name for one in last], "actions": ""}
+        if not last or last[-1].action >= len(self.tables.actions):
+            return
+        newest = last[-1]
+        branch, names = branch_of(self.tables, self.path, self.config, newest)
+        self._drawn |= {
+            "fan": fan_of(self.tables, newest.estimate, newest.limb_use).tolist(),
+            "branch": branch,
+        }
+        self._told |= {
             "actions": names,
-            "cost": round(float(last.cost), 3),
-            "distance_mm": round(1e3 * float(last.distance_m), 1),
-            "plan_ms": round(1e-3 * last.plan_us, 2),
+            "cost": round(float(newest.cost), 3),
+            "distance_mm": round(1e3 * float(newest.distance_m), 1),
+            "plan_ms": round(1e-3 * newest.plan_us, 2),
         }

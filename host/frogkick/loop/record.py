@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from typing import Any
 
@@ -18,6 +18,9 @@ from frogkick.planner.plan import PlanConfig
 from frogkick.pool.monitor import pulses_of, violations
 from frogkick.pool.pool import Pool
 from frogkick.robot import Robot
+
+BATTERY_V = "battery_v"
+"""In a log's ``measured``: what a person measured before the run."""
 
 WEIGHT_MAX = 1e6  # as for fk_plan
 _FIELDS = tuple(entry.name for entry in fields(PlanConfig))
@@ -115,6 +118,7 @@ def run_log(
     options: RunOptions,
     seed: int | None,
     source: str,
+    known: Mapping[str, float] | None = None,
 ) -> RunLog:
     """The log of a run.
 
@@ -124,6 +128,7 @@ def run_log(
         robot, tables, path, options: as in the run.
         seed: of the camera's noise, where that was simulated.
         source: what made the log, without folders.
+        known: numbers about the run from elsewhere, for ``RunLog.measured``.
     """
     fixes = recording.fixes
     pulses = pulses_of(recording.edges, recording.end_s)
@@ -157,7 +162,12 @@ def run_log(
         seed=seed,
         notes=recording.ended,
         measured={
-            key: float(value) for key, value in tracked.items() if value is not None and np.isfinite(value)
+            **{
+                key: float(value)
+                for key, value in tracked.items()
+                if value is not None and np.isfinite(value)
+            },
+            **(known or {}),
         },
         planner={key: float(value) for key, value in asdict(options.config).items()},
     )

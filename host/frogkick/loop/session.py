@@ -208,6 +208,12 @@ class Session:
         """Robot time minus this session's: 0 in simulated time."""
         return 0
 
+    def mind_clock(self, capture_s: float, capture_us: int) -> None:
+        """Look whether a fix was taken at the same time by the session's clock (s) and the robot's (us).
+
+        In simulated time there is one clock.
+        """
+
     def meet(self) -> dict[str, Value]:
         """HELLO, and refuse a robot that speaks another protocol.
 

@@ -1,10 +1,11 @@
-"""What is looked at before a real robot is armed: is it seen well, is it in the pool, is its path.
+"""What is looked at before a real robot is armed: is it seen well, in the pool, is its path; its batteries.
 
-No pin of the robot measures its batteries (by hand: host/FIRST_DAY.md), and that is said each time.
+No pin of the robot measures these: a person does (host/FIRST_DAY.md), and where nobody did, that is said.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 
 import numpy as np
@@ -13,6 +14,7 @@ from frogkick.errors import InputError
 from frogkick.loop.closed_loop import FixSource
 from frogkick.paths import Path
 from frogkick.pool.camera import Fix
+from frogkick.robot import Robot
 
 LOOK_S = 1.0
 FIXES_LEAST = 2
@@ -27,8 +29,48 @@ START_MOST_M = 0.3
 WALL_M = 0.05
 """A path keeps so far from the walls: half a robot."""
 
+OVER_FULL = 1.1
+"""A battery with so many times the voltage of a full one is another's, or the number has a slip."""
 
-BATTERY = "battery: not measured by this robot (host/FIRST_DAY.md: how to, by hand)"
+
+def check_battery(robot: Robot, measured_v: float | None) -> str:
+    """Refuse to begin with batteries that are low.
+
+    Args:
+        robot: its file may say which it has.
+        measured_v: by a person, of the lowest of them; None: nobody did.
+
+    Returns:
+        What is known of them, in a line.
+
+    Raises:
+        InputError: they are low, they are no such batteries, or the robot's file says nothing of any.
+    """
+    battery = robot.battery
+    limits = "" if battery is None else f"{battery.low_v:g} V is low, {battery.full_v:g} V full"
+    if measured_v is None:
+        if battery is None:
+            return f"battery: unknown, nobody measured it, and {robot.id} has no [battery] in its file"
+        return (
+            f"battery: unknown, not measured by this robot: do so {battery.measure} ({battery.count} of "
+            f"them, {limits}), give the lowest, as --battery-v {battery.nominal_v:g}"
+        )
+    if battery is None:
+        raise InputError(
+            f"--battery-v is {measured_v:g}, and {robot.id} does not say which voltage is low: add [battery] "
+            "to its file, or leave it out"
+        )
+    if not (math.isfinite(measured_v) and 0.0 < measured_v <= OVER_FULL * battery.full_v):
+        raise InputError(
+            f"--battery-v is {measured_v:g}, a full battery of {robot.id} has {battery.full_v:g} V: measure "
+            f"again, {battery.measure}"
+        )
+    if measured_v < battery.low_v:
+        raise InputError(
+            f"the battery has {measured_v:g} V, {battery.low_v:g} V is the least for {robot.id}: charge "
+            f"{'it' if battery.count == 1 else f'all {battery.count} together'}, to {battery.full_v:g} V"
+        )
+    return f"battery: {measured_v:g} V, measured by hand ({limits})"
 
 
 def look(source: FixSource, clock: Callable[[], float], wait: Callable[[float], None]) -> list[Fix]:
@@ -85,5 +127,4 @@ def check_start(fixes: Sequence[Fix], path: Path, pool_m: tuple[float, float] | 
     return [
         f"position fixes: {len(fixes)} in {LOOK_S:g} s, at most {1e3 * apart_m.max():.1f} mm apart",
         f"path: {inside}, {1e3 * far_m:.0f} mm from the robot",
-        BATTERY,
     ]

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from frogkick.errors import InputError
-from frogkick.loop.record import along_path
+from frogkick.loop.record import BATTERY_V, along_path
 from frogkick.loop.residual import residual
 from frogkick.loop.runlog import RunLog
 
@@ -34,6 +34,7 @@ class Summary:
         mean_distance_m, p95_distance_m: to the path, from the first decision on.
         progress_mps: along the path.
         position_rmse_m, heading_rmse_rad: of the planner's prediction a period ahead.
+        battery_v: of the lowest battery, as a person measured it before the run.
         notes: how it ended.
     """
 
@@ -51,6 +52,7 @@ class Summary:
     progress_mps: float | None
     position_rmse_m: float | None
     heading_rmse_rad: float | None
+    battery_v: float | None
     notes: str
 
     def as_json(self) -> dict[str, Any]:
@@ -115,6 +117,7 @@ def summary(run: RunLog) -> Summary:
         progress_mps=distances[2],
         position_rmse_m=missed[0],
         heading_rmse_rad=missed[1],
+        battery_v=run.measured.get(BATTERY_V),
         notes=run.notes,
     )
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -27,11 +28,17 @@ def page() -> str:
 
 
 @contextmanager
-def served(state: Callable[[], str], port: int = 0) -> Iterator[str]:
+def served(
+    state: Callable[[], str],
+    picture: Callable[[], tuple[bytes, dict[str, str]] | None] | None = None,
+    port: int = 0,
+) -> Iterator[str]:
     """Serve the page as long as the context lives.
 
     Args:
         state: gives the newest state as JSON; called from other threads.
+        picture: gives the camera's newest picture as JPEG with headers, None where there is none yet; called
+            from other threads, when a page asks for it. None: there is no camera.
         port: 0 = a free one.
 
     Returns:
@@ -41,14 +48,19 @@ def served(state: Callable[[], str], port: int = 0) -> Iterator[str]:
 
     class Handler(BaseHTTPRequestHandler):
         def do_GET(self) -> None:
-            content, kind = {
-                "/": (text, "text/html; charset=utf-8"),
-                "/state.json": (state().encode(), "application/json"),
-            }.get(self.path, (b"", ""))
-            if not kind:
+            more: dict[str, str] = {}
+            if self.path == "/":
+                content, kind = text, "text/html; charset=utf-8"
+            elif self.path == "/state.json":
+                content, kind = state().encode(), "application/json"
+            elif self.path == "/picture.jpg" and picture is not None and (made := picture()) is not None:
+                (content, more), kind = made, "image/jpeg"
+            else:
                 self.send_error(404)
                 return
             self.send_response(200)
+            for name, value in more.items():
+                self.send_header(name, value)
             self.send_header("Content-Type", kind)
             self.send_header("Content-Length", str(len(content)))
             self.send_header("Cache-Control", "no-store")
@@ -58,8 +70,15 @@ def served(state: Callable[[], str], port: int = 0) -> Iterator[str]:
         def log_message(self, format: str, *args: object) -> None:
             """Nobody wants to read of every look."""
 
-    server = ThreadingHTTPServer((HOST, port), Handler)
-    server.daemon_threads = True
+    class Server(ThreadingHTTPServer):
+        daemon_threads = True
+
+        def handle_error(self, request: object, client_address: object) -> None:
+            """A page that is closed while it is answered is nobody's error; others are told as usual."""
+            if not isinstance(sys.exception(), ConnectionError):
+                super().handle_error(request, client_address)  # type: ignore[arg-type]
+
+    server = Server((HOST, port), Handler)
     threading.Thread(target=server.serve_forever, daemon=True).start()
     try:
         yield f"http://{HOST}:{server.server_address[1]}/"

@@ -15,9 +15,9 @@ from pydantic import BaseModel, ValidationError
 from frogkick.errors import InputError, nearest_name
 from frogkick.files import existing_file
 from frogkick.robot.geometry import require_geometry
-from frogkick.robot.model import Action, Frame, Guard, Limb, PlannerDefaults, Robot, VelocityBox
+from frogkick.robot.model import Action, Battery, Frame, Guard, Limb, PlannerDefaults, Robot, VelocityBox
 from frogkick.robot.profile import Profile
-from frogkick.robot.schema import FrameTable, LibraryTable, LimbTable, ProfileTable, RobotFile
+from frogkick.robot.schema import BatteryTable, FrameTable, LibraryTable, LimbTable, ProfileTable, RobotFile
 from frogkick.robot.toml_text import to_toml
 
 BUILT_IN = Path(__file__).resolve().parent / "robots"
@@ -201,6 +201,17 @@ def _box(table: LibraryTable, source: str) -> VelocityBox:
     return VelocityBox(table.forward_mps, table.left_mps, (math.radians(low), math.radians(high)))
 
 
+def _battery(table: BatteryTable | None, source: str) -> Battery | None:
+    if table is None:
+        return None
+    if not table.low_v < table.full_v:
+        raise InputError(
+            f"{source}: battery.low_v is {table.low_v:g} V and battery.full_v {table.full_v:g} V: "
+            "a full one has more than one that is low"
+        )
+    return Battery(**table.model_dump())
+
+
 def _distinct(names: list[Any], what: str, source: str) -> None:
     for i, name in enumerate(names):
         if name in names[:i]:
@@ -244,6 +255,7 @@ def _robot(file: RobotFile, source: str, folder: Path | None) -> Robot:
         library_box=_box(file.library, source),
         guard=Guard(**file.guard.model_dump()),
         planner=PlannerDefaults(**file.planner.model_dump()),
+        battery=_battery(file.battery, source),
         effects=tuple(dict(table) for table in file.effect),
         folder=folder,
         toml=text,

@@ -112,6 +112,24 @@ class Guard:
 
 
 @dataclass(frozen=True)
+class Battery:
+    """What drives the limbs, for those who charge it: no simulation looks at it.
+
+    Attributes:
+        count: how many there are.
+        nominal_v: of each, as sold.
+        low_v, full_v: of each, at rest: below the one nobody swims, the other is after charging.
+        measure: how a person measures it, in a few words.
+    """
+
+    count: int
+    nominal_v: float
+    low_v: float
+    full_v: float
+    measure: str
+
+
+@dataclass(frozen=True)
 class PlannerDefaults:
     """Cost and weights of the planner, its depth and its time.
 
@@ -161,6 +179,7 @@ class Robot:
         egain_percent, profile_frequency_hz: which profile the actions use.
         gait_lead_mask, gait_lag_mask: the two groups of the cyclic gait; the second lags by the phase.
         velocity_resolution: (m/s, m/s, rad/s) that one code of a table image stands for.
+        battery: what drives its limbs; None where its file does not say.
         effects: what it has besides (frogkick.effects.effects_of makes them), as its file's tables.
         folder: where the files of its own effects are; None where its text came alone.
         toml: the canonical text; load_robot reads it back to the same robot.
@@ -188,6 +207,7 @@ class Robot:
     planner: PlannerDefaults
     toml: str
     sha256: bytes
+    battery: Battery | None = None
     effects: tuple[Mapping[str, str | bool | int | float], ...] = ()
     folder: Path | None = field(default=None, compare=False)
 

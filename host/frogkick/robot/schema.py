@@ -95,6 +95,14 @@ class PlannerTable(_Table):
     depth: Annotated[int, Field(ge=1, le=4)]
 
 
+class BatteryTable(_Table):
+    count: Annotated[int, Field(ge=1, le=64)]
+    nominal_v: Positive
+    low_v: Positive
+    full_v: Positive
+    measure: Annotated[str, Field(min_length=1, max_length=100)]
+
+
 class ProfileTable(_Table):
     egain_percent: Annotated[float, Field(ge=0.0, le=100.0)]
     frequency_hz: Positive
@@ -127,4 +135,5 @@ class RobotFile(_Table):
     guard: GuardTable
     planner: PlannerTable
     profile: Annotated[list[ProfileTable], Field(min_length=1)]
+    battery: BatteryTable | None = None
     effect: list[dict[str, str | bool | int | float]] = []

@@ -1,0 +1,44 @@
+"""The whole command with a kit on a line: no limbs, no water, no camera, and a closed loop all the same."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from tests.link.live_robot import LiveRobot
+from tests.link.pty_line import PtyLine
+from tests.link.swim import PATH
+from tests.loop import rig
+
+from frogkick.loop.closed_loop import TIME
+from frogkick.loop.runlog_file import read_run
+
+PERIOD_S = rig.tables().period_us * 1e-6
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="needs a pseudo-terminal")
+@pytest.mark.parametrize("plan", ["onboard", "host"])
+def test_a_kit_closes_the_loop_through_its_line(plan: str, tmp_path: Path) -> None:
+    kit = LiveRobot()
+    with PtyLine(tmp_path, kit) as line:
+        done = subprocess.run(
+            [
+                sys.executable, "-m", "frogkick.cli.main", "run", "--path", PATH, "--json", "--plan", plan,
+                "--tables", str(rig.small_table()), "--robot", f"serial:{line.path}:115200",
+                "--fixes", "pool", "--simulated-time", f"{2.2 * PERIOD_S}", "--out", str(tmp_path / "kit.h5"),
+            ],
+            stdin=subprocess.DEVNULL, capture_output=True, text=True, check=False, timeout=120,
+        )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    told = json.loads(done.stdout)
+    assert told["ended"] == TIME and 2 <= told["decisions"] <= 3, done.stderr
+    assert told["limit_violations"] is None, "nobody saw its pins"
+    assert told["mean_distance_m"] < 0.02 and told["progress_mps"] > 0.005
+    assert kit.names()[-1] == "STATUS" and "DISARM" in kit.names()
+    assert len({at_s for at_s, _, _ in kit.pulses}) >= 2
+    log = read_run(tmp_path / "kit.h5")
+    assert np.hypot(log.fixes.x_m[-1] - log.fixes.x_m[0], log.fixes.y_m[-1] - log.fixes.y_m[0]) > 0.02

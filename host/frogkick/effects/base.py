@@ -42,6 +42,8 @@ class Parameter:
             bounds' distance.
         tried: values that a search tries as well, increasing: small steps may lead to a near dip and not to
             the deepest.
+        open: half the width of what simulations with other time steps leave open; 0: half a percent of its
+            bounds' distance.
     """
 
     name: str
@@ -52,6 +54,7 @@ class Parameter:
     about: str = ""
     step: float = 0.0
     tried: tuple[float, ...] = ()
+    open: float = 0.0
 
 
 @dataclass
@@ -167,6 +170,11 @@ class Effect:
             if value is None:
                 raise InputError(f"effect {self.title!r} needs {option!r}: give it")
             setattr(self, option, value)
+
+    @property
+    def stiff(self) -> bool:
+        """Its wrench changes much within tens of milliseconds."""
+        return False
 
     @property
     def title(self) -> str:

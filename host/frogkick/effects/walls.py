@@ -46,9 +46,20 @@ class Wall(Effect):
     about = "along one side of the pool water resists more, and a wall pushes back what touches it"
     shown_by = "misses against one direction of the world, only at that end of the pool; turns along it"
     parameters = (
-        Parameter("at_m", "m", -2.5, 2.5, 2.5, "where it stands, from the origin towards it", 0.01),
+        Parameter(
+            "at_m", "m", -2.5, 2.5, 2.5, "where it stands, from the origin towards it", step=0.002, open=0.002
+        ),
         Parameter("drag_ns_per_m", "N s/m", 0.0, 2.0, 0.0, "resistance to a body that lies at the wall"),
-        Parameter("hardness", "1", 0.0, 0.8, 0.0, "h of a push over depth of SOFT_N_PER_M h / (1 - h)", 0.5),
+        Parameter(
+            "hardness",
+            "1",
+            0.0,
+            0.8,
+            0.0,
+            "h of a push over depth of SOFT_N_PER_M h / (1 - h)",
+            step=0.5,
+            open=0.05,  # what it does hangs on tenths of a millimetre
+        ),
     )
     options = {"side": "x_high"}
 
@@ -70,6 +81,10 @@ class Wall(Effect):
             (-_POINT_M, -_POINT_M),
             (_POINT_M, -_POINT_M),
         ]
+
+    @property
+    def stiff(self) -> bool:
+        return self.hardness > 0.0
 
     def check(self, robot: Robot) -> None:
         """Take the robot's size."""

@@ -58,9 +58,9 @@ class Vortex(Effect):
     shown_by = "residuals that turn around a point of the pool"
     parameters = (
         Parameter("circulation_m2ps", "m^2/s", -0.05, 0.05, 0.0, "2 pi r u outside of the core"),
-        Parameter("x_m", "m", -2.0, 2.0, 0.0, "its centre"),
-        Parameter("y_m", "m", -2.0, 2.0, 0.0, "its centre"),
-        Parameter("core_m", "m", 0.02, 1.0, 0.15, "radius of its core"),
+        Parameter("x_m", "m", -2.0, 2.0, 0.0, "its centre", step=0.02),
+        Parameter("y_m", "m", -2.0, 2.0, 0.0, "its centre", step=0.02),
+        Parameter("core_m", "m", 0.02, 1.0, 0.15, "radius of its core", step=0.02),
     )
 
     circulation_m2ps: float

@@ -8,10 +8,11 @@ from dataclasses import dataclass, replace
 from frogkick.identify.fit import Fitted, derivatives, fit
 from frogkick.identify.predict import Track
 from frogkick.identify.relatives import best_end_cost, end_cost, refitted, relatives
-from frogkick.identify.search import GAIN_EACH, Begun, Found, countable, search
+from frogkick.identify.search import Begun, Found, countable, search
 from frogkick.identify.swim import Swim, copies
 from frogkick.identify.terms import Term
 from frogkick.identify.verdict import FOUND, UNEXPLAINED, Error, error_of, gaps, noise_floor, verdict_of
+from frogkick.identify.worth import GAIN_EACH
 from frogkick.robot import Robot
 
 Progress = Callable[[str, int, int], None]

@@ -21,12 +21,13 @@ from numpy.typing import NDArray
 from frogkick.identify.fit import Model, misses, tracks_of
 from frogkick.identify.polish import held_at
 from frogkick.identify.predict import WILD
-from frogkick.identify.search import ALIKE, Found
+from frogkick.identify.search import Found
 from frogkick.identify.side_by_side import Row, Side, grow, swim_of_row
 from frogkick.identify.steps import whitener
 from frogkick.identify.swim import Swim
 from frogkick.identify.terms import Term
 from frogkick.identify.verdict import Interval
+from frogkick.identify.worth import ALIKE
 
 FloatArray = NDArray[np.float64]
 

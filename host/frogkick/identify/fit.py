@@ -139,10 +139,17 @@ class Fitted:
 
 
 def steps_of(model: Model) -> FloatArray:
-    """(p,) steps for finite differences, turned around where they would leave the bounds."""
+    """(p,) steps for finite differences, turned around where they would leave the bounds.
+
+    The long step that a parameter may ask for is for where its effect vanishes; elsewhere it would pass over
+    what a fit is about to find.
+    """
     low, high = model.bounds
-    given = np.array([p.step for term in model.terms for p in term.parameters])
-    step = np.where(given > 0.0, given, STEP_SHARE * (high - low))
+    flat = [p for term in model.terms for p in term.parameters]
+    given = np.array([p.step for p in flat])
+    usual = STEP_SHARE * (high - low)
+    away = model.values != np.array([p.nominal for p in flat])
+    step = np.where(given > 0.0, np.where(away, np.minimum(given, usual), given), usual)
     return np.where(model.values + step > high, -step, step)
 
 
@@ -189,11 +196,16 @@ def _told(model: Model, skipped: int, held: bool) -> list[int]:
     return [k for k in range(skipped, len(model.values)) if held or k not in model.held]
 
 
-DAMPINGS = (1e-6, 1e-1, 30.0)
-"""Of a step that has failed so many times; in units of a parameter's range."""
+DAMPINGS, SHARES = (1e-6, 1e-1, 30.0), (1.0, 0.4, 0.1)
+"""Of a step that has failed so many times: damping in units of a parameter's range, for what the runs hardly
+show; and a part of the step, for what they show sharply and unevenly, such as the push of a wall."""
 
 SURPRISE = 0.2
 """Derivatives are simulated anew where a step gains another share more or less than they promised."""
+
+STALE_GAIN = 4.0
+"""Or where a step by those of an earlier point still gains as much: had they held, the step before had been
+the last."""
 
 
 def begun_at(
@@ -280,7 +292,7 @@ def fit_on(
     """Fit several models side by side from where they stand with the derivatives that they have.
 
     Only steps are simulated, side by side; derivatives are again where they have misled: a step gained much
-    less or more than they promised, or lost.
+    less or more than they promised, or lost; or they were of an earlier point and it still gained much.
 
     Args:
         begun: where to start.
@@ -294,7 +306,7 @@ def fit_on(
         going = [k for k in range(len(best)) if failed[k] < len(DAMPINGS)]
         if not going:
             break
-        tries = [_stepped(best[k], DAMPINGS[failed[k]]) for k in going]
+        tries = [_stepped(best[k], failed[k]) for k in going]
         jacobians = [best[k].jacobian for k in going]
         misled = []
         ends = begun_at([model for model, _ in tries], jacobians, swims, rows)
@@ -303,7 +315,7 @@ def fit_on(
             let_down = abs(gain - promise) > max(SURPRISE * promise, close)
             if gain > 0.0:
                 best[k] = tried
-            if let_down and not fresh:
+            if not fresh and (let_down or gain > STALE_GAIN):
                 misled.append(k)
             elif abs(gain) < close:
                 failed[k] = len(DAMPINGS)  # a step that changes next to nothing has arrived
@@ -319,11 +331,14 @@ def fit_on(
     return best
 
 
-def _stepped(fitted: Fitted, damping: float) -> tuple[Model, float]:
-    """The model one damped Gauss-Newton step further, and the cost that is promised there."""
+def _stepped(fitted: Fitted, failed: int) -> tuple[Model, float]:
+    """The model one Gauss-Newton step further, a shyer one after failures, and the cost that is promised."""
     model = fitted.model
-    shy = damping * fitted.missed.size / model.range**2
+    shy = DAMPINGS[failed] * fitted.missed.size / model.range**2
     step, cost = promised(fitted.missed, fitted.jacobian, *room_of(model), shy)
+    if SHARES[failed] < 1.0:
+        step = SHARES[failed] * step
+        cost = cost_of(fitted.missed + fitted.jacobian @ step)
     return model.with_values(model.values + step), cost
 
 

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from frogkick.effects import Effect
+from frogkick.effects.acting import LEG_S
 from frogkick.identify.filter import Noise
 from frogkick.identify.fit import (
     Fitted,
@@ -41,6 +42,9 @@ MISFIT = (5e-5, 2e-3)
 
 NEAR = 60.0
 """A value put back that costs more than this at first is not worth another fit."""
+
+ROUNDS = 6
+"""Steps of a fit at most; most have arrived after two."""
 
 REFINING_LEG_S = 0.06
 """How often flows and wrenches are asked while effects are fitted."""
@@ -86,7 +90,7 @@ class Polisher:
         if leg_s != taken.model.leg_s:
             rough = replace(taken.model, leg_s=leg_s)
             (taken,) = begun_at([rough], [taken.jacobian], self.swims, self.rows)
-        (fitted,) = fit_on([taken], self.swims, self.rows, rounds=1)
+        (fitted,) = fit_on([taken], self.swims, self.rows, ROUNDS)
         # Only now is what is left more noise than misfit.
         fitted = self.quietened(fitted)
         while (freer := self.freed(fitted)) is not None:
@@ -95,12 +99,13 @@ class Polisher:
 
     def quietened(self, fitted: Fitted) -> Fitted:
         """A model fitted once more, under the noise that it leaves."""
-        quiet = best_noise(renoised(fitted.model, fitted.tracks, self.swims), self.swims, self.rows)
+        model = replace(fitted.model, leg_s=fine_leg_s(fitted.model))
+        quiet = best_noise(renoised(model, fitted.tracks, self.swims), self.swims, self.rows)
         quiet = replace(quiet, jacobian=fitted.jacobian, fresh=False)
         flat = [parameter for term in quiet.model.terms for parameter in term.parameters]
         if any(each.tried for k, each in enumerate(flat) if k not in quiet.model.held):
             (quiet,) = told([quiet], self.swims, self.rows, held=False)  # dips are narrow
-        return fit_on([quiet], self.swims, self.rows, rounds=2)[0]
+        return fit_on([quiet], self.swims, self.rows, ROUNDS)[0]
 
     def freed(self, fitted: Fitted) -> Fitted | None:
         """The model with one more free parameter, where one helps."""
@@ -177,7 +182,10 @@ class Polisher:
 
 def fine_leg_s(model: Model) -> float:
     """How often flows and wrenches are asked for a model at last."""
-    pushes = any(type(term.effect()).wrench is not Effect.wrench for term in model.terms)
+    effects = [term.effect() for term in model.terms]
+    if any(effect.stiff for effect in effects):
+        return LEG_S
+    pushes = any(type(effect).wrench is not Effect.wrench for effect in effects)
     return WRENCH_LEG_S if pushes else REFINING_LEG_S
 
 

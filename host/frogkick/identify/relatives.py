@@ -28,10 +28,10 @@ from frogkick.identify.fit import (
     tracks_of,
 )
 from frogkick.identify.predict import Track
-from frogkick.identify.search import BASE_GAIN, GAIN_EACH
 from frogkick.identify.steps import bounded_step, cost_of
 from frogkick.identify.swim import Swim
 from frogkick.identify.terms import Term
+from frogkick.identify.worth import BASE_GAIN, GAIN_EACH
 from frogkick.paths import wrap_angle
 from frogkick.robot import Robot, built_in_robots, load_robot
 

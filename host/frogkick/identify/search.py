@@ -23,9 +23,11 @@ from frogkick.identify.fit import (
     tracks_of,
 )
 from frogkick.identify.polish import HOLD, NEAR, REFINING_LEG_S, Polisher, best_noise, fine_leg_s
+from frogkick.identify.revise import revised
 from frogkick.identify.steps import bounded_step, promised, whiten, whitener
 from frogkick.identify.swim import Swim, copies
 from frogkick.identify.terms import Term
+from frogkick.identify.worth import ALIKE, BASE_GAIN, GAIN_EACH, price
 from frogkick.robot import Robot
 
 FloatArray = NDArray[np.float64]
@@ -42,9 +44,6 @@ MOST = 4
 HOPELESS = 0.7
 """Share of the misses that the first of few effects may leave."""
 
-BASE_GAIN, GAIN_EACH = 20.0, 4.0
-"""By how much minus twice the log likelihood must fall for an effect, and more for each parameter."""
-
 PLAIN_GAIN = 60.0
 """A gain beyond doubt: held-out periods need not agree in it as well."""
 
@@ -55,9 +54,6 @@ FOLDS_LEAST = 4
 
 HELD_SHARE = 0.05
 """Or less than this share of what all of its effect's parameters gain, as long as that is only promised."""
-
-ALIKE = 15.0
-"""Effects whose gains differ by less cannot be told apart."""
 
 REFINING_ROUNDS, REFINED_CLOSE = 5, 4.0
 """Steps of the fits of the best candidates at most, and the fall of the cost that ends them: after two steps
@@ -161,7 +157,8 @@ def search(
     columns = sensitivities(model, candidates, swims, rows, lambda d, n: progress("candidates", d, n))
     hunt = _Hunt(swims, rows, folds_of(swims, rows), columns, copies(swims))
     polisher = Polisher(swims, rows, hunt.copies)
-    current, turns, equals = nominal, [], list[list[Term]]()
+    current, turns = nominal, list[list[Tried]]()
+    equals, passed_over = list[list[Term]](), list[list[Fitted]]()
     for turn in range(most):
         progress("effects", turn, most)
         taken, tried, rivals = hunt.turn(current)
@@ -170,11 +167,12 @@ def search(
             title = current.model.terms[-1].title
             tried = [replace(each, chosen=each.title == title) for each in tried]
             equals.append(others)
+            passed_over.append([taken, *rivals])
         turns.append(tried)
         if taken is None or (most < MOST and _left(nominal, current) > HOPELESS):
             break
     if len(current.model.terms) > 1:
-        current = polisher.sparer(current, whole=True)  # what the first effect stood in for has come since
+        current, equals = revised(polisher, current, equals, passed_over)
     (current,) = told([current], swims, rows)  # what is held has an interval as well
     progress("effects", most, most)
     alike = [[term.title for term in others] for others in equals]
@@ -273,8 +271,8 @@ class _Hunt:
         ]
         begun = begun_at(starts, [each.jacobian for each in rivals], self.swims, self.rows)
         every = [taken, *fit_on(begun, self.swims, self.rows, 2)]
-        every.sort(key=_price)
-        equals = [each for each in every if _price(each) < _price(every[0]) + ALIKE * self.copies]
+        every.sort(key=price)
+        equals = [each for each in every if price(each) < price(every[0]) + ALIKE * self.copies]
         equals.sort(key=lambda each: len(each.model.values))
         return equals[0], [each.model.terms[-1] for each in equals[1:]]
 
@@ -317,11 +315,6 @@ class _Hunt:
         gain = current.cost - cost
         score = gain / self.copies - GAIN_EACH * (len(start) - len(held))
         return _Offer(column, gain, score, start + step[known:], held)
-
-
-def _price(fitted: Fitted) -> float:
-    """Cost, and what the free parameters cost."""
-    return fitted.cost + GAIN_EACH * (len(fitted.model.values) - len(fitted.model.held))
 
 
 def _fall(current: Fitted, fitted: Fitted, folds: NDArray[np.int64], known: int) -> tuple[float, float]:

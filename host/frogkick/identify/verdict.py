@@ -34,6 +34,9 @@ INEXACT = 0.03
 
 CONFIDENCE = 0.95
 
+LEFT_OPEN = 0.005
+"""Of the distance of a parameter's bounds: what time steps leave open, where it does not say so itself."""
+
 WIDER = 1.3
 """Intervals over those of independent periods and straight derivatives: by that planted values are inside."""
 
@@ -133,10 +136,9 @@ def intervals(fitted: Fitted) -> list[list[Interval]]:
         wide = stats.t.ppf(0.5 + 0.5 * (1.0 - (1.0 - CONFIDENCE) / len(term.values)), max(count - width, 1))
         row = []
         for k, (parameter, value) in enumerate(zip(term.parameters, term.values, strict=True)):
-            # Simulations with coarser steps here than in the pool: half a percent of the range is not known.
-            reach = float(
-                np.hypot(WIDER * wide * deviation[first + k], 0.005 * (parameter.high - parameter.low))
-            )
+            # Simulations with coarser steps here than in the pool.
+            left_open = parameter.open or LEFT_OPEN * (parameter.high - parameter.low)
+            reach = float(np.hypot(WIDER * wide * deviation[first + k], left_open))
             row.append(
                 Interval(
                     parameter.name,

@@ -10,8 +10,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from frogkick.identify.outcome import Outcome
-from frogkick.identify.search import BASE_GAIN, Tried
+from frogkick.identify.search import Tried
 from frogkick.identify.verdict import Error
+from frogkick.identify.worth import BASE_GAIN
 from frogkick.report import style
 from frogkick.report.identify_misses import Misses, by_limb
 

@@ -9,9 +9,10 @@ from matplotlib.figure import Figure
 
 from frogkick.identify.outcome import Outcome
 from frogkick.identify.polish import HOLD
-from frogkick.identify.search import BASE_GAIN, GAIN_EACH, PLAIN_GAIN, SEEN_LEAST
+from frogkick.identify.search import PLAIN_GAIN, SEEN_LEAST
 from frogkick.identify.swim import Swim
 from frogkick.identify.verdict import FOUND, NEAR_FLOOR, NOTHING, UNEXPLAINED, Error
+from frogkick.identify.worth import BASE_GAIN, GAIN_EACH
 from frogkick.report.identify_figures import (
     cause_figure,
     error_figure,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import subprocess
 import sys
 import termios
@@ -34,6 +35,7 @@ pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="needs a pseudo-
 
 STATE = link_layout().state
 ASKED = b"press Enter to arm, Ctrl-C to leave; any key stops the run"
+PLAN = re.compile(rb"line, [A-I] cost \d+\.\d, \d+ mm off")
 PATIENCE_S = 90.0
 FILM_S, FILM_HZ = 120, 10
 
@@ -164,7 +166,7 @@ def test_enter_arms_and_any_key_stops(source: str, film: Path, tmp_path: Path) -
         time.sleep(0.3)
         assert "ARM" not in robot.names(), "armed by another key than Enter"
         terminal.press(b"\n")
-        terminal.wait(lambda: robot.pulses)
+        terminal.wait(lambda: robot.pulses and PLAN.search(terminal.said))
         assert "ARM" in robot.names()
         pressed_s = time.monotonic()
         terminal.press(b"q")

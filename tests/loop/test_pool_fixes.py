@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
+from pathlib import Path
 
 import numpy as np
 import pytest
 from tests.loop import rig
 
+from frogkick.effects import World, read_world
 from frogkick.loop.closed_loop import Recording, RunOptions, run_in_pool
 from frogkick.loop.decision import RESTING, Decision, RobotEvent
 from frogkick.loop.pool_fixes import HELD_UP_S, LAG_S, PoolFixes
@@ -28,9 +30,9 @@ class Clock:
         return self.now_s
 
 
-def begun() -> tuple[PoolFixes, Clock]:
-    clock = Clock()
-    return PoolFixes(rig.robot(), rig.tables(), START, np.random.default_rng(1), clock=clock), clock
+def begun(world: World = World()) -> tuple[PoolFixes, Clock]:  # noqa: B008 - frozen
+    clock, rng = Clock(), np.random.default_rng(1)
+    return PoolFixes(rig.robot(), rig.tables(), START, rng, world=world, clock=clock), clock
 
 
 def live(source: PoolFixes, clock: Clock, for_s: float, step_s: float = 0.02) -> list[Fix]:
@@ -92,6 +94,23 @@ def test_a_stroke_begins_when_the_robot_began_it(decided: Decision, onboard: boo
     ours, theirs = source.pool.state()[0], beside.state()[0]
     assert np.hypot(*(ours - START)[:2]) > 5e-3, "it swam"
     assert ours == pytest.approx(theirs, abs=1e-4)
+
+
+def test_what_is_true_in_the_pool_besides_acts_on_it(decided: Decision, tmp_path: Path) -> None:
+    (tmp_path / "worn.toml").write_text(
+        "".join(
+            f'[[effect]]\nname = "limb_wear"\nlimb = "{limb.name}"\ngain = 0.5\n'
+            for limb in rig.robot().limbs
+        )
+    )
+    swum = []
+    for world in (World(), read_world(tmp_path / "worn.toml")):
+        source, clock = begun(world)
+        live(source, clock, 1.0)
+        source.follow(told(decided, clock.now_s - 950.0), True)
+        live(source, clock, 1.4)
+        swum.append(np.hypot(*(source.pool.state()[0] - START)[:2]))
+    assert swum[1] < 0.8 * swum[0]
 
 
 def test_a_stroke_that_the_guard_refused_moves_nothing(decided: Decision) -> None:

@@ -15,6 +15,7 @@ import numpy as np
 from frogkick.cli.common import stderr
 from frogkick.cli.keys import Keys, terminal
 from frogkick.cli.places import built_firmware, start_pose
+from frogkick.effects import World
 from frogkick.errors import InputError, nearest_name
 from frogkick.link.frames import DELIMITER
 from frogkick.link.opening import opened
@@ -80,7 +81,7 @@ def require_bench(
                 )
         return
     parse_target(robot)
-    if world is not None:
+    if world is not None and fixes != POOL:
         raise InputError(
             f"--world {str(world)!r} is for a simulated pool, --robot is {robot!r}: leave it out"
         )
@@ -110,12 +111,14 @@ class Sight:
         fixes: ``stdin``, ``pool`` (simulated, for a kit), or the file of a camera's calibration.
         source: camera number, video file or folder of pictures.
         begin: ``x_m,y_m,deg`` where the path is to begin, ``here`` for where the robot is; None = as it is.
-        seed: of a simulated camera's noise.
+        rate_hz, world, seed: of a simulated pool: fixes a second, what is true in it, its camera's noise.
     """
 
     fixes: str
     source: str = "0"
     begin: str | None = None
+    rate_hz: float = 15.0
+    world: World = World()  # noqa: RUF009 - frozen
     seed: int = 0
 
     def __post_init__(self) -> None:
@@ -138,7 +141,8 @@ class Sight:
             yield LineFixes(sys.stdin.fileno(), "standard input"), None
             return
         if self.fixes == POOL:
-            yield PoolFixes(robot, tables, start_pose(path), np.random.default_rng(self.seed)), None
+            rng = np.random.default_rng(self.seed)
+            yield PoolFixes(robot, tables, start_pose(path), rng, self.rate_hz, self.world), None
             return
         calibration = read_calibration(Path(self.fixes))
         name = f"camera {self.source}" if self.source.isdigit() else self.source

@@ -26,6 +26,7 @@ from frogkick.cli.places import (
     swim_path,
     table_image,
 )
+from frogkick.cli.run_terminal import Told
 from frogkick.cli.viewing import viewed
 from frogkick.effects import World, read_world
 from frogkick.link.wire import is_target
@@ -132,40 +133,29 @@ def run(
     known = {} if battery_v is None else {BATTERY_V: battery_v}
     pool = None
     with ExitStack() as stack:
-        bar = stack.enter_context(progress_bar(f"{desired.name}: path points"))
-
-        def progress(_time_s: float, index: int) -> None:
-            bar(index + 1, len(desired), "" if check is None else check.said)
-
+        bar = stack.enter_context(progress_bar(desired.name))
+        told = Told(bar, len(desired), opened, check)
         if is_real:
-            sight = Sight(str(fixes), source, begin, seed)
+            sight = Sight(str(fixes), source, begin, fix_rate, true_world, seed)
             bench = Bench(robot, dialect, sight, battery_v, out if video else None, yes)
             log = logged(out, described, opened, options, name, known)
 
             @contextmanager
-            def kept(placed: SwimPath, eye: CameraFixes | None) -> Iterator[Callable[[Recording], None]]:
-                seen = viewed(view, described, opened, placed, options, camera=eye)
-                with log(placed) as write, seen as draw:
+            def kept(placed: SwimPath, eye: CameraFixes | None) -> Iterator[Keep]:
+                drawn = viewed(view, described, opened, placed, options, camera=eye)
+                with log(placed) as write, drawn as draw:
+                    yield all_of(told.keep, write, draw)
 
-                    def keep(recording: Recording) -> None:
-                        write(recording)
-                        draw(recording)
-
-                    yield keep
-
-            try:
-                recording, desired = run_on_bench(
-                    bench, image, described, opened, desired, options, kept, progress
-                )
-            except BaseException:
-                if out is not None and part_of(out).exists():
-                    stderr.print(f"frogkick: what was recorded until then is in {str(part_of(out))!r}")
-                raise
+            stack.enter_context(names_what_is_left(out))
+            recording, desired = run_on_bench(
+                bench, image, described, opened, desired, options, kept, told.progress
+            )
         else:
             port = stack.enter_context(simulated_robot(robot, image, described))
             pool = Pool(described, start_pose(desired), camera, np.random.default_rng(seed), true_world)
             draw = stack.enter_context(viewed(view, described, opened, desired, options, pool))
-            recording = run_in_pool(port, pool, opened, desired, options, progress, draw)
+            keep = all_of(told.keep, draw)
+            recording = run_in_pool(port, pool, opened, desired, options, told.progress, keep)
     tracked = tracking_of_recording(recording, pool, described, desired)
     if out is not None:
         known_seed = None if is_real else seed
@@ -175,6 +165,30 @@ def run(
     show({**tracked.as_json(), **checked, "ended": recording.ended}, json)
     if tracked.limit_violations:
         raise typer.Exit(1)
+
+
+Keep = Callable[[Recording], None]
+
+
+def all_of(*keepers: Keep) -> Keep:
+    """Give a recording to each, in order."""
+
+    def keep(recording: Recording) -> None:
+        for one in keepers:
+            one(recording)
+
+    return keep
+
+
+@contextmanager
+def names_what_is_left(out: Path | None) -> Iterator[None]:
+    """Where a run breaks off, say where its log is so far."""
+    try:
+        yield
+    except BaseException:
+        if out is not None and part_of(out).exists():
+            stderr.print(f"frogkick: what was recorded until then is in {str(part_of(out))!r}")
+        raise
 
 
 def register(app: typer.Typer) -> None:

@@ -10,6 +10,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from frogkick.effects import World
 from frogkick.loop.closed_loop import Recording
 from frogkick.loop.decision import RESTING
 from frogkick.planner.image import Tables
@@ -38,6 +39,7 @@ class PoolFixes:
         pose_world: tuple[float, float, float],
         rng: np.random.Generator,
         rate_hz: float = 15.0,
+        world: World = World(),  # noqa: B008 - frozen
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         """Put a robot at rest into the water.
@@ -48,11 +50,12 @@ class PoolFixes:
             pose_world: x_m, y_m, heading_rad of its start.
             rng: source of the camera's noise.
             rate_hz: of the camera.
+            world: what is true in the pool besides.
             clock: in s.
         """
         camera = Camera(rate_hz=rate_hz, delay_s=0.0)  # late it is by LAG_S
         _warm_up(Pool(robot, pose_world, camera, np.random.default_rng(0)))
-        self.pool = Pool(robot, pose_world, camera, rng)
+        self.pool = Pool(robot, pose_world, camera, rng, world)
         self.late = 0
         self._tables, self._clock = tables, clock
         self._begin_s = self._asked_s = clock()

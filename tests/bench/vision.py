@@ -7,20 +7,24 @@ from __future__ import annotations
 
 import sys
 import time
+from dataclasses import replace
 
 import cv2
 import numpy as np
 from tests.vision.scenes import Told, aside, calibration, drawn_pose, scene
 
 from frogkick.vision.plane import wrap
+from frogkick.vision.scene import looking_at
 from frogkick.vision.tracker import Tracker
 
+OVER_THE_MIDDLE = "waves 1 mm, camera over the pool's middle"
 CASES: dict[str, dict[str, float]] = {
     "plain": {},
     "noise 6": {"noise": 6.0},
     "blur 1 px": {"blur_px": 1.0},
     "waves 0.5 mm": {"wave_height_m": 0.0005},
     "waves 1 mm": {"wave_height_m": 0.001},
+    OVER_THE_MIDDLE: {"wave_height_m": 0.001},
     "all": {"noise": 5.0, "blur_px": 0.8, "light_slope": 0.5, "wave_height_m": 0.0005},
 }
 
@@ -30,6 +34,8 @@ def main(frames: int) -> None:
     cv2.setNumThreads(1)
     for name, conditions in CASES.items():
         one = scene(**conditions)
+        if name == OVER_THE_MIDDLE:
+            one = replace(one, view=looking_at(place_m=(0.6, 0.45, 1.35)))
         tracker = Tracker(calibration(one))
         rng, height_m = Told(41), one.conditions.wave_height_m
         off, left, whole_s, window_s, windows = [], [], 0.0, 0.0, 0

@@ -23,6 +23,7 @@ PERIOD_S = rig.tables().period_us * 1e-6
 @pytest.mark.skipif(sys.platform == "win32", reason="needs a pseudo-terminal")
 @pytest.mark.parametrize("plan", ["onboard", "host"])
 def test_a_kit_closes_the_loop_through_its_line(plan: str, tmp_path: Path) -> None:
+    rig.swim("pool", PATH, 1.0, onboard=False)  # compiled here, where others wait for it, not in the command
     kit = LiveRobot()
     with PtyLine(tmp_path, kit) as line:
         done = subprocess.run(

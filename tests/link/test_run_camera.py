@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import json
-import os
+import re
 import subprocess
 import sys
 import time
+import urllib.request
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -101,23 +102,38 @@ def filmed(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.skipif(sys.platform == "win32", reason="needs a pseudo-terminal")
 def test_the_command_takes_a_camera(filmed: Path, tmp_path: Path) -> None:
     """The pictures end: a camera that sees nothing more, so the robot ends the run by itself."""
-    robot = LiveRobot()
+    robot, said = LiveRobot(), ""
     with PtyLine(tmp_path, robot) as line:
-        done = subprocess.run(
+        process = subprocess.Popen(
             [
-                sys.executable, "-m", "frogkick.cli.main", "run", "--path", PATH, "--json",
+                sys.executable, "-m", "frogkick.cli.main", "run", "--path", PATH, "--json", "--view",
                 "--tables", str(rig.small_table()), "--robot", f"serial:{line.path}:115200",
                 "--fixes", str(filmed / "camera.toml"), "--source", str(filmed / "pictures"),
                 "--begin", "here", "--out", str(tmp_path / "run.h5"), "--battery-v", "11.9",
             ],
-            capture_output=True, text=True, check=False, timeout=120, env=dict(os.environ),
+            stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
         )  # fmt: skip
-    assert done.returncode == 0, done.stderr
-    told = json.loads(done.stdout)
-    checks = [line.split(": ")[1] for line in done.stderr.splitlines() if line.startswith("start check: ")]
-    assert checks == ["position fixes", "path", "table", "battery"], done.stderr
+        try:
+            assert process.stderr is not None
+            while not (found := re.search(r"drawn at (http://\S+)", said)):
+                read = process.stderr.readline()
+                assert read, said
+                said += read
+            with urllib.request.urlopen(found[1] + "picture.jpg", timeout=20.0) as answer:
+                shown = cv2.imdecode(np.frombuffer(answer.read(), dtype=np.uint8), cv2.IMREAD_GRAYSCALE)
+            told_json, more = process.communicate(timeout=120)
+        finally:
+            process.kill()
+            process.wait()
+    said += more
+    assert process.returncode == 0, said
+    first = cv2.imread(str(filmed / "pictures" / "000.png"), cv2.IMREAD_GRAYSCALE)
+    assert shown.shape == first.shape and np.abs(shown.astype(float) - first).mean() < 6.0, "its picture"
+    told = json.loads(told_json)
+    checks = [line.split(": ")[1] for line in said.splitlines() if line.startswith("start check: ")]
+    assert checks == ["position fixes", "path", "table", "battery"], said
     assert told["ended"] == ENDED["STALE"] and told["decisions"] >= 1
-    assert "start check: battery: 11.9 V, measured by hand" in done.stderr
+    assert "start check: battery: 11.9 V, measured by hand" in said
     log = read_run(tmp_path / "run.h5")
     assert log.measured["battery_v"] == 11.9 and summary(log).battery_v == 11.9
     assert log.path is not None

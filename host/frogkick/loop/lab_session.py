@@ -29,8 +29,8 @@ CLOCK_BACK_S = 0.01
 """No monotonic clock does so; one that does leaves a robot armed that nobody looks after."""
 CLOCK_AHEAD_S = 0.2
 """So far beyond the robot's own this computer's clock may be: by no more is a fix that looks fresh older."""
-CLOCK_DRIFT = 5e-4
-"""And by such a part of the time besides: no two crystals go alike."""
+CLOCK_DRIFT = 1e-3
+"""And by such a part of the time besides: a robot without a crystal is off by half of it."""
 PAUSE_S = 1.0
 """Between two steps: either this program was held up for so long, or its clock was set."""
 

@@ -96,7 +96,11 @@ def run(
     seed: SeedOption = 0,
     out: Annotated[Path | None, typer.Option(help="Log to write (HDF5).")] = None,
     view: Annotated[
-        bool, typer.Option("--view", help="Draw the run in the browser; a simulated one in real time.")
+        bool,
+        typer.Option(
+            "--view",
+            help="Draw the run in the browser, over a camera's picture; simulated ones in real time.",
+        ),
     ] = False,
     video: Annotated[
         bool, typer.Option("--video", help="Keep the camera's pictures beside --out: .avi, .frames.csv.")

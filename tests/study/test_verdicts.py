@@ -9,6 +9,7 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
+from frogkick.cli.study_verdicts import cases_of
 from frogkick.effects import changed_robot, make_effects
 from frogkick.identify.outcome import Outcome
 from frogkick.identify.terms import Term, catalogue
@@ -82,3 +83,22 @@ def test_outside_effects_may_be_named_by_what_is_the_same() -> None:
     assert judged(null, [], outcome(NOTHING), 1.0).right and judged(null, [], shear, 1.0).wrong
     results = {Case("whirl", 0): judged(whirl, [], shear, 1.0)}
     assert len(verdicts_figure(results).axes) == 2
+
+
+def test_cases_are_so_many_of_each_kind_or_of_each_group() -> None:
+    names = ["null", "wear", "current", "lens"]
+    assert [case.key for case in cases_of(names[:2], 3, 2, None)] == ["null/3", "wear/3", "null/4", "wear/4"]
+    keys = [case.key for case in cases_of(names, 1, 99, 3)]
+    assert keys == [
+        "null/1",
+        "null/2",
+        "null/3",
+        "wear/1",
+        "current/1",
+        "wear/2",
+        "lens/1",
+        "lens/2",
+        "lens/3",
+    ]
+    every = cases_of(list(kinds()), 0, 99, 100)
+    assert len(set(every)) == 100 * len({kind.group for kind in kinds().values()}) == 400

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -22,6 +23,10 @@ LEAST = {NULL: 0.95, ONE: 0.95, TWO: 0.90, OUTSIDE: 0.95}
 def verdicts(
     out: Annotated[Path, typer.Option(help="Folder for results and figure; resumes there.")],
     seeds: Annotated[int, typer.Option(min=1, max=1000, help="Cases of each kind.")] = 5,
+    cases: Annotated[
+        int | None,
+        typer.Option(min=1, max=10000, help="Cases of each group, its kinds in turn, instead of --seeds."),
+    ] = None,
     first: Annotated[int, typer.Option(min=0, help="First seed.")] = 0,
     kind: Annotated[
         list[str] | None, typer.Option(help="Kinds to plant; may be given again; default: all.")
@@ -43,9 +48,9 @@ def verdicts(
     image = table_image(tables, None)
     robot = robot_of_table(image, None)
     names = kind or list(known)
-    cases = [Case(name, seed) for seed in range(first, first + seeds) for name in names]
+    wanted = cases_of(names, first, seeds, cases)
     with progress_bar("cases") as progress:
-        results = run_cases(robot, image, cases, out, workers, progress)
+        results = run_cases(robot, image, wanted, out, workers, progress)
     groups: dict[str, dict[str, Any]] = {}
     for group, least in LEAST.items():
         some = [result for case, result in results.items() if known[case.kind].group == group]
@@ -64,6 +69,17 @@ def verdicts(
     show({"groups": groups, "cases": rows, "figure": str(figure)}, json, _text(results, groups))
     if not all(group["passed"] for group in groups.values()):
         raise typer.Exit(1)
+
+
+def cases_of(names: Sequence[str], first: int, seeds: int, each: int | None) -> list[Case]:
+    """Cases of some kinds: so many seeds of each kind, or so many of each group, its kinds in turn."""
+    if each is None:
+        return [Case(name, seed) for seed in range(first, first + seeds) for name in names]
+    found = []
+    for group in LEAST:
+        some = [name for name in names if kinds()[name].group == group]
+        found += [Case(some[k % len(some)], first + k // len(some)) for k in range(each if some else 0)]
+    return found
 
 
 def _row(case: Case, result: Result) -> dict[str, Any]:

@@ -116,6 +116,20 @@ def test_predictions_look_at_no_later_fix(whole: list[Swim]) -> None:
     assert not np.allclose(true.predicted[8], false.predicted[8])
 
 
+def test_the_floor_knows_how_well_an_end_is_measured(whole: list[Swim]) -> None:
+    """The same run under a thousand draws of noise: its measured ends scatter as they are said to."""
+    swim, rng = whole[0], np.random.default_rng(11)
+    kept = np.isfinite(swim.end_noise)
+    assert kept.sum() > 5
+    assert np.array_equal(kept, np.isfinite(swim.measured).all(axis=1))
+    ends = []
+    for _ in range(1000):
+        noisy = replace(swim, pose=swim.pose + rng.normal(0.0, 1.0, swim.pose.shape))
+        ends.append(noisy.measured[kept] - swim.measured[kept])
+    scatter = np.square(ends).mean(axis=(0, 2))
+    assert scatter == pytest.approx(swim.end_noise[kept], rel=0.12)
+
+
 def test_planted_wear_is_found_among_others(worn: list[Swim]) -> None:
     rivals = [term(name) for name in ("limb_wear rear_left", "limb_wear rear_right", "mass_scale", "warm_up")]
     found = search(worn, robot(), rivals)

@@ -29,6 +29,9 @@ How far it comes in falls evenly with hardness, not with the push itself, and th
 LOSSY_S = 0.05
 """A limb or a bumper pressed in gives back little: its damping over its stiffness."""
 
+HARDNESSES = (0.35, 0.5, 0.65)
+"""Of a wall that stops a robot the drag alone tells nothing of how far it lets the robot come."""
+
 _POINT_M = 0.045
 """Corners of a body that nobody has told its size: half the width of one that can be held in a hand."""
 
@@ -58,6 +61,7 @@ class Wall(Effect):
             0.0,
             "h of a push over depth of SOFT_N_PER_M h / (1 - h)",
             step=0.5,
+            tried=HARDNESSES,
             open=0.05,  # what it does hangs on tenths of a millimetre
         ),
     )

@@ -106,15 +106,32 @@ class Swim:
         """(m, 3) pose at each period's end by the fixes around it; NaN where there are too few."""
         return np.array([self.pose_at(float(end)) for end in self.end_s]).reshape(-1, 3)
 
+    @cached_property
+    def end_noise(self) -> FloatArray:
+        """(m,) variance of the poses in ``measured`` over that of a fix; NaN where one is not known."""
+        found = np.full(len(self.end_s), np.nan)
+        for k, end in enumerate(self.end_s):
+            near = self._near(float(end))
+            if near is not None and np.isfinite(self.measured[k]).all():
+                design = near[1]
+                found[k] = np.linalg.pinv(design.T @ design)[0, 0]
+        return found
+
     def pose_at(self, at_s: float) -> FloatArray:
         """(3,) pose by a straight line through the fixes just before a time; NaN where there are too few."""
+        near = self._near(at_s)
+        if near is None:
+            return np.full(3, np.nan)
+        line, *_ = np.linalg.lstsq(near[1], self.pose[near[0]], rcond=None)
+        return np.asarray(line[0])
+
+    def _near(self, at_s: float) -> tuple[NDArray[np.bool_], FloatArray] | None:
+        """Which fixes tell a pose, and (n, 2) a line's design at them; None where there are too few."""
         for before_s in (_END_BEFORE_S, 2.0 * _END_BEFORE_S):
             near = (self.time_s >= at_s - before_s) & (self.time_s <= at_s + _END_AFTER_S)
             if near.sum() >= 3:
-                design = np.column_stack([np.ones(near.sum()), self.time_s[near] - at_s])
-                line, *_ = np.linalg.lstsq(design, self.pose[near], rcond=None)
-                return np.asarray(line[0])
-        return np.full(3, np.nan)
+                return near, np.column_stack([np.ones(near.sum()), self.time_s[near] - at_s])
+        return None
 
 
 def read_swim(path: Path | str, robot: Robot | None = None) -> Swim:

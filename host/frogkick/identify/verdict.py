@@ -91,13 +91,15 @@ def noise_floor(swims: Sequence[Swim], noise: Noise) -> Error:
         state = Filter(noise, swim.busy_s, swim.begin_s)
         fix = noise.per_axis()[0]
         order, next_fix = np.argsort(swim.arrival_s, kind="stable"), 0
-        for start_s, end_s in zip(swim.start_s, swim.end_s, strict=True):
+        for start_s, end_s, share in zip(swim.start_s, swim.end_s, swim.end_noise, strict=True):
             while next_fix < len(order) and swim.arrival_s[order[next_fix]] <= start_s:
                 state.take(float(swim.time_s[order[next_fix]]), np.zeros(3))
                 next_fix += 1
+            if not np.isfinite(share):
+                continue
             ahead = end_s - state.time_s
             p = state.covariance
-            sums += p[:, 0] + 2.0 * ahead * p[:, 1] + ahead**2 * p[:, 2] + 0.6 * fix
+            sums += p[:, 0] + 2.0 * ahead * p[:, 1] + ahead**2 * p[:, 2] + share * fix
             count += 1
     variance = sums / max(count, 1)
     return Error(float(np.sqrt(variance[0] + variance[1])), float(np.sqrt(variance[2])))

@@ -103,7 +103,7 @@ def test_glare_and_blur_give_a_right_pose_or_none(conditions: dict[str, float]) 
     spoilt = scene(**conditions)
     tracker = Tracker(calibration(spoilt))
     rng = np.random.default_rng(17)
-    for _ in range(count(8, 300)):
+    for _ in range(count(40, 300)):
         truth = drawn_pose(spoilt, rng)
         tracker.forget()
         pose = tracker.observe(spoilt.picture(truth, rng), 0.0).pose

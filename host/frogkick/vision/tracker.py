@@ -38,6 +38,9 @@ MISFIT_MAX_PX = 0.7
 """How far corners may be from a flat square's, root mean square."""
 HEADING_SD_MAX_RAD = float(np.deg2rad(0.5))
 """A pose whose heading is known no better than so is none: most of the tag glares or is blurred away."""
+SPOILT, BENT_PX, SPOILT_SD_MAX_RAD = 0.05, 0.15, float(np.deg2rad(0.12))
+"""A fit that leaves so much, with corners that far from a flat square's, follows the sun on a tag and not its
+print: how far off the heading is, noise alone does not tell, and it must be known better."""
 SMALL_PX = 45.0
 """A tag with shorter sides is looked for in a picture enlarged twofold."""
 
@@ -158,7 +161,8 @@ class Tracker:
             return refuse("wrong size")
         if pose.misfit_px > MISFIT_MAX_PX:
             return refuse("not flat")
-        if pose.covariance[2, 2] > HEADING_SD_MAX_RAD**2:
+        spoilt = fit.residual > SPOILT and pose.misfit_px > BENT_PX
+        if pose.covariance[2, 2] > (SPOILT_SD_MAX_RAD if spoilt else HEADING_SD_MAX_RAD) ** 2:
             return refuse("unclear")
         length, width = self._calibration.pool_m
         x, y, _ = tag_place(self._calibration, pose.x_m, pose.y_m, pose.heading_rad)

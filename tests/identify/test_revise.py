@@ -39,7 +39,7 @@ def fitted_to(swims: list[Swim], rows: np.ndarray, terms: tuple[Term, ...], *fre
 @pytest.fixture(scope="module")
 def late() -> list[Swim]:
     """A worn limb, seen late."""
-    return [make_swim([WEAR, {"name": "fix_latency", "delay_s": 0.12}], seed, 14) for seed in (3, 4)]
+    return [make_swim([WEAR, {"name": "fix_latency", "delay_s": 0.12}], 3, 16)]
 
 
 def test_an_effect_that_others_make_needless_is_dropped(late: list[Swim]) -> None:

@@ -138,15 +138,18 @@ def film(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+def run_with(line: PtyLine) -> list[str]:
+    """Words of a run with the robot on a line."""
+    robot = f"serial:{line.path}:115200"
+    return ["--path", PATH, "--tables", str(rig.small_table()), "--json", "--robot", robot]
+
+
 @contextmanager
 def swimming(source: str, film: Path, folder: Path) -> Iterator[tuple[LiveRobot, Terminal]]:
     """The command with its robot on a line; fixes from a camera's film or piped in by a tracker."""
     robot = LiveRobot()
     with PtyLine(folder, robot) as line:
-        words = [
-            "--path", PATH, "--tables", str(rig.small_table()), "--json", "--out", "run.h5",
-            "--robot", f"serial:{line.path}:115200", "--begin", "here",
-        ]  # fmt: skip
+        words = [*run_with(line), "--out", "run.h5", "--begin", "here"]
         if source == "camera":
             words += ["--fixes", str(film / "camera.toml"), "--source", str(film / "film.avi")]
         else:
@@ -198,10 +201,7 @@ def test_in_the_background_of_a_terminal_nothing_is_asked(tmp_path: Path) -> Non
     """A program there that reads keys, or changes how they come, is halted by the system."""
     robot = LiveRobot()
     with PtyLine(tmp_path, robot) as line:
-        words = [
-            "--path", PATH, "--tables", str(rig.small_table()), "--json", "--simulated-time", "0.5",
-            "--robot", f"serial:{line.path}:115200", "--fixes", "stdin",
-        ]  # fmt: skip
+        words = [*run_with(line), "--simulated-time", "0.5", "--fixes", "stdin"]
         with seated(tmp_path, words, LivePool(robot.pulses), in_front=False) as terminal:
             code, told = terminal.result()
     assert code == 0, bytes(terminal.said[-1000:])

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
 
 import numpy as np
 import pytest
+from tests.loop import rig
 
+from frogkick.chunks import run_chunks
 from frogkick.cli.study_verdicts import cases_of
 from frogkick.effects import changed_robot, make_effects
 from frogkick.identify.outcome import Outcome
@@ -16,8 +19,9 @@ from frogkick.identify.terms import Term, catalogue
 from frogkick.identify.verdict import FOUND, NOTHING, UNEXPLAINED, Error, Interval
 from frogkick.report.verdicts_figure import verdicts_figure
 from frogkick.robot import load_robot
+from frogkick.study import verdicts
 from frogkick.study.planted import NULL, OUTSIDE, OUTSIDE_FILE, OUTSIDE_TEXT, kinds
-from frogkick.study.verdicts import Case, judged, recovered
+from frogkick.study.verdicts import Case, Result, judged, recovered, run_cases
 
 ROBOT = load_robot("frog2022")
 
@@ -102,3 +106,34 @@ def test_cases_are_so_many_of_each_kind_or_of_each_group() -> None:
     ]
     every = cases_of(list(kinds()), 0, 99, 100)
     assert len(set(every)) == 100 * len({kind.group for kind in kinds().values()}) == 400
+
+
+def test_a_stopped_study_goes_on_where_it_was(tmp_path: Path) -> None:
+    case = Case("null", 0)
+    asked: list[int] = []
+
+    class Stopped(Exception):
+        pass
+
+    def run(out: Path) -> Result:
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(verdicts, "build", lambda target, *_: rig.firmware(target))
+            patch.setattr(verdicts, "run_chunks", counted)
+            return run_cases(ROBOT, rig.small_table(), [case], out)[case]
+
+    def counted(job: Any, groups: list[Any], workers: int) -> Iterator[tuple[int, Any]]:
+        asked.append(len(groups))
+        if asked[1:] and groups:
+            raise Stopped
+        return run_chunks(job, groups, workers)
+
+    first = run(tmp_path)
+    file = tmp_path / "cases.jsonl"
+    whole = file.read_text(encoding="utf-8")
+    assert run(tmp_path) == first and file.read_text(encoding="utf-8") == whole
+    assert asked == [1, 0], "what is kept is not run again"
+
+    file.write_text(whole[:-40], encoding="utf-8")
+    with pytest.raises(Stopped):
+        run(tmp_path)
+    assert asked == [1, 0, 1], "a line that a stop cut is run again"

@@ -1,4 +1,4 @@
-"""Runs in the simulated pool, what came of them, and a file that keeps it from one start to the next."""
+"""Results kept in a file from one start to the next; and what runs in the simulated pool gave."""
 
 from __future__ import annotations
 
@@ -33,32 +33,54 @@ class Outcome:
     decisions: int
 
 
+class Lines:
+    """A file of JSON objects, a line each, under a first line that says what all of them are of.
+
+    Attributes:
+        values: what the file held of the same head, in its order.
+    """
+
+    def __init__(self, file: Path, head: dict[str, str]) -> None:
+        """Read what is there; a file of another head is begun anew.
+
+        Args:
+            file: is made, with its folder, where there is none.
+            head: of all that every line depends on.
+        """
+        self._file = file
+        first = json.dumps(head)
+        lines = file.read_text(encoding="utf-8").splitlines() if file.exists() else []
+        kept = [line for line in lines[1:] if _read_line(line)] if lines[:1] == [first] else []
+        if lines != [first, *kept]:  # of other code, or a stop cut a line, which the next would then follow
+            file.parent.mkdir(parents=True, exist_ok=True)
+            write_text(file, "".join(line + "\n" for line in (first, *kept)))
+        self.values = [_read_line(line) for line in kept]
+
+    def add(self, values: dict[str, Any]) -> None:
+        """Write a line."""
+        with self._file.open("a", encoding="utf-8") as file:
+            file.write(json.dumps(values) + "\n")
+
+
 class Kept:
-    """Results in a file, a line each; the first line says what they are of, each line of which conditions.
+    """Outcomes of runs in a file, each with the conditions it was made under.
 
     Attributes:
         outcomes: what the file holds of these conditions, by case.
     """
 
     def __init__(self, file: Path, stamp: str, conditions_of: Callable[[Case], str | None]) -> None:
-        """Read what is there; a file of another stamp is begun anew.
+        """Read what is there.
 
         Args:
-            file: one JSON object a line.
+            file: see ``Lines``.
             stamp: of all that every result depends on.
             conditions_of: hash of what else a case depends on; None where that is unknown here.
         """
         self.outcomes: dict[Case, Outcome] = {}
-        self._file = file
         self._conditions_of = conditions_of
-        head = json.dumps({"stamp": stamp})
-        lines = file.read_text(encoding="utf-8").splitlines() if file.exists() else []
-        kept = [line for line in lines[1:] if _read_line(line)] if lines[:1] == [head] else []
-        if lines != [head, *kept]:  # of other code, or a stop cut a line, which the next would then follow
-            file.parent.mkdir(parents=True, exist_ok=True)
-            write_text(file, "".join(line + "\n" for line in (head, *kept)))
-        for line in kept:
-            values = _read_line(line)
+        self._lines = Lines(file, {"stamp": stamp})
+        for values in self._lines.values:
             case = Case(**values["case"])
             if conditions_of(case) == values["conditions_sha256"]:
                 self.outcomes[case] = Outcome(**values["outcome"])
@@ -66,13 +88,13 @@ class Kept:
     def add(self, case: Case, outcome: Outcome) -> None:
         """Keep a result."""
         self.outcomes[case] = outcome
-        values = {
-            "case": dataclasses.asdict(case),
-            "conditions_sha256": self._conditions_of(case),
-            "outcome": dataclasses.asdict(outcome),
-        }
-        with self._file.open("a", encoding="utf-8") as file:
-            file.write(json.dumps(values) + "\n")
+        self._lines.add(
+            {
+                "case": dataclasses.asdict(case),
+                "conditions_sha256": self._conditions_of(case),
+                "outcome": dataclasses.asdict(outcome),
+            }
+        )
 
 
 def _read_line(line: str) -> dict[str, Any]:

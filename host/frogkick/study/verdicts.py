@@ -8,7 +8,6 @@ user's own file that the catalogue does not have.
 from __future__ import annotations
 
 import dataclasses
-import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -33,6 +32,7 @@ from frogkick.pool.camera import Camera
 from frogkick.pool.native_robot import NativeRobot
 from frogkick.pool.pool import Pool
 from frogkick.robot import Robot
+from frogkick.study.kept import Lines
 from frogkick.study.planted import NULL, OUTSIDE, OUTSIDE_FILE, OUTSIDE_TEXT, Kind, Table, kinds
 from frogkick_codegen.firmware import build
 
@@ -105,16 +105,8 @@ def run_cases(
     out.mkdir(parents=True, exist_ok=True)
     write_text(out / OUTSIDE_FILE, OUTSIDE_TEXT)
     library = build("native", tables, robot, out / "firmware").image
-    stamp = json.dumps({"stamp": code_stamp(), "robot": robot.sha256.hex()})
-    file = out / "cases.jsonl"
-    lines = file.read_text(encoding="utf-8").splitlines() if file.exists() else []
-    kept: dict[str, Result] = {}
-    if lines[:1] == [stamp]:
-        for line in lines[1:]:
-            values = json.loads(line)
-            kept[values.pop("key")] = Result(**values)
-    else:
-        write_text(file, stamp + "\n")
+    lines = Lines(out / "cases.jsonl", {"stamp": code_stamp(), "robot": robot.sha256.hex()})
+    kept = {values["key"]: Result(**values["result"]) for values in lines.values}
     waiting = [case for case in cases if case.key not in kept]
     progress(len(cases) - len(waiting), len(cases))
     size = max(1, min(GROUP, -(-len(waiting) // workers)))
@@ -123,8 +115,7 @@ def run_cases(
     for index, results in run_chunks(job, groups, workers):
         for case, result in zip(groups[index], results, strict=True):
             kept[case.key] = result
-            with file.open("a", encoding="utf-8") as target:
-                target.write(json.dumps({"key": case.key, **dataclasses.asdict(result)}) + "\n")
+            lines.add({"key": case.key, "result": dataclasses.asdict(result)})
         progress(sum(case.key in kept for case in cases), len(cases))
     return {case: kept[case.key] for case in cases}
 

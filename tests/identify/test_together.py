@@ -5,15 +5,18 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from made import make_swim, robot
 
+from frogkick.effects import make_effects
 from frogkick.errors import InputError
 from frogkick.identify import predict
 from frogkick.identify.filter import Noise
-from frogkick.identify.fit import Model, tracks_of
+from frogkick.identify.fit import LEG_S, Model, tracks_of
 from frogkick.identify.predict import Lane, Track
 from frogkick.identify.swim import Swim
 from frogkick.identify.terms import catalogue
@@ -56,6 +59,27 @@ def test_what_goes_at_once_is_what_would_go_alone(swim: Swim, monkeypatch: pytes
         for together, alone in zip(found[index], twice(swim, gain), strict=True):
             assert np.array_equal(together.missed, alone.missed, equal_nan=True)
             assert np.array_equal(together.difference, alone.difference)
+
+
+@pytest.mark.parametrize(
+    "effect",
+    [
+        {"name": "steady_current", "x_mps": 0.008, "y_mps": -0.004},
+        {"name": "vortex", "circulation_m2ps": 0.005, "x_m": 0.1, "y_m": 0.0, "core_m": 0.15},
+        {"name": "wall", "side": "y_low", "at_m": 0.3, "drag_ns_per_m": 1.0, "hardness": 0.6},
+    ],
+    ids=lambda effect: str(effect["name"]),
+)
+def test_who_swims_beside_a_lane_makes_no_difference(effect: dict[str, Any]) -> None:
+    """More lanes than go side by side: some come in late, amid others' periods."""
+    true = tuple(make_effects([effect], Path()))
+    swims = [make_swim([effect], seed, 3 + seed) for seed in range(3)]
+    lanes = [Lane(swim, robot(), true, NOISE, LEG_S) for swim in swims]
+    for lane, together in zip(lanes * 4, predict.follow(lanes * 4), strict=True):
+        (alone,) = predict.follow([lane])
+        assert np.isfinite(alone.predicted).any()
+        assert np.array_equal(together.predicted, alone.predicted, equal_nan=True)
+        assert np.array_equal(together.difference, alone.difference)
 
 
 def test_work_that_waits_for_a_thread_is_done_too(swim: Swim) -> None:

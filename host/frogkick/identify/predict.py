@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from frogkick.der import WIDTH
 from frogkick.effects import ActingLanes, Effect, Fix, changed_robot
 from frogkick.identify.filter import RATE_STD, Filter, Noise, Series
-from frogkick.identify.gentle import Amid, gentle
+from frogkick.identify.gentle import Amid, Gentle, gentle
 from frogkick.identify.swim import Swim
 from frogkick.robot import Robot
 
@@ -205,6 +205,8 @@ class Party:
             poses = np.array([self._first_pose(self.courses[each]) for each in some])
             batch = gentle(self.robot, poses, self.lanes[index].step_s)
             batch.time_s[:] = [self.lanes[each].swim.begin_s for each in some]
+            # They speed up from rest as those do that were there first.
+            _set_waters(batch, [(lane, self.courses[each]) for lane, each in enumerate(some)])
             self._ready = {each: batch.leave(lane) for lane, each in enumerate(some)}
         return self._ready.pop(index)
 
@@ -217,13 +219,13 @@ class Party:
                 self._fire(seat, course, *strokes[course.next_stroke])
                 course.next_stroke += 1
         start = self.batch.time_s.copy()
-        longest_s = float((until - start).max(initial=0.0))
-        legs = 1 if math.isinf(self.leg_s) else max(1, round(longest_s / self.leg_s))
+        # Each lane's own count: who swims beside it shall not matter.
+        legs = np.maximum(1.0, np.rint((until - start) / self.leg_s))
         parts: list[list[tuple[FloatArray, FloatArray]]] = [[] for _ in self.seats]
-        for leg in range(1, legs + 1):
-            if legs > 1:
-                self._set_waters()
-            aim = until if leg == legs else start + (until - start) * leg / legs
+        for leg in range(1, int(legs.max()) + 1):
+            going = (leg <= legs) & (start < until)
+            _set_waters(self.batch, [(seat, course) for seat, course in seated if going[seat]])
+            aim = np.where(leg < legs, start + (until - start) * leg / legs, until)
             for part, (at, rows) in zip(parts, self.batch.advance(aim, trace=True), strict=True):
                 part.append((at, rows[:, :3]))
         for seat, course in seated:
@@ -236,13 +238,6 @@ class Party:
         stroke = course.acting.stroke(0, limb, time_s)
         start_s = time_s + stroke.delay_s
         self.batch.fire(seat, limb, start_s, gain=stroke.gain, duration_scale=stroke.duration_scale)
-
-    def _set_waters(self) -> None:
-        motion = self.batch.motion_world()
-        for seat, course in self.seated():
-            if not math.isinf(course.acting.leg_s):
-                now_s, row = float(self.batch.time_s[seat]), motion[seat]
-                self.batch.set_water(seat, course.acting.water(self.batch, now_s, row[:3], row[3:6]))
 
     def _arrive(self, course: Course, outcome: tuple[FloatArray, ...]) -> tuple[FloatArray, FloatArray]:
         """At a corner: note the prediction that ends here, take in the fixes known by now.
@@ -357,6 +352,15 @@ def _at(times: FloatArray, poses: FloatArray, at_s: FloatArray) -> FloatArray:
     if not len(times):
         return np.full((len(at_s), 3), np.nan)
     return np.column_stack([np.interp(at_s, times, poses[:, axis]) for axis in range(3)])
+
+
+def _set_waters(batch: Gentle, going: Sequence[tuple[int, Course]]) -> None:
+    """Let water and wrenches be what effects make of them where lanes are now."""
+    asking = [(lane, course) for lane, course in going if not math.isinf(course.acting.leg_s)]
+    motion = batch.motion_world() if asking else np.empty((0, 6))
+    for lane, course in asking:
+        now_s, row = float(batch.time_s[lane]), motion[lane]
+        batch.set_water(lane, course.acting.water(batch, now_s, row[:3], row[3:6]))
 
 
 def _shown(effects: Sequence[Effect], time_s: float, pose: FloatArray) -> tuple[float, FloatArray]:

@@ -22,6 +22,7 @@ from frogkick.cli.places import (
 from frogkick.cli.study_ceiling import register as register_ceiling
 from frogkick.cli.study_estimator import register as register_estimator
 from frogkick.cli.study_foresight import register as register_foresight
+from frogkick.cli.study_heldout import register as register_heldout
 from frogkick.cli.study_loop import register as register_loop
 from frogkick.cli.study_openloop import register as register_openloop
 from frogkick.cli.study_tables import register as register_tables
@@ -48,6 +49,7 @@ register_ceiling(app)
 register_foresight(app)
 register_verdicts(app)
 register_openloop(app)
+register_heldout(app)
 
 
 @app.callback()

@@ -1,0 +1,67 @@
+"""Each run predicted by what the others show: nothing of itself is learned from, all periods count once."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from tests.identify.made import make_run
+from typer.testing import CliRunner
+
+from frogkick.cli.app import app
+from frogkick.errors import InputError
+from frogkick.identify.outcome import identify
+from frogkick.identify.swim import read_swim
+from frogkick.identify.verdict import Error
+from frogkick.loop.runlog_file import write_run
+from frogkick.robot import load_robot
+from frogkick.study.heldout import held_out, pooled
+
+CURRENT = {"name": "steady_current", "x_mps": 0.008, "y_mps": -0.004}
+PERIODS = (14, 12, 10)
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    """Three runs in the same current."""
+    folder = tmp_path_factory.mktemp("runs")
+    files = [folder / f"run{seed}.h5" for seed in range(len(PERIODS))]
+    for seed, (file, periods) in enumerate(zip(files, PERIODS, strict=True)):
+        write_run(file, make_run([CURRENT], seed, periods))
+    return files
+
+
+def test_each_run_is_predicted_by_what_the_others_show(runs: list[Path], tmp_path: Path) -> None:
+    out = tmp_path / "heldout.png"
+    asked = ["study", "heldout", *map(str, runs), "--out", str(out), "--workers", "1", "--json"]
+    told = CliRunner().invoke(app, asked)
+    assert told.exit_code == 0, told.stderr
+    values = json.loads(told.stdout)
+    assert out.read_bytes().startswith(b"\x89PNG")
+    assert [row["run"] for row in values["runs"]] == [str(run) for run in runs]
+    assert values["periods"] == sum(row["periods"] for row in values["runs"]) > sum(PERIODS) - 6
+    for row in values["runs"]:
+        assert row["effects"] == ["steady_current"]
+        assert row["after"]["position_rmse_m"] < 0.2 * row["before"]["position_rmse_m"]
+    whole = values["after"]["position_rmse_m"]
+    squares = [row["periods"] * row["after"]["position_rmse_m"] ** 2 for row in values["runs"]]
+    assert whole == pytest.approx(np.sqrt(sum(squares) / values["periods"]))
+
+    robot = load_robot("frog2022")
+    swims = [read_swim(run, robot) for run in runs]
+    alone = identify(swims[:2], swims[2:], robot)
+    assert values["runs"][2]["after"] == alone.tested.after.as_json(), "the same as identify by itself"
+
+
+def test_periods_weigh_the_same_whatever_run_they_are_of() -> None:
+    assert pooled([Error(3.0, 0.0), Error(0.0, 1.0)], [1, 8]) == Error(1.0, pytest.approx((8 / 9) ** 0.5), 9)
+
+
+def test_what_is_asked_wrongly_is_refused(runs: list[Path]) -> None:
+    robot = load_robot("frog2022")
+    with pytest.raises(InputError, match="give 3 runs or more, not 2"):
+        held_out(robot, runs[:2])
+    with pytest.raises(InputError, match=r"run0\.h5 is given twice"):
+        held_out(robot, [*runs, runs[0]])

@@ -31,7 +31,7 @@ from frogkick.identify.verdict import (
     noise_floor,
     verdict_of,
 )
-from frogkick.loop.runlog import RunLog
+from frogkick.loop.runlog import FixFlag, RunLog
 from frogkick.loop.runlog_file import write_run
 from frogkick.robot import load_robot
 
@@ -226,6 +226,17 @@ def test_an_empty_run_among_others_is_left_out(whole: list[Swim]) -> None:
 
 def replace_periods(swim: Swim, count: int) -> Swim:
     return replace(swim, start_s=swim.start_s[:count], end_s=swim.end_s[:count], action=swim.action[:count])
+
+
+@pytest.mark.parametrize("flag", [0, int(FixFlag.JUMP)])
+def test_positions_in_another_unit_are_refused(flag: int) -> None:
+    """Also where all of them were taken for jumps at import."""
+    run = make_run([], 0, 4)
+    known, flags = run.fixes, np.full(len(run.fixes.x_m), flag, dtype=np.uint16)
+    centimetres = replace(known, x_m=100.0 * known.x_m, y_m=100.0 * known.y_m, flags=flags)
+    swim_of(replace(run, fixes=replace(known, flags=flags)), "metres", robot())
+    with pytest.raises(InputError, match=r"'cm' moves faster than 1 m/s .* convert them"):
+        swim_of(replace(run, fixes=centimetres), "cm", robot())
 
 
 def test_another_robots_run_is_refused() -> None:

@@ -10,6 +10,7 @@ import pytest
 from tests.identify.made import make_run
 from typer.testing import CliRunner
 
+from frogkick.cli import study_heldout
 from frogkick.cli.app import app
 from frogkick.errors import InputError
 from frogkick.identify.outcome import identify
@@ -17,7 +18,7 @@ from frogkick.identify.swim import read_swim
 from frogkick.identify.verdict import Error
 from frogkick.loop.runlog_file import write_run
 from frogkick.robot import load_robot
-from frogkick.study.heldout import held_out, pooled
+from frogkick.study.heldout import HeldOut, held_out, pooled
 
 CURRENT = {"name": "steady_current", "x_mps": 0.008, "y_mps": -0.004}
 PERIODS = (14, 12, 10)
@@ -65,3 +66,12 @@ def test_what_is_asked_wrongly_is_refused(runs: list[Path]) -> None:
         held_out(robot, runs[:2])
     with pytest.raises(InputError, match=r"run0\.h5 is given twice"):
         held_out(robot, [*runs, runs[0]])
+
+
+@pytest.mark.parametrize(("after_m", "code"), [(2e-3, 0), (3e-3, 0), (4e-3, 1)])
+def test_the_exit_code_says_whether_it_is_worse_than_nominal(
+    runs: list[Path], after_m: float, code: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    errors = (Error(3e-3, 0.02, 10), Error(after_m, 0.02, 10), Error(1e-3, 0.01))
+    monkeypatch.setattr(study_heldout, "held_out", lambda *_: [HeldOut(runs[0], "found", (), *errors)])
+    assert CliRunner().invoke(app, ["study", "heldout", *map(str, runs)]).exit_code == code

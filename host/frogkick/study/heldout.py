@@ -15,7 +15,7 @@ from pathlib import Path
 from frogkick.chunks import Job, run_chunks
 from frogkick.errors import InputError
 from frogkick.identify.outcome import identify
-from frogkick.identify.swim import read_swim
+from frogkick.identify.swim import Swim, read_swim
 from frogkick.identify.together import all_at_once
 from frogkick.identify.verdict import Error
 from frogkick.robot import Robot
@@ -68,10 +68,9 @@ def held_out(
     for place in places:
         if places.count(place) > 1:
             raise InputError(f"{place.name} is given twice: it would be learned from where it is kept back")
-    for run in runs:
-        read_swim(run, robot)
     groups = [group for k in range(workers) if (group := list(range(len(runs)))[k::workers])]
-    job = Job(_start, (robot, tuple(runs), effects), _run, lambda _ready: None)
+    swims = tuple(read_swim(run, robot) for run in runs)
+    job = Job(_Ready, (robot, tuple(runs), swims, effects), _run, lambda _ready: None)
     kept: dict[int, HeldOut] = {}
     progress(0, len(runs))
     for index, results in run_chunks(job, groups, workers):
@@ -94,15 +93,12 @@ def pooled(errors: Sequence[Error], periods: Sequence[int]) -> Error:
     )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class _Ready:
     robot: Robot
     runs: tuple[Path, ...]
+    swims: tuple[Swim, ...]
     effects: Path | None
-
-
-def _start(robot: Robot, runs: tuple[Path, ...], effects: Path | None) -> _Ready:
-    return _Ready(robot, runs, effects)
 
 
 def _run(ready: _Ready, group: Sequence[int]) -> list[HeldOut]:
@@ -112,7 +108,7 @@ def _run(ready: _Ready, group: Sequence[int]) -> list[HeldOut]:
 
 
 def _keep_back(ready: _Ready, index: int) -> HeldOut:
-    swims = [read_swim(run, ready.robot) for run in ready.runs]
+    swims = ready.swims
     outcome = identify(
         swims[:index] + swims[index + 1 :], swims[index : index + 1], ready.robot, ready.effects
     )

@@ -121,6 +121,24 @@ def _interrupts() -> Iterator[Callable[[], None]]:
         signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
+@contextmanager
+def _held_back() -> Iterator[None]:
+    """Let a Ctrl-C wait while processes and threads are started.
+
+    A fork runs functions of its own before and after, which cannot hand it on; a process that is not yet told
+    to ignore it would end with a traceback. What is started inherits the mask, so Ctrl-C comes to this thread
+    alone.
+    """
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
 # Set in each worker process by _start_worker, so that a task carries its own numbers only.
 _worker: tuple[Callable[[Any, Any], Any], Any] | None = None
 
@@ -152,7 +170,8 @@ def _on_pool(
         initargs=(job.start, job.given, job.run),
     )
     try:
-        pending = {executor.submit(_run_in_worker, task): index for index, task in enumerate(tasks)}
+        with _held_back():
+            pending = {executor.submit(_run_in_worker, task): index for index, task in enumerate(tasks)}
         for future in as_completed(pending):
             check()
             yield pending.pop(future), future.result()

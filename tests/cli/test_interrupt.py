@@ -66,3 +66,70 @@ def test_while_it_is_still_loading(tmp_path: Path) -> None:
     )
     assert (done.returncode, done.stdout) == (130, "")
     assert done.stderr == "frogkick: interrupted: nothing half-written was left\n"
+
+
+INSTEAD_OF_A_COMMAND = """
+import os, signal, sys, time, weakref
+from frogkick.cli import main
+def press(*_): os.kill(os.getpid(), signal.SIGINT)
+class Handle:
+    def __del__(self): press()
+def command(_arguments):
+    {text}
+    time.sleep(30.0)
+    return 0
+main._run = command
+main.main()
+"""
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "press()",
+        "handle = Handle(); del handle",  # the interpreter prints what a destructor raises, and goes on
+        "handle = set(); seen = weakref.ref(handle, press); del handle",
+        "exec('press()')",  # as making a dataclass does: the interpreter would end by a signal
+    ],
+)
+def test_wherever_the_interpreter_is(tmp_path: Path, text: str) -> None:
+    (tmp_path / "instead.py").write_text(INSTEAD_OF_A_COMMAND.format(text=text))
+    done = subprocess.run(
+        [sys.executable, "-m", "instead"],
+        cwd=tmp_path, capture_output=True, text=True, check=False, timeout=25.0,
+    )  # fmt: skip
+    assert (done.returncode, done.stdout) == (130, "")
+    assert done.stderr == "frogkick: interrupted: nothing half-written was left\n"
+
+
+@pytest.mark.parametrize("when", ["before", "after_in_parent", "after_in_child"])
+def test_while_processes_are_started(tmp_path: Path, when: str) -> None:
+    """In what Python runs around a fork nothing can be raised; a new process has nobody to catch it."""
+    program = (
+        "import os, signal\n"
+        "from frogkick.cli import main\n"
+        "from frogkick import chunks\n"
+        "real = chunks.ProcessPoolExecutor\n"
+        "def press(): os.kill(os.getpid(), signal.SIGINT)\n"
+        "def begin(*given, **named):\n"
+        f"    os.register_at_fork({when}=press)\n"
+        "    return real(*given, **named)\n"
+        "chunks.ProcessPoolExecutor = begin\n"
+        "import sys\n"
+        "sys.argv = 'frogkick library build --states 40 --workers 2 --out lib.h5 --json'.split()\n"
+        "main.main()\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", program],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=300,
+    )
+    complaints = [line for line in done.stderr.splitlines() if not line.startswith("library: ")]
+    if when == "after_in_child":  # Ctrl-C is the parent's business, and nobody pressed it there
+        assert (done.returncode, complaints) == (0, [])
+    else:
+        assert (done.returncode, done.stdout) == (130, "")
+        assert complaints == ["frogkick: interrupted: nothing half-written was left"]

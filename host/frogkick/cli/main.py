@@ -6,13 +6,20 @@ Exit codes: 0 done, 1 a check failed, 2 bad input, 130 interrupted.
 from __future__ import annotations
 
 import os
+import signal
 import sys
+from types import FrameType
+from typing import Any
 
 from frogkick.errors import CheckError, FrogkickError
 
 CHECK_FAILED = 1
 BAD_INPUT = 2
 INTERRUPTED = 130
+
+_INTERRUPTED = "interrupted: nothing half-written was left"
+_AGAIN_S = 0.01
+"""How long after a Ctrl-C that could not be handed on the next try comes."""
 
 
 def _complain(text: str) -> None:
@@ -24,7 +31,7 @@ def run_command(arguments: list[str] | None = None) -> int:
     try:
         return _run(arguments)
     except KeyboardInterrupt:
-        _complain("interrupted: nothing half-written was left")
+        _complain(_INTERRUPTED)
         return INTERRUPTED
     except BrokenPipeError:
         # Whoever read stdout has enough (head, less); the interpreter would complain again at its end.
@@ -70,7 +77,36 @@ def _run(arguments: list[str] | None) -> int:
 
 def main() -> None:
     """Entry point of the ``frogkick`` command."""
-    sys.exit(run_command())
+    try:
+        sys.unraisablehook = _raise_again
+        if hasattr(signal, "SIGALRM"):
+            signal.signal(signal.SIGALRM, _interrupt)
+        code = run_command()
+        # A Ctrl-C that passed through exec of a text, as making a dataclass does, would make the interpreter
+        # end by a signal instead of this exit code; exec of another text takes that back.
+        exec("")
+        signal.signal(signal.SIGINT, signal.SIG_IGN)  # what is left is the interpreter's own end
+    except KeyboardInterrupt:  # before the command's first line or after its last
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+        _complain(_INTERRUPTED)
+        code = INTERRUPTED
+    sys.exit(code)
+
+
+def _raise_again(unraisable: Any) -> None:
+    """Interrupt again a moment later, where the interpreter cannot hand a Ctrl-C on.
+
+    That is so in a destructor, a callback of a compiler, a weak reference's callback and a function called
+    around a fork: the interpreter would print a traceback and go on as if nobody had pressed a key.
+    """
+    if not issubclass(unraisable.exc_type, KeyboardInterrupt) or not hasattr(signal, "setitimer"):
+        sys.__unraisablehook__(unraisable)
+        return
+    signal.setitimer(signal.ITIMER_REAL, _AGAIN_S)
+
+
+def _interrupt(_number: int, _frame: FrameType | None) -> None:
+    raise KeyboardInterrupt
 
 
 if __name__ == "__main__":

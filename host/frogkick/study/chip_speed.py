@@ -7,7 +7,6 @@ random, then those that a model of the planner's blocks finds dearest; frogkick.
 from __future__ import annotations
 
 import dataclasses
-import multiprocessing
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -16,6 +15,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from frogkick.chunks import Job, run_chunks
 from frogkick.loop.chip_planner import ChipPlanner
 from frogkick.paths import Path as SwimPath
 from frogkick.planner.image import Tables, read_image
@@ -130,7 +130,7 @@ def planner_of(elf: Path) -> ChipPlanner:
     return ChipPlanner(elf)
 
 
-def _count(chunk: _Chunk) -> _Counted:
+def _count(_ready: object, chunk: _Chunk) -> _Counted:
     planner = planner_of(chunk.elf)
     planner.configure(chunk.path, chunk.config)
     profile = planner.chip.profile()
@@ -188,10 +188,8 @@ class _Runner:
         self._workers, self._whole, self._progress, self._done = workers, whole, progress, 0
 
     def run(self, chunks: Sequence[_Chunk]) -> list[_Counted]:
-        if self._workers <= 1:
-            return [self._note(_count(chunk)) for chunk in chunks]
-        with multiprocessing.get_context("spawn").Pool(self._workers) as pool:
-            return [self._note(counted) for counted in pool.imap_unordered(_count, chunks)]
+        job = Job(tuple, (), _count, len)  # each process boots a chip of its own, and needs nothing for that
+        return [self._note(counted) for _, counted in run_chunks(job, chunks, self._workers)]
 
     def _note(self, counted: _Counted) -> _Counted:
         self._done += len(counted.timed.states)

@@ -3,7 +3,8 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
-export FK_FULL ?= 0
+# How many cases tests count: quick for a newcomer, ci as .ci/run has them, full with make test-full.
+export FK_LEVEL ?= quick
 # Dozens of processes load the same files: what Python has compiled of them is kept, whatever a machine's settings say.
 unexport PYTHONDONTWRITEBYTECODE
 # Tests side by side; how many processes tests/conftest.py says. A file's tests stay together and share what they built.
@@ -18,7 +19,7 @@ test: $(STAMP)
 	$(BIN)/python -m pytest $(SPREAD) -m "not extra"
 
 test-full: $(STAMP)
-	FK_FULL=1 $(BIN)/python -m pytest $(SPREAD)
+	FK_LEVEL=full $(BIN)/python -m pytest $(SPREAD)
 
 # What simulating costs, about a minute. PyElastica is fetched to compare with, and left out where it cannot be.
 bench: $(STAMP)

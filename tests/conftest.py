@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
+import hypothesis
 import pytest
 
 # Matrices here are small: with a process on each core, threads of the linear algebra wait for each other and
@@ -16,7 +17,18 @@ for _name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(_name, "1")
 
 REPOSITORY = Path(__file__).resolve().parents[1]
-FULL = os.environ.get("FK_FULL", "0") == "1"
+LEVELS = ("quick", "ci", "full")
+"""How many cases tests count: for a newcomer, for each change, for a release (see ``count``)."""
+LEVEL = os.environ.get("FK_LEVEL") or "quick"
+FULL = LEVEL == "full"
+counted: dict[str, int] = {}
+"""Place -> number of cases that a test of this process asked for."""
+
+# A case takes as long as the machine lets it. The same cases everywhere; make test-full looks for others.
+hypothesis.settings.register_profile(
+    "frogkick", deadline=None, derandomize=not FULL, suppress_health_check=[hypothesis.HealthCheck.too_slow]
+)
+hypothesis.settings.load_profile("frogkick")
 
 
 @pytest.fixture(scope="session")
@@ -28,9 +40,19 @@ def frog2022_dir() -> Path:
     return folder
 
 
-def count(normal: int, full: int) -> int:
-    """The number of cases: ``normal`` in make test, ``full`` in make test-full."""
-    return full if FULL else normal
+def count(ci: int, full: int, quick: int | None = None) -> int:
+    """The number of cases at the level that runs, FK_LEVEL: quick is make test, ci .ci/run, full test-full.
+
+    Args:
+        ci, full: at these levels.
+        quick: in make test; None: as many as at ``ci``.
+    """
+    chosen = {"quick": ci if quick is None else quick, "ci": ci, "full": full}[LEVEL]
+    caller = sys._getframe(1)
+    file = Path(caller.f_code.co_filename)
+    place = file.relative_to(REPOSITORY) if file.is_relative_to(REPOSITORY) else file
+    counted[f"{place}:{caller.f_lineno}"] = chosen
+    return chosen
 
 
 @pytest.hookimpl(optionalhook=True)
@@ -40,7 +62,27 @@ def pytest_xdist_auto_num_workers() -> int:
     return cores + (cores + 1) // 2
 
 
+@pytest.hookimpl(optionalhook=True)
+def pytest_testnodedown(node: Any, error: object) -> None:
+    """What a process counted, to the one that prints."""
+    counted.update(getattr(node, "workeroutput", {}).get("counted", {}))
+
+
+def pytest_sessionfinish(session: pytest.Session) -> None:
+    if hasattr(session.config, "workeroutput"):
+        session.config.workeroutput["counted"] = counted
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+    """Which level ran, and with which counts."""
+    terminalreporter.section(f"level {LEVEL} of {', '.join(LEVELS)} (FK_LEVEL); cases by place")
+    for place in sorted(counted):
+        terminalreporter.write_line(f"{counted[place]:>9,} {place}")
+
+
 def pytest_configure(config: pytest.Config) -> None:
+    if LEVEL not in LEVELS:
+        raise pytest.UsageError(f"FK_LEVEL is {LEVEL!r}: give {', '.join(LEVELS)}")
     if hasattr(config, "workerinput"):
         if not sys.dont_write_bytecode:
             rewrite_a_share(

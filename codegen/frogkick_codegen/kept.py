@@ -9,8 +9,8 @@ from contextlib import suppress
 from pathlib import Path
 
 from frogkick.errors import InputError
-from frogkick.files import write_bytes
-from frogkick_codegen.toolchain import Compiler, cache_folder
+from frogkick.files import cache_folder, write_bytes
+from frogkick_codegen.toolchain import Compiler
 
 KEPT_MAX = 64
 """Builds kept, some 350 KB each; the one that was not wanted for longest goes first."""
@@ -46,7 +46,7 @@ def built_once(
     for file in files:
         content = file.read_bytes()
         digest.update(file.name.encode() + b"\0" + len(content).to_bytes(8, "little") + content)
-    kept = cache_folder() / "firmware" / digest.hexdigest()[:_DIGEST_BYTES]
+    kept = cache_folder("firmware") / digest.hexdigest()[:_DIGEST_BYTES]
     with suppress(OSError):
         stored = kept.read_bytes()
         if hashlib.sha256(stored[_DIGEST_BYTES:]).digest() == stored[:_DIGEST_BYTES]:

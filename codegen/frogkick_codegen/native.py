@@ -17,9 +17,10 @@ import numpy as np
 import numpy.typing as npt
 
 from frogkick.errors import InputError
+from frogkick.files import cache_folder
 from frogkick.planner.image import TableError
 from frogkick.planner.plan import PLAN_ROW, PathLike, PlanConfig, along_rows, limb_use_rows, path_rows
-from frogkick_codegen.toolchain import FLAGS, Compiler, ToolchainError, cache_folder, zig
+from frogkick_codegen.toolchain import FLAGS, Compiler, ToolchainError, zig
 
 PLANNER_HEADERS = ("fk_planner.h", "fk_tables.h", "fk_internal.h", "fk_route.h", "fk_trig.h")
 PLANNER_SOURCES = (
@@ -72,12 +73,11 @@ def build_shared(
         digest.update(text.encode() + b"\0")
     for file in sorted(files):
         digest.update(file.encode() + b"\0" + len(files[file]).to_bytes(8, "little") + files[file])
-    folder = cache_folder() / "native"
+    folder = cache_folder("native")
     library = folder / f"{name}-{digest.hexdigest()[:32]}{suffix}"
     if library.exists():
         return library
     try:
-        folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(prefix=".build-", dir=folder) as temporary:
             work = Path(temporary)
             for file, content in files.items():

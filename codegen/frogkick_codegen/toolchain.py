@@ -13,6 +13,7 @@ from functools import cache
 from pathlib import Path
 
 from frogkick.errors import FrogkickError, nearest_name
+from frogkick.files import cache_folder
 
 STANDARD = ("-std=c99", "-O2")
 WARNINGS = ("-Wall", "-Wextra", "-Wconversion", "-Wdouble-promotion", "-Wmissing-prototypes", "-Werror")
@@ -117,30 +118,10 @@ def other(name: str) -> Compiler | None:
     return Compiler(name, (path,), _OTHERS[name], lines[0] if lines else name)
 
 
-def cache_folder() -> Path:
-    """Return (and make) the per-user folder for built libraries and compiler caches.
-
-    ``$FROGKICK_CACHE_DIR``, else ``$XDG_CACHE_HOME/frogkick``, else ``~/.cache/frogkick``.
-
-    Raises:
-        ToolchainError: it cannot be made.
-    """
-    given = os.environ.get("FROGKICK_CACHE_DIR")
-    base = os.environ.get("XDG_CACHE_HOME")
-    try:
-        folder = Path(given) if given else (Path(base) if base else Path.home() / ".cache") / "frogkick"
-        folder.mkdir(parents=True, exist_ok=True)
-    except (OSError, RuntimeError) as error:
-        raise ToolchainError(
-            f"no cache folder ({error}): set FROGKICK_CACHE_DIR to a writable folder"
-        ) from error
-    return folder.resolve()
-
-
 def _run(name: str, command: list[str], folder: Path | None) -> subprocess.CompletedProcess[str]:
     environment = dict(os.environ)
     if name == "zig":  # its caches would otherwise appear beside the sources
-        cache = str(cache_folder() / "zig")
+        cache = str(cache_folder("zig"))
         environment.setdefault("ZIG_GLOBAL_CACHE_DIR", cache)
         environment.setdefault("ZIG_LOCAL_CACHE_DIR", cache)
     try:

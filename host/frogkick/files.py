@@ -1,11 +1,12 @@
-"""Whole files or none: write beside the target, flush to disk, rename."""
+"""Whole files or none: write beside the target, flush to disk, rename. Where compiled things are kept."""
 
 from __future__ import annotations
 
 import os
+import stat
 import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from frogkick.errors import InputError
@@ -65,3 +66,68 @@ def write_bytes(target: Path | str, content: bytes) -> None:
 def write_text(target: Path | str, content: str) -> None:
     """Write UTF-8 ``content`` to ``target``, wholly or not at all."""
     write_bytes(target, content.encode("utf-8"))
+
+
+def cache_folder(name: str = "") -> Path:
+    """Return (and make) the folder of this user for compiled and other things that can be made again.
+
+    ``$FROGKICK_CACHE_DIR``, else ``$XDG_CACHE_HOME/frogkick``, else ``~/.cache/frogkick``; where the home
+    folder cannot be written, a folder in the temporary folder that belongs to this user alone.
+
+    Args:
+        name: of a folder in it.
+
+    Raises:
+        InputError: it cannot be made.
+    """
+    given = os.environ.get("FROGKICK_CACHE_DIR")
+    if given:
+        folder = Path(given) / name
+        problem = _problem_with(folder)
+        if problem:
+            raise InputError(
+                f"FROGKICK_CACHE_DIR is {given!r} ({problem}): set it to a folder that can be written"
+            )
+        return folder.resolve()
+    try:
+        base = os.environ.get("XDG_CACHE_HOME")
+        folder = (Path(base) if base else Path.home() / ".cache") / "frogkick" / name
+        if not _problem_with(folder):
+            return folder.resolve()
+    except RuntimeError:  # nobody's home
+        pass
+    folder = _private_folder() / name
+    folder.mkdir(exist_ok=True)
+    return folder.resolve()
+
+
+def writable_folder(folder: Path) -> bool:
+    """Make a folder; whether files can be made in it."""
+    return not _problem_with(folder)
+
+
+def _problem_with(folder: Path) -> str:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        return error.strerror or str(error)
+    return "" if os.access(folder, os.W_OK | os.X_OK) else "it cannot be written"
+
+
+def _private_folder() -> Path:
+    """A folder in the temporary folder, of this user alone: what lies there is loaded as code.
+
+    Raises:
+        InputError: there is one that others may write to.
+    """
+    user = os.getuid() if hasattr(os, "getuid") else 0
+    folder = Path(tempfile.gettempdir()) / f"frogkick-{user}"
+    with suppress(FileExistsError):
+        folder.mkdir(mode=0o700)
+    state = folder.lstat()
+    shared = hasattr(os, "getuid") and (state.st_uid != user or state.st_mode & 0o22)
+    if shared or not stat.S_ISDIR(state.st_mode):
+        raise InputError(
+            f"{str(folder)!r} is not a folder of this user alone: set FROGKICK_CACHE_DIR to one that is"
+        )
+    return folder

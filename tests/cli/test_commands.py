@@ -10,9 +10,9 @@ from tests.cli.commands import frogkick, listing
 from tests.library.synthetic import Known
 from tests.loop import rig
 
+from frogkick.files import cache_folder
 from frogkick.library import write_library
 from frogkick.planner.image import read_image
-from frogkick_codegen.toolchain import cache_folder
 
 Capture = pytest.CaptureFixture[str]
 
@@ -167,7 +167,7 @@ def test_firmware_build(
         monkeypatch.setenv("FROGKICK_CACHE_DIR", str(tmp_path_factory.mktemp("kept")))
 
     for name in ("ZIG_GLOBAL_CACHE_DIR", "ZIG_LOCAL_CACHE_DIR"):  # which takes seconds to fill
-        monkeypatch.setenv(name, str(cache_folder() / "zig"))
+        monkeypatch.setenv(name, str(cache_folder("zig")))
     compile_anew()
     done = frogkick(
         capsys, "firmware", "build", "--target", target, "--tables", table, "--out", "a/fw", "--json"

@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 from tests.codegen import made_up
 
+from frogkick.files import cache_folder
 from frogkick.robot import Robot, load_robot
 from frogkick_codegen import firmware, kept, toolchain
 from frogkick_codegen.firmware import TARGETS, build
@@ -28,7 +29,7 @@ def calls(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[Path]:
     Firmware is compiled once for each target, later calls write the same: here it matters who is called.
     """
     for name in ("ZIG_GLOBAL_CACHE_DIR", "ZIG_LOCAL_CACHE_DIR"):  # which takes seconds to fill
-        monkeypatch.setenv(name, str(toolchain.cache_folder() / "zig"))
+        monkeypatch.setenv(name, str(cache_folder("zig")))
     monkeypatch.setenv("FROGKICK_CACHE_DIR", str(tmp_path / "cache"))
     made: list[Path] = []
     run = Compiler.run

@@ -5,6 +5,7 @@ from __future__ import annotations
 import multiprocessing
 import platform
 import re
+import tempfile
 import zlib
 from pathlib import Path
 
@@ -16,6 +17,7 @@ from tests.conftest import count
 from tests.planner import synthetic
 
 from frogkick.errors import InputError
+from frogkick.files import cache_folder
 from frogkick.planner import floats, kernel, layout
 from frogkick.planner.image import TableError, open_image
 from frogkick.planner.plan import PlanConfig, plan_batch
@@ -35,8 +37,8 @@ def library() -> NativeLibrary:
 @pytest.fixture
 def own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A cache folder of the test's own; zig keeps its shared one, which takes seconds to fill."""
-    monkeypatch.setenv("ZIG_GLOBAL_CACHE_DIR", str(toolchain.cache_folder() / "zig"))
-    monkeypatch.setenv("ZIG_LOCAL_CACHE_DIR", str(toolchain.cache_folder() / "zig"))
+    monkeypatch.setenv("ZIG_GLOBAL_CACHE_DIR", str(cache_folder("zig")))
+    monkeypatch.setenv("ZIG_LOCAL_CACHE_DIR", str(cache_folder("zig")))
     monkeypatch.setenv("FROGKICK_CACHE_DIR", str(tmp_path))
     return tmp_path
 
@@ -211,8 +213,24 @@ def test_a_folder_that_cannot_be_a_cache_is_said_so(tmp_path: Path, monkeypatch:
     blocker = tmp_path / "file"
     blocker.write_text("x")
     monkeypatch.setenv("FROGKICK_CACHE_DIR", str(blocker / "cache"))
-    with pytest.raises(ToolchainError, match="set FROGKICK_CACHE_DIR"):
-        toolchain.cache_folder()
+    with pytest.raises(InputError, match="set it to a folder that can be written"):
+        cache_folder()
+
+
+def test_without_a_home_things_are_kept_where_nobody_else_writes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in ("FROGKICK_CACHE_DIR", "XDG_CACHE_HOME"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setenv("HOME", str(tmp_path / "c.txt" / "nobody"))
+    (tmp_path / "c.txt").write_text("a file, no folder")
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    kept = cache_folder("native")
+    assert kept.parent.parent == tmp_path.resolve() and kept.parent.stat().st_mode & 0o777 == 0o700
+    assert cache_folder("native") == kept
+    kept.parent.chmod(0o777)  # what is loaded as code from there could be anybody's
+    with pytest.raises(InputError, match="not a folder of this user alone"):
+        cache_folder("native")
 
 
 @pytest.mark.extra

@@ -102,7 +102,7 @@ def test_the_chip_gives_the_twin_s_bits(built: Built, config: str) -> None:
 
 @pytest.mark.parametrize("config", CONFIGS)
 def test_so_it_does_over_very_many_states(built: Built, config: str) -> None:
-    """The same instructions, not counted: 10^5 states in all, 10^6 with FK_FULL=1, few of them deep."""
+    """The same instructions, not counted: 10^5 states in all, 10^6 in make test-full, few of them deep."""
     settings = CONFIGS[config]
     number = -(-count(100_000, 1_000_000) // (len(made_up.KINDS) * len(CONFIGS)))
     cases = make_cases(built.tables, PATH, number, SEED + 1, (0.7, 0.295, 0.005, 0.0))

@@ -32,7 +32,7 @@ UNTAKEN: dict[str, str] = {}
 def test_every_line_and_branch_of_the_planner_runs(tmp_path: Path) -> None:
     tests = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "-k", AT_RANDOM]
     tests += [f"tests/codegen/{name}" for name in TESTS]
-    environment = os.environ | {"FK_PLANNER_COVERAGE_DIR": str(tmp_path), "FK_FULL": "0"}
+    environment = os.environ | {"FK_PLANNER_COVERAGE_DIR": str(tmp_path), "FK_LEVEL": "ci"}
     run = subprocess.run(tests, cwd=REPOSITORY, env=environment, capture_output=True, text=True, check=False)
     assert run.returncode == 0, run.stdout[-3000:]
     notes = [f"planner.so-{Path(name).stem}.gcno" for name in PLANNER_SOURCES]

@@ -38,7 +38,7 @@ CONFIGS = {
     ),
 }
 STATES = -(-count(100_000, 1_000_000) // (len(COMPILERS) * len(made_up.KINDS) * len(CONFIGS)))
-"""Of each compiler, kind and cost: 10^5 in all, 10^6 with FK_FULL=1."""
+"""Of each compiler, kind and cost: 10^5 in all, 10^6 in make test-full."""
 BATCH = 12_500  # as many as fit into the board's memory for code
 SEED = 386
 ERROR_FLOAT_RULES = -10  # FK_ERROR_FLOAT_RULES in fk_tables.h

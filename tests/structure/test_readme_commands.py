@@ -92,7 +92,7 @@ def test_the_readme_shows_the_two_commands_that_matter() -> None:
     ("line", "wrong"),
     [
         ("make demo test-full  # all", ""),
-        ("FK_FULL=1 make -j2 test PYTHON=python3.11", ""),
+        ("FK_LEVEL=full make -j2 test PYTHON=python3.11", ""),
         ("make coffee", "no target coffee"),
         ("frogkick --help", ""),
         (".venv/bin/frogkick library build frog2022 --states 10 --out lib.h5", ""),

@@ -83,7 +83,7 @@ def test_the_file_gives_back_what_was_written(tmp_path: Path) -> None:
         (("id = 0", "id = 900"), "tag36h11 has no tag 900"),
         (("length_m = 1.2", 'length_m = "long"'), "cannot be used"),
         (("format = 1", "format = "), "is no TOML"),
-        (("place_m = [0.7", "place_m = [nan"), "place_m is not 3 finite numbers"),
+        (("\nplace_m = [", "\nplace_m = [nan, "), "place_m is not 3 finite numbers"),
     ],
 )
 def test_a_wrong_file_is_refused(tmp_path: Path, change: tuple[str, str], says: str) -> None:

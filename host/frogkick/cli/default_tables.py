@@ -9,11 +9,10 @@ from pathlib import Path
 import frogkick
 from frogkick.cli.common import progress_bar
 from frogkick.errors import InputError
-from frogkick.files import write_bytes
+from frogkick.files import cache_folder, write_bytes
 from frogkick.library import build_library, quantise, read_library
 from frogkick.planner.image import read_image
 from frogkick.robot import load_robot
-from frogkick_codegen.toolchain import cache_folder
 
 STATES = 300
 SEED = 0
@@ -34,7 +33,7 @@ def default_tables(robot_name: str, states: int | None = None) -> Path:
     states = STATES if states is None else states
     made_of = f"{_source_sha256()} {states} {SEED} {SAMPLING}".encode()
     key = hashlib.sha256(robot.sha256 + made_of).hexdigest()[:24]
-    folder = cache_folder() / "tables"
+    folder = cache_folder("tables")
     target = folder / f"{robot.id}-{key}.fkt"
     if not _is_whole(target):
         library = folder / f"{robot.id}-{key}.h5"

@@ -4,9 +4,18 @@ from __future__ import annotations
 
 import base64
 import io
+import os
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
+
+from frogkick.files import cache_folder, writable_folder
+
+if "MPLCONFIGDIR" not in os.environ:  # it would complain in several lines and look at all fonts every time
+    _home = Path(os.environ.get("XDG_CONFIG_HOME") or os.path.expanduser("~/.config"))
+    if not writable_folder(_home / "matplotlib"):
+        os.environ["MPLCONFIGDIR"] = str(cache_folder("matplotlib"))
 
 import matplotlib
 

@@ -13,6 +13,7 @@ from functools import cache
 from pathlib import Path
 from typing import Final
 
+from frogkick.files import cache_folder
 from frogkick.pool.chip.errors import ChipError
 
 _SOURCE: Final = Path(__file__).with_name("hook.c")
@@ -82,12 +83,6 @@ class HookState(ctypes.Structure):
     ]
 
 
-def _cache_folder() -> Path:
-    given = os.environ.get("FROGKICK_CACHE_DIR")
-    base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-    return (Path(given) if given else Path(base) / "frogkick") / "chip"
-
-
 @cache
 def load_hook() -> ctypes.CDLL:
     """Compile hook.c where its cache does not hold it yet, and load it.
@@ -96,7 +91,7 @@ def load_hook() -> ctypes.CDLL:
         ChipError: the zig wheel is missing, does not compile, or the cache folder cannot be written.
     """
     digest = hashlib.sha256(" ".join((*_FLAGS, sys.platform)).encode() + _SOURCE.read_bytes()).hexdigest()
-    library = _cache_folder() / f"hook-{digest[:24]}.so"
+    library = cache_folder("chip") / f"hook-{digest[:24]}.so"
     if not library.exists():
         _compile(library)
     return ctypes.CDLL(str(library))
@@ -105,7 +100,6 @@ def load_hook() -> ctypes.CDLL:
 def _compile(library: Path) -> None:
     """Compile into a folder beside the target and rename: two processes may do this at the same time."""
     try:
-        library.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(dir=library.parent) as folder:
             built = Path(folder) / "hook.so"
             command = [sys.executable, "-m", "ziglang", "cc", *_FLAGS, "-o", str(built), str(_SOURCE)]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+import signal
 import sys
 from pathlib import Path
 from typing import Any
@@ -48,7 +49,7 @@ def count(ci: int, full: int, quick: int | None = None) -> int:
         quick: in make test; None: as many as at ``ci``.
     """
     chosen = {"quick": ci if quick is None else quick, "ci": ci, "full": full}[LEVEL]
-    caller = sys._getframe(1)
+    caller = sys._getframe(1 if sys._getframe(1).f_code.co_name != "cases" else 2)
     file = Path(caller.f_code.co_filename)
     place = file.relative_to(REPOSITORY) if file.is_relative_to(REPOSITORY) else file
     counted[f"{place}:{caller.f_lineno}"] = chosen
@@ -81,6 +82,9 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
 
 
 def pytest_configure(config: pytest.Config) -> None:
+    # What a shell starts in the background begins with Ctrl-C ignored, and so would all that tests start.
+    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
     if LEVEL not in LEVELS:
         raise pytest.UsageError(f"FK_LEVEL is {LEVEL!r}: give {', '.join(LEVELS)}")
     if hasattr(config, "workerinput"):

@@ -72,7 +72,7 @@ def refused_or_done(content: bytes, name: str, *command: str) -> None:
         assert sorted(path.name for path in folder.iterdir()) == [name]
 
 
-fuzzed = settings(max_examples=count(60, 600), deadline=None, print_blob=True)
+fuzzed = settings(max_examples=count(60, 600, 15), deadline=None, print_blob=True)
 
 
 @fuzzed

@@ -57,7 +57,7 @@ def libraries() -> dict[str, NativeLibrary]:
 @pytest.mark.parametrize("kind", made_up.KINDS)
 def test_compilers_give_the_twin_s_bits(kind: str, config: str, libraries: dict[str, NativeLibrary]) -> None:
     tables, settings = open_image(made_up.image(kind)), CONFIGS[config]
-    cases = make_cases(tables, PATH, count(51_000, 510_000) // len(CONFIGS), SEED)
+    cases = make_cases(tables, PATH, count(51_000, 510_000, 6000) // len(CONFIGS), SEED)
     places = {"python": python_place(tables, PATH, settings)}
     for name, library in libraries.items():
         places[name] = native_place(library, tables, PATH, settings)
@@ -89,7 +89,7 @@ def built(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFacto
 @pytest.mark.parametrize("config", CONFIGS)
 def test_the_chip_gives_the_twin_s_bits(built: Built, config: str) -> None:
     settings = CONFIGS[config]
-    cases = make_cases(built.tables, PATH, count(160, 20_000), SEED)
+    cases = make_cases(built.tables, PATH, count(160, 20_000, 34), SEED)
     chip = ChipPlanner(built.bench)
     chip.configure(PATH, settings)
     places = {
@@ -102,9 +102,9 @@ def test_the_chip_gives_the_twin_s_bits(built: Built, config: str) -> None:
 
 @pytest.mark.parametrize("config", CONFIGS)
 def test_so_it_does_over_very_many_states(built: Built, config: str) -> None:
-    """The same instructions, not counted: 10^5 states in all, 10^6 in make test-full, few of them deep."""
+    """The same instructions, not counted: very many states, few of them deep."""
     settings = CONFIGS[config]
-    number = -(-count(100_000, 1_000_000) // (len(made_up.KINDS) * len(CONFIGS)))
+    number = -(-count(100_000, 1_000_000, 5000) // (len(made_up.KINDS) * len(CONFIGS)))
     cases = make_cases(built.tables, PATH, number, SEED + 1, (0.7, 0.295, 0.005, 0.0))
     chip = ChipPlanner(built.bench)
     chip.configure(PATH, settings)

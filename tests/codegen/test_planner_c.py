@@ -262,7 +262,7 @@ def test_both_costs_answer_as_the_twin_does(kind: str, depth: int) -> None:
 @pytest.mark.parametrize("cost", [Cost.PAPER, Cost.ROUTE])
 def test_ties_take_the_lowest_first_action(cost: Cost) -> None:
     """Costs of few values: paths of a few points, progress alone; and no weights at all."""
-    states = some_states(count(150, 1500), 4, 8)
+    states = some_states(count(150, 1500, 40), 4, 8)
     path = synthetic.wave_path(4)
     for depth in (1, 2, 3):
         some = PlanConfig(0.0, 0.0, 300.0, 0.0, depth=depth, cost=cost)

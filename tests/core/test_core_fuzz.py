@@ -161,7 +161,7 @@ NO_GCC = pytest.mark.skipif(
 
 @pytest.mark.parametrize("way", ["zig", pytest.param("gcc", marks=NO_GCC)])
 def test_inputs_guided_by_coverage_under_sanitizers(way: str, tmp_path: Path) -> None:
-    told = guided(tmp_path, way, fuzz_files(), count(20_000, 1_000_000))
+    told = guided(tmp_path, way, fuzz_files(), count(20_000, 1_000_000, 5000))
     assert not told.startswith("failed"), told
     inputs, of_seeds, kept, places = map(int, told.split())
     print(f"{way}: {inputs} inputs, {of_seeds} kept of the seeds, {kept} in all, {places} places reached")
@@ -213,7 +213,7 @@ def test_libfuzzer_finds_nothing_either(tmp_path: Path) -> None:
     sources = sorted(name for name in files if name.endswith(".c") and name not in NOT_FUZZED)
     clang.run([*flags, "-std=c99", "-ffp-contract=off", "-o", "fuzz", *sources], folder=tmp_path)
     (tmp_path / "table.fkt").write_bytes(image())
-    corpus, runs = tmp_path / "corpus", count(20_000, 10_000_000)
+    corpus, runs = tmp_path / "corpus", count(20_000, 10_000_000, 5000)
     corpus.mkdir()
     run = subprocess.run(
         [str(tmp_path / "fuzz"), f"-runs={runs}", "-seed=1", "-max_len=1024", str(corpus)],

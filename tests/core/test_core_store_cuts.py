@@ -289,7 +289,7 @@ def test_flash_that_does_not_hold_what_is_written() -> None:
         operations = flash.sim.operations
         places = {
             *range(1, 40),
-            *range(1, operations, count(29, 7)),
+            *range(1, operations, count(29, 7, 97)),
             *range(max(1, operations - 25), operations + 1),
         }
         for at in sorted(place for place in places if place <= operations):

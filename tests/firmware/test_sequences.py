@@ -189,7 +189,7 @@ def run(sequences: int, seed: int) -> tuple[dict[str, int], Stranger]:
 
 
 def test_no_sequence_breaks_a_limit_on_the_chip() -> None:
-    sequences = count(60, 3000)
+    sequences = count(60, 3000, 15)
     found, stranger = run(sequences, 1)
     print(f"{sequences} sequences, {stranger.commands} commands, {stranger.resets} resets: {found}")
     assert not broken(found), broken(found)

@@ -131,7 +131,7 @@ def test_a_camera_that_freezes_while_the_robot_runs(
     driver = Camera(robot, 40, hangs)
     with rigged("serial", robot, tmp_path, monkeypatch) as there:
         source = CameraFixes(live_frames(driver, "camera 3"), calibration(SCENE), "camera 3")
-        source.wait_first(20.0)
+        source.wait_first(120.0)
         now = Day(robot, there, lab_session(there.wire), tmp_path)
         now.fails(InputError, words, lambda: now.run(source, path))
         driver.over.set()

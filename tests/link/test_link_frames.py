@@ -144,7 +144,7 @@ def test_every_flip_of_one_bit_is_refused(name: str, kind: str) -> None:
             unpack_frame(bytes(damaged))
 
 
-@settings(max_examples=count(500, 5000), deadline=None)
+@settings(max_examples=count(500, 5000, 100), deadline=None)
 @given(st.binary(max_size=400))
 def test_any_bytes_raise_nothing_else(stream: bytes) -> None:
     with suppress(FrameError):

@@ -74,7 +74,7 @@ def test_a_run_by_pictures(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> N
     with rigged("serial", robot, tmp_path, monkeypatch) as there:
         camera = CameraFixes(iter(Filmed(robot)), calibration(SCENE), "camera")
         try:
-            camera.wait_first(10.0)
+            camera.wait_first(120.0)
             recording = run_session(lab_session(there.wire), camera, rig.tables(), path, options)
         finally:
             camera.close()
@@ -119,9 +119,9 @@ def test_the_command_takes_a_camera(filmed: Path, tmp_path: Path) -> None:
                 read = process.stderr.readline()
                 assert read, said
                 said += read
-            with urllib.request.urlopen(found[1] + "picture.jpg", timeout=20.0) as answer:
+            with urllib.request.urlopen(found[1] + "picture.jpg", timeout=60.0) as answer:
                 shown = cv2.imdecode(np.frombuffer(answer.read(), dtype=np.uint8), cv2.IMREAD_GRAYSCALE)
-            told_json, more = process.communicate(timeout=120)
+            told_json, more = process.communicate(timeout=300)
         finally:
             process.kill()
             process.wait()

@@ -36,7 +36,7 @@ pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="needs a pseudo-
 STATE = link_layout().state
 ASKED = b"press Enter to arm, Ctrl-C to leave; any key stops the run"
 PLAN = re.compile(rb"line, [A-I] cost \d+\.\d, \d+ mm off")
-PATIENCE_S = 90.0
+PATIENCE_S = 240.0
 FILM_S, FILM_HZ = 120, 10
 
 

@@ -32,7 +32,7 @@ def test_a_kit_closes_the_loop_through_its_line(plan: str, tmp_path: Path) -> No
                 "--tables", str(rig.small_table()), "--robot", f"serial:{line.path}:115200",
                 "--fixes", "pool", "--simulated-time", f"{2.2 * PERIOD_S}", "--out", str(tmp_path / "kit.h5"),
             ],
-            stdin=subprocess.DEVNULL, capture_output=True, text=True, check=False, timeout=120,
+            stdin=subprocess.DEVNULL, capture_output=True, text=True, check=False, timeout=300,
         )  # fmt: skip
     assert done.returncode == 0, done.stderr
     told = json.loads(done.stdout)

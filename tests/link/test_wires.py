@@ -54,7 +54,7 @@ def test_a_conversation(robot: LiveRobot, there: Rigged) -> None:
     told = session.greet(rig.tables())
     assert told["table_crc"] == rig.tables().crc32
     trips = []
-    for _ in range(count(100, 2000)):
+    for _ in range(count(100, 2000, 30)):
         before_s = time.perf_counter()
         session.request("STATUS")
         trips.append(time.perf_counter() - before_s)
@@ -86,7 +86,7 @@ def test_forced_reconnects(robot: LiveRobot, there: Rigged) -> None:
     session = lab_session(there.wire)
     session.greet(rig.tables())
     begin_s = time.monotonic()
-    times = count(50, 1000)
+    times = count(50, 1000, 12)
     for time_of in range(times):
         if time_of % 2:
             there.drop()

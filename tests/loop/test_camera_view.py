@@ -58,7 +58,7 @@ def looking(of: Scene, by: Calibration | None = None) -> Iterator[tuple[Still, C
     still = Still(of)
     camera = CameraFixes(iter(still), by or calibration(of), "camera")
     try:
-        camera.wait_first(20.0)
+        camera.wait_first(120.0)
         yield still, camera
     finally:
         still.over = True
@@ -99,7 +99,7 @@ def test_the_page_is_given_the_camera_s_picture(most_px: int, monkeypatch: pytes
     with looking(of) as (still, camera):
         eye = CameraView(camera)
         with served(lambda: "{}", eye.picture) as address:
-            answer = urllib.request.urlopen(address + "picture.jpg", timeout=5.0)
+            answer = urllib.request.urlopen(address + "picture.jpg", timeout=60.0)
             shown = cv2.imdecode(np.frombuffer(answer.read(), dtype=np.uint8), cv2.IMREAD_GRAYSCALE)
         width, height = of.view.image_px
         assert answer.headers["Content-Type"] == "image/jpeg"
@@ -123,7 +123,7 @@ def test_no_picture_is_made_that_nobody_asks_for(monkeypatch: pytest.MonkeyPatch
         eye = CameraView(camera)
         for _ in range(3):
             still.asked.release()
-        deadline_s = time.monotonic() + 20.0
+        deadline_s = time.monotonic() + 120.0
         while sum(camera.reasons.values()) < 4:
             assert time.monotonic() < deadline_s
             time.sleep(0.005)
@@ -150,7 +150,7 @@ def test_before_the_first_picture_there_is_none() -> None:
         eye = CameraView(camera)
         assert eye.picture() is None
         with served(lambda: "{}", eye.picture) as address, pytest.raises(HTTPError, match="404"):
-            urllib.request.urlopen(address + "picture.jpg", timeout=5.0)
+            urllib.request.urlopen(address + "picture.jpg", timeout=60.0)
     finally:
         still.over = True
         still.asked.release()
@@ -168,14 +168,14 @@ def test_a_real_run_is_drawn_over_its_camera_s_picture(capsys: pytest.CaptureFix
         with viewed(True, rig.robot(), rig.tables(), path, options, camera=camera) as keep:
             address = re.findall(r"http://\S+", capsys.readouterr().err)[0]
             keep(recording)
-            deadline_s = time.monotonic() + 20.0
+            deadline_s = time.monotonic() + 120.0
             told: dict[str, object] = {}
             while not told.get("fixes"):
                 assert time.monotonic() < deadline_s, "nobody draws"
-                told = json.loads(urllib.request.urlopen(address + "state.json", timeout=5.0).read())
+                told = json.loads(urllib.request.urlopen(address + "state.json", timeout=60.0).read())
                 time.sleep(0.02)
             corners = json.loads(
-                urllib.request.urlopen(address + "picture.jpg", timeout=5.0).headers["X-Tag"]
+                urllib.request.urlopen(address + "picture.jpg", timeout=60.0).headers["X-Tag"]
             )
     drawn = told["camera"]
     assert isinstance(drawn, dict) and drawn["size"] == list(of.view.image_px)
@@ -191,7 +191,7 @@ def test_a_page_that_goes_away_is_not_told_of(capfd: pytest.CaptureFixture[str])
 
     def slow() -> tuple[bytes, dict[str, str]]:
         asked.set()
-        gone.wait(10.0)
+        gone.wait(60.0)
         return b"x" * 5_000_000, {}
 
     with served(lambda: "{}", slow) as address:
@@ -199,8 +199,8 @@ def test_a_page_that_goes_away_is_not_told_of(capfd: pytest.CaptureFixture[str])
         with socket.create_connection((host, int(port))) as page:
             page.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, b"\1\0\0\0\0\0\0\0")  # closed by a reset
             page.sendall(b"GET /picture.jpg HTTP/1.1\r\nHost: here\r\n\r\n")
-            assert asked.wait(10.0)
+            assert asked.wait(60.0)
         gone.set()
         time.sleep(0.3)
-        assert urllib.request.urlopen(address, timeout=5.0).status == 200
+        assert urllib.request.urlopen(address, timeout=60.0).status == 200
     assert capfd.readouterr().err == ""

@@ -62,12 +62,12 @@ def test_a_robot_that_stays_beside_its_route_is_found(off_s: tuple[int, ...], fo
 
 
 def test_a_robot_comes_through_its_life() -> None:
-    minutes = count(*MINUTES)
+    minutes = count(*MINUTES, 20)
     life = Life(rig.library(), rig.robot(), rig.tables(), plan_of(minutes), seed=1, truth=rig.truth())
     size = life.robot.ram_bytes()
     life.live(60.0 * minutes)
     figures, total, seen = life.watch.figures, life.robot.total, life.robot.counts
-    print(f"{minutes} simulated minutes ({MINUTES[0]} in make test, {MINUTES[1]} in make test-full)")
+    print(f"{minutes} simulated minutes")
     print(f"disturbances {figures.disturbances}, {life.robot.lives} lives, wraps {dict(life.robot.wraps)}")
     off_mm = 1e3 * figures.distance_sum_m / figures.distances
     print(f"running again after {told(figures.running_s)} s ({RUN_S:g})")

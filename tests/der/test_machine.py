@@ -1,4 +1,4 @@
-"""The same bits on other processors: with narrower vectors, and without fused multiply-add."""
+"""What is the same to the bit on other processors, and what to so many digits."""
 
 from __future__ import annotations
 
@@ -8,10 +8,11 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
-from tests.conftest import FULL
+from tests.conftest import FULL, REPOSITORY
 
-SCRIPT = """
+RODS = """
 import numpy as np
 from frogkick.der import prepare, program_of, simulate_many
 from frogkick.robot import load_robot
@@ -22,20 +23,74 @@ programs = [program_of(robot, robot.actions[k]) for k in range(8)]
 motions = simulate_many(rods, start, programs, [robot.period_s])
 print(motions.pose_world.tobytes().hex(), motions.velocity_body.tobytes().hex())
 """
+TWIN = """
+import hashlib
+from frogkick.planner.image import open_image
+from frogkick.planner.plan import PlanConfig
+from frogkick_codegen.parity import make_cases, python_place
+from tests.planner import synthetic
+tables, path = open_image(synthetic.image()), synthetic.wave_path()
+cases = make_cases(tables, path, 1000, 2022)
+rows = python_place(tables, path, PlanConfig())(
+    cases.states, cases.depths, cases.limb_use, cases.along_points
+)
+print(hashlib.sha256(cases.states.tobytes() + rows.tobytes()).hexdigest())
+"""
+LIBRARY = """
+import numpy as np
+from frogkick.library import sample_library
+from frogkick.robot import load_robot
+library = sample_library(load_robot("frog2022"), 24, 3, "visited")
+print(library.rows().astype(np.float64).tobytes().hex())
+"""
+OTHER_LINEAR_ALGEBRA = {"OPENBLAS_CORETYPE": "Prescott"}
+OTHER_MACHINES = {
+    "linear algebra": OTHER_LINEAR_ALGEBRA,
+    "sine of the C library": {"GLIBC_TUNABLES": "glibc.cpu.hwcaps=-AVX2,-FMA,-FMA4,-AVX2_Usable,-FMA_Usable"},
+    "sine of numpy": {"NPY_DISABLE_CPU_FEATURES": "X86_V4 X86_V3"},
+}
+"""What another x86-64 processor would choose, as this one can be told to."""
+
+x86_only = pytest.mark.skipif(platform.machine() not in ("x86_64", "AMD64"), reason="names x86 processors")
 
 
-def simulated(processor: str, cache: Path) -> str:
-    environment = {**os.environ, "NUMBA_CACHE_DIR": str(cache)}
-    if processor:
-        environment |= {"NUMBA_CPU_NAME": processor, "NUMBA_CPU_FEATURES": ""}
+def said(script: str, changed: dict[str, str]) -> str:
     run = subprocess.run(
-        [sys.executable, "-c", SCRIPT], env=environment, capture_output=True, text=True, check=True
-    )
+        [sys.executable, "-W", "ignore", "-c", script],
+        env={**os.environ, **changed}, cwd=REPOSITORY, capture_output=True, text=True, check=True,
+    )  # fmt: skip
     return run.stdout
 
 
+def simulated(script: str, processor: str, cache: Path) -> str:
+    changed = {"NUMBA_CACHE_DIR": str(cache)}
+    if processor:
+        changed |= {"NUMBA_CPU_NAME": processor, "NUMBA_CPU_FEATURES": ""}
+    return said(script, changed)
+
+
 @pytest.mark.skipif(not FULL, reason="compiles everything three times: make test-full")
-@pytest.mark.skipif(platform.machine() not in ("x86_64", "AMD64"), reason="names x86 processors")
+@x86_only
+@pytest.mark.parametrize("script", [RODS, TWIN], ids=["rods", "twin"])
 @pytest.mark.parametrize("processor", ["x86-64", "haswell"])  # SSE2; AVX2 and FMA
-def test_another_processor_computes_the_same_bits(processor: str, tmp_path: Path) -> None:
-    assert simulated(processor, tmp_path / processor) == simulated("", tmp_path / "own")
+def test_another_processor_computes_the_same_bits(script: str, processor: str, tmp_path: Path) -> None:
+    assert simulated(script, processor, tmp_path / processor) == simulated(script, "", tmp_path / "own")
+
+
+@x86_only
+def test_the_planner_has_the_same_bits_with_any_library_beneath_it() -> None:
+    """The twin; the C by every compiler, and on the chip, is compared with it by tests/codegen."""
+    own = said(TWIN, {})
+    assert {name: said(TWIN, changed) for name, changed in OTHER_MACHINES.items()} == dict.fromkeys(
+        OTHER_MACHINES, own
+    )
+
+
+@x86_only
+def test_a_library_is_the_same_to_eight_digits() -> None:
+    """States that a robot meets are averaged by linear algebra, whose sums go in another order elsewhere."""
+    one, other = (
+        np.frombuffer(bytes.fromhex(said(LIBRARY, changed))) for changed in ({}, OTHER_LINEAR_ALGEBRA)
+    )
+    assert one.size > 1000
+    assert np.abs(other - one).max() < 1e-8 * np.abs(one).max()

@@ -22,7 +22,7 @@ from frogkick.planner.plan import PLAN_ROW, PlanConfig, config_of, path_rows, pl
 from frogkick.robot import load_robot
 from frogkick_codegen.emit import SOURCES
 from frogkick_codegen.parity import KINDS, Cases, compare, make_cases
-from frogkick_codegen.toolchain import FLAGS
+from frogkick_codegen.toolchain import FLAGS, zig
 
 pytestmark = pytest.mark.extra
 
@@ -37,7 +37,7 @@ CONFIGS = {
         config_of(load_robot("frog2022").planner), transitions_max=150
     ),
 }
-STATES = -(-count(100_000, 1_000_000) // (len(COMPILERS) * len(made_up.KINDS) * len(CONFIGS)))
+STATES = -(-count(100_000, 1_000_000, 10_000) // (len(COMPILERS) * len(made_up.KINDS) * len(CONFIGS)))
 """Of each compiler, kind and cost: 10^5 in all, 10^6 in make test-full."""
 BATCH = 12_500  # as many as fit into the board's memory for code
 SEED = 386
@@ -73,6 +73,17 @@ static const uint16_t fk_case_limb_use[FK_CASES][8] = {{
 {",".join("{" + ", ".join(f"{use}u" for use in row) + "}" for row in cases.limb_use)}
 }};
 """
+
+
+def build_hosted(cases: Cases, folder: Path, target: str, image: bytes, config: PlanConfig) -> Path:
+    """The same program for an operating system, by zig."""
+    emitted, _ = emitted_firmware(image, folder)
+    (folder / "cases.h").write_text(cases_header(cases, config))
+    driver = dataclasses.replace(zig(), target_flags=("-target", target))
+    sources = [BOARD / "main.c", BOARD / "hosted.c", *(emitted / source for source in SOURCES)]
+    made = folder / "planner"
+    driver.run([*FLAGS, f"-I{folder}", f"-I{emitted}", f"-I{BOARD}", "-static", *sources, "-o", made])
+    return made
 
 
 def build(
@@ -158,6 +169,24 @@ def test_qemu_decides_as_the_twin_does(name: str, kind: str, cost: str, tmp_path
     assert set(rows["status"].tolist()) == {0, -2, -3}
     assert (rows["status"] == 0).mean() > 0.8
     assert len(set(rows["action"].tolist())) > 3
+
+
+@pytest.mark.parametrize("kind", made_up.KINDS)
+def test_a_64_bit_arm_decides_as_the_twin_does(kind: str, tmp_path: Path) -> None:
+    """As a lab's single-board computer or laptop has it: another instruction set, whose compiler may fuse."""
+    qemu = program("qemu-aarch64", "qemu-user")
+    image, config = made_up.image(kind), CONFIGS["route within a budget"]
+    tables = open_image(image)
+    cases = make_cases(tables, PATH, STATES, SEED + 1)
+    done = run([qemu, build_hosted(cases, tmp_path, "aarch64-linux-musl", image, config)], tmp_path)
+    assert done.returncode == 0, done.stderr
+    rows = decisions(done.stdout.splitlines())
+    places = {
+        "python": lambda *given: plan_batch(tables, PATH, config, *given),
+        "aarch64": lambda *given: rows,
+    }
+    (pair,) = compare(cases, places)
+    assert len(rows) == STATES and pair.mismatches == 0, pair.first_failure
 
 
 @pytest.mark.parametrize("name", COMPILERS)

@@ -165,7 +165,7 @@ def test_slower_memory_makes_slower_decisions(small: Built) -> None:
 
 def test_decisions_are_within_their_limits(large: Built) -> None:
     """Worst of all states, paths and places; the dearest of 10^5 at each depth in make test-full."""
-    counts = {1: count(90, 100_000, 30), 2: count(45, 100_000, 15), 3: count(18, 100_000, 6)}
+    counts = {1: count(90, 100_000, 36), 2: count(45, 100_000, 24), 3: count(18, 100_000, 12)}
     speeds = large.speed(counts, workers=count(1, 2))
     for depth, limit_ms in LIMIT_MS.items():
         speed = speeds[depth]

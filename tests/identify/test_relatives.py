@@ -11,7 +11,7 @@ from made import make_swim, robot
 
 from frogkick.identify import relatives as module
 from frogkick.identify.filter import Noise
-from frogkick.identify.fit import derivatives, tracks_of
+from frogkick.identify.fit import Model, derivatives, tracks_of
 from frogkick.identify.relatives import best_end_cost, end_cost, refitted, relatives
 from frogkick.identify.search import countable
 from frogkick.identify.swim import read_swim
@@ -43,6 +43,29 @@ def test_a_robot_that_swims_as_drawn_is_no_relative() -> None:
     swims = [make_swim([], seed, 14) for seed in (3, 4)]
     _, rows, nominal = countable(swims, robot())
     assert refitted(nominal, relatives(load_robot("frog2022"))["frog2022-measured"], swims, rows) is None
+
+
+def test_a_fit_without_measured_values_starts_from_nominal_ones(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Which effects and parameters a relative has is kept, but none of its values."""
+    swims = [make_swim([], seed, 5) for seed in (3, 4)]
+    _, rows, nominal = countable(swims, robot())
+    begun: list[tuple[list[float], frozenset[int], int]] = []
+
+    def run(self: module._Descent, _rounds: int) -> Model:
+        periods = sum(len(swim.start_s) for swim in self.swims)
+        begun.append((self.model.values.tolist(), self.model.held, periods))
+        return self.model
+
+    monkeypatch.setattr(module._Descent, "run", run)
+    monkeypatch.setattr(module, "PART", 4)
+    terms = relatives(load_robot("frog2022"))["frog2022-measured"]
+    measured = [value for term in terms for value in term.values]
+    plain = [p.nominal for term in terms for p in term.parameters]
+    refitted(nominal, terms, swims, rows, measured=False)
+    assert [values for values, *_ in begun] == [plain, plain]
+    assert [periods for *_, periods in begun] == [4, 10] or begun[0][2] < begun[1][2]
+    held = {k for k, pair in enumerate(zip(measured, plain, strict=True)) if pair[0] == pair[1]}
+    assert begun[0][1] == held and len(held) < len(plain) - 10
 
 
 def test_a_model_is_held_against_at_its_best_noise() -> None:

@@ -6,7 +6,7 @@ import json
 import math
 import os
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any, Protocol
@@ -54,6 +54,17 @@ def _plain(value: Any) -> Any:
 def json_text(values: Mapping[str, Any]) -> str:
     """One JSON object as text."""
     return json.dumps(_plain(values), allow_nan=False)
+
+
+def say(text: str) -> None:
+    """Print one line to stderr, where it does not disturb what is piped on."""
+    stderr.print(f"frogkick: {text}", markup=False, highlight=False, soft_wrap=True)
+
+
+def say_left_out(rows: Sequence[Mapping[str, str]]) -> None:
+    """Tell of runs that are not used, a line each."""
+    for row in rows:
+        say(f"run {row['run']!r} is LEFT OUT: {row['reason']}")
 
 
 def show(values: Mapping[str, Any], as_json: bool, text: str = "") -> None:

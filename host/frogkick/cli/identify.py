@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperCommand
 
-from frogkick.cli.common import JsonOption, progress_bar, require_writable, show
+from frogkick.cli.common import JsonOption, progress_bar, require_writable, say_left_out, show
 from frogkick.identify.horizons import Horizon
 from frogkick.identify.outcome import Outcome, identify, robot_of_runs, write_predictions, write_robot
 from frogkick.identify.retune import steps
@@ -63,6 +63,13 @@ def command(
         Path | None, typer.Option(help="CSV to write: each period of the test runs, predicted.")
     ] = None,
     report: Annotated[Path | None, typer.Option(help="HTML page to write.")] = None,
+    measured: Annotated[
+        bool,
+        typer.Option(
+            help="Start fits of many effects from built-in robots that were measured before; without: from "
+            "their list of effects at nominal values."
+        ),
+    ] = True,
     json: JsonOption = False,
 ) -> None:
     """Trace what a robot's model lacks to physical effects. Exit 0 whatever the verdict."""
@@ -73,7 +80,8 @@ def command(
     learned = [read_swim(path, described) for path in train]
     kept = [read_swim(path, described) for path in test]
     with steps(progress_bar) as tell:
-        outcome = identify(learned, kept, described, effects, tell)
+        outcome = identify(learned, kept, described, effects, tell, measured)
+    say_left_out(outcome.left_out)
     with progress_bar("several periods ahead, what to record next") as progress:
         values = outcome.as_json()
         progress(1, 1)

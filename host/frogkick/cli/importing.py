@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from frogkick.cli.common import JsonOption, progress_bar, require_writable, show
+from frogkick.cli.common import JsonOption, progress_bar, require_writable, say, show
 from frogkick.loop.recorded import import_recorded
 
 
@@ -20,12 +20,17 @@ def import_(
     require_writable(out, folder=True)
     with progress_bar("import") as progress:
         runs = import_recorded(data_dir, out, progress)
-    columns = list(runs[0]) if runs else []
-    lines = ["  ".join(columns)] + [
-        "  ".join(f"{row[c]:.4g}" if isinstance(row[c], float) else str(row[c]) for c in columns)
-        for row in runs
-    ]
+    columns = list(dict.fromkeys(c for row in runs for c in row if c not in ("clock_notes", "skipped")))
+    lines = ["  ".join(columns)] + ["  ".join(_cell(row.get(c)) for c in columns) for row in runs]
+    lines += [f"{row['run']}: skipped, {row['skipped']}" for row in runs if "skipped" in row]
+    for row in runs:
+        for note in row.get("clock_notes", ()):
+            say(f"{row['run']}: {note}")
     show({"runs": runs, "out": str(out)}, json, "\n".join(lines))
+
+
+def _cell(value: object) -> str:
+    return "-" if value is None else f"{value:.4g}" if isinstance(value, float) else str(value)
 
 
 def register(app: typer.Typer) -> None:

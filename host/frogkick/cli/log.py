@@ -61,7 +61,7 @@ def compare(
     rows = [
         f"{key:18s}  {_short(told['a'][key]):>22s}  {_short(told['b'][key]):>22s}"
         for key in told["a"]
-        if key not in ("actions", "notes")
+        if key not in ("actions", "clock", "notes")
     ]
     more = {key: told[key] for key in ("same_robot", "same_table", "same_path", "same_decisions", "apart_m")}
     show({**told, "picture": out and str(out)}, json, "\n".join([*rows, _lines(more)]))
@@ -108,7 +108,8 @@ def _short(value: Any) -> str:
 
 
 def _lines(values: Mapping[str, Any]) -> str:
-    texts = {key: _short(value) for key, value in values.items() if key != "actions"}
+    texts = {key: _short(value) for key, value in values.items() if key not in ("actions", "clock")}
+    texts |= {key: _short(value) for key, value in values.get("clock", {}).items()}
     if "actions" in values:
         texts["actions"] = " ".join(f"{name}{count}" for name, count in values["actions"].items())
     return "\n".join(f"{key}: {text}" for key, text in texts.items())

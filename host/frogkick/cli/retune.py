@@ -12,14 +12,22 @@ import numpy as np
 import typer
 from numpy.typing import NDArray
 
-from frogkick.cli.common import JsonOption, SeedOption, progress_bar, require_writable, show, stderr
+from frogkick.cli.common import (
+    JsonOption,
+    SeedOption,
+    progress_bar,
+    require_writable,
+    say,
+    say_left_out,
+    show,
+)
 from frogkick.cli.identify import horizon_line
 from frogkick.cli.places import built_firmware, robot_of_table
 from frogkick.cli.push import VIRTUAL, push_tables, require_target, text_of
 from frogkick.effects import World, effects_of
 from frogkick.errors import FrogkickError, InputError
 from frogkick.identify.retune import BEFORE, TABLES, Retuned, require_new, retune
-from frogkick.identify.swim import read_swim
+from frogkick.identify.swim import read_swim, reliable
 from frogkick.identify.tables import Stage, Tracked
 from frogkick.library import build_library, fit_table, read_library
 from frogkick.library.error import looked_up
@@ -115,7 +123,8 @@ def command(
     require_writable(out, folder=True)
     require_new(out)
     described = load_robot(robot)
-    swims = [read_swim(path, described) for path in runs]
+    swims, left_out = reliable([read_swim(path, described) for path in runs])
+    say_left_out(left_out)
     old = None
     if tables is not None:
         opened = read_image(tables)
@@ -129,7 +138,12 @@ def command(
     tools = _Tools(states, seed, workers or os.cpu_count() or 1)
     result = retune(swims, described, out, tools, progress_bar, old)
     pushed, failed = _pushed(push, result, out)
-    told = {**result.as_json(), "out": str(out) if result.tables else None, "pushed": None}
+    told = {
+        **result.as_json(),
+        "out": str(out) if result.tables else None,
+        "pushed": None,
+        "left_out": left_out,
+    }
     if pushed is not None:
         told |= {"bytes_sent": pushed.bytes_sent, "pushed": pushed.as_json()}
     lines = [
@@ -143,7 +157,7 @@ def command(
             f"{out / TABLES} --robot {push}'"
         ) from failed
     if result.reason and not result.done:
-        stderr.print(f"frogkick: {result.reason}", markup=False, highlight=False, soft_wrap=True)
+        say(result.reason)
     if not result.done:
         raise typer.Exit(1)
 

@@ -9,7 +9,7 @@ from frogkick.identify.fit import Fitted, derivatives, fit
 from frogkick.identify.predict import Track
 from frogkick.identify.relatives import best_end_cost, end_cost, refitted, relatives
 from frogkick.identify.search import Begun, Found, countable, search
-from frogkick.identify.swim import Swim, copies
+from frogkick.identify.swim import Swim, copies, part_of
 from frogkick.identify.terms import Term
 from frogkick.identify.verdict import FOUND, UNEXPLAINED, Error, error_of, gaps, noise_floor, verdict_of
 from frogkick.identify.worth import GAIN_EACH
@@ -51,7 +51,13 @@ class Scored:
         }
 
 
-def found_in(train: Sequence[Swim], robot: Robot, candidates: Sequence[Term], progress: Progress) -> Found:
+def found_in(
+    train: Sequence[Swim],
+    robot: Robot,
+    candidates: Sequence[Term],
+    progress: Progress,
+    measured: bool = True,
+) -> Found:
     """What a search finds; or effects of a robot of the same body, fitted to these runs.
 
     A search that leaves no more than noise is taken as it is, a relative that does so likewise. A robot at a
@@ -70,7 +76,7 @@ def found_in(train: Sequence[Swim], robot: Robot, candidates: Sequence[Term], pr
         found = search(train, robot, candidates, progress, begun)
         if not known or _verdict(found, train) != UNEXPLAINED:
             return found
-    relative = _relative(begun, list(known.values()), train, progress)
+    relative = _relative(begun, list(known.values()), train, progress, measured)
     if relative is None:
         return found or search(train, robot, candidates, progress, begun)
     if _verdict(relative, train) == FOUND:
@@ -89,14 +95,18 @@ def found_in(train: Sequence[Swim], robot: Robot, candidates: Sequence[Term], pr
 
 
 def _relative(
-    begun: Begun, known: Sequence[Sequence[Term]], train: Sequence[Swim], progress: Progress
+    begun: Begun,
+    known: Sequence[Sequence[Term]],
+    train: Sequence[Swim],
+    progress: Progress,
+    measured: bool = True,
 ) -> Found | None:
     """The relative that fits best; None where all explain too little for their number of effects."""
     _, rows, nominal = begun
     fits = []
     for done, terms in enumerate(known):
         progress("measured robots", done, len(known))
-        fits.append(refitted(nominal, terms, train, rows))
+        fits.append(refitted(nominal, terms, train, rows, measured))
     taken = [each for each in fits if each is not None]
     best = min(taken, key=lambda fitted: end_cost(fitted.tracks, train), default=None)
     return None if best is None else Found(nominal, best, [], rows, [[] for _ in best.model.terms])
@@ -107,14 +117,7 @@ def _searched_in_part(
 ) -> Found:
     """What a search finds in some of the periods, the same share of each run, fitted to all of them."""
     _, rows, nominal = begun
-    share = min(1.0, PART / len(rows))
-    some = []
-    for swim in train:
-        count = round(share * len(swim.start_s))
-        cut = {name: getattr(swim, name)[:count] for name in ("start_s", "end_s", "action")}
-        some.append(replace(swim, **cut))
-    some = [swim for swim in some if len(swim.start_s)]
-    found = search(some, robot, candidates, progress, most=PART_EFFECTS)
+    found = search(part_of(train, PART), robot, candidates, progress, most=PART_EFFECTS)
     fitted = found.fitted
     if not fitted.model.terms:
         return Found(nominal, nominal, found.turns, rows, [])

@@ -49,9 +49,9 @@ class Model:
     held: frozenset[int] = frozenset()
 
     def lane(self, swim: Swim) -> Lane:
-        """This model on a run."""
+        """This model on a run, its limbs' strokes as they are at the run's own period."""
         effects = (*effects_of(self.robot), *(term.effect() for term in self.terms))
-        return Lane(swim, self.robot, effects, self.noise, self.leg_s, self.step_s)
+        return Lane(swim, self.robot.at_period(swim.period_s), effects, self.noise, self.leg_s, self.step_s)
 
     def with_values(self, values: FloatArray) -> Model:
         """The same with other values of all terms, in a row."""

@@ -7,7 +7,7 @@ import io
 import os
 import tomllib
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -24,7 +24,7 @@ from frogkick.identify.fit import Model, tracks_of
 from frogkick.identify.horizons import Horizon, horizons_of
 from frogkick.identify.predict import Track
 from frogkick.identify.search import Found
-from frogkick.identify.swim import Swim
+from frogkick.identify.swim import Swim, reliable
 from frogkick.identify.terms import Term, catalogue
 from frogkick.identify.verdict import (
     FOUND,
@@ -62,6 +62,7 @@ class Outcome:
         drift: of limbs, by the training runs, which predictions of the test runs follow; None without one.
         signature: of what is left, or for "nothing missing" of the nominal model's misses.
         reason: what to record where there was not enough data.
+        left_out: runs whose strokes' times cannot be relied on: ``run`` and ``reason`` of each.
     """
 
     verdict: str
@@ -77,6 +78,7 @@ class Outcome:
     signature: dict[str, Any]
     reason: str = ""
     drift: Drift | None = None
+    left_out: Sequence[dict[str, str]] = ()
 
     @property
     def terms(self) -> tuple[Term, ...]:
@@ -133,6 +135,12 @@ class Outcome:
             "drift": None if self.drift is None else self.drift.as_json(),
             "signature": self.signature,
             "experiment": None if self.experiment is None else self.experiment.as_json(),
+            "runs": [
+                {"run": swim.name, "use": use, "period_s": swim.period_s}
+                for use, swims in (("train", self.train), ("test", self.test))
+                for swim in swims
+            ],
+            "left_out": list(self.left_out),
             **({"reason": self.reason} if self.reason else {}),
         }
 
@@ -143,22 +151,34 @@ def identify(
     robot: Robot,
     own: Path | None = None,
     progress: Progress = lambda _what, _done, _whole: None,
+    measured: bool = True,
 ) -> Outcome:
     """Find what a robot's model lacks from some runs, and predict others with and without it.
 
+    Args:
+        train, test: runs to learn from, runs to predict.
+        robot: nominal.
+        own: a file of the user's own effects.
+        progress: called with a stage, steps done and to do.
+        measured: a fit may start from the values of built-in robots that were measured before; without,
+            only from which effects they have, at nominal values. See frogkick.identify.relatives.
+
     Raises:
-        InputError: the user's effects cannot be used, no period of the runs can be judged, or no test run
-            has one.
+        InputError: the user's effects cannot be used, no period of the runs can be judged, no test run has
+            one, or no run's clock can be relied on.
     """
     candidates = catalogue(robot, own)
+    train, left_out = reliable(train)
+    test, more = reliable(test)
+    left_out += more
     train = [swim for swim in train if len(swim.start_s)]
     test = [swim for swim in test if len(swim.start_s)]
     if not test:
         raise InputError("no test run has a whole period with fixes: give --test a longer run")
     reason = too_little(train)
     if reason:
-        return _only_predicted(train, test, robot, reason)
-    found = found_in(train, robot, candidates, progress)
+        return replace(_only_predicted(train, test, robot, reason), left_out=left_out)
+    found = found_in(train, robot, candidates, progress, measured)
     trained = scored(found.nominal, found.fitted, found.nominal.tracks, found.fitted.tracks, train)
     nominal_tracks, tracks = tracks_of([found.nominal.model, found.fitted.model], test)
     tested = scored(found.nominal, found.fitted, nominal_tracks, tracks, test)
@@ -181,6 +201,7 @@ def identify(
         tracks=tracks,
         signature=signature(found.fitted, found.rows, train),
         drift=drift,
+        left_out=left_out,
     )
 
 

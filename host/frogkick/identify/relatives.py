@@ -29,7 +29,7 @@ from frogkick.identify.fit import (
 )
 from frogkick.identify.predict import Track
 from frogkick.identify.steps import bounded_step, cost_of
-from frogkick.identify.swim import Swim
+from frogkick.identify.swim import Swim, part_of
 from frogkick.identify.terms import Term
 from frogkick.identify.worth import BASE_GAIN, GAIN_EACH
 from frogkick.paths import wrap_angle
@@ -39,6 +39,9 @@ FloatArray = NDArray[np.float64]
 
 ROUNDS = 5
 """Steps of the fit at most."""
+
+PART, PART_ROUNDS, WHOLE_ROUNDS = 60, 12, 2
+"""From nominal values: so many periods, the first of each run, are fitted in so many steps, then all."""
 
 LEG_S = 0.05
 """How often wrenches are asked: a glide changes slowly."""
@@ -55,7 +58,7 @@ and 212 from rough values; simulated robots that are none explain -915 with noth
 a current, a vortex, drag, an off-centre mass or a worn limb with yaw drag, and -254 and 49 at a wall.
 """
 
-DAMPINGS = (1e-5, 1e-4, 1e-3, 1e-2, 0.1, 1.0)
+DAMPINGS = (1e-5, 1e-3, 1e-2, 0.1, 1.0, 10.0)
 """Of a step, all tried side by side; a share of what a step of a whole range would gain."""
 
 NOISES = tuple(
@@ -98,7 +101,11 @@ def _term(table: dict[str, object], effect: Effect) -> Term:
 
 
 def refitted(
-    nominal: Fitted, terms: Sequence[Term], swims: Sequence[Swim], rows: NDArray[np.bool_]
+    nominal: Fitted,
+    terms: Sequence[Term],
+    swims: Sequence[Swim],
+    rows: NDArray[np.bool_],
+    measured: bool = True,
 ) -> Fitted | None:
     """All effects of a relative fitted to runs at once; None where they explain too little for their number.
 
@@ -109,19 +116,28 @@ def refitted(
         terms: where to start.
         swims: the runs.
         rows: periods that count for the derivatives of what is returned.
+        measured: start from the relative's values; else from nominal ones, so that which effects it has, and
+            which of their parameters, is all that is taken from the runs it was fitted to.
     """
     flat = [
         (value, p.nominal) for term in terms for value, p in zip(term.values, term.parameters, strict=True)
     ]
     held = frozenset(k for k, (value, plain) in enumerate(flat) if value == plain)
+    if not measured:
+        terms = [term.at([p.nominal for p in term.parameters]) for term in terms]
     start = Model(coarse(nominal.model.robot), tuple(terms), NOISES[0], LEG_S, held=held)
     free = len(flat) - len(held)
     plain, dear = end_cost(nominal.tracks, swims), GAIN_EACH * free + BASE_GAIN * len(terms)
     models = [replace(start, noise=noise) for noise in NOISES]
     costs = [end_cost(tracks, swims) for tracks in tracks_of(models, swims)]
-    if min(costs) > best_end_cost(nominal, swims) - START_SHARE * dear:
+    if measured and min(costs) > best_end_cost(nominal, swims) - START_SHARE * dear:
         return None  # another robot than that one
-    model = _Descent(models[int(np.argmin(costs))], swims).run()
+    model = models[int(np.argmin(costs))]
+    if measured:
+        model = _Descent(model, swims).run(ROUNDS)
+    else:
+        model = _Descent(model, part_of(swims, PART)).run(PART_ROUNDS)
+        model = _Descent(model, swims).run(WHOLE_ROUNDS)
     rough = derivatives([model], swims, rows)[0]
     fine = replace(model, robot=nominal.model.robot)
     (tracks,) = tracks_of([fine], swims)
@@ -190,10 +206,10 @@ class _Descent:
         plain = scaled * self.reach
         return np.where(self.is_factor, np.exp(np.where(self.is_factor, plain, 0.0)), plain)
 
-    def run(self) -> Model:
-        """The model with the values found."""
+    def run(self, rounds: int) -> Model:
+        """The model with the values found, in so many steps at most."""
         cost = math.inf
-        for _ in range(ROUNDS):
+        for _ in range(rounds):
             at = self._scaled(self.model.values)
             low, high = self._scaled(np.maximum(self.low, -1e9)), self._scaled(self.high)
             step = np.where(at + 0.16 > high, -0.16, 0.16)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from frogkick.errors import InputError
-from frogkick.loop.recorded import load_run
+from frogkick.loop.recorded import clock_problem, load_run
 from frogkick.loop.runlog import FixFlag, RunLog
 from frogkick.robot import Robot
 
@@ -56,6 +56,7 @@ class Swim:
         end_s: (m,) when it ends.
         period_s: of the run.
         lag_s: from a command's time in the log to its motion on the fixes' clock, already added.
+        problem: why its strokes' times cannot be relied on; "" where they can.
     """
 
     name: str
@@ -70,6 +71,7 @@ class Swim:
     end_s: FloatArray
     period_s: float
     lag_s: float
+    problem: str = ""
 
     @cached_property
     def begin_s(self) -> float:
@@ -188,7 +190,8 @@ def swim_of(run: RunLog, name: str, robot: Robot | None = None) -> Swim:
     last_s = float(time_s.max()) if len(time_s) else -math.inf
     ends = np.append(start_s[1:], np.inf)
     end_s = np.where(np.abs(ends - start_s - run.period_s) < 0.2 * run.period_s, ends, start_s + run.period_s)
-    whole = end_s <= last_s + _END_AFTER_S
+    # Where a clock slipped, the period before may be cut short: another stroke falls into it.
+    whole = (end_s <= last_s + _END_AFTER_S) & (ends > end_s - 1e-9)
     return Swim(
         name=name,
         robot_id=run.robot_id,
@@ -202,7 +205,31 @@ def swim_of(run: RunLog, name: str, robot: Robot | None = None) -> Swim:
         end_s=end_s[whole],
         period_s=run.period_s,
         lag_s=lag_s,
+        problem=clock_problem(run),
     )
+
+
+def reliable(swims: Sequence[Swim]) -> tuple[list[Swim], list[dict[str, str]]]:
+    """Runs whose strokes' times can be relied on, and what is left out: ``run`` and ``reason`` of each.
+
+    Raises:
+        InputError: none can.
+    """
+    kept = [swim for swim in swims if not swim.problem]
+    if swims and not kept:
+        raise InputError(f"run {swims[0].name!r} cannot be used: {swims[0].problem}: give other runs")
+    return kept, [{"run": swim.name, "reason": swim.problem} for swim in swims if swim.problem]
+
+
+def part_of(swims: Sequence[Swim], periods: int) -> list[Swim]:
+    """The first periods of each run, the same share of all, so many in sum."""
+    share = min(1.0, periods / max(sum(len(swim.start_s) for swim in swims), 1))
+    some = []
+    for swim in swims:
+        count = round(share * len(swim.start_s))
+        cut = {name: getattr(swim, name)[:count] for name in ("start_s", "end_s", "action")}
+        some.append(replace(swim, **cut))
+    return [swim for swim in some if len(swim.start_s)]
 
 
 def copies(swims: Sequence[Swim]) -> int:

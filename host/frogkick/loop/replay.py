@@ -19,6 +19,7 @@ from frogkick.loop.decision import (
     decision_of_event,
     events_of_frame,
 )
+from frogkick.loop.recorded import clock_problem
 from frogkick.loop.runlog import RunLog
 from frogkick.loop.session import LinkError, Session
 from frogkick.paths import Path
@@ -81,6 +82,13 @@ def require_replayable(run: RunLog) -> None:
         raise InputError(f"run {run.source!r} has no path: a replay needs the one that was followed")
     if len(run.decisions) == 0:
         raise InputError(f"run {run.source!r} has no decisions: nothing to replay")
+    if clock_problem(run):
+        raise InputError(f"run {run.source!r} cannot be replayed: {clock_problem(run)}: give another run")
+    if run.measured.get("clock_slips"):
+        raise InputError(
+            f"run {run.source!r} cannot be replayed: its stroke clock slips ({run.notes}); a replay decides "
+            "by a constant one: cut the run there"
+        )
     if not run.fixes.usable.any():
         raise InputError(f"run {run.source!r} has no usable fix: nothing to replay")
     for name in ("x_m", "y_m", "heading_rad"):

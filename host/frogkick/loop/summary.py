@@ -35,6 +35,8 @@ class Summary:
         progress_mps: along the path.
         position_rmse_m, heading_rmse_rad: of the planner's prediction a period ahead.
         battery_v: of the lowest battery, as a person measured it before the run.
+        period_s: from one decision to the next.
+        clock: of a recorded run, how its period was told; see frogkick.loop.recorded.
         notes: how it ended.
     """
 
@@ -53,6 +55,8 @@ class Summary:
     position_rmse_m: float | None
     heading_rmse_rad: float | None
     battery_v: float | None
+    period_s: float
+    clock: dict[str, float]
     notes: str
 
     def as_json(self) -> dict[str, Any]:
@@ -118,6 +122,8 @@ def summary(run: RunLog) -> Summary:
         position_rmse_m=missed[0],
         heading_rmse_rad=missed[1],
         battery_v=run.measured.get(BATTERY_V),
+        period_s=run.period_s,
+        clock={name: value for name, value in run.measured.items() if name.startswith(("clock_", "period_"))},
         notes=run.notes,
     )
 

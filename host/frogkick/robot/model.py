@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from frogkick.errors import InputError
 from frogkick.robot.profile import Actuation, Profile, actuation
 
 STANDARD_GRAVITY_MPS2 = 9.80665
+
+PERIOD_SAME = 0.02
+"""Share of its period by which a robot may be off and counts as firing at its own."""
 
 
 @dataclass(frozen=True)
@@ -230,6 +233,19 @@ class Robot:
         egain = self.egain_percent if egain_percent is None else egain_percent
         frequency = self.profile_frequency_hz if frequency_hz is None else frequency_hz
         return actuation(self.profiles, egain, frequency)
+
+    def at_period(self, period_s: float) -> Robot:
+        """This robot firing at another period, its limbs by the profile measured at that frequency.
+
+        Within ``PERIOD_SAME`` of its own it stays as it is.
+
+        Raises:
+            InputError: no profile was measured at that frequency.
+        """
+        if abs(period_s / self.period_s - 1.0) <= PERIOD_SAME:
+            return self
+        self.actuation(frequency_hz=1.0 / period_s)
+        return replace(self, period_s=period_s, profile_frequency_hz=1.0 / period_s)
 
     def action(self, name: str) -> Action:
         """The action of that name (case ignored).

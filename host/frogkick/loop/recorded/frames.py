@@ -133,8 +133,11 @@ def jumps(time_s: Float64, pose: Float64, usable: Bool) -> Bool:
 
 def mark_frames(time_s: Float64, pose: Float64, carried: Bool) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Quality (n,) and FixFlag bits (n,) of every row; AT_REST is left to the clock."""
-    untrusted = untrusted_times(time_s)
     repeat = np.concatenate([[False], (np.diff(pose, axis=0) == 0.0).all(axis=1)])
+    # A row written twice says nothing of the stamps of its neighbours.
+    twice = repeat & np.concatenate([[False], np.diff(time_s) < SPACING_MIN_S])
+    untrusted = np.zeros(len(time_s), dtype=bool)
+    untrusted[~twice] = untrusted_times(time_s[~twice])
     wrong = misdetections(time_s, pose, ~untrusted & ~repeat)
     jumped = jumps(time_s, pose, ~untrusted & ~repeat & ~wrong)
     # A jump in the last row has no frame after it that could confirm it.

@@ -12,12 +12,14 @@ from numpy.typing import NDArray
 
 from frogkick.errors import InputError
 from frogkick.files import existing_file
-from frogkick.loop.recorded.clock import Clock, estimate_clock, motion_lag
+from frogkick.loop.recorded.clock import Clock, estimate_clock
 from frogkick.loop.recorded.frames import mark_frames
+from frogkick.loop.recorded.motion import forward_speed, motion_lag
 from frogkick.loop.recorded.table import ACTION_NAMES, Table, read_table
 from frogkick.loop.runlog import DecisionFlag, Decisions, Fixes, FixFlag, RunLog, Strokes
 from frogkick.loop.runlog_file import read_run, write_run
 from frogkick.paths import read_path, wrap_angle
+from frogkick.robot import Robot, load_robot
 
 Float64 = NDArray[np.float64]
 
@@ -36,6 +38,10 @@ ACTION_MASKS = tuple(
 COST_NAMES = ("cost_total", "cost_distance", "cost_angle", "cost_progress")
 # Frames this near the ends of a period may still, or already, carry the neighbour's label.
 LABEL_MARGIN_S = 0.15
+# Frames farther apart than this tell a mean speed, not that within a stroke.
+SPEED_OVER_S = 0.2
+CLOCK_UNUSABLE, CLOCK_SLIPS = "stroke clock not usable: ", "stroke clock slips by "
+CLOCK_NOTES = (CLOCK_UNUSABLE, CLOCK_SLIPS, "labels contradict")
 RUN_NAME = re.compile(r"(line|sin|ellipse)(\d+)\.csv")
 HDF5_MAGIC = b"\x89HDF\r\n\x1a\n"
 
@@ -80,7 +86,12 @@ def read_recorded(file: pathlib.Path | str) -> RunLog:
     pose = np.column_stack([table.pose_world[:, :2], heading])
     quality, flags = mark_frames(table.time_s, pose, table.carried)
     untrusted = (flags & int(FixFlag.UNTRUSTED_TIME)) != 0
-    clock = estimate_clock(table.time_s, table.action, ~untrusted, REST)
+    usable = (quality == 1) & ~untrusted
+    start_s, end_s, speed = forward_speed(table.time_s, pose, usable)
+    near = (end_s - start_s < SPEED_OVER_S) & (end_s > start_s)
+    motion = (0.5 * (start_s + end_s)[near], speed[near])
+    limits_s = period_limits(load_robot(ROBOT_ID))
+    clock = estimate_clock(table.time_s, table.action, ~untrusted, REST, limits_s, motion)
     decisions, strokes = _decisions(table, clock)
     first_s = decisions.time_s[0] if len(decisions) else np.inf
     flags[table.time_s < first_s] |= int(FixFlag.AT_REST)
@@ -89,19 +100,15 @@ def read_recorded(file: pathlib.Path | str) -> RunLog:
     if clock is None:
         notes.append("no action fires in it")
     else:
-        measured = {
-            "period_std_s": clock.period_std_s,
-            "phase_s": clock.phase_s,
-            "phase_std_s": clock.phase_std_s,
-            "clock_slack_s": clock.slack_s,
-        }
-        if clock.assumed:
-            notes.append(
-                "too few changes of action to tell the period: that of the published runs is assumed"
-            )
+        measured = _evidence(clock)
+        notes += [
+            f"{CLOCK_SLIPS}{slip.jump_s:+.3f} s between {slip.time_s:.2f} and {slip.until_s:.2f} s"
+            for slip in clock.slips
+        ]
+        if clock.problem:
+            notes.append(f"{CLOCK_UNUSABLE}{clock.problem}")
         if clock.slack_s < 0.0:
             notes.append(f"labels contradict a constant stroke clock by {-clock.slack_s:.3f} s")
-        usable = (quality == 1) & ~untrusted
         lag = motion_lag(table.time_s, pose, usable, decisions.time_s[decisions.action != REST])
         if lag is not None:
             measured["motion_lag_s"] = lag
@@ -125,7 +132,7 @@ def read_recorded(file: pathlib.Path | str) -> RunLog:
     return RunLog(
         robot_id=ROBOT_ID,
         source=source.name,
-        period_s=clock.period_s if clock else 1.425,
+        period_s=clock.period_s if clock else load_robot(ROBOT_ID).period_s,
         pulse_s=PULSE_S,
         action_names=ACTION_NAMES,
         fixes=fixes,
@@ -137,6 +144,48 @@ def read_recorded(file: pathlib.Path | str) -> RunLog:
     )
 
 
+def period_limits(robot: Robot) -> tuple[float, float]:
+    """Shortest and longest period that a robot allows, s.
+
+    A limb's pulse, its rest by the guard and the second group's delay bound it below; beyond the frequencies
+    at which its limbs were measured nothing could be predicted.
+    """
+    measured = [p.frequency_hz for p in robot.profiles if p.egain_percent == robot.egain_percent]
+    shortest = robot.pulse_s + max(robot.guard.rest_min_s, robot.second_delay_s)
+    if not measured:
+        return shortest, 2.0 * robot.period_s
+    return max(shortest, 1.0 / max(measured)), 1.0 / min(measured)
+
+
+def _evidence(clock: Clock) -> dict[str, float]:
+    """What a run keeps of how its clock was told; a figure that there is none of is left out."""
+    values = {
+        "period_std_s": clock.period_std_s,
+        "phase_s": clock.phase_s,
+        "phase_std_s": clock.phase_std_s,
+        "clock_slack_s": clock.slack_s,
+        "clock_resultant": clock.resultant,
+        "clock_labels": clock.labels,
+        "clock_motion_power": clock.motion_power,
+        "clock_other_period_s": clock.other_period_s,
+        "clock_other_resultant": clock.other_resultant,
+        "clock_margin_nats": clock.margin,
+        "clock_slips": len(clock.slips),
+        "clock_unusable": float(bool(clock.problem)),
+    }
+    return {name: float(value) for name, value in values.items() if np.isfinite(value)}
+
+
+def clock_problem(run: RunLog) -> str:
+    """Why a run's stroke clock cannot be relied on; "" where it can, or the run is a log of ours."""
+    if not run.measured.get("clock_unusable"):
+        return ""
+    return next(
+        (part[len(CLOCK_UNUSABLE) :] for part in run.notes.split("; ") if part.startswith(CLOCK_UNUSABLE)),
+        "its import could not tell the period",
+    )
+
+
 def _decisions(table: Table, clock: Clock | None) -> tuple[Decisions, Strokes]:
     """One decision per period from the first label that fires, and the strokes they mean."""
     if clock is None:
@@ -145,19 +194,14 @@ def _decisions(table: Table, clock: Clock | None) -> tuple[Decisions, Strokes]:
             Strokes(time_s=[], limb_mask=[], pulse_s=[]),  # type: ignore[arg-type]
         )
     firing = int(np.flatnonzero(table.action != REST)[0])
-    # The phase is that of the first change of label, which is the first that fires.
-    last = int(np.floor((table.time_s[-1] - clock.phase_s) / clock.period_s))
-    time_s = clock.phase_s + clock.period_s * np.arange(max(last, 0) + 1)
+    time_s = clock.starts_s
+    ends = np.minimum(np.append(time_s[1:], np.inf), time_s + clock.period_s)
     action = np.empty(len(time_s), dtype=np.int64)
-    for index, start in enumerate(time_s):
-        within = (table.time_s >= start) & (table.time_s < start + clock.period_s)
+    for index, (start, end) in enumerate(zip(time_s, ends, strict=True)):
+        within = (table.time_s >= start) & (table.time_s < end)
         if index == 0:
             within[:firing] = False
-        core = (
-            within
-            & (table.time_s >= start + LABEL_MARGIN_S)
-            & (table.time_s < start + clock.period_s - LABEL_MARGIN_S)
-        )
+        core = within & (table.time_s >= start + LABEL_MARGIN_S) & (table.time_s < end - LABEL_MARGIN_S)
         labels = table.action[core if core.any() else within]
         action[index] = np.bincount(labels).argmax() if labels.size else -1
     newest = np.searchsorted(table.time_s, time_s, side="left") - 1
@@ -234,6 +278,7 @@ def summarise(run: RunLog) -> dict[str, Any]:
         "decisions": len(run.decisions),
         "strokes": len(run.strokes),
         **{name: float(value) for name, value in run.measured.items()},
+        "clock_notes": [part for part in run.notes.split("; ") if part.startswith(CLOCK_NOTES)],
     }
     if len(rest) > 3:
         steps = np.diff(np.column_stack([fixes.x_m[rest], fixes.y_m[rest]]), axis=0)

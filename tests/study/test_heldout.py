@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,6 +19,7 @@ from frogkick.identify.swim import read_swim
 from frogkick.identify.verdict import Error
 from frogkick.loop.runlog_file import write_run
 from frogkick.robot import load_robot
+from frogkick.study import heldout
 from frogkick.study.heldout import HeldOut, held_out, pooled
 
 CURRENT = {"name": "steady_current", "x_mps": 0.008, "y_mps": -0.004}
@@ -54,6 +56,22 @@ def test_each_run_is_predicted_by_what_the_others_show(runs: list[Path], tmp_pat
     swims = [read_swim(run, robot) for run in runs]
     alone = identify(swims[:2], swims[2:], robot)
     assert values["runs"][2]["after"] == alone.tested.after.as_json(), "the same as identify by itself"
+
+
+def test_no_value_of_a_robot_measured_before_enters(
+    runs: list[Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The built-in measured robot was fitted to the very runs that are kept back here."""
+    asked: list[bool] = []
+
+    def spied(*given: Any, measured: bool = True) -> Any:
+        asked.append(measured)
+        raise InputError("enough")
+
+    monkeypatch.setattr(heldout, "identify", spied)
+    with pytest.raises(InputError, match="enough"):
+        held_out(load_robot("frog2022"), runs)
+    assert asked and not any(asked)
 
 
 def test_periods_weigh_the_same_whatever_run_they_are_of() -> None:

@@ -10,10 +10,10 @@ from typing import Annotated, Any
 
 import typer
 
-from frogkick.cli.common import JsonOption, progress_bar, require_writable, show
+from frogkick.cli.common import JsonOption, progress_bar, require_writable, say_left_out, show
 from frogkick.files import atomic_path
 from frogkick.identify.outcome import robot_of_runs
-from frogkick.identify.swim import read_swim
+from frogkick.identify.swim import read_swim, reliable
 from frogkick.report.heldout_figure import heldout_figure
 from frogkick.robot import load_robot
 from frogkick.study.heldout import HeldOut, held_out, pooled
@@ -34,10 +34,15 @@ def heldout(
     """Keep each run back in turn, learn from all others what the model lacks, and predict it with that.
 
     How far identification may be trusted on this robot: every period is predicted once, by effects that were
-    found without it. Exit 1 where these predict worse than the nominal model.
+    found without it. Fits of many effects start from nominal values, never from a built-in robot that was
+    measured before. Exit 1 where what was found predicts worse than the nominal model.
     """
     require_writable(out)
-    described = load_robot(robot or robot_of_runs([read_swim(run) for run in runs]))
+    swims = [read_swim(run) for run in runs]
+    _, left_out = reliable(swims)
+    say_left_out(left_out)
+    runs = [run for run, swim in zip(runs, swims, strict=True) if not swim.problem]
+    described = load_robot(robot or robot_of_runs(swims))
     with progress_bar("runs kept back") as progress:
         rows = held_out(described, runs, effects, workers or os.cpu_count() or 1, progress)
     periods = [row.before.count for row in rows]
@@ -45,7 +50,7 @@ def heldout(
         name: pooled([getattr(row, field) for row in rows], periods).as_json()
         for name, field in (("before", "before"), ("after", "after"), ("noise_floor", "floor"))
     }
-    values |= {"periods": sum(periods), "runs": [_row(row) for row in rows]}
+    values |= {"periods": sum(periods), "runs": [_row(row) for row in rows], "left_out": left_out}
     if out is not None:
         with atomic_path(out) as temporary:
             heldout_figure(rows).savefig(temporary, format="png", dpi=120)

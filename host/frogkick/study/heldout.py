@@ -1,7 +1,9 @@
 """Each of several runs, predicted by what identification learns from all the others.
 
 Errors on the runs that effects were fitted to flatter them, and one run kept back may be an easy one. Here
-each run is the one kept back in turn: every period counts once, and none among what it was learned from.
+each run is the one kept back in turn: every period counts once, and none among what it was learned from. No
+value of a built-in robot that was measured before enters, as it may have been fitted to these very runs: fits
+start from nominal values. What remains of such robots is the list of their effects and parameters.
 """
 
 from __future__ import annotations
@@ -15,7 +17,7 @@ from pathlib import Path
 from frogkick.chunks import Job, run_chunks
 from frogkick.errors import InputError
 from frogkick.identify.outcome import identify
-from frogkick.identify.swim import Swim, read_swim
+from frogkick.identify.swim import Swim, read_swim, reliable
 from frogkick.identify.together import all_at_once
 from frogkick.identify.verdict import Error
 from frogkick.robot import Robot
@@ -60,7 +62,8 @@ def held_out(
         progress: called with runs done and to do.
 
     Raises:
-        InputError: too few runs, one twice, or one that cannot be read or judged.
+        InputError: too few runs, one twice, one that cannot be read or judged, or one whose strokes' times
+            cannot be relied on (``frogkick.identify.swim.reliable`` tells these first).
     """
     if len(runs) < LEAST_RUNS:
         raise InputError(f"give {LEAST_RUNS} runs or more, not {len(runs)}: one is kept back, others teach")
@@ -70,6 +73,8 @@ def held_out(
             raise InputError(f"{place.name} is given twice: it would be learned from where it is kept back")
     groups = [group for k in range(workers) if (group := list(range(len(runs)))[k::workers])]
     swims = tuple(read_swim(run, robot) for run in runs)
+    for swim in swims:
+        reliable([swim])
     job = Job(_Ready, (robot, tuple(runs), swims, effects), _run, lambda _ready: None)
     kept: dict[int, HeldOut] = {}
     progress(0, len(runs))
@@ -110,7 +115,11 @@ def _run(ready: _Ready, group: Sequence[int]) -> list[HeldOut]:
 def _keep_back(ready: _Ready, index: int) -> HeldOut:
     swims = ready.swims
     outcome = identify(
-        swims[:index] + swims[index + 1 :], swims[index : index + 1], ready.robot, ready.effects
+        swims[:index] + swims[index + 1 :],
+        swims[index : index + 1],
+        ready.robot,
+        ready.effects,
+        measured=False,
     )
     tested = outcome.tested
     titles = tuple(term.title for term in outcome.terms)

@@ -73,6 +73,9 @@ def test_a_planted_effect_is_found_and_predicts_other_fractions(few: None, tmp_p
     assert split["test"]["nominal_rmse_mps"] > 4.0 * NOISE_MPS
     assert split["test"]["rmse_mps"] < 2.0 * NOISE_MPS
     assert split["left_out_rmse_mps"]["effects"] < split["left_out_rmse_mps"]["nominal"]
+    (turn,) = split["tried"]
+    assert turn["taken"] and turn["mse_gain_m2_per_s2"]["frequency"]["interval"][0] > 0.0
+    assert split["train_egain_percent"] == [30.0] and split["kind"] == "egain"
     assert result["nominal"]["rmse_mps"]["experiments"] > 4.0 * NOISE_MPS
     # The robot that was written swims as predicted.
     fitted = load_robot(split["robot"])
@@ -92,6 +95,36 @@ def test_without_an_effect_the_plain_model_stays(few: None, tmp_path: Path, seed
     for row in (*split.train, *split.test):
         assert row.speed_mps == row.experiment.model_mps
         assert abs(row.error_mps) < 5.0 * NOISE_MPS
+
+
+def test_a_gain_within_its_sampling_error_is_none() -> None:
+    rng = np.random.default_rng(2)
+    before = rng.normal(0.0, 1.0, 30)
+    gain, low, high = openloop.gain_of(before, 0.97 * before + rng.normal(0.0, 0.3, 30))
+    assert low < 0.0 < high and low < gain < high
+    gain, low, high = openloop.gain_of(before, 0.4 * before)
+    assert 0.0 < low < gain < high
+    assert openloop.gain_of(before, before) == (0.0, 0.0, 0.0)
+
+
+def test_one_folder_is_fitted_to_and_another_predicted(few: None, tmp_path: Path) -> None:
+    train, test = write_data(tmp_path / "a", [PLANTED], 0), tmp_path / "b"
+    for gait, speed in zip(TEST, speeds([PLANTED], TEST), strict=True):
+        place = f"phase/{gait.egain_percent:g}_{gait.frequency_hz:g}Hz/{10 * gait.phase:02.0f}.mat"
+        write_swim(test / "exp" / place, speed, gait.frequency_hz, 3.0)
+    asked = ["study", "openloop", "--train", str(train), "--test", str(test), "--workers", "1", "--json"]
+    told = CliRunner().invoke(app, asked)
+    assert told.exit_code == 0, told.output
+    (split,) = json.loads(told.stdout)["splits"]
+    assert split["kind"] == "folder" and split["test"]["swims"] == len(TEST)
+    assert split["train"]["swims"] == len(TRAIN) + len(TEST)
+    assert {"egain", "frequency"} == set(split["tried"][0]["mse_gain_m2_per_s2"])
+    assert split["test"]["rmse_mps"] < 0.5 * split["test"]["nominal_rmse_mps"]
+    for wrong in (["--train", str(train)], [str(train), "--train", str(train), "--test", str(test)], []):
+        refused = CliRunner().invoke(app, ["study", "openloop", *wrong])
+        assert isinstance(refused.exception, InputError) and "give DATA_DIR, or both" in str(
+            refused.exception
+        )
 
 
 def test_effects_of_a_robot_act_on_its_gaits() -> None:

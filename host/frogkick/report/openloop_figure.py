@@ -29,9 +29,9 @@ def openloop_figure(found: OpenLoop) -> Figure:
         floor = found.noise.neighbours.get("experiments")
         for (test, train, over), split in zip(panels, found.splits, strict=True):
             _against(test, split.test, marks, (low, high), floor)
-            test.set_title(f"Fitted to {split.train_percent:g} % EGaIn: predicted for others")
+            test.set_title(f"Fitted to {split.name}: predicted for others")
             _against(train, split.train, marks, (low, high), floor)
-            train.set_title(f"The swims fitted to ({split.train_percent:g} %)")
+            train.set_title(f"The swims fitted to ({split.name})")
             _over_frequency(over, split.test, marks, floor)
             over.set_title("Error of the predictions over frequency")
     return figure

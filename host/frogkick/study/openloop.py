@@ -1,4 +1,4 @@
-"""Effects fitted to the measured open-loop swims of one EGaIn fraction, tested on the others.
+"""Effects fitted to some groups of measured open-loop swims, tested on the groups left out.
 
 A measured swim is one number here: its steady speed. A fraction has some ten to thirty of them, each known to
 some 4 mm/s, so few parameters can be told from them, and most effects of the catalogue not at all: what turns
@@ -7,13 +7,16 @@ of them the same for every alloy; what differs between alloys is the measured li
 
 A parameter is sought near what physics expects, by how much such a thing may well be off: its distance
 counts as one more miss. Effects are taken up one after another, while predicting swims that were left out of
-the fit, all of a frequency at a time, gets better by it; the other fractions are not looked at.
+the fit gets better by it beyond its sampling error. Whole groups are left out, as swims of one alloy or of
+neighbouring frequencies share what is wrong with them: each EGaIn fraction (where there are several), and
+each of three bands of frequency. An effect must win in both ways; where none does the nominal model stays.
+The swims of the test are not looked at.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
@@ -22,20 +25,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares, lsq_linear
 
-from frogkick.errors import InputError
 from frogkick.robot import Robot
 from frogkick.study.noise import Noise, noise_of
+from frogkick.study.openloop_groups import gain_of, groupings, plans_of
 from frogkick.study.steady import CANDIDATES, Free, Simulation, Table, expected, tables_of
 from frogkick.study.validate import ExperimentResult, Validation, root_mean_square
 from frogkick.study.validate import validate as run_validation
 
 FloatArray = NDArray[np.float64]
-
-LEAST_SWIMS = 6
-"""Of a fraction, that a fit needs."""
-
-GAIN = 0.03
-"""Share by which the error on left-out swims must fall for an effect to be taken up."""
 
 MOST_EFFECTS = 2
 TRIED = 1
@@ -59,18 +56,36 @@ class Estimate:
 
 
 @dataclass(frozen=True)
-class Fitted:
-    """Effects fitted to one fraction's swims.
+class Turn:
+    """Effects that were tried on left-out groups.
 
     Attributes:
-        estimates: of all parameters; none where the plain model predicts left-out swims best.
+        parameters: names of all of them.
+        gains: way of grouping -> by how much the mean square error on left-out swims fell, m^2/s^2, and
+            between what that lies with 95 %.
+        taken: they predict better in every way of grouping.
+    """
+
+    parameters: tuple[str, ...]
+    gains: Mapping[str, tuple[float, float, float]]
+    taken: bool
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """Effects fitted to some swims.
+
+    Attributes:
+        estimates: of all parameters; none where nothing predicts left-out groups better than the plain model.
         left_out_mps: RMSE on swims left out of the fit, without effects and after each that was taken up.
         sd_mps: what a measured speed was taken to be known to.
+        turns: what was tried, in order.
     """
 
     estimates: tuple[Estimate, ...]
     left_out_mps: tuple[float, ...]
     sd_mps: float
+    turns: tuple[Turn, ...] = ()
 
     @property
     def tables(self) -> tuple[Table, ...]:
@@ -93,9 +108,15 @@ class Predicted:
 
 @dataclass(frozen=True)
 class Split:
-    """Fitted on one fraction: predictions of its own swims and of the others'."""
+    """Fitted on some groups: predictions of their own swims and of those left out.
 
-    train_percent: float
+    Attributes:
+        kind: what tells the groups apart: ``egain``, ``frequency`` or ``folder``.
+        name: of what it was fitted to, in words.
+    """
+
+    kind: str
+    name: str
     fitted: Fitted
     train: tuple[Predicted, ...]
     test: tuple[Predicted, ...]
@@ -103,7 +124,7 @@ class Split:
 
 @dataclass(frozen=True)
 class OpenLoop:
-    """All splits of a data folder's measured swims, and what the plain model makes of them."""
+    """All splits of measured swims, and what the plain model makes of the (training) folder's."""
 
     validation: Validation
     noise: Noise
@@ -117,53 +138,47 @@ def open_loop(
     test: Sequence[float] = (),
     workers: int = 1,
     progress: Callable[[int, int], None] | None = None,
+    test_folder: Path | None = None,
 ) -> OpenLoop:
-    """Fit effects to the swims of one fraction, predict those of others, for each training fraction.
+    """Fit effects to some groups of measured swims, predict the others.
+
+    Without ``train``, ``test`` and ``test_folder`` each EGaIn fraction and each band of frequency is left out
+    in turn, where enough swims remain.
 
     Args:
         robot: nominal.
         folder: laid out as ``frogkick.study.measured`` says.
-        train: EGaIn fractions, per cent, that are fitted to one at a time; by default each at hand that has
-            swims enough.
-        test: fractions to predict; by default all but that of the fit.
+        train: EGaIn fractions, per cent, that are fitted to one at a time; with ``test_folder`` together.
+        test: fractions to predict; by default all but that of the fit, with ``test_folder`` all.
         workers: processes.
         progress: called with (rounds done, at most).
+        test_folder: another folder of the kind; then all is fitted to ``folder`` and tested on this one, each
+            with its own limb profiles.
 
     Raises:
         InputError: no data, a fraction without swims, too few to fit to, or none left to test on.
     """
     validation = run_validation(robot, folder, workers)
-    by_fraction = _by_fraction(validation.experiments)
-    known = ", ".join(f"{percent:g} % ({len(rows)})" for percent, rows in by_fraction.items()) or "none"
-    for percent in (*train, *test):
-        if percent not in by_fraction:
-            raise InputError(
-                f"no measured swim at {percent:g} % EGaIn that has a limb profile: swims are at {known}"
-            )
-    for percent in train:
-        if len(by_fraction[percent]) < LEAST_SWIMS:
-            raise InputError(
-                f"too few measured swims at {percent:g} % EGaIn: a fit needs {LEAST_SWIMS}, there are {known}"
-            )
-    trains = list(train) or [percent for percent, rows in by_fraction.items() if len(rows) >= LEAST_SWIMS]
-    wanted = {percent: [p for p in (test or by_fraction) if p != percent] for percent in trains}
-    if not trains or not all(wanted.values()):
-        raise InputError(
-            f"measured swims with limb profiles are at {known}: needed are {LEAST_SWIMS} or more at one "
-            "EGaIn fraction to fit to, and any at another one to test on"
-        )
+    other = validation if test_folder is None else run_validation(robot, test_folder, workers)
+    plans = plans_of(validation.experiments, other.experiments, train, test, test_folder is not None)
     splits = []
-    for place, percent in enumerate(trains):
-        tell = _told(progress, place, len(trains))
+    for place, (kind, name, own, tested) in enumerate(plans):
         simulation = Simulation(robot, validation.profiles.profiles, workers)
-        fitted = fit_fraction(simulation, by_fraction[percent], tell)
-        tested = [row for other in wanted[percent] for row in by_fraction[other]]
-        rows = [*by_fraction[percent], *tested]
-        speeds = simulation.speeds([fitted.tables], [row.case.gait for row in rows])[0]
-        predicted = tuple(Predicted(row, float(speed)) for row, speed in zip(rows, speeds, strict=True))
-        own = len(rows) - len(tested)
-        splits.append(Split(percent, fitted, predicted[:own], predicted[own:]))
-    return OpenLoop(validation, noise_of(validation.experiments), tuple(splits))
+        fitted = fit_rows(simulation, own, _told(progress, place, len(plans)))
+        there = simulation
+        if test_folder is not None:
+            there = Simulation(robot, other.profiles.profiles, workers)
+        splits.append(
+            Split(kind, name, fitted, _predicted(simulation, fitted, own), _predicted(there, fitted, tested))
+        )
+    return OpenLoop(validation, noise_of(other.experiments), tuple(splits))
+
+
+def _predicted(
+    simulation: Simulation, fitted: Fitted, rows: Sequence[ExperimentResult]
+) -> tuple[Predicted, ...]:
+    speeds = simulation.speeds([fitted.tables], [row.case.gait for row in rows])[0]
+    return tuple(Predicted(row, float(speed)) for row, speed in zip(rows, speeds, strict=True))
 
 
 def _told(
@@ -174,17 +189,12 @@ def _told(
     return lambda done: progress(before * MOST_EFFECTS + done, splits * MOST_EFFECTS)
 
 
-def _by_fraction(experiments: Sequence[ExperimentResult]) -> dict[float, list[ExperimentResult]]:
-    found: dict[float, list[ExperimentResult]] = {}
-    for row in sorted(experiments, key=lambda row: row.case.gait.egain_percent):
-        found.setdefault(row.case.gait.egain_percent, []).append(row)
-    return found
-
-
 class _Fit:
-    """Fits of some parameters to the swims of a fraction."""
+    """Fits of some parameters to some swims."""
 
-    def __init__(self, simulation: Simulation, rows: Sequence[ExperimentResult]) -> None:
+    def __init__(
+        self, simulation: Simulation, rows: Sequence[ExperimentResult], sd_mps: float | None = None
+    ) -> None:
         self.simulation = simulation
         distinct = {(row.case.gait, round(row.reference.speed_mps, 9)): row for row in rows}
         self.rows = sorted(
@@ -192,8 +202,9 @@ class _Fit:
         )
         self.gaits = [row.case.gait for row in self.rows]
         self.measured = np.array([row.reference.speed_mps for row in self.rows])
-        self.sd_mps = max(noise_of(self.rows).neighbours.get("experiments", _SD_MPS), _LEAST_SD_MPS)
-        self.frequency_hz = np.array([gait.frequency_hz for gait in self.gaits])
+        told = noise_of(self.rows).neighbours.get("experiments", _SD_MPS) if sd_mps is None else sd_mps
+        self.sd_mps = max(told, _LEAST_SD_MPS)
+        self.groupings = groupings(self.rows)
 
     def missed(self, frees: Sequence[Free], points: Sequence[FloatArray]) -> FloatArray:
         """(len(points), n) prediction less measurement in standard deviations; a failed one stands still."""
@@ -225,25 +236,48 @@ class _Fit:
         )
         return np.asarray(found.x)
 
-    def left_out(self, frees: Sequence[Free], point: FloatArray, jacobian: FloatArray) -> float:
-        """RMSE, m/s, of swims left out a frequency at a time, all taken as linear about a point."""
+    def folds(self, way: str) -> Iterator[NDArray[np.bool_]]:
+        """Which swims are kept, for each group of a way that is left out."""
+        label = np.array(self.groupings[way])
+        for group in sorted(set(self.groupings[way])):
+            yield label != group
+
+    def roughly_left_out(self, frees: Sequence[Free], point: FloatArray, jacobian: FloatArray) -> float:
+        """RMSE, m/s, of groups left out, the worse way of grouping, all taken as linear about a point."""
         missed = self.missed(frees, [point])[0]
-        after = missed.copy()
         low, high = np.array([free.bounds for free in frees]).reshape(-1, 2).T
-        for frequency_hz in set(self.frequency_hz.tolist()) if len(frees) else ():
-            kept = self.frequency_hz != frequency_hz
-            matrix = np.vstack([jacobian[kept], np.eye(len(frees))])
-            wanted = -np.concatenate([missed[kept], point - expected(frees)])
-            room = (np.minimum(low - point, -1e-9), np.maximum(high - point, 1e-9))
-            step = lsq_linear(matrix, wanted, room).x
-            after[~kept] = missed[~kept] + jacobian[~kept] @ step
-        return self.sd_mps * root_mean_square(after.tolist())
+        room = (np.minimum(low - point, -1e-9), np.maximum(high - point, 1e-9))
+        errors = []
+        for way in self.groupings:
+            after = missed.copy()
+            for kept in self.folds(way):
+                matrix = np.vstack([jacobian[kept], np.eye(len(frees))])
+                wanted = -np.concatenate([missed[kept], point - expected(frees)])
+                after[~kept] = missed[~kept] + jacobian[~kept] @ lsq_linear(matrix, wanted, room).x
+            errors.append(root_mean_square(after.tolist()))
+        return self.sd_mps * max(errors)
+
+    def left_out(self, frees: Sequence[Free]) -> dict[str, FloatArray]:
+        """Way of grouping -> (n,) misses, m/s, of swims left out of fits that never saw their group."""
+        if not len(frees):
+            plain = self.sd_mps * self.missed((), [np.empty(0)])[0]
+            return dict.fromkeys(self.groupings, plain)
+        found = {}
+        for way in self.groupings:
+            errors = np.empty(len(self.rows))
+            for kept in self.folds(way):
+                rows = [row for row, its in zip(self.rows, kept, strict=True) if its]
+                part = _Fit(self.simulation, rows, self.sd_mps)
+                point = part.fit(frees, _begin(part, frees, (), np.empty(0)))
+                errors[~kept] = self.sd_mps * self.missed(frees, [point])[0][~kept]
+            found[way] = errors
+        return found
 
 
-def fit_fraction(
+def fit_rows(
     simulation: Simulation, rows: Sequence[ExperimentResult], told: Callable[[int], None] | None = None
 ) -> Fitted:
-    """Choose and fit effects by the swims of one fraction alone.
+    """Choose and fit effects by some swims alone.
 
     Args:
         rows: measured swims; one that stands in two sweeps counts once.
@@ -251,26 +285,37 @@ def fit_fraction(
     """
     fit = _Fit(simulation, rows)
     frees: tuple[Free, ...] = ()
-    point, scores = np.empty(0), [fit.left_out((), np.empty(0), np.empty((len(fit.rows), 0)))]
+    point, errors = np.empty(0), fit.left_out(())
+    scores, turns = [_worst(errors)], []
     for taken in range(MOST_EFFECTS):
-        best: tuple[float, tuple[Free, ...], FloatArray] | None = None
+        best: tuple[float, tuple[Free, ...], dict[str, FloatArray]] | None = None
         for more in _promising(fit, frees, point):
             tried = (*frees, *more)
             if len(tried) > len(fit.rows) // 3:
                 continue
-            found = fit.fit(tried, _begin(fit, tried, frees, point))
-            score = fit.left_out(tried, found, fit.jacobian(tried, found))
-            if best is None or score < best[0]:
-                best = (score, tried, found)
+            after = fit.left_out(tried)
+            if best is None or _worst(after) < best[0]:
+                best = (_worst(after), tried, after)
         if told is not None:
             told(taken + 1)
-        if best is None or best[0] > (1.0 - GAIN) * scores[-1]:
+        if best is None:
             break
-        scores.append(best[0])
-        _, frees, point = best
+        gains = {way: gain_of(errors[way], best[2][way]) for way in errors}
+        wins = bool(gains) and all(low > 0.0 for _, low, _ in gains.values())
+        turns.append(Turn(tuple(free.name for free in best[1]), gains, wins))
+        if not wins:
+            break
+        _, frees, errors = best
+        scores.append(_worst(errors))
+        point = fit.fit(frees, _begin(fit, frees, (), np.empty(0)))
     if told is not None:
         told(MOST_EFFECTS)
-    return Fitted(tuple(_estimates(fit, frees, point)), tuple(scores), fit.sd_mps)
+    return Fitted(tuple(_estimates(fit, frees, point)), tuple(scores), fit.sd_mps, tuple(turns))
+
+
+def _worst(errors: Mapping[str, FloatArray]) -> float:
+    """RMSE of the way of grouping in which it is largest; NaN where the swims are all of one group."""
+    return max((root_mean_square(each.tolist()) for each in errors.values()), default=math.nan)
 
 
 def _begin(fit: _Fit, tried: Sequence[Free], frees: Sequence[Free], point: FloatArray) -> FloatArray:
@@ -295,7 +340,7 @@ def _promising(fit: _Fit, frees: tuple[Free, ...], point: FloatArray) -> list[tu
         tried = (*frees, *more)
         start = _begin(fit, tried, frees, point)
         new = fit.jacobian(tried, start, len(frees))
-        scored.append((fit.left_out(tried, start, np.hstack([known, new])), more))
+        scored.append((fit.roughly_left_out(tried, start, np.hstack([known, new])), more))
     return [more for _, more in sorted(scored, key=lambda pair: pair[0])[:TRIED]]
 
 

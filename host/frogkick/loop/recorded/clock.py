@@ -21,9 +21,10 @@ from frogkick.loop.recorded.periods import DETREND_S, SAME, WINDOW_S, Evidence, 
 
 Float64 = NDArray[np.float64]
 
-RESULTANT_LEAST, SLACK_LEAST_S, NATS_LEAST, POWER_LEAST, OFF_S, OFF_SHARE = 0.9, -0.02, 5.0, 8.0, 0.1, 0.2
-"""A usable clock: mean resultant length, nats above the next best period, power of the fundamental over noise
-where labels are too few, and the share of labels that may be off by more than this."""
+RESULTANT_LEAST, SLACK_LEAST_S, NATS_LEAST, POWER_LEAST, OFF_S, OFF_SHARE = 0.9, -0.03, 5.0, 8.0, 0.1, 0.2
+"""A usable clock: mean resultant length, room that its labels leave (s), nats above the next best period,
+power of the fundamental over noise where labels are too few, which share of labels may be off by more than
+so much (s)."""
 
 SLIP_EVERY_S = 15.0
 """Slips at most one so often, or there is no clock."""

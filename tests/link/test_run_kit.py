@@ -17,6 +17,7 @@ from tests.loop import rig
 from frogkick.loop.closed_loop import ENDED, TIME
 from frogkick.loop.runlog_file import read_run
 
+TRIES = 6
 PERIOD_S = rig.tables().period_us * 1e-6
 
 
@@ -24,25 +25,29 @@ PERIOD_S = rig.tables().period_us * 1e-6
 @pytest.mark.parametrize("plan", ["onboard", "host"])
 def test_a_kit_closes_the_loop_through_its_line(plan: str, tmp_path: Path) -> None:
     rig.swim("pool", PATH, 1.0, onboard=False)  # compiled here, where others wait for it, not in the command
-    kit = LiveRobot()
-    with PtyLine(tmp_path, kit) as line:
-        done = subprocess.run(
-            [
-                sys.executable, "-m", "frogkick.cli.main", "run", "--path", PATH, "--json", "--plan", plan,
-                "--tables", str(rig.small_table()), "--robot", f"serial:{line.path}:115200",
-                "--fixes", "pool", "--simulated-time", f"{2.2 * PERIOD_S}", "--out", str(tmp_path / "kit.h5"),
-            ],
-            stdin=subprocess.DEVNULL, capture_output=True, text=True, check=False, timeout=300,
-        )  # fmt: skip
-    assert done.returncode == 0, done.stderr
-    told = json.loads(done.stdout)
-    # Real time here: on a busy machine a decision may be missing.
-    assert told["ended"] in (TIME, ENDED["STALE"]) and 1 <= told["decisions"] <= 3, done.stderr
+    # In real time: on a machine that is busy elsewhere fixes come late, and the robot ends the run itself.
+    for attempt in range(TRIES):
+        kit, out = LiveRobot(), tmp_path / f"kit{attempt}.h5"
+        with PtyLine(tmp_path, kit) as line:
+            done = subprocess.run(
+                [
+                    sys.executable, "-m", "frogkick.cli.main", "run", "--path", PATH, "--json",
+                    "--plan", plan, "--tables", str(rig.small_table()),
+                    "--robot", f"serial:{line.path}:115200",
+                    "--fixes", "pool", "--simulated-time", f"{2.2 * PERIOD_S}", "--out", str(out),
+                ],
+                stdin=subprocess.DEVNULL, capture_output=True, text=True, check=False, timeout=300,
+            )  # fmt: skip
+        assert done.returncode == 0, done.stderr
+        told = json.loads(done.stdout)
+        assert told["ended"] in (TIME, ENDED["STALE"]) and 1 <= told["decisions"] <= 3, done.stderr
+        assert kit.names()[-1] == "STATUS" and "DISARM" in kit.names()
+        if told["ended"] == TIME:
+            break
     assert told["limit_violations"] is None, "nobody saw its pins"
     assert told["mean_distance_m"] < 0.02
-    assert kit.names()[-1] == "STATUS" and "DISARM" in kit.names()
     assert kit.pulses
-    log = read_run(tmp_path / "kit.h5")
+    log = read_run(out)
     assert np.hypot(log.fixes.x_m[-1] - log.fixes.x_m[0], log.fixes.y_m[-1] - log.fixes.y_m[0]) > 0.005, (
         "it swam"
     )

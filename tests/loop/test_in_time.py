@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import subprocess
 import sys
 import threading
 from pathlib import Path
@@ -43,7 +44,44 @@ def test_a_twin_is_warm_once_it_has_decided(path: str, monkeypatch: pytest.Monke
         DecisionTwin, "decide", lambda self, at_us: decided.append(decide(self, at_us)) or decided[-1]
     )
     warm_up(rig.tables(), shape(path), PlanConfig(depth=3))
-    assert [one.status for one in decided] == [0] and decided[0].depth_reached == 3
+    assert [one.status for one in decided] == [0, 0] and decided[0].depth_reached == 3
+
+
+COMPILED_LATER = """
+from numba.core import event
+import numpy as np
+from frogkick.loop.decision import DecisionTwin
+from frogkick.loop.in_time import warm_up
+from frogkick.paths import shape
+from frogkick.planner.image import read_image
+from frogkick.planner.plan import PlanConfig, config_of
+from frogkick.robot import load_robot
+import sys
+tables, path, config = read_image(sys.argv[1]), shape("sine"), config_of(load_robot("frog2022").planner)
+warm_up(tables, path, config)
+recorder = event.RecordingListener()
+event.register("numba:compile", recorder)
+twin, chosen = DecisionTwin(tables, path, config), 0
+for number in range(60):
+    pose = np.array([path.x_m[number], path.y_m[number], path.tangent_rad[number]], dtype=np.float32)
+    twin.add_fix(100_000 * number, pose, number)
+    if number % 14 == 3:
+        decided = twin.decide(100_000 * number + 50_000)
+        twin.act(100_000 * number + 50_000, decided.action)
+        chosen += decided.status == 0
+    if number == 40:
+        twin.lose()
+print(chosen, *[when.data["dispatcher"].py_func.__name__ for _, when in recorder.buffer if when.is_start])
+"""
+
+
+def test_nothing_is_compiled_while_a_robot_swims() -> None:
+    """It took a second, once the first stroke had begun, and on a busy machine the run was over by then."""
+    done = subprocess.run(
+        [sys.executable, "-c", COMPILED_LATER, str(rig.small_table())],
+        capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert (done.returncode, done.stdout) == (0, "5\n"), done.stderr
 
 
 def test_nobody_waits_for_a_disk_that_is_slow(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

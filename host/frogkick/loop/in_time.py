@@ -35,9 +35,14 @@ def in_time() -> Iterator[None]:
 
 
 def warm_up(tables: Tables, path: Path, config: PlanConfig) -> None:
-    """Let the twin decide once on nothing: loading its kernels takes 0.3 s, which no fix shall wait for."""
+    """Let the twin live through a little on nothing: no fix shall wait while its kernels are made ready.
+
+    All that a run does: fixes before and after a decision, a stroke, another decision that carries it on. The
+    first fix after a stroke cost a second of compiling else.
+    """
     twin = DecisionTwin(tables, path, config)
-    for sequence in range(3):
-        pose = np.array([path.x_m[0], path.y_m[0], path.tangent_rad[0]], dtype=np.float32)
-        twin.add_fix(100_000 * sequence, pose, sequence)
-    twin.decide(250_000)
+    pose = np.array([path.x_m[0], path.y_m[0], path.tangent_rad[0]], dtype=np.float32)
+    for sequence in range(12):
+        twin.add_fix(200_000 * sequence, pose, sequence)
+        if sequence in (3, 10):
+            twin.act(200_000 * sequence + 50_000, twin.decide(200_000 * sequence + 50_000).action)

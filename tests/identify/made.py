@@ -13,12 +13,12 @@ import numpy as np
 from frogkick.effects import World, make_effects
 from frogkick.identify.filter import Noise
 from frogkick.identify.fit import derivatives, tracks_of
-from frogkick.identify.outcome import Outcome, Scored
-from frogkick.identify.predict import Track
+from frogkick.identify.outcome import Outcome
 from frogkick.identify.search import Found, countable
+from frogkick.identify.signature import signature
 from frogkick.identify.swim import Swim, swim_of
 from frogkick.identify.terms import catalogue
-from frogkick.identify.verdict import FOUND, error_of, gaps, intervals, noise_floor, signature
+from frogkick.identify.verdict import FOUND, intervals, scored
 from frogkick.loop.runlog import Decisions, Fixes, RunLog, Strokes, Truth
 from frogkick.paths import wrap_angle
 from frogkick.pool.camera import Camera
@@ -110,20 +110,16 @@ def known_outcome(
     free = replace(known, held=frozenset(k for k, p in enumerate(plain.parameters) if values[k] == p.nominal))
     (fitted,) = derivatives([free], train, rows)
     tracks = tracks_of([nominal.model, known], test)
-
-    def scored(swims: Sequence[Swim], one: Sequence[Track], other: Sequence[Track]) -> Scored:
-        before, after = error_of(gaps(one, swims)), error_of(gaps(other, swims))
-        return Scored(before, after, noise_floor(swims, known.noise))
-
+    found = Found(nominal, fitted, [], rows, [[]])
     return Outcome(
         verdict=FOUND,
         robot=robot(),
         train=train,
         test=test,
-        found=Found(nominal, fitted, [], rows, [[]]),
+        found=found,
         parameters=intervals(fitted),
-        trained=scored(train, nominal.tracks, fitted.tracks),
-        tested=scored(test, *tracks),
+        trained=scored(found, train, train, nominal.tracks, fitted.tracks),
+        tested=scored(found, train, test, *tracks),
         nominal_tracks=tracks[0],
         tracks=tracks[1],
         signature=signature(fitted, rows, train),

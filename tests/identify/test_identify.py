@@ -26,9 +26,11 @@ from frogkick.identify.verdict import (
     NOTHING,
     TOO_LITTLE,
     error_of,
+    fix_noise,
     gaps,
     intervals,
     noise_floor,
+    scored,
     verdict_of,
 )
 from frogkick.loop.runlog import FixFlag, RunLog
@@ -90,9 +92,11 @@ def test_likeliest_noise_is_the_one_that_made_the_series() -> None:
 
 
 def test_predictions_meet_the_truth(whole: list[Swim]) -> None:
-    model, _, fitted = countable(whole, robot())
+    _, _, fitted = countable(whole, robot())
     before = error_of(gaps(fitted.tracks, whole))
-    floor = noise_floor(whole, model.noise)
+    fix = fix_noise(whole)
+    assert fix is not None
+    floor = noise_floor(whole, fix)
     assert before.position_rmse_m < 0.5e-3 and before.heading_rmse_rad < np.deg2rad(0.4)
     assert 0.6 < before.position_rmse_m / floor.position_rmse_m < 1.35
     truth = make_run([], 3, 14).truth
@@ -140,17 +144,17 @@ def test_planted_wear_is_found_among_others(worn: list[Swim]) -> None:
         assert abs(true - each.value) <= each.high - each.low
     assert row[0].low <= 0.7 <= row[0].high
     assert row[0].high - row[0].low < 0.1
-    before, after = (error_of(gaps(each.tracks, worn)) for each in (found.nominal, found.fitted))
-    floor = noise_floor(worn, found.fitted.model.noise)
-    assert after.position_rmse_m < 0.3 * before.position_rmse_m
-    assert verdict_of(found, (before, after, floor)) == FOUND
+    judged = scored(found, worn, worn, found.nominal.tracks, found.fitted.tracks)
+    assert judged.after.position_rmse_m < 0.3 * judged.before.position_rmse_m
+    assert judged.gain is not None and judged.gain.low > 1.0
+    assert verdict_of(found, judged, judged) == FOUND
 
 
 def test_nothing_is_found_where_nothing_is_missing(whole: list[Swim]) -> None:
     found = search(whole, robot(), [term("limb_wear rear_left"), term("drag_scale"), term("tag_offset")])
-    error = error_of(gaps(found.fitted.tracks, whole))
-    assert not found.fitted.model.terms
-    assert verdict_of(found, (error, error, noise_floor(whole, found.fitted.model.noise))) == NOTHING
+    judged = scored(found, whole, whole, found.nominal.tracks, found.fitted.tracks)
+    assert not found.fitted.model.terms and judged.gain is None
+    assert verdict_of(found, judged, judged) == NOTHING
 
 
 def test_effects_of_the_camera_act_on_what_is_shown() -> None:

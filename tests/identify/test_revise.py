@@ -12,8 +12,8 @@ from frogkick.effects.acting import LEG_S
 from frogkick.identify.filter import Noise
 from frogkick.identify.fit import SHARES, Fitted, Model, _stepped, derivatives, fit, steps_of
 from frogkick.identify.polish import REFINING_LEG_S, WRENCH_LEG_S, Polisher, fine_leg_s
-from frogkick.identify.revise import revised
-from frogkick.identify.search import countable
+from frogkick.identify.revise import needless, revised, without
+from frogkick.identify.search import countable, folds_of
 from frogkick.identify.steps import cost_of
 from frogkick.identify.swim import Swim
 from frogkick.identify.terms import Term, catalogue
@@ -97,3 +97,17 @@ def test_a_wall_is_followed_as_finely_as_in_the_pool() -> None:
         ("fix_latency", (0.1,), REFINING_LEG_S),
     ):
         assert fine_leg_s(Model(robot(), (term(title, *values),), QUIET)) == leg_s
+
+
+def test_an_effect_that_held_out_parts_do_not_ask_for_goes(late: list[Swim]) -> None:
+    """Of a right effect and an idle one beside it, the idle one costs nothing when it is left out."""
+    terms = (term("limb_wear rear_left", 0.7, 0.0, 1.0), term("fix_latency", 0.12), term("yaw_drag"))
+    rows, held = countable(late, robot())[1], frozenset({1, 2})
+    (whole,) = derivatives([Model(robot(), terms, QUIET, REFINING_LEG_S, held=held)], late, rows)
+    folds = folds_of(late, rows)
+    place = needless(whole, folds, late)
+    assert place == 2
+    less = without(whole.model, place)
+    assert [each.title for each in less.terms] == ["limb_wear rear_left", "fix_latency"] and less.held == held
+    (fitted,) = derivatives([less], late, rows)
+    assert needless(fitted, folds, late) is None

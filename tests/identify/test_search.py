@@ -18,7 +18,7 @@ from frogkick.identify.search import Found, countable, search
 from frogkick.identify.steps import cost_of, promised
 from frogkick.identify.swim import Swim
 from frogkick.identify.terms import Term, catalogue
-from frogkick.identify.verdict import FOUND, NOTHING, UNEXPLAINED, Error, intervals
+from frogkick.identify.verdict import FOUND, NOTHING, PARTLY, UNEXPLAINED, Error, Scored, intervals
 
 NOISE = Noise((2e-4, 3.5e-3), (1e-4, 1e-3), (1e-4, 1e-3))
 
@@ -133,6 +133,9 @@ def test_effects_that_do_the_same_are_named_together() -> None:
         (FOUND, FOUND, False, False, "search"),
         (NOTHING, FOUND, False, False, "search"),
         (UNEXPLAINED, FOUND, False, False, "relative"),
+        (PARTLY, FOUND, False, False, "relative"),
+        (FOUND, PARTLY, True, False, "part"),
+        (PARTLY, PARTLY, True, False, "relative"),
         (FOUND, FOUND, True, False, "relative"),
         (FOUND, UNEXPLAINED, True, False, "part"),
         (UNEXPLAINED, UNEXPLAINED, True, False, "relative"),
@@ -159,7 +162,7 @@ def test_a_relative_that_does_not_explain_all_is_held_against_a_search(
     monkeypatch.setattr(choice, "_searched_in_part", named("part"))
     monkeypatch.setattr(choice, "_relative", named("relative"))
     monkeypatch.setattr(choice, "_verdict", lambda found, _swims: verdicts[found])
-    monkeypatch.setattr(choice, "_errors", lambda _found, _swims: (off, near, near))
+    monkeypatch.setattr(choice, "_scored", lambda _found, _swims: Scored(off, near, near))
     given: Any = choice.found_in([], robot(), [], lambda *_args: None)
     assert given == taken
 

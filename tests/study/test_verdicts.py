@@ -16,7 +16,7 @@ from frogkick.cli.study_verdicts import cases_of
 from frogkick.effects import changed_robot, make_effects
 from frogkick.identify.outcome import Outcome
 from frogkick.identify.terms import Term, catalogue
-from frogkick.identify.verdict import FOUND, NOTHING, UNEXPLAINED, Error, Interval
+from frogkick.identify.verdict import FOUND, NOTHING, PARTLY, UNEXPLAINED, Error, Interval
 from frogkick.report.verdicts_figure import verdicts_figure
 from frogkick.robot import load_robot
 from frogkick.study import verdicts
@@ -83,6 +83,9 @@ def test_outside_effects_may_be_named_by_what_is_the_same() -> None:
     assert judged(whirl, [], shear, 1.0).right
     assert judged(waves, [], shear, 1.0).wrong
     assert judged(waves, [], outcome(UNEXPLAINED, ("shear_current", {})), 1.0).right
+    partly = outcome(PARTLY, ("shear_current", {}))
+    assert judged(waves, [], partly, 1.0).right and judged(kinds()["null"], [], partly, 1.0).wrong
+    assert not judged(kinds()["shear"], [], partly, 1.0).right
     null = kinds()["null"]
     assert judged(null, [], outcome(NOTHING), 1.0).right and judged(null, [], shear, 1.0).wrong
     results = {Case("whirl", 0): judged(whirl, [], shear, 1.0)}

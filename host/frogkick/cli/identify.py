@@ -14,15 +14,13 @@ from frogkick.identify.horizons import Horizon
 from frogkick.identify.outcome import Outcome, identify, robot_of_runs, write_predictions, write_robot
 from frogkick.identify.retune import steps
 from frogkick.identify.swim import read_swim
+from frogkick.identify.verdict import Error
 from frogkick.robot import load_robot
 
 
 def horizon_line(horizon: Horizon) -> str:
     """Errors some periods ahead, in words."""
-    before, after = (
-        f"{1e3 * error.position_rmse_m:.2f} mm, {math.degrees(error.heading_rmse_rad):.2f} deg"
-        for error in (horizon.before, horizon.after)
-    )
+    before, after = _error(horizon.before), _error(horizon.after)
     return f"{horizon.periods} periods ahead: {before} before, {after} after ({horizon.before.count} starts)"
 
 
@@ -37,16 +35,33 @@ def _text(outcome: Outcome) -> str:
             ("after", outcome.tested.after),
             ("noise floor", outcome.tested.noise_floor),
         ):
-            lines.append(
-                f"{name}: {1e3 * error.position_rmse_m:.2f} mm, "
-                f"{math.degrees(error.heading_rmse_rad):.2f} deg RMS a period ahead"
-            )
-        if outcome.drift is not None:
-            lines.append("limbs drift: 'after' follows what each run has shown of their strokes so far")
+            lines.append(f"{name}: {_error(error)} RMS a period ahead")
+        lines += _beside(outcome)
         lines += [horizon_line(each) for each in outcome.horizons if each.periods > 1]
         lines.append(str(outcome.signature["text"]))
         lines += [] if outcome.experiment is None else [outcome.experiment.text]
     return "\n".join(lines)
+
+
+def _beside(outcome: Outcome) -> list[str]:
+    """What stands beside the errors: log score, repeatability, drift, effects that did not help."""
+    tested, lines = outcome.tested, []
+    if tested.gain is not None:
+        gain = tested.gain
+        lines.append(f"log score gain: {gain.value:.2f} [{gain.low:.2f}, {gain.high:.2f}] nats a period")
+    if tested.repeatability.count:
+        lines.append(f"repeatability: {_error(tested.repeatability)} RMS between strokes at like states")
+    if outcome.followed is not None:
+        followed = outcome.followed
+        both = f"{_error(followed.before)} before, {_error(followed.after)} after"
+        lines.append(f"with drift followed in each run: {both}")
+    if outcome.dropped:
+        lines.append(f"dropped, as the test runs are no likelier with it: {', '.join(outcome.dropped)}")
+    return lines
+
+
+def _error(error: Error) -> str:
+    return f"{1e3 * error.position_rmse_m:.2f} mm, {math.degrees(error.heading_rmse_rad):.2f} deg"
 
 
 def command(

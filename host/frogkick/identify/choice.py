@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
-from frogkick.identify.fit import Fitted, derivatives, fit
-from frogkick.identify.predict import Track
-from frogkick.identify.relatives import best_end_cost, end_cost, refitted, relatives
-from frogkick.identify.search import Begun, Found, countable, search
-from frogkick.identify.swim import Swim, copies, part_of
+import numpy as np
+
+from frogkick.identify.fit import derivatives, fit
+from frogkick.identify.relatives import best_end_cost, descended, end_cost, refitted, relatives
+from frogkick.identify.revise import needless, without
+from frogkick.identify.search import Begun, Found, countable, folds_of, search
+from frogkick.identify.swim import Swim, part_of
 from frogkick.identify.terms import Term
-from frogkick.identify.verdict import FOUND, UNEXPLAINED, Error, error_of, gaps, noise_floor, verdict_of
+from frogkick.identify.verdict import FOUND, NOTHING, Error, Scored, scored, verdict_of
 from frogkick.identify.worth import GAIN_EACH
 from frogkick.robot import Robot
 
@@ -27,28 +29,6 @@ for them would take many minutes."""
 FAR, NEARER = (0.006, 0.07), 0.6
 """A model off by more than so much (m, rad) lacks more than an effect or two; a relative that leaves no more
 than this share of both errors is then taken where a search does not explain all."""
-
-
-@dataclass(frozen=True, eq=False)
-class Scored:
-    """Errors of some runs."""
-
-    before: Error
-    after: Error
-    noise_floor: Error
-
-    @property
-    def errors(self) -> tuple[Error, Error, Error]:
-        """Before, after, noise floor."""
-        return self.before, self.after, self.noise_floor
-
-    def as_json(self) -> dict[str, dict[str, float]]:
-        """The keys of the command."""
-        return {
-            "before": self.before.as_json(),
-            "after": self.after.as_json(),
-            "noise_floor": self.noise_floor.as_json(),
-        }
 
 
 def found_in(
@@ -69,12 +49,12 @@ def found_in(
     known = relatives(robot)
     begun = countable(train, robot)
     nominal = Found(begun[2], begun[2], [], begun[1], [])
-    far = all(value > least for value, least in zip(_pair(_errors(nominal, train)[0]), FAR, strict=True))
+    far = all(value > least for value, least in zip(_pair(_scored(nominal, train).before), FAR, strict=True))
     many = int(begun[1].sum()) > SEARCHED_MOST
     found = None
     if not known or not (far or many):
         found = search(train, robot, candidates, progress, begun)
-        if not known or _verdict(found, train) != UNEXPLAINED:
+        if not known or _verdict(found, train) in (FOUND, NOTHING):
             return found
     relative = _relative(begun, list(known.values()), train, progress, measured)
     if relative is None:
@@ -82,8 +62,8 @@ def found_in(
     if _verdict(relative, train) == FOUND:
         return relative
     if found is None:
-        before, after, _ = _errors(relative, train)
-        pairs = zip(_pair(before), _pair(after), strict=True)
+        both = _scored(relative, train)
+        pairs = zip(_pair(both.before), _pair(both.after), strict=True)
         if many or all(left <= NEARER * plain for plain, left in pairs):
             found = _searched_in_part(begun, train, robot, candidates, progress)
             return found if _verdict(found, train) == FOUND else relative
@@ -125,23 +105,34 @@ def _searched_in_part(
     return Found(nominal, fitted, found.turns, rows, found.alike, rivals=found.rivals)
 
 
+def pruned(found: Found, train: Sequence[Swim], progress: Progress) -> Found:
+    """What was found without effects whose removal costs nothing on held-out parts of the training runs.
+
+    Backward elimination, one effect at a time; the test runs have no part in it. Whether an effect is needed
+    is told by derivatives, and the model without it is fitted again by simulation.
+    """
+    folds = folds_of(train, found.rows)
+    while len(np.unique(folds)) > 1 and (place := needless(found.fitted, folds, train)) is not None:
+        progress("effects held out", len(found.fitted.model.terms), len(found.fitted.model.terms) + 1)
+        less = without(found.fitted.model, place)
+        if found.turns:
+            fitted = derivatives([fit(less, train, found.rows, rounds=2).model], train, found.rows)[0]
+        else:
+            fitted = descended(less, train, found.rows, found.nominal.model.robot)
+        kept = [k for k in range(len(found.alike)) if k != place]
+        rivals = [found.rivals[k] for k in kept] if found.rivals else []
+        found = replace(found, fitted=fitted, alike=[found.alike[k] for k in kept], rivals=rivals)
+    return found
+
+
 def _verdict(found: Found, swims: Sequence[Swim]) -> str:
-    return verdict_of(found, _errors(found, swims))
+    both = _scored(found, swims)
+    return verdict_of(found, both, both)
 
 
-def _errors(found: Found, swims: Sequence[Swim]) -> tuple[Error, Error, Error]:
-    return scored(found.nominal, found.fitted, found.nominal.tracks, found.fitted.tracks, swims).errors
+def _scored(found: Found, swims: Sequence[Swim]) -> Scored:
+    return scored(found, swims, swims, found.nominal.tracks, found.fitted.tracks)
 
 
 def _pair(error: Error) -> tuple[float, float]:
     return error.position_rmse_m, error.heading_rmse_rad
-
-
-def scored(
-    nominal: Fitted, fitted: Fitted, before: Sequence[Track], after: Sequence[Track], swims: Sequence[Swim]
-) -> Scored:
-    """Errors of runs by two models, and their noise floor; runs of one noise count once."""
-    errors = [error_of(gaps(tracks, swims)) for tracks in (before, after)]
-    one_noise = copies(swims)
-    first, second = (replace(error, count=error.count // one_noise) for error in errors)
-    return Scored(first, second, noise_floor(swims, fitted.model.noise))

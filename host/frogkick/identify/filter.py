@@ -20,7 +20,10 @@ CUT = 5.0
 """Innovations count as they are up to so many standard deviations."""
 
 RATE_STD = (0.02, 0.02, 0.3)
-"""What the rate's error may be at first: m/s, m/s, rad/s."""
+"""What the rate's error may be at first: m/s, m/s, rad/s. A robot that was seen at rest moves less."""
+
+REST_LEAST = (2e-4, 2e-4, 2e-3)
+"""And is not known to move less than this."""
 
 
 @dataclass(frozen=True)
@@ -47,6 +50,18 @@ class Noise:
         )
 
 
+def first_rate_std(rest_rate: tuple[float, float, float] | None) -> tuple[float, float, float]:
+    """What the rate's error may be where a run begins.
+
+    Args:
+        rest_rate: how fast the robot moved at rest (see Swim.rest_rate), where that is known.
+    """
+    if rest_rate is None:
+        return RATE_STD
+    x, y, turn = np.clip(rest_rate, REST_LEAST, RATE_STD).tolist()
+    return x, y, turn
+
+
 @dataclass
 class Filter:
     """Error of one lane.
@@ -54,6 +69,7 @@ class Filter:
     Attributes:
         busy_s: (2, k) knots of time and of how long limbs had been straightening by then.
         time_s: of the state.
+        rate_std: of the rate at first, (m/s, m/s, rad/s); see ``first_rate_std``.
         error: (3, 2) offset and rate.
         covariance: (3, 3) offset's variance, covariance, rate's variance of each axis.
     """
@@ -61,12 +77,13 @@ class Filter:
     noise: Noise
     busy_s: FloatArray
     time_s: float
+    rate_std: tuple[float, float, float] = RATE_STD
     error: FloatArray = field(default_factory=lambda: np.zeros((3, 2)))
     covariance: FloatArray = field(init=False)
 
     def __post_init__(self) -> None:
         self._fix, self._calm, self._kick = self.noise.per_axis()
-        self.covariance = np.column_stack([4.0 * self._fix, np.zeros(3), np.square(np.array(RATE_STD))])
+        self.covariance = np.column_stack([4.0 * self._fix, np.zeros(3), np.square(np.array(self.rate_std))])
 
     def go_to(self, time_s: float) -> None:
         """Let time pass; never backwards."""

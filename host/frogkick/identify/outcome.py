@@ -16,7 +16,7 @@ import numpy as np
 
 from frogkick.errors import InputError
 from frogkick.files import write_text
-from frogkick.identify.choice import Progress, Scored, found_in, scored
+from frogkick.identify.choice import Progress, found_in, pruned
 from frogkick.identify.drift import Drift, drift_of
 from frogkick.identify.experiment import Experiment, experiment_of
 from frogkick.identify.filter import Noise
@@ -24,18 +24,22 @@ from frogkick.identify.fit import Model, tracks_of
 from frogkick.identify.horizons import Horizon, horizons_of
 from frogkick.identify.predict import Track
 from frogkick.identify.search import Found
+from frogkick.identify.signature import signature
 from frogkick.identify.swim import Swim, reliable
 from frogkick.identify.terms import Term, catalogue
 from frogkick.identify.verdict import (
     FOUND,
+    PARTLY,
     TOO_LITTLE,
     Error,
     Interval,
+    Scored,
     error_of,
+    fix_noise,
     gaps,
     intervals,
     noise_floor,
-    signature,
+    scored,
     verdict_of,
 )
 from frogkick.paths import wrap_angle
@@ -48,6 +52,25 @@ MOTION_LEAST_M = 0.01
 
 
 @dataclass(frozen=True, eq=False)
+class Followed:
+    """Predictions of the test runs that follow drift within each run, both models alike.
+
+    Attributes:
+        before, after: errors without and with effects.
+        nominal_tracks, tracks: of the runs.
+    """
+
+    before: Error
+    after: Error
+    nominal_tracks: list[Track]
+    tracks: list[Track]
+
+    def as_json(self) -> dict[str, Any]:
+        """The key ``test.followed`` of the command."""
+        return {"before": self.before.as_json(), "after": self.after.as_json()}
+
+
+@dataclass(frozen=True, eq=False)
 class Outcome:
     """What identification ended with.
 
@@ -57,9 +80,12 @@ class Outcome:
         train, test: the runs.
         found: the search; None where there was not enough data.
         parameters: of each term found.
-        trained, tested: errors.
-        nominal_tracks, tracks: of the test runs.
-        drift: of limbs, by the training runs, which predictions of the test runs follow; None without one.
+        trained, tested: errors, of the models alone.
+        nominal_tracks, tracks: of the test runs, by the models alone.
+        drift: of limbs beside the fitted model, by the training runs; None where following it gains nothing.
+        followed: the test runs once more, now with both models following drift; None where neither gains.
+        dropped: effects that explain the training runs and did not make the test runs likelier, so that the
+            nominal model is given back. The test runs decide this and nothing else.
         signature: of what is left, or for "nothing missing" of the nominal model's misses.
         reason: what to record where there was not enough data.
         left_out: runs whose strokes' times cannot be relied on: ``run`` and ``reason`` of each.
@@ -79,6 +105,8 @@ class Outcome:
     reason: str = ""
     drift: Drift | None = None
     left_out: Sequence[dict[str, str]] = ()
+    followed: Followed | None = None
+    dropped: tuple[str, ...] = ()
 
     @property
     def terms(self) -> tuple[Term, ...]:
@@ -95,7 +123,7 @@ class Outcome:
     @cached_property
     def experiment(self) -> Experiment | None:
         """What to record to settle what was found but is still open; None where nothing is."""
-        if self.found is None or self.verdict != FOUND:
+        if self.found is None or self.verdict not in (FOUND, PARTLY):
             return None
         return experiment_of(self.found, self.parameters, self.train)
 
@@ -122,14 +150,19 @@ class Outcome:
         return effects
 
     def tested_as_json(self) -> dict[str, Any]:
-        """Errors on the test runs, several periods ahead too."""
-        return {**self.tested.as_json(), "horizons": [each.as_json() for each in self.horizons]}
+        """Errors on the test runs, several periods ahead and with drift followed too."""
+        return {
+            **self.tested.as_json(),
+            "followed": None if self.followed is None else self.followed.as_json(),
+            "horizons": [each.as_json() for each in self.horizons],
+        }
 
     def as_json(self) -> dict[str, Any]:
         """The keys of the command."""
         return {
             "verdict": self.verdict,
             "effects": self.effects_as_json(),
+            "dropped": list(self.dropped),
             "train": self.trained.as_json(),
             "test": self.tested_as_json(),
             "drift": None if self.drift is None else self.drift.as_json(),
@@ -178,18 +211,20 @@ def identify(
     reason = too_little(train)
     if reason:
         return replace(_only_predicted(train, test, robot, reason), left_out=left_out)
-    found = found_in(train, robot, candidates, progress, measured)
-    trained = scored(found.nominal, found.fitted, found.nominal.tracks, found.fitted.tracks, train)
+    found = pruned(found_in(train, robot, candidates, progress, measured), train, progress)
+    trained = scored(found, train, train, found.nominal.tracks, found.fitted.tracks)
     nominal_tracks, tracks = tracks_of([found.nominal.model, found.fitted.model], test)
-    tested = scored(found.nominal, found.fitted, nominal_tracks, tracks, test)
-    verdict = verdict_of(found, trained.errors, tested.errors)
-    # The verdict is of the effects alone: what a run has shown of late says nothing of its reason.
-    drift = drift_of(found.fitted.tracks, train, robot) if found.fitted.model.terms else None
-    if drift is not None:
-        tracks = drift.followed(tracks, test, robot)
-        tested = scored(found.nominal, found.fitted, nominal_tracks, tracks, test)
+    tested = scored(found, train, test, nominal_tracks, tracks)
+    dropped = tuple(term.title for term in found.fitted.model.terms) if not tested.helped else ()
+    if dropped:
+        # What does not help where it was not learned is no part of the model that is given back.
+        found = replace(found, fitted=found.nominal, alike=[], rivals=[])
+        trained = scored(found, train, train, found.nominal.tracks, found.nominal.tracks)
+        tracks = nominal_tracks
+        tested = scored(found, train, test, tracks, tracks)
+    drift, followed = _followed(found, train, test, nominal_tracks, tracks, robot)
     return Outcome(
-        verdict=verdict,
+        verdict=verdict_of(found, trained, tested),
         robot=robot,
         train=train,
         test=test,
@@ -201,8 +236,30 @@ def identify(
         tracks=tracks,
         signature=signature(found.fitted, found.rows, train),
         drift=drift,
+        followed=followed,
+        dropped=dropped,
         left_out=left_out,
     )
+
+
+def _followed(
+    found: Found,
+    train: Sequence[Swim],
+    test: Sequence[Swim],
+    nominal_tracks: Sequence[Track],
+    tracks: Sequence[Track],
+    robot: Robot,
+) -> tuple[Drift | None, Followed | None]:
+    """Drift beside the fitted model, and the test runs where each model follows its own."""
+    drifts = [drift_of(each.tracks, train, robot) for each in (found.nominal, found.fitted)]
+    if drifts == [None, None]:
+        return None, None
+    moved = [
+        list(some) if drift is None else drift.followed(some, test, robot)
+        for drift, some in zip(drifts, (nominal_tracks, tracks), strict=True)
+    ]
+    before, after = (error_of(gaps(each, test)) for each in moved)
+    return drifts[1], Followed(before, after, moved[0], moved[1])
 
 
 def _only_predicted(train: Sequence[Swim], test: Sequence[Swim], robot: Robot, reason: str) -> Outcome:
@@ -210,7 +267,7 @@ def _only_predicted(train: Sequence[Swim], test: Sequence[Swim], robot: Robot, r
     model = Model(robot, (), Noise())
     tracks = tracks_of([model], test)[0]
     error = error_of(gaps(tracks, test))
-    tested = Scored(error, error, noise_floor(test, model.noise))
+    tested = Scored(error, error, noise_floor(test, fix_noise(test) or model.noise.fix))
     unknown = Error(float("nan"), float("nan"))
     trained = Scored(unknown, unknown, unknown)
     signed = {"text": f"not looked for: {reason}"}
@@ -235,7 +292,9 @@ def too_little(swims: Sequence[Swim]) -> str:
 
 
 def write_predictions(target: Path, outcome: Outcome) -> None:
-    """Write one row for each period of each test run, in the run's own frame.
+    """Write one row for each period of each test run, in the run's own frame, by the models alone.
+
+    Where following drift gains something, columns ``_followed`` and ``_nominal_followed`` stand beside these.
 
     Raises:
         InputError: the file cannot be written.
@@ -244,15 +303,19 @@ def write_predictions(target: Path, outcome: Outcome) -> None:
     writer = csv.writer(text, lineterminator="\n")
     poses = ("x_m", "y_m", "heading_rad")
     predicted = ("x_pred_m", "y_pred_m", "heading_pred_rad")
-    writer.writerow(
-        ["run", "time_s", "horizon_s", *poses, *predicted, *(f"{name}_nominal" for name in predicted)]
-    )
-    for swim, nominal, track in zip(outcome.test, outcome.nominal_tracks, outcome.tracks, strict=True):
+    header = ["run", "time_s", "horizon_s", *poses]
+    models = [outcome.tracks, outcome.nominal_tracks]
+    kinds = ["", "_nominal"]
+    if outcome.followed is not None:
+        models += [outcome.followed.tracks, outcome.followed.nominal_tracks]
+        kinds += ["_followed", "_nominal_followed"]
+    writer.writerow([*header, *(f"{name}{kind}" for kind in kinds for name in predicted)])
+    for index, swim in enumerate(outcome.test):
         for k, start_s in enumerate(swim.start_s):
-            row = np.concatenate([swim.measured[k], track.predicted[k], nominal.predicted[k]])
+            row = np.concatenate([swim.measured[k], *(tracks[index].predicted[k] for tracks in models)])
             if not np.isfinite(row).all():
                 continue
-            row[[2, 5, 8]] = wrap_angle(row[[2, 5, 8]])
+            row[2::3] = wrap_angle(row[2::3])
             horizon_s = swim.end_s[k] - start_s
             writer.writerow([swim.name, f"{start_s:.6f}", f"{horizon_s:.6f}", *(f"{v:.7f}" for v in row)])
     write_text(target, text.getvalue())

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from frogkick.der import WIDTH
 from frogkick.effects import ActingLanes, Effect, Fix, changed_robot
-from frogkick.identify.filter import RATE_STD, Filter, Noise, Series
+from frogkick.identify.filter import Filter, Noise, Series, first_rate_std
 from frogkick.identify.gentle import Amid, Gentle, gentle
 from frogkick.identify.swim import Swim
 from frogkick.robot import Robot
@@ -67,7 +67,8 @@ class Track:
     def series(self, swim: Swim) -> tuple[Series, ...]:
         """What other noises are tried on, for x, y and heading."""
         busy = np.interp(self.time_s, *swim.busy_s)
-        return tuple(Series(self.time_s, busy, self.difference[:, k], RATE_STD[k]) for k in range(3))
+        rate_std = first_rate_std(swim.rest_rate)
+        return tuple(Series(self.time_s, busy, self.difference[:, k], rate_std[k]) for k in range(3))
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,9 +137,9 @@ class Party:
         self.courses = []
         for lane in lanes:
             acting = ActingLanes(lane.effects, robot, [np.random.default_rng(0)], lane.leg_s)
-            course = Course(
-                lane, acting, Filter(lane.noise, lane.swim.busy_s, lane.swim.begin_s), lane.swim.corners_s
-            )
+            swim, rate_std = lane.swim, first_rate_std(lane.swim.rest_rate)
+            state = Filter(lane.noise, swim.busy_s, swim.begin_s, rate_std)
+            course = Course(lane, acting, state, swim.corners_s)
             course.next_fix = int(np.searchsorted(lane.swim.time_s, lane.swim.begin_s))
             course.claims_s = [lane.swim.begin_s]
             self.courses.append(course)

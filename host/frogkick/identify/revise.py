@@ -12,8 +12,11 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from frogkick.identify.fit import Fitted, Model, begun_at, fit_many, fit_on
+from frogkick.identify.bootstrap import mean_interval
+from frogkick.identify.fit import Fitted, Model, begun_at, fit_many, fit_on, room_of
 from frogkick.identify.polish import ROUNDS, Polisher, fine_leg_s
+from frogkick.identify.steps import cross_fitted
+from frogkick.identify.swim import Swim, copies
 from frogkick.identify.terms import Term
 from frogkick.identify.worth import ALIKE, BASE_GAIN, GAIN_EACH, free_count, price
 
@@ -110,6 +113,46 @@ def _fewer(polisher: Polisher, fitted: Fitted) -> tuple[Fitted, list[int]]:
         kept.pop(near[best])
         fitted = polisher.polished(fits[best])
     return fitted, kept
+
+
+def needless(fitted: Fitted, folds: NDArray[np.int64], swims: Sequence[Swim]) -> int | None:
+    """Which of several terms costs nothing on held-out parts of the training runs when it is left out.
+
+    At the ends of periods, by the log density that ``steps.cross_fitted`` gives with and without it: the one
+    with the least gain, where that gain's interval reaches zero. None where every term is needed.
+
+    Args:
+        fitted: with derivatives by all its parameters.
+        folds: (n,) of the periods that count; see ``search.folds_of``.
+        swims: the training runs.
+    """
+    model = fitted.model
+    if len(model.terms) < 2:
+        return None
+    missed, jacobian = fitted.missed[:, -3:], fitted.jacobian[:, -3:, :]
+    shy = 1e-6 * missed.size / model.range**2
+    whole = cross_fitted(missed, jacobian, *room_of(model), shy, folds)
+    flat = [parameter for term in model.terms for parameter in term.parameters]
+    wider, gains = np.sqrt(copies(swims)), list[tuple[float, float]]()
+    for place in range(len(model.terms)):
+        gone = _values_of(model, place)
+        back = np.zeros(len(flat))
+        for k in gone:
+            back[k] = flat[k].nominal - model.values[k]
+        less = replace(model, held=model.held | frozenset(gone))
+        scores = cross_fitted(missed + jacobian @ back, jacobian, *room_of(less), shy, folds)
+        each = [(whole - scores)[folds == label] for label in np.unique(folds)]
+        low, _ = mean_interval(each, np.random.default_rng(0))
+        value = float((whole - scores).mean())
+        gains.append((value, value - wider * (value - low)))
+    place = min(range(len(gains)), key=lambda k: gains[k][0])
+    return place if gains[place][1] <= 0.0 else None
+
+
+def without(model: Model, place: int) -> Model:
+    """A model without one of its terms."""
+    terms, held = _left_out(model, place)
+    return replace(model, terms=terms, held=held)
 
 
 def _values_of(model: Model, place: int) -> range:

@@ -24,7 +24,7 @@ from frogkick.identify.fit import (
 )
 from frogkick.identify.polish import HOLD, NEAR, REFINING_LEG_S, Polisher, best_noise, fine_leg_s
 from frogkick.identify.revise import revised
-from frogkick.identify.steps import bounded_step, promised, whiten, whitener
+from frogkick.identify.steps import cross_fitted, promised
 from frogkick.identify.swim import Swim, copies
 from frogkick.identify.terms import Term
 from frogkick.identify.worth import ALIKE, BASE_GAIN, GAIN_EACH, price
@@ -48,7 +48,7 @@ PLAIN_GAIN = 60.0
 """A gain beyond doubt: held-out periods need not agree in it as well."""
 
 SEEN_LEAST = 1.0
-"""By how much the whitened squares of a held-out period (9 numbers) must fall: less is below the noise."""
+"""By how much twice the log density of a held-out period (9 numbers) must rise: less is below the noise."""
 
 FOLDS_LEAST = 4
 
@@ -67,7 +67,7 @@ class Tried:
     Attributes:
         title: of the effect.
         gain: by how much minus twice the log likelihood fell.
-        held_out: by how much the whitened squares of held-out periods fell, for each period.
+        held_out: by how much twice the log density of held-out periods rose, for each period.
         refined: by simulation, not by derivatives alone.
         chosen: it was taken.
     """
@@ -318,17 +318,14 @@ class _Hunt:
 
 
 def _fall(current: Fitted, fitted: Fitted, folds: NDArray[np.int64], known: int) -> tuple[float, float]:
-    """Held-out gain of a fitted candidate over the model before it, each refitted without that part."""
-    white = whitener(fitted.missed)
+    """Gain of a fitted candidate over the model before it on a held-out period, and its standard error.
+
+    By twice the log density, each model cross-fitted: neither its parameters nor its scale saw the fold.
+    """
     low, high = room_of(fitted.model)
-    falls = np.zeros(len(folds))
-    for label in np.unique(folds):
-        test = folds == label
-        squares = []
-        for one, lows, highs in ((current, low[:known], high[:known]), (fitted, low, high)):
-            flat, wide = whiten(white, one.missed[~test], one.jacobian[~test])
-            step = bounded_step(wide, flat, np.full(wide.shape[1], 1e-9), lows, highs)
-            left = (one.missed[test] + one.jacobian[test] @ step) @ white
-            squares.append((np.clip(left, -8.0, 8.0) ** 2).sum(axis=1))
-        falls[test] = squares[0] - squares[1]
+    scores = [
+        cross_fitted(one.missed, one.jacobian, lows, highs, np.full(len(lows), 1e-9), folds)
+        for one, lows, highs in ((current, low[:known], high[:known]), (fitted, low, high))
+    ]
+    falls = 2.0 * (scores[1] - scores[0])
     return float(falls.mean()), float(falls.std() / np.sqrt(len(falls)))

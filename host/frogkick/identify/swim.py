@@ -35,6 +35,9 @@ AGE_OFF_S, AGE_SHARE = 1.0, 0.05
 
 _STILL = 8  # fixes before anything moves that tell one camera's noise from another's
 
+_UNTIMED = int(FixFlag.UNTRUSTED_TIME | FixFlag.AT_REST)
+_REST_BLOCK_S = 1.0  # means of so long a rest are held against each other: noise of fixes is small in these
+
 _UNTOLD = int(FixFlag.MISSING | FixFlag.DUPLICATE)
 _SPOILED = _UNTOLD | int(FixFlag.MISDETECTION | FixFlag.JUMP)
 
@@ -57,6 +60,8 @@ class Swim:
         period_s: of the run.
         lag_s: from a command's time in the log to its motion on the fixes' clock, already added.
         problem: why its strokes' times cannot be relied on; "" where they can.
+        rest_rate: (m/s, m/s, rad/s) how fast the robot moved at rest, root mean square, by frames before the
+            first stroke that came in order and whose times are not known; None without a few of these.
     """
 
     name: str
@@ -72,6 +77,7 @@ class Swim:
     period_s: float
     lag_s: float
     problem: str = ""
+    rest_rate: tuple[float, float, float] | None = None
 
     @cached_property
     def begin_s(self) -> float:
@@ -206,6 +212,7 @@ def swim_of(run: RunLog, name: str, robot: Robot | None = None) -> Swim:
         period_s=run.period_s,
         lag_s=lag_s,
         problem=clock_problem(run),
+        rest_rate=_rest_rate(run, time_s[order]),
     )
 
 
@@ -230,6 +237,26 @@ def part_of(swims: Sequence[Swim], periods: int) -> list[Swim]:
         cut = {name: getattr(swim, name)[:count] for name in ("start_s", "end_s", "action")}
         some.append(replace(swim, **cut))
     return [swim for swim in some if len(swim.start_s)]
+
+
+def _rest_rate(run: RunLog, time_s: FloatArray) -> tuple[float, float, float] | None:
+    """See Swim.rest_rate; frames are taken to be as far apart as those whose times are known."""
+    fixes = run.fixes
+    rest = (fixes.flags & _UNTIMED) == _UNTIMED
+    rest &= (fixes.flags & _SPOILED) == 0
+    if len(time_s) < _STILL:
+        return None
+    spacing_s = float(np.median(np.diff(time_s)))
+    size = max(round(_REST_BLOCK_S / max(spacing_s, 1e-3)), 1)
+    pose = np.column_stack([fixes.x_m[rest], fixes.y_m[rest], np.unwrap(fixes.heading_rad[rest])])
+    pose = pose[np.isfinite(pose).all(axis=1)]
+    blocks = len(pose) // size
+    if blocks < 2:
+        return None
+    means = pose[: blocks * size].reshape(blocks, size, 3).mean(axis=1)
+    x, y, turn = ((np.diff(means, axis=0) / (size * spacing_s)) ** 2).mean(axis=0).tolist()
+    along = math.sqrt((x + y) / 2.0)
+    return along, along, math.sqrt(turn)
 
 
 def copies(swims: Sequence[Swim]) -> int:

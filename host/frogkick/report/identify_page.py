@@ -11,7 +11,7 @@ from frogkick.identify.outcome import Outcome
 from frogkick.identify.polish import HOLD
 from frogkick.identify.search import PLAIN_GAIN, SEEN_LEAST
 from frogkick.identify.swim import Swim
-from frogkick.identify.verdict import FOUND, NEAR_FLOOR, NOTHING, UNEXPLAINED, Error
+from frogkick.identify.verdict import FOUND, NEAR_FLOOR, NOTHING, PARTLY, UNEXPLAINED, Error, Gain
 from frogkick.identify.worth import BASE_GAIN, GAIN_EACH
 from frogkick.report.identify_figures import (
     cause_figure,
@@ -32,7 +32,8 @@ MIMICS_MOST = 8
 MEANS = {
     NOTHING: "the nominal model predicts these runs as well as their fixes allow",
     FOUND: "with the effects below, predictions are as good as the fixes allow",
-    UNEXPLAINED: "something is missing that the effects tried do not explain, or not all of it",
+    PARTLY: "the effects below make runs likelier that were kept out, and more than noise is left",
+    UNEXPLAINED: "something is missing that the effects tried do not explain",
 }
 
 
@@ -53,7 +54,7 @@ def write_identify_page(target: Path, outcome: Outcome) -> None:
         "of "
         f"learning, the nominal model of {outcome.robot.title} is off by {_words(tested.before)} (RMS), with "
         f"what was found by {_words(tested.after)}; noise of the fixes alone makes "
-        f"{_words(tested.noise_floor)}."
+        f"{_words(tested.noise_floor)}.{_gain_words(tested.gain)}"
     )
     misses = misses_of(outcome)
     sections = [_errors(outcome)]
@@ -65,6 +66,15 @@ def write_identify_page(target: Path, outcome: Outcome) -> None:
 
 def _words(error: Error) -> str:
     return f"{1e3 * error.position_rmse_m:.2f} mm and {math.degrees(error.heading_rmse_rad):.2f} degrees"
+
+
+def _gain_words(gain: Gain | None) -> str:
+    if gain is None:
+        return ""
+    return (
+        f" The log score of a period gains {gain.value:.2f} (95 percent interval {gain.low:.2f} to "
+        f"{gain.high:.2f})."
+    )
 
 
 def _picture(figure: Figure, caption: str) -> tuple[str, str]:
@@ -86,6 +96,13 @@ def _errors(outcome: Outcome) -> Section:
         row("1 period ahead, with what was found", tested.after, str(tested.after.count)),
         row("1 period ahead, noise floor", tested.noise_floor, ""),
     ]
+    if tested.repeatability.count:
+        pairs = f"{tested.repeatability.count} pairs"
+        rows.append(row("repeatability of strokes at like states", tested.repeatability, pairs))
+    if outcome.followed is not None:
+        followed, count = outcome.followed, str(outcome.followed.after.count)
+        rows.append(row("1 period ahead, nominal model, drift followed", followed.before, count))
+        rows.append(row("1 period ahead, with what was found, drift followed", followed.after, count))
     for each in outcome.horizons:
         if each.periods > 1:
             rows.append(
@@ -101,13 +118,19 @@ def _errors(outcome: Outcome) -> Section:
         "fix: an error of the model adds up there.",
         "The noise floor is what a perfect model would miss, because fixes tell the pose and speed at the "
         f"start and the pose at the end only so well. Errors up to {NEAR_FLOOR:g} times the floor count as "
-        "noise.",
+        "noise. Repeatability is what strokes did differently from one another at like states; no model that "
+        "knows the state alone can predict that, and it does not raise the floor.",
     ]
-    if outcome.drift is not None:
+    if outcome.followed is not None:
         text.append(
             "Limbs drifted in the training runs: what a stroke did beside the model the next one of that "
-            "limb mostly did as well. A period ahead, what was found therefore goes with what the run had "
-            "shown of each limb by then; several periods ahead, and for the verdict, it stands alone."
+            "limb mostly did as well. Rows with drift followed add what the run had shown of each limb by "
+            "then, to both models alike; all other rows, and the verdict, are of the models alone."
+        )
+    if outcome.dropped:
+        text.append(
+            f"The training runs were explained better with {', '.join(outcome.dropped)}, the runs kept out "
+            "were not, so nothing of it was taken into the model."
         )
     caption = "Errors on the test runs before and after; the dashed line is the noise floor a period ahead."
     table = Table(("prediction", "position, mm RMS", "heading, deg RMS", "predictions"), rows)

@@ -69,6 +69,17 @@ class Whirl:
         return -y * self.turns_per_s, x * self.turns_per_s
 
 
+class Misfire:
+    """A limb that does nothing in some of its strokes, at random."""
+
+    def __init__(self, limb, share):
+        self.limb, self.share = limb, share
+
+    def stroke(self, stroke, history, rng):
+        if stroke.limb == self.limb and rng.random() < self.share:
+            stroke.gain = 0.0
+
+
 class SlowLens:
     """A camera that is off to one side of its picture."""
 
@@ -203,8 +214,12 @@ def _group_loss(rng: np.random.Generator) -> Table:
     return {"name": "group_loss", "loss": _between(rng, 0.3, 0.6), "fade_s": _between(rng, 0.1, 0.3)}
 
 
-def _mine(kind: str, **values: float) -> list[Table]:
+def _mine(kind: str, **values: float | str) -> list[Table]:
     return [{"file": OUTSIDE_FILE, "class": kind, **values}]
+
+
+def _misfire(low: float, high: float, rng: np.random.Generator) -> list[Table]:
+    return _mine("Misfire", limb=str(rng.choice(LIMBS)), share=_between(rng, low, high))
 
 
 ONES: Mapping[str, Callable[[np.random.Generator], Table]] = {
@@ -283,6 +298,14 @@ def kinds() -> dict[str, Kind]:
             OUTSIDE,
             lambda rng: _mine("Whirl", turns_per_s=_sign(rng) * _between(rng, 0.01, 0.05)),
             ("shear_current", "vortex"),
+        ),
+        *(
+            Kind(
+                f"misfire {low} to {high} %",
+                OUTSIDE,
+                partial(_misfire, 0.01 * low, 0.01 * high),
+            )
+            for low, high in ((10, 20), (20, 30), (30, 40))
         ),
         Kind("lens", OUTSIDE, lambda rng: _mine("SlowLens", bend_per_m=_between(rng, 0.1, 0.3))),
     ]

@@ -23,7 +23,7 @@ from frogkick.files import write_text
 from frogkick.identify.outcome import Outcome, identify
 from frogkick.identify.swim import Swim, swim_of
 from frogkick.identify.together import all_at_once, cpu_s
-from frogkick.identify.verdict import FOUND, NOTHING, UNEXPLAINED
+from frogkick.identify.verdict import FOUND, NOTHING, PARTLY, UNEXPLAINED
 from frogkick.loop.closed_loop import RunOptions, robot_plan_config, run_in_pool
 from frogkick.loop.record import run_log
 from frogkick.paths import shape
@@ -36,7 +36,10 @@ from frogkick.study.kept import Lines
 from frogkick.study.planted import NULL, OUTSIDE, OUTSIDE_FILE, OUTSIDE_TEXT, Kind, Table, kinds
 from frogkick_codegen.firmware import build
 
-TRAIN, TEST = ("sine", "ellipse", "line"), ("ellipse",)
+TRAIN, TEST = ("sine", "ellipse", "line"), ("bends",)
+
+HURRY = 0.5
+"""Of the planner's weight of progress so much on the test path: other actions in another order, slower."""
 TIME_LIMIT_S = 60.0
 
 GROUP = 24
@@ -63,7 +66,8 @@ class Result:
     Attributes:
         verdict: as given.
         right: as asked for this group.
-        wrong: "found" although what was planted is not what was named.
+        wrong: "found" although what was planted is not what was named; where nothing was planted, "partly
+            explained" as well.
         planted, found: in words.
         before, after, floor: position (m) and heading (rad) on the test run.
         cpu_s: of identification.
@@ -140,7 +144,11 @@ def swims_of(ready: _Ready, planted: Sequence[Table], seed: int, paths: Sequence
         start = (float(path.x_m[0]), float(path.y_m[0]), float(path.tangent_rad[0]))
         world = World(make_effects(planted, ready.folder))
         pool = Pool(ready.robot, start, Camera(), np.random.default_rng([seed, index]), world)
-        options = RunOptions(robot_plan_config(ready.robot), time_limit_s=TIME_LIMIT_S)
+        config = robot_plan_config(ready.robot)
+        if name in TEST:
+            hurry = HURRY * config.progress_weight_per_m
+            config = dataclasses.replace(config, progress_weight_per_m=hurry)
+        options = RunOptions(config, time_limit_s=TIME_LIMIT_S)
         port = NativeRobot(ready.library, len(ready.robot.limbs))
         recording = run_in_pool(port, pool, ready.tables, path, options)
         log = run_log(recording, pool, ready.robot, ready.tables, path, options, seed, "study verdicts")
@@ -173,9 +181,10 @@ def judged(kind: Kind, planted: Sequence[Table], outcome: Outcome, cpu_s: float)
     equivalent = bool(kind.alike) and outcome.verdict == FOUND and titles <= set(kind.alike)
     if kind.group == NULL:
         right = outcome.verdict == NOTHING
-        wrong = outcome.verdict == FOUND
+        wrong = outcome.verdict in (FOUND, PARTLY)
     elif kind.group == OUTSIDE:
-        right = outcome.verdict == UNEXPLAINED or equivalent
+        # What helps and leaves more than noise may be said of an effect that nobody knows.
+        right = outcome.verdict in (UNEXPLAINED, PARTLY) or equivalent
         wrong = outcome.verdict == FOUND and not equivalent
     else:
         right = outcome.verdict == FOUND and (all(named) or equivalent)

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 from collections.abc import Sequence
 from pathlib import Path
+
+from frogkick.files import cache_folder
 
 BENCH = Path(__file__).resolve().parents[2] / "firmware" / "bench"
 CORE = BENCH.parent / "core"
@@ -42,7 +45,9 @@ def build(
         str(elf),
         *files,
     ]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    cache = str(cache_folder("zig"))
+    environment = {"ZIG_GLOBAL_CACHE_DIR": cache, "ZIG_LOCAL_CACHE_DIR": cache, **os.environ}
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     assert "warning" not in done.stderr, done.stderr
     return elf

@@ -41,8 +41,8 @@ def texts() -> dict[str, str]:
 
 
 def machine_paths() -> list[str]:
-    """Return the folders that only this machine has: this repository's and the home folder."""
-    folders = {str(REPOSITORY), str(Path.home())}
+    """Return the folders that only this machine has: this repository's and the home folder, if there is one."""
+    folders = {str(REPOSITORY), *([str(Path.home())] if Path.home().is_dir() else [])}
     return sorted(folder for folder in folders if len(folder) > 1)
 
 

@@ -41,7 +41,7 @@ def texts() -> dict[str, str]:
 
 
 def machine_paths() -> list[str]:
-    """Return the folders that only this machine has: this repository's and the home folder, if there is one."""
+    """Return the folders that only this machine has: this repository and the home folder, if any."""
     folders = {str(REPOSITORY), *([str(Path.home())] if Path.home().is_dir() else [])}
     return sorted(folder for folder in folders if len(folder) > 1)
 

@@ -51,10 +51,17 @@ def run_command(arguments: list[str] | None = None) -> int:
 
 
 def _run(arguments: list[str] | None) -> int:
-    # Loading takes a second or two: here, so that Ctrl-C meanwhile is no traceback.
-    import typer
+    # Loading takes a second or two: here, so that Ctrl-C meanwhile is no traceback. It waits until all is
+    # loaded: libraries in C that are interrupted while they set themselves up may crash.
+    masks = hasattr(signal, "pthread_sigmask")
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT}) if masks else set()
+    try:
+        import typer
 
-    from frogkick.cli.app import app
+        from frogkick.cli.app import app
+    finally:
+        if masks:
+            signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
     try:
         result = app(arguments, standalone_mode=False)

@@ -17,7 +17,7 @@ from frogkick.identify.outcome import Outcome
 from frogkick.identify.search import Found, countable
 from frogkick.identify.signature import signature
 from frogkick.identify.swim import Swim, swim_of
-from frogkick.identify.terms import catalogue
+from frogkick.identify.terms import Term, catalogue
 from frogkick.identify.verdict import FOUND, intervals, scored
 from frogkick.loop.runlog import Decisions, Fixes, RunLog, Strokes, Truth
 from frogkick.paths import wrap_angle
@@ -26,6 +26,13 @@ from frogkick.pool.pool import Pool
 from frogkick.robot import Robot, load_robot
 
 START_S = 1.0
+WORN = {"name": "limb_wear", "limb": "rear_left", "gain": 0.7}
+
+
+def term(title: str, *values: float) -> Term:
+    """A candidate by its title; the first of its parameters at these values."""
+    found = next(each for each in catalogue(robot()) if each.title == title)
+    return found.at([*values, *found.values[len(values) :]])
 
 
 @cache

@@ -6,7 +6,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from made import make_swim, robot
+from made import make_swim, robot, term
 
 from frogkick.identify.experiment import (
     POOL_M,
@@ -26,7 +26,7 @@ from frogkick.identify.search import Found
 from frogkick.identify.side_by_side import Row, Side, grow, swim_of_row
 from frogkick.identify.steps import whitener
 from frogkick.identify.swim import Swim
-from frogkick.identify.terms import Term, catalogue
+from frogkick.identify.terms import Term
 from frogkick.identify.verdict import Interval, intervals
 
 NOISE = Noise((2e-4, 3.5e-3), (1e-4, 1e-3), (1e-4, 1e-3))
@@ -34,11 +34,6 @@ START = np.array([0.1, -0.05, 0.4])
 POOL = np.array([[-0.2, -0.35], [0.4, 0.25]])
 ONE_LIMB = {"name": "limb_wear", "limb": "rear_left", "gain": 0.75}
 BOTH = {"name": "group_gain", "group": "rear", "gain": 0.87}
-
-
-def term(title: str, *values: float) -> Term:
-    found = next(each for each in catalogue(robot()) if each.title == title)
-    return found.at([*values, *found.values[len(values) :]])
 
 
 def model(*terms: Term) -> Model:

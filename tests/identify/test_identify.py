@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from made import make_run, make_swim, robot
+from made import WORN, make_run, make_swim, robot, term
 
 from frogkick.cli.identify import spread
 from frogkick.cli.main import run_command
@@ -20,7 +20,7 @@ from frogkick.identify.outcome import identify, too_little
 from frogkick.identify.search import countable, search
 from frogkick.identify.steps import bounded_step
 from frogkick.identify.swim import Swim, copies, swim_of
-from frogkick.identify.terms import Term, catalogue
+from frogkick.identify.terms import catalogue
 from frogkick.identify.verdict import (
     FOUND,
     NOTHING,
@@ -36,22 +36,6 @@ from frogkick.identify.verdict import (
 from frogkick.loop.runlog import FixFlag, RunLog
 from frogkick.loop.runlog_file import write_run
 from frogkick.robot import load_robot
-
-WORN = {"name": "limb_wear", "limb": "rear_left", "gain": 0.7}
-
-
-def term(title: str) -> Term:
-    return next(each for each in catalogue(robot()) if each.title == title)
-
-
-@pytest.fixture(scope="module")
-def worn() -> list[Swim]:
-    return [make_swim([WORN], seed, 14) for seed in (1, 2)]
-
-
-@pytest.fixture(scope="module")
-def whole() -> list[Swim]:
-    return [make_swim([], seed, 14) for seed in (3, 4)]
 
 
 def test_filter_is_bayes_rule() -> None:

@@ -3,20 +3,15 @@
 from __future__ import annotations
 
 import numpy as np
-from made import make_swim, robot
+from made import make_swim, robot, term
 
 from frogkick.identify.columns import sensitivities
 from frogkick.identify.filter import Noise
 from frogkick.identify.fit import Model, misses, steps_of, tracks_of
 from frogkick.identify.probe import Sums, changes, probes_of
 from frogkick.identify.steps import promised
-from frogkick.identify.terms import Term, catalogue
 
 NOISE = Noise((2e-4, 3.5e-3), (1e-4, 1e-3), (1e-4, 1e-3))
-
-
-def term(title: str) -> Term:
-    return next(each for each in catalogue(robot()) if each.title == title)
 
 
 def change(title: str) -> list[np.ndarray | None]:

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from made import make_swim, robot
+from made import make_swim, robot, term
 
 from frogkick.effects.acting import LEG_S
 from frogkick.identify.filter import Noise
@@ -16,15 +16,10 @@ from frogkick.identify.revise import needless, revised, without
 from frogkick.identify.search import countable, folds_of
 from frogkick.identify.steps import cost_of
 from frogkick.identify.swim import Swim
-from frogkick.identify.terms import Term, catalogue
+from frogkick.identify.terms import Term
 
 QUIET = Noise((2e-4, 3.5e-3), (2e-5, 5e-4), (2e-5, 5e-4))
 WEAR = {"name": "limb_wear", "limb": "rear_left", "gain": 0.7}
-
-
-def term(title: str, *values: float) -> Term:
-    found = next(each for each in catalogue(robot()) if each.title == title)
-    return found.at(values) if values else found
 
 
 def held_but(model: Model, *free: int) -> Model:

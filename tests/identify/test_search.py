@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from made import make_swim, robot
+from made import make_swim, robot, term
 
 from frogkick.der import WIDTH
 from frogkick.identify import choice
@@ -17,14 +17,9 @@ from frogkick.identify.polish import Polisher
 from frogkick.identify.search import Found, countable, search
 from frogkick.identify.steps import cost_of, promised
 from frogkick.identify.swim import Swim
-from frogkick.identify.terms import Term, catalogue
 from frogkick.identify.verdict import FOUND, NOTHING, PARTLY, UNEXPLAINED, Error, Scored, intervals
 
 NOISE = Noise((2e-4, 3.5e-3), (1e-4, 1e-3), (1e-4, 1e-3))
-
-
-def term(title: str) -> Term:
-    return next(each for each in catalogue(robot()) if each.title == title)
 
 
 @pytest.fixture(scope="module")

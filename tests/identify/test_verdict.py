@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from made import START_S, make_run, make_swim, robot
+from made import START_S, WORN, make_run, make_swim, robot, term
 
 from frogkick.identify import outcome as outcome_module
 from frogkick.identify.bootstrap import mean_interval
@@ -20,7 +20,6 @@ from frogkick.identify.fit import Model, tracks_of
 from frogkick.identify.outcome import identify
 from frogkick.identify.search import Found, countable
 from frogkick.identify.swim import Swim, read_swim, swim_of
-from frogkick.identify.terms import Term, catalogue
 from frogkick.identify.verdict import (
     FOUND,
     NEAR_FLOOR,
@@ -35,22 +34,7 @@ from frogkick.identify.verdict import (
     verdict_of,
 )
 from frogkick.loop.runlog import Fixes, FixFlag
-
-WORN = {"name": "limb_wear", "limb": "rear_left", "gain": 0.7}
-
-
-def term(title: str) -> Term:
-    return next(each for each in catalogue(robot()) if each.title == title)
-
-
-@pytest.fixture(scope="module")
-def worn() -> list[Swim]:
-    return [make_swim([WORN], seed, 14) for seed in (1, 2)]
-
-
-@pytest.fixture(scope="module")
-def whole() -> list[Swim]:
-    return [make_swim([], seed, 14) for seed in (3, 4)]
+from frogkick.study.planted import OUTSIDE_TEXT
 
 
 def test_the_noise_of_fixes_is_told_by_fixes_alone(whole: list[Swim], worn: list[Swim]) -> None:
@@ -79,20 +63,9 @@ def replace_fixes(swim: Swim, count: int) -> Swim:
     return replace(swim, time_s=swim.time_s[:count], pose=swim.pose[:count])
 
 
-MISFIRE = """
-class Misfire:
-    def __init__(self, limb, share):
-        self.limb, self.share = limb, share
-
-    def stroke(self, stroke, history, rng):
-        if stroke.limb == self.limb and rng.random() < self.share:
-            stroke.gain = 0.0
-"""
-
-
 def test_what_strokes_do_differently_is_no_noise_of_the_fixes(whole: list[Swim], tmp_path: Path) -> None:
     """A limb that misfires in 4 strokes of 10: the floor stays, beside it stands what strokes differ by."""
-    (tmp_path / "mine.py").write_text(MISFIRE)
+    (tmp_path / "mine.py").write_text(OUTSIDE_TEXT)
     table = {"file": str(tmp_path / "mine.py"), "class": "Misfire", "limb": "front_left", "share": 0.4}
     judged = []
     for swims in (whole, [make_swim([table], seed, 14) for seed in (3, 4)]):

@@ -29,6 +29,7 @@ from types import FrameType
 from typing import Any, Generic, TypeVar
 
 from frogkick.errors import FrogkickError, InputError
+from frogkick.interrupts import ctrl_c_waits
 
 Ready = TypeVar("Ready")
 Task = TypeVar("Task")
@@ -121,24 +122,6 @@ def _interrupts() -> Iterator[Callable[[], None]]:
         signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
-@contextmanager
-def _held_back() -> Iterator[None]:
-    """Let a Ctrl-C wait while processes and threads are started.
-
-    A fork runs functions of its own before and after, which cannot hand it on; a process that is not yet told
-    to ignore it would end with a traceback. What is started inherits the mask, so Ctrl-C comes to this thread
-    alone.
-    """
-    if not hasattr(signal, "pthread_sigmask"):
-        yield
-        return
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
-
-
 # Set in each worker process by _start_worker, so that a task carries its own numbers only.
 _worker: tuple[Callable[[Any, Any], Any], Any] | None = None
 
@@ -170,7 +153,7 @@ def _on_pool(
         initargs=(job.start, job.given, job.run),
     )
     try:
-        with _held_back():
+        with ctrl_c_waits():
             pending = {executor.submit(_run_in_worker, task): index for index, task in enumerate(tasks)}
         for future in as_completed(pending):
             check()

@@ -9,6 +9,7 @@ import tempfile
 import zlib
 from pathlib import Path
 
+import cffi
 import numpy as np
 import pytest
 from hypothesis import given
@@ -177,7 +178,7 @@ def test_two_processes_may_build_at_once_and_content_is_built_once(own_cache: Pa
     with multiprocessing.get_context("spawn").Pool(2) as pool:  # which inherits the environment
         names = pool.map(_build, [0, 1], chunksize=1)
     assert names[0] == names[1]
-    built = [entry.name for entry in (own_cache / "native").iterdir()]
+    built = [entry.name for entry in (own_cache / "native").iterdir() if entry.suffix == ".so"]
     assert built == [names[0]]
 
 
@@ -188,6 +189,22 @@ def test_a_cached_library_is_not_built_again(own_cache: Path) -> None:
     assert build_shared("a", source).stat().st_mtime_ns == stamp
     other = build_shared("a", {"a.c": source["a.c"].replace(b"1", b"2")})
     assert other != first
+
+
+def test_a_change_of_one_character_is_compiled(own_cache: Path) -> None:
+    """Builds share a folder, where the compiler itself decides what is old."""
+    header, caller = (
+        b"int fk_a(void);\n",
+        b'#include "a.h"\nint fk_b(void);\nint fk_b(void) { return fk_a(); }\n',
+    )
+    ffi = cffi.FFI()
+    ffi.cdef("int fk_b(void);")
+    for answer in (b"1", b"2", b"3", b"1"):
+        source = b'#include "a.h"\nint fk_a(void) { return ' + answer + b"; }\n"
+        files = {"a.c": source, "b.c": caller, "a.h": header + b"#define ANSWER " + answer + b"\n"}
+        assert ffi.dlopen(str(build_shared("a", files))).fk_b() == int(answer)
+        files["a.c"] = source.replace(b"return " + answer, b"return ANSWER + 3")
+        assert ffi.dlopen(str(build_shared("a", files))).fk_b() == int(answer) + 3
 
 
 def test_a_missing_compiler_wheel_is_said_so(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -206,7 +223,7 @@ def test_unknown_targets_and_compilers_are_refused() -> None:
 def test_a_refused_source_names_the_place(own_cache: Path) -> None:
     with pytest.raises(ToolchainError, match=r"bad\.c:1:"):
         build_shared("bad", {"bad.c": b"int fk_bad(void) { return 1; }\n"})  # no prototype
-    assert not list((own_cache / "native").iterdir())
+    assert not list((own_cache / "native").glob("bad*"))
 
 
 def test_a_folder_that_cannot_be_a_cache_is_said_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -11,7 +11,7 @@ from pathlib import Path
 CODEGEN = "codegen"
 """How the table below calls the package frogkick_codegen."""
 
-EVERYBODY = frozenset({"errors", "files", "chunks", "compiled", "__init__"})
+EVERYBODY = frozenset({"errors", "files", "interrupts", "chunks", "compiled", "__init__"})
 """Modules of frogkick that all may import; ``__init__`` is the version."""
 
 ARROWS: Mapping[str, frozenset[str]] = {
@@ -77,6 +77,7 @@ ARROWS: Mapping[str, frozenset[str]] = {
     CODEGEN: frozenset({"robot", "planner", "link"}),
     "errors": frozenset(),
     "files": frozenset(),
+    "interrupts": frozenset(),
     "chunks": frozenset(),
     "compiled": frozenset(),
     "__init__": frozenset(),

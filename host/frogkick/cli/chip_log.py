@@ -8,7 +8,6 @@ from typing import Annotated, Any
 
 import typer
 
-from frogkick.cli import log
 from frogkick.cli.common import JsonOption, progress_bar, require_writable, show
 from frogkick.cli.places import TablesOption, built_firmware, robot_of_table, table_image
 from frogkick.cli.push import session_at
@@ -122,7 +121,7 @@ def replay(
         raise typer.Exit(1)
 
 
-def register(_app: typer.Typer) -> None:
-    """Add the commands, to those of runs."""
-    log.app.command()(fetch)
-    log.app.command()(replay)
+def register(app: typer.Typer) -> None:
+    """Add the commands."""
+    app.command()(fetch)
+    app.command()(replay)

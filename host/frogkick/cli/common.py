@@ -25,6 +25,7 @@ from rich.progress import (
 
 from frogkick.chunks import check_cluster
 from frogkick.errors import InputError
+from frogkick.files import atomic_path
 
 JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else.")]
 SeedOption = Annotated[int, typer.Option("--seed", min=0, help="Makes the run repeatable.")]
@@ -73,6 +74,12 @@ def show(values: Mapping[str, Any], as_json: bool, text: str = "") -> None:
         print(json_text(values))
         return
     print(text or "\n".join(f"{key}: {value}" for key, value in values.items()))
+
+
+def write_picture(figure: Any, out: Path) -> None:
+    """Write a matplotlib figure as a PNG, the same bytes every time."""
+    with atomic_path(out) as temporary:
+        figure.savefig(temporary, format="png", dpi=120, metadata={"Software": None})
 
 
 def require_writable(out: Path | None, folder: bool = False) -> None:

@@ -10,8 +10,6 @@ import typer
 
 from frogkick.cli.common import JsonOption, SeedOption, progress_bar, require_writable, show
 from frogkick.cli.places import DepthOption, PlannerName, plan_config
-from frogkick.report.identify_page import write_identify_page
-from frogkick.report.ring_page import write_ring_report
 from frogkick.robot import load_robot
 from frogkick.study.closing import Closing
 from frogkick.study.ring import close, go_round
@@ -26,6 +24,9 @@ def demo(
     json: JsonOption = False,
 ) -> None:
     """Simulate, tabulate, build firmware, swim on the virtual chip; wear a limb, find and learn it, again."""
+    from frogkick.report.identify_page import write_identify_page
+    from frogkick.report.ring_page import write_ring_report
+
     described = load_robot(robot)
     require_writable(out, folder=True)
     levels = plan_config(described, PlannerName.robot, depth).depth

@@ -7,43 +7,35 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-from matplotlib.figure import Figure
 
-from frogkick.cli.common import JsonOption, require_writable, show
+from frogkick.cli.common import JsonOption, require_writable, show, write_picture
 from frogkick.errors import InputError
-from frogkick.files import atomic_path
 from frogkick.loop.export_csv import export_csv
 from frogkick.loop.export_mcap import export_mcap
 from frogkick.loop.recorded import load_run
 from frogkick.loop.summary import compare_runs, summary
-from frogkick.report.compare_figure import compare_figure
-from frogkick.report.run_figure import run_figure
-
-app = typer.Typer(
-    help="Runs afterwards: pictures, two side by side; what a robot itself wrote down.", no_args_is_help=True
-)
 
 RunArgument = Annotated[
     Path, typer.Argument(help="Log of ours (.h5) or a recorded run of the paper (line1.csv).")
 ]
 
 
-@app.command(name="show")
 def show_(
     run: RunArgument,
     out: Annotated[Path | None, typer.Option(help="Picture (.png) to write.")] = None,
     json: JsonOption = False,
 ) -> None:
     """A run in numbers and in one picture: track, distance, actions, what the prediction missed."""
+    from frogkick.report.run_figure import run_figure
+
     _require_picture(out)
     log = load_run(run)
     found = summary(log)
     if out is not None:
-        _write(run_figure(log, f"{run.name}: {found.decisions} decisions"), out)
+        write_picture(run_figure(log, f"{run.name}: {found.decisions} decisions"), out)
     show({**found.as_json(), "picture": out and str(out)}, json, _lines(found.as_json()))
 
 
-@app.command()
 def compare(
     a: RunArgument,
     b: RunArgument,
@@ -51,12 +43,14 @@ def compare(
     json: JsonOption = False,
 ) -> None:
     """Two runs side by side: which kept nearer to its path, where decisions part, how far apart they swam."""
+    from frogkick.report.compare_figure import compare_figure
+
     _require_picture(out)
     logs = (load_run(a), load_run(b))
     found = compare_runs(*logs)
     if out is not None:
         names = (a.name, b.name) if a.name != b.name else (str(a), str(b))
-        _write(compare_figure(logs, names), out)
+        write_picture(compare_figure(logs, names), out)
     told = found.as_json()
     rows = [
         f"{key:18s}  {_short(told['a'][key]):>22s}  {_short(told['b'][key]):>22s}"
@@ -98,11 +92,6 @@ def _require_picture(out: Path | None) -> None:
         raise InputError(f"--out {str(out)!r} is no .png: pictures are PNG here")
 
 
-def _write(figure: Figure, out: Path) -> None:
-    with atomic_path(out) as temporary:
-        figure.savefig(temporary, format="png", dpi=120, metadata={"Software": None})
-
-
 def _short(value: Any) -> str:
     return "-" if value is None else f"{value:.4g}" if isinstance(value, float) else str(value)
 
@@ -115,6 +104,8 @@ def _lines(values: Mapping[str, Any]) -> str:
     return "\n".join(f"{key}: {text}" for key, text in texts.items())
 
 
-def register(parent: typer.Typer) -> None:
-    """Add the command ``export``."""
-    parent.command()(export)
+def register(app: typer.Typer) -> None:
+    """Add the commands."""
+    app.command(name="show")(show_)
+    app.command()(compare)
+    app.command()(export)

@@ -12,6 +12,7 @@ from types import FrameType
 from typing import Any
 
 from frogkick.errors import CheckError, FrogkickError
+from frogkick.interrupts import ctrl_c_waits
 
 CHECK_FAILED = 1
 BAD_INPUT = 2
@@ -51,20 +52,13 @@ def run_command(arguments: list[str] | None = None) -> int:
 
 
 def _run(arguments: list[str] | None) -> int:
-    # Loading takes a second or two: here, so that Ctrl-C meanwhile is no traceback. It waits until all is
-    # loaded: libraries in C that are interrupted while they set themselves up may crash.
-    masks = hasattr(signal, "pthread_sigmask")
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT}) if masks else set()
-    try:
+    with ctrl_c_waits():  # here and not at the top, so that Ctrl-C meanwhile is no traceback
         import typer
 
         from frogkick.cli.app import app
-    finally:
-        if masks:
-            signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
     try:
-        result = app(arguments, standalone_mode=False)
+        result = app(arguments, prog_name="frogkick", standalone_mode=False)
         sys.stdout.flush()
     except typer.Exit as error:
         return error.exit_code
@@ -75,7 +69,11 @@ def _run(arguments: list[str] | None) -> int:
         message = getattr(error, "format_message", None)
         if message is None:
             raise
-        _complain(f"{message()} (see 'frogkick --help')")
+        text = message()
+        if "\n" in text:  # a command without its arguments is told what there is
+            print(text, file=sys.stderr)
+        else:
+            _complain(f"{text} (see 'frogkick --help')")
         return BAD_INPUT
     if result == INTERRUPTED:  # what typer makes of Ctrl-C, without a word
         raise KeyboardInterrupt

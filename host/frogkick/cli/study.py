@@ -9,7 +9,7 @@ from typing import Annotated
 
 import typer
 
-from frogkick.cli.common import JsonOption, SeedOption, progress_bar, show
+from frogkick.cli.common import JsonOption, SeedOption, progress_bar, show, write_picture
 from frogkick.cli.places import (
     PlannerName,
     PlannerOption,
@@ -19,45 +19,15 @@ from frogkick.cli.places import (
     robot_of_table,
     table_image,
 )
-from frogkick.cli.study_ceiling import register as register_ceiling
-from frogkick.cli.study_estimator import register as register_estimator
-from frogkick.cli.study_foresight import register as register_foresight
-from frogkick.cli.study_heldout import register as register_heldout
-from frogkick.cli.study_loop import register as register_loop
-from frogkick.cli.study_openloop import register as register_openloop
-from frogkick.cli.study_tables import register as register_tables
-from frogkick.cli.study_twin import register as register_twin
-from frogkick.cli.study_verdicts import register as register_verdicts
 from frogkick.der import STEP_S
-from frogkick.files import atomic_path
 from frogkick.paths import SHAPES, shape
 from frogkick.pool.chip import CostModel
-from frogkick.report.convergence_figure import convergence_figure
 from frogkick.robot import load_robot
 from frogkick.study.chip_speed import DEPTHS, LIMIT_MS, chip_speed, open_ms
 from frogkick.study.convergence import ERROR_LIMIT
 from frogkick.study.convergence import convergence as measure
 
-app = typer.Typer(help="Questions about the method, answered with figures.", no_args_is_help=True)
 
-
-register_tables(app)
-register_estimator(app)
-register_loop(app)
-register_twin(app)
-register_ceiling(app)
-register_foresight(app)
-register_verdicts(app)
-register_openloop(app)
-register_heldout(app)
-
-
-@app.callback()
-def _group() -> None:
-    """Questions about the method, answered with figures."""
-
-
-@app.command()
 def convergence(
     robot: Annotated[str, typer.Argument(help="TOML file or built-in name.")] = "frog2022",
     out: Annotated[Path | None, typer.Option(help="Picture to write (PNG).")] = None,
@@ -65,12 +35,13 @@ def convergence(
     json: JsonOption = False,
 ) -> None:
     """Error of the rod simulation against its time step. Exit 1 if the default step errs too much."""
+    from frogkick.report.convergence_figure import convergence_figure
+
     described = load_robot(robot)
     with progress_bar("convergence") as progress:
         curves = measure(described, progress, every)
     if out is not None:
-        with atomic_path(out) as temporary:
-            convergence_figure(curves, STEP_S).savefig(temporary, format="png", dpi=120)
+        write_picture(convergence_figure(curves, STEP_S), out)
     values = {
         "default_step_s": STEP_S,
         "limit": ERROR_LIMIT,
@@ -90,7 +61,6 @@ def convergence(
         raise typer.Exit(1)
 
 
-@app.command()
 def chip(
     tables: TablesOption = None,
     model: Annotated[str | None, typer.Option(help="Robot TOML or name; default: the table's robot.")] = None,
@@ -163,3 +133,9 @@ def chip(
     )
     if over:
         raise typer.Exit(1)
+
+
+def register(app: typer.Typer) -> None:
+    """Add the commands."""
+    app.command()(convergence)
+    app.command()(chip)

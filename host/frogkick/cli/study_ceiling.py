@@ -11,15 +11,13 @@ from typing import Annotated, Any
 
 import typer
 
-from frogkick.cli.common import JsonOption, progress_bar, require_writable, show
+from frogkick.cli.common import JsonOption, progress_bar, require_writable, show, write_picture
 from frogkick.errors import InputError
-from frogkick.files import atomic_path
 from frogkick.library import fit_table, quantise, read_library
 from frogkick.library.fitting import BUDGET_BYTES, require_enough
 from frogkick.loop.closed_loop import require_time
 from frogkick.paths import SHAPES
 from frogkick.planner.image import read_image
-from frogkick.report.ceiling_figure import ceiling_figure
 from frogkick.study.ceiling import (
     AFFINE,
     NEAREST,
@@ -57,6 +55,8 @@ def ceiling(
 
     Each --depth that the rods look further takes as many times longer as the robot has actions.
     """
+    from frogkick.report.ceiling_figure import ceiling_figure
+
     require_writable(out)
     require_time(simulated_time)
     content = read_library(library)
@@ -80,8 +80,7 @@ def ceiling(
     with progress_bar("runs") as progress:
         runs = follow_paths(robot, images, list(SHAPES), depths, seeds, simulated_time, processes, progress)
     if out is not None:
-        with atomic_path(out) as temporary:
-            ceiling_figure(runs).savefig(temporary, format="png", dpi=120)
+        write_picture(ceiling_figure(runs), out)
     rows = [
         _row(runs, path, source, levels)
         for levels in depths

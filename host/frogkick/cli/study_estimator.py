@@ -11,7 +11,7 @@ from typing import Annotated
 
 import typer
 
-from frogkick.cli.common import JsonOption, progress_bar, require_writable, show
+from frogkick.cli.common import JsonOption, progress_bar, require_writable, show, write_picture
 from frogkick.cli.places import (
     DepthOption,
     PlannerName,
@@ -22,9 +22,7 @@ from frogkick.cli.places import (
     swim_path,
     table_image,
 )
-from frogkick.files import atomic_path
 from frogkick.loop.closed_loop import require_time
-from frogkick.report.estimator_figure import estimator_figure
 from frogkick.study.estimator import RATES_HZ, Condition, Outcome, compare_estimators
 
 _PathsOption = Annotated[list[str] | None, typer.Option("--path", help="line, sine, ellipse, or a CSV file.")]
@@ -47,6 +45,8 @@ def estimator(
     json: JsonOption = False,
 ) -> None:
     """States from late, lost, doubled and wrong fixes in the pool: the robot's way, a line, the paper's."""
+    from frogkick.report.estimator_figure import estimator_figure
+
     require_writable(out)
     require_time(simulated_time)
     image = table_image(tables, model)
@@ -67,8 +67,7 @@ def estimator(
             progress,
         )
     if out is not None:
-        with atomic_path(out) as temporary:
-            estimator_figure(outcomes).savefig(temporary, format="png", dpi=120)
+        write_picture(estimator_figure(outcomes), out)
     rows = [
         {"rate_hz": condition.rate_hz, "fault": condition.fault, "method": method, **dataclasses.asdict(one)}
         for condition, methods in outcomes.items()

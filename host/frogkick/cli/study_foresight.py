@@ -8,12 +8,10 @@ from typing import Annotated, Any
 
 import typer
 
-from frogkick.cli.common import JsonOption, progress_bar, require_writable, show
+from frogkick.cli.common import JsonOption, progress_bar, require_writable, show, write_picture
 from frogkick.cli.places import TablesOption, start_pose, swim_path, table_image
 from frogkick.errors import InputError
-from frogkick.files import atomic_path
 from frogkick.planner.image import read_image
-from frogkick.report.foresight_figure import foresight_figure
 from frogkick.study.foresight import foresee, nearest_at
 
 
@@ -32,6 +30,8 @@ def foresight(
     No noise, no delay, no limit of time or memory. A planner on the robot stays further off; by how much
     more tells what it misses, and the rest is what the path asks of the robot.
     """
+    from frogkick.report.foresight_figure import foresight_figure
+
     require_writable(out)
     if at_least is not None and not (math.isfinite(at_least) and at_least >= 0.0):
         raise InputError(f"--at-least {at_least} m/s: give a speed from 0 on")
@@ -40,8 +40,7 @@ def foresight(
     with progress_bar("decisions ahead") as progress:
         plans = foresee(opened, course, start_pose(course), breadth, progress)
     if out is not None:
-        with atomic_path(out) as temporary:
-            foresight_figure(course, plans).savefig(temporary, format="png", dpi=120)
+        write_picture(foresight_figure(course, plans), out)
     rows = [
         {
             "decisions": len(plan.actions),

@@ -10,11 +10,9 @@ from typing import Annotated, Any
 
 import typer
 
-from frogkick.cli.common import JsonOption, progress_bar, require_writable, say_left_out, show
-from frogkick.files import atomic_path
+from frogkick.cli.common import JsonOption, progress_bar, require_writable, say_left_out, show, write_picture
 from frogkick.identify.outcome import robot_of_runs
 from frogkick.identify.swim import read_swim, reliable
-from frogkick.report.heldout_figure import heldout_figure
 from frogkick.robot import load_robot
 from frogkick.study.heldout import HeldOut, held_out, pooled
 
@@ -37,6 +35,8 @@ def heldout(
     found without it. Fits of many effects start from nominal values, never from a built-in robot that was
     measured before. Exit 1 where what was found predicts worse than the nominal model.
     """
+    from frogkick.report.heldout_figure import heldout_figure
+
     require_writable(out)
     swims = [read_swim(run) for run in runs]
     _, left_out = reliable(swims)
@@ -52,8 +52,7 @@ def heldout(
     }
     values |= {"periods": sum(periods), "runs": [_row(row) for row in rows], "left_out": left_out}
     if out is not None:
-        with atomic_path(out) as temporary:
-            heldout_figure(rows).savefig(temporary, format="png", dpi=120)
+        write_picture(heldout_figure(rows), out)
         values["figure"] = str(out)
     show(values, json, _text(rows, values))
     if values["after"]["position_rmse_m"] > values["before"]["position_rmse_m"]:

@@ -9,12 +9,11 @@ from typing import Annotated
 
 import typer
 
-from frogkick.cli.common import JsonOption, progress_bar, require_writable, show
+from frogkick.cli.common import JsonOption, progress_bar, require_writable, show, write_picture
 from frogkick.errors import InputError
-from frogkick.files import atomic_path, write_bytes
+from frogkick.files import write_bytes
 from frogkick.library import Library, build_library, fit_table, quantise, read_library
 from frogkick.paths import SHAPES, shape
-from frogkick.report.loop_figure import loop_figure
 from frogkick.robot import Robot, load_robot
 from frogkick.study.kept import Case
 from frogkick.study.loop import (
@@ -66,6 +65,8 @@ def loop(
     Exit 1 where, in a world and over all paths, the robot's planner is not at most half as far off as the
     paper's at no less progress, or depth 2 and 3 are both further off than depth 1.
     """
+    from frogkick.report.loop_figure import loop_figure
+
     described = load_robot(robot)
     settings = settings_of(world or [NOMINAL.name, HIDDEN.name], described)
     paths = shape_names(path)
@@ -88,9 +89,7 @@ def loop(
         outcomes = run_cases(described, images, planners, settings, cases, out, processes, progress)
     worlds = [setting.name for setting in settings]
     figure = out / "loop.png"
-    with atomic_path(figure) as temporary:
-        drawn = loop_figure(outcomes, worlds, paths, [planner.name for planner in planners])
-        drawn.savefig(temporary, format="png", dpi=120)
+    write_picture(loop_figure(outcomes, worlds, paths, [planner.name for planner in planners]), figure)
     rows = summaries(outcomes)
     verdicts = [judge(rows, name, planners, described.planner.depth) for name in worlds]
     values = {

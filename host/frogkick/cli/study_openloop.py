@@ -12,10 +12,9 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 
-from frogkick.cli.common import JsonOption, progress_bar, require_writable, show
+from frogkick.cli.common import JsonOption, progress_bar, require_writable, show, write_picture
 from frogkick.errors import InputError
-from frogkick.files import atomic_path, write_text
-from frogkick.report.openloop_figure import openloop_figure
+from frogkick.files import write_text
 from frogkick.robot import Robot, load_robot
 from frogkick.robot.toml_text import to_toml
 from frogkick.study.openloop import OpenLoop, Predicted, Split, open_loop, rmse_by_group
@@ -58,6 +57,8 @@ def openloop(
     groups of the training swims that are left out of the fit are predicted better by more than the sampling
     error (paired bootstrap over cases); else the nominal model stays.
     """
+    from frogkick.report.openloop_figure import openloop_figure
+
     require_writable(out, folder=True)
     if (train is None) != (test is None) or (train is None) == (data_dir is None):
         raise InputError("give DATA_DIR, or both --train DIR and --test DIR")
@@ -70,8 +71,7 @@ def openloop(
     values = _result(found)
     if out is not None:
         out.mkdir(parents=True, exist_ok=True)
-        with atomic_path(out / "openloop.png") as temporary:
-            openloop_figure(found).savefig(temporary, format="png", dpi=120)
+        write_picture(openloop_figure(found), out / "openloop.png")
         values["figure"] = str(out / "openloop.png")
         for split, row in zip(found.splits, values["splits"], strict=True):
             target = out / f"{nominal.id}-{re.sub(r'[^a-z0-9.]+', '-', split.name.lower()).strip('-')}.toml"

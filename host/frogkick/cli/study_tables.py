@@ -7,24 +7,15 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from matplotlib.figure import Figure
 
-from frogkick.cli.common import JsonOption, SeedOption, progress_bar, require_writable, show
+from frogkick.cli.common import JsonOption, SeedOption, progress_bar, require_writable, show, write_picture
 from frogkick.cli.library import Sampling
-from frogkick.files import atomic_path
 from frogkick.library import read_library
-from frogkick.report.history_figure import history_figure
-from frogkick.report.table_size_figure import table_size_figure
 from frogkick.robot import load_robot
 from frogkick.study.history import history_worth
 from frogkick.study.table_size import least_bytes_as_good, over_full_nearest, slope, table_sizes
 
 _PictureOption = Annotated[Path | None, typer.Option(help="Picture to write (PNG).")]
-
-
-def _write(figure: Figure, out: Path) -> None:
-    with atomic_path(out) as temporary:
-        figure.savefig(temporary, format="png", dpi=120)
 
 
 def tables(
@@ -38,12 +29,14 @@ def tables(
     json: JsonOption = False,
 ) -> None:
     """Error of tables of both kinds against their size, and against the library's."""
+    from frogkick.report.table_size_figure import table_size_figure
+
     content = read_library(library)
     require_writable(out)
     with progress_bar("tables") as progress:
         sizes = table_sizes(content, test_states, seed, progress, swims.value)
     if out is not None:
-        _write(table_size_figure(sizes), out)
+        write_picture(table_size_figure(sizes), out)
     affine = tuple(p for p in sizes.by_size if p.kind == "affine")
     show(
         {
@@ -69,12 +62,14 @@ def history(
     json: JsonOption = False,
 ) -> None:
     """Error of affine tables with and without limb use as an input, for this robot and tiring ones."""
+    from frogkick.report.history_figure import history_figure
+
     described = load_robot(robot)
     require_writable(out)
     with progress_bar("limb history") as progress:
         results = history_worth(described, states, test_states, seed, progress)
     if out is not None:
-        _write(history_figure(results), out)
+        write_picture(history_figure(results), out)
     show({"robots": [dataclasses.asdict(result) for result in results], "seed": seed}, json)
 
 

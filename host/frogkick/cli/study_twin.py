@@ -12,11 +12,10 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 
-from frogkick.cli.common import JsonOption, progress_bar, require_writable, show
+from frogkick.cli.common import JsonOption, progress_bar, require_writable, show, write_picture
 from frogkick.cli.study_loop import PAPER_STATES, fit_own_table, library_of, shape_names, table_of_rows
-from frogkick.files import atomic_path, write_bytes
+from frogkick.files import write_bytes
 from frogkick.library import quantise
-from frogkick.report.loop_figure import loop_figure
 from frogkick.robot import Robot, load_robot
 from frogkick.study.believed import Believed, believed_motions, image_of_motions
 from frogkick.study.kept import Case
@@ -71,6 +70,8 @@ def twin(
     or over the recorded runs' paths. With --runs the paper's planner also swims with what it believed of
     each action, as its recorded decisions show.
     """
+    from frogkick.report.loop_figure import loop_figure
+
     described, nominal = load_robot(robot), load_robot(model)
     setting = world_of(described)
     require_related(described, nominal)
@@ -103,8 +104,7 @@ def twin(
     rows = summaries(outcomes)
     marks = {one.course.name: (one.mean_distance_m, one.progress_mps) for one in recorded}
     figure = out / "twin.png"
-    with atomic_path(figure) as temporary:
-        loop_figure(outcomes, [TWIN], paths, names, marks).savefig(temporary, format="png", dpi=120)
+    write_picture(loop_figure(outcomes, [TWIN], paths, names, marks), figure)
     groups = {"shapes": shapes, "recorded_paths": [course.name for course in courses]}
     over = {
         group: [mean_over(outcomes, name, some) for name in names] for group, some in groups.items() if some

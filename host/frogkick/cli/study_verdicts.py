@@ -8,11 +8,9 @@ from typing import Annotated, Any
 
 import typer
 
-from frogkick.cli.common import JsonOption, progress_bar, require_writable, show
+from frogkick.cli.common import JsonOption, progress_bar, require_writable, show, write_picture
 from frogkick.cli.places import TablesOption, robot_of_table, table_image
 from frogkick.errors import InputError
-from frogkick.files import atomic_path
-from frogkick.report.verdicts_figure import verdicts_figure
 from frogkick.study.planted import NULL, ONE, OUTSIDE, TWO, kinds
 from frogkick.study.verdicts import Case, Result, run_cases
 
@@ -40,6 +38,8 @@ def verdicts(
     Exit 1 where a group has fewer right verdicts than asked: 95 % with nothing planted, with one effect of
     the catalogue (its parameters inside their intervals) and with one from outside; 90 % with two at once.
     """
+    from frogkick.report.verdicts_figure import verdicts_figure
+
     known = kinds()
     for name in kind or []:
         if name not in known:
@@ -63,8 +63,7 @@ def verdicts(
                 "passed": right >= least * len(some),
             }
     figure = out / "verdicts.png"
-    with atomic_path(figure) as temporary:
-        verdicts_figure(results).savefig(temporary, format="png", dpi=120)
+    write_picture(verdicts_figure(results), figure)
     rows = [_row(case, result) for case, result in results.items()]
     show({"groups": groups, "cases": rows, "figure": str(figure)}, json, _text(results, groups))
     if not all(group["passed"] for group in groups.values()):

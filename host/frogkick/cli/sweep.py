@@ -15,7 +15,6 @@ import typer
 from frogkick.cli.common import ClusterOption, JsonOption, progress_bar, require_writable, share_out, show
 from frogkick.errors import InputError
 from frogkick.files import write_text
-from frogkick.report.sweep_page import write_sweep_report
 from frogkick.robot import load_robot
 from frogkick.study.paper_winners import PAPER_PHASE, Verdict, explain, paper_verdicts
 from frogkick.study.sweep import (
@@ -169,6 +168,8 @@ def sweep(
 
     Limb profiles between measured ones are interpolated; designs outside of them are left out and listed.
     """
+    from frogkick.report.sweep_page import write_sweep_report
+
     require_writable(out, folder=True)
     processes = share_out(workers, cluster)
     plan = plan_sweep(

@@ -10,7 +10,6 @@ from typing import Annotated, Any
 import typer
 
 from frogkick.cli.common import JsonOption, progress_bar, require_writable, show
-from frogkick.report.validate_page import write_validation_report
 from frogkick.robot import load_robot
 from frogkick.study.measured import EXPERIMENTS, Skipped
 from frogkick.study.noise import Noise, noise_of
@@ -147,6 +146,8 @@ def validate(
 
     One parameter set for all; limb profiles come from the folder's own files where it has them.
     """
+    from frogkick.report.validate_page import write_validation_report
+
     require_writable(report)
     began = time.perf_counter()
     with progress_bar("validate: gaits") as progress:

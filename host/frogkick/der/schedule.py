@@ -18,7 +18,6 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
-from scipy.ndimage import maximum_filter1d
 
 from frogkick.robot import Actuation
 
@@ -68,6 +67,8 @@ class Pace:
 
 def pace_of(actuation: Actuation) -> Pace:
     """How long steps may be during this stroke."""
+    from scipy.ndimage import maximum_filter1d
+
     active, every_s = actuation.activation, actuation.step_s
     last = int(np.flatnonzero(active > 0.0)[-1]) + 1
     rings = math.ceil(RINGS_S / every_s)

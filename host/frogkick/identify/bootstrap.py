@@ -7,7 +7,6 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
 
 FloatArray = NDArray[np.float64]
 
@@ -23,6 +22,8 @@ def mean_interval(runs: Sequence[FloatArray], rng: np.random.Generator) -> tuple
     A bootstrap of few blocks is too narrow by the bias of a variance and by the tails of Student's t; its
     distances from the mean are widened by both.
     """
+    from scipy import stats
+
     value = float(np.concatenate(runs).mean())
     drawn = _resampled(runs, rng)
     ends = np.quantile(drawn, [0.5 - 0.5 * CONFIDENCE, 0.5 + 0.5 * CONFIDENCE])

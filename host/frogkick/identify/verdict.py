@@ -17,7 +17,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
 
 from frogkick.identify.bootstrap import CONFIDENCE, mean_interval
 from frogkick.identify.filter import Filter, Noise, first_rate_std
@@ -123,6 +122,8 @@ def fix_noise(swims: Sequence[Swim]) -> tuple[float, float] | None:
 
 def _scatter(values: FloatArray) -> float:
     """Standard deviation of normal values about zero, without those that are wild."""
+    from scipy import stats
+
     bound = BEYOND * 1.4826 * float(np.median(np.abs(values)))
     kept = values[np.abs(values) <= bound] if bound else values
     inside = 1.0 - 2.0 * BEYOND * stats.norm.pdf(BEYOND) / (1.0 - 2.0 * stats.norm.sf(BEYOND))
@@ -258,6 +259,8 @@ def intervals(fitted: Fitted) -> list[list[Interval]]:
     The covariance is Gauss and Newton's, or the one that scatter from period to period gives where that is
     wider; periods are taken as independent.
     """
+    from scipy import stats
+
     white = whitener(fitted.missed)
     flat, columns = whiten(white, fitted.missed, fitted.jacobian)
     count, width = len(fitted.missed), columns.shape[1]

@@ -12,7 +12,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -88,6 +87,8 @@ class Division:
 
     def _split(self, states: FloatArray, more: int) -> FloatArray:
         """Split the ``more`` cells with the largest error, then move all states towards their means."""
+        from scipy.spatial import cKDTree
+
         fitted = self._fitted(states)
         total = np.bincount(fitted.label, fitted.error, minlength=len(states))
         divided, new = states.copy(), []
@@ -112,6 +113,8 @@ class Division:
 
     def _fitted(self, states: FloatArray) -> Cells:
         """Least squares in each cell; empty ones have the trend of the whole."""
+        from scipy.spatial import cKDTree
+
         label = cKDTree(states).query(self._codes)[1]
         offset = self._codes - states[label]
         reach = np.abs(offset).max(axis=0)

@@ -9,7 +9,6 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from frogkick.errors import InputError, nearest_name
 from frogkick.library.cells import Cells, Division
@@ -230,6 +229,8 @@ class _Fit:
 
 def _between(codes: FloatArray, count: int) -> FloatArray:
     """(count, 3) points between states and one of their nearest neighbours each."""
+    from scipy.spatial import cKDTree
+
     rng = np.random.default_rng(0)
     neighbours = min(_NEIGHBOURS, len(codes) - 1)
     near = cKDTree(codes).query(codes, neighbours + 1)[1]

@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from frogkick.errors import InputError
 from frogkick.library.history import History, fit_history
@@ -86,6 +85,8 @@ def fit_surface(robot: Robot, velocities: FloatArray, rows: FloatArray, previous
     Raises:
         InputError: too few states.
     """
+    from scipy.spatial import cKDTree
+
     if len(velocities) < STATES_MIN:
         raise InputError(
             f"the library has {len(velocities)} whole states to fit, a local regression needs {STATES_MIN}: "

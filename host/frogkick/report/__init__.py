@@ -1,1 +1,12 @@
 """Figures and self-contained HTML pages, in one style."""
+
+import os
+from pathlib import Path
+
+from frogkick.files import cache_folder, writable_folder
+
+# Before matplotlib is loaded: without a home it would complain in several lines, and look at all fonts again.
+if "MPLCONFIGDIR" not in os.environ:
+    _home = Path(os.environ.get("XDG_CONFIG_HOME") or os.path.expanduser("~/.config"))
+    if not writable_folder(_home / "matplotlib"):
+        os.environ["MPLCONFIGDIR"] = str(cache_folder("matplotlib"))

@@ -4,24 +4,12 @@ from __future__ import annotations
 
 import base64
 import io
-import os
 from collections.abc import Iterator
 from contextlib import contextmanager
-from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from frogkick.files import cache_folder, writable_folder
-
-if "MPLCONFIGDIR" not in os.environ:  # it would complain in several lines and look at all fonts every time
-    _home = Path(os.environ.get("XDG_CONFIG_HOME") or os.path.expanduser("~/.config"))
-    if not writable_folder(_home / "matplotlib"):
-        os.environ["MPLCONFIGDIR"] = str(cache_folder("matplotlib"))
-
-import matplotlib
-
-matplotlib.use("Agg")
-
-from matplotlib.figure import Figure
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 # Okabe and Ito's palette: told apart by colour-blind readers too.
 DESIRED = "#7f7f7f"
@@ -50,7 +38,10 @@ _SETTINGS: Any = {
 
 @contextmanager
 def styled() -> Iterator[None]:
-    """Draw in the common style, whatever the user's own settings are."""
+    """Draw in the common style, whatever the user's own settings are, and without a screen."""
+    import matplotlib
+
+    matplotlib.use("Agg")
     with matplotlib.rc_context(_SETTINGS):
         yield
 

@@ -12,7 +12,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
 
 from frogkick.errors import InputError
 
@@ -102,6 +101,8 @@ def fit_profile(
 
     Source: Huang 2022, Eq. 9 (one logistic each way); the second cooling term is ours.
     """
+    from scipy.optimize import least_squares
+
     t = np.asarray(time_s, dtype=np.float64).ravel()
     k = np.asarray(curvature_per_m, dtype=np.float64).ravel()
     name = f"profile at {egain_percent:g} % EGaIn, {frequency_hz:g} Hz"

@@ -6,7 +6,6 @@ from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
-from scipy.io import loadmat
 
 from frogkick.errors import InputError
 from frogkick.files import write_text
@@ -20,6 +19,8 @@ def read_measured_profile(path: Path | str) -> tuple[np.ndarray, np.ndarray]:
     Raises:
         InputError: missing, not a MATLAB file, or without ``t`` and ``mean``.
     """
+    from scipy.io import loadmat
+
     try:
         content = loadmat(str(path))
     except (OSError, ValueError, NotImplementedError) as error:

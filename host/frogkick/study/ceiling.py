@@ -17,7 +17,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
 
 from frogkick.chunks import Job, run_chunks
 from frogkick.der import STEP_S, WIDTH
@@ -144,6 +143,8 @@ def follow_paths(
 
 def mean_of(values: Sequence[float]) -> Mean:
     """Mean and confidence of values of independent seeds."""
+    from scipy import stats
+
     many = len(values)
     if many < 2:
         return Mean(float(np.mean(values)), float("nan"))

@@ -21,7 +21,6 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.io import loadmat
 
 from frogkick.der import Gait
 from frogkick.errors import InputError
@@ -194,6 +193,8 @@ def _read_mat(path: Path, name: str) -> tuple[FloatArray, FloatArray]:
     Raises:
         InputError: not such a file, or without one of them.
     """
+    from scipy.io import loadmat
+
     try:
         content = loadmat(str(path))
         time_s, values = (np.asarray(content[key], dtype=np.float64).ravel() for key in ("t", name))

@@ -23,7 +23,6 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import least_squares, lsq_linear
 
 from frogkick.robot import Robot
 from frogkick.study.noise import Noise, noise_of
@@ -224,6 +223,8 @@ class _Fit:
 
     def fit(self, frees: Sequence[Free], start: FloatArray) -> FloatArray:
         """(p,) likeliest distances from the plain model, in widths."""
+        from scipy.optimize import least_squares
+
         low, high = np.array([free.bounds for free in frees]).T
         found = least_squares(
             lambda z: np.concatenate([self.missed(frees, [z])[0], z - expected(frees)]),
@@ -244,6 +245,8 @@ class _Fit:
 
     def roughly_left_out(self, frees: Sequence[Free], point: FloatArray, jacobian: FloatArray) -> float:
         """RMSE, m/s, of groups left out, the worse way of grouping, all taken as linear about a point."""
+        from scipy.optimize import lsq_linear
+
         missed = self.missed(frees, [point])[0]
         low, high = np.array([free.bounds for free in frees]).reshape(-1, 2).T
         room = (np.minimum(low - point, -1e-9), np.maximum(high - point, 1e-9))

@@ -1,0 +1,70 @@
+"""What ``frogkick`` says before a command is loaded, and that every command is found."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import pytest
+from typer.testing import CliRunner
+
+from frogkick.cli.app import COMMANDS, LOG_COMMANDS, STUDY_COMMANDS, app
+
+NAMES = [
+    *([name] for name in COMMANDS),
+    *(["log", name] for name in LOG_COMMANDS),
+    *(["study", name] for name in STUDY_COMMANDS),
+]
+WIDTH = 80
+
+
+@pytest.mark.parametrize("names", NAMES, ids=" ".join)
+def test_every_command_is_found_and_says_what_it_does(names: list[str]) -> None:
+    told = CliRunner().invoke(app, [*names, "--help"])
+    assert told.exit_code == 0 and told.stdout.startswith(f"Usage: frogkick {' '.join(names)} ")
+    assert "--install-completion" not in told.stdout and "╭" not in told.stdout
+
+
+@pytest.mark.parametrize("group", [[], ["log"], ["study"]], ids=["all", "log", "study"])
+def test_the_list_says_each_command_in_one_line(group: list[str]) -> None:
+    table = {"log": LOG_COMMANDS, "study": STUDY_COMMANDS}[group[0]] if group else COMMANDS
+    lines = CliRunner().invoke(app, [*group, "--help"]).stdout.splitlines()
+    listed = [line.split(maxsplit=1) for line in lines[lines.index("Commands:") + 1 :]]
+    assert listed == [[name, text] for name, (_, text) in table.items()]
+    assert max(map(len, lines)) <= WIDTH
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "told"),
+    [
+        (["--help"], 0, "Usage: frogkick "),
+        ([], 2, "Usage: frogkick "),
+        (["study"], 2, "Usage: frogkick study "),
+        (["study", "--help"], 0, "Usage: frogkick study "),
+        (["simulat"], 2, "frogkick: No such command 'simulat'. Did you mean 'simulate'?"),
+        (["study", "heldot"], 2, "frogkick: No such command 'heldot'. Did you mean 'heldout'?"),
+    ],
+    ids=["help", "nothing", "group", "group's help", "typo", "group's typo"],
+)
+def test_nothing_is_loaded_before_a_command_is_known(arguments: list[str], code: int, told: str) -> None:
+    """Who asks what there is does not wait for physics and pictures."""
+    script = (
+        "import sys\n"
+        "from frogkick.cli.main import run_command\n"
+        f"code = run_command({arguments!r})\n"
+        "heavy = {'numpy', 'numba', 'scipy', 'h5py', 'matplotlib', 'cv2', 'asyncio'} & set(sys.modules)\n"
+        "assert not heavy, heavy\n"
+        "sys.exit(code)"
+    )
+    run = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)
+    assert run.returncode == code, run.stderr
+    assert (run.stderr if code else run.stdout).startswith(told)
+
+
+def test_no_command_draws_or_fits_before_it_is_asked_to() -> None:
+    """Pictures and scipy are loaded where they are used: each command begins without them."""
+    places = [place for table in (COMMANDS, LOG_COMMANDS, STUDY_COMMANDS) for place, _ in table.values()]
+    modules = ", ".join(sorted({f"frogkick.cli.{place}" for place in places if isinstance(place, str)}))
+    later = "{'matplotlib', 'scipy.optimize', 'scipy.stats', 'scipy.spatial'}"
+    script = f"import sys, {modules}\nassert not {later} & set(sys.modules)"
+    subprocess.run([sys.executable, "-c", script], check=True)

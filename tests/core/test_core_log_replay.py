@@ -351,7 +351,7 @@ def test_a_snapshot_of_another_length_is_refused() -> None:
     snapshot = snapshot_of(run(9, 10.0))
     assert restored(snapshot) == 0
     assert restored(snapshot + b"\0") == -1
-    for size in range(0, len(snapshot), cases(97, 97)):
+    for size in range(0, len(snapshot), 97):
         assert restored(snapshot[:size]) == -1
 
 

@@ -12,6 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from made import make_swim, robot
+from tests.conftest import count
 
 from frogkick.identify import relatives as module
 from frogkick.identify.filter import Noise
@@ -129,10 +130,10 @@ def ends_of(missed: np.ndarray) -> Any:
 def test_effects_fitted_to_recorded_runs_predict_another_one(
     frog2022_dir: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Three short runs to learn from, two steps from rough values; one run that was kept out."""
-    monkeypatch.setattr(module, "ROUNDS", 2)
-    model = load_robot("frog2022")
-    train = [read_swim(frog2022_dir / "control" / f"{name}.csv", model) for name in ("line1", "sin1", "sin3")]
+    """Short runs to learn from, two steps from rough values (one in make test); one run kept out."""
+    monkeypatch.setattr(module, "ROUNDS", count(2, 2, 1))
+    model, names = load_robot("frog2022"), ("line1", "sin3", "sin1")[: count(3, 3, 2)]
+    train = [read_swim(frog2022_dir / "control" / f"{name}.csv", model) for name in names]
     test = [read_swim(frog2022_dir / "control" / "ellipse5.csv", model)]
     _, rows, nominal = countable(train, model)
     start = [term.at(GENERIC.get(term.title, term.values)) for term in relatives(model)["frog2022-measured"]]

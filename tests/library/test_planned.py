@@ -5,6 +5,8 @@ from __future__ import annotations
 import itertools
 
 import numpy as np
+from tests.conftest import count
+from tests.identify.made import robot
 
 from frogkick.der import prepare
 from frogkick.library import Library, error_on, quantise, sample_library
@@ -13,10 +15,9 @@ from frogkick.library.starts import Met, gliding
 from frogkick.library.store import make_library
 from frogkick.library.transitions import RESTED, simulate_task
 from frogkick.planner.image import open_image
-from frogkick.robot import load_robot
 
-ROBOT = load_robot("frog2022")
-STATES = 128
+ROBOT = robot()
+STATES = count(128, 128, 64)
 
 
 def test_planned_states_are_drawn_again_whoever_simulates() -> None:

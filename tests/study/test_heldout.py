@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from tests.conftest import count
-from tests.identify.made import make_run
+from tests.identify.made import make_run, robot
 from typer.testing import CliRunner
 
 from frogkick.cli import study_heldout
@@ -44,8 +44,8 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
 def candidates(monkeypatch: pytest.MonkeyPatch) -> None:
     """Few candidates in make test, and no robots of the same body: the search as it is, in a minute."""
     if few := count(0, 0, 3):
-        some = [term for term in catalogue(load_robot("frog2022")) if term.name == "steady_current"]
-        some += [term for term in catalogue(load_robot("frog2022")) if term.name == "limb_wear"][: few - 1]
+        some = [term for term in catalogue(robot()) if term.name == "steady_current"]
+        some += [term for term in catalogue(robot()) if term.name == "limb_wear"][: few - 1]
         monkeypatch.setattr(outcome_module, "catalogue", lambda *_: some)
         monkeypatch.setattr(choice_module, "relatives", lambda _robot: {})
 
@@ -53,8 +53,10 @@ def candidates(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.usefixtures("candidates")
 def test_each_run_is_predicted_by_what_the_others_show(runs: list[Path], tmp_path: Path) -> None:
     out = tmp_path / "heldout.png"
-    asked = ["study", "heldout", *map(str, runs), "--out", str(out), "--workers", "1", "--json"]
-    told = CliRunner().invoke(app, asked)
+    toml = tmp_path / "robot.toml"
+    toml.write_text(robot().toml, encoding="utf-8")
+    asked = ["study", "heldout", *map(str, runs), "--robot", str(toml), "--out", str(out), "--workers", "1"]
+    told = CliRunner().invoke(app, [*asked, "--json"])
     assert told.exit_code == 0, told.stderr
     values = json.loads(told.stdout)
     assert out.read_bytes().startswith(b"\x89PNG")
@@ -67,9 +69,8 @@ def test_each_run_is_predicted_by_what_the_others_show(runs: list[Path], tmp_pat
     squares = [row["periods"] * row["after"]["position_rmse_m"] ** 2 for row in values["runs"]]
     assert whole == pytest.approx(np.sqrt(sum(squares) / values["periods"]))
 
-    robot = load_robot("frog2022")
-    swims = [read_swim(run, robot) for run in runs]
-    alone = identify(swims[:2], swims[2:], robot)
+    swims = [read_swim(run, robot()) for run in runs]
+    alone = identify(swims[:2], swims[2:], robot())
     assert values["runs"][2]["after"] == alone.tested.after.as_json(), "the same as identify by itself"
 
 

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from tests.conftest import count
+from tests.identify.made import robot
 from tests.study.paper_data import write_swim
 from typer.testing import CliRunner
 
@@ -23,7 +24,7 @@ from frogkick.study.gaits import GaitSwim, swim_gaits
 from frogkick.study.openloop import open_loop
 from frogkick.study.steady import Free, Table, tables_of, with_effects
 
-ROBOT = load_robot("frog2022")
+ROBOT = robot()
 TRAIN = [Gait(30.0, hz, 0.5) for hz in (1.0, 1.1, 1.2, 1.3, 1.4)] + [Gait(30.0, 1.4, 0.3)]
 TEST = [Gait(10.0, 1.1, 0.5), Gait(20.0, 1.3, 0.3)]
 PLANTED: Table = {"name": "hull", "limb_drag": 1.8}
@@ -35,6 +36,13 @@ def speeds(tables: Sequence[Table], gaits: Sequence[Gait]) -> list[float]:
     swum = swim_gaits(rods_of(with_effects(ROBOT, tables)), ROBOT.profiles, gaits)
     assert all(isinstance(swim, GaitSwim) for swim in swum)
     return [swim.speed_mps for swim in swum if isinstance(swim, GaitSwim)]
+
+
+def robot_file(folder: Path) -> str:
+    """The robot of these tests, for the command."""
+    file = folder / "robot.toml"
+    file.write_text(ROBOT.toml, encoding="utf-8")
+    return str(file)
 
 
 def write_data(folder: Path, tables: Sequence[Table], seed: int) -> Path:
@@ -61,7 +69,7 @@ def few(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_a_planted_effect_is_found_and_predicts_other_fractions(few: None, tmp_path: Path, seed: int) -> None:
     folder, out = write_data(tmp_path / "data", [PLANTED], seed), tmp_path / "out"
     asked = ["study", "openloop", str(folder), "--train-egain", "30", "--out", str(out), "--workers", "1"]
-    told = CliRunner().invoke(app, [*asked, "--json"])
+    told = CliRunner().invoke(app, [*asked, "--robot", robot_file(tmp_path), "--json"])
     assert told.exit_code == 0, told.output
     result = json.loads(told.stdout)
     (split,) = result["splits"]
@@ -113,7 +121,7 @@ def test_one_folder_is_fitted_to_and_another_predicted(few: None, tmp_path: Path
         place = f"phase/{gait.egain_percent:g}_{gait.frequency_hz:g}Hz/{10 * gait.phase:02.0f}.mat"
         write_swim(test / "exp" / place, speed, gait.frequency_hz, 3.0)
     asked = ["study", "openloop", "--train", str(train), "--test", str(test), "--workers", "1", "--json"]
-    told = CliRunner().invoke(app, asked)
+    told = CliRunner().invoke(app, [*asked, "--robot", robot_file(tmp_path)])
     assert told.exit_code == 0, told.output
     (split,) = json.loads(told.stdout)["splits"]
     assert split["kind"] == "folder" and split["test"]["swims"] == len(TEST)

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tests.loop import rig
+from tests.identify.made import robot
 
 from frogkick.cli import demo as demo_module
 from frogkick.cli.common import progress_bar
@@ -23,6 +23,7 @@ from frogkick.identify.terms import catalogue
 from frogkick.library import library_info
 from frogkick.loop.runlog_file import read_run
 from frogkick.planner.image import read_image
+from frogkick.report import identify_page, ring_page
 from frogkick.report.ring_page import write_ring_report
 from frogkick.robot import load_robot
 from frogkick.study import closing as closing_module
@@ -34,7 +35,7 @@ from frogkick.study.ring import Ring, close, go_round
 def round_once(tmp_path_factory: pytest.TempPathFactory) -> tuple[Ring, Path, list[str]]:
     """A small ring, its folder, and what is in that."""
     out = tmp_path_factory.mktemp("ring")
-    ring = go_round(rig.robot(), out, 10, 1, 3, progress_bar, paths=("line", "sine"), time_limit_s=17.0)
+    ring = go_round(robot(), out, 10, 1, 3, progress_bar, paths=("line", "sine"), time_limit_s=17.0)
     return ring, out, sorted(path.name for path in out.iterdir())
 
 
@@ -74,9 +75,9 @@ def test_the_ring_closes(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     """A limb wears, which nobody tells the model: logs tell it, and new firmware swims knowing it."""
-    planted = plant(rig.robot(), 3)
+    planted = plant(robot(), 3)
     names = ("limb_wear " + planted["limb"], "warm_up")
-    few = [term for term in catalogue(rig.robot()) if term.title in names]
+    few = [term for term in catalogue(robot()) if term.title in names]
     given: list[Sequence[Swim]] = []
 
     def watched(train: Sequence[Swim], test: Sequence[Swim], *more: Any, **options: Any) -> Outcome:
@@ -111,7 +112,7 @@ def test_the_ring_closes(
     monkeypatch.setattr(demo_module, "go_round", lambda *_: ring)
     monkeypatch.setattr(demo_module, "close", lambda *_: None)
     pages: list[Path] = []
-    monkeypatch.setattr(demo_module, "write_identify_page", lambda target, _outcome: pages.append(target))
+    monkeypatch.setattr(identify_page, "write_identify_page", lambda target, _outcome: pages.append(target))
     capsys.readouterr()
     assert run_command(["demo", "--out", str(tmp_path), "--json"]) == 0
     values = json.loads(capsys.readouterr().out)
@@ -120,14 +121,14 @@ def test_the_ring_closes(
     page = Path(values["report"]).read_text(encoding="utf-8")
     assert f"limb_wear {planted['limb']}, gain {planted['gain']:g}" in page and "kept out of learning" in page
     assert pages == [tmp_path / "identify.html"]
-    monkeypatch.setattr(demo_module, "write_ring_report", lambda *_: None)
+    monkeypatch.setattr(ring_page, "write_ring_report", lambda *_: None)
     assert run_command(["demo", "--out", str(tmp_path)]) == 0
     said = capsys.readouterr().out
     assert f"hidden: limb_wear, {planted['limb']}" in said and "mm with the new" in said
 
 
 def test_what_wears_goes_by_the_seed() -> None:
-    every = [plant(rig.robot(), seed) for seed in range(20)]
-    assert every[3] == plant(rig.robot(), 3)
-    assert {each["limb"] for each in every} == {limb.name for limb in rig.robot().limbs}
+    every = [plant(robot(), seed) for seed in range(20)]
+    assert every[3] == plant(robot(), 3)
+    assert {each["limb"] for each in every} == {limb.name for limb in robot().limbs}
     assert all(0.6 <= each["gain"] <= 0.8 for each in every)

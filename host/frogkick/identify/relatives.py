@@ -156,12 +156,13 @@ def descended(
 
 
 def best_end_cost(fitted: Fitted, swims: Sequence[Swim]) -> float:
-    """The lowest ``end_cost`` of a model, at its own noise or at those that relatives are tried at.
+    """The lowest ``end_cost`` of a model, at its own noise or at those that relatives are tried and end at.
 
     What a model is held against must not gain by its noise alone: that of a robot at a wall, as few strong
     misses have it, makes its ends worse than any of NOISES does, by four times what a relative must gain.
     """
     models = [replace(fitted.model, noise=noise) for noise in NOISES]
+    models.append(renoised(fitted.model, fitted.tracks, swims))
     return min(end_cost(tracks, swims) for tracks in [fitted.tracks, *tracks_of(models, swims)])
 
 

@@ -136,7 +136,7 @@ def known_outcome(
         train=train,
         test=test,
         found=found,
-        parameters=intervals(fitted),
+        parameters=intervals(fitted, rows),
         trained=scored(found, train, train, nominal.tracks, fitted.tracks),
         tested=scored(found, train, test, *tracks),
         nominal_tracks=tracks[0],

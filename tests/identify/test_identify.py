@@ -122,7 +122,7 @@ def test_planted_wear_is_found_among_others(worn: list[Swim]) -> None:
     rivals = [term(name) for name in ("limb_wear rear_left", "limb_wear rear_right", "mass_scale", "warm_up")]
     found = search(worn, robot(), rivals)
     assert [each.title for each in found.fitted.model.terms] == ["limb_wear rear_left"]
-    (row,) = intervals(found.fitted)
+    (row,) = intervals(found.fitted, found.rows)
     for each, true in zip(row, (0.7, 0.0, 1.0), strict=True):
         # One interval of 95 % in twenty misses: of these three, each is given twice its width.
         assert abs(true - each.value) <= each.high - each.low

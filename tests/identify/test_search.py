@@ -94,7 +94,7 @@ def test_a_delay_that_settled_in_a_dip_is_put_back(worn: list[Swim]) -> None:
     (taken,) = fit_many([dip], worn, searching.rows, 1)
     polished = searching.polished(taken)
     assert polished.model.values[1] == 0.0
-    (row,) = intervals(polished)
+    (row,) = intervals(polished, searching.rows)
     assert row[0].low <= 0.7 <= row[0].high and row[0].high - row[0].low < 0.05
 
 
@@ -103,7 +103,7 @@ def test_a_late_limb_is_found_with_its_delay() -> None:
     swims = [make_swim([late], seed, 14) for seed in (31, 32)]
     found = search(swims, robot(), [term("limb_wear front_left"), term("fix_latency")])
     assert [each.title for each in found.fitted.model.terms] == ["limb_wear front_left"]
-    (row,) = intervals(found.fitted)
+    (row,) = intervals(found.fitted, found.rows)
     for each, true in zip(row, (1.0, 0.12, 1.0), strict=True):
         assert abs(true - each.value) <= each.high - each.low, each
     assert row[1].low <= 0.12 <= row[1].high and row[1].high - row[1].low < 0.03

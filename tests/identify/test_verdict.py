@@ -12,15 +12,17 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from made import START_S, WORN, make_run, make_swim, robot, term
+from scipy.stats import t as student
 from tests.conftest import count
 
 from frogkick.identify import choice as choice_module
 from frogkick.identify import outcome as outcome_module
-from frogkick.identify.bootstrap import mean_interval
+from frogkick.identify.bootstrap import deviations, mean_interval
 from frogkick.identify.filter import Noise
 from frogkick.identify.fit import Model, tracks_of
 from frogkick.identify.outcome import identify
 from frogkick.identify.search import Found, countable
+from frogkick.identify.steps import DOF, promised
 from frogkick.identify.swim import Swim, read_swim, swim_of
 from frogkick.identify.terms import catalogue
 from frogkick.identify.verdict import (
@@ -119,6 +121,29 @@ def test_blocks_of_periods_tell_how_sure_a_mean_is() -> None:
     runs = [rng.normal(each, 0.1, 5) for each in rng.normal(1.0, 2.0, 12)]
     low, high = mean_interval(runs, rng)
     assert high - low == pytest.approx(2.0 * 2.2 * 2.0 / np.sqrt(12.0), rel=0.5)
+
+
+@pytest.mark.parametrize("periods", [12, 20, 40])
+def test_intervals_of_parameters_hold_as_often_as_they_say(periods: int) -> None:
+    """Two runs of heavy-tailed misses, 9 to a period, two parameters: once too narrow by up to a third."""
+    rng, runs, draws = np.random.default_rng(periods), np.repeat([0, 1], periods), 150
+    far = np.full(2, 10.0)
+
+    def inside(shared: bool) -> float:
+        """The share of values within their intervals; ``shared``: neighbours have half a miss in common."""
+        held = 0
+        for _ in range(draws):
+            wild = np.sqrt(DOF / rng.chisquare(DOF, (2, periods + 1, 1)))
+            alone = wild * rng.standard_normal((2, periods + 1, 9))
+            missed = (alone[:, 1:] + (alone[:, :-1] if shared else 0.0)).reshape(2 * periods, 9)
+            jacobian = 0.5 * rng.standard_normal((1, 9, 2)) + 0.3 * rng.standard_normal((2 * periods, 9, 2))
+            step, _ = promised(missed, jacobian, -far, far, np.full(2, 1e-9))
+            deviation = deviations(missed + jacobian @ step, jacobian, np.ones(2), runs)
+            held += int((np.abs(step) < student.ppf(0.975, 2 * periods - 2) * deviation).sum())
+        return held / (2 * draws)
+
+    assert 0.9 <= inside(False) <= 0.98
+    assert 0.8 <= inside(True) <= 0.98
 
 
 def test_what_does_not_help_on_runs_kept_out_is_left_out(

@@ -229,7 +229,7 @@ def identify(
         train=train,
         test=test,
         found=found,
-        parameters=intervals(found.fitted),
+        parameters=intervals(found.fitted, found.rows),
         trained=trained,
         tested=tested,
         nominal_tracks=nominal_tracks,

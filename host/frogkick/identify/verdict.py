@@ -18,13 +18,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from frogkick.identify.bootstrap import CONFIDENCE, mean_interval
+from frogkick.identify.bootstrap import CONFIDENCE, deviations, mean_interval
 from frogkick.identify.filter import Filter, Noise, first_rate_std
 from frogkick.identify.fit import Fitted
 from frogkick.identify.predict import Track
 from frogkick.identify.relatives import end_gaps, ends_missed
 from frogkick.identify.search import Found
-from frogkick.identify.steps import log_density, scale_of, whiten, whitener
+from frogkick.identify.steps import log_density, scale_of
 from frogkick.identify.swim import KICK_S, Swim, copies
 from frogkick.paths import wrap_angle
 
@@ -53,9 +53,6 @@ INEXACT = 0.03
 
 LEFT_OPEN = 0.005
 """Of the distance of a parameter's bounds: what time steps leave open, where it does not say so itself."""
-
-WIDER = 1.3
-"""Intervals over those of independent periods and straight derivatives: by that planted values are inside."""
 
 
 @dataclass(frozen=True)
@@ -253,33 +250,28 @@ class Interval:
     unit: str
 
 
-def intervals(fitted: Fitted) -> list[list[Interval]]:
+def intervals(fitted: Fitted, rows: NDArray[np.bool_] | None = None) -> list[list[Interval]]:
     """Of each term's parameters: together they hold the true values with CONFIDENCE.
 
-    The covariance is Gauss and Newton's, or the one that scatter from period to period gives where that is
-    wider; periods are taken as independent.
+    Args:
+        fitted: a model at its best, with derivatives by all its parameters.
+        rows: which periods of all runs ``fitted.missed`` has; None: all of them.
     """
     from scipy import stats
 
-    white = whitener(fitted.missed)
-    flat, columns = whiten(white, fitted.missed, fitted.jacobian)
-    count, width = len(fitted.missed), columns.shape[1]
+    width = fitted.jacobian.shape[2]
     if not width:
         return []
-    scale = np.maximum(fitted.model.range, 1e-12)
-    scaled = columns * scale
-    inverse = np.linalg.pinv(scaled.T @ scaled + 1e-9 * len(flat) * np.eye(width))
-    scores = np.einsum("nip,ni->np", scaled.reshape(count, -1, width), flat.reshape(count, -1))
-    sandwich = inverse @ (scores.T @ scores) @ inverse * count / max(count - width, 1)
-    deviation = np.sqrt(np.maximum(np.diag(inverse), np.diag(sandwich))) * scale
+    deviation = deviations(fitted.missed, fitted.jacobian, fitted.model.range, _runs_of(fitted, rows))
+    freedom = max(len(fitted.missed) - width, 1)
     found, first = [], 0
     for term in fitted.model.terms:
-        wide = stats.t.ppf(0.5 + 0.5 * (1.0 - (1.0 - CONFIDENCE) / len(term.values)), max(count - width, 1))
+        wide = stats.t.ppf(0.5 + 0.5 * (1.0 - (1.0 - CONFIDENCE) / len(term.values)), freedom)
         row = []
         for k, (parameter, value) in enumerate(zip(term.parameters, term.values, strict=True)):
             # Simulations with coarser steps here than in the pool.
             left_open = parameter.open or LEFT_OPEN * (parameter.high - parameter.low)
-            reach = float(np.hypot(WIDER * wide * deviation[first + k], left_open))
+            reach = float(np.hypot(wide * deviation[first + k], left_open))
             row.append(
                 Interval(
                     parameter.name,
@@ -292,6 +284,12 @@ def intervals(fitted: Fitted) -> list[list[Interval]]:
         first += len(term.values)
         found.append(row)
     return found
+
+
+def _runs_of(fitted: Fitted, rows: NDArray[np.bool_] | None) -> NDArray[np.int64]:
+    """(n,) the run that each period of ``fitted.missed`` is of."""
+    labels = np.repeat(np.arange(len(fitted.tracks)), [len(track.start) for track in fitted.tracks])
+    return labels if rows is None else labels[rows]
 
 
 def near(error: Error, floor: Error, before: Error) -> bool:

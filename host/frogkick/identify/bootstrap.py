@@ -17,6 +17,9 @@ CONFIDENCE = 0.95
 BLOCK, RESAMPLES, RUNS_ENOUGH = 4, 2000, 8
 """Bootstrap: periods in a row that stay together, resamples; of so many runs whole ones are drawn instead."""
 
+FLIPS = 400
+"""How often the signs of blocks are drawn anew."""
+
 
 def mean_interval(runs: Sequence[FloatArray], rng: np.random.Generator) -> tuple[float, float]:
     """Interval of the mean of all values of runs, by bootstrap over runs or over blocks of each.
@@ -102,3 +105,57 @@ def deviations(
     variance = np.maximum(np.diag(inverse), np.diag(inverse @ scatter @ inverse))
     estimated = count / max(count - wide - 1, 1) * (count - 1) / max(count - wide, 1)
     return np.asarray(np.sqrt(variance * estimated) * size)
+
+
+def gain_by_chance(
+    missed: FloatArray,
+    jacobian: FloatArray,
+    candidates: Sequence[FloatArray],
+    runs: NDArray[np.int64],
+    price: float,
+) -> float:
+    """What the best of many effects promises where none is true, in 1 - CONFIDENCE of all cases.
+
+    The signs of what BLOCK periods in a row missed are drawn anew, and each candidate promises the fall of
+    minus twice the log likelihood by its derivatives, less its price: dependence between neighbours, wild
+    periods and the number of candidates are those of the runs themselves.
+
+    Args:
+        missed: (n, d) what a model left that explains what there is.
+        jacobian: (n, d, q) of these by its own parameters, which stay free.
+        candidates: (n, d, p) of these by each candidate's parameters.
+        runs: (n,) the run that each period is of; the periods of one are in their order.
+        price: of each parameter.
+
+    Source: Freedman, Lane 1983 (residuals under the model that is held against); Wu 1986 (drawn signs);
+    Bartlett 1938 (the likelihood of few rows).
+    """
+    white = whitener(missed)
+    rows = missed @ white
+    weight = np.sqrt((DOF + rows.shape[1]) / (DOF + (rows**2).sum(axis=1)))
+    first = np.searchsorted(runs, runs)  # of each period's run
+    block = np.unique(np.stack([runs, (np.arange(len(runs)) - first) // BLOCK]), axis=1, return_inverse=True)[
+        1
+    ]
+
+    def weighed(columns: FloatArray) -> FloatArray:
+        whole = np.einsum("nip,ij->njp", columns, white) * weight[:, None, None]
+        return np.asarray(whole.reshape(missed.size, -1))
+
+    # A likelihood whose weights and scale are fitted as well falls further than its quadratic form.
+    count, wide = missed.shape
+    further = (
+        (DOF + wide + 2.0) / (DOF + wide) * count / max(count - 0.5 * (wide + 1) - jacobian.shape[2], 1.0)
+    )
+    own = np.linalg.qr(weighed(jacobian))[0]
+    left, label = (rows * weight[:, None]).ravel(), np.repeat(block.ravel(), missed.shape[1])
+    signs = np.random.default_rng(0).choice([-1.0, 1.0], (FLIPS, int(label.max()) + 1))
+    best = np.zeros(FLIPS)
+    for candidate in candidates:
+        columns = weighed(candidate)
+        columns = columns - own @ (own.T @ columns)
+        basis, sizes, _ = np.linalg.svd(columns, full_matrices=False)
+        basis = basis[:, sizes > 1e-6 * max(sizes[0], 1e-300)]
+        slopes = np.stack([np.bincount(label, basis[:, k] * left) for k in range(basis.shape[1])], axis=1)
+        best = np.maximum(best, further * ((signs @ slopes) ** 2).sum(axis=1) - price * basis.shape[1])
+    return float(np.quantile(best, CONFIDENCE))

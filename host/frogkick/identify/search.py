@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from frogkick.errors import InputError
+from frogkick.identify.bootstrap import gain_by_chance
 from frogkick.identify.columns import Column, sensitivities
 from frogkick.identify.filter import Noise
 from frogkick.identify.fit import (
@@ -215,6 +216,7 @@ class _Hunt:
     def turn(self, current: Fitted) -> tuple[Fitted | None, list[Tried], list[Fitted]]:
         """One more effect, or none; all that were tried; others that do nearly as well."""
         offers = self.offers(current)
+        least = max(BASE_GAIN, self.by_chance(current))
         picked: list[_Offer] = []
         for offer in offers:
             if len(picked) == REFINED or offer.score < BASE_GAIN / 2.0:
@@ -242,7 +244,7 @@ class _Hunt:
             score = gain / self.copies - GAIN_EACH * (len(offer.values) - len(offer.held))
             # What shows in few periods varies much from period to period: a limb that seldom fires.
             sure = 1.0 if score > PLAIN_GAIN else 2.0
-            good = score > BASE_GAIN and fall[0] > max(SEEN_LEAST, sure * fall[1])
+            good = score > least and fall[0] > max(SEEN_LEAST, sure * fall[1])
             tried.append(Tried(offer.column.term.title, gain, fall[0], True))
             if good:
                 scored.append((score, fitted))
@@ -258,6 +260,12 @@ class _Hunt:
         best = scored[0][0]
         rivals = [fitted for score, fitted in scored[1:] if score > best - max(NEAR, RIVAL * best)]
         return scored[0][1], tried, rivals
+
+    def by_chance(self, current: Fitted) -> float:
+        """What the best candidate would gain if none were true."""
+        runs = np.repeat(np.arange(len(self.swims)), [len(swim.start_s) for swim in self.swims])[self.rows]
+        candidates = [column.jacobian for column in self.columns]
+        return gain_by_chance(current.missed, current.jacobian, candidates, runs, GAIN_EACH)
 
     def settled(self, taken: Fitted, rivals: Sequence[Fitted]) -> tuple[Fitted, list[Term]]:
         """The best of a polished model and its rivals at its noise, and what cannot be told from that.

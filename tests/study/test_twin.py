@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import random
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -116,6 +118,19 @@ def test_recorded_runs_give_path_start_and_figures(frog2022_dir: Path, tmp_path:
         read_runs(tmp_path)
     with pytest.raises(InputError, match="no folder"):
         read_runs(tmp_path / "none")
+
+
+def test_a_run_whose_labels_follow_no_clock_is_refused(frog2022_dir: Path, tmp_path: Path) -> None:
+    """What a planner chose is only known where it is known when."""
+    dice, label = random.Random(4), "B"
+    head, rows = (frog2022_dir / "control" / "sin1.csv").read_text().splitlines()[:2], list[str]()
+    for line in (frog2022_dir / "control" / "sin1.csv").read_text().splitlines()[2:]:
+        label = dice.choice("ABCDEFG") if dice.random() < 0.12 else label
+        rows.append(line.rsplit(",", 1)[0] + "," + label)
+    (tmp_path / "sin9.csv").write_text("\n".join([*head, *rows]) + "\n")
+    shutil.copy(frog2022_dir / "control" / "sinp1.csv", tmp_path / "sinp9.csv")
+    with pytest.raises(InputError, match=r"'sin9\.csv' cannot be used: .*: leave it out"):
+        read_runs(tmp_path)
 
 
 def test_choices_are_where_the_newest_fix_was(frog2022_dir: Path) -> None:

@@ -15,7 +15,7 @@ import numpy as np
 
 from frogkick.errors import InputError
 from frogkick.loop.record import along_path
-from frogkick.loop.recorded import read_recorded
+from frogkick.loop.recorded import clock_problem, read_recorded
 from frogkick.loop.recorded.importer import RUN_NAME, path_file
 from frogkick.loop.runlog import RunLog
 from frogkick.paths import wrap_angle
@@ -129,7 +129,8 @@ def read_runs(folder: Path) -> list[Recorded]:
     """The paper's recorded runs of a folder that have their path beside them.
 
     Raises:
-        InputError: no such folder, no run in it, one that is damaged or in which nothing moves.
+        InputError: no such folder, no run in it; one that is damaged, in which nothing moves, or whose
+            strokes' times cannot be relied on.
     """
     if not folder.is_dir():
         raise InputError(f"--runs {str(folder)!r} is no folder: name one with line1.csv and linep1.csv")
@@ -144,6 +145,8 @@ def _recorded(name: str, run: RunLog) -> Recorded:
     fixes, path = run.fixes, run.path
     if path is None or not len(run.decisions):
         raise InputError(f"recorded run {run.source!r} has no stroke in it: leave it out")
+    if problem := clock_problem(run):
+        raise InputError(f"recorded run {run.source!r} cannot be used: {problem}: leave it out")
     poses = np.column_stack([fixes.x_m, fixes.y_m, fixes.heading_rad])
     first_s = run.decisions.time_s[0]
     moving = fixes.usable & (fixes.time_s >= first_s)

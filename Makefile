@@ -7,6 +7,10 @@ STAMP := $(VENV)/.installed
 export FK_LEVEL ?= quick
 # Dozens of processes load the same files: what Python has compiled of them is kept, whatever a machine's settings say.
 unexport PYTHONDONTWRITEBYTECODE
+# Where nothing can be kept in the home folder pip would fail as soon as it has to build a wheel.
+ifneq ($(shell mkdir -p "$${XDG_CACHE_HOME:-$$HOME/.cache}" 2>/dev/null && echo kept),kept)
+export PIP_NO_CACHE_DIR := 1
+endif
 # Tests side by side; how many processes tests/conftest.py says. A file's tests stay together and share what they built.
 SPREAD := -n logical --dist loadfile --no-loadscope-reorder --durations 25 --durations-min 3
 

@@ -69,11 +69,10 @@ def _run(arguments: list[str] | None) -> int:
         message = getattr(error, "format_message", None)
         if message is None:
             raise
-        text = message()
-        if "\n" in text:  # a command without its arguments is told what there is
-            print(text, file=sys.stderr)
+        if type(error).__name__ == "NoArgsIsHelpError":  # nothing was asked for: what there is
+            print(message(), file=sys.stderr)
         else:
-            _complain(f"{text} (see 'frogkick --help')")
+            _complain(f"{message()} (see 'frogkick --help')")
         return BAD_INPUT
     if result == INTERRUPTED:  # what typer makes of Ctrl-C, without a word
         raise KeyboardInterrupt

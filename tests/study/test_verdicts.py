@@ -9,6 +9,7 @@ from typing import Any, cast
 
 import numpy as np
 import pytest
+from tests.identify.made import robot
 from tests.loop import rig
 
 from frogkick.chunks import run_chunks
@@ -122,7 +123,7 @@ def test_a_stopped_study_goes_on_where_it_was(tmp_path: Path) -> None:
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(verdicts, "build", lambda target, *_: rig.firmware(target))
             patch.setattr(verdicts, "run_chunks", counted)
-            return run_cases(ROBOT, rig.small_table(), [case], out)[case]
+            return run_cases(robot(), rig.small_table(), [case], out)[case]
 
     def counted(job: Any, groups: list[Any], workers: int) -> Iterator[tuple[int, Any]]:
         asked.append(len(groups))

@@ -25,10 +25,11 @@ test: $(STAMP)
 test-full: $(STAMP)
 	FK_LEVEL=full $(BIN)/python -m pytest $(SPREAD)
 
-# What simulating costs, about a minute. PyElastica is fetched to compare with, and left out where it cannot be.
+# What simulating costs and starting a command, about a minute. PyElastica is compared with where it can be fetched.
 bench: $(STAMP)
 	-$(BIN)/python -m pip install --quiet --disable-pip-version-check pyelastica==1.0.0
 	PYTHONPATH=. $(BIN)/python -m tests.bench.rods
+	PYTHONPATH=. $(BIN)/python -m tests.bench.startup
 
 # Needs tools that are no wheels (ARM gcc, QEMU, cppcheck, gcc, clang); says which are not there.
 extra: $(STAMP)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import importlib.util
 
 import pytest
-from tests.bench import elastica_rod, rods
+from tests.bench import elastica_rod, rods, startup
 
 
 def test_the_benchmark_tells_every_cost(capsys: pytest.CaptureFixture[str]) -> None:
@@ -14,6 +14,12 @@ def test_the_benchmark_tells_every_cost(capsys: pytest.CaptureFixture[str]) -> N
     for title in ("lanes:", "actions:", "nodes:", "library:", "a plain rod"):
         assert f"\n{title}" in said
     assert "nan" not in said
+
+
+def test_what_a_command_costs_before_its_first_word(capsys: pytest.CaptureFixture[str]) -> None:
+    ratios = startup.main(1)
+    assert ratios.keys() == startup.COMMANDS.keys() and min(ratios.values()) > 0.0
+    assert "times that" in capsys.readouterr().out
 
 
 @pytest.mark.skipif(importlib.util.find_spec("elastica") is None, reason="pyelastica is not installed")

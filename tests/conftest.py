@@ -148,7 +148,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     wait for a radio in real time are spread among those that compute, or all processes would wait at once.
     """
     first = ("study/test_convergence.py", "codegen/test_parity.py")
-    dear = ("study", "identify", "library", "codegen", "loop", "core", "soak")
+    dear = ("study", "identification", "library", "codegen", "loop", "core", "soak")
 
     def rank(file: Path) -> int:
         place = file.relative_to(REPOSITORY / "tests")

@@ -6,9 +6,7 @@ import hashlib
 import os
 import platform
 import sys
-import tempfile
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -18,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from frogkick.errors import InputError
-from frogkick.files import cache_folder
+from frogkick.files import cache_folder, one_at_a_time
 from frogkick.planner.image import TableError
 from frogkick.planner.plan import PLAN_ROW, PathLike, PlanConfig, along_rows, limb_use_rows, path_rows
 from frogkick_codegen.toolchain import FLAGS, Compiler, ToolchainError, zig
@@ -80,7 +78,8 @@ def build_shared(
     if library.exists():
         return library
     try:
-        with _workplace(folder, [driver.name, *driver.target_flags, *flags, *sorted(files)]) as work:
+        texts = chr(0).join([driver.name, *driver.target_flags, *flags, *sorted(files)])
+        with one_at_a_time(folder, f"build-{hashlib.sha256(texts.encode()).hexdigest()[:16]}") as work:
             if library.exists():  # whoever was waited for has built it
                 return library
             for file, content in files.items():
@@ -96,22 +95,6 @@ def build_shared(
             f"cannot build in {str(folder)!r} ({error.strerror}): set FROGKICK_CACHE_DIR to a writable folder"
         ) from error
     return library
-
-
-@contextmanager
-def _workplace(folder: Path, texts: Sequence[str]) -> Iterator[Path]:
-    """A folder to build in, the same one for the same texts, for one process at a time."""
-    try:
-        import fcntl
-    except ImportError:  # Windows: a new folder each time
-        with tempfile.TemporaryDirectory(prefix=".build-", dir=folder) as temporary:
-            yield Path(temporary)
-        return
-    work = folder / f".build-{hashlib.sha256(chr(0).join(texts).encode()).hexdigest()[:16]}"
-    work.mkdir(exist_ok=True)
-    with (work / ".lock").open("w") as lock:
-        fcntl.flock(lock, fcntl.LOCK_EX)
-        yield work
 
 
 def native_entries(name: str) -> dict[str, bytes]:

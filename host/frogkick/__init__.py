@@ -1,11 +1,104 @@
-"""frogkick: plan for small robots that move by strokes, on the robot itself."""
+"""frogkick: plan for small robots that move by strokes, on the robot itself.
 
+``import frogkick as fk`` gives the names below; each is loaded when it is first used.
+"""
+
+from __future__ import annotations
+
+import importlib
 import os
+from typing import TYPE_CHECKING, Any
 
 __version__ = "0.1.0"
+
+_FROM = {
+    "der": ("Trajectory",),
+    "effects": ("World",),
+    "errors": ("CheckError", "ConvergenceError", "FrogkickError", "InputError"),
+    "front.building": ("Firmware", "build_firmware", "emit_c"),
+    "front.identifying": ("Identification", "identify"),
+    "front.planning": ("Plan", "Planner"),
+    "front.robots": ("Camera", "Connection", "connect"),
+    "front.running": ("Run", "load_run", "run"),
+    "front.swimming": ("simulate",),
+    "front.tables": ("Table", "build_library", "fit_table", "load_library", "load_table"),
+    "library": ("Library",),
+    "paths": ("Path",),
+    "robot": ("Robot", "built_in_robots", "load_robot"),
+}
+"""Module -> what the front door takes from it."""
+_MODULE_OF = {name: module for module, names in _FROM.items() for name in names}
+_MODULES = ("effects", "paths")
+
+__all__ = [  # noqa: RUF022 - strings, in the order of the work
+    "__version__",
+    "load_robot",
+    "built_in_robots",
+    "Robot",
+    "simulate",
+    "Trajectory",
+    "build_library",
+    "load_library",
+    "Library",
+    "fit_table",
+    "load_table",
+    "Table",
+    "paths",
+    "Path",
+    "Planner",
+    "Plan",
+    "effects",
+    "World",
+    "run",
+    "load_run",
+    "Run",
+    "identify",
+    "Identification",
+    "emit_c",
+    "build_firmware",
+    "Firmware",
+    "connect",
+    "Connection",
+    "Camera",
+    "FrogkickError",
+    "InputError",
+    "ConvergenceError",
+    "CheckError",
+]
+
+if TYPE_CHECKING:
+    from frogkick import effects as effects
+    from frogkick import paths as paths
+    from frogkick.der import Trajectory
+    from frogkick.effects import World
+    from frogkick.errors import CheckError, ConvergenceError, FrogkickError, InputError
+    from frogkick.front.building import Firmware, build_firmware, emit_c
+    from frogkick.front.identifying import Identification, identify
+    from frogkick.front.planning import Plan, Planner
+    from frogkick.front.robots import Camera, Connection, connect
+    from frogkick.front.running import Run, load_run, run
+    from frogkick.front.swimming import simulate
+    from frogkick.front.tables import Table, build_library, fit_table, load_library, load_table
+    from frogkick.library import Library
+    from frogkick.paths import Path
+    from frogkick.robot import Robot, built_in_robots, load_robot
 
 # Installed for all users: numba keeps what it compiles in this user's folder.
 if not os.access(os.path.dirname(__file__), os.W_OK):
     from frogkick.files import cache_folder
 
     os.environ.setdefault("NUMBA_CACHE_DIR", str(cache_folder("numba")))
+
+
+def __getattr__(name: str) -> Any:
+    if name in _MODULES:
+        return importlib.import_module(f"frogkick.{name}")
+    if name not in _MODULE_OF:
+        raise AttributeError(f"module 'frogkick' has no attribute {name!r}")
+    found = getattr(importlib.import_module(f"frogkick.{_MODULE_OF[name]}"), name)
+    globals()[name] = found
+    return found
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

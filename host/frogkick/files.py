@@ -32,6 +32,25 @@ def existing_file(path: Path | str, what: str) -> Path:
     return file
 
 
+def require_writable(out: Path | None, folder: bool = False) -> None:
+    """Refuse an --out that cannot be written, before the work and not after it. Writes nothing.
+
+    Raises:
+        InputError: a folder where a file is to be written (or the other way), or no place for it.
+    """
+    if out is None:
+        return
+    if folder and out.exists() and not out.is_dir():
+        raise InputError(f"--out {str(out)!r} is a file: name a folder")
+    if not folder and out.is_dir():
+        raise InputError(f"--out {str(out)!r} is a folder: name a file in it")
+    place = out if folder else out.parent
+    while not place.exists() and place != place.parent:
+        place = place.parent
+    if not place.is_dir() or not os.access(place, os.W_OK | os.X_OK):
+        raise InputError(f"cannot write {str(out)!r} in {str(place)!r}: choose another --out")
+
+
 @contextmanager
 def atomic_path(target: Path | str) -> Iterator[Path]:
     """Yield a temporary path beside ``target``; rename it there on success, remove it on any error.
@@ -66,6 +85,30 @@ def write_bytes(target: Path | str, content: bytes) -> None:
 def write_text(target: Path | str, content: str) -> None:
     """Write UTF-8 ``content`` to ``target``, wholly or not at all."""
     write_bytes(target, content.encode("utf-8"))
+
+
+@contextmanager
+def one_at_a_time(folder: Path, name: str) -> Iterator[Path]:
+    """A folder to work in, the same one each time, that one process has at a time; others wait for it.
+
+    Args:
+        folder: where it is made.
+        name: of what is made there; another name is another folder.
+
+    Raises:
+        OSError: it cannot be made there.
+    """
+    try:
+        import fcntl
+    except ImportError:  # Windows: a new folder each time
+        with tempfile.TemporaryDirectory(prefix=f".{name}-", dir=folder) as temporary:
+            yield Path(temporary)
+        return
+    work = folder / f".{name}"
+    work.mkdir(exist_ok=True)
+    with (work / ".lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        yield work
 
 
 def cache_folder(name: str = "") -> Path:

@@ -23,7 +23,7 @@ from tests.link.test_run_camera import SCENE, START
 from tests.loop import rig
 from tests.vision.scenes import calibration
 
-from frogkick.cli.lab import Sight
+from frogkick.front.bench import Sight
 from frogkick.loop.camera_fixes import CameraFixes
 from frogkick.loop.closed_loop import RunOptions, run_session
 from frogkick.loop.in_time import warm_up

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import csv
+import os
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -239,7 +242,7 @@ def test_run(here: Path, capsys: Capture, robot: str, plan: str, path: str, dept
 def test_commands_make_their_own_table_where_none_is_given(
     here: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("frogkick.cli.default_tables.STATES", rig.SMALL_STATES)
+    monkeypatch.setattr("frogkick.front.default_tables.STATES", rig.SMALL_STATES)
     done = frogkick(
         capsys, "run", "--robot", "virtual", "--plan", "onboard", "--path", "line", "--simulated-time", "2",
         "--out", "run.h5", "--json",
@@ -251,7 +254,7 @@ def test_commands_make_their_own_table_where_none_is_given(
 
 
 def test_a_damaged_cached_table_is_made_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from frogkick.cli.default_tables import default_tables
+    from frogkick.front.default_tables import default_tables
 
     monkeypatch.setenv("FROGKICK_CACHE_DIR", str(tmp_path))
     made = default_tables("frog2022", 1)
@@ -259,6 +262,25 @@ def test_a_damaged_cached_table_is_made_again(tmp_path: Path, monkeypatch: pytes
     made.write_bytes(whole[:-4])
     assert default_tables("frog2022", 1).read_bytes() == whole
     assert [path.name for path in (tmp_path / "tables").iterdir()] == [made.name]
+
+
+def test_two_that_want_the_same_table_at_once_both_get_it(tmp_path: Path) -> None:
+    """One builds it, the other waits; neither takes away what the other reads."""
+    code = "from frogkick.front.default_tables import default_tables as made\nprint(made('frog2022', 2).stem)"
+    many = [
+        subprocess.Popen(
+            [sys.executable, "-c", code],
+            env={**os.environ, "FROGKICK_CACHE_DIR": str(tmp_path)},
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        for _ in range(3)
+    ]
+    told = [process.communicate(timeout=600) for process in many]
+    assert [process.returncode for process in many] == [0, 0, 0], told
+    assert len({stdout for stdout, _ in told}) == 1
+    assert sum("library for" in stderr for _, stderr in told) == 1, "built more than once"
 
 
 @pytest.mark.parametrize("plan", ["onboard", "host", "both"])

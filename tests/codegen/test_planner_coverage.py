@@ -24,6 +24,7 @@ UNTAKEN: dict[str, str] = {}
 """Source line -> why a branch of it cannot be taken."""
 
 
+@pytest.mark.extra
 @pytest.mark.skipif(bool(COVERAGE_DIR), reason="this is the run that is counted")
 @pytest.mark.skipif(
     sys.platform == "win32" or not (shutil.which("gcc") and shutil.which("gcov")),

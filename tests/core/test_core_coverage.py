@@ -29,6 +29,7 @@ ELSEWHERE = "not changed and not monitor and not guided and not one_microsecond 
 """These build libraries of their own, in which nothing is counted; so does what is marked as extra."""
 
 
+@pytest.mark.extra
 @pytest.mark.skipif(bool(COVERAGE_DIR), reason="this is the run that is counted")
 @pytest.mark.skipif(
     sys.platform == "win32" or not (shutil.which("gcc") and shutil.which("gcov")),

@@ -159,7 +159,7 @@ NO_GCC = pytest.mark.skipif(
 )
 
 
-@pytest.mark.parametrize("way", ["zig", pytest.param("gcc", marks=NO_GCC)])
+@pytest.mark.parametrize("way", ["zig", pytest.param("gcc", marks=[NO_GCC, pytest.mark.extra])])
 def test_inputs_guided_by_coverage_under_sanitizers(way: str, tmp_path: Path) -> None:
     told = guided(tmp_path, way, fuzz_files(), count(20_000, 1_000_000, 5000))
     assert not told.startswith("failed"), told

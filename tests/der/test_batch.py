@@ -157,7 +157,7 @@ def test_gaits_side_by_side_are_those_alone() -> None:
         one = simulate_gait(ROBOT, gait.egain_percent, gait.frequency_hz, gait.phase, 2, step_s=0.002)
         assert isinstance(result, Trajectory)
         assert result.speed_mps == one.speed_mps
-        for name in ("time_s", "x_m", "y_m", "heading_rad"):
+        for name in ("time_s", "pose_world", "velocity_body"):
             assert np.array_equal(getattr(result, name), getattr(one, name))
 
 

@@ -159,9 +159,9 @@ def test_a_row_of_actions_goes_on_where_the_last_ended() -> None:
     row = simulate_actions(ROBOT, ["B", "C"], (0.02, 0.0, 0.0))
     first = simulate_action(ROBOT, (0.02, 0.0, 0.0), "B", ROBOT.period_s, rods=RODS)
     at_period = int(np.argmin(np.abs(row.time_s - ROBOT.period_s)))
-    assert row.x_m[at_period] == pytest.approx(first[0], abs=2e-4)
+    assert row.pose_world[at_period, 0] == pytest.approx(first[0], abs=2e-4)
     assert row.time_s[-1] == pytest.approx(2 * ROBOT.period_s)
-    assert row.distance_m > row.x_m[at_period]
+    assert row.distance_m > row.pose_world[at_period, 0]
     assert row.speed_mps == pytest.approx(row.distance_m / row.time_s[-1])
 
 
@@ -170,9 +170,9 @@ def test_cost_of_transport_is_that_of_the_paper() -> None:
     gait = simulate_gait(ROBOT, 10.0, 0.4, 0.5, 8)
     assert gait.cost_of_transport == pytest.approx(158.0, rel=0.05)
     assert gait.time_s[0] == 0.0
-    assert np.abs(gait.heading_rad).max() < 1e-6
-    assert np.abs(gait.y_m).max() < 1e-6
-    assert gait.distance_m == pytest.approx(gait.x_m[-1] - gait.x_m[0])
+    assert np.abs(gait.pose_world[:, 2]).max() < 1e-6
+    assert np.abs(gait.pose_world[:, 1]).max() < 1e-6
+    assert gait.distance_m == pytest.approx(gait.pose_world[-1, 0] - gait.pose_world[0, 0])
 
 
 def reference_speed(file: Path, frequency_hz: float) -> float:

@@ -6,7 +6,7 @@ import itertools
 
 import numpy as np
 from tests.conftest import count
-from tests.identify.made import robot
+from tests.identification.made import robot
 
 from frogkick.der import prepare
 from frogkick.library import Library, error_on, quantise, sample_library

@@ -21,8 +21,8 @@ from tests.link.test_run_camera import SCENE, START, Filmed
 from tests.loop import rig
 from tests.vision.scenes import calibration
 
-from frogkick.cli.lab import Sight
 from frogkick.errors import FrogkickError, InputError
+from frogkick.front.bench import Sight
 from frogkick.link.layout import link_layout
 from frogkick.loop import session as session_module
 from frogkick.loop.camera_fixes import CameraFixes

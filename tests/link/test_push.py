@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from tests.cli.commands import Outcome, frogkick
 from tests.core.store_rig import crc_of
-from tests.identify.made import make_run
+from tests.identification.made import make_run
 from tests.link.live_robot import LiveRobot
 from tests.link.pty_line import PtyLine
 from tests.link.rigged import TRANSPORTS, rigged
@@ -18,8 +18,8 @@ from tests.planner import synthetic
 
 from frogkick.cli import retune as command_module
 from frogkick.files import write_bytes
-from frogkick.identify.retune import BEFORE, TABLES, Retuned
-from frogkick.identify.verdict import FOUND, Error
+from frogkick.identification.retune import BEFORE, TABLES, Retuned
+from frogkick.identification.verdict import FOUND, Error
 from frogkick.loop.runlog_file import write_run
 
 OLD, NEW, OTHER = (synthetic.affine_image(20, 9, seed) for seed in (1, 2, 3))

@@ -22,7 +22,7 @@ from tests.link.swim import PATH, LivePool
 from tests.loop import rig
 from tests.vision.scenes import calibration, scene
 
-from frogkick.cli.lab import Sight
+from frogkick.front.bench import Sight
 from frogkick.loop.camera_fixes import CameraFixes
 from frogkick.loop.closed_loop import ENDED, TIME, RunOptions, run_session
 from frogkick.loop.lab_session import lab_session

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from frogkick.cli.default_tables import default_tables
+from frogkick.front.default_tables import default_tables
 from frogkick.loop.closed_loop import Recording, RunOptions, run_in_pool
 from frogkick.paths import shape
 from frogkick.planner.image import Tables, read_image

@@ -18,7 +18,7 @@ import pytest
 from tests.loop import rig
 from tests.vision.scenes import calibration, scene
 
-from frogkick.cli.viewing import viewed
+from frogkick.front.viewing import viewed
 from frogkick.loop import camera_view
 from frogkick.loop.camera_fixes import CameraFixes
 from frogkick.loop.camera_view import CameraView

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 from tests.loop import rig
 
-from frogkick.cli.viewing import viewed
+from frogkick.front.viewing import viewed
 from frogkick.loop.closed_loop import RunOptions
 from frogkick.loop.live_view import LiveView, fan_of, tree_of
 from frogkick.paths import shape

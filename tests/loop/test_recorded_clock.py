@@ -13,9 +13,9 @@ from typer.testing import CliRunner
 
 from frogkick.cli.app import app
 from frogkick.errors import InputError
-from frogkick.identify.filter import Noise
-from frogkick.identify.fit import Model
-from frogkick.identify.swim import read_swim, reliable
+from frogkick.identification.filter import Noise
+from frogkick.identification.fit import Model
+from frogkick.identification.swim import read_swim, reliable
 from frogkick.loop.recorded import clock_problem, load_run, read_recorded
 from frogkick.loop.recorded.clock import estimate_clock
 from frogkick.loop.recorded.importer import period_limits

@@ -9,8 +9,8 @@ import pytest
 from tests.conftest import REPOSITORY
 from tests.loop import rig
 
-from frogkick.cli.lab import Sight, parse_begin
 from frogkick.errors import InputError
+from frogkick.front.bench import Sight, parse_begin
 from frogkick.loop.start_checks import check_battery, check_start, look
 from frogkick.paths import shape
 from frogkick.pool.camera import Fix

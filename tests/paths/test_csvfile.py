@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from frogkick.errors import InputError
-from frogkick.paths import read_path
+from frogkick.paths import from_csv
 
 
 def write(folder: pathlib.Path, text: str) -> pathlib.Path:
@@ -21,7 +21,7 @@ def write(folder: pathlib.Path, text: str) -> pathlib.Path:
 def test_published_file_keeps_points_and_tangents(frog2022_dir: pathlib.Path) -> None:
     file = frog2022_dir / "control" / "sinp3.csv"
     raw = np.loadtxt(file, delimiter=",")
-    path = read_path(file)
+    path = from_csv(file)
     assert len(path) == 100
     assert np.array_equal(path.x_m, raw[:, 0].astype(np.float32))
     assert path.tangent_rad == pytest.approx(np.arctan2(raw[:, 3], raw[:, 2]), abs=1e-6)
@@ -29,21 +29,21 @@ def test_published_file_keeps_points_and_tangents(frog2022_dir: pathlib.Path) ->
 
 
 def test_points_alone_are_resampled(tmp_path: pathlib.Path) -> None:
-    path = read_path(write(tmp_path, "0,0\n1,0\n1,1\n"))
+    path = from_csv(write(tmp_path, "0,0\n1,0\n1,1\n"))
     assert len(path) == 100
     assert path.length_m == pytest.approx(2.0, abs=0.02)
 
 
 def test_header_in_any_order_blank_lines_and_mark(tmp_path: pathlib.Path) -> None:
-    path = read_path(write(tmp_path, "\ufeffY_m, x_m, tangent_rad\n0,0,0\n\n0,1,0\n"))
+    path = from_csv(write(tmp_path, "\ufeffY_m, x_m, tangent_rad\n0,0,0\n\n0,1,0\n"))
     assert path.x_m.tolist() == [0.0, 1.0]
-    path = read_path(write(tmp_path, "x,y,dx,dy\n0,0,0,-2\n0,-1,0,-2\n"))
+    path = from_csv(write(tmp_path, "x,y,dx,dy\n0,0,0,-2\n0,-1,0,-2\n"))
     assert path.tangent_rad == pytest.approx(-math.pi / 2)
 
 
 def test_more_than_the_planner_holds_is_resampled(tmp_path: pathlib.Path) -> None:
     rows = "\n".join(f"{i / 200},0,1,0" for i in range(201))
-    path = read_path(write(tmp_path, rows))
+    path = from_csv(write(tmp_path, rows))
     assert len(path) == 100
     assert path.length_m == pytest.approx(1.0)
 
@@ -74,16 +74,16 @@ def test_more_than_the_planner_holds_is_resampled(tmp_path: pathlib.Path) -> Non
 )
 def test_bad_files(tmp_path: pathlib.Path, text: str, message: str) -> None:
     with pytest.raises(InputError, match=message) as caught:
-        read_path(write(tmp_path, text))
+        from_csv(write(tmp_path, text))
     assert "\n" not in str(caught.value)
 
 
 def test_missing_file_folder_and_binary(tmp_path: pathlib.Path) -> None:
     with pytest.raises(InputError, match="does not exist"):
-        read_path(tmp_path / "no.csv")
+        from_csv(tmp_path / "no.csv")
     with pytest.raises(InputError, match="not a file"):
-        read_path(tmp_path)
+        from_csv(tmp_path)
     binary = tmp_path / "b.csv"
     binary.write_bytes(b"\x89HDF\r\n\x1a\n\xff\xfe")
     with pytest.raises(InputError, match="not text"):
-        read_path(binary)
+        from_csv(binary)

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from frogkick.errors import InputError
-from frogkick.paths import Path, ellipse, from_waypoints, line, read_path, shape, sine, wrap_angle
+from frogkick.paths import Path, ellipse, from_csv, from_waypoints, line, shape, sine, wrap_angle
 
 COORDINATE = st.floats(-5.0, 5.0, allow_nan=False)
 
@@ -41,7 +41,7 @@ def test_shapes_start_at_the_origin_and_keep_their_tangent() -> None:
 def test_ellipse_is_the_published_one(
     frog2022_dir: pathlib.Path, run: int, clockwise: bool, aspect: int
 ) -> None:
-    published = read_path(frog2022_dir / "control" / f"ellipsep{run}.csv")
+    published = from_csv(frog2022_dir / "control" / f"ellipsep{run}.csv")
     # Points 0 and 99 of an arc from angle 0 to 1.9 pi give the axis: solve by trying the long semi-axis.
     side = 1.0 if clockwise else -1.0
     start = published.points_m[0]
@@ -55,7 +55,7 @@ def test_ellipse_is_the_published_one(
 
 @pytest.mark.parametrize("run", [1, 3])
 def test_sine_is_the_published_one(frog2022_dir: pathlib.Path, run: int) -> None:
-    published = read_path(frog2022_dir / "control" / f"sinp{run}.csv")
+    published = from_csv(frog2022_dir / "control" / f"sinp{run}.csv")
     chord = published.points_m[-1] - published.points_m[0]
     length = np.hypot(*chord) / math.hypot(0.85, 0.1 * math.sin(10.0))
     heading = math.atan2(chord[1], chord[0]) - math.atan2(0.1 * math.sin(10.0), 0.85)
@@ -65,7 +65,7 @@ def test_sine_is_the_published_one(frog2022_dir: pathlib.Path, run: int) -> None
 
 
 def test_line_is_the_published_one(frog2022_dir: pathlib.Path) -> None:
-    published = read_path(frog2022_dir / "control" / "linep1.csv")
+    published = from_csv(frog2022_dir / "control" / "linep1.csv")
     made = line(published.length_m).place((*published.points_m[0], float(published.tangent_rad[0])))
     assert np.abs(made.points_m - published.points_m).max() < 2e-7
     assert published.length_m == pytest.approx(0.46563, abs=1e-5)

@@ -9,16 +9,16 @@ import numpy as np
 import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
-from tests.identify.made import known_outcome, make_swim, robot
+from tests.identification.made import known_outcome, make_swim, robot
 from tests.report.test_report import self_contained
 
-from frogkick.identify.columns import Column
-from frogkick.identify.experiment import Experiment
-from frogkick.identify.fit import derivatives
-from frogkick.identify.outcome import Outcome, identify
-from frogkick.identify.search import Tried
-from frogkick.identify.terms import catalogue
-from frogkick.identify.verdict import UNEXPLAINED
+from frogkick.identification.columns import Column
+from frogkick.identification.experiment import Experiment
+from frogkick.identification.fit import derivatives
+from frogkick.identification.outcome import Outcome, identify
+from frogkick.identification.search import Tried
+from frogkick.identification.terms import catalogue
+from frogkick.identification.verdict import UNEXPLAINED
 from frogkick.report.identify_figures import (
     cause_figure,
     error_figure,

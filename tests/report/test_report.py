@@ -13,11 +13,11 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from tests.loop import rig
 
-from frogkick.cli.common import progress_bar
 from frogkick.errors import InputError
 from frogkick.loop.record import run_log
 from frogkick.loop.runlog import RunLog
 from frogkick.paths import shape
+from frogkick.progress import progress_bar
 from frogkick.report.page import Section, Table, write_page
 from frogkick.report.run_figure import run_figure
 from frogkick.report.style import figure_uri

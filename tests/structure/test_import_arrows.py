@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 from tests.conftest import REPOSITORY
-from tests.structure.arrows import ARROWS, CODEGEN, violations
+from tests.structure.arrows import ARROWS, CODEGEN, NOT_YET, behind_the_door, violations
 
 
 def plant(root: Path, files: dict[str, str]) -> list[str]:
@@ -37,6 +37,11 @@ def test_the_arrows_run_one_way() -> None:
         for seen in reach.values():
             seen |= {far for near in seen for far in reach[near]}
     assert [room for room, seen in reach.items() if room in seen] == []
+
+
+def test_commands_stay_before_the_front_door() -> None:
+    """The list of those that do not may only become shorter."""
+    assert set(behind_the_door(REPOSITORY)) == NOT_YET, behind_the_door(REPOSITORY)
 
 
 def test_a_sound_tree_has_no_violation(tmp_path: Path) -> None:

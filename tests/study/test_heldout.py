@@ -9,18 +9,18 @@ from typing import Any
 import numpy as np
 import pytest
 from tests.conftest import count
-from tests.identify.made import WORN, make_run, robot
+from tests.identification.made import WORN, make_run, robot
 from typer.testing import CliRunner
 
 from frogkick.cli import study_heldout
 from frogkick.cli.app import app
 from frogkick.errors import InputError
-from frogkick.identify import choice as choice_module
-from frogkick.identify import outcome as outcome_module
-from frogkick.identify.outcome import identify
-from frogkick.identify.swim import read_swim
-from frogkick.identify.terms import catalogue
-from frogkick.identify.verdict import Error
+from frogkick.identification import choice as choice_module
+from frogkick.identification import outcome as outcome_module
+from frogkick.identification.outcome import identify
+from frogkick.identification.swim import read_swim
+from frogkick.identification.terms import catalogue
+from frogkick.identification.verdict import Error
 from frogkick.loop.runlog_file import write_run
 from frogkick.robot import load_robot
 from frogkick.study import heldout

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from tests.conftest import count
-from tests.identify.made import robot
+from tests.identification.made import robot
 from tests.study.paper_data import write_swim
 from typer.testing import CliRunner
 

@@ -10,19 +10,19 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tests.identify.made import robot
+from tests.identification.made import robot
 
 from frogkick.cli import demo as demo_module
-from frogkick.cli.common import progress_bar
 from frogkick.cli.main import run_command
-from frogkick.identify import choice as choice_module
-from frogkick.identify import outcome as outcome_module
-from frogkick.identify.outcome import Outcome, identify
-from frogkick.identify.swim import Swim
-from frogkick.identify.terms import catalogue
+from frogkick.identification import choice as choice_module
+from frogkick.identification import outcome as outcome_module
+from frogkick.identification.outcome import Outcome, identify
+from frogkick.identification.swim import Swim
+from frogkick.identification.terms import catalogue
 from frogkick.library import library_info
 from frogkick.loop.runlog_file import read_run
 from frogkick.planner.image import read_image
+from frogkick.progress import progress_bar
 from frogkick.report import identify_page, ring_page
 from frogkick.report.ring_page import write_ring_report
 from frogkick.robot import load_robot

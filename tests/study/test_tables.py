@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from tests.conftest import FULL, count
-from tests.identify.made import robot
+from tests.identification.made import robot
 from tests.library.synthetic import Known
 
 from frogkick.cli.main import run_command

@@ -9,15 +9,15 @@ from typing import Any, cast
 
 import numpy as np
 import pytest
-from tests.identify.made import robot
+from tests.identification.made import robot
 from tests.loop import rig
 
 from frogkick.chunks import run_chunks
 from frogkick.cli.study_verdicts import cases_of
 from frogkick.effects import changed_robot, make_effects
-from frogkick.identify.outcome import Outcome
-from frogkick.identify.terms import Term, catalogue
-from frogkick.identify.verdict import FOUND, NOTHING, PARTLY, UNEXPLAINED, Error, Interval
+from frogkick.identification.outcome import Outcome
+from frogkick.identification.terms import Term, catalogue
+from frogkick.identification.verdict import FOUND, NOTHING, PARTLY, UNEXPLAINED, Error, Interval
 from frogkick.report.verdicts_figure import verdicts_figure
 from frogkick.robot import load_robot
 from frogkick.study import verdicts

@@ -11,9 +11,9 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 
-from frogkick.cli.common import JsonOption, SeedOption, json_text, require_writable, show
+from frogkick.cli.common import JsonOption, SeedOption, json_text, show
 from frogkick.errors import InputError
-from frogkick.files import write_text
+from frogkick.files import require_writable, write_text
 from frogkick.vision.board import Board, calibrate_lens, read_picture, read_pictures
 from frogkick.vision.calibration import Calibration, Lens, Tag, refraction_offset_m
 from frogkick.vision.calibration_file import read_calibration, write_calibration

@@ -8,10 +8,12 @@ from typing import Annotated, Any
 
 import typer
 
-from frogkick.cli.common import JsonOption, progress_bar, require_writable, show
-from frogkick.cli.places import TablesOption, built_firmware, robot_of_table, table_image
-from frogkick.cli.push import session_at
+from frogkick.cli.common import JsonOption, show
+from frogkick.cli.options import TablesOption
 from frogkick.errors import InputError, nearest_name
+from frogkick.files import require_writable
+from frogkick.front.places import built_firmware, robot_of_table, table_image
+from frogkick.front.robots import session_at
 from frogkick.link.layout import link_layout
 from frogkick.link.log import Record, fetch_log
 from frogkick.link.wire import is_target, parse_target
@@ -19,6 +21,7 @@ from frogkick.loop.chip_log_file import FetchedLog, read_log, write_log
 from frogkick.loop.chip_log_replay import LogReplay, replay_log
 from frogkick.loop.session import Session
 from frogkick.planner.image import read_image
+from frogkick.progress import progress_bar
 
 
 def fetch_from(session: Session) -> FetchedLog:

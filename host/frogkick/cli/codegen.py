@@ -7,10 +7,9 @@ from typing import Annotated
 
 import typer
 
-from frogkick.cli.common import JsonOption, progress_bar, require_writable, show
-from frogkick.planner.image import read_image
-from frogkick.study.emitted import measure
-from frogkick_codegen.emit import emit
+import frogkick as fk
+from frogkick.cli.common import JsonOption, show
+from frogkick.files import require_writable
 
 
 def codegen(
@@ -23,13 +22,8 @@ def codegen(
     json: JsonOption = False,
 ) -> None:
     """Emit a table and the planner as C99, with a README of what they cost on the chip."""
-    read_image(tables)
     require_writable(out, folder=True)
-    figures = None
-    if measured:
-        with progress_bar("measuring") as progress:
-            figures = measure(tables, progress=progress)
-    files = emit(tables, out, f"frogkick codegen {tables.name} --out {out.name}", figures=figures)
+    files = fk.emit_c(tables, out, measure=measured, progress=True)
     show(
         {"out": str(out), "files": files}, json, "\n".join(f"{files[name]}  {name}" for name in sorted(files))
     )

@@ -1,27 +1,16 @@
-"""What commands share: options, progress on stderr, one JSON object on stdout."""
+"""What commands share: options, one JSON object on stdout."""
 
 from __future__ import annotations
 
 import json
 import math
 import os
-import sys
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any, Protocol
+from typing import Annotated, Any
 
-import numpy as np
 import typer
 from rich.console import Console
-from rich.progress import (
-    BarColumn,
-    MofNCompleteColumn,
-    Progress,
-    TextColumn,
-    TimeElapsedColumn,
-    TimeRemainingColumn,
-)
 
 from frogkick.chunks import check_cluster
 from frogkick.errors import InputError
@@ -41,7 +30,7 @@ stderr = Console(stderr=True)
 
 def _plain(value: Any) -> Any:
     """What JSON can say: NaN and infinity, which it cannot, become null."""
-    if isinstance(value, np.generic | np.ndarray):
+    if hasattr(value, "tolist"):  # of numpy
         value = value.tolist()
     if isinstance(value, Mapping):
         return {str(key): _plain(entry) for key, entry in value.items()}
@@ -82,25 +71,6 @@ def write_picture(figure: Any, out: Path) -> None:
         figure.savefig(temporary, format="png", dpi=120, metadata={"Software": None})
 
 
-def require_writable(out: Path | None, folder: bool = False) -> None:
-    """Refuse an --out that cannot be written, before the work and not after it. Writes nothing.
-
-    Raises:
-        InputError: a folder where a file is to be written (or the other way), or no place for it.
-    """
-    if out is None:
-        return
-    if folder and out.exists() and not out.is_dir():
-        raise InputError(f"--out {str(out)!r} is a file: name a folder")
-    if not folder and out.is_dir():
-        raise InputError(f"--out {str(out)!r} is a folder: name a file in it")
-    place = out if folder else out.parent
-    while not place.exists() and place != place.parent:
-        place = place.parent
-    if not place.is_dir() or not os.access(place, os.W_OK | os.X_OK):
-        raise InputError(f"cannot write {str(out)!r} in {str(place)!r}: choose another --out")
-
-
 def share_out(workers: int, cluster: str | None) -> int:
     """Return how many processes to start here, from --workers (0: one for each core) and --cluster.
 
@@ -115,41 +85,3 @@ def share_out(workers: int, cluster: str | None) -> int:
         check_cluster(cluster)
         return 1
     return workers or os.cpu_count() or 1
-
-
-class Tell(Protocol):
-    """What shows progress."""
-
-    def __call__(self, done: int, whole: int, /, note: str = "") -> None:
-        """So much is done, and a word on how it goes."""
-
-
-@contextmanager
-def progress_bar(title: str) -> Iterator[Tell]:
-    """A bar on stderr; yields a function of (done, all). Without a terminal: a line at each tenth."""
-    if not sys.stderr.isatty():
-        told = -1
-
-        def tell(done: int, whole: int, /, note: str = "") -> None:
-            nonlocal told
-            tenth = 10 * done // max(whole, 1)
-            if tenth > told:
-                told = tenth
-                print(f"{title}: {done}/{whole}{note and f', {note}'}", file=sys.stderr, flush=True)
-
-        yield tell
-        return
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-        TimeRemainingColumn(),
-    )
-    with Progress(*columns, console=stderr, transient=False) as bar:
-        task = bar.add_task(title, total=None)
-
-        def update(done: int, whole: int, /, note: str = "") -> None:
-            bar.update(task, completed=done, total=whole, description=f"{title}{note and f', {note}'}")
-
-        yield update

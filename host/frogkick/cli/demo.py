@@ -8,8 +8,11 @@ from typing import Annotated
 import numpy as np
 import typer
 
-from frogkick.cli.common import JsonOption, SeedOption, progress_bar, require_writable, show
-from frogkick.cli.places import DepthOption, PlannerName, plan_config
+from frogkick.cli.common import JsonOption, SeedOption, show
+from frogkick.cli.options import DepthOption
+from frogkick.files import require_writable
+from frogkick.front.places import plan_config
+from frogkick.progress import progress_bar
 from frogkick.robot import load_robot
 from frogkick.study.closing import Closing
 from frogkick.study.ring import close, go_round
@@ -29,7 +32,7 @@ def demo(
 
     described = load_robot(robot)
     require_writable(out, folder=True)
-    levels = plan_config(described, PlannerName.robot, depth).depth
+    levels = plan_config(described, "robot", depth).depth
     ring = go_round(described, out, states, levels, seed, progress_bar)
     close(ring, out, seed, progress_bar)
     assert ring.closing is not None

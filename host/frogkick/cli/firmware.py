@@ -9,12 +9,15 @@ from typing import Annotated, Any
 
 import typer
 
-from frogkick.cli.common import JsonOption, progress_bar, require_writable, show
-from frogkick.cli.places import TablesOption, built_firmware, robot_of_table, table_image
+import frogkick as fk
+from frogkick.cli.common import JsonOption, show
+from frogkick.cli.options import TablesOption
 from frogkick.errors import InputError
-from frogkick.files import existing_file
+from frogkick.files import existing_file, require_writable
+from frogkick.front.places import built_firmware, robot_of_table, table_image
 from frogkick.loop.chip_check import check_on_chip
 from frogkick.planner.image import read_image
+from frogkick.progress import progress_bar
 
 app = typer.Typer(help="Build, measure, flash and test the robot's image.", no_args_is_help=True)
 
@@ -38,12 +41,8 @@ def build(
     json: JsonOption = False,
 ) -> None:
     """Build the firmware around a table image; stack_bytes is what the image reserves."""
-    from frogkick_codegen.firmware import build as build_firmware
-
     require_writable(out, folder=True)
-    built = build_firmware(
-        target.value, existing_file(tables, "table image"), robot_of_table(tables, robot), out
-    )
+    built = fk.build_firmware(fk.load_table(tables, robot), target.value, out)
     show(built.as_json(), json)
 
 

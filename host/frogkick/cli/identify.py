@@ -4,18 +4,17 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from typer.core import TyperCommand
 
-from frogkick.cli.common import JsonOption, progress_bar, require_writable, say_left_out, show
-from frogkick.identify.horizons import Horizon
-from frogkick.identify.outcome import Outcome, identify, robot_of_runs, write_predictions, write_robot
-from frogkick.identify.retune import steps
-from frogkick.identify.swim import read_swim
-from frogkick.identify.verdict import Error
-from frogkick.robot import load_robot
+import frogkick as fk
+from frogkick.cli.common import JsonOption, say_left_out, show
+from frogkick.files import require_writable
+
+if TYPE_CHECKING:
+    from frogkick.front.identifying import Error, Horizon, Outcome
 
 
 def horizon_line(horizon: Horizon) -> str:
@@ -90,24 +89,14 @@ def command(
     """Trace what a robot's model lacks to physical effects. Exit 0 whatever the verdict."""
     for target in (out, predictions, report):
         require_writable(target)
-    runs = [read_swim(path) for path in (*train, *test)]
-    described = load_robot(robot or robot_of_runs(runs))
-    learned = [read_swim(path, described) for path in train]
-    kept = [read_swim(path, described) for path in test]
-    with steps(progress_bar) as tell:
-        outcome = identify(learned, kept, described, effects, tell, measured)
-    say_left_out(outcome.left_out)
-    with progress_bar("several periods ahead, what to record next") as progress:
-        values = outcome.as_json()
-        progress(1, 1)
-    write_robot(out, outcome)
+    found = fk.identify(train, test=test, robot=robot, effects=effects, measured=measured, progress=True)
+    say_left_out(found.outcome.left_out)
+    found.robot.save(out)
     if predictions is not None:
-        write_predictions(predictions, outcome)
+        found.predictions(predictions)
     if report is not None:
-        from frogkick.report.identify_page import write_identify_page
-
-        write_identify_page(report, outcome)
-    show(values, json, _text(outcome))
+        found.report(report)
+    show(found.as_json(), json, _text(found.outcome))
 
 
 class _ManyRuns(TyperCommand):

@@ -7,8 +7,10 @@ from typing import Annotated
 
 import typer
 
-from frogkick.cli.common import JsonOption, progress_bar, require_writable, say, show
+from frogkick.cli.common import JsonOption, say, show
+from frogkick.files import require_writable
 from frogkick.loop.recorded import import_recorded
+from frogkick.progress import progress_bar
 
 
 def import_(

@@ -46,9 +46,10 @@ class Keys:
     Where ``stream`` is no terminal nothing is asked, and nothing is ever pressed.
     """
 
-    def __init__(self, stream: TextIO | None) -> None:
-        """``stream``: where keys come from; None: from nowhere."""
+    def __init__(self, stream: TextIO | None, ask: bool = True) -> None:
+        """``stream``: where keys come from; None: nowhere. ``ask``: for Enter, before a robot is armed."""
         self._stream = stream
+        self._ask = ask
         self.is_terminal = stream is not None and stream.isatty()
 
     def __enter__(self) -> Keys:
@@ -66,7 +67,7 @@ class Keys:
 
     def wait_to_arm(self) -> None:
         """Ask for Enter, and wait for it; what was pressed before does not count."""
-        if not self.is_terminal:
+        if not (self.is_terminal and self._ask):
             return
         while self._read():
             pass
@@ -91,3 +92,15 @@ class Keys:
         if not read:
             raise KeyboardInterrupt  # the terminal is closed
         return [bytes([one]) for one in read]
+
+
+@contextmanager
+def keys_of(stdin_is_taken: bool, ask: bool) -> Iterator[Keys]:
+    """The keys beside a real robot.
+
+    Args:
+        stdin_is_taken: standard input brings fixes.
+        ask: for Enter, before the robot is armed.
+    """
+    with terminal(stdin_is_taken) as stream, Keys(stream, ask) as keys:
+        yield keys

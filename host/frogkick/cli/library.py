@@ -9,18 +9,12 @@ from typing import Annotated
 
 import typer
 
-from frogkick.cli.common import (
-    ClusterOption,
-    JsonOption,
-    SeedOption,
-    progress_bar,
-    require_writable,
-    share_out,
-    show,
-    stderr,
-)
-from frogkick.library import RECORD_S, build_library, library_info
-from frogkick.robot import load_robot
+import frogkick as fk
+from frogkick.cli.common import ClusterOption, JsonOption, SeedOption, say, share_out, show
+from frogkick.files import require_writable
+
+RECORD_S = 5.0
+"""That of frogkick.library: a command's help loads nothing of it."""
 
 app = typer.Typer(help="Simulate transitions for many initial velocities.", no_args_is_help=True)
 
@@ -54,30 +48,31 @@ def build(
     json: JsonOption = False,
 ) -> None:
     """Simulate every action from each of many initial velocities. Stopped and started again, it goes on."""
-    described = load_robot(robot)
+    described = fk.load_robot(robot)
     require_writable(out)
     processes = share_out(workers, cluster)
     began = time.perf_counter()
-    with progress_bar("library") as progress:
-        report = build_library(
-            described,
-            states=states,
-            seed=seed,
-            workers=processes,
-            out=out,
-            progress=progress,
-            sampling=sampling.value,
-            record_s=record_s,
-            cluster=cluster,
-        )
-    for line in report.failures:
-        stderr.print(f"frogkick: left out of tables, {line}", markup=False, highlight=False, soft_wrap=True)
+    made = fk.build_library(
+        described,
+        states,
+        seed,
+        sampling=sampling.value,
+        record_s=record_s,
+        workers=processes,
+        cluster=cluster,
+        out=out,
+        progress=True,
+    )
+    for failure in made.failed:
+        name = described.actions[failure.action].name
+        say(f"left out of tables, state {failure.state} action {name}: {failure.reason}")
+    transitions = states * len(described.actions)
     show(
         {
-            "transitions": report.transitions,
-            "failed": len(report.failures),
+            "transitions": transitions,
+            "failed": len(made.failed),
             "wall_s": round(time.perf_counter() - began, 3),
-            "simulated_s": report.simulated_s,
+            "simulated_s": transitions * max(described.period_s, record_s),
             "out": str(out),
         },
         json,
@@ -89,5 +84,7 @@ def info(
     library: Annotated[Path, typer.Argument(help="HDF5 file of 'library build'.")], json: JsonOption = False
 ) -> None:
     """Say what a library holds."""
+    from frogkick.front.tables import library_info
+
     # How long it took is not in the file, whose bytes do not depend on the machine.
     show({**library_info(library), "wall_s": None}, json)

@@ -8,8 +8,9 @@ from typing import Annotated, Any
 
 import typer
 
-from frogkick.cli.common import JsonOption, require_writable, show, write_picture
+from frogkick.cli.common import JsonOption, show, write_picture
 from frogkick.errors import InputError
+from frogkick.files import require_writable
 from frogkick.loop.export_csv import export_csv
 from frogkick.loop.export_mcap import export_mcap
 from frogkick.loop.recorded import load_run

@@ -9,16 +9,9 @@ from typing import Annotated, Any
 
 import typer
 
-from frogkick.cli.common import JsonOption, SeedOption, progress_bar, show
-from frogkick.cli.places import (
-    DepthOption,
-    PlannerName,
-    PlannerOption,
-    TablesOption,
-    plan_config,
-    robot_of_table,
-    table_image,
-)
+from frogkick.cli.common import JsonOption, SeedOption, show
+from frogkick.cli.options import DepthOption, PlannerName, PlannerOption, TablesOption
+from frogkick.front.places import plan_config, robot_of_table, table_image
 from frogkick.loop.chip_planner import ChipPlanner
 from frogkick.loop.rehearsal import (
     call_mismatches,
@@ -31,6 +24,7 @@ from frogkick.paths import Path as SwimPath
 from frogkick.paths import shape
 from frogkick.planner.image import Tables, read_image
 from frogkick.planner.plan import PlanConfig
+from frogkick.progress import progress_bar
 from frogkick_codegen.firmware import build
 from frogkick_codegen.native import NativeLibrary
 from frogkick_codegen.parity import KINDS, PairReport, Place, compare, make_cases, native_place, python_place
@@ -64,7 +58,7 @@ def parity(
     """
     image = table_image(tables, model)
     described = robot_of_table(image, model)
-    opened, config = read_image(image), plan_config(described, planner, depth)
+    opened, config = read_image(image), plan_config(described, planner.value, depth)
     compilers = {"native": zig("host"), **({"gcc": gcc} if (gcc := other("gcc")) else {})}
     with tempfile.TemporaryDirectory(prefix="frogkick-parity-") as folder:
         bench = build("bench", image, described, Path(folder) / "bench").image

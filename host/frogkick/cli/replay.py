@@ -9,11 +9,10 @@ from typing import Annotated, Any
 
 import typer
 
-from frogkick.cli.common import JsonOption, progress_bar, show
-from frogkick.cli.places import (
-    DepthOption,
-    PlannerName,
-    TablesOption,
+from frogkick.cli.common import JsonOption, show
+from frogkick.cli.options import DepthOption, PlannerName, TablesOption
+from frogkick.errors import InputError
+from frogkick.front.places import (
     plan_config,
     require_period,
     require_simulated,
@@ -21,11 +20,11 @@ from frogkick.cli.places import (
     simulated_robot,
     table_image,
 )
-from frogkick.errors import InputError
 from frogkick.loop.recorded import load_run
 from frogkick.loop.replay import replay as replay_run
 from frogkick.loop.replay import require_replayable
 from frogkick.planner.image import read_image
+from frogkick.progress import progress_bar
 
 
 class PlanWhere(enum.StrEnum):
@@ -67,7 +66,7 @@ def replay(
     if recorded.robot_id != described.id:
         raise InputError(f"run {recorded.source!r} is of robot {recorded.robot_id!r}, not {described.id!r}")
     require_period(opened, recorded)
-    config = plan_config(described, planner, depth, recorded)
+    config = plan_config(described, planner and planner.value, depth, recorded)
     chip = nullcontext() if plan is PlanWhere.host else simulated_robot(robot, image, described)
     with chip as port, progress_bar("decisions") as progress:
         result = replay_run(

@@ -12,29 +12,24 @@ import numpy as np
 import typer
 from numpy.typing import NDArray
 
-from frogkick.cli.common import (
-    JsonOption,
-    SeedOption,
-    progress_bar,
-    require_writable,
-    say,
-    say_left_out,
-    show,
-)
+from frogkick.cli.common import JsonOption, SeedOption, say, say_left_out, show
 from frogkick.cli.identify import horizon_line
-from frogkick.cli.places import built_firmware, robot_of_table
-from frogkick.cli.push import VIRTUAL, push_tables, require_target, text_of
+from frogkick.cli.push import text_of
 from frogkick.effects import World, effects_of
 from frogkick.errors import FrogkickError, InputError
-from frogkick.identify.retune import BEFORE, TABLES, Retuned, require_new, retune
-from frogkick.identify.swim import read_swim, reliable
-from frogkick.identify.tables import Stage, Tracked
+from frogkick.files import require_writable
+from frogkick.front.places import built_firmware, robot_of_table
+from frogkick.front.robots import VIRTUAL, push_table, require_target
+from frogkick.identification.retune import BEFORE, TABLES, Retuned, require_new, retune
+from frogkick.identification.swim import read_swim, reliable
+from frogkick.identification.tables import Stage, Tracked
 from frogkick.library import build_library, fit_table, read_library
 from frogkick.library.error import looked_up
 from frogkick.library.fitting import WHOLE_MIN
 from frogkick.loop.pushing import Pushed
 from frogkick.paths import SHAPES
 from frogkick.planner.image import open_image, read_image
+from frogkick.progress import progress_bar
 from frogkick.robot import Robot, load_robot
 from frogkick.study.trial import trials
 from frogkick_codegen.firmware import build as build_firmware
@@ -47,7 +42,7 @@ LOOP_PATHS, LOOP_SEEDS = tuple(SHAPES), 2
 
 @dataclass(frozen=True)
 class _Tools:
-    """Tables of so many states by so many processes; see frogkick.identify.tables.Tools."""
+    """Tables of so many states by so many processes; see frogkick.identification.tables.Tools."""
 
     count: int
     seed: int
@@ -167,7 +162,7 @@ def _pushed(target: str | None, result: Retuned, out: Path) -> tuple[Pushed | No
     if target is None or not result.better:
         return None, None
     try:
-        return push_tables(target, out / TABLES, out / BEFORE), None
+        return push_table(target, out / TABLES, out / BEFORE, progress=True), None
     except FrogkickError as error:
         return None, error
 

@@ -9,8 +9,9 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 
-from frogkick.cli.common import JsonOption, require_writable, show
+from frogkick.cli.common import JsonOption, show
 from frogkick.der import Rods, prepare
+from frogkick.files import require_writable
 from frogkick.robot import Robot, built_in_robots, load_robot, robot_warnings
 
 app = typer.Typer(help="Which robots there are, and what one looks like.", no_args_is_help=True)

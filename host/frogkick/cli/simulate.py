@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import io
+import math
 from pathlib import Path
 from typing import Annotated, Any
 
-import numpy as np
 import typer
 
-from frogkick.cli.common import JsonOption, progress_bar, require_writable, show
-from frogkick.der import Trajectory, simulate_actions, simulate_gait
+import frogkick as fk
+from frogkick.cli.common import JsonOption, show
 from frogkick.errors import InputError
-from frogkick.files import write_text
-from frogkick.robot import Action, load_robot
+from frogkick.files import require_writable, write_text
+from frogkick.progress import progress_bar
 
 
 def _velocity(text: str) -> tuple[float, float, float]:
@@ -22,16 +22,18 @@ def _velocity(text: str) -> tuple[float, float, float]:
         values = [float(part) for part in parts]
     except ValueError:
         values = []
-    if len(values) != 3 or not np.isfinite(values).all():
+    if len(values) != 3 or not all(map(math.isfinite, values)):
         raise InputError(
             f"--initial-velocity is {text!r}: give VX,VY,OMEGA (forward m/s, left m/s, rad/s), e.g. 0.02,0,0"
         )
     return values[0], values[1], values[2]
 
 
-def _write_csv(target: Path, swum: Trajectory) -> None:
+def _write_csv(target: Path, swum: fk.Trajectory) -> None:
+    import numpy as np
+
     buffer = io.StringIO()
-    columns = np.column_stack([swum.time_s, swum.x_m, swum.y_m, swum.heading_rad])
+    columns = np.column_stack([swum.time_s, swum.pose_world])
     np.savetxt(buffer, columns, fmt="%.9g", delimiter=",", header="time_s,x_m,y_m,heading_rad", comments="")
     write_text(target, buffer.getvalue())
 
@@ -51,7 +53,7 @@ def simulate(
     json: JsonOption = False,
 ) -> None:
     """Simulate a gait, or a sequence of actions, of a robot."""
-    described = load_robot(robot)
+    described = fk.load_robot(robot)
     require_writable(out)
     if animation is not None:
         from frogkick.report.animation import require_animation_name
@@ -60,33 +62,31 @@ def simulate(
         require_writable(animation)
     egain = described.egain_percent if egain_percent is None else egain_percent
     frequency = described.profile_frequency_hz if frequency_hz is None else frequency_hz
-    chosen: list[Action] = []
-    if actions is not None:
-        if egain_percent is not None or frequency_hz is not None:
-            raise InputError(
-                "--actions uses the robot's own profile: leave --egain-percent and --frequency-hz out"
-            )
-        names = [name.strip() for name in actions.split(",") if name.strip()]
-        if not names:
-            raise InputError("--actions is empty: name at least one action, as B,B,C")
-        chosen = [described.action(name) for name in names]
-        result = simulate_actions(described, chosen, velocity_body=_velocity(initial_velocity))
-    else:
-        result = simulate_gait(
-            described,
-            egain_percent=egain,
-            frequency_hz=frequency,
-            phase=phase,
-            cycles=cycles,
+    if actions is not None and (egain_percent is not None or frequency_hz is not None):
+        raise InputError(
+            "--actions uses the robot's own profile: leave --egain-percent and --frequency-hz out"
         )
+    names = None if actions is None else [name.strip() for name in actions.split(",") if name.strip()]
+    if names == []:
+        raise InputError("--actions is empty: name at least one action, as B,B,C")
+    begin = (0.0, 0.0, 0.0) if names is None else _velocity(initial_velocity)
+    result = fk.simulate(
+        described,
+        names,
+        velocity_body=begin,
+        egain_percent=egain_percent,
+        frequency_hz=frequency_hz,
+        phase=phase,
+        cycles=cycles,
+    )
     if out is not None:
         _write_csv(out, result)
     animated: dict[str, Any] = {}
     if animation is not None:
         from frogkick.report.animation import actions_swim, gait_swim, write_animation
 
-        if chosen:
-            swim = actions_swim(described, chosen, _velocity(initial_velocity))
+        if names:
+            swim = actions_swim(described, [described.action(name) for name in names], begin)
         else:
             swim = gait_swim(described, egain, frequency, phase, cycles)
         with progress_bar("animation") as progress:
@@ -96,7 +96,9 @@ def simulate(
             "speed_mps": result.speed_mps,
             "distance_m": result.distance_m,
             # Without forward motion it is infinite, which JSON cannot say.
-            "cost_of_transport": result.cost_of_transport if np.isfinite(result.cost_of_transport) else None,
+            "cost_of_transport": result.cost_of_transport
+            if math.isfinite(result.cost_of_transport)
+            else None,
             **animated,
         },
         json,

@@ -9,19 +9,13 @@ from typing import Annotated
 
 import typer
 
-from frogkick.cli.common import JsonOption, SeedOption, progress_bar, show, write_picture
-from frogkick.cli.places import (
-    PlannerName,
-    PlannerOption,
-    TablesOption,
-    built_firmware,
-    plan_config,
-    robot_of_table,
-    table_image,
-)
+from frogkick.cli.common import JsonOption, SeedOption, show, write_picture
+from frogkick.cli.options import PlannerName, PlannerOption, TablesOption
 from frogkick.der import STEP_S
+from frogkick.front.places import built_firmware, plan_config, robot_of_table, table_image
 from frogkick.paths import SHAPES, shape
 from frogkick.pool.chip import CostModel
+from frogkick.progress import progress_bar
 from frogkick.robot import load_robot
 from frogkick.study.chip_speed import DEPTHS, LIMIT_MS, chip_speed, open_ms
 from frogkick.study.convergence import ERROR_LIMIT
@@ -79,7 +73,7 @@ def chip(
     described = robot_of_table(image, model)
     counts = {depth: states if depth in LIMIT_MS else max(3, states // 50) for depth in DEPTHS}
     paths = {name: shape(name) for name in SHAPES}
-    config = plan_config(described, planner, None)
+    config = plan_config(described, planner.value, None)
     with built_firmware("bench", image, described) as built, progress_bar("decisions") as progress:
         opened_ms = open_ms(built.image)
         processes = workers or os.cpu_count() or 1

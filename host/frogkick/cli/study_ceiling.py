@@ -11,13 +11,15 @@ from typing import Annotated, Any
 
 import typer
 
-from frogkick.cli.common import JsonOption, progress_bar, require_writable, show, write_picture
+from frogkick.cli.common import JsonOption, show, write_picture
 from frogkick.errors import InputError
+from frogkick.files import require_writable
 from frogkick.library import fit_table, quantise, read_library
 from frogkick.library.fitting import BUDGET_BYTES, require_enough
 from frogkick.loop.closed_loop import require_time
 from frogkick.paths import SHAPES
 from frogkick.planner.image import read_image
+from frogkick.progress import progress_bar
 from frogkick.study.ceiling import (
     AFFINE,
     NEAREST,

@@ -11,18 +11,12 @@ from typing import Annotated
 
 import typer
 
-from frogkick.cli.common import JsonOption, progress_bar, require_writable, show, write_picture
-from frogkick.cli.places import (
-    DepthOption,
-    PlannerName,
-    PlannerOption,
-    TablesOption,
-    plan_config,
-    robot_of_table,
-    swim_path,
-    table_image,
-)
+from frogkick.cli.common import JsonOption, show, write_picture
+from frogkick.cli.options import DepthOption, PlannerName, PlannerOption, TablesOption
+from frogkick.files import require_writable
+from frogkick.front.places import plan_config, robot_of_table, swim_path, table_image
 from frogkick.loop.closed_loop import require_time
+from frogkick.progress import progress_bar
 from frogkick.study.estimator import RATES_HZ, Condition, Outcome, compare_estimators
 
 _PathsOption = Annotated[list[str] | None, typer.Option("--path", help="line, sine, ellipse, or a CSV file.")]
@@ -52,7 +46,7 @@ def estimator(
     image = table_image(tables, model)
     described = robot_of_table(image, model)
     paths = [swim_path(name) for name in path or ("line", "ellipse")]
-    config = plan_config(described, planner, depth)
+    config = plan_config(described, planner.value, depth)
     processes = workers or os.cpu_count() or 1
     with progress_bar("runs") as progress:
         outcomes = compare_estimators(

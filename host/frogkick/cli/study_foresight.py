@@ -8,10 +8,13 @@ from typing import Annotated, Any
 
 import typer
 
-from frogkick.cli.common import JsonOption, progress_bar, require_writable, show, write_picture
-from frogkick.cli.places import TablesOption, start_pose, swim_path, table_image
+from frogkick.cli.common import JsonOption, show, write_picture
+from frogkick.cli.options import TablesOption
 from frogkick.errors import InputError
+from frogkick.files import require_writable
+from frogkick.front.places import start_pose, swim_path, table_image
 from frogkick.planner.image import read_image
+from frogkick.progress import progress_bar
 from frogkick.study.foresight import foresee, nearest_at
 
 

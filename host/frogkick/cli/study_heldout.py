@@ -10,9 +10,11 @@ from typing import Annotated, Any
 
 import typer
 
-from frogkick.cli.common import JsonOption, progress_bar, require_writable, say_left_out, show, write_picture
-from frogkick.identify.outcome import robot_of_runs
-from frogkick.identify.swim import read_swim, reliable
+from frogkick.cli.common import JsonOption, say_left_out, show, write_picture
+from frogkick.files import require_writable
+from frogkick.identification.outcome import robot_of_runs
+from frogkick.identification.swim import read_swim, reliable
+from frogkick.progress import progress_bar
 from frogkick.robot import load_robot
 from frogkick.study.heldout import HeldOut, held_out, pooled
 

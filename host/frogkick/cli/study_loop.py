@@ -9,11 +9,12 @@ from typing import Annotated
 
 import typer
 
-from frogkick.cli.common import JsonOption, progress_bar, require_writable, show, write_picture
+from frogkick.cli.common import JsonOption, show, write_picture
 from frogkick.errors import InputError
-from frogkick.files import write_bytes
+from frogkick.files import require_writable, write_bytes
 from frogkick.library import Library, build_library, fit_table, quantise, read_library
 from frogkick.paths import SHAPES, shape
+from frogkick.progress import progress_bar
 from frogkick.robot import Robot, load_robot
 from frogkick.study.kept import Case
 from frogkick.study.loop import (

@@ -12,9 +12,10 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 
-from frogkick.cli.common import JsonOption, progress_bar, require_writable, show, write_picture
+from frogkick.cli.common import JsonOption, show, write_picture
 from frogkick.errors import InputError
-from frogkick.files import write_text
+from frogkick.files import require_writable, write_text
+from frogkick.progress import progress_bar
 from frogkick.robot import Robot, load_robot
 from frogkick.robot.toml_text import to_toml
 from frogkick.study.openloop import OpenLoop, Predicted, Split, open_loop, rmse_by_group

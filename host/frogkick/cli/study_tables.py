@@ -8,9 +8,11 @@ from typing import Annotated
 
 import typer
 
-from frogkick.cli.common import JsonOption, SeedOption, progress_bar, require_writable, show, write_picture
+from frogkick.cli.common import JsonOption, SeedOption, show, write_picture
 from frogkick.cli.library import Sampling
+from frogkick.files import require_writable
 from frogkick.library import read_library
+from frogkick.progress import progress_bar
 from frogkick.robot import load_robot
 from frogkick.study.history import history_worth
 from frogkick.study.table_size import least_bytes_as_good, over_full_nearest, slope, table_sizes

@@ -12,10 +12,11 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 
-from frogkick.cli.common import JsonOption, progress_bar, require_writable, show, write_picture
+from frogkick.cli.common import JsonOption, show, write_picture
 from frogkick.cli.study_loop import PAPER_STATES, fit_own_table, library_of, shape_names, table_of_rows
-from frogkick.files import write_bytes
+from frogkick.files import require_writable, write_bytes
 from frogkick.library import quantise
+from frogkick.progress import progress_bar
 from frogkick.robot import Robot, load_robot
 from frogkick.study.believed import Believed, believed_motions, image_of_motions
 from frogkick.study.kept import Case

@@ -8,9 +8,12 @@ from typing import Annotated, Any
 
 import typer
 
-from frogkick.cli.common import JsonOption, progress_bar, require_writable, show, write_picture
-from frogkick.cli.places import TablesOption, robot_of_table, table_image
+from frogkick.cli.common import JsonOption, show, write_picture
+from frogkick.cli.options import TablesOption
 from frogkick.errors import InputError
+from frogkick.files import require_writable
+from frogkick.front.places import robot_of_table, table_image
+from frogkick.progress import progress_bar
 from frogkick.study.planted import NULL, ONE, OUTSIDE, TWO, kinds
 from frogkick.study.verdicts import Case, Result, run_cases
 

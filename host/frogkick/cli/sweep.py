@@ -12,9 +12,10 @@ from typing import Annotated, Any
 
 import typer
 
-from frogkick.cli.common import ClusterOption, JsonOption, progress_bar, require_writable, share_out, show
+from frogkick.cli.common import ClusterOption, JsonOption, share_out, show
 from frogkick.errors import InputError
-from frogkick.files import write_text
+from frogkick.files import require_writable, write_text
+from frogkick.progress import progress_bar
 from frogkick.robot import load_robot
 from frogkick.study.paper_winners import PAPER_PHASE, Verdict, explain, paper_verdicts
 from frogkick.study.sweep import (

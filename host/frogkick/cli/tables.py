@@ -4,22 +4,16 @@ from __future__ import annotations
 
 import enum
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
-from frogkick.cli.common import JsonOption, SeedOption, progress_bar, require_writable, show
+import frogkick as fk
+from frogkick.cli.common import JsonOption, SeedOption, show
 from frogkick.cli.library import Sampling
-from frogkick.cli.places import robot_of_table
-from frogkick.errors import InputError
-from frogkick.files import write_bytes
-from frogkick.library import fit_table, quantise, read_library, table_error
-from frogkick.planner.image import Tables, open_image, read_image
-from frogkick.robot import Robot
+from frogkick.files import require_writable
 
 app = typer.Typer(help="Make of a library the robot's table image.", no_args_is_help=True)
-
-_KIB = 1024
 
 
 class Kind(enum.StrEnum):
@@ -27,21 +21,6 @@ class Kind(enum.StrEnum):
 
     nearest = "nearest"
     affine = "affine"
-
-
-def _facts(tables: Tables) -> dict[str, Any]:
-    return {
-        "bytes": len(tables.image),
-        "states": len(tables.states),
-        "actions": len(tables.actions),
-        "kind": tables.kind,
-        "robot": tables.robot_id,
-        "period_s": tables.period_us * 1e-6,
-        "pulse_s": tables.pulse_us * 1e-6,
-        "crc32": f"{tables.crc32:08x}",
-        "provenance": tables.provenance.hex(),
-        "limb_use": {"decay": tables.use_decay / 2**15, "gain": tables.use_gain / 2**15},
-    }
 
 
 @app.command()
@@ -73,19 +52,12 @@ def build(
     json: JsonOption = False,
 ) -> None:
     """Make a table image, and measure its error on states that are not in it."""
-    content = read_library(library)
+    content = fk.load_library(library)
     require_writable(out)
-    if budget_kib is None and kind in (None, Kind.nearest):
-        image = quantise(content)
-    else:
-        budget = None if budget_kib is None else int(budget_kib * _KIB)
-        with progress_bar("tables tried") as progress:
-            image = fit_table(content, kind.value if kind else None, budget, progress).image
-    tables = open_image(image)
-    with progress_bar("unseen states") as progress:
-        error = table_error(tables, content.robot(), test_states, seed, content.sampling, progress)
-    write_bytes(out, image)
-    show({**_facts(tables), "error": error, "sampling": content.sampling, "out": str(out)}, json)
+    table = fk.fit_table(content, kind.value if kind else None, budget_kib, progress=True)
+    error = table.error(test_states, seed, content.sampling, progress=True)
+    table.save(out)
+    show({**table.facts(), "error": error, "sampling": content.sampling, "out": str(out)}, json)
 
 
 @app.command()
@@ -102,20 +74,16 @@ def info(
     json: JsonOption = False,
 ) -> None:
     """Say what a table image holds, after checking all of it, and how far it errs on unseen states."""
-    opened = read_image(tables)
-    described = _robot(opened, tables, robot)
+    from frogkick.front.tables import read_facts
+
+    facts = read_facts(tables)
     error = None
-    if test_states and described is not None:
-        with progress_bar("unseen states") as progress:
-            error = table_error(opened, described, test_states, seed, sampling.value, progress)
-    show({**_facts(opened), "error": error, "sampling": sampling.value}, json)
-
-
-def _robot(opened: Tables, tables: Path, robot: str | None) -> Robot | None:
-    """The table's robot; None where none is named and no built-in one fits."""
-    if robot is not None:
-        return robot_of_table(tables, robot)
     try:
-        return robot_of_table(tables, None)
-    except InputError:
-        return None
+        table = fk.load_table(tables, robot)
+    except fk.InputError:
+        if robot is not None:
+            raise  # else no built-in robot fits, and the image alone tells what it can
+    else:
+        if test_states:
+            error = table.error(test_states, seed, sampling.value, progress=True)
+    show({**facts, "error": error, "sampling": sampling.value}, json)

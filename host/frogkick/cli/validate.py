@@ -9,7 +9,9 @@ from typing import Annotated, Any
 
 import typer
 
-from frogkick.cli.common import JsonOption, progress_bar, require_writable, show
+from frogkick.cli.common import JsonOption, show
+from frogkick.files import require_writable
+from frogkick.progress import progress_bar
 from frogkick.robot import load_robot
 from frogkick.study.measured import EXPERIMENTS, Skipped
 from frogkick.study.noise import Noise, noise_of

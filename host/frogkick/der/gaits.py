@@ -90,8 +90,8 @@ def _trajectory(robot: Robot, gait: Gait, track: Track, cycles: int) -> Trajecto
     speed = float(mean_m[last] - mean_m[last - counted]) / (counted * period_s)
     pulses = cycles * (robot.gait_lead_mask.bit_count() + robot.gait_lag_mask.bit_count())
     time_s = sample_times(period_s, cycles)
-    pose, _ = between(track.time_s, track.motion, time_s)
-    return trajectory_of(time_s, pose, speed, pulses * robot.pulse_energy_j, robot)
+    pose, velocity = between(track.time_s, track.motion, time_s)
+    return trajectory_of(time_s, pose, velocity, speed, pulses * robot.pulse_energy_j, robot)
 
 
 @dataclass(frozen=True, eq=False)

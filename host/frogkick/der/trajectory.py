@@ -20,11 +20,14 @@ FloatArray = NDArray[np.float64]
 SAMPLE_S = 0.01  # spacing of trajectories
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False, repr=False)
 class Trajectory:
-    """Where the body went: (n,) arrays, world frame (heading in (-pi, pi]), and what it came to.
+    """Where the body of a simulated robot went, and what that came to.
 
     Attributes:
+        time_s: (n,) s, from 0 on.
+        pose_world: (n, 3) x, y (m), heading (rad, in (-pi, pi]), world frame.
+        velocity_body: (n, 3) forward, left (m/s), turn rate (rad/s), body frame.
         speed_mps: mean forward speed; see the function that made it.
         distance_m: straight from start to end.
         cost_of_transport: electrical energy over weight and distance, dimensionless; infinite without
@@ -32,28 +35,39 @@ class Trajectory:
     """
 
     time_s: FloatArray
-    x_m: FloatArray
-    y_m: FloatArray
-    heading_rad: FloatArray
+    pose_world: FloatArray
+    velocity_body: FloatArray
     speed_mps: float
     distance_m: float
     cost_of_transport: float
 
+    def __repr__(self) -> str:
+        return (
+            f"Trajectory({len(self.time_s)} samples, {float(self.time_s[-1]):.2f} s, "
+            f"distance {1e3 * self.distance_m:.1f} mm, speed {1e3 * self.speed_mps:.2f} mm/s)"
+        )
+
 
 def trajectory_of(
-    time_s: FloatArray, pose_world: FloatArray, speed_mps: float, energy_j: float, robot: Robot
+    time_s: FloatArray,
+    pose_world: FloatArray,
+    velocity_body: FloatArray,
+    speed_mps: float,
+    energy_j: float,
+    robot: Robot,
 ) -> Trajectory:
     """Put a trajectory together; the cost of transport is mean power over weight and speed.
 
     Args:
-        time_s: (n,); pose_world: (n, 3), heading continuous.
+        time_s: (n,); pose_world: (n, 3), heading continuous; velocity_body: (n, 3).
     """
     x_m, y_m, heading = pose_world.T
     power_w = energy_j / float(time_s[-1])
     cost = power_w / (robot.mass_kg * STANDARD_GRAVITY_MPS2 * speed_mps) if speed_mps > 0.0 else math.inf
     distance = math.hypot(x_m[-1] - x_m[0], y_m[-1] - y_m[0])
     wrapped = heading - 2.0 * math.pi * np.ceil((heading - math.pi) / (2.0 * math.pi))
-    return Trajectory(time_s, x_m, y_m, wrapped, speed_mps, distance, cost)
+    poses = np.column_stack([x_m, y_m, wrapped])
+    return Trajectory(time_s, poses, velocity_body, speed_mps, distance, cost)
 
 
 def sample_times(period_s: float, periods: int) -> FloatArray:
@@ -102,6 +116,8 @@ def simulate_actions(
     if motions.failures:
         raise ConvergenceError(f"rods of {robot.id!r} {motions.failures[0]}")
     pose = np.concatenate([np.zeros((1, 3)), motions.pose_world[0]])
+    velocity = np.concatenate([np.array([velocity_body], dtype=np.float64), motions.velocity_body[0]])
     straight = math.hypot(*pose[-1, :2])
     pulses = sum(mask.bit_count() for _, mask in program)
-    return trajectory_of(time_s, pose, straight / float(time_s[-1]), pulses * robot.pulse_energy_j, robot)
+    speed_mps = straight / float(time_s[-1])
+    return trajectory_of(time_s, pose, velocity, speed_mps, pulses * robot.pulse_energy_j, robot)

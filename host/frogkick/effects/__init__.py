@@ -2,20 +2,59 @@
 
 from frogkick.effects.acting import Acting, ActingLanes, body_effects, changed_robot, rods_of
 from frogkick.effects.base import Body, Effect, Fix, History, Parameter, Stroke
+from frogkick.effects.body import Hull, LimbFatigue, LimbMount, LimbWater, MunkMoment
+from frogkick.effects.camera import CameraScale, FixLatency, TagOffset
+from frogkick.effects.groups import GroupGain
+from frogkick.effects.inertia import CentreMass, OffCentreMass
+from frogkick.effects.limbs import BatterySag, GroupLoss, LimbMemory, LimbWear, WarmUp
 from frogkick.effects.registry import BUILT_IN, effects_of, make_effect, make_effects
+from frogkick.effects.walls import Wall
+from frogkick.effects.water import (
+    DragScale,
+    MassScale,
+    ShearCurrent,
+    SteadyCurrent,
+    SteadyWrench,
+    Vortex,
+    YawDrag,
+)
 from frogkick.effects.world import World, read_world
 
 __all__ = [
     "BUILT_IN",
     "Acting",
     "ActingLanes",
+    "BatterySag",
     "Body",
+    "CameraScale",
+    "CentreMass",
+    "DragScale",
     "Effect",
     "Fix",
+    "FixLatency",
+    "GroupGain",
+    "GroupLoss",
     "History",
+    "Hull",
+    "LimbFatigue",
+    "LimbMemory",
+    "LimbMount",
+    "LimbWater",
+    "LimbWear",
+    "MassScale",
+    "MunkMoment",
+    "OffCentreMass",
     "Parameter",
+    "ShearCurrent",
+    "SteadyCurrent",
+    "SteadyWrench",
     "Stroke",
+    "TagOffset",
+    "Vortex",
+    "Wall",
+    "WarmUp",
     "World",
+    "YawDrag",
     "body_effects",
     "changed_robot",
     "effects_of",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tomllib
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,9 +15,16 @@ from frogkick.files import existing_file
 
 @dataclass(frozen=True)
 class World:
-    """Effects that are true in the pool."""
+    """What is true in the simulated pool and no model is told.
 
-    effects: tuple[Effect, ...] = ()
+    Attributes:
+        effects: of these, in order; any sequence is taken.
+    """
+
+    effects: Sequence[Effect] = ()
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "effects", tuple(self.effects))
 
 
 def read_world(path: Path | str) -> World:

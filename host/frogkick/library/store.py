@@ -38,7 +38,7 @@ _PREVIOUS = "previous_actions"
 _PREVIOUS_MEANING = f"index of the action begun 1, 2, .. periods before the start; {RESTED}: limbs rested"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False, repr=False)
 class Library:
     """Transitions of one robot: n initial velocities times a actions.
 
@@ -69,6 +69,24 @@ class Library:
     velocity_body_end: FloatArray
     previous_actions: IntArray
     failed: tuple[Failed, ...] = ()
+
+    def __repr__(self) -> str:
+        states, actions, _ = self.displacement_body.shape
+        return (
+            f"Library({states} states x {actions} actions of {self.robot_id!r}, {self.sampling}, "
+            f"seed {self.seed}, {len(self.failed)} failed)"
+        )
+
+    def save(self, file: Path | str) -> None:
+        """Write it (HDF5), wholly or not at all; ``read_library`` reads it back.
+
+        How the robot moved between a transition's start and its end is not in memory: only
+        ``frogkick library build`` keeps that in its file.
+
+        Raises:
+            InputError: the place cannot be written to.
+        """
+        write_library(self, file)
 
     def has_history(self) -> bool:
         """Whether there is a state before which a limb was used."""

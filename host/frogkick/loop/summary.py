@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from frogkick.errors import InputError
-from frogkick.loop.record import BATTERY_V, along_path
+from frogkick.loop.record import BATTERY_V, Tracking, along_path
 from frogkick.loop.residual import residual
 from frogkick.loop.runlog import RunLog
 
@@ -125,6 +125,34 @@ def summary(run: RunLog) -> Summary:
         period_s=run.period_s,
         clock={name: value for name, value in run.measured.items() if name.startswith(("clock_", "period_"))},
         notes=run.notes,
+    )
+
+
+def tracking_of_log(run: RunLog) -> Tracking:
+    """How well a run followed its path, as its log tells.
+
+    What a log of ours holds is given back; of others it is told from the track. A number that nothing shows
+    is NaN, limits that nobody watched are None.
+
+    Raises:
+        InputError: it has no decision, or nobody saw the robot.
+    """
+    found, held = summary(run), run.measured
+    unknown = float("nan")
+    broken = held.get("limit_violations")
+
+    def number(name: str, else_: float | None) -> float:
+        return held.get(name, unknown if else_ is None else else_)
+
+    return Tracking(
+        mean_distance_m=number("mean_distance_m", found.mean_distance_m),
+        p95_distance_m=number("p95_distance_m", found.p95_distance_m),
+        progress_mps=number("progress_mps", found.progress_mps),
+        completed=bool(held.get("completed", 0.0)),
+        decisions=found.decisions,
+        fixes_lost=int(number("fixes_lost", found.fixes_lost)),
+        limit_violations=None if broken is None else int(broken),
+        plan_ms_p99=number("plan_ms_p99", None),
     )
 
 

@@ -1,6 +1,6 @@
 """Desired paths: line, sine, ellipse, waypoints, files; resampling, tangents, distances."""
 
-from frogkick.paths.csvfile import read_path
+from frogkick.paths.csvfile import from_csv
 from frogkick.paths.path import POINTS_MAX, Path, wrap_angle
 from frogkick.paths.shapes import OTHER_SHAPES, SHAPES, ellipse, from_waypoints, line, shape, sine
 
@@ -10,9 +10,9 @@ __all__ = [
     "SHAPES",
     "Path",
     "ellipse",
+    "from_csv",
     "from_waypoints",
     "line",
-    "read_path",
     "shape",
     "sine",
     "wrap_angle",

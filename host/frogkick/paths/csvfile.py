@@ -20,7 +20,7 @@ _NAMES = {
 }  # fmt: skip
 
 
-def read_path(file: pathlib.Path | str) -> Path:
+def from_csv(file: pathlib.Path | str) -> Path:
     """Read a path from CSV.
 
     Without header: columns x, y or x, y, dx, dy (the paper's ``linep1.csv``). With header: x, y and

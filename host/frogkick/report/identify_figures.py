@@ -9,10 +9,10 @@ import numpy.typing as npt
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from frogkick.identify.outcome import Outcome
-from frogkick.identify.search import Tried
-from frogkick.identify.verdict import Error
-from frogkick.identify.worth import BASE_GAIN
+from frogkick.identification.outcome import Outcome
+from frogkick.identification.search import Tried
+from frogkick.identification.verdict import Error
+from frogkick.identification.worth import BASE_GAIN
 from frogkick.report import style
 from frogkick.report.identify_misses import Misses, by_limb
 

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from frogkick.identify.fit import Fitted
-from frogkick.identify.outcome import Outcome
-from frogkick.identify.steps import whitener
-from frogkick.identify.verdict import gaps
+from frogkick.identification.fit import Fitted
+from frogkick.identification.outcome import Outcome
+from frogkick.identification.steps import whitener
+from frogkick.identification.verdict import gaps
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]

@@ -7,12 +7,12 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
-from frogkick.identify.outcome import Outcome
-from frogkick.identify.polish import HOLD
-from frogkick.identify.search import PLAIN_GAIN, SEEN_LEAST
-from frogkick.identify.swim import Swim
-from frogkick.identify.verdict import FOUND, NEAR_FLOOR, NOTHING, PARTLY, UNEXPLAINED, Error, Gain
-from frogkick.identify.worth import BASE_GAIN, GAIN_EACH
+from frogkick.identification.outcome import Outcome
+from frogkick.identification.polish import HOLD
+from frogkick.identification.search import PLAIN_GAIN, SEEN_LEAST
+from frogkick.identification.swim import Swim
+from frogkick.identification.verdict import FOUND, NEAR_FLOOR, NOTHING, PARTLY, UNEXPLAINED, Error, Gain
+from frogkick.identification.worth import BASE_GAIN, GAIN_EACH
 from frogkick.report.identify_figures import (
     cause_figure,
     error_figure,

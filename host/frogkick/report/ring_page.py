@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from frogkick.identify.verdict import Error
+from frogkick.identification.verdict import Error
 from frogkick.report.identify_figures import error_figure
 from frogkick.report.page import Section, Table, write_page
 from frogkick.report.run_figure import run_figure

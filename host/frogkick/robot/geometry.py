@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import html
 import math
 
 import numpy as np
@@ -33,6 +34,33 @@ def limb_points(frame: Frame, limb: Limb, fall_per_m: float = 0.0) -> FloatArray
     chords = step * np.column_stack([np.cos(angle), np.sin(angle)])
     root = np.array([frame.corners_m[limb.corner]])
     return np.concatenate([root, root + np.cumsum(chords, axis=0)])
+
+
+def svg_of(robot: Robot, width_px: int = 320) -> str:
+    """The robot at rest as an SVG picture seen from above, swimming up the page, limbs with their names."""
+    limbs = {limb.name: limb_points(robot.frame, limb) for limb in robot.limbs}
+    outline = _outline(robot.frame)
+    every = np.concatenate([outline, *limbs.values()])
+    low, high = every.min(axis=0), every.max(axis=0)
+    margin = 0.12 * float((high - low).max())
+    wide, tall = (float(size) + 2.0 * margin for size in (high - low)[::-1])
+
+    def line(points: FloatArray) -> str:
+        return " ".join(f"{high[1] + margin - y:.5f},{high[0] + margin - x:.5f}" for x, y in points)
+
+    stroke = f"fill='none' stroke-width='{0.012 * wide:.5f}' stroke-linejoin='round'"
+    drawn = [f"<polyline points='{line(outline)}' {stroke} stroke='#333'/>"]
+    for name, points in limbs.items():
+        x, y = line(points[-1:]).split(",")
+        drawn.append(f"<polyline points='{line(points)}' {stroke} stroke='#1f77b4'/>")
+        drawn.append(
+            f"<text x='{x}' y='{y}' font-size='{0.045 * wide:.5f}' text-anchor='middle'>"
+            f"{html.escape(name)}</text>"
+        )
+    return (
+        f"<svg xmlns='http://www.w3.org/2000/svg' width='{width_px}' viewBox='0 0 {wide:.5f} {tall:.5f}'>"
+        f"{''.join(drawn)}</svg>"
+    )
 
 
 def _cross(a: FloatArray, b: FloatArray) -> FloatArray:

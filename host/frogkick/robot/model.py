@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import html
+import os
+import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from frogkick.errors import InputError
+from frogkick.files import write_text
 from frogkick.robot.profile import Actuation, Profile, actuation
+from frogkick.robot.toml_text import to_toml
 
 STANDARD_GRAVITY_MPS2 = 9.80665
 
@@ -167,7 +172,7 @@ class VelocityBox:
     omega_rad_s: tuple[float, float]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Robot:
     """A whole robot. Equal sha256 means equal robots, whatever the comments of their files.
 
@@ -213,6 +218,38 @@ class Robot:
     battery: Battery | None = None
     effects: tuple[Mapping[str, str | bool | int | float], ...] = ()
     folder: Path | None = field(default=None, compare=False)
+
+    def __repr__(self) -> str:
+        return (
+            f"Robot({self.id!r}: {len(self.limbs)} limbs, {len(self.actions)} actions, "
+            f"period {self.period_s:g} s, {1e3 * self.mass_kg:.0f} g, {len(self.effects)} effects)"
+        )
+
+    def _repr_html_(self) -> str:
+        from frogkick.robot.geometry import svg_of
+
+        return f"<div><b>{html.escape(self.title)}</b><br>{html.escape(repr(self))}<br>{svg_of(self)}</div>"
+
+    def save(self, file: Path | str) -> None:
+        """Write its TOML, which ``load_robot`` reads back to the same robot.
+
+        Files of the user's own effects are named by their way from there.
+
+        Raises:
+            InputError: the file cannot be written, or an effect's file is not known.
+        """
+        text, target = self.toml, Path(file)
+        if any("file" in table for table in self.effects):
+            if self.folder is None:
+                raise InputError(
+                    f"robot {self.id!r} has an effect in a file that did not come along: copy both"
+                )
+            table = tomllib.loads(text)
+            for row in table["effect"]:
+                if "file" in row:
+                    row["file"] = os.path.relpath(self.folder / str(row["file"]), target.resolve().parent)
+            text = to_toml(table)
+        write_text(target, text)
 
     @property
     def mass_kg(self) -> float:

@@ -15,9 +15,9 @@ import numpy as np
 from frogkick.effects import World
 from frogkick.effects.registry import make_effects
 from frogkick.files import write_bytes
-from frogkick.identify.outcome import Outcome, identify, write_robot
-from frogkick.identify.retune import steps
-from frogkick.identify.swim import read_swim
+from frogkick.identification.outcome import Outcome, identify, write_robot
+from frogkick.identification.retune import steps
+from frogkick.identification.swim import read_swim
 from frogkick.library import build_library, quantise, read_library
 from frogkick.loop.closed_loop import RunOptions
 from frogkick.loop.runlog_file import write_run

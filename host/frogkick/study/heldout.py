@@ -16,10 +16,10 @@ from pathlib import Path
 
 from frogkick.chunks import Job, run_chunks
 from frogkick.errors import InputError
-from frogkick.identify.outcome import identify
-from frogkick.identify.swim import Swim, read_swim, reliable
-from frogkick.identify.together import all_at_once
-from frogkick.identify.verdict import Error
+from frogkick.identification.outcome import identify
+from frogkick.identification.swim import Swim, read_swim, reliable
+from frogkick.identification.together import all_at_once
+from frogkick.identification.verdict import Error
 from frogkick.robot import Robot
 
 LEAST_RUNS = 3
@@ -63,7 +63,7 @@ def held_out(
 
     Raises:
         InputError: too few runs, one twice, one that cannot be read or judged, or one whose strokes' times
-            cannot be relied on (``frogkick.identify.swim.reliable`` tells these first).
+            cannot be relied on (``frogkick.identification.swim.reliable`` tells these first).
     """
     if len(runs) < LEAST_RUNS:
         raise InputError(f"give {LEAST_RUNS} runs or more, not {len(runs)}: one is kept back, others teach")

@@ -20,10 +20,10 @@ from frogkick.chunks import Job, code_stamp, run_chunks
 from frogkick.effects import World
 from frogkick.effects.registry import make_effects
 from frogkick.files import write_text
-from frogkick.identify.outcome import Outcome, identify
-from frogkick.identify.swim import Swim, swim_of
-from frogkick.identify.together import all_at_once, cpu_s
-from frogkick.identify.verdict import FOUND, NOTHING, PARTLY, UNEXPLAINED
+from frogkick.identification.outcome import Outcome, identify
+from frogkick.identification.swim import Swim, swim_of
+from frogkick.identification.together import all_at_once, cpu_s
+from frogkick.identification.verdict import FOUND, NOTHING, PARTLY, UNEXPLAINED
 from frogkick.loop.closed_loop import RunOptions, robot_plan_config, run_in_pool
 from frogkick.loop.record import run_log
 from frogkick.paths import shape

@@ -18,7 +18,7 @@ from frogkick.loop.recorded.motion import forward_speed, motion_lag
 from frogkick.loop.recorded.table import ACTION_NAMES, Table, read_table
 from frogkick.loop.runlog import DecisionFlag, Decisions, Fixes, FixFlag, RunLog, Strokes
 from frogkick.loop.runlog_file import read_run, write_run
-from frogkick.paths import read_path, wrap_angle
+from frogkick.paths import from_csv, wrap_angle
 from frogkick.robot import Robot, load_robot
 
 Float64 = NDArray[np.float64]
@@ -81,7 +81,7 @@ def read_recorded(file: pathlib.Path | str) -> RunLog:
         raise InputError(
             f"recorded run {source.name!r}: its path file {beside.name!r} is not beside it: add it"
         )
-    path = read_path(beside)
+    path = from_csv(beside)
     heading = wrap_angle(table.pose_world[:, 2])
     pose = np.column_stack([table.pose_world[:, :2], heading])
     quality, flags = mark_frames(table.time_s, pose, table.carried)

@@ -1,0 +1,313 @@
+"""Runs with a robot on the bench: where it is, what it speaks, where its position fixes come from."""
+
+from __future__ import annotations
+
+import math
+import sys
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+
+from frogkick.effects import World
+from frogkick.errors import InputError, nearest_name
+from frogkick.front.places import built_firmware, start_pose
+from frogkick.link.frames import DELIMITER
+from frogkick.link.opening import opened
+from frogkick.link.text_dialect import pulse_line, require_dialect
+from frogkick.link.wire import Wire, is_target, parse_target
+from frogkick.loop.camera_fixes import CameraFixes
+from frogkick.loop.closed_loop import Recording, RunOptions, run_session
+from frogkick.loop.in_time import warm_up
+from frogkick.loop.lab_session import LabSession, lab_session, stops_are_interrupts
+from frogkick.loop.line_fixes import LineFixes
+from frogkick.loop.pool_fixes import PoolFixes
+from frogkick.loop.start_checks import check_battery, check_start, look
+from frogkick.loop.text_robot import TextRobot
+from frogkick.paths import Path as SwimPath
+from frogkick.planner.image import Tables
+from frogkick.pool.native_robot import NativeRobot
+from frogkick.robot import Robot
+from frogkick.vision.calibration_file import read_calibration
+from frogkick.vision.sources import open_source
+from frogkick.vision.video import Video
+
+FIRST_FIX_S = 10.0
+STDIN = "stdin"
+POOL = "pool"
+
+
+def require_film(video: bool, fixes: str | None, out: Path | None) -> None:
+    """Refuse a video without pictures, or without a place.
+
+    Raises:
+        InputError: --video without the camera of a real robot, or without --out.
+    """
+    if video and (fixes is None or fixes in (STDIN, POOL)):
+        raise InputError("--video keeps a camera's pictures, and none is looked at: give --fixes camera.toml")
+    if video and out is None:
+        raise InputError("--video is kept beside the log: give --out run.h5")
+
+
+def require_bench(
+    robot: str,
+    dialect: str,
+    fixes: str | None,
+    world: str | None,
+    battery_v: float | None = None,
+    begin: str | None = None,
+) -> None:
+    """Refuse what does not go with a real robot, or with a simulated one.
+
+    Raises:
+        InputError: it does not.
+    """
+    require_dialect(dialect)
+    if not is_target(robot):
+        for name, value in (
+            ("--fixes", fixes),
+            ("--dialect", None if dialect == "frogkick" else dialect),
+            ("--battery-v", battery_v),
+        ):
+            if value is not None:
+                raise InputError(
+                    f"{name} {value} is for a real robot, --robot is {robot!r}: leave it out, or give "
+                    "--robot ble:NAME or serial:PORT"
+                )
+        return
+    parse_target(robot)
+    if world is not None and fixes != POOL:
+        raise InputError(f"--world {world!r} is for a simulated pool, --robot is {robot!r}: leave it out")
+    if fixes is None:
+        raise InputError(
+            f"--robot {robot} swims by position fixes, and none are given: pipe them in from a tracker, "
+            "as lines 'x_m y_m heading_rad [age_s]', with --fixes stdin, or give the calibration of the "
+            "camera over the pool, as --fixes camera.toml; for a kit without limbs --fixes pool"
+        )
+    if fixes not in (STDIN, POOL) and not fixes.endswith(".toml"):
+        raise InputError(
+            f"--fixes is {fixes!r}{nearest_name(fixes, (STDIN, POOL))}: choose stdin, pool, or the file of "
+            "'frogkick camera calibrate' (.toml)"
+        )
+    if fixes == POOL and (begin is not None or battery_v is not None):
+        name = "--battery-v" if begin is None else "--begin"
+        raise InputError(
+            f"{name} is for a robot in water, --fixes pool for a kit without limbs: leave it out"
+        )
+
+
+@dataclass(frozen=True)
+class Sight:
+    """Where position fixes come from, and where the path begins.
+
+    Attributes:
+        fixes: ``stdin``, ``pool`` (simulated, for a kit), or the file of a camera's calibration.
+        source: camera number, video file or folder of pictures.
+        begin: ``x_m,y_m,deg`` where the path is to begin, ``here`` for where the robot is; None = as it is.
+        rate_hz, world, seed: of a simulated pool: fixes a second, what is true in it, its camera's noise.
+    """
+
+    fixes: str
+    source: str = "0"
+    begin: str | None = None
+    rate_hz: float = 15.0
+    world: World = World()  # noqa: RUF009 - frozen
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if self.begin not in (None, "here"):
+            parse_begin(str(self.begin))
+
+    @contextmanager
+    def opened(
+        self, robot: Robot, tables: Tables, path: SwimPath
+    ) -> Iterator[tuple[LineFixes | CameraFixes | PoolFixes, tuple[float, float] | None]]:
+        """The source, at work, and the pool's length and width where they are known.
+
+        Args:
+            robot, tables, path: what swims in a simulated pool, and from where on.
+
+        Raises:
+            InputError: no such calibration or camera.
+        """
+        if self.fixes == STDIN:
+            yield LineFixes(sys.stdin.fileno(), "standard input"), None
+            return
+        if self.fixes == POOL:
+            rng = np.random.default_rng(self.seed)
+            yield PoolFixes(robot, tables, start_pose(path), rng, self.rate_hz, self.world), None
+            return
+        calibration = read_calibration(Path(self.fixes))
+        name = f"camera {self.source}" if self.source.isdigit() else self.source
+        frames = open_source(self.source, calibration.image_px)
+        camera = CameraFixes(frames, calibration, name)
+        try:
+            yield camera, calibration.pool_m
+        finally:
+            camera.close()
+
+    def placed(self, path: SwimPath, pose_world: Sequence[float]) -> SwimPath:
+        """The path where it is to begin."""
+        if self.begin is None:
+            return path
+        x_m, y_m, heading_rad = pose_world if self.begin == "here" else parse_begin(self.begin)
+        first = np.array([path.x_m[0], path.y_m[0]], dtype=np.float64)
+        turn = heading_rad - float(path.tangent_rad[0])
+        c, s = math.cos(turn), math.sin(turn)
+        shift = np.array([x_m, y_m]) - np.array([[c, -s], [s, c]]) @ first
+        return path.place((float(shift[0]), float(shift[1]), turn))
+
+
+def parse_begin(text: str) -> tuple[float, float, float]:
+    """x (m), y (m), heading (rad) of ``X,Y,DEG``.
+
+    Raises:
+        InputError: not three numbers.
+    """
+    try:
+        x_m, y_m, heading_deg = (float(word) for word in text.split(","))
+    except ValueError:
+        raise InputError(f"--begin is {text!r}: give X,Y,DEG in m and degrees, or here") from None
+    if not all(math.isfinite(value) and abs(value) <= COORDINATE_MAX for value in (x_m, y_m, heading_deg)):
+        raise InputError(f"--begin is {text!r}: numbers up to {COORDINATE_MAX:g}")
+    return x_m, y_m, math.radians(heading_deg)
+
+
+COORDINATE_MAX = 1000.0
+
+
+@contextmanager
+def session_with(wire: Wire, dialect: str, image: Path, robot: Robot) -> Iterator[LabSession]:
+    """A session over a wire, in a robot's dialect."""
+    if dialect == "frogkick":
+        yield lab_session(wire)
+        return
+    with built_firmware("native", image, robot) as built:
+        core = TextRobot(wire, NativeRobot(built.image, len(robot.limbs)), robot)
+        try:
+            yield LabSession(core)
+        finally:
+            core.close()
+
+
+class Operator(Protocol):
+    """A person beside a real robot: lets it be armed, and may stop the run."""
+
+    def wait_to_arm(self) -> None:
+        """Return when the robot may be armed."""
+
+    def pressed(self) -> bool:
+        """Whether the run is to stop."""
+
+
+class _NoOperator:
+    """Nobody is asked, and nobody stops the run."""
+
+    def wait_to_arm(self) -> None:
+        """At once."""
+
+    def pressed(self) -> bool:
+        """Never."""
+        return False
+
+
+Operators = Callable[[bool], AbstractContextManager[Operator]]
+"""Makes the operator; told whether standard input is taken by fixes."""
+
+
+def no_operator(_stdin_is_taken: bool) -> AbstractContextManager[Operator]:
+    """Arm without asking, and let nobody stop the run."""
+    return nullcontext(_NoOperator())
+
+
+@dataclass(frozen=True)
+class Bench:
+    """A robot on the bench, and what a person says of it.
+
+    Attributes:
+        name: where it is: ble:NAME or serial:PORT.
+        dialect: what it speaks.
+        sight: its position fixes, and where its path begins.
+        battery_v: of its lowest battery, measured by hand; None: nobody did.
+        film: the log beside which the camera's pictures are kept; None: they are not.
+        operator: who is asked before it is armed, and may stop the run.
+        wire: to it, open; None: it is opened, and closed after the run.
+    """
+
+    name: str
+    dialect: str
+    sight: Sight
+    battery_v: float | None = None
+    film: Path | None = None
+    operator: Operators = no_operator
+    wire: Wire | None = None
+
+
+Kept = Callable[[SwimPath, CameraFixes | None], AbstractContextManager[Callable[[Recording], None]]]
+"""Makes, from the path as placed and the camera if there is one, what keeps a recording while it grows."""
+
+
+def run_on_bench(
+    bench: Bench,
+    image: Path,
+    robot: Robot,
+    tables: Tables,
+    path: SwimPath,
+    options: RunOptions,
+    kept: Kept,
+    progress: Callable[[float, int], None],
+) -> tuple[Recording, SwimPath]:
+    """A run with a real robot, and the path as it was placed. Stopped in any way, it disarms the robot first.
+
+    What was checked before is told on stderr, a line each.
+
+    Args:
+        bench: the robot, and what is around it.
+        image: table image of ``tables``.
+        robot, tables, path, options, progress: see ``run_session``.
+        kept: keeps the recording while it grows.
+
+    Raises:
+        WireError: the robot cannot be reached.
+        LinkError: it refuses or does not answer.
+        InputError: its batteries are low, no fixes come, or what ``check_start`` finds.
+    """
+    sight, target = bench.sight, parse_target(bench.name)
+    battery = "battery: none, a kit" if sight.fixes == POOL else check_battery(robot, bench.battery_v)
+    greeting = DELIMITER if bench.dialect == "frogkick" else pulse_line(tables.pulse_us)
+    with ExitStack() as stack:
+        stack.enter_context(stops_are_interrupts())
+        if options.check is not None or not options.onboard:
+            warm_up(tables, path, options.config)
+        fixes, pool_m = stack.enter_context(sight.opened(robot, tables, path))
+        camera = fixes if isinstance(fixes, CameraFixes) else None
+        fixes.wait_first(FIRST_FIX_S)
+        seen = look(fixes, time.monotonic, time.sleep)
+        if seen:
+            path = sight.placed(path, [float(value) for value in seen[-1].pose_world])
+        checked = check_start(seen, path, pool_m)
+        wire = bench.wire or stack.enter_context(opened(target, greeting))
+        session = stack.enter_context(session_with(wire, bench.dialect, image, robot))
+        session.greet(tables)
+        for line in (*checked, f"table: {tables.crc32:08x}, the robot's own", battery):
+            print(f"start check: {line}", file=sys.stderr, flush=True)
+        if bench.film is not None and camera is not None:
+            video = Video(bench.film, time.monotonic() - session.port.now_s)
+            stack.callback(video.close)
+            stack.callback(camera.close)  # before the video: its thread writes there
+            camera.film(video)
+        write = stack.enter_context(kept(path, camera))
+
+        def keep(recording: Recording) -> None:
+            write(recording)
+            if isinstance(fixes, PoolFixes):
+                fixes.follow(recording, options.onboard)
+
+        operator = stack.enter_context(bench.operator(sight.fixes == STDIN))
+        operator.wait_to_arm()
+        options = replace(options, stop=operator.pressed)
+        return run_session(session, fixes, tables, path, options, progress, keep), path

@@ -1,0 +1,75 @@
+"""A table for commands that are given none: made once from a small library, kept in the user's cache."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from pathlib import Path
+
+import frogkick
+from frogkick.errors import InputError
+from frogkick.files import cache_folder, one_at_a_time, write_bytes
+from frogkick.library import build_library, quantise, read_library
+from frogkick.planner.image import read_image
+from frogkick.progress import Progress, shown
+from frogkick.robot import load_robot
+
+STATES = 300
+SEED = 0
+SAMPLING = "visited"
+
+
+def default_tables(robot_name: str, states: int | None = None, progress: Progress = True) -> Path:
+    """The path of a table image for a robot, built on first use (about a minute).
+
+    Args:
+        robot_name: TOML file or built-in name.
+        states: of its library; None = ``STATES``.
+        progress: of building it.
+
+    Raises:
+        InputError: no such robot.
+    """
+    robot = load_robot(robot_name)
+    states = STATES if states is None else states
+    made_of = f"{_source_sha256()} {states} {SEED} {SAMPLING}".encode()
+    key = hashlib.sha256(robot.sha256 + made_of).hexdigest()[:24]
+    folder = cache_folder("tables")
+    target = folder / f"{robot.id}-{key}.fkt"
+    if _is_whole(target):
+        return target
+    with one_at_a_time(cache_folder("building"), key) as work:
+        if not _is_whole(target):  # else whoever was waited for has built it
+            library = work / "library.h5"
+            with shown(progress, f"library for {robot.id}") as tell:
+                build_library(
+                    robot,
+                    states=states,
+                    seed=SEED,
+                    workers=os.cpu_count() or 1,
+                    out=library,
+                    progress=tell,
+                    sampling=SAMPLING,
+                )
+            write_bytes(target, quantise(read_library(library)))
+            library.unlink()
+    return target
+
+
+def _source_sha256() -> str:
+    """Of the code that simulates and quantises: with other physics a kept table would be a wrong one."""
+    digest = hashlib.sha256()
+    package = Path(frogkick.__file__).parent
+    for folder in ("robot", "der", "library", "planner"):
+        for file in sorted((package / folder).glob("*.py")):
+            digest.update(file.read_bytes())
+    return digest.hexdigest()
+
+
+def _is_whole(target: Path) -> bool:
+    """A table is there and passes every check; a damaged cache is made again, not complained about."""
+    try:
+        read_image(target)
+    except InputError:
+        return False
+    return True

@@ -1,0 +1,167 @@
+"""Robots, tables, paths and firmware by the names that a user gives them."""
+
+from __future__ import annotations
+
+import dataclasses
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from frogkick.errors import InputError, nearest_name
+from frogkick.front.default_tables import default_tables
+from frogkick.loop.closed_loop import robot_plan_config
+from frogkick.loop.record import config_of_log
+from frogkick.loop.runlog import RunLog
+from frogkick.paths import OTHER_SHAPES, SHAPES, from_csv, shape
+from frogkick.paths import Path as SwimPath
+from frogkick.planner.image import Tables, read_image
+from frogkick.planner.plan import PlanConfig
+from frogkick.pool.native_robot import NativeRobot
+from frogkick.pool.port import RobotPort
+from frogkick.robot import Robot, load_robot
+from frogkick_codegen.firmware import Build, build
+
+DEFAULT_ROBOT = "frog2022"
+SIMULATED = ("virtual", "pool")
+
+
+def table_image(tables: Path | None, robot: str | None) -> Path:
+    """The given table image, or a robot's default one.
+
+    Raises:
+        InputError: no such robot.
+    """
+    return default_tables(robot or DEFAULT_ROBOT) if tables is None else tables
+
+
+def robot_of_table(tables: Path, robot: str | None) -> Robot:
+    """The robot by name or file, by default the one that the table names.
+
+    Raises:
+        InputError: no such robot, or the table is for another one, or for another version of it.
+    """
+    return robot_of_image(read_image(tables), robot, tables.name)
+
+
+def robot_of_image(tables: Tables, robot: Robot | str | None, name: str) -> Robot:
+    """The same for an image in memory; ``name`` is that of its file."""
+    described = robot if isinstance(robot, Robot) else load_robot(tables.robot_id if robot is None else robot)
+    tables.require_robot(described.id)
+    if not strokes_alike(tables, described):
+        raise InputError(
+            f"table {name!r} has other limbs or actions than robot {described.id!r}: "
+            "build library and table again from this robot"
+        )
+    return described
+
+
+def strokes_alike(tables: Tables, robot: Robot) -> bool:
+    """A table's limbs and actions are the robot's own."""
+    rows = [(row.name, row.first_mask, row.second_mask) for row in tables.actions]
+    return tables.limbs == len(robot.limbs) and rows == [
+        (action.name, action.first_mask, action.second_mask) for action in robot.actions
+    ]
+
+
+def require_simulated(name: str) -> None:
+    """Refuse a robot to talk to that there is not.
+
+    Raises:
+        InputError: not one of ``SIMULATED``.
+    """
+    if name not in SIMULATED:
+        raise InputError(
+            f"--robot is {name!r}{nearest_name(name, SIMULATED)}: choose virtual (the firmware on the "
+            "virtual chip) or pool (the same core on this computer)"
+        )
+
+
+@contextmanager
+def built_firmware(target: str, tables: Path, robot: Robot) -> Iterator[Build]:
+    """Build firmware into a temporary folder that lives as long as the context."""
+    with tempfile.TemporaryDirectory(prefix="frogkick-") as folder:
+        yield build(target, tables, robot, Path(folder))
+
+
+@contextmanager
+def simulated_robot(name: str, tables: Path, robot: Robot) -> Iterator[RobotPort]:
+    """A robot to talk to: "virtual" (the image on the virtual chip) or "pool" (the core on this computer).
+
+    Raises:
+        InputError: another name.
+    """
+    require_simulated(name)
+    if name == "virtual":
+        from frogkick.pool.virtual_robot import VirtualRobot
+
+        with built_firmware("bench", tables, robot) as built:
+            yield VirtualRobot(built.image, len(robot.limbs))
+    else:
+        with built_firmware("native", tables, robot) as built:
+            yield NativeRobot(built.image, len(robot.limbs))
+
+
+PLANNERS = ("robot", "paper")
+
+
+def plan_config(
+    robot: Robot, planner: str | None, depth: int | None, run: RunLog | None = None
+) -> PlanConfig:
+    """A planner's configuration, with another depth if one is given.
+
+    Args:
+        robot: whose TOML counts for the planner "robot".
+        planner: "robot" or "paper"; None = the run's own, and where it has none the paper's.
+        depth: instead of that configuration's.
+        run: a log that may know its planner.
+
+    Raises:
+        InputError: no such planner, or the depth is not 1 to 4.
+    """
+    if planner not in (None, *PLANNERS):
+        raise InputError(f"planner is {planner!r}{nearest_name(planner, PLANNERS)}: choose robot or paper")
+    if planner == "robot":
+        config = robot_plan_config(robot)
+    elif planner is None and run is not None and run.planner:
+        config = config_of_log(run)
+    else:
+        config = PlanConfig()
+    chosen = config.depth if depth is None else depth
+    if not 1 <= chosen <= 4:
+        raise InputError(f"--depth is {chosen}, the planner looks 1 to 4 levels ahead")
+    return dataclasses.replace(config, depth=chosen)
+
+
+def swim_path(name: str) -> SwimPath:
+    """A path by its shape's name or from a file.
+
+    Raises:
+        InputError: neither.
+    """
+    if name in SHAPES | OTHER_SHAPES:
+        return shape(name)
+    if not name:
+        raise InputError(f"--path is empty: choose {', '.join(SHAPES)}, or name a CSV file")
+    if not Path(name).exists() and "." not in name and "/" not in name:
+        shape(name)  # names the nearest right one
+    return from_csv(name)
+
+
+def start_pose(path: SwimPath) -> tuple[float, float, float]:
+    """The robot at the path's first point, along its tangent."""
+    return float(path.x_m[0]), float(path.y_m[0]), float(path.tangent_rad[0])
+
+
+def require_period(tables: Tables, run: RunLog) -> None:
+    """Refuse a table whose period is not the run's (more than a tenth apart).
+
+    Raises:
+        InputError: the periods differ.
+    """
+    period_s = tables.period_us * 1e-6
+    if abs(period_s / run.period_s - 1.0) > 0.1:
+        raise InputError(
+            f"run {run.source!r} has a period of {run.period_s:.3f} s, the table {period_s:.3f} s: "
+            "build a library with the run's period"
+        )

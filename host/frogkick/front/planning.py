@@ -1,0 +1,107 @@
+"""The planner on the host: the robot's own, bit for bit, asked for one decision at a time."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from frogkick.front.places import plan_config, swim_path
+from frogkick.front.tables import Table
+from frogkick.paths import Path as SwimPath
+from frogkick.planner.plan import PlanError, plan
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Plan:
+    """A decision, and the whole branch that it was made for.
+
+    Attributes:
+        action: name of the action to do now.
+        cost: of the branch, as the robot has it (float32).
+        actions: names along the branch, the first one is ``action``.
+        predicted_pose: (depth, 3) x, y (m), heading (rad), world frame, after each action.
+        distance_m: of the state from the path.
+        along_points: place of the state along the path, in points; give it to the next call.
+    """
+
+    action: str
+    cost: float
+    actions: tuple[str, ...]
+    predicted_pose: NDArray[np.float32]
+    distance_m: float
+    along_points: float
+
+    def __repr__(self) -> str:
+        return f"Plan({self.action}: {' '.join(self.actions)}, cost {self.cost:.2f})"
+
+
+class Planner:
+    """Receding-horizon search over a table: the same bits as the C on the robot.
+
+    Source: Huang et al. 2022, Algorithm 1.
+    """
+
+    def __init__(self, table: Table, depth: int | None = None, planner: str = "robot") -> None:
+        """Prepare to plan.
+
+        Args:
+            table: the robot's.
+            depth: periods to look ahead, 1 to 4; None: the planner's own.
+            planner: whose weights: "robot" (its TOML's) or "paper".
+
+        Raises:
+            InputError: the depth is not 1 to 4.
+        """
+        self.table = table
+        self.config = plan_config(table.robot, planner, depth)
+
+    def plan(
+        self,
+        state: ArrayLike,
+        path: SwimPath | str,
+        *,
+        limb_use: ArrayLike | None = None,
+        along_points: float = 0.0,
+    ) -> Plan:
+        """Choose the next action.
+
+        Args:
+            state: (6,) x, y (m), heading (rad) in the world frame; forward, left (m/s), turn rate (rad/s) in
+                the body frame.
+            path: where to swim, world frame, or a shape's name or a path file.
+            limb_use: (8,) how much each limb was used lately, 0 = rested to 32767; None: all rested.
+            along_points: where along the path the robot was last, in points; 0 at the start.
+
+        Raises:
+            PlanError: the state allows no decision.
+        """
+        course = swim_path(path) if isinstance(path, str) else path
+        tables = self.table.tables
+        first = plan(tables, course, self.config, state, limb_use, along_points)
+        names, poses = [tables.actions[first.action].name], [first.predicted[:3]]
+        last = first
+        # Each further level is what the planner chooses from there with what is left of its depth.
+        for depth in range(self.config.depth - 1, 0, -1):
+            config = dataclasses.replace(self.config, depth=depth)
+            try:
+                last = plan(
+                    tables, course, config, last.predicted, last.predicted_limb_use, float(last.along_points)
+                )
+            except PlanError:
+                break
+            names.append(tables.actions[last.action].name)
+            poses.append(last.predicted[:3])
+        return Plan(
+            names[0],
+            float(first.cost),
+            tuple(names),
+            np.array(poses, dtype=np.float32),
+            float(first.distance_m),
+            float(first.along_points),
+        )
+
+    def __repr__(self) -> str:
+        return f"Planner(depth {self.config.depth}, {self.table!r})"

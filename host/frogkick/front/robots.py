@@ -1,0 +1,196 @@
+"""A real robot, or a virtual one, to talk to: its table, its state, a run with it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from frogkick.errors import InputError, nearest_name
+from frogkick.front.places import robot_of_table, simulated_robot
+from frogkick.front.running import Run, run
+from frogkick.front.tables import Table
+from frogkick.link.frames import DELIMITER
+from frogkick.link.opening import opened
+from frogkick.link.wire import Wire, is_target, parse_target
+from frogkick.loop.lab_session import lab_session
+from frogkick.loop.pushing import Pushed, push, roll_back
+from frogkick.loop.session import Session
+from frogkick.paths import Path as SwimPath
+from frogkick.planner.image import read_image
+from frogkick.progress import Progress, shown
+
+__all__ = [
+    "VIRTUAL",
+    "Camera",
+    "Connection",
+    "Pushed",
+    "connect",
+    "push_table",
+    "require_target",
+    "session_at",
+]
+
+VIRTUAL = "virtual"
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A calibrated camera over the pool, as a source of position fixes.
+
+    Attributes:
+        calibration: the file that ``frogkick camera calibrate`` wrote (.toml).
+        source: camera number, video file or folder of pictures.
+    """
+
+    calibration: Path | str
+    source: str = "0"
+
+
+@dataclass(frozen=True, repr=False)
+class Connection:
+    """A robot at the other end of a radio or a line, see ``connect``.
+
+    Attributes:
+        target: ``ble:NAME``, ``ble:ADDRESS`` or ``serial:PORT[:BAUD]``.
+        wire: to it, open.
+    """
+
+    target: str
+    wire: Wire
+
+    def status(self) -> dict[str, Any]:
+        """What the robot says of itself: the fields of HELLO and STATUS in the link's documentation.
+
+        Raises:
+            LinkError: no answer.
+        """
+        session = lab_session(self.wire)
+        return {**session.meet(), **session.request("STATUS")}
+
+    def push(self, table: Table | Path | str, progress: Progress = False) -> Pushed:
+        """Give the robot another table. It is disarmed for it, and keeps the table before.
+
+        Raises:
+            TableError: the table is another robot's.
+            LinkError: no answer.
+            UploadError: it does not take the table.
+        """
+        image = table.tables if isinstance(table, Table) else read_image(table)
+        with shown(progress, "bytes sent") as tell:
+            return push(lab_session(self.wire), image, None, tell)
+
+    def roll_back(self) -> Pushed:
+        """Back to the table before.
+
+        Raises:
+            LinkError: it keeps none, or does not answer.
+        """
+        return roll_back(lab_session(self.wire))
+
+    def follow(
+        self,
+        path: SwimPath | str,
+        fixes: Camera | str,
+        table: Table | Path | str | None = None,
+        **options: Any,
+    ) -> Run:
+        """Follow a path with the robot. It is armed once all checks passed.
+
+        However the run ends, the robot is disarmed first.
+
+        Args:
+            path: where to swim, world frame, or a shape's name or a path file.
+            fixes: a camera, or as for ``run``.
+            table: the robot's own; None: its default one.
+            options: of ``run``: operator, plan, depth, begin, battery_v, time_limit_s, out and others.
+
+        Raises:
+            FrogkickError: see ``run``.
+        """
+        if isinstance(fixes, Camera):
+            options |= {"fixes": str(fixes.calibration), "source": fixes.source}
+        else:
+            options["fixes"] = fixes
+        return run(table, path, robot=self.target, wire=self.wire, **options)
+
+    def __repr__(self) -> str:
+        return f"Connection({self.target!r})"
+
+
+@contextmanager
+def connect(target: str) -> Iterator[Connection]:
+    """Open the link to a robot, and close it at the end of the ``with`` block.
+
+    Args:
+        target: ``ble:NAME``, ``ble:ADDRESS`` or ``serial:PORT[:BAUD]``.
+
+    Raises:
+        InputError: no such kind of place.
+        WireError: the robot cannot be reached.
+    """
+    require_target(target)
+    with opened(parse_target(target), DELIMITER) as wire:
+        yield Connection(target, wire)
+
+
+def require_target(target: str, others: tuple[str, ...] = ()) -> None:
+    """Refuse a place where no robot takes tables.
+
+    Args:
+        target: where the robot is.
+        others: what is possible besides ``ble:NAME`` and ``serial:PORT``.
+
+    Raises:
+        InputError: none of these.
+    """
+    if target in others:
+        return
+    if not is_target(target):
+        raise InputError(
+            f"robot {target!r}{nearest_name(target, ('ble', 'serial', *others))} takes no tables: "
+            f"choose {', '.join(('ble:NAME', 'serial:PORT', *others))}"
+        )
+    parse_target(target)
+
+
+@contextmanager
+def session_at(target: str, carried: Path | None) -> Iterator[Session]:
+    """A session with a robot.
+
+    Args:
+        target: as of ``require_target``.
+        carried: table that a virtual robot is switched on with; others know their own.
+
+    Raises:
+        WireError: it cannot be reached.
+    """
+    if target != VIRTUAL:
+        with opened(parse_target(target)) as wire:
+            yield lab_session(wire)
+        return
+    assert carried is not None
+    with simulated_robot(VIRTUAL, carried, robot_of_table(carried, None)) as port:
+        yield Session(port)
+
+
+def push_table(
+    target: str, table: Table | Path | str, carried: Path | None = None, progress: Progress = False
+) -> Pushed:
+    """Send a table to a robot.
+
+    Args:
+        target: where the robot is.
+        table: to send, or its file.
+        carried: what it must carry now, if that matters; a virtual robot is switched on with it.
+        progress: of the bytes sent.
+
+    Raises:
+        FrogkickError: see ``Connection.push``.
+    """
+    image = table.tables if isinstance(table, Table) else read_image(table)
+    before = None if carried is None else read_image(carried)
+    with session_at(target, carried) as session, shown(progress, "bytes sent") as tell:
+        return push(session, image, before, tell)

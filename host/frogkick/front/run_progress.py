@@ -1,0 +1,43 @@
+"""What the terminal says of a run while it runs."""
+
+from __future__ import annotations
+
+from frogkick.loop.closed_loop import Recording
+from frogkick.loop.live_check import LiveCheck
+from frogkick.planner.image import Tables
+from frogkick.progress import Tell
+
+
+class RunProgress:
+    """How far the robot is along its path, what it does, what its plan costs, how far it is off."""
+
+    def __init__(self, tell: Tell, points: int, tables: Tables, check: LiveCheck | None) -> None:
+        """Begin a run.
+
+        Args:
+            tell: shows progress, with a note.
+            points: of the path.
+            tables: whose actions have names.
+            check: the live comparison, which has a word to say as well; None: there is none.
+        """
+        self._tell, self._points, self._check = tell, points, check
+        self._names = [row.name for row in tables.actions]
+        self._recording = Recording()
+
+    def keep(self, recording: Recording) -> None:
+        """Take what is recorded so far: it grows, and is looked at with the next decision."""
+        self._recording = recording
+
+    def progress(self, _time_s: float, index: int) -> None:
+        """After each decision, with the nearest path point."""
+        notes = [self._plan(), "" if self._check is None else self._check.said]
+        self._tell(index + 1, self._points, ", ".join(note for note in notes if note))
+
+    def _plan(self) -> str:
+        if not self._recording.decisions:
+            return ""
+        newest = self._recording.decisions[-1]
+        if newest.status != 0 or newest.action >= len(self._names):
+            return "no plan"
+        name = self._names[newest.action]
+        return f"{name} cost {float(newest.cost):.1f}, {1e3 * float(newest.distance_m):.0f} mm off"

@@ -1,0 +1,291 @@
+"""A closed-loop run with any robot: simulated, on the virtual chip, by serial line or by radio."""
+
+from __future__ import annotations
+
+import copy
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from frogkick.effects import World, read_world
+from frogkick.errors import InputError, nearest_name
+from frogkick.files import require_writable
+from frogkick.front.bench import (
+    Bench,
+    Operators,
+    Sight,
+    no_operator,
+    require_bench,
+    require_film,
+    run_on_bench,
+)
+from frogkick.front.html import page_of
+from frogkick.front.places import (
+    plan_config,
+    require_simulated,
+    simulated_robot,
+    start_pose,
+    swim_path,
+)
+from frogkick.front.run_progress import RunProgress
+from frogkick.front.tables import Table, load_table
+from frogkick.front.viewing import viewed
+from frogkick.link.wire import Wire, is_target
+from frogkick.loop.camera_fixes import CameraFixes
+from frogkick.loop.closed_loop import Recording, RunOptions, require_time, run_in_pool
+from frogkick.loop.live_check import LiveCheck
+from frogkick.loop.live_log import logged, part_of
+from frogkick.loop.record import BATTERY_V, Tracking, run_log, tracking_of_recording
+from frogkick.loop.recorded import load_run as load_log
+from frogkick.loop.runlog import RunLog
+from frogkick.loop.runlog_file import write_run
+from frogkick.loop.summary import tracking_of_log
+from frogkick.paths import Path as SwimPath
+from frogkick.pool.camera import Camera as SimulatedCamera
+from frogkick.pool.pool import Pool
+from frogkick.progress import Progress, progress_bar
+from frogkick.robot import Robot
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+PLANS = ("onboard", "host", "both")
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Run:
+    """One closed-loop run: all that was recorded, and how well the path was followed.
+
+    Attributes:
+        log: fixes, decisions, strokes, path, and the true motion where the pool was simulated.
+        tracking: distances to the path (m), progress (m/s), counts.
+        checked: where robot and host decided side by side: how many decisions agreed.
+    """
+
+    log: RunLog
+    tracking: Tracking
+    checked: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def ended(self) -> str:
+        """Why it ended, in words."""
+        return self.log.notes
+
+    @property
+    def path(self) -> SwimPath | None:
+        """Where it was to swim, world frame; None where the log does not say."""
+        return self.log.path
+
+    @cached_property
+    def actions(self) -> tuple[str, ...]:
+        """The action of each decision, by name; "?" where nothing shows which it was."""
+        names = self.log.action_names
+        return tuple(names[index] if index >= 0 else "?" for index in self.log.decisions.action)
+
+    def save(self, file: Path | str) -> None:
+        """Write the log (HDF5), which ``load_run`` reads back.
+
+        Raises:
+            InputError: the file cannot be written.
+        """
+        write_run(file, self.log)
+
+    def plot(self) -> Figure:
+        """A matplotlib figure: path and track, distance, actions, estimate and prediction errors."""
+        from frogkick.report.run_figure import run_figure
+
+        return run_figure(self.log, f"{self.log.robot_id}: {self.log.source}")
+
+    def as_json(self) -> dict[str, Any]:
+        """The keys of the command ``run``."""
+        return {**self.tracking.as_json(), **self.checked, "ended": self.ended}
+
+    def __repr__(self) -> str:
+        name = "no path" if self.path is None else self.path.name
+        return (
+            f"Run({self.log.robot_id!r} along {name}: {self.tracking.decisions} decisions, mean distance "
+            f"{1e3 * self.tracking.mean_distance_m:.2f} mm, {self.ended})"
+        )
+
+    def _repr_html_(self) -> str:
+        return page_of(repr(self), self.as_json(), self.plot() if self.tracking.decisions > 1 else None)
+
+
+def load_run(file: Path | str) -> Run:
+    """Read a run: a log of ours (.h5), or a recorded run of the paper (``line1.csv``, its path beside it).
+
+    Raises:
+        InputError: missing, not whole, or no run.
+    """
+    log = load_log(file)
+    return Run(log, tracking_of_log(log))
+
+
+def run(
+    table: Table | Path | str | None = None,
+    path: SwimPath | str = "line",
+    *,
+    robot: str = "pool",
+    model: Robot | str | None = None,
+    world: World | Path | str | None = None,
+    plan: str = "onboard",
+    planner: str = "robot",
+    depth: int | None = None,
+    seed: int = 0,
+    time_limit_s: float = 120.0,
+    fix_rate_hz: float = 15.0,
+    fixes: str | None = None,
+    source: str = "0",
+    begin: str | None = None,
+    dialect: str = "frogkick",
+    battery_v: float | None = None,
+    operator: Operators = no_operator,
+    wire: Wire | None = None,
+    out: Path | str | None = None,
+    view: bool = False,
+    video: bool = False,
+    progress: Progress = False,
+) -> Run:
+    """Follow a path in closed loop: position fixes in, strokes out.
+
+    A real robot is armed as soon as all checks passed, unless an ``operator`` is asked before. However the
+    run ends, the robot is disarmed first.
+
+    Args:
+        table: the robot's table, or its file; None: the robot's default one.
+        path: where to swim, world frame, or a shape's name or a path file.
+        robot: "pool" (the C core on this computer in a simulated pool), "virtual" (the firmware on the
+            virtual chip, in the same pool), "ble:NAME" or "serial:PORT".
+        model: the robot, or its name or TOML file; None: the table's own.
+        world: what is true in the simulated pool and no model is told, or its TOML file.
+        plan: who decides: "onboard" (the robot), "host", or "both" (the robot, checked live by the host).
+        planner: whose weights and depth: "robot" (its TOML's) or "paper".
+        depth: periods to look ahead, 1 to 4; None: the planner's own.
+        seed: of the simulated camera's noise.
+        time_limit_s: longest time, s; of the pool where that is simulated.
+        fix_rate_hz: simulated position fixes a second.
+        fixes: a real robot's: a camera's calibration (.toml), "stdin" (lines ``x_m y_m heading_rad [age_s]``)
+            or "pool" (simulated, for a kit without limbs).
+        source: the camera of a calibration: number, video, folder of pictures.
+        begin: where a real robot's path is to begin: "X,Y,DEG" (m, degrees) or "here"; None: as it is.
+        dialect: a real robot's: "frogkick", or "frog2022" for the authors' own firmware.
+        battery_v: of a real robot's lowest battery, measured by hand; too low is refused.
+        operator: asked before a real robot is armed, and may stop the run.
+        wire: to a real robot, open; None: it is opened for this run and closed after it.
+        out: log to write (HDF5); with a real robot it grows while the robot swims.
+        view: draw the run in the browser; a simulated one then goes on in real time.
+        video: keep the camera's pictures beside ``out``.
+        progress: True for a bar, or a function of (path points passed, all).
+
+    Raises:
+        InputError: anything that cannot be used as given, and batteries that are low.
+        WireError: the robot cannot be reached.
+        LinkError: it refuses or does not answer.
+        CheckError: robot and host decided differently (``plan="both"``).
+    """
+    named = str(world) if isinstance(world, Path | str) else None if world is None else "given"
+    require_bench(robot, dialect, fixes, named, battery_v, begin)
+    target = None if out is None else Path(out)
+    require_film(video, fixes, target)
+    is_real = is_target(robot)
+    if not is_real:
+        require_simulated(robot)
+    if plan not in PLANS:
+        raise InputError(f"plan is {plan!r}{nearest_name(plan, PLANS)}: choose {', '.join(PLANS)}")
+    require_writable(target)
+    desired = swim_path(path) if isinstance(path, str) else path
+    eye = SimulatedCamera(rate_hz=fix_rate_hz)
+    require_time(time_limit_s)
+    # A copy: an effect may remember what happened in a run, and the next one begins anew.
+    true = read_world(world) if isinstance(world, Path | str) else copy.deepcopy(world or World())
+    used = table if isinstance(table, Table) else load_table(table, model)
+    described = used.robot
+    check = LiveCheck() if plan == "both" else None
+    options = RunOptions(plan_config(described, planner, depth), plan != "host", time_limit_s, check)
+    name = f"run --robot {robot.replace('/', ' ').replace(chr(92), ' ')} --plan {plan}"
+    known = {} if battery_v is None else {BATTERY_V: battery_v}
+    pool = None
+    with ExitStack() as stack:
+        image = stack.enter_context(used.file())
+        said = stack.enter_context(_said(progress, desired, used, check))
+        if is_real:
+            sight = Sight(str(fixes), source, begin, fix_rate_hz, true, seed)
+            bench = Bench(robot, dialect, sight, battery_v, target if video else None, operator, wire)
+            log = logged(target, described, used.tables, options, name, known)
+
+            @contextmanager
+            def kept(placed: SwimPath, camera: CameraFixes | None) -> Iterator[Keep]:
+                drawn = viewed(view, described, used.tables, placed, options, camera=camera)
+                with log(placed) as write, drawn as draw:
+                    yield _all_of(said.keep, write, draw)
+
+            stack.enter_context(_names_what_is_left(target))
+            recording, desired = run_on_bench(
+                bench, image, described, used.tables, desired, options, kept, said.progress
+            )
+        else:
+            port = stack.enter_context(simulated_robot(robot, image, described))
+            pool = Pool(described, start_pose(desired), eye, np.random.default_rng(seed), true)
+            draw = stack.enter_context(viewed(view, described, used.tables, desired, options, pool))
+            recording = run_in_pool(
+                port, pool, used.tables, desired, options, said.progress, _all_of(said.keep, draw)
+            )
+    log_seed = None if is_real else seed
+    found = Run(
+        run_log(recording, pool, described, used.tables, desired, options, log_seed, name, known),
+        tracking_of_recording(recording, pool, described, desired),
+        {} if check is None else check.as_json(),
+    )
+    if target is not None:
+        found.save(target)
+        part_of(target).unlink(missing_ok=True)
+    return found
+
+
+Keep = Callable[[Recording], None]
+
+
+@contextmanager
+def _said(progress: Progress, path: SwimPath, table: Table, check: LiveCheck | None) -> Iterator[RunProgress]:
+    """What tells how far the run is."""
+    if progress is True:
+        with progress_bar(path.name) as tell:
+            yield RunProgress(tell, len(path), table.tables, check)
+        return
+
+    def plainly(done: int, whole: int, /, note: str = "") -> None:
+        if callable(progress):
+            progress(done, whole)
+
+    yield RunProgress(plainly, len(path), table.tables, check)
+
+
+def _all_of(*keepers: Keep) -> Keep:
+    """Give a recording to each, in order."""
+
+    def keep(recording: Recording) -> None:
+        for one in keepers:
+            one(recording)
+
+    return keep
+
+
+@contextmanager
+def _names_what_is_left(out: Path | None) -> Iterator[None]:
+    """Where a run breaks off, say where its log is so far."""
+    try:
+        yield
+    except BaseException:
+        if out is not None and part_of(out).exists():
+            print(
+                f"frogkick: what was recorded until then is in {str(part_of(out))!r}",
+                file=sys.stderr,
+                flush=True,
+            )
+        raise

@@ -1,0 +1,73 @@
+"""A robot simulated alone: a row of actions, or a cyclic gait."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from frogkick.der import Trajectory, simulate_actions, simulate_gait
+from frogkick.errors import InputError
+from frogkick.robot import Action, Robot
+
+
+def simulate(
+    robot: Robot,
+    actions: str | Sequence[str] | None = None,
+    *,
+    velocity_body: Sequence[float] = (0.0, 0.0, 0.0),
+    egain_percent: float | None = None,
+    frequency_hz: float | None = None,
+    phase: float = 0.5,
+    cycles: int = 8,
+) -> Trajectory:
+    """Simulate a row of actions, one each period, or without actions the cyclic gait.
+
+    The robot begins at the world's origin, heading along +x. Effects of the robot's file do not act here:
+    they do in a library, a table and a run.
+
+    Args:
+        robot: what to simulate.
+        actions: names, as ``"BBC"``, ``"B,B,C"`` or a sequence; None: the gait.
+        velocity_body: forward, left (m/s), turn rate (rad/s) at the start of a row of actions.
+        egain_percent, frequency_hz: of a gait's profile; None: the robot's own.
+        phase: the lagging limbs' share of the cycle, 0 <= phase < 1, of a gait.
+        cycles: of a gait.
+
+    Raises:
+        InputError: an unknown action, or a profile outside of what was measured.
+        ConvergenceError: the simulation failed; the text gives the state.
+    """
+    if actions is None:
+        return simulate_gait(
+            robot,
+            robot.egain_percent if egain_percent is None else egain_percent,
+            robot.profile_frequency_hz if frequency_hz is None else frequency_hz,
+            phase,
+            cycles,
+        )
+    if egain_percent is not None or frequency_hz is not None:
+        raise InputError(
+            "actions use the robot's own profile: leave egain_percent and frequency_hz out, or the actions"
+        )
+    return simulate_actions(robot, actions_of(robot, actions), velocity_body=velocity_body)
+
+
+def actions_of(robot: Robot, actions: str | Sequence[str]) -> list[Action]:
+    """Actions by name.
+
+    Args:
+        robot: whose.
+        actions: names in one text, with commas between them or each of one letter, or a sequence.
+
+    Raises:
+        InputError: none, or an unknown one.
+    """
+    if isinstance(actions, str):
+        names = [name.strip() for name in actions.split(",")] if "," in actions else list(actions.strip())
+        known = {action.name for action in robot.actions}
+        names = [actions.strip()] if actions.strip().upper() in known else names
+    else:
+        names = list(actions)
+    names = [name for name in names if name]
+    if not names:
+        raise InputError("actions is empty: name at least one action, as B,B,C")
+    return [robot.action(name) for name in names]

@@ -1,0 +1,366 @@
+"""Identification as a whole: runs in, what was found and how well it predicts other runs out."""
+
+from __future__ import annotations
+
+import csv
+import io
+import os
+import tomllib
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from frogkick.errors import InputError
+from frogkick.files import write_text
+from frogkick.identification.choice import Progress, found_in, pruned
+from frogkick.identification.drift import Drift, drift_of
+from frogkick.identification.experiment import Experiment, experiment_of
+from frogkick.identification.filter import Noise
+from frogkick.identification.fit import Model, tracks_of
+from frogkick.identification.horizons import Horizon, horizons_of
+from frogkick.identification.predict import Track
+from frogkick.identification.search import Found
+from frogkick.identification.signature import signature
+from frogkick.identification.swim import Swim, reliable
+from frogkick.identification.terms import Term, catalogue
+from frogkick.identification.verdict import (
+    FOUND,
+    PARTLY,
+    TOO_LITTLE,
+    Error,
+    Interval,
+    Scored,
+    error_of,
+    fix_noise,
+    gaps,
+    intervals,
+    noise_floor,
+    scored,
+    verdict_of,
+)
+from frogkick.paths import wrap_angle
+from frogkick.robot import Robot
+from frogkick.robot.toml_text import to_toml
+
+PERIODS_LEAST = 20
+ACTIONS_LEAST = 2
+MOTION_LEAST_M = 0.01
+
+
+@dataclass(frozen=True, eq=False)
+class Followed:
+    """Predictions of the test runs that follow drift within each run, both models alike.
+
+    Attributes:
+        before, after: errors without and with effects.
+        nominal_tracks, tracks: of the runs.
+    """
+
+    before: Error
+    after: Error
+    nominal_tracks: list[Track]
+    tracks: list[Track]
+
+    def as_json(self) -> dict[str, Any]:
+        """The key ``test.followed`` of the command."""
+        return {"before": self.before.as_json(), "after": self.after.as_json()}
+
+
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    """What identification ended with.
+
+    Attributes:
+        verdict: see frogkick.identification.verdict.
+        robot: nominal.
+        train, test: the runs.
+        found: the search; None where there was not enough data.
+        parameters: of each term found.
+        trained, tested: errors, of the models alone.
+        nominal_tracks, tracks: of the test runs, by the models alone.
+        drift: of limbs beside the fitted model, by the training runs; None where following it gains nothing.
+        followed: the test runs once more, now with both models following drift; None where neither gains.
+        dropped: effects that explain the training runs and did not make the test runs likelier, so that the
+            nominal model is given back. The test runs decide this and nothing else.
+        signature: of what is left, or for "nothing missing" of the nominal model's misses.
+        reason: what to record where there was not enough data.
+        left_out: runs whose strokes' times cannot be relied on: ``run`` and ``reason`` of each.
+    """
+
+    verdict: str
+    robot: Robot
+    train: Sequence[Swim]
+    test: Sequence[Swim]
+    found: Found | None
+    parameters: list[list[Interval]]
+    trained: Scored
+    tested: Scored
+    nominal_tracks: list[Track]
+    tracks: list[Track]
+    signature: dict[str, Any]
+    reason: str = ""
+    drift: Drift | None = None
+    left_out: Sequence[dict[str, str]] = ()
+    followed: Followed | None = None
+    dropped: tuple[str, ...] = ()
+
+    @property
+    def terms(self) -> tuple[Term, ...]:
+        """Effects found."""
+        return () if self.found is None else self.found.fitted.model.terms
+
+    @cached_property
+    def horizons(self) -> list[Horizon]:
+        """Errors on the test runs by how many periods ahead; none where nothing was learned."""
+        if self.found is None:
+            return []
+        return horizons_of(self.found.nominal.model, self.found.fitted.model, self.test)
+
+    @cached_property
+    def experiment(self) -> Experiment | None:
+        """What to record to settle what was found but is still open; None where nothing is."""
+        if self.found is None or self.verdict not in (FOUND, PARTLY):
+            return None
+        return experiment_of(self.found, self.parameters, self.train)
+
+    def effects_as_json(self) -> list[dict[str, Any]]:
+        """What was found."""
+        effects = []
+        for index, (term, row) in enumerate(zip(self.terms, self.parameters, strict=True)):
+            assert self.found is not None
+            effects.append(
+                {
+                    "name": term.name,
+                    **{key: value for key, value in term.table if key not in ("name", "class")},
+                    "parameters": {
+                        each.name: {
+                            "value": each.value,
+                            "interval": [each.low, each.high],
+                            "unit": each.unit,
+                        }
+                        for each in row
+                    },
+                    "not_told_from": self.found.alike[index],
+                }
+            )
+        return effects
+
+    def tested_as_json(self) -> dict[str, Any]:
+        """Errors on the test runs, several periods ahead and with drift followed too."""
+        return {
+            **self.tested.as_json(),
+            "followed": None if self.followed is None else self.followed.as_json(),
+            "horizons": [each.as_json() for each in self.horizons],
+        }
+
+    def as_json(self) -> dict[str, Any]:
+        """The keys of the command."""
+        return {
+            "verdict": self.verdict,
+            "effects": self.effects_as_json(),
+            "dropped": list(self.dropped),
+            "train": self.trained.as_json(),
+            "test": self.tested_as_json(),
+            "drift": None if self.drift is None else self.drift.as_json(),
+            "signature": self.signature,
+            "experiment": None if self.experiment is None else self.experiment.as_json(),
+            "runs": [
+                {"run": swim.name, "use": use, "period_s": swim.period_s}
+                for use, swims in (("train", self.train), ("test", self.test))
+                for swim in swims
+            ],
+            "left_out": list(self.left_out),
+            **({"reason": self.reason} if self.reason else {}),
+        }
+
+
+def identify(
+    train: Sequence[Swim],
+    test: Sequence[Swim],
+    robot: Robot,
+    own: Path | None = None,
+    progress: Progress = lambda _what, _done, _whole: None,
+    measured: bool = True,
+) -> Outcome:
+    """Find what a robot's model lacks from some runs, and predict others with and without it.
+
+    Args:
+        train, test: runs to learn from, runs to predict.
+        robot: nominal.
+        own: a file of the user's own effects.
+        progress: called with a stage, steps done and to do.
+        measured: a fit may start from the values of built-in robots that were measured before; without,
+            only from which effects they have, at nominal values. See frogkick.identification.relatives.
+
+    Raises:
+        InputError: the user's effects cannot be used, no period of the runs can be judged, no test run has
+            one, or no run's clock can be relied on.
+    """
+    candidates = catalogue(robot, own)
+    train, left_out = reliable(train)
+    test, more = reliable(test)
+    left_out += more
+    train = [swim for swim in train if len(swim.start_s)]
+    test = [swim for swim in test if len(swim.start_s)]
+    if not test:
+        raise InputError("no test run has a whole period with fixes: give --test a longer run")
+    reason = too_little(train)
+    if reason:
+        return replace(_only_predicted(train, test, robot, reason), left_out=left_out)
+    found = pruned(found_in(train, robot, candidates, progress, measured), train, progress)
+    trained = scored(found, train, train, found.nominal.tracks, found.fitted.tracks)
+    nominal_tracks, tracks = tracks_of([found.nominal.model, found.fitted.model], test)
+    tested = scored(found, train, test, nominal_tracks, tracks)
+    dropped = tuple(term.title for term in found.fitted.model.terms) if not tested.helped else ()
+    if dropped:
+        # What does not help where it was not learned is no part of the model that is given back.
+        found = replace(found, fitted=found.nominal, alike=[], rivals=[])
+        trained = scored(found, train, train, found.nominal.tracks, found.nominal.tracks)
+        tracks = nominal_tracks
+        tested = scored(found, train, test, tracks, tracks)
+    drift, followed = _followed(found, train, test, nominal_tracks, tracks, robot)
+    return Outcome(
+        verdict=verdict_of(found, trained, tested),
+        robot=robot,
+        train=train,
+        test=test,
+        found=found,
+        parameters=intervals(found.fitted, found.rows),
+        trained=trained,
+        tested=tested,
+        nominal_tracks=nominal_tracks,
+        tracks=tracks,
+        signature=signature(found.fitted, found.rows, train),
+        drift=drift,
+        followed=followed,
+        dropped=dropped,
+        left_out=left_out,
+    )
+
+
+def _followed(
+    found: Found,
+    train: Sequence[Swim],
+    test: Sequence[Swim],
+    nominal_tracks: Sequence[Track],
+    tracks: Sequence[Track],
+    robot: Robot,
+) -> tuple[Drift | None, Followed | None]:
+    """Drift beside the fitted model, and the test runs where each model follows its own."""
+    drifts = [drift_of(each.tracks, train, robot) for each in (found.nominal, found.fitted)]
+    if drifts == [None, None]:
+        return None, None
+    moved = [
+        list(some) if drift is None else drift.followed(some, test, robot)
+        for drift, some in zip(drifts, (nominal_tracks, tracks), strict=True)
+    ]
+    before, after = (error_of(gaps(each, test)) for each in moved)
+    return drifts[1], Followed(before, after, moved[0], moved[1])
+
+
+def _only_predicted(train: Sequence[Swim], test: Sequence[Swim], robot: Robot, reason: str) -> Outcome:
+    """Too little to learn from: the test runs by the nominal model, at their usual noise."""
+    model = Model(robot, (), Noise())
+    tracks = tracks_of([model], test)[0]
+    error = error_of(gaps(tracks, test))
+    tested = Scored(error, error, noise_floor(test, fix_noise(test) or model.noise.fix))
+    unknown = Error(float("nan"), float("nan"))
+    trained = Scored(unknown, unknown, unknown)
+    signed = {"text": f"not looked for: {reason}"}
+    return Outcome(TOO_LITTLE, robot, train, test, None, [], trained, tested, tracks, tracks, signed, reason)
+
+
+def too_little(swims: Sequence[Swim]) -> str:
+    """Why runs cannot be judged, and what to record; "" where they can."""
+    periods = sum(len(swim.start_s) for swim in swims)
+    if periods < PERIODS_LEAST:
+        return (
+            f"{periods} whole periods with fixes, needed are {PERIODS_LEAST}: record about "
+            f"{PERIODS_LEAST - periods} periods more"
+        )
+    actions = {int(action) for swim in swims for action in swim.action if action >= 0}
+    if len(actions) < ACTIONS_LEAST:
+        return "only one action was done: record a run that turns both ways, or actions in random order"
+    reach = max(float(np.ptp(swim.pose[:, :2], axis=0).max()) for swim in swims if len(swim.pose))
+    if reach < MOTION_LEAST_M:
+        return f"the robot moved {1e3 * reach:.1f} mm: record a run that swims (or check the fixes' unit)"
+    return ""
+
+
+def write_predictions(target: Path, outcome: Outcome) -> None:
+    """Write one row for each period of each test run, in the run's own frame, by the models alone.
+
+    Where following drift gains something, columns ``_followed`` and ``_nominal_followed`` stand beside these.
+
+    Raises:
+        InputError: the file cannot be written.
+    """
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    poses = ("x_m", "y_m", "heading_rad")
+    predicted = ("x_pred_m", "y_pred_m", "heading_pred_rad")
+    header = ["run", "time_s", "horizon_s", *poses]
+    models = [outcome.tracks, outcome.nominal_tracks]
+    kinds = ["", "_nominal"]
+    if outcome.followed is not None:
+        models += [outcome.followed.tracks, outcome.followed.nominal_tracks]
+        kinds += ["_followed", "_nominal_followed"]
+    writer.writerow([*header, *(f"{name}{kind}" for kind in kinds for name in predicted)])
+    for index, swim in enumerate(outcome.test):
+        for k, start_s in enumerate(swim.start_s):
+            row = np.concatenate([swim.measured[k], *(tracks[index].predicted[k] for tracks in models)])
+            if not np.isfinite(row).all():
+                continue
+            row[2::3] = wrap_angle(row[2::3])
+            horizon_s = swim.end_s[k] - start_s
+            writer.writerow([swim.name, f"{start_s:.6f}", f"{horizon_s:.6f}", *(f"{v:.7f}" for v in row)])
+    write_text(target, text.getvalue())
+
+
+def write_robot(target: Path, outcome: Outcome) -> None:
+    """Write the nominal robot's TOML with the effects found.
+
+    Raises:
+        InputError: the file cannot be written.
+    """
+    write_text(target, found_toml(outcome, target.resolve().parent))
+
+
+def found_toml(outcome: Outcome, folder: Path | None = None) -> str:
+    """The nominal robot's text with the effects found.
+
+    Args:
+        outcome: of identification.
+        folder: where the text will be, for files of the user's own; None: where the nominal robot is.
+    """
+    table = tomllib.loads(outcome.robot.toml)
+    place = folder or outcome.robot.folder or Path()
+    effects = [dict(row) for row in table.get("effect", [])]
+    for row in effects:
+        if "file" in row and outcome.robot.folder is not None:
+            row["file"] = os.path.relpath(outcome.robot.folder / str(row["file"]), place)
+    for term in outcome.terms:
+        row = dict(term.table)
+        if "file" in row:
+            row["file"] = os.path.relpath(term.folder / str(row["file"]), place)
+        row.update({p.name: float(v) for p, v in zip(term.parameters, term.values, strict=True)})
+        effects.append(row)
+    if effects:
+        table["effect"] = effects
+    return to_toml(table)
+
+
+def robot_of_runs(swims: Sequence[Swim]) -> str:
+    """The robot that all runs are of.
+
+    Raises:
+        InputError: they are of several.
+    """
+    names = sorted({swim.robot_id for swim in swims})
+    if len(names) != 1:
+        raise InputError(f"the runs are of robots {', '.join(names)}: give runs of one")
+    return names[0]

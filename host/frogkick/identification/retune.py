@@ -1,0 +1,314 @@
+"""A worn robot's last logs in, tables that know its wear out; or its old ones, where these are as good.
+
+What makes tables, looks them up and builds firmware is handed in: identification knows runs and robots, no
+libraries.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import shutil
+import tempfile
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from frogkick.effects import Effect
+from frogkick.errors import InputError
+from frogkick.files import write_bytes
+from frogkick.identification.horizons import Horizon
+from frogkick.identification.outcome import Outcome, identify, write_robot
+from frogkick.identification.swim import Swim
+from frogkick.identification.tables import PERIOD_OFF, Stage, Tools, Tracked, table_error, table_horizons
+from frogkick.identification.verdict import NOTHING, TOO_LITTLE, Error
+from frogkick.robot import Robot, load_robot
+
+FloatArray = NDArray[np.float64]
+
+BETTER = 0.98
+"""New tables must err at most so many times as much as the old ones, in position or in heading."""
+
+HELD_LEAST = 5
+"""Held-out periods with a measured end, to judge by."""
+
+HELD_SHARE = 1.0 / 3.0
+"""Of a single run's periods, its last: held out."""
+
+ROBOT, LIBRARY, TABLES = "robot.toml", "library.h5", "tables.fkt"
+BEFORE, REFUSED, FIRMWARE = "before.fkt", "refused.fkt", "firmware"
+
+
+@dataclass(frozen=True, eq=False)
+class Retuned:
+    """What came of it.
+
+    Attributes:
+        outcome: of the identification.
+        before, after: of the old and the new tables, a period ahead on held-out periods; NaN where none were
+            made.
+        better: the new tables are; else the old ones stay.
+        reason: why they stay; "" where they do not.
+        held_out: what was held out, in words.
+        tables: path, bytes and states of the new tables, refused ones too; None where none were made.
+        firmware: sizes of the image; None where none was made.
+        loop: the old and the new tables in closed loop, in a pool with what was found; None where none were
+            made.
+        horizons: of the old and the new tables by how many periods ahead.
+    """
+
+    outcome: Outcome
+    before: Error
+    after: Error
+    better: bool
+    reason: str
+    held_out: str
+    tables: Mapping[str, Any] | None = None
+    firmware: Mapping[str, Any] | None = None
+    loop: tuple[Tracked, Tracked] | None = None
+    horizons: Sequence[Horizon] = ()
+
+    @property
+    def done(self) -> bool:
+        """Whether the robot swims with the right tables now: new ones, or old ones that lack nothing."""
+        return self.better or self.outcome.verdict == NOTHING
+
+    def as_json(self) -> dict[str, Any]:
+        """The keys of the command."""
+        return {
+            "verdict": self.outcome.verdict,
+            "effects": self.outcome.effects_as_json(),
+            "before": {**self.before.as_json(), "periods": self.before.count},
+            "after": {**self.after.as_json(), "periods": self.after.count},
+            "horizons": [each.as_json() for each in self.horizons],
+            "closed_loop": None
+            if self.loop is None
+            else {"before": self.loop[0].as_json(), "after": self.loop[1].as_json()},
+            "rods": self.outcome.tested_as_json(),
+            "held_out": self.held_out,
+            "better": self.better,
+            "reason": self.reason,
+            "tables": self.tables,
+            "firmware": self.firmware,
+            "bytes_sent": 0,
+        }
+
+
+def retune(
+    swims: Sequence[Swim], robot: Robot, out: Path, tools: Tools, stage: Stage, old: bytes | None = None
+) -> Retuned:
+    """Find what a robot lacks, make tables that know it, keep them if they predict held-out periods better.
+
+    Args:
+        swims: runs of the robot, in the order they were swum; the last one is held out, of a single one its
+            last third.
+        robot: as its tables know it so far.
+        out: folder for the results, new or empty: ``robot.toml``, ``library.h5``, ``before.fkt`` (the old
+            tables), and ``tables.fkt`` with ``firmware``, or ``refused.fkt`` where these are no better. It is
+            not made where no tables are, and is there with all that belongs in it or not at all.
+        tools: see Tools.
+        stage: see Stage.
+        old: image of the tables that the robot carries; None: it is made as the new one is, without effects.
+
+    Raises:
+        InputError: ``out`` holds something, a run has another period than the robot, or see identify.
+    """
+    require_new(out)
+    _check_periods(swims, robot)
+    train, test, held_out = split(swims)
+    with steps(stage) as tell:
+        outcome = identify(train, test, robot, progress=tell)
+    unknown = Error(math.nan, math.nan)
+    reason = _needless(outcome, len(swims) == 1)
+    if reason:
+        return Retuned(outcome, unknown, unknown, False, reason, held_out)
+    with _folder(out) as made:
+        write_robot(made / ROBOT, outcome)
+        worn = load_robot(made / ROBOT)
+        new = tools.tables(worn, made / LIBRARY, lambda title: stage(f"new {title}"))
+        if old is None:
+            old = tools.tables(robot, made / f"before-{LIBRARY}", lambda title: stage(f"old {title}"))
+            (made / f"before-{LIBRARY}").unlink()
+        write_bytes(made / BEFORE, old)
+        before, after = (table_error(tools, image, outcome) for image in (old, new))
+        horizons = table_horizons(tools, old, new, outcome)
+        better = is_better(before, after)
+        name = TABLES if better else REFUSED
+        write_bytes(made / name, new)
+        loop = []
+        for file, which in ((made / BEFORE, "old"), (made / name, "new")):
+            with stage(f"paths followed with the {which} tables, by a simulated robot like this") as progress:
+                loop.append(tools.tracked(file, worn, progress))
+        firmware = None
+        if better:
+            with stage("firmware") as progress:
+                firmware = tools.firmware(made / name, worn, made / FIRMWARE)
+                progress(1, 1)
+    tables = {"file": str(out / name), "bytes": len(new), "states": tools.states(new)}
+    reason = "" if better else _no_better(before, after)
+    return Retuned(
+        outcome, before, after, better, reason, held_out, tables, firmware, (loop[0], loop[1]), horizons
+    )
+
+
+def require_new(out: Path) -> None:
+    """Refuse a folder that holds something: old tables must stay what they are.
+
+    Raises:
+        InputError: it does, or is no folder.
+    """
+    if out.exists() and (not out.is_dir() or any(out.iterdir())):
+        raise InputError(f"--out {str(out)!r} is not empty: name a new folder")
+
+
+def split(swims: Sequence[Swim]) -> tuple[list[Swim], list[Swim], str]:
+    """Runs to learn from, runs to judge by, and in words which.
+
+    Of a single run the last third is judged. It is followed from its first fix, for what a robot did earlier
+    acts on; only its ends count from there on. Nothing learned from has seen a fix of it.
+    """
+    if len(swims) > 1:
+        return list(swims[:-1]), [swims[-1]], f"run {swims[-1].name!r}"
+    (swim,) = swims
+    first = len(swim.start_s) - round(HELD_SHARE * len(swim.start_s))
+    if first == 0:
+        return [swim], [swim], "nothing"
+    cut_s = float(swim.end_s[first - 1])
+    seen = swim.arrival_s <= cut_s
+    learned = replace(
+        swim,
+        time_s=swim.time_s[seen],
+        arrival_s=swim.arrival_s[seen],
+        pose=swim.pose[seen],
+        strokes=tuple(stroke for stroke in swim.strokes if stroke[0] < cut_s),
+        start_s=swim.start_s[:first],
+        action=swim.action[:first],
+        end_s=swim.end_s[:first],
+    )
+    kept = _Later(**{name: getattr(swim, name) for name in Swim.__dataclass_fields__}, judged_from=first)
+    return [learned], [kept], f"periods {first + 1} to {len(swim.start_s)} of the only run {swim.name!r}"
+
+
+@dataclass(frozen=True, eq=False)
+class _Later(Swim):
+    """A run of which only later periods are judged."""
+
+    judged_from: int = 0
+
+    @cached_property
+    def measured(self) -> FloatArray:
+        """(m, 3) as Swim has it; NaN for the periods before."""
+        ends = [self.pose_at(float(end)) for end in self.end_s]
+        return np.array([np.full(3, np.nan)] * self.judged_from + ends[self.judged_from :]).reshape(-1, 3)
+
+
+def is_better(before: Error, after: Error) -> bool:
+    """Neither position nor heading is worse, and one of them is better by more than chance would have it."""
+    pairs = (
+        (before.position_rmse_m, after.position_rmse_m),
+        (before.heading_rmse_rad, after.heading_rmse_rad),
+    )
+    return (
+        after.count >= HELD_LEAST
+        and all(now <= then for then, now in pairs)
+        and any(now < BETTER * then for then, now in pairs)
+    )
+
+
+def _needless(outcome: Outcome, single: bool) -> str:
+    """Why no tables are to be made; "" where they are."""
+    if outcome.verdict == TOO_LITTLE:
+        return outcome.reason + (", a third of a single run is held out" if single else "")
+    if outcome.verdict == NOTHING:
+        return "the tables' robot explains these runs: the old tables stay"
+    if not outcome.terms:
+        return "no known effect explains what these runs show: the old tables stay (see identify --report)"
+    judged = sum(int(np.isfinite(swim.measured).all(axis=1).sum()) for swim in outcome.test)
+    if judged < HELD_LEAST:
+        return f"{judged} held-out periods with fixes, needed are {HELD_LEAST}: record a longer last run"
+    if not any(_swims(term.effect()) for term in outcome.terms):
+        names = ", ".join(term.title for term in outcome.terms)
+        return f"what was found ({names}) is in the camera or the water, tables cannot know it: the old stay"
+    return ""
+
+
+def _swims(effect: Effect) -> bool:
+    """Whether an effect goes with the robot's body, as tables do."""
+    hooks = ("robot", "stroke", "wrench")
+    return any(getattr(type(effect), hook) is not getattr(Effect, hook) for hook in hooks)
+
+
+def _no_better(before: Error, after: Error) -> str:
+    if after.count < HELD_LEAST:
+        return f"the tables could be judged on {after.count} held-out periods, needed are {HELD_LEAST}"
+    return (
+        f"the new tables are no better on held-out periods: {_text(after)} after {_text(before)}; "
+        "the old ones stay"
+    )
+
+
+def _text(error: Error) -> str:
+    return f"{1e3 * error.position_rmse_m:.2f} mm, {math.degrees(error.heading_rmse_rad):.2f} deg"
+
+
+def _check_periods(swims: Sequence[Swim], robot: Robot) -> None:
+    """Refuse runs with another period than the tables will have.
+
+    Raises:
+        InputError: no runs, one without a whole period, or another period.
+    """
+    if not swims:
+        raise InputError("no runs: give the robot's last logs")
+    for swim in swims:
+        if abs(swim.period_s / robot.period_s - 1.0) > PERIOD_OFF:
+            raise InputError(
+                f"run {swim.name!r} has a period of {swim.period_s:.3f} s, robot {robot.id!r} "
+                f"{robot.period_s:.3f} s: give a --robot with the run's period"
+            )
+    if not len(swims[-1].start_s):
+        raise InputError(f"run {swims[-1].name!r} has no whole period with fixes: give a longer run")
+
+
+@contextmanager
+def steps(stage: Stage) -> Iterator[Callable[[str, int, int], None]]:
+    """A function of (what, done, all) that begins a stage with each new ``what``."""
+    with ExitStack() as begun:
+        shown: dict[str, Callable[[int, int], None]] = {}
+
+        def tell(what: str, done: int, whole: int) -> None:
+            if what not in shown:
+                begun.close()
+                shown.clear()
+                shown[what] = begun.enter_context(stage(f"identify: {what}"))
+            shown[what](done, whole)
+
+        yield tell
+
+
+@contextmanager
+def _folder(out: Path) -> Iterator[Path]:
+    """A folder beside ``out`` that becomes it on success and is removed on any error.
+
+    Raises:
+        InputError: it cannot be made there.
+    """
+    out = out.resolve()
+    try:
+        out.parent.mkdir(parents=True, exist_ok=True)
+        made = Path(tempfile.mkdtemp(prefix=f".{out.name}.", dir=out.parent))
+    except OSError as error:
+        raise InputError(f"cannot write {str(out)!r}: {error.strerror}; choose another --out") from error
+    try:
+        yield made
+        made.chmod(0o755)
+        if out.is_dir():
+            out.rmdir()  # an empty one; another one's files since then stop it
+        os.replace(made, out)
+    finally:
+        shutil.rmtree(made, ignore_errors=True)

@@ -1,0 +1,168 @@
+"""Effects that were taken one by one, looked at once more beside each other.
+
+The first that is taken stands in for what has not come yet: it may be needless in the end, or another may do
+better in its place.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from frogkick.identification.bootstrap import mean_interval
+from frogkick.identification.fit import Fitted, Model, begun_at, fit_many, fit_on, room_of
+from frogkick.identification.polish import ROUNDS, Polisher, fine_leg_s
+from frogkick.identification.steps import cross_fitted
+from frogkick.identification.swim import Swim, copies
+from frogkick.identification.terms import Term
+from frogkick.identification.worth import ALIKE, BASE_GAIN, GAIN_EACH, free_count, price
+
+FloatArray = NDArray[np.float64]
+
+FAR_OFF = 300.0
+"""A term that costs more than this at first when it is left out is not needless."""
+
+
+def revised(
+    polisher: Polisher,
+    current: Fitted,
+    equals: Sequence[list[Term]],
+    passed_over: Sequence[Sequence[Fitted]],
+) -> tuple[Fitted, list[list[Term]]]:
+    """A model of several terms with the best of those that were near in the place of each, and none needless.
+
+    Args:
+        polisher: of the runs.
+        current: as the search ended.
+        equals: for each term those that could not be told from it when it was taken.
+        passed_over: for each term the models that were near then, with what was taken itself.
+
+    Returns:
+        The model, and what now cannot be told from each term.
+    """
+    found = [list(others) for others in equals]
+    for place in range(len(found) - 1):  # beside the last one all others were there
+        current, found[place] = _exchanged(polisher, current, place, passed_over[place])
+    current, kept = _fewer(polisher, current)
+    current = polisher.sparer(current, whole=True)
+    return current, [found[place] for place in kept]
+
+
+def _exchanged(
+    polisher: Polisher, current: Fitted, place: int, rivals: Sequence[Fitted]
+) -> tuple[Fitted, list[Term]]:
+    """The model with the best of some terms in one place, and those of them that do as well."""
+    title = current.model.terms[place].title
+    others = {each.model.terms[-1].title: each.model.terms[-1] for each in rivals}
+    others.pop(title, None)
+    for term in current.model.terms:
+        others.pop(term.title, None)
+    if not others:
+        return current, []
+    starts = [_in_place(current.model, place, term) for term in others.values()]
+    fits = fit_many(starts, polisher.swims, polisher.rows, ROUNDS)
+    every = [current, *fits]  # of one noise
+    bound = min(price(each) for each in every) + ALIKE * polisher.copies
+    equal = [each for each in every if price(each) < bound]
+    first, *rest = sorted(equal, key=lambda each: (len(each.model.values), price(each)))
+    return (
+        first if first is current else polisher.polished(first),
+        [each.model.terms[place] for each in rest],
+    )
+
+
+def _in_place(model: Model, place: int, term: Term) -> Model:
+    """Another term in a place, its parameters free but for those where it vanishes."""
+    left, held = _left_out(model, place)
+    first = sum(len(each.values) for each in left[:place])
+    count = len(term.values)
+    there = frozenset(
+        first + k
+        for k, (value, parameter) in enumerate(zip(term.values, term.parameters, strict=True))
+        if value == parameter.nominal
+    )
+    moved = frozenset(k if k < first else k + count for k in held)
+    changed = replace(model, terms=(*left[:place], term, *left[place:]), held=moved | there)
+    return replace(changed, leg_s=fine_leg_s(changed))
+
+
+def _fewer(polisher: Polisher, fitted: Fitted) -> tuple[Fitted, list[int]]:
+    """The model without terms that are needless beside its others, and which of them stay."""
+    kept = list(range(len(fitted.model.terms)))
+    while len(kept) > 1:
+        models, jacobians = [], []
+        for place in range(len(kept)):
+            terms, held = _left_out(fitted.model, place)
+            models.append(replace(fitted.model, terms=terms, held=held))
+            jacobians.append(np.delete(fitted.jacobian, _values_of(fitted.model, place), axis=2))
+        begun = begun_at(models, jacobians, polisher.swims, polisher.rows)
+        near = [place for place, each in enumerate(begun) if each.cost < fitted.cost + FAR_OFF]
+        fits = fit_on([begun[place] for place in near], polisher.swims, polisher.rows, 2)
+        dearer = [
+            each.cost
+            - fitted.cost
+            - polisher.copies * (BASE_GAIN + GAIN_EACH * (free_count(fitted) - free_count(each)))
+            for each in fits
+        ]
+        if min(dearer, default=0.0) >= 0.0:
+            break
+        best = int(np.argmin(dearer))
+        kept.pop(near[best])
+        fitted = polisher.polished(fits[best])
+    return fitted, kept
+
+
+def needless(fitted: Fitted, folds: NDArray[np.int64], swims: Sequence[Swim]) -> int | None:
+    """Which of several terms costs nothing on held-out parts of the training runs when it is left out.
+
+    At the ends of periods, by the log density that ``steps.cross_fitted`` gives with and without it: the one
+    with the least gain, where that gain's interval reaches zero. None where every term is needed.
+
+    Args:
+        fitted: with derivatives by all its parameters.
+        folds: (n,) of the periods that count; see ``search.folds_of``.
+        swims: the training runs.
+    """
+    model = fitted.model
+    if len(model.terms) < 2:
+        return None
+    missed, jacobian = fitted.missed[:, -3:], fitted.jacobian[:, -3:, :]
+    shy = 1e-6 * missed.size / model.range**2
+    whole = cross_fitted(missed, jacobian, *room_of(model), shy, folds)
+    flat = [parameter for term in model.terms for parameter in term.parameters]
+    wider, gains = np.sqrt(copies(swims)), list[tuple[float, float]]()
+    for place in range(len(model.terms)):
+        gone = _values_of(model, place)
+        back = np.zeros(len(flat))
+        for k in gone:
+            back[k] = flat[k].nominal - model.values[k]
+        less = replace(model, held=model.held | frozenset(gone))
+        scores = cross_fitted(missed + jacobian @ back, jacobian, *room_of(less), shy, folds)
+        each = [(whole - scores)[folds == label] for label in np.unique(folds)]
+        low, _ = mean_interval(each, np.random.default_rng(0))
+        value = float((whole - scores).mean())
+        gains.append((value, value - wider * (value - low)))
+    place = min(range(len(gains)), key=lambda k: gains[k][0])
+    return place if gains[place][1] <= 0.0 else None
+
+
+def without(model: Model, place: int) -> Model:
+    """A model without one of its terms."""
+    terms, held = _left_out(model, place)
+    return replace(model, terms=terms, held=held)
+
+
+def _values_of(model: Model, place: int) -> range:
+    """Which values in a row are those of a term."""
+    first = sum(len(term.values) for term in model.terms[:place])
+    return range(first, first + len(model.terms[place].values))
+
+
+def _left_out(model: Model, place: int) -> tuple[tuple[Term, ...], frozenset[int]]:
+    """A model's other terms, and which of their values are held."""
+    gone = _values_of(model, place)
+    held = frozenset(k if k < gone.start else k - len(gone) for k in model.held if k not in gone)
+    return model.terms[:place] + model.terms[place + 1 :], held

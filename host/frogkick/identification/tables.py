@@ -1,0 +1,161 @@
+"""What tables are to a retune: who makes them, and how far they err on periods that were held out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from frogkick.effects import Effect, Fix
+from frogkick.identification.horizons import HORIZONS, Horizon
+from frogkick.identification.outcome import Outcome
+from frogkick.identification.predict import Track
+from frogkick.identification.swim import Swim
+from frogkick.identification.verdict import Error, error_of
+from frogkick.paths import wrap_angle
+from frogkick.robot import Robot
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+EARLIER = 8
+"""How many earlier actions a look-up is told."""
+
+RESTED = -1
+"""In place of an earlier action: there was none, as libraries have it."""
+
+PERIOD_OFF = 0.1
+"""A run's period may differ by such a share from the one that tables are made for."""
+
+_CHANCE = np.random.default_rng(0)
+
+Stage = Callable[[str], AbstractContextManager[Callable[[int, int], None]]]
+"""Begins a stage of the work by its title; what it yields is called with (done, all)."""
+
+
+@dataclass(frozen=True)
+class Tracked:
+    """How a table's robot kept to its paths in a pool: means over the runs.
+
+    Attributes:
+        mean_distance_m: to the path.
+        progress_mps: along it.
+        completed: runs that reached its end.
+        runs: all of them.
+    """
+
+    mean_distance_m: float
+    progress_mps: float
+    completed: int
+    runs: int
+
+    def as_json(self) -> dict[str, float | int]:
+        """One of ``closed_loop``."""
+        return asdict(self)
+
+
+class Tools(Protocol):
+    """What is done with robots and tables that is no identification."""
+
+    def tables(self, robot: Robot, library: Path, stage: Stage) -> bytes:
+        """Simulate a robot's library into a file, and make the table image of it."""
+
+    def states(self, image: bytes) -> int:
+        """How many states a table image has."""
+
+    def looked_up(self, image: bytes, velocity_body: FloatArray, previous: IntArray) -> FloatArray:
+        """(n, a, 6) transitions in a table image from (n, 3) velocities after (n, EARLIER) actions."""
+
+    def tracked(self, tables: Path, robot: Robot, progress: Callable[[int, int], None]) -> Tracked:
+        """Always the same paths followed by a table file, in a pool where the robot's effects are true."""
+
+    def firmware(self, tables: Path, robot: Robot, out: Path) -> Mapping[str, Any]:
+        """Build the robot's image around a table file into a folder; its sizes."""
+
+
+def table_error(tools: Tools, image: bytes, outcome: Outcome, periods: int = 1) -> Error:
+    """How far a table errs some periods ahead on the test runs, looked up from where each period began.
+
+    Old and new tables begin from the same states, the best that are known of the robot: those of the rods
+    with what was found. Their poses are taken as the camera shows them, as the robot will be told them.
+    Further periods begin from where the table says that the one before ended.
+
+    Args:
+        tools: look it up.
+        image: of the table.
+        outcome: knows runs, starts and effects.
+        periods: ahead.
+    """
+    effects = [term.effect() for term in outcome.terms]
+    gaps = [
+        _gaps(tools, image, *pair, effects, periods)
+        for pair in zip(outcome.test, outcome.tracks, strict=True)
+    ]
+    return error_of(np.concatenate(gaps))
+
+
+def table_horizons(tools: Tools, old: bytes, new: bytes, outcome: Outcome) -> list[Horizon]:
+    """Errors of two tables by how many periods ahead, without those that no run is long enough for."""
+    every = [
+        Horizon(periods, *(table_error(tools, image, outcome, periods) for image in (old, new)))
+        for periods in HORIZONS
+    ]
+    return [each for each in every if each.before.count]
+
+
+def _gaps(
+    tools: Tools, image: bytes, swim: Swim, track: Track, effects: Sequence[Effect], periods: int
+) -> FloatArray:
+    """(m, 3) measured minus looked-up pose so many periods after each start; NaN where one is not known."""
+    gap = np.full((len(swim.start_s), 3), np.nan)
+    # What a table does not know of is not held against it: a period that was cut short or lengthened.
+    whole = (swim.action >= 0) & (np.abs((swim.end_s - swim.start_s) / swim.period_s - 1.0) < PERIOD_OFF)
+    follows = np.append(np.abs(swim.start_s[1:] - swim.end_s[:-1]) < 1e-6, False)
+    known = np.isfinite(track.start).all(axis=1) & whole
+    for step in range(1, periods):
+        known &= np.append(whole[step:], np.zeros(min(step, len(whole)), dtype=bool))
+        known &= np.append(follows[step - 1 :], np.zeros(min(step - 1, len(whole)), dtype=bool))
+    rows = np.flatnonzero(known)
+    if not len(rows):
+        return gap
+    pose = np.array(
+        [
+            _shown(effects, float(at_s), start)
+            for at_s, start in zip(swim.start_s[rows], track.start[rows, :3], strict=True)
+        ]
+    )
+    velocity, previous = track.start[rows, 3:], earlier_actions(swim)
+    for step in range(periods):
+        found = tools.looked_up(image, velocity, previous[rows + step])
+        moved = found[np.arange(len(rows)), swim.action[rows + step]]
+        c, s = np.cos(pose[:, 2]), np.sin(pose[:, 2])
+        pose = pose + np.column_stack(
+            [c * moved[:, 0] - s * moved[:, 1], s * moved[:, 0] + c * moved[:, 1], moved[:, 2]]
+        )
+        velocity = moved[:, 3:]
+    gap[rows] = swim.measured[rows + periods - 1] - pose
+    gap[:, 2] = wrap_angle(gap[:, 2])
+    return gap
+
+
+def _shown(effects: Sequence[Effect], time_s: float, pose: FloatArray) -> tuple[float, float, float]:
+    """A pose as the camera shows it."""
+    seen = Fix(time_s, 0.0, *(float(value) for value in pose))
+    for effect in effects:
+        seen = effect.fix(seen, _CHANCE) or seen
+    return seen.x_m, seen.y_m, seen.heading_rad
+
+
+def earlier_actions(swim: Swim) -> IntArray:
+    """(m, EARLIER) actions of the periods before each one, newest first, RESTED beyond a gap or the start."""
+    previous = np.full((len(swim.start_s), EARLIER), RESTED, dtype=np.int64)
+    for period in range(1, len(previous)):
+        apart_s = float(swim.start_s[period] - swim.start_s[period - 1])
+        if swim.action[period - 1] >= 0 and apart_s < 1.5 * swim.period_s:
+            previous[period] = [swim.action[period - 1], *previous[period - 1, :-1]]
+    return previous

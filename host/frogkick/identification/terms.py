@@ -1,0 +1,107 @@
+"""Candidate effects: which there are, with free parameters, and where a search may start."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from frogkick.effects import BUILT_IN, Effect, Parameter
+from frogkick.effects.registry import effect_classes, make_effect
+from frogkick.effects.walls import OUTWARD
+from frogkick.errors import InputError
+from frogkick.robot import Robot
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Term:
+    """An effect with values for its parameters.
+
+    Attributes:
+        table: what a TOML would say of it but its parameters: name, or file and class; options.
+        folder: where its file is looked up.
+        parameters: as the effect declares them.
+        values: one for each.
+    """
+
+    table: tuple[tuple[str, Any], ...]
+    folder: Path
+    parameters: tuple[Parameter, ...]
+    values: tuple[float, ...]
+
+    @property
+    def title(self) -> str:
+        """Its name with its options: ``limb_wear rear_left``."""
+        keys = dict(self.table)
+        name = keys.pop("name", None) or keys.get("class")
+        keys.pop("file", None), keys.pop("class", None)
+        return " ".join([str(name), *(str(value) for value in keys.values())])
+
+    @property
+    def name(self) -> str:
+        """Of the effect alone."""
+        keys = dict(self.table)
+        return str(keys.get("name") or keys.get("class"))
+
+    def effect(self) -> Effect:
+        """The effect itself."""
+        given = {p.name: float(v) for p, v in zip(self.parameters, self.values, strict=True)}
+        return make_effect({**dict(self.table), **given}, self.folder)
+
+    def at(self, values: Sequence[float] | FloatArray) -> Term:
+        """The same with other values, moved into their bounds."""
+        inside = [
+            min(max(float(value), p.low), p.high) for value, p in zip(values, self.parameters, strict=True)
+        ]
+        return replace(self, values=tuple(inside))
+
+
+def catalogue(robot: Robot, own: Path | None = None) -> list[Term]:
+    """Every built-in effect that fits a robot, with each of its options, and those of a user's file.
+
+    Raises:
+        InputError: the user's file has no effect, or one that cannot be made from its parameters.
+    """
+    terms = []
+    for name, kind in BUILT_IN.items():
+        if kind.together:
+            continue  # see frogkick.identification.relatives
+        for options in _options(kind, robot):
+            terms.append(_term({"name": name, **options}, Path(), kind))
+    if own is not None:
+        kinds = effect_classes(own)
+        if not kinds:
+            raise InputError(f"effect file {str(own)!r} defines no effect: derive a class from Effect")
+        for kind in kinds:
+            for options in _options(kind, robot):
+                table = {"file": own.name, "class": kind.__name__, **options}
+                term = _term(table, own.resolve().parent, kind)
+                term.effect().check(robot)
+                terms.append(term)
+    return terms
+
+
+def _term(table: Mapping[str, Any], folder: Path, kind: type) -> Term:
+    parameters = tuple(getattr(kind, "parameters", ()))
+    return Term(tuple(table.items()), folder, parameters, tuple(p.nominal for p in parameters))
+
+
+def _options(kind: type, robot: Robot) -> list[dict[str, Any]]:
+    """Option values to try: each limb, and what the effect has by default; each word; each side of a pool."""
+    options: Mapping[str, Any] = getattr(kind, "options", {})
+    if "limb" in options:
+        names = [limb.name for limb in robot.limbs]
+        default = [options["limb"]] if options["limb"] is not None else []
+        return [{"limb": name} for name in [*names, *default]]
+    if "side" in options:
+        return [{"side": side} for side in OUTWARD]
+    if "group" in options:
+        words = sorted({word for limb in robot.limbs for word in limb.name.split("_")})
+        return [{"group": word} for word in words]
+    return [{}]

@@ -1,0 +1,73 @@
+"""Progress on stderr, for commands and for notebooks alike."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Protocol
+
+Progress = bool | Callable[[int, int], None]
+"""What long work takes: True = a bar on stderr, False = silence, or a function of (done, all)."""
+
+
+class Tell(Protocol):
+    """What shows progress."""
+
+    def __call__(self, done: int, whole: int, /, note: str = "") -> None:
+        """So much is done, and a word on how it goes."""
+
+
+@contextmanager
+def progress_bar(title: str) -> Iterator[Tell]:
+    """A bar on stderr; yields a function of (done, all). Without a terminal: a line at each tenth."""
+    if not sys.stderr.isatty():
+        told = -1
+
+        def tell(done: int, whole: int, /, note: str = "") -> None:
+            nonlocal told
+            tenth = 10 * done // max(whole, 1)
+            if tenth > told:
+                told = tenth
+                print(f"{title}: {done}/{whole}{note and f', {note}'}", file=sys.stderr, flush=True)
+
+        yield tell
+        return
+    from rich.console import Console
+    from rich.progress import (
+        BarColumn,
+        MofNCompleteColumn,
+        TextColumn,
+        TimeElapsedColumn,
+        TimeRemainingColumn,
+    )
+    from rich.progress import (
+        Progress as RichProgress,
+    )
+
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+        TimeRemainingColumn(),
+    )
+    with RichProgress(*columns, console=Console(stderr=True), transient=False) as bar:
+        task = bar.add_task(title, total=None)
+
+        def update(done: int, whole: int, /, note: str = "") -> None:
+            bar.update(task, completed=done, total=whole, description=f"{title}{note and f', {note}'}")
+
+        yield update
+
+
+@contextmanager
+def shown(progress: Progress, title: str) -> Iterator[Callable[[int, int], None]]:
+    """What long work calls with (done, all): a bar under a title, nothing, or the caller's own function."""
+    if progress is True:
+        with progress_bar(title) as tell:
+            yield tell
+    elif progress is False:
+        yield lambda _done, _whole: None
+    else:
+        yield progress

@@ -1,0 +1,281 @@
+"""What ``import frogkick as fk`` gives: a table, a run, a worn limb found and new tables, all in memory."""
+
+from __future__ import annotations
+
+import inspect
+import re
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from tests.cli.commands import frogkick
+from tests.conftest import REPOSITORY, count
+from tests.identification.made import robot as few_pieces
+from tests.link.live_robot import LiveRobot
+from tests.link.pty_line import PtyLine
+from tests.loop import rig
+
+import frogkick as fk
+from frogkick.effects import LimbWear
+from frogkick.effects.base import Effect
+from frogkick.identification import choice as choice_module
+from frogkick.identification import outcome as outcome_module
+from frogkick.identification.terms import catalogue
+
+WORN = "rear_left"
+
+
+@pytest.fixture(scope="module")
+def readme(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
+    """What the names of README's Python lines are after these ran.
+
+    In make test with a robot of fewer pieces, fewer states and few candidates: the same lines, in seconds.
+    """
+    text = (REPOSITORY / "README.md").read_text(encoding="utf-8")
+    (lines,) = re.findall(r"```python\n(import frogkick as fk\n.*?)```", text, re.DOTALL)
+    names: dict[str, Any] = {"few_pieces": few_pieces}
+    folder = tmp_path_factory.mktemp("readme")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        if few := count(0, 0, 60):
+            for old, new in (('fk.load_robot("frog2022")', "few_pieces()"), ("states=300", f"states={few}")):
+                assert old in lines
+                lines = lines.replace(old, new)
+            some = [term for term in catalogue(few_pieces()) if "limb_wear rear" in term.title]
+            patch.setattr(outcome_module, "catalogue", lambda *_: some)
+            patch.setattr(choice_module, "relatives", lambda _robot: {})
+        exec(compile(lines, "README.md", "exec"), names)
+    return {**names, "folder": folder}
+
+
+@pytest.fixture(scope="module")
+def robot(readme: dict[str, Any]) -> fk.Robot:
+    return readme["robot"]
+
+
+@pytest.fixture(scope="module")
+def library(robot: fk.Robot) -> fk.Library:
+    return fk.build_library(robot, states=count(100, 300, 20), seed=0)
+
+
+@pytest.fixture(scope="module")
+def table(readme: dict[str, Any]) -> fk.Table:
+    return readme["table"]
+
+
+@pytest.fixture(scope="module")
+def runs(readme: dict[str, Any]) -> list[fk.Run]:
+    return readme["runs"]
+
+
+def test_every_name_is_there_and_says_what_it_is() -> None:
+    assert len(fk.__all__) == len(set(fk.__all__)) and set(dir(fk)) == set(fk.__all__)
+    for name in set(fk.__all__) - {"__version__"}:
+        found = getattr(fk, name)
+        assert inspect.getdoc(found), f"{name} has no docstring"
+        if not inspect.isclass(found):
+            continue
+        for attribute, value in vars(found).items():
+            shown = inspect.isfunction(value) or isinstance(value, property)
+            if shown and not attribute.startswith("_"):
+                assert inspect.getdoc(value), f"{name}.{attribute} has no docstring"
+    with pytest.raises(AttributeError, match="no attribute 'swim'"):
+        fk.swim  # noqa: B018
+
+
+def test_a_function_takes_its_name_whatever_was_loaded_before() -> None:
+    """No folder of the package has the name of a function: the one that is loaded last would win."""
+    folders = {path.parent.name for path in Path(fk.__file__).parent.glob("*/__init__.py")}
+    assert {name for name in fk.__all__ if name in folders} == {"effects", "paths"}
+
+
+def test_importing_loads_nothing_that_takes_time() -> None:
+    code = "import sys, frogkick as fk; dir(fk); print({'numpy', 'numba', 'typer'} & set(sys.modules))"
+    told = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert told.stdout.strip() == "set()"
+
+
+def test_a_robot_is_one_line_and_a_picture(robot: fk.Robot, tmp_path: Path) -> None:
+    assert repr(robot).startswith("Robot('frog2022': 4 limbs, 9 actions") and len(repr(robot)) < 120
+    page = robot._repr_html_()
+    assert page.count("<polyline") == 1 + len(robot.limbs) and all(limb.name in page for limb in robot.limbs)
+    robot.save(tmp_path / "robot.toml")
+    assert fk.load_robot(tmp_path / "robot.toml") == robot
+
+
+def test_a_robot_with_an_effect_of_ones_own_is_saved_elsewhere(tmp_path: Path) -> None:
+    (tmp_path / "a").mkdir()
+    (tmp_path / "b").mkdir()
+    (tmp_path / "a" / "mine.py").write_text(
+        "class Mine:\n    def wrench(self, time_s, body):\n        return 0.0, 0.0, 0.0\n"
+    )
+    own = '[[effect]]\nfile = "mine.py"\nclass = "Mine"\n'
+    (tmp_path / "a" / "robot.toml").write_text('base = "frog2022"\nid = "own"\n' + own)
+    first = fk.load_robot(tmp_path / "a" / "robot.toml")
+    first.save(tmp_path / "b" / "robot.toml")
+    second = fk.load_robot(tmp_path / "b" / "robot.toml")
+    assert second.effects[0]["file"] == "../a/mine.py"
+    assert isinstance(fk.effects.effects_of(second)[0], Effect)
+
+
+def test_a_row_of_actions_and_a_gait(robot: fk.Robot) -> None:
+    swum = fk.simulate(robot, "BBC")
+    assert swum.pose_world.shape == swum.velocity_body.shape == (len(swum.time_s), 3)
+    same = fk.simulate(robot, ["B", "b", "C"])
+    assert np.array_equal(swum.pose_world, same.pose_world) and len(repr(swum)) < 120
+    # The velocity is that of the poses: carried through the whole row it ends where they do.
+    heading, steps = swum.pose_world[:, 2], np.diff(swum.time_s)
+    forward, left = swum.velocity_body[:, 0], swum.velocity_body[:, 1]
+    x_mps = forward * np.cos(heading) - left * np.sin(heading)
+    moved_m = float((steps * (x_mps[1:] + x_mps[:-1]) / 2.0).sum())
+    assert moved_m == pytest.approx(swum.pose_world[-1, 0], abs=2e-4)
+    gait = fk.simulate(robot, cycles=2)
+    assert gait.distance_m > 0.01 and gait.time_s[-1] == pytest.approx(2.0 / robot.profile_frequency_hz)
+    with pytest.raises(fk.InputError, match="leave egain_percent"):
+        fk.simulate(robot, "B", egain_percent=10.0)
+    with pytest.raises(fk.InputError, match="actions is empty"):
+        fk.simulate(robot, " , ")
+    with pytest.raises(fk.InputError, match="no action 'Z'"):
+        fk.simulate(robot, "BZ")
+
+
+def test_libraries_and_tables_in_memory_and_in_files(
+    library: fk.Library, robot: fk.Robot, tmp_path: Path
+) -> None:
+    table = fk.fit_table(library)
+    assert len(repr(library)) < 120 and len(repr(table)) < 160 and "Table" in table._repr_html_()
+    library.save(tmp_path / "lib.h5")
+    read = fk.load_library(tmp_path / "lib.h5")
+    assert read.content_sha256() == library.content_sha256()
+    out = fk.build_library(
+        robot, states=len(library.initial_velocity_body), workers=1, out=tmp_path / "out.h5"
+    )
+    assert out.content_sha256() == library.content_sha256()
+    assert fk.fit_table(read).image == table.image
+    table.save(tmp_path / "a.fkt")
+    again = fk.load_table(tmp_path / "a.fkt", robot)
+    assert again.image == table.image and again.name == "a.fkt" and again.facts() == table.facts()
+    error = table.error(states=4)
+    assert 0.0 < error["position_m"] < 0.1
+    with pytest.raises(fk.FrogkickError, match="this robot is 'hexapod'"):
+        fk.load_table(tmp_path / "a.fkt", "hexapod")
+    with pytest.raises(fk.InputError, match=r"budget is 0\.1 KiB"):
+        fk.fit_table(library, "affine", 0.1)
+
+
+def test_the_planner_gives_its_whole_branch(table: fk.Table) -> None:
+    path = fk.paths.sine()
+    planner = fk.Planner(table, depth=3)
+    found = planner.plan(np.zeros(6), path)
+    assert (
+        found.predicted_pose.shape == (3, 3) and len(found.actions) == 3 and found.action == found.actions[0]
+    )
+    one = fk.Planner(table, depth=1).plan(np.zeros(6), path)
+    assert one.predicted_pose.shape == (1, 3) and np.isfinite(one.cost)
+    # The first step of the branch is what the table says of its first action, from rest.
+    assert np.hypot(*found.predicted_pose[0, :2]) < float(table.tables.reach_m) + 1e-6
+    paper = fk.Planner(table, planner="paper")
+    assert paper.config.depth == 1 and len(repr(planner)) < 200
+    with pytest.raises(fk.FrogkickError, match="NaN"):
+        planner.plan(np.full(6, np.nan), path)
+    with pytest.raises(fk.InputError, match="choose robot or paper"):
+        fk.Planner(table, planner="papre")
+
+
+def test_a_run_is_kept_drawn_and_read_back(runs: list[fk.Run], tmp_path: Path) -> None:
+    run = runs[0]
+    assert run.tracking.completed and 0.0 < run.tracking.mean_distance_m < 0.2
+    assert len(run.actions) == run.tracking.decisions
+    run.save(tmp_path / "a.h5")
+    read = fk.load_run(tmp_path / "a.h5")
+    assert read.tracking == run.tracking and read.actions == run.actions and read.ended == run.ended
+    assert run.plot().axes and len(repr(run)) < 160 and "<img" in run._repr_html_()
+
+
+def test_an_effect_that_remembers_begins_anew_with_each_run(table: fk.Table) -> None:
+    world = fk.World([fk.effects.WarmUp(), fk.effects.LimbMemory(loss=0.2)])
+    first, second = (fk.run(table, "line", world=world, seed=3, time_limit_s=6.0) for _ in range(2))
+    assert first.log.truth is not None and second.log.truth is not None
+    assert np.array_equal(first.log.truth.pose_world, second.log.truth.pose_world)
+
+
+def test_places_and_planners_that_there_are_not(table: fk.Table, robot: fk.Robot) -> None:
+    for given, text in (
+        ({"robot": "pol"}, "did you mean 'pool'"),
+        ({"plan": "onbord"}, "did you mean 'onboard'"),
+        ({"planner": "papr"}, "did you mean 'paper'"),
+        ({"fixes": "pool"}, "is for a real robot"),
+        ({"path": "elipse"}, "did you mean 'ellipse'"),
+        ({"time_limit_s": float("nan")}, "finite number above 0"),
+    ):
+        options: dict[str, Any] = {"time_limit_s": 2.0, **given}
+        with pytest.raises(fk.InputError, match=text):
+            fk.run(table, options.pop("path", "line"), **options)
+    with pytest.raises(fk.InputError, match="test is empty"):
+        fk.identify([], test=[], robot=robot)
+    with pytest.raises(fk.InputError, match="choose ble:NAME"), fk.connect("frogkick"):
+        pass
+
+
+def test_a_worn_limb_is_found_and_given_back_as_a_robot(
+    readme: dict[str, Any], runs: list[fk.Run], robot: fk.Robot, tmp_path: Path
+) -> None:
+    found: fk.Identification = readme["found"]
+    (effect,) = found.effects
+    assert found.verdict == "found" and effect.name == "limb_wear" and effect.options == {"limb": WORN}
+    gain = effect.parameters["gain"]
+    assert gain.interval[0] < 0.7 < gain.interval[1] and gain.unit == "1"
+    assert isinstance(effect.confounded_with, tuple)
+    assert found.after.position_rmse_m < 0.3 * found.before.position_rmse_m
+    assert found.noise_floor.position_rmse_m > 0.0 and len(repr(found)) < 160
+    assert "limb_wear" in found._repr_html_()
+    worn = fk.load_robot(readme["folder"] / "worn.toml")
+    assert worn == found.robot and worn.effects[0]["limb"] == WORN
+    (acting,) = fk.effects.effects_of(worn)
+    assert isinstance(acting, LimbWear)
+    found.report(tmp_path / "what.html")
+    assert "limb_wear" in (tmp_path / "what.html").read_text(encoding="utf-8")
+    found.predictions(tmp_path / "p.csv")
+    assert (tmp_path / "p.csv").read_text(encoding="utf-8").startswith("run,time_s,horizon_s,x_m")
+    assert found.as_json()["verdict"] == "found"
+
+
+def test_c_and_firmware(readme: dict[str, Any], table: fk.Table, tmp_path: Path) -> None:
+    files = fk.emit_c(table, readme["folder"] / "emitted")
+    assert {path.name for path in (readme["folder"] / "emitted").iterdir()} == set(files)
+    built = fk.build_firmware(table)
+    assert 0 < built.ram_bytes < 64 * 1024 and built.flash_bytes > len(table.image)
+    assert built.files["hex"].is_file() and len(repr(built)) < 120
+    kept = fk.build_firmware(table, out=tmp_path / "built")
+    assert kept.files["hex"].read_bytes() == built.files["hex"].read_bytes()
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="needs a pseudo-terminal")
+def test_a_real_robot(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    """A kit without limbs at a line: asked, given a table, and swum with by fixes of a simulated pool."""
+    rig.swim("pool", "line", 1.0, onboard=False)  # compiled here, where nothing waits for it
+    old, table = rig.tables(), fk.load_table(rig.small_table())
+    kit = LiveRobot()
+    with PtyLine(tmp_path, kit) as line, fk.connect(f"serial:{line.path}:115200") as bot:
+        told = bot.status()
+        assert told["robot_id"] == "frog2022" and told["table_crc"] == old.crc32
+        pushed = bot.push(table)
+        assert pushed.table_crc == table.crc32
+        log = bot.follow("line", fixes="pool", table=table, time_limit_s=3.5)
+        assert log.tracking.decisions >= 1 and kit.pulses and "DISARM" in kit.names()
+        assert repr(bot) == f"Connection('serial:{line.path}:115200')"
+    assert "start check: table" in capfd.readouterr().err
+
+
+def test_the_command_and_the_call_give_the_same(
+    table: fk.Table, robot: fk.Robot, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    table.save(tmp_path / "a.fkt")
+    robot.save(tmp_path / "robot.toml")
+    words = ["run", "--robot", "pool", "--tables", tmp_path / "a.fkt", "--model", tmp_path / "robot.toml"]
+    told = frogkick(capsys, *words, "--path", "line", "--seed", 2, "--json")
+    assert told.code == 0, told.stderr
+    assert told.json == fk.run(table, "line", seed=2).as_json()

@@ -1,0 +1,18 @@
+"""Runs that several files look at."""
+
+from __future__ import annotations
+
+import pytest
+from made import WORN, make_swim
+
+from frogkick.identification.swim import Swim
+
+
+@pytest.fixture(scope="module")
+def worn() -> list[Swim]:
+    return [make_swim([WORN], seed, 14) for seed in (1, 2)]
+
+
+@pytest.fixture(scope="module")
+def whole() -> list[Swim]:
+    return [make_swim([], seed, 14) for seed in (3, 4)]

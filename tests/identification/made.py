@@ -1,0 +1,145 @@
+"""Runs made in the simulated pool with random actions and hidden effects."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from tests.conftest import count
+
+from frogkick.effects import World, make_effects
+from frogkick.identification.filter import Noise
+from frogkick.identification.fit import derivatives, tracks_of
+from frogkick.identification.outcome import Outcome
+from frogkick.identification.search import Found, countable
+from frogkick.identification.signature import signature
+from frogkick.identification.swim import Swim, swim_of
+from frogkick.identification.terms import Term, catalogue
+from frogkick.identification.verdict import FOUND, intervals, scored
+from frogkick.loop.runlog import Decisions, Fixes, RunLog, Strokes, Truth
+from frogkick.paths import wrap_angle
+from frogkick.pool.camera import Camera
+from frogkick.pool.pool import Pool
+from frogkick.robot import Robot, load_robot, parse_robot
+from frogkick.robot.toml_text import to_toml
+
+START_S = 1.0
+WORN = {"name": "limb_wear", "limb": "rear_left", "gain": 0.7}
+
+
+def term(title: str, *values: float) -> Term:
+    """A candidate by its title; the first of its parameters at these values."""
+    found = next(each for each in catalogue(robot()) if each.title == title)
+    return found.at([*values, *found.values[len(values) :]])
+
+
+@cache
+def robot() -> Robot:
+    """The paper's; in make test of fewer pieces, which swims much the same at a third of the cost."""
+    plain = load_robot("frog2022")
+    side, limb = count(0, 0, 6), count(0, 0, 5)
+    if not side:
+        return plain
+    table = tomllib.loads(plain.toml)
+    table["frame"]["segments"] = [side] * len(table["frame"]["segments"])
+    for each in table["limb"]:
+        each["segments"] = limb
+    return parse_robot(to_toml(table), "frog2022 of few pieces")
+
+
+def make_run(effects: Sequence[Mapping[str, Any]], seed: int, periods: int, row: str | None = None) -> RunLog:
+    """A run of random actions, or of those that ``row`` names, in a pool where ``effects`` are true."""
+    swimmer, rng = robot(), np.random.default_rng(seed)
+    world = World(make_effects(effects, Path()))
+    start = (float(rng.uniform(-0.5, 0.5)), float(rng.uniform(-0.5, 0.5)), float(rng.uniform(-3.0, 3.0)))
+    pool = Pool(swimmer, start, Camera(), np.random.default_rng([seed, 1]), world)
+    period_s = swimmer.period_s
+    actions = rng.integers(0, len(swimmer.actions) - 1, periods)
+    if row is not None:
+        actions = np.array([[action.name for action in swimmer.actions].index(name) for name in row])
+        periods = len(row)
+    decided_s = START_S + period_s * np.arange(periods)
+    fixes, strokes = pool.advance(START_S), []
+    for at_s, index in zip(decided_s.tolist(), actions.tolist(), strict=True):
+        action = swimmer.actions[index]
+        for fired_s, mask in (
+            (at_s, action.first_mask),
+            (at_s + swimmer.second_delay_s, action.second_mask),
+        ):
+            if mask:
+                fixes += pool.advance(fired_s)
+                for limb in range(len(swimmer.limbs)):
+                    if mask >> limb & 1:
+                        pool.heat(limb, fired_s)
+                strokes.append((fired_s, mask))
+        fixes += pool.advance(at_s + period_s - 1e-9)
+    fixes += pool.advance(float(decided_s[-1]) + period_s + 0.3)
+    poses = np.array([fix.pose_world for fix in fixes], dtype=np.float64)
+    count = len(fixes)
+    return RunLog(
+        robot_id=swimmer.id,
+        source="made",
+        period_s=period_s,
+        pulse_s=swimmer.pulse_s,
+        action_names=tuple(action.name for action in swimmer.actions),
+        fixes=Fixes(
+            time_s=np.array([fix.arrival_s for fix in fixes]),
+            capture_time_s=np.array([fix.capture_s for fix in fixes]),
+            x_m=poses[:, 0],
+            y_m=poses[:, 1],
+            heading_rad=wrap_angle(poses[:, 2]),
+            quality=np.ones(count, dtype=np.uint8),
+            flags=np.zeros(count, dtype=np.uint16),
+        ),
+        decisions=Decisions(
+            time_s=decided_s,
+            action=actions,
+            fix_sequence=np.full(periods, -1),
+            flags=np.zeros(periods, dtype=np.uint16),
+        ),
+        strokes=Strokes(
+            time_s=np.array([time_s for time_s, _ in strokes]),
+            limb_mask=np.array([mask for _, mask in strokes]),
+            pulse_s=np.full(len(strokes), swimmer.pulse_s),
+        ),
+        truth=Truth(
+            time_s=np.array(pool.truth.time_s),
+            pose_world=np.array(pool.truth.pose_world),
+            velocity_body=np.array(pool.truth.velocity_body),
+        ),
+    )
+
+
+def make_swim(effects: Sequence[Mapping[str, Any]], seed: int, periods: int, row: str | None = None) -> Swim:
+    return swim_of(make_run(effects, seed, periods, row), f"made{seed}", robot())
+
+
+def known_outcome(
+    train: Sequence[Swim], test: Sequence[Swim], title: str, values: Sequence[float]
+) -> Outcome:
+    """What identification would end with, were these the right values of the right effect: no search."""
+    plain = next(each for each in catalogue(robot()) if each.title == title)
+    model, rows, nominal = countable(train, robot())
+    known = replace(model, terms=(plain.at(values),), noise=Noise((2e-4, 3.5e-3), (1e-4, 1e-3), (1e-4, 1e-3)))
+    free = replace(known, held=frozenset(k for k, p in enumerate(plain.parameters) if values[k] == p.nominal))
+    (fitted,) = derivatives([free], train, rows)
+    tracks = tracks_of([nominal.model, known], test)
+    found = Found(nominal, fitted, [], rows, [[]])
+    return Outcome(
+        verdict=FOUND,
+        robot=robot(),
+        train=train,
+        test=test,
+        found=found,
+        parameters=intervals(fitted, rows),
+        trained=scored(found, train, train, nominal.tracks, fitted.tracks),
+        tested=scored(found, train, test, *tracks),
+        nominal_tracks=tracks[0],
+        tracks=tracks[1],
+        signature=signature(fitted, rows, train),
+    )

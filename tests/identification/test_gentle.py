@@ -1,0 +1,71 @@
+"""Lanes laid out in one go swim as those that are laid out one by one."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from made import robot
+
+from frogkick.der import WIDTH, Batch, prepare
+from frogkick.identification.gentle import LONGEST_S, Gentle, gentle
+
+POSES = np.array([[0.0, 0.0, 0.3], [0.4, -0.2, -2.0], [-0.1, 0.1, 1.0]])
+UNTIL_S = ((0.05, 0.2, 0.05), (0.9, 0.9, 0.05), (1.3, 1.4, 1.2))
+"""Of each lane; one stands still for a while."""
+
+
+def both(step_s: float) -> tuple[Gentle, Batch]:
+    rods = prepare(robot())
+    lanes = len(POSES)
+    batch = Batch(
+        rods.mesh,
+        rods.plan,
+        [rods.actuation] * lanes,
+        POSES,
+        np.zeros((lanes, 3)),
+        limbs=len(robot().limbs),
+        time_s=0.0,
+        step_s=step_s,
+        width=WIDTH,
+    )
+    return gentle(robot(), POSES, step_s), batch
+
+
+def fire(batch: Batch, number: int) -> None:
+    batch.fire(0, number, 0.02 + 0.4 * number, gain=0.8)
+    batch.fire(0, (number + 1) % 4, 0.02 + 0.4 * number, duration_scale=1.7)
+    batch.fire(1, 2, 0.1 + 0.45 * number)
+
+
+def test_lanes_swim_as_a_batch_has_them() -> None:
+    """With a step of which even the coarsest is short enough: to the last bit."""
+    mine, theirs = both(6e-4)
+    for number, until_s in enumerate(UNTIL_S):
+        fire(mine, number)
+        fire(theirs, number)
+        for (times, rows), (known, right) in zip(
+            mine.advance(np.array(until_s), trace=True),
+            theirs.advance(np.array(until_s), trace=True),
+            strict=True,
+        ):
+            assert np.array_equal(times, known) and np.array_equal(rows, right)
+    assert np.array_equal(mine.motion_world(), theirs.motion_world())
+    assert np.array_equal(mine.time_s, theirs.time_s)
+
+
+def test_no_step_is_too_long_and_no_stroke_is_lost() -> None:
+    mine, theirs = both(2.4e-3)
+    longest = 0.0
+    for number, until_s in enumerate(UNTIL_S):
+        fire(mine, number)
+        fire(theirs, number)
+        before = mine.time_s.copy()
+        for lane, (times, _) in enumerate(mine.advance(np.array(until_s), trace=True)):
+            if len(times):
+                assert times[-1] == until_s[lane]
+                assert np.diff(times, prepend=before[lane]).max() <= LONGEST_S + 1e-12
+        told = theirs.advance(np.array(until_s), trace=True)
+        longest = max([longest, *(np.diff(times).max() for times, _ in told if len(times) > 1)])
+    assert longest > LONGEST_S, "a batch would take longer ones here"
+    assert mine.pose_world()[0] == pytest.approx(theirs.pose_world()[0], abs=5e-3)
+    assert np.abs(mine.pose_world()[0] - POSES[0]).max() > 0.01

@@ -1,0 +1,279 @@
+"""From runs to effects: states from fixes, predictions a period ahead, choice, verdict, files."""
+
+from __future__ import annotations
+
+import csv
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from made import WORN, make_run, make_swim, robot, term
+
+from frogkick.cli.identify import spread
+from frogkick.cli.main import run_command
+from frogkick.errors import InputError
+from frogkick.identification.filter import Filter, Noise, Series, likeliest, surprise
+from frogkick.identification.fit import Model, fit_many, tracks_of
+from frogkick.identification.outcome import identify, too_little
+from frogkick.identification.search import countable, search
+from frogkick.identification.steps import bounded_step
+from frogkick.identification.swim import Swim, copies, swim_of
+from frogkick.identification.terms import catalogue
+from frogkick.identification.verdict import (
+    FOUND,
+    NOTHING,
+    TOO_LITTLE,
+    error_of,
+    fix_noise,
+    gaps,
+    intervals,
+    noise_floor,
+    scored,
+    verdict_of,
+)
+from frogkick.loop.runlog import FixFlag, RunLog
+from frogkick.loop.runlog_file import write_run
+from frogkick.robot import load_robot
+
+
+def test_filter_is_bayes_rule() -> None:
+    """Against the joint normal distribution of all fixes, written out."""
+    rng = np.random.default_rng(0)
+    time_s = np.cumsum(rng.uniform(0.02, 0.2, 12))
+    value = rng.normal(0.0, 1e-3, 12)
+    noise = Noise((3e-4, 5e-3), (2e-3, 0.1), (1e-12, 1e-12))
+    busy = np.array([[-1e3, 1e6], [0.0, 0.0]])
+    state = Filter(noise, busy, float(time_s[0]))
+    total = 0.0
+    for at_s, here in zip(time_s, value, strict=True):
+        innovation, variance = state.take(float(at_s), np.array([here, 0.0, 0.0]))
+        total += innovation[0] ** 2 / variance[0] + np.log(variance[0])
+    t = time_s - time_s[0]
+    first = np.minimum.outer(t, t)
+    drive = 4e-6 * (first**2 / 2.0 * np.maximum.outer(t, t) - first**3 / 6.0)
+    covariance = 4.0 * 9e-8 + 0.02**2 * np.outer(t, t) + drive + 9e-8 * np.eye(12)
+    joint = value @ np.linalg.solve(covariance, value) + np.linalg.slogdet(covariance)[1]
+    assert total == pytest.approx(joint, abs=1e-6)
+    series = Series(time_s, np.zeros(12), value, 0.02)
+    alone = surprise(series, np.array([3e-4]), np.array([2e-3]), np.array([1e-12]))
+    assert alone[0] == pytest.approx(joint, abs=1e-6)
+
+
+def test_likeliest_noise_is_the_one_that_made_the_series() -> None:
+    rng = np.random.default_rng(1)
+    time_s = np.arange(400) / 15.0
+
+    def walk(fix: float, calm: float) -> Series:
+        rate = np.cumsum(rng.normal(0.0, calm * np.sqrt(1.0 / 15.0), 400))
+        value = np.cumsum(rate) / 15.0 + rng.normal(0.0, fix, 400)
+        return Series(time_s, np.zeros(400), value, 0.02)
+
+    noise = likeliest([(walk(4e-4, 3e-3), walk(4e-4, 3e-3), walk(4e-3, 0.1))])
+    assert noise.fix == pytest.approx((4e-4, 4e-3), rel=0.3)
+    assert noise.calm == pytest.approx((3e-3, 0.1), rel=0.5)
+
+
+def test_predictions_meet_the_truth(whole: list[Swim]) -> None:
+    _, _, fitted = countable(whole, robot())
+    before = error_of(gaps(fitted.tracks, whole))
+    fix = fix_noise(whole)
+    assert fix is not None
+    floor = noise_floor(whole, fix)
+    assert before.position_rmse_m < 0.5e-3 and before.heading_rmse_rad < np.deg2rad(0.4)
+    assert 0.6 < before.position_rmse_m / floor.position_rmse_m < 1.35
+    truth = make_run([], 3, 14).truth
+    assert truth is not None
+    swim, track = whole[0], fitted.tracks[0]
+    for period in range(2, 14):
+        true = np.array([np.interp(swim.end_s[period], truth.time_s, truth.pose_world[:, k]) for k in (0, 1)])
+        assert np.hypot(*(track.predicted[period, :2] - true)) < 1.2e-3
+
+
+def test_predictions_look_at_no_later_fix(whole: list[Swim]) -> None:
+    """Fixes after a period's start, however wrong, change nothing in its prediction."""
+    swim = whole[0]
+    model = Model(robot(), (), Noise())
+    cut_s = float(swim.start_s[6])
+    pose = swim.pose.copy()
+    pose[swim.arrival_s > cut_s] += 0.5
+    spoiled = replace(swim, pose=pose)
+    (true,), (false,) = tracks_of([model], [swim])[0], tracks_of([model], [spoiled])[0]
+    assert np.array_equal(true.predicted[:7], false.predicted[:7])
+    assert not np.allclose(true.predicted[8], false.predicted[8])
+
+
+def test_the_floor_knows_how_well_an_end_is_measured(whole: list[Swim]) -> None:
+    """The same run under a thousand draws of noise: its measured ends scatter as they are said to."""
+    swim, rng = whole[0], np.random.default_rng(11)
+    kept = np.isfinite(swim.end_noise)
+    assert kept.sum() > 5
+    assert np.array_equal(kept, np.isfinite(swim.measured).all(axis=1))
+    ends = []
+    for _ in range(1000):
+        noisy = replace(swim, pose=swim.pose + rng.normal(0.0, 1.0, swim.pose.shape))
+        ends.append(noisy.measured[kept] - swim.measured[kept])
+    scatter = np.square(ends).mean(axis=(0, 2))
+    assert scatter == pytest.approx(swim.end_noise[kept], rel=0.12)
+
+
+def test_planted_wear_is_found_among_others(worn: list[Swim]) -> None:
+    rivals = [term(name) for name in ("limb_wear rear_left", "limb_wear rear_right", "mass_scale", "warm_up")]
+    found = search(worn, robot(), rivals)
+    assert [each.title for each in found.fitted.model.terms] == ["limb_wear rear_left"]
+    (row,) = intervals(found.fitted, found.rows)
+    for each, true in zip(row, (0.7, 0.0, 1.0), strict=True):
+        # One interval of 95 % in twenty misses: of these three, each is given twice its width.
+        assert abs(true - each.value) <= each.high - each.low
+    assert row[0].low <= 0.7 <= row[0].high
+    assert row[0].high - row[0].low < 0.1
+    judged = scored(found, worn, worn, found.nominal.tracks, found.fitted.tracks)
+    assert judged.after.position_rmse_m < 0.3 * judged.before.position_rmse_m
+    assert judged.gain is not None and judged.gain.low > 1.0
+    assert verdict_of(found, judged, judged) == FOUND
+
+
+def test_nothing_is_found_where_nothing_is_missing(whole: list[Swim]) -> None:
+    found = search(whole, robot(), [term("limb_wear rear_left"), term("drag_scale"), term("tag_offset")])
+    judged = scored(found, whole, whole, found.nominal.tracks, found.fitted.tracks)
+    assert not found.fitted.model.terms and judged.gain is None
+    assert verdict_of(found, judged, judged) == NOTHING
+
+
+def test_effects_of_the_camera_act_on_what_is_shown() -> None:
+    """A latency and a scale, given to the model, take a run with them back to the noise."""
+    planted = [{"name": "fix_latency", "delay_s": 0.1}, {"name": "camera_scale", "scale": 1.1}]
+    swims = [make_swim(planted, 5, 10)]
+    terms = (term("fix_latency").at((0.1,)), term("camera_scale").at((1.1,)))
+    noise = Noise((2e-4, 3.5e-3), (1e-4, 1e-3), (1e-4, 1e-3))
+    with_both, without = tracks_of([Model(robot(), terms, noise), Model(robot(), (), noise)], swims)
+    assert error_of(gaps(with_both, swims)).position_rmse_m < 0.6e-3
+    assert error_of(gaps(without, swims)).position_rmse_m > 2.0e-3
+
+
+def test_fit_needs_no_luck_with_its_start(worn: list[Swim]) -> None:
+    noise = Noise((2e-4, 3.5e-3), (1e-4, 1e-3), (1e-4, 1e-3))
+    (tracks,) = tracks_of([Model(robot(), (), noise)], worn)
+    rows = np.isfinite(np.concatenate([track.missed for track in tracks])).all(axis=1)
+    starts = [term("limb_wear rear_left").at(values) for values in ((1.0, 0.0, 1.0), (0.5, 0.05, 1.3))]
+    models = [Model(robot(), (start,), noise) for start in starts]
+    for fitted in fit_many(models, worn, rows, rounds=8):
+        assert fitted.model.values[0] == pytest.approx(0.7, abs=0.05)
+
+
+def test_bounded_step_holds_its_bounds() -> None:
+    jacobian, residual = np.diag([1.0, 2.0, 4.0]), np.array([-3.0, -2.0, -1.0])
+    step = bounded_step(jacobian, residual, np.zeros(3), np.full(3, -9.0), np.array([1.0, 9.0, 9.0]))
+    assert step == pytest.approx([1.0, 1.0, 0.25])
+
+
+def test_too_little_is_said(whole: list[Swim]) -> None:
+    assert too_little(whole) == ""
+    assert "8 periods more" in too_little([replace_periods(whole[0], 12)])
+    still = [replace(swim, pose=np.tile(swim.pose[:1], (len(swim.pose), 1))) for swim in whole]
+    assert "moved 0.0 mm" in too_little(still)
+    same = [replace(swim, action=np.zeros_like(swim.action)) for swim in whole]
+    assert "only one action" in too_little(same)
+
+
+def test_runs_of_one_seed_are_known_by_their_noise(whole: list[Swim]) -> None:
+    assert copies(whole) == 1
+    moved = replace(whole[0], pose=whole[0].pose + np.array([0.3, -0.2, 0.0]))
+    assert copies([*whole, moved]) == 2
+
+
+def test_bad_logs_are_one_clear_line_each(whole: list[Swim]) -> None:
+    run = make_run([], 6, 3)
+
+    def with_fixes(**columns: np.ndarray) -> RunLog:
+        return replace(run, fixes=replace(run.fixes, **columns))
+
+    heading_deg = np.degrees(run.fixes.heading_rad) + 100.0
+    x_mm, y_mm = 1e3 * run.fixes.x_m, 1e3 * run.fixes.y_m
+    with pytest.raises(InputError, match="headings are radians"):
+        swim_of(with_fixes(heading_rad=heading_deg), "x.h5", robot())
+    with pytest.raises(InputError, match="positions are metres"):
+        swim_of(with_fixes(x_m=x_mm, y_m=y_mm), "x.h5", robot())
+    with pytest.raises(InputError, match="fixes/x_m row 4 is nan"):
+        with_fixes(x_m=np.where(np.arange(len(x_mm)) == 4, np.nan, run.fixes.x_m))
+    with pytest.raises(InputError, match="time_s row 7 goes back"):
+        with_fixes(time_s=np.where(np.arange(len(x_mm)) == 7, 0.0, run.fixes.time_s))
+    jumped = run.fixes.capture_time_s - np.where(np.arange(len(x_mm)) > 60, 5.0, 0.0)
+    with pytest.raises(InputError, match=r"clock jumps by 5\.0 s"):
+        swim_of(with_fixes(capture_time_s=jumped), "x.h5", robot())
+    with pytest.raises(InputError, match="no test run has a whole period"):
+        identify(whole, [replace_periods(whole[0], 0)], robot())
+
+
+def test_an_empty_run_among_others_is_left_out(whole: list[Swim]) -> None:
+    outcome = identify([replace_periods(whole[0], 0), whole[1]], whole[:1], robot())
+    assert outcome.verdict == TOO_LITTLE and "6 periods more" in outcome.reason
+    assert len(outcome.train) == 1 and outcome.tested.before.position_rmse_m < 1e-3
+
+
+def replace_periods(swim: Swim, count: int) -> Swim:
+    return replace(swim, start_s=swim.start_s[:count], end_s=swim.end_s[:count], action=swim.action[:count])
+
+
+@pytest.mark.parametrize("flag", [0, int(FixFlag.JUMP)])
+def test_positions_in_another_unit_are_refused(flag: int) -> None:
+    """Also where all of them were taken for jumps at import."""
+    run = make_run([], 0, 4)
+    known, flags = run.fixes, np.full(len(run.fixes.x_m), flag, dtype=np.uint16)
+    centimetres = replace(known, x_m=100.0 * known.x_m, y_m=100.0 * known.y_m, flags=flags)
+    swim_of(replace(run, fixes=replace(known, flags=flags)), "metres", robot())
+    with pytest.raises(InputError, match=r"'cm' moves faster than 1 m/s .* convert them"):
+        swim_of(replace(run, fixes=centimetres), "cm", robot())
+
+
+def test_another_robots_run_is_refused() -> None:
+    run = replace(make_run([], 6, 3), robot_id="other")
+    with pytest.raises(InputError, match="'other'"):
+        swim_of(run, "x.h5", robot())
+
+
+def test_several_runs_follow_one_option() -> None:
+    given = ["--train", "a", "b", "--test", "c", "--out", "d", "--json"]
+    assert spread(given) == ["--train", "a", "--train", "b", "--test", "c", "--out", "d", "--json"]
+
+
+def test_users_effects_are_candidates(tmp_path: Path) -> None:
+    own = tmp_path / "own.py"
+    own.write_text(
+        "from frogkick.effects import Effect, Parameter\n\n\n"
+        "class Whirl(Effect):\n"
+        '    parameters = (Parameter("turns_per_s", "1/s", 0.0, 0.2, 0.0),)\n\n'
+        "    def flow(self, time_s, position_world_m):\n"
+        "        x, y = position_world_m\n"
+        "        return -y * self.turns_per_s, x * self.turns_per_s\n"
+    )
+    (whirl,) = [each for each in catalogue(robot(), own) if each.title == "Whirl"]
+    assert whirl.at((0.05,)).effect().flow(0.0, np.array([1.0, 2.0])) == pytest.approx((-0.1, 0.05))
+
+
+def test_command_writes_predictions_and_a_robot(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    names = []
+    for seed in (7, 8):
+        names.append(str(tmp_path / f"run{seed}.h5"))
+        write_run(names[-1], make_run([WORN], seed, 6))
+    out, table = tmp_path / "robot.toml", tmp_path / "p.csv"
+    status = run_command(
+        [
+            "identify",
+            "--train",
+            *names,
+            "--test",
+            names[1],
+            "--out",
+            str(out),
+            "--predictions",
+            str(table),
+            "--json",
+        ]
+    )
+    assert status == 0
+    assert json.loads(capsys.readouterr().out)["verdict"] == "not enough data"  # 12 periods
+    assert load_robot(out).sha256 == load_robot("frog2022").sha256
+    with table.open() as file:
+        assert next(csv.reader(file))[:3] == ["run", "time_s", "horizon_s"]

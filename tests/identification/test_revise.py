@@ -1,0 +1,108 @@
+"""Effects taken one by one are looked at once more together, and fits arrive where the runs are sharp."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from made import make_swim, robot, term
+
+from frogkick.effects.acting import LEG_S
+from frogkick.identification.filter import Noise
+from frogkick.identification.fit import SHARES, Fitted, Model, _stepped, derivatives, fit, steps_of
+from frogkick.identification.polish import REFINING_LEG_S, WRENCH_LEG_S, Polisher, fine_leg_s
+from frogkick.identification.revise import needless, revised, without
+from frogkick.identification.search import countable, folds_of
+from frogkick.identification.steps import cost_of
+from frogkick.identification.swim import Swim
+from frogkick.identification.terms import Term
+
+QUIET = Noise((2e-4, 3.5e-3), (2e-5, 5e-4), (2e-5, 5e-4))
+WEAR = {"name": "limb_wear", "limb": "rear_left", "gain": 0.7}
+
+
+def held_but(model: Model, *free: int) -> Model:
+    return replace(model, held=frozenset(range(len(model.values))) - set(free))
+
+
+def fitted_to(swims: list[Swim], rows: np.ndarray, terms: tuple[Term, ...], *free: int) -> Fitted:
+    model = held_but(Model(robot(), terms, QUIET, REFINING_LEG_S), *free)
+    return derivatives([fit(model, swims, rows, 4).model], swims, rows)[0]
+
+
+@pytest.fixture(scope="module")
+def late() -> list[Swim]:
+    """A worn limb, seen late."""
+    return [make_swim([WEAR, {"name": "fix_latency", "delay_s": 0.12}], 3, 16)]
+
+
+def test_an_effect_that_others_make_needless_is_dropped(late: list[Swim]) -> None:
+    rows = countable(late, robot())[1]
+    terms = (term("steady_wrench", 1e-4, 0.0, 0.0), term("limb_wear rear_left"), term("fix_latency", 0.1))
+    current = fitted_to(late, rows, terms, 0, 3, 6)
+    found, equals = revised(Polisher(late, rows, 1), current, [[term("fix_latency")], [], []], [[], [], []])
+    assert [each.title for each in found.model.terms] == ["limb_wear rear_left", "fix_latency"]
+    assert len(equals) == 2
+    assert found.model.terms[0].values[0] == pytest.approx(0.7, abs=0.01)
+    assert found.model.terms[1].values[0] == pytest.approx(0.12, abs=0.01)
+
+
+def test_another_effect_takes_the_place_of_one_that_stood_in_for_it(late: list[Swim]) -> None:
+    """Every stroke late is nearly the same as every fix late, and not quite where the worn limb is known."""
+    rows = countable(late, robot())[1]
+    taken = fitted_to(late, rows, (term("limb_wear all", 1.0, 0.12, 1.0),), 1)
+    rival = fitted_to(late, rows, (term("fix_latency", 0.1),), 0)
+    terms = (*taken.model.terms, term("limb_wear rear_left", 0.8, 0.0, 1.0))
+    current = fitted_to(late, rows, terms, 1, 3)
+    found, equals = revised(Polisher(late, rows, 1), current, [[], []], [[taken, rival], []])
+    assert [each.title for each in found.model.terms] == ["fix_latency", "limb_wear rear_left"]
+    assert found.model.terms[0].values[0] == pytest.approx(0.12, abs=0.01)
+    assert all(each.title == "limb_wear all" for each in equals[0])
+
+
+def test_a_step_that_failed_is_cut_short() -> None:
+    rng = np.random.default_rng(5)
+    missed, jacobian = rng.normal(0.0, 1e-3, (40, 9)), rng.normal(0.0, 1e-3, (40, 9, 1))
+    model = Model(robot(), (term("fix_latency", 0.2),), QUIET)
+    fitted = Fitted(model, [], missed + 0.1 * jacobian[:, :, 0], jacobian, 0.0)
+    whole, promise = _stepped(fitted, 0)
+    for failed in (1, 2):
+        part, less = _stepped(fitted, failed)
+        share = (part.values - model.values) / (whole.values - model.values)
+        assert 0.0 < share[0] < 1.5 * SHARES[failed]
+        step = part.values - model.values
+        assert less == pytest.approx(cost_of(fitted.missed + fitted.jacobian @ step))
+        assert less > promise
+
+
+def test_long_steps_are_for_where_an_effect_vanishes() -> None:
+    soft, hard = (Model(robot(), (term("wall x_high", 0.4, 0.5, h),), QUIET) for h in (0.0, 0.5))
+    assert steps_of(soft)[2] == pytest.approx(0.5)
+    assert steps_of(hard)[2] == pytest.approx(0.04)
+    assert steps_of(hard)[0] == pytest.approx(0.002)
+    top = Model(robot(), (term("wall x_high", 0.4, 0.5, 0.79),), QUIET)
+    assert steps_of(top)[2] == pytest.approx(-0.04)
+
+
+def test_a_wall_is_followed_as_finely_as_in_the_pool() -> None:
+    for title, values, leg_s in (
+        ("wall x_high", (0.4, 0.5, 0.5), LEG_S),
+        ("wall x_high", (0.4, 0.5, 0.0), WRENCH_LEG_S),
+        ("fix_latency", (0.1,), REFINING_LEG_S),
+    ):
+        assert fine_leg_s(Model(robot(), (term(title, *values),), QUIET)) == leg_s
+
+
+def test_an_effect_that_held_out_parts_do_not_ask_for_goes(late: list[Swim]) -> None:
+    """Of a right effect and an idle one beside it, the idle one costs nothing when it is left out."""
+    terms = (term("limb_wear rear_left", 0.7, 0.0, 1.0), term("fix_latency", 0.12), term("yaw_drag"))
+    rows, held = countable(late, robot())[1], frozenset({1, 2})
+    (whole,) = derivatives([Model(robot(), terms, QUIET, REFINING_LEG_S, held=held)], late, rows)
+    folds = folds_of(late, rows)
+    place = needless(whole, folds, late)
+    assert place == 2
+    less = without(whole.model, place)
+    assert [each.title for each in less.terms] == ["limb_wear rear_left", "fix_latency"] and less.held == held
+    (fitted,) = derivatives([less], late, rows)
+    assert needless(fitted, folds, late) is None

@@ -1,0 +1,177 @@
+"""A search does not stop in the next dip, fits what few periods show, and takes no relative unasked."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from made import make_swim, robot, term
+
+from frogkick.der import WIDTH
+from frogkick.identification import choice
+from frogkick.identification.filter import Noise
+from frogkick.identification.fit import Model, derivatives, fit_many, fit_on, told, tracks_of
+from frogkick.identification.polish import Polisher
+from frogkick.identification.search import Found, countable, search
+from frogkick.identification.steps import cost_of, promised
+from frogkick.identification.swim import Swim
+from frogkick.identification.verdict import FOUND, NOTHING, PARTLY, UNEXPLAINED, Error, Scored, intervals
+
+NOISE = Noise((2e-4, 3.5e-3), (1e-4, 1e-3), (1e-4, 1e-3))
+
+
+@pytest.fixture(scope="module")
+def worn() -> list[Swim]:
+    planted = {"name": "limb_wear", "limb": "rear_left", "gain": 0.7}
+    return [make_swim([planted], seed, 14) for seed in (1, 2)]
+
+
+def polisher(swims: list[Swim]) -> Polisher:
+    (tracks,) = tracks_of([Model(robot(), (), NOISE)], swims)
+    rows = np.isfinite(np.concatenate([track.missed for track in tracks])).all(axis=1)
+    return Polisher(swims, rows, 1)
+
+
+def test_lanes_that_wait_for_a_place_swim_as_they_would_at_once(worn: list[Swim]) -> None:
+    models = [
+        Model(robot(), (term("limb_wear rear_left").at((gain, 0.0, 1.0)),), NOISE)
+        for gain in np.linspace(0.5, 1.0, WIDTH // 2 + 1)
+    ]
+    cut = replace(worn[1], **{k: getattr(worn[1], k)[:3] for k in ("start_s", "end_s", "action")})
+    swims = [worn[0], cut]
+    assert len(models) * len(swims) > WIDTH
+    for model, together in zip(models, tracks_of(models, swims), strict=True):
+        for track, swim in zip(together, swims, strict=True):
+            ((alone,),) = tracks_of([model], [swim])
+            assert np.array_equal(track.missed, alone.missed, equal_nan=True)
+            assert np.array_equal(track.difference, alone.difference)
+
+
+def test_a_step_explains_what_few_periods_show() -> None:
+    """A limb that seldom fires: its periods are wild at first and count little until the step is right."""
+    rng = np.random.default_rng(7)
+    missed, jacobian = rng.normal(0.0, 1e-3, (60, 9)), np.zeros((60, 9, 1))
+    jacobian[:6, :, 0] = rng.normal(0.0, 0.1, (6, 9))
+    missed -= 0.4 * jacobian[:, :, 0]
+    ends = np.array([1.0])
+    step, cost = promised(missed, jacobian, -ends, ends, np.full(1, 1e-9))
+    assert step[0] == pytest.approx(0.4, abs=0.01)
+    assert cost == pytest.approx(cost_of(missed + jacobian[:, :, 0] * step[0]))
+
+
+def test_what_is_held_is_not_simulated_in_a_fit(worn: list[Swim]) -> None:
+    model = Model(robot(), (term("limb_wear rear_left"),), NOISE, held=frozenset({1, 2}))
+    rows = polisher(worn).rows
+    (fitted,) = fit_many([model], worn, rows, 4)
+    assert fitted.model.values[0] == pytest.approx(0.7, abs=0.02)
+    assert not fitted.jacobian[:, :, 1:].any()
+    (whole,) = derivatives([fitted.model], worn, rows)
+    assert whole.jacobian.any(axis=(0, 1)).all()
+
+
+def test_derivatives_that_mislead_are_simulated_anew(worn: list[Swim]) -> None:
+    """Of another place a third as steep: the first step goes three times too far, and the fit notices."""
+    model = Model(robot(), (term("limb_wear rear_left").at((0.9, 0.0, 1.0)),), NOISE, held=frozenset({1, 2}))
+    rows = polisher(worn).rows
+    (right,) = derivatives([model], worn, rows, held=False)
+    misled = replace(right, jacobian=right.jacobian / 3.0, fresh=False)
+    (fitted,) = fit_on([misled], worn, rows, 6)
+    (straight,) = fit_on([right], worn, rows, 6)
+    assert fitted.model.values[0] == pytest.approx(straight.model.values[0], abs=2e-3)
+    assert abs(fitted.cost - straight.cost) < 0.5
+    (whole,) = told([fitted], worn, rows)
+    (exact,) = derivatives([fitted.model], worn, rows)
+    assert np.array_equal(whole.missed, exact.missed)
+    assert whole.fresh and np.allclose(whole.jacobian[:, :, 1:], exact.jacobian[:, :, 1:], rtol=0.0)
+
+
+def test_a_delay_that_settled_in_a_dip_is_put_back(worn: list[Swim]) -> None:
+    """Frames swing at 40 Hz: half a swing late fits as well as derivatives can tell."""
+    searching = polisher(worn)
+    dip = Model(robot(), (term("limb_wear rear_left").at((0.71, 0.0125, 1.0)),), NOISE, held=frozenset({2}))
+    (taken,) = fit_many([dip], worn, searching.rows, 1)
+    polished = searching.polished(taken)
+    assert polished.model.values[1] == 0.0
+    (row,) = intervals(polished, searching.rows)
+    assert row[0].low <= 0.7 <= row[0].high and row[0].high - row[0].low < 0.05
+
+
+def test_a_late_limb_is_found_with_its_delay() -> None:
+    late = {"name": "limb_wear", "limb": "front_left", "delay_s": 0.12}
+    swims = [make_swim([late], seed, 14) for seed in (31, 32)]
+    found = search(swims, robot(), [term("limb_wear front_left"), term("fix_latency")])
+    assert [each.title for each in found.fitted.model.terms] == ["limb_wear front_left"]
+    (row,) = intervals(found.fitted, found.rows)
+    for each, true in zip(row, (1.0, 0.12, 1.0), strict=True):
+        assert abs(true - each.value) <= each.high - each.low, each
+    assert row[1].low <= 0.12 <= row[1].high and row[1].high - row[1].low < 0.03
+    assert row[0].high - row[0].low < 0.1, "what is held has an interval too"
+
+
+def test_effects_that_do_the_same_are_named_together() -> None:
+    """Rear limbs that fire after front ones always at one distance: which loss it is, nothing tells."""
+    swims = [
+        make_swim([{"name": "group_loss", "loss": 0.55, "fade_s": 0.2}], seed, 11, row)
+        for seed, row in ((41, "ABCDEFABCDE"), (42, "FEDCBAFEDCB"))
+    ]
+    rivals = [term("group_loss"), term("group_gain rear")]
+    found = search(swims, robot(), rivals)
+    named = [found.fitted.model.terms[0].title, *found.alike[0]]
+    assert sorted(named) == ["group_gain rear", "group_loss"]
+
+
+@pytest.mark.parametrize(
+    ("searched", "related", "far", "many", "taken"),
+    [
+        (FOUND, FOUND, False, False, "search"),
+        (NOTHING, FOUND, False, False, "search"),
+        (UNEXPLAINED, FOUND, False, False, "relative"),
+        (PARTLY, FOUND, False, False, "relative"),
+        (FOUND, PARTLY, True, False, "part"),
+        (PARTLY, PARTLY, True, False, "relative"),
+        (FOUND, FOUND, True, False, "relative"),
+        (FOUND, UNEXPLAINED, True, False, "part"),
+        (UNEXPLAINED, UNEXPLAINED, True, False, "relative"),
+        (FOUND, FOUND, False, True, "relative"),
+        (FOUND, UNEXPLAINED, False, True, "part"),
+        (UNEXPLAINED, UNEXPLAINED, False, True, "relative"),
+    ],
+)
+def test_a_relative_that_does_not_explain_all_is_held_against_a_search(
+    monkeypatch: pytest.MonkeyPatch, searched: str, related: str, far: bool, many: bool, taken: str
+) -> None:
+    """A robot at a wall is as far off as a hull from its drawing."""
+    rows = np.ones(choice.SEARCHED_MOST + many, dtype=bool)
+    verdicts = {"search": searched, "part": searched, "relative": related}
+    off = Error(*(2.0 * np.array(choice.FAR) if far else 0.5 * np.array(choice.FAR)).tolist(), 10)
+    near = Error(0.5 * off.position_rmse_m, 0.5 * off.heading_rmse_rad, 10)
+
+    def named(name: str) -> Any:
+        return lambda *_args, **_more: name
+
+    monkeypatch.setattr(choice, "relatives", lambda _robot: {"measured": ()})
+    monkeypatch.setattr(choice, "countable", lambda *_args: (None, rows, None))
+    monkeypatch.setattr(choice, "search", named("search"))
+    monkeypatch.setattr(choice, "_searched_in_part", named("part"))
+    monkeypatch.setattr(choice, "_relative", named("relative"))
+    monkeypatch.setattr(choice, "_verdict", lambda found, _swims: verdicts[found])
+    monkeypatch.setattr(choice, "_scored", lambda _found, _swims: Scored(off, near, near))
+    given: Any = choice.found_in([], robot(), [], lambda *_args: None)
+    assert given == taken
+
+
+def test_a_search_in_part_is_fitted_to_all_runs(worn: list[Swim], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(choice, "PART", 20)
+    begun = countable(worn, robot())
+    seen: list[int] = []
+
+    def searched(swims: list[Swim], *_args: Any, most: int) -> Found:
+        seen.extend(len(swim.start_s) for swim in swims)
+        return search(swims, robot(), [term("limb_wear rear_left")], most=most)
+
+    monkeypatch.setattr(choice, "search", searched)
+    found = choice._searched_in_part(begun, worn, robot(), [], lambda *_args: None)
+    assert seen == [10, 10] and len(found.fitted.missed) == len(begun[1]) == 28
+    assert found.fitted.model.values[0] == pytest.approx(0.7, abs=0.02)

@@ -1,0 +1,116 @@
+"""Identifications that go at once: each comes out as it would alone."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from made import make_swim, robot
+
+from frogkick.effects import make_effects
+from frogkick.errors import InputError
+from frogkick.identification import predict
+from frogkick.identification.filter import Noise
+from frogkick.identification.fit import LEG_S, Model, tracks_of
+from frogkick.identification.predict import Lane, Track
+from frogkick.identification.swim import Swim
+from frogkick.identification.terms import catalogue
+from frogkick.identification.together import all_at_once, cpu_s
+
+NOISE = Noise((2e-4, 3.5e-3), (1e-4, 1e-3), (1e-4, 1e-3))
+
+
+@pytest.fixture(scope="module")
+def swim() -> Swim:
+    return make_swim([{"name": "limb_wear", "limb": "rear_left", "gain": 0.7}], 1, 4)
+
+
+def worn(gain: float) -> Model:
+    term = next(each for each in catalogue(robot()) if each.title == "limb_wear rear_left")
+    return Model(robot(), (term.at((gain, 0.0, 1.0)),), NOISE)
+
+
+def twice(swim: Swim, gain: float) -> list[Track]:
+    """Two rounds of simulations, the second by what the first gave."""
+    ((first,),) = tracks_of([worn(gain)], [swim])
+    lag = 0.01 * float(np.nanmean(np.abs(first.missed[:, 0])))
+    ((second,),) = tracks_of([worn(gain + lag)], [swim])
+    return [first, second]
+
+
+def test_what_goes_at_once_is_what_would_go_alone(swim: Swim, monkeypatch: pytest.MonkeyPatch) -> None:
+    gains, asked = (0.6, 0.7, 0.8), list[int]()
+
+    def counted(lanes: list[Lane]) -> list[Track]:
+        asked.append(len(lanes))
+        return follow(lanes)
+
+    follow = predict.follow
+    monkeypatch.setattr(predict, "follow", counted)
+    found = dict(all_at_once([partial(twice, swim, gain) for gain in gains]))
+    assert asked == [3, 3], "all that wait are followed together"
+    monkeypatch.undo()
+    for index, gain in enumerate(gains):
+        for together, alone in zip(found[index], twice(swim, gain), strict=True):
+            assert np.array_equal(together.missed, alone.missed, equal_nan=True)
+            assert np.array_equal(together.difference, alone.difference)
+
+
+@pytest.mark.parametrize(
+    "effect",
+    [
+        {"name": "steady_current", "x_mps": 0.008, "y_mps": -0.004},
+        {"name": "vortex", "circulation_m2ps": 0.005, "x_m": 0.1, "y_m": 0.0, "core_m": 0.15},
+        {"name": "wall", "side": "y_low", "at_m": 0.3, "drag_ns_per_m": 1.0, "hardness": 0.6},
+    ],
+    ids=lambda effect: str(effect["name"]),
+)
+def test_who_swims_beside_a_lane_makes_no_difference(effect: dict[str, Any]) -> None:
+    """More lanes than go side by side: some come in late, amid others' periods."""
+    true = tuple(make_effects([effect], Path()))
+    swims = [make_swim([effect], seed, 3 + seed) for seed in range(3)]
+    lanes = [Lane(swim, robot(), true, NOISE, LEG_S) for swim in swims]
+    for lane, together in zip(lanes * 4, predict.follow(lanes * 4), strict=True):
+        (alone,) = predict.follow([lane])
+        assert np.isfinite(alone.predicted).any()
+        assert np.array_equal(together.predicted, alone.predicted, equal_nan=True)
+        assert np.array_equal(together.difference, alone.difference)
+
+
+def test_work_that_waits_for_a_thread_is_done_too(swim: Swim) -> None:
+    def once(gain: float) -> float:
+        ((track,),) = tracks_of([worn(gain)], [swim])
+        return float(np.nansum(track.missed))
+
+    gains = (0.5, 0.6, 0.7, 0.8, 0.9)
+    found = sorted(all_at_once([partial(once, gain) for gain in gains], at_once=2))
+    assert [index for index, _ in found] == [0, 1, 2, 3, 4]
+    assert len({missed for _, missed in found}) == len(gains)
+
+
+def test_what_a_piece_raises_is_raised_and_ends_the_others(swim: Swim) -> None:
+    def fails() -> None:
+        raise InputError("no such run")
+
+    def goes_on() -> None:
+        while True:
+            tracks_of([worn(0.7)], [replace(swim, **{k: getattr(swim, k)[:1] for k in ("start_s", "end_s")})])
+
+    work: list[Callable[[], None]] = [goes_on, fails]
+    with pytest.raises(InputError, match="no such run"):
+        list(all_at_once(work))
+
+
+def test_simulations_for_several_are_shared_out(swim: Swim) -> None:
+    def measured(models: list[Model]) -> float:
+        begun_s = cpu_s()
+        tracks_of(models, [swim])
+        return cpu_s() - begun_s
+
+    found = dict(all_at_once([partial(measured, [worn(0.7)]), partial(measured, [worn(0.7)] * 3)]))
+    assert found[1] > 2.0 * found[0] > 0.0

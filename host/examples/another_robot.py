@@ -1,0 +1,24 @@
+"""Another robot: a TOML file that changes the paper's, and everything follows from it."""
+
+from pathlib import Path
+
+import frogkick as fk
+
+# All keys of frog2022 but these. `host/frogkick/robot/README.md` names every key.
+Path("mine.toml").write_text(
+    """
+base = "frog2022"
+id = "mine"
+title = "the paper's robot with a slower clock"
+period_s = 1.8
+"""
+)
+mine = fk.load_robot("mine.toml")
+print(mine)
+
+table = fk.fit_table(fk.build_library(mine, states=40, sampling="visited", progress=True))
+run = fk.run(table, "line", robot="pool", progress=True)
+print(run)
+
+firmware = fk.build_firmware(table)
+print(f"its firmware takes {firmware.flash_bytes} bytes of flash and {firmware.ram_bytes} of RAM")

@@ -68,3 +68,15 @@ def test_no_command_draws_or_fits_before_it_is_asked_to() -> None:
     later = "{'matplotlib', 'scipy.optimize', 'scipy.stats', 'scipy.spatial'}"
     script = f"import sys, {modules}\nassert not {later} & set(sys.modules)"
     subprocess.run([sys.executable, "-c", script], check=True)
+
+
+def test_numbers_that_stand_twice_are_the_same() -> None:
+    """In a command's file once more, so that its help loads nothing else."""
+    from frogkick.cli import library, retune, study_ceiling
+    from frogkick.library import RECORD_S
+    from frogkick.library.fitting import WHOLE_MIN
+    from frogkick.paths import SHAPES
+    from frogkick.study.ceiling import TIME_LIMIT_S
+
+    assert library.RECORD_S == RECORD_S and study_ceiling.TIME_LIMIT_S == TIME_LIMIT_S
+    assert retune.STATES_LEAST == WHOLE_MIN and tuple(SHAPES) == retune.LOOP_PATHS

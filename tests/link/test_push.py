@@ -16,8 +16,8 @@ from tests.link.rigged import TRANSPORTS, rigged
 from tests.loop import rig
 from tests.planner import synthetic
 
-from frogkick.cli import retune as command_module
 from frogkick.files import write_bytes
+from frogkick.identification import retune as retune_module
 from frogkick.identification.retune import BEFORE, TABLES, Retuned
 from frogkick.identification.verdict import FOUND, Error
 from frogkick.loop.runlog_file import write_run
@@ -136,7 +136,7 @@ def retuned(
         tables = {"file": str(out / TABLES), "bytes": len(after), "states": 20}
         return Retuned(outcome, errors[0], errors[1], better, reason, "run.h5", tables)
 
-    monkeypatch.setattr(command_module, "retune", given)
+    monkeypatch.setattr(retune_module, "retune", given)
     return frogkick(
         capsys, "retune", folder / "run.h5", "--robot", "frog2022", "--out", folder / "out", "--push", target,
         "--json",

@@ -12,7 +12,6 @@ from tests.conftest import count
 from tests.identification.made import WORN, make_run, robot
 from typer.testing import CliRunner
 
-from frogkick.cli import study_heldout
 from frogkick.cli.app import app
 from frogkick.errors import InputError
 from frogkick.identification import choice as choice_module
@@ -108,5 +107,5 @@ def test_the_exit_code_says_whether_it_is_worse_than_nominal(
     runs: list[Path], after_m: float, code: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     errors = (Error(3e-3, 0.02, 10), Error(after_m, 0.02, 10), Error(1e-3, 0.01))
-    monkeypatch.setattr(study_heldout, "held_out", lambda *_: [HeldOut(runs[0], "found", (), *errors)])
+    monkeypatch.setattr(heldout, "held_out", lambda *_: [HeldOut(runs[0], "found", (), *errors)])
     assert CliRunner().invoke(app, ["study", "heldout", *map(str, runs)]).exit_code == code

@@ -11,12 +11,12 @@ import pytest
 from PIL import Image
 from tests.loop import rig
 
-from frogkick.cli import study_loop
 from frogkick.cli.main import run_command
 from frogkick.errors import InputError
 from frogkick.library import build_library
 from frogkick.planner.plan import Cost, PlanConfig
 from frogkick.report.loop_figure import loop_figure
+from frogkick.study import loop as loop_module
 from frogkick.study import loop as study
 from frogkick.study.kept import Case, Outcome
 from frogkick.study.loop import (
@@ -281,7 +281,7 @@ def test_the_exit_code_is_the_verdict(
     code: int,
 ) -> None:
     made = made_up(("nominal", "hidden"), ("line",), distance_mm)
-    monkeypatch.setattr(study_loop, "run_cases", lambda *_: made)
+    monkeypatch.setattr(loop_module, "run_cases", lambda *_: made)
     words = words_of(tmp_path, library)
     assert run_command([*words, "--json"]) == code
     told = json.loads(capsys.readouterr().out)

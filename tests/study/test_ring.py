@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 from tests.identification.made import robot
 
-from frogkick.cli import demo as demo_module
 from frogkick.cli.main import run_command
 from frogkick.identification import choice as choice_module
 from frogkick.identification import outcome as outcome_module
@@ -27,6 +26,7 @@ from frogkick.report import identify_page, ring_page
 from frogkick.report.ring_page import write_ring_report
 from frogkick.robot import load_robot
 from frogkick.study import closing as closing_module
+from frogkick.study import ring as ring_module
 from frogkick.study.closing import plant
 from frogkick.study.ring import Ring, close, go_round
 
@@ -109,8 +109,8 @@ def test_the_ring_closes(
     new_tables = read_image(tmp_path / "new" / "tables.fkt")
     assert new_tables.crc32 != ring.tables.crc32 and closing.new[0].log.table_crc == new_tables.crc32
     assert [effect["name"] for effect in load_robot(tmp_path / "found.toml").effects] == ["limb_wear"]
-    monkeypatch.setattr(demo_module, "go_round", lambda *_: ring)
-    monkeypatch.setattr(demo_module, "close", lambda *_: None)
+    monkeypatch.setattr(ring_module, "go_round", lambda *_: ring)
+    monkeypatch.setattr(ring_module, "close", lambda *_: None)
     pages: list[Path] = []
     monkeypatch.setattr(identify_page, "write_identify_page", lambda target, _outcome: pages.append(target))
     capsys.readouterr()

@@ -13,7 +13,6 @@ import pytest
 from PIL import Image
 from tests.loop import rig
 
-from frogkick.cli import study_twin
 from frogkick.cli.main import run_command
 from frogkick.errors import InputError
 from frogkick.library import build_library
@@ -22,6 +21,8 @@ from frogkick.paths import shape
 from frogkick.planner.image import open_image
 from frogkick.planner.plan import PlanConfig, path_rows, plan
 from frogkick.robot import Robot, load_robot, parse_robot
+from frogkick.study import believed as believed_module
+from frogkick.study import loop as loop_module
 from frogkick.study.believed import Choices, believed_motions, choices_of, image_of_motions
 from frogkick.study.kept import Case, Outcome
 from frogkick.study.loop import PAPER, ROBOT, Course, course_of
@@ -252,12 +253,12 @@ def test_the_exit_code_is_the_verdict(
         }
 
     begun = MOTION * 1.2
-    monkeypatch.setattr(study_twin, "run_cases", made_up)
+    monkeypatch.setattr(loop_module, "run_cases", made_up)
     monkeypatch.setattr(
-        study_twin,
+        believed_module,
         "believed_motions",
         lambda runs, robot, _nominal: dataclasses.replace(
-            study_twin.Believed(begun, 0.7, 0.6, 0.2, sum(len(run.actions) for run in runs))
+            believed_module.Believed(begun, 0.7, 0.6, 0.2, sum(len(run.actions) for run in runs))
         ),
     )
     words = [*words_of(tmp_path, libraries), "--runs", str(frog2022_dir / "control")]

@@ -6,21 +6,17 @@ import re
 import sys
 from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
-import numpy as np
 import typer
 
 from frogkick.cli.common import JsonOption, SeedOption, json_text, show
 from frogkick.errors import InputError
 from frogkick.files import require_writable, write_text
-from frogkick.vision.board import Board, calibrate_lens, read_picture, read_pictures
-from frogkick.vision.calibration import Calibration, Lens, Tag, refraction_offset_m
-from frogkick.vision.calibration_file import read_calibration, write_calibration
-from frogkick.vision.check import Place, check_frames, check_points, known_places, rendered, summary
-from frogkick.vision.corners import calibrate_corners, read_corners
-from frogkick.vision.plane_board import calibrate_plane
-from frogkick.vision.scene import Conditions
+
+if TYPE_CHECKING:
+    from frogkick.vision.calibration import Calibration, Lens
+    from frogkick.vision.check import Place
 
 app = typer.Typer(help="Calibrate the camera over the pool, check how far off it is.", no_args_is_help=True)
 
@@ -86,6 +82,14 @@ def calibrate(
     json: JsonOption = False,
 ) -> None:
     """Calibrate from the pool's four corners or from a board laid on the water's plane; lens from a board."""
+    import numpy as np
+
+    from frogkick.vision.board import Board, calibrate_lens, read_picture, read_pictures
+    from frogkick.vision.calibration import Tag, refraction_offset_m
+    from frogkick.vision.calibration_file import write_calibration
+    from frogkick.vision.corners import calibrate_corners, read_corners
+    from frogkick.vision.plane_board import calibrate_plane
+
     require_writable(out)
     if (corners is None) == (plane_picture is None):
         raise InputError(
@@ -149,6 +153,8 @@ def _signed_pair(text: str, option: str, unit: float) -> tuple[float, float]:
 
 
 def _facts(made: Calibration, lens_rms_px: float) -> dict[str, Any]:
+    import numpy as np
+
     corner = np.array([[0, 0], [made.pool_m[0], 0], [*made.pool_m], [0, made.pool_m[1]]], dtype=float)
     middle = corner.mean(axis=0, keepdims=True)
     step = made.pixels(middle + np.array([[0, 0], [1e-3, 0], [0, 1e-3]]))
@@ -191,6 +197,12 @@ def check(
     Rendered pictures (neither --points nor --places) show what camera, pool and tag can give at best, the
     calibration taken as true; marked points and tags laid down show what it is off by.
     """
+    import numpy as np
+
+    from frogkick.vision.calibration_file import read_calibration
+    from frogkick.vision.check import check_frames, check_points, known_places, rendered, summary
+    from frogkick.vision.scene import Conditions
+
     require_writable(out, folder=True)
     known = read_calibration(calibration)
     if points is not None and places is not None:

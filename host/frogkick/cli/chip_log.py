@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -12,20 +12,20 @@ from frogkick.cli.common import JsonOption, show
 from frogkick.cli.options import TablesOption
 from frogkick.errors import InputError, nearest_name
 from frogkick.files import require_writable
-from frogkick.front.places import built_firmware, robot_of_table, table_image
-from frogkick.front.robots import session_at
-from frogkick.link.layout import link_layout
-from frogkick.link.log import Record, fetch_log
-from frogkick.link.wire import is_target, parse_target
-from frogkick.loop.chip_log_file import FetchedLog, read_log, write_log
-from frogkick.loop.chip_log_replay import LogReplay, replay_log
-from frogkick.loop.session import Session
-from frogkick.planner.image import read_image
 from frogkick.progress import progress_bar
+
+if TYPE_CHECKING:
+    from frogkick.link.log import Record
+    from frogkick.loop.chip_log_file import FetchedLog
+    from frogkick.loop.chip_log_replay import LogReplay
+    from frogkick.loop.session import Session
 
 
 def fetch_from(session: Session) -> FetchedLog:
     """Fetch the log of the robot at the other end."""
+    from frogkick.link.log import fetch_log
+    from frogkick.loop.chip_log_file import FetchedLog
+
     told = session.meet()
     with progress_bar("bytes fetched") as progress:
         found = fetch_log(session, progress=progress)
@@ -38,6 +38,8 @@ def _told(records: list[Record], name: str, field: str) -> list[Any]:
 
 def summary_of(fetched: FetchedLog) -> dict[str, Any]:
     """What is in a log, as keys of the command."""
+    from frogkick.link.layout import link_layout
+
     records = [record for stretch in fetched.log.records() for record in stretch]
     resets = {number: name for name, number in link_layout().reset.items()}
     faults = {number: name for name, number in link_layout().fault.items()}
@@ -62,6 +64,10 @@ def fetch(
     json: JsonOption = False,
 ) -> None:
     """Fetch what a robot wrote down in its RAM; in a run or after it, also after a reset. Changes nothing."""
+    from frogkick.front.robots import session_at
+    from frogkick.link.wire import is_target, parse_target
+    from frogkick.loop.chip_log_file import write_log
+
     if not is_target(robot):
         raise InputError(
             f"robot {robot!r}{nearest_name(robot, ('ble', 'serial'))} keeps no log to fetch: "
@@ -81,6 +87,10 @@ def replayed(fetched: FetchedLog, image: Path, model: str | None) -> LogReplay:
     Raises:
         InputError: the table is for another robot.
     """
+    from frogkick.front.places import built_firmware, robot_of_table
+    from frogkick.loop.chip_log_replay import replay_log
+    from frogkick.planner.image import read_image
+
     described = robot_of_table(image, model)
     if described.id != fetched.robot_id:
         raise InputError(
@@ -98,6 +108,10 @@ def replay(
     json: JsonOption = False,
 ) -> None:
     """Decide a robot's log again, by the C core and the Python twin, bit by bit. Exit 1 on a mismatch."""
+    from frogkick.front.places import table_image
+    from frogkick.loop.chip_log_file import read_log
+    from frogkick.planner.image import read_image
+
     fetched = read_log(file)
     image = table_image(tables, fetched.robot_id if model is None else model)
     opened = read_image(image)

@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
-import numpy as np
 import typer
 
 from frogkick.cli.common import JsonOption, SeedOption, show
 from frogkick.cli.options import DepthOption
 from frogkick.files import require_writable
-from frogkick.front.places import plan_config
 from frogkick.progress import progress_bar
-from frogkick.robot import load_robot
-from frogkick.study.closing import Closing
-from frogkick.study.ring import close, go_round
+
+if TYPE_CHECKING:
+    from frogkick.study.closing import Closing
 
 
 def demo(
@@ -27,8 +25,11 @@ def demo(
     json: JsonOption = False,
 ) -> None:
     """Simulate, tabulate, build firmware, swim on the virtual chip; wear a limb, find and learn it, again."""
+    from frogkick.front.places import plan_config
     from frogkick.report.identify_page import write_identify_page
     from frogkick.report.ring_page import write_ring_report
+    from frogkick.robot import load_robot
+    from frogkick.study.ring import close, go_round
 
     described = load_robot(robot)
     require_writable(out, folder=True)
@@ -67,6 +68,8 @@ def demo(
 
 
 def _closing_lines(closing: Closing) -> list[str]:
+    import numpy as np
+
     tested, found = closing.outcome.tested, [term.title for term in closing.outcome.terms]
     hidden = ", ".join(str(value) for value in closing.planted.values())
     lines = [f"hidden: {hidden}; verdict: {closing.outcome.verdict} ({', '.join(found) or 'no effect'})"]

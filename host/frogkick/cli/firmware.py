@@ -14,9 +14,6 @@ from frogkick.cli.common import JsonOption, show
 from frogkick.cli.options import TablesOption
 from frogkick.errors import InputError
 from frogkick.files import existing_file, require_writable
-from frogkick.front.places import built_firmware, robot_of_table, table_image
-from frogkick.loop.chip_check import check_on_chip
-from frogkick.planner.image import read_image
 from frogkick.progress import progress_bar
 
 app = typer.Typer(help="Build, measure, flash and test the robot's image.", no_args_is_help=True)
@@ -53,6 +50,9 @@ def size(
     json: JsonOption = False,
 ) -> None:
     """Flash, RAM and stack of the bench image; the stack as seen on the virtual chip, and its bound."""
+    from frogkick.front.places import built_firmware, robot_of_table, table_image
+    from frogkick.loop.chip_check import check_on_chip
+    from frogkick.planner.image import read_image
     from frogkick_codegen.firmware import FLASH_BYTES, RAM_BYTES
 
     image = table_image(tables, robot)
@@ -86,6 +86,7 @@ def flash(
     json: JsonOption = False,
 ) -> None:
     """Write the bench image into a development kit, through its debug probe."""
+    from frogkick.front.places import built_firmware, robot_of_table, table_image
     from frogkick_codegen.probe import check_image
     from frogkick_codegen.probe import flash as flash_image
 
@@ -109,6 +110,10 @@ def try_out(
     json: JsonOption = False,
 ) -> None:
     """Boot the image on the virtual chip and go through every command, stroke and limit."""
+    from frogkick.front.places import built_firmware, robot_of_table, table_image
+    from frogkick.loop.chip_check import check_on_chip
+    from frogkick.planner.image import read_image
+
     image = table_image(tables, robot)
     described = robot_of_table(image, robot)
     with built_firmware("bench", image, described) as built, progress_bar("virtual chip") as progress:

@@ -9,7 +9,6 @@ import typer
 
 from frogkick.cli.common import JsonOption, say, show
 from frogkick.files import require_writable
-from frogkick.loop.recorded import import_recorded
 from frogkick.progress import progress_bar
 
 
@@ -19,6 +18,8 @@ def import_(
     json: JsonOption = False,
 ) -> None:
     """Read recorded runs, repair or mark what is wrong in them, write logs. Invents nothing."""
+    from frogkick.loop.recorded import import_recorded
+
     require_writable(out, folder=True)
     with progress_bar("import") as progress:
         runs = import_recorded(data_dir, out, progress)

@@ -11,10 +11,6 @@ import typer
 from frogkick.cli.common import JsonOption, show, write_picture
 from frogkick.errors import InputError
 from frogkick.files import require_writable
-from frogkick.loop.export_csv import export_csv
-from frogkick.loop.export_mcap import export_mcap
-from frogkick.loop.recorded import load_run
-from frogkick.loop.summary import compare_runs, summary
 
 RunArgument = Annotated[
     Path, typer.Argument(help="Log of ours (.h5) or a recorded run of the paper (line1.csv).")
@@ -27,6 +23,8 @@ def show_(
     json: JsonOption = False,
 ) -> None:
     """A run in numbers and in one picture: track, distance, actions, what the prediction missed."""
+    from frogkick.loop.recorded import load_run
+    from frogkick.loop.summary import summary
     from frogkick.report.run_figure import run_figure
 
     _require_picture(out)
@@ -44,6 +42,8 @@ def compare(
     json: JsonOption = False,
 ) -> None:
     """Two runs side by side: which kept nearer to its path, where decisions part, how far apart they swam."""
+    from frogkick.loop.recorded import load_run
+    from frogkick.loop.summary import compare_runs
     from frogkick.report.compare_figure import compare_figure
 
     _require_picture(out)
@@ -70,6 +70,10 @@ def export(
     json: JsonOption = False,
 ) -> None:
     """Write a run as CSV (a folder of files) or as MCAP (poses, path and plan in Foxglove's schemas)."""
+    from frogkick.loop.export_csv import export_csv
+    from frogkick.loop.export_mcap import export_mcap
+    from frogkick.loop.recorded import load_run
+
     if csv == mcap:
         raise InputError("give one of --csv and --mcap: CSV is a folder of files, MCAP one file")
     require_writable(out, folder=csv)

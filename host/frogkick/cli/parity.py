@@ -5,30 +5,20 @@ from __future__ import annotations
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from frogkick.cli.common import JsonOption, SeedOption, show
 from frogkick.cli.options import DepthOption, PlannerName, PlannerOption, TablesOption
-from frogkick.front.places import plan_config, robot_of_table, table_image
-from frogkick.loop.chip_planner import ChipPlanner
-from frogkick.loop.rehearsal import (
-    call_mismatches,
-    live_natively,
-    live_on_chip,
-    rehearse,
-    twin_mismatches,
-)
-from frogkick.paths import Path as SwimPath
-from frogkick.paths import shape
-from frogkick.planner.image import Tables, read_image
-from frogkick.planner.plan import PlanConfig
 from frogkick.progress import progress_bar
-from frogkick_codegen.firmware import build
-from frogkick_codegen.native import NativeLibrary
-from frogkick_codegen.parity import KINDS, PairReport, Place, compare, make_cases, native_place, python_place
-from frogkick_codegen.toolchain import Compiler, other, zig
+
+if TYPE_CHECKING:
+    from frogkick.paths import Path as SwimPath
+    from frogkick.planner.image import Tables
+    from frogkick.planner.plan import PlanConfig
+    from frogkick_codegen.parity import PairReport, Place
+    from frogkick_codegen.toolchain import Compiler
 
 LOOP_DECISIONS = 200
 
@@ -56,6 +46,12 @@ def parity(
     Single decisions from states of every kind, at depth 1 to 4, and a whole loop at --depth. Places: Python,
     native C by zig's clang (native), by gcc where this machine has it, and the virtual chip.
     """
+    from frogkick.front.places import plan_config, robot_of_table, table_image
+    from frogkick.planner.image import read_image
+    from frogkick_codegen.firmware import build
+    from frogkick_codegen.parity import KINDS
+    from frogkick_codegen.toolchain import other, zig
+
     image = table_image(tables, model)
     described = robot_of_table(image, model)
     opened, config = read_image(image), plan_config(described, planner.value, depth)
@@ -99,6 +95,11 @@ def _single(
     progress: Callable[[int, int], None],
 ) -> list[PairReport]:
     """Compare single decisions: all places but the chip on all states, the chip on the first of them."""
+    from frogkick.loop.chip_planner import ChipPlanner
+    from frogkick.paths import shape
+    from frogkick_codegen.native import NativeLibrary
+    from frogkick_codegen.parity import compare, make_cases, native_place, python_place
+
     states, chip_states, seed = counts
     path = shape("sine")
     cases = make_cases(tables, path, states, seed)
@@ -128,6 +129,15 @@ def _loops(
     seed: int,
 ) -> dict[str, int]:
     """Compare a whole loop: the twin by decisions, other builds by all that their core puts out."""
+    from frogkick.loop.rehearsal import (
+        call_mismatches,
+        live_natively,
+        live_on_chip,
+        rehearse,
+        twin_mismatches,
+    )
+    from frogkick.paths import shape
+
     path: SwimPath = shape("ellipse")
     first, *more = libraries
     loop = rehearse(libraries[first], tables, path, config, decisions, seed)

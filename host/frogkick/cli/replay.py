@@ -12,18 +12,6 @@ import typer
 from frogkick.cli.common import JsonOption, show
 from frogkick.cli.options import DepthOption, PlannerName, TablesOption
 from frogkick.errors import InputError
-from frogkick.front.places import (
-    plan_config,
-    require_period,
-    require_simulated,
-    robot_of_table,
-    simulated_robot,
-    table_image,
-)
-from frogkick.loop.recorded import load_run
-from frogkick.loop.replay import replay as replay_run
-from frogkick.loop.replay import require_replayable
-from frogkick.planner.image import read_image
 from frogkick.progress import progress_bar
 
 
@@ -57,6 +45,19 @@ def replay(
     json: JsonOption = False,
 ) -> None:
     """Give a run's fixes to the planner again and compare every decision. Exit 1 on a mismatch."""
+    from frogkick.front.places import (
+        plan_config,
+        require_period,
+        require_simulated,
+        robot_of_table,
+        simulated_robot,
+        table_image,
+    )
+    from frogkick.loop.recorded import load_run
+    from frogkick.loop.replay import replay as replay_run
+    from frogkick.loop.replay import require_replayable
+    from frogkick.planner.image import read_image
+
     require_simulated(robot)
     recorded = load_run(run)
     require_replayable(recorded)

@@ -6,38 +6,32 @@ import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
-import numpy as np
 import typer
-from numpy.typing import NDArray
 
 from frogkick.cli.common import JsonOption, SeedOption, say, say_left_out, show
 from frogkick.cli.identify import horizon_line
 from frogkick.cli.push import text_of
-from frogkick.effects import World, effects_of
 from frogkick.errors import FrogkickError, InputError
 from frogkick.files import require_writable
-from frogkick.front.places import built_firmware, robot_of_table
-from frogkick.front.robots import VIRTUAL, push_table, require_target
-from frogkick.identification.retune import BEFORE, TABLES, Retuned, require_new, retune
-from frogkick.identification.swim import read_swim, reliable
-from frogkick.identification.tables import Stage, Tracked
-from frogkick.library import build_library, fit_table, read_library
-from frogkick.library.error import looked_up
-from frogkick.library.fitting import WHOLE_MIN
-from frogkick.loop.pushing import Pushed
-from frogkick.paths import SHAPES
-from frogkick.planner.image import open_image, read_image
 from frogkick.progress import progress_bar
-from frogkick.robot import Robot, load_robot
-from frogkick.study.trial import trials
-from frogkick_codegen.firmware import build as build_firmware
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from frogkick.identification.retune import Retuned
+    from frogkick.identification.tables import Stage, Tracked
+    from frogkick.loop.pushing import Pushed
+    from frogkick.robot import Robot
 
 STATES = 800
 SAMPLING = "visited"
 KIND = "affine"
-LOOP_PATHS, LOOP_SEEDS = tuple(SHAPES), 2
+LOOP_PATHS, LOOP_SEEDS = ("line", "sine", "ellipse"), 2
+STATES_LEAST = 46
+"""WHOLE_MIN of frogkick.library.fitting: a command's help loads nothing of it."""
 
 
 @dataclass(frozen=True)
@@ -49,6 +43,8 @@ class _Tools:
     workers: int
 
     def tables(self, robot: Robot, library: Path, stage: Stage) -> bytes:
+        from frogkick.library import build_library, fit_table, read_library
+
         with stage(f"library of {self.count} states") as progress:
             build_library(
                 robot, self.count, self.seed, self.workers, library, progress, SAMPLING, record_s=0.0
@@ -57,14 +53,27 @@ class _Tools:
             return fit_table(read_library(library), KIND, progress=progress).image
 
     def states(self, image: bytes) -> int:
+        from frogkick.planner.image import open_image
+
         return len(open_image(image).states)
 
     def looked_up(
         self, image: bytes, velocity_body: NDArray[np.float64], previous: NDArray[np.int64]
     ) -> NDArray[np.float64]:
+        from frogkick.library.error import looked_up
+        from frogkick.planner.image import open_image
+
         return looked_up(open_image(image), velocity_body, previous)
 
     def tracked(self, tables: Path, robot: Robot, progress: Callable[[int, int], None]) -> Tracked:
+        import numpy as np
+
+        from frogkick.effects import World, effects_of
+        from frogkick.front.places import built_firmware
+        from frogkick.identification.tables import Tracked
+        from frogkick.planner.image import read_image
+        from frogkick.study.trial import trials
+
         with built_firmware("native", tables, robot) as built:
             runs = trials(
                 built.image,
@@ -84,6 +93,8 @@ class _Tools:
         )
 
     def firmware(self, tables: Path, robot: Robot, out: Path) -> Mapping[str, Any]:
+        from frogkick_codegen.firmware import build as build_firmware
+
         built = build_firmware("bench", tables, robot, out)
         return {"image": built.image.name, "flash_bytes": built.flash_bytes, "ram_bytes": built.ram_bytes}
 
@@ -100,7 +111,7 @@ def command(
         typer.Option(help="Table image that it carries (.fkt), to compare with; default: made from --robot."),
     ] = None,
     states: Annotated[
-        int, typer.Option(min=WHOLE_MIN, max=65535, help="States of the libraries that are simulated.")
+        int, typer.Option(min=STATES_LEAST, max=65535, help="States of the libraries that are simulated.")
     ] = STATES,
     workers: Annotated[int, typer.Option(min=0, max=256, help="Processes; 0 = one for each core.")] = 0,
     push: Annotated[
@@ -113,6 +124,13 @@ def command(
     json: JsonOption = False,
 ) -> None:
     """Make a worn robot new tables. Exit 1 where they are no better on held-out periods or runs too short."""
+    from frogkick.front.places import robot_of_table
+    from frogkick.front.robots import VIRTUAL, require_target
+    from frogkick.identification.retune import TABLES, require_new, retune
+    from frogkick.identification.swim import read_swim, reliable
+    from frogkick.planner.image import read_image
+    from frogkick.robot import load_robot
+
     if push is not None:
         require_target(push, (VIRTUAL,))
     require_writable(out, folder=True)
@@ -159,6 +177,9 @@ def command(
 
 def _pushed(target: str | None, result: Retuned, out: Path) -> tuple[Pushed | None, FrogkickError | None]:
     """Send tables that are better, and only those; or why that failed. What was made stays either way."""
+    from frogkick.front.robots import push_table
+    from frogkick.identification.retune import BEFORE, TABLES
+
     if target is None or not result.better:
         return None, None
     try:
@@ -168,6 +189,8 @@ def _pushed(target: str | None, result: Retuned, out: Path) -> tuple[Pushed | No
 
 
 def _text(result: Retuned, out: Path) -> str:
+    import numpy as np
+
     lines = [f"verdict: {result.outcome.verdict}", f"held out: {result.held_out}"]
     for term, row in zip(result.outcome.terms, result.outcome.parameters, strict=True):
         values = ", ".join(f"{p.name} {p.value:.4g} [{p.low:.4g}, {p.high:.4g}] {p.unit}" for p in row)

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
-import numpy as np
 import typer
 
 from frogkick.cli.common import JsonOption, show
-from frogkick.der import Rods, prepare
 from frogkick.files import require_writable
-from frogkick.robot import Robot, built_in_robots, load_robot, robot_warnings
+
+if TYPE_CHECKING:
+    from frogkick.der import Rods
+    from frogkick.robot import Robot
 
 app = typer.Typer(help="Which robots there are, and what one looks like.", no_args_is_help=True)
 
@@ -20,6 +21,8 @@ app = typer.Typer(help="Which robots there are, and what one looks like.", no_ar
 @app.command("list")
 def list_robots(json: JsonOption = False) -> None:
     """List the built-in robots."""
+    from frogkick.robot import built_in_robots, load_robot
+
     robots = [load_robot(name) for name in built_in_robots()]
     rows = [
         {
@@ -48,6 +51,9 @@ def show_robot(
 
     Lengths are those at rest. Doubts about its geometry or its limits are warnings.
     """
+    from frogkick.der import prepare
+    from frogkick.robot import load_robot, robot_warnings
+
     require_writable(out)
     described = load_robot(robot)
     rods = prepare(described)
@@ -80,6 +86,8 @@ def _limb_names(robot: Robot, mask: int) -> list[str]:
 
 
 def _facts(robot: Robot, rods: Rods) -> dict[str, Any]:
+    import numpy as np
+
     mesh = rods.mesh
     corners = np.array(robot.frame.corners_m)
     guard = robot.guard

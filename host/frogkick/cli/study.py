@@ -11,15 +11,7 @@ import typer
 
 from frogkick.cli.common import JsonOption, SeedOption, show, write_picture
 from frogkick.cli.options import PlannerName, PlannerOption, TablesOption
-from frogkick.der import STEP_S
-from frogkick.front.places import built_firmware, plan_config, robot_of_table, table_image
-from frogkick.paths import SHAPES, shape
-from frogkick.pool.chip import CostModel
 from frogkick.progress import progress_bar
-from frogkick.robot import load_robot
-from frogkick.study.chip_speed import DEPTHS, LIMIT_MS, chip_speed, open_ms
-from frogkick.study.convergence import ERROR_LIMIT
-from frogkick.study.convergence import convergence as measure
 
 
 def convergence(
@@ -29,7 +21,11 @@ def convergence(
     json: JsonOption = False,
 ) -> None:
     """Error of the rod simulation against its time step. Exit 1 if the default step errs too much."""
+    from frogkick.der import STEP_S
     from frogkick.report.convergence_figure import convergence_figure
+    from frogkick.robot import load_robot
+    from frogkick.study.convergence import ERROR_LIMIT
+    from frogkick.study.convergence import convergence as measure
 
     described = load_robot(robot)
     with progress_bar("convergence") as progress:
@@ -69,6 +65,11 @@ def chip(
     Of very many states the dearest are run on the virtual chip, which a model of the planner's blocks finds
     among all of them: "run" is how many, "model_error" its largest error, "unrun_ms" its bound of the rest.
     """
+    from frogkick.front.places import built_firmware, plan_config, robot_of_table, table_image
+    from frogkick.paths import SHAPES, shape
+    from frogkick.pool.chip import CostModel
+    from frogkick.study.chip_speed import DEPTHS, LIMIT_MS, chip_speed, open_ms
+
     image = table_image(tables, model)
     described = robot_of_table(image, model)
     counts = {depth: states if depth in LIMIT_MS else max(3, states // 50) for depth in DEPTHS}

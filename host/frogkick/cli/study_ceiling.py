@@ -7,38 +7,26 @@ import math
 import os
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from frogkick.cli.common import JsonOption, show, write_picture
 from frogkick.errors import InputError
 from frogkick.files import require_writable
-from frogkick.library import fit_table, quantise, read_library
-from frogkick.library.fitting import BUDGET_BYTES, require_enough
-from frogkick.loop.closed_loop import require_time
-from frogkick.paths import SHAPES
-from frogkick.planner.image import read_image
 from frogkick.progress import progress_bar
-from frogkick.study.ceiling import (
-    AFFINE,
-    NEAREST,
-    RODS,
-    SOURCES,
-    TIME_LIMIT_S,
-    Mean,
-    Run,
-    follow_paths,
-    mean_of,
-    more_than,
-    over_seeds,
-    rms_error,
-)
+
+if TYPE_CHECKING:
+    from frogkick.study.ceiling import Mean, Run
 
 _DepthsOption = Annotated[
     list[int] | None, typer.Option("--depth", min=1, max=3, help="Strokes to look ahead; may be repeated.")
 ]
 _MEASURES = ("mean_distance_m", "progress_mps")
+
+
+TIME_LIMIT_S = 120.0
+"""That of frogkick.study.ceiling: a command's help loads nothing of it."""
 
 
 def ceiling(
@@ -57,7 +45,13 @@ def ceiling(
 
     Each --depth that the rods look further takes as many times longer as the robot has actions.
     """
+    from frogkick.library import fit_table, quantise, read_library
+    from frogkick.library.fitting import BUDGET_BYTES, require_enough
+    from frogkick.loop.closed_loop import require_time
+    from frogkick.paths import SHAPES
+    from frogkick.planner.image import read_image
     from frogkick.report.ceiling_figure import ceiling_figure
+    from frogkick.study.ceiling import AFFINE, NEAREST, SOURCES, follow_paths, rms_error
 
     require_writable(out)
     require_time(simulated_time)
@@ -107,6 +101,8 @@ def ceiling(
 
 def _row(runs: Sequence[Run], path: str | None, source: str, depth: int) -> dict[str, Any]:
     """One path's runs; without a path those of all, a mean for each seed."""
+    from frogkick.study.ceiling import mean_of, over_seeds
+
     mine = [r for r in runs if (r.source, r.depth) == (source, depth) and path in (None, r.path)]
     means: dict[str, Mean] = {
         name: over_seeds(mine, name) if path is None else mean_of([getattr(r, name) for r in mine])
@@ -124,6 +120,8 @@ def _row(runs: Sequence[Run], path: str | None, source: str, depth: int) -> dict
 
 def _beside_rods(runs: Sequence[Run], source: str, depth: int) -> dict[str, Any]:
     """How much further from the paths a source's runs are than those of the rods, seed by seed."""
+    from frogkick.study.ceiling import RODS, more_than
+
     mine, rods = ([r for r in runs if (r.source, r.depth) == (each, depth)] for each in (source, RODS))
     mean = more_than(mine, rods, "mean_distance_m")
     return {"source": source, "depth": depth, **dataclasses.asdict(mean)}

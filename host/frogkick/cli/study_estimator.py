@@ -7,17 +7,17 @@ import math
 import os
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from frogkick.cli.common import JsonOption, show, write_picture
 from frogkick.cli.options import DepthOption, PlannerName, PlannerOption, TablesOption
 from frogkick.files import require_writable
-from frogkick.front.places import plan_config, robot_of_table, swim_path, table_image
-from frogkick.loop.closed_loop import require_time
 from frogkick.progress import progress_bar
-from frogkick.study.estimator import RATES_HZ, Condition, Outcome, compare_estimators
+
+if TYPE_CHECKING:
+    from frogkick.study.estimator import Condition, Outcome
 
 _PathsOption = Annotated[list[str] | None, typer.Option("--path", help="line, sine, ellipse, or a CSV file.")]
 _RatesOption = Annotated[
@@ -39,7 +39,10 @@ def estimator(
     json: JsonOption = False,
 ) -> None:
     """States from late, lost, doubled and wrong fixes in the pool: the robot's way, a line, the paper's."""
+    from frogkick.front.places import plan_config, robot_of_table, swim_path, table_image
+    from frogkick.loop.closed_loop import require_time
     from frogkick.report.estimator_figure import estimator_figure
+    from frogkick.study.estimator import RATES_HZ, compare_estimators
 
     require_writable(out)
     require_time(simulated_time)

@@ -12,10 +12,7 @@ from frogkick.cli.common import JsonOption, show, write_picture
 from frogkick.cli.options import TablesOption
 from frogkick.errors import InputError
 from frogkick.files import require_writable
-from frogkick.front.places import start_pose, swim_path, table_image
-from frogkick.planner.image import read_image
 from frogkick.progress import progress_bar
-from frogkick.study.foresight import foresee, nearest_at
 
 
 def foresight(
@@ -33,7 +30,10 @@ def foresight(
     No noise, no delay, no limit of time or memory. A planner on the robot stays further off; by how much
     more tells what it misses, and the rest is what the path asks of the robot.
     """
+    from frogkick.front.places import start_pose, swim_path, table_image
+    from frogkick.planner.image import read_image
     from frogkick.report.foresight_figure import foresight_figure
+    from frogkick.study.foresight import foresee, nearest_at
 
     require_writable(out)
     if at_least is not None and not (math.isfinite(at_least) and at_least >= 0.0):

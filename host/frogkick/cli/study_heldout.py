@@ -6,17 +6,16 @@ import math
 import os
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from frogkick.cli.common import JsonOption, say_left_out, show, write_picture
 from frogkick.files import require_writable
-from frogkick.identification.outcome import robot_of_runs
-from frogkick.identification.swim import read_swim, reliable
 from frogkick.progress import progress_bar
-from frogkick.robot import load_robot
-from frogkick.study.heldout import HeldOut, held_out, pooled
+
+if TYPE_CHECKING:
+    from frogkick.study.heldout import HeldOut
 
 
 def heldout(
@@ -37,7 +36,11 @@ def heldout(
     found without it. Fits of many effects start from nominal values, never from a built-in robot that was
     measured before. Exit 1 where what was found predicts worse than the nominal model.
     """
+    from frogkick.identification.outcome import robot_of_runs
+    from frogkick.identification.swim import read_swim, reliable
     from frogkick.report.heldout_figure import heldout_figure
+    from frogkick.robot import load_robot
+    from frogkick.study.heldout import held_out, pooled
 
     require_writable(out)
     swims = [read_swim(run) for run in runs]

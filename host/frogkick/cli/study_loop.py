@@ -5,31 +5,19 @@ from __future__ import annotations
 import dataclasses
 import os
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from frogkick.cli.common import JsonOption, show, write_picture
 from frogkick.errors import InputError
 from frogkick.files import require_writable, write_bytes
-from frogkick.library import Library, build_library, fit_table, quantise, read_library
-from frogkick.paths import SHAPES, shape
 from frogkick.progress import progress_bar
-from frogkick.robot import Robot, load_robot
-from frogkick.study.kept import Case
-from frogkick.study.loop import (
-    HIDDEN,
-    NOMINAL,
-    PAPER,
-    ROBOT,
-    Summary,
-    Verdict,
-    judge,
-    planners_of,
-    run_cases,
-    settings_of,
-    summaries,
-)
+
+if TYPE_CHECKING:
+    from frogkick.library import Library
+    from frogkick.robot import Robot
+    from frogkick.study.loop import Summary, Verdict
 
 PAPER_STATES = 8503
 ROBOT_BYTES = 64 * 1024
@@ -66,7 +54,21 @@ def loop(
     Exit 1 where, in a world and over all paths, the robot's planner is not at most half as far off as the
     paper's at no less progress, or depth 2 and 3 are both further off than depth 1.
     """
+    from frogkick.library import quantise
     from frogkick.report.loop_figure import loop_figure
+    from frogkick.robot import load_robot
+    from frogkick.study.kept import Case
+    from frogkick.study.loop import (
+        HIDDEN,
+        NOMINAL,
+        PAPER,
+        ROBOT,
+        judge,
+        planners_of,
+        run_cases,
+        settings_of,
+        summaries,
+    )
 
     described = load_robot(robot)
     settings = settings_of(world or [NOMINAL.name, HIDDEN.name], described)
@@ -113,6 +115,8 @@ def shape_names(given: list[str] | None) -> list[str]:
     Raises:
         InputError: no such shape.
     """
+    from frogkick.paths import SHAPES, shape
+
     names = given or list(SHAPES)
     for name in names:
         shape(name)
@@ -138,6 +142,8 @@ def library_of(
     Raises:
         InputError: it is of another robot, or of another version of it.
     """
+    from frogkick.library import build_library, read_library
+
     source = made if given is None else given
     if given is None and not made.exists():
         with progress_bar(f"library {made.name}") as progress:
@@ -154,6 +160,8 @@ def fit_own_table(library: Library, image: Path) -> None:
     Raises:
         InputError: it has too few states.
     """
+    from frogkick.library import fit_table
+
     with progress_bar("robot's table") as progress:
         write_bytes(image, fit_table(library, "affine", ROBOT_BYTES, progress).image)
 

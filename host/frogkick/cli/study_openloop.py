@@ -7,21 +7,18 @@ import os
 import re
 import tomllib
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
-import numpy as np
 import typer
 
 from frogkick.cli.common import JsonOption, show, write_picture
 from frogkick.errors import InputError
 from frogkick.files import require_writable, write_text
 from frogkick.progress import progress_bar
-from frogkick.robot import Robot, load_robot
-from frogkick.robot.toml_text import to_toml
-from frogkick.study.openloop import OpenLoop, Predicted, Split, open_loop, rmse_by_group
-from frogkick.study.openloop_groups import gain_of
-from frogkick.study.steady import with_effects
-from frogkick.study.validate import authors_rmse_mps, speed_rmse_mps
+
+if TYPE_CHECKING:
+    from frogkick.robot import Robot
+    from frogkick.study.openloop import OpenLoop, Predicted, Split
 
 _PercentOption = Annotated[
     list[float] | None,
@@ -59,6 +56,8 @@ def openloop(
     error (paired bootstrap over cases); else the nominal model stays.
     """
     from frogkick.report.openloop_figure import openloop_figure
+    from frogkick.robot import load_robot
+    from frogkick.study.openloop import open_loop
 
     require_writable(out, folder=True)
     if (train is None) != (test is None) or (train is None) == (data_dir is None):
@@ -82,6 +81,8 @@ def openloop(
 
 
 def _result(found: OpenLoop) -> dict[str, Any]:
+    from frogkick.study.validate import authors_rmse_mps, speed_rmse_mps
+
     validation, splits = found.validation, found.splits
     group = "experiments"
     kinds = dict.fromkeys(split.kind for split in splits)
@@ -143,6 +144,11 @@ def _split(split: Split) -> dict[str, Any]:
 
 
 def _errors(rows: list[Predicted] | tuple[Predicted, ...]) -> dict[str, Any]:
+    import numpy as np
+
+    from frogkick.study.openloop import rmse_by_group
+    from frogkick.study.openloop_groups import gain_of
+
     nominal, effects = rmse_by_group(rows, nominal=True), rmse_by_group(rows)
     mean = [row.error_mps for row in rows if math.isfinite(row.error_mps)]
     swum = [row for row in rows if math.isfinite(row.error_mps)]
@@ -181,6 +187,9 @@ def _case(row: Predicted, use: str) -> dict[str, Any]:
 
 
 def _write_robot(target: Path, robot: Robot, split: Split) -> None:
+    from frogkick.robot.toml_text import to_toml
+    from frogkick.study.steady import with_effects
+
     table = tomllib.loads(robot.toml)
     effects = with_effects(robot, split.fitted.tables).effects
     if effects:

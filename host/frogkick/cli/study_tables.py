@@ -11,11 +11,7 @@ import typer
 from frogkick.cli.common import JsonOption, SeedOption, show, write_picture
 from frogkick.cli.library import Sampling
 from frogkick.files import require_writable
-from frogkick.library import read_library
 from frogkick.progress import progress_bar
-from frogkick.robot import load_robot
-from frogkick.study.history import history_worth
-from frogkick.study.table_size import least_bytes_as_good, over_full_nearest, slope, table_sizes
 
 _PictureOption = Annotated[Path | None, typer.Option(help="Picture to write (PNG).")]
 
@@ -31,7 +27,9 @@ def tables(
     json: JsonOption = False,
 ) -> None:
     """Error of tables of both kinds against their size, and against the library's."""
+    from frogkick.library import read_library
     from frogkick.report.table_size_figure import table_size_figure
+    from frogkick.study.table_size import least_bytes_as_good, over_full_nearest, slope, table_sizes
 
     content = read_library(library)
     require_writable(out)
@@ -65,6 +63,8 @@ def history(
 ) -> None:
     """Error of affine tables with and without limb use as an input, for this robot and tiring ones."""
     from frogkick.report.history_figure import history_figure
+    from frogkick.robot import load_robot
+    from frogkick.study.history import history_worth
 
     described = load_robot(robot)
     require_writable(out)

@@ -7,34 +7,20 @@ import math
 import os
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
-import numpy as np
 import typer
 
 from frogkick.cli.common import JsonOption, show, write_picture
 from frogkick.cli.study_loop import PAPER_STATES, fit_own_table, library_of, shape_names, table_of_rows
 from frogkick.files import require_writable, write_bytes
-from frogkick.library import quantise
 from frogkick.progress import progress_bar
-from frogkick.robot import Robot, load_robot
-from frogkick.study.believed import Believed, believed_motions, image_of_motions
-from frogkick.study.kept import Case
-from frogkick.study.loop import PAPER, ROBOT, Summary, run_cases, summaries
-from frogkick.study.twin import (
-    BELIEVED,
-    DISTANCE_MOST_M,
-    FULL,
-    TWIN,
-    Mean,
-    Recorded,
-    body_of,
-    mean_over,
-    planners_of_twin,
-    read_runs,
-    require_related,
-    world_of,
-)
+
+if TYPE_CHECKING:
+    from frogkick.robot import Robot
+    from frogkick.study.believed import Believed
+    from frogkick.study.loop import Summary
+    from frogkick.study.twin import Mean, Recorded
 
 TWIN_STATES, TWIN_SAMPLING = 1000, "planned"
 """Of the library that is made of the fitted robot: in it limbs have a history, which its effects act by. A
@@ -71,7 +57,24 @@ def twin(
     or over the recorded runs' paths. With --runs the paper's planner also swims with what it believed of
     each action, as its recorded decisions show.
     """
+    from frogkick.library import quantise
     from frogkick.report.loop_figure import loop_figure
+    from frogkick.robot import load_robot
+    from frogkick.study.believed import believed_motions, image_of_motions
+    from frogkick.study.kept import Case
+    from frogkick.study.loop import PAPER, ROBOT, run_cases, summaries
+    from frogkick.study.twin import (
+        BELIEVED,
+        DISTANCE_MOST_M,
+        FULL,
+        TWIN,
+        body_of,
+        mean_over,
+        planners_of_twin,
+        read_runs,
+        require_related,
+        world_of,
+    )
 
     described, nominal = load_robot(robot), load_robot(model)
     setting = world_of(described)
@@ -137,6 +140,8 @@ _MEASURES = ("mean_distance_m", "progress_mps")
 
 
 def _mean_recorded(recorded: Sequence[Recorded]) -> float | None:
+    import numpy as np
+
     return float(np.mean([one.mean_distance_m for one in recorded])) if recorded else None
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -12,10 +12,11 @@ from frogkick.cli.common import JsonOption, show, write_picture
 from frogkick.cli.options import TablesOption
 from frogkick.errors import InputError
 from frogkick.files import require_writable
-from frogkick.front.places import robot_of_table, table_image
 from frogkick.progress import progress_bar
-from frogkick.study.planted import NULL, ONE, OUTSIDE, TWO, kinds
-from frogkick.study.verdicts import Case, Result, run_cases
+from frogkick.study.planted import NULL, ONE, OUTSIDE, TWO
+
+if TYPE_CHECKING:
+    from frogkick.study.verdicts import Case, Result
 
 LEAST = {NULL: 0.95, ONE: 0.95, TWO: 0.90, OUTSIDE: 0.95}
 """Share of the cases of a group that must be right."""
@@ -41,7 +42,10 @@ def verdicts(
     Exit 1 where a group has fewer right verdicts than asked: 95 % with nothing planted, with one effect of
     the catalogue (its parameters inside their intervals) and with one from outside; 90 % with two at once.
     """
+    from frogkick.front.places import robot_of_table, table_image
     from frogkick.report.verdicts_figure import verdicts_figure
+    from frogkick.study.planted import kinds
+    from frogkick.study.verdicts import run_cases
 
     known = kinds()
     for name in kind or []:
@@ -75,6 +79,9 @@ def verdicts(
 
 def cases_of(names: Sequence[str], first: int, seeds: int, each: int | None) -> list[Case]:
     """Cases of some kinds: so many seeds of each kind, or so many of each group, its kinds in turn."""
+    from frogkick.study.planted import kinds
+    from frogkick.study.verdicts import Case
+
     if each is None:
         return [Case(name, seed) for seed in range(first, first + seeds) for name in names]
     found = []

@@ -8,7 +8,7 @@ import sys
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -16,21 +16,10 @@ from frogkick.cli.common import ClusterOption, JsonOption, share_out, show
 from frogkick.errors import InputError
 from frogkick.files import require_writable, write_text
 from frogkick.progress import progress_bar
-from frogkick.robot import load_robot
-from frogkick.study.paper_winners import PAPER_PHASE, Verdict, explain, paper_verdicts
-from frogkick.study.sweep import (
-    PHASE_TIE_MPS,
-    Point,
-    Sweep,
-    by_cost,
-    by_speed,
-    energy_model,
-    plan_sweep,
-    point_row,
-    rank_designs,
-    rank_gaits,
-    run_sweep,
-)
+
+if TYPE_CHECKING:
+    from frogkick.study.paper_winners import Verdict
+    from frogkick.study.sweep import Point, Sweep
 
 _TOP = 10
 
@@ -45,6 +34,8 @@ def _numbers(text: str | None, option: str) -> list[float] | None:
 
 
 def _csv(points: Sequence[Point]) -> str:
+    from frogkick.study.sweep import point_row
+
     buffer = io.StringIO()
     columns = ["egain_percent", "frequency_hz", "phase", "speed_mps", "cost_of_transport", "failure"]
     writer = csv.DictWriter(buffer, columns, lineterminator="\n")
@@ -54,6 +45,8 @@ def _csv(points: Sequence[Point]) -> str:
 
 
 def _verdict_row(verdict: Verdict) -> dict[str, Any]:
+    from frogkick.study.paper_winners import PAPER_PHASE, explain
+
     winner = verdict.winner
     return {
         "egain_percent": winner.design.egain_percent,
@@ -74,6 +67,8 @@ def _verdict_row(verdict: Verdict) -> dict[str, Any]:
 
 
 def _best(sweep: Sweep, phase: float | None = None) -> dict[str, list[dict[str, Any]]]:
+    from frogkick.study.sweep import by_cost, by_speed, point_row, rank_designs
+
     return {
         "fastest": [point_row(point) for point in rank_designs(sweep, by_speed, phase)[:_TOP]],
         "most_efficient": [point_row(point) for point in rank_designs(sweep, by_cost, phase)[:_TOP]],
@@ -81,6 +76,9 @@ def _best(sweep: Sweep, phase: float | None = None) -> dict[str, list[dict[str, 
 
 
 def _result(sweep: Sweep, verdicts: Sequence[Verdict]) -> dict[str, Any]:
+    from frogkick.study.paper_winners import PAPER_PHASE
+    from frogkick.study.sweep import PHASE_TIE_MPS, by_cost, by_speed, energy_model, point_row, rank_gaits
+
     plan = sweep.plan
     result: dict[str, Any] = {
         "robot": plan.robot.id,
@@ -118,6 +116,9 @@ def _lines(title: str, points: Sequence[Point]) -> list[str]:
 
 
 def _text(sweep: Sweep, verdicts: Sequence[Verdict], out: Path) -> str:
+    from frogkick.study.paper_winners import explain
+    from frogkick.study.sweep import by_cost, by_speed, energy_model, rank_designs
+
     lines = _lines("fastest:", rank_designs(sweep, by_speed))
     lines += _lines("most efficient:", rank_designs(sweep, by_cost))
     for verdict in verdicts:
@@ -170,6 +171,9 @@ def sweep(
     Limb profiles between measured ones are interpolated; designs outside of them are left out and listed.
     """
     from frogkick.report.sweep_page import write_sweep_report
+    from frogkick.robot import load_robot
+    from frogkick.study.paper_winners import paper_verdicts
+    from frogkick.study.sweep import plan_sweep, run_sweep
 
     require_writable(out, folder=True)
     processes = share_out(workers, cluster)

@@ -5,28 +5,18 @@ from __future__ import annotations
 import os
 import time
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from frogkick.cli.common import JsonOption, show
 from frogkick.files import require_writable
 from frogkick.progress import progress_bar
-from frogkick.robot import load_robot
-from frogkick.study.measured import EXPERIMENTS, Skipped
-from frogkick.study.noise import Noise, noise_of
-from frogkick.study.validate import (
-    ExperimentResult,
-    Requirement,
-    SimulationResult,
-    Validation,
-    authors_rmse_mps,
-    requirements,
-    single_groups_above,
-    speed_rmse_mps,
-    within_cycle_rms_m,
-)
-from frogkick.study.validate import validate as run_validation
+
+if TYPE_CHECKING:
+    from frogkick.study.measured import Skipped
+    from frogkick.study.noise import Noise
+    from frogkick.study.validate import ExperimentResult, Requirement, SimulationResult, Validation
 
 _NOISE_METHOD = (
     "standard deviation of a measured speed from second differences (a - 2 b + c) / sqrt(6) of three evenly "
@@ -91,6 +81,14 @@ def _profiles_used(validation: Validation) -> str:
 
 
 def _result(validation: Validation, noise: Noise) -> dict[str, Any]:
+    from frogkick.study.validate import (
+        authors_rmse_mps,
+        requirements,
+        single_groups_above,
+        speed_rmse_mps,
+        within_cycle_rms_m,
+    )
+
     return {
         "robot": validation.robot.id,
         "profiles": _profiles_used(validation),
@@ -114,6 +112,15 @@ def _result(validation: Validation, noise: Noise) -> dict[str, Any]:
 
 
 def _text(validation: Validation, noise: Noise) -> str:
+    from frogkick.study.measured import EXPERIMENTS
+    from frogkick.study.validate import (
+        authors_rmse_mps,
+        requirements,
+        single_groups_above,
+        speed_rmse_mps,
+        within_cycle_rms_m,
+    )
+
     shape, authors = within_cycle_rms_m(validation), authors_rmse_mps(validation)
     lines = [f"profiles: {_profiles_used(validation)}"]
     for group, rmse in speed_rmse_mps(validation).items():
@@ -149,6 +156,10 @@ def validate(
     One parameter set for all; limb profiles come from the folder's own files where it has them.
     """
     from frogkick.report.validate_page import write_validation_report
+    from frogkick.robot import load_robot
+    from frogkick.study.noise import noise_of
+    from frogkick.study.validate import requirements
+    from frogkick.study.validate import validate as run_validation
 
     require_writable(report)
     began = time.perf_counter()

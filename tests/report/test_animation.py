@@ -44,7 +44,7 @@ def test_the_film_is_the_simulated_swim() -> None:
     assert shot.time_s == pytest.approx(np.arange(58) / 20)
     assert shot.speed == 1.0
     reference = simulate_actions(FROG, ["B", "C"], (0.02, 0.0, 0.1))
-    x_m = np.interp(shot.time_s, reference.time_s, reference.x_m)
+    x_m = np.interp(shot.time_s, reference.time_s, reference.pose_world[:, 0])
     assert shot.pose_world[:, 0] == pytest.approx(x_m, abs=1e-4)
     # Front limbs at once, rear ones a pulse later, only front left in the second stroke (at 1.425 s).
     assert shot.heated[0] == 0b0011
@@ -57,7 +57,7 @@ def test_the_film_is_the_simulated_swim() -> None:
 def test_a_gait_s_film_is_the_simulated_gait() -> None:
     shot = film(gait_swim(FROG, 10.0, 0.8, 0.5, 2))
     reference = simulate_gait(FROG, 10.0, 0.8, 0.5, 2)
-    x_m = np.interp(shot.time_s, reference.time_s, reference.x_m)
+    x_m = np.interp(shot.time_s, reference.time_s, reference.pose_world[:, 0])
     assert shot.pose_world[:, 0] == pytest.approx(x_m, abs=1e-4)
 
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -85,20 +86,32 @@ def built_firmware(target: str, tables: Path, robot: Robot) -> Iterator[Build]:
 
 
 @contextmanager
-def simulated_robot(name: str, tables: Path, robot: Robot) -> Iterator[RobotPort]:
+def simulated_robot(
+    name: str, tables: Path, robot: Robot, meanwhile: Callable[[], None] = lambda: None
+) -> Iterator[RobotPort]:
     """A robot to talk to: "virtual" (the image on the virtual chip) or "pool" (the core on this computer).
+
+    Args:
+        name: which.
+        tables: table image in it.
+        robot: that the table is for.
+        meanwhile: called while the compiler runs, which is another process: a second core can work on this.
 
     Raises:
         InputError: another name.
     """
     require_simulated(name)
-    if name == "virtual":
-        from frogkick.pool.virtual_robot import VirtualRobot
+    target = "bench" if name == "virtual" else "native"
+    with tempfile.TemporaryDirectory(prefix="frogkick-") as folder:
+        with ThreadPoolExecutor(1) as beside:
+            building = beside.submit(build, target, tables, robot, Path(folder))
+            meanwhile()
+            built = building.result()
+        if name == "virtual":
+            from frogkick.pool.virtual_robot import VirtualRobot
 
-        with built_firmware("bench", tables, robot) as built:
             yield VirtualRobot(built.image, len(robot.limbs))
-    else:
-        with built_firmware("native", tables, robot) as built:
+        else:
             yield NativeRobot(built.image, len(robot.limbs))
 
 

@@ -2,10 +2,16 @@
 
 from __future__ import annotations
 
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+
 from frogkick.loop.closed_loop import Recording
 from frogkick.loop.live_check import LiveCheck
 from frogkick.planner.image import Tables
 from frogkick.progress import Tell
+
+SLOW_S = 2.0
 
 
 class RunProgress:
@@ -23,6 +29,18 @@ class RunProgress:
         self._tell, self._points, self._check = tell, points, check
         self._names = [row.name for row in tables.actions]
         self._recording = Recording()
+
+    @contextmanager
+    def preparing(self) -> Iterator[None]:
+        """Say what is being waited for, where it takes long: simulation and core are compiled once."""
+        what = "compiling the simulation and the robot's core, once on this machine"
+        slow = threading.Timer(SLOW_S, lambda: self._tell(0, self._points, what))
+        slow.daemon = True
+        slow.start()
+        try:
+            yield
+        finally:
+            slow.cancel()
 
     def keep(self, recording: Recording) -> None:
         """Take what is recorded so far: it grows, and is looked at with the next decision."""

@@ -230,7 +230,10 @@ def run(
                 bench, image, described, used.tables, desired, options, kept, said.progress
             )
         else:
-            port = stack.enter_context(simulated_robot(robot, image, described))
+            with said.preparing():
+                port = stack.enter_context(
+                    simulated_robot(robot, image, described, lambda: compile_rods(described))
+                )
             pool = Pool(described, start_pose(desired), eye, np.random.default_rng(seed), true)
             draw = stack.enter_context(viewed(view, described, used.tables, desired, options, pool))
             recording = run_in_pool(
@@ -246,6 +249,11 @@ def run(
         found.save(target)
         part_of(target).unlink(missing_ok=True)
     return found
+
+
+def compile_rods(robot: Robot) -> None:
+    """Let the simulation be compiled, where it was not yet: a moment of a pool that nobody looks at."""
+    Pool(robot, (0.0, 0.0, 0.0), SimulatedCamera(), np.random.default_rng(0), World()).advance(1e-3)
 
 
 Keep = Callable[[Recording], None]

@@ -566,7 +566,7 @@ static inline void fk_plan_answer_pack(uint8_t *to, const fk_plan_answer_t *from
 
 #define FK_TABLE_BEGIN_COMMAND_BYTES 36u
 
-/* Begin to send a table, or go on with one whose sending was cut off. Disarmed and rested only, like the other commands of tables; no ARM until TABLE_COMMIT or TABLE_ROLLBACK. */
+/* Begin to send a table, or go on with one whose sending was cut off; writes nothing yet. Disarmed and rested only, like the other commands of tables; no ARM until TABLE_COMMIT or TABLE_ROLLBACK. */
 typedef struct {
     uint32_t length; /* of the image, whole words (byte) */
     uint32_t hash_0; /* SHA-256 of the image: its first four bytes, the first one uppermost */

@@ -34,13 +34,19 @@ void fk_robot_send_events(fk_robot_t *robot)
     }
 }
 
-/* Commands that change something: a repetition of one of these must not change it again. FIX sees to that itself, by its
- * own sequence number. */
+/* Commands that change something. FIX sees to repetitions itself, by its own sequence number. */
 int32_t fk_robot_matters(uint8_t type)
 {
     return type == FK_FRAME_ARM || type == FK_FRAME_DISARM || type == FK_FRAME_PATH || type == FK_FRAME_START ||
            type == FK_FRAME_STOP || type == FK_FRAME_PARAM || type == FK_FRAME_STROKE || type == FK_FRAME_TABLE_BEGIN ||
            type == FK_FRAME_TABLE_COMMIT || type == FK_FRAME_TABLE_ROLLBACK;
+}
+
+/* Of these a repetition must not change it again. What switches off always acts: two senders may use the same numbers,
+ * and a robot that answers "disarmed" from memory would go on. */
+static int32_t acts_once(uint8_t type)
+{
+    return fk_robot_matters(type) && type != FK_FRAME_DISARM && type != FK_FRAME_STOP;
 }
 
 void fk_robot_on_frame(fk_robot_t *robot, const uint8_t *encoded, uint32_t length, uint64_t now_us)
@@ -69,7 +75,7 @@ void fk_robot_on_frame(fk_robot_t *robot, const uint8_t *encoded, uint32_t lengt
     if (record != FK_LOG_NOTHING) {
         fk_log_finish(robot->log, record, answer[0]);
     }
-    if (fk_robot_matters(frame.type)) {
+    if (acts_once(frame.type)) {
         fk_repeats_keep(&robot->repeats, &frame, answer, answer_length);
     }
     send(robot, type, frame.sequence, answer, answer_length);

@@ -1,5 +1,5 @@
 /* Which commands were had before: a radio delivers frames twice, and a host that missed an answer asks again. Such a
- * command acts once, and is answered as it was.
+ * command acts once, and is answered as it was. DISARM and STOP are none of these: they act whenever they come.
  *
  * A frame is a repetition where its sequence number and its CRC-32 (over type, sequence and payload) are those of one
  * that is kept. Kept are the last FK_REPEATS_KEPT commands that matter, each for the next FK_REPEATS_SPAN sequence

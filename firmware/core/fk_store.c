@@ -164,6 +164,7 @@ int32_t fk_store_boot(fk_store_t *store, const fk_flash_t *flash, const uint8_t 
     store->built_in = built_in;
     store->built_in_bytes = built_in_bytes;
     store->open = 0u;
+    store->begun = 0u;
     store->next_offset = 0u;
     read_journal(store);
     const uint8_t tables[3] = {store->record.active, store->record.previous, FK_STORE_BUILT_IN};
@@ -178,12 +179,19 @@ int32_t fk_store_boot(fk_store_t *store, const fk_flash_t *flash, const uint8_t 
     return error;
 }
 
-/* Where an update may go: not the table in use; the table before it only where there is no other. 0: nowhere. */
+static int32_t is_worn(const fk_store_record_t *record, uint8_t slot)
+{
+    return record->erases[slot - 1u] >= FK_FLASH_ERASES_MAX;
+}
+
+/* Where an update may go: not the table in use; the table before it only where there is no other; no worn slot.
+ * 0: nowhere. */
 static uint8_t free_slot(const fk_store_t *store)
 {
     uint8_t found = 0u;
     for (uint8_t slot = 1u; slot <= store->flash->slots; ++slot) {
-        if (slot != store->running && (found == 0u || found == store->record.previous)) {
+        if (slot != store->running && !is_worn(&store->record, slot) &&
+            (found == 0u || found == store->record.previous)) {
             found = slot;
         }
     }
@@ -210,10 +218,10 @@ int8_t fk_store_begin(fk_store_t *store, uint32_t length, const uint32_t hash[FK
     if (length < FK_IMAGE_HEADER_BYTES || length > store->flash->slot_bytes || length % 4u != 0u) {
         return FK_STATUS_VALUE;
     }
-    if (!is_same_upload(&next, length, hash)) {
+    if (!is_same_upload(&next, length, hash) || is_worn(&next, next.pending)) {
         next.pending = free_slot(store);
         if (next.pending == 0u) {
-            return FK_STATUS_SLOT;
+            return (store->running != FK_STORE_BUILT_IN && store->flash->slots == 1u) ? FK_STATUS_SLOT : FK_STATUS_WORN;
         }
         next.pages_done = 0u;
         next.length[next.pending - 1u] = length;
@@ -227,25 +235,31 @@ int8_t fk_store_begin(fk_store_t *store, uint32_t length, const uint32_t hash[FK
     if (next.previous == next.pending || next.previous == next.active) {
         next.previous = FK_STORE_BUILT_IN;
     }
-    if (next.erases[next.pending - 1u] >= FK_FLASH_ERASES_MAX) {
-        return FK_STATUS_WORN;
-    }
-    ++next.erases[next.pending - 1u]; /* from here on each of its pages is erased once at most */
-    if (append(store, &next) != FK_STATUS_OK) {
-        return FK_STATUS_FLASH;
-    }
+    store->update = next;
+    store->begun = 0u;
     store->open = 1u;
     store->next_offset = next.pages_done * FK_FLASH_PAGE_BYTES;
     return FK_STATUS_OK;
+}
+
+/* The update's record, before the first of its pages is erased: from here on each is erased once at most. */
+static int8_t write_update(fk_store_t *store)
+{
+    ++store->update.erases[store->update.pending - 1u];
+    store->begun = 1u;
+    return append(store, &store->update);
 }
 
 /* The chunk and, where it ends a page, the record of that. */
 static int8_t write_chunk(fk_store_t *store, const uint8_t *bytes, uint32_t count)
 {
     uint32_t words[FK_STORE_CHUNK_BYTES / 4u] = {0u};
-    uint32_t at = slot_offset(store, store->record.pending) + store->next_offset;
+    uint32_t at = slot_offset(store, store->update.pending) + store->next_offset;
     for (uint32_t i = 0u; i < count / 4u; ++i) {
         words[i] = fk_get_u32(bytes + 4u * i);
+    }
+    if (store->begun == 0u && write_update(store) != FK_STATUS_OK) {
+        return FK_STATUS_FLASH;
     }
     if (store->next_offset % FK_FLASH_PAGE_BYTES == 0u && erase_page(store, at) != FK_STATUS_OK) {
         return FK_STATUS_FLASH;
@@ -270,7 +284,7 @@ int8_t fk_store_chunk(fk_store_t *store, uint32_t offset, const uint8_t *bytes, 
     if (offset != store->next_offset) {
         return FK_STATUS_OFFSET;
     }
-    uint32_t left = store->record.length[store->record.pending - 1u] - offset;
+    uint32_t left = store->update.length[store->update.pending - 1u] - offset;
     if (count == 0u || count != ((left < FK_STORE_CHUNK_BYTES) ? left : FK_STORE_CHUNK_BYTES)) {
         return FK_STATUS_LENGTH;
     }
@@ -304,7 +318,8 @@ static int8_t verify(const fk_store_t *store, uint32_t *crc32, int8_t *error)
 
 int8_t fk_store_commit(fk_store_t *store, int8_t *error)
 {
-    fk_store_record_t next = store->record;
+    /* An update whose last page was done before a reset is committed without another chunk. */
+    fk_store_record_t next = (store->open != 0u && store->begun == 0u) ? store->update : store->record;
     uint8_t slot = next.pending;
     *error = FK_OK;
     if (store->open == 0u || store->next_offset != next.length[slot - 1u]) {

@@ -11,7 +11,7 @@
  * page is erased, which holds older records only, and the row goes on there.
  *
  * A slot is erased and written only while it is neither in use nor what a rollback leads to, and a record
- * says so first. What a slot holds is believed when a COMMIT has read it all back (hash, CRC-32, format, every index,
+ * says so first: it is written when the first page is to be erased, so that beginning an update wears nothing. What a slot holds is believed when a COMMIT has read it all back (hash, CRC-32, format, every index,
  * robot, limits) and its record is whole; at boot it is checked again.
  */
 #ifndef FK_STORE_H
@@ -56,7 +56,7 @@ typedef struct {
     uint8_t pages_done;                     /* whole pages of the update that have been written */
     uint32_t length[FK_STORE_SLOTS_MAX];    /* of the image in each slot, 0: none */
     uint32_t crc32[FK_STORE_SLOTS_MAX];     /* as in that image's header, from its COMMIT on */
-    uint32_t erases[FK_STORE_SLOTS_MAX];    /* of a slot's pages, at most: uploads begun and resumed there */
+    uint32_t erases[FK_STORE_SLOTS_MAX];    /* of a slot's pages, at most: uploads that wrote there */
     uint32_t journal_erases;                /* of both pages together */
     uint32_t hash[FK_SHA256_WORDS];         /* SHA-256 of the image that was begun last */
     uint32_t check;                         /* CRC-32 of all before it */
@@ -77,8 +77,10 @@ typedef struct {
     uint32_t image_bytes;
     uint8_t running;          /* its number; not record.active where that one was not good at boot */
     uint8_t open;             /* an update takes chunks */
+    uint8_t begun;            /* the open update's record is written: its pages may be erased */
     uint32_t next_offset;     /* of the next chunk wanted */
     fk_store_record_t record; /* the newest */
+    fk_store_record_t update; /* of the open update, until its first page is erased: an update begun writes nothing */
     uint32_t sequence;        /* of the newest record, whole or not */
     uint32_t newest_page;     /* journal page of the newest whole record */
     uint32_t page;            /* where the next record goes */
@@ -92,13 +94,12 @@ typedef struct {
  */
 int32_t fk_store_boot(fk_store_t *store, const fk_flash_t *flash, const uint8_t *built_in, uint32_t built_in_bytes);
 
-/* Begin an update, or go on with one of the same length and hash at store->next_offset.
+/* Begin an update, or go on with one of the same length and hash at store->next_offset. Writes nothing.
  * @param length  bytes of the image, whole words
  * @retval FK_STATUS_OK
  * @retval FK_STATUS_VALUE  no length of a table, or more than a slot has
  * @retval FK_STATUS_SLOT   the only slot holds the table in use: go back to the built-in one first
- * @retval FK_STATUS_WORN   the slot has been erased FK_FLASH_ERASES_MAX times
- * @retval FK_STATUS_FLASH  the flash does not hold what was written
+ * @retval FK_STATUS_WORN   each slot that is free has been erased FK_FLASH_ERASES_MAX times
  */
 int8_t fk_store_begin(fk_store_t *store, uint32_t length, const uint32_t hash[FK_SHA256_WORDS]);
 

@@ -36,9 +36,9 @@ typedef struct {
     uint32_t built_in_bytes;
     const uint8_t *image;
     uint32_t image_bytes;
-    uint8_t running, open;
+    uint8_t running, open, begun;
     uint32_t next_offset;
-    fk_store_record_t record;
+    fk_store_record_t record, update;
     uint32_t sequence, newest_page, page, place;
 } fk_store_t;
 typedef struct {
@@ -171,9 +171,9 @@ class Flash:
         return self._status(self.lib.fk_store_rollback(self.store, crc_of(image), self.error))
 
     def fill_journal(self, left: int) -> None:
-        """Begin uploads until a journal page has so many places left."""
+        """Begin to write uploads until a journal page has so many places left."""
         while PLACES - self.store.place != left:
-            assert self.begin(table(9)) == "OK"
+            assert self.begin(table(9)) == "OK" and self.chunk(0, table(9)[:128]) == "OK"
 
 
 OLD, NEW, NEXT, LATER = table(2), table(3), table(4), table(5)

@@ -128,6 +128,9 @@ def test_one_slot_is_emptied_before_it_is_filled() -> None:
     assert flash.rollback(OLD) == "OK"
     assert flash.rollback(flash.built_in) == "OK"
     assert flash.begin(NEW) == "OK"
+    assert flash.rollback(OLD) == "OK"  # nothing of it was erased yet
+    assert flash.rollback(flash.built_in) == "OK"
+    assert flash.begin(NEW) == "OK" and flash.chunk(0, NEW[:128]) == "OK"
     assert flash.rollback(OLD) == "VALUE"
     assert flash.upload(NEW) == "OK"
     assert flash.boot() == 0
@@ -210,6 +213,41 @@ def test_wear_is_counted() -> None:
     assert record.journal_erases <= sim.erased[0] <= record.journal_erases + cases(200, 1000)
     for slot in range(2):
         assert max(sim.page_erases[2 + 2 * slot : 4 + 2 * slot]) <= record.erases[slot]
+
+
+def test_an_update_that_is_only_begun_wears_nothing() -> None:
+    """Whoever may begin updates could otherwise end them for ever, with no page erased."""
+    flash = Flash()
+    assert flash.upload(OLD) == "OK"
+    before, counted = bytes(flash.memory), list(flash.store.record.erases)
+    flash.sim.operations = 0
+    for turn in range(10_001):
+        assert flash.begin((NEW, NEXT)[turn % 2]) == "OK"
+    assert flash.sim.operations == 0 and bytes(flash.memory) == before
+    assert list(flash.store.record.erases) == counted
+    assert flash.upload(NEW) == "OK" and flash.image == NEW
+    assert flash.rollback(OLD) == "OK"
+
+
+def test_a_rollback_after_an_update_that_was_only_begun_finds_the_table_before() -> None:
+    flash = Flash()
+    assert flash.upload(OLD) == "OK" and flash.upload(NEW) == "OK"
+    assert flash.begin(NEXT) == "OK"
+    assert flash.rollback(OLD) == "OK" and flash.image == OLD
+    assert flash.boot() == 0 and flash.image == OLD
+
+
+def test_a_worn_slot_falls_through_to_the_other() -> None:
+    flash = Flash()
+    flash.store.record.erases[0] = 10_000
+    assert flash.upload(NEW) == "OK"
+    assert flash.store.running == 2 and list(flash.store.record.erases) == [10_000, 1]
+    assert flash.upload(NEXT) == "WORN" and flash.image == NEW
+    flash = Flash()
+    assert flash.begin(NEW) == "OK" and flash.chunk(0, NEW[:128]) == "OK"
+    flash.store.record.erases[0] = 10_000  # worn amid an update: it begins anew in the other
+    assert flash.begin(NEW) == "OK" and flash.store.next_offset == 0
+    assert flash.upload(NEW) == "OK" and flash.store.running == 2
 
 
 def test_a_worn_slot_is_written_no_more() -> None:

@@ -12,21 +12,19 @@ import tempfile
 from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
-
-from elftools.elf.elffile import ELFFile
-from elftools.elf.sections import SymbolTableSection
-from intelhex import IntelHex
+from typing import Any
 
 from frogkick.errors import InputError
+from frogkick.extras import require
 from frogkick.files import write_bytes, write_text
 from frogkick.planner.image import read_image
 from frogkick.robot import Robot
 from frogkick_codegen.emit import emit
 from frogkick_codegen.kept import built_once
 from frogkick_codegen.map_file import write_map
+from frogkick_codegen.sources import firmware_sources
 from frogkick_codegen.toolchain import FLAGS, Compiler, zig
 
-FIRMWARE = Path(__file__).resolve().parents[2] / "firmware"
 TARGETS = ("bench", "native")
 FLASH_BYTES = 512 * 1024
 RAM_BYTES = 64 * 1024
@@ -166,18 +164,15 @@ def build(target: str, image: Path, robot: Robot, out: Path, compiler: Compiler 
 
     Raises:
         InputError: unknown target, the table is for another robot, its guard's limits are none, the sources
-            are not beside the package, the image does not fit the chip, or ``out`` cannot be written or holds
-            an ``emitted`` of others.
+            or a package are not installed, the image does not fit the chip, or ``out`` cannot be written or
+            holds an ``emitted`` of others.
         ToolchainError: no compiler, or a refused source.
     """
     if target not in TARGETS:
         raise InputError(f"firmware target is {target!r}: choose from {', '.join(TARGETS)}")
     tables = read_image(image)
     tables.require_robot(robot.id)
-    if not (FIRMWARE / "core").is_dir():
-        raise InputError(
-            "the firmware's sources are not beside this package: work in a clone of the repository"
-        )
+    require_tools(target)
     command = f"frogkick firmware build --target {target} --tables {image.name}"
     config = robot_config(robot)
     with tempfile.TemporaryDirectory(prefix="frogkick-build-") as folder:
@@ -199,18 +194,32 @@ def build(target: str, image: Path, robot: Robot, out: Path, compiler: Compiler 
     return Build(target, files["elf" if target == "bench" else "library"], files, *sizes)
 
 
+def require_tools(target: str) -> None:
+    """Refuse a target that cannot be built here: what a build looks for, and ``doctor`` with it.
+
+    Raises:
+        InputError: the sources or a package are not installed.
+        ToolchainError: the compiler is not.
+    """
+    firmware_sources()
+    zig("chip" if target == "bench" else "host")
+    if target == "bench":
+        require("the image for the chip", "elftools", "intelhex")
+
+
 def _sources(work: Path) -> tuple[list[Path], list[Path], list[str]]:
     """C files, headers, and how a compiler is told where they are."""
-    folders = [work / "config", work / "emitted", FIRMWARE / "core"]
+    firmware = firmware_sources()
+    folders = [work / "config", work / "emitted", firmware / "core"]
     emitted = [path for path in sorted(folders[1].glob("*.c")) if "example" not in path.name]
     headers = [path for folder in folders for path in sorted(folder.glob("*.h"))]
     places = [
         *(f"-I{folder}" for folder in folders),
         # Debug information would otherwise name this build's temporary folder, and differ each time.
         f"-ffile-prefix-map={work}=.",
-        f"-ffile-prefix-map={FIRMWARE}=firmware",
+        f"-ffile-prefix-map={firmware}=firmware",
     ]
-    return emitted + sorted((FIRMWARE / "core").glob("*.c")), headers, places
+    return emitted + sorted((firmware / "core").glob("*.c")), headers, places
 
 
 def slots_for(table_bytes: int) -> tuple[int, int]:
@@ -221,7 +230,7 @@ def slots_for(table_bytes: int) -> tuple[int, int]:
 
 
 def _build_bench(work: Path, limbs: int, table_bytes: int) -> dict[str, Path]:
-    bench = FIRMWARE / "bench"
+    bench = firmware_sources() / "bench"
     sources, headers, places = _sources(work)
     sources, script = [*sources, *sorted(bench.glob("*.c"))], bench / "nrf52832.ld"
     elf = work / "frogkick-bench.elf"
@@ -266,6 +275,9 @@ def _build_native(work: Path, compiler: Compiler) -> dict[str, Path]:
 
 def _hex_of(elf: Path) -> Path:
     """Intel HEX of the ELF's loadable segments at their load addresses."""
+    from elftools.elf.elffile import ELFFile
+    from intelhex import IntelHex
+
     content = IntelHex()
     with elf.open("rb") as file:
         for segment in ELFFile(file).iter_segments("PT_LOAD"):
@@ -282,6 +294,8 @@ def _sizes(elf: Path) -> tuple[int, int, int]:
     Raises:
         InputError: more than the chip has.
     """
+    from elftools.elf.elffile import ELFFile
+
     flash = ram = 0
     with elf.open("rb") as file:
         content = ELFFile(file)
@@ -299,7 +313,9 @@ def _sizes(elf: Path) -> tuple[int, int, int]:
     return flash, ram, top - bottom
 
 
-def _address(content: ELFFile, elf: Path, name: str) -> int:
+def _address(content: Any, elf: Path, name: str) -> int:
+    from elftools.elf.sections import SymbolTableSection
+
     table = content.get_section_by_name(".symtab")
     found = table.get_symbol_by_name(name) if isinstance(table, SymbolTableSection) else None
     if not found:

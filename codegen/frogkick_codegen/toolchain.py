@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import os
 import shutil
 import subprocess
@@ -13,6 +12,7 @@ from functools import cache
 from pathlib import Path
 
 from frogkick.errors import FrogkickError, nearest_name
+from frogkick.extras import require
 from frogkick.files import cache_folder
 
 STANDARD = ("-std=c99", "-O2")
@@ -85,11 +85,7 @@ def zig(target: str = "host") -> Compiler:
     targets = {"host": ZIG_HOST, "chip": ZIG_CHIP}
     if target not in targets:
         raise ToolchainError(f"target {target!r} is not one of host, chip{nearest_name(target, targets)}")
-    if importlib.util.find_spec("ziglang") is None:
-        raise ToolchainError(
-            "no C compiler: the Python package 'ziglang' is not installed; run "
-            "'python -m pip install ziglang==0.17.0', or 'make venv' in the repository"
-        )
+    require("the C compiler", "ziglang", error=ToolchainError)
     driver = (sys.executable, "-m", "ziglang")
     return Compiler("zig", (*driver, "cc"), targets[target], f"zig {_version_of_zig(driver)}")
 

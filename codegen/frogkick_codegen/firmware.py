@@ -23,7 +23,7 @@ from frogkick_codegen.emit import emit
 from frogkick_codegen.kept import built_once
 from frogkick_codegen.map_file import write_map
 from frogkick_codegen.sources import firmware_sources
-from frogkick_codegen.toolchain import FLAGS, Compiler, zig
+from frogkick_codegen.toolchain import FLAGS, Compiler, zig, zig_folders
 
 TARGETS = ("bench", "native")
 FLASH_BYTES = 512 * 1024
@@ -32,9 +32,6 @@ FLASH_PAGE_BYTES = 4096
 STORE_END = FLASH_BYTES // 10 * 9  # the linker script refuses more
 SLOT_BYTES_MIN = 64 * 1024
 _CODE_BYTES_MAX = 64 * 1024  # without the table; the linker refuses more
-
-# Debug information would otherwise name where the compiler's own headers are.
-_FLAGS = (*FLAGS, f"-ffile-prefix-map={sys.prefix}=python")
 
 
 @dataclass(frozen=True)
@@ -172,7 +169,8 @@ def build(target: str, image: Path, robot: Robot, out: Path, compiler: Compiler 
         raise InputError(f"firmware target is {target!r}: choose from {', '.join(TARGETS)}")
     tables = read_image(image)
     tables.require_robot(robot.id)
-    require_tools(target)
+    if compiler is None:
+        require_tools(target)
     command = f"frogkick firmware build --target {target} --tables {image.name}"
     config = robot_config(robot)
     with tempfile.TemporaryDirectory(prefix="frogkick-build-") as folder:
@@ -215,9 +213,10 @@ def _sources(work: Path) -> tuple[list[Path], list[Path], list[str]]:
     headers = [path for folder in folders for path in sorted(folder.glob("*.h"))]
     places = [
         *(f"-I{folder}" for folder in folders),
-        # Debug information would otherwise name this build's temporary folder, and differ each time.
+        # Debug information would otherwise name these folders, and differ by place and time.
         f"-ffile-prefix-map={work}=.",
         f"-ffile-prefix-map={firmware}=firmware",
+        *(f"-ffile-prefix-map={folder}=zig" for folder in zig_folders()),
     ]
     return emitted + sorted((firmware / "core").glob("*.c")), headers, places
 
@@ -236,7 +235,7 @@ def _build_bench(work: Path, limbs: int, table_bytes: int) -> dict[str, Path]:
     elf = work / "frogkick-bench.elf"
     slots, slot_bytes = slots_for(table_bytes)
     flags = [
-        *_FLAGS,
+        *FLAGS,
         "-ffreestanding",
         "-ffunction-sections",
         "-fdata-sections",
@@ -268,7 +267,7 @@ def _build_native(work: Path, compiler: Compiler) -> dict[str, Path]:
     # A library that is already loaded must not be overwritten: each content has its own name.
     suffix = {"darwin": ".dylib", "win32": ".dll"}.get(sys.platform, ".so")
     library = work / f"frogkick-native-{digest}{suffix}"
-    flags = [*_FLAGS, "-fPIC", "-shared"]
+    flags = [*FLAGS, "-fPIC", "-shared"]
     library.write_bytes(built_once(compiler, flags, [*places, *sources], [*sources, *headers], library))
     return {"library": library}
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import os
 import shutil
 import subprocess
@@ -88,6 +89,15 @@ def zig(target: str = "host") -> Compiler:
     require("the C compiler", "ziglang", error=ToolchainError)
     driver = (sys.executable, "-m", "ziglang")
     return Compiler("zig", (*driver, "cc"), targets[target], f"zig {_version_of_zig(driver)}")
+
+
+def zig_folders() -> list[Path]:
+    """Where the wheel with zig is, its own headers among it, for what must not name that place."""
+    found = importlib.util.find_spec("ziglang")
+    places = (
+        [] if found is None else [Path(place).resolve() for place in found.submodule_search_locations or ()]
+    )
+    return places
 
 
 @cache

@@ -98,7 +98,7 @@ def test_whatever_is_read_or_said_makes_another_one(
             changed.setattr(firmware, "firmware_sources", lambda folder=copy: folder)
             assert is_new(), name
     with monkeypatch.context() as changed:
-        changed.setattr(firmware, "_FLAGS", (*firmware._FLAGS, "-DFK_ANOTHER=1"))
+        changed.setattr(firmware, "FLAGS", (*firmware.FLAGS, "-DFK_ANOTHER=1"))
         assert is_new()
     with monkeypatch.context() as changed:
         changed.setattr(toolchain, "_version_of_zig", lambda _driver: "another")

@@ -54,7 +54,7 @@ class Stage:
 
 
 def package(name: str, needed_for: str, *others: str) -> Finding:
-    """A package of Python's, and others without which it is no use; looked for as by commands that need it."""
+    """A package of Python's, and others that it is no use without; looked for as by the commands."""
     lacking = [each for each in (name, *others) if not installed(each)]
     hint = install_command(name) if lacking else ""
     return Finding(name, not lacking, "missing" if lacking else "installed", needed_for, hint)

@@ -24,6 +24,7 @@ PLACES = {
     "firmware/": "frogkick_codegen/firmware_sources/",
 }
 """Folder of the repository -> where the wheel has it."""
+COMPILES = "in a new environment numba compiles all anew, for minutes: FK_LEVEL=ci"
 
 
 @pytest.fixture(scope="module")
@@ -89,6 +90,14 @@ def test_the_firmware_is_built_from_the_wheel_alone(whole: Environment, tmp_path
     assert {"tree.c", "fk_planner.h", "fk_table.c"} <= json.loads(emitted.stdout)["files"].keys()
 
 
+def test_python_lines_work_too(bare: Environment) -> None:
+    lines = 'import frogkick as fk; t = fk.load_table("t.fkt"); print(t.robot.id, *fk.emit_c(t, "lines"))'
+    said = bare.script("-c", lines)
+    assert said.code == 0, said.stderr
+    assert {"frog2022", "tree.c", "fk_planner.h"} <= set(said.stdout.split())
+    shutil.rmtree(bare.here / "lines")
+
+
 FIRMWARE, LINK, FLASH = "firmware", "link", "flash"
 LACKING: list[tuple[str, list[str]]] = [
     (FIRMWARE, ["demo", "--out", "made"]),
@@ -136,7 +145,15 @@ def test_without_an_extra_commands_work_or_say_which_they_need(bare: Environment
     assert not list(bare.root.glob("cache/tables/*"))  # nothing was simulated for it
 
 
-@pytest.mark.skipif(LEVEL == "quick", reason="a new environment compiles all of numba's: FK_LEVEL=ci")
+@pytest.mark.skipif(LEVEL == "quick", reason=COMPILES)
+@pytest.mark.parametrize("name", ["swim", "run"])
+def test_an_example_runs_from_the_wheel(name: str, whole: Environment) -> None:
+    said = whole.script(REPOSITORY / "host" / "examples" / f"{name}.py")
+    assert said.code == 0, said.stderr
+    assert len(said.stdout.splitlines()) >= 2
+
+
+@pytest.mark.skipif(LEVEL == "quick", reason=COMPILES)
 def test_the_ring_without_a_clone(whole: Environment) -> None:
     lines = [
         ["simulate", "--cycles", "1", "--out", "swim.csv", "--json"],

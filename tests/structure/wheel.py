@@ -110,6 +110,11 @@ class Environment:
             assert inside, f"{file} is not the wheel's"
         return [Said(*row) for row in told["rows"]]
 
+    def script(self, *arguments: str | Path) -> Said:
+        """Run Python with the arguments, a file or -c and text."""
+        done = self._run([str(self._python), *map(str, arguments)])
+        return Said(done.returncode, done.stdout, done.stderr)
+
     @property
     def _python(self) -> Path:
         return self.root / "venv" / ("Scripts" if sys.platform == "win32" else "bin") / "python"

@@ -12,21 +12,19 @@ import tempfile
 from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
-
-from elftools.elf.elffile import ELFFile
-from elftools.elf.sections import SymbolTableSection
-from intelhex import IntelHex
+from typing import Any
 
 from frogkick.errors import InputError
+from frogkick.extras import require
 from frogkick.files import write_bytes, write_text
 from frogkick.planner.image import read_image
 from frogkick.robot import Robot
 from frogkick_codegen.emit import emit
 from frogkick_codegen.kept import built_once
 from frogkick_codegen.map_file import write_map
-from frogkick_codegen.toolchain import FLAGS, Compiler, zig
+from frogkick_codegen.sources import firmware_sources
+from frogkick_codegen.toolchain import FLAGS, Compiler, zig, zig_folders
 
-FIRMWARE = Path(__file__).resolve().parents[2] / "firmware"
 TARGETS = ("bench", "native")
 FLASH_BYTES = 512 * 1024
 RAM_BYTES = 64 * 1024
@@ -34,9 +32,6 @@ FLASH_PAGE_BYTES = 4096
 STORE_END = FLASH_BYTES // 10 * 9  # the linker script refuses more
 SLOT_BYTES_MIN = 64 * 1024
 _CODE_BYTES_MAX = 64 * 1024  # without the table; the linker refuses more
-
-# Debug information would otherwise name where the compiler's own headers are.
-_FLAGS = (*FLAGS, f"-ffile-prefix-map={sys.prefix}=python")
 
 
 @dataclass(frozen=True)
@@ -166,18 +161,16 @@ def build(target: str, image: Path, robot: Robot, out: Path, compiler: Compiler 
 
     Raises:
         InputError: unknown target, the table is for another robot, its guard's limits are none, the sources
-            are not beside the package, the image does not fit the chip, or ``out`` cannot be written or holds
-            an ``emitted`` of others.
+            or a package are not installed, the image does not fit the chip, or ``out`` cannot be written or
+            holds an ``emitted`` of others.
         ToolchainError: no compiler, or a refused source.
     """
     if target not in TARGETS:
         raise InputError(f"firmware target is {target!r}: choose from {', '.join(TARGETS)}")
     tables = read_image(image)
     tables.require_robot(robot.id)
-    if not (FIRMWARE / "core").is_dir():
-        raise InputError(
-            "the firmware's sources are not beside this package: work in a clone of the repository"
-        )
+    if compiler is None:
+        require_tools(target)
     command = f"frogkick firmware build --target {target} --tables {image.name}"
     config = robot_config(robot)
     with tempfile.TemporaryDirectory(prefix="frogkick-build-") as folder:
@@ -199,18 +192,33 @@ def build(target: str, image: Path, robot: Robot, out: Path, compiler: Compiler 
     return Build(target, files["elf" if target == "bench" else "library"], files, *sizes)
 
 
+def require_tools(target: str) -> None:
+    """Refuse a target that cannot be built here: what a build looks for, and ``doctor`` with it.
+
+    Raises:
+        InputError: the sources or a package are not installed.
+        ToolchainError: the compiler is not.
+    """
+    firmware_sources()
+    zig("chip" if target == "bench" else "host")
+    if target == "bench":
+        require("the image for the chip", "elftools", "intelhex")
+
+
 def _sources(work: Path) -> tuple[list[Path], list[Path], list[str]]:
     """C files, headers, and how a compiler is told where they are."""
-    folders = [work / "config", work / "emitted", FIRMWARE / "core"]
+    firmware = firmware_sources()
+    folders = [work / "config", work / "emitted", firmware / "core"]
     emitted = [path for path in sorted(folders[1].glob("*.c")) if "example" not in path.name]
     headers = [path for folder in folders for path in sorted(folder.glob("*.h"))]
     places = [
         *(f"-I{folder}" for folder in folders),
-        # Debug information would otherwise name this build's temporary folder, and differ each time.
+        # Debug information would otherwise name these folders, and differ by place and time.
         f"-ffile-prefix-map={work}=.",
-        f"-ffile-prefix-map={FIRMWARE}=firmware",
+        f"-ffile-prefix-map={firmware}=firmware",
+        *(f"-ffile-prefix-map={folder}=zig" for folder in zig_folders()),
     ]
-    return emitted + sorted((FIRMWARE / "core").glob("*.c")), headers, places
+    return emitted + sorted((firmware / "core").glob("*.c")), headers, places
 
 
 def slots_for(table_bytes: int) -> tuple[int, int]:
@@ -221,13 +229,13 @@ def slots_for(table_bytes: int) -> tuple[int, int]:
 
 
 def _build_bench(work: Path, limbs: int, table_bytes: int) -> dict[str, Path]:
-    bench = FIRMWARE / "bench"
+    bench = firmware_sources() / "bench"
     sources, headers, places = _sources(work)
     sources, script = [*sources, *sorted(bench.glob("*.c"))], bench / "nrf52832.ld"
     elf = work / "frogkick-bench.elf"
     slots, slot_bytes = slots_for(table_bytes)
     flags = [
-        *_FLAGS,
+        *FLAGS,
         "-ffreestanding",
         "-ffunction-sections",
         "-fdata-sections",
@@ -259,13 +267,16 @@ def _build_native(work: Path, compiler: Compiler) -> dict[str, Path]:
     # A library that is already loaded must not be overwritten: each content has its own name.
     suffix = {"darwin": ".dylib", "win32": ".dll"}.get(sys.platform, ".so")
     library = work / f"frogkick-native-{digest}{suffix}"
-    flags = [*_FLAGS, "-fPIC", "-shared"]
+    flags = [*FLAGS, "-fPIC", "-shared"]
     library.write_bytes(built_once(compiler, flags, [*places, *sources], [*sources, *headers], library))
     return {"library": library}
 
 
 def _hex_of(elf: Path) -> Path:
     """Intel HEX of the ELF's loadable segments at their load addresses."""
+    from elftools.elf.elffile import ELFFile
+    from intelhex import IntelHex
+
     content = IntelHex()
     with elf.open("rb") as file:
         for segment in ELFFile(file).iter_segments("PT_LOAD"):
@@ -282,6 +293,8 @@ def _sizes(elf: Path) -> tuple[int, int, int]:
     Raises:
         InputError: more than the chip has.
     """
+    from elftools.elf.elffile import ELFFile
+
     flash = ram = 0
     with elf.open("rb") as file:
         content = ELFFile(file)
@@ -299,7 +312,9 @@ def _sizes(elf: Path) -> tuple[int, int, int]:
     return flash, ram, top - bottom
 
 
-def _address(content: ELFFile, elf: Path, name: str) -> int:
+def _address(content: Any, elf: Path, name: str) -> int:
+    from elftools.elf.sections import SymbolTableSection
+
     table = content.get_section_by_name(".symtab")
     found = table.get_symbol_by_name(name) if isinstance(table, SymbolTableSection) else None
     if not found:

@@ -6,18 +6,17 @@ fails until it was run.
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import jinja2
 
 from frogkick.files import write_text
 from frogkick.link.layout import Field, Payload, link_layout
 from frogkick.link.supervisor import supervisor
+from frogkick_codegen.sources import firmware_sources
 
-FIRMWARE = Path(__file__).resolve().parents[2] / "firmware"
-HEADER = FIRMWARE / "core" / "fk_frames_layout.h"
-SUPERVISOR_HEADER = FIRMWARE / "core" / "fk_supervisor_table.h"
-README = FIRMWARE / "README.md"
+_FIRMWARE = firmware_sources()
+HEADER = _FIRMWARE / "core" / "fk_frames_layout.h"
+SUPERVISOR_HEADER = _FIRMWARE / "core" / "fk_supervisor_table.h"
+README = _FIRMWARE / "README.md"
 
 
 def _render(template: str) -> str:

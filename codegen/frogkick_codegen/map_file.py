@@ -5,9 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from elftools.elf.elffile import ELFFile
-from elftools.elf.sections import SymbolTableSection
-
 from frogkick.files import write_text
 
 RAM_START = 0x20000000
@@ -27,6 +24,8 @@ def write_map(elf: Path) -> Path:
     Raises:
         InputError: the file cannot be written.
     """
+    from elftools.elf.elffile import ELFFile
+
     with elf.open("rb") as file:
         content = ELFFile(file)
         sections = [
@@ -49,6 +48,8 @@ def write_map(elf: Path) -> Path:
 
 def _symbols(content: Any) -> list[tuple[int, int, str, str]]:
     """Address, bytes, section, name of every function and object that takes room."""
+    from elftools.elf.sections import SymbolTableSection
+
     found = set()
     for table in content.iter_sections():
         if not isinstance(table, SymbolTableSection):

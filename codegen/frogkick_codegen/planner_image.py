@@ -5,9 +5,8 @@ from __future__ import annotations
 from importlib import resources
 from pathlib import Path
 
-from frogkick.errors import InputError
 from frogkick_codegen.emit import SOURCES
-from frogkick_codegen.firmware import FIRMWARE
+from frogkick_codegen.sources import firmware_sources
 from frogkick_codegen.toolchain import FLAGS, STANDARD, zig
 
 _BARE = (
@@ -31,14 +30,10 @@ def build_planner(emitted: Path, elf: Path) -> Path:
         elf: where the image goes.
 
     Raises:
-        InputError: the chip's start-up code is not beside this package.
+        InputError: the chip's start-up code is not installed.
         ToolchainError: no compiler, or a refused source.
     """
-    bench = FIRMWARE / "bench"
-    if not bench.is_dir():
-        raise InputError(
-            "the firmware's sources are not beside this package: work in a clone of the repository"
-        )
+    bench = firmware_sources() / "bench"
     main = resources.files("frogkick_codegen") / "templates" / "measure_main.c"
     with resources.as_file(main) as file:
         zig("chip").run(

@@ -5,11 +5,11 @@ from __future__ import annotations
 import importlib
 import logging
 from collections.abc import Callable
-from importlib import util
 from pathlib import Path
 from typing import Any
 
 from frogkick.errors import FrogkickError, InputError
+from frogkick.extras import require
 
 TARGET = "nrf52832"
 FLASH_BYTES = 512 * 1024
@@ -25,8 +25,9 @@ def check_image(image: Path) -> int:
     """Length in bytes of an Intel HEX that fits the chip.
 
     Raises:
-        InputError: it is none, is empty, or has bytes outside of the chip's flash.
+        InputError: it is none, is empty, or has bytes outside of the chip's flash; no package to read it.
     """
+    require("an Intel HEX", "intelhex")
     from intelhex import HexReaderError, IntelHex
 
     try:
@@ -96,8 +97,7 @@ def _programmer(session: Any, progress: Callable[[int, int], None]) -> Any:
 
 
 def _connect(unique_id: str | None) -> Any:
-    if util.find_spec("pyocd") is None:
-        raise InputError("flashing needs the package 'pyocd', not installed: pip install 'frogkick[flash]'")
+    require("flashing", "pyocd")
     logging.getLogger("pyocd").setLevel(logging.CRITICAL)  # what matters of it is in the errors
     helpers = importlib.import_module("pyocd.core.helpers").ConnectHelper
     probes = helpers.get_all_connected_probes(blocking=False, unique_id=unique_id, print_wait_message=False)

@@ -13,6 +13,7 @@ from functools import cache
 from pathlib import Path
 
 from frogkick.errors import FrogkickError, nearest_name
+from frogkick.extras import require
 from frogkick.files import cache_folder
 
 STANDARD = ("-std=c99", "-O2")
@@ -85,13 +86,18 @@ def zig(target: str = "host") -> Compiler:
     targets = {"host": ZIG_HOST, "chip": ZIG_CHIP}
     if target not in targets:
         raise ToolchainError(f"target {target!r} is not one of host, chip{nearest_name(target, targets)}")
-    if importlib.util.find_spec("ziglang") is None:
-        raise ToolchainError(
-            "no C compiler: the Python package 'ziglang' is not installed; run "
-            "'python -m pip install ziglang==0.17.0', or 'make venv' in the repository"
-        )
+    require("the C compiler", "ziglang", error=ToolchainError)
     driver = (sys.executable, "-m", "ziglang")
     return Compiler("zig", (*driver, "cc"), targets[target], f"zig {_version_of_zig(driver)}")
+
+
+def zig_folders() -> list[Path]:
+    """Where the wheel with zig is, its own headers among it, for what must not name that place."""
+    found = importlib.util.find_spec("ziglang")
+    places = (
+        [] if found is None else [Path(place).resolve() for place in found.submodule_search_locations or ()]
+    )
+    return places
 
 
 @cache

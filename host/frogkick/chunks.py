@@ -24,11 +24,12 @@ from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor, as_compl
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from dataclasses import dataclass
-from importlib import metadata, resources, util
+from importlib import metadata, resources
 from types import FrameType
 from typing import Any, Generic, TypeVar
 
 from frogkick.errors import FrogkickError, InputError
+from frogkick.extras import require
 from frogkick.interrupts import ctrl_c_waits
 
 Ready = TypeVar("Ready")
@@ -177,11 +178,7 @@ def check_cluster(address: str) -> None:
         raise InputError(
             f"cluster address {address!r} is not HOST:PORT: give the scheduler's, as tcp://127.0.0.1:8786"
         )
-    if util.find_spec("distributed") is None:
-        raise InputError(
-            "--cluster needs the package 'distributed', which is not installed: "
-            "pip install 'frogkick[cluster]'"
-        )
+    require("--cluster", "distributed")
 
 
 def _on_cluster(

@@ -110,7 +110,7 @@ def test_good_addresses(address: str) -> None:
 def test_without_distributed_the_hint_is_one_line(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(frogkick.chunks.util, "find_spec", lambda name: None)
+    monkeypatch.setitem(sys.modules, "distributed", None)
     assert run_command(["sweep", "--out", str(tmp_path / "x"), "--cluster", "127.0.0.1:8786"]) == 2
     said = capsys.readouterr().err
     assert said.count("\n") == 1 and "pip install 'frogkick[cluster]'" in said

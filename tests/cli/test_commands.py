@@ -57,6 +57,21 @@ def test_doctor(here: Path, capsys: Capture) -> None:
         assert all(finding["install"] in said for finding in stage["missing"])
 
 
+@pytest.mark.parametrize("package", ["ziglang", "elftools", "intelhex", "unicorn", "capstone"])
+def test_doctor_lacks_what_demo_lacks(
+    package: str, here: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, package, None)
+    if package != "intelhex":  # as where nothing of the chip was loaded before
+        monkeypatch.delitem(sys.modules, "frogkick.pool.chip", raising=False)
+        monkeypatch.delitem(sys.modules, "frogkick.pool.chip.hook", raising=False)
+    done = frogkick(capsys, "doctor", "--json")
+    stage = done.json["stages"][0]
+    assert done.code == 1 and not stage["ready"]
+    assert {finding["install"] for finding in stage["missing"]} == {"pip install 'frogkick[firmware]'"}
+    assert "NOT READY no hardware" in frogkick(capsys, "doctor").stdout
+
+
 def test_simulate_a_gait(here: Path, capsys: Capture) -> None:
     options = ("--egain-percent", "10", "--frequency-hz", "0.8", "--phase", "0.5", "--cycles", "2")
     done = frogkick(capsys, "simulate", "frog2022", *options, "--out", "x.csv", "--json")

@@ -13,6 +13,7 @@ from frogkick.files import cache_folder
 from frogkick.robot import Robot, load_robot
 from frogkick_codegen import firmware, kept, toolchain
 from frogkick_codegen.firmware import TARGETS, build
+from frogkick_codegen.sources import firmware_sources
 from frogkick_codegen.toolchain import Compiler
 
 ROBOT = load_robot("frog2022")
@@ -91,13 +92,13 @@ def test_whatever_is_read_or_said_makes_another_one(
         ("core/fk_guard.c", "core/fk_guard.h", "bench/clock.h", "bench/nrf52832.ld")
     ):
         copy = tmp_path / f"sources{number}"
-        shutil.copytree(firmware.FIRMWARE, copy)
+        shutil.copytree(firmware_sources(), copy)
         (copy / name).write_text("/* Changed. */\n" + (copy / name).read_text())
         with monkeypatch.context() as changed:
-            changed.setattr(firmware, "FIRMWARE", copy)
+            changed.setattr(firmware, "firmware_sources", lambda folder=copy: folder)
             assert is_new(), name
     with monkeypatch.context() as changed:
-        changed.setattr(firmware, "_FLAGS", (*firmware._FLAGS, "-DFK_ANOTHER=1"))
+        changed.setattr(firmware, "FLAGS", (*firmware.FLAGS, "-DFK_ANOTHER=1"))
         assert is_new()
     with monkeypatch.context() as changed:
         changed.setattr(toolchain, "_version_of_zig", lambda _driver: "another")

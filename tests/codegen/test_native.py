@@ -5,6 +5,7 @@ from __future__ import annotations
 import multiprocessing
 import platform
 import re
+import sys
 import tempfile
 import zlib
 from pathlib import Path
@@ -208,8 +209,8 @@ def test_a_change_of_one_character_is_compiled(own_cache: Path) -> None:
 
 
 def test_a_missing_compiler_wheel_is_said_so(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(toolchain.importlib.util, "find_spec", lambda name: None)
-    with pytest.raises(ToolchainError, match="'ziglang' is not installed; run"):
+    monkeypatch.setitem(sys.modules, "ziglang", None)
+    with pytest.raises(ToolchainError, match=r"'ziglang', which is not installed: pip install 'frogkick\[f"):
         toolchain.zig()
 
 

@@ -31,6 +31,7 @@ from frogkick.robot import load_robot
 from frogkick_codegen import firmware, toolchain
 from frogkick_codegen.native import NativeLibrary
 from frogkick_codegen.parity import compare, make_cases, native_place, python_place
+from frogkick_codegen.sources import firmware_sources
 
 SEED = 7
 DECISIONS = count(200, 200, 80)
@@ -182,11 +183,11 @@ def test_a_changed_core_is_found_by_the_loop(
 ) -> None:
     file, before, after = LOOP_MUTATIONS[name]
     source = tmp_path / "firmware" / "core" / file
-    shutil.copytree(firmware.FIRMWARE, tmp_path / "firmware")
+    shutil.copytree(firmware_sources(), tmp_path / "firmware")
     text = source.read_text()
     assert before in text, "the rule moved: correct the mutation"
     source.write_text(text.replace(before, after))
-    monkeypatch.setattr(firmware, "FIRMWARE", tmp_path / "firmware")
+    monkeypatch.setattr(firmware, "firmware_sources", lambda: tmp_path / "firmware")
     mutant = firmware.build("native", built.file, load_robot("frog2022"), tmp_path / "out", FASTEST).image
     settings = PlanConfig()
     loop = loop_of(built, settings)

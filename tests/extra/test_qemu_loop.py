@@ -18,12 +18,13 @@ from frogkick.pool.native_robot import CoreCall
 from frogkick.robot import load_robot
 from frogkick_codegen import firmware
 from frogkick_codegen.emit import SOURCES
+from frogkick_codegen.sources import firmware_sources
 from frogkick_codegen.toolchain import FLAGS
 
 pytestmark = pytest.mark.extra
 
 SEED = 11
-FLASH = firmware.FIRMWARE.parent / "codegen" / "frogkick_codegen" / "templates" / "native_flash.c"
+FLASH = Path(firmware.__file__).parent / "templates" / "native_flash.c"
 
 
 def calls_header(loop: Rehearsal) -> str:
@@ -75,7 +76,7 @@ def test_qemu_lives_through_the_same_loop(name: str, kind: str, tmp_path: Path) 
     loop = rehearse(native, open_image(image), shape("ellipse"), config, count(200, 1000), SEED)
     emitted, settings = emitted_firmware(image, tmp_path)
     (tmp_path / "calls.h").write_text(calls_header(loop))
-    core = firmware.FIRMWARE / "core"
+    core = firmware_sources() / "core"
     elf = tmp_path / "loop.elf"
     driver.run(
         [

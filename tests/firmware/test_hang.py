@@ -163,6 +163,6 @@ def test_a_firmware_without_a_protection_is_found_out(
     text = source.read_text(encoding="utf-8")
     assert text.count(old) == 1, f"{file} holds {old!r} {text.count(old)} times: correct the mutation"
     source.write_text(text.replace(old, new), encoding="utf-8")
-    monkeypatch.setattr(firmware, "FIRMWARE", tmp_path / "firmware")
+    monkeypatch.setattr(firmware, "firmware_sources", lambda: tmp_path / "firmware")
     built = firmware.build("bench", rig.small_table(), rig.robot(), tmp_path / "out")
     assert what in what_breaks(built.image)

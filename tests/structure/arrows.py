@@ -11,7 +11,9 @@ from pathlib import Path
 CODEGEN = "codegen"
 """How the table below calls the package frogkick_codegen."""
 
-EVERYBODY = frozenset({"errors", "files", "interrupts", "progress", "chunks", "compiled", "__init__"})
+EVERYBODY = frozenset(
+    {"errors", "extras", "files", "interrupts", "progress", "chunks", "compiled", "__init__"}
+)
 """Modules of frogkick that all may import; ``__init__`` is the version."""
 
 ARROWS: Mapping[str, frozenset[str]] = {
@@ -95,6 +97,7 @@ ARROWS: Mapping[str, frozenset[str]] = {
     ),
     CODEGEN: frozenset({"robot", "planner", "link"}),
     "errors": frozenset(),
+    "extras": frozenset(),
     "files": frozenset(),
     "interrupts": frozenset(),
     "progress": frozenset(),
@@ -110,6 +113,7 @@ WHEELS: Mapping[str, frozenset[str]] = {
     "vision": frozenset({"numpy", "cv2", "pupil_apriltags"}),
     "link": frozenset({"cobs", "serial", "bleak"}),
     "errors": frozenset(),
+    "extras": frozenset(),
     "files": frozenset(),
     "chunks": frozenset({"distributed"}),
     "compiled": frozenset(),
@@ -128,7 +132,7 @@ class Import:
 
 
 DOOR = frozenset(
-    {"front", "report", "cli", "errors", "files", "interrupts", "progress", "chunks", "__init__"}
+    {"front", "report", "cli", "errors", "extras", "files", "interrupts", "progress", "chunks", "__init__"}
 )
 """What a command may import that is arguments in, one call of the front door, printing out."""
 

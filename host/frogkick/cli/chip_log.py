@@ -111,8 +111,10 @@ def replay(
     from frogkick.front.places import table_image
     from frogkick.loop.chip_log_file import read_log
     from frogkick.planner.image import read_image
+    from frogkick_codegen.firmware import require_tools
 
     fetched = read_log(file)
+    require_tools("native")
     image = table_image(tables, fetched.robot_id if model is None else model)
     opened = read_image(image)
     found = replayed(fetched, image, model)

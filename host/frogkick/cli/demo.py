@@ -30,9 +30,11 @@ def demo(
     from frogkick.report.ring_page import write_ring_report
     from frogkick.robot import load_robot
     from frogkick.study.ring import close, go_round
+    from frogkick_codegen.firmware import require_tools
 
     described = load_robot(robot)
     require_writable(out, folder=True)
+    require_tools("bench")
     levels = plan_config(described, "robot", depth).depth
     ring = go_round(described, out, states, levels, seed, progress_bar)
     close(ring, out, seed, progress_bar)

@@ -6,15 +6,14 @@ import os
 import platform
 import shutil
 import sys
-from collections.abc import Callable
 from dataclasses import asdict
 
 import typer
 
 from frogkick import __version__
 from frogkick.cli.common import JsonOption, show
-from frogkick.cli.readiness import Finding, package, stages
-from frogkick.errors import FrogkickError
+from frogkick.cli.readiness import Finding, bench_image, package, stages, tried
+from frogkick.extras import EXTRAS, install_command
 
 
 def _program(name: str, needed_for: str, package: str) -> Finding:
@@ -24,17 +23,9 @@ def _program(name: str, needed_for: str, package: str) -> Finding:
     )
 
 
-def _tried(name: str, needed_for: str, install: str, attempt: Callable[[], str]) -> Finding:
-    try:
-        return Finding(name, True, attempt(), needed_for)
-    except FrogkickError as error:
-        return Finding(name, False, str(error), needed_for, install)
-
-
-def _compile_for_chip() -> str:
-    from frogkick_codegen.toolchain import zig
-
-    return zig("chip").version
+def _hint(finding: Finding) -> str:
+    """What to do, where the error itself does not say it."""
+    return f" -> {finding.install}" if finding.install and finding.install not in finding.detail else ""
 
 
 def _compile_here() -> str:
@@ -44,6 +35,13 @@ def _compile_here() -> str:
     return "the C planner builds and loads"
 
 
+def _load_chip() -> str:
+    from frogkick.pool.chip.hook import load_hook
+
+    load_hook()
+    return "its emulator is there, its cycle counter builds and loads"
+
+
 def _robot() -> str:
     from frogkick.robot import load_robot
 
@@ -51,26 +49,21 @@ def _robot() -> str:
     return f"{len(robot.limbs)} limbs, {len(robot.actions)} actions, {len(robot.profiles)} measured profiles"
 
 
+FIRMWARE_EXTRA = install_command("ziglang")
+
+
 def doctor(json: JsonOption = False) -> None:
     """Look at this machine. Exit 1 if the ring without a robot cannot run here."""
     needed = [
-        _tried("robot frog2022", "everything", "make venv", _robot),
-        _tried("C compiler (zig wheel)", "firmware", "pip install 'frogkick[firmware]'", _compile_for_chip),
-        _tried(
-            "C compiler for this computer",
-            "native core, parity",
-            "pip install 'frogkick[firmware]'",
-            _compile_here,
-        ),
-        package("unicorn", "virtual chip", "firmware"),
-        package("capstone", "virtual chip", "firmware"),
-        package("elftools", "firmware", "firmware"),
-        package("intelhex", "firmware", "firmware"),
+        tried("robot frog2022", "everything", "pip install frogkick", _robot),
+        bench_image(),
+        tried("C for this computer", "run --robot pool, parity", FIRMWARE_EXTRA, _compile_here),
+        tried("virtual chip", "run --robot virtual, demo", FIRMWARE_EXTRA, _load_chip),
     ]
     optional = [
-        package("distributed", "--cluster", "cluster"),
-        package("mcap_protobuf", "export --mcap", "mcap"),
-        package("pupil_apriltags", "tags of the family tagStandard41h12", "apriltag"),
+        package("distributed", "--cluster"),
+        package("mcap", "export --mcap", *EXTRAS["mcap"]),
+        package("pupil_apriltags", "tags of the family tagStandard41h12"),
         _program("arm-none-eabi-gcc", "extra checks", "apt install gcc-arm-none-eabi"),
         _program("qemu-system-arm", "extra checks", "apt install qemu-system-arm"),
         _program("cppcheck", "extra checks", "apt install cppcheck"),
@@ -90,13 +83,12 @@ def doctor(json: JsonOption = False) -> None:
         lines.append(f"{title}:")
         for finding in findings:
             mark = "ok     " if finding.works else "MISSING"
-            hint = f" -> {finding.install}" if finding.install else ""
-            lines.append(f"  {mark} {finding.name}: {finding.detail} ({finding.needed_for}){hint}")
+            lines.append(f"  {mark} {finding.name}: {finding.detail} ({finding.needed_for}){_hint(finding)}")
     lines.append("ready for:")
     for stage in stages(needed):
         lines.append(f"  {'ready    ' if stage.ready else 'NOT READY'} {stage.name}: {stage.begin}")
         lines += [
-            f"            {finding.name}: {finding.detail} -> {finding.install}"
+            f"            {finding.name}: {finding.detail}{_hint(finding)}"
             for finding in stage.findings
             if not finding.works
         ]

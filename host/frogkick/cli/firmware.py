@@ -13,6 +13,7 @@ import frogkick as fk
 from frogkick.cli.common import JsonOption, show
 from frogkick.cli.options import TablesOption
 from frogkick.errors import InputError
+from frogkick.extras import require
 from frogkick.files import existing_file, require_writable
 from frogkick.progress import progress_bar
 
@@ -53,8 +54,9 @@ def size(
     from frogkick.front.places import built_firmware, robot_of_table, table_image
     from frogkick.loop.chip_check import check_on_chip
     from frogkick.planner.image import read_image
-    from frogkick_codegen.firmware import FLASH_BYTES, RAM_BYTES
+    from frogkick_codegen.firmware import FLASH_BYTES, RAM_BYTES, require_tools
 
+    require_tools("bench")
     image = table_image(tables, robot)
     described = robot_of_table(image, robot)
     with built_firmware("bench", image, described) as built:
@@ -87,11 +89,15 @@ def flash(
 ) -> None:
     """Write the bench image into a development kit, through its debug probe."""
     from frogkick.front.places import built_firmware, robot_of_table, table_image
+    from frogkick_codegen.firmware import require_tools
     from frogkick_codegen.probe import check_image
     from frogkick_codegen.probe import flash as flash_image
 
     if image is not None and tables is not None:
         raise InputError("give --image or --tables: an image has its table in it")
+    require("flashing", "pyocd")
+    if image is None:
+        require_tools("bench")
     with ExitStack() as stack:
         if image is None:
             table = table_image(tables, robot)
@@ -113,7 +119,9 @@ def try_out(
     from frogkick.front.places import built_firmware, robot_of_table, table_image
     from frogkick.loop.chip_check import check_on_chip
     from frogkick.planner.image import read_image
+    from frogkick_codegen.firmware import require_tools
 
+    require_tools("bench")
     image = table_image(tables, robot)
     described = robot_of_table(image, robot)
     with built_firmware("bench", image, described) as built, progress_bar("virtual chip") as progress:

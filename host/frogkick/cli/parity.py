@@ -48,10 +48,11 @@ def parity(
     """
     from frogkick.front.places import plan_config, robot_of_table, table_image
     from frogkick.planner.image import read_image
-    from frogkick_codegen.firmware import build
+    from frogkick_codegen.firmware import build, require_tools
     from frogkick_codegen.parity import KINDS
     from frogkick_codegen.toolchain import other, zig
 
+    require_tools("bench")
     image = table_image(tables, model)
     described = robot_of_table(image, model)
     opened, config = read_image(image), plan_config(described, planner.value, depth)

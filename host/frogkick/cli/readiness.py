@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-import importlib.util
+import os
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
+from frogkick.errors import FrogkickError
+from frogkick.extras import install_command, installed
 from frogkick.link.serial import ports
 
 
@@ -51,25 +53,52 @@ class Stage:
         }
 
 
-def package(name: str, needed_for: str, extra: str) -> Finding:
-    """A package of Python's."""
-    found = importlib.util.find_spec(name) is not None
-    hint = "" if found else f"pip install 'frogkick[{extra}]'" if extra else "make venv"
-    return Finding(name, found, "installed" if found else "missing", needed_for, hint)
+def package(name: str, needed_for: str, *others: str) -> Finding:
+    """A package of Python's, and others that it is no use without; looked for as by the commands."""
+    lacking = [each for each in (name, *others) if not installed(each)]
+    hint = install_command(name) if lacking else ""
+    return Finding(name, not lacking, "missing" if lacking else "installed", needed_for, hint)
+
+
+def tried(name: str, needed_for: str, install: str, attempt: Callable[[], str]) -> Finding:
+    """Something that a command does, done: what it says of it, or its error."""
+    try:
+        return Finding(name, True, attempt(), needed_for)
+    except FrogkickError as error:
+        return Finding(name, False, " ".join(str(error).split()), needed_for, install)
+
+
+def bench_image() -> Finding:
+    """All that ``firmware build`` needs."""
+    return tried("firmware for the chip", "firmware build", install_command("ziglang"), _try_bench_image)
+
+
+def _try_bench_image() -> str:
+    from frogkick_codegen.firmware import require_tools
+    from frogkick_codegen.toolchain import zig
+
+    require_tools("bench")
+    return f"its C sources and {zig('chip').version}"
 
 
 def stages(without_robot: Sequence[Finding]) -> list[Stage]:
     """The three, as this machine is now."""
     kit = (
-        package("pyocd", "flashing a development kit", "flash"),
-        package("serial", "talking with it", "link"),
-        _hardware("serial port", "talking with it", "plug the kit's USB cable in", serial_ports),
+        bench_image(),
+        package("pyocd", "flashing a development kit"),
+        package("serial", "talking with it"),
+        _hardware(
+            "serial port",
+            "talking with it",
+            "plug the kit's USB cable in; may this user open its port?",
+            serial_ports,
+        ),
     )
     robot = (
-        package("bleak", "talking with a robot by Bluetooth", "link"),
-        package("cv2", "the camera", ""),
+        package("bleak", "talking with a robot by Bluetooth"),
+        package("cv2", "the camera"),
         _hardware("Bluetooth adapter", "talking with a robot", "plug one in, switch it on", adapters),
-        _hardware("camera", "position fixes", "plug one in, and may this user read it?", cameras),
+        _hardware("camera", "position fixes", "plug one in; may this user open it?", cameras),
     )
     return [
         Stage("no hardware", "frogkick demo", tuple(without_robot)),
@@ -92,8 +121,9 @@ def _hardware(name: str, needed_for: str, hint: str, look: Callable[[], list[str
 
 
 def serial_ports() -> list[str]:
-    """Names of serial ports with something plugged in; none without the package that lists them."""
-    return ports() if importlib.util.find_spec("serial") is not None else []
+    """Names of serial ports that this user may open; none without the package that lists them."""
+    found = ports() if installed("serial") else []
+    return [port for port in found if sys.platform == "win32" or os.access(port, os.R_OK | os.W_OK)]
 
 
 def adapters(folder: Path = Path("/sys/class/bluetooth")) -> list[str] | None:
@@ -102,8 +132,9 @@ def adapters(folder: Path = Path("/sys/class/bluetooth")) -> list[str] | None:
 
 
 def cameras(folder: Path = Path("/dev")) -> list[str] | None:
-    """Video devices that Linux knows; None on another system."""
-    return _entries(folder, "video")
+    """Video devices that Linux knows and this user may open; None on another system."""
+    found = _entries(folder, "video")
+    return found and [name for name in found if os.access(folder / name, os.R_OK | os.W_OK)]
 
 
 def _entries(folder: Path, prefix: str) -> list[str] | None:

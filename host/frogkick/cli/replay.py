@@ -49,6 +49,7 @@ def replay(
         plan_config,
         require_period,
         require_simulated,
+        require_simulator,
         robot_of_table,
         simulated_robot,
         table_image,
@@ -58,7 +59,7 @@ def replay(
     from frogkick.loop.replay import require_replayable
     from frogkick.planner.image import read_image
 
-    require_simulated(robot)
+    (require_simulated if plan is PlanWhere.host else require_simulator)(robot)
     recorded = load_run(run)
     require_replayable(recorded)
     image = table_image(tables, recorded.robot_id)

@@ -130,9 +130,11 @@ def command(
     from frogkick.identification.swim import read_swim, reliable
     from frogkick.planner.image import read_image
     from frogkick.robot import load_robot
+    from frogkick_codegen.firmware import require_tools
 
     if push is not None:
         require_target(push, (VIRTUAL,))
+    require_tools("bench")
     require_writable(out, folder=True)
     require_new(out)
     described = load_robot(robot)

@@ -69,7 +69,9 @@ def chip(
     from frogkick.paths import SHAPES, shape
     from frogkick.pool.chip import CostModel
     from frogkick.study.chip_speed import DEPTHS, LIMIT_MS, chip_speed, open_ms
+    from frogkick_codegen.firmware import require_tools
 
+    require_tools("bench")
     image = table_image(tables, model)
     described = robot_of_table(image, model)
     counts = {depth: states if depth in LIMIT_MS else max(3, states // 50) for depth in DEPTHS}

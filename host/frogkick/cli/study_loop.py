@@ -69,10 +69,12 @@ def loop(
         settings_of,
         summaries,
     )
+    from frogkick_codegen.firmware import require_tools
 
     described = load_robot(robot)
     settings = settings_of(world or [NOMINAL.name, HIDDEN.name], described)
     paths = shape_names(path)
+    require_tools("native")
     require_writable(out, folder=True)
     processes = workers or os.cpu_count() or 1
     images = {PAPER: out / "paper.fkt", ROBOT: out / "robot.fkt" if tables is None else tables}

@@ -75,12 +75,14 @@ def twin(
         require_related,
         world_of,
     )
+    from frogkick_codegen.firmware import require_tools
 
     described, nominal = load_robot(robot), load_robot(model)
     setting = world_of(described)
     require_related(described, nominal)
     shapes = shape_names(path)
     recorded = [] if runs is None else read_runs(runs)
+    require_tools("native")
     require_writable(out, folder=True)
     out.mkdir(parents=True, exist_ok=True)
     processes = workers or os.cpu_count() or 1

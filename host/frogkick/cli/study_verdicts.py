@@ -46,11 +46,13 @@ def verdicts(
     from frogkick.report.verdicts_figure import verdicts_figure
     from frogkick.study.planted import kinds
     from frogkick.study.verdicts import run_cases
+    from frogkick_codegen.firmware import require_tools
 
     known = kinds()
     for name in kind or []:
         if name not in known:
             raise InputError(f"--kind is {name!r}: choose from {', '.join(known)}")
+    require_tools("native")
     require_writable(out, folder=True)
     image = table_image(tables, None)
     robot = robot_of_table(image, None)

@@ -17,7 +17,7 @@ from frogkick.effects import World
 from frogkick.errors import InputError, nearest_name
 from frogkick.front.places import built_firmware, start_pose
 from frogkick.link.frames import DELIMITER
-from frogkick.link.opening import opened
+from frogkick.link.opening import opened, require_wire
 from frogkick.link.text_dialect import pulse_line, require_dialect
 from frogkick.link.wire import Wire, is_target, parse_target
 from frogkick.loop.camera_fixes import CameraFixes
@@ -79,7 +79,7 @@ def require_bench(
                     "--robot ble:NAME or serial:PORT"
                 )
         return
-    parse_target(robot)
+    require_wire(parse_target(robot))
     if world is not None and fixes != POOL:
         raise InputError(f"--world {world!r} is for a simulated pool, --robot is {robot!r}: leave it out")
     if fixes is None:

@@ -21,10 +21,11 @@ from frogkick.planner.plan import PlanConfig
 from frogkick.pool.native_robot import NativeRobot
 from frogkick.pool.port import RobotPort
 from frogkick.robot import Robot, load_robot
-from frogkick_codegen.firmware import Build, build
+from frogkick_codegen.firmware import Build, build, require_tools
 
 DEFAULT_ROBOT = "frog2022"
-SIMULATED = ("virtual", "pool")
+SIMULATED = {"virtual": "bench", "pool": "native"}
+"""Robot to talk to that there is none of -> target of the firmware that it runs."""
 
 
 def table_image(tables: Path | None, robot: str | None) -> Path:
@@ -78,6 +79,17 @@ def require_simulated(name: str) -> None:
         )
 
 
+def require_simulator(name: str) -> None:
+    """Refuse a simulated robot whose firmware cannot be built here, before anything is simulated.
+
+    Raises:
+        InputError: not one of ``SIMULATED``, or the firmware's sources or a package are not installed.
+        ToolchainError: the compiler is not.
+    """
+    require_simulated(name)
+    require_tools(SIMULATED[name])
+
+
 @contextmanager
 def built_firmware(target: str, tables: Path, robot: Robot) -> Iterator[Build]:
     """Build firmware into a temporary folder that lives as long as the context."""
@@ -100,8 +112,8 @@ def simulated_robot(
     Raises:
         InputError: another name.
     """
-    require_simulated(name)
-    target = "bench" if name == "virtual" else "native"
+    require_simulator(name)
+    target = SIMULATED[name]
     with tempfile.TemporaryDirectory(prefix="frogkick-") as folder:
         with ThreadPoolExecutor(1) as beside:
             building = beside.submit(build, target, tables, robot, Path(folder))

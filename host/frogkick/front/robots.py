@@ -13,7 +13,7 @@ from frogkick.front.places import robot_of_table, simulated_robot
 from frogkick.front.running import Run, run
 from frogkick.front.tables import Table
 from frogkick.link.frames import DELIMITER
-from frogkick.link.opening import opened
+from frogkick.link.opening import opened, require_wire
 from frogkick.link.wire import Wire, is_target, parse_target
 from frogkick.loop.lab_session import lab_session
 from frogkick.loop.pushing import Pushed, push, roll_back
@@ -144,7 +144,7 @@ def require_target(target: str, others: tuple[str, ...] = ()) -> None:
         others: what is possible besides ``ble:NAME`` and ``serial:PORT``.
 
     Raises:
-        InputError: none of these.
+        InputError: none of these, or one that needs a package which is not installed.
     """
     if target in others:
         return
@@ -153,7 +153,7 @@ def require_target(target: str, others: tuple[str, ...] = ()) -> None:
             f"robot {target!r}{nearest_name(target, ('ble', 'serial', *others))} takes no tables: "
             f"choose {', '.join(('ble:NAME', 'serial:PORT', *others))}"
         )
-    parse_target(target)
+    require_wire(parse_target(target))
 
 
 @contextmanager

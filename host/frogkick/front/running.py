@@ -28,7 +28,7 @@ from frogkick.front.bench import (
 from frogkick.front.html import page_of
 from frogkick.front.places import (
     plan_config,
-    require_simulated,
+    require_simulator,
     simulated_robot,
     start_pose,
     swim_path,
@@ -195,7 +195,7 @@ def run(
     require_film(video, fixes, target)
     is_real = is_target(robot)
     if not is_real:
-        require_simulated(robot)
+        require_simulator(robot)
     if plan not in PLANS:
         raise InputError(f"plan is {plan!r}{nearest_name(plan, PLANS)}: choose {', '.join(PLANS)}")
     require_writable(target)

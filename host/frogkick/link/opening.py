@@ -4,11 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from importlib import util
 
-from frogkick.errors import InputError
+from frogkick.extras import require
 from frogkick.link.frames import DELIMITER
 from frogkick.link.wire import Target, Wire
+
+
+def require_wire(target: Target) -> None:
+    """Refuse a robot that cannot be talked to for want of a package.
+
+    Raises:
+        InputError: the package for that kind of wire is not installed.
+    """
+    require(f"{target.kind}:", *({"ble": ("bleak",), "serial": ("serial",)}[target.kind]))
 
 
 @contextmanager
@@ -23,10 +31,9 @@ def opened(target: Target, greeting: bytes = DELIMITER) -> Iterator[Wire]:
         WireError: it cannot be reached; the text says why.
         InputError: the package for that is not installed.
     """
+    require_wire(target)
     wire: Wire
     if target.kind == "ble":
-        if util.find_spec("bleak") is None:
-            raise InputError("ble: needs the package 'bleak', not installed: pip install 'frogkick[link]'")
         from frogkick.link.ble import BleWire
 
         wire = BleWire(target.place, greeting=greeting)

@@ -7,10 +7,9 @@ import errno
 import importlib
 import threading
 import time
-from importlib import util
 from typing import Any
 
-from frogkick.errors import InputError
+from frogkick.extras import require
 from frogkick.link.frames import DELIMITER
 from frogkick.link.wire import BAUD, Delivery, Inbox, WireError
 
@@ -123,8 +122,7 @@ class SerialWire:
 
 
 def _package() -> Any:
-    if util.find_spec("serial") is None:
-        raise InputError("serial: needs the package 'pyserial', not installed: pip install 'frogkick[link]'")
+    require("serial:", "serial")
     return importlib.import_module("serial")
 
 

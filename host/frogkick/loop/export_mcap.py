@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from frogkick.errors import InputError
+from frogkick.extras import EXTRAS, require
 from frogkick.files import atomic_path
 from frogkick.loop.runlog import RunLog
 
@@ -40,14 +40,11 @@ def export_mcap(run: RunLog, target: pathlib.Path) -> dict[str, int]:
     Raises:
         InputError: the packages for it are not installed, or the file cannot be written.
     """
-    try:
-        from mcap.writer import CompressionType, Writer
+    require("MCAP", *EXTRAS["mcap"])
+    from mcap.writer import CompressionType, Writer
 
-        from frogkick.loop.foxglove import Foxglove
-    except ImportError as error:
-        raise InputError(
-            f"MCAP needs a package that is not installed ({error.name}): pip install 'frogkick[mcap]'"
-        ) from error
+    from frogkick.loop.foxglove import Foxglove
+
     said = sorted(_messages(run, Foxglove()), key=lambda message: message.time_ns)
     counts: dict[str, int] = {}
     with atomic_path(target) as temporary, temporary.open("wb") as file:

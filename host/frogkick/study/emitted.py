@@ -39,7 +39,7 @@ def measure(
         progress: called with decisions done and to do.
 
     Raises:
-        InputError: not a table; the chip's start-up code is not beside the package.
+        InputError: not a table; the chip's start-up code is not installed.
         ToolchainError: no compiler.
         ChipError: the planner does what the chip does not allow.
     """

@@ -6,17 +6,15 @@ What the library calls its size and corners are those of the white square.
 
 from __future__ import annotations
 
-import importlib.util
 from functools import cache
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from frogkick.errors import InputError
+from frogkick.extras import require
 
 NAME = "tagStandard41h12"
-INSTALL = "pip install 'frogkick[apriltag]'"
 HAMMING_MAX = 2
 """Wrong cells that are corrected, as for tag36h11; these codes are 12 apart."""
 
@@ -28,8 +26,7 @@ def _detector() -> Any:
     Raises:
         InputError: it is not installed.
     """
-    if importlib.util.find_spec("pupil_apriltags") is None:
-        raise InputError(f"tag family {NAME} needs a detector that is not installed: {INSTALL}")
+    require(f"tag family {NAME}", "pupil_apriltags")
     from pupil_apriltags import Detector
 
     # Its own end frees the family before the detector that still looks at it: now and then the interpreter

@@ -1,7 +1,12 @@
 """A virtual nRF52832: runs the bench firmware's ELF, counts cycles, knows the peripherals that it uses."""
 
-from frogkick.pool.chip.chip import VirtualChip
-from frogkick.pool.chip.cost import CostModel
-from frogkick.pool.chip.errors import ChipError
+from frogkick.extras import require
+
+# Whatever is imported of this folder comes by here: what it lacks is one line, not a traceback.
+require("the virtual chip", "unicorn", "capstone", "elftools", "ziglang")
+
+from frogkick.pool.chip.chip import VirtualChip  # noqa: E402
+from frogkick.pool.chip.cost import CostModel  # noqa: E402
+from frogkick.pool.chip.errors import ChipError  # noqa: E402
 
 __all__ = ["ChipError", "CostModel", "VirtualChip"]

@@ -13,6 +13,7 @@ from functools import cache
 from pathlib import Path
 from typing import Final
 
+from frogkick.extras import install_command
 from frogkick.files import cache_folder
 from frogkick.pool.chip.errors import ChipError
 
@@ -88,13 +89,18 @@ def load_hook() -> ctypes.CDLL:
     """Compile hook.c where its cache does not hold it yet, and load it.
 
     Raises:
-        ChipError: the zig wheel is missing, does not compile, or the cache folder cannot be written.
+        ChipError: the zig wheel does not compile or load, or the cache folder cannot be written.
     """
     digest = hashlib.sha256(" ".join((*_FLAGS, sys.platform)).encode() + _SOURCE.read_bytes()).hexdigest()
     library = cache_folder("chip") / f"hook-{digest[:24]}.so"
     if not library.exists():
         _compile(library)
-    return ctypes.CDLL(str(library))
+    try:
+        return ctypes.CDLL(str(library))
+    except OSError as error:
+        raise ChipError(
+            f"the virtual chip's hook does not load ({error}): remove {str(library)!r}"
+        ) from error
 
 
 def _compile(library: Path) -> None:
@@ -109,7 +115,7 @@ def _compile(library: Path) -> None:
             if done.returncode != 0:
                 raise ChipError(
                     f"the virtual chip's hook.c does not compile: {done.stderr.strip()[-400:]}; "
-                    "install the extra 'firmware' (pip install 'frogkick[firmware]')"
+                    f"install again what compiles it: {install_command('ziglang')}"
                 )
             os.replace(built, library)
     except OSError as error:

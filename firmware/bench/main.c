@@ -23,18 +23,22 @@ static fk_store_t store;
 static fk_guard_kept_t kept __attribute__((section(".noinit")));
 static fk_log_t history __attribute__((section(".noinit")));
 
-static int32_t take_frames(void)
+typedef enum { NOTHING, BYTES, FRAME } taken_t;
+
+/* One frame at most: between two feeds of the watchdog lie one command and one tick, however many commands wait. */
+static taken_t take_frame(void)
 {
-    int32_t bytes = 0;
+    taken_t taken = NOTHING;
     uint8_t byte;
-    while (fk_uart_read(&byte) != 0) {
-        bytes = 1;
+    while (taken != FRAME && fk_uart_read(&byte) != 0) {
+        taken = BYTES;
         uint32_t length = fk_frame_collect(&collector, byte);
         if (length > 0u) {
             fk_robot_on_frame(&robot, collector.bytes, length, fk_time_now_us());
+            taken = FRAME;
         }
     }
-    return bytes;
+    return taken;
 }
 
 /* The core's books say that the pulse begins at tick_us. One that would begin later than they allow for does not, and
@@ -95,7 +99,7 @@ int main(void)
         (void)fk_pulse_is_on();
         fk_sleep_clear_pending();
 
-        int32_t bytes = take_frames();
+        taken_t taken = take_frame();
         fk_outputs_t outputs;
         uint64_t begin_us = fk_time_now_us();
         fk_robot_tick(&robot, begin_us, &outputs);
@@ -103,12 +107,13 @@ int main(void)
         fk_robot_note_tick(&robot, (uint32_t)(fk_time_now_us() - begin_us));
         send_answers();
 
-        uint64_t wake_us = (at_once != 0) ? begin_us : outputs.next_tick_us;
+        /* Behind a frame another one may wait. */
+        uint64_t wake_us = (at_once != 0 || taken == FRAME) ? begin_us : outputs.next_tick_us;
         if (wake_us > begin_us + FK_WATCHDOG_FEED_MAX_US) {
             wake_us = begin_us + FK_WATCHDOG_FEED_MAX_US;
         }
-        fk_uart_wake_on_byte(bytes == 0);
-        if (bytes != 0 && wake_us > begin_us + FK_BENCH_RECEIVE_POLL_US) {
+        fk_uart_wake_on_byte(taken == NOTHING);
+        if (taken != NOTHING && wake_us > begin_us + FK_BENCH_RECEIVE_POLL_US) {
             wake_us = begin_us + FK_BENCH_RECEIVE_POLL_US;
         }
         if (fk_time_wake_at(wake_us) != 0) {

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
@@ -11,7 +12,9 @@ from tests.loop import rig
 
 from frogkick.link.layout import link_layout
 from frogkick.loop.session import Session
+from frogkick.paths import shape
 from frogkick.pool.chip import ChipError
+from frogkick.pool.chip.watchdog import Watchdog
 from frogkick.pool.monitor import pulses_of
 from frogkick.pool.virtual_robot import VirtualRobot
 from frogkick_codegen import firmware
@@ -68,6 +71,40 @@ def test_a_hang_in_the_middle_of_a_pulse(into_pulse_s: float) -> None:
     session.step(session.time_s + 1.0)
     assert len(session.edges) == 2 * len(pulses), "no pulse since"
     assert port.chip.resets == [reset_us], "fed again"
+
+
+def test_the_watchdog_is_fed_between_two_commands_that_wait(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Commands that came together take long together: that must not look like a robot that hangs."""
+    port, session = armed()
+    session.send_path(shape("line"))
+    fed: list[float] = []
+    reload = Watchdog._reload
+
+    def noted(self: Watchdog) -> None:
+        fed.append(port.chip.now_cycle / 64e6)
+        reload(self)
+
+    monkeypatch.setattr(Watchdog, "_reload", noted)
+    state = {"x_m": 0.0, "y_m": 0.02, "heading_rad": 0.1, "vx_mps": 0.02, "vy_mps": 0.0, "omega_rad_s": 0.0}
+    rested = {f"limb_use_{limb}": 0 for limb in range(8)}
+    values = {"depth": 3, **state, **rested, "along_points": 0.0}
+
+    def turns_s(commands: int) -> list[float]:
+        """Between two feeds, while so many commands are answered that came at once."""
+        del fed[:]
+        for _ in range(commands):
+            session.post("PLAN", values)
+        answered: list[float] = []
+        while len(answered) < commands:
+            session.step(session.time_s + 0.001)
+            answered += [arrival.time_s for arrival in session.take("PLAN")]
+        return [later - earlier for earlier, later in pairwise(at for at in fed if at <= answered[-1])]
+
+    one_s = max(turns_s(1))
+    assert one_s > 0.003, "long enough for others to come meanwhile"
+    # Behind the last command it sleeps while answers are sent, which is longer.
+    long = [turn for turn in turns_s(6) if turn > 0.9 * one_s]
+    assert len(long) >= 6 and max(long[:6]) < 1.2 * one_s, (one_s, long)
 
 
 def test_the_watchdog_is_fed_while_nothing_happens() -> None:

@@ -51,7 +51,9 @@ static int start_watchdog(const struct device *watchdog)
     return (error != 0) ? error : channel;
 }
 
-static void take_frames(void)
+/* One frame at most: between two feeds of the watchdog lie one command and one tick, however many commands wait.
+ * Returns 1 where it took one: another may wait. */
+static int32_t take_frame(void)
 {
     uint8_t byte;
 
@@ -59,8 +61,10 @@ static void take_frames(void)
         const uint32_t length = fk_frame_collect(&collector, byte);
         if (length > 0u) {
             fk_robot_on_frame(&robot, collector.bytes, length, now_us());
+            return 1;
         }
     }
+    return 0;
 }
 
 /* The core's books say that the pulse begins at tick_us. One that would begin later than they allow for does not, and
@@ -154,7 +158,7 @@ int main(void)
         fk_outputs_t outputs;
 
         (void)wdt_feed(watchdog, channel);
-        take_frames();
+        const int32_t taken = take_frame();
         const uint64_t begin_us = now_us();
         fk_robot_tick(&robot, begin_us, &outputs); /* a decision computes for less than the watchdog waits */
         const int32_t at_once = drive_limbs(&outputs, begin_us);
@@ -165,6 +169,6 @@ int main(void)
         uint64_t sleep_us = (outputs.next_tick_us > after_us) ? outputs.next_tick_us - after_us : 0u;
         sleep_us = (sleep_us > LONGEST_SLEEP_US) ? LONGEST_SLEEP_US : sleep_us;
         (void)wdt_feed(watchdog, channel);
-        (void)k_sem_take(&wake, K_USEC((at_once != 0) ? 0u : sleep_us));
+        (void)k_sem_take(&wake, K_USEC((at_once != 0 || taken != 0) ? 0u : sleep_us));
     }
 }

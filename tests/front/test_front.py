@@ -119,6 +119,9 @@ def test_a_robot_with_an_effect_of_ones_own_is_saved_elsewhere(tmp_path: Path) -
     second = fk.load_robot(tmp_path / "b" / "robot.toml")
     assert second.effects[0]["file"] == "../a/mine.py"
     assert isinstance(fk.effects.effects_of(second)[0], Effect)
+    # And it comes along in memory, where no file is named.
+    table = fk.fit_table(fk.build_library(first, states=2))
+    assert isinstance(fk.effects.effects_of(table.robot)[0], Effect)
 
 
 def test_a_row_of_actions_and_a_gait(robot: fk.Robot) -> None:

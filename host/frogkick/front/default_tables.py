@@ -12,25 +12,25 @@ from frogkick.files import cache_folder, one_at_a_time, write_bytes
 from frogkick.library import build_library, quantise, read_library
 from frogkick.planner.image import read_image
 from frogkick.progress import Progress, shown
-from frogkick.robot import load_robot
+from frogkick.robot import Robot, load_robot
 
 STATES = 300
 SEED = 0
 SAMPLING = "visited"
 
 
-def default_tables(robot_name: str, states: int | None = None, progress: Progress = True) -> Path:
+def default_tables(robot: Robot | str, states: int | None = None, progress: Progress = True) -> Path:
     """The path of a table image for a robot, built on first use (about a minute).
 
     Args:
-        robot_name: TOML file or built-in name.
+        robot: it, or its TOML file or built-in name.
         states: of its library; None = ``STATES``.
         progress: of building it.
 
     Raises:
         InputError: no such robot.
     """
-    robot = load_robot(robot_name)
+    robot = robot if isinstance(robot, Robot) else load_robot(robot)
     states = STATES if states is None else states
     made_of = f"{_source_sha256()} {states} {SEED} {SAMPLING}".encode()
     key = hashlib.sha256(robot.sha256 + made_of).hexdigest()[:24]

@@ -6,7 +6,7 @@ import os
 import tempfile
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -146,8 +146,7 @@ def load_table(file: Path | str | None = None, robot: Robot | str | None = None)
         TableError: the file is no usable table image.
     """
     if file is None:
-        name = robot.id if isinstance(robot, Robot) else (robot or DEFAULT_ROBOT)
-        file = default_tables(name)
+        file = default_tables(robot or DEFAULT_ROBOT)
     tables = read_image(file)
     return Table(tables, robot_of_image(tables, robot, Path(file).name), Path(file).name)
 
@@ -195,7 +194,7 @@ def build_library(
         tell = stack.enter_context(shown(progress, "library"))
         processes = 1 if cluster else workers or os.cpu_count() or 1
         libraries.build_library(robot, states, seed, processes, file, tell, sampling, record_s, cluster)
-        return libraries.read_library(file)
+        return replace(libraries.read_library(file), folder=robot.folder)
 
 
 def load_library(file: Path | str) -> Library:

@@ -55,6 +55,7 @@ class Library:
         previous_actions: (n, HISTORY) actions begun 1, 2, .. periods before the start, then RESTED. Where
             there are any, a transition began in the state that they led to, limbs amid their strokes.
         failed: transitions that could not be simulated, in order; their rows are NaN, no others.
+        folder: where the files of the robot's own effects are; None where the library was read from a file.
     """
 
     robot_id: str
@@ -69,6 +70,7 @@ class Library:
     velocity_body_end: FloatArray
     previous_actions: IntArray
     failed: tuple[Failed, ...] = ()
+    folder: Path | None = None
 
     def __repr__(self) -> str:
         states, actions, _ = self.displacement_body.shape
@@ -104,7 +106,7 @@ class Library:
 
     def robot(self) -> Robot:
         """The robot that was simulated."""
-        return parse_robot(self.robot_toml, source="the library's robot")
+        return parse_robot(self.robot_toml, source="the library's robot", folder=self.folder)
 
     def content_sha256(self) -> bytes:
         """SHA-256 (32 bytes) of robot, transitions and period: equal libraries give equal tables."""
@@ -199,7 +201,9 @@ def read_library(path: Path | str) -> Library:
             seed=int(attributes["seed"]),
             frogkick_version=str(attributes["frogkick_version"]),
             period_s=float(attributes["period_s"]),
-            **arrays,
+            initial_velocity_body=arrays["initial_velocity_body"],
+            displacement_body=arrays["displacement_body"],
+            velocity_body_end=arrays["velocity_body_end"],
             previous_actions=previous,
             failed=failed,
         )

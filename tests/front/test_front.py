@@ -6,6 +6,7 @@ import inspect
 import re
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +25,8 @@ from frogkick.effects.base import Effect
 from frogkick.identification import choice as choice_module
 from frogkick.identification import outcome as outcome_module
 from frogkick.identification.terms import catalogue
+from frogkick.robot import parse_robot
+from frogkick.robot.toml_text import to_toml
 
 WORN = "rear_left"
 
@@ -124,6 +127,13 @@ def test_a_robot_with_an_effect_of_ones_own_is_saved_elsewhere(tmp_path: Path) -
     assert isinstance(fk.effects.effects_of(table.robot)[0], Effect)
 
 
+def few_with(robot: fk.Robot, effect: LimbWear) -> fk.Robot:
+    """The robot with an effect in its file."""
+    table = tomllib.loads(robot.toml)
+    table["effect"] = [{"name": effect.name, "limb": effect.limb, "gain": effect.gain}]
+    return parse_robot(to_toml(table), "with an effect")
+
+
 def test_a_row_of_actions_and_a_gait(robot: fk.Robot) -> None:
     swum = fk.simulate(robot, "BBC")
     assert swum.pose_world.shape == swum.velocity_body.shape == (len(swum.time_s), 3)
@@ -135,6 +145,10 @@ def test_a_row_of_actions_and_a_gait(robot: fk.Robot) -> None:
     x_mps = forward * np.cos(heading) - left * np.sin(heading)
     moved_m = float((steps * (x_mps[1:] + x_mps[:-1]) / 2.0).sum())
     assert moved_m == pytest.approx(swum.pose_world[-1, 0], abs=2e-4)
+    worn = few_with(robot, LimbWear(limb="front_left", gain=0.5))
+    plain, turned = fk.simulate(robot, "BB"), fk.simulate(worn, "BB")
+    assert abs(plain.pose_world[-1, 2]) < 0.01 < abs(turned.pose_world[-1, 2]), "its effects act"
+    assert fk.simulate(worn, cycles=2).speed_mps < fk.simulate(robot, cycles=2).speed_mps
     gait = fk.simulate(robot, cycles=2)
     assert gait.distance_m > 0.01 and gait.time_s[-1] == pytest.approx(2.0 / robot.profile_frequency_hz)
     with pytest.raises(fk.InputError, match="leave egain_percent"):

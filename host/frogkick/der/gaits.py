@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
-from typing import Protocol
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from frogkick.der.batch import WIDTH, Batch, Failure
-from frogkick.der.strokes import between
+from frogkick.der.batch import WIDTH, Failure
+from frogkick.der.strokes import Acts, Plainly, between
 from frogkick.der.swimmer import STEP_S, Rods, batch_of, prepare
 from frogkick.der.trajectory import Trajectory, sample_times, trajectory_of
 from frogkick.errors import ConvergenceError, InputError
@@ -59,9 +58,25 @@ def simulate_gait(
 
 
 def simulate_gaits(
-    robot: Robot, gaits: Sequence[Gait], cycles: int, *, step_s: float = STEP_S, width: int = WIDTH
+    robot: Robot,
+    gaits: Sequence[Gait],
+    cycles: int,
+    *,
+    step_s: float = STEP_S,
+    width: int = WIDTH,
+    rods: Rods | None = None,
+    acts: Callable[[int], Acts] | None = None,
 ) -> list[Trajectory | Failure]:
     """Simulate gaits side by side, each as ``simulate_gait`` does and to the same bits.
+
+    Args:
+        robot: what swims; its profiles and its groups of limbs count.
+        gaits: phases in [0, 1).
+        cycles: to swim.
+        step_s: finest time step.
+        width: how many swim side by side.
+        rods: its rods where effects change the body; None: prepare(robot).
+        acts: see ``swim_tracks``.
 
     Returns:
         For each gait its trajectory, or why and where it stopped.
@@ -74,8 +89,9 @@ def simulate_gaits(
             raise InputError(f"phase is {gait.phase}: give a share of the cycle, 0 <= phase < 1")
     if not 1 <= cycles <= CYCLES_MAX:
         raise InputError(f"cycles is {cycles}: give 1 to {CYCLES_MAX}")
-    rods = [prepare(robot, gait.egain_percent, gait.frequency_hz) for gait in gaits]
-    tracks = swim_tracks(rods, gaits, cycles, step_s=step_s, width=width)
+    body = prepare(robot) if rods is None else rods
+    some = [replace(body, actuation=robot.actuation(gait.egain_percent, gait.frequency_hz)) for gait in gaits]
+    tracks = swim_tracks(some, gaits, cycles, step_s=step_s, width=width, acts=acts)
     return [
         track if isinstance(track, Failure) else _trajectory(robot, gait, track, cycles)
         for gait, track in zip(gaits, tracks, strict=True)
@@ -112,32 +128,6 @@ class Track:
     def node_mean_m(self) -> FloatArray:
         """(n,) forward position of the plain mean of all nodes."""
         return np.asarray(self.motion[:, 6])
-
-
-class Acts(Protocol):
-    """What stands between a gait and the rods of several lanes: see frogkick.effects.ActingLanes."""
-
-    def fire(self, batch: Batch, lane: int, limb: int, time_s: float) -> None:
-        """Fire a limb of a lane's robot."""
-
-    def advance(
-        self, batch: Batch, until_s: float | FloatArray, trace: bool = False
-    ) -> list[tuple[FloatArray, FloatArray]]:
-        """Let time pass for all lanes; see Batch.advance."""
-
-
-class Plainly:
-    """A limb does what it is told to, and nothing else acts."""
-
-    def fire(self, batch: Batch, lane: int, limb: int, time_s: float) -> None:
-        """Fire a limb of a lane's robot."""
-        batch.fire(lane, limb, time_s)
-
-    def advance(
-        self, batch: Batch, until_s: float | FloatArray, trace: bool = False
-    ) -> list[tuple[FloatArray, FloatArray]]:
-        """Let time pass for all lanes; see Batch.advance."""
-        return batch.advance(until_s, trace)
 
 
 def swim_tracks(

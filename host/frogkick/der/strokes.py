@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from frogkick.der.batch import WIDTH, Failure
+from frogkick.der.batch import WIDTH, Batch, Failure
 from frogkick.der.swimmer import STEP_S, Rods, batch_of, prepare
 from frogkick.errors import ConvergenceError, InputError
 from frogkick.robot import Action, Robot
@@ -36,6 +37,32 @@ class Motions:
     failures: dict[int, Failure]
 
 
+class Acts(Protocol):
+    """What stands between a gait and the rods of several lanes: see frogkick.effects.ActingLanes."""
+
+    def fire(self, batch: Batch, lane: int, limb: int, time_s: float) -> None:
+        """Fire a limb of a lane's robot."""
+
+    def advance(
+        self, batch: Batch, until_s: float | FloatArray, trace: bool = False
+    ) -> list[tuple[FloatArray, FloatArray]]:
+        """Let time pass for all lanes; see Batch.advance."""
+
+
+class Plainly:
+    """A limb does what it is told to, and nothing else acts."""
+
+    def fire(self, batch: Batch, lane: int, limb: int, time_s: float) -> None:
+        """Fire a limb of a lane's robot."""
+        batch.fire(lane, limb, time_s)
+
+    def advance(
+        self, batch: Batch, until_s: float | FloatArray, trace: bool = False
+    ) -> list[tuple[FloatArray, FloatArray]]:
+        """Let time pass for all lanes; see Batch.advance."""
+        return batch.advance(until_s, trace)
+
+
 def program_of(robot: Robot, action: Action, start_s: float = 0.0) -> list[tuple[float, int]]:
     """The strokes of one action."""
     strokes = [(start_s, action.first_mask), (start_s + robot.second_delay_s, action.second_mask)]
@@ -51,6 +78,7 @@ def simulate_many(
     landing_s: Sequence[float] = (),
     step_s: float = STEP_S,
     width: int = WIDTH,
+    acts: Callable[[int], Acts] | None = None,
 ) -> Motions:
     """Simulate robots of one mesh from rest poses, limbs at rest, ``width`` at a time.
 
@@ -64,6 +92,9 @@ def simulate_many(
         time_s: (s,) increasing, after 0: when to tell pose and velocity. A step ends at the last of them; the
             others are interpolated between steps (cubic Hermite), which changes no step.
         landing_s: increasing times before the last of these where a step is to end as well.
+        step_s: finest time step.
+        width: how many swim side by side.
+        acts: makes, of a number of lanes, what acts on them; None: nothing does.
 
     Raises:
         InputError: shapes that do not fit, values that are not finite, or times that do not increase.
@@ -89,13 +120,14 @@ def simulate_many(
         batch = batch_of(
             [each[k] for k in chosen], np.zeros((len(chosen), 3)), velocity[chosen], 0.0, step_s, width
         )
+        lanes = acts(len(chosen)) if acts else Plainly()
         for lane, k in enumerate(chosen):
             for start, mask in programs[k]:
                 for limb in range(len(each[k].robot.limbs)):
                     if mask >> limb & 1:
-                        batch.fire(lane, limb, start)
+                        lanes.fire(batch, lane, limb, start)
         before = batch.motion_world()
-        legs = [batch.advance(float(stop), trace=True) for stop in (*landing_s, times[-1])]
+        legs = [lanes.advance(batch, float(stop), trace=True) for stop in (*landing_s, times[-1])]
         for lane in range(len(chosen)):
             if lane in batch.failures:
                 failures[first + lane] = batch.failures[lane]

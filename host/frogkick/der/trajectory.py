@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from frogkick.der.strokes import program_of, simulate_many
-from frogkick.der.swimmer import STEP_S, prepare
+from frogkick.der.strokes import Acts, program_of, simulate_many
+from frogkick.der.swimmer import STEP_S, Rods, prepare
 from frogkick.errors import ConvergenceError, InputError
 from frogkick.robot import Action, Robot
 from frogkick.robot.model import STANDARD_GRAVITY_MPS2
@@ -87,10 +87,20 @@ def simulate_actions(
     velocity_body: Sequence[float] = (0.0, 0.0, 0.0),
     *,
     step_s: float = STEP_S,
+    rods: Rods | None = None,
+    acts: Callable[[int], Acts] | None = None,
 ) -> Trajectory:
     """Simulate actions one after another, one each Robot.period_s, heading along world x at the start.
 
     The speed is the straight distance over the time.
+
+    Args:
+        robot: what swims.
+        actions: of it, or their names.
+        velocity_body: forward, left (m/s), turn rate (rad/s) at the start.
+        step_s: finest time step.
+        rods: its rods where effects change the body; None: prepare(robot).
+        acts: makes, of a number of lanes, what acts on them; None: nothing does.
 
     Raises:
         InputError: no action, or an unknown one.
@@ -106,12 +116,13 @@ def simulate_actions(
     ]
     time_s = sample_times(robot.period_s, len(chosen))
     motions = simulate_many(
-        prepare(robot),
+        prepare(robot) if rods is None else rods,
         np.array([velocity_body], dtype=np.float64),
         [program],
         time_s[1:],
         step_s=step_s,
         width=1,
+        acts=acts,
     )
     if motions.failures:
         raise ConvergenceError(f"rods of {robot.id!r} {motions.failures[0]}")

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
-from frogkick.der import Trajectory, simulate_actions, simulate_gait
-from frogkick.errors import InputError
+from frogkick.der import Failure, Gait, Trajectory, simulate_actions, simulate_gaits
+from frogkick.effects import rods_of
+from frogkick.errors import ConvergenceError, InputError
+from frogkick.library.transitions import lane_effects
 from frogkick.robot import Action, Robot
 
 
@@ -21,8 +24,8 @@ def simulate(
 ) -> Trajectory:
     """Simulate a row of actions, one each period, or without actions the cyclic gait.
 
-    The robot begins at the world's origin, heading along +x. Effects of the robot's file do not act here:
-    they do in a library, a table and a run.
+    The robot begins at the world's origin, heading along +x. Effects of the robot's file act on its strokes
+    and its body, as in a library; flows of the water do not, as nobody knows where in them it is.
 
     Args:
         robot: what to simulate.
@@ -37,18 +40,27 @@ def simulate(
         ConvergenceError: the simulation failed; the text gives the state.
     """
     if actions is None:
-        return simulate_gait(
-            robot,
+        gait = Gait(
             robot.egain_percent if egain_percent is None else egain_percent,
             robot.profile_frequency_hz if frequency_hz is None else frequency_hz,
             phase,
-            cycles,
         )
+        (swum,) = simulate_gaits(robot, [gait], cycles, width=1, **_acting(robot))
+        if isinstance(swum, Failure):
+            raise ConvergenceError(f"rods of {robot.id!r} {swum}")
+        return swum
     if egain_percent is not None or frequency_hz is not None:
         raise InputError(
             "actions use the robot's own profile: leave egain_percent and frequency_hz out, or the actions"
         )
-    return simulate_actions(robot, actions_of(robot, actions), velocity_body=velocity_body)
+    return simulate_actions(robot, actions_of(robot, actions), velocity_body, **_acting(robot))
+
+
+def _acting(robot: Robot) -> dict[str, Any]:
+    """What simulates a robot with the effects of its file: its rods, and what acts on so many lanes."""
+    if not robot.effects:
+        return {}
+    return {"rods": rods_of(robot), "acts": lambda lanes: lane_effects(robot, lanes)}
 
 
 def actions_of(robot: Robot, actions: str | Sequence[str]) -> list[Action]:

@@ -19,7 +19,8 @@ POWER_ON, RESET, ARM, DISARM, STOP, STARTED, ENDED, FIX, HIGH, LOW, STATE, FAULT
 SEEN = np.dtype([("time_us", "<i8"), ("kind", "<i4"), ("value", "<i4")])
 """What is seen, in order of time (a FIX: its picture's); the value is a limb's index, or a state.
 
-RESET: pins are released. ARM, DISARM, STOP: the command has reached the robot, not for a second time.
+RESET: pins are released. ARM: the command has reached the robot, not for a second time.
+DISARM, STOP: likewise, each time.
 STARTED, ENDED: the robot said so. FIX: the robot took one. FAULT: an internal error has happened to it.
 """
 LIMITS = ("pulse", "rest", "duty", "together", "armed", "off", "fresh", "lost", "told", "latched")

@@ -11,6 +11,7 @@
 typedef struct {
     uint8_t bytes[FRAME_BYTES];
     uint32_t length;
+    int32_t heard;  /* what it is to an onlooker, 0: nothing */
     int64_t age_us; /* of a FIX's picture, whenever it comes; negative: no FIX */
 } sent_t;
 
@@ -188,6 +189,9 @@ static void give(const sent_t *frame)
 static void give_again(const sent_t *frame)
 {
     is_again = 1u;
+    if (frame->heard == SEEN_DISARM || frame->heard == SEEN_STOP) { /* what switches off acts whenever it comes */
+        see(world_us, frame->heard, 0);
+    }
     give(frame);
     is_again = 0u;
 }
@@ -197,6 +201,7 @@ static void send_as(int32_t heard, uint8_t type, const uint8_t *payload, uint32_
 {
     sent_t *frame = &sent[sent_count % KEPT];
     ++sequence;
+    frame->heard = heard;
     frame->age_us = (type == FK_FRAME_FIX && length == FK_FIX_COMMAND_BYTES) ? (int64_t)fk_get_u32(payload + 3) : -1;
     frame->length = fk_frame_encode(type, sequence, payload, length, frame->bytes, sizeof(frame->bytes)) - 1u;
     uint32_t fate = below(64u);

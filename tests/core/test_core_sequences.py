@@ -111,6 +111,9 @@ CODE = {
     "boots armed": (
         "fk_robot.c", "robot->state = FK_STATE_DISARMED;", "robot->state = FK_STATE_ARMED;", "armed lost",
     ),
+    "what switches off is answered from memory": (
+        "fk_link.c", " && type != FK_FRAME_DISARM && type != FK_FRAME_STOP", "", "armed",
+    ),
     "repetitions act": ("fk_link.c", "if (before != 0) {", "if (0) {", "armed lost"),
     "damaged frames act": (
         "fk_frames.c", "if (crc != fk_get_u32(raw + checked)) {", "if (0) {", "armed told",

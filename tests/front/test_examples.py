@@ -1,4 +1,4 @@
-"""The examples run as they stand; in make test with a robot of fewer pieces and few candidates."""
+"""The examples run: as they stand with test-full, else with fewer states and few candidates."""
 
 from __future__ import annotations
 
@@ -30,9 +30,9 @@ LEFT = {
 
 @pytest.fixture
 def quick(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
-    """A folder to run in; in make test the same calls are made cheaper."""
+    """A folder to run in; but with test-full the same calls are made cheaper."""
     monkeypatch.chdir(tmp_path)
-    if few := count(0, 0, 60):
+    if few := count(60, 0):
         load, build = fk.load_robot, fk.build_library
         some = [term for term in catalogue(few_pieces()) if "limb_wear rear" in term.title]
 

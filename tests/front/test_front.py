@@ -35,7 +35,7 @@ WORN = "rear_left"
 def readme(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     """What the names of README's Python lines are after these ran.
 
-    In make test with a robot of fewer pieces, fewer states and few candidates: the same lines, in seconds.
+    But with test-full with fewer states and few candidates: the same lines, in seconds.
     """
     text = (REPOSITORY / "README.md").read_text(encoding="utf-8")
     (lines,) = re.findall(r"```python\n(import frogkick as fk\n.*?)```", text, re.DOTALL)
@@ -43,7 +43,7 @@ def readme(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     folder = tmp_path_factory.mktemp("readme")
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
-        if few := count(0, 0, 60):
+        if few := count(60, 0):
             for old, new in (('fk.load_robot("frog2022")', "few_pieces()"), ("states=300", f"states={few}")):
                 assert old in lines
                 lines = lines.replace(old, new)

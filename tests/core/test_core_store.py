@@ -261,6 +261,13 @@ def test_a_worn_slot_is_written_no_more() -> None:
     assert flash.image == flash.built_in
 
 
+def test_the_only_slot_is_worn() -> None:
+    flash = Flash(slots=1)
+    flash.store.record.erases[0] = 10_000
+    assert flash.upload(NEW) == "WORN"
+    assert flash.image == flash.built_in
+
+
 def test_a_table_of_the_other_kind() -> None:
     flash = Flash()
     assert flash.upload(synthetic.image(60)) == "OK"

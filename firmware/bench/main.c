@@ -12,9 +12,7 @@
 /* While bytes arrive the core looks at them this often, about 11 bytes at a time, instead of waking for each. */
 #define FK_BENCH_RECEIVE_POLL_US 1000u
 
-/* From reading the clock to the last gate. */
-#define FK_BENCH_PULSE_START_US 20u
-#define FK_BENCH_ERROR_LATE (-16) /* beside FK_PULSE_ERROR_... */
+typedef char fk_late_is_late[(FK_PULSE_ERROR_LATE == FK_PULSE_LATE) ? 1 : -1];
 
 static fk_robot_t robot;
 static fk_frame_collector_t collector;
@@ -41,8 +39,8 @@ static taken_t take_frame(void)
     return taken;
 }
 
-/* The core's books say that the pulse begins at tick_us. One that would begin later than they allow for does not, and
- * one that the gates refuse is no less an error: the core sees to it that they are free.
+/* The core's books say that the pulse begins at tick_us. One that would begin later than they allow for does not: that
+ * stroke is refused. One that the gates refuse is an error: the core sees to it that they are free.
  * Returns 1 where the core needs a tick at once. */
 static int32_t drive_limbs(const fk_outputs_t *outputs, uint64_t tick_us)
 {
@@ -52,10 +50,7 @@ static int32_t drive_limbs(const fk_outputs_t *outputs, uint64_t tick_us)
     if (outputs->limb_mask == 0u) {
         return 0;
     }
-    int32_t error = FK_BENCH_ERROR_LATE;
-    if (fk_time_now_us() + FK_BENCH_PULSE_START_US <= tick_us + FK_PORT_LATE_US) {
-        error = fk_pulse_start(outputs->limb_mask, outputs->pulse_us);
-    }
+    int32_t error = fk_pulse_start(outputs->limb_mask, outputs->pulse_us, tick_us + FK_PORT_LATE_US);
     if (error != FK_PULSE_OK) {
         fk_robot_note_pulse_failed(&robot, error);
     }

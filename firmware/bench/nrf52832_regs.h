@@ -121,9 +121,13 @@
 
 /* PPI */
 #define PPI_BASE 0x4001F000u
+#define PPI_TASKS_CHG_DIS(n) FK_REGISTER(PPI_BASE + 0x004u + 8u * (n))
 #define PPI_CHENSET FK_REGISTER(PPI_BASE + 0x504u)
+#define PPI_CHENCLR FK_REGISTER(PPI_BASE + 0x508u)
 #define PPI_CH_EEP(n) FK_REGISTER(PPI_BASE + 0x510u + 8u * (n))
 #define PPI_CH_TEP(n) FK_REGISTER(PPI_BASE + 0x514u + 8u * (n))
+#define PPI_CHG(n) FK_REGISTER(PPI_BASE + 0x800u + 4u * (n))
+#define PPI_FORK_TEP(n) FK_REGISTER(PPI_BASE + 0x910u + 4u * (n))
 
 /* P0 */
 #define P0_BASE 0x50000000u

@@ -3,13 +3,31 @@
 #include "board.h"
 #include "nrf52832_regs.h"
 #include "ppi_channels.h"
+#include "time.h"
 
 #define PULSE_TIMER TIMER2_BASE
 #define PULSE_PRESCALER_1_MHZ 4u /* 16 MHz / 2^4 */
 #define CC_END 0u
+#define CC_BEGIN 1u
+
+/* The timer's first tick: where it starts the gates go high, and its value at the end is so much more. */
+#define BEGIN_TICK 1u
+/* From reading the clock until the compare value stands and its channel is on; tries that take longer are repeated. */
+#define ARM_US 5u
+/* After this much more what had to begin has begun. */
+#define SETTLED_US 3u
+
+#define START_MASK (1u << FK_PPI_PULSE_START)
+#define LIMBS_MASK ((1u << FK_BOARD_LIMBS) - 1u)
 
 static const uint8_t limb_pins[FK_BOARD_LIMBS_MAX] = FK_BOARD_LIMB_PINS;
 static uint8_t pulse_is_on;
+
+static void connect(uint32_t channel, volatile uint32_t *event, volatile uint32_t *task)
+{
+    PPI_CH_EEP(channel) = FK_ADDRESS_OF(*event);
+    PPI_CH_TEP(channel) = FK_ADDRESS_OF(*task);
+}
 
 void fk_pulse_init(void)
 {
@@ -23,11 +41,13 @@ void fk_pulse_init(void)
             (GPIOTE_CONFIG_MODE_Task << GPIOTE_CONFIG_MODE_Pos) | (pin << GPIOTE_CONFIG_PSEL_Pos) |
             (GPIOTE_CONFIG_POLARITY_None << GPIOTE_CONFIG_POLARITY_Pos) |
             (GPIOTE_CONFIG_OUTINIT_Low << GPIOTE_CONFIG_OUTINIT_Pos);
-        uint32_t channel = FK_PPI_PULSE_END_FIRST + limb;
-        PPI_CH_EEP(channel) = FK_ADDRESS_OF(TIMER_EVENTS_COMPARE(PULSE_TIMER, CC_END));
-        PPI_CH_TEP(channel) = FK_ADDRESS_OF(GPIOTE_TASKS_CLR(limb));
-        PPI_CHENSET = 1u << channel;
+        connect(FK_PPI_PULSE_END_FIRST + limb, &TIMER_EVENTS_COMPARE(PULSE_TIMER, CC_END), &GPIOTE_TASKS_CLR(limb));
+        connect(FK_PPI_PULSE_BEGIN_FIRST + limb, &TIMER_EVENTS_COMPARE(PULSE_TIMER, CC_BEGIN), &GPIOTE_TASKS_SET(limb));
     }
+    PPI_CHENSET = LIMBS_MASK << FK_PPI_PULSE_END_FIRST;
+    connect(FK_PPI_PULSE_START, &TIMER_EVENTS_COMPARE(FK_TIME_TIMER, FK_TIME_CC_PULSE), &TIMER_TASKS_START(PULSE_TIMER));
+    PPI_CHG(FK_PPI_GROUP_PULSE_START) = START_MASK;
+    PPI_FORK_TEP(FK_PPI_PULSE_START) = FK_ADDRESS_OF(PPI_TASKS_CHG_DIS(FK_PPI_GROUP_PULSE_START));
     TIMER_MODE(PULSE_TIMER) = TIMER_MODE_MODE_Timer;
     TIMER_BITMODE(PULSE_TIMER) = TIMER_BITMODE_BITMODE_32Bit;
     TIMER_PRESCALER(PULSE_TIMER) = PULSE_PRESCALER_1_MHZ;
@@ -47,7 +67,22 @@ int32_t fk_pulse_is_on(void)
     return pulse_is_on;
 }
 
-int32_t fk_pulse_start(uint8_t limb_mask, uint32_t pulse_us)
+/* Let the pulse that is set up begin at begin_us by TIMER0. Returns 1 where it has, 0 where that time was over before the
+ * channel was on: then nothing has begun. */
+static int32_t begin_at(uint64_t begin_us)
+{
+    TIMER_CC(FK_TIME_TIMER, FK_TIME_CC_PULSE) = (uint32_t)begin_us;
+    PPI_CHENSET = START_MASK; /* from here on it is the timers' matter */
+    while (fk_time_now_us() < begin_us + SETTLED_US) {
+    }
+    if (TIMER_EVENTS_COMPARE(PULSE_TIMER, CC_BEGIN) != 0u) {
+        return 1;
+    }
+    PPI_CHENCLR = START_MASK;
+    return 0;
+}
+
+int32_t fk_pulse_start(uint8_t limb_mask, uint32_t pulse_us, uint64_t latest_us)
 {
     if (limb_mask == 0u || ((uint32_t)limb_mask >> FK_BOARD_LIMBS) != 0u || pulse_us == 0u ||
         pulse_us > FK_BOARD_PULSE_MAX_US) {
@@ -57,20 +92,28 @@ int32_t fk_pulse_start(uint8_t limb_mask, uint32_t pulse_us)
         return FK_PULSE_ERROR_BUSY;
     }
     TIMER_TASKS_CLEAR(PULSE_TIMER) = 1u;
-    TIMER_CC(PULSE_TIMER, CC_END) = pulse_us;
+    TIMER_CC(PULSE_TIMER, CC_BEGIN) = BEGIN_TICK;
+    TIMER_CC(PULSE_TIMER, CC_END) = BEGIN_TICK + pulse_us;
+    TIMER_EVENTS_COMPARE(PULSE_TIMER, CC_BEGIN) = 0u;
+    PPI_CHENCLR = LIMBS_MASK << FK_PPI_PULSE_BEGIN_FIRST;
+    PPI_CHENSET = (uint32_t)limb_mask << FK_PPI_PULSE_BEGIN_FIRST;
     pulse_is_on = 1u;
-    /* The end first, then the beginning: whatever stops the core between these lines, no gate stays high. */
-    TIMER_TASKS_START(PULSE_TIMER) = 1u;
-    for (uint32_t limb = 0u; limb < FK_BOARD_LIMBS; ++limb) {
-        if ((limb_mask & (1u << limb)) != 0u) {
-            GPIOTE_TASKS_SET(limb) = 1u;
+    for (;;) {
+        uint64_t begin_us = fk_time_now_us() + ARM_US;
+        if (begin_us + BEGIN_TICK > latest_us) {
+            pulse_is_on = 0u;
+            return FK_PULSE_ERROR_LATE;
+        }
+        if (begin_at(begin_us) != 0) {
+            return FK_PULSE_OK;
         }
     }
-    return FK_PULSE_OK;
 }
 
 void fk_pulse_off(void)
 {
+    /* Nothing begins any more, then gates low, then no end is needed. */
+    PPI_CHENCLR = START_MASK | (LIMBS_MASK << FK_PPI_PULSE_BEGIN_FIRST);
     for (uint32_t limb = 0u; limb < FK_BOARD_LIMBS; ++limb) {
         GPIOTE_TASKS_CLR(limb) = 1u;
     }

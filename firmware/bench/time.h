@@ -3,7 +3,10 @@
 
 #include <stdint.h>
 
-/* TIMER0 at 1 MHz. */
+/* TIMER0 at 1 MHz. Its third compare register is for the pulses, which begin by it. */
+#define FK_TIME_TIMER TIMER0_BASE
+#define FK_TIME_CC_PULSE 2u
+
 void fk_time_init(void);
 
 /* Microseconds since fk_time_init. Must be called at least once in 71 minutes, or a wrap of 2^32 us goes unseen;

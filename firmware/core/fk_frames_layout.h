@@ -929,7 +929,7 @@ static inline void fk_stroke_record_pack(uint8_t *to, const fk_stroke_record_t *
 /* Limbs were to be switched on now. */
 typedef struct {
     uint8_t limb_mask; /* bit i = limb i */
-    uint8_t allowed; /* 1 = the port was told to, 0 = the guard refused it */
+    uint8_t allowed; /* 1 = the port was told to, 0 = the guard refused it, 2 = the port was too late and did not */
     uint32_t pulse_us; /* length (us) */
 } fk_pulse_record_t;
 

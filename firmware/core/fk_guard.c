@@ -149,6 +149,18 @@ int32_t fk_guard_allow(fk_guard_t *guard, uint8_t limb_mask, uint32_t pulse_us, 
     return 1;
 }
 
+void fk_guard_not_begun(fk_guard_t *guard, uint8_t limb_mask)
+{
+    for (uint32_t i = 0u; i < FK_LIMBS_MAX; ++i) {
+        if ((limb_mask & (1u << i)) != 0u) {
+            fk_guard_limb_t *limb = &guard->limbs[i];
+            uint32_t last = (limb->next + FK_GUARD_HISTORY - 1u) % FK_GUARD_HISTORY;
+            limb->end_us[last] = limb->start_us[last];
+            limb->off_us = limb->start_us[last];
+        }
+    }
+}
+
 void fk_guard_cut(fk_guard_t *guard, uint64_t now_us)
 {
     uint64_t off_us = now_us + FK_PORT_LATE_US;

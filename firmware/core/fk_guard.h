@@ -10,8 +10,8 @@
 #include "fk_planner.h"
 #include "fk_robot_config.h"
 
-/* From the time told to the core's tick until the port has switched the pins that this tick asks for. A port that is
- * later must not begin the pulse, and tells the core. */
+/* From the time told to the core's tick until the port has switched the pins that this tick asks for. A port that would
+ * be later does not begin the pulse, and tells the core. */
 #define FK_PORT_LATE_US 200u
 
 /* A limb rests at least FK_REST_MIN_US between pulses, so this many pulses can touch one duty window at most. */
@@ -79,6 +79,9 @@ int32_t fk_guard_is_sound(const fk_guard_t *guard, uint64_t now_us);
  *            in a closed loop without a fix of the last FK_FIX_FRESH_US
  */
 int32_t fk_guard_allow(fk_guard_t *guard, uint8_t limb_mask, uint32_t pulse_us, uint64_t now_us);
+
+/* The pulse that was entered last for these limbs did not begin: it counts as one of no length. */
+void fk_guard_not_begun(fk_guard_t *guard, uint8_t limb_mask);
 
 /* All outputs were switched off at now_us: pulses that were still on end there. */
 void fk_guard_cut(fk_guard_t *guard, uint64_t now_us);

@@ -155,7 +155,6 @@ void fk_robot_fault(fk_robot_t *robot, uint8_t fault, int32_t detail)
     (void)fk_robot_supervise(robot, FK_EVENT_ERROR);
 }
 
-void fk_robot_note_pulse_failed(fk_robot_t *robot, int32_t error) { fk_robot_fault(robot, FK_FAULT_PULSE, error); }
 
 static void end_run(fk_robot_t *robot, int8_t status)
 {
@@ -278,6 +277,13 @@ static void decide(fk_robot_t *robot)
     robot->next_decision_us += robot->period_us;
 }
 
+static void keep_books(fk_robot_t *robot)
+{
+    if (robot->kept != 0) {
+        fk_guard_keep(&robot->guard, robot->kept);
+    }
+}
+
 static int32_t fire(fk_robot_t *robot, uint8_t limb_mask, uint64_t now_us, fk_outputs_t *outputs)
 {
     if (!fk_guard_is_sound(&robot->guard, now_us)) {
@@ -285,19 +291,47 @@ static int32_t fire(fk_robot_t *robot, uint8_t limb_mask, uint64_t now_us, fk_ou
     }
     if (fk_robot_may(robot, FK_EVENT_PULSE) == FK_STATUS_OK &&
         fk_guard_allow(&robot->guard, limb_mask, robot->tables.pulse_us, now_us)) {
-        if (robot->kept != 0) {
-            fk_guard_keep(&robot->guard, robot->kept);
-        }
+        keep_books(robot);
         outputs->limb_mask = limb_mask;
         outputs->pulse_us = robot->tables.pulse_us;
         robot->free_us = now_us + robot->tables.pulse_us + FK_STROKE_GAP_US;
         ++robot->pulses;
-        fk_robot_log_pulse(robot, limb_mask, 1u);
+        robot->fired_mask = limb_mask;
+        robot->fired_first = 0u;
+        fk_robot_log_pulse(robot, limb_mask, FK_PULSE_TOLD);
         return 1;
     }
     ++robot->pulses_refused;
-    fk_robot_log_pulse(robot, limb_mask, 0u);
+    fk_robot_log_pulse(robot, limb_mask, FK_PULSE_REFUSED);
     return 0;
+}
+
+/* Half a stroke is none of the table's motions: none of it begins, and host and estimator are told so. */
+static void refuse_stroke(fk_robot_t *robot, uint8_t action)
+{
+    fk_estimator_act(&robot->estimator, robot->stroke_us, robot->resting_action);
+    robot->refused.action = action;
+    robot->refused.begin_us = robot->stroke_us;
+    robot->refused_pending = 1u;
+    robot->second_mask = 0u;
+    fk_robot_log_stroke(robot, FK_RECORD_REFUSED, action);
+}
+
+void fk_robot_note_pulse_failed(fk_robot_t *robot, int32_t error)
+{
+    if (error != FK_PULSE_LATE || robot->fired_mask == 0u) {
+        fk_robot_fault(robot, FK_FAULT_PULSE, error);
+        return;
+    }
+    fk_guard_not_begun(&robot->guard, robot->fired_mask);
+    keep_books(robot);
+    --robot->pulses;
+    ++robot->pulses_refused;
+    fk_robot_log_pulse(robot, robot->fired_mask, FK_PULSE_TOO_LATE);
+    if (robot->fired_first != 0u) {
+        refuse_stroke(robot, (uint8_t)(robot->fired_first - 1u));
+    }
+    robot->fired_mask = 0u;
 }
 
 static void begin_stroke(fk_robot_t *robot, uint8_t action, uint64_t now_us, fk_outputs_t *outputs)
@@ -312,14 +346,10 @@ static void begin_stroke(fk_robot_t *robot, uint8_t action, uint64_t now_us, fk_
         return;
     }
     if (masks.first_mask != 0u && !fire(robot, masks.first_mask, now_us, outputs)) {
-        /* Half a stroke is none of the table's motions: none of it begins, and host and estimator are told so. */
-        fk_estimator_act(&robot->estimator, robot->stroke_us, robot->resting_action);
-        robot->refused.action = action;
-        robot->refused.begin_us = robot->stroke_us;
-        robot->refused_pending = 1u;
-        fk_robot_log_stroke(robot, FK_RECORD_REFUSED, action);
+        refuse_stroke(robot, action);
         return;
     }
+    robot->fired_first = (uint8_t)((masks.first_mask != 0u) ? action + 1u : 0u);
     robot->second_mask = masks.second_mask;
     robot->second_us = now_us + robot->tables.second_delay_us + FK_STROKE_GAP_US;
 }
@@ -330,6 +360,7 @@ void fk_robot_tick(fk_robot_t *robot, uint64_t now_us, fk_outputs_t *outputs)
 {
     outputs->limb_mask = 0u;
     outputs->pulse_us = 0u;
+    robot->fired_mask = 0u;
     fk_robot_note_time(robot, now_us);
     outputs->all_off = robot->all_off;
     if (robot->all_off != 0u) {

@@ -79,6 +79,8 @@ typedef struct {
     uint64_t stroke_us;          /* when the action asked for last begins, as the estimator was told */
     uint64_t free_us;            /* when the port's pulse timer is free: one pulse at a time */
     uint8_t all_off;             /* the next tick switches everything off */
+    uint8_t fired_mask;          /* limbs that the last tick asked the port to heat */
+    uint8_t fired_first;         /* 1 + action whose first limbs these are; 0: the second ones of a stroke */
 
     uint8_t decision_pending;    /* a DECISION event waits for its computing time */
     fk_decision_event_t decision;
@@ -130,8 +132,12 @@ void fk_robot_on_frame(fk_robot_t *robot, const uint8_t *encoded, uint32_t lengt
 /* Do what is due at now_us. A decision computes for up to some milliseconds in here. */
 void fk_robot_tick(fk_robot_t *robot, uint64_t now_us, fk_outputs_t *outputs);
 
-/* The pulse that the last tick asked for did not begin, or not within FK_PORT_LATE_US: an internal error.
- * @param error  the port's own number, -128 to 127
+/* What a port tells of a pulse that it could not begin within FK_PORT_LATE_US. */
+#define FK_PULSE_LATE (-16)
+
+/* The pulse that the last tick asked for did not begin, and will not. Directly after that tick.
+ * @param error  FK_PULSE_LATE: a refused stroke, as one that the guard refuses. Another number of the port's own, -128
+ *               to 127: an internal error
  */
 void fk_robot_note_pulse_failed(fk_robot_t *robot, int32_t error);
 
@@ -172,6 +178,9 @@ void fk_robot_log(fk_robot_t *robot, uint8_t id, const uint8_t *content, uint32_
 void fk_robot_log_fault(fk_robot_t *robot);
 void fk_robot_log_state(fk_robot_t *robot, uint8_t before, uint8_t event);
 void fk_robot_log_stroke(fk_robot_t *robot, uint8_t id, uint8_t action);
+#define FK_PULSE_REFUSED 0u  /* by the guard */
+#define FK_PULSE_TOLD 1u     /* to the port */
+#define FK_PULSE_TOO_LATE 2u /* for the port */
 void fk_robot_log_pulse(fk_robot_t *robot, uint8_t limb_mask, uint8_t allowed);
 uint32_t fk_robot_log_command(fk_robot_t *robot, const fk_frame_t *frame);
 void fk_robot_log_snapshot(fk_robot_t *robot);

@@ -15,6 +15,7 @@ from tests.core.test_core_table_commands import begin_values, robot_with_store, 
 
 from frogkick.link.layout import Value, link_layout
 from frogkick.link.log import HEAD_BYTES, ChipLog, Record, Stretch, check_of, records_of
+from frogkick.loop.chip_core import LATE, TOO_LATE
 from frogkick.loop.chip_log_replay import LogReplay, replay_log
 from frogkick.planner.image import open_image
 from frogkick_codegen.native import build_shared
@@ -226,6 +227,22 @@ def test_a_port_that_fails_is_lived_through_too() -> None:
     assert [r.name for r in fetched(robot).records()[0]][-3:] == ["FAULT", "STATE", "OFF"]
 
 
+def test_a_port_that_is_late_is_lived_through_too() -> None:
+    robot = run(6, 3.0)
+    robot.status("STOP")
+    robot.now_us += 1_000_000
+    for _ in range(2):
+        robot.status("STROKE", {"action": ACTION["B"]})
+        assert robot.tick().limb_mask
+        robot.core.fk_robot_note_pulse_failed(robot.memory, LATE)
+        robot.run_until(robot.now_us + 1_000_000)
+    log = fetched(robot)
+    told = replayed(log)
+    assert told.mismatches == []
+    pulses = [record.values["allowed"] for record in log.records()[0] if record.name == "PULSE"]
+    assert pulses[-4:] == [1, TOO_LATE, 1, TOO_LATE]
+
+
 def test_a_reset_in_between() -> None:
     """The log goes on; what stands before the reset is decided again, and what comes after it."""
     robot = run(7, 5.0)
@@ -297,7 +314,7 @@ DECIDES_OTHERWISE = {
     ),
     "a shorter rest": ("fk_robot_config.h", "FK_REST_MIN_US 500000u", "FK_REST_MIN_US 1500000u", "core"),
     "no word of a pulse": (
-        "fk_robot.c", "        fk_robot_log_pulse(robot, limb_mask, 1u);\n", "", "core",
+        "fk_robot.c", "        fk_robot_log_pulse(robot, limb_mask, FK_PULSE_TOLD);\n", "", "core",
     ),
 }  # fmt: skip
 

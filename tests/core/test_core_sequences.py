@@ -114,7 +114,7 @@ CODE = {
     "what switches off is answered from memory": (
         "fk_link.c", " && type != FK_FRAME_DISARM && type != FK_FRAME_STOP", "", "armed",
     ),
-    "repetitions act": ("fk_link.c", "if (before != 0) {", "if (0) {", "armed lost"),
+    "repetitions act": ("fk_link.c", "if (before != 0) {", "if (0) {", "armed lost told"),
     "damaged frames act": (
         "fk_frames.c", "if (crc != fk_get_u32(raw + checked)) {", "if (0) {", "armed told",
     ),

@@ -160,6 +160,48 @@ def test_a_pulse_that_the_port_could_not_start() -> None:
     assert told(robot) == ("FAULT", "PULSE", -2), "the first error is the one that is told"
 
 
+LATE = -16
+"""FK_PULSE_LATE"""
+
+
+def test_a_pulse_that_the_port_is_too_late_for_is_a_refused_stroke() -> None:
+    """The first half: none of it happens. The limbs' time on is not used up, and the next stroke goes."""
+    robot = Robot().begin("ARMED")
+    assert robot.stroke("B") == "OK"
+    out = robot.tick()
+    assert (out.limb_mask, out.next_tick_us > robot.now_us) == (0b0011, True)
+    robot.take()
+    core().fk_robot_note_pulse_failed(robot.memory, LATE)
+    assert robot.run_until(robot.now_us + 1_000_000) == [], "no second half"
+    assert [(frame.name, frame.values["action"]) for frame in robot.take()] == [("REFUSED", ACTION["B"])]
+    assert told(robot) == ("ARMED", "NONE", 0)
+    counts = robot.ask("STATUS")
+    assert (counts["pulses"], counts["pulses_refused"]) == (0, 1)
+    assert robot.stroke("B") == "OK"
+    assert [mask for _, mask in robot.run_until(robot.now_us + 1_000_000)] == [0b0011, 0b1100]
+
+
+def test_a_second_half_that_is_too_late_is_left_out() -> None:
+    robot = Robot().begin("ARMED")
+    assert robot.stroke("B") == "OK"
+    out = robot.tick()
+    assert robot.tick(out.next_tick_us).limb_mask == 0b1100
+    core().fk_robot_note_pulse_failed(robot.memory, LATE)
+    assert robot.run_until(robot.now_us + 1_000_000) == []
+    assert "REFUSED" not in [frame.name for frame in robot.take()]
+    assert told(robot) == ("ARMED", "NONE", 0)
+    counts = robot.ask("STATUS")
+    assert (counts["pulses"], counts["pulses_refused"]) == (1, 1)
+
+
+def test_late_for_a_pulse_that_nobody_asked_for() -> None:
+    robot = Robot().begin("ARMED")
+    robot.tick()
+    core().fk_robot_note_pulse_failed(robot.memory, LATE)
+    fire_until_fault(robot)
+    assert told(robot) == ("FAULT", "PULSE", LATE)
+
+
 def test_a_table_that_is_refused_is_told() -> None:
     table = bytearray(image())
     table[500] ^= 1

@@ -14,6 +14,7 @@
 #define ESCAPE 0xFEu
 #define QUEUE_BYTES 2048u
 #define UNREAD_US 60000u
+#define LATEST_US 200u
 
 static uint8_t queue[QUEUE_BYTES];
 static uint32_t queue_in;
@@ -32,7 +33,7 @@ static void obey(void)
 {
     uint32_t pulse_us = 10u * (command[3] + 256u * (uint32_t)command[4]);
     if (command[1] == 1u || command[1] == 2u) {
-        int32_t result = fk_pulse_start(command[2], pulse_us);
+        int32_t result = fk_pulse_start(command[2], pulse_us, fk_time_now_us() + LATEST_US);
         while (command[1] == 2u) {
             __asm__ volatile("");
         }

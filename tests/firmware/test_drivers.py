@@ -8,7 +8,8 @@ import shutil
 from pathlib import Path
 
 import pytest
-from bench_build import GCC, build
+from bench_build import BENCH, DRIVERS, GCC, build
+from tests.conftest import count
 
 from frogkick.pool.chip import VirtualChip
 from frogkick.pool.virtual_robot import LIMB_PINS
@@ -17,6 +18,7 @@ BOOT_US = 2000.0
 BYTE_US = 1e6 * 10 / 115200
 PINS = LIMB_PINS[:4]
 ESCAPE = 0xFE
+LATE = -16
 
 
 def echoable(count: int, seed: int) -> bytes:
@@ -133,6 +135,101 @@ def test_a_pulse_lasts_its_time_even_where_the_core_hangs(
             assert own[1][0] - own[0][0] == pytest.approx(pulse_us, abs=1.0)
         else:
             assert own == []
+
+
+STALLS_US = (4.0, 20.0, 150.0, 900.0, 1_500.0, 85_000.0, 2_000_000.0)
+"""How long the core stands still: within the start, as long as the pulse, an erased page, a debugger."""
+
+
+def stalled(chip: VirtualChip, what: str, cases: int) -> list[int]:
+    """Results of as many pulses; in each the core stands still once, somewhere from its command on.
+
+    Each gate is high once for the pulse's time, or less where the pulse is taken back ("off"), or never.
+    """
+    pulse_us, limbs = 1_000, (1, 2)
+    command = pulse_command(1, 0b0110, pulse_us)
+    arrived_us = chip.time_us + len(command) * BYTE_US
+    chip.send(command, chip.time_us)
+    chip.run_until(arrived_us + 5_000)
+    assert signed(b"".join(part for _, part in chip.received())) == 0
+    rises = [time for time, _, level in chip.pin_edges() if level]
+    assert len(rises) == 2 and max(rises) - min(rises) < 2.0
+    span = round((rises[0] - arrived_us + 15.0) * 64)
+    assert 300 < span < 2_000
+    every = list(itertools.product(range(span), STALLS_US))
+    results = []
+    for cycle, stall_us in random.Random(1).sample(every, min(cases, len(every))):
+        arrived_us = chip.time_us + len(command) * BYTE_US
+        chip.send(command, chip.time_us)
+        if what == "off":
+            chip.run_until(arrived_us + 400.0)
+            arrived_us = chip.time_us + 2 * BYTE_US
+            chip.send(bytes([ESCAPE, 3]), chip.time_us)
+        chip.run_until(arrived_us + cycle / 64)
+        chip.hang()
+        chip.run_until(chip.time_us + stall_us)
+        chip.hang(False)
+        chip.run_until(chip.time_us + pulse_us + 4_000)
+        results.append(signed(b"".join(part for _, part in chip.received())))
+        assert results[-1] in (0, LATE), (cycle, stall_us)
+        edges = chip.pin_edges()
+        for limb, pin in enumerate(PINS):
+            own = [(time, level) for time, edge_pin, level in edges if edge_pin == pin]
+            if limb not in limbs or results[-1] == LATE:
+                assert own == [], (cycle, stall_us, own)
+                continue
+            assert [level for _, level in own] == [True, False], (cycle, stall_us, own)
+            on_us = own[1][0] - own[0][0]
+            assert on_us <= pulse_us, (cycle, stall_us)
+            assert what == "off" or on_us == pytest.approx(pulse_us, abs=0.1), (cycle, stall_us)
+    return results
+
+
+@pytest.mark.parametrize("what", ["start", "off"])
+def test_wherever_the_core_stands_still_no_gate_stays_high(chip: VirtualChip, what: str) -> None:
+    """At each instruction from the command's arrival until gates are high, or low again."""
+    results = stalled(chip, what, count(700, 20_000, 200))
+    assert results.count(0) > 0 and (what == "off" or results.count(LATE) > 0)
+
+
+SOFTWARE = (
+    ("    PPI_CHENSET = (uint32_t)limb_mask << FK_PPI_PULSE_BEGIN_FIRST;\n", ""),
+    (
+        "        if (begin_at(begin_us) != 0) {\n",
+        "        if (begin_at(begin_us) != 0) {\n"
+        "            GPIOTE_TASKS_SET(1) = 1u;\n            GPIOTE_TASKS_SET(2) = 1u;\n",
+    ),
+)
+STOPPED_FIRST = (
+    ("    TIMER_TASKS_STOP(PULSE_TIMER) = 1u;\n", ""),
+    (
+        "    for (uint32_t limb = 0u; limb < FK_BOARD_LIMBS; ++limb) {\n        GPIOTE_TASKS_CLR",
+        "    TIMER_TASKS_STOP(PULSE_TIMER) = 1u;\n"
+        "    for (uint32_t limb = 0u; limb < FK_BOARD_LIMBS; ++limb) {\n        GPIOTE_TASKS_CLR",
+    ),
+)
+
+
+@pytest.mark.parametrize(
+    ("what", "changes"),
+    [("start", SOFTWARE), ("off", STOPPED_FIRST)],
+    ids=["gates by software", "the end stopped before gates are low"],
+)
+def test_a_pulse_that_leans_on_the_core_is_found_out(
+    what: str, changes: tuple[tuple[str, str], ...], tmp_path: Path
+) -> None:
+    text = (BENCH / "pulse.c").read_text(encoding="utf-8")
+    for old, new in changes:
+        assert text.count(old) == 1
+        text = text.replace(old, new)
+    (tmp_path / "pulse.c").write_text(text, encoding="utf-8")
+    others = [BENCH / name for name in DRIVERS if name != "pulse.c"]
+    sources = [Path(__file__).with_name("driver_echo.c"), tmp_path / "pulse.c", *others]
+    chip = VirtualChip(build(sources, tmp_path / "echo.elf", drivers=False))
+    chip.run_until(BOOT_US)
+    chip.pin_edges()
+    with pytest.raises(AssertionError):
+        stalled(chip, what, 2_000)
 
 
 def test_a_second_pulse_while_one_is_on_is_refused(chip: VirtualChip) -> None:

@@ -115,7 +115,9 @@ def test_addresses(macro: str) -> None:
         for n in range(4) if "n)" in macro else (None,):
             text = address[1].replace("(timer)", str(base)).replace("(n)", str(n))
             text = re.sub(r"\w+_BASE", str(base), text)
-            spelled = register if n is None else re.sub(r"^(CH)_(.+)$", rf"\1[{n}].\2", register)
+            spelled = (
+                register if n is None else re.sub(r"^(CH|FORK|TASKS_CHG)_(.+)$", rf"\1[{n}].\2", register)
+            )
             if n is not None and spelled == register:
                 spelled = f"{register}[{n}]"
             spelled = re.sub(r"^(PSEL|RXD|TXD)_", r"\1.", spelled)

@@ -5,6 +5,7 @@
 #include <nrfx_timer.h>
 #include <zephyr/devicetree.h>
 #include <zephyr/irq.h>
+#include <zephyr/kernel.h>
 #include <zephyr/sys/atomic.h>
 #include <zephyr/sys/util.h>
 
@@ -14,10 +15,17 @@
 static const uint8_t pins[] = {DT_FOREACH_PROP_ELEM_SEP(LIMBS_NODE, gpios, LIMB_PIN, (, ))};
 BUILD_ASSERT(ARRAY_SIZE(pins) <= 8, "the core knows at most eight limbs");
 
+/* The timer's first tick: where it starts the gates go high, and its value at the end is so much more. */
+#define BEGIN_TICK 1u
+/* The clock's own grain, and from reading it to the gates. */
+#define START_US 40u
+
 static const nrfx_timer_t timer = NRFX_TIMER_INSTANCE(2);
 static const nrfx_gpiote_t gpiote = NRFX_GPIOTE_INSTANCE(0);
 static void (*tell_end)(void);
 static atomic_t is_on;
+static uint32_t begin_channels[ARRAY_SIZE(pins)]; /* masks of PPI channels: the timer's begin -> SET of a limb */
+static uint32_t all_begin_channels;
 static uint8_t is_ready;
 
 static void timer_event(nrf_timer_event_t event, void *context)
@@ -29,9 +37,15 @@ static void timer_event(nrf_timer_event_t event, void *context)
     }
 }
 
-/* The pin low, then its CLR task tied to the timer's end. */
-static int32_t tie(uint8_t pin)
+uint64_t fk_limbs_now_us(void)
 {
+    return k_ticks_to_us_floor64((uint64_t)k_uptime_ticks());
+}
+
+/* The pin low, its CLR task tied to the timer's end, its SET task to the timer's begin by a channel that is off. */
+static int32_t tie(uint32_t limb)
+{
+    const uint8_t pin = pins[limb];
     static const nrfx_gpiote_output_config_t output = {
         .drive = NRF_GPIO_PIN_S0S1,
         .input_connect = NRF_GPIO_PIN_INPUT_DISCONNECT,
@@ -42,17 +56,22 @@ static int32_t tie(uint8_t pin)
         .polarity = NRF_GPIOTE_POLARITY_TOGGLE,
         .init_val = NRF_GPIOTE_INITIAL_VALUE_LOW,
     };
-    uint8_t channel;
+    uint8_t end;
+    uint8_t begin;
 
     if (nrfx_gpiote_channel_alloc(&gpiote, &task.task_ch) != NRFX_SUCCESS ||
         nrfx_gpiote_output_configure(&gpiote, pin, &output, &task) != NRFX_SUCCESS ||
-        nrfx_gppi_channel_alloc(&channel) != NRFX_SUCCESS) {
+        nrfx_gppi_channel_alloc(&end) != NRFX_SUCCESS || nrfx_gppi_channel_alloc(&begin) != NRFX_SUCCESS) {
         return FK_LIMBS_ERROR_HARDWARE;
     }
     nrfx_gpiote_out_task_enable(&gpiote, pin);
-    nrfx_gppi_channel_endpoints_setup(channel, nrfx_timer_compare_event_address_get(&timer, NRF_TIMER_CC_CHANNEL0),
+    nrfx_gppi_channel_endpoints_setup(end, nrfx_timer_compare_event_address_get(&timer, NRF_TIMER_CC_CHANNEL0),
                                       nrfx_gpiote_clr_task_address_get(&gpiote, pin));
-    nrfx_gppi_channels_enable((uint32_t)BIT(channel));
+    nrfx_gppi_channel_endpoints_setup(begin, nrfx_timer_compare_event_address_get(&timer, NRF_TIMER_CC_CHANNEL1),
+                                      nrfx_gpiote_set_task_address_get(&gpiote, pin));
+    nrfx_gppi_channels_enable((uint32_t)BIT(end));
+    begin_channels[limb] = (uint32_t)BIT(begin);
+    all_begin_channels |= (uint32_t)BIT(begin);
     return FK_LIMBS_OK;
 }
 
@@ -69,7 +88,7 @@ int32_t fk_limbs_init(void (*ended)(void))
         return FK_LIMBS_ERROR_HARDWARE;
     }
     for (uint32_t limb = 0; limb < ARRAY_SIZE(pins); ++limb) {
-        if (tie(pins[limb]) != FK_LIMBS_OK) {
+        if (tie(limb) != FK_LIMBS_OK) {
             return FK_LIMBS_ERROR_HARDWARE;
         }
     }
@@ -77,7 +96,24 @@ int32_t fk_limbs_init(void (*ended)(void))
     return FK_LIMBS_OK;
 }
 
-int32_t fk_limbs_pulse(uint8_t limb_mask, uint32_t pulse_us)
+/* What the timer's two events will do to which gates; the timer stands still at 0. nrfx wants a timer that it started
+ * once to be disabled before it is started again, though it has stopped by itself. */
+static void set_up(uint8_t limb_mask, uint32_t pulse_us)
+{
+    nrfx_timer_disable(&timer);
+    nrfx_timer_clear(&timer);
+    nrfx_timer_compare(&timer, NRF_TIMER_CC_CHANNEL1, BEGIN_TICK, false);
+    nrfx_timer_extended_compare(&timer, NRF_TIMER_CC_CHANNEL0, BEGIN_TICK + pulse_us,
+                                NRF_TIMER_SHORT_COMPARE0_STOP_MASK | NRF_TIMER_SHORT_COMPARE0_CLEAR_MASK, true);
+    nrfx_gppi_channels_disable(all_begin_channels);
+    for (uint32_t limb = 0; limb < ARRAY_SIZE(pins); ++limb) {
+        if ((limb_mask & BIT(limb)) != 0) {
+            nrfx_gppi_channels_enable(begin_channels[limb]);
+        }
+    }
+}
+
+int32_t fk_limbs_pulse(uint8_t limb_mask, uint32_t pulse_us, uint64_t latest_us)
 {
     if (is_ready == 0) {
         return FK_LIMBS_ERROR_HARDWARE;
@@ -89,17 +125,19 @@ int32_t fk_limbs_pulse(uint8_t limb_mask, uint32_t pulse_us)
     if (!atomic_cas(&is_on, 0, 1)) {
         return FK_LIMBS_ERROR_BUSY;
     }
-    nrfx_timer_clear(&timer);
-    nrfx_timer_extended_compare(&timer, NRF_TIMER_CC_CHANNEL0, pulse_us,
-                                NRF_TIMER_SHORT_COMPARE0_STOP_MASK | NRF_TIMER_SHORT_COMPARE0_CLEAR_MASK, true);
-    /* The end first, then the beginning: whatever stops the core between these lines, no gate stays high. */
-    nrfx_timer_enable(&timer);
-    for (uint32_t limb = 0; limb < ARRAY_SIZE(pins); ++limb) {
-        if ((limb_mask & BIT(limb)) != 0) {
-            nrfx_gpiote_set_task_trigger(&gpiote, pins[limb]);
-        }
+    set_up(limb_mask, pulse_us);
+    /* No interrupt between the look at the clock and the one write that begins it all. */
+    const unsigned int key = irq_lock();
+    const int32_t in_time = fk_limbs_now_us() + START_US <= latest_us;
+    if (in_time != 0) {
+        nrfx_timer_enable(&timer);
     }
-    return FK_LIMBS_OK;
+    irq_unlock(key);
+    if (in_time == 0) {
+        atomic_set(&is_on, 0);
+        return FK_LIMBS_ERROR_LATE;
+    }
+    return (fk_limbs_now_us() > latest_us + START_US) ? FK_LIMBS_ERROR_HELD_UP : FK_LIMBS_OK;
 }
 
 void fk_limbs_off(void)
@@ -107,6 +145,8 @@ void fk_limbs_off(void)
     if (is_ready == 0) {
         return;
     }
+    /* Nothing begins any more, then gates low, then no end is needed. */
+    nrfx_gppi_channels_disable(all_begin_channels);
     for (uint32_t limb = 0; limb < ARRAY_SIZE(pins); ++limb) {
         nrfx_gpiote_clr_task_trigger(&gpiote, pins[limb]);
     }

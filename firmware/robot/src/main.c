@@ -14,8 +14,6 @@
 
 #define WATCHDOG_MS 1000u
 #define LONGEST_SLEEP_US 400000u /* the watchdog is fed by this loop alone: where it hangs, the robot resets */
-#define PULSE_START_US 20u       /* from reading the clock to the last gate */
-#define ERROR_LATE (-16)         /* beside FK_LIMBS_ERROR_... */
 #define SEND_BYTES 244u          /* what one notification holds at most */
 
 static fk_robot_t robot;
@@ -29,11 +27,6 @@ static K_SEM_DEFINE(wake, 0, 1);
 static void wake_up(void)
 {
     k_sem_give(&wake);
-}
-
-static uint64_t now_us(void)
-{
-    return k_ticks_to_us_floor64((uint64_t)k_uptime_ticks());
 }
 
 static int start_watchdog(const struct device *watchdog)
@@ -60,28 +53,26 @@ static int32_t take_frame(void)
     while (fk_radio_read(&byte) != 0) {
         const uint32_t length = fk_frame_collect(&collector, byte);
         if (length > 0u) {
-            fk_robot_on_frame(&robot, collector.bytes, length, now_us());
+            fk_robot_on_frame(&robot, collector.bytes, length, fk_limbs_now_us());
             return 1;
         }
     }
     return 0;
 }
 
-/* The core's books say that the pulse begins at tick_us. One that would begin later than they allow for does not, and
- * one that the gates refuse is no less an error. Returns 1 where the core needs a tick at once. */
+BUILD_ASSERT(FK_LIMBS_ERROR_LATE == FK_PULSE_LATE, "a pulse that is too late is a refused stroke, no error");
+
+/* The core's books say that the pulse begins at tick_us. One that would begin later than they allow for does not: that
+ * stroke is refused. One that the gates refuse is an error. Returns 1 where the core needs a tick at once. */
 static int32_t drive_limbs(const fk_outputs_t *outputs, uint64_t tick_us)
 {
-    int32_t error = ERROR_LATE;
-
     if (outputs->all_off != 0u) {
         fk_limbs_off();
     }
     if (outputs->limb_mask == 0u) {
         return 0;
     }
-    if (now_us() + PULSE_START_US <= tick_us + FK_PORT_LATE_US) {
-        error = fk_limbs_pulse(outputs->limb_mask, outputs->pulse_us);
-    }
+    const int32_t error = fk_limbs_pulse(outputs->limb_mask, outputs->pulse_us, tick_us + FK_PORT_LATE_US);
     if (error != FK_LIMBS_OK) {
         fk_robot_note_pulse_failed(&robot, error);
     }
@@ -159,13 +150,13 @@ int main(void)
 
         (void)wdt_feed(watchdog, channel);
         const int32_t taken = take_frame();
-        const uint64_t begin_us = now_us();
+        const uint64_t begin_us = fk_limbs_now_us();
         fk_robot_tick(&robot, begin_us, &outputs); /* a decision computes for less than the watchdog waits */
         const int32_t at_once = drive_limbs(&outputs, begin_us);
-        fk_robot_note_tick(&robot, (uint32_t)(now_us() - begin_us));
+        fk_robot_note_tick(&robot, (uint32_t)(fk_limbs_now_us() - begin_us));
         send_answers();
 
-        const uint64_t after_us = now_us();
+        const uint64_t after_us = fk_limbs_now_us();
         uint64_t sleep_us = (outputs.next_tick_us > after_us) ? outputs.next_tick_us - after_us : 0u;
         sleep_us = (sleep_us > LONGEST_SLEEP_US) ? LONGEST_SLEEP_US : sleep_us;
         (void)wdt_feed(watchdog, channel);

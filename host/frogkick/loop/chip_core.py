@@ -108,6 +108,10 @@ class ChipCore:
         return records
 
 
+LATE, TOO_LATE = -16, 2
+"""FK_PULSE_LATE, and FK_PULSE_TOO_LATE in a PULSE record: the port was too late to begin it."""
+
+
 def pulse_fault(record: Record) -> bool:
     """Whether a FAULT is the port's word, which can be told to a core again."""
     return record.values["fault"] == link_layout().fault["PULSE"]

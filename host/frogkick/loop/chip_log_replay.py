@@ -15,7 +15,7 @@ from pathlib import Path
 
 from frogkick.errors import FrogkickError
 from frogkick.link.log import DAMAGED, UNFINISHED, ChipLog, Record
-from frogkick.loop.chip_core import ChipCore, pulse_fault
+from frogkick.loop.chip_core import LATE, TOO_LATE, ChipCore, pulse_fault
 from frogkick.loop.chip_twin import ChipTwin
 from frogkick.loop.decision import Decision
 from frogkick.planner.image import Tables
@@ -229,6 +229,8 @@ class _Segment:
             return self.core.command(record)
         if record.name == "FAULT":
             return self.core.pulse_failed(int(record.values["detail"]))
+        if record.name == "PULSE" and record.values["allowed"] == TOO_LATE:
+            return self.core.pulse_failed(LATE)
         made = self.core.note_time(record.time_us)
         for _ in range(_TICKS):
             if not made:

@@ -36,6 +36,8 @@ extern const struct device declared_device;
 void declared_connect(unsigned int line, unsigned int priority, void (*routine)(const void *),
                       void (*parameter)(void), uint32_t flags);
 void nrfx_isr(const void *irq_handler);
+unsigned int irq_lock(void);
+void irq_unlock(unsigned int key);
 
 /* zephyr/kernel.h */
 #define __noinit __attribute__((section(".noinit")))
@@ -248,12 +250,12 @@ nrfx_err_t nrfx_gpiote_output_configure(const nrfx_gpiote_t *instance, nrfx_gpio
                                         const nrfx_gpiote_output_config_t *config,
                                         const nrfx_gpiote_task_config_t *task_config);
 void nrfx_gpiote_out_task_enable(const nrfx_gpiote_t *instance, nrfx_gpiote_pin_t pin);
-void nrfx_gpiote_set_task_trigger(const nrfx_gpiote_t *instance, nrfx_gpiote_pin_t pin);
 void nrfx_gpiote_clr_task_trigger(const nrfx_gpiote_t *instance, nrfx_gpiote_pin_t pin);
 uint32_t nrfx_gpiote_clr_task_address_get(const nrfx_gpiote_t *instance, nrfx_gpiote_pin_t pin);
+uint32_t nrfx_gpiote_set_task_address_get(const nrfx_gpiote_t *instance, nrfx_gpiote_pin_t pin);
 
 typedef enum { NRF_TIMER_EVENT_COMPARE0 = 0x140, NRF_TIMER_EVENT_COMPARE1 = 0x144 } nrf_timer_event_t;
-typedef enum { NRF_TIMER_CC_CHANNEL0 } nrf_timer_cc_channel_t;
+typedef enum { NRF_TIMER_CC_CHANNEL0, NRF_TIMER_CC_CHANNEL1 } nrf_timer_cc_channel_t;
 typedef enum { NRF_TIMER_BIT_WIDTH_16, NRF_TIMER_BIT_WIDTH_32 = 3 } nrf_timer_bit_width_t;
 #define NRF_TIMER_SHORT_COMPARE0_STOP_MASK (1u << 8)
 #define NRF_TIMER_SHORT_COMPARE0_CLEAR_MASK (1u << 0)
@@ -272,6 +274,8 @@ nrfx_err_t nrfx_timer_init(const nrfx_timer_t *instance, const nrfx_timer_config
 void nrfx_timer_enable(const nrfx_timer_t *instance);
 void nrfx_timer_disable(const nrfx_timer_t *instance);
 void nrfx_timer_clear(const nrfx_timer_t *instance);
+void nrfx_timer_compare(const nrfx_timer_t *instance, nrf_timer_cc_channel_t channel, uint32_t value,
+                        bool enable_int);
 void nrfx_timer_extended_compare(const nrfx_timer_t *instance, nrf_timer_cc_channel_t channel, uint32_t value,
                                  uint32_t shorts, bool enable_int);
 uint32_t nrfx_timer_compare_event_address_get(const nrfx_timer_t *instance, uint32_t channel);
@@ -280,5 +284,6 @@ void nrfx_timer_2_irq_handler(void);
 nrfx_err_t nrfx_gppi_channel_alloc(uint8_t *channel);
 void nrfx_gppi_channel_endpoints_setup(uint8_t channel, uint32_t eep, uint32_t tep);
 void nrfx_gppi_channels_enable(uint32_t mask);
+void nrfx_gppi_channels_disable(uint32_t mask);
 
 #endif

@@ -203,12 +203,12 @@ class VirtualChip:
             raise ChipError(f"the firmware has no symbol {name!r}: name one of its variables, unstripped")
         return self._image.symbols[name]
 
-    def hang(self) -> None:
-        """Let the core do nothing more, as one that a fault or a loop without end holds, until a reset.
+    def hang(self, hangs: bool = True) -> None:
+        """Let the core do nothing more, as one that a fault holds, until a reset or ``hang(False)``.
 
         Time, peripherals and the watchdog go on.
         """
-        self._hung = True
+        self._hung = hangs
 
     def run_until(self, time_us: float) -> None:
         """Let the chip live until a virtual time; it may go over by the rest of one instruction or IT block.

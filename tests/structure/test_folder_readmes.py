@@ -22,6 +22,14 @@ OTHERS = {
 """What users write, or a build makes."""
 
 
+def test_each_test_that_the_hazards_name_is_there() -> None:
+    page = (REPOSITORY / "firmware" / "HAZARDS.md").read_text(encoding="utf-8")
+    named = set(re.findall(r"`(test_\w+)`", page))
+    sources = "".join(path.read_text(encoding="utf-8") for path in (REPOSITORY / "tests").rglob("test_*.py"))
+    assert len(named) > 15
+    assert named <= set(re.findall(r"^def (test_\w+)", sources, re.MULTILINE))
+
+
 @pytest.mark.parametrize("folder", FOLDERS, ids=lambda path: path.relative_to(REPOSITORY).as_posix())
 def test_a_folder_s_readme_names_what_is_there(folder: Path) -> None:
     readme = folder / "README.md"

@@ -61,6 +61,25 @@ def test_another_effect_takes_the_place_of_one_that_stood_in_for_it(late: list[S
     assert all(each.title == "limb_wear all" for each in equals[0])
 
 
+def test_delays_of_all_limbs_are_no_substitute_for_late_fixes(late: list[Swim]) -> None:
+    """Four effects that each gained something imitate one that did not seem best after the first of them."""
+    rows = countable(late, robot())[1]
+    wear = fitted_to(late, rows, (term("limb_wear rear_left", 0.8, 0.0, 1.0),), 0)
+    latency = fitted_to(late, rows, (term("fix_latency", 0.1),), 0)
+    limbs = ("rear_left", "rear_right", "front_left", "front_right")
+    terms = tuple(term(f"limb_wear {limb}", 0.7 if limb == "rear_left" else 1.0, 0.1, 1.0) for limb in limbs)
+    current = fitted_to(late, rows, terms, 0, 1, 4, 7, 10)
+    polisher, none = Polisher(late, rows, 1), [list[Fitted]()] * 4
+    every = fitted_to(late, rows, (term("limb_wear all", 1.0, 0.12, 1.0),), 1)
+    found, equals = revised(polisher, current, [[], [], [], []], none, [every, wear, latency])
+    assert [each.title for each in found.model.terms] == ["limb_wear rear_left", "fix_latency"]
+    assert equals[0] == [] and [each.title for each in equals[1]] in ([], ["limb_wear all"])
+    assert found.model.terms[0].values == pytest.approx((0.7, 0.0, 1.0), abs=0.01)
+    assert found.model.terms[1].values[0] == pytest.approx(0.12, abs=0.01)
+    alone = revised(polisher, current, [[], [], [], []], none)[0]
+    assert len(alone.model.terms) > 2
+
+
 def test_a_step_that_failed_is_cut_short() -> None:
     rng = np.random.default_rng(5)
     missed, jacobian = rng.normal(0.0, 1e-3, (40, 9)), rng.normal(0.0, 1e-3, (40, 9, 1))

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,14 +32,18 @@ def revised(
     current: Fitted,
     equals: Sequence[list[Term]],
     passed_over: Sequence[Sequence[Fitted]],
+    alone: Sequence[Fitted] = (),
 ) -> tuple[Fitted, list[list[Term]]]:
     """A model of several terms with the best of those that were near in the place of each, and none needless.
+
+    Where there are more than two, two of those that did best alone stand for all of them if they do as well.
 
     Args:
         polisher: of the runs.
         current: as the search ended.
         equals: for each term those that could not be told from it when it was taken.
         passed_over: for each term the models that were near then, with what was taken itself.
+        alone: models of one term each, the best of the first turn.
 
     Returns:
         The model, and what now cannot be told from each term.
@@ -48,7 +53,53 @@ def revised(
         current, found[place] = _exchanged(polisher, current, place, passed_over[place])
     current, kept = _fewer(polisher, current)
     current = polisher.sparer(current, whole=True)
-    return current, [found[place] for place in kept]
+    found = [found[place] for place in kept]
+    if len(kept) > 2 and (pair := _pair(polisher, current, alone)) is not None:
+        current, kept = _fewer(polisher, pair[0])
+        current, found = polisher.sparer(current, whole=True), [pair[1][place] for place in kept]
+    return current, found
+
+
+def _pair(
+    polisher: Polisher, current: Fitted, alone: Sequence[Fitted]
+) -> tuple[Fitted, list[list[Term]]] | None:
+    """Two terms that do as well as the several of a model; None where no two of those that did best alone do.
+
+    Terms taken one by one may imitate one that came second at first: a delay of each limb all late fixes.
+    For each of the two comes what cannot be told from it beside the other.
+    """
+    model, starts = current.model, list[Model]()
+    for one, other in combinations((each.model for each in alone), 2):
+        held = one.held | {len(one.values) + k for k in other.held}
+        both = replace(model, terms=(*one.terms, *other.terms), held=frozenset(held))
+        starts.append(replace(both, leg_s=fine_leg_s(both)))
+    fits = fit_many(starts, polisher.swims, polisher.rows, ROUNDS) if starts else []
+    bound = min((price(each) for each in fits), default=0.0) + ALIKE * polisher.copies  # all of one noise
+    equal = [each for each in fits if price(each) < bound and each.cost < current.cost + FAR_OFF]
+    if not equal:
+        return None
+    first, *rest = sorted(equal, key=lambda each: (len(each.model.values), price(each)))
+    best = polisher.polished(first)
+    if _whole_price(polisher, best) >= _whole_price(polisher, current):
+        return None
+    mine = [term.title for term in best.model.terms]
+    others = [{term.title: term for term in each.model.terms} for each in rest]
+    return best, [
+        [
+            term
+            for pair in others
+            if mine[1 - place] in pair
+            for name, term in pair.items()
+            if name not in mine
+        ]
+        for place in range(2)
+    ]
+
+
+def _whole_price(polisher: Polisher, fitted: Fitted) -> float:
+    """Cost, and what effects and their free parameters cost together."""
+    effects = BASE_GAIN * len(fitted.model.terms)
+    return fitted.cost + polisher.copies * (effects + GAIN_EACH * free_count(fitted))
 
 
 def _exchanged(

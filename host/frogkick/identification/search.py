@@ -159,10 +159,11 @@ def search(
     hunt = _Hunt(swims, rows, folds_of(swims, rows), columns, copies(swims))
     polisher = Polisher(swims, rows, hunt.copies)
     current, turns = nominal, list[list[Tried]]()
-    equals, passed_over = list[list[Term]](), list[list[Fitted]]()
+    equals, passed_over, alone = list[list[Term]](), list[list[Fitted]](), list[Fitted]()
     for turn in range(most):
         progress("effects", turn, most)
-        taken, tried, rivals = hunt.turn(current)
+        taken, tried, rivals, fits = hunt.turn(current)
+        alone = alone or fits
         if taken is not None:
             current, others = hunt.settled(polisher.polished(taken), rivals)
             title = current.model.terms[-1].title
@@ -173,7 +174,7 @@ def search(
         if taken is None or (most < MOST and _left(nominal, current) > HOPELESS):
             break
     if len(current.model.terms) > 1:
-        current, equals = revised(polisher, current, equals, passed_over)
+        current, equals = revised(polisher, current, equals, passed_over, alone)
     (current,) = told([current], swims, rows)  # what is held has an interval as well
     progress("effects", most, most)
     alike = [[term.title for term in others] for others in equals]
@@ -213,8 +214,8 @@ class _Hunt:
     copies: int
     """Of the same noise: a gain counts once."""
 
-    def turn(self, current: Fitted) -> tuple[Fitted | None, list[Tried], list[Fitted]]:
-        """One more effect, or none; all that were tried; others that do nearly as well."""
+    def turn(self, current: Fitted) -> tuple[Fitted | None, list[Tried], list[Fitted], list[Fitted]]:
+        """One more effect, or none; all that were tried; others that do nearly as well; all fitted ones."""
         offers = self.offers(current)
         least = max(BASE_GAIN, self.by_chance(current))
         picked: list[_Offer] = []
@@ -256,10 +257,10 @@ class _Hunt:
             if offer.column.term.title not in names
         ]
         if not scored:
-            return None, tried, []
+            return None, tried, [], fits
         best = scored[0][0]
         rivals = [fitted for score, fitted in scored[1:] if score > best - max(NEAR, RIVAL * best)]
-        return scored[0][1], tried, rivals
+        return scored[0][1], tried, rivals, fits
 
     def by_chance(self, current: Fitted) -> float:
         """What the best candidate would gain if none were true."""

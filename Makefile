@@ -3,6 +3,10 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
+DEMO_STAMP := $(VENV)/.installed-for-the-demo
+# uv, where it is there, installs the same in less time.
+UV := $(shell command -v uv 2>/dev/null)
+INSTALL := $(if $(UV),$(UV) pip install --python $(BIN)/python,$(BIN)/python -m pip install --disable-pip-version-check)
 # How many cases tests count: quick for a newcomer, ci as .ci/run has them, full with make test-full.
 export FK_LEVEL ?= quick
 # Dozens of processes load the same files: what Python has compiled of them is kept, whatever a machine's settings say.
@@ -16,7 +20,7 @@ SPREAD := -n logical --dist loadfile --no-loadscope-reorder --durations 25 --dur
 
 .PHONY: demo test test-full bench extra lint types check venv clean
 
-demo: $(STAMP)
+demo: $(DEMO_STAMP)
 	$(BIN)/frogkick demo --out demo
 
 test: $(STAMP)
@@ -46,12 +50,26 @@ types: $(STAMP)
 
 venv: $(STAMP)
 
+define NEW_VENV
+@$(PYTHON) -c 'import sys; v = sys.version_info; v >= (3, 11) or sys.exit("frogkick needs Python 3.11 or newer, this is %d.%d: set PYTHON=python3.11" % v[:2])'
+$(PYTHON) -m venv $(VENV)
+endef
+
 $(STAMP): pyproject.toml requirements.lock
-	@$(PYTHON) -c 'import sys; v = sys.version_info; v >= (3, 11) or sys.exit("frogkick needs Python 3.11 or newer, this is %d.%d: set PYTHON=python3.11" % v[:2])'
-	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -r requirements.lock
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation -e .
-	@touch $(STAMP)
+	$(NEW_VENV)
+	@echo "installing $$(grep -c '==' requirements.lock) packages into $(VENV), once: what was tried together (requirements.lock)"
+	$(INSTALL) -r requirements.lock
+	$(INSTALL) --no-deps --no-build-isolation -e .
+	@touch $(STAMP) $(DEMO_STAMP)
+
+# Half of them: without what only tests, cameras on tags of another family, clusters and probes need. Python compiles what
+# it loads, instead of all that was installed.
+$(DEMO_STAMP): pyproject.toml requirements.lock
+	$(NEW_VENV)
+	@echo "installing what the demo needs into $(VENV), once: versions as in requirements.lock"
+	$(INSTALL) -c requirements.lock setuptools
+	$(INSTALL) $(if $(UV),,--no-compile) -c requirements.lock --no-build-isolation -e '.[firmware]'
+	@touch $(DEMO_STAMP)
 
 clean:
 	rm -rf $(VENV) build demo out

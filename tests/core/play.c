@@ -140,7 +140,7 @@ static void tick(void)
             ++busy;
             fk_robot_note_pulse_failed(&robot, -2);
             see(world_us, SEEN_FAULT, 0);
-        } else if (below(32u) == 0u) { /* held up for longer than the core allows for */
+        } else if (below(100u) == 0u) { /* held up for longer than the core allows for */
             fk_robot_note_pulse_failed(&robot, FK_PULSE_LATE);
         } else {
             for (uint32_t limb = 0u; limb < LIMBS; ++limb) {

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import pytest
-from tests.core.core import FFI, cases, core, image, library, source_files
+from tests.core.core import COVERAGE_DIR, FFI, cases, core, image, library, source_files
 from tests.core.onlooker import ARM, DISARM, HIGH, LOW, POWER_ON, SEEN, STARTED, Limits, broken, judge
 
 from frogkick.robot import load_robot
@@ -61,6 +61,8 @@ def test_no_sequence_breaks_a_limit() -> None:
             assert not broken(counts), (index, broken(counts))
             found.update(counts)
     print(f"{sequences} sequences of {COMMANDS} commands: {dict(found)}")
+    if COVERAGE_DIR:
+        return  # so few say nothing of how often
     # The sequences come to where the limits are.
     assert found["pulses"] > 2 * sequences and found["pulses in a run"] > 0.1 * sequences
     assert found["runs lost"] > 0.1 * sequences

@@ -58,6 +58,7 @@ void fk_robot_on_frame(fk_robot_t *robot, const uint8_t *encoded, uint32_t lengt
         return;
     }
     fk_robot_note_time(robot, now_us);
+    robot->heard_us = robot->now_us;
     /* Events of an earlier tick go first: the order of what is sent is the order of what happened, and a host
      * can decide everything again from it. */
     fk_robot_send_events(robot);

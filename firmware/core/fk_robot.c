@@ -48,6 +48,10 @@ int32_t fk_robot_init(fk_robot_t *robot, const uint8_t *image, uint32_t image_by
     robot->log_broken = 1u;
     robot->conversation = 0u;
     robot->now_us = 0u;
+    robot->heard_us = 0u;
+    robot->replays = 0u;
+    robot->fired_mask = 0u;
+    robot->fired_first = 0u;
     robot->path_points = 0u;
     robot->path_total = 0u;
     robot->next_decision_us = FK_NEVER_US;
@@ -168,6 +172,15 @@ static void end_run(fk_robot_t *robot, int8_t status)
     fk_robot_log(robot, FK_RECORD_ENDED, content, FK_ENDED_EVENT_BYTES);
 }
 
+void fk_robot_note_link_lost(fk_robot_t *robot) { (void)fk_robot_supervise(robot, FK_EVENT_LINK_LOST); }
+
+/* Nobody may have it armed and forget it. In a run lost fixes come first. */
+static int32_t is_forgotten(const fk_robot_t *robot)
+{
+    return robot->state == FK_STATE_ARMED && robot->replays == 0u &&
+           robot->now_us >= robot->heard_us + FK_LINK_SILENT_US;
+}
+
 /* What must hold whenever the robot is about to do something. */
 void fk_robot_note_time(fk_robot_t *robot, uint64_t now_us)
 {
@@ -181,6 +194,9 @@ void fk_robot_note_time(fk_robot_t *robot, uint64_t now_us)
     }
     if (robot->state == FK_STATE_RUNNING && now_us >= fk_guard_lost_us(&robot->guard)) {
         end_run(robot, FK_STATUS_STALE);
+    }
+    if (is_forgotten(robot)) {
+        fk_robot_note_link_lost(robot);
     }
 }
 
@@ -396,9 +412,13 @@ void fk_robot_tick(fk_robot_t *robot, uint64_t now_us, fk_outputs_t *outputs)
     } else {
         outputs->next_tick_us = robot->next_decision_us;
     }
-    if (robot->state == FK_STATE_RUNNING && fk_guard_lost_us(&robot->guard) < outputs->next_tick_us) {
-        outputs->next_tick_us = fk_guard_lost_us(&robot->guard);
+    uint64_t lost_us = UINT64_MAX;
+    if (robot->state == FK_STATE_RUNNING) {
+        lost_us = fk_guard_lost_us(&robot->guard);
+    } else if (robot->state == FK_STATE_ARMED) {
+        lost_us = robot->heard_us + FK_LINK_SILENT_US;
     }
+    outputs->next_tick_us = (lost_us < outputs->next_tick_us) ? lost_us : outputs->next_tick_us;
 }
 
 void fk_robot_note_tick(fk_robot_t *robot, uint32_t elapsed_us)

@@ -66,6 +66,8 @@ typedef struct {
     uint8_t reset;               /* FK_RESET_... */
     uint16_t conversation;       /* of the last HELLO */
     uint64_t now_us;             /* the latest time that the port told */
+    uint64_t heard_us;           /* when the last whole frame came */
+    uint8_t replays;             /* lives through a log, which says itself when the link was lost */
     uint8_t path_points;         /* points received so far */
     uint8_t path_total;          /* points of the path being received; path is whole when both are equal, not 0 */
     uint8_t resting_action;      /* first action that fires no limb; tables.actions where there is none */
@@ -132,6 +134,9 @@ void fk_robot_on_frame(fk_robot_t *robot, const uint8_t *encoded, uint32_t lengt
 /* Do what is due at now_us. A decision computes for up to some milliseconds in here. */
 void fk_robot_tick(fk_robot_t *robot, uint64_t now_us, fk_outputs_t *outputs);
 
+/* An armed robot that has heard no whole frame for so long disarms. */
+#define FK_LINK_SILENT_US 5000000u
+
 /* What a port tells of a pulse that it could not begin within FK_PORT_LATE_US. */
 #define FK_PULSE_LATE (-16)
 
@@ -140,6 +145,9 @@ void fk_robot_tick(fk_robot_t *robot, uint64_t now_us, fk_outputs_t *outputs);
  *               to 127: an internal error
  */
 void fk_robot_note_pulse_failed(fk_robot_t *robot, int32_t error);
+
+/* The connection to the host ended. The core sees by itself where a host only falls silent, after FK_LINK_SILENT_US. */
+void fk_robot_note_link_lost(fk_robot_t *robot);
 
 /* How long the last tick took, measured by the port; travels in the DECISION event. */
 void fk_robot_note_tick(fk_robot_t *robot, uint32_t elapsed_us);

@@ -239,5 +239,6 @@ int32_t fk_robot_restore(fk_robot_t *robot, const uint8_t *snapshot, uint32_t le
     robot_state(&walk);
     robot->log_broken = 0u;
     robot->log_mark = robot->log->end;
+    robot->replays = 1u;
     return (walk.wrong == 0 && walk.left == 0u) ? 0 : -1;
 }

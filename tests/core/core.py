@@ -44,6 +44,7 @@ void fk_robot_note_reset(void *robot, uint8_t reset, fk_guard_kept_t *kept);
 void fk_guard_keep(const void *guard, fk_guard_kept_t *kept);
 void fk_guard_resume(void *guard, const fk_guard_kept_t *kept);
 void fk_robot_note_pulse_failed(void *robot, int32_t error);
+void fk_robot_note_link_lost(void *robot);
 uint32_t fk_robot_take_tx(void *robot, uint8_t *bytes, uint32_t capacity);
 void fk_guard_init(void *guard);
 int32_t fk_guard_allow(void *guard, uint8_t limb_mask, uint32_t pulse_us, uint64_t now_us);
@@ -183,6 +184,7 @@ PULSE_US = 80_000
 DELAY_US = 80_000
 PERIOD_US = 1_425_000
 GAP_US = 1_000  # FK_STROKE_GAP_US
+SILENT_US = 5_000_000  # FK_LINK_SILENT_US
 LATE_US = 200  # FK_PORT_LATE_US: what a port may take from the time it tells to the pins
 
 

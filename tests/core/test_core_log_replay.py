@@ -243,6 +243,25 @@ def test_a_port_that_is_late_is_lived_through_too() -> None:
     assert pulses[-4:] == [1, TOO_LATE, 1, TOO_LATE]
 
 
+@pytest.mark.parametrize("way", ["silence", "the connection ended"])
+def test_a_link_that_was_lost_is_lived_through_too(way: str) -> None:
+    """The log has not every frame that was heard: a replay cannot tell of silence by itself."""
+    robot = run(6, 3.0)
+    robot.status("STOP")
+    for _ in range(3):
+        robot.run_until(robot.now_us + 3_000_000)
+        assert robot.state() == "ARMED"  # STATUS is heard, not logged
+    if way == "silence":
+        robot.run_until(robot.now_us + 6_000_000)
+    else:
+        robot.core.fk_robot_note_link_lost(robot.memory)
+        robot.tick()
+    assert robot.state() == "DISARMED"
+    log = fetched(robot)
+    assert replayed(log).mismatches == []
+    assert [record.name for record in log.records()[0]][-2:] == ["STATE", "OFF"]
+
+
 def test_a_reset_in_between() -> None:
     """The log goes on; what stands before the reset is decided again, and what comes after it."""
     robot = run(7, 5.0)

@@ -15,6 +15,7 @@ from tests.core.core import (
     PERIOD_US,
     PULSE_US,
     RESTING,
+    SILENT_US,
     Robot,
     cases,
     image,
@@ -50,7 +51,7 @@ def test_a_stroke_fires_its_second_limbs_after_the_first(now_us: int) -> None:
     out = robot.tick(now_us + SECOND_US - 1)
     assert (out.limb_mask, out.next_tick_us) == (0, now_us + SECOND_US)
     out = robot.tick(now_us + SECOND_US)
-    assert (out.limb_mask, out.pulse_us, out.next_tick_us) == (0b1100, PULSE_US, NEVER_US)
+    assert (out.limb_mask, out.pulse_us, out.next_tick_us) == (0b1100, PULSE_US, now_us + SILENT_US)
     assert robot.run_until(now_us + 10_000_000) == []
 
 
@@ -62,7 +63,7 @@ def test_strokes_with_one_group_or_none(name: str, pulses: list[tuple[int, int]]
     robot = Robot().begin("ARMED")
     begin_us = robot.now_us
     assert robot.stroke(name) == "OK"
-    assert robot.run_until(begin_us + 5_000_000) == [(begin_us + at_us, mask) for at_us, mask in pulses]
+    assert robot.run_until(begin_us + 4_000_000) == [(begin_us + at_us, mask) for at_us, mask in pulses]
     assert robot.stroke("B") == "OK"
 
 
@@ -80,7 +81,7 @@ def test_strokes_out_of_the_table_are_refused() -> None:
     robot = Robot().begin("ARMED")
     for action in (7, 31, 255):
         assert robot.status("STROKE", {"action": action}) == "VALUE"
-    assert robot.tick().next_tick_us == NEVER_US
+    assert robot.tick().next_tick_us == robot.now_us + SILENT_US
 
 
 def test_one_pulse_at_a_time() -> None:
@@ -123,8 +124,10 @@ def test_stop_and_disarm_in_the_middle_of_a_stroke(command: str, wait_us: int) -
     robot.now_us += wait_us
     assert robot.status(command) == "OK"
     out = robot.tick()
-    assert (out.all_off, out.limb_mask, out.next_tick_us) == (int(command == "DISARM"), 0, NEVER_US)
-    assert robot.run_until(robot.now_us + 5_000_000) == []
+    disarmed = command == "DISARM"
+    due_us = NEVER_US if disarmed else robot.now_us + SILENT_US
+    assert (out.all_off, out.limb_mask, out.next_tick_us) == (int(disarmed), 0, due_us)
+    assert robot.run_until(robot.now_us + 4_000_000) == []
     assert robot.state() == ("ARMED" if command == "STOP" else "DISARMED")
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 
 import pytest
-from tests.core.core import ACTION, ACTION_ROWS, FFI, Robot, core, image
+from tests.core.core import ACTION, ACTION_ROWS, FFI, SILENT_US, Robot, core, image
 
 from frogkick.link.frames import hello, pack_frame
 from frogkick.link.layout import link_layout
@@ -46,7 +46,7 @@ def test_the_readme_s_table_is_the_code_s() -> None:
 def test_every_command_is_an_event() -> None:
     commands = [name for name, message in LAYOUT.messages.items() if message.command]
     assert list(TABLE.docs)[: len(commands)] == commands
-    assert set(TABLE.docs) - set(commands) == {"PULSE", "RUN_OVER", "FIX_LOST", "ERROR"}
+    assert set(TABLE.docs) - set(commands) == {"PULSE", "RUN_OVER", "FIX_LOST", "ERROR", "LINK_LOST"}
 
 
 def test_nothing_else_changes_the_state() -> None:
@@ -158,6 +158,39 @@ def test_a_pulse_that_the_port_could_not_start() -> None:
     assert told(robot) == ("FAULT", "PULSE", -2)
     core().fk_robot_note_pulse_failed(robot.memory, -1)
     assert told(robot) == ("FAULT", "PULSE", -2), "the first error is the one that is told"
+
+
+def test_an_armed_robot_that_hears_nothing_disarms() -> None:
+    """An hour later nobody expects it to fire; whatever a host says keeps it armed."""
+    robot = Robot().begin("ARMED")
+    for _ in range(3):
+        robot.run_until(robot.now_us + SILENT_US - 1)
+        assert told(robot) == ("ARMED", "NONE", 0)
+    heard_us = robot.now_us
+    out = robot.tick()
+    assert out.next_tick_us == heard_us + SILENT_US, "it wakes for it"
+    assert robot.tick(heard_us + SILENT_US - 1).all_off == 0
+    assert robot.tick(heard_us + SILENT_US).all_off == 1
+    assert told(robot) == ("DISARMED", "NONE", 0)
+    assert robot.stroke("B") == "STATE"
+    assert robot.status("ARM") == "OK"
+
+
+def test_a_command_after_an_hour_of_silence_finds_it_disarmed() -> None:
+    robot = Robot().begin("ARMED")
+    robot.now_us += 3_600_000_000
+    assert robot.stroke("B") == "STATE"
+    assert robot.run_until(robot.now_us + 1_000_000) == []
+
+
+@pytest.mark.parametrize(
+    ("state", "then"), [("ARMED", "DISARMED"), ("RUNNING", "RUNNING"), ("FAULT", "FAULT")]
+)
+def test_a_connection_that_ends(state: str, then: str) -> None:
+    """A run outlives a short one, as its fixes tell; nothing else stays armed."""
+    robot = Robot().begin(state)
+    core().fk_robot_note_link_lost(robot.memory)
+    assert robot.state() == then
 
 
 LATE = -16

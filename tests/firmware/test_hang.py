@@ -134,9 +134,12 @@ def test_the_watchdog_is_fed_between_two_commands_that_wait(monkeypatch: pytest.
 
 def test_the_watchdog_is_fed_while_nothing_happens() -> None:
     port, session = armed()
-    session.step(session.time_s + 5.0)
+    session.step(session.time_s + 4.0)
     assert port.chip.resets == []
     assert session.request("STATUS")["state"] == STATE["ARMED"]
+    session.step(session.time_s + 20.0)
+    assert port.chip.resets == []
+    assert session.request("STATUS")["state"] == STATE["DISARMED"], "nobody spoke to it for 5 s"
 
 
 def test_a_chip_that_hangs_again_and_again_never_fires() -> None:

@@ -149,6 +149,9 @@ int main(void)
         fk_outputs_t outputs;
 
         (void)wdt_feed(watchdog, channel);
+        if (fk_radio_take_drop() != 0) {
+            fk_robot_note_link_lost(&robot);
+        }
         const int32_t taken = take_frame();
         const uint64_t begin_us = fk_limbs_now_us();
         fk_robot_tick(&robot, begin_us, &outputs); /* a decision computes for less than the watchdog waits */

@@ -9,6 +9,7 @@
 #include <zephyr/drivers/hwinfo.h>
 #include <zephyr/kernel.h>
 #include <zephyr/settings/settings.h>
+#include <zephyr/sys/atomic.h>
 #include <zephyr/sys/printk.h>
 #include <zephyr/sys/ring_buffer.h>
 #include <zephyr/sys/util.h>
@@ -30,6 +31,7 @@
 
 RING_BUF_DECLARE(received, RECEIVE_BYTES);
 static void (*tell_arrival)(void);
+static atomic_t dropped;
 
 /* Bytes that find no room are lost; the frame that they belong to fails its CRC and the host repeats it. */
 static ssize_t on_write(struct bt_conn *conn, const struct bt_gatt_attr *attribute, const void *bytes, uint16_t length,
@@ -80,7 +82,15 @@ static void on_recycled(void)
     (void)k_work_submit(&advertise_work); /* the connection is free again: only now may advertising start */
 }
 
-BT_CONN_CB_DEFINE(connection) = {.recycled = on_recycled};
+static void on_disconnected(struct bt_conn *conn, uint8_t reason)
+{
+    (void)conn;
+    (void)reason;
+    atomic_set(&dropped, 1);
+    tell_arrival();
+}
+
+BT_CONN_CB_DEFINE(connection) = {.disconnected = on_disconnected, .recycled = on_recycled};
 
 #if !defined(CONFIG_FROGKICK_OPEN_LINK)
 static void count_bond(const struct bt_bond_info *bond, void *count)
@@ -168,6 +178,11 @@ int32_t fk_radio_init(void (*arrived)(void))
 int32_t fk_radio_read(uint8_t *byte)
 {
     return (ring_buf_get(&received, byte, 1) == 1) ? 1 : 0;
+}
+
+int32_t fk_radio_take_drop(void)
+{
+    return (int32_t)atomic_set(&dropped, 0);
 }
 
 static void find(struct bt_conn *conn, void *found)

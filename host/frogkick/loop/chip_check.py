@@ -163,6 +163,9 @@ class _Trial:
 
     def cut(self) -> None:
         self._wait(6.0)
+        state = self.session.request("STATUS")["state"]
+        self._check("an armed robot that hears nothing disarms", state == link_layout().state["DISARMED"])
+        self.session.request("ARM")
         before = len(self._pulses())
         self.session.request("STROKE", {"action": self._any_first()})
         self._wait(0.02)

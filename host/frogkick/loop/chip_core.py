@@ -22,6 +22,7 @@ int32_t fk_robot_restore(void *robot, const uint8_t *snapshot, uint32_t length);
 void fk_robot_on_frame(void *robot, const uint8_t *encoded, uint32_t length, uint64_t now_us);
 void fk_robot_note_time(void *robot, uint64_t now_us);
 void fk_robot_note_pulse_failed(void *robot, int32_t error);
+void fk_robot_note_link_lost(void *robot);
 void fk_robot_tick(void *robot, uint64_t now_us, fk_outputs_t *outputs);
 uint32_t fk_robot_take_tx(void *robot, uint8_t *bytes, uint32_t capacity);
 uint32_t fk_log_read(const void *log, uint32_t offset, uint8_t *bytes, uint32_t capacity, uint32_t *from);
@@ -83,6 +84,12 @@ class ChipCore:
     def pulse_failed(self, detail: int) -> list[Record]:
         """The port could not start a pulse."""
         self._core.fk_robot_note_pulse_failed(self._memory, detail)
+        return self._written()
+
+    def link_lost(self, now_us: int) -> list[Record]:
+        """The host fell silent, or its connection ended."""
+        self._core.fk_robot_note_time(self._memory, now_us)
+        self._core.fk_robot_note_link_lost(self._memory)
         return self._written()
 
     def note_time(self, now_us: int) -> list[Record]:

@@ -15,6 +15,7 @@ from pathlib import Path
 
 from frogkick.errors import FrogkickError
 from frogkick.link.log import DAMAGED, UNFINISHED, ChipLog, Record
+from frogkick.link.supervisor import supervisor
 from frogkick.loop.chip_core import LATE, TOO_LATE, ChipCore, pulse_fault
 from frogkick.loop.chip_twin import ChipTwin
 from frogkick.loop.decision import Decision
@@ -231,6 +232,8 @@ class _Segment:
             return self.core.pulse_failed(int(record.values["detail"]))
         if record.name == "PULSE" and record.values["allowed"] == TOO_LATE:
             return self.core.pulse_failed(LATE)
+        if record.name == "STATE" and record.values["event"] == supervisor().number("LINK_LOST"):
+            return self.core.link_lost(record.time_us)
         made = self.core.note_time(record.time_us)
         for _ in range(_TICKS):
             if not made:

@@ -167,6 +167,7 @@ void bt_conn_unref(struct bt_conn *conn);
 void bt_conn_foreach(int type, void (*func)(struct bt_conn *conn, void *data), void *data);
 struct bt_conn_cb {
     void (*connected)(struct bt_conn *conn, uint8_t err);
+    void (*disconnected)(struct bt_conn *conn, uint8_t reason);
     void (*recycled)(void);
 };
 #define BT_CONN_CB_DEFINE(name) const struct bt_conn_cb name

@@ -1,10 +1,43 @@
-"""Ctrl-C that waits while something is done that cannot be left half done."""
+"""Ctrl-C that waits while something is done that cannot be left half done, or comes while one waits."""
 
 from __future__ import annotations
 
 import signal
-from collections.abc import Iterator
-from contextlib import contextmanager
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+
+
+class Bell:
+    """What the main thread waits for and others ring, where a Ctrl-C may come at any moment.
+
+    One that comes inside ``threading.Condition`` now and then leaves its lock held for ever or gives it up
+    twice, as both are taken and given up in Python. Here it is one lock, taken in C or not.
+    """
+
+    def __init__(self) -> None:
+        self._quiet = threading.Lock()
+        self._quiet.acquire()
+
+    def ring(self) -> None:
+        """Let who waits look again, or who waits next."""
+        with suppress(RuntimeError):  # it rings already
+            self._quiet.release()
+
+    def wait_for(self, there: Callable[[], object], timeout_s: float | None = None) -> None:
+        """Wait until ``there()`` is true, or for so long. Only one thread may wait.
+
+        Args:
+            there: asked now and after each ring; it holds no lock.
+            timeout_s: None: for ever.
+        """
+        until_s = None if timeout_s is None else time.monotonic() + timeout_s
+        while not there():
+            left_s = -1.0 if until_s is None else until_s - time.monotonic()
+            if until_s is not None and left_s <= 0.0:
+                return
+            self._quiet.acquire(timeout=left_s)
 
 
 @contextmanager

@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 import os
+import random
 import signal
 import subprocess
 import sys
+import threading
 import time
 from contextlib import suppress
 from pathlib import Path
 
 import pytest
+from tests.conftest import count
+
+from frogkick.link.wire import Inbox
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="sends SIGINT to a process group")
 
@@ -99,6 +104,8 @@ main.main()
         "handle = Handle(); del handle",  # the interpreter prints what a destructor raises, and goes on
         "handle = set(); seen = weakref.ref(handle, press); del handle",
         "exec('press()')",  # as making a dataclass does: the interpreter would end by a signal
+        # As inside threading.Condition, which has given its lock up when Ctrl-C comes.
+        "import threading; lock = threading.Lock()\n    with lock: lock.release(); press()",
     ],
 )
 def test_wherever_the_interpreter_is(tmp_path: Path, text: str) -> None:
@@ -109,6 +116,39 @@ def test_wherever_the_interpreter_is(tmp_path: Path, text: str) -> None:
     )  # fmt: skip
     assert (done.returncode, done.stdout) == (130, "")
     assert done.stderr == "frogkick: interrupted: nothing half-written was left\n"
+
+
+def test_an_inbox_is_open_after_a_ctrl_c_at_any_moment(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Else the answer to the DISARM that follows would never be heard."""
+    inbox, ended, fed = Inbox(), threading.Event(), threading.Semaphore(0)
+
+    def feed() -> None:
+        while not ended.wait(1e-4):
+            inbox.put(b"x")
+            fed.release()
+
+    def press(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    def hear_until(pressed_s: float) -> None:
+        signal.setitimer(signal.ITIMER_REAL, pressed_s)
+        while True:
+            inbox.receive(1e-4)
+
+    before = signal.signal(signal.SIGALRM, press)
+    threading.Thread(target=feed, daemon=True).start()
+    dice = random.Random(1)
+    try:
+        for _ in range(count(2000, 50_000)):
+            with pytest.raises(KeyboardInterrupt):
+                hear_until(dice.uniform(1e-6, 3e-4))
+            while fed.acquire(blocking=False):
+                pass
+            assert fed.acquire(timeout=60.0), "nobody can put anything in any more"
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+        signal.signal(signal.SIGALRM, before)
+        ended.set()
 
 
 @pytest.mark.parametrize("when", ["before", "after_in_parent", "after_in_child"])

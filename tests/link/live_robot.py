@@ -117,6 +117,11 @@ class LiveRobot:
         """Names of the frames heard."""
         return [frame.name for _, frame in self.heard]
 
+    def left_alone(self) -> bool:
+        """DISARM was heard, and after the last one only questions, and fixes that were on their way."""
+        *_, rest = " ".join(self.names()).rpartition("DISARM")
+        return "DISARM" in self.names() and set(rest.split()) <= {"STATUS", "FIX"}
+
     def _turn(self, encoded: bytes) -> bytes:
         now_us = self.now_us
         self.core.now_us = now_us

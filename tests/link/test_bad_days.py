@@ -79,7 +79,7 @@ class Day:
         with pytest.raises(error, match=words) as said:
             go()
         assert "\n" not in str(said.value) and "did not say that it is disarmed" not in str(said.value)
-        assert self.robot.names()[-1] in ("DISARM", "STATUS") and "DISARM" in self.robot.names()
+        assert self.robot.left_alone()
         assert int(self.session.request("STATUS")["state"]) in (STATE["DISARMED"], STATE["FAULT"])
         assert len(read_run(part_of(self.folder / "run.h5")).fixes.x_m) > 3
 

@@ -48,7 +48,19 @@ def run_command(arguments: list[str] | None = None) -> int:
     except OSError as error:
         named = f" {error.filename!r}" if error.filename else ""
         _complain(f"cannot read or write{named}: {error.strerror or error}; check the path and the disk")
+    except Exception as error:
+        if not _came_of_ctrl_c(error):
+            raise
+        _complain(_INTERRUPTED)
+        return INTERRUPTED
     return BAD_INPUT
+
+
+def _came_of_ctrl_c(error: BaseException | None) -> bool:
+    """Whether it was raised while a Ctrl-C was on its way up, as by a lock that was just being taken."""
+    while error is not None and not isinstance(error, KeyboardInterrupt):
+        error = error.__context__
+    return error is not None
 
 
 def _run(arguments: list[str] | None) -> int:

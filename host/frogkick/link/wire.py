@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from frogkick.errors import FrogkickError, InputError, nearest_name
+from frogkick.interrupts import Bell
 
 BAUD = 115_200
 BAUD_MAX = 4_000_000
@@ -69,7 +70,8 @@ class Inbox:
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self._clock = clock
-        self._condition = threading.Condition()
+        self._lock = threading.Lock()
+        self._bell = Bell()
         self._arrived: list[tuple[float, bytes]] = []
         self._error: FrogkickError | None = None
         self.connections = 0
@@ -77,27 +79,27 @@ class Inbox:
 
     def put(self, data: bytes) -> None:
         """Bytes have come."""
-        with self._condition:
+        with self._lock:
             self._arrived.append((self._clock(), data))
-            self._condition.notify_all()
+        self._bell.ring()
 
     def connected(self) -> None:
         """The wire is up (again)."""
-        with self._condition:
+        with self._lock:
             self.is_up, self.connections = True, self.connections + 1
-            self._condition.notify_all()
+        self._bell.ring()
 
     def lost(self) -> None:
         """The wire is down; whoever waits is told."""
-        with self._condition:
+        with self._lock:
             self.is_up = False
-            self._condition.notify_all()
+        self._bell.ring()
 
     def fail(self, error: FrogkickError) -> None:
         """The wire does not come back."""
-        with self._condition:
+        with self._lock:
             self.is_up, self._error = False, error
-            self._condition.notify_all()
+        self._bell.ring()
 
     def wait_up(self, timeout_s: float) -> bool:
         """Wait for the wire to be up; False where it is not in time.
@@ -105,17 +107,16 @@ class Inbox:
         Raises:
             FrogkickError: as given to ``fail``.
         """
-        with self._condition:
-            self._condition.wait_for(lambda: self.is_up or self._error is not None, timeout_s)
+        self._bell.wait_for(lambda: self.is_up or self._error is not None, timeout_s)
+        with self._lock:
             if self._error is not None:
                 raise self._error
             return self.is_up
 
     def receive(self, timeout_s: float) -> list[tuple[float, bytes]]:
         """See ``Wire.receive``."""
-        with self._condition:
-            if timeout_s > 0.0:
-                self._condition.wait_for(lambda: self._arrived or self._error is not None, timeout_s)
+        self._bell.wait_for(lambda: self._arrived or self._error is not None, timeout_s)
+        with self._lock:
             taken, self._arrived = self._arrived, []
             if not taken and self._error is not None:
                 raise self._error

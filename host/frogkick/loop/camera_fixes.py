@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from frogkick.errors import InputError
+from frogkick.interrupts import Bell
 from frogkick.pool.camera import Fix
 from frogkick.vision.calibration import Calibration
 from frogkick.vision.sources import Frame
@@ -71,7 +72,8 @@ class CameraFixes:
         self.reasons: Counter[str] = Counter()
         self.newest: Sighting | None = None
         self._frames, self._tracker, self._name, self._clock = frames, Tracker(calibration), name, clock
-        self._condition = threading.Condition()
+        self._lock = threading.Lock()
+        self._bell = Bell()
         self._stop = threading.Event()
         self._poses: list[tuple[float, tuple[float, float, float]]] = []
         self._error: Exception | None = None
@@ -96,8 +98,8 @@ class CameraFixes:
         Raises:
             InputError: none came in time, or the camera failed.
         """
-        with self._condition:
-            self._condition.wait_for(lambda: self.reasons["found"] > 0 or self._error is not None, timeout_s)
+        self._bell.wait_for(lambda: self.reasons["found"] > 0 or self._error is not None, timeout_s)
+        with self._lock:
             if self._error is not None:
                 raise self._error
             if not self.reasons["found"]:
@@ -114,7 +116,7 @@ class CameraFixes:
             InputError: the camera failed: unplugged, frozen, hanging, of another size than its calibration.
         """
         self._looked_s = until_s
-        with self._condition:
+        with self._lock:
             if self._error is not None:
                 raise self._error
             taken, self._poses = self._poses, []
@@ -166,24 +168,24 @@ class CameraFixes:
                     self._stop.wait(max(0.0, captured_s - self._clock()))
                 if self._stop.is_set():
                     return
-                with self._condition:
+                with self._lock:
                     self._heard_s = self._clock() if frame.live else None
                 seen = self._tracker.observe(frame.image, captured_s)
                 self.newest = Sighting(frame.image, captured_s, seen.corners_px)
-                with self._condition:
+                with self._lock:
                     self.reasons[seen.reason] += 1
                     if seen.pose is not None:
                         pose = (seen.pose.x_m, seen.pose.y_m, seen.pose.heading_rad)
                         self._poses.append((captured_s, pose))
-                    self._condition.notify_all()
+                    self._bell.ring()
                 if self._video is not None:
                     self._video.write(frame.image, captured_s)
         except Exception as error:  # whatever it is, the run has to hear of it and disarm the robot
-            with self._condition:
+            with self._lock:
                 self._error = error
-                self._condition.notify_all()
+                self._bell.ring()
         finally:
-            with self._condition:
+            with self._lock:
                 self._heard_s = None  # the end of the pictures is told otherwise
             close = getattr(self._frames, "close", None)
             if close is not None:

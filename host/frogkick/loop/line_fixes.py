@@ -11,6 +11,7 @@ from collections.abc import Callable
 import numpy as np
 
 from frogkick.errors import InputError
+from frogkick.interrupts import Bell
 from frogkick.pool.camera import Fix
 
 POLL_S = 0.002
@@ -36,7 +37,8 @@ class LineFixes:
             clock: in s.
         """
         self._file, self._name, self._clock = file, name, clock
-        self._condition = threading.Condition()
+        self._lock = threading.Lock()
+        self._bell = Bell()
         self._fixes: list[tuple[float, tuple[float, float, float]]] = []
         self._error: InputError | None = None
         self._seen = self._sequence = 0
@@ -54,8 +56,8 @@ class LineFixes:
         Raises:
             InputError: none came in time, or a line that is none.
         """
-        with self._condition:
-            self._condition.wait_for(lambda: self._seen > 0 or self._error is not None, timeout_s)
+        self._bell.wait_for(lambda: self._seen > 0 or self._error is not None, timeout_s)
+        with self._lock:
             if self._error is not None:
                 raise self._error
             if not self._seen:
@@ -71,7 +73,7 @@ class LineFixes:
             InputError: a line that is no fix.
         """
         self._looked_s = until_s
-        with self._condition:
+        with self._lock:
             if self._error is not None:
                 raise self._error
             taken, self._fixes = self._fixes, []
@@ -103,7 +105,7 @@ class LineFixes:
                 text = line.decode("utf-8", "replace").strip()
                 if not text or text.startswith("#"):
                     continue
-                with self._condition:
+                with self._lock:
                     try:
                         age_s, pose = parse_line(text)
                     except InputError as error:
@@ -111,7 +113,7 @@ class LineFixes:
                     else:
                         self._fixes.append((now_s - age_s, pose))
                         self._seen += 1
-                    self._condition.notify_all()
+                    self._bell.ring()
                     if self._error is not None:
                         return
 

@@ -16,6 +16,7 @@ import h5py
 import numpy as np
 
 from frogkick.errors import InputError
+from frogkick.interrupts import Bell
 from frogkick.loop.closed_loop import Recording, RunOptions
 from frogkick.loop.record import decision_columns, fix_columns, run_log
 from frogkick.loop.runlog import Decisions, Fixes, RunLog
@@ -70,7 +71,9 @@ class LiveLog:
         self._file.attrs["live"] = True
         # From here on another program, or the next one after a kill, reads what was flushed.
         self._file.swmr_mode = True
-        self._condition = threading.Condition()
+        self._lock = threading.Lock()
+        self._condition = threading.Condition(self._lock)
+        self._written = Bell()
         self._waiting: list[Fixes | Decisions | _Answer] = []
         self._writing = self._closing = False
         self._error: Exception | None = None
@@ -94,14 +97,13 @@ class LiveLog:
             rows += self._new_fixes(recording, told)
         if decided:
             rows.append(self._new_decisions(recording))
-        with self._condition:
+        with self._lock:
             self._waiting += rows
             self._condition.notify_all()
 
     def settle(self) -> None:
         """Wait until all that was handed over is on the disk."""
-        with self._condition:
-            self._condition.wait_for(lambda: self._error or not (self._waiting or self._writing))
+        self._written.wait_for(lambda: self._error or not (self._waiting or self._writing))
 
     def close(self) -> None:
         """Write what waits, and end it.
@@ -109,7 +111,7 @@ class LiveLog:
         Raises:
             InputError: the disk is full.
         """
-        with self._condition:
+        with self._lock:
             self._closing = True
             self._condition.notify_all()
         self._thread.join()
@@ -144,19 +146,19 @@ class LiveLog:
 
     def _live(self) -> None:
         while True:
-            with self._condition:
+            with self._lock:
                 self._condition.wait_for(lambda: self._waiting or self._closing)
+                self._writing = True  # first: who settles looks without the lock
                 rows, self._waiting = self._waiting, []
-                self._writing = True
                 if not rows:
                     return
             try:
                 self._write(rows)
             except Exception as error:  # the run has to hear of it, whatever it is
                 self._error = error
-            with self._condition:
+            with self._lock:
                 self._writing = False
-                self._condition.notify_all()
+                self._written.ring()
                 if self._error is not None:
                     return
                 # A row costs as much as ten: what comes meanwhile is written with it.

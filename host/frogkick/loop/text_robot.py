@@ -11,6 +11,7 @@ import threading
 import time
 from collections.abc import Callable
 
+from frogkick.interrupts import Bell
 from frogkick.link.frames import Frame, FrameCollector
 from frogkick.link.text_dialect import fire_line, limb_numbers
 from frogkick.link.wire import Delivery, Wire
@@ -54,7 +55,9 @@ class TextRobot:
         self._clock = clock
         self._begin_s = clock()
         self._collector = FrameCollector()
-        self._condition = threading.Condition()
+        self._lock = threading.Lock()
+        self._condition = threading.Condition(self._lock)
+        self._said = Bell()
         self._frames: list[tuple[float, Frame]] = []
         self._edges: list[Edge] = []
         self._next_tick_us = 0
@@ -69,14 +72,14 @@ class TextRobot:
 
     def close(self) -> None:
         """Switch the core off: no line goes out any more."""
-        with self._condition:
+        with self._lock:
             self._closing = True
             self._condition.notify_all()
         self._thread.join()
 
     def send(self, encoded: bytes, at_s: float) -> None:
         """Give the core a frame now; ``at_s`` is for robots in simulated time."""
-        with self._condition:
+        with self._lock:
             self._turn(encoded[:-1])
             self._condition.notify_all()
 
@@ -90,25 +93,24 @@ class TextRobot:
             WireError: the robot is gone.
         """
         self.wire.receive(0.0)
-        with self._condition:
-            self._condition.wait_for(lambda: self._frames, max(0.0, until_s - self.now_s))
+        self._said.wait_for(lambda: self._frames, max(0.0, until_s - self.now_s))
 
     def frames(self) -> list[tuple[float, Frame]]:
         """Frames from the core since the last call."""
-        with self._condition:
+        with self._lock:
             taken, self._frames = self._frames, []
         return taken
 
     def edges(self) -> list[Edge]:
         """Beginnings and ends of pulses, by the core's books, that lie behind."""
-        with self._condition:
+        with self._lock:
             now_s = self.now_s
             taken = sorted((edge for edge in self._edges if edge.time_s <= now_s), key=lambda e: e.time_s)
             self._edges = [edge for edge in self._edges if edge.time_s > now_s]
         return taken
 
     def _live(self) -> None:
-        with self._condition:
+        with self._lock:
             while not self._closing:
                 until_tick_s = self._next_tick_us * 1e-6 - self.now_s
                 if until_tick_s <= 0.0:
@@ -129,3 +131,4 @@ class TextRobot:
             self._edges += [Edge(now_s, limb, True) for limb in limbs]
             self._edges += [Edge(now_s + pulse_us * 1e-6, limb, False) for limb in limbs]
         self._frames += [(now_s, one) for one in self._collector.feed(call.stream)]
+        self._said.ring()

@@ -176,11 +176,11 @@ def test_a_program_that_looked_for_one_ends_in_peace() -> None:
 
     assert isinstance(standard._detector(), Detector)
     assert type(standard._detector()).__del__ is not Detector.__del__
-    program = """
+    program = f"""
         import gc
         import numpy as np
         from frogkick.vision import standard
-        for _ in range(20):
+        for _ in range({count(20, 100, 4)}):
             standard._detector.cache_clear()
             assert standard.find_standard(np.zeros((60, 80), np.uint8), 0) == []
             gc.collect()

@@ -16,6 +16,8 @@ from __future__ import annotations
 
 import operator
 from collections.abc import Callable
+from functools import cache
+from math import prod
 from typing import Any, cast
 
 import numpy as np
@@ -35,6 +37,7 @@ _FIELD = "lane"
 _CACHE_LINE = 64
 
 
+@cache
 def lane_dtype(width: int) -> np.dtype[Any]:
     """The element type of arrays that hold one value of ``width`` simulations: float64 where it is 1."""
     scalar: DTypeLike = np.float64
@@ -43,11 +46,10 @@ def lane_dtype(width: int) -> np.dtype[Any]:
 
 def lane_zeros(shape: tuple[int, ...], width: int) -> NDArray[Any]:
     """Zeros of ``lane_dtype(width)``, placed so that no row of lanes straddles two cache lines."""
-    dtype = lane_dtype(width)
-    count = int(np.prod(shape)) * dtype.itemsize
+    count = prod(shape) * width * 8
     raw = np.zeros(count + _CACHE_LINE, dtype=np.uint8)
-    first = -raw.ctypes.data % _CACHE_LINE
-    return raw[first : first + count].view(dtype).reshape(shape)
+    first = -raw.__array_interface__["data"][0] % _CACHE_LINE  # raw.ctypes takes several times as long
+    return np.ndarray(shape, lane_dtype(width), raw, first)
 
 
 def lane_floats(array: NDArray[Any]) -> NDArray[np.float64]:

@@ -169,6 +169,7 @@ static int32_t on_status(const fk_robot_t *robot, uint64_t now_us, uint8_t *answ
     told.reset = robot->reset;
     told.fault = robot->fault;
     told.fault_detail = robot->fault_detail;
+    told.rest_us = fk_robot_rest_us(robot);
     fk_status_answer_pack(answer, &told);
     return (int32_t)FK_STATUS_ANSWER_BYTES;
 }

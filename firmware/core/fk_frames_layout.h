@@ -374,7 +374,7 @@ static inline void fk_stop_answer_pack(uint8_t *to, const fk_stop_answer_t *from
 }
 
 #define FK_STATUS_COMMAND_BYTES 0u
-#define FK_STATUS_ANSWER_BYTES 49u
+#define FK_STATUS_ANSWER_BYTES 53u
 
 /* Answer to STATUS. */
 typedef struct {
@@ -393,6 +393,7 @@ typedef struct {
     uint8_t reset; /* why the robot started last, see reset */
     uint8_t fault; /* the first internal error since then, see fault */
     int8_t fault_detail; /* see fault */
+    uint32_t rest_us; /* no stroke before: it started without knowing how hot its limbs are; 0 = none is refused for that (us) */
 } fk_status_answer_t;
 
 static inline void fk_status_answer_pack(uint8_t *to, const fk_status_answer_t *from)
@@ -412,6 +413,7 @@ static inline void fk_status_answer_pack(uint8_t *to, const fk_status_answer_t *
     fk_put_u8(to + 46, from->reset);
     fk_put_u8(to + 47, from->fault);
     fk_put_i8(to + 48, from->fault_detail);
+    fk_put_u32(to + 49, from->rest_us);
 }
 
 #define FK_PARAM_COMMAND_BYTES 5u
@@ -882,13 +884,14 @@ static inline void fk_ended_event_pack(uint8_t *to, const fk_ended_event_t *from
     fk_put_u32(to + 2, from->decisions);
 }
 
-#define FK_BOOT_RECORD_BYTES 6u
+#define FK_BOOT_RECORD_BYTES 10u
 
 /* The robot started. */
 typedef struct {
     uint8_t continued; /* 1 = what stands before it is from before the reset */
     uint8_t reset; /* see reset */
     uint32_t table_crc; /* CRC-32 of the table in use */
+    uint32_t rest_us; /* no stroke before: nobody knows how hot its limbs are; 0 = its books outlived the reset (us) */
 } fk_boot_record_t;
 
 static inline void fk_boot_record_pack(uint8_t *to, const fk_boot_record_t *from)
@@ -896,6 +899,7 @@ static inline void fk_boot_record_pack(uint8_t *to, const fk_boot_record_t *from
     fk_put_u8(to + 0, from->continued);
     fk_put_u8(to + 1, from->reset);
     fk_put_u32(to + 2, from->table_crc);
+    fk_put_u32(to + 6, from->rest_us);
 }
 
 #define FK_COMMAND_RECORD_BYTES 1u

@@ -4,53 +4,108 @@
 
 #define KEPT_MARK 0x64726147u /* so that RAM of zeros keeps nothing */
 
+/* One step is undone by no other word: a change of one word changes the check. */
+static uint32_t mixed(uint32_t check, uint32_t word) { return (((check << 19) | (check >> 13)) ^ word) * 0x9E3779B1u; }
+
+static uint32_t mixed_time(uint32_t check, uint64_t time_us)
+{
+    return mixed(mixed(check, (uint32_t)time_us), (uint32_t)(time_us >> 32));
+}
+
+/* Begins with the place, so that no limb's books pass for another's; 0 throughout is not sound. */
+static uint32_t check_of_limb(const fk_guard_t *guard, uint32_t at)
+{
+    const fk_guard_limb_t *limb = &guard->limbs[at];
+    uint32_t check = KEPT_MARK + at;
+    for (uint32_t i = 0u; i < FK_GUARD_HISTORY; ++i) {
+        check = mixed(mixed_time(check, limb->start_us[i]), limb->on_us[i]);
+    }
+    return mixed(mixed_time(check, limb->off_us), ((uint32_t)limb->was_cut << 16) | limb->next);
+}
+
+static uint32_t check_of_head(const fk_guard_t *guard)
+{
+    return mixed(mixed_time(KEPT_MARK, guard->fix_us), guard->closed_loop);
+}
+
+static int32_t limb_is_sound(const fk_guard_t *guard, uint32_t limb)
+{
+    return guard->limbs[limb].check == check_of_limb(guard, limb);
+}
+
+static int32_t head_is_sound(const fk_guard_t *guard) { return guard->check == check_of_head(guard); }
+
+static void seal_limb(fk_guard_t *guard, uint32_t limb) { guard->limbs[limb].check = check_of_limb(guard, limb); }
+
+static void seal_head(fk_guard_t *guard) { guard->check = check_of_head(guard); }
+
+int32_t fk_guard_is_sound(const fk_guard_t *guard)
+{
+    for (uint32_t limb = 0u; limb < FK_LIMBS_MAX; ++limb) {
+        if (!limb_is_sound(guard, limb)) {
+            return 0;
+        }
+    }
+    return head_is_sound(guard);
+}
+
+void fk_guard_seal(fk_guard_t *guard)
+{
+    for (uint32_t limb = 0u; limb < FK_LIMBS_MAX; ++limb) {
+        seal_limb(guard, limb);
+    }
+    seal_head(guard);
+}
+
+/* Books of a limb that was on for so long just before time 0. Pulses side by side from time 0 on: as many as fitted into a
+ * window fit into the books. */
+static void begin_limb(fk_guard_t *guard, uint32_t at, uint32_t on_us)
+{
+    fk_guard_limb_t *limb = &guard->limbs[at];
+    limb->next = 0u;
+    for (uint32_t i = 0u; i < FK_GUARD_HISTORY; ++i) {
+        uint32_t part_us = (on_us > FK_PULSE_MAX_US) ? FK_PULSE_MAX_US : on_us;
+        part_us = (i + 1u < FK_GUARD_HISTORY) ? part_us : 0u;
+        limb->start_us[i] = 0u;
+        limb->on_us[i] = part_us;
+        limb->next = (uint16_t)(limb->next + ((part_us > 0u) ? 1u : 0u));
+        on_us -= part_us;
+    }
+    limb->off_us = 0u; /* it may have been on until then */
+    limb->was_cut = 0u;
+    seal_limb(guard, at);
+}
+
 void fk_guard_init(fk_guard_t *guard)
 {
     for (uint32_t limb = 0u; limb < FK_LIMBS_MAX; ++limb) {
-        for (uint32_t i = 0u; i < FK_GUARD_HISTORY; ++i) {
-            guard->limbs[limb].start_us[i] = 0u;
-            guard->limbs[limb].end_us[i] = 0u;
-        }
-        guard->limbs[limb].next = 0u;
-        guard->limbs[limb].off_us = 0u; /* a limb may have been on until boot */
-        guard->limbs[limb].was_cut = 0u;
+        begin_limb(guard, limb, FK_DUTY_ON_MAX_US);
     }
     guard->fix_us = 0u;
     guard->closed_loop = 0u;
+    seal_head(guard);
 }
 
-void fk_guard_closed_loop(fk_guard_t *guard, int32_t closed) { guard->closed_loop = (closed != 0) ? 1u : 0u; }
+/* What is damaged is not written to: a new check would pass it for sound. */
+void fk_guard_closed_loop(fk_guard_t *guard, int32_t closed)
+{
+    if (head_is_sound(guard)) {
+        guard->closed_loop = (closed != 0) ? 1u : 0u;
+        seal_head(guard);
+    }
+}
 
 void fk_guard_note_fix(fk_guard_t *guard, uint64_t capture_us)
 {
-    if (capture_us > guard->fix_us) {
+    if (head_is_sound(guard) && capture_us > guard->fix_us) {
         guard->fix_us = capture_us;
+        seal_head(guard);
     }
 }
 
 uint64_t fk_guard_lost_us(const fk_guard_t *guard)
 {
     return (guard->fix_us == 0u) ? 0u : guard->fix_us + FK_FIX_LOST_US + 1u;
-}
-
-int32_t fk_guard_is_sound(const fk_guard_t *guard, uint64_t now_us)
-{
-    if (guard->closed_loop > 1u || guard->fix_us > now_us) {
-        return 0;
-    }
-    for (uint32_t limb = 0u; limb < FK_LIMBS_MAX; ++limb) {
-        if (guard->limbs[limb].next >= FK_GUARD_HISTORY) {
-            return 0;
-        }
-        for (uint32_t i = 0u; i < FK_GUARD_HISTORY; ++i) {
-            uint64_t start_us = guard->limbs[limb].start_us[i];
-            uint64_t end_us = guard->limbs[limb].end_us[i];
-            if (start_us > now_us || end_us < start_us || end_us - start_us > FK_PULSE_MAX_US) {
-                return 0;
-            }
-        }
-    }
-    return 1;
 }
 
 /* Time on within the window that ends at until_us. Any window of that length that holds more would have to end
@@ -62,12 +117,18 @@ static uint64_t on_time_us(const fk_guard_limb_t *limb, uint64_t until_us)
     uint64_t from_us = (until_us > window_us) ? until_us - window_us : 0u;
     uint64_t sum_us = 0u;
     for (uint32_t i = 0u; i < FK_GUARD_HISTORY; ++i) {
+        uint64_t end_us = limb->start_us[i] + limb->on_us[i];
         uint64_t start_us = (limb->start_us[i] > from_us) ? limb->start_us[i] : from_us;
-        if (limb->end_us[i] > start_us) {
-            sum_us += limb->end_us[i] - start_us;
+        if (end_us > start_us) {
+            sum_us += end_us - start_us;
         }
     }
     return sum_us;
+}
+
+static uint32_t last_of(const fk_guard_limb_t *limb)
+{
+    return (limb->next + FK_GUARD_HISTORY - 1u) % FK_GUARD_HISTORY;
 }
 
 static uint32_t crc_of(const fk_guard_kept_t *kept)
@@ -85,32 +146,30 @@ void fk_guard_keep(const fk_guard_t *guard, fk_guard_kept_t *kept)
 {
     for (uint32_t i = 0u; i < FK_LIMBS_MAX; ++i) {
         const fk_guard_limb_t *limb = &guard->limbs[i];
-        uint32_t last = (limb->next + FK_GUARD_HISTORY - 1u) % FK_GUARD_HISTORY;
-        kept->on_us[i] = (uint32_t)on_time_us(limb, limb->end_us[last]);
+        uint32_t last = last_of(limb);
+        kept->on_us[i] = (uint32_t)on_time_us(limb, limb->start_us[last] + limb->on_us[last]);
     }
     kept->crc = crc_of(kept);
 }
 
-void fk_guard_resume(fk_guard_t *guard, const fk_guard_kept_t *kept)
+void fk_guard_lose(fk_guard_kept_t *kept) { kept->crc = ~crc_of(kept); }
+
+int32_t fk_guard_resume(fk_guard_t *guard, const fk_guard_kept_t *kept)
 {
     if (kept->crc != crc_of(kept)) {
-        return;
+        return 0;
     }
-    for (uint32_t i = 0u; i < FK_LIMBS_MAX; ++i) {
-        fk_guard_limb_t *limb = &guard->limbs[i];
-        uint32_t left_us = kept->on_us[i];
-        /* Pulses side by side from time 0 on: as many as fitted into a window fit into the books. */
-        while (left_us > 0u && limb->next + 1u < FK_GUARD_HISTORY) {
-            uint32_t part_us = (left_us > FK_PULSE_MAX_US) ? FK_PULSE_MAX_US : left_us;
-            limb->end_us[limb->next] = part_us;
-            ++limb->next;
-            left_us -= part_us;
-        }
+    for (uint32_t limb = 0u; limb < FK_LIMBS_MAX; ++limb) {
+        begin_limb(guard, limb, kept->on_us[limb]);
     }
+    return 1;
 }
 
 int32_t fk_guard_allow(fk_guard_t *guard, uint8_t limb_mask, uint32_t pulse_us, uint64_t now_us)
 {
+    if (!fk_guard_is_sound(guard)) {
+        return -1;
+    }
     if (limb_mask == 0u || pulse_us == 0u || pulse_us > FK_PULSE_MAX_US) {
         return 0;
     }
@@ -140,10 +199,11 @@ int32_t fk_guard_allow(fk_guard_t *guard, uint8_t limb_mask, uint32_t pulse_us, 
         if ((limb_mask & (1u << i)) != 0u) {
             fk_guard_limb_t *limb = &guard->limbs[i];
             limb->start_us[limb->next] = now_us;
-            limb->end_us[limb->next] = end_us;
-            limb->next = (limb->next + 1u) % FK_GUARD_HISTORY;
+            limb->on_us[limb->next] = pulse_us;
+            limb->next = (uint16_t)((limb->next + 1u) % FK_GUARD_HISTORY);
             limb->off_us = end_us + FK_PORT_LATE_US;
             limb->was_cut = 0u;
+            seal_limb(guard, i);
         }
     }
     return 1;
@@ -152,11 +212,12 @@ int32_t fk_guard_allow(fk_guard_t *guard, uint8_t limb_mask, uint32_t pulse_us, 
 void fk_guard_not_begun(fk_guard_t *guard, uint8_t limb_mask)
 {
     for (uint32_t i = 0u; i < FK_LIMBS_MAX; ++i) {
-        if ((limb_mask & (1u << i)) != 0u) {
+        if ((limb_mask & (1u << i)) != 0u && limb_is_sound(guard, i)) {
             fk_guard_limb_t *limb = &guard->limbs[i];
-            uint32_t last = (limb->next + FK_GUARD_HISTORY - 1u) % FK_GUARD_HISTORY;
-            limb->end_us[last] = limb->start_us[last];
+            uint32_t last = last_of(limb);
+            limb->on_us[last] = 0u;
             limb->off_us = limb->start_us[last];
+            seal_limb(guard, i);
         }
     }
 }
@@ -166,12 +227,14 @@ void fk_guard_cut(fk_guard_t *guard, uint64_t now_us)
     uint64_t off_us = now_us + FK_PORT_LATE_US;
     for (uint32_t i = 0u; i < FK_LIMBS_MAX; ++i) {
         fk_guard_limb_t *limb = &guard->limbs[i];
-        if (limb->off_us > off_us) {
-            uint32_t last = (limb->next + FK_GUARD_HISTORY - 1u) % FK_GUARD_HISTORY;
+        if (limb->off_us > off_us && limb_is_sound(guard, i)) {
+            uint32_t last = last_of(limb);
+            uint64_t on_us = off_us - limb->start_us[last];
             /* Begun in time and cut late, it was on for that much longer. */
-            limb->end_us[last] = (limb->end_us[last] > off_us) ? off_us : limb->end_us[last];
+            limb->on_us[last] = (limb->on_us[last] > on_us) ? (uint32_t)on_us : limb->on_us[last];
             limb->off_us = off_us;
             limb->was_cut = 1u;
+            seal_limb(guard, i);
         }
     }
 }

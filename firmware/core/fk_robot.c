@@ -41,6 +41,7 @@ int32_t fk_robot_init(fk_robot_t *robot, const uint8_t *image, uint32_t image_by
     robot->fault = FK_FAULT_NONE;
     robot->fault_detail = 0;
     robot->reset = FK_RESET_UNKNOWN;
+    robot->heat_unknown = 1u;
     robot->kept = 0;
     robot->store = 0;
     robot->log = 0;
@@ -96,8 +97,14 @@ void fk_robot_note_reset(fk_robot_t *robot, uint8_t reset, fk_guard_kept_t *kept
 {
     robot->reset = reset;
     robot->kept = kept;
-    fk_guard_resume(&robot->guard, kept);
+    robot->heat_unknown = (fk_guard_resume(&robot->guard, kept) == 0) ? 1u : 0u;
     fk_guard_keep(&robot->guard, kept);
+}
+
+uint32_t fk_robot_rest_us(const fk_robot_t *robot)
+{
+    const uint64_t until_us = (robot->heat_unknown != 0u) ? FK_UNKNOWN_HEAT_REST_US : 0u;
+    return (robot->now_us < until_us) ? (uint32_t)(until_us - robot->now_us) : 0u;
 }
 
 void fk_robot_use_store(fk_robot_t *robot, fk_store_t *store) { robot->store = store; }
@@ -300,13 +307,22 @@ static void keep_books(fk_robot_t *robot)
     }
 }
 
+/* Nor does the next start know how hot the limbs are. */
+static void lose_books(fk_robot_t *robot)
+{
+    if (robot->kept != 0) {
+        fk_guard_lose(robot->kept);
+    }
+    fk_robot_fault(robot, FK_FAULT_GUARD, 0);
+}
+
 static int32_t fire(fk_robot_t *robot, uint8_t limb_mask, uint64_t now_us, fk_outputs_t *outputs)
 {
-    if (!fk_guard_is_sound(&robot->guard, now_us)) {
-        fk_robot_fault(robot, FK_FAULT_GUARD, 0);
+    int32_t allowed = 0;
+    if (fk_robot_may(robot, FK_EVENT_PULSE) == FK_STATUS_OK) {
+        allowed = fk_guard_allow(&robot->guard, limb_mask, robot->tables.pulse_us, now_us);
     }
-    if (fk_robot_may(robot, FK_EVENT_PULSE) == FK_STATUS_OK &&
-        fk_guard_allow(&robot->guard, limb_mask, robot->tables.pulse_us, now_us)) {
+    if (allowed > 0) {
         keep_books(robot);
         outputs->limb_mask = limb_mask;
         outputs->pulse_us = robot->tables.pulse_us;
@@ -316,6 +332,9 @@ static int32_t fire(fk_robot_t *robot, uint8_t limb_mask, uint64_t now_us, fk_ou
         robot->fired_first = 0u;
         fk_robot_log_pulse(robot, limb_mask, FK_PULSE_TOLD);
         return 1;
+    }
+    if (allowed < 0) {
+        lose_books(robot);
     }
     ++robot->pulses_refused;
     fk_robot_log_pulse(robot, limb_mask, FK_PULSE_REFUSED);
@@ -337,6 +356,10 @@ void fk_robot_note_pulse_failed(fk_robot_t *robot, int32_t error)
 {
     if (error != FK_PULSE_LATE || robot->fired_mask == 0u) {
         fk_robot_fault(robot, FK_FAULT_PULSE, error);
+        return;
+    }
+    if (!fk_guard_is_sound(&robot->guard)) {
+        lose_books(robot);
         return;
     }
     fk_guard_not_begun(&robot->guard, robot->fired_mask);

@@ -64,6 +64,7 @@ typedef struct {
     uint8_t fault;               /* FK_FAULT_..., the first one since the reset */
     int8_t fault_detail;
     uint8_t reset;               /* FK_RESET_... */
+    uint8_t heat_unknown;        /* it started without knowing how hot its limbs were */
     uint16_t conversation;       /* of the last HELLO */
     uint64_t now_us;             /* the latest time that the port told */
     uint64_t heard_us;           /* when the last whole frame came */
@@ -116,7 +117,7 @@ int32_t fk_robot_init(fk_robot_t *robot, const uint8_t *image, uint32_t image_by
 /* Why the port started, after fk_robot_init and before the first tick.
  * @param reset  FK_RESET_...
  * @param kept   RAM that no start-up clears, for the robot to use as long as it lives: it holds how hot the limbs may
- *               be, over resets
+ *               be, over resets. Where it does not, they count as fully heated at time 0, as they do without this call
  */
 void fk_robot_note_reset(fk_robot_t *robot, uint8_t reset, fk_guard_kept_t *kept);
 
@@ -176,6 +177,7 @@ void fk_robot_fault(fk_robot_t *robot, uint8_t fault, int32_t detail);
 void fk_robot_note_time(fk_robot_t *robot, uint64_t now_us);
 void fk_robot_note_fix(fk_robot_t *robot, uint64_t capture_us, float x_m, float y_m);
 uint32_t fk_robot_transitions_within(uint32_t plan_us);
+uint32_t fk_robot_rest_us(const fk_robot_t *robot);
 void fk_robot_no_more_pulses(fk_robot_t *robot);
 void fk_robot_ask_stroke(fk_robot_t *robot, uint8_t action, uint64_t begin_us);
 

@@ -13,6 +13,7 @@ void fk_robot_use_log(fk_robot_t *robot, fk_log_t *log)
     boot.continued = (uint8_t)fk_log_open(log);
     boot.reset = robot->reset;
     boot.table_crc = robot->tables.image_crc32;
+    boot.rest_us = fk_robot_rest_us(robot);
     robot->log = log;
     robot->log_mark = log->end;
     robot->log_broken = 1u;

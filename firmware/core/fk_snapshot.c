@@ -184,20 +184,22 @@ static void estimator(fk_walk_t *walk, fk_estimator_t *told)
 
 static void guard(fk_walk_t *walk, fk_guard_t *told, uint32_t limbs)
 {
+    uint8_t closed_loop = (uint8_t)told->closed_loop;
     u64(walk, &told->fix_us);
-    u8(walk, &told->closed_loop, 1u);
+    u8(walk, &closed_loop, 1u);
+    told->closed_loop = closed_loop;
     for (uint32_t limb = 0u; limb < limbs; ++limb) {
         fk_guard_limb_t *one = &told->limbs[limb];
         uint8_t next = (uint8_t)one->next;
+        uint8_t was_cut = (uint8_t)one->was_cut;
         u8(walk, &next, FK_GUARD_HISTORY - 1u);
         one->next = next;
         u64(walk, &one->off_us);
-        u8(walk, &one->was_cut, 1u);
+        u8(walk, &was_cut, 1u);
+        one->was_cut = was_cut;
         for (uint32_t i = 0u; i < FK_GUARD_HISTORY; ++i) {
             u64(walk, &one->start_us[i]);
-            uint32_t on_us = (uint32_t)(one->end_us[i] - one->start_us[i]);
-            u32(walk, &on_us);
-            one->end_us[i] = one->start_us[i] + on_us;
+            u32(walk, &one->on_us[i]);
         }
     }
 }
@@ -237,6 +239,7 @@ int32_t fk_robot_restore(fk_robot_t *robot, const uint8_t *snapshot, uint32_t le
 {
     fk_walk_t walk = {robot, snapshot, length, 0, 0u, {0u}, {0u, 0u, 0u, 0u}};
     robot_state(&walk);
+    fk_guard_seal(&robot->guard);
     robot->log_broken = 0u;
     robot->log_mark = robot->log->end;
     robot->replays = 1u;

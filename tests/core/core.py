@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import struct
+import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
@@ -42,17 +43,18 @@ void fk_robot_note_tick(void *robot, uint32_t elapsed_us);
 typedef struct { uint32_t on_us[8]; uint32_t crc; } fk_guard_kept_t;
 void fk_robot_note_reset(void *robot, uint8_t reset, fk_guard_kept_t *kept);
 void fk_guard_keep(const void *guard, fk_guard_kept_t *kept);
-void fk_guard_resume(void *guard, const fk_guard_kept_t *kept);
+int32_t fk_guard_resume(void *guard, const fk_guard_kept_t *kept);
 void fk_robot_note_pulse_failed(void *robot, int32_t error);
 void fk_robot_note_link_lost(void *robot);
 uint32_t fk_robot_take_tx(void *robot, uint8_t *bytes, uint32_t capacity);
 void fk_guard_init(void *guard);
 int32_t fk_guard_allow(void *guard, uint8_t limb_mask, uint32_t pulse_us, uint64_t now_us);
 void fk_guard_cut(void *guard, uint64_t now_us);
+void fk_guard_not_begun(void *guard, uint8_t limb_mask);
 void fk_guard_closed_loop(void *guard, int32_t closed);
 void fk_guard_note_fix(void *guard, uint64_t capture_us);
 uint64_t fk_guard_lost_us(const void *guard);
-int32_t fk_guard_is_sound(const void *guard, uint64_t now_us);
+int32_t fk_guard_is_sound(const void *guard);
 uint32_t fk_frame_encode(uint8_t type, uint8_t sequence, const uint8_t *payload, uint32_t payload_length,
                          uint8_t *to, uint32_t capacity);
 uint32_t fk_test_guard_bytes(void);
@@ -73,7 +75,7 @@ uint32_t fk_test_estimator_inside(void *test, float *values, uint32_t *counts);
 void fk_test_estimator_spoil(void *test, uint32_t speed, float value);
 void fk_test_rule(uint8_t state, uint8_t event, uint8_t *rule);
 void fk_test_spoil_robot(void *robot, int32_t state, int32_t action);
-void fk_test_spoil_guard(void *robot);
+void fk_test_spoil_guard(void *robot, uint32_t bit);
 typedef struct { int64_t time_us; int32_t kind; int32_t value; } seen_t;
 uint32_t fk_play(const uint8_t *table, uint32_t bytes, uint64_t seed, uint32_t count, uint32_t commands,
                  seen_t *to, uint32_t capacity, uint32_t *busy_pulses);
@@ -188,6 +190,14 @@ SILENT_US = 5_000_000  # FK_LINK_SILENT_US
 LATE_US = 200  # FK_PORT_LATE_US: what a port may take from the time it tells to the pins
 
 
+def kept_of(on_us: Sequence[int] = ()) -> Any:
+    """RAM that outlived a reset: these times, with the CRC that says that they are whole."""
+    kept = FFI.new("fk_guard_kept_t *")
+    kept.on_us = [*on_us, *[0] * (8 - len(on_us))]
+    kept.crc = zlib.crc32(bytes(FFI.buffer(kept))[:32]) ^ 0x64726147
+    return kept
+
+
 def image(**changes: object) -> bytes:
     """A made-up table with these actions; ``changes`` replace arguments of pack_nearest."""
     rows = changes.get("action_rows", ACTION_ROWS)
@@ -206,9 +216,11 @@ class Outputs:
 
 
 class Robot:
-    """One robot in C. Time is what the test says it is."""
+    """One robot in C. Time is what the test says it is. Of its limbs it knows that they are cold."""
 
-    def __init__(self, table: bytes | None = None, now_us: int = 1_000_000, made: Any = None) -> None:
+    def __init__(
+        self, table: bytes | None = None, now_us: int = 1_000_000, made: Any = None, heat_known: bool = True
+    ) -> None:
         self.core = core() if made is None else made
         self.image = image() if table is None else table
         self.now_us = now_us
@@ -223,6 +235,9 @@ class Robot:
         self.keep = False
         image_at = FFI.cast("uint8_t *", self._image)
         self.error = self.core.fk_robot_init(self.memory, image_at, len(self.image))
+        self.kept = kept_of()
+        if heat_known:
+            self.core.fk_robot_note_reset(self.memory, link_layout().reset["UNKNOWN"], self.kept)
 
     def raw(self, encoded: bytes) -> None:
         """One frame without its delimiter."""

@@ -300,6 +300,12 @@ static void reset(void)
     lows(world_us); /* pins are inputs now */
     see(world_us, SEEN_RESET, 0);
     world_us += below(3u) * 100000; /* what the start takes; the clock begins after it */
+    uint32_t damage = below(8u);
+    if (damage == 0u) {
+        ((uint8_t *)&kept)[below(sizeof(kept))] ^= (uint8_t)(1u << below(8u));
+    } else if (damage == 1u) {
+        kept.on_us[below(LIMBS)] = 0u;
+    }
     start_robot(0u);
     if (below(2u) == 0u) {
         send(FK_FRAME_ARM, 0, 0u);
@@ -388,6 +394,16 @@ static void command(uint32_t mood)
     }
 }
 
+/* RAM as the supply finds it, or of limbs that are known to be cold. */
+static void begin_kept(int32_t known)
+{
+    static const uint8_t cold[4u * FK_LIMBS_MAX];
+    for (uint32_t limb = 0u; limb < FK_LIMBS_MAX; ++limb) {
+        kept.on_us[limb] = 0u;
+    }
+    kept.crc = (known != 0) ? fk_crc32(0u, cold, sizeof(cold)) ^ 0x64726147u : (uint32_t)draw();
+}
+
 static void one_sequence(uint32_t commands)
 {
     static const uint64_t clocks_us[] = {0u, 400000u, 1000000u, 4294000000u, 1099511627776u};
@@ -400,7 +416,7 @@ static void one_sequence(uint32_t commands)
     }
     on_mask = 0u;
     see(world_us, SEEN_POWER_ON, 0);
-    kept.crc = (uint32_t)draw(); /* RAM as the supply finds it */
+    begin_kept(below(4u) != 0u);
     start_robot(clocks_us[below(5u)]);
     if (below(4u) != 0u) {
         send(FK_FRAME_ARM, 0, 0u);

@@ -24,7 +24,7 @@ uint32_t fk_test_estimator_inside(fk_test_estimator_t *test, float *values, uint
 void fk_test_estimator_spoil(fk_test_estimator_t *test, uint32_t speed, float value);
 void fk_test_rule(uint8_t state, uint8_t event, uint8_t *rule);
 void fk_test_spoil_robot(fk_robot_t *robot, int32_t state, int32_t action);
-void fk_test_spoil_guard(fk_robot_t *robot);
+void fk_test_spoil_guard(fk_robot_t *robot, uint32_t bit);
 void fk_test_floats(const uint32_t *bits, uint32_t count, uint8_t *bytes, uint32_t *back);
 
 uint32_t fk_test_guard_bytes(void) { return (uint32_t)sizeof(fk_guard_t); }
@@ -193,7 +193,10 @@ void fk_test_spoil_robot(fk_robot_t *robot, int32_t state, int32_t action)
     robot->stroke_request = (action < 0) ? robot->stroke_request : (uint8_t)(action + 1);
 }
 
-void fk_test_spoil_guard(fk_robot_t *robot) { robot->guard.limbs[3].next = FK_GUARD_HISTORY; }
+void fk_test_spoil_guard(fk_robot_t *robot, uint32_t bit)
+{
+    ((uint8_t *)&robot->guard)[bit / 8u] ^= (uint8_t)(1u << bit % 8u);
+}
 
 /* Numbers through fk_put_f32 and fk_get_f32: their bytes and what comes back, as bits. */
 void fk_test_floats(const uint32_t *bits, uint32_t count, uint8_t *bytes, uint32_t *back)

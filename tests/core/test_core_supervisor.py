@@ -5,7 +5,8 @@ from __future__ import annotations
 import re
 
 import pytest
-from tests.core.core import ACTION, ACTION_ROWS, FFI, SILENT_US, Robot, core, image
+from tests.core.core import ACTION, ACTION_ROWS, FFI, SILENT_US, Robot, cases, core, image, kept_of
+from tests.core.log_rig import Log
 
 from frogkick.link.frames import hello, pack_frame
 from frogkick.link.layout import link_layout
@@ -143,12 +144,42 @@ def test_an_action_that_the_table_lacks(action: int) -> None:
     assert told(robot) == ("FAULT", "ACTION", 0)
 
 
-def test_damaged_books_of_the_guard() -> None:
-    robot = Robot().begin("ARMED")
-    assert robot.stroke("A") == "OK"
-    core().fk_test_spoil_guard(robot.memory)
-    fire_until_fault(robot)
-    assert told(robot) == ("FAULT", "GUARD", 0)
+UNKNOWN_REST_US = 5_000_200  # FK_UNKNOWN_HEAT_REST_US
+
+
+@pytest.mark.parametrize("between", ["nothing", "DISARM", "STOP", "FIX", "START", "late"])
+def test_damaged_books_of_the_guard(between: str) -> None:
+    """Whatever is written into them meanwhile: one flipped bit, and nothing fires until a reset."""
+    bits = 8 * core().fk_test_guard_bytes()
+    mine = [
+        *range(0, 8 * 160),
+        *range(8 * 8 * 160, bits),
+    ]  # of the limb that fires, and what is for all limbs
+    others = range(8 * 160, 8 * 8 * 160, 997)
+    for bit in [*mine[:: 1 if cases(1, 2) == 2 else 53], *others]:
+        robot = Robot().begin("ARMED")
+        robot.path()
+        assert robot.fix() == "OK" and robot.stroke("A") == "OK"
+        assert robot.tick().limb_mask == 0b0011
+        core().fk_test_spoil_guard(robot.memory, bit)
+        if between == "late":
+            core().fk_robot_note_pulse_failed(robot.memory, LATE)
+        elif between == "FIX":
+            robot.fix()
+        elif between == "START":
+            robot.start(3_000_000)
+            robot.status("STOP")
+        elif between != "nothing":
+            robot.status(between)
+        robot.now_us += 81_000
+        robot.status("ARM")
+        for _ in range(3):
+            robot.stroke("A")
+            assert robot.run_until(robot.now_us + 1_000_000) == [], bit
+        assert told(robot) == ("FAULT", "GUARD", 0)
+        again = Robot(now_us=0, heat_known=False)
+        core().fk_robot_note_reset(again.memory, RESET["SOFTWARE"], robot.kept)
+        assert again.ask("STATUS")["rest_us"] == UNKNOWN_REST_US
 
 
 def test_a_pulse_that_the_port_could_not_start() -> None:
@@ -258,6 +289,44 @@ def test_why_it_started_is_told(reason: str) -> None:
     core().fk_robot_note_reset(robot.memory, RESET[reason], kept)
     assert robot.ask("STATUS")["reset"] == RESET[reason]
     assert robot.state() == "DISARMED"
+
+
+@pytest.mark.parametrize("content", ["never told", "lost", "damaged", "whole"])
+def test_a_start_that_does_not_know_how_hot_its_limbs_are(content: str) -> None:
+    """It says how long they rest, fires nothing meanwhile, and what it may at once afterwards."""
+    robot, log = Robot(now_us=0, heat_known=False), Log()
+    if content != "never told":
+        robot.kept = kept_of([100_000] if content == "damaged" else [])
+        robot.kept.crc ^= {"lost": 0xFFFFFFFF, "damaged": 4, "whole": 0}[content]
+        core().fk_robot_note_reset(robot.memory, RESET["POWER"], robot.kept)
+    rest_us = 0 if content == "whole" else UNKNOWN_REST_US
+    core().fk_robot_use_log(robot.memory, log.memory)
+    assert log.records()[0].values["rest_us"] == rest_us
+    robot.tick()
+    for at_us in (0, 500_000, 3_000_000, 4_900_000):
+        robot.tick(at_us)
+        robot.status("ARM")
+        assert robot.ask("STATUS")["rest_us"] == max(0, rest_us - at_us)
+        assert robot.stroke("A") == "OK"
+        assert robot.run_until(at_us + 1000) == ([(at_us, 0b0011)] if not rest_us and at_us else [])
+    robot.tick(UNKNOWN_REST_US)
+    assert robot.ask("STATUS")["rest_us"] == 0
+    assert robot.status("ARM") == "OK" and robot.stroke("R") == "OK"
+    assert robot.run_until(robot.now_us + 1000) == [(UNKNOWN_REST_US, 0b1100)]
+
+
+def test_a_reset_before_limbs_of_unknown_heat_have_rested_begins_their_rest_again() -> None:
+    first = Robot(now_us=0, heat_known=False)
+    lost = kept_of()
+    lost.crc ^= 1
+    core().fk_robot_note_reset(first.memory, RESET["POWER"], lost)
+    again = Robot(now_us=0, heat_known=False)
+    core().fk_robot_note_reset(again.memory, RESET["WATCHDOG"], lost)
+    assert list(lost.on_us) == [400_000] * 8
+    again.begin("ARMED")
+    again.now_us = 4_800_000
+    assert again.status("ARM") == again.stroke("A") == "OK"
+    assert again.run_until(again.now_us + 1000) == []
 
 
 # Versions and repetitions

@@ -187,7 +187,7 @@ def session_with(wire: Wire, dialect: str, image: Path, robot: Robot) -> Iterato
         yield lab_session(wire)
         return
     with built_firmware("native", image, robot) as built:
-        core = TextRobot(wire, NativeRobot(built.image, len(robot.limbs)), robot)
+        core = TextRobot(wire, NativeRobot(built.image, len(robot.limbs), heat_known=False), robot)
         try:
             yield LabSession(core)
         finally:
@@ -251,6 +251,10 @@ Kept = Callable[[SwimPath, CameraFixes | None], AbstractContextManager[Callable[
 """Makes, from the path as placed and the camera if there is one, what keeps a recording while it grows."""
 
 
+def _tell(line: str) -> None:
+    print(f"start check: {line}", file=sys.stderr, flush=True)
+
+
 def run_on_bench(
     bench: Bench,
     image: Path,
@@ -294,7 +298,8 @@ def run_on_bench(
         session = stack.enter_context(session_with(wire, bench.dialect, image, robot))
         session.greet(tables)
         for line in (*checked, f"table: {tables.crc32:08x}, the robot's own", battery):
-            print(f"start check: {line}", file=sys.stderr, flush=True)
+            _tell(line)
+        session.rest(_tell)
         if bench.film is not None and camera is not None:
             video = Video(bench.film, time.monotonic() - session.port.now_s)
             stack.callback(video.close)

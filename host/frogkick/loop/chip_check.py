@@ -83,7 +83,7 @@ class _Trial:
         self.tables = tables
         self.robot = robot
         self.report = ChipReport()
-        self.port = VirtualRobot(elf, len(robot.limbs))
+        self.port = VirtualRobot(elf, len(robot.limbs), heat_known=False)
         self.session = Session(self.port)
 
     def _check(self, name: str, holds: bool) -> None:
@@ -134,7 +134,11 @@ class _Trial:
         rows = [i for i, row in enumerate(self.tables.actions) if row.first_mask and row.second_mask]
         action = rows[0] if rows else 0
         row = self.tables.actions[action]
+        self.session.request("ARM")
+        self.session.request("STROKE", {"action": action})
         self._wait(self.robot.guard.rest_min_s)
+        self._check("no pulse before limbs of unknown heat have rested", not self.session.edges)
+        self.session.rest(lambda _line: None)
         self.session.request("ARM")
         self._check("a stroke is taken when armed", self._status("STROKE", {"action": action}) == "OK")
         self._wait(1.0)

@@ -256,6 +256,25 @@ class Session:
                 continue
         return self.ask("HELLO", values, timeout_s=HELLO_TIMEOUT_S)
 
+    def rest(self, tell: Callable[[str], None]) -> None:
+        """Wait until the robot's limbs count as cool, where it started without knowing how hot they were.
+
+        Args:
+            tell: gets one line where that takes a while.
+
+        Raises:
+            LinkError: no answer.
+        """
+        rest_s = int(self.request("STATUS")["rest_us"]) * 1e-6
+        if rest_s > 0.0:
+            tell(
+                f"limbs: after a time without supply it does not know how hot they are, and lets them rest "
+                f"for {rest_s:.1f} s"
+            )
+        until_s = self.time_s + rest_s
+        while self.time_s < until_s:
+            self.step(until_s)
+
     def send_path(self, path: Path) -> None:
         """Give the robot its path.
 

@@ -13,7 +13,7 @@ import numpy as np
 from frogkick.errors import FrogkickError
 from frogkick.link.frames import Frame, FrameCollector
 from frogkick.link.layout import link_layout
-from frogkick.pool.port import BYTE_S, Edge
+from frogkick.pool.port import BYTE_S, COLD_LIMBS, Edge
 
 # FK_FRAME_ENCODED_MAX: head, CRC-32, COBS code byte and delimiter around the largest payload.
 _ENCODED_MAX = link_layout().payload_bytes_max + 8
@@ -83,13 +83,15 @@ class NativeRobot:
         flash: the bytes of its flash for tables, as they are; may be written to.
     """
 
-    def __init__(self, library: Path, limbs: int, keep_calls: bool = False) -> None:
+    def __init__(self, library: Path, limbs: int, keep_calls: bool = False, heat_known: bool = True) -> None:
         """Load the library and start the core.
 
         Args:
             library: shared library with the core, the planner and a table.
             limbs: number of limbs of the robot.
             keep_calls: fill ``calls``.
+            heat_known: begin as one that kept its RAM and knows that its limbs are cold; False: one whose RAM
+                holds nothing, so that it lets them rest first.
 
         Raises:
             FrogkickError: the core refuses its own table.
@@ -118,6 +120,8 @@ class NativeRobot:
         self._zero_us = 0  # when the robot's clock was 0, on the port's
         self._up_us = 0  # the firmware runs from then on
         self._lose_ram()
+        if heat_known:
+            self._ffi.memmove(self._kept, COLD_LIMBS, len(COLD_LIMBS))
         self._boot("POWER")
         self._limbs = limbs
         self._sent = 0
@@ -223,7 +227,7 @@ class NativeRobot:
             off_s: how long it is away.
             idle_s: what the robot's clock shows when it is to be talked to again: as if it had lain idle that
                 long meanwhile, which takes none of the port's time. Its limbs are cold then: let ``off_s``
-                be longer than their duty's window.
+                be longer than their duty's window. Without it the robot lets them rest first.
         """
         self._pins_low(self._now_us * 1e-6)
         self._lose_ram()

@@ -7,7 +7,7 @@ from pathlib import Path
 from frogkick.errors import InputError
 from frogkick.link.frames import Frame, FrameCollector
 from frogkick.pool.chip import VirtualChip
-from frogkick.pool.port import Edge
+from frogkick.pool.port import COLD_LIMBS, Edge
 
 # firmware/bench/board.h; a test holds the two together.
 LIMB_PINS = (22, 23, 24, 25, 28, 29, 30, 31)
@@ -20,13 +20,15 @@ class VirtualRobot:
         chip: the virtual chip itself, for measurements.
     """
 
-    def __init__(self, elf: Path, limbs: int, flash: bytes | None = None) -> None:
+    def __init__(self, elf: Path, limbs: int, flash: bytes | None = None, heat_known: bool = True) -> None:
         """Power the chip on.
 
         Args:
             elf: image of the target "bench".
             limbs: number of limbs of the robot.
             flash: what the flash of such a robot held when it was switched off; None: as the image has it.
+            heat_known: begin as one that kept its RAM and knows that its limbs are cold; False: one whose RAM
+                holds nothing, so that it lets them rest first.
 
         Raises:
             InputError: not such an image, or more limbs than the board has pins.
@@ -36,6 +38,8 @@ class VirtualRobot:
                 f"the robot has {limbs} limbs, the bench board {len(LIMB_PINS)} pins: use --robot pool"
             )
         self.chip = VirtualChip(elf, flash=flash)
+        if heat_known:
+            self.chip.ram_write(self.chip.symbol("kept"), COLD_LIMBS)
         self._limb_of_pin = {pin: limb for limb, pin in enumerate(LIMB_PINS[:limbs])}
         self._collector = FrameCollector()
 

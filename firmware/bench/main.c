@@ -5,6 +5,7 @@
 #include "flash.h"
 #include "pulse.h"
 #include "sleep.h"
+#include "supply.h"
 #include "time.h"
 #include "uart.h"
 #include "watchdog.h"
@@ -74,6 +75,7 @@ int main(void)
     fk_clock_init();
     fk_time_init();
     fk_sleep_init();
+    fk_supply_init();
     /* Before the table is checked, 0.4 ms for each KB of it: what is asked meanwhile waits in the receive buffers. */
     fk_uart_init();
     /* With a table that is not for this robot it answers all the same, and tells its fault; no pulse. */
@@ -92,7 +94,9 @@ int main(void)
         fk_uart_service();
         fk_time_clear_wake();
         (void)fk_pulse_is_on();
+        const int32_t supply_is_low = fk_supply_is_low();
         fk_sleep_clear_pending();
+        fk_robot_note_supply(&robot, supply_is_low);
 
         taken_t taken = take_frame();
         fk_outputs_t outputs;

@@ -6,7 +6,7 @@ void fk_sleep_init(void) { SCB_SCR = SCB_SCR_SEVONPEND_Msk; }
 
 void fk_sleep_clear_pending(void)
 {
-    NVIC_ICPR0 = (1u << UARTE0_IRQ) | (1u << TIMER0_IRQ) | (1u << TIMER2_IRQ);
+    NVIC_ICPR0 = (1u << POWER_IRQ) | (1u << UARTE0_IRQ) | (1u << TIMER0_IRQ) | (1u << TIMER2_IRQ);
 }
 
 void fk_sleep(void) { __asm__ volatile("dsb\n\twfe" ::: "memory"); }

@@ -51,6 +51,20 @@ static int32_t on_hello(fk_robot_t *robot, const fk_frame_t *frame, uint8_t *ans
     return (int32_t)FK_HELLO_ANSWER_BYTES;
 }
 
+static int32_t on_arm(fk_robot_t *robot, uint8_t *answer)
+{
+    int8_t status = fk_robot_may(robot, FK_EVENT_ARM);
+    if (robot->store != 0 && robot->store->open != 0u) {
+        status = FK_STATUS_STATE; /* flash is written with all limbs off */
+    } else if (status == FK_STATUS_OK && robot->supply == FK_SUPPLY_LOW) {
+        status = FK_STATUS_SUPPLY;
+    } else {
+        status = fk_robot_supervise(robot, FK_EVENT_ARM);
+        robot->supply = (status == FK_STATUS_OK) ? (uint8_t)FK_SUPPLY_OK : robot->supply;
+    }
+    return answer_state(robot, status, answer);
+}
+
 static int32_t on_fix(fk_robot_t *robot, const uint8_t *payload, uint64_t now_us, uint8_t *answer)
 {
     fk_fix_command_t command;
@@ -170,6 +184,7 @@ static int32_t on_status(const fk_robot_t *robot, uint64_t now_us, uint8_t *answ
     told.fault = robot->fault;
     told.fault_detail = robot->fault_detail;
     told.rest_us = fk_robot_rest_us(robot);
+    told.supply = robot->supply;
     fk_status_answer_pack(answer, &told);
     return (int32_t)FK_STATUS_ANSWER_BYTES;
 }
@@ -369,10 +384,7 @@ int32_t fk_robot_command(fk_robot_t *robot, const fk_frame_t *frame, uint64_t no
     case FK_FRAME_HELLO:
         return on_hello(robot, frame, answer);
     case FK_FRAME_ARM:
-        if (robot->store != 0 && robot->store->open != 0u) {
-            return answer_state(robot, FK_STATUS_STATE, answer); /* flash is written with all limbs off */
-        }
-        return answer_state(robot, fk_robot_supervise(robot, frame->type), answer);
+        return on_arm(robot, answer);
     case FK_FRAME_DISARM:
     case FK_FRAME_STOP:
         return answer_state(robot, fk_robot_supervise(robot, frame->type), answer);

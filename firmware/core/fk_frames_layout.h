@@ -30,6 +30,7 @@ enum { /* status of an answer */
     FK_STATUS_PASSED = -73,
     FK_STATUS_STALLED = -74,
     FK_STATUS_VERSION = -75,
+    FK_STATUS_SUPPLY = -77,
     FK_STATUS_FAULT = -76,
     FK_STATUS_FLASH = -96,
     FK_STATUS_SLOT = -97,
@@ -63,6 +64,12 @@ enum { /* why the robot started */
     FK_RESET_SOFTWARE = 3,
     FK_RESET_WATCHDOG = 4,
     FK_RESET_LOCKUP = 5
+};
+
+enum { /* the limbs' supply */
+    FK_SUPPLY_OK = 0,
+    FK_SUPPLY_FELL = 1,
+    FK_SUPPLY_LOW = 2
 };
 
 enum { /* PARAM */
@@ -374,7 +381,7 @@ static inline void fk_stop_answer_pack(uint8_t *to, const fk_stop_answer_t *from
 }
 
 #define FK_STATUS_COMMAND_BYTES 0u
-#define FK_STATUS_ANSWER_BYTES 53u
+#define FK_STATUS_ANSWER_BYTES 54u
 
 /* Answer to STATUS. */
 typedef struct {
@@ -394,6 +401,7 @@ typedef struct {
     uint8_t fault; /* the first internal error since then, see fault */
     int8_t fault_detail; /* see fault */
     uint32_t rest_us; /* no stroke before: it started without knowing how hot its limbs are; 0 = none is refused for that (us) */
+    uint8_t supply; /* see supply */
 } fk_status_answer_t;
 
 static inline void fk_status_answer_pack(uint8_t *to, const fk_status_answer_t *from)
@@ -414,6 +422,7 @@ static inline void fk_status_answer_pack(uint8_t *to, const fk_status_answer_t *
     fk_put_u8(to + 47, from->fault);
     fk_put_i8(to + 48, from->fault_detail);
     fk_put_u32(to + 49, from->rest_us);
+    fk_put_u8(to + 53, from->supply);
 }
 
 #define FK_PARAM_COMMAND_BYTES 5u
@@ -872,7 +881,7 @@ static inline void fk_refused_event_pack(uint8_t *to, const fk_refused_event_t *
 
 /* The run on board ended. */
 typedef struct {
-    int8_t status; /* OK = path completed; PASSED, STALLED; STALE = no fixes */
+    int8_t status; /* OK = path completed; PASSED, STALLED; STALE = no fixes; SUPPLY */
     uint8_t state; /* see state */
     uint32_t decisions; /* decisions taken */
 } fk_ended_event_t;

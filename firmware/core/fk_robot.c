@@ -42,6 +42,7 @@ int32_t fk_robot_init(fk_robot_t *robot, const uint8_t *image, uint32_t image_by
     robot->fault_detail = 0;
     robot->reset = FK_RESET_UNKNOWN;
     robot->heat_unknown = 1u;
+    robot->supply = FK_SUPPLY_OK;
     robot->kept = 0;
     robot->store = 0;
     robot->log = 0;
@@ -166,47 +167,6 @@ void fk_robot_fault(fk_robot_t *robot, uint8_t fault, int32_t detail)
     (void)fk_robot_supervise(robot, FK_EVENT_ERROR);
 }
 
-
-static void end_run(fk_robot_t *robot, int8_t status)
-{
-    (void)fk_robot_supervise(robot, (status == FK_STATUS_STALE) ? FK_EVENT_FIX_LOST : FK_EVENT_RUN_OVER);
-    robot->ended.status = status;
-    robot->ended.state = robot->state;
-    robot->ended.decisions = robot->decisions;
-    robot->ended_pending = 1u;
-    uint8_t content[FK_ENDED_EVENT_BYTES];
-    fk_ended_event_pack(content, &robot->ended);
-    fk_robot_log(robot, FK_RECORD_ENDED, content, FK_ENDED_EVENT_BYTES);
-}
-
-void fk_robot_note_link_lost(fk_robot_t *robot) { (void)fk_robot_supervise(robot, FK_EVENT_LINK_LOST); }
-
-/* Nobody may have it armed and forget it. In a run lost fixes come first. */
-static int32_t is_forgotten(const fk_robot_t *robot)
-{
-    return robot->state == FK_STATE_ARMED && robot->replays == 0u &&
-           robot->now_us >= robot->heard_us + FK_LINK_SILENT_US;
-}
-
-/* What must hold whenever the robot is about to do something. */
-void fk_robot_note_time(fk_robot_t *robot, uint64_t now_us)
-{
-    if (now_us < robot->now_us) {
-        fk_robot_fault(robot, FK_FAULT_TIME, 0);
-        return;
-    }
-    robot->now_us = now_us;
-    if (robot->state >= FK_STATES) {
-        fk_robot_fault(robot, FK_FAULT_STATE, 0);
-    }
-    if (robot->state == FK_STATE_RUNNING && now_us >= fk_guard_lost_us(&robot->guard)) {
-        end_run(robot, FK_STATUS_STALE);
-    }
-    if (is_forgotten(robot)) {
-        fk_robot_note_link_lost(robot);
-    }
-}
-
 /* Two costs are known by measurement on the chip: what a decision takes at all, and what each transition adds at
  * most. A search that may take a time may evaluate the transitions that fit into it. */
 uint32_t fk_robot_transitions_within(uint32_t plan_us)
@@ -226,7 +186,7 @@ void fk_robot_note_fix(fk_robot_t *robot, uint64_t capture_us, float x_m, float 
     if (robot->state == FK_STATE_RUNNING) {
         int32_t status = fk_follow_fixed(&robot->follow, &robot->tables, &robot->path, &robot->plan, x_m, y_m);
         if (status != FK_FOLLOW_ON) {
-            end_run(robot, (int8_t)status);
+            fk_robot_end_run(robot, (int8_t)status, FK_EVENT_RUN_OVER);
         }
     }
 }
@@ -293,27 +253,23 @@ static void decide(fk_robot_t *robot)
     fk_decision_event_pack(content, event);
     fk_robot_log(robot, FK_RECORD_DECISION, content, FK_DECISION_EVENT_BYTES);
     if (end != FK_FOLLOW_ON) {
-        end_run(robot, (int8_t)end);
+        fk_robot_end_run(robot, (int8_t)end, FK_EVENT_RUN_OVER);
         return;
     }
     fk_robot_ask_stroke(robot, plan.action, robot->next_decision_us);
     robot->next_decision_us += robot->period_us;
 }
 
-static void keep_books(fk_robot_t *robot)
+/* Of damaged books nothing is kept: the next start does not know how hot the limbs are. */
+static void keep_books(fk_robot_t *robot, int32_t are_sound)
 {
     if (robot->kept != 0) {
-        fk_guard_keep(&robot->guard, robot->kept);
+        if (are_sound != 0) {
+            fk_guard_keep(&robot->guard, robot->kept);
+        } else {
+            fk_guard_lose(robot->kept);
+        }
     }
-}
-
-/* Nor does the next start know how hot the limbs are. */
-static void lose_books(fk_robot_t *robot)
-{
-    if (robot->kept != 0) {
-        fk_guard_lose(robot->kept);
-    }
-    fk_robot_fault(robot, FK_FAULT_GUARD, 0);
 }
 
 static int32_t fire(fk_robot_t *robot, uint8_t limb_mask, uint64_t now_us, fk_outputs_t *outputs)
@@ -323,7 +279,7 @@ static int32_t fire(fk_robot_t *robot, uint8_t limb_mask, uint64_t now_us, fk_ou
         allowed = fk_guard_allow(&robot->guard, limb_mask, robot->tables.pulse_us, now_us);
     }
     if (allowed > 0) {
-        keep_books(robot);
+        keep_books(robot, 1);
         outputs->limb_mask = limb_mask;
         outputs->pulse_us = robot->tables.pulse_us;
         robot->free_us = now_us + robot->tables.pulse_us + FK_STROKE_GAP_US;
@@ -334,7 +290,8 @@ static int32_t fire(fk_robot_t *robot, uint8_t limb_mask, uint64_t now_us, fk_ou
         return 1;
     }
     if (allowed < 0) {
-        lose_books(robot);
+        keep_books(robot, 0);
+        fk_robot_fault(robot, FK_FAULT_GUARD, 0);
     }
     ++robot->pulses_refused;
     fk_robot_log_pulse(robot, limb_mask, FK_PULSE_REFUSED);
@@ -359,11 +316,12 @@ void fk_robot_note_pulse_failed(fk_robot_t *robot, int32_t error)
         return;
     }
     if (!fk_guard_is_sound(&robot->guard)) {
-        lose_books(robot);
+        keep_books(robot, 0);
+        fk_robot_fault(robot, FK_FAULT_GUARD, 0);
         return;
     }
     fk_guard_not_begun(&robot->guard, robot->fired_mask);
-    keep_books(robot);
+    keep_books(robot, 1);
     --robot->pulses;
     ++robot->pulses_refused;
     fk_robot_log_pulse(robot, robot->fired_mask, FK_PULSE_TOO_LATE);

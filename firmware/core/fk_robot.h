@@ -65,6 +65,7 @@ typedef struct {
     int8_t fault_detail;
     uint8_t reset;               /* FK_RESET_... */
     uint8_t heat_unknown;        /* it started without knowing how hot its limbs were */
+    uint8_t supply;              /* FK_SUPPLY_... */
     uint16_t conversation;       /* of the last HELLO */
     uint64_t now_us;             /* the latest time that the port told */
     uint64_t heard_us;           /* when the last whole frame came */
@@ -150,6 +151,12 @@ void fk_robot_note_pulse_failed(fk_robot_t *robot, int32_t error);
 /* The connection to the host ended. The core sees by itself where a host only falls silent, after FK_LINK_SILENT_US. */
 void fk_robot_note_link_lost(fk_robot_t *robot);
 
+/* What the port sees of the supply, as often as it likes. A robot whose supply is too low disarms, and is not armed until it
+ * is well again.
+ * @param is_low  1: too low to heat with
+ */
+void fk_robot_note_supply(fk_robot_t *robot, int32_t is_low);
+
 /* How long the last tick took, measured by the port; travels in the DECISION event. */
 void fk_robot_note_tick(fk_robot_t *robot, uint32_t elapsed_us);
 
@@ -177,6 +184,7 @@ void fk_robot_fault(fk_robot_t *robot, uint8_t fault, int32_t detail);
 void fk_robot_note_time(fk_robot_t *robot, uint64_t now_us);
 void fk_robot_note_fix(fk_robot_t *robot, uint64_t capture_us, float x_m, float y_m);
 uint32_t fk_robot_transitions_within(uint32_t plan_us);
+void fk_robot_end_run(fk_robot_t *robot, int8_t status, uint8_t event);
 uint32_t fk_robot_rest_us(const fk_robot_t *robot);
 void fk_robot_no_more_pulses(fk_robot_t *robot);
 void fk_robot_ask_stroke(fk_robot_t *robot, uint8_t action, uint64_t begin_us);

@@ -218,6 +218,7 @@ static void robot_state(fk_walk_t *walk)
     u64(walk, &robot->second_us);
     u64(walk, &robot->free_us);
     u8(walk, &robot->all_off, 1u);
+    u8(walk, &robot->supply, FK_SUPPLY_LOW);
     plan(walk, &robot->plan);
     path(walk, robot);
     follow(walk, &robot->follow);

@@ -43,6 +43,7 @@ static uint32_t sent_count;
 static uint32_t is_again; /* what the robot hears now it has heard before: its answer is the one of then */
 static fk_frame_collector_t collector;
 static fk_guard_kept_t kept; /* RAM that a reset leaves alone */
+static const fk_guard_kept_t cold = {{0u}, 0x190a55adu ^ 0x64726147u}; /* the first: CRC-32 of 32 zeros */
 static fk_log_t history;     /* likewise */
 
 static uint64_t draw(void)
@@ -394,16 +395,6 @@ static void command(uint32_t mood)
     }
 }
 
-/* RAM as the supply finds it, or of limbs that are known to be cold. */
-static void begin_kept(int32_t known)
-{
-    static const uint8_t cold[4u * FK_LIMBS_MAX];
-    for (uint32_t limb = 0u; limb < FK_LIMBS_MAX; ++limb) {
-        kept.on_us[limb] = 0u;
-    }
-    kept.crc = (known != 0) ? fk_crc32(0u, cold, sizeof(cold)) ^ 0x64726147u : (uint32_t)draw();
-}
-
 static void one_sequence(uint32_t commands)
 {
     static const uint64_t clocks_us[] = {0u, 400000u, 1000000u, 4294000000u, 1099511627776u};
@@ -416,7 +407,8 @@ static void one_sequence(uint32_t commands)
     }
     on_mask = 0u;
     see(world_us, SEEN_POWER_ON, 0);
-    begin_kept(below(4u) != 0u);
+    kept = cold;
+    kept.crc ^= (below(4u) == 0u) ? (uint32_t)draw() | 1u : 0u; /* RAM as the supply finds it */
     start_robot(clocks_us[below(5u)]);
     if (below(4u) != 0u) {
         send(FK_FRAME_ARM, 0, 0u);

@@ -15,6 +15,7 @@ from tests.core.test_core_table_commands import begin_values, robot_with_store, 
 
 from frogkick.link.layout import Value, link_layout
 from frogkick.link.log import HEAD_BYTES, ChipLog, Record, Stretch, check_of, records_of
+from frogkick.link.supervisor import supervisor
 from frogkick.loop.chip_core import LATE, TOO_LATE
 from frogkick.loop.chip_log_replay import LogReplay, replay_log
 from frogkick.planner.image import open_image
@@ -262,6 +263,30 @@ def test_a_link_that_was_lost_is_lived_through_too(way: str) -> None:
     assert [record.name for record in log.records()[0]][-2:] == ["STATE", "OFF"]
 
 
+@pytest.mark.parametrize("running", [True, False])
+def test_a_supply_that_fell_is_lived_through_too(running: bool) -> None:
+    """Also that ARM was refused meanwhile, and that it is well again, which no record says."""
+    robot = run(8, 3.0)
+    if not running:
+        robot.status("STOP")
+    robot.core.fk_robot_note_supply(robot.memory, 1)
+    robot.tick()
+    assert robot.status("ARM") == "SUPPLY"
+    robot.now_us += 1000
+    robot.core.fk_robot_note_supply(robot.memory, 0)
+    assert robot.status("ARM") == "OK"
+    robot.status("STROKE", {"action": ACTION["B"]})
+    robot.run_until(robot.now_us + 1_000_000)
+    log = fetched(robot)
+    told = replayed(log)
+    assert told.mismatches == []
+    records = log.records()[0]
+    events = [record.values["event"] for record in records if record.name == "STATE"]
+    assert events[-2:] == [supervisor().number("SUPPLY_LOW"), supervisor().number("ARM")]
+    ends = [link_layout().status_name(int(r.values["status"])) for r in records if r.name == "ENDED"]
+    assert ends[-1:] == (["SUPPLY"] if running else [])
+
+
 def test_a_reset_in_between() -> None:
     """The log goes on; what stands before the reset is decided again, and what comes after it."""
     robot = run(7, 5.0)
@@ -400,8 +425,8 @@ def test_no_damaged_snapshot_leads_out_of_memory() -> None:
     """Any bytes are taken or refused; what is taken can be lived with."""
     robot = run(9, 10.0)
     snapshot, then_us = snapshot_of(robot), robot.now_us
-    dice, refused = random.Random(3), 0
-    for _ in range(cases(2000, 100_000)):
+    dice, refused, many = random.Random(3), 0, max(200, cases(2000, 100_000))
+    for _ in range(many):
         spoilt = bytearray(snapshot)
         for _ in range(dice.randint(1, 5)):
             spoilt[dice.randrange(len(spoilt))] = dice.choice((0, 1, 255, dice.randrange(256)))
@@ -413,7 +438,7 @@ def test_no_damaged_snapshot_leads_out_of_memory() -> None:
             robot.post("FIX", FIX)
             robot.take()
             robot.tick(robot.now_us + 700_000)
-    assert 0 < refused < cases(2000, 100_000)
+    assert 0 < refused < many
 
 
 def test_the_ring_is_as_long_as_it_says() -> None:

@@ -107,7 +107,8 @@ CODE = {
         "fk_guard.c", "now_us + FK_PORT_LATE_US > guard->fix_us", "now_us > guard->fix_us", "fresh",
     ),
     "never lost": (
-        "fk_robot.c", "robot->state == FK_STATE_RUNNING && now_us >= fk_guard_lost_us(&robot->guard)", "0",
+        "fk_robot_watch.c",
+        "robot->state == FK_STATE_RUNNING && now_us >= fk_guard_lost_us(&robot->guard)", "0",
         "lost",
     ),
     "boots armed": (

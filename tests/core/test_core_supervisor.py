@@ -5,8 +5,9 @@ from __future__ import annotations
 import re
 
 import pytest
-from tests.core.core import ACTION, ACTION_ROWS, FFI, SILENT_US, Robot, cases, core, image, kept_of
-from tests.core.log_rig import Log
+from tests.core.core import ACTION, ACTION_ROWS, FFI, SILENT_US, Robot, core, image
+from tests.core.store_rig import NEW, OLD, Flash
+from tests.core.test_core_table_commands import begin_values
 
 from frogkick.link.frames import hello, pack_frame
 from frogkick.link.layout import link_layout
@@ -16,6 +17,7 @@ from frogkick_codegen import frames
 RUN = "run: python -m frogkick_codegen.frames"
 LAYOUT = link_layout()
 FAULT, RESET, STATUS, STATES = LAYOUT.fault, LAYOUT.reset, LAYOUT.status, tuple(LAYOUT.state)
+SUPPLY = LAYOUT.supply
 TABLE = supervisor()
 
 
@@ -47,7 +49,14 @@ def test_the_readme_s_table_is_the_code_s() -> None:
 def test_every_command_is_an_event() -> None:
     commands = [name for name, message in LAYOUT.messages.items() if message.command]
     assert list(TABLE.docs)[: len(commands)] == commands
-    assert set(TABLE.docs) - set(commands) == {"PULSE", "RUN_OVER", "FIX_LOST", "ERROR", "LINK_LOST"}
+    assert set(TABLE.docs) - set(commands) == {
+        "PULSE",
+        "RUN_OVER",
+        "FIX_LOST",
+        "ERROR",
+        "LINK_LOST",
+        "SUPPLY_LOW",
+    }
 
 
 def test_nothing_else_changes_the_state() -> None:
@@ -144,44 +153,6 @@ def test_an_action_that_the_table_lacks(action: int) -> None:
     assert told(robot) == ("FAULT", "ACTION", 0)
 
 
-UNKNOWN_REST_US = 5_000_200  # FK_UNKNOWN_HEAT_REST_US
-
-
-@pytest.mark.parametrize("between", ["nothing", "DISARM", "STOP", "FIX", "START", "late"])
-def test_damaged_books_of_the_guard(between: str) -> None:
-    """Whatever is written into them meanwhile: one flipped bit, and nothing fires until a reset."""
-    bits = 8 * core().fk_test_guard_bytes()
-    mine = [
-        *range(0, 8 * 160),
-        *range(8 * 8 * 160, bits),
-    ]  # of the limb that fires, and what is for all limbs
-    others = range(8 * 160, 8 * 8 * 160, 997)
-    for bit in [*mine[:: 1 if cases(1, 2) == 2 else 53], *others]:
-        robot = Robot().begin("ARMED")
-        robot.path()
-        assert robot.fix() == "OK" and robot.stroke("A") == "OK"
-        assert robot.tick().limb_mask == 0b0011
-        core().fk_test_spoil_guard(robot.memory, bit)
-        if between == "late":
-            core().fk_robot_note_pulse_failed(robot.memory, LATE)
-        elif between == "FIX":
-            robot.fix()
-        elif between == "START":
-            robot.start(3_000_000)
-            robot.status("STOP")
-        elif between != "nothing":
-            robot.status(between)
-        robot.now_us += 81_000
-        robot.status("ARM")
-        for _ in range(3):
-            robot.stroke("A")
-            assert robot.run_until(robot.now_us + 1_000_000) == [], bit
-        assert told(robot) == ("FAULT", "GUARD", 0)
-        again = Robot(now_us=0, heat_known=False)
-        core().fk_robot_note_reset(again.memory, RESET["SOFTWARE"], robot.kept)
-        assert again.ask("STATUS")["rest_us"] == UNKNOWN_REST_US
-
-
 def test_a_pulse_that_the_port_could_not_start() -> None:
     robot = Robot().begin("RUNNING")
     core().fk_robot_note_pulse_failed(robot.memory, -2)
@@ -222,6 +193,53 @@ def test_a_connection_that_ends(state: str, then: str) -> None:
     robot = Robot().begin(state)
     core().fk_robot_note_link_lost(robot.memory)
     assert robot.state() == then
+
+
+@pytest.mark.parametrize(
+    ("state", "then"),
+    [("DISARMED", "DISARMED"), ("ARMED", "DISARMED"), ("RUNNING", "DISARMED"), ("FAULT", "FAULT")],
+)
+def test_a_supply_that_falls(state: str, then: str) -> None:
+    """Off at once, and a run says why it ended; ARM is refused until the supply is well again."""
+    robot = Robot().begin(state)
+    assert robot.ask("STATUS")["supply"] == SUPPLY["OK"]
+    robot.tick()
+    robot.take()
+    for _ in range(3):  # as often as the port likes
+        core().fk_robot_note_supply(robot.memory, 1)
+    assert robot.tick().all_off == (state in ("ARMED", "RUNNING"))
+    ended = [frame.values for frame in robot.take() if frame.name == "ENDED"]
+    assert [values["status"] for values in ended] == ([STATUS["SUPPLY"]] if state == "RUNNING" else [])
+    assert (robot.state(), robot.ask("STATUS")["supply"]) == (then, SUPPLY["LOW"])
+    assert robot.status("ARM") == ("FAULT" if state == "FAULT" else "SUPPLY")
+    assert robot.stroke("B") != "OK" and robot.state() == then
+    for _ in range(3):
+        core().fk_robot_note_supply(robot.memory, 0)
+    assert robot.ask("STATUS")["supply"] == SUPPLY["FELL"], "whoever asks later hears of it"
+    assert robot.status("ARM") == ("FAULT" if state == "FAULT" else "OK")
+    assert robot.ask("STATUS")["supply"] == SUPPLY["FELL" if state == "FAULT" else "OK"]
+    assert robot.run_until(robot.now_us + 100_000) == []
+
+
+def test_a_supply_that_falls_in_the_middle_of_a_stroke() -> None:
+    robot = Robot().begin("ARMED")
+    assert robot.stroke("B") == "OK"
+    assert robot.tick().limb_mask == 0b0011
+    robot.now_us += 40_000
+    core().fk_robot_note_supply(robot.memory, 1)
+    assert robot.tick().all_off == 1
+    assert robot.run_until(robot.now_us + 1_000_000) == [], "nor its second limbs"
+
+
+def test_an_open_update_of_the_table_comes_before_the_supply() -> None:
+    """ARM says why it is refused: what the host began itself first."""
+    robot, flash = Robot(OLD, 0), Flash(built_in=OLD)
+    robot.core.fk_robot_use_store(robot.memory, flash.store)
+    robot.tick(600_000)
+    core().fk_robot_note_supply(robot.memory, 1)
+    assert robot.status("ARM") == "SUPPLY"
+    assert robot.ask("TABLE_BEGIN", begin_values(NEW))["status"] == 0
+    assert robot.status("ARM") == "STATE"
 
 
 LATE = -16
@@ -289,44 +307,6 @@ def test_why_it_started_is_told(reason: str) -> None:
     core().fk_robot_note_reset(robot.memory, RESET[reason], kept)
     assert robot.ask("STATUS")["reset"] == RESET[reason]
     assert robot.state() == "DISARMED"
-
-
-@pytest.mark.parametrize("content", ["never told", "lost", "damaged", "whole"])
-def test_a_start_that_does_not_know_how_hot_its_limbs_are(content: str) -> None:
-    """It says how long they rest, fires nothing meanwhile, and what it may at once afterwards."""
-    robot, log = Robot(now_us=0, heat_known=False), Log()
-    if content != "never told":
-        robot.kept = kept_of([100_000] if content == "damaged" else [])
-        robot.kept.crc ^= {"lost": 0xFFFFFFFF, "damaged": 4, "whole": 0}[content]
-        core().fk_robot_note_reset(robot.memory, RESET["POWER"], robot.kept)
-    rest_us = 0 if content == "whole" else UNKNOWN_REST_US
-    core().fk_robot_use_log(robot.memory, log.memory)
-    assert log.records()[0].values["rest_us"] == rest_us
-    robot.tick()
-    for at_us in (0, 500_000, 3_000_000, 4_900_000):
-        robot.tick(at_us)
-        robot.status("ARM")
-        assert robot.ask("STATUS")["rest_us"] == max(0, rest_us - at_us)
-        assert robot.stroke("A") == "OK"
-        assert robot.run_until(at_us + 1000) == ([(at_us, 0b0011)] if not rest_us and at_us else [])
-    robot.tick(UNKNOWN_REST_US)
-    assert robot.ask("STATUS")["rest_us"] == 0
-    assert robot.status("ARM") == "OK" and robot.stroke("R") == "OK"
-    assert robot.run_until(robot.now_us + 1000) == [(UNKNOWN_REST_US, 0b1100)]
-
-
-def test_a_reset_before_limbs_of_unknown_heat_have_rested_begins_their_rest_again() -> None:
-    first = Robot(now_us=0, heat_known=False)
-    lost = kept_of()
-    lost.crc ^= 1
-    core().fk_robot_note_reset(first.memory, RESET["POWER"], lost)
-    again = Robot(now_us=0, heat_known=False)
-    core().fk_robot_note_reset(again.memory, RESET["WATCHDOG"], lost)
-    assert list(lost.on_us) == [400_000] * 8
-    again.begin("ARMED")
-    again.now_us = 4_800_000
-    assert again.status("ARM") == again.stroke("A") == "OK"
-    assert again.run_until(again.now_us + 1000) == []
 
 
 # Versions and repetitions

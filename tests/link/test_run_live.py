@@ -262,6 +262,8 @@ def test_a_whole_run_by_the_command(tmp_path: Path, dialect: str) -> None:
         assert process.stdout is not None and process.stderr is not None
         told, said = process.stdout.read(), process.stderr.read()
         assert process.wait() == 0, said
+    # The core that drives the authors' robot begins with each run, and knows nothing of its limbs' heat.
+    assert ("start check: limbs: after a time without supply" in said) == (dialect == "frog2022"), said
     numbers = json.loads(told)
     # Real time here: on a busy machine a decision may be missing.
     assert 1 <= numbers["decisions"] <= 2 and numbers["ended"] in (TIME, ENDED["STALE"])

@@ -11,6 +11,7 @@
 #include "flash.h"
 #include "limbs.h"
 #include "radio.h"
+#include "supply.h"
 
 #define WATCHDOG_MS 1000u
 #define LONGEST_SLEEP_US 400000u /* the watchdog is fed by this loop alone: where it hangs, the robot resets */
@@ -140,6 +141,7 @@ int main(void)
         return 0;
     }
     boot_robot();
+    fk_supply_init(wake_up);
     const int32_t error = fk_radio_init(wake_up);
     if (error != 0) {
         printk("no radio: error %d\n", error);
@@ -152,6 +154,7 @@ int main(void)
         if (fk_radio_take_drop() != 0) {
             fk_robot_note_link_lost(&robot);
         }
+        fk_robot_note_supply(&robot, fk_supply_is_low(fk_limbs_now_us()));
         const int32_t taken = take_frame();
         const uint64_t begin_us = fk_limbs_now_us();
         fk_robot_tick(&robot, begin_us, &outputs); /* a decision computes for less than the watchdog waits */

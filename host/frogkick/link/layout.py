@@ -103,6 +103,7 @@ class Layout:
     state: dict[str, int]
     fault: dict[str, int]
     reset: dict[str, int]
+    supply: dict[str, int]
     parameter: dict[str, int]
     messages: dict[str, Message]
     records: dict[str, RecordType]
@@ -158,6 +159,7 @@ def link_layout() -> Layout:
         raw["state"],
         raw["fault"],
         raw["reset"],
+        raw["supply"],
         raw["parameter"],
         messages,
         {name: _record(name, raw["record"], messages) for name in raw["record"]},

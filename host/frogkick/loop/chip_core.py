@@ -23,6 +23,7 @@ void fk_robot_on_frame(void *robot, const uint8_t *encoded, uint32_t length, uin
 void fk_robot_note_time(void *robot, uint64_t now_us);
 void fk_robot_note_pulse_failed(void *robot, int32_t error);
 void fk_robot_note_link_lost(void *robot);
+void fk_robot_note_supply(void *robot, int32_t is_low);
 void fk_robot_tick(void *robot, uint64_t now_us, fk_outputs_t *outputs);
 uint32_t fk_robot_take_tx(void *robot, uint8_t *bytes, uint32_t capacity);
 uint32_t fk_log_read(const void *log, uint32_t offset, uint8_t *bytes, uint32_t capacity, uint32_t *from);
@@ -90,6 +91,12 @@ class ChipCore:
         """The host fell silent, or its connection ended."""
         self._core.fk_robot_note_time(self._memory, now_us)
         self._core.fk_robot_note_link_lost(self._memory)
+        return self._written()
+
+    def supply_low(self, now_us: int) -> list[Record]:
+        """The port sees that the supply is too low."""
+        self._core.fk_robot_note_time(self._memory, now_us)
+        self._core.fk_robot_note_supply(self._memory, 1)
         return self._written()
 
     def note_time(self, now_us: int) -> list[Record]:

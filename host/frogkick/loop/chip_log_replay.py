@@ -234,6 +234,8 @@ class _Segment:
             return self.core.pulse_failed(LATE)
         if record.name == "STATE" and record.values["event"] == supervisor().number("LINK_LOST"):
             return self.core.link_lost(record.time_us)
+        if record.name == "STATE" and record.values["event"] == supervisor().number("SUPPLY_LOW"):
+            return self.core.supply_low(record.time_us)
         made = self.core.note_time(record.time_us)
         for _ in range(_TICKS):
             if not made:

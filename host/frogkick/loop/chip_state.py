@@ -132,7 +132,7 @@ def read_state(content: bytes, tables: Tables) -> ChipState:
     """
     reader = _Reader(content)
     time_us, state, period_us, decisions, next_decision_us = reader.take("QBIIQ")
-    reader.take("BQBQQB")  # the stroke under way, and whether all is to be off
+    reader.take("BQBQQBB")  # the stroke under way, whether all is to be off, and the supply
     weights = dict(zip(_WEIGHTS, map(float, reader.floats(8)), strict=True))
     transitions_max, cost, depth = reader.take("IBB")
     config = PlanConfig(**weights, transitions_max=transitions_max, cost=cost, depth=depth)

@@ -9,6 +9,7 @@ import numpy as np
 
 from frogkick.link.layout import link_layout
 from frogkick.link.log import Record
+from frogkick.link.supervisor import supervisor
 from frogkick.loop.chip_state import ChipState, Points, follow_of, read_state
 from frogkick.loop.decision import Decision, decide, decision_of_event
 from frogkick.planner.follow import End, Follow
@@ -57,6 +58,7 @@ class ChipTwin:
         self._follow = self._begun(state)
         self._asked: tuple[int, int] | None = None
         self._end: End | None = None
+        self._supply_low = False
 
     def _begun(self, state: ChipState) -> Follow | None:
         return follow_of(state, self._tables) if len(self._points) == self._total > 1 else None
@@ -75,6 +77,7 @@ class ChipTwin:
             return self._ended(record)
         elif record.name == "STATE":
             self._running = record.values["state"] == _LAYOUT.state["RUNNING"]
+            self._supply_low = record.values["event"] == supervisor().number("SUPPLY_LOW")
         return []
 
     def _command(self, record: Record) -> list[str]:
@@ -165,4 +168,5 @@ class ChipTwin:
     def _ended(self, record: Record) -> list[str]:
         status = _LAYOUT.status_name(int(record.values["status"]))
         wanted = "STALE" if self._end is None else _ENDS[self._end]
+        wanted = "SUPPLY" if self._supply_low else wanted
         return [] if status == wanted else [f"the run ends with {status}, not {wanted}"]

@@ -37,12 +37,14 @@ START_DELAY_S = 0.1
 READY_S = 1.0
 TIME = "time limit"
 STOPPED = "stopped by key"
+DISARMED = "the robot disarmed itself"
 DROPPED = "connection lost, and the robot ended the run meanwhile"
 ENDED = {
     "OK": End.COMPLETED.value,
     "PASSED": End.PASSED.value,
     "STALLED": End.STALLED.value,
     "STALE": "position fixes lost",
+    "SUPPLY": "the robot's supply fell too low: charge it",
 }
 """Why a run ended, for people, by the status of ENDED."""
 
@@ -60,7 +62,7 @@ class Recording:
         decisions: in order.
         edges: pin edges.
         completed: the path's end was reached.
-        ended: why the run ended: a value of ENDED, TIME or DROPPED.
+        ended: why the run ended: a value of ENDED, TIME, DISARMED or DROPPED.
         fixes_refused: the robot's own counter.
         first_decision_s, end_s: session time.
         clock_offset_us: robot time minus session time; 0 in simulated time.
@@ -312,7 +314,7 @@ class _Run:
         if end is not None:
             self.recording.completed = end is End.COMPLETED
             self.recording.ended = end.value
-        return end is not None
+        return bool(self.recording.ended)
 
     def _live_until(self, until_s: float) -> None:
         while self.session.time_s < until_s and (self.options.onboard or self.twin.ended is None):
@@ -340,6 +342,8 @@ class _Run:
                 self.session.mind_clock(recording.fixes[row].capture_s, int(values["capture_us"]))
             elif values["status"] == link_layout().status["FAULT"]:
                 self._fail()
+        elif frame.name == "STROKE" and values["status"] == link_layout().status["STATE"]:
+            self._look_whether_disarmed()
         elif frame.name == "REFUSED":
             if not self.options.onboard:
                 self.twin.act(int(values["begin_us"]) - recording.clock_offset_us, RESTING)
@@ -350,6 +354,13 @@ class _Run:
             recording.completed = values["status"] == 0
             name = link_layout().status_name(int(values["status"]))
             recording.ended = ENDED.get(name, name)
+
+    def _look_whether_disarmed(self) -> None:
+        """A stroke was refused: of a robot that has disarmed itself none begins any more."""
+        told = self.session.request("STATUS")
+        if told["state"] == link_layout().state["DISARMED"] and not self.recording.ended:
+            fell = told["supply"] != link_layout().supply["OK"]
+            self.recording.ended = ENDED["SUPPLY"] if fell else DISARMED
 
     def _fail(self) -> None:
         """The robot is in FAULT: nothing goes on, whatever is sent."""

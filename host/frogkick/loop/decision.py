@@ -20,6 +20,7 @@ from frogkick.planner.track import resting_action_of
 STATE_FIELDS = ("x_m", "y_m", "heading_rad", "vx_mps", "vy_mps", "omega_rad_s")
 LIMB_USE_FIELDS = tuple(f"limb_use_{limb}" for limb in range(8))
 STALE = link_layout().status["STALE"]
+SUPPLY = link_layout().status["SUPPLY"]
 VALUE = link_layout().status["VALUE"]
 RESTING = -1
 
@@ -83,7 +84,8 @@ class RobotEvent:
         pose_world: (3,) float32 of a fix.
         sequence: number of the fix.
         action: what began by command, or RESTING where the guard refused what was to begin.
-        lost: the run ended for want of fixes. No decision shows that; other ends follow from one or a fix.
+        lost: the run ended for want of fixes or of supply. No decision shows that; other ends follow from one
+            or a fix.
     """
 
     time_us: int
@@ -108,7 +110,7 @@ def events_of_frame(frame: Frame, poses: Mapping[int, npt.NDArray[np.float32]]) 
         return [RobotEvent(int(values["begin_us"]), action=RESTING)]
     if frame.name == "DECISION":
         return [RobotEvent(int(values["scheduled_us"]))]
-    if frame.name == "ENDED" and values["status"] == STALE:
+    if frame.name == "ENDED" and values["status"] in (STALE, SUPPLY):
         return [RobotEvent(0, lost=True)]
     return []
 

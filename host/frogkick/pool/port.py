@@ -8,11 +8,10 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from frogkick.link.frames import Frame
-from frogkick.planner.layout import LIMBS_MAX
 
 UART_BITS_PER_S = 115_200
 BYTE_S = 10 / UART_BITS_PER_S
-_COLD = bytes(4 * LIMBS_MAX)
+_COLD = bytes(4 * 8)  # FK_LIMBS_MAX
 COLD_LIMBS = _COLD + struct.pack("<I", zlib.crc32(_COLD) ^ 0x6472_6147)
 """RAM that outlives resets (``fk_guard_kept_t``), of a robot whose limbs are known to be cold."""
 

@@ -282,6 +282,19 @@ void nrfx_timer_extended_compare(const nrfx_timer_t *instance, nrf_timer_cc_chan
 uint32_t nrfx_timer_compare_event_address_get(const nrfx_timer_t *instance, uint32_t channel);
 void nrfx_timer_2_irq_handler(void);
 
+typedef enum { NRF_POWER_POFTHR_V27 = 14 } nrf_power_pof_thr_t;
+typedef struct {
+    uint32_t POFCON;
+} NRF_POWER_Type;
+#define NRF_POWER ((NRF_POWER_Type *)0x40000000UL)
+void nrf_power_pofcon_set(NRF_POWER_Type *p_reg, bool enabled, nrf_power_pof_thr_t thr);
+typedef struct {
+    void (*handler)(void);
+    nrf_power_pof_thr_t thr;
+} nrfx_power_pofwarn_config_t;
+void nrfx_power_pof_init(const nrfx_power_pofwarn_config_t *p_config);
+void nrfx_power_pof_enable(const nrfx_power_pofwarn_config_t *p_config);
+
 nrfx_err_t nrfx_gppi_channel_alloc(uint8_t *channel);
 void nrfx_gppi_channel_endpoints_setup(uint8_t channel, uint32_t eep, uint32_t tep);
 void nrfx_gppi_channels_enable(uint32_t mask);

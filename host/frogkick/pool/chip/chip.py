@@ -68,7 +68,7 @@ class VirtualChip:
         self.resets: list[float] = []
         self._access_error: ChipError | None = None
 
-        self._power = Power(self, "POWER", 0x4000_0000)
+        self.power = Power(self, "POWER", 0x4000_0000)
         self.flash = Flash(self.fail)
         self._place_peripherals([])
         self._table = CostTable(self._image.flash)
@@ -99,7 +99,7 @@ class VirtualChip:
         self._watchdog = Watchdog(self, "WDT", 0x4001_0000, partial(setattr, self, "_reset_due", True))
         self.peripherals: tuple[Peripheral, ...] = (
             Clock(self, "CLOCK", 0x4000_0000),
-            self._power,
+            self.power,
             self._uarte,
             Gpiote(self, "GPIOTE", 0x4000_6000, self._gpio),
             Timer(self, "TIMER0", 0x4000_8000),
@@ -301,7 +301,8 @@ class VirtualChip:
         """The watchdog's reset: core and peripherals begin anew; RAM, the wire and the reset reasons stay."""
         self.resets.append(self.time_us)
         self._reset_due = self._hung = self._sleeping = False
-        self._power.values["RESETREAS"] |= DOG
+        self.power.reset()
+        self.power.values["RESETREAS"] |= DOG
         self._gpio.release()
         before = self._uarte
         self.scheduler.clear()

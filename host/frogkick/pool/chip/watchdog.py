@@ -1,10 +1,10 @@
-"""POWER's reset reason and the watchdog."""
+"""POWER's reset reason and power-fail comparator, and the watchdog."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import Final
+from typing import ClassVar, Final
 
 from frogkick.pool.chip.bus import Peripheral, Register, System, array
 from frogkick.pool.chip.scheduler import CYCLES_PER_US, NEVER
@@ -15,17 +15,61 @@ _CYCLES_PER_S: Final = CYCLES_PER_US * 1_000_000
 _RELOAD: Final = 0x6E524635
 _CONFIG_SLEEP_RUN: Final = 1
 _CRV_MIN: Final = 0xF
+SUPPLY_V: Final = 3.0
+"""Of Nordic's kit."""
+_POF_LEAST, _POF_LEAST_V = 4, 1.7
 
 
 class Power(Peripheral):
-    """Why the chip started. They add up over all resets but power-on; writing a one takes one back."""
+    """Why the chip started, and the comparator that warns of a falling supply.
+
+    Reasons add up over all resets but power-on; writing a one takes one back. The comparator warns when the
+    supply falls below its threshold, or is below when it is switched on; of one that rises it says nothing.
+
+    Attributes:
+        supply_v: what the chip is supplied with; ``set_supply`` changes it.
+    """
 
     NAME = "POWER"
-    REGISTERS = [Register("RESETREAS", 0x400, "rw")]
+    REGISTERS = [
+        Register("EVENTS_POFWARN", 0x108, "rw"),
+        Register("INTENSET", 0x304, "rw"),
+        Register("RESETREAS", 0x400, "rw"),
+        Register("POFCON", 0x510, "rw"),
+    ]
+    INTERRUPT_EVENTS: ClassVar[dict[int, str]] = {2: "EVENTS_POFWARN"}
+
+    supply_v = SUPPLY_V
+    _is_below = False
+
+    def reset(self) -> None:
+        """A reset of the chip: the comparator is off, the reasons stay, and so does the supply."""
+        self.values |= {"EVENTS_POFWARN": 0, "POFCON": 0}
+        self._interrupts = 0
+        self._is_below = False
+
+    def set_supply(self, supply_v: float) -> None:
+        """Another supply from now on, V."""
+        self.supply_v = supply_v
+        self._compare()
+
+    def _compare(self) -> None:
+        """POFCON.THRESHOLD: 4 is 1.7 V, and each more 0.1 V."""
+        threshold_v = _POF_LEAST_V + 0.1 * ((self.values["POFCON"] >> 1) - _POF_LEAST)
+        was_below, self._is_below = self._is_below, self.supply_v < threshold_v
+        if not self.values["POFCON"] & 1:
+            self._is_below = False
+        elif self._is_below and not was_below:
+            self.raise_event("EVENTS_POFWARN")
 
     def on_write(self, name: str, value: int) -> None:
-        """Take reasons back."""
-        self.values[name] &= ~value
+        """Take reasons back; switch the comparator."""
+        if name == "RESETREAS":
+            self.values[name] &= ~value
+            return
+        self.allow(name, value >> 1, range(_POF_LEAST, 16))
+        self.values[name] = value
+        self._compare()
 
 
 class Watchdog(Peripheral):

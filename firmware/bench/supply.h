@@ -1,0 +1,13 @@
+/* The supply, by the chip's power-fail comparator. */
+#ifndef SUPPLY_H
+#define SUPPLY_H
+
+#include <stdint.h>
+
+void fk_supply_init(void);
+
+/* Whether the chip's supply is, or was since the last call, below FK_BOARD_SUPPLY_LEAST; for every turn of the loop, which
+ * wakes where it falls. */
+int32_t fk_supply_is_low(void);
+
+#endif

@@ -13,10 +13,12 @@ import numpy as np
 import pytest
 from made import known_outcome, make_run, make_swim, robot
 
-from frogkick.cli import retune as command_module
 from frogkick.cli.main import run_command
+from frogkick.cli.retune import printed
 from frogkick.effects import make_effect
 from frogkick.errors import InputError
+from frogkick.front import retuning as command_module
+from frogkick.front.retuning import Retuning
 from frogkick.identification import retune as module
 from frogkick.identification.outcome import Outcome
 from frogkick.identification.retune import (
@@ -216,7 +218,7 @@ def test_better_tables_are_kept_with_the_old_ones(known: Outcome, swims: list[Sw
     assert result.before.position_rmse_m == pytest.approx(2e-3)
     assert result.after.position_rmse_m == pytest.approx(0.5e-3)
     assert [path.name for path in tmp_path.iterdir()] == ["new"]
-    said = command_module._text(result, out)
+    said = printed(Retuning(result, out))
     for told in (
         "old tables: 2.00 mm", "new tables: 0.50 mm", "10.0 mm from the path, 20.0 mm/s along it",
         "1 of 2 runs completed", "tables, 5 periods ahead: ", "effect limb_wear rear_left: gain 0.7 [",

@@ -139,9 +139,8 @@ DOOR = frozenset(
 NOT_YET = frozenset(
     {
         "camera", "chip_log", "demo", "doctor", "firmware", "importing", "log", "parity", "readiness",
-        "replay", "retune", "robot", "study", "study_ceiling", "study_estimator", "study_foresight",
-        "study_heldout", "study_loop", "study_openloop", "study_tables", "study_twin", "study_verdicts",
-        "sweep", "validate",
+        "replay", "robot", "study", "study_ceiling", "study_estimator", "study_foresight", "study_heldout",
+        "study_loop", "study_openloop", "study_tables", "study_twin", "study_verdicts", "sweep", "validate",
     }
 )  # fmt: skip
 """Commands that still reach behind the front door; none is to be added."""

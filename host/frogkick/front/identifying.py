@@ -172,8 +172,10 @@ def identify(
         raise InputError("test is empty: give at least one run that is kept out of learning")
     described = robot
     if not isinstance(described, Robot):
-        described = load_robot(described or robot_of_runs([_swim(each, None) for each in (*runs, *test)]))
-    train, kept = ([_swim(each, described) for each in some] for some in (runs, test))
+        described = load_robot(
+            described or robot_of_runs([swim_of_given(each, None) for each in (*runs, *test)])
+        )
+    train, kept = ([swim_of_given(each, described) for each in some] for some in (runs, test))
     own = None if effects is None else Path(effects)
     if not progress:
         return Identification(find(train, kept, described, own, measured=measured))
@@ -185,7 +187,8 @@ def identify(
     return Identification(found)
 
 
-def _swim(given: Given, robot: Robot | None) -> Swim:
+def swim_of_given(given: Given, robot: Robot | None) -> Swim:
+    """A run as identification takes it; ``robot`` is whose it is to be, None = the run's own."""
     if isinstance(given, Run):
         return swim_of(given.log, given.log.source, robot)
     return read_swim(given, robot)

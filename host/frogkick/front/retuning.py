@@ -1,0 +1,249 @@
+"""A worn robot's new tables: from its last runs to an image, and to the robot where it is better."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from frogkick.effects import World, effects_of
+from frogkick.errors import FrogkickError, InputError
+from frogkick.files import require_writable
+from frogkick.front.html import page_of
+from frogkick.front.identifying import Error, Given, Outcome, swim_of_given
+from frogkick.front.places import built_firmware
+from frogkick.front.robots import VIRTUAL, Pushed, push_table, require_target
+from frogkick.front.tables import Table, load_table
+from frogkick.identification import retune as retuning
+from frogkick.identification.retune import BEFORE, ROBOT, TABLES, Retuned, require_new
+from frogkick.identification.swim import reliable
+from frogkick.identification.tables import Stage, Tracked
+from frogkick.library import build_library, fit_table, read_library
+from frogkick.library.error import looked_up
+from frogkick.paths import SHAPES
+from frogkick.planner.image import open_image, read_image
+from frogkick.progress import Progress, shown
+from frogkick.robot import Robot, load_robot
+from frogkick.study.trial import trials
+from frogkick_codegen.firmware import build, require_tools
+
+__all__ = ["BEFORE", "STATES", "TABLES", "Error", "LeftOut", "Pushed", "Retuning", "retune"]
+
+STATES = 800
+SAMPLING = "visited"
+KIND = "affine"
+LOOP_PATHS, LOOP_SEEDS = tuple(SHAPES), 2
+
+LeftOut = Callable[[Sequence[Mapping[str, str]]], None]
+"""Told of runs that are not used, before the work: rows with ``run`` and ``reason``."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Retuning:
+    """What came of retuning a robot.
+
+    Attributes:
+        found: the effects, the errors of both tables, what was made.
+        out: folder of the results; see ``retune``.
+        left_out: runs that were not used: ``run`` and ``reason`` of each.
+        pushed: what the robot carries now, where tables were sent.
+        not_pushed: why they could not be sent; None where they were, or were not to be.
+    """
+
+    found: Retuned
+    out: Path
+    left_out: Sequence[Mapping[str, str]] = ()
+    pushed: Pushed | None = None
+    not_pushed: FrogkickError | None = None
+
+    @property
+    def outcome(self) -> Outcome:
+        """Of the identification."""
+        return self.found.outcome
+
+    @property
+    def better(self) -> bool:
+        """Whether the new tables predict held-out periods better; else the robot keeps its old ones."""
+        return self.found.better
+
+    @property
+    def done(self) -> bool:
+        """Whether the robot swims with the right tables now: new ones, or old ones that lack nothing."""
+        return self.found.done
+
+    @property
+    def reason(self) -> str:
+        """Why the old tables stay; "" where they do not."""
+        return self.found.reason
+
+    @property
+    def before(self) -> Error:
+        """Error of the old tables a period ahead on held-out periods; NaN where no new ones were made."""
+        return self.found.before
+
+    @property
+    def after(self) -> Error:
+        """The same of the new tables."""
+        return self.found.after
+
+    @property
+    def robot(self) -> Robot:
+        """The robot with the effects found, as ``out`` has it.
+
+        Raises:
+            InputError: no tables were made.
+        """
+        return load_robot(self.out / ROBOT)
+
+    def as_json(self) -> dict[str, Any]:
+        """The keys of the command ``retune``."""
+        told = {
+            **self.found.as_json(),
+            "out": str(self.out) if self.found.tables else None,
+            "pushed": None,
+            "left_out": list(self.left_out),
+        }
+        if self.pushed is not None:
+            told |= {"bytes_sent": self.pushed.bytes_sent, "pushed": self.pushed.as_json()}
+        return told
+
+    def __repr__(self) -> str:
+        names = ", ".join(term.title for term in self.outcome.terms) or "no effect"
+        errors = " / ".join(f"{1e3 * error.position_rmse_m:.2f}" for error in (self.before, self.after))
+        kept = "new tables" if self.better else "old tables stay"
+        return f"Retuning({self.outcome.verdict}: {names}; {kept}; old / new {errors} mm)"
+
+    def _repr_html_(self) -> str:
+        return page_of(repr(self), {"verdict": self.outcome.verdict, "out": self.out, "reason": self.reason})
+
+
+def retune(
+    runs: Sequence[Given],
+    *,
+    robot: Robot | str,
+    out: Path | str,
+    table: Table | Path | str | None = None,
+    states: int = STATES,
+    workers: int | None = None,
+    push: str | None = None,
+    seed: int = 0,
+    left_out: LeftOut = lambda _rows: None,
+    progress: Progress = False,
+) -> Retuning:
+    """Find what a robot lacks, make tables that know it, keep them if they predict held-out periods better.
+
+    Args:
+        runs: the robot's last ones, in the order they were swum. The last is kept out of learning to judge
+            by, of a single one its last third.
+        robot: as its tables know it so far, or its name or TOML file.
+        out: folder, new or empty, for ``robot.toml``, ``library.h5``, ``before.fkt`` (the old tables), and
+            ``tables.fkt`` with ``firmware``, or ``refused.fkt`` where these are no better. It is not made
+            where no tables are.
+        table: that the robot carries, or its file, to compare with; None: made as the new one, without
+            effects.
+        states: of the libraries that are simulated, 46 to 65535.
+        workers: processes; None: one for each core.
+        push: ``ble:NAME``, ``serial:PORT`` or ``virtual``, where better tables are sent; None: nowhere.
+        seed: of the libraries' sampling.
+        left_out: told of runs that are not used, before the work.
+        progress: True for bars on stderr, or a function of (done, all) of each stage.
+
+    Raises:
+        InputError: runs of several robots or of another period, ``out`` holds something, the tables are
+            another robot's.
+        ToolchainError: no compiler for the firmware.
+    """
+    if push is not None:
+        require_target(push, (VIRTUAL,))
+    require_tools("bench")
+    folder = Path(out)
+    require_writable(folder, folder=True)
+    require_new(folder)
+    described = robot if isinstance(robot, Robot) else load_robot(robot)
+    swims, unused = reliable([swim_of_given(each, described) for each in runs])
+    left_out(unused)
+    old = None if table is None else _carried(table, described)
+    tools = _Tools(states, seed, workers or os.cpu_count() or 1)
+
+    def stage(title: str) -> AbstractContextManager[Callable[[int, int], None]]:
+        return shown(progress, title)
+
+    found = retuning.retune(swims, described, folder, tools, stage, old)
+    if push is None or not found.better:
+        return Retuning(found, folder, unused)
+    try:  # what was made stays, whatever becomes of sending it
+        sent = push_table(push, folder / TABLES, folder / BEFORE, progress)
+    except FrogkickError as error:
+        return Retuning(found, folder, unused, not_pushed=error)
+    return Retuning(found, folder, unused, sent)
+
+
+def _carried(table: Table | Path | str, robot: Robot) -> bytes:
+    """The image that a robot carries.
+
+    Raises:
+        InputError: it is another robot's, or of another period.
+    """
+    used = table if isinstance(table, Table) else load_table(table, robot)
+    opened = used.tables
+    opened.require_robot(robot.id)
+    if opened.period_us != round(robot.period_s * 1e6):
+        raise InputError(
+            f"table {used.name!r} has a period of {opened.period_us * 1e-6:.3f} s, robot "
+            f"{robot.id!r} {robot.period_s:.3f} s: give the robot's own"
+        )
+    return opened.image
+
+
+@dataclass(frozen=True)
+class _Tools:
+    """Tables of so many states by so many processes; see frogkick.identification.tables.Tools."""
+
+    count: int
+    seed: int
+    workers: int
+
+    def tables(self, robot: Robot, library: Path, stage: Stage) -> bytes:
+        with stage(f"library of {self.count} states") as progress:
+            build_library(
+                robot, self.count, self.seed, self.workers, library, progress, SAMPLING, record_s=0.0
+            )
+        with stage("tables tried") as progress:
+            return fit_table(read_library(library), KIND, progress=progress).image
+
+    def states(self, image: bytes) -> int:
+        return len(open_image(image).states)
+
+    def looked_up(
+        self, image: bytes, velocity_body: NDArray[np.float64], previous: NDArray[np.int64]
+    ) -> NDArray[np.float64]:
+        return looked_up(open_image(image), velocity_body, previous)
+
+    def tracked(self, tables: Path, robot: Robot, progress: Callable[[int, int], None]) -> Tracked:
+        with built_firmware("native", tables, robot) as built:
+            runs = trials(
+                built.image,
+                read_image(tables),
+                robot,
+                lambda: World(effects_of(robot)),
+                LOOP_PATHS,
+                LOOP_SEEDS,
+                progress=progress,
+            )
+        numbers = [run.tracking for run in runs]
+        return Tracked(
+            float(np.mean([each.mean_distance_m for each in numbers])),
+            float(np.mean([each.progress_mps for each in numbers])),
+            sum(each.completed for each in numbers),
+            len(numbers),
+        )
+
+    def firmware(self, tables: Path, robot: Robot, out: Path) -> Mapping[str, Any]:
+        built = build("bench", tables, robot, out)
+        return {"image": built.image.name, "flash_bytes": built.flash_bytes, "ram_bytes": built.ram_bytes}

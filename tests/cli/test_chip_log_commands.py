@@ -9,9 +9,9 @@ import h5py
 import pytest
 from tests.loop import rig
 
-from frogkick.cli.chip_log import fetch_from, summary_of
 from frogkick.cli.main import run_command
 from frogkick.errors import InputError
+from frogkick.front.replaying import fetch_from
 from frogkick.link.log import ChipLog, Stretch
 from frogkick.loop.chip_log_file import FetchedLog, read_log, write_log
 from frogkick.loop.session import Session
@@ -51,7 +51,7 @@ def test_a_file_keeps_what_was_fetched(fetched: FetchedLog, tmp_path: Path) -> N
 
 
 def test_what_is_in_it(fetched: FetchedLog) -> None:
-    told = summary_of(fetched)
+    told = fetched.summary()
     assert (told["robot_id"], told["gaps"], told["lost"], told["faults"]) == ("frog2022", 0, 0, [])
     assert told["starts"] == ["POWER"]
     kinds = told["kinds"]
@@ -65,7 +65,7 @@ def test_replay(fetched: FetchedLog, tmp_path: Path, capsys: pytest.CaptureFixtu
     assert run_command(words(tmp_path / "a.h5")) == 0
     told = json.loads(capsys.readouterr().out)
     assert (told["mismatches"], told["segments"]) == (0, 1)
-    assert told["decisions"] == len(told["actions"]) == summary_of(fetched)["kinds"]["DECISION"]
+    assert told["decisions"] == len(told["actions"]) == fetched.summary()["kinds"]["DECISION"]
 
 
 def test_a_wrong_bit_is_exit_1(

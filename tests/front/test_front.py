@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import inspect
 import re
 import subprocess
@@ -296,3 +297,15 @@ def test_the_command_and_the_call_give_the_same(
     told = frogkick(capsys, *words, "--path", "line", "--seed", 2, "--json")
     assert told.code == 0, told.stderr
     assert told.json == fk.run(table, "line", seed=2).as_json()
+
+
+def test_a_log_of_a_robot_that_never_swam_is_read_and_given_on(runs: list[fk.Run], tmp_path: Path) -> None:
+    log = runs[0].log
+    none = {name: getattr(log.decisions, name)[:0] for name in ("time_s", "action", "fix_sequence", "flags")}
+    fk.Run(dataclasses.replace(log, decisions=type(log.decisions)(**none))).save(tmp_path / "a.h5")
+    read = fk.load_run(tmp_path / "a.h5")
+    assert "0 decisions, not seen swimming" in repr(read) and "<img" not in read._repr_html_()
+    assert tmp_path / "csv" / "fixes.csv" in read.export_csv(tmp_path / "csv")
+    for told in (lambda: read.tracking, read.summary, lambda: read.compare(runs[0])):
+        with pytest.raises(fk.InputError, match="has no decisions"):
+            told()

@@ -8,8 +8,6 @@ from typing import Annotated
 import typer
 
 from frogkick.cli.common import JsonOption, say, show
-from frogkick.files import require_writable
-from frogkick.progress import progress_bar
 
 
 def import_(
@@ -18,11 +16,9 @@ def import_(
     json: JsonOption = False,
 ) -> None:
     """Read recorded runs, repair or mark what is wrong in them, write logs. Invents nothing."""
-    from frogkick.loop.recorded import import_recorded
+    from frogkick.front.running import import_runs
 
-    require_writable(out, folder=True)
-    with progress_bar("import") as progress:
-        runs = import_recorded(data_dir, out, progress)
+    runs = import_runs(data_dir, out, progress=True)
     columns = list(dict.fromkeys(c for row in runs for c in row if c not in ("clock_notes", "skipped")))
     lines = ["  ".join(columns)] + ["  ".join(_cell(row.get(c)) for c in columns) for row in runs]
     lines += [f"{row['run']}: skipped, {row['skipped']}" for row in runs if "skipped" in row]

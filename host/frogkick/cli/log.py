@@ -8,6 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
+import frogkick as fk
 from frogkick.cli.common import JsonOption, show, write_picture
 from frogkick.errors import InputError
 from frogkick.files import require_writable
@@ -23,15 +24,13 @@ def show_(
     json: JsonOption = False,
 ) -> None:
     """A run in numbers and in one picture: track, distance, actions, what the prediction missed."""
-    from frogkick.loop.recorded import load_run
-    from frogkick.loop.summary import summary
-    from frogkick.report.run_figure import run_figure
-
     _require_picture(out)
-    log = load_run(run)
-    found = summary(log)
+    log = fk.load_run(run)
+    found = log.summary()
     if out is not None:
-        write_picture(run_figure(log, f"{run.name}: {found.decisions} decisions"), out)
+        from frogkick.report.run_figure import run_figure
+
+        write_picture(run_figure(log.log, f"{run.name}: {found.decisions} decisions"), out)
     show({**found.as_json(), "picture": out and str(out)}, json, _lines(found.as_json()))
 
 
@@ -42,16 +41,14 @@ def compare(
     json: JsonOption = False,
 ) -> None:
     """Two runs side by side: which kept nearer to its path, where decisions part, how far apart they swam."""
-    from frogkick.loop.recorded import load_run
-    from frogkick.loop.summary import compare_runs
-    from frogkick.report.compare_figure import compare_figure
-
     _require_picture(out)
-    logs = (load_run(a), load_run(b))
-    found = compare_runs(*logs)
+    one, two = fk.load_run(a), fk.load_run(b)
+    found = one.compare(two)
     if out is not None:
+        from frogkick.report.compare_figure import compare_figure
+
         names = (a.name, b.name) if a.name != b.name else (str(a), str(b))
-        write_picture(compare_figure(logs, names), out)
+        write_picture(compare_figure((one.log, two.log), names), out)
     told = found.as_json()
     rows = [
         f"{key:18s}  {_short(told['a'][key]):>22s}  {_short(told['b'][key]):>22s}"
@@ -70,19 +67,15 @@ def export(
     json: JsonOption = False,
 ) -> None:
     """Write a run as CSV (a folder of files) or as MCAP (poses, path and plan in Foxglove's schemas)."""
-    from frogkick.loop.export_csv import export_csv
-    from frogkick.loop.export_mcap import export_mcap
-    from frogkick.loop.recorded import load_run
-
     if csv == mcap:
         raise InputError("give one of --csv and --mcap: CSV is a folder of files, MCAP one file")
     require_writable(out, folder=csv)
-    log = load_run(run)
+    log = fk.load_run(run)
     if csv:
-        files = [str(out / name) for name in export_csv(log, out)]
+        files = [str(file) for file in log.export_csv(out)]
         show({"files": files}, json, "\n".join(files))
         return
-    counts = export_mcap(log, out)
+    counts = log.export_mcap(out)
     show(
         {"files": [str(out)], "messages": counts},
         json,

@@ -39,17 +39,20 @@ from frogkick.front.viewing import viewed
 from frogkick.link.wire import Wire, is_target
 from frogkick.loop.camera_fixes import CameraFixes
 from frogkick.loop.closed_loop import Recording, RunOptions, require_time, run_in_pool
+from frogkick.loop.export_csv import export_csv
+from frogkick.loop.export_mcap import export_mcap
 from frogkick.loop.live_check import LiveCheck
 from frogkick.loop.live_log import logged, part_of
 from frogkick.loop.record import BATTERY_V, Tracking, run_log, tracking_of_recording
+from frogkick.loop.recorded import import_recorded
 from frogkick.loop.recorded import load_run as load_log
 from frogkick.loop.runlog import RunLog
 from frogkick.loop.runlog_file import write_run
-from frogkick.loop.summary import tracking_of_log
+from frogkick.loop.summary import Comparison, Summary, compare_runs, summary, tracking_of_log
 from frogkick.paths import Path as SwimPath
 from frogkick.pool.camera import Camera as SimulatedCamera
 from frogkick.pool.pool import Pool
-from frogkick.progress import Progress, progress_bar
+from frogkick.progress import Progress, progress_bar, shown
 from frogkick.robot import Robot
 
 if TYPE_CHECKING:
@@ -64,13 +67,22 @@ class Run:
 
     Attributes:
         log: fixes, decisions, strokes, path, and the true motion where the pool was simulated.
-        tracking: distances to the path (m), progress (m/s), counts.
+        tracked: ``tracking`` as it was measured while the robot swam; None: the log tells it.
         checked: where robot and host decided side by side: how many decisions agreed.
     """
 
     log: RunLog
-    tracking: Tracking
+    tracked: Tracking | None = None
     checked: dict[str, Any] = field(default_factory=dict)
+
+    @cached_property
+    def tracking(self) -> Tracking:
+        """Distances to the path (m), progress (m/s), counts.
+
+        Raises:
+            InputError: the run has no decision, or nobody saw the robot.
+        """
+        return self.tracked or tracking_of_log(self.log)
 
     @property
     def ended(self) -> str:
@@ -96,6 +108,38 @@ class Run:
         """
         write_run(file, self.log)
 
+    def summary(self) -> Summary:
+        """The run in numbers, whoever recorded it; what nothing shows is None.
+
+        Raises:
+            InputError: it has no decision, or nobody saw the robot.
+        """
+        return summary(self.log)
+
+    def compare(self, other: Run) -> Comparison:
+        """This run and another side by side, each from its first decision on.
+
+        Raises:
+            InputError: one of them has no decision, or nobody saw its robot.
+        """
+        return compare_runs(self.log, other.log)
+
+    def export_csv(self, folder: Path | str) -> list[Path]:
+        """Write a CSV for each group of columns, units in their names, and ``run.json``; the files.
+
+        Raises:
+            InputError: the folder cannot be written to.
+        """
+        return [Path(folder) / name for name in export_csv(self.log, Path(folder))]
+
+    def export_mcap(self, file: Path | str) -> dict[str, int]:
+        """Write an MCAP as Foxglove opens it: poses, path and plan; how many messages each topic has.
+
+        Raises:
+            InputError: the file cannot be written, or the package mcap is not installed.
+        """
+        return export_mcap(self.log, Path(file))
+
     def plot(self) -> Figure:
         """A matplotlib figure: path and track, distance, actions, estimate and prediction errors."""
         from frogkick.report.run_figure import run_figure
@@ -108,13 +152,39 @@ class Run:
 
     def __repr__(self) -> str:
         name = "no path" if self.path is None else self.path.name
+        try:
+            followed = f"mean distance {1e3 * self.tracking.mean_distance_m:.2f} mm"
+        except InputError:  # a log may be of a robot that never swam
+            followed = "not seen swimming"
         return (
-            f"Run({self.log.robot_id!r} along {name}: {self.tracking.decisions} decisions, mean distance "
-            f"{1e3 * self.tracking.mean_distance_m:.2f} mm, {self.ended})"
+            f"Run({self.log.robot_id!r} along {name}: {len(self.log.decisions)} decisions, {followed}, "
+            f"{self.ended})"
         )
 
     def _repr_html_(self) -> str:
-        return page_of(repr(self), self.as_json(), self.plot() if self.tracking.decisions > 1 else None)
+        try:
+            return page_of(repr(self), self.as_json(), self.plot() if len(self.log.decisions) > 1 else None)
+        except InputError:
+            return page_of(repr(self), {"ended": self.ended})
+
+
+def import_runs(data_dir: Path | str, out: Path | str, progress: Progress = False) -> list[dict[str, Any]]:
+    """Write recorded runs of the paper as logs; what is wrong is repaired or marked, nothing invented.
+
+    Args:
+        data_dir: folder with ``line1.csv``, its path ``linep1.csv`` and the like, or with ``control`` in it.
+        out: folder for the logs.
+        progress: of the runs: True for a bar, or a function of (done, all).
+
+    Returns:
+        A row of numbers for each run, with ``file``; of one without a path ``run`` and ``skipped``.
+
+    Raises:
+        InputError: no such folder, no run in it, or one that cannot be read: then nothing is written.
+    """
+    require_writable(Path(out), folder=True)
+    with shown(progress, "import") as tell:
+        return import_recorded(data_dir, out, tell)
 
 
 def load_run(file: Path | str) -> Run:
@@ -123,8 +193,7 @@ def load_run(file: Path | str) -> Run:
     Raises:
         InputError: missing, not whole, or no run.
     """
-    log = load_log(file)
-    return Run(log, tracking_of_log(log))
+    return Run(load_log(file))
 
 
 def run(

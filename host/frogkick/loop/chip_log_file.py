@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import h5py
 import numpy as np
 
 from frogkick.errors import InputError
 from frogkick.files import atomic_path, existing_file
-from frogkick.link.log import ChipLog, Stretch
+from frogkick.link.layout import link_layout
+from frogkick.link.log import ChipLog, Record, Stretch
 
 FORMAT = "frogkick chip log"
 FORMAT_VERSION = 1
@@ -29,6 +32,27 @@ class FetchedLog:
     robot_id: str
     table_crc: int
     log: ChipLog
+
+    def summary(self) -> dict[str, Any]:
+        """What is in it: records, bytes, gaps, time (s), starts and faults by name, records of each kind."""
+        records = [record for stretch in self.log.records() for record in stretch]
+        resets = {number: name for name, number in link_layout().reset.items()}
+        faults = {number: name for name, number in link_layout().fault.items()}
+        return {
+            "robot_id": self.robot_id,
+            "records": len(records),
+            "lost": self.log.lost,
+            "bytes": sum(len(stretch.content) for stretch in self.log.stretches),
+            "gaps": max(0, len(self.log.stretches) - 1),
+            "seconds": (records[-1].time_us - records[0].time_us) * 1e-6 if records else 0.0,
+            "starts": [resets.get(int(reset), str(reset)) for reset in _told(records, "BOOT", "reset")],
+            "faults": [faults.get(int(fault), str(fault)) for fault in _told(records, "FAULT", "fault")],
+            "kinds": dict(sorted(Counter(record.command or record.name for record in records).items())),
+        }
+
+
+def _told(records: list[Record], name: str, field: str) -> list[Any]:
+    return [record.values[field] for record in records if record.name == name]
 
 
 def write_log(target: Path | str, fetched: FetchedLog) -> None:

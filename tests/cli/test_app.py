@@ -72,11 +72,13 @@ def test_no_command_draws_or_fits_before_it_is_asked_to() -> None:
 
 def test_numbers_that_stand_twice_are_the_same() -> None:
     """In a command's file once more, so that its help loads nothing else."""
-    from frogkick.cli import library, retune, study_ceiling
+    from frogkick.cli import library, parity, retune, study_ceiling
+    from frogkick.front import parity as parity_of_places
     from frogkick.front import retuning
     from frogkick.library import RECORD_S
     from frogkick.library.fitting import WHOLE_MIN
     from frogkick.study.ceiling import TIME_LIMIT_S
 
     assert library.RECORD_S == RECORD_S and study_ceiling.TIME_LIMIT_S == TIME_LIMIT_S
+    assert parity.LOOP_DECISIONS == parity_of_places.LOOP_DECISIONS
     assert retune.STATES_LEAST == WHOLE_MIN and retune.STATES == retuning.STATES

@@ -3,19 +3,15 @@
 from __future__ import annotations
 
 import enum
-from contextlib import ExitStack
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
 import frogkick as fk
 from frogkick.cli.common import JsonOption, show
 from frogkick.cli.options import TablesOption
-from frogkick.errors import InputError
-from frogkick.extras import require
-from frogkick.files import existing_file, require_writable
-from frogkick.progress import progress_bar
+from frogkick.files import require_writable
 
 app = typer.Typer(help="Build, measure, flash and test the robot's image.", no_args_is_help=True)
 
@@ -51,27 +47,9 @@ def size(
     json: JsonOption = False,
 ) -> None:
     """Flash, RAM and stack of the bench image; the stack as seen on the virtual chip, and its bound."""
-    from frogkick.front.places import built_firmware, robot_of_table, table_image
-    from frogkick.loop.chip_check import check_on_chip
-    from frogkick.planner.image import read_image
-    from frogkick_codegen.firmware import FLASH_BYTES, RAM_BYTES, require_tools
+    from frogkick.front.building import try_firmware
 
-    require_tools("bench")
-    image = table_image(tables, robot)
-    described = robot_of_table(image, robot)
-    with built_firmware("bench", image, described) as built:
-        report = check_on_chip(built.image, read_image(image), described)
-    values: dict[str, Any] = {
-        "flash_bytes": built.flash_bytes,
-        "flash_of_chip": round(built.flash_bytes / FLASH_BYTES, 4),
-        "ram_bytes": built.ram_bytes,
-        "ram_of_chip": round(built.ram_bytes / RAM_BYTES, 4),
-        "stack_bytes": report.stack_bytes,
-        "stack_bound_bytes": report.stack_bound_bytes,
-        "stack_bound_chain": list(report.stack_chain),
-        "stack_reserved_bytes": built.stack_bytes,
-    }
-    show(values, json)
+    show(try_firmware(tables, robot).sizes(), json)
 
 
 @app.command()
@@ -88,25 +66,10 @@ def flash(
     json: JsonOption = False,
 ) -> None:
     """Write the bench image into a development kit, through its debug probe."""
-    from frogkick.front.places import built_firmware, robot_of_table, table_image
-    from frogkick_codegen.firmware import require_tools
-    from frogkick_codegen.probe import check_image
-    from frogkick_codegen.probe import flash as flash_image
+    from frogkick.front.building import flash_firmware
 
-    if image is not None and tables is not None:
-        raise InputError("give --image or --tables: an image has its table in it")
-    require("flashing", "pyocd")
-    if image is None:
-        require_tools("bench")
-    with ExitStack() as stack:
-        if image is None:
-            table = table_image(tables, robot)
-            built = stack.enter_context(built_firmware("bench", table, robot_of_table(table, robot)))
-            image = built.files["hex"]
-        length = check_image(existing_file(image, "image"))
-        progress = stack.enter_context(progress_bar("flash"))
-        name = flash_image(image, probe, progress)
-    show({"probe": name, "bytes": length}, json)
+    done = flash_firmware(image, table=tables, robot=robot, probe=probe, progress=True)
+    show({"probe": done.probe, "bytes": done.bytes}, json)
 
 
 @app.command("test")
@@ -116,28 +79,9 @@ def try_out(
     json: JsonOption = False,
 ) -> None:
     """Boot the image on the virtual chip and go through every command, stroke and limit."""
-    from frogkick.front.places import built_firmware, robot_of_table, table_image
-    from frogkick.loop.chip_check import check_on_chip
-    from frogkick.planner.image import read_image
-    from frogkick_codegen.firmware import require_tools
+    from frogkick.front.building import try_firmware
 
-    require_tools("bench")
-    image = table_image(tables, robot)
-    described = robot_of_table(image, robot)
-    with built_firmware("bench", image, described) as built, progress_bar("virtual chip") as progress:
-        report = check_on_chip(built.image, read_image(image), described, progress)
-    show(
-        {
-            "passed": report.passed,
-            "checks": {name: "ok" if ok else "FAILED" for name, ok in report.checks.items()},
-            "plan_ms": report.plan_ms,
-            "plan_cycles": report.plan_cycles,
-            "flash_bytes": built.flash_bytes,
-            "ram_bytes": built.ram_bytes,
-            "stack_bytes": report.stack_bytes,
-            "stack_bound_bytes": report.stack_bound_bytes,
-        },
-        json,
-    )
-    if not report.passed:
+    trial = try_firmware(tables, robot, progress=True)
+    show(trial.as_json(), json)
+    if not trial.passed:
         raise typer.Exit(1)

@@ -4,16 +4,13 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
+import frogkick as fk
 from frogkick.cli.common import JsonOption, show
 from frogkick.files import require_writable
-
-if TYPE_CHECKING:
-    from frogkick.der import Rods
-    from frogkick.robot import Robot
 
 app = typer.Typer(help="Which robots there are, and what one looks like.", no_args_is_help=True)
 
@@ -21,9 +18,8 @@ app = typer.Typer(help="Which robots there are, and what one looks like.", no_ar
 @app.command("list")
 def list_robots(json: JsonOption = False) -> None:
     """List the built-in robots."""
-    from frogkick.robot import built_in_robots, load_robot
-
-    robots = [load_robot(name) for name in built_in_robots()]
+    names = fk.built_in_robots()
+    robots = [fk.load_robot(name) for name in names]
     rows = [
         {
             "name": name,
@@ -32,7 +28,7 @@ def list_robots(json: JsonOption = False) -> None:
             "actions": len(robot.actions),
             "period_s": robot.period_s,
         }
-        for name, robot in zip(built_in_robots(), robots, strict=True)
+        for name, robot in zip(names, robots, strict=True)
     ]
     lines = [
         f"{row['name']}: {row['title']}; {row['limbs']} limbs, {row['actions']} actions, {row['period_s']} s"
@@ -51,21 +47,19 @@ def show_robot(
 
     Lengths are those at rest. Doubts about its geometry or its limits are warnings.
     """
-    from frogkick.der import prepare
-    from frogkick.robot import load_robot, robot_warnings
+    from frogkick.front.describing import describe
 
     require_writable(out)
-    described = load_robot(robot)
-    rods = prepare(described)
+    described = describe(robot)
     if out is not None:
         from frogkick.report.robot_figure import write_robot_figure
 
-        write_robot_figure(described, out)
-    warnings = robot_warnings(described)
-    facts = {**_facts(described, rods), "warnings": list(warnings), "out": None if out is None else str(out)}
-    for warning in warnings:
+        write_robot_figure(described.robot, out)
+    for warning in described.warnings:
         print(f"frogkick: warning: {warning}", file=sys.stderr)
-    show(facts, json, _text(described, rods))
+    facts, picture = described.as_json(), None if out is None else str(out)
+    told = {**facts, "warnings": list(described.warnings), "out": picture}
+    show(told, json, _text(described.robot, facts))
 
 
 @app.command("frames")
@@ -81,67 +75,7 @@ def draw_frames(
     show({"out": str(out), "units": {what: unit for what, unit, _ in UNITS}}, json)
 
 
-def _limb_names(robot: Robot, mask: int) -> list[str]:
-    return [limb.name for i, limb in enumerate(robot.limbs) if mask >> i & 1]
-
-
-def _facts(robot: Robot, rods: Rods) -> dict[str, Any]:
-    import numpy as np
-
-    mesh = rods.mesh
-    corners = np.array(robot.frame.corners_m)
-    guard = robot.guard
-    return {
-        "id": robot.id,
-        "title": robot.title,
-        "sha256": robot.sha256.hex(),
-        "limbs": [
-            {
-                "index": i,
-                "name": limb.name,
-                "corner": limb.corner,
-                "root_m": list(robot.frame.corners_m[limb.corner]),
-                "direction_rad": limb.direction_rad,
-                "length_m": limb.length_m,
-                "rest_curvature_per_m": limb.rest_curvature_per_m,
-                "actions": [a.name for a in robot.actions if (a.first_mask | a.second_mask) >> i & 1],
-            }
-            for i, limb in enumerate(robot.limbs)
-        ],
-        "actions": [
-            {
-                "name": a.name,
-                "first": _limb_names(robot, a.first_mask),
-                "second": _limb_names(robot, a.second_mask),
-            }
-            for a in robot.actions
-        ],
-        "nodes": len(mesh.rest_m),
-        "mass_kg": robot.mass_kg,
-        "sizes": {
-            "length_m": float(np.ptp(mesh.rest_m[:, 0])),
-            "width_m": float(np.ptp(mesh.rest_m[:, 1])),
-            "frame_length_m": float(np.ptp(corners[:, 0])),
-            "frame_width_m": float(np.ptp(corners[:, 1])),
-            "segment_min_m": float(mesh.edge_length_m.min()),
-            "segment_max_m": float(mesh.edge_length_m.max()),
-            "mass_with_water_kg": float(mesh.mass_kg.sum()),
-            "centre_m": (corners[0] - mesh.rest_m[0]).tolist(),
-        },
-        "limits": {
-            "pulse_max_s": guard.pulse_max_s,
-            "rest_min_s": guard.rest_min_s,
-            "duty_max": guard.duty_max,
-            "duty_window_s": guard.duty_window_s,
-            "limbs_at_once_max": guard.limbs_at_once_max,
-        },
-        "period_s": robot.period_s,
-        "pulse_s": robot.pulse_s,
-    }
-
-
-def _text(robot: Robot, rods: Rods) -> str:
-    facts = _facts(robot, rods)
+def _text(robot: fk.Robot, facts: dict[str, Any]) -> str:
     sizes, guard = facts["sizes"], robot.guard
     lines = [
         f"{robot.id}: {robot.title}",

@@ -1,19 +1,29 @@
-"""C and firmware of a table."""
+"""C and firmware of a table: emitted, built, tried on the virtual chip, flashed."""
 
 from __future__ import annotations
 
 import shutil
 import tempfile
 import weakref
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from frogkick.front.tables import Table
+from frogkick.errors import InputError
+from frogkick.extras import require
+from frogkick.files import existing_file
+from frogkick.front.places import built_firmware
+from frogkick.front.tables import Table, load_table
 from frogkick.planner.image import read_image
 from frogkick.progress import Progress, shown
+from frogkick.robot import Robot
 from frogkick_codegen.emit import emit
-from frogkick_codegen.firmware import Build, build
+from frogkick_codegen.firmware import FLASH_BYTES, RAM_BYTES, Build, build, require_tools
+from frogkick_codegen.probe import check_image, flash
+
+if TYPE_CHECKING:
+    from frogkick.loop.chip_check import ChipReport
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -104,3 +114,130 @@ def emit_c(
             with shown(progress, "measuring") as tell:
                 figures = measured(file, progress=tell)
     return emit(image, out, f"frogkick codegen {name} --out {Path(out).name}", figures=figures)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class FirmwareTrial:
+    """A bench image that was booted on the virtual chip and went through every command, stroke and limit.
+
+    Attributes:
+        build: sizes of the image; its files are gone.
+        report: what was checked, times of planning, the stack as it was seen and its bound.
+    """
+
+    build: Build
+    report: ChipReport
+
+    @property
+    def passed(self) -> bool:
+        """Whether every check held."""
+        return self.report.passed
+
+    def sizes(self) -> dict[str, Any]:
+        """The keys of the command ``firmware size``: bytes, and shares of the chip's memory."""
+        return {
+            "flash_bytes": self.build.flash_bytes,
+            "flash_of_chip": round(self.build.flash_bytes / FLASH_BYTES, 4),
+            "ram_bytes": self.build.ram_bytes,
+            "ram_of_chip": round(self.build.ram_bytes / RAM_BYTES, 4),
+            "stack_bytes": self.report.stack_bytes,
+            "stack_bound_bytes": self.report.stack_bound_bytes,
+            "stack_bound_chain": list(self.report.stack_chain),
+            "stack_reserved_bytes": self.build.stack_bytes,
+        }
+
+    def as_json(self) -> dict[str, Any]:
+        """The keys of the command ``firmware test``."""
+        report = self.report
+        return {
+            "passed": report.passed,
+            "checks": {name: "ok" if ok else "FAILED" for name, ok in report.checks.items()},
+            "plan_ms": report.plan_ms,
+            "plan_cycles": report.plan_cycles,
+            "flash_bytes": self.build.flash_bytes,
+            "ram_bytes": self.build.ram_bytes,
+            "stack_bytes": report.stack_bytes,
+            "stack_bound_bytes": report.stack_bound_bytes,
+        }
+
+    def __repr__(self) -> str:
+        held = sum(self.report.checks.values())
+        return (
+            f"FirmwareTrial({held} of {len(self.report.checks)} checks held, "
+            f"flash {self.build.flash_bytes} bytes, stack {self.report.stack_bytes} bytes)"
+        )
+
+
+def try_firmware(
+    table: Table | Path | str | None = None, robot: Robot | str | None = None, progress: Progress = False
+) -> FirmwareTrial:
+    """Build the bench image around a table, and try it on the virtual chip.
+
+    Args:
+        table: the robot's, or its file; None: the robot's default one.
+        robot: it, or its name or TOML file; None: the table's own.
+        progress: of the checks: True for a bar, or a function of (done, all).
+
+    Raises:
+        InputError: the table is for another robot, or the firmware's sources are not installed.
+        ToolchainError: no compiler here; the text says what to install.
+        LinkError: the image does not answer.
+        ChipError: it does what the chip does not allow.
+    """
+    require_tools("bench")
+    from frogkick.loop.chip_check import check_on_chip  # it cannot be loaded without the extra
+
+    used = table if isinstance(table, Table) else load_table(table, robot)
+    with ExitStack() as stack:
+        image = stack.enter_context(used.file())
+        built = stack.enter_context(built_firmware("bench", image, used.robot))
+        tell = stack.enter_context(shown(progress, "virtual chip"))
+        return FirmwareTrial(built, check_on_chip(built.image, used.tables, used.robot, tell))
+
+
+@dataclass(frozen=True)
+class Flashed:
+    """What was written, and by which debug probe.
+
+    Attributes:
+        probe: its name.
+        bytes: of the image.
+    """
+
+    probe: str
+    bytes: int
+
+
+def flash_firmware(
+    image: Path | None = None,
+    *,
+    table: Table | Path | str | None = None,
+    robot: Robot | str | None = None,
+    probe: str | None = None,
+    progress: Progress = False,
+) -> Flashed:
+    """Write the bench image into a development kit, through its debug probe.
+
+    Args:
+        image: Intel HEX, ``bench.hex`` of a build; None: built around ``table``.
+        table, robot: as for ``try_firmware``.
+        probe: number of the debug probe, where there are several.
+        progress: True for a bar, or a function of (done, all).
+
+    Raises:
+        InputError: an image and a table, or an image that is none or does not fit.
+        ProbeError: no probe, or no answer.
+    """
+    if image is not None and table is not None:
+        raise InputError("give --image or --tables: an image has its table in it")
+    require("flashing", "pyocd")
+    if image is None:
+        require_tools("bench")
+    with ExitStack() as stack:
+        if image is None:
+            used = table if isinstance(table, Table) else load_table(table, robot)
+            file = stack.enter_context(used.file())
+            image = stack.enter_context(built_firmware("bench", file, used.robot)).files["hex"]
+        length = check_image(existing_file(image, "image"))
+        tell = stack.enter_context(shown(progress, "flash"))
+        return Flashed(flash(image, probe, tell), length)

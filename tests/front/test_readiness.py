@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from frogkick.cli import readiness
-from frogkick.cli.readiness import adapters, cameras, stages
+from frogkick.front import readiness
+from frogkick.front.readiness import adapters, cameras, stages
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="looks where Linux has its devices")

@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import os
+import platform
+import shutil
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
+from frogkick import __version__
 from frogkick.errors import FrogkickError
-from frogkick.extras import install_command, installed
+from frogkick.extras import EXTRAS, install_command, installed
 from frogkick.link.serial import ports
 
 
@@ -51,6 +55,86 @@ class Stage:
             "begin": self.begin,
             "missing": [asdict(finding) for finding in self.findings if not finding.works],
         }
+
+
+@dataclass(frozen=True)
+class Readiness:
+    """What this machine has.
+
+    Attributes:
+        needed: for the ring without a robot.
+        optional: for more.
+        stages: what it is ready for.
+    """
+
+    needed: tuple[Finding, ...]
+    optional: tuple[Finding, ...]
+    stages: tuple[Stage, ...]
+
+    @property
+    def ready(self) -> bool:
+        """Whether the ring without a robot can run here."""
+        return all(finding.works for finding in self.needed)
+
+    def as_json(self) -> dict[str, Any]:
+        """The keys of the command ``doctor``."""
+        return {
+            "frogkick": __version__,
+            "python": platform.python_version(),
+            "cores": os.cpu_count(),
+            "ready_without_robot": self.ready,
+            "needed": [asdict(finding) for finding in self.needed],
+            "optional": [asdict(finding) for finding in self.optional],
+            "stages": [stage.as_json() for stage in self.stages],
+        }
+
+
+def look_around() -> Readiness:
+    """Look at this machine for what the commands look for."""
+    extra = install_command("ziglang")
+    needed = (
+        tried("robot frog2022", "everything", "pip install frogkick", _try_robot),
+        bench_image(),
+        tried("C for this computer", "run --robot pool, parity", extra, _try_compiler),
+        tried("virtual chip", "run --robot virtual, demo", extra, _try_chip),
+    )
+    optional = (
+        package("distributed", "--cluster"),
+        package("mcap", "export --mcap", *EXTRAS["mcap"]),
+        package("pupil_apriltags", "tags of the family tagStandard41h12"),
+        _program("arm-none-eabi-gcc", "extra checks", "apt install gcc-arm-none-eabi"),
+        _program("qemu-system-arm", "extra checks", "apt install qemu-system-arm"),
+        _program("cppcheck", "extra checks", "apt install cppcheck"),
+    )
+    return Readiness(needed, optional, tuple(stages(needed)))
+
+
+def _program(name: str, needed_for: str, package: str) -> Finding:
+    found = shutil.which(name)
+    return Finding(
+        name, found is not None, "installed" if found else "missing", needed_for, "" if found else package
+    )
+
+
+def _try_robot() -> str:
+    from frogkick.robot import load_robot
+
+    robot = load_robot("frog2022")
+    return f"{len(robot.limbs)} limbs, {len(robot.actions)} actions, {len(robot.profiles)} measured profiles"
+
+
+def _try_compiler() -> str:
+    from frogkick_codegen.native import NativeLibrary
+
+    NativeLibrary()
+    return "the C planner builds and loads"
+
+
+def _try_chip() -> str:
+    from frogkick.pool.chip.hook import load_hook
+
+    load_hook()
+    return "its emulator is there, its cycle counter builds and loads"
 
 
 def package(name: str, needed_for: str, *others: str) -> Finding:

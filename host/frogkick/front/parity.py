@@ -1,0 +1,188 @@
+"""The same bits from Python, native C and the chip: decisions made in every place, and compared."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from frogkick.front.places import plan_config
+from frogkick.front.tables import Table, load_table
+from frogkick.paths import shape
+from frogkick.planner.image import Tables
+from frogkick.planner.plan import PlanConfig
+from frogkick.progress import Progress, shown
+from frogkick.robot import Robot
+from frogkick_codegen.firmware import build, require_tools
+from frogkick_codegen.native import NativeLibrary
+from frogkick_codegen.parity import KINDS, PairReport, Place, compare, make_cases, native_place, python_place
+from frogkick_codegen.toolchain import Compiler, other, zig
+
+__all__ = ["Parity", "compare_places"]
+
+LOOP_DECISIONS = 200
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Parity:
+    """How often places differ.
+
+    Attributes:
+        states: that Python and native C decided from.
+        chip_states: of them, that the virtual chip decided from.
+        pairs: for each pair of places how many single decisions differ, in which fields, the first of them.
+        loop_decisions: of a whole loop.
+        loop_mismatches: pair of places, as "python-native" -> decisions or outputs of that loop that differ.
+        places: name -> the compiler's version, or "twin".
+        seed: of the states and the loop.
+    """
+
+    states: int
+    chip_states: int
+    pairs: Sequence[PairReport]
+    loop_decisions: int
+    loop_mismatches: dict[str, int]
+    places: dict[str, str]
+    seed: int
+
+    @property
+    def mismatches(self) -> dict[str, int]:
+        """Pair of places, as "python-native" -> single decisions that differ in any bit."""
+        return {f"{pair.first}-{pair.second}": pair.mismatches for pair in self.pairs}
+
+    @property
+    def same(self) -> bool:
+        """Whether every place gave the same bits throughout."""
+        return not any(self.mismatches.values()) and not any(self.loop_mismatches.values())
+
+    def as_json(self) -> dict[str, Any]:
+        """The keys of the command ``parity``."""
+        return {
+            "states": self.states,
+            "chip_states": self.chip_states,
+            "mismatches": self.mismatches,
+            "loop_decisions": self.loop_decisions,
+            "loop_mismatches": self.loop_mismatches,
+            "places": self.places,
+            "fields": {f"{pair.first}-{pair.second}": dict(pair.fields) for pair in self.pairs},
+            "kinds": list(KINDS),
+            "seed": self.seed,
+            "failures": [pair.first_failure for pair in self.pairs if pair.first_failure],
+        }
+
+    def __repr__(self) -> str:
+        told = ", ".join(f"{pair} {count}" for pair, count in self.mismatches.items())
+        return f"Parity({self.states} states; mismatches {told})"
+
+
+def compare_places(
+    table: Table | Path | str | None = None,
+    *,
+    robot: Robot | str | None = None,
+    states: int = 100_000,
+    chip_states: int | None = None,
+    loop_decisions: int = LOOP_DECISIONS,
+    planner: str = "paper",
+    depth: int | None = None,
+    seed: int = 0,
+    progress: Progress = False,
+) -> Parity:
+    """Decide in every place, and count differing bits.
+
+    Single decisions from states of every kind, at depth 1 to 4, and a whole loop, fixes in, decisions out.
+    Places: Python, native C by zig's clang ("native"), by gcc where this machine has it, the virtual chip.
+
+    Args:
+        table: to decide by, or its file; None: the robot's default one.
+        robot: it, or its name or TOML file; None: the table's own.
+        states: for Python and native C, 10 or more.
+        chip_states: of them for the virtual chip; None: all.
+        loop_decisions: of the whole loop; 0: none.
+        planner: whose weights, and depth of the loop: "robot" or "paper".
+        depth: of the loop, 1 to 4; None: the planner's own.
+        seed: of the states and the loop.
+        progress: of the virtual chip: True for a bar, or a function of (done, all).
+
+    Raises:
+        InputError: the table is for another robot, or the firmware's sources are not installed.
+        ToolchainError: no compiler here; the text says what to install.
+    """
+    require_tools("bench")
+    used = table if isinstance(table, Table) else load_table(table, robot)
+    config = plan_config(used.robot, planner, depth)
+    compilers = {"native": zig("host"), **({"gcc": gcc} if (gcc := other("gcc")) else {})}
+    on_chip = states if chip_states is None else min(chip_states, states)
+    with used.file() as image, tempfile.TemporaryDirectory(prefix="frogkick-parity-") as folder:
+        bench = build("bench", image, used.robot, Path(folder) / "bench").image
+        with shown(progress, "virtual chip") as tell:
+            pairs = _single(used.tables, config, compilers, bench, (states, on_chip, seed), tell)
+        loops: dict[str, int] = {}
+        if loop_decisions:
+            libraries = {
+                name: build("native", image, used.robot, Path(folder) / name, compiler).image
+                for name, compiler in compilers.items()
+            }
+            loops = _loops(libraries, bench, used.tables, config, loop_decisions, seed)
+    places = {"python": "twin", **{name: one.version for name, one in compilers.items()}}
+    return Parity(states, on_chip, pairs, loop_decisions, loops, places, seed)
+
+
+def _single(
+    tables: Tables,
+    config: PlanConfig,
+    compilers: dict[str, Compiler],
+    bench: Path,
+    counts: tuple[int, int, int],
+    progress: Callable[[int, int], None],
+) -> list[PairReport]:
+    """Compare single decisions: all places but the chip on all states, the chip on the first of them."""
+    from frogkick.loop.chip_planner import ChipPlanner  # it cannot be loaded without the extra
+
+    states, chip_states, seed = counts
+    path = shape("sine")
+    cases = make_cases(tables, path, states, seed)
+    places: dict[str, Place] = {"python": python_place(tables, path, config)}
+    for name, compiler in compilers.items():
+        places[name] = native_place(NativeLibrary(compiler=compiler), tables, path, config)
+    reports = compare(cases, places)
+    if chip_states:
+        chip = ChipPlanner(bench)
+        chip.configure(path, config)
+
+        def told(done: int) -> None:
+            if done % 100 == 0 or done == chip_states:
+                progress(done, chip_states)
+
+        places["chip"] = lambda queries, depths, use, along: chip.decide(queries, depths, use, along, told)
+        reports += [one for one in compare(cases.head(chip_states), places) if one.second == "chip"]
+    return reports
+
+
+def _loops(
+    libraries: dict[str, Path],
+    bench: Path,
+    tables: Tables,
+    config: PlanConfig,
+    decisions: int,
+    seed: int,
+) -> dict[str, int]:
+    """Compare a whole loop: the twin by decisions, other builds by all that their core puts out."""
+    from frogkick.loop.rehearsal import (
+        call_mismatches,
+        live_natively,
+        live_on_chip,
+        rehearse,
+        twin_mismatches,
+    )
+
+    path = shape("ellipse")
+    first, *more = libraries
+    loop = rehearse(libraries[first], tables, path, config, decisions, seed)
+    found = {f"python-{first}": len(twin_mismatches(loop, tables, path, config))}
+    for name in more:
+        lived = live_natively(libraries[name], tables, loop.calls)
+        found[f"{first}-{name}"] = len(call_mismatches(loop, lived))
+    found[f"{first}-chip"] = len(call_mismatches(loop, live_on_chip(bench, loop.calls)))
+    return found

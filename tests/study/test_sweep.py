@@ -16,7 +16,7 @@ from frogkick.errors import InputError
 from frogkick.report.sweep_page import write_sweep_report
 from frogkick.robot import load_robot
 from frogkick.study.gaits import GaitSwim, cost_of_transport, swim_chunks, swim_gaits
-from frogkick.study.paper_winners import explain, paper_verdicts
+from frogkick.study.paper_winners import paper_verdicts
 from frogkick.study.sweep import (
     Design,
     Plan,
@@ -206,10 +206,10 @@ def test_the_paper_s_winners_are_found(tmp_path: Path) -> None:
     for verdict in verdicts:
         if verdict.winner.speed_mps is not None:  # the paper's figure is the mean over all of a run
             assert verdict.mean_speed_mps == pytest.approx(verdict.winner.speed_mps, abs=1.2e-3)
-            assert "24 cycles" in explain(verdict)
+            assert "24 cycles" in verdict.why
         else:
             assert verdict.ours.cost_of_transport == pytest.approx(verdict.winner.cost_of_transport, rel=0.05)
-            assert "pulse energy" in explain(verdict)
+            assert "pulse energy" in verdict.why
 
 
 def test_another_robot_has_no_winners_of_the_paper(tmp_path: Path) -> None:

@@ -17,7 +17,7 @@ from frogkick.files import write_bytes
 from frogkick.report import style
 from frogkick.report.page import Section, Table, write_page
 from frogkick.report.style import figure_uri
-from frogkick.study.paper_winners import PAPER_PHASE, Verdict, explain
+from frogkick.study.paper_winners import PAPER_PHASE, Verdict
 from frogkick.study.sweep import (
     PHASE_TIE_MPS,
     Design,
@@ -103,7 +103,7 @@ def _paper(verdicts: Sequence[Verdict]) -> Section:
                 ours,
                 f"{verdict.rank} / {verdict.rank_all_phases}",
                 f"{verdict.best.gait.phase:g} (+{1e3 * best:.2f} mm/s)",
-                explain(verdict),
+                verdict.why,
             )
         )
     header = (

@@ -67,6 +67,11 @@ class Verdict:
         """Whether it is one of the two best here, too."""
         return self.rank <= 2
 
+    @property
+    def why(self) -> str:
+        """Where its figure differs from the paper's, and why, in measured figures."""
+        return _explain(self)
+
 
 def paper_verdicts(sweep: Sweep) -> list[Verdict]:
     """What this sweep says of the paper's winners; empty for another robot or without them in the sweep."""
@@ -97,8 +102,7 @@ def _place(ranked: Sequence[Point], design: Design) -> int | None:
     return None
 
 
-def explain(verdict: Verdict) -> str:
-    """Where a verdict's figure differs from the paper's, and why, in measured figures."""
+def _explain(verdict: Verdict) -> str:
     winner, ours = verdict.winner, verdict.ours
     if winner.speed_mps is not None and winner.authors_mean_mps is not None:
         return (

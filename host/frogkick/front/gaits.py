@@ -1,0 +1,377 @@
+"""Gaits: the model against the paper's simulations and measured swims, and a search over all of them."""
+
+from __future__ import annotations
+
+import csv
+import io
+import os
+import tempfile
+from collections.abc import Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from frogkick.files import require_writable, write_text
+from frogkick.front.html import page_of
+from frogkick.progress import Progress, shown
+from frogkick.robot import Robot, load_robot
+from frogkick.study.measured import Skipped
+from frogkick.study.noise import Noise, noise_of
+from frogkick.study.paper_winners import PAPER_PHASE, Verdict, paper_verdicts
+from frogkick.study.sweep import (
+    PHASE_TIE_MPS,
+    Point,
+    Sweep,
+    by_cost,
+    by_speed,
+    energy_model,
+    plan_sweep,
+    point_row,
+    rank_designs,
+    rank_gaits,
+    run_sweep,
+)
+from frogkick.study.validate import (
+    ExperimentResult,
+    Requirement,
+    SimulationResult,
+    Validation,
+    authors_rmse_mps,
+    requirements,
+    single_groups_above,
+    speed_rmse_mps,
+    within_cycle_rms_m,
+)
+from frogkick.study.validate import validate as swim_and_compare
+
+__all__ = ["Point", "Swept", "Validated", "sweep", "validate"]
+
+_NOISE_METHOD = (
+    "standard deviation of a measured speed from second differences (a - 2 b + c) / sqrt(6) of three evenly "
+    "spaced neighbours along a sweep; too high where the true speeds bend"
+)
+_TOP = 10
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Validated:
+    """The model beside every simulation and measured swim of a data folder.
+
+    Attributes:
+        validation: all cases, and those left out.
+        noise: of the measured speeds.
+    """
+
+    validation: Validation
+    noise: Noise
+
+    @property
+    def rmse_mps(self) -> dict[str, float]:
+        """Group of cases -> root-mean-square error of the model's speeds, m/s."""
+        return speed_rmse_mps(self.validation)
+
+    @property
+    def held(self) -> bool:
+        """Whether every limit is held."""
+        return all(requirement.held for requirement in requirements(self.validation))
+
+    def report(self, file: Path | str) -> None:
+        """Write an HTML page: errors by group, speeds, waves within a cycle, every case.
+
+        Raises:
+            InputError: the file cannot be written.
+        """
+        from frogkick.report.validate_page import write_validation_report
+
+        write_validation_report(Path(file), self.validation, self.noise)
+
+    def as_json(self) -> dict[str, Any]:
+        """The keys of the command ``validate``."""
+        validation, noise = self.validation, self.noise
+        return {
+            "robot": validation.robot.id,
+            "profiles": _profiles_used(validation),
+            "rmse_mps": self.rmse_mps,
+            "within_cycle_rms_mm": {g: 1e3 * rms for g, rms in within_cycle_rms_m(validation).items()},
+            "requirements": [_requirement_row(r) for r in requirements(validation)],
+            "groups_above_limit": [_requirement_row(r) for r in single_groups_above(validation)],
+            "authors_rmse_mps": authors_rmse_mps(validation),
+            "noise_floor_mps": noise.neighbours,
+            "noise": {
+                "method": _NOISE_METHOD,
+                "second_differences": noise.triples,
+                "repeats_mps": noise.repeats,
+                "repeats": noise.repeated,
+                "within_swim_mps": noise.within_swim,
+            },
+            "simulations": [_simulation_row(r) for r in validation.simulations],
+            "experiments": [_experiment_row(r) for r in validation.experiments],
+            "skipped": [_skipped_row(s) for s in validation.skipped],
+        }
+
+    def __repr__(self) -> str:
+        found = self.validation
+        errors = ", ".join(f"{group} {1e3 * rmse:.2f}" for group, rmse in list(self.rmse_mps.items())[:4])
+        return (
+            f"Validated({found.robot.id!r}: {len(found.simulations)} simulations, "
+            f"{len(found.experiments)} swims; speed RMSE {errors} mm/s)"
+        )
+
+    def _repr_html_(self) -> str:
+        rows = {group: f"{1e3 * rmse:.2f} mm/s" for group, rmse in self.rmse_mps.items()}
+        return page_of(f"Validated {self.validation.robot.id}", rows)
+
+
+def validate(
+    data_dir: Path | str,
+    robot: Robot | str = "frog2022",
+    *,
+    workers: int | None = None,
+    progress: Progress = False,
+) -> Validated:
+    """Compare the model with every simulation and measured swim of a data folder.
+
+    One parameter set for all; limb profiles come from the folder's own files where it has them.
+
+    Args:
+        data_dir: the paper's data, ``sim/``, ``exp/``, ``profile/``.
+        robot: it, or its name or TOML file.
+        workers: processes; None: one for each core.
+        progress: of the gaits: True for a bar, or a function of (done, all).
+
+    Raises:
+        InputError: no such folder or robot, or nothing in the folder.
+    """
+    described = robot if isinstance(robot, Robot) else load_robot(robot)
+    with shown(progress, "validate: gaits") as tell:
+        found = swim_and_compare(described, Path(data_dir), workers or os.cpu_count() or 1, tell)
+    return Validated(found, noise_of(found.experiments))
+
+
+def _simulation_row(result: SimulationResult) -> dict[str, Any]:
+    gait = result.case.gait
+    return {
+        "case": result.case.name,
+        "group": result.case.group,
+        "egain_percent": gait.egain_percent,
+        "frequency_hz": gait.frequency_hz,
+        "phase": gait.phase,
+        "reference_mps": result.reference_mps,
+        "model_mps": result.model_mps,
+        "error_mps": result.error_mps,
+        "within_cycle_rms_mm": 1e3 * result.within_cycle_rms_m,
+        "profile": result.profile,
+    }
+
+
+def _experiment_row(result: ExperimentResult) -> dict[str, Any]:
+    gait = result.case.gait
+    return {
+        "case": result.case.name,
+        "group": result.case.group,
+        "egain_percent": gait.egain_percent,
+        "frequency_hz": gait.frequency_hz,
+        "phase": gait.phase,
+        "reference_mps": result.reference.speed_mps,
+        "reference_sd_mps": result.reference.sd_mps,
+        "cycles": result.reference.cycles,
+        "tabulated_mps": result.tabulated_mps,
+        "model_mps": result.model_mps,
+        "error_mps": result.error_mps,
+        "authors_mps": result.authors_mps,
+        "profile": result.profile,
+    }
+
+
+def _skipped_row(skipped: Skipped) -> dict[str, str]:
+    return {"case": skipped.case, "reason": skipped.reason}
+
+
+def _requirement_row(requirement: Requirement) -> dict[str, Any]:
+    return {
+        "what": requirement.what,
+        "group": requirement.group,
+        "limit": requirement.limit,
+        "value": requirement.value,
+        "held": requirement.held,
+    }
+
+
+def _profiles_used(validation: Validation) -> str:
+    found = len(validation.profiles.measured)
+    if found:
+        return f"{found} fitted to the files in profile/"
+    return f"cached coefficients of robot {validation.robot.id}: the data has no profile/"
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Swept:
+    """Every gait of a robot, simulated and ranked.
+
+    Attributes:
+        sweep: the plan and its points.
+        verdicts: the paper's winners beside ours.
+    """
+
+    sweep: Sweep
+    verdicts: Sequence[Verdict]
+
+    @property
+    def points(self) -> tuple[Point, ...]:
+        """Of each gait its speed (m/s) and cost of transport, or why it failed."""
+        return self.sweep.points
+
+    @property
+    def fastest(self) -> list[Point]:
+        """The designs, EGaIn fraction and frequency, each at its fastest phase; the fastest first."""
+        return rank_designs(self.sweep, by_speed)
+
+    @property
+    def most_efficient(self) -> list[Point]:
+        """The designs by cost of transport, the least first."""
+        return rank_designs(self.sweep, by_cost)
+
+    @property
+    def energy_model(self) -> str:
+        """What the cost of transport counts, in words."""
+        return energy_model(self.sweep.plan.robot)
+
+    def save(self, folder: Path | str) -> list[Path]:
+        """Write ``sweep.csv``, a page and its pictures into a folder; the files.
+
+        Raises:
+            InputError: the folder cannot be written to.
+        """
+        from frogkick.report.sweep_page import write_sweep_report
+
+        out = Path(folder)
+        write_text(out / "sweep.csv", _csv(self.points))
+        return [out / "sweep.csv", *write_sweep_report(out, self.sweep, self.verdicts)]
+
+    def as_json(self) -> dict[str, Any]:
+        """The keys of the command ``sweep``."""
+        sweep, plan = self.sweep, self.sweep.plan
+        result: dict[str, Any] = {
+            "robot": plan.robot.id,
+            "designs": len(plan.designs),
+            "gaits": plan.gaits,
+            **_best(sweep),
+            "listed_phase": (
+                f"nearest to half a cycle of those within {PHASE_TIE_MPS:g} m/s of the design's fastest phase"
+            ),
+            "fastest_gaits": [point_row(point) for point in rank_gaits(sweep, by_speed)[:_TOP]],
+            "most_efficient_gaits": [point_row(point) for point in rank_gaits(sweep, by_cost)[:_TOP]],
+        }
+        if PAPER_PHASE in plan.phases:
+            result[f"at_phase_{PAPER_PHASE:g}"] = _best(sweep, PAPER_PHASE)
+        return {
+            **result,
+            "paper": [_verdict_row(verdict) for verdict in self.verdicts],
+            "energy_model": energy_model(plan.robot),
+            "interpolated": [
+                {"egain_percent": d.egain_percent, "frequency_hz": d.frequency_hz}
+                for d in sorted(plan.interpolated)
+            ],
+            "skipped": [{"case": skipped.case, "reason": skipped.reason} for skipped in plan.skipped],
+            "failures": [point_row(point) for point in sweep.points if point.failure],
+        }
+
+    def __repr__(self) -> str:
+        plan = self.sweep.plan
+        best = ""
+        if self.fastest:
+            first = self.fastest[0]
+            best = (
+                f"; fastest {first.gait.egain_percent:g} % EGaIn, {first.gait.frequency_hz:g} Hz, phase "
+                f"{first.gait.phase:g}: {1e3 * first.speed_mps:.1f} mm/s"
+            )
+        return f"Swept({plan.robot.id!r}: {len(plan.designs)} designs, {plan.gaits} gaits{best})"
+
+    def _repr_html_(self) -> str:
+        rows = {
+            f"{p.gait.egain_percent:g} %, {p.gait.frequency_hz:g} Hz, phase {p.gait.phase:g}": (
+                f"{1e3 * p.speed_mps:.1f} mm/s, cost of transport {p.cost_of_transport:.0f}"
+            )
+            for p in self.fastest[:_TOP]
+        }
+        return page_of(repr(self), rows)
+
+
+def sweep(
+    robot: Robot | str = "frog2022",
+    *,
+    egain_percent: Sequence[float] | None = None,
+    frequencies_hz: Sequence[float] | None = None,
+    phases: int = 10,
+    out: Path | str | None = None,
+    workers: int | None = None,
+    cluster: str | None = None,
+    progress: Progress = False,
+) -> Swept:
+    """Simulate every EGaIn fraction, frequency and phase offset; rank by speed and by cost of transport.
+
+    Limb profiles between measured ones are interpolated; designs outside of them are left out and listed.
+
+    Args:
+        robot: it, or its name or TOML file.
+        egain_percent: fractions, %; None: the measured ones.
+        frequencies_hz: strokes a second; None: those measured for each fraction.
+        phases: offsets of the rear limbs, evenly from 0.
+        out: folder that keeps what is finished: a second start goes on in it. None: nothing is kept.
+        workers: processes; None: one for each core.
+        cluster: address of a Dask scheduler to simulate on instead.
+        progress: of the gaits: True for a bar, or a function of (done, all).
+
+    Raises:
+        InputError: a value out of range, no cluster there, or a folder that cannot be written to.
+        FrogkickError: a worker died, or the cluster failed.
+    """
+    with ExitStack() as stack:
+        if out is None:
+            folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="frogkick-sweep-")))
+        else:
+            folder = Path(out)
+            require_writable(folder, folder=True)
+        described = robot if isinstance(robot, Robot) else load_robot(robot)
+        plan = plan_sweep(described, frequencies_hz, phases, egain_percent)
+        processes = 1 if cluster else workers or os.cpu_count() or 1
+        with shown(progress, "sweep: gaits") as tell:
+            found = run_sweep(plan, folder, processes, tell, cluster)
+    return Swept(found, paper_verdicts(found))
+
+
+def _csv(points: Sequence[Point]) -> str:
+    buffer = io.StringIO()
+    columns = ["egain_percent", "frequency_hz", "phase", "speed_mps", "cost_of_transport", "failure"]
+    writer = csv.DictWriter(buffer, columns, lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(point_row(point) for point in points)
+    return buffer.getvalue()
+
+
+def _verdict_row(verdict: Verdict) -> dict[str, Any]:
+    winner = verdict.winner
+    return {
+        "egain_percent": winner.design.egain_percent,
+        "frequency_hz": winner.design.frequency_hz,
+        "phase": PAPER_PHASE,
+        "paper_speed_mps": winner.speed_mps,
+        "paper_cost_of_transport": winner.cost_of_transport,
+        "speed_mps": verdict.ours.speed_mps,
+        "cost_of_transport": verdict.ours.cost_of_transport,
+        "mean_speed_24_cycles_mps": verdict.mean_speed_mps,
+        "rank_at_that_phase": verdict.rank,
+        "rank_at_any_phase": verdict.rank_all_phases,
+        "best_phase": verdict.best.gait.phase,
+        "gained_there_mps": verdict.best.speed_mps - verdict.ours.speed_mps,
+        "agrees": verdict.agrees,
+        "why": verdict.why,
+    }
+
+
+def _best(sweep: Sweep, phase: float | None = None) -> dict[str, list[dict[str, Any]]]:
+    return {
+        "fastest": [point_row(point) for point in rank_designs(sweep, by_speed, phase)[:_TOP]],
+        "most_efficient": [point_row(point) for point in rank_designs(sweep, by_cost, phase)[:_TOP]],
+    }

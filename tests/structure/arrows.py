@@ -138,8 +138,8 @@ DOOR = frozenset(
 
 NOT_YET = frozenset(
     {
-        "camera", "demo", "study", "study_ceiling", "study_estimator", "study_foresight", "study_heldout",
-        "study_loop", "study_openloop", "study_tables", "study_twin", "study_verdicts",
+        "study", "study_ceiling", "study_estimator", "study_foresight", "study_heldout", "study_loop",
+        "study_openloop", "study_tables", "study_twin", "study_verdicts",
     }
 )  # fmt: skip
 """Commands that still reach behind the front door; none is to be added."""

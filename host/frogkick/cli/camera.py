@@ -2,21 +2,17 @@
 
 from __future__ import annotations
 
+import math
 import re
 import sys
-from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated
 
 import typer
 
 from frogkick.cli.common import JsonOption, SeedOption, json_text, show
 from frogkick.errors import InputError
 from frogkick.files import require_writable, write_text
-
-if TYPE_CHECKING:
-    from frogkick.vision.calibration import Calibration, Lens
-    from frogkick.vision.check import Place
 
 app = typer.Typer(help="Calibrate the camera over the pool, check how far off it is.", no_args_is_help=True)
 
@@ -82,64 +78,33 @@ def calibrate(
     json: JsonOption = False,
 ) -> None:
     """Calibrate from the pool's four corners or from a board laid on the water's plane; lens from a board."""
-    import numpy as np
-
-    from frogkick.vision.board import Board, calibrate_lens, read_picture, read_pictures
-    from frogkick.vision.calibration import Tag, refraction_offset_m
-    from frogkick.vision.calibration_file import write_calibration
-    from frogkick.vision.corners import calibrate_corners, read_corners
-    from frogkick.vision.plane_board import calibrate_plane
+    from frogkick.front.cameras import Board, Tag, calibrate_camera
 
     require_writable(out)
-    if (corners is None) == (plane_picture is None):
-        raise InputError(
-            "give the pool's corners (--corners) or a picture of the board (--plane-picture), one"
-        )
     tag = Tag(
         family=tag_family,
         id=tag_id,
         size_m=tag_size_mm / 1e3,
         height_m=tag_height_mm / 1e3,
-        refraction_offset_m=refraction_offset_m(tag_height_mm / 1e3),
         height_sd_m=tag_height_sd_mm / 1e3,
-        tilt_sd_rad=float(np.deg2rad(tag_tilt_sd_deg)),
-        mount_heading_rad=float(np.deg2rad(tag_heading_deg)),
+        tilt_sd_rad=math.radians(tag_tilt_sd_deg),
+        mount_heading_rad=math.radians(tag_heading_deg),
         offset_body_m=_signed_pair(tag_at_mm, "--tag-at-mm", 1e-3),
     )
-    pool_m = _pair(pool, "--pool")
-    size = None if image is None else _whole_pair(image, "--image")
-    described = None
-    if board is not None:
-        described = Board(board, *_whole_pair(squares, "--squares"), square_mm / 1e3)
-    lens: Lens | None = None
-    lens_rms = float("nan")
-    if pictures is not None:
-        if described is None:
-            raise InputError("--pictures shows a board: say which with --board chessboard or --board charuco")
-        found = read_pictures(pictures)
-        lens, lens_rms, _ = calibrate_lens(described, found)
-        seen = (found[0][1].shape[1], found[0][1].shape[0])
-        if size is not None and size != seen:
-            raise InputError(f"--image {image} is not the pictures' size, {seen[0]}x{seen[1]}")
-        size = seen
-    if plane_picture is not None:
-        if described is None:
-            raise InputError("--plane-picture shows a board: say which with --board chessboard or charuco")
-        laid = read_picture(plane_picture)
-        at = _signed_pair(board_at, "--board-at", 1.0)
-        made = calibrate_plane(
-            described, laid, at, pool_m, tag, corner_height_mm / 1e3, camera_height_m, lens
-        )
-    else:
-        assert corners is not None
-        if size is None:
-            raise InputError("the corners are pixels of a picture: give its size, as --image 640x480")
-        made = calibrate_corners(
-            read_corners(corners), pool_m, size, tag, corner_height_mm / 1e3, camera_height_m, lens
-        )
-    write_calibration(out, made)
-    values = _facts(made, lens_rms) | {"out": str(out)}
-    show(values, json)
+    made = calibrate_camera(
+        _pair(pool, "--pool"),
+        tag,
+        corners=corners,
+        plane_picture=plane_picture,
+        image_px=None if image is None else _whole_pair(image, "--image"),
+        height_m=corner_height_mm / 1e3,
+        camera_height_m=camera_height_m,
+        board=None if board is None else Board(board, *_whole_pair(squares, "--squares"), square_mm / 1e3),
+        pictures=pictures,
+        board_at_m=(0.0, 0.0) if plane_picture is None else _signed_pair(board_at, "--board-at", 1.0),
+    )
+    made.save(out)
+    show({**made.as_json(), "out": str(out)}, json)
 
 
 def _signed_pair(text: str, option: str, unit: float) -> tuple[float, float]:
@@ -150,29 +115,6 @@ def _signed_pair(text: str, option: str, unit: float) -> tuple[float, float]:
     if not (abs(first) < 100 and abs(second) < 100):
         raise InputError(f"{option} {text!r} is beyond 100 m")
     return first, second
-
-
-def _facts(made: Calibration, lens_rms_px: float) -> dict[str, Any]:
-    import numpy as np
-
-    corner = np.array([[0, 0], [made.pool_m[0], 0], [*made.pool_m], [0, made.pool_m[1]]], dtype=float)
-    middle = corner.mean(axis=0, keepdims=True)
-    step = made.pixels(middle + np.array([[0, 0], [1e-3, 0], [0, 1e-3]]))
-    shift = None
-    if made.camera_m is not None:
-        above = made.camera_m[2] - made.tag.apparent_height_m
-        shift = float(np.hypot(*(corner - made.camera_m[:2]).T).max() / above)
-    return {
-        "method": made.method,
-        "points": made.points,
-        "rms_px": made.rms_px,
-        "lens_rms_px": lens_rms_px,
-        "camera_m": made.camera_m,
-        "tag_height_m": made.tag.height_m,
-        "refraction_offset_m": made.tag.refraction_offset_m,
-        "heave_shift_mm_per_mm": shift,
-        "px_per_mm": float(np.sqrt(abs(np.linalg.det(step[1:] - step[0])))),
-    }
 
 
 @app.command()
@@ -197,45 +139,25 @@ def check(
     Rendered pictures (neither --points nor --places) show what camera, pool and tag can give at best, the
     calibration taken as true; marked points and tags laid down show what it is off by.
     """
-    import numpy as np
-
-    from frogkick.vision.calibration_file import read_calibration
-    from frogkick.vision.check import check_frames, check_points, known_places, rendered, summary
-    from frogkick.vision.scene import Conditions
+    from frogkick.front.cameras import Rendering, check_camera
 
     require_writable(out, folder=True)
-    known = read_calibration(calibration)
-    if points is not None and places is not None:
-        raise InputError("--points and --places are two checks: give one of them")
-    if points is not None:
-        found, source = check_points(known, points), "points"
-    elif places is not None:
-        found, source = check_frames(known, known_places(places)), "places"
-    else:
-        columns, across = _whole_pair(grid, "--grid")
-        if not (1 <= columns <= 50 and 1 <= across <= 50):
-            raise InputError(f"--grid {grid}: allowed is 1x1 to 50x50")
-        conditions = Conditions(blur_px=blur_px, noise=noise, wave_height_m=wave_mm / 1e3)
-        rng = np.random.default_rng(seed)
-        found, source = check_frames(known, rendered(known, conditions, columns, across, rng)), "rendered"
-    facts: dict[str, Any] = {"source": source, **summary(found), "limit_mm": limit_mm, "limit_deg": limit_deg}
-    facts["within"] = bool(
-        facts["found"] == facts["places"]
-        and facts["max_mm"] <= limit_mm
-        and not facts["heading_max_deg"] > limit_deg
+    rendering = None
+    if points is None and places is None:
+        rendering = Rendering(*_whole_pair(grid, "--grid"), blur_px, noise, wave_mm / 1e3, seed)
+    checked = check_camera(
+        calibration,
+        points=points,
+        places=places,
+        rendering=rendering,
+        limit_mm=limit_mm,
+        limit_deg=limit_deg,
     )
-    rows = [_row(place) for place in found]
+    facts, told = checked.summary(), checked.as_json()
     if out is not None:
-        from frogkick.report.camera_figure import write_error_map
-
-        write_error_map(
-            known.pool_m,
-            np.array([[p.x_m, p.y_m, p.error_x_mm, p.error_y_mm] for p in found]),
-            f"{source}: rms {facts['rms_mm']:.3f} mm, max {facts['max_mm']:.3f} mm",
-            out / "error_map.png",
-        )
-        write_text(out / "error_map.json", json_text({**facts, "map": rows}) + "\n")
-    show({**facts, "map": rows} if json else facts, json)
+        checked.draw(out / "error_map.png")
+        write_text(out / "error_map.json", json_text(told) + "\n")
+    show(told if json else facts, json)
     if not facts["within"]:
         print(
             f"frogkick: camera check: {facts['found']} of {facts['places']} places found, largest error "
@@ -244,7 +166,3 @@ def check(
             file=sys.stderr,
         )
         raise typer.Exit(1)
-
-
-def _row(place: Place) -> dict[str, Any]:
-    return {**asdict(place), "error_mm": place.error_mm}

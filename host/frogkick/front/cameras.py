@@ -1,0 +1,249 @@
+"""The camera over the pool: calibrated from corners or a board, and how far off it is."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from frogkick.errors import InputError
+from frogkick.vision.board import Board, calibrate_lens, read_picture, read_pictures
+from frogkick.vision.calibration import Calibration, Tag, refraction_offset_m
+from frogkick.vision.calibration_file import read_calibration, write_calibration
+from frogkick.vision.check import Place, check_frames, check_points, known_places, rendered, summary
+from frogkick.vision.corners import calibrate_corners, read_corners
+from frogkick.vision.plane_board import calibrate_plane
+from frogkick.vision.scene import Conditions
+
+__all__ = ["Board", "Calibrated", "CameraCheck", "Rendering", "Tag", "calibrate_camera", "check_camera"]
+
+
+@dataclass(frozen=True, repr=False)
+class Calibrated:
+    """A calibrated camera.
+
+    Attributes:
+        calibration: pixels to places on the water, and back.
+        lens_rms_px: how far the board's corners are from the lens's model; NaN without pictures of a board.
+    """
+
+    calibration: Calibration
+    lens_rms_px: float
+
+    def save(self, file: Path | str) -> None:
+        """Write the calibration (.toml), as ``Camera`` and ``run`` take it.
+
+        Raises:
+            InputError: the file cannot be written.
+        """
+        write_calibration(Path(file), self.calibration)
+
+    def as_json(self) -> dict[str, Any]:
+        """The keys of the command ``camera calibrate``."""
+        made = self.calibration
+        corner = np.array([[0, 0], [made.pool_m[0], 0], [*made.pool_m], [0, made.pool_m[1]]], dtype=float)
+        middle = corner.mean(axis=0, keepdims=True)
+        step = made.pixels(middle + np.array([[0, 0], [1e-3, 0], [0, 1e-3]]))
+        shift = None
+        if made.camera_m is not None:
+            above = made.camera_m[2] - made.tag.apparent_height_m
+            shift = float(np.hypot(*(corner - made.camera_m[:2]).T).max() / above)
+        return {
+            "method": made.method,
+            "points": made.points,
+            "rms_px": made.rms_px,
+            "lens_rms_px": self.lens_rms_px,
+            "camera_m": made.camera_m,
+            "tag_height_m": made.tag.height_m,
+            "refraction_offset_m": made.tag.refraction_offset_m,
+            "heave_shift_mm_per_mm": shift,
+            "px_per_mm": float(np.sqrt(abs(np.linalg.det(step[1:] - step[0])))),
+        }
+
+    def __repr__(self) -> str:
+        made = self.calibration
+        return f"Calibrated(by {made.method}, {made.points} points, {made.rms_px:.3g} px RMS)"
+
+
+def calibrate_camera(
+    pool_m: tuple[float, float],
+    tag: Tag,
+    *,
+    corners: Path | str | None = None,
+    plane_picture: Path | str | None = None,
+    image_px: tuple[int, int] | None = None,
+    height_m: float = 0.0,
+    camera_height_m: float | None = None,
+    board: Board | None = None,
+    pictures: Path | str | None = None,
+    board_at_m: tuple[float, float] = (0.0, 0.0),
+) -> Calibrated:
+    """Calibrate from the pool's four corners or from a board laid on the water's plane; lens from a board.
+
+    Args:
+        pool_m: length and width of the pool.
+        tag: on the robot; how much higher water lets it appear is worked out here.
+        corners: file (.toml, .csv) of the pool's corners in pixels: (0, 0), (L, 0), (L, W), (0, W).
+        plane_picture: instead, a picture of the board laid on the water's plane.
+        image_px: width and height of the pictures; needed with ``corners`` where there are no ``pictures``.
+        height_m: of corners or board over the water; negative under it.
+        camera_height_m: over the water, measured; not needed with a board.
+        board: the printed board of ``pictures`` and ``plane_picture``.
+        pictures: folder of pictures of the board, to find the lens; None: the lens is taken as perfect.
+        board_at_m: its first inner corner in the pool, x and y; its rows along the pool.
+
+    Raises:
+        InputError: not one of corners and plane picture, or what is given does not determine the camera.
+    """
+    if (corners is None) == (plane_picture is None):
+        raise InputError(
+            "give the pool's corners (--corners) or a picture of the board (--plane-picture), one"
+        )
+    tag = replace(tag, refraction_offset_m=refraction_offset_m(tag.height_m))
+    lens, lens_rms_px = None, float("nan")
+    if pictures is not None:
+        if board is None:
+            raise InputError("--pictures shows a board: say which with --board chessboard or --board charuco")
+        found = read_pictures(pictures)
+        lens, lens_rms_px, _ = calibrate_lens(board, found)
+        seen = (found[0][1].shape[1], found[0][1].shape[0])
+        if image_px is not None and image_px != seen:
+            raise InputError(
+                f"--image {image_px[0]}x{image_px[1]} is not the pictures' size, {seen[0]}x{seen[1]}"
+            )
+        image_px = seen
+    if plane_picture is not None:
+        if board is None:
+            raise InputError("--plane-picture shows a board: say which with --board chessboard or charuco")
+        laid = read_picture(plane_picture)
+        made = calibrate_plane(board, laid, board_at_m, pool_m, tag, height_m, camera_height_m, lens)
+        return Calibrated(made, lens_rms_px)
+    assert corners is not None
+    if image_px is None:
+        raise InputError("the corners are pixels of a picture: give its size, as --image 640x480")
+    made = calibrate_corners(read_corners(corners), pool_m, image_px, tag, height_m, camera_height_m, lens)
+    return Calibrated(made, lens_rms_px)
+
+
+@dataclass(frozen=True)
+class Rendering:
+    """Pictures that are drawn to see what a camera can give at best.
+
+    Attributes:
+        columns, rows: places of the tag along and across the pool, 1 to 50 each.
+        blur_px: standard deviation of the blur.
+        noise: of the pixels, grey levels.
+        wave_m: standard deviation of the tag's heave.
+        seed: of noise and waves.
+    """
+
+    columns: int = 9
+    rows: int = 7
+    blur_px: float = 0.6
+    noise: float = 2.0
+    wave_m: float = 0.0
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if not (1 <= self.columns <= 50 and 1 <= self.rows <= 50):
+            raise InputError(f"--grid {self.columns}x{self.rows}: allowed is 1x1 to 50x50")
+
+
+@dataclass(frozen=True, repr=False)
+class CameraCheck:
+    """Errors over the pool.
+
+    Attributes:
+        calibration: that was checked.
+        source: of the known places: "points", "places" or "rendered".
+        found: each place, pool frame, and by how much the camera is off there.
+        limit_mm, limit_deg: the largest errors allowed.
+    """
+
+    calibration: Calibration
+    source: str
+    found: Sequence[Place]
+    limit_mm: float
+    limit_deg: float
+
+    def summary(self) -> dict[str, Any]:
+        """Root mean square and largest errors, and whether they are within the limits."""
+        facts: dict[str, Any] = {
+            "source": self.source,
+            **summary(list(self.found)),
+            "limit_mm": self.limit_mm,
+            "limit_deg": self.limit_deg,
+        }
+        facts["within"] = bool(
+            facts["found"] == facts["places"]
+            and facts["max_mm"] <= self.limit_mm
+            and not facts["heading_max_deg"] > self.limit_deg
+        )
+        return facts
+
+    def as_json(self) -> dict[str, Any]:
+        """The keys of the command ``camera check``."""
+        return {**self.summary(), "map": [{**asdict(one), "error_mm": one.error_mm} for one in self.found]}
+
+    def draw(self, file: Path | str) -> None:
+        """Write a map of the errors (.png).
+
+        Raises:
+            InputError: the file cannot be written.
+        """
+        from frogkick.report.camera_figure import write_error_map
+
+        facts = self.summary()
+        errors = np.array([[p.x_m, p.y_m, p.error_x_mm, p.error_y_mm] for p in self.found])
+        title = f"{self.source}: rms {facts['rms_mm']:.3f} mm, max {facts['max_mm']:.3f} mm"
+        write_error_map(self.calibration.pool_m, errors, title, Path(file))
+
+    def __repr__(self) -> str:
+        facts = self.summary()
+        return (
+            f"CameraCheck({self.source}: {facts['found']} of {facts['places']} places found, "
+            f"rms {facts['rms_mm']:.3f} mm, max {facts['max_mm']:.3f} mm)"
+        )
+
+
+def check_camera(
+    calibration: Path | str,
+    *,
+    points: Path | str | None = None,
+    places: Path | str | None = None,
+    rendering: Rendering | None = None,
+    limit_mm: float = 1.0,
+    limit_deg: float = 0.5,
+) -> CameraCheck:
+    """Map a camera's errors over the pool.
+
+    Rendered pictures (neither points nor places) show what camera, pool and tag can give at best, the
+    calibration taken as true; marked points and tags laid down show what it is off by.
+
+    Args:
+        calibration: what ``Calibrated.save`` wrote.
+        points: marked points: CSV with x_px, y_px, x_m, y_m.
+        places: the tag laid down: CSV with image, x_m, y_m, heading_deg.
+        rendering: how pictures are drawn, without either; None: as ``Rendering`` has it.
+        limit_mm, limit_deg: the largest errors allowed.
+
+    Raises:
+        InputError: no calibration, both kinds of places, or a file that cannot be read.
+    """
+    known = read_calibration(Path(calibration))
+    if points is not None and places is not None:
+        raise InputError("--points and --places are two checks: give one of them")
+    if points is not None:
+        found, source = check_points(known, points), "points"
+    elif places is not None:
+        found, source = check_frames(known, known_places(places)), "places"
+    else:
+        drawn = rendering or Rendering()
+        conditions = Conditions(blur_px=drawn.blur_px, noise=drawn.noise, wave_height_m=drawn.wave_m)
+        rng = np.random.default_rng(drawn.seed)
+        pictures = rendered(known, conditions, drawn.columns, drawn.rows, rng)
+        found, source = check_frames(known, pictures), "rendered"
+    return CameraCheck(known, source, found, limit_mm, limit_deg)

@@ -76,25 +76,7 @@ ARROWS: Mapping[str, frozenset[str]] = {
             CODEGEN,
         }
     ),
-    "cli": frozenset(
-        {
-            "front",
-            "robot",
-            "der",
-            "effects",
-            "library",
-            "planner",
-            "paths",
-            "vision",
-            "link",
-            "pool",
-            "loop",
-            "identification",
-            "study",
-            "report",
-            CODEGEN,
-        }
-    ),
+    "cli": frozenset({"front", "report"}),  # arguments in, one call of the front door, printing out
     CODEGEN: frozenset({"robot", "planner", "link"}),
     "errors": frozenset(),
     "extras": frozenset(),
@@ -129,32 +111,6 @@ class Import:
     file: str
     line: int
     module: str
-
-
-DOOR = frozenset(
-    {"front", "report", "cli", "errors", "extras", "files", "interrupts", "progress", "chunks", "__init__"}
-)
-"""What a command may import that is arguments in, one call of the front door, printing out."""
-
-NOT_YET = frozenset(
-    {
-        "study", "study_ceiling", "study_estimator", "study_foresight", "study_heldout", "study_loop",
-        "study_openloop", "study_tables", "study_twin", "study_verdicts",
-    }
-)  # fmt: skip
-"""Commands that still reach behind the front door; none is to be added."""
-
-
-def behind_the_door(root: Path) -> dict[str, list[str]]:
-    """Command -> what it imports that stands behind the front door."""
-    found: dict[str, list[str]] = {}
-    for file in sorted((root / "host" / "frogkick" / "cli").glob("*.py")):
-        for one in imports_of(file, "frogkick.cli", file.name):
-            parts = one.module.split(".")
-            inside = len(parts) > 2 and parts[0] == "frogkick" and parts[1] in ARROWS and parts[1] not in DOOR
-            if inside or parts[0] == "frogkick_codegen":
-                found.setdefault(file.stem, []).append(f"{one.line}: {one.module}")
-    return found
 
 
 def imports_of(file: Path, package: str, name: str) -> Iterator[Import]:

@@ -13,8 +13,8 @@ from tests.identification.made import robot
 from tests.loop import rig
 
 from frogkick.chunks import run_chunks
-from frogkick.cli.study_verdicts import cases_of
 from frogkick.effects import changed_robot, make_effects
+from frogkick.front.identification_studies import cases_of
 from frogkick.identification.outcome import Outcome
 from frogkick.identification.terms import Term, catalogue
 from frogkick.identification.verdict import FOUND, NOTHING, PARTLY, UNEXPLAINED, Error, Interval

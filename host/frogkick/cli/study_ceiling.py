@@ -2,27 +2,18 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
-import os
-from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
 from frogkick.cli.common import JsonOption, show, write_picture
-from frogkick.errors import InputError
 from frogkick.files import require_writable
-from frogkick.progress import progress_bar
-
-if TYPE_CHECKING:
-    from frogkick.study.ceiling import Mean, Run
 
 _DepthsOption = Annotated[
     list[int] | None, typer.Option("--depth", min=1, max=3, help="Strokes to look ahead; may be repeated.")
 ]
-_MEASURES = ("mean_distance_m", "progress_mps")
 
 
 TIME_LIMIT_S = 120.0
@@ -45,86 +36,22 @@ def ceiling(
 
     Each --depth that the rods look further takes as many times longer as the robot has actions.
     """
-    from frogkick.library import fit_table, quantise, read_library
-    from frogkick.library.fitting import BUDGET_BYTES, require_enough
-    from frogkick.loop.closed_loop import require_time
-    from frogkick.paths import SHAPES
-    from frogkick.planner.image import read_image
-    from frogkick.report.ceiling_figure import ceiling_figure
-    from frogkick.study.ceiling import AFFINE, NEAREST, SOURCES, follow_paths, rms_error
+    from frogkick.front.input_studies import study_ceiling
 
     require_writable(out)
-    require_time(simulated_time)
-    content = read_library(library)
-    robot = content.robot()
-    if tables is None:
-        require_enough(content)
-        with progress_bar("robot's table") as progress:
-            own = fit_table(content, "affine", BUDGET_BYTES, progress).image
-    else:
-        opened = read_image(tables)
-        opened.require_robot(robot.id)
-        if opened.period_us != round(robot.period_s * 1e6) or len(opened.actions) != len(robot.actions):
-            raise InputError(
-                f"table {tables.name!r} has another period or other actions than the robot of library "
-                f"{library.name!r}: build it from a library of this robot"
-            )
-        own = opened.image
-    images = {NEAREST: quantise(content), AFFINE: own}
-    depths = sorted(set(depth or (1, 2)))
-    processes = workers or os.cpu_count() or 1
-    with progress_bar("runs") as progress:
-        runs = follow_paths(robot, images, list(SHAPES), depths, seeds, simulated_time, processes, progress)
+    found = study_ceiling(
+        library,
+        tables=tables,
+        depths=depth or (1, 2),
+        seeds=seeds,
+        time_limit_s=simulated_time,
+        workers=workers or None,
+        progress=True,
+    )
     if out is not None:
-        write_picture(ceiling_figure(runs), out)
-    rows = [
-        _row(runs, path, source, levels)
-        for levels in depths
-        for path in (*SHAPES, None)
-        for source in SOURCES
-    ]
-    ahead = {
-        source: {of: rms_error([r for r in runs if r.source == source], of) for of in ("told", "planned")}
-        for source in SOURCES
-    }
-    values = {
-        "rows": rows,
-        "further_than_rods_m": [
-            _beside_rods(runs, source, d) for d in depths for source in (NEAREST, AFFINE)
-        ],
-        "one_stroke_ahead": ahead,
-        "table_bytes": {name: len(image) for name, image in images.items()},
-        "seeds": seeds,
-    }
+        write_picture(found.plot(), out)
+    values = found.as_json()
     show(values, json, _text(values))
-
-
-def _row(runs: Sequence[Run], path: str | None, source: str, depth: int) -> dict[str, Any]:
-    """One path's runs; without a path those of all, a mean for each seed."""
-    from frogkick.study.ceiling import mean_of, over_seeds
-
-    mine = [r for r in runs if (r.source, r.depth) == (source, depth) and path in (None, r.path)]
-    means: dict[str, Mean] = {
-        name: over_seeds(mine, name) if path is None else mean_of([getattr(r, name) for r in mine])
-        for name in _MEASURES
-    }
-    return {
-        "path": path or "all",
-        "source": source,
-        "depth": depth,
-        **{name: dataclasses.asdict(mean) for name, mean in means.items()},
-        "completed": sum(r.completed for r in mine) / len(mine),
-        "decisions": sum(len(r.planned) for r in mine),
-    }
-
-
-def _beside_rods(runs: Sequence[Run], source: str, depth: int) -> dict[str, Any]:
-    """How much further from the paths a source's runs are than those of the rods, seed by seed."""
-    from frogkick.study.ceiling import RODS, more_than
-
-    mine, rods = ([r for r in runs if (r.source, r.depth) == (each, depth)] for each in (source, RODS))
-    mean = more_than(mine, rods, "mean_distance_m")
-    return {"source": source, "depth": depth, **dataclasses.asdict(mean)}
 
 
 def _text(values: dict[str, Any]) -> str:

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
-import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -14,10 +12,9 @@ import typer
 from frogkick.cli.common import JsonOption, show, write_picture
 from frogkick.cli.options import DepthOption, PlannerName, PlannerOption, TablesOption
 from frogkick.files import require_writable
-from frogkick.progress import progress_bar
 
 if TYPE_CHECKING:
-    from frogkick.study.estimator import Condition, Outcome
+    from frogkick.front.input_studies import Condition, Outcome
 
 _PathsOption = Annotated[list[str] | None, typer.Option("--path", help="line, sine, ellipse, or a CSV file.")]
 _RatesOption = Annotated[
@@ -39,38 +36,24 @@ def estimator(
     json: JsonOption = False,
 ) -> None:
     """States from late, lost, doubled and wrong fixes in the pool: the robot's way, a line, the paper's."""
-    from frogkick.front.places import plan_config, robot_of_table, swim_path, table_image
-    from frogkick.loop.closed_loop import require_time
-    from frogkick.report.estimator_figure import estimator_figure
-    from frogkick.study.estimator import RATES_HZ, compare_estimators
+    from frogkick.front.input_studies import RATES_HZ, study_estimator
 
     require_writable(out)
-    require_time(simulated_time)
-    image = table_image(tables, model)
-    described = robot_of_table(image, model)
-    paths = [swim_path(name) for name in path or ("line", "ellipse")]
-    config = plan_config(described, planner.value, depth)
-    processes = workers or os.cpu_count() or 1
-    with progress_bar("runs") as progress:
-        outcomes = compare_estimators(
-            described,
-            image.read_bytes(),
-            paths,
-            config,
-            seeds,
-            simulated_time,
-            rate or RATES_HZ,
-            processes,
-            progress,
-        )
+    found = study_estimator(
+        tables,
+        robot=model,
+        paths=path or ("line", "ellipse"),
+        rates_hz=rate or RATES_HZ,
+        planner=planner.value,
+        depth=depth,
+        seeds=seeds,
+        time_limit_s=simulated_time,
+        workers=workers or None,
+        progress=True,
+    )
     if out is not None:
-        write_picture(estimator_figure(outcomes), out)
-    rows = [
-        {"rate_hz": condition.rate_hz, "fault": condition.fault, "method": method, **dataclasses.asdict(one)}
-        for condition, methods in outcomes.items()
-        for method, one in methods.items()
-    ]
-    show({"outcomes": rows, "seeds": seeds}, json, _table(outcomes))
+        write_picture(found.plot(), out)
+    show(found.as_json(), json, _table(found.outcomes))
 
 
 def _table(outcomes: Mapping[Condition, Mapping[str, Outcome]]) -> str:

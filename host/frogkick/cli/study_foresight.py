@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -10,9 +9,7 @@ import typer
 
 from frogkick.cli.common import JsonOption, show, write_picture
 from frogkick.cli.options import TablesOption
-from frogkick.errors import InputError
 from frogkick.files import require_writable
-from frogkick.progress import progress_bar
 
 
 def foresight(
@@ -30,32 +27,13 @@ def foresight(
     No noise, no delay, no limit of time or memory. A planner on the robot stays further off; by how much
     more tells what it misses, and the rest is what the path asks of the robot.
     """
-    from frogkick.front.places import start_pose, swim_path, table_image
-    from frogkick.planner.image import read_image
-    from frogkick.report.foresight_figure import foresight_figure
-    from frogkick.study.foresight import foresee, nearest_at
+    from frogkick.front.input_studies import study_foresight
 
     require_writable(out)
-    if at_least is not None and not (math.isfinite(at_least) and at_least >= 0.0):
-        raise InputError(f"--at-least {at_least} m/s: give a speed from 0 on")
-    course = swim_path(path)
-    opened = read_image(table_image(tables, None))
-    with progress_bar("decisions ahead") as progress:
-        plans = foresee(opened, course, start_pose(course), breadth, progress)
+    found = study_foresight(path, tables=tables, at_least_mps=at_least, breadth=breadth, progress=True)
     if out is not None:
-        write_picture(foresight_figure(course, plans), out)
-    rows = [
-        {
-            "decisions": len(plan.actions),
-            "mean_distance_m": plan.mean_distance_m,
-            "progress_mps": plan.progress_mps,
-            "actions": [opened.actions[action].name for action in plan.actions],
-        }
-        for plan in plans
-    ]
-    values: dict[str, Any] = {"path": path, "plans": rows}
-    if at_least is not None:
-        values |= {"at_least_mps": at_least, "nearest_m": nearest_at(plans, at_least)}
+        write_picture(found.plot(), out)
+    values = found.as_json()
     show(values, json, _text(values))
 
 

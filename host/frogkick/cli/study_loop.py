@@ -2,25 +2,16 @@
 
 from __future__ import annotations
 
-import dataclasses
-import os
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from frogkick.cli.common import JsonOption, show, write_picture
-from frogkick.errors import InputError
-from frogkick.files import require_writable, write_bytes
-from frogkick.progress import progress_bar
 
 if TYPE_CHECKING:
-    from frogkick.library import Library
-    from frogkick.robot import Robot
-    from frogkick.study.loop import Summary, Verdict
-
-PAPER_STATES = 8503
-ROBOT_BYTES = 64 * 1024
+    from frogkick.front.planner_studies import PlannersCompared, Summary
 
 
 def loop(
@@ -54,126 +45,27 @@ def loop(
     Exit 1 where, in a world and over all paths, the robot's planner is not at most half as far off as the
     paper's at no less progress, or depth 2 and 3 are both further off than depth 1.
     """
-    from frogkick.library import quantise
-    from frogkick.report.loop_figure import loop_figure
-    from frogkick.robot import load_robot
-    from frogkick.study.kept import Case
-    from frogkick.study.loop import (
-        HIDDEN,
-        NOMINAL,
-        PAPER,
-        ROBOT,
-        judge,
-        planners_of,
-        run_cases,
-        settings_of,
-        summaries,
-    )
-    from frogkick_codegen.firmware import require_tools
+    from frogkick.front.planner_studies import compare_planners
 
-    described = load_robot(robot)
-    settings = settings_of(world or [NOMINAL.name, HIDDEN.name], described)
-    paths = shape_names(path)
-    require_tools("native")
-    require_writable(out, folder=True)
-    processes = workers or os.cpu_count() or 1
-    images = {PAPER: out / "paper.fkt", ROBOT: out / "robot.fkt" if tables is None else tables}
-    read = library_of(described, library, out / "library.h5", processes)
-    write_bytes(images[PAPER], quantise(read))
-    if tables is None:
-        fit_own_table(read, images[ROBOT])
-    planners = planners_of(described)
-    cases = [
-        Case(setting.name, name, planner.name, seed)
-        for setting in settings
-        for name in paths
-        for planner in planners
-        for seed in range(seeds)
-    ]
-    with progress_bar("runs") as progress:
-        outcomes = run_cases(described, images, planners, settings, cases, out, processes, progress)
-    worlds = [setting.name for setting in settings]
+    found = compare_planners(
+        out,
+        robot=robot,
+        paths=path,
+        worlds=world,
+        seeds=seeds,
+        library=library,
+        tables=tables,
+        workers=workers or None,
+        progress=True,
+    )
     figure = out / "loop.png"
-    write_picture(loop_figure(outcomes, worlds, paths, [planner.name for planner in planners]), figure)
-    rows = summaries(outcomes)
-    verdicts = [judge(rows, name, planners, described.planner.depth) for name in worlds]
-    values = {
-        "rows": [dataclasses.asdict(row) for row in rows],
-        "over_paths": {
-            verdict.world: {**dataclasses.asdict(verdict), "passed": verdict.passed} for verdict in verdicts
-        },
-        "seeds": seeds,
-        "table_bytes": {name: image.stat().st_size for name, image in images.items()},
-        "figure": str(figure),
-    }
-    show(values, json, _text(rows, verdicts))
-    if not all(verdict.passed for verdict in verdicts):
+    write_picture(found.plot(), figure)
+    show({**found.as_json(), "figure": str(figure)}, json, _text(found))
+    if not found.passed:
         raise typer.Exit(1)
 
 
-def shape_names(given: list[str] | None) -> list[str]:
-    """Names of shapes, each once, the paper's where none is given.
-
-    Raises:
-        InputError: no such shape.
-    """
-    from frogkick.paths import SHAPES, shape
-
-    names = given or list(SHAPES)
-    for name in names:
-        shape(name)
-    return list(dict.fromkeys(names))
-
-
-def library_of(
-    robot: Robot,
-    given: Path | None,
-    made: Path,
-    workers: int,
-    states: int = PAPER_STATES,
-    sampling: str = "box",
-) -> Library:
-    """Read a library of a robot, or one made once.
-
-    Args:
-        robot: whose it has to be.
-        given: its file, None for ``made``.
-        made: written where it is not there yet, of ``states`` and ``sampling`` as for ``build_library``.
-        workers: processes.
-
-    Raises:
-        InputError: it is of another robot, or of another version of it.
-    """
-    from frogkick.library import build_library, read_library
-
-    source = made if given is None else given
-    if given is None and not made.exists():
-        with progress_bar(f"library {made.name}") as progress:
-            build_library(robot, states, 0, workers, made, progress, sampling, record_s=0.0)
-    read = read_library(source)
-    if _swimmer(read.robot()) != _swimmer(robot):
-        raise InputError(f"library {source.name!r} is not of {robot.title!r} as it is now: build it again")
-    return read
-
-
-def fit_own_table(library: Library, image: Path) -> None:
-    """Write the affine table of 64 KiB of a library.
-
-    Raises:
-        InputError: it has too few states.
-    """
-    from frogkick.library import fit_table
-
-    with progress_bar("robot's table") as progress:
-        write_bytes(image, fit_table(library, "affine", ROBOT_BYTES, progress).image)
-
-
-def _swimmer(robot: Robot) -> Robot:
-    """A robot without its planner, which changes nothing in a library."""
-    return dataclasses.replace(robot, planner=None, toml="", sha256=b"")  # type: ignore[arg-type]
-
-
-def table_of_rows(rows: list[Summary]) -> list[str]:
+def table_of_rows(rows: Sequence[Summary]) -> list[str]:
     """A line of text for each."""
     wide = [max(len(getattr(row, name)) for row in rows) for name in ("world", "path", "planner")]
     return [
@@ -184,10 +76,10 @@ def table_of_rows(rows: list[Summary]) -> list[str]:
     ]
 
 
-def _text(rows: list[Summary], verdicts: list[Verdict]) -> str:
-    lines = table_of_rows(rows)
-    wide = max(len(row.planner) for row in rows)
-    for verdict in verdicts:
+def _text(found: PlannersCompared) -> str:
+    lines = table_of_rows(found.rows)
+    wide = max(len(row.planner) for row in found.rows)
+    for verdict in found.verdicts:
         lines.append(f"{verdict.world}, over all paths:")
         lines += [
             f"  {name:{wide}s}  {1e3 * distance_m:6.2f} mm ({verdict.ratio_to_paper[name]:.2f} of the "

@@ -2,23 +2,14 @@
 
 from __future__ import annotations
 
-import math
-import os
-import re
-import tomllib
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
 from frogkick.cli.common import JsonOption, show, write_picture
 from frogkick.errors import InputError
-from frogkick.files import require_writable, write_text
-from frogkick.progress import progress_bar
-
-if TYPE_CHECKING:
-    from frogkick.robot import Robot
-    from frogkick.study.openloop import OpenLoop, Predicted, Split
+from frogkick.files import require_writable
 
 _PercentOption = Annotated[
     list[float] | None,
@@ -55,146 +46,30 @@ def openloop(
     groups of the training swims that are left out of the fit are predicted better by more than the sampling
     error (paired bootstrap over cases); else the nominal model stays.
     """
-    from frogkick.report.openloop_figure import openloop_figure
-    from frogkick.robot import load_robot
-    from frogkick.study.openloop import open_loop
+    from frogkick.front.identification_studies import study_open_loop
 
     require_writable(out, folder=True)
     if (train is None) != (test is None) or (train is None) == (data_dir is None):
         raise InputError("give DATA_DIR, or both --train DIR and --test DIR")
     folder = data_dir if train is None else train
     assert folder is not None
-    nominal = load_robot(robot)
-    with progress_bar("openloop: rounds of fits") as progress:
-        cores = workers or os.cpu_count() or 1
-        found = open_loop(nominal, folder, train_egain or (), test_egain or (), cores, progress, test)
-    values = _result(found)
+    found = study_open_loop(
+        folder,
+        test_dir=test,
+        train_egain=train_egain or (),
+        test_egain=test_egain or (),
+        robot=robot,
+        workers=workers or None,
+        progress=True,
+    )
+    values = found.as_json()
     if out is not None:
         out.mkdir(parents=True, exist_ok=True)
-        write_picture(openloop_figure(found), out / "openloop.png")
+        write_picture(found.plot(), out / "openloop.png")
         values["figure"] = str(out / "openloop.png")
-        for split, row in zip(found.splits, values["splits"], strict=True):
-            target = out / f"{nominal.id}-{re.sub(r'[^a-z0-9.]+', '-', split.name.lower()).strip('-')}.toml"
-            _write_robot(target, nominal, split)
-            row["robot"] = str(target)
+        for row, file in zip(values["splits"], found.save_robots(out), strict=True):
+            row["robot"] = str(file)
     show(values, json, _text(values))
-
-
-def _result(found: OpenLoop) -> dict[str, Any]:
-    from frogkick.study.validate import authors_rmse_mps, speed_rmse_mps
-
-    validation, splits = found.validation, found.splits
-    group = "experiments"
-    kinds = dict.fromkeys(split.kind for split in splits)
-    pooled = {kind: [row for s in splits if s.kind == kind for row in s.test] for kind in kinds}
-    return {
-        "robot": validation.robot.id,
-        "nominal": {
-            "rmse_mps": {g: v for g, v in speed_rmse_mps(validation).items() if g.startswith(group)},
-            "authors_rmse_mps": authors_rmse_mps(validation),
-        },
-        "noise_floor_mps": found.noise.neighbours,
-        "test": _errors(pooled[next(iter(kinds))]),
-        "test_by_kind": {kind: _errors(rows) for kind, rows in pooled.items()},
-        "splits": [_split(split) for split in splits],
-        "skipped": [
-            {"case": skipped.case, "reason": skipped.reason}
-            for skipped in validation.skipped
-            if skipped.case.startswith(("exp", "profile"))
-        ],
-    }
-
-
-def _split(split: Split) -> dict[str, Any]:
-    scores = split.fitted.left_out_mps
-    return {
-        "kind": split.kind,
-        "fitted_to": split.name,
-        "train_egain_percent": sorted({row.experiment.case.gait.egain_percent for row in split.train}),
-        "test_egain_percent": sorted({row.experiment.case.gait.egain_percent for row in split.test}),
-        "parameters": [
-            {
-                "name": estimate.free.name,
-                "value": estimate.value,
-                "low": estimate.low,
-                "high": estimate.high,
-                "nominal": estimate.free.declared.nominal,
-                "unit": estimate.free.declared.unit,
-            }
-            for estimate in split.fitted.estimates
-        ],
-        "effects": list(split.fitted.tables),
-        "left_out_rmse_mps": {"nominal": scores[0], "effects": scores[-1]},
-        "tried": [
-            {
-                "parameters": list(turn.parameters),
-                "taken": turn.taken,
-                "mse_gain_m2_per_s2": {
-                    way: {"value": gain, "interval": [low, high]}
-                    for way, (gain, low, high) in turn.gains.items()
-                },
-            }
-            for turn in split.fitted.turns
-        ],
-        "assumed_sd_mps": split.fitted.sd_mps,
-        "train": _errors(split.train),
-        "test": _errors(split.test),
-        "cases": [_case(row, name) for name in ("train", "test") for row in getattr(split, name)],
-    }
-
-
-def _errors(rows: list[Predicted] | tuple[Predicted, ...]) -> dict[str, Any]:
-    import numpy as np
-
-    from frogkick.study.openloop import rmse_by_group
-    from frogkick.study.openloop_groups import gain_of
-
-    nominal, effects = rmse_by_group(rows, nominal=True), rmse_by_group(rows)
-    mean = [row.error_mps for row in rows if math.isfinite(row.error_mps)]
-    swum = [row for row in rows if math.isfinite(row.error_mps)]
-    gain = gain_of(
-        np.array([row.experiment.error_mps for row in swum]), np.array([row.error_mps for row in swum])
-    )
-    return {
-        "swims": len(rows),
-        "failed": sum(not math.isfinite(row.speed_mps) for row in rows),
-        "nominal_rmse_mps": nominal["all"],
-        "rmse_mps": effects["all"],
-        "mse_gain_m2_per_s2": {"value": gain[0], "interval": list(gain[1:])},
-        "nominal_mean_error_mps": sum(row.experiment.error_mps for row in rows) / max(len(rows), 1),
-        "mean_error_mps": sum(mean) / len(mean) if mean else math.nan,
-        "by_group": {
-            group: {"nominal_rmse_mps": nominal[group], "rmse_mps": effects.get(group, math.nan)}
-            for group in nominal
-            if group != "all"
-        },
-    }
-
-
-def _case(row: Predicted, use: str) -> dict[str, Any]:
-    experiment, gait = row.experiment, row.experiment.case.gait
-    return {
-        "case": experiment.case.name,
-        "use": use,
-        "egain_percent": gait.egain_percent,
-        "frequency_hz": gait.frequency_hz,
-        "phase": gait.phase,
-        "measured_mps": experiment.reference.speed_mps,
-        "nominal_mps": experiment.model_mps,
-        "predicted_mps": row.speed_mps,
-        "profile": experiment.profile,
-    }
-
-
-def _write_robot(target: Path, robot: Robot, split: Split) -> None:
-    from frogkick.robot.toml_text import to_toml
-    from frogkick.study.steady import with_effects
-
-    table = tomllib.loads(robot.toml)
-    effects = with_effects(robot, split.fitted.tables).effects
-    if effects:
-        table["effect"] = [dict(effect) for effect in effects]
-    write_text(target, to_toml(table))
 
 
 def _mm(value: float) -> str:

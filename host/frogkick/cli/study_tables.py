@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from pathlib import Path
 from typing import Annotated
 
@@ -11,7 +10,6 @@ import typer
 from frogkick.cli.common import JsonOption, SeedOption, show, write_picture
 from frogkick.cli.library import Sampling
 from frogkick.files import require_writable
-from frogkick.progress import progress_bar
 
 _PictureOption = Annotated[Path | None, typer.Option(help="Picture to write (PNG).")]
 
@@ -27,30 +25,13 @@ def tables(
     json: JsonOption = False,
 ) -> None:
     """Error of tables of both kinds against their size, and against the library's."""
-    from frogkick.library import read_library
-    from frogkick.report.table_size_figure import table_size_figure
-    from frogkick.study.table_size import least_bytes_as_good, over_full_nearest, slope, table_sizes
+    from frogkick.front.table_studies import study_tables
 
-    content = read_library(library)
     require_writable(out)
-    with progress_bar("tables") as progress:
-        sizes = table_sizes(content, test_states, seed, progress, swims.value)
+    found = study_tables(library, test_states=test_states, swims=swims.value, seed=seed, progress=True)
     if out is not None:
-        write_picture(table_size_figure(sizes), out)
-    affine = tuple(p for p in sizes.by_size if p.kind == "affine")
-    show(
-        {
-            "by_size": [dataclasses.asdict(point) for point in sizes.by_size],
-            "by_library": [dataclasses.asdict(point) for point in sizes.by_library],
-            "affine_bytes_as_good_as_nearest": least_bytes_as_good(sizes),
-            "affine_64_kib_over_full_nearest": over_full_nearest(sizes),
-            "affine_exponent": {
-                name: round(slope(affine, name), 3) for name in ("position_m", "heading_rad")
-            },
-            "seed": seed,
-        },
-        json,
-    )
+        write_picture(found.plot(), out)
+    show(found.as_json(), json)
 
 
 def history(
@@ -62,17 +43,13 @@ def history(
     json: JsonOption = False,
 ) -> None:
     """Error of affine tables with and without limb use as an input, for this robot and tiring ones."""
-    from frogkick.report.history_figure import history_figure
-    from frogkick.robot import load_robot
-    from frogkick.study.history import history_worth
+    from frogkick.front.table_studies import study_history
 
-    described = load_robot(robot)
     require_writable(out)
-    with progress_bar("limb history") as progress:
-        results = history_worth(described, states, test_states, seed, progress)
+    found = study_history(robot, states=states, test_states=test_states, seed=seed, progress=True)
     if out is not None:
-        write_picture(history_figure(results), out)
-    show({"robots": [dataclasses.asdict(result) for result in results], "seed": seed}, json)
+        write_picture(found.plot(), out)
+    show(found.as_json(), json)
 
 
 def register(app: typer.Typer) -> None:

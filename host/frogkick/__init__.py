@@ -16,8 +16,11 @@ _FROM = {
     "effects": ("World",),
     "errors": ("CheckError", "ConvergenceError", "FrogkickError", "InputError"),
     "front.building": ("Firmware", "build_firmware", "emit_c"),
+    "front.gaits": ("Swept", "Validated", "sweep", "validate"),
     "front.identifying": ("Identification", "identify"),
     "front.planning": ("Plan", "Planner"),
+    "front.replaying": ("Replayed", "replay"),
+    "front.retuning": ("Retuning", "retune"),
     "front.robots": ("Camera", "Connection", "connect"),
     "front.running": ("Run", "load_run", "run"),
     "front.swimming": ("simulate",),
@@ -54,6 +57,14 @@ __all__ = [  # noqa: RUF022 - strings, in the order of the work
     "Run",
     "identify",
     "Identification",
+    "retune",
+    "Retuning",
+    "replay",
+    "Replayed",
+    "validate",
+    "Validated",
+    "sweep",
+    "Swept",
     "emit_c",
     "build_firmware",
     "Firmware",
@@ -73,8 +84,11 @@ if TYPE_CHECKING:
     from frogkick.effects import World
     from frogkick.errors import CheckError, ConvergenceError, FrogkickError, InputError
     from frogkick.front.building import Firmware, build_firmware, emit_c
+    from frogkick.front.gaits import Swept, Validated, sweep, validate
     from frogkick.front.identifying import Identification, identify
     from frogkick.front.planning import Plan, Planner
+    from frogkick.front.replaying import Replayed, replay
+    from frogkick.front.retuning import Retuning, retune
     from frogkick.front.robots import Camera, Connection, connect
     from frogkick.front.running import Run, load_run, run
     from frogkick.front.swimming import simulate

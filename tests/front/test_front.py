@@ -309,3 +309,30 @@ def test_a_log_of_a_robot_that_never_swam_is_read_and_given_on(runs: list[fk.Run
     for told in (lambda: read.tracking, read.summary, lambda: read.compare(runs[0])):
         with pytest.raises(fk.InputError, match="has no decisions"):
             told()
+
+
+def test_a_run_is_decided_again_in_memory(runs: list[fk.Run], table: fk.Table) -> None:
+    again = fk.replay(runs[0], table=table, robot="pool")
+    assert again.mismatches == 0 and again.result.agreement == 1.0
+    assert again.as_json()["actions"] == "".join(runs[0].actions) and "0 mismatches" in repr(again)
+    with pytest.raises(fk.InputError, match="did you mean 'host'"):
+        fk.replay(runs[0], plan="hots")
+
+
+def test_gaits_are_ranked_in_memory() -> None:
+    told: list[tuple[int, int]] = []
+    swept = fk.sweep(
+        few_pieces(),
+        egain_percent=[10.0],
+        frequencies_hz=[0.4, 1.5],
+        phases=1,
+        workers=1,
+        progress=lambda done, whole: told.append((done, whole)),
+    )
+    assert told[-1] == (2, 2) and len(swept.points) == 2
+    first, second = swept.fastest
+    assert first.speed_mps > second.speed_mps > 0.0
+    assert swept.as_json()["gaits"] == 2 and repr(swept).startswith("Swept('frog2022': 2 designs, 2 gaits; ")
+    assert "mm/s" in swept._repr_html_()
+    with pytest.raises(fk.InputError, match="nowhere"):
+        fk.validate("nowhere", few_pieces())

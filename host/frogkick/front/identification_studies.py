@@ -6,7 +6,7 @@ import math
 import os
 import re
 import tomllib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,6 +15,7 @@ import numpy as np
 
 from frogkick.errors import InputError
 from frogkick.files import require_writable, write_text
+from frogkick.front.identifying import LeftOut
 from frogkick.front.places import robot_of_table, table_image
 from frogkick.identification.outcome import robot_of_runs
 from frogkick.identification.swim import read_swim, reliable
@@ -45,9 +46,6 @@ __all__ = [
 
 LEAST = {NULL: 0.95, ONE: 0.95, TWO: 0.90, OUTSIDE: 0.95}
 """Share of the cases of a group that must be right."""
-
-LeftOut = Callable[[Sequence[Mapping[str, str]]], None]
-"""Told of runs that are not used, before the work: rows with ``run`` and ``reason``."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)

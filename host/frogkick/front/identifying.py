@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -144,6 +144,9 @@ class Identification:
 
 Given = Run | Path | str
 """A run in memory, or its file."""
+
+LeftOut = Callable[[Sequence[Mapping[str, str]]], None]
+"""Told of runs that are not used, before the work: rows with ``run`` and ``reason``."""
 
 
 def identify(

@@ -16,7 +16,7 @@ from frogkick.effects import World, effects_of
 from frogkick.errors import FrogkickError, InputError
 from frogkick.files import require_writable
 from frogkick.front.html import page_of
-from frogkick.front.identifying import Error, Given, Outcome, swim_of_given
+from frogkick.front.identifying import Error, Given, LeftOut, Outcome, swim_of_given
 from frogkick.front.places import built_firmware
 from frogkick.front.robots import VIRTUAL, Pushed, push_table, require_target
 from frogkick.front.tables import Table, load_table
@@ -33,15 +33,12 @@ from frogkick.robot import Robot, load_robot
 from frogkick.study.trial import trials
 from frogkick_codegen.firmware import build, require_tools
 
-__all__ = ["BEFORE", "STATES", "TABLES", "Error", "LeftOut", "Pushed", "Retuning", "retune"]
+__all__ = ["BEFORE", "STATES", "TABLES", "Error", "Pushed", "Retuning", "retune"]
 
 STATES = 800
 SAMPLING = "visited"
 KIND = "affine"
 LOOP_PATHS, LOOP_SEEDS = tuple(SHAPES), 2
-
-LeftOut = Callable[[Sequence[Mapping[str, str]]], None]
-"""Told of runs that are not used, before the work: rows with ``run`` and ``reason``."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -23,7 +23,8 @@ from frogkick.identification.verdict import Error
 from frogkick.progress import Progress, shown
 from frogkick.robot import Robot, load_robot
 from frogkick.robot.toml_text import to_toml
-from frogkick.study.heldout import HeldOut, held_out, pooled
+from frogkick.study import heldout
+from frogkick.study.heldout import HeldOut
 from frogkick.study.openloop import OpenLoop, Predicted, Split, open_loop, rmse_by_group
 from frogkick.study.openloop_groups import gain_of
 from frogkick.study.planted import NULL, ONE, OUTSIDE, TWO, kinds
@@ -76,7 +77,7 @@ class HeldOutStudy:
         return self._pooled([row.floor for row in self.rows])
 
     def _pooled(self, errors: Sequence[Error]) -> Error:
-        return pooled(errors, [row.before.count for row in self.rows])
+        return heldout.pooled(errors, [row.before.count for row in self.rows])
 
     @property
     def worse(self) -> bool:
@@ -149,7 +150,7 @@ def study_held_out(
     used = [run for run, swim in zip(runs, swims, strict=True) if not swim.problem]
     described = robot if isinstance(robot, Robot) else load_robot(robot or robot_of_runs(swims))
     with shown(progress, "runs kept back") as tell:
-        rows = held_out(described, used, effects, workers or os.cpu_count() or 1, tell)
+        rows = heldout.held_out(described, used, effects, workers or os.cpu_count() or 1, tell)
     return HeldOutStudy(rows, unused)
 
 

@@ -18,9 +18,9 @@ from frogkick.library.fitting import BUDGET_BYTES
 from frogkick.paths import SHAPES, shape
 from frogkick.progress import Progress, shown
 from frogkick.robot import Robot, load_robot
+from frogkick.study import believed as beliefs
 from frogkick.study import loop as planners_in_loop
 from frogkick.study import twin
-from frogkick.study.believed import Believed, believed_motions, image_of_motions
 from frogkick.study.kept import Case, Outcome
 from frogkick.study.loop import HIDDEN, NOMINAL, PAPER, ROBOT, Summary, Verdict
 from frogkick.study.twin import Recorded
@@ -233,7 +233,7 @@ class TwinStudy:
     rows: Sequence[Summary]
     over: Mapping[str, Sequence[twin.Mean]]
     recorded: Sequence[Recorded]
-    believed: Believed | None
+    believed: beliefs.Believed | None
     planners: Sequence[str]
     seeds: int
     table_bytes: Mapping[str, int]
@@ -286,7 +286,7 @@ class TwinStudy:
             "table_bytes": dict(self.table_bytes),
         }
 
-    def _told(self, believed: Believed) -> dict[str, Any]:
+    def _told(self, believed: beliefs.Believed) -> dict[str, Any]:
         motions = zip(self.nominal.actions, believed.motion.tolist(), strict=True)
         return {
             "motion": {action.name: dict(zip(_MOTION, motion, strict=True)) for action, motion in motions},
@@ -351,9 +351,9 @@ def compare_in_twin(
     believed = None
     if recorded:
         begin = told.displacement_body[told.whole_states()].mean(axis=0)
-        believed = believed_motions([one.choices for one in recorded], nominal, begin)
+        believed = beliefs.believed_motions([one.choices for one in recorded], nominal, begin)
         images[twin.BELIEVED] = folder / f"{twin.BELIEVED}.fkt"
-        write_bytes(images[twin.BELIEVED], image_of_motions(nominal, believed.motion))
+        write_bytes(images[twin.BELIEVED], beliefs.image_of_motions(nominal, believed.motion))
     planners = twin.planners_of_twin(described, believed is not None)
     names = [planner.name for planner in planners]
     courses = [one.course for one in recorded]

@@ -394,7 +394,7 @@ typedef struct {
     uint32_t frames_bad; /* frames that failed COBS, length or CRC, or were answers */
     uint32_t pulses; /* pulses since boot */
     uint32_t pulses_refused; /* pulses that the guard refused */
-    uint32_t answers_dropped; /* answers that found no room */
+    uint32_t answers_dropped; /* answers and events that found no room, or that the radio could not send */
     uint32_t restarts; /* times that outliers which agree were believed since boot */
     uint32_t repeats; /* commands that came again and were answered, not done, since boot */
     uint8_t reset; /* why the robot started last, see reset */

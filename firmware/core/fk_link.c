@@ -95,3 +95,5 @@ uint32_t fk_robot_take_tx(fk_robot_t *robot, uint8_t *bytes, uint32_t capacity)
     robot->tx_length -= count;
     return count;
 }
+
+void fk_robot_note_frames_dropped(fk_robot_t *robot, uint32_t frames) { robot->answers_dropped += frames; }

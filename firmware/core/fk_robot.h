@@ -165,6 +165,9 @@ void fk_robot_note_tick(fk_robot_t *robot, uint32_t elapsed_us);
  */
 uint32_t fk_robot_take_tx(fk_robot_t *robot, uint8_t *bytes, uint32_t capacity);
 
+/* Frames that fk_robot_take_tx gave and that the port could not send: STATUS counts them with those that found no room. */
+void fk_robot_note_frames_dropped(fk_robot_t *robot, uint32_t frames);
+
 /* Go on from a snapshot of a log, as a host does that decides again. After fk_robot_init with the same table, and
  * fk_robot_use_log.
  * @param snapshot  contents of its SNAPSHOT records without their heads, one behind the other

@@ -1,4 +1,4 @@
-"""The robot's Zephyr application, as far as it can be checked without Zephyr: C, settings, devicetree, lists.
+"""The robot's Zephyr application, as far as it can be checked without Zephyr: C, settings, devicetree, lives.
 
 What this cannot show is that Zephyr's own code does as declared; firmware/robot/README.md says so.
 """
@@ -16,18 +16,17 @@ import pytest
 import yaml
 from devicetree import dtlib
 from kconfiglib import Kconfig
-from tests.planner import synthetic
+from tests.loop import rig
 from west.manifest import ImportFlag, Manifest
+from zephyr_robot import DECLARED, ROBOT, ZephyrRobot, headers, play
 
-from frogkick.files import write_bytes
+from frogkick.link.layout import link_layout
+from frogkick.loop.session import Session
 from frogkick.robot import load_robot
 from frogkick_codegen.firmware import build
 from frogkick_codegen.toolchain import ToolchainError, zig
 
-ROBOT = Path(__file__).parents[2] / "firmware" / "robot"
 CORE, BENCH = ROBOT.parent / "core", ROBOT.parent / "bench"
-DECLARED = Path(__file__).parent / "zephyr"
-LIBC = {"errno.h", "string.h", "stdint.h"}
 BOARDS = ("nrf52dk_nrf52832", "bl652_dvk_nrf52832")
 SOURCES = sorted((ROBOT / "src").glob("*.c"))
 PAGE_BYTES, FLASH_BYTES = 4096, 512 * 1024
@@ -38,8 +37,7 @@ WARNINGS = ("-Wall", "-Wextra", "-Wconversion", "-Wdouble-promotion", "-Wmissing
 def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """What `frogkick firmware build` leaves, and the application's CMake file takes."""
     folder = tmp_path_factory.mktemp("made")
-    write_bytes(folder / "t.fkt", synthetic.image())
-    build("bench", folder / "t.fkt", load_robot("frog2022"), folder / "out")
+    build("bench", rig.small_table(), load_robot("frog2022"), folder / "out")
     return folder / "out"
 
 
@@ -53,10 +51,7 @@ def configuration(monkeypatch: pytest.MonkeyPatch, *settings: Path) -> Kconfig:
 
 def check(source: str, made: Path, folder: Path, options: list[str]) -> None:
     """Let the compiler judge a source, with every header of Zephyr's the declarations."""
-    for name in set(re.findall(r"#include <([^>]+)>", source)) - LIBC:
-        header = folder / "include" / name
-        header.parent.mkdir(parents=True, exist_ok=True)
-        header.write_text('#include "declared.h"\n')
+    headers(source, folder / "include")
     (folder / "source.c").write_text(source)
     includes = [folder / "include", DECLARED, ROBOT / "src", CORE, made, made / "emitted"]
     flags = ["-std=gnu11", *WARNINGS, *(f"-I{path}" for path in includes), *options]
@@ -88,7 +83,7 @@ def test_the_c_compiles_against_what_zephyr_declares(
     ("source", "before", "after"),
     [
         ("limbs.c", "nrfx_gpiote_init(&gpiote, 0)", "nrfx_gpiote_init(0)"),
-        ("radio.c", "(uint16_t)part", "part"),
+        ("radio.c", "(void)atomic_inc(&dropped_frames)", "(void)atomic_inc(dropped_frames)"),
         ("main.c", "fk_robot_tick(&robot, begin_us, &outputs)", "fk_robot_tick(&robot, &outputs)"),
     ],
 )
@@ -185,3 +180,142 @@ def test_the_core_s_limit_is_the_port_s() -> None:
     limit = re.compile(r"_PULSE_MAX_US (\d+)u")
     found = [limit.search(file.read_text()) for file in (ROBOT / "src" / "limbs.h", BENCH / "board.h")]
     assert {match[1] for match in found if match} == {"100000"}
+
+
+# Lives
+
+
+@pytest.fixture(scope="module")
+def played(made: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    with pytest.MonkeyPatch.context() as patch:
+        options = defines(configuration(patch, ROBOT / "prj.conf"))
+    return play(made, tmp_path_factory.mktemp("played"), [*options, "-DFK_LOG_BYTES=16384u"])
+
+
+class Life:
+    """A robot and a host that talks to it."""
+
+    def __init__(self, played: Path, mtu: int = 247) -> None:
+        self.tables = rig.tables()
+        self.robot = ZephyrRobot(played, played.parent)
+        self.session = Session(self.robot)
+        self.session.step(0.05)
+        self.robot.connect(mtu)
+        self.session.greet(self.tables)
+
+    @property
+    def firing(self) -> int:
+        return next(i for i, row in enumerate(self.tables.actions) if row.first_mask and row.second_mask)
+
+    def live(self, for_s: float) -> None:
+        self.session.step(self.session.time_s + for_s)
+
+    def state(self) -> int:
+        return int(self.session.request("STATUS")["state"])
+
+
+STATE = link_layout().state
+
+
+@pytest.fixture
+def life(played: Path) -> Life:
+    return Life(played)
+
+
+def test_a_stroke_over_the_radio(life: Life) -> None:
+    session = life.session
+    session.request("ARM")
+    session.step(1.0)
+    session.request("STROKE", {"action": life.firing})
+    life.live(1.0)
+    row = life.tables.actions[life.firing]
+    ups = [edge for edge in session.edges if edge.level]
+    assert len(ups) == row.first_mask.bit_count() + row.second_mask.bit_count()
+    for up in ups:
+        down = next(e for e in session.edges if e.limb == up.limb and not e.level)
+        assert down.time_s - up.time_s == pytest.approx(life.tables.pulse_us * 1e-6, abs=1e-9)
+    assert life.robot.watchdog_s < 0.5
+    assert life.robot.stage.play_asserts() == 0
+
+
+def test_a_fading_link_does_not_hang_the_loop(life: Life) -> None:
+    """Nothing leaves any more, and answers are asked for: it disarms as the core says, and is not reset."""
+    session = life.session
+    session.request("ARM")
+    session.step(1.0)
+    session.request("STROKE", {"action": life.firing})
+    life.robot.stage.play_fade(1)
+    for _ in range(40):  # a host that hears nothing repeats itself
+        session.post("STATUS")
+        life.live(0.05)
+    assert life.robot.watchdog_s < 0.5, "the watchdog would have reset it"
+    assert session.edges and not session.edges[-1].level
+    fired = len(session.edges)
+    life.live(6.0)  # nothing heard for 5 s
+    assert life.robot.watchdog_s < 0.5
+    life.robot.stage.play_fade(0)
+    life.live(1.0)
+    told = session.take("STATUS")
+    assert told and life.robot.bad_frames == 0, "what was kept comes whole"
+    assert life.state() == STATE["DISARMED"]
+    assert session.request("STATUS")["answers_dropped"] == 40 - len(told), "what found no room is counted"
+    assert len(session.edges) == fired
+
+
+def test_a_fading_link_that_ends(life: Life) -> None:
+    """Disarmed as the connection ends; the next host hears whole frames, and what was lost is counted."""
+    session = life.session
+    session.request("ARM")
+    life.robot.stage.play_fade(1)
+    for _ in range(20):
+        session.post("STATUS")
+        life.live(0.05)
+    life.robot.stage.play_disconnect()
+    life.live(0.1)
+    assert life.robot.watchdog_s < 0.5
+    life.robot.connect()
+    life.live(0.1)
+    session.take("STATUS")
+    told = session.request("STATUS")
+    assert told["state"] == STATE["DISARMED"]
+    assert told["answers_dropped"] > 0
+    assert life.robot.bad_frames == 0
+
+
+@pytest.mark.parametrize("error", [12, 22])  # ENOMEM, EINVAL
+@pytest.mark.parametrize("after", range(5))
+def test_frames_are_whole_or_dropped_whole(played: Path, error: int, after: int) -> None:
+    """Parts of 20 bytes, and the radio refuses one in the middle of a frame: the next frame is not spoilt."""
+    life = Life(played, mtu=23)
+    session = life.session
+    assert session.request("STATUS")["answers_dropped"] == 0
+    life.robot.stage.play_refuse(-error, after)
+    first = session.post("STATUS")
+    life.live(0.3)
+    assert life.robot.watchdog_s < 0.5
+    life.robot.stage.play_refuse(0, 0)
+    life.live(0.3)
+    arrived = [arrival.frame.sequence for arrival in session.take("STATUS")]
+    told = session.request("STATUS")
+    if error == 12:  # no buffer for a while: repeated
+        assert arrived == [first] and told["answers_dropped"] == 0 and life.robot.bad_frames == 0
+    else:
+        lost = 0 if first in arrived else 1
+        assert told["answers_dropped"] == lost
+        assert life.robot.bad_frames <= lost
+        assert lost == (after < 3), "an answer of 57 bytes"
+
+
+def test_who_does_not_listen_is_not_waited_for(played: Path) -> None:
+    life = Life(played)
+    life.robot.stage.play_refuse(-22, 0)
+    for _ in range(30):
+        life.session.post("STATUS")
+        life.live(0.02)
+    life.robot.stage.play_refuse(0, 0)
+    assert life.session.request("STATUS")["answers_dropped"] == 30
+
+
+def test_the_loop_itself_never_calls_the_radio(life: Life) -> None:
+    life.session.request("STATUS")
+    assert life.robot.stage.play_notified_by() == 1, "the thread of its own"

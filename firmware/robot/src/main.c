@@ -15,7 +15,6 @@
 
 #define WATCHDOG_MS 1000u
 #define LONGEST_SLEEP_US 400000u /* the watchdog is fed by this loop alone: where it hangs, the robot resets */
-#define SEND_BYTES 244u          /* what one notification holds at most */
 
 static fk_robot_t robot;
 static fk_frame_collector_t collector;
@@ -117,14 +116,19 @@ static void boot_robot(void)
     fk_robot_use_log(&robot, &history);
 }
 
+BUILD_ASSERT(FK_RADIO_SEND_BYTES == FK_TX_BYTES, "all that the core has is taken at once: whole frames");
+
+/* Only as fast as the radio takes them: until then they wait in the core, which counts what finds no room there. */
 static void send_answers(void)
 {
-    uint8_t bytes[SEND_BYTES];
-    uint32_t length = fk_robot_take_tx(&robot, bytes, sizeof(bytes));
+    static uint8_t frames[FK_RADIO_SEND_BYTES];
 
-    while (length > 0u) {
-        fk_radio_send(bytes, length);
-        length = fk_robot_take_tx(&robot, bytes, sizeof(bytes));
+    fk_robot_note_frames_dropped(&robot, fk_radio_take_dropped_frames());
+    if (fk_radio_is_sending() == 0) {
+        const uint32_t length = fk_robot_take_tx(&robot, frames, sizeof(frames));
+        if (length > 0u) {
+            fk_radio_send(frames, length);
+        }
     }
 }
 

@@ -17,6 +17,13 @@
 #define RECEIVE_BYTES 2048 /* a frame is at most 253: what comes while a decision computes waits here */
 #define ATT_HEAD_BYTES 3u
 
+/* The thread that sends: below the loop, which it must never hold up. What it waits for, the radio's buffers, come free one
+ * by one, or all at once when the connection ends. */
+#define SENDER_STACK_BYTES 2048
+#define SENDER_PRIORITY K_PRIO_PREEMPT(5)
+#define RETRY_MS 10
+#define TRIES_MAX 500u /* 5 s without a buffer: that frame is given up */
+
 #define NUS_SERVICE BT_UUID_128_ENCODE(0x6e400001, 0xb5a3, 0xf393, 0xe0a9, 0xe50e24dcca9e)
 #define NUS_RECEIVE BT_UUID_128_ENCODE(0x6e400002, 0xb5a3, 0xf393, 0xe0a9, 0xe50e24dcca9e)
 #define NUS_TRANSMIT BT_UUID_128_ENCODE(0x6e400003, 0xb5a3, 0xf393, 0xe0a9, 0xe50e24dcca9e)
@@ -32,6 +39,12 @@
 RING_BUF_DECLARE(received, RECEIVE_BYTES);
 static void (*tell_arrival)(void);
 static atomic_t dropped;
+static atomic_t dropped_frames;
+
+static uint8_t outgoing[FK_RADIO_SEND_BYTES];
+static uint32_t outgoing_bytes;
+static atomic_t is_sending; /* outgoing belongs to the thread */
+static K_SEM_DEFINE(to_send, 0, 1);
 
 /* Bytes that find no room are lost; the frame that they belong to fails its CRC and the host repeats it. */
 static ssize_t on_write(struct bt_conn *conn, const struct bt_gatt_attr *attribute, const void *bytes, uint16_t length,
@@ -194,22 +207,92 @@ static void find(struct bt_conn *conn, void *found)
     }
 }
 
-void fk_radio_send(const uint8_t *bytes, uint32_t length)
+/* bt_gatt_notify waits for a buffer, for ever if need be, which ends with the connection; or it returns without one. */
+static int notify(struct bt_conn *conn, const uint8_t *bytes, uint32_t length)
+{
+    int error = bt_gatt_notify(conn, TRANSMIT_VALUE, bytes, (uint16_t)length);
+
+    for (uint32_t tries = 1; error == -ENOMEM && tries < TRIES_MAX; ++tries) {
+        (void)k_sleep(K_MSEC(RETRY_MS));
+        error = bt_gatt_notify(conn, TRANSMIT_VALUE, bytes, (uint16_t)length);
+    }
+    return error;
+}
+
+/* @retval 0, or a negative errno: then none of the frame has left, or a part that the next frame sees to */
+static int send_frame(struct bt_conn *conn, const uint8_t *bytes, uint32_t length)
+{
+    static const uint8_t delimiter = 0;
+    static uint8_t is_torn; /* the host has a part of a frame whose end will never come */
+    uint32_t sent = 0;
+    int error = is_torn != 0 ? notify(conn, &delimiter, sizeof(delimiter)) : 0;
+
+    if (error != 0) {
+        return error;
+    }
+    is_torn = 0;
+    while (error == 0 && sent < length) {
+        const uint32_t mtu = bt_gatt_get_mtu(conn); /* 23 at least, 0 once the connection has ended */
+        const uint32_t part = (mtu > ATT_HEAD_BYTES) ? MIN(length - sent, mtu - ATT_HEAD_BYTES) : 0;
+
+        error = (part > 0) ? notify(conn, bytes + sent, part) : -ENOTCONN;
+        sent += (error == 0) ? part : 0;
+    }
+    is_torn = error != 0 && sent > 0;
+    return error;
+}
+
+static void send_frames(void)
 {
     struct bt_conn *conn = NULL;
+    uint32_t begin = 0;
 
+    /* Held until all is sent: while it is, no other connection can take its place. */
     bt_conn_foreach(BT_CONN_TYPE_LE, find, &conn);
-    if (conn == NULL) {
-        return;
-    }
-    while (length > 0) {
-        const uint32_t room = bt_gatt_get_mtu(conn) - ATT_HEAD_BYTES; /* an MTU is 23 at least */
-        const uint32_t part = MIN(length, room);
-        if (bt_gatt_notify(conn, TRANSMIT_VALUE, bytes, (uint16_t)part) != 0) {
-            break; /* gone, or does not listen: the rest would be a broken frame */
+    while (begin < outgoing_bytes) {
+        uint32_t end = begin;
+        while (end < outgoing_bytes && outgoing[end] != 0) {
+            ++end;
         }
-        bytes += part;
-        length -= part;
+        end += (end < outgoing_bytes) ? 1 : 0; /* with its delimiter */
+        if (conn == NULL || send_frame(conn, outgoing + begin, end - begin) != 0) {
+            (void)atomic_inc(&dropped_frames);
+        }
+        begin = end;
     }
-    bt_conn_unref(conn);
+    if (conn != NULL) {
+        bt_conn_unref(conn);
+    }
+}
+
+static void send_for_ever(void *first, void *second, void *third)
+{
+    (void)first;
+    (void)second;
+    (void)third;
+    for (;;) {
+        (void)k_sem_take(&to_send, K_FOREVER);
+        send_frames();
+        (void)atomic_set(&is_sending, 0);
+        tell_arrival();
+    }
+}
+K_THREAD_DEFINE(sender, SENDER_STACK_BYTES, send_for_ever, NULL, NULL, NULL, SENDER_PRIORITY, 0, 0);
+
+int32_t fk_radio_is_sending(void)
+{
+    return (atomic_get(&is_sending) != 0) ? 1 : 0;
+}
+
+void fk_radio_send(const uint8_t *frames, uint32_t length)
+{
+    memcpy(outgoing, frames, length);
+    outgoing_bytes = length;
+    (void)atomic_set(&is_sending, 1);
+    k_sem_give(&to_send);
+}
+
+uint32_t fk_radio_take_dropped_frames(void)
+{
+    return (uint32_t)atomic_set(&dropped_frames, 0);
 }

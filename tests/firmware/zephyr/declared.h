@@ -1,5 +1,6 @@
 /* What firmware/robot uses of Zephyr 3.7 and nrfx 3, declared as there, so that its C can be checked without them.
- * Every header that it includes leads here. Nothing is defined: this checks names and types, not behaviour. */
+ * Every header that it includes leads here. What its macros make can be found from outside, by played.c, which lives
+ * through a life of the application; nothing else is defined here. */
 #ifndef DECLARED_H
 #define DECLARED_H
 
@@ -21,7 +22,8 @@
 #define DT_GPIO_PIN_BY_IDX(node, property, index) (22 + (index))
 #define DT_IRQN(node) 10
 #define DT_IRQ(node, cell) 1
-#define DT_REG_ADDR(node) 0x4b000
+extern uint8_t declared_flash[0x32000];
+#define DT_REG_ADDR(node) ((uintptr_t)declared_flash)
 #define DT_REG_SIZE(node) 0x32000
 #define DT_MTD_FROM_FIXED_PARTITION(node) DT_flash_controller
 #define DEVICE_DT_GET(node) (&declared_device)
@@ -46,6 +48,18 @@ typedef struct {
 } k_timeout_t;
 k_timeout_t declared_usec(uint64_t microseconds);
 #define K_USEC(t) declared_usec(t)
+#define K_MSEC(t) declared_usec(1000u * (t))
+#define K_FOREVER declared_usec(UINT64_MAX)
+int32_t k_sleep(k_timeout_t timeout);
+void k_busy_wait(uint32_t usec_to_wait);
+struct declared_thread {
+    void (*entry)(void *, void *, void *);
+    int priority;
+};
+#define K_PRIO_PREEMPT(x) (x)
+#define K_THREAD_DEFINE(name, stack_size, function, p1, p2, p3, prio, options, delay) \
+    const struct declared_thread declared_thread = {(function), (prio)}
+extern const struct declared_thread declared_thread;
 struct k_sem {
     unsigned int count;
 };
@@ -68,6 +82,8 @@ typedef long atomic_t;
 typedef long atomic_val_t;
 bool atomic_cas(atomic_t *target, atomic_val_t old_value, atomic_val_t new_value);
 atomic_val_t atomic_set(atomic_t *target, atomic_val_t value);
+atomic_val_t atomic_get(const atomic_t *target);
+atomic_val_t atomic_inc(atomic_t *target);
 __attribute__((format(printf, 1, 2))) void printk(const char *fmt, ...);
 struct ring_buf {
     uint8_t *buffer;
@@ -170,7 +186,8 @@ struct bt_conn_cb {
     void (*disconnected)(struct bt_conn *conn, uint8_t reason);
     void (*recycled)(void);
 };
-#define BT_CONN_CB_DEFINE(name) const struct bt_conn_cb name
+extern const struct bt_conn_cb declared_conn_cb;
+#define BT_CONN_CB_DEFINE(name) const struct bt_conn_cb declared_conn_cb
 enum bt_security_err { BT_SECURITY_ERR_SUCCESS, BT_SECURITY_ERR_PAIR_NOT_ALLOWED };
 struct bt_conn_pairing_feat {
     uint8_t io_capability;
@@ -218,7 +235,9 @@ struct bt_gatt_service_static {
 #define BT_GATT_CCC(changed, permissions) {.perm = (uint16_t)(permissions), .user_data = (changed)}
 #define BT_GATT_SERVICE_DEFINE(name, ...) \
     static const struct bt_gatt_attr name##_attributes[] = {__VA_ARGS__}; \
+    const struct bt_gatt_attr *const declared_attributes = name##_attributes; \
     static const struct bt_gatt_service_static name = {name##_attributes, ARRAY_SIZE(name##_attributes)}
+extern const struct bt_gatt_attr *const declared_attributes;
 uint16_t bt_gatt_get_mtu(struct bt_conn *conn);
 int bt_gatt_notify(struct bt_conn *conn, const struct bt_gatt_attr *attr, const void *data, uint16_t len);
 

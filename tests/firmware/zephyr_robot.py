@@ -1,0 +1,112 @@
+"""The robot's Zephyr application as a robot to talk to: built for this computer, with stand-ins for Zephyr."""
+
+from __future__ import annotations
+
+import ctypes
+import re
+import shutil
+from pathlib import Path
+
+from frogkick.link.frames import Frame, FrameCollector
+from frogkick.pool.port import Edge
+from frogkick_codegen.toolchain import zig
+
+ROBOT = Path(__file__).parents[2] / "firmware" / "robot"
+DECLARED = Path(__file__).parent / "zephyr"
+LIBC = {"errno.h", "string.h", "stdint.h"}
+PINS = (22, 23, 24, 25)
+_ROOM = 65536
+
+
+class _Edge(ctypes.Structure):
+    _fields_ = [("at_us", ctypes.c_uint64), ("pin", ctypes.c_uint32), ("level", ctypes.c_uint32)]
+
+
+def headers(text: str, folder: Path) -> None:
+    """Let every header of Zephyr's that a source includes lead to the declarations."""
+    for name in set(re.findall(r"#include <([^>]+)>", text)) - LIBC:
+        header = folder / name
+        header.parent.mkdir(parents=True, exist_ok=True)
+        header.write_text('#include "declared.h"\n')
+
+
+def play(made: Path, folder: Path, options: list[str]) -> Path:
+    """Build the application and its stage.
+
+    Args:
+        made: what ``frogkick firmware build`` left.
+        folder: to build in.
+        options: definitions of its configuration.
+    """
+    own = sorted((ROBOT / "src").glob("*.c"))
+    for source in own:
+        headers(source.read_text(), folder / "include")
+    sources = [*own, *sorted((ROBOT.parent / "core").glob("*.c")), DECLARED / "played.c"]
+    sources += [file for file in sorted((made / "emitted").glob("*.c")) if "example" not in file.name]
+    includes = [folder / "include", DECLARED, ROBOT / "src", ROBOT.parent / "core", made, made / "emitted"]
+    flags = ["-std=gnu11", "-O1", "-fPIC", "-shared", "-Wall", "-Werror", "-Dmain=fk_zephyr_main"]
+    flags += [
+        "-ffp-contract=off",
+        "-fno-math-errno",
+        "-fno-sanitize=all",
+        *(f"-I{path}" for path in includes),
+    ]
+    zig("host").run([*flags, *options, *sources, "-o", "played.so", "-lpthread"], folder)
+    return folder / "played.so"
+
+
+class ZephyrRobot:
+    """A ``RobotPort``: the application over a link that may fade, in simulated time, computing in no time.
+
+    Attributes:
+        stage: the functions of played.c.
+        now_us: the simulated time.
+    """
+
+    def __init__(self, library: Path, folder: Path) -> None:
+        """Power it on, nobody connected; a copy of the library, as its state is the process's."""
+        number = len(list(folder.glob("life*.so")))
+        self.stage = ctypes.CDLL(str(shutil.copy(library, folder / f"life{number}.so")))
+        self.stage.play_watchdog_us.restype = ctypes.c_uint64
+        self._room, self._edges = ctypes.create_string_buffer(_ROOM), (_Edge * 4096)()
+        self._collector = FrameCollector()
+        self.now_us = 0
+        self.stage.play_begin()
+
+    def connect(self, mtu: int = 247, subscribed: bool = True) -> None:
+        """A host connects."""
+        self.stage.play_mtu(mtu)
+        self.stage.play_connect(int(subscribed))
+
+    def send(self, encoded: bytes, at_s: float) -> None:
+        """Write to the service, at once."""
+        self.stage.play_write(encoded, len(encoded))
+
+    def advance(self, until_s: float) -> None:
+        """Let it live."""
+        self.now_us = max(self.now_us, round(until_s * 1e6))
+        assert self.stage.play_until(ctypes.c_uint64(self.now_us)) == 0, "threads turn without end"
+
+    def air(self) -> bytes:
+        """What the host has got since the last call, as bytes."""
+        count = self.stage.play_sent(self._room)
+        return self._room.raw[:count]
+
+    def frames(self) -> list[tuple[float, Frame]]:
+        """Frames that have come since the last call, with the time of this one."""
+        return [(self.now_us * 1e-6, frame) for frame in self._collector.feed(self.air())]
+
+    @property
+    def bad_frames(self) -> int:
+        """What came and was no frame."""
+        return self._collector.bad
+
+    def edges(self) -> list[Edge]:
+        """Edges of the gates since the last call."""
+        count = self.stage.play_edges(self._edges)
+        return [Edge(e.at_us * 1e-6, PINS.index(e.pin), bool(e.level)) for e in self._edges[:count]]
+
+    @property
+    def watchdog_s(self) -> float:
+        """The longest time that the watchdog was not fed."""
+        return float(self.stage.play_watchdog_us()) * 1e-6

@@ -1,8 +1,13 @@
 #ifndef CLOCK_H
 #define CLOCK_H
 
-/* Start the 32 MHz crystal, without which a UART's bit times and the pulses drift by up to 5 %, and the flash's
- * instruction cache. Returns when the crystal runs (about 0.4 ms); without a crystal it never does, limbs off. */
+#include <stdint.h>
+
+/* Switch the flash's instruction cache on, and the 32 MHz crystal, for good: without it UART's bit times and pulses drift by
+ * up to 8 %. Returns when it runs, after about 0.4 ms, or after some milliseconds without it. */
 void fk_clock_init(void);
+
+/* @retval 1 time comes from the crystal, 0 from the chip's own oscillator: no pulse may begin */
+int32_t fk_clock_is_exact(void);
 
 #endif

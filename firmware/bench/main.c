@@ -58,6 +58,14 @@ static int32_t drive_limbs(const fk_outputs_t *outputs, uint64_t tick_us)
     return error != FK_PULSE_OK;
 }
 
+/* Before any command is taken, so before ARM. */
+static void mind_clock(void)
+{
+    if (fk_clock_is_exact() == 0) {
+        fk_robot_note_clock_failed(&robot);
+    }
+}
+
 static void send_answers(void)
 {
     if (fk_uart_is_sending() == 0) {
@@ -98,6 +106,7 @@ int main(void)
         fk_sleep_clear_pending();
         fk_robot_note_supply(&robot, supply_is_low);
 
+        mind_clock();
         taken_t taken = take_frame();
         fk_outputs_t outputs;
         uint64_t begin_us = fk_time_now_us();

@@ -1,6 +1,7 @@
 #include "pulse.h"
 
 #include "board.h"
+#include "clock.h"
 #include "nrf52832_regs.h"
 #include "ppi_channels.h"
 #include "time.h"
@@ -90,6 +91,9 @@ int32_t fk_pulse_start(uint8_t limb_mask, uint32_t pulse_us, uint64_t latest_us)
     }
     if (fk_pulse_is_on() != 0) {
         return FK_PULSE_ERROR_BUSY;
+    }
+    if (fk_clock_is_exact() == 0) {
+        return FK_PULSE_ERROR_CLOCK;
     }
     TIMER_TASKS_CLEAR(PULSE_TIMER) = 1u;
     TIMER_CC(PULSE_TIMER, CC_BEGIN) = BEGIN_TICK;

@@ -8,6 +8,7 @@
 #define FK_PULSE_OK 0
 #define FK_PULSE_ERROR_RANGE (-1) /* no limb, a limb that the board lacks, 0 us or above FK_BOARD_PULSE_MAX_US */
 #define FK_PULSE_ERROR_BUSY (-2)  /* a pulse is still on */
+#define FK_PULSE_ERROR_CLOCK (-3) /* the crystal does not run: its time would be another */
 #define FK_PULSE_ERROR_LATE (-16) /* it could not begin by the latest time, and did not: the core's FK_PULSE_LATE */
 
 /* Gates low, pins handed to GPIOTE. Call first of all. */

@@ -54,7 +54,8 @@ enum { /* internal errors */
     FK_FAULT_STATE = 3,
     FK_FAULT_GUARD = 4,
     FK_FAULT_ACTION = 5,
-    FK_FAULT_PULSE = 6
+    FK_FAULT_PULSE = 6,
+    FK_FAULT_CLOCK = 7
 };
 
 enum { /* why the robot started */

@@ -148,6 +148,9 @@ void fk_robot_tick(fk_robot_t *robot, uint64_t now_us, fk_outputs_t *outputs);
  */
 void fk_robot_note_pulse_failed(fk_robot_t *robot, int32_t error);
 
+/* The port's clock is not exact, so that no pulse would last its time: an internal error. */
+void fk_robot_note_clock_failed(fk_robot_t *robot);
+
 /* The connection to the host ended. The core sees by itself where a host only falls silent, after FK_LINK_SILENT_US. */
 void fk_robot_note_link_lost(fk_robot_t *robot);
 

@@ -31,6 +31,13 @@ void fk_robot_note_supply(fk_robot_t *robot, int32_t is_low)
     }
 }
 
+void fk_robot_note_clock_failed(fk_robot_t *robot)
+{
+    if (robot->state != FK_STATE_FAULT) {
+        fk_robot_fault(robot, FK_FAULT_CLOCK, 0);
+    }
+}
+
 void fk_robot_note_link_lost(fk_robot_t *robot) { (void)fk_robot_supervise(robot, FK_EVENT_LINK_LOST); }
 
 /* Nobody may have it armed and forget it. In a run lost fixes come first. */

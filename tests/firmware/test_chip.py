@@ -265,3 +265,30 @@ def test_memory_accesses_inside_conditional_blocks(tmp_path: Path, step_cycles: 
     whole = bare(tmp_path, code, NO_WAITS)
     whole.run_until(100)
     assert (whole.cycles, whole.instructions) == (chip.cycles, chip.instructions)
+
+
+def test_without_the_crystal_time_is_the_internal_oscillator_s(tmp_path: Path) -> None:
+    """A pulse that nobody guards, by a timer: 8 % longer before the crystal runs, and right afterwards."""
+    body = """
+        P0_PIN_CNF(22u) = 1u;
+        GPIOTE_CONFIG(0u) = (3u << 0) | (22u << 8);
+        PPI_CH_EEP(0u) = FK_ADDRESS_OF(TIMER_EVENTS_COMPARE(TIMER2_BASE, 0u));
+        PPI_CH_TEP(0u) = FK_ADDRESS_OF(GPIOTE_TASKS_CLR(0u));
+        PPI_CH_EEP(1u) = FK_ADDRESS_OF(TIMER_EVENTS_COMPARE(TIMER2_BASE, 1u));
+        PPI_CH_TEP(1u) = FK_ADDRESS_OF(GPIOTE_TASKS_SET(0u));
+        PPI_CHENSET = 3u;
+        TIMER_BITMODE(TIMER2_BASE) = 3u;
+        TIMER_CC(TIMER2_BASE, 1u) = 1u;
+        TIMER_CC(TIMER2_BASE, 0u) = 100001u;
+        TIMER_SHORTS(TIMER2_BASE) = 0x101u;
+        for (int once = 0; once < 2; ++once) {
+            TIMER_TASKS_START(TIMER2_BASE) = 1u;
+            while (TIMER_EVENTS_COMPARE(TIMER2_BASE, 0u) == 0u) { }
+            TIMER_EVENTS_COMPARE(TIMER2_BASE, 0u) = 0u;
+            CLOCK_TASKS_HFCLKSTART = 1u;
+            while (CLOCK_EVENTS_HFCLKSTARTED == 0u) { }
+        }"""
+    chip = with_main(tmp_path, body)
+    chip.run_until(400_000)
+    times = [time for time, _, _ in chip.pin_edges()]
+    assert [times[1] - times[0], times[3] - times[2]] == pytest.approx([108_000.0, 100_000.0], abs=0.1)

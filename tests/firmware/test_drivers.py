@@ -18,7 +18,7 @@ BOOT_US = 2000.0
 BYTE_US = 1e6 * 10 / 115200
 PINS = LIMB_PINS[:4]
 ESCAPE = 0xFE
-LATE = -16
+LATE, NO_CRYSTAL = -16, -3
 
 
 def echoable(count: int, seed: int) -> bytes:
@@ -135,6 +135,24 @@ def test_a_pulse_lasts_its_time_even_where_the_core_hangs(
             assert own[1][0] - own[0][0] == pytest.approx(pulse_us, abs=1.0)
         else:
             assert own == []
+
+
+def test_no_pulse_begins_without_the_crystal(echo_elf: Path) -> None:
+    """One that never starts does not hold up the firmware; one that stops is seen before each pulse."""
+    never = VirtualChip(echo_elf, crystal=False)
+    never.run_until(50_000)
+    assert never.sleeping, "it waits for ever for a crystal"
+    never.pin_edges()
+    assert signed(talk(never, pulse_command(1, 0b0110, 1_000))) == NO_CRYSTAL
+    assert never.pin_edges() == []
+    stops = VirtualChip(echo_elf)
+    stops.run_until(BOOT_US)
+    stops.pin_edges()
+    assert signed(talk(stops, pulse_command(1, 0b0110, 1_000))) == 0
+    assert len(stops.pin_edges()) == 4
+    stops.break_crystal()
+    assert signed(talk(stops, pulse_command(1, 0b0110, 1_000))) == NO_CRYSTAL
+    assert stops.pin_edges() == []
 
 
 STALLS_US = (4.0, 20.0, 150.0, 900.0, 1_500.0, 85_000.0, 2_000_000.0)

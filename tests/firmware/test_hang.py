@@ -12,7 +12,7 @@ from tests.conftest import REPOSITORY, count
 from tests.loop import rig
 
 from frogkick.link.layout import link_layout
-from frogkick.loop.session import Session
+from frogkick.loop.session import LinkError, Session
 from frogkick.paths import shape
 from frogkick.pool.chip import ChipError
 from frogkick.pool.chip.watchdog import Watchdog
@@ -162,6 +162,32 @@ def test_two_reasons_are_not_mixed_up() -> None:
     assert session.request("STATUS")["reset"] == RESET["WATCHDOG"]
     (power,) = (block for block in port.chip.peripherals if block.name == "POWER")
     assert power.values["RESETREAS"] == 0
+
+
+def test_a_robot_without_a_crystal_does_not_arm() -> None:
+    """It says so, in one line, and does not hang."""
+    port = VirtualRobot(rig.firmware("bench").image, len(rig.robot().limbs), crystal=False)
+    session = Session(port)
+    session.greet(rig.tables())
+    with pytest.raises(LinkError, match=r"^the robot refuses ARM: FAULT, internal error CLOCK \(0\)$"):
+        session.request("ARM")
+    assert session.request("STATUS")["state"] == STATE["FAULT"]
+    session.step(session.time_s + 3.0)
+    assert port.chip.resets == [] and session.edges == []
+
+
+def test_a_crystal_that_stops_disarms() -> None:
+    port, session = armed()
+    session.post("STROKE", {"action": firing()})
+    while not session.edges:
+        session.step(session.time_s + 0.0001)
+    begun = len(session.edges)
+    port.chip.break_crystal()
+    session.step(session.time_s + 0.5)  # it looks at each turn of its loop
+    told = session.request("STATUS")
+    assert (told["state"], told["fault"]) == (STATE["FAULT"], FAULT["CLOCK"])
+    assert sum(edge.level for edge in session.edges) == begun, "no other limb"
+    assert not any(edge.level for edge in session.edges[-begun:])
 
 
 # Each of these protections taken out: the same look at the pins finds it.

@@ -5,6 +5,7 @@ What this cannot show is that Zephyr's own code does as declared; firmware/robot
 
 from __future__ import annotations
 
+import ctypes
 import re
 import shutil
 import subprocess
@@ -21,7 +22,7 @@ from west.manifest import ImportFlag, Manifest
 from zephyr_robot import DECLARED, ROBOT, ZephyrRobot, headers, play
 
 from frogkick.link.layout import link_layout
-from frogkick.loop.session import Session
+from frogkick.loop.session import LinkError, Session
 from frogkick.robot import load_robot
 from frogkick_codegen.firmware import build
 from frogkick_codegen.toolchain import ToolchainError, zig
@@ -319,3 +320,54 @@ def test_who_does_not_listen_is_not_waited_for(played: Path) -> None:
 def test_the_loop_itself_never_calls_the_radio(life: Life) -> None:
     life.session.request("STATUS")
     assert life.robot.stage.play_notified_by() == 1, "the thread of its own"
+
+
+NEVER = ctypes.c_uint64(2**64 - 1)
+
+
+def test_the_crystal_is_held_while_armed_and_no_longer(life: Life) -> None:
+    session, robot = life.session, life.robot
+    session.request("STATUS")
+    assert not robot.crystal_held
+    session.request("ARM")
+    life.live(1.0)
+    assert robot.crystal_held
+    session.request("STROKE", {"action": life.firing})
+    life.live(0.02)
+    begun = [edge for edge in session.edges if edge.level]
+    assert begun and begun[0].time_s * 1e6 >= robot.stage.play_crystal_held_us() + 1500
+    life.live(1.0)
+    for up in (edge for edge in session.edges if edge.level):
+        down = next(edge for edge in session.edges if edge.limb == up.limb and not edge.level)
+        assert down.time_s - up.time_s == pytest.approx(life.tables.pulse_us * 1e-6, abs=1e-9)
+    session.request("ARM")
+    assert robot.crystal_held
+    session.request("DISARM")
+    life.live(0.05)
+    assert not robot.crystal_held
+    session.request("ARM")
+    assert robot.crystal_held
+    life.live(7.0)  # nobody speaks: it disarms itself
+    assert not robot.crystal_held and life.state() == STATE["DISARMED"]
+
+
+def test_a_crystal_that_never_starts(life: Life) -> None:
+    """It does not arm, says so in one line, and goes on."""
+    life.robot.stage.play_crystal(NEVER)
+    with pytest.raises(LinkError, match=r"^the robot refuses ARM: FAULT, internal error CLOCK \(0\)$"):
+        life.session.request("ARM")
+    assert life.state() == STATE["FAULT"]
+    assert not life.robot.crystal_held
+    assert life.robot.watchdog_s < 0.5
+
+
+def test_a_crystal_that_stops(life: Life) -> None:
+    session = life.session
+    session.request("ARM")
+    session.step(1.0)
+    life.robot.stage.play_break_crystal()
+    session.post("STROKE", {"action": life.firing})
+    life.live(0.5)
+    told = session.request("STATUS")
+    assert (told["state"], told["fault"]) == (STATE["FAULT"], link_layout().fault["CLOCK"])
+    assert session.edges == []

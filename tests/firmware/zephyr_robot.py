@@ -1,4 +1,4 @@
-"""The robot's Zephyr application as a robot to talk to: built for this computer, with stand-ins for Zephyr."""
+"""The robot's Zephyr application as a robot to talk to: built for this computer, Zephyr played."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ class ZephyrRobot:
         """Power it on, nobody connected; a copy of the library, as its state is the process's."""
         number = len(list(folder.glob("life*.so")))
         self.stage = ctypes.CDLL(str(shutil.copy(library, folder / f"life{number}.so")))
-        self.stage.play_watchdog_us.restype = ctypes.c_uint64
+        self.stage.play_watchdog_us.restype = self.stage.play_crystal_held_us.restype = ctypes.c_uint64
         self._room, self._edges = ctypes.create_string_buffer(_ROOM), (_Edge * 4096)()
         self._collector = FrameCollector()
         self.now_us = 0
@@ -95,6 +95,13 @@ class ZephyrRobot:
     def frames(self) -> list[tuple[float, Frame]]:
         """Frames that have come since the last call, with the time of this one."""
         return [(self.now_us * 1e-6, frame) for frame in self._collector.feed(self.air())]
+
+    @property
+    def crystal_held(self) -> bool:
+        """Whether somebody holds the crystal; never twice, never given back without having been asked for."""
+        users = int(self.stage.play_crystal_users())
+        assert users in (0, 1)
+        return bool(users)
 
     @property
     def bad_frames(self) -> int:

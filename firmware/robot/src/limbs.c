@@ -1,12 +1,17 @@
 #include "limbs.h"
 
+#include <errno.h>
+#include <hal/nrf_clock.h>
 #include <helpers/nrfx_gppi.h>
 #include <nrfx_gpiote.h>
 #include <nrfx_timer.h>
 #include <zephyr/devicetree.h>
+#include <zephyr/drivers/clock_control/nrf_clock_control.h>
 #include <zephyr/irq.h>
 #include <zephyr/kernel.h>
 #include <zephyr/sys/atomic.h>
+#include <zephyr/sys/notify.h>
+#include <zephyr/sys/onoff.h>
 #include <zephyr/sys/util.h>
 
 #define LIMBS_NODE DT_NODELABEL(limbs)
@@ -19,6 +24,8 @@ BUILD_ASSERT(ARRAY_SIZE(pins) <= 8, "the core knows at most eight limbs");
 #define BEGIN_TICK 1u
 /* The clock's own grain, and from reading it to the gates. */
 #define START_US 40u
+/* A crystal takes 0.4 to 1.5 ms to start. */
+#define CLOCK_LOOKS_MAX 20u /* 1 ms apart */
 
 static const nrfx_timer_t timer = NRFX_TIMER_INSTANCE(2);
 static const nrfx_gpiote_t gpiote = NRFX_GPIOTE_INSTANCE(0);
@@ -27,6 +34,8 @@ static atomic_t is_on;
 static uint32_t begin_channels[ARRAY_SIZE(pins)]; /* masks of PPI channels: the timer's begin -> SET of a limb */
 static uint32_t all_begin_channels;
 static uint8_t is_ready;
+static struct onoff_client clock_client;
+static uint8_t clock_is_held;
 
 static void timer_event(nrf_timer_event_t event, void *context)
 {
@@ -96,6 +105,44 @@ int32_t fk_limbs_init(void (*ended)(void))
     return FK_LIMBS_OK;
 }
 
+int32_t fk_limbs_clock_is_exact(void)
+{
+    nrf_clock_hfclk_t source = NRF_CLOCK_HFCLK_LOW_ACCURACY;
+
+    return clock_is_held != 0 && nrf_clock_is_running(NRF_CLOCK, NRF_CLOCK_DOMAIN_HFCLK, &source) &&
+           source == NRF_CLOCK_HFCLK_HIGH_ACCURACY;
+}
+
+int32_t fk_limbs_hold_clock(void)
+{
+    int result = -EAGAIN;
+
+    if (clock_is_held != 0) {
+        return fk_limbs_clock_is_exact() ? FK_LIMBS_OK : FK_LIMBS_ERROR_CLOCK;
+    }
+    sys_notify_init_spinwait(&clock_client.notify);
+    if (onoff_request(z_nrf_clock_control_get_onoff(CLOCK_CONTROL_NRF_SUBSYS_HF), &clock_client) < 0) {
+        return FK_LIMBS_ERROR_CLOCK;
+    }
+    clock_is_held = 1;
+    for (uint32_t looks = 0; looks < CLOCK_LOOKS_MAX; ++looks) {
+        if (sys_notify_fetch_result(&clock_client.notify, &result) == 0 && result >= 0 && fk_limbs_clock_is_exact()) {
+            return FK_LIMBS_OK;
+        }
+        (void)k_sleep(K_MSEC(1));
+    }
+    fk_limbs_release_clock();
+    return FK_LIMBS_ERROR_CLOCK;
+}
+
+void fk_limbs_release_clock(void)
+{
+    if (clock_is_held != 0) {
+        (void)onoff_cancel_or_release(z_nrf_clock_control_get_onoff(CLOCK_CONTROL_NRF_SUBSYS_HF), &clock_client);
+        clock_is_held = 0;
+    }
+}
+
 /* What the timer's two events will do to which gates; the timer stands still at 0. nrfx wants a timer that it started
  * once to be disabled before it is started again, though it has stopped by itself. */
 static void set_up(uint8_t limb_mask, uint32_t pulse_us)
@@ -121,6 +168,9 @@ int32_t fk_limbs_pulse(uint8_t limb_mask, uint32_t pulse_us, uint64_t latest_us)
     if (limb_mask == 0 || (uint32_t)limb_mask >> ARRAY_SIZE(pins) != 0 || pulse_us == 0 ||
         pulse_us > FK_LIMBS_PULSE_MAX_US) {
         return FK_LIMBS_ERROR_RANGE;
+    }
+    if (!fk_limbs_clock_is_exact()) {
+        return FK_LIMBS_ERROR_CLOCK;
     }
     if (!atomic_cas(&is_on, 0, 1)) {
         return FK_LIMBS_ERROR_BUSY;

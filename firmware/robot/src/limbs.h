@@ -12,6 +12,7 @@
 #define FK_LIMBS_ERROR_BUSY (-2)  /* a pulse is still on */
 #define FK_LIMBS_ERROR_HARDWARE (-3)
 #define FK_LIMBS_ERROR_HELD_UP (-4) /* it began, and later than asked: between two instructions, as by a debugger */
+#define FK_LIMBS_ERROR_CLOCK (-5)   /* the crystal does not run: the pulse's time would be another */
 #define FK_LIMBS_ERROR_LATE (-16)   /* it could not begin by the latest time, and did not: the core's FK_PULSE_LATE */
 
 /* The robot's clock. */
@@ -21,6 +22,18 @@ uint64_t fk_limbs_now_us(void);
  * @retval FK_LIMBS_OK, FK_LIMBS_ERROR_HARDWARE: then no pulse will ever start
  */
 int32_t fk_limbs_init(void (*ended)(void));
+
+/* Ask for the 32 MHz crystal, which Zephyr else runs for the radio alone: by the chip's own oscillator a pulse may last 8 %
+ * longer. Waits until it runs, 20 ms at the most. Once more while it is held does nothing.
+ * @retval FK_LIMBS_OK, FK_LIMBS_ERROR_CLOCK: it does not run, and is not held
+ */
+int32_t fk_limbs_hold_clock(void);
+
+/* Give the crystal back; no pulse begins any more. Nothing where it is not held. */
+void fk_limbs_release_clock(void);
+
+/* @retval 1 the crystal is held and runs */
+int32_t fk_limbs_clock_is_exact(void);
 
 /* Heat the limbs of limb_mask (bit i = limb i) for pulse_us, 1 to FK_LIMBS_PULSE_MAX_US, from now on and from latest_us at
  * the latest.

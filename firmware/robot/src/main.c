@@ -44,6 +44,29 @@ static int start_watchdog(const struct device *watchdog)
     return (error != 0) ? error : channel;
 }
 
+/* The crystal runs before the core hears of ARM, and it hears where it does not. A frame's type is its second byte: COBS
+ * replaces zeros alone, which no type is. */
+static void mind_clock_before(const uint8_t *frame, uint32_t length)
+{
+    if (length < 2u || frame[1] != FK_FRAME_ARM) {
+        return;
+    }
+    if (fk_limbs_hold_clock() != FK_LIMBS_OK) {
+        printk("the 32 MHz crystal does not run: not armed\n");
+        fk_robot_note_clock_failed(&robot);
+    }
+}
+
+/* While a pulse may begin the crystal runs; afterwards it is the radio's alone. */
+static void mind_clock_after(void)
+{
+    if (fk_robot_may(&robot, FK_EVENT_PULSE) != FK_STATUS_OK) {
+        fk_limbs_release_clock();
+    } else if (fk_limbs_clock_is_exact() == 0) {
+        fk_robot_note_clock_failed(&robot);
+    }
+}
+
 /* One frame at most: between two feeds of the watchdog lie one command and one tick, however many commands wait.
  * Returns 1 where it took one: another may wait. */
 static int32_t take_frame(void)
@@ -53,7 +76,9 @@ static int32_t take_frame(void)
     while (fk_radio_read(&byte) != 0) {
         const uint32_t length = fk_frame_collect(&collector, byte);
         if (length > 0u) {
+            mind_clock_before(collector.bytes, length);
             fk_robot_on_frame(&robot, collector.bytes, length, fk_limbs_now_us());
+            mind_clock_after();
             return 1;
         }
     }
@@ -163,6 +188,7 @@ int main(void)
         const uint64_t begin_us = fk_limbs_now_us();
         fk_robot_tick(&robot, begin_us, &outputs); /* a decision computes for less than the watchdog waits */
         const int32_t at_once = drive_limbs(&outputs, begin_us);
+        mind_clock_after();
         fk_robot_note_tick(&robot, (uint32_t)(fk_limbs_now_us() - begin_us));
         send_answers();
 

@@ -112,6 +112,10 @@ class Layout:
         """Name of a status value; its number where this host does not know it."""
         return next((name for name, number in self.status.items() if number == value), str(value))
 
+    def fault_name(self, value: int) -> str:
+        """Name of an internal error; its number where this host does not know it."""
+        return next((name for name, number in self.fault.items() if number == value), str(value))
+
 
 ANSWER_BIT = 0x80
 

@@ -364,8 +364,8 @@ class _Run:
 
     def _fail(self) -> None:
         """The robot is in FAULT: nothing goes on, whatever is sent."""
-        told, names = self.session.request("STATUS"), link_layout().fault
-        name = next((name for name, number in names.items() if number == told["fault"]), "of a kind unknown")
+        told = self.session.request("STATUS")
+        name = link_layout().fault_name(int(told["fault"]))
         raise LinkError(
             f"the robot met the internal error {name} ({told['fault_detail']}) and has switched its outputs "
             "off: 'frogkick log fetch' tells what led to it, then switch it off and on"

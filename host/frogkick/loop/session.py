@@ -122,8 +122,18 @@ class Session:
         answer = self.ask(name, values, rows)
         status = int(answer["status"])
         if status < 0:
-            raise LinkError(f"the robot refuses {name} {values or ''}: {link_layout().status_name(status)}")
+            said = " ".join((name, str(values))) if values else name
+            raise LinkError(
+                f"the robot refuses {said}: {link_layout().status_name(status)}{self._why(status)}"
+            )
         return answer
+
+    def _why(self, status: int) -> str:
+        """Of a refusal that names no reason itself: the internal error behind it."""
+        if status != link_layout().status["FAULT"]:
+            return ""
+        told = self.ask("STATUS")
+        return f", internal error {link_layout().fault_name(int(told['fault']))} ({told['fault_detail']})"
 
     def ask(
         self,

@@ -20,7 +20,14 @@ class VirtualRobot:
         chip: the virtual chip itself, for measurements.
     """
 
-    def __init__(self, elf: Path, limbs: int, flash: bytes | None = None, heat_known: bool = True) -> None:
+    def __init__(
+        self,
+        elf: Path,
+        limbs: int,
+        flash: bytes | None = None,
+        heat_known: bool = True,
+        crystal: bool = True,
+    ) -> None:
         """Power the chip on.
 
         Args:
@@ -29,6 +36,7 @@ class VirtualRobot:
             flash: what the flash of such a robot held when it was switched off; None: as the image has it.
             heat_known: begin as one that kept its RAM and knows that its limbs are cold; False: one whose RAM
                 holds nothing, so that it lets them rest first.
+            crystal: whether its 32 MHz crystal ever starts.
 
         Raises:
             InputError: not such an image, or more limbs than the board has pins.
@@ -37,7 +45,7 @@ class VirtualRobot:
             raise InputError(
                 f"the robot has {limbs} limbs, the bench board {len(LIMB_PINS)} pins: use --robot pool"
             )
-        self.chip = VirtualChip(elf, flash=flash)
+        self.chip = VirtualChip(elf, flash=flash, crystal=crystal)
         if heat_known:
             self.chip.ram_write(self.chip.symbol("kept"), COLD_LIMBS)
         self._limb_of_pin = {pin: limb for limb, pin in enumerate(LIMB_PINS[:limbs])}

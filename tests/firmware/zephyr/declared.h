@@ -96,6 +96,27 @@ uint32_t ring_buf_put(struct ring_buf *buf, const uint8_t *data, uint32_t size);
 uint32_t ring_buf_get(struct ring_buf *buf, uint8_t *data, uint32_t size);
 int settings_load(void);
 
+/* zephyr/sys/notify.h, sys/onoff.h, drivers/clock_control/nrf_clock_control.h, nrfx hal/nrf_clock.h */
+struct sys_notify {
+    int state;
+};
+struct onoff_manager;
+struct onoff_client {
+    struct sys_notify notify;
+};
+void sys_notify_init_spinwait(struct sys_notify *notify);
+int sys_notify_fetch_result(const struct sys_notify *notify, int *result);
+int onoff_request(struct onoff_manager *mgr, struct onoff_client *cli);
+int onoff_cancel_or_release(struct onoff_manager *mgr, struct onoff_client *cli);
+typedef void *clock_control_subsys_t;
+#define CLOCK_CONTROL_NRF_SUBSYS_HF ((clock_control_subsys_t)0)
+struct onoff_manager *z_nrf_clock_control_get_onoff(clock_control_subsys_t sys);
+typedef struct declared_clock NRF_CLOCK_Type;
+#define NRF_CLOCK ((NRF_CLOCK_Type *)0)
+typedef enum { NRF_CLOCK_HFCLK_LOW_ACCURACY, NRF_CLOCK_HFCLK_HIGH_ACCURACY } nrf_clock_hfclk_t;
+typedef enum { NRF_CLOCK_DOMAIN_LFCLK, NRF_CLOCK_DOMAIN_HFCLK } nrf_clock_domain_t;
+bool nrf_clock_is_running(const NRF_CLOCK_Type *p_reg, nrf_clock_domain_t domain, void *p_clk_src);
+
 /* zephyr/drivers */
 int flash_erase(const struct device *dev, off_t offset, size_t size);
 int flash_write(const struct device *dev, off_t offset, const void *data, size_t len);

@@ -332,6 +332,60 @@ static void connection_event(void)
     buffer_free.count = 1;
 }
 
+/* The crystal. Whoever asks holds it until he gives it back; without it the timer is slow. */
+
+#define HFINT_PERCENT 108u
+struct onoff_manager {
+    int users;
+};
+static struct onoff_manager crystal;
+static uint64_t crystal_takes_us = 1500; /* NEVER: it does not start */
+static uint64_t crystal_runs_us = NEVER;
+static uint64_t held_from_us = NEVER;
+static int releases_without_request;
+
+void sys_notify_init_spinwait(struct sys_notify *notify) { notify->state = 1; }
+int sys_notify_fetch_result(const struct sys_notify *notify, int *result)
+{
+    (void)notify;
+    if (now_us < crystal_runs_us) {
+        return -EAGAIN;
+    }
+    *result = 0;
+    return 0;
+}
+struct onoff_manager *z_nrf_clock_control_get_onoff(clock_control_subsys_t sys)
+{
+    (void)sys;
+    return &crystal;
+}
+int onoff_request(struct onoff_manager *mgr, struct onoff_client *cli)
+{
+    (void)cli;
+    if (mgr->users++ == 0) {
+        crystal_runs_us = (crystal_takes_us == NEVER) ? NEVER : now_us + crystal_takes_us;
+        held_from_us = now_us;
+    }
+    return 0;
+}
+int onoff_cancel_or_release(struct onoff_manager *mgr, struct onoff_client *cli)
+{
+    (void)cli;
+    releases_without_request += mgr->users == 0;
+    if (--mgr->users == 0) {
+        crystal_runs_us = NEVER;
+    }
+    return 0;
+}
+bool nrf_clock_is_running(const NRF_CLOCK_Type *p_reg, nrf_clock_domain_t domain, void *p_clk_src)
+{
+    (void)p_reg;
+    (void)domain;
+    *(nrf_clock_hfclk_t *)p_clk_src =
+        (now_us >= crystal_runs_us) ? NRF_CLOCK_HFCLK_HIGH_ACCURACY : NRF_CLOCK_HFCLK_LOW_ACCURACY;
+    return true;
+}
+
 /* The timer, PPI and the gates */
 
 typedef struct {
@@ -355,6 +409,7 @@ static edge_t edges[EDGES_MAX];
 static uint32_t edge_count;
 static uint32_t compare[4];
 static uint64_t timer_us = NEVER; /* when the timer was 0 */
+static uint32_t timer_percent;
 static int timer_enabled;
 static int asserts; /* that nrfx would have raised */
 static nrfx_timer_event_handler_t on_timer;
@@ -450,6 +505,7 @@ void nrfx_timer_enable(const nrfx_timer_t *instance)
     asserts += timer_enabled;
     timer_enabled = 1;
     timer_us = now_us;
+    timer_percent = (now_us >= crystal_runs_us) ? 100u : HFINT_PERCENT;
 }
 void nrfx_timer_disable(const nrfx_timer_t *instance)
 {
@@ -503,7 +559,7 @@ static uint64_t least(uint64_t a, uint64_t b) { return (a < b) ? a : b; }
 
 static uint64_t compare_us(uint32_t channel)
 {
-    const uint64_t at_us = (timer_us == NEVER) ? NEVER : timer_us + compare[channel];
+    const uint64_t at_us = (timer_us == NEVER) ? NEVER : timer_us + (uint64_t)compare[channel] * timer_percent / 100u;
     return (at_us > now_us || at_us == NEVER) ? at_us : NEVER;
 }
 
@@ -542,6 +598,10 @@ uint32_t play_edges(edge_t *to);
 uint64_t play_watchdog_us(void);
 int play_asserts(void);
 int play_notified_by(void);
+void play_crystal(uint64_t takes_us);
+int play_crystal_users(void);
+uint64_t play_crystal_held_us(void);
+void play_break_crystal(void);
 
 void play_begin(void)
 {
@@ -645,3 +705,7 @@ uint32_t play_edges(edge_t *to)
 uint64_t play_watchdog_us(void) { return gap_us(); }
 int play_asserts(void) { return asserts; }
 int play_notified_by(void) { return notified_by; }
+void play_crystal(uint64_t takes_us) { crystal_takes_us = takes_us; }
+void play_break_crystal(void) { crystal_runs_us = NEVER; }
+int play_crystal_users(void) { return crystal.users + 100 * releases_without_request; }
+uint64_t play_crystal_held_us(void) { return held_from_us; }

@@ -42,7 +42,11 @@ class VirtualChip:
     """
 
     def __init__(
-        self, elf_path: Path | str, cost: CostModel | None = None, flash: bytes | None = None
+        self,
+        elf_path: Path | str,
+        cost: CostModel | None = None,
+        flash: bytes | None = None,
+        crystal: bool = True,
     ) -> None:
         """Load a firmware and hold it at reset, time 0. ``resets``: when the watchdog began it anew, us.
 
@@ -50,12 +54,14 @@ class VirtualChip:
             elf_path: ELF linked with firmware/bench/nrf52832.ld.
             cost: cycle model; None for the default.
             flash: ``flash.content()`` of a chip that has lost its power; None: as the ELF has it.
+            crystal: whether the board's 32 MHz crystal ever starts.
 
         Raises:
             InputError: not a firmware for this chip.
             ChipError: the cycle counter cannot be compiled.
         """
         self._cost = cost or CostModel()
+        self._crystal = crystal
         self._image = load_image(elf_path, flash)
         self.scheduler = Scheduler()
         self._event_cycle: int | None = None
@@ -97,14 +103,15 @@ class VirtualChip:
         self._ppi = Ppi(self, "PPI", 0x4001_F000)
         self._core = CoreRegisters(self, "SCS", 0xE000_E000, self._switch_fpu)
         self._watchdog = Watchdog(self, "WDT", 0x4001_0000, partial(setattr, self, "_reset_due", True))
+        gpiote = Gpiote(self, "GPIOTE", 0x4000_6000, self._gpio)
+        timers = [Timer(self, f"TIMER{i}", 0x4000_8000 + 0x1000 * i) for i in range(3)]
+        self._clock = Clock(self, "CLOCK", 0x4000_0000, self._crystal, timers)
         self.peripherals: tuple[Peripheral, ...] = (
-            Clock(self, "CLOCK", 0x4000_0000),
+            self._clock,
             self.power,
             self._uarte,
-            Gpiote(self, "GPIOTE", 0x4000_6000, self._gpio),
-            Timer(self, "TIMER0", 0x4000_8000),
-            Timer(self, "TIMER1", 0x4000_9000),
-            Timer(self, "TIMER2", 0x4000_A000),
+            gpiote,
+            *timers,
             self._watchdog,
             Nvmc(self, "NVMC", 0x4001_E000, self._switch_cache, self.flash),
             self._ppi,
@@ -209,6 +216,11 @@ class VirtualChip:
         Time, peripherals and the watchdog go on.
         """
         self._hung = hangs
+
+    def break_crystal(self) -> None:
+        """The 32 MHz crystal stops, and no start brings it back."""
+        self._crystal = False
+        self._clock.break_down()
 
     def run_until(self, time_us: float) -> None:
         """Let the chip live until a virtual time; it may go over by the rest of one instruction or IT block.

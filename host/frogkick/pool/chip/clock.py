@@ -2,34 +2,64 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Final
 
 from frogkick.pool.chip.bus import Peripheral, Register, System
 from frogkick.pool.chip.flash import ERASE, READ_ONLY, WRITE, Flash
-from frogkick.pool.chip.scheduler import CYCLES_PER_US
+from frogkick.pool.chip.scheduler import CYCLES_PER_US, NEVER
+from frogkick.pool.chip.timer import HFINT_PERCENT, Timer
 
 HFXO_START_CYCLES: Final = 360 * CYCLES_PER_US
 """Start of the 32 MHz crystal, typical value of the product specification (t_START_HFXO)."""
 
 
+_XTAL, _RUNNING = 1, 1 << 16
+
+
 class Clock(Peripheral):
-    """The 32 MHz crystal's start."""
+    """The 32 MHz crystal: its start, its end, and who counts by it."""
 
     NAME = "CLOCK"
     REGISTERS = [
         Register("TASKS_HFCLKSTART", 0x000, "w"),
         Register("EVENTS_HFCLKSTARTED", 0x100, "rw"),
+        Register("HFCLKSTAT", 0x40C, "r"),
     ]
 
-    def __init__(self, system: System, name: str, base: int) -> None:
-        """Start on the internal oscillator."""
+    def __init__(self, system: System, name: str, base: int, works: bool, timers: Sequence[Timer]) -> None:
+        """Start on the internal oscillator.
+
+        Args:
+            system, name, base: as for every peripheral.
+            works: whether the board has a crystal that starts.
+            timers: whatever counts by it.
+        """
         super().__init__(system, name, base)
-        self._started = system.scheduler.add(lambda: self.raise_event("EVENTS_HFCLKSTARTED"))
+        self._works = works
+        self._timers = timers
+        self._started = system.scheduler.add(self._run)
+        self.values["HFCLKSTAT"] = _RUNNING
+
+    def _switch(self, crystal: bool) -> None:
+        self.values["HFCLKSTAT"] = _RUNNING | (_XTAL if crystal else 0)
+        for timer in self._timers:
+            timer.count_by(100 if crystal else HFINT_PERCENT)
+
+    def _run(self) -> None:
+        self._switch(True)
+        self.raise_event("EVENTS_HFCLKSTARTED")
+
+    def break_down(self) -> None:
+        """The crystal stops, and will not start again."""
+        self._works = False
+        self.system.scheduler.at(self._started, NEVER)
+        self._switch(False)
 
     def on_task(self, name: str) -> None:
         """Start the crystal."""
-        self.system.scheduler.at(self._started, self.system.now_cycle + HFXO_START_CYCLES)
+        if self._works:
+            self.system.scheduler.at(self._started, self.system.now_cycle + HFXO_START_CYCLES)
 
 
 class Nvmc(Peripheral):

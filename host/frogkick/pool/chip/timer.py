@@ -13,13 +13,16 @@ _BITS: Final = {0: 16, 1: 8, 2: 24, 3: 32}
 _BASE_CYCLES: Final = 4  # the timer's 16 MHz clock in cycles of 64 MHz
 _MODE_TIMER: Final = 0
 _MODES_COUNTER: Final = (1, 2)
+HFINT_PERCENT: Final = 108
+"""A time by the internal oscillator, of what it is by the crystal, at worst (specification: f_TOL_HFINT)."""
 
 
 class Timer(Peripheral):
     """A timer with four compare registers.
 
-    START begins a full tick of the prescaler; CLEAR begins the tick anew. A compare value that equals the
-    counter when it is written matches only after the counter has gone all the way round.
+    It counts by the crystal, or before that runs by the internal oscillator, slower. START begins a full tick
+    of the prescaler; CLEAR begins the tick anew. A compare value that equals the counter when it is written
+    matches only after the counter has gone all the way round.
     """
 
     NAME = "TIMER"
@@ -47,6 +50,7 @@ class Timer(Peripheral):
         self._running = False
         self._count = 0  # counter's value at _since, or now where it does not run by itself
         self._since = 0
+        self._percent = HFINT_PERCENT  # time of a tick, of what it is by the crystal
         self._sources = [system.scheduler.add(partial(self._compare, i)) for i in range(CHANNELS)]
 
     @property
@@ -54,8 +58,8 @@ class Timer(Peripheral):
         return (1 << _BITS[self.values["BITMODE"]]) - 1
 
     @property
-    def _tick_cycles(self) -> int:
-        return _BASE_CYCLES << self.values["PRESCALER"]
+    def _tick_centicycles(self) -> int:
+        return (_BASE_CYCLES << self.values["PRESCALER"]) * self._percent
 
     @property
     def _ticks_by_itself(self) -> bool:
@@ -64,19 +68,28 @@ class Timer(Peripheral):
     @property
     def zero_cycle(self) -> int:
         """Cycle at which the counter of a timer that runs was 0, had it always counted as it does now."""
-        return self._since - self._count * self._tick_cycles
+        return self._since - self._count * self._tick_centicycles // 100
+
+    def count_by(self, percent: int) -> None:
+        """From now on a tick takes so much of its time by the crystal; the one under way begins anew."""
+        count = self._counter()
+        self._percent = percent
+        self._set(count, self._running)
+
+    def _ticks(self) -> int:
+        """Ticks since the counter was set."""
+        return (self.system.now_cycle - self._since) * 100 // self._tick_centicycles
 
     def _counter(self) -> int:
-        ticks = (self.system.now_cycle - self._since) // self._tick_cycles if self._ticks_by_itself else 0
-        return (self._count + ticks) & self._mask
+        return (self._count + (self._ticks() if self._ticks_by_itself else 0)) & self._mask
 
     def _schedule(self, channel: int) -> None:
         cycle = NEVER
         if self._ticks_by_itself:
             mask = self._mask
-            ticks = (self.system.now_cycle - self._since) // self._tick_cycles
+            ticks = self._ticks()
             ahead = (self.values[f"CC[{channel}]"] - self._count - ticks) & mask or mask + 1
-            cycle = self._since + (ticks + ahead) * self._tick_cycles
+            cycle = self._since - (ticks + ahead) * self._tick_centicycles // -100
         self.system.scheduler.at(self._sources[channel], cycle)
 
     def _set(self, count: int, running: bool) -> None:

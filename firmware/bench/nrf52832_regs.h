@@ -19,9 +19,20 @@
 #define CLOCK_HFCLKSTAT_SRC_Msk (1u << 0)
 #define CLOCK_HFCLKSTAT_STATE_Msk (1u << 16)
 
+/* Words without a name, to be copied after every reset: errata 31 (the RC oscillator's calibration) and 108 (RAM's). */
+#define FICR_BASE 0x10000000u
+#define FICR_ERRATUM_31 FK_REGISTER(FICR_BASE + 0x244u)
+#define CLOCK_ERRATUM_31 FK_REGISTER(CLOCK_BASE + 0x53Cu)
+#define FK_ERRATUM_31_POS 13u
+#define FK_ERRATUM_31_MASK 7u
+#define FICR_ERRATUM_108 FK_REGISTER(FICR_BASE + 0x258u)
+#define CLOCK_ERRATUM_108 FK_REGISTER(CLOCK_BASE + 0xEE4u)
+#define FK_ERRATUM_108_MASK 0x4Fu
+
 /* POWER: the same block as CLOCK */
 #define POWER_BASE 0x40000000u
 #define POWER_IRQ 0u
+#define POWER_TASKS_LOWPWR FK_REGISTER(POWER_BASE + 0x07Cu)
 #define POWER_EVENTS_POFWARN FK_REGISTER(POWER_BASE + 0x108u)
 #define POWER_INTENSET FK_REGISTER(POWER_BASE + 0x304u)
 #define POWER_INTENSET_POFWARN_Msk (1u << 2)
@@ -104,6 +115,7 @@
 #define TIMER_TASKS_STOP(timer) FK_REGISTER((timer) + 0x004u)
 #define TIMER_TASKS_COUNT(timer) FK_REGISTER((timer) + 0x008u)
 #define TIMER_TASKS_CLEAR(timer) FK_REGISTER((timer) + 0x00Cu)
+#define TIMER_TASKS_SHUTDOWN(timer) FK_REGISTER((timer) + 0x010u)
 #define TIMER_TASKS_CAPTURE(timer, n) FK_REGISTER((timer) + 0x040u + 4u * (n))
 #define TIMER_EVENTS_COMPARE(timer, n) FK_REGISTER((timer) + 0x140u + 4u * (n))
 #define TIMER_SHORTS(timer) FK_REGISTER((timer) + 0x200u)
@@ -158,6 +170,7 @@
 
 /* The core's own (ARMv7-M ARM, B3.2) */
 #define NVIC_ICPR0 FK_REGISTER(0xE000E280u)
+#define NVIC_ICPR1 FK_REGISTER(0xE000E284u)
 #define SCB_SCR FK_REGISTER(0xE000ED10u)
 #define SCB_SCR_SEVONPEND_Msk (1u << 4)
 #define SCB_CPACR FK_REGISTER(0xE000ED88u)

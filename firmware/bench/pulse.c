@@ -58,11 +58,20 @@ void fk_pulse_init(void)
     pulse_is_on = 0u;
 }
 
+/* What a pulse leaves behind that costs current: a timer that was only stopped (erratum 78), and the mode that GPIOTE's CLR
+ * tasks switch to besides (erratum 156). */
+static void settle(void)
+{
+    TIMER_TASKS_SHUTDOWN(PULSE_TIMER) = 1u;
+    POWER_TASKS_LOWPWR = 1u;
+}
+
 int32_t fk_pulse_is_on(void)
 {
     if (pulse_is_on != 0u && TIMER_EVENTS_COMPARE(PULSE_TIMER, CC_END) != 0u) {
         TIMER_EVENTS_COMPARE(PULSE_TIMER, CC_END) = 0u;
         (void)TIMER_EVENTS_COMPARE(PULSE_TIMER, CC_END); /* the write has arrived before the caller goes on */
+        settle();
         pulse_is_on = 0u;
     }
     return pulse_is_on;
@@ -122,6 +131,7 @@ void fk_pulse_off(void)
         GPIOTE_TASKS_CLR(limb) = 1u;
     }
     TIMER_TASKS_STOP(PULSE_TIMER) = 1u;
+    settle();
     TIMER_EVENTS_COMPARE(PULSE_TIMER, CC_END) = 0u;
     (void)TIMER_EVENTS_COMPARE(PULSE_TIMER, CC_END);
     pulse_is_on = 0u;

@@ -83,6 +83,9 @@ void fk_reset(void)
     for (volatile uint32_t *word = fk_stack_bottom; word < stack_pointer; ++word) {
         *word = STACK_PAINT;
     }
+    /* Before the first sleep, and before the watchdog starts its oscillator. */
+    CLOCK_ERRATUM_31 = (FICR_ERRATUM_31 >> FK_ERRATUM_31_POS) & FK_ERRATUM_31_MASK;
+    CLOCK_ERRATUM_108 = FICR_ERRATUM_108 & FK_ERRATUM_108_MASK;
     /* Before any code that the compiler may have given a float register. */
     SCB_CPACR |= SCB_CPACR_CP10_CP11_Full;
     __asm__ volatile("dsb\n\tisb" ::: "memory");

@@ -11,6 +11,10 @@ uint8_t fk_watchdog_reset_reason(void)
 {
     uint32_t reasons = POWER_RESETREAS;
     POWER_RESETREAS = reasons; /* they add up until a one is written */
+    /* First of all: with a pin reset others may stand there wrongly (erratum 136). */
+    if ((reasons & POWER_RESETREAS_RESETPIN_Msk) != 0u) {
+        return FK_RESET_PIN;
+    }
     if ((reasons & POWER_RESETREAS_DOG_Msk) != 0u) {
         return FK_RESET_WATCHDOG;
     }
@@ -19,9 +23,6 @@ uint8_t fk_watchdog_reset_reason(void)
     }
     if ((reasons & POWER_RESETREAS_SREQ_Msk) != 0u) {
         return FK_RESET_SOFTWARE;
-    }
-    if ((reasons & POWER_RESETREAS_RESETPIN_Msk) != 0u) {
-        return FK_RESET_PIN;
     }
     return (reasons == 0u) ? FK_RESET_POWER : FK_RESET_UNKNOWN;
 }

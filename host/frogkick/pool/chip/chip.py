@@ -11,7 +11,7 @@ import unicorn as unicorn_module
 from unicorn import arm_const
 
 from frogkick.pool.chip.bus import FLASH_BYTES, Peripheral
-from frogkick.pool.chip.clock import Clock, Nvmc
+from frogkick.pool.chip.clock import Clock, Ficr, Nvmc
 from frogkick.pool.chip.core import CoreRegisters
 from frogkick.pool.chip.cost import PARTS, CostModel, CostTable
 from frogkick.pool.chip.emulator import PAGE, RETURN_ADDRESS, invalid_access, make_core, set_arguments
@@ -103,11 +103,13 @@ class VirtualChip:
         self._ppi = Ppi(self, "PPI", 0x4001_F000)
         self._core = CoreRegisters(self, "SCS", 0xE000_E000, self._switch_fpu)
         self._watchdog = Watchdog(self, "WDT", 0x4001_0000, partial(setattr, self, "_reset_due", True))
-        gpiote = Gpiote(self, "GPIOTE", 0x4000_6000, self._gpio)
+        self.power.constant_latency = False
+        gpiote = Gpiote(self, "GPIOTE", 0x4000_6000, self._gpio, self.power.on_clear_task)
         timers = [Timer(self, f"TIMER{i}", 0x4000_8000 + 0x1000 * i) for i in range(3)]
         self._clock = Clock(self, "CLOCK", 0x4000_0000, self._crystal, timers)
         self.peripherals: tuple[Peripheral, ...] = (
             self._clock,
+            Ficr(self, "FICR", 0x1000_0000),
             self.power,
             self._uarte,
             gpiote,
@@ -158,6 +160,16 @@ class VirtualChip:
     def sleeping(self) -> bool:
         """Whether the core waits for an event."""
         return self._sleeping
+
+    @property
+    def fpu_flags(self) -> int:
+        """FPSCR's exceptions: while one of them stands the FPU's interrupt is pending (erratum 87)."""
+        return int(self._uc.reg_read(arm_const.UC_ARM_REG_FPSCR)) & 0x9F
+
+    @property
+    def constant_latency(self) -> bool:
+        """Whether POWER is in the mode that costs current asleep; a reset leaves the other."""
+        return self.power.constant_latency
 
     @property
     def uart_bytes_lost(self) -> int:

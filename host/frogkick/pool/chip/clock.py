@@ -25,6 +25,8 @@ class Clock(Peripheral):
         Register("TASKS_HFCLKSTART", 0x000, "w"),
         Register("EVENTS_HFCLKSTARTED", 0x100, "rw"),
         Register("HFCLKSTAT", 0x40C, "r"),
+        Register("ERRATUM_31", 0x53C, "rw"),
+        Register("ERRATUM_108", 0xEE4, "rw"),
     ]
 
     def __init__(self, system: System, name: str, base: int, works: bool, timers: Sequence[Timer]) -> None:
@@ -60,6 +62,18 @@ class Clock(Peripheral):
         """Start the crystal."""
         if self._works:
             self.system.scheduler.at(self._started, self.system.now_cycle + HFXO_START_CYCLES)
+
+
+class Ficr(Peripheral):
+    """What the factory has written: two words without a name, which start-up code copies after a reset."""
+
+    NAME = "FICR"
+    REGISTERS = [Register("ERRATUM_31", 0x244, "r"), Register("ERRATUM_108", 0x258, "r")]
+
+    def __init__(self, system: System, name: str, base: int) -> None:
+        """Any values, with bits in them that are not to be copied."""
+        super().__init__(system, name, base)
+        self.values |= {"ERRATUM_31": 0x1234_BFFF, "ERRATUM_108": 0xFFFF_FFCA}
 
 
 class Nvmc(Peripheral):

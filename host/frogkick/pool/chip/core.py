@@ -17,6 +17,7 @@ class CoreRegisters(Peripheral):
     NAME = "SCS"
     REGISTERS = [
         Register("NVIC_ICPR0", 0x280, "rw"),
+        Register("NVIC_ICPR1", 0x284, "rw"),
         Register("SCB_SCR", 0xD10, "rw"),
         Register("SCB_CPACR", 0xD88, "rw"),
     ]
@@ -50,6 +51,8 @@ class CoreRegisters(Peripheral):
             self._pending &= ~value
             self._pend()  # a line that is still high makes its interrupt pending again
             return
+        if name == "NVIC_ICPR1":
+            return  # only the FPU's of these is ever pending, where its flags stand: fpu_flags of the chip
         if name == "SCB_SCR":
             self.allow(name, value, (0, SEVONPEND))
         else:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Final
 
 from frogkick.pool.chip.bus import Peripheral, Register, System, array
@@ -75,10 +76,13 @@ class Gpiote(Peripheral):
         *array("CONFIG[{}]", 0x510, "rw", CHANNELS),
     ]
 
-    def __init__(self, system: System, name: str, base: int, gpio: Gpio) -> None:
-        """Start with all channels off, beside their port."""
+    def __init__(
+        self, system: System, name: str, base: int, gpio: Gpio, on_clear: Callable[[int], None]
+    ) -> None:
+        """Start with all channels off, beside their port; ``on_clear`` hears of each CLR task's channel."""
         super().__init__(system, name, base)
         self._gpio = gpio
+        self._on_clear = on_clear
 
     def on_write(self, name: str, value: int) -> None:
         """Hand a pin to a channel."""
@@ -89,6 +93,8 @@ class Gpiote(Peripheral):
 
     def on_task(self, name: str) -> None:
         """Set or clear the channel's pin; a channel that is off does nothing."""
+        if name.startswith("TASKS_CLR"):
+            self._on_clear(int(name[-2]))
         config = self.values[f"CONFIG[{name[-2]}]"]
         if config & 3 == _MODE_TASK:
             self._gpio.drive(config >> 8 & 0x1F, name.startswith("TASKS_SET"))

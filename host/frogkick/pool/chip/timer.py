@@ -23,6 +23,9 @@ class Timer(Peripheral):
     It counts by the crystal, or before that runs by the internal oscillator, slower. START begins a full tick
     of the prescaler; CLEAR begins the tick anew. A compare value that equals the counter when it is written
     matches only after the counter has gone all the way round.
+
+    Attributes:
+        draws: current, from START until SHUTDOWN, though it was stopped (erratum 78).
     """
 
     NAME = "TIMER"
@@ -31,6 +34,7 @@ class Timer(Peripheral):
         Register("TASKS_STOP", 0x004, "w"),
         Register("TASKS_COUNT", 0x008, "w"),
         Register("TASKS_CLEAR", 0x00C, "w"),
+        Register("TASKS_SHUTDOWN", 0x010, "w"),
         *array("TASKS_CAPTURE[{}]", 0x040, "w", CHANNELS),
         *array("EVENTS_COMPARE[{}]", 0x140, "rw", CHANNELS),
         Register("SHORTS", 0x200, "rw"),
@@ -47,7 +51,7 @@ class Timer(Peripheral):
         """Start stopped at 0, with the reset value of PRESCALER."""
         super().__init__(system, name, base)
         self.values["PRESCALER"] = 4
-        self._running = False
+        self._running = self.draws = False
         self._count = 0  # counter's value at _since, or now where it does not run by itself
         self._since = 0
         self._percent = HFINT_PERCENT  # time of a tick, of what it is by the crystal
@@ -121,8 +125,12 @@ class Timer(Peripheral):
     def on_task(self, name: str) -> None:
         """Start, stop, count, clear or capture."""
         if name == "TASKS_START":
+            self.draws = True
             if not self._running:
                 self._set(self._count, True)
+        elif name == "TASKS_SHUTDOWN":
+            self.draws = False
+            self._set(0, False)
         elif name == "TASKS_STOP":
             self._set(self._counter(), False)
         elif name == "TASKS_CLEAR":

@@ -32,6 +32,7 @@ class Power(Peripheral):
 
     NAME = "POWER"
     REGISTERS = [
+        Register("TASKS_LOWPWR", 0x07C, "w"),
         Register("EVENTS_POFWARN", 0x108, "rw"),
         Register("INTENSET", 0x304, "rw"),
         Register("RESETREAS", 0x400, "rw"),
@@ -40,13 +41,14 @@ class Power(Peripheral):
     INTERRUPT_EVENTS: ClassVar[dict[int, str]] = {2: "EVENTS_POFWARN"}
 
     supply_v = SUPPLY_V
+    constant_latency = False
     _is_below = False
 
     def reset(self) -> None:
         """A reset of the chip: the comparator is off, the reasons stay, and so does the supply."""
         self.values |= {"EVENTS_POFWARN": 0, "POFCON": 0}
         self._interrupts = 0
-        self._is_below = False
+        self._is_below = self.constant_latency = False
 
     def set_supply(self, supply_v: float) -> None:
         """Another supply from now on, V."""
@@ -61,6 +63,14 @@ class Power(Peripheral):
             self._is_below = False
         elif self._is_below and not was_below:
             self.raise_event("EVENTS_POFWARN")
+
+    def on_task(self, name: str) -> None:
+        """Go back to the mode after a reset."""
+        self.constant_latency = False
+
+    def on_clear_task(self, channel: int) -> None:
+        """Erratum 156: a CLR task of GPIOTE switches the mode as well, even ones this way, odd ones that."""
+        self.constant_latency = channel % 2 == 0
 
     def on_write(self, name: str, value: int) -> None:
         """Take reasons back; switch the comparator."""
@@ -89,6 +99,7 @@ class Watchdog(Peripheral):
         super().__init__(system, name, base)
         self.values |= {"CRV": 0xFFFF_FFFF, "RREN": 1, "CONFIG": 1}
         self._running = False
+        self.started_cycle = NEVER
         self._due = NEVER
         self._timeout = system.scheduler.add(on_timeout)
 
@@ -113,6 +124,7 @@ class Watchdog(Peripheral):
         """Start; a second time does nothing."""
         if not self._running:
             self._running = True
+            self.started_cycle = self.system.now_cycle
             self._reload()
 
     def on_write(self, name: str, value: int) -> None:

@@ -71,13 +71,15 @@ def defines(found: Kconfig) -> list[str]:
 
 @pytest.mark.parametrize("source", [source.name for source in SOURCES])
 @pytest.mark.parametrize("open_link", [False, True])
+@pytest.mark.parametrize("version", ["3, 7, 0", "4, 2, 0"])
 def test_the_c_compiles_against_what_zephyr_declares(
-    source: str, open_link: bool, made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    source: str, open_link: bool, version: str, made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     found = configuration(monkeypatch, ROBOT / "prj.conf")
     if open_link:
         found.syms["FROGKICK_OPEN_LINK"].set_value("y")
-    check((ROBOT / "src" / source).read_text(), made, tmp_path, defines(found))
+    options = [*defines(found), f"-DZEPHYR_VERSION_CODE=ZEPHYR_VERSION({version})"]
+    check((ROBOT / "src" / source).read_text(), made, tmp_path, options)
 
 
 @pytest.mark.parametrize(

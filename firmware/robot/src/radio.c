@@ -13,6 +13,7 @@
 #include <zephyr/sys/printk.h>
 #include <zephyr/sys/ring_buffer.h>
 #include <zephyr/sys/util.h>
+#include <zephyr/version.h>
 
 #define RECEIVE_BYTES 2048 /* a frame is at most 253: what comes while a decision computes waits here */
 #define ATT_HEAD_BYTES 3u
@@ -78,11 +79,18 @@ static const struct bt_data scan_answer[] = {
     BT_DATA(BT_DATA_NAME_COMPLETE, CONFIG_BT_DEVICE_NAME, sizeof(CONFIG_BT_DEVICE_NAME) - 1),
 };
 
+/* Once, until a host connects. Zephyr 4.0 has one name for what were two options. */
+#if ZEPHYR_VERSION_CODE >= ZEPHYR_VERSION(4, 0, 0)
+#define ADVERTISE_ONCE BT_LE_ADV_OPT_CONN
+#else
+#define ADVERTISE_ONCE (BT_LE_ADV_OPT_CONNECTABLE | BT_LE_ADV_OPT_ONE_TIME)
+#endif
+
 static void advertise(struct k_work *work)
 {
     (void)work;
-    const int error = bt_le_adv_start(BT_LE_ADV_PARAM(BT_LE_ADV_OPT_CONNECTABLE | BT_LE_ADV_OPT_ONE_TIME,
-                                                      BT_GAP_ADV_FAST_INT_MIN_2, BT_GAP_ADV_FAST_INT_MAX_2, NULL),
+    const int error = bt_le_adv_start(BT_LE_ADV_PARAM(ADVERTISE_ONCE, BT_GAP_ADV_FAST_INT_MIN_2,
+                                                      BT_GAP_ADV_FAST_INT_MAX_2, NULL),
                                       advertised, ARRAY_SIZE(advertised), scan_answer, ARRAY_SIZE(scan_answer));
     if (error != 0 && error != -EALREADY) {
         printk("no advertising: error %d\n", error);

@@ -9,6 +9,12 @@
 #include <stdint.h>
 #include <sys/types.h>
 
+/* zephyr/version.h, of the version that west.yml pins */
+#define ZEPHYR_VERSION(a, b, c) (((a) << 16) + ((b) << 8) + (c))
+#ifndef ZEPHYR_VERSION_CODE
+#define ZEPHYR_VERSION_CODE ZEPHYR_VERSION(3, 7, 0)
+#endif
+
 /* zephyr/sys/util.h, toolchain.h */
 #define ARRAY_SIZE(array) (sizeof(array) / sizeof((array)[0]))
 #define BIT(n) (1UL << (n))
@@ -123,7 +129,7 @@ int flash_write(const struct device *dev, off_t offset, const void *data, size_t
 #define RESET_PIN BIT(0)
 #define RESET_SOFTWARE BIT(1)
 #define RESET_WATCHDOG BIT(4)
-#define RESET_CPU_LOCKUP BIT(7)
+#define RESET_CPU_LOCKUP BIT(8)
 ssize_t hwinfo_get_device_id(uint8_t *buffer, size_t length);
 int hwinfo_get_reset_cause(uint32_t *cause);
 int hwinfo_clear_reset_cause(void);
@@ -170,8 +176,12 @@ struct bt_data {
 #define BT_DATA_NAME_COMPLETE 0x09
 #define BT_LE_AD_GENERAL 0x02
 #define BT_LE_AD_NO_BREDR 0x04
+#if ZEPHYR_VERSION_CODE < ZEPHYR_VERSION(4, 0, 0)
 #define BT_LE_ADV_OPT_CONNECTABLE BIT(0)
 #define BT_LE_ADV_OPT_ONE_TIME BIT(1)
+#else
+#define BT_LE_ADV_OPT_CONN (BIT(0) | BIT(1))
+#endif
 #define BT_GAP_ADV_FAST_INT_MIN_2 0x00a0
 #define BT_GAP_ADV_FAST_INT_MAX_2 0x00f0
 typedef struct bt_addr_le bt_addr_le_t;

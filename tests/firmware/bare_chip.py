@@ -7,6 +7,8 @@ from pathlib import Path
 from bench_build import build_text
 
 from frogkick.pool.chip import CostModel, VirtualChip
+from frogkick.pool.chip.clock import Clock
+from frogkick.pool.chip.watchdog import Power
 
 NO_WAITS = CostModel(
     branch_refill_cycles=2, cache_miss_cycles=0, fetch_wait_uncached_parts=0, flash_data_wait_cycles=0
@@ -26,3 +28,11 @@ def bare(folder: Path, assembly: str, cost: CostModel | None = None) -> VirtualC
     """A chip that runs nothing but these instructions from reset, without our startup code."""
     text = " ".join(f'"{line.strip()}\\n"' for line in assembly.strip().splitlines())
     return VirtualChip(build_text(BARE.format(helpers="", assembly=text), folder), cost)
+
+
+def clock_of(chip: VirtualChip) -> Clock:
+    return next(block for block in chip.peripherals if isinstance(block, Clock))
+
+
+def power_of(chip: VirtualChip) -> Power:
+    return next(block for block in chip.peripherals if isinstance(block, Power))

@@ -8,6 +8,7 @@ import shutil
 from pathlib import Path
 
 import pytest
+from bare_chip import clock_of, power_of
 from bench_build import BENCH, DRIVERS, GCC, build
 from tests.conftest import count
 
@@ -139,7 +140,8 @@ def test_a_pulse_lasts_its_time_even_where_the_core_hangs(
 
 def test_no_pulse_begins_without_the_crystal(echo_elf: Path) -> None:
     """One that never starts does not hold up the firmware; one that stops is seen before each pulse."""
-    never = VirtualChip(echo_elf, crystal=False)
+    never = VirtualChip(echo_elf)
+    power_of(never).crystal_works = False
     never.run_until(50_000)
     assert never.sleeping, "it waits for ever for a crystal"
     never.pin_edges()
@@ -150,7 +152,7 @@ def test_no_pulse_begins_without_the_crystal(echo_elf: Path) -> None:
     stops.pin_edges()
     assert signed(talk(stops, pulse_command(1, 0b0110, 1_000))) == 0
     assert len(stops.pin_edges()) == 4
-    stops.break_crystal()
+    clock_of(stops).break_down()
     assert signed(talk(stops, pulse_command(1, 0b0110, 1_000))) == NO_CRYSTAL
     assert stops.pin_edges() == []
 

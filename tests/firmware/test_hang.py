@@ -8,6 +8,7 @@ from itertools import pairwise
 from pathlib import Path
 
 import pytest
+from bare_chip import clock_of, power_of
 from tests.conftest import REPOSITORY, count
 from tests.loop import rig
 
@@ -166,7 +167,8 @@ def test_two_reasons_are_not_mixed_up() -> None:
 
 def test_a_robot_without_a_crystal_does_not_arm() -> None:
     """It says so, in one line, and does not hang."""
-    port = VirtualRobot(rig.firmware("bench").image, len(rig.robot().limbs), crystal=False)
+    port = VirtualRobot(rig.firmware("bench").image, len(rig.robot().limbs))
+    power_of(port.chip).crystal_works = False
     session = Session(port)
     session.greet(rig.tables())
     with pytest.raises(LinkError, match=r"^the robot refuses ARM: FAULT, internal error CLOCK \(0\)$"):
@@ -182,7 +184,7 @@ def test_a_crystal_that_stops_disarms() -> None:
     while not session.edges:
         session.step(session.time_s + 0.0001)
     begun = len(session.edges)
-    port.chip.break_crystal()
+    clock_of(port.chip).break_down()
     session.step(session.time_s + 0.5)  # it looks at each turn of its loop
     told = session.request("STATUS")
     assert (told["state"], told["fault"]) == (STATE["FAULT"], FAULT["CLOCK"])

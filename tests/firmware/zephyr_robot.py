@@ -41,7 +41,7 @@ def play(made: Path, folder: Path, options: list[str]) -> Path:
     own = sorted((ROBOT / "src").glob("*.c"))
     for source in own:
         headers(source.read_text(), folder / "include")
-    sources = [*own, *sorted((ROBOT.parent / "core").glob("*.c")), DECLARED / "played.c"]
+    sources = [*own, *sorted((ROBOT.parent / "core").glob("*.c")), *sorted(DECLARED.glob("played*.c"))]
     sources += [file for file in sorted((made / "emitted").glob("*.c")) if "example" not in file.name]
     includes = [folder / "include", DECLARED, ROBOT / "src", ROBOT.parent / "core", made, made / "emitted"]
     flags = ["-std=gnu11", "-O1", "-fPIC", "-shared", "-Wall", "-Werror", "-Dmain=fk_zephyr_main"]

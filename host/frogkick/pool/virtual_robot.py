@@ -21,12 +21,7 @@ class VirtualRobot:
     """
 
     def __init__(
-        self,
-        elf: Path,
-        limbs: int,
-        flash: bytes | None = None,
-        heat_known: bool = True,
-        crystal: bool = True,
+        self, elf: Path, limbs: int, flash: bytes | None = None, heat_known: bool = True
     ) -> None:
         """Power the chip on.
 
@@ -36,7 +31,6 @@ class VirtualRobot:
             flash: what the flash of such a robot held when it was switched off; None: as the image has it.
             heat_known: begin as one that kept its RAM and knows that its limbs are cold; False: one whose RAM
                 holds nothing, so that it lets them rest first.
-            crystal: whether its 32 MHz crystal ever starts.
 
         Raises:
             InputError: not such an image, or more limbs than the board has pins.
@@ -45,7 +39,7 @@ class VirtualRobot:
             raise InputError(
                 f"the robot has {limbs} limbs, the bench board {len(LIMB_PINS)} pins: use --robot pool"
             )
-        self.chip = VirtualChip(elf, flash=flash, crystal=crystal)
+        self.chip = VirtualChip(elf, flash=flash)
         if heat_known:
             self.chip.ram_write(self.chip.symbol("kept"), COLD_LIMBS)
         self._limb_of_pin = {pin: limb for limb, pin in enumerate(LIMB_PINS[:limbs])}

@@ -42,11 +42,7 @@ class VirtualChip:
     """
 
     def __init__(
-        self,
-        elf_path: Path | str,
-        cost: CostModel | None = None,
-        flash: bytes | None = None,
-        crystal: bool = True,
+        self, elf_path: Path | str, cost: CostModel | None = None, flash: bytes | None = None
     ) -> None:
         """Load a firmware and hold it at reset, time 0. ``resets``: when the watchdog began it anew, us.
 
@@ -54,14 +50,12 @@ class VirtualChip:
             elf_path: ELF linked with firmware/bench/nrf52832.ld.
             cost: cycle model; None for the default.
             flash: ``flash.content()`` of a chip that has lost its power; None: as the ELF has it.
-            crystal: whether the board's 32 MHz crystal ever starts.
 
         Raises:
             InputError: not a firmware for this chip.
             ChipError: the cycle counter cannot be compiled.
         """
         self._cost = cost or CostModel()
-        self._crystal = crystal
         self._image = load_image(elf_path, flash)
         self.scheduler = Scheduler()
         self._event_cycle: int | None = None
@@ -103,12 +97,10 @@ class VirtualChip:
         self._ppi = Ppi(self, "PPI", 0x4001_F000)
         self._core = CoreRegisters(self, "SCS", 0xE000_E000, self._switch_fpu)
         self._watchdog = Watchdog(self, "WDT", 0x4001_0000, partial(setattr, self, "_reset_due", True))
-        self.power.constant_latency = False
         gpiote = Gpiote(self, "GPIOTE", 0x4000_6000, self._gpio, self.power.on_clear_task)
         timers = [Timer(self, f"TIMER{i}", 0x4000_8000 + 0x1000 * i) for i in range(3)]
-        self._clock = Clock(self, "CLOCK", 0x4000_0000, self._crystal, timers)
         self.peripherals: tuple[Peripheral, ...] = (
-            self._clock,
+            Clock(self, "CLOCK", 0x4000_0000, self.power, timers),
             Ficr(self, "FICR", 0x1000_0000),
             self.power,
             self._uarte,
@@ -160,16 +152,6 @@ class VirtualChip:
     def sleeping(self) -> bool:
         """Whether the core waits for an event."""
         return self._sleeping
-
-    @property
-    def fpu_flags(self) -> int:
-        """FPSCR's exceptions: while one of them stands the FPU's interrupt is pending (erratum 87)."""
-        return int(self._uc.reg_read(arm_const.UC_ARM_REG_FPSCR)) & 0x9F
-
-    @property
-    def constant_latency(self) -> bool:
-        """Whether POWER is in the mode that costs current asleep; a reset leaves the other."""
-        return self.power.constant_latency
 
     @property
     def uart_bytes_lost(self) -> int:
@@ -228,11 +210,6 @@ class VirtualChip:
         Time, peripherals and the watchdog go on.
         """
         self._hung = hangs
-
-    def break_crystal(self) -> None:
-        """The 32 MHz crystal stops, and no start brings it back."""
-        self._crystal = False
-        self._clock.break_down()
 
     def run_until(self, time_us: float) -> None:
         """Let the chip live until a virtual time; it may go over by the rest of one instruction or IT block.

@@ -9,6 +9,7 @@ from frogkick.pool.chip.bus import Peripheral, Register, System
 from frogkick.pool.chip.flash import ERASE, READ_ONLY, WRITE, Flash
 from frogkick.pool.chip.scheduler import CYCLES_PER_US, NEVER
 from frogkick.pool.chip.timer import HFINT_PERCENT, Timer
+from frogkick.pool.chip.watchdog import Power
 
 HFXO_START_CYCLES: Final = 360 * CYCLES_PER_US
 """Start of the 32 MHz crystal, typical value of the product specification (t_START_HFXO)."""
@@ -29,16 +30,17 @@ class Clock(Peripheral):
         Register("ERRATUM_108", 0xEE4, "rw"),
     ]
 
-    def __init__(self, system: System, name: str, base: int, works: bool, timers: Sequence[Timer]) -> None:
+    def __init__(self, system: System, name: str, base: int, power: Power, timers: Sequence[Timer]) -> None:
         """Start on the internal oscillator.
 
         Args:
             system, name, base: as for every peripheral.
-            works: whether the board has a crystal that starts.
+            power: the block that outlives a reset, and so knows whether the crystal works.
             timers: whatever counts by it.
         """
         super().__init__(system, name, base)
-        self._works = works
+        self._power = power
+        power.constant_latency = False
         self._timers = timers
         self._started = system.scheduler.add(self._run)
         self.values["HFCLKSTAT"] = _RUNNING
@@ -54,13 +56,13 @@ class Clock(Peripheral):
 
     def break_down(self) -> None:
         """The crystal stops, and will not start again."""
-        self._works = False
+        self._power.crystal_works = False
         self.system.scheduler.at(self._started, NEVER)
         self._switch(False)
 
     def on_task(self, name: str) -> None:
         """Start the crystal."""
-        if self._works:
+        if self._power.crystal_works:
             self.system.scheduler.at(self._started, self.system.now_cycle + HFXO_START_CYCLES)
 
 

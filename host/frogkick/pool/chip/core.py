@@ -52,7 +52,7 @@ class CoreRegisters(Peripheral):
             self._pend()  # a line that is still high makes its interrupt pending again
             return
         if name == "NVIC_ICPR1":
-            return  # only the FPU's of these is ever pending, where its flags stand: fpu_flags of the chip
+            return  # only the FPU's of these is ever pending, where its flags stand
         if name == "SCB_SCR":
             self.allow(name, value, (0, SEVONPEND))
         else:

@@ -28,6 +28,8 @@ class Power(Peripheral):
 
     Attributes:
         supply_v: what the chip is supplied with; ``set_supply`` changes it.
+        constant_latency: the mode that costs current asleep; a reset leaves the other.
+        crystal_works: whether the board's 32 MHz crystal ever starts.
     """
 
     NAME = "POWER"
@@ -42,6 +44,7 @@ class Power(Peripheral):
 
     supply_v = SUPPLY_V
     constant_latency = False
+    crystal_works = True
     _is_below = False
 
     def reset(self) -> None:

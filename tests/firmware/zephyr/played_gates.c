@@ -1,0 +1,271 @@
+/* The crystal, the timer, PPI and the gates. */
+#include <errno.h>
+#include <string.h>
+
+#include "played.h"
+
+#define EDGES_MAX 4096
+
+/* The crystal. Whoever asks holds it until he gives it back; without it the timer is slow. */
+
+#define HFINT_PERCENT 108u
+struct onoff_manager {
+    int users;
+};
+static struct onoff_manager crystal;
+static uint64_t crystal_takes_us = 1500; /* NEVER: it does not start */
+static uint64_t crystal_runs_us = NEVER;
+static uint64_t held_from_us = NEVER;
+static int releases_without_request;
+
+void sys_notify_init_spinwait(struct sys_notify *notify) { notify->state = 1; }
+int sys_notify_fetch_result(const struct sys_notify *notify, int *result)
+{
+    (void)notify;
+    if (now_us < crystal_runs_us) {
+        return -EAGAIN;
+    }
+    *result = 0;
+    return 0;
+}
+struct onoff_manager *z_nrf_clock_control_get_onoff(clock_control_subsys_t sys)
+{
+    (void)sys;
+    return &crystal;
+}
+int onoff_request(struct onoff_manager *mgr, struct onoff_client *cli)
+{
+    (void)cli;
+    if (mgr->users++ == 0) {
+        crystal_runs_us = (crystal_takes_us == NEVER) ? NEVER : now_us + crystal_takes_us;
+        held_from_us = now_us;
+    }
+    return 0;
+}
+int onoff_cancel_or_release(struct onoff_manager *mgr, struct onoff_client *cli)
+{
+    (void)cli;
+    releases_without_request += mgr->users == 0;
+    if (--mgr->users == 0) {
+        crystal_runs_us = NEVER;
+    }
+    return 0;
+}
+bool nrf_clock_is_running(const NRF_CLOCK_Type *p_reg, nrf_clock_domain_t domain, void *p_clk_src)
+{
+    (void)p_reg;
+    (void)domain;
+    *(nrf_clock_hfclk_t *)p_clk_src =
+        (now_us >= crystal_runs_us) ? NRF_CLOCK_HFCLK_HIGH_ACCURACY : NRF_CLOCK_HFCLK_LOW_ACCURACY;
+    return true;
+}
+
+/* The timer, PPI and the gates */
+
+typedef struct {
+    uint32_t event;
+    uint32_t task;
+    int enabled;
+} channel_t;
+typedef struct {
+    uint64_t at_us;
+    uint32_t pin;
+    uint32_t level;
+} edge_t;
+#define EVENT_ADDRESS(channel) (0x1000u + (channel))
+#define TASK_SET(pin) (0x2000u + (pin))
+#define TASK_CLR(pin) (0x3000u + (pin))
+static channel_t channels[32];
+static uint32_t channels_used;
+static uint8_t gpiote_used;
+static uint32_t levels;
+static edge_t edges[EDGES_MAX];
+static uint32_t edge_count;
+static uint32_t compare[4];
+static uint64_t timer_us = NEVER; /* when the timer was 0 */
+static uint32_t timer_percent;
+static int timer_enabled;
+static int asserts; /* that nrfx would have raised */
+static nrfx_timer_event_handler_t on_timer;
+
+static void drive(uint32_t pin, uint32_t level)
+{
+    if ((levels >> pin & 1u) != level) {
+        levels ^= 1u << pin;
+        edges[edge_count++ % EDGES_MAX] = (edge_t){now_us, pin, level};
+    }
+}
+static void timer_compares(uint32_t channel)
+{
+    for (uint32_t i = 0; i < channels_used; ++i) {
+        if (channels[i].enabled && channels[i].event == EVENT_ADDRESS(channel)) {
+            drive(channels[i].task & 0xFFFu, (channels[i].task & 0xF000u) == 0x2000u);
+        }
+    }
+    if (channel == 0) {
+        timer_us = NEVER; /* its shorts: stop and clear */
+        on_timer(NRF_TIMER_EVENT_COMPARE0, NULL);
+    }
+}
+void declared_connect(unsigned int line, unsigned int priority, void (*routine)(const void *),
+                      void (*parameter)(void), uint32_t flags)
+{
+    (void)line;
+    (void)priority;
+    (void)routine;
+    (void)parameter;
+    (void)flags;
+}
+void nrfx_isr(const void *irq_handler) { (void)irq_handler; }
+void nrfx_timer_2_irq_handler(void) {}
+bool nrfx_gpiote_init_check(const nrfx_gpiote_t *instance)
+{
+    (void)instance;
+    return false;
+}
+nrfx_err_t nrfx_gpiote_init(const nrfx_gpiote_t *instance, uint8_t interrupt_priority)
+{
+    (void)instance;
+    (void)interrupt_priority;
+    return NRFX_SUCCESS;
+}
+nrfx_err_t nrfx_gpiote_channel_alloc(const nrfx_gpiote_t *instance, uint8_t *channel)
+{
+    (void)instance;
+    *channel = gpiote_used++;
+    return NRFX_SUCCESS;
+}
+nrfx_err_t nrfx_gpiote_output_configure(const nrfx_gpiote_t *instance, nrfx_gpiote_pin_t pin,
+                                        const nrfx_gpiote_output_config_t *config,
+                                        const nrfx_gpiote_task_config_t *task_config)
+{
+    (void)instance;
+    (void)pin;
+    (void)config;
+    (void)task_config;
+    return NRFX_SUCCESS;
+}
+void nrfx_gpiote_out_task_enable(const nrfx_gpiote_t *instance, nrfx_gpiote_pin_t pin)
+{
+    (void)instance;
+    (void)pin;
+}
+void nrfx_gpiote_clr_task_trigger(const nrfx_gpiote_t *instance, nrfx_gpiote_pin_t pin)
+{
+    (void)instance;
+    drive(pin, 0);
+}
+uint32_t nrfx_gpiote_clr_task_address_get(const nrfx_gpiote_t *instance, nrfx_gpiote_pin_t pin)
+{
+    (void)instance;
+    return TASK_CLR(pin);
+}
+uint32_t nrfx_gpiote_set_task_address_get(const nrfx_gpiote_t *instance, nrfx_gpiote_pin_t pin)
+{
+    (void)instance;
+    return TASK_SET(pin);
+}
+nrfx_err_t nrfx_timer_init(const nrfx_timer_t *instance, const nrfx_timer_config_t *config,
+                           nrfx_timer_event_handler_t handler)
+{
+    (void)instance;
+    (void)config;
+    on_timer = handler;
+    return NRFX_SUCCESS;
+}
+void nrfx_timer_enable(const nrfx_timer_t *instance)
+{
+    (void)instance;
+    asserts += timer_enabled;
+    timer_enabled = 1;
+    timer_us = now_us;
+    timer_percent = (now_us >= crystal_runs_us) ? 100u : HFINT_PERCENT;
+}
+void nrfx_timer_disable(const nrfx_timer_t *instance)
+{
+    (void)instance;
+    timer_enabled = 0;
+    timer_us = NEVER;
+}
+void nrfx_timer_clear(const nrfx_timer_t *instance) { (void)instance; }
+void nrfx_timer_compare(const nrfx_timer_t *instance, nrf_timer_cc_channel_t channel, uint32_t value,
+                        bool enable_int)
+{
+    (void)instance;
+    (void)enable_int;
+    compare[channel] = value;
+}
+void nrfx_timer_extended_compare(const nrfx_timer_t *instance, nrf_timer_cc_channel_t channel, uint32_t value,
+                                 uint32_t shorts, bool enable_int)
+{
+    (void)shorts;
+    nrfx_timer_compare(instance, channel, value, enable_int);
+}
+uint32_t nrfx_timer_compare_event_address_get(const nrfx_timer_t *instance, uint32_t channel)
+{
+    (void)instance;
+    return EVENT_ADDRESS(channel);
+}
+nrfx_err_t nrfx_gppi_channel_alloc(uint8_t *channel)
+{
+    *channel = (uint8_t)channels_used++;
+    return NRFX_SUCCESS;
+}
+void nrfx_gppi_channel_endpoints_setup(uint8_t channel, uint32_t eep, uint32_t tep)
+{
+    channels[channel].event = eep;
+    channels[channel].task = tep;
+}
+static void switch_channels(uint32_t mask, int enabled)
+{
+    for (uint32_t i = 0; i < 32; ++i) {
+        if (mask >> i & 1u) {
+            channels[i].enabled = enabled;
+        }
+    }
+}
+void nrfx_gppi_channels_enable(uint32_t mask) { switch_channels(mask, 1); }
+void nrfx_gppi_channels_disable(uint32_t mask) { switch_channels(mask, 0); }
+
+uint32_t play_edges(edge_t *to);
+int play_asserts(void);
+void play_crystal(uint64_t takes_us);
+int play_crystal_users(void);
+uint64_t play_crystal_held_us(void);
+void play_break_crystal(void);
+
+static uint64_t compare_us(uint32_t channel)
+{
+    const uint64_t at_us = (timer_us == NEVER) ? NEVER : timer_us + (uint64_t)compare[channel] * timer_percent / 100u;
+    return (at_us > now_us || at_us == NEVER) ? at_us : NEVER;
+}
+
+uint64_t played_gates_next_us(void)
+{
+    const uint64_t begin_us = compare_us(1);
+    const uint64_t end_us = compare_us(0);
+    return (begin_us < end_us) ? begin_us : end_us;
+}
+void played_gates_event(void)
+{
+    /* Where the timer was before: COMPARE0 clears it. */
+    const uint64_t zero_us = timer_us;
+    for (uint32_t channel = 2; channel-- > 0 && zero_us != NEVER;) {
+        if (zero_us + (uint64_t)compare[channel] * timer_percent / 100u == now_us) {
+            timer_compares(channel);
+        }
+    }
+}
+
+uint32_t play_edges(edge_t *to)
+{
+    const uint32_t count = edge_count;
+    memcpy(to, edges, count * sizeof(edges[0]));
+    edge_count = 0;
+    return count;
+}
+int play_asserts(void) { return asserts; }
+void play_crystal(uint64_t takes_us) { crystal_takes_us = takes_us; }
+void play_break_crystal(void) { crystal_runs_us = NEVER; }
+int play_crystal_users(void) { return crystal.users + 100 * releases_without_request; }
+uint64_t play_crystal_held_us(void) { return held_from_us; }

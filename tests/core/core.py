@@ -47,6 +47,8 @@ int32_t fk_guard_resume(void *guard, const fk_guard_kept_t *kept);
 void fk_robot_note_pulse_failed(void *robot, int32_t error);
 void fk_robot_note_link_lost(void *robot);
 void fk_robot_note_supply(void *robot, int32_t is_low);
+void fk_robot_note_clock_failed(void *robot);
+void fk_robot_note_frames_dropped(void *robot, uint32_t frames);
 uint32_t fk_robot_take_tx(void *robot, uint8_t *bytes, uint32_t capacity);
 void fk_guard_init(void *guard);
 int32_t fk_guard_allow(void *guard, uint8_t limb_mask, uint32_t pulse_us, uint64_t now_us);

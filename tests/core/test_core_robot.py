@@ -395,6 +395,13 @@ def test_what_does_not_fit_the_buffer_is_dropped_whole() -> None:
     assert 10 < len(frames) < 100
 
 
+def test_what_the_port_could_not_send_is_counted_too() -> None:
+    robot = Robot().begin("ARMED")
+    robot.core.fk_robot_note_frames_dropped(robot.memory, 3)
+    robot.core.fk_robot_note_frames_dropped(robot.memory, 0)
+    assert robot.ask("STATUS")["answers_dropped"] == 3
+
+
 @pytest.mark.parametrize("capacity", [1, 7, 64, 255, 1024])
 def test_a_port_that_takes_few_bytes_at_a_time_gets_all_of_them(capacity: int) -> None:
     robot = Robot().begin("ARMED")

@@ -162,6 +162,19 @@ def test_a_pulse_that_the_port_could_not_start() -> None:
     assert told(robot) == ("FAULT", "PULSE", -2), "the first error is the one that is told"
 
 
+@pytest.mark.parametrize("state", ["DISARMED", "ARMED", "RUNNING"])
+def test_a_port_s_clock_that_is_not_exact(state: str) -> None:
+    """Off, and it stays off; however often the port says so, it asks for nothing without end."""
+    robot = Robot().begin(state)
+    robot.tick()
+    core().fk_robot_note_clock_failed(robot.memory)
+    assert robot.status("ARM") == "FAULT"
+    assert robot.tick().all_off == 1
+    core().fk_robot_note_clock_failed(robot.memory)
+    assert robot.tick().all_off == 0
+    assert told(robot) == ("FAULT", "CLOCK", 0)
+
+
 def test_an_armed_robot_that_hears_nothing_disarms() -> None:
     """An hour later nobody expects it to fire; whatever a host says keeps it armed."""
     robot = Robot().begin("ARMED")

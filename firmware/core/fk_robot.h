@@ -182,7 +182,7 @@ int32_t fk_robot_restore(fk_robot_t *robot, const uint8_t *snapshot, uint32_t le
 /* Size of fk_robot_t, for a host that holds one without seeing its type. */
 uint32_t fk_robot_bytes(void);
 
-/* For fk_commands.c and fk_link.c */
+/* For fk_commands.c and fk_link.c; a port asks fk_robot_may of FK_EVENT_PULSE whether a pulse may come. */
 int32_t fk_robot_command(fk_robot_t *robot, const fk_frame_t *frame, uint64_t now_us, uint8_t *answer);
 int8_t fk_robot_may(const fk_robot_t *robot, uint8_t event);
 int8_t fk_robot_supervise(fk_robot_t *robot, uint8_t event);

@@ -146,13 +146,11 @@ BUILD_ASSERT(FK_RADIO_SEND_BYTES == FK_TX_BYTES, "all that the core has is taken
 /* Only as fast as the radio takes them: until then they wait in the core, which counts what finds no room there. */
 static void send_answers(void)
 {
-    static uint8_t frames[FK_RADIO_SEND_BYTES];
-
     fk_robot_note_frames_dropped(&robot, fk_radio_take_dropped_frames());
     if (fk_radio_is_sending() == 0) {
-        const uint32_t length = fk_robot_take_tx(&robot, frames, sizeof(frames));
+        const uint32_t length = fk_robot_take_tx(&robot, fk_radio_send_buffer(), FK_RADIO_SEND_BYTES);
         if (length > 0u) {
-            fk_radio_send(frames, length);
+            fk_radio_send(length);
         }
     }
 }

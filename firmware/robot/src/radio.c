@@ -1,7 +1,6 @@
 #include "radio.h"
 
 #include <errno.h>
-#include <string.h>
 #include <zephyr/bluetooth/bluetooth.h>
 #include <zephyr/bluetooth/conn.h>
 #include <zephyr/bluetooth/gatt.h>
@@ -292,9 +291,13 @@ int32_t fk_radio_is_sending(void)
     return (atomic_get(&is_sending) != 0) ? 1 : 0;
 }
 
-void fk_radio_send(const uint8_t *frames, uint32_t length)
+uint8_t *fk_radio_send_buffer(void)
 {
-    memcpy(outgoing, frames, length);
+    return outgoing;
+}
+
+void fk_radio_send(uint32_t length)
+{
     outgoing_bytes = length;
     (void)atomic_set(&is_sending, 1);
     k_sem_give(&to_send);

@@ -20,11 +20,14 @@ int32_t fk_radio_take_drop(void);
 /* @retval 1 what was to be sent last is still waiting for the radio, 0 it takes more */
 int32_t fk_radio_is_sending(void);
 
-/* Hand whole frames, 1 to FK_RADIO_SEND_BYTES bytes of them, over to a thread that sends them, while fk_radio_is_sending is
- * 0. Returns at once, however long the radio takes; `arrived` is called when it takes more. A frame that cannot be sent whole
- * is dropped whole; where a part of it had left already, a delimiter ends it, so that it cannot spoil the next one.
+/* FK_RADIO_SEND_BYTES bytes to fill for fk_radio_send, while fk_radio_is_sending is 0. */
+uint8_t *fk_radio_send_buffer(void);
+
+/* Let a thread send the first `length` bytes of that buffer: whole frames. Returns at once, however long the radio takes;
+ * `arrived` is called when it takes more. A frame that cannot be sent whole is dropped whole; where a part of it had left
+ * already, a delimiter ends it, so that it cannot spoil the next one.
  */
-void fk_radio_send(const uint8_t *frames, uint32_t length);
+void fk_radio_send(uint32_t length);
 
 /* @retval frames that were dropped since the last call: nobody listened, or the connection ended */
 uint32_t fk_radio_take_dropped_frames(void);

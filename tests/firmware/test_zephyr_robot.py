@@ -363,6 +363,22 @@ def test_a_crystal_that_never_starts(life: Life) -> None:
     assert life.robot.watchdog_s < 0.5
 
 
+NO_CRYSTAL = -5
+
+
+def test_no_pulse_on_the_gates_without_the_crystal(life: Life) -> None:
+    """Whoever asks for it: here nobody looks at the clock before."""
+    pulse = (1, 1000, ctypes.c_uint64(2**62))
+    assert life.robot.stage.fk_limbs_pulse(*pulse) == NO_CRYSTAL
+    life.session.request("ARM")
+    assert life.robot.stage.fk_limbs_pulse(*pulse) == 0
+    life.live(0.1)
+    assert len(life.session.edges) == 2
+    life.robot.stage.play_break_crystal()
+    assert life.robot.stage.fk_limbs_pulse(*pulse) == NO_CRYSTAL
+    assert len(life.session.edges) == 2
+
+
 def test_a_crystal_that_stops(life: Life) -> None:
     session = life.session
     session.request("ARM")

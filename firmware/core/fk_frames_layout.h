@@ -1,12 +1,12 @@
 /* Made from host/frogkick/link/frames.toml by: python -m frogkick_codegen.frames. Do not edit.
- * Protocol version 2. Payloads of the link: commands are unpacked, answers and events packed.
+ * Protocol version 3. Payloads of the link: commands are unpacked, answers and events packed.
  */
 #ifndef FK_FRAMES_LAYOUT_H
 #define FK_FRAMES_LAYOUT_H
 
 #include <stdint.h>
 
-#define FK_PROTOCOL_VERSION 2u
+#define FK_PROTOCOL_VERSION 3u
 #define FK_PAYLOAD_BYTES_MAX 226u
 #define FK_ANSWER_BIT 0x80u
 

@@ -1,4 +1,4 @@
-"""The C's frames against the cobs package and zlib, and under every kind of damage."""
+"""The C's frames against the cobs package and zlib, under every kind of damage, and that come again."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ import pytest
 from cobs import cobs
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from tests.core.core import FFI, Robot, cases, collect, core, decode, encode, strings
+from tests.core.core import ACTION, FFI, Robot, cases, collect, core, decode, encode, strings
 
-from frogkick.link.frames import pack_frame
+from frogkick.link.frames import hello, pack_frame
 from frogkick.link.layout import link_layout
 
 PAYLOAD_MAX = link_layout().payload_bytes_max
@@ -169,3 +169,117 @@ def test_floats_keep_their_bits() -> None:
         ((values & 0x7F800000) == 0x7F800000) & ((values & 0x003FFFFF) != 0) & ((values >> 22) & 1 == 0)
     )
     assert (back == values)[~signalling].all()
+
+
+# Commands that come again
+
+MATTER = {
+    "ARM": ({}, ()),
+    "START": ({"delay_us": 0}, ()),
+    "PARAM": ({"parameter": 1, "value": 2.0}, ()),
+    "STROKE": ({"action": ACTION["B"]}, ()),
+    "PATH": ({"first": 0, "total": 2, "count": 2}, [(0.0, 0.0, 0.0), (1.0, 0.0, 0.0)]),
+}
+
+
+@pytest.mark.parametrize("name", MATTER)
+def test_a_command_that_comes_again_acts_once(name: str) -> None:
+    robot = Robot().begin("ARMED")
+    robot.path()
+    assert robot.fix() == "OK"
+    frame = pack_frame(name, "command", 200, *MATTER[name])[:-1]
+    robot.raw(frame)
+    first = robot.take_bytes()
+    robot.now_us += 5_000
+    # Between: something that the repetition would undo or do again.
+    undone = {"ARM": "DISARM", "START": "STOP", "STROKE": "STOP"}.get(name)
+    if undone is not None:
+        assert robot.status(undone) == "OK"
+    if name == "PARAM":
+        assert robot.status("PARAM", {"parameter": 1, "value": 4.0}) == "OK"
+    before, seen = robot.state(), robot.ask("STATUS")
+    for _ in range(3):
+        robot.raw(frame)
+        assert robot.take_bytes() == first, "the same answer"
+    after = robot.ask("STATUS")
+    assert robot.state() == before
+    assert after == seen | {"repeats": 3}
+    if name == "STROKE":
+        assert robot.run_until(robot.now_us + 10**6) == []
+
+
+@pytest.mark.parametrize("name", ["DISARM", "STOP"])
+def test_what_switches_off_always_acts(name: str) -> None:
+    """A second sender may repeat an earlier sender's number: the robot must not say it is off from memory."""
+    robot = Robot()
+    frame = pack_frame(name, "command", 200, {})[:-1]
+    robot.raw(frame)
+    robot.take_bytes()
+    robot.begin("RUNNING")
+    robot.raw(frame)
+    (answered,) = (each for each in robot.take() if each.name == name)
+    off = "DISARMED" if name == "DISARM" else "ARMED"
+    assert (answered.values["status"], answered.values["state"]) == (0, link_layout().state[off])
+    assert robot.state() == off
+    assert robot.ask("STATUS")["repeats"] == 0
+    assert robot.run_until(robot.now_us + 10**7) == [], "no pulse begins any more"
+
+
+def test_a_repetition_after_others_and_one_out_of_order() -> None:
+    robot = Robot()
+    frame = pack_frame("ARM", "command", 100, {})[:-1]
+    robot.raw(frame)
+    for sequence in range(101, 100 + 128):
+        robot.raw(pack_frame("STATUS", "command", sequence & 0xFF, {})[:-1])
+    robot.raw(pack_frame("DISARM", "command", 99, {})[:-1])  # late, but never had
+    robot.take()
+    assert robot.state() == "DISARMED"
+
+
+def test_a_number_may_be_used_again_after_half_of_all() -> None:
+    for apart, state in ((126, "DISARMED"), (127, "ARMED")):
+        robot = Robot()
+        frame = pack_frame("ARM", "command", 250, {})[:-1]
+        robot.raw(frame)
+        robot.raw(pack_frame("DISARM", "command", 251, {})[:-1])
+        robot.raw(pack_frame("STATUS", "command", (251 + apart) & 0xFF, {})[:-1])
+        robot.take_bytes()
+        robot.raw(frame)
+        robot.take_bytes()
+        robot._sequence = (251 + apart) & 0xFF
+        assert robot.state() == state
+
+
+def test_only_so_many_commands_are_kept() -> None:
+    for many, state in ((31, "DISARMED"), (32, "ARMED")):
+        robot = Robot()
+        frame = pack_frame("ARM", "command", 10, {})[:-1]
+        robot.raw(frame)
+        for index in range(many):
+            robot.raw(pack_frame("PARAM", "command", 11 + index, {"parameter": 1, "value": 2.0})[:-1])
+        robot.raw(pack_frame("DISARM", "command", 50, {})[:-1])
+        robot.take_bytes()
+        robot.raw(frame)
+        robot.take_bytes()
+        robot._sequence = 60
+        assert robot.state() == state
+
+
+def test_the_same_number_with_other_contents_is_another_command() -> None:
+    robot = Robot()
+    robot.raw(pack_frame("PARAM", "command", 7, {"parameter": 1, "value": 2.0})[:-1])
+    robot.raw(pack_frame("ARM", "command", 7, {})[:-1])
+    robot.take_bytes()
+    assert robot.state() == "ARMED"
+
+
+def test_a_new_conversation_begins_the_numbers_anew() -> None:
+    robot = Robot()
+    arm, disarm = (pack_frame(name, "command", 2, {})[:-1] for name in ("ARM", "DISARM"))
+    for conversation, state in ((5, "ARMED"), (5, "DISARMED"), (6, "ARMED")):
+        robot.raw(pack_frame("HELLO", "command", 1, hello(conversation))[:-1])
+        robot.raw(arm)
+        robot.take_bytes()
+        assert robot.state() == state, conversation
+        robot.raw(disarm)
+        robot.take_bytes()

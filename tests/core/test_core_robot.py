@@ -97,7 +97,7 @@ def test_boots_disarmed_with_everything_off() -> None:
     assert robot.stroke("B") == "STATE"
     assert robot.tick().limb_mask == 0
     told = robot.ask("HELLO")
-    assert (told["protocol_version"], told["robot_id"], told["period_us"]) == (2, "frog2022", PERIOD_US)
+    assert (told["protocol_version"], told["robot_id"], told["period_us"]) == (3, "frog2022", PERIOD_US)
     assert (told["states"], told["actions"], told["limbs"], told["pulse_us"]) == (60, 7, 4, 80_000)
     assert told["table_crc"] == zlib.crc32(robot.image[16:])
 

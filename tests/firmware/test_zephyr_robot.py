@@ -195,6 +195,10 @@ def played(made: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return play(made, tmp_path_factory.mktemp("played"), [*options, "-DFK_LOG_BYTES=16384u"])
 
 
+RESTED_S = 5.1
+"""Its RAM kept nothing: it lets its limbs rest first."""
+
+
 class Life:
     """A robot and a host that talks to it."""
 
@@ -202,7 +206,7 @@ class Life:
         self.tables = rig.tables()
         self.robot = ZephyrRobot(played, played.parent)
         self.session = Session(self.robot)
-        self.session.step(0.05)
+        self.session.step(RESTED_S)
         self.robot.connect(mtu)
         self.session.greet(self.tables)
 
@@ -228,7 +232,7 @@ def life(played: Path) -> Life:
 def test_a_stroke_over_the_radio(life: Life) -> None:
     session = life.session
     session.request("ARM")
-    session.step(1.0)
+    life.live(1.0)
     session.request("STROKE", {"action": life.firing})
     life.live(1.0)
     row = life.tables.actions[life.firing]
@@ -245,7 +249,7 @@ def test_a_fading_link_does_not_hang_the_loop(life: Life) -> None:
     """Nothing leaves any more, and answers are asked for: it disarms as the core says, and is not reset."""
     session = life.session
     session.request("ARM")
-    session.step(1.0)
+    life.live(1.0)
     session.request("STROKE", {"action": life.firing})
     life.robot.stage.play_fade(1)
     for _ in range(40):  # a host that hears nothing repeats itself
@@ -306,7 +310,7 @@ def test_frames_are_whole_or_dropped_whole(played: Path, error: int, after: int)
         lost = 0 if first in arrived else 1
         assert told["answers_dropped"] == lost
         assert life.robot.bad_frames <= lost
-        assert lost == (after < 3), "an answer of 57 bytes"
+        assert lost == (after < 4), "an answer of 62 bytes"
 
 
 def test_who_does_not_listen_is_not_waited_for(played: Path) -> None:
@@ -382,10 +386,30 @@ def test_no_pulse_on_the_gates_without_the_crystal(life: Life) -> None:
 def test_a_crystal_that_stops(life: Life) -> None:
     session = life.session
     session.request("ARM")
-    session.step(1.0)
+    life.live(1.0)
     life.robot.stage.play_break_crystal()
     session.post("STROKE", {"action": life.firing})
     life.live(0.5)
     told = session.request("STATUS")
     assert (told["state"], told["fault"]) == (STATE["FAULT"], link_layout().fault["CLOCK"])
     assert session.edges == []
+
+
+def test_a_supply_that_falls_disarms(life: Life) -> None:
+    session, robot = life.session, life.robot
+    session.request("ARM")
+    session.request("STROKE", {"action": life.firing})
+    life.live(0.02)
+    assert session.edges[-1].level, "in a pulse"
+    robot.stage.play_supply(1)
+    life.live(0.005)
+    assert not session.edges[-1].level and not robot.crystal_held
+    told = session.request("STATUS")
+    assert (told["state"], told["supply"]) == (STATE["DISARMED"], link_layout().supply["LOW"])
+    with pytest.raises(LinkError, match="refuses ARM: SUPPLY"):
+        session.request("ARM")
+    robot.stage.play_supply(0)
+    life.live(1.0)
+    assert session.request("STATUS")["supply"] == link_layout().supply["FELL"]
+    session.request("ARM")
+    assert life.state() == STATE["ARMED"]

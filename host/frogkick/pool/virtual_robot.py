@@ -20,9 +20,7 @@ class VirtualRobot:
         chip: the virtual chip itself, for measurements.
     """
 
-    def __init__(
-        self, elf: Path, limbs: int, flash: bytes | None = None, heat_known: bool = True
-    ) -> None:
+    def __init__(self, elf: Path, limbs: int, flash: bytes | None = None, heat_known: bool = True) -> None:
         """Power the chip on.
 
         Args:

@@ -1,5 +1,5 @@
 /* A stage for the robot's Zephyr application: its two threads, one at a time, in simulated time, and as much of the
- * kernel (here), of Bluetooth (played_radio.c) and of clock, timer and gates (played_gates.c) as they touch.
+ * kernel (here), of Bluetooth (played_radio.c) and of clock, supply, timer and gates (played_gates.c) as they touch.
  * tests/firmware/zephyr_robot.py plays on it.
  *
  * Threads switch where they wait and nowhere else, so that a life is the same every time. Computing takes no time. */

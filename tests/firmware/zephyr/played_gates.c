@@ -60,6 +60,31 @@ bool nrf_clock_is_running(const NRF_CLOCK_Type *p_reg, nrf_clock_domain_t domain
     return true;
 }
 
+/* The supply and the comparator that warns of its fall: also where it is low when that is switched on. */
+
+static int supply_is_low;
+static nrfx_power_pofwarn_config_t warns;
+
+void nrfx_power_pof_init(const nrfx_power_pofwarn_config_t *p_config) { warns = *p_config; }
+void nrf_power_pofcon_set(NRF_POWER_Type *p_reg, bool enabled, nrf_power_pof_thr_t thr)
+{
+    (void)p_reg;
+    (void)thr;
+    if (enabled && supply_is_low) {
+        warns.handler();
+    }
+}
+void nrfx_power_pof_enable(const nrfx_power_pofwarn_config_t *p_config)
+{
+    nrf_power_pofcon_set(NRF_POWER, true, p_config->thr);
+}
+void play_supply(int is_low);
+void play_supply(int is_low)
+{
+    supply_is_low = is_low;
+    nrf_power_pofcon_set(NRF_POWER, true, warns.thr);
+}
+
 /* The timer, PPI and the gates */
 
 typedef struct {

@@ -67,7 +67,6 @@ class VirtualChip:
         self._reset_due = False
         self.resets: list[float] = []
         self._access_error: ChipError | None = None
-
         self.power = Power(self, "POWER", 0x4000_0000)
         self.flash = Flash(self.fail)
         self._place_peripherals([])

@@ -11,6 +11,12 @@ Progress = bool | Callable[[int, int], None]
 """What long work takes: True = a bar on stderr, False = silence, or a function of (done, all)."""
 
 
+def tell_line(text: str) -> None:
+    """Print a line on stderr in one write: ``print`` has two, and a Ctrl-C between would join two lines."""
+    sys.stderr.write(f"{text}\n")
+    sys.stderr.flush()
+
+
 class Tell(Protocol):
     """What shows progress."""
 
@@ -29,7 +35,7 @@ def progress_bar(title: str) -> Iterator[Tell]:
             tenth = 10 * done // max(whole, 1)
             if tenth > told:
                 told = tenth
-                print(f"{title}: {done}/{whole}{note and f', {note}'}", file=sys.stderr, flush=True)
+                tell_line(f"{title}: {done}/{whole}{note and f', {note}'}")
 
         yield tell
         return

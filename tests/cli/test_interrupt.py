@@ -16,6 +16,7 @@ import pytest
 from tests.conftest import count
 
 from frogkick.link.wire import Inbox
+from frogkick.progress import progress_bar
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="sends SIGINT to a process group")
 
@@ -149,6 +150,16 @@ def test_an_inbox_is_open_after_a_ctrl_c_at_any_moment(monkeypatch: pytest.Monke
         signal.setitimer(signal.ITIMER_REAL, 0.0)
         signal.signal(signal.SIGALRM, before)
         ended.set()
+
+
+def test_a_line_of_progress_is_one_write(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Else a Ctrl-C comes between a text and its end, and the line that it gives stands behind that text."""
+    written: list[str] = []
+    monkeypatch.setattr(sys.stderr, "write", written.append)
+    with progress_bar("library") as tell:
+        for done in range(3):
+            tell(done, 2, note="so far")
+    assert written == [f"library: {done}/2, so far\n" for done in range(3)]
 
 
 @pytest.mark.parametrize("when", ["before", "after_in_parent", "after_in_child"])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from pathlib import Path
 
 import pytest
@@ -15,6 +16,7 @@ from frogkick.paths import shape
 from frogkick.planner.image import open_image
 from frogkick.planner.plan import PlanConfig
 from frogkick.pool.native_robot import CoreCall
+from frogkick.pool.port import COLD_LIMBS
 from frogkick.robot import load_robot
 from frogkick_codegen import firmware
 from frogkick_codegen.emit import SOURCES
@@ -37,9 +39,11 @@ def calls_header(loop: Rehearsal) -> str:
     def values(name: str, kind: str, numbers: list[int]) -> str:
         return f"static const {kind} {name}[{len(numbers)}u] = {{{', '.join(map(str, numbers))}}};\n"
 
+    *on_us, crc = struct.unpack("<9I", COLD_LIMBS)
     return (
         "/* Made by tests/extra/test_qemu_loop.py. Do not edit. */\n#include <stdint.h>\n"
         f"#define FK_CALLS {len(loop.calls)}u\n"
+        f"#define FK_COLD_LIMBS {{{', '.join(f'{each}u' for each in on_us)}}}, {crc}u\n"
         + values("fk_call_times_us", "uint64_t", [call.now_us for call in loop.calls])
         + values("fk_call_offsets", "uint32_t", offsets)
         + values("fk_call_lengths", "uint32_t", [len(call.frame) for call in loop.calls])

@@ -13,7 +13,7 @@ import typer
 from frogkick.cli.common import ClusterOption, JsonOption, share_out, show
 from frogkick.errors import InputError
 from frogkick.files import require_writable
-from frogkick.progress import progress_bar
+from frogkick.progress import progress_bar, tell_line
 
 if TYPE_CHECKING:
     from frogkick.front.gaits import Point, Swept
@@ -66,7 +66,7 @@ def _with_rate(bar: Callable[[int, int], None]) -> Callable[[int, int], None]:
         passed = time.monotonic() - began
         if done > first and passed > 0.0 and not sys.stderr.isatty():
             rate = (done - first) / passed
-            print(f"  {rate:.1f} gaits/s, {(whole - done) / rate:.0f} s left", file=sys.stderr, flush=True)
+            tell_line(f"  {rate:.1f} gaits/s, {(whole - done) / rate:.0f} s left")
 
     return tell
 

@@ -31,6 +31,7 @@ from frogkick.loop.text_robot import TextRobot
 from frogkick.paths import Path as SwimPath
 from frogkick.planner.image import Tables
 from frogkick.pool.native_robot import NativeRobot
+from frogkick.progress import tell_line
 from frogkick.robot import Robot
 from frogkick.vision.calibration_file import read_calibration
 from frogkick.vision.sources import open_source
@@ -252,7 +253,7 @@ Kept = Callable[[SwimPath, CameraFixes | None], AbstractContextManager[Callable[
 
 
 def _tell(line: str) -> None:
-    print(f"start check: {line}", file=sys.stderr, flush=True)
+    tell_line(f"start check: {line}")
 
 
 def run_on_bench(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-import sys
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
@@ -52,7 +51,7 @@ from frogkick.loop.summary import Comparison, Summary, compare_runs, summary, tr
 from frogkick.paths import Path as SwimPath
 from frogkick.pool.camera import Camera as SimulatedCamera
 from frogkick.pool.pool import Pool
-from frogkick.progress import Progress, progress_bar, shown
+from frogkick.progress import Progress, progress_bar, shown, tell_line
 from frogkick.robot import Robot
 
 if TYPE_CHECKING:
@@ -360,9 +359,5 @@ def _names_what_is_left(out: Path | None) -> Iterator[None]:
         yield
     except BaseException:
         if out is not None and part_of(out).exists():
-            print(
-                f"frogkick: what was recorded until then is in {str(part_of(out))!r}",
-                file=sys.stderr,
-                flush=True,
-            )
+            tell_line(f"frogkick: what was recorded until then is in {str(part_of(out))!r}")
         raise

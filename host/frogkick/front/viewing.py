@@ -18,6 +18,7 @@ from frogkick.loop.live_view import LiveView
 from frogkick.paths import Path as SwimPath
 from frogkick.planner.image import Tables
 from frogkick.pool.pool import Pool
+from frogkick.progress import tell_line
 from frogkick.report.live_page import served
 from frogkick.robot import Robot
 
@@ -74,7 +75,7 @@ def viewed(
 
     drawing = threading.Thread(target=draw_on, name="view", daemon=True)
     with served(lambda: view.text, None if eye is None else eye.picture) as address:
-        print(f"frogkick: the run is drawn at {address}", file=sys.stderr, flush=True)
+        tell_line(f"frogkick: the run is drawn at {address}")
         if sys.stderr.isatty():
             webbrowser.open(address)
         if pool is None:

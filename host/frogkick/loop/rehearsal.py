@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from frogkick.link.layout import link_layout
 from frogkick.loop.decision import Decision, DecisionTwin, RobotEvent
 from frogkick.loop.replay import Schedule, compare, replay_on_host, replay_onboard
 from frogkick.paths import Path as SwimPath
@@ -17,6 +18,7 @@ from frogkick.pool.camera import Fix
 from frogkick.pool.chip import VirtualChip
 from frogkick.pool.chip.layout import Layouts
 from frogkick.pool.native_robot import CoreCall, NativeRobot
+from frogkick.pool.port import COLD_LIMBS
 
 FIRST_S = 2.0
 _RATES_HZ = (2.0, 15.0, 60.0)
@@ -132,9 +134,11 @@ def live_on_chip(elf: Path, calls: Sequence[CoreCall]) -> list[CoreCall]:
     types = Layouts(elf)
     robot, place = chip.symbol("robot"), chip.symbol("fk_bss_end") + 7 & ~7
     outputs = np.dtype(types["fk_outputs_t"])
-    frame_at, stream_at = place + 64, place + 64 + 1024
+    frame_at, stream_at, kept_at = place + 64, place + 64 + 1024, place + 64 + 2048
     table = [chip.flash.word(chip.symbol(f"fk_table_image{end}")) for end in ("", "_bytes")]
     chip.call("fk_robot_init", robot, *table)
+    chip.ram_write(kept_at, COLD_LIMBS)  # as a native robot begins
+    chip.call("fk_robot_note_reset", robot, link_layout().reset["POWER"], kept_at)
     found = []
     for call in calls:
         # A 64-bit argument begins on an even register: r2 for tick, the stack for on_frame.

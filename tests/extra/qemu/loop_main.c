@@ -12,6 +12,8 @@
 int main(void);
 
 static fk_robot_t robot;
+static const fk_guard_kept_t cold = {FK_COLD_LIMBS};
+static fk_guard_kept_t kept;
 static uint8_t stream[STREAM_BYTES];
 
 static void print_stream(uint32_t length)
@@ -34,6 +36,8 @@ int main(void)
         fk_put_word((uint32_t)error, '\n');
         return 1;
     }
+    kept = cold; /* as the rehearsal's robot begins */
+    fk_robot_note_reset(&robot, FK_RESET_POWER, &kept);
     for (uint32_t index = 0u; index < FK_CALLS; ++index) {
         const uint64_t now_us = fk_call_times_us[index];
         fk_outputs_t outputs;

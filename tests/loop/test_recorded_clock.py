@@ -13,9 +13,12 @@ from typer.testing import CliRunner
 
 from frogkick.cli.app import app
 from frogkick.errors import InputError
+from frogkick.identification import choice as choice_module
+from frogkick.identification import outcome as outcome_module
 from frogkick.identification.filter import Noise
 from frogkick.identification.fit import Model
 from frogkick.identification.swim import read_swim, reliable
+from frogkick.identification.terms import catalogue
 from frogkick.loop.recorded import clock_problem, load_run, read_recorded
 from frogkick.loop.recorded.clock import estimate_clock
 from frogkick.loop.recorded.importer import period_limits
@@ -133,18 +136,57 @@ def test_slips_are_mostly_found(frog2022_dir: pathlib.Path, tmp_path: pathlib.Pa
         assert not clock_problem(run) and run.measured["clock_slips"] == 1, name
 
 
-def test_a_run_without_a_clock_is_not_used_in_silence(
-    frog2022_dir: pathlib.Path, tmp_path: pathlib.Path
-) -> None:
-    """Labels at random times: one line says so, and nothing goes on with it."""
-    source = frog2022_dir / "control" / "sin3.csv"
-    file = altered(source, tmp_path)
+def without_a_clock(source: pathlib.Path, folder: pathlib.Path) -> pathlib.Path:
+    """A recorded run with labels at random times, its path beside it."""
+    file = altered(source, folder)
     lines = file.read_text().splitlines()
     rng, label = np.random.default_rng(5), "I"
     for k in range(75, len(lines)):
         label = "BCDEF"[rng.integers(5)] if rng.random() < 0.1 else label
         lines[k] = ",".join([*lines[k].split(",")[:-1], label])
     file.write_text("\n".join(lines) + "\n")
+    return file
+
+
+def test_a_run_without_a_clock_changes_nothing_among_good_ones(
+    frog2022_dir: pathlib.Path, tmp_path: pathlib.Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """``identify`` end to end, with few candidates: told and written is what the good runs give."""
+    few = [term for term in catalogue(load_robot("frog2022")) if term.title == "steady_current"]
+    monkeypatch.setattr(outcome_module, "catalogue", lambda *_: few)
+    monkeypatch.setattr(choice_module, "relatives", lambda _robot: {})
+    good = [frog2022_dir / "control" / f"{name}.csv" for name in ("line1", "sin1")]
+    test, bad = (
+        frog2022_dir / "control" / "ellipse5.csv",
+        without_a_clock(frog2022_dir / "control" / "sin3.csv", tmp_path),
+    )
+    told = []
+    for number, train in enumerate(([*good], [good[0], bad, good[1]])):
+        out = tmp_path / f"robot{number}.toml"
+        asked = [
+            "identify",
+            *(f"--train={file}" for file in train),
+            f"--test={test}",
+            f"--out={out}",
+            "--json",
+        ]
+        told.append(CliRunner().invoke(app, asked))
+        assert told[-1].exit_code == 0, told[-1].output
+    plain, mixed = (json.loads(each.stdout) for each in told)
+    assert [row["run"] for row in mixed["left_out"]] == [bad.name] and plain["left_out"] == []
+    assert f"{bad.name}' is LEFT OUT: " in told[1].stderr and "LEFT OUT" not in told[0].stderr
+    assert plain["test"]["before"]["position_rmse_m"] > 0.0
+    assert {**mixed, "left_out": [], "out": ""} == {**plain, "out": ""}
+    texts = [(tmp_path / f"robot{number}.toml").read_text() for number in range(2)]
+    assert texts[0] == texts[1]
+
+
+def test_a_run_without_a_clock_is_not_used_in_silence(
+    frog2022_dir: pathlib.Path, tmp_path: pathlib.Path
+) -> None:
+    """Labels at random times: one line says so, and nothing goes on with it."""
+    source = frog2022_dir / "control" / "sin3.csv"
+    file = without_a_clock(source, tmp_path)
     run = read_recorded(file)
     assert clock_problem(run)
     good = read_swim(source)

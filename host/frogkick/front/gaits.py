@@ -149,7 +149,8 @@ def validate(
     return Validated(found, noise_of(found.experiments))
 
 
-def _simulation_row(result: SimulationResult) -> dict[str, Any]:
+def _gait_columns(result: SimulationResult | ExperimentResult) -> dict[str, Any]:
+    """Which case, and what was swum."""
     gait = result.case.gait
     return {
         "case": result.case.name,
@@ -157,6 +158,12 @@ def _simulation_row(result: SimulationResult) -> dict[str, Any]:
         "egain_percent": gait.egain_percent,
         "frequency_hz": gait.frequency_hz,
         "phase": gait.phase,
+    }
+
+
+def _simulation_row(result: SimulationResult) -> dict[str, Any]:
+    return {
+        **_gait_columns(result),
         "reference_mps": result.reference_mps,
         "model_mps": result.model_mps,
         "error_mps": result.error_mps,
@@ -166,13 +173,8 @@ def _simulation_row(result: SimulationResult) -> dict[str, Any]:
 
 
 def _experiment_row(result: ExperimentResult) -> dict[str, Any]:
-    gait = result.case.gait
     return {
-        "case": result.case.name,
-        "group": result.case.group,
-        "egain_percent": gait.egain_percent,
-        "frequency_hz": gait.frequency_hz,
-        "phase": gait.phase,
+        **_gait_columns(result),
         "reference_mps": result.reference.speed_mps,
         "reference_sd_mps": result.reference.sd_mps,
         "cycles": result.reference.cycles,
@@ -273,7 +275,7 @@ class Swept:
                 {"egain_percent": d.egain_percent, "frequency_hz": d.frequency_hz}
                 for d in sorted(plan.interpolated)
             ],
-            "skipped": [{"case": skipped.case, "reason": skipped.reason} for skipped in plan.skipped],
+            "skipped": [_skipped_row(each) for each in plan.skipped],
             "failures": [point_row(point) for point in sweep.points if point.failure],
         }
 

@@ -192,7 +192,7 @@ def _library_of(
         with shown(progress, f"library {made.name}") as tell:
             build_library(robot, states, 0, workers, made, tell, sampling, record_s=0.0)
     read = read_library(source)
-    if _swimmer(read.robot()) != _swimmer(robot):
+    if _with_planner_of(robot, read.robot()) != _with_planner_of(robot, robot):
         raise InputError(f"library {source.name!r} is not of {robot.title!r} as it is now: build it again")
     return read
 
@@ -207,9 +207,9 @@ def _fit_own_table(library: Library, image: Path, progress: Progress) -> None:
         write_bytes(image, fit_table(library, "affine", BUDGET_BYTES, tell).image)
 
 
-def _swimmer(robot: Robot) -> Robot:
-    """A robot without its planner, which changes nothing in a library."""
-    return dataclasses.replace(robot, planner=None, toml="", sha256=b"")  # type: ignore[arg-type]
+def _with_planner_of(other: Robot, robot: Robot) -> Robot:
+    """A robot with the planner of another one, which changes nothing in a library, and without its text."""
+    return dataclasses.replace(robot, planner=other.planner, toml="", sha256=b"")
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Literal
 
 import numpy as np
@@ -70,8 +70,14 @@ def estimator_figure(outcomes: Mapping[Condition, Mapping[str, Outcome]]) -> Fig
     return figure
 
 
-def _by_rate(axes: Axes, outcomes, fault: str, line: str, value) -> None:  # type: ignore[no-untyped-def]
-    rows = sorted((c.rate_hz, o) for c, o in outcomes.items() if c.fault == fault)
+def _by_rate(
+    axes: Axes,
+    outcomes: Mapping[Condition, Mapping[str, Outcome]],
+    fault: str,
+    line: str,
+    value: Callable[..., float],  # of an outcome
+) -> None:
+    rows = sorted(((c.rate_hz, o) for c, o in outcomes.items() if c.fault == fault), key=lambda row: row[0])
     for method in METHODS:
         axes.plot(
             [rate for rate, _ in rows],

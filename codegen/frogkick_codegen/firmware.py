@@ -257,9 +257,9 @@ def _build_bench(work: Path, limbs: int, table_bytes: int) -> dict[str, Path]:
 
 def _build_native(work: Path, compiler: Compiler) -> dict[str, Path]:
     sources, headers, places = _sources(work)
-    flash = work / "native_flash.c"
-    write_bytes(flash, (resources.files("frogkick_codegen") / "templates" / flash.name).read_bytes())
-    sources.append(flash)
+    port = work / "native_port.c"
+    write_bytes(port, (resources.files("frogkick_codegen") / "templates" / port.name).read_bytes())
+    sources.append(port)
     name = compiler.version.encode()
     digest = hashlib.sha256(name + b"".join(path.read_bytes() for path in [*sources, *headers])).hexdigest()[
         :12

@@ -185,6 +185,7 @@ static int32_t on_status(const fk_robot_t *robot, uint64_t now_us, uint8_t *answ
     told.fault_detail = robot->fault_detail;
     told.rest_us = fk_robot_rest_us(robot);
     told.supply = robot->supply;
+    told.owner = fk_robot_is_owned(robot) ? (uint8_t)FK_OWNER_KEY : (uint8_t)FK_OWNER_OPEN;
     fk_status_answer_pack(answer, &told);
     return (int32_t)FK_STATUS_ANSWER_BYTES;
 }
@@ -367,6 +368,10 @@ static int32_t length_fits(const fk_frame_t *frame)
         return frame->payload_length == FK_TABLE_ROLLBACK_COMMAND_BYTES;
     case FK_FRAME_LOG:
         return frame->payload_length == FK_LOG_COMMAND_BYTES;
+    case FK_FRAME_CHALLENGE:
+        return frame->payload_length == FK_CHALLENGE_COMMAND_BYTES;
+    case FK_FRAME_KEY:
+        return frame->payload_length == FK_KEY_COMMAND_BYTES;
     default:
         return frame->payload_length == 0u;
     }
@@ -374,7 +379,7 @@ static int32_t length_fits(const fk_frame_t *frame)
 
 int32_t fk_robot_command(fk_robot_t *robot, const fk_frame_t *frame, uint64_t now_us, uint8_t *answer)
 {
-    if (frame->type < FK_FRAME_HELLO || frame->type > FK_FRAME_LOG) {
+    if (frame->type < FK_FRAME_HELLO || frame->type > FK_FRAME_KEY) {
         return answer_status(FK_STATUS_UNKNOWN, answer);
     }
     if (!length_fits(frame)) {
@@ -404,6 +409,9 @@ int32_t fk_robot_command(fk_robot_t *robot, const fk_frame_t *frame, uint64_t no
         return on_plan(robot, frame->payload, answer);
     case FK_FRAME_LOG:
         return fk_robot_log_answer(robot, frame->payload, answer);
+    case FK_FRAME_CHALLENGE:
+    case FK_FRAME_KEY:
+        return fk_robot_key_command(robot, frame, now_us, answer);
     default:
         return fk_robot_table_command(robot, frame, now_us, answer);
     }

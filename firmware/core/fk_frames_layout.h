@@ -1,14 +1,16 @@
 /* Made from host/frogkick/link/frames.toml by: python -m frogkick_codegen.frames. Do not edit.
- * Protocol version 3. Payloads of the link: commands are unpacked, answers and events packed.
+ * Protocol version 4. Payloads of the link: commands are unpacked, answers and events packed.
  */
 #ifndef FK_FRAMES_LAYOUT_H
 #define FK_FRAMES_LAYOUT_H
 
 #include <stdint.h>
 
-#define FK_PROTOCOL_VERSION 3u
-#define FK_PAYLOAD_BYTES_MAX 226u
+#define FK_PROTOCOL_VERSION 4u
+#define FK_PAYLOAD_BYTES_MAX 231u
 #define FK_ANSWER_BIT 0x80u
+#define FK_EVENT_BIT 0x40u
+#define FK_AUTH_BIT 0x20u
 
 enum { /* status of an answer */
     FK_STATUS_OK = 0,
@@ -31,6 +33,8 @@ enum { /* status of an answer */
     FK_STATUS_STALLED = -74,
     FK_STATUS_VERSION = -75,
     FK_STATUS_SUPPLY = -77,
+    FK_STATUS_AUTH = -78,
+    FK_STATUS_MAC = -79,
     FK_STATUS_FAULT = -76,
     FK_STATUS_FLASH = -96,
     FK_STATUS_SLOT = -97,
@@ -73,6 +77,11 @@ enum { /* the limbs' supply */
     FK_SUPPLY_LOW = 2
 };
 
+enum { /* who may command the robot */
+    FK_OWNER_OPEN = 0,
+    FK_OWNER_KEY = 1
+};
+
 enum { /* PARAM */
     FK_PARAMETER_DEPTH = 1,
     FK_PARAMETER_DISTANCE_WEIGHT_PER_M = 2,
@@ -107,6 +116,8 @@ enum { /* frame types */
     FK_FRAME_TABLE_ROLLBACK = 0x0f,
     FK_FRAME_TABLE_STATUS = 0x10,
     FK_FRAME_LOG = 0x11,
+    FK_FRAME_CHALLENGE = 0x12,
+    FK_FRAME_KEY = 0x13,
     FK_FRAME_DECISION = 0x60,
     FK_FRAME_REFUSED = 0x62,
     FK_FRAME_ENDED = 0x61
@@ -382,7 +393,7 @@ static inline void fk_stop_answer_pack(uint8_t *to, const fk_stop_answer_t *from
 }
 
 #define FK_STATUS_COMMAND_BYTES 0u
-#define FK_STATUS_ANSWER_BYTES 54u
+#define FK_STATUS_ANSWER_BYTES 55u
 
 /* Answer to STATUS. */
 typedef struct {
@@ -403,6 +414,7 @@ typedef struct {
     int8_t fault_detail; /* see fault */
     uint32_t rest_us; /* no stroke before: it started without knowing how hot its limbs are; 0 = none is refused for that (us) */
     uint8_t supply; /* see supply */
+    uint8_t owner; /* see owner */
 } fk_status_answer_t;
 
 static inline void fk_status_answer_pack(uint8_t *to, const fk_status_answer_t *from)
@@ -424,6 +436,7 @@ static inline void fk_status_answer_pack(uint8_t *to, const fk_status_answer_t *
     fk_put_i8(to + 48, from->fault_detail);
     fk_put_u32(to + 49, from->rest_us);
     fk_put_u8(to + 53, from->supply);
+    fk_put_u8(to + 54, from->owner);
 }
 
 #define FK_PARAM_COMMAND_BYTES 5u
@@ -784,6 +797,90 @@ static inline void fk_log_answer_pack(uint8_t *to, const fk_log_answer_t *from)
     fk_put_u32(to + 5, from->begin);
     fk_put_u32(to + 9, from->end);
     fk_put_u32(to + 13, from->lost);
+}
+
+#define FK_CHALLENGE_COMMAND_BYTES 16u
+
+/* Begin an authenticated conversation: the robot proves that it has the owner's key. Not while running. */
+typedef struct {
+    uint32_t nonce_0; /* the host's: 16 bytes that it never used before, bytes 0 to 3 */
+    uint32_t nonce_1; /* bytes 4 to 7 */
+    uint32_t nonce_2; /* bytes 8 to 11 */
+    uint32_t nonce_3; /* bytes 12 to 15 */
+} fk_challenge_command_t;
+
+static inline void fk_challenge_command_unpack(const uint8_t *from, fk_challenge_command_t *to)
+{
+    to->nonce_0 = fk_get_u32(from + 0);
+    to->nonce_1 = fk_get_u32(from + 4);
+    to->nonce_2 = fk_get_u32(from + 8);
+    to->nonce_3 = fk_get_u32(from + 12);
+}
+
+#define FK_CHALLENGE_ANSWER_BYTES 33u
+
+/* Answer to CHALLENGE. */
+typedef struct {
+    int8_t status; /* see status */
+    uint32_t nonce_0; /* the robot's: bytes 0 to 3 */
+    uint32_t nonce_1; /* bytes 4 to 7 */
+    uint32_t nonce_2; /* bytes 8 to 11 */
+    uint32_t nonce_3; /* bytes 12 to 15 */
+    uint32_t proof_0; /* its proof, 16 bytes: bytes 0 to 3 */
+    uint32_t proof_1; /* bytes 4 to 7 */
+    uint32_t proof_2; /* bytes 8 to 11 */
+    uint32_t proof_3; /* bytes 12 to 15 */
+} fk_challenge_answer_t;
+
+static inline void fk_challenge_answer_pack(uint8_t *to, const fk_challenge_answer_t *from)
+{
+    fk_put_i8(to + 0, from->status);
+    fk_put_u32(to + 1, from->nonce_0);
+    fk_put_u32(to + 5, from->nonce_1);
+    fk_put_u32(to + 9, from->nonce_2);
+    fk_put_u32(to + 13, from->nonce_3);
+    fk_put_u32(to + 17, from->proof_0);
+    fk_put_u32(to + 21, from->proof_1);
+    fk_put_u32(to + 25, from->proof_2);
+    fk_put_u32(to + 29, from->proof_3);
+}
+
+#define FK_KEY_COMMAND_BYTES 32u
+
+/* Give the robot an owner's key, another one, or with 32 zeros none. Disarmed and rested only, with no update of the table open. It ends all authenticated conversations. */
+typedef struct {
+    uint32_t key_0; /* bytes 0 to 3 */
+    uint32_t key_1; /* bytes 4 to 7 */
+    uint32_t key_2; /* bytes 8 to 11 */
+    uint32_t key_3; /* bytes 12 to 15 */
+    uint32_t key_4; /* bytes 16 to 19 */
+    uint32_t key_5; /* bytes 20 to 23 */
+    uint32_t key_6; /* bytes 24 to 27 */
+    uint32_t key_7; /* bytes 28 to 31 */
+} fk_key_command_t;
+
+static inline void fk_key_command_unpack(const uint8_t *from, fk_key_command_t *to)
+{
+    to->key_0 = fk_get_u32(from + 0);
+    to->key_1 = fk_get_u32(from + 4);
+    to->key_2 = fk_get_u32(from + 8);
+    to->key_3 = fk_get_u32(from + 12);
+    to->key_4 = fk_get_u32(from + 16);
+    to->key_5 = fk_get_u32(from + 20);
+    to->key_6 = fk_get_u32(from + 24);
+    to->key_7 = fk_get_u32(from + 28);
+}
+
+#define FK_KEY_ANSWER_BYTES 1u
+
+/* Answer to KEY. */
+typedef struct {
+    int8_t status; /* see status */
+} fk_key_answer_t;
+
+static inline void fk_key_answer_pack(uint8_t *to, const fk_key_answer_t *from)
+{
+    fk_put_i8(to + 0, from->status);
 }
 
 #define FK_DECISION_EVENT_BYTES 106u

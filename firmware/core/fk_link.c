@@ -43,10 +43,12 @@ int32_t fk_robot_matters(uint8_t type)
 }
 
 /* Of these a repetition must not change it again. What switches off always acts: two senders may use the same numbers,
- * and a robot that answers "disarmed" from memory would go on. */
+ * and a robot that answers "disarmed" from memory would go on. A chunk or a key that comes again does no harm, but
+ * its authentication code was had before. */
 static int32_t acts_once(uint8_t type)
 {
-    return fk_robot_matters(type) && type != FK_FRAME_DISARM && type != FK_FRAME_STOP;
+    const int32_t changes = fk_robot_matters(type) || type == FK_FRAME_TABLE_CHUNK || type == FK_FRAME_KEY;
+    return changes && type != FK_FRAME_DISARM && type != FK_FRAME_STOP;
 }
 
 void fk_robot_on_frame(fk_robot_t *robot, const uint8_t *encoded, uint32_t length, uint64_t now_us)
@@ -58,17 +60,28 @@ void fk_robot_on_frame(fk_robot_t *robot, const uint8_t *encoded, uint32_t lengt
         return;
     }
     fk_robot_note_time(robot, now_us);
-    robot->heard_us = robot->now_us;
+    if (!fk_robot_is_owned(robot)) {
+        robot->heard_us = robot->now_us;
+    }
     /* Events of an earlier tick go first: the order of what is sent is the order of what happened, and a host
      * can decide everything again from it. */
     fk_robot_send_events(robot);
     uint8_t answer[FK_PAYLOAD_BYTES_MAX];
     uint8_t type = (uint8_t)(frame.type | FK_ANSWER_BIT);
+    if (fk_auth_has_code(frame.type)) {
+        type &= (uint8_t)~FK_AUTH_BIT;
+    }
     fk_repeats_note(&robot->repeats, frame.sequence);
     const fk_repeat_t *before = fk_repeats_find(&robot->repeats, &frame);
     if (before != 0) {
         ++robot->commands_repeated;
         send(robot, type, frame.sequence, before->answer, before->length);
+        return;
+    }
+    const int8_t refusal = fk_robot_admit(robot, &frame);
+    if (refusal != FK_STATUS_OK) { /* and nothing of it is kept: a stranger's frames are to push out none of the owner's */
+        fk_put_i8(answer, refusal);
+        send(robot, type, frame.sequence, answer, 1u);
         return;
     }
     uint32_t record = fk_robot_log_command(robot, &frame);

@@ -35,6 +35,7 @@ int32_t fk_robot_init(fk_robot_t *robot, const uint8_t *image, uint32_t image_by
     robot->path.count = 0u;
     fk_guard_init(&robot->guard);
     fk_repeats_init(&robot->repeats);
+    fk_auth_init(&robot->auth);
     fk_follow_begin(&robot->follow);
 
     robot->state = FK_STATE_DISARMED;

@@ -15,6 +15,7 @@
 
 #include <stdint.h>
 
+#include "fk_auth.h"
 #include "fk_estimator.h"
 #include "fk_fit.h"
 #include "fk_follow.h"
@@ -55,6 +56,7 @@ typedef struct {
     fk_guard_kept_t *kept; /* 0: none */
     fk_store_t *store;     /* 0: no tables by radio */
     fk_repeats_t repeats;
+    fk_auth_t auth;
 
     fk_log_t *log;      /* 0: none */
     uint32_t log_mark;  /* its end after the last snapshot */
@@ -68,7 +70,7 @@ typedef struct {
     uint8_t supply;              /* FK_SUPPLY_... */
     uint16_t conversation;       /* of the last HELLO */
     uint64_t now_us;             /* the latest time that the port told */
-    uint64_t heard_us;           /* when the last whole frame came */
+    uint64_t heard_us;           /* when the last whole frame came; of the owner, where there is one */
     uint8_t replays;             /* lives through a log, which says itself when the link was lost */
     uint8_t path_points;         /* points received so far */
     uint8_t path_total;          /* points of the path being received; path is whole when both are equal, not 0 */
@@ -213,6 +215,12 @@ int32_t fk_robot_log_answer(const fk_robot_t *robot, const uint8_t *payload, uin
 /* For fk_table_commands.c */
 int32_t fk_robot_table_command(fk_robot_t *robot, const fk_frame_t *frame, uint64_t now_us, uint8_t *answer);
 void fk_robot_use_tables(fk_robot_t *robot);
+int32_t fk_robot_is_at_rest(const fk_robot_t *robot, uint64_t now_us);
+
+/* For fk_link.c: fk_key_commands.c. */
+int32_t fk_robot_is_owned(const fk_robot_t *robot);
+int8_t fk_robot_admit(fk_robot_t *robot, fk_frame_t *frame);
+int32_t fk_robot_key_command(fk_robot_t *robot, const fk_frame_t *frame, uint64_t now_us, uint8_t *answer);
 
 /* For fk_link.c, and what it has for the log */
 void fk_robot_send_events(fk_robot_t *robot);

@@ -1,6 +1,5 @@
 #include "fk_sha256.h"
 
-#define BLOCK_BYTES 64u
 #define LENGTH_AT 56u
 
 /* FIPS 180-4, 4.2.2: the cube roots of the first 64 primes. */
@@ -53,30 +52,98 @@ static void add_block(uint32_t state[FK_SHA256_WORDS], const uint8_t *block)
     }
 }
 
-void fk_sha256(const uint8_t *bytes, uint32_t length, uint32_t digest[FK_SHA256_WORDS])
+static void begin(fk_sha256_t *hash)
 {
     static const uint32_t start[FK_SHA256_WORDS] = {0x6a09e667u, 0xbb67ae85u, 0x3c6ef372u, 0xa54ff53au,
                                                     0x510e527fu, 0x9b05688cu, 0x1f83d9abu, 0x5be0cd19u};
-    uint8_t last[2u * BLOCK_BYTES];
-    uint32_t whole = length / BLOCK_BYTES;
-    uint32_t rest = length % BLOCK_BYTES;
-    uint32_t last_bytes = (rest < LENGTH_AT) ? BLOCK_BYTES : 2u * BLOCK_BYTES;
     for (uint32_t i = 0u; i < FK_SHA256_WORDS; ++i) {
-        digest[i] = start[i];
+        hash->state[i] = start[i];
     }
-    for (uint32_t block = 0u; block < whole; ++block) {
-        add_block(digest, bytes + block * BLOCK_BYTES);
+    hash->length = 0u;
+}
+
+/* Whole blocks are taken from where they lie. */
+static void add(fk_sha256_t *hash, const uint8_t *bytes, uint32_t length)
+{
+    uint32_t filled = hash->length % FK_SHA256_BLOCK_BYTES;
+    uint32_t at = 0u;
+    hash->length += length;
+    while (at < length) {
+        if (filled == 0u && length - at >= FK_SHA256_BLOCK_BYTES) {
+            add_block(hash->state, bytes + at);
+            at += FK_SHA256_BLOCK_BYTES;
+            continue;
+        }
+        hash->block[filled] = bytes[at];
+        ++filled;
+        ++at;
+        if (filled == FK_SHA256_BLOCK_BYTES) {
+            add_block(hash->state, hash->block);
+            filled = 0u;
+        }
     }
-    for (uint32_t i = 0u; i < sizeof(last); ++i) {
-        last[i] = (i < rest) ? bytes[whole * BLOCK_BYTES + i] : 0u;
+}
+
+static void end(fk_sha256_t *hash)
+{
+    uint32_t filled = hash->length % FK_SHA256_BLOCK_BYTES;
+    hash->block[filled] = 0x80u;
+    for (uint32_t i = filled + 1u; i < FK_SHA256_BLOCK_BYTES; ++i) {
+        hash->block[i] = 0u;
     }
-    last[rest] = 0x80u;
+    if (filled >= LENGTH_AT) {
+        add_block(hash->state, hash->block);
+        for (uint32_t i = 0u; i < LENGTH_AT; ++i) {
+            hash->block[i] = 0u;
+        }
+    }
     /* The length in bits, 64 of them, the uppermost first; more than 2^32 bytes there are not. */
-    uint64_t bits = (uint64_t)length * 8u;
+    uint64_t bits = (uint64_t)hash->length * 8u;
     for (uint32_t i = 0u; i < 8u; ++i) {
-        last[last_bytes - 1u - i] = (uint8_t)((bits >> (8u * i)) & 0xffu);
+        hash->block[FK_SHA256_BLOCK_BYTES - 1u - i] = (uint8_t)((bits >> (8u * i)) & 0xffu);
     }
-    for (uint32_t at = 0u; at < last_bytes; at += BLOCK_BYTES) {
-        add_block(digest, last + at);
+    add_block(hash->state, hash->block);
+}
+
+void fk_sha256(const uint8_t *bytes, uint32_t length, uint32_t digest[FK_SHA256_WORDS])
+{
+    fk_sha256_t hash;
+    begin(&hash);
+    add(&hash, bytes, length);
+    end(&hash);
+    for (uint32_t i = 0u; i < FK_SHA256_WORDS; ++i) {
+        digest[i] = hash.state[i];
     }
+}
+
+static void put_words(const uint32_t words[FK_SHA256_WORDS], uint8_t *bytes)
+{
+    for (uint32_t i = 0u; i < FK_SHA256_BYTES; ++i) {
+        bytes[i] = (uint8_t)((words[i / 4u] >> (8u * (3u - i % 4u))) & 0xffu);
+    }
+}
+
+void fk_hmac_begin(fk_hmac_t *hmac, const uint8_t key[FK_SHA256_BYTES])
+{
+    uint8_t padded[FK_SHA256_BLOCK_BYTES];
+    for (uint32_t i = 0u; i < FK_SHA256_BLOCK_BYTES; ++i) {
+        uint8_t byte = (i < FK_SHA256_BYTES) ? key[i] : 0u;
+        padded[i] = byte ^ 0x36u;
+        hmac->outer[i] = byte ^ 0x5cu;
+    }
+    begin(&hmac->inner);
+    add(&hmac->inner, padded, sizeof(padded));
+}
+
+void fk_hmac_add(fk_hmac_t *hmac, const uint8_t *bytes, uint32_t length) { add(&hmac->inner, bytes, length); }
+
+void fk_hmac_end(fk_hmac_t *hmac, uint8_t code[FK_SHA256_BYTES])
+{
+    end(&hmac->inner);
+    put_words(hmac->inner.state, code);
+    begin(&hmac->inner);
+    add(&hmac->inner, hmac->outer, FK_SHA256_BLOCK_BYTES);
+    add(&hmac->inner, code, FK_SHA256_BYTES);
+    end(&hmac->inner);
+    put_words(hmac->inner.state, code);
 }

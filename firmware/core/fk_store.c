@@ -123,6 +123,26 @@ static int8_t append(fk_store_t *store, const fk_store_record_t *next)
     return FK_STATUS_OK;
 }
 
+int8_t fk_store_own(fk_store_t *store, const uint32_t key[FK_STORE_KEY_WORDS])
+{
+    fk_store_record_t next = store->record;
+    uint32_t differing = 0u;
+    for (uint32_t i = 0u; i < FK_STORE_KEY_WORDS; ++i) {
+        differing |= key[i] ^ next.owner_key[i];
+        next.owner_key[i] = key[i];
+    }
+    return (differing == 0u) ? (int8_t)FK_STATUS_OK : append(store, &next);
+}
+
+int32_t fk_store_is_owned(const fk_store_t *store)
+{
+    uint32_t bits = 0u;
+    for (uint32_t i = 0u; i < FK_STORE_KEY_WORDS; ++i) {
+        bits |= store->record.owner_key[i];
+    }
+    return (bits != 0u) ? 1 : 0;
+}
+
 /* A table's bytes: image and length; length 0 where a slot holds none. */
 static const uint8_t *image_of(const fk_store_t *store, uint32_t table, uint32_t *length)
 {

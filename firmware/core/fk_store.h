@@ -27,6 +27,7 @@
 #define FK_STORE_JOURNAL_PAGES 2u
 #define FK_STORE_SLOTS_MAX 2u
 #define FK_STORE_BUILT_IN 0u       /* the table of the firmware itself; slots count from 1 */
+#define FK_STORE_KEY_WORDS 8u
 
 /* The region, given by the port. */
 typedef struct {
@@ -59,11 +60,12 @@ typedef struct {
     uint32_t erases[FK_STORE_SLOTS_MAX];    /* of a slot's pages, at most: uploads that wrote there */
     uint32_t journal_erases;                /* of both pages together */
     uint32_t hash[FK_SHA256_WORDS];         /* SHA-256 of the image that was begun last */
+    uint32_t owner_key[FK_STORE_KEY_WORDS]; /* little-endian words; all zero: none */
     uint32_t check;                         /* CRC-32 of all before it */
 } fk_store_record_t;
 
-#define FK_STORE_MAGIC 0x31534B46u /* "FKS1" */
-#define FK_STORE_RECORD_WORDS 20u
+#define FK_STORE_MAGIC 0x32534B46u /* "FKS2" */
+#define FK_STORE_RECORD_WORDS 28u
 #define FK_STORE_RECORD_BYTES (4u * FK_STORE_RECORD_WORDS)
 #define FK_STORE_RECORDS (FK_FLASH_PAGE_BYTES / FK_STORE_RECORD_BYTES) /* places in a journal page */
 
@@ -132,6 +134,15 @@ int8_t fk_store_commit(fk_store_t *store, int8_t *error);
  * @retval FK_STATUS_FLASH  the flash does not hold what was written
  */
 int8_t fk_store_rollback(fk_store_t *store, uint32_t crc32, int8_t *error);
+
+/* Keep an owner's key from now on, by one record; eight zeros: none. With no update open.
+ * @retval FK_STATUS_OK     it is kept, or was already: then nothing is written
+ * @retval FK_STATUS_FLASH  the flash does not hold what was written
+ */
+int8_t fk_store_own(fk_store_t *store, const uint32_t key[FK_STORE_KEY_WORDS]);
+
+/* Whether there is an owner's key. */
+int32_t fk_store_is_owned(const fk_store_t *store);
 
 /* CRC-32 in the header of a table: FK_STORE_BUILT_IN, or a slot that was committed. */
 uint32_t fk_store_crc32(const fk_store_t *store, uint8_t table);

@@ -3,7 +3,7 @@
 #include "fk_store.h"
 
 /* No limb is on, none is due, and every one has rested since its last pulse. */
-static int32_t is_at_rest(const fk_robot_t *robot, uint64_t now_us)
+int32_t fk_robot_is_at_rest(const fk_robot_t *robot, uint64_t now_us)
 {
     if (robot->all_off != 0u) {
         return 0; /* they are to be switched off by the next tick */
@@ -69,7 +69,7 @@ static int8_t change(fk_robot_t *robot, const fk_frame_t *frame, uint64_t now_us
     if (refusal != FK_STATUS_OK) {
         return refusal;
     }
-    if (!is_at_rest(robot, now_us)) {
+    if (!fk_robot_is_at_rest(robot, now_us)) {
         return FK_STATUS_STATE;
     }
     switch (frame->type) {

@@ -16,6 +16,7 @@ import numpy as np
 from tests.conftest import REPOSITORY, count
 from tests.planner import synthetic
 
+from frogkick.link.auth import Conversation
 from frogkick.link.frames import Frame, FrameCollector, hello, pack_frame
 from frogkick.link.layout import Value, link_layout
 from frogkick.robot import load_robot
@@ -68,6 +69,8 @@ int32_t fk_test_decode(const uint8_t *encoded, uint32_t length, uint8_t *head, u
 uint32_t fk_test_count_frames(const uint8_t *bytes, const uint32_t *lengths, uint32_t count);
 int32_t fk_test_on_frames(void *robot, const uint8_t *bytes, const uint32_t *lengths, uint32_t count,
                           uint64_t now_us);
+void fk_test_hmac(const uint8_t *key, const uint8_t *bytes, const uint32_t *lengths, uint32_t count,
+                  uint8_t *code);
 uint32_t fk_test_collect(const uint8_t *bytes, uint32_t length, uint8_t *frames, uint32_t *lengths);
 uint32_t fk_test_estimator_only_bytes(void);
 int32_t fk_test_estimator_init(void *test, const uint8_t *image, uint32_t bytes);
@@ -235,6 +238,7 @@ class Robot:
         self._sequence = 0
         self._fixes = 0
         self._kept: list[Frame] = []
+        self.auth: Conversation | None = None
         self.keep = False
         image_at = FFI.cast("uint8_t *", self._image)
         self.error = self.core.fk_robot_init(self.memory, image_at, len(self.image))
@@ -251,7 +255,7 @@ class Robot:
     ) -> int:
         self._sequence = (self._sequence + 1) & 0xFF
         values = hello() if name == "HELLO" and values is None else values
-        self.raw(pack_frame(name, "command", self._sequence, values, rows)[:-1])
+        self.raw(pack_frame(name, "command", self._sequence, values, rows, self.auth)[:-1])
         return self._sequence
 
     def ask(

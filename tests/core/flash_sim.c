@@ -1,4 +1,5 @@
 /* Tests only: a NOR flash that loses its power at any operation, and what uses a store on it without Python. */
+#include "fk_auth.h"
 #include "fk_frames_layout.h"
 #include "fk_planner.h"
 #include "fk_store.h"
@@ -151,4 +152,16 @@ void fk_test_sha256(const uint8_t *bytes, uint32_t length, uint8_t *digest)
     for (uint32_t i = 0u; i < 32u; ++i) {
         digest[i] = (uint8_t)(words[i / 4u] >> (24u - 8u * (i % 4u)));
     }
+}
+
+/* The port's randomness: counts up, so that a test knows it. With fk_test_random_fails it has none. */
+uint8_t fk_test_random_fails;
+static uint8_t random_next;
+
+int32_t fk_port_random(uint8_t *bytes, uint32_t count)
+{
+    for (uint32_t i = 0u; i < count; ++i) {
+        bytes[i] = random_next++;
+    }
+    return (fk_test_random_fails != 0u) ? -1 : 0;
 }

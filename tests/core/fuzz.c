@@ -1,7 +1,8 @@
 /* Tests only: bytes to the robot as a radio or a stranger may send them, each judged by a decoder of its own.
  *
  * A frame that is none, or an answer, may change nothing but the count of bad frames; every other one is answered once,
- * with its type and its sequence number; and after whatever came, the next good frame is taken.
+ * with its type and its sequence number; and after whatever came, the next good frame is taken. Nobody here has the key of
+ * a robot that has an owner: it may be switched off, and no more.
  */
 #include <stdio.h>
 #include <stdlib.h>
@@ -24,8 +25,12 @@ static fk_robot_t robot;
 static fk_robot_t fresh;
 static fk_log_t history;
 static fk_robot_t before;
+static uint8_t region[(FK_STORE_JOURNAL_PAGES + 1u) * FK_FLASH_PAGE_BYTES];
+static const fk_flash_t flash = {region, FK_FLASH_PAGE_BYTES, 1u, NULL};
+static fk_store_t store; /* of a robot with an owner */
 static fk_frame_collector_t into;
 static fk_frame_collector_t out_of;
+static const uint8_t *table_image;
 static uint64_t now_us;
 static uint64_t counts[FUZZ_COUNTS];
 static const char *wrong; /* what did not hold */
@@ -130,6 +135,20 @@ static void live(uint64_t more_us)
     (void)hear();
 }
 
+/* What a stranger's frame has done to a robot with an owner, beside switching it off. */
+static void look_at_owned(void)
+{
+    const int32_t is_off = robot.state == before.state || robot.state == FK_STATE_DISARMED ||
+                           (before.state == FK_STATE_RUNNING && robot.state == FK_STATE_ARMED);
+    if (!is_off || (robot.stroke_request != 0u && robot.stroke_request != before.stroke_request) ||
+        memcmp(&robot.path, &before.path, sizeof(robot.path)) != 0 ||
+        memcmp(&robot.plan, &before.plan, sizeof(robot.plan)) != 0 || robot.period_us != before.period_us ||
+        robot.fixes_used != before.fixes_used || robot.path_points != before.path_points ||
+        robot.heard_us != before.heard_us || store.open != 0u || !fk_store_is_owned(&store)) {
+        wrong = "a stranger commanded a robot with an owner";
+    }
+}
+
 static void deliver(const uint8_t *encoded, uint32_t length)
 {
     uint8_t raw[ROOM];
@@ -138,10 +157,15 @@ static void deliver(const uint8_t *encoded, uint32_t length)
     memcpy(exact, encoded, length);
     int32_t size = decoded(exact, length, raw);
     if (size >= 0 && (raw[0] & FK_ANSWER_BIT) == 0u) {
+        const uint32_t type = ((raw[0] & 0x60u) == 0x20u) ? raw[0] - 0x20u : raw[0]; /* with a code: as without */
+        memcpy(&before, &robot, sizeof(robot));
         fk_robot_on_frame(&robot, exact, length, now_us);
         uint32_t heard = hear();
-        if (heard != (0x10000u | (uint32_t)(raw[0] | FK_ANSWER_BIT) << 8 | raw[1])) {
+        if (heard != (0x10000u | (type | FK_ANSWER_BIT) << 8 | raw[1])) {
             wrong = "a good frame was not answered by its type and number";
+        }
+        if (robot.store != NULL) {
+            look_at_owned();
         }
         ++counts[FUZZ_GOOD];
         ++counts[FUZZ_ANSWERS];
@@ -197,8 +221,10 @@ static void resynchronise(uint8_t sequence)
     }
 }
 
-static void begin(uint32_t state)
+/* The lower two bits: its state; the third: it has an owner, who has put it there. */
+static void begin(uint32_t kind)
 {
+    const uint32_t state = kind & 3u;
     static const uint8_t two_points[3u + 2u * 12u] = {0u, 2u, 2u, 0u, 0u, 0u, 0u, 0u, 0u, 0u, 0u, 0u, 0u, 0u,
                                                       0u, 0u, 0u, 0x80u, 0x3fu};
     uint8_t fix[FK_FIX_COMMAND_BYTES] = {1u, 0u, 1u};
@@ -222,6 +248,13 @@ static void begin(uint32_t state)
     if (state == 3u) {
         fk_robot_note_pulse_failed(&robot, -1);
     }
+    if ((kind & 4u) != 0u) {
+        memset(&store, 0, sizeof(store));
+        store.flash = &flash;
+        store.built_in = table_image;
+        store.record.owner_key[7] = 1u;
+        robot.store = &store;
+    }
 }
 
 /* One input: its first byte says in which state the robot is, and whether bytes or frames follow. Of a frame: what
@@ -231,7 +264,7 @@ static void one_input(const uint8_t *data, uint32_t size)
     if (size == 0u) {
         return;
     }
-    begin(data[0] & 3u);
+    begin((data[0] & 3u) | (data[0] & 8u) >> 1);
     if ((data[0] & 4u) != 0u) {
         stream(data + 1, size - 1u);
     }
@@ -265,7 +298,11 @@ static void one_input(const uint8_t *data, uint32_t size)
     counts[FUZZ_REPEATS] += robot.commands_repeated;
 }
 
-static int32_t open_robot(const uint8_t *table, uint32_t bytes) { return fk_robot_init(&fresh, table, bytes); }
+static int32_t open_robot(const uint8_t *table, uint32_t bytes)
+{
+    table_image = table;
+    return fk_robot_init(&fresh, table, bytes);
+}
 
 int LLVMFuzzerInitialize(int *argc, char ***argv);
 int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size);
@@ -339,9 +376,10 @@ const char *fk_fuzz(const uint8_t *table, uint32_t bytes, uint64_t seed, uint64_
             if (n > 0u) {
                 counts[FUZZ_REPEATS] += robot.commands_repeated;
             }
-            begin(below(4u));
+            begin(below(8u));
         }
         raw[0] = (uint8_t)((below(8u) != 0u) ? 1u + below(11u) : (below(4u) == 0u) ? FK_FRAME_LOG : below(256u));
+        raw[0] |= (raw[0] < FK_AUTH_BIT && below(16u) == 0u) ? FK_AUTH_BIT : 0u;
         raw[1] = (uint8_t)((below(8u) != 0u) ? n : below(256u));
         uint32_t length = encoded_of(raw, 2u + any_payload(raw[0], raw + 2), encoded);
         switch (below(8u)) {

@@ -15,6 +15,7 @@ int32_t fk_test_decode(const uint8_t *encoded, uint32_t length, uint8_t *head, u
 uint32_t fk_test_count_frames(const uint8_t *bytes, const uint32_t *lengths, uint32_t count);
 int32_t fk_test_on_frames(fk_robot_t *robot, const uint8_t *bytes, const uint32_t *lengths, uint32_t count,
                           uint64_t now_us);
+void fk_test_hmac(const uint8_t *key, const uint8_t *bytes, const uint32_t *lengths, uint32_t count, uint8_t *code);
 uint32_t fk_test_collect(const uint8_t *bytes, uint32_t length, uint8_t *frames, uint32_t *lengths);
 int32_t fk_test_estimator_init(fk_test_estimator_t *test, const uint8_t *image, uint32_t bytes);
 int32_t fk_test_estimator_add(fk_test_estimator_t *test, uint64_t capture_us, const float *pose, uint16_t sequence);
@@ -81,6 +82,18 @@ int32_t fk_test_on_frames(fk_robot_t *robot, const uint8_t *bytes, const uint32_
         }
     }
     return 0;
+}
+
+/* The authentication code of strings, one behind the other. */
+void fk_test_hmac(const uint8_t *key, const uint8_t *bytes, const uint32_t *lengths, uint32_t count, uint8_t *code)
+{
+    fk_hmac_t hmac;
+    fk_hmac_begin(&hmac, key);
+    for (uint32_t i = 0u; i < count; ++i) {
+        fk_hmac_add(&hmac, bytes, lengths[i]);
+        bytes += lengths[i];
+    }
+    fk_hmac_end(&hmac, code);
 }
 
 /* Feed a stream to a collector: frames one after the other, and the length of each. */

@@ -17,7 +17,7 @@ from frogkick.link.layout import link_layout
 from frogkick_codegen.native import build_shared
 
 PAGE = 4096
-RECORD = 80
+RECORD = 112
 PLACES = PAGE // RECORD
 JOURNAL = 2 * PAGE
 HOWS = ("not done", "done in part", "garbage")
@@ -28,7 +28,7 @@ typedef struct { const uint8_t *base; uint32_t slot_bytes; uint32_t slots; void 
 typedef struct {
     uint32_t magic, sequence, layout;
     uint8_t active, previous, pending, pages_done;
-    uint32_t length[2], crc32[2], erases[2], journal_erases, hash[8], check;
+    uint32_t length[2], crc32[2], erases[2], journal_erases, hash[8], owner_key[8], check;
 } fk_store_record_t;
 typedef struct {
     const fk_flash_t *flash;

@@ -13,8 +13,9 @@ import pytest
 from tests.conftest import count
 from tests.core.core import FFI, cases, image, library, source_files
 
+from frogkick.link.auth import words
 from frogkick.link.frames import hello
-from frogkick.link.layout import Value, link_layout
+from frogkick.link.layout import AUTH_BIT, Value, link_layout
 from frogkick_codegen.toolchain import other, zig
 
 HERE = Path(__file__).parent
@@ -70,6 +71,14 @@ BROKEN = {
         "fk_link.c", "send(robot, type, frame.sequence, answer, answer_length);",
         "send(robot, type, (uint8_t)(frame.sequence & 0x7fu), answer, answer_length);",
     ),
+    "a command without a code is taken": (
+        "fk_key_commands.c", "(is_owned && fk_auth_is_needed(frame->type))", "(0)",
+    ),
+    "any code is taken": (
+        "fk_key_commands.c", "if (!is_owned || fk_auth_check(&robot->auth, frame) != FK_STATUS_OK) {",
+        "frame->type &= (uint8_t)~FK_AUTH_BIT;\n    if (!is_owned) {",
+    ),
+    "what a stranger sends keeps it armed": ("fk_link.c", "if (!fk_robot_is_owned(robot)) {", "{"),
     "answers are answered": ("fk_link.c", "|| (frame.type & FK_ANSWER_BIT) != 0u)", ")"),
 }  # fmt: skip
 
@@ -119,9 +128,12 @@ def seeds() -> bytes:
         frame("LOG", {"offset": 0}), frame("LOG", {"offset": 2**32 - 1}),
         *(frame("PARAM", {"parameter": number, "value": 1.0}) for number in range(1, 14)),
         record(0, plan.id, 8, bytes([2]) + bytes(plan.command.bytes - 1)),
+        frame("CHALLENGE", words("nonce", bytes(16))), frame("KEY", words("key", bytes(32))),
+        record(0, AUTH_BIT | link_layout().messages["ARM"].id, 9, bytes(12)),
     ]  # fmt: skip
     session = b"".join(commands[:5]) + wait + fix + wait
     inputs = [bytes([state]) + part for state in range(4) for part in (*commands, session)]
+    inputs += [bytes([9]) + part for part in commands]  # of a robot with an owner
     inputs += [bytes([1, *record(what, 2, 3, b"abc")]) for what in (1, 2, 0x21, 0x42)]
     inputs += [b"\x05\x06\x02\x01\x02\x03\x04\x00", b"\x06" + b"\xff" * 300, b"\x04" + bytes(20)]
     # As long as a frame may be, and longer by a byte or two.

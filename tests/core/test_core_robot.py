@@ -12,8 +12,9 @@ import pytest
 from cobs import cobs
 from tests.core.core import ACTION, FFI, PERIOD_US, RESTING, STATE, Robot, bits, cases, core, decode, image
 
+from frogkick.link.auth import words
 from frogkick.link.frames import hello
-from frogkick.link.layout import Value, link_layout
+from frogkick.link.layout import AUTH_BIT, EVENT_BIT, Value, link_layout
 from frogkick.loop.decision import LIMB_USE_FIELDS
 from frogkick.planner.plan import PlanConfig
 from frogkick_codegen.native import NativeLibrary
@@ -64,6 +65,12 @@ for _name, _values in (
 ):  # fmt: skip
     TABLE[_name] = (_values, (), UNKNOWN)
 TABLE["LOG"] = ({"offset": 0}, (), UNKNOWN)  # without a log; test_core_log.py has one
+# Without a store it has no owner; test_core_auth.py has one.
+TABLE["KEY"] = (words("key", bytes(32)), (), UNKNOWN)
+TABLE["CHALLENGE"] = (
+    words("nonce", bytes(16)), (),
+    (("AUTH", "DISARMED"), ("AUTH", "ARMED"), ("STATE", "RUNNING"), ("AUTH", "FAULT")),
+)  # fmt: skip
 
 
 def test_the_table_has_every_command() -> None:
@@ -97,7 +104,7 @@ def test_boots_disarmed_with_everything_off() -> None:
     assert robot.stroke("B") == "STATE"
     assert robot.tick().limb_mask == 0
     told = robot.ask("HELLO")
-    assert (told["protocol_version"], told["robot_id"], told["period_us"]) == (3, "frog2022", PERIOD_US)
+    assert (told["protocol_version"], told["robot_id"], told["period_us"]) == (4, "frog2022", PERIOD_US)
     assert (told["states"], told["actions"], told["limbs"], told["pulse_us"]) == (60, 7, 4, 80_000)
     assert told["table_crc"] == zlib.crc32(robot.image[16:])
 
@@ -114,7 +121,9 @@ def test_unknown_types_are_answered(state: str) -> None:
     for kind in set(range(0x80)) - known:
         robot.raw(raw_frame(kind, b"\1\2"))
         answer = decode(robot.take_bytes()[:-1])
-        assert answer == (kind | 0x80, 77, struct.pack("b", link_layout().status["UNKNOWN"]))
+        has_code = kind & (EVENT_BIT | AUTH_BIT) == AUTH_BIT  # of a robot that knows none
+        status = link_layout().status["MAC" if has_code else "UNKNOWN"]
+        assert answer == ((kind & ~AUTH_BIT if has_code else kind) | 0x80, 77, struct.pack("b", status))
     assert robot.state() == state
 
 

@@ -26,7 +26,7 @@ from frogkick_codegen.toolchain import FLAGS
 pytestmark = pytest.mark.extra
 
 SEED = 11
-FLASH = Path(firmware.__file__).parent / "templates" / "native_flash.c"
+PORT = Path(firmware.__file__).parent / "templates" / "native_port.c"
 
 
 def calls_header(loop: Rehearsal) -> str:
@@ -86,7 +86,7 @@ def test_qemu_lives_through_the_same_loop(name: str, kind: str, tmp_path: Path) 
         [
             *FLAGS, "-ffreestanding", "-nostdlib", f"-I{tmp_path}", f"-I{emitted}", f"-I{settings}",
             f"-I{core}", f"-I{BOARD}", f"-Wl,-T,{BOARD / 'board.ld'}", "-Wl,--entry=fk_reset",
-            BOARD / "startup.c", BOARD / "loop_main.c", BOARD / "memory.c", FLASH, *sorted(core.glob("*.c")),
+            BOARD / "startup.c", BOARD / "loop_main.c", BOARD / "memory.c", PORT, *sorted(core.glob("*.c")),
             *(emitted / source for source in SOURCES), *libraries, "-o", elf,
         ]
     )  # fmt: skip

@@ -21,6 +21,7 @@ from tests.loop import rig
 from west.manifest import ImportFlag, Manifest
 from zephyr_robot import DECLARED, ROBOT, ZephyrRobot, headers, play
 
+from frogkick.link import auth
 from frogkick.link.layout import link_layout
 from frogkick.loop.session import LinkError, Session
 from frogkick.robot import load_robot
@@ -413,3 +414,42 @@ def test_a_supply_that_falls_disarms(life: Life) -> None:
     assert session.request("STATUS")["supply"] == link_layout().supply["FELL"]
     session.request("ARM")
     assert life.state() == STATE["ARMED"]
+
+
+WATCHDOG = 1 << 4
+"""A reset's cause, as ``hwinfo`` tells it."""
+
+
+def test_pairing_opens_after_a_power_on_and_shuts_after_three_failures(played: Path) -> None:
+    robot = ZephyrRobot(played, played.parent)
+    robot.advance(1.0)
+    assert robot.pair(right=False) and robot.pair(right=True)  # one failure, then its owner
+    assert [robot.pair(right=False) for _ in range(5)] == [True, True, True, False, False]
+    assert not robot.pair(right=True), "until it is switched off and on"
+
+
+def test_nobody_new_pairs_late_or_after_a_watchdog_s_reset(played: Path) -> None:
+    robot = ZephyrRobot(played, played.parent)
+    robot.advance(3600.0)
+    assert robot.pair(right=True), "nobody is bonded"
+    assert not robot.pair(right=True), "somebody is, and the window is shut"
+    again = ZephyrRobot(played, played.parent, WATCHDOG)
+    again.advance(1.0)
+    assert not again.pair(right=True)
+
+
+def test_its_owner_over_the_radio(life: Life) -> None:
+    """Key, proof, a stroke; and the crystal is asked for before an ARM with a code, too."""
+    session = life.session
+    key = bytes(range(32))
+    session.request("KEY", auth.words("key", key))
+    with pytest.raises(LinkError, match="refuses ARM: AUTH"):
+        session.request("ARM")
+    nonce = auth.challenge()
+    session._auth = auth.begin(key, nonce, session.request("CHALLENGE", auth.words("nonce", nonce)))
+    assert session._auth is not None and not life.robot.crystal_held
+    session.request("ARM")
+    assert life.robot.crystal_held
+    session.request("STROKE", {"action": life.firing})
+    life.live(1.0)
+    assert any(edge.level for edge in session.edges)

@@ -63,14 +63,18 @@ class ZephyrRobot:
         now_us: the simulated time.
     """
 
-    def __init__(self, library: Path, folder: Path) -> None:
-        """Power it on, nobody connected; a copy of the library, as its state is the process's."""
+    def __init__(self, library: Path, folder: Path, reset_cause: int = 0) -> None:
+        """Let it start, by power-on or another cause, nobody connected.
+
+        A copy of the library, as its state is the process's.
+        """
         number = len(list(folder.glob("life*.so")))
         self.stage = ctypes.CDLL(str(shutil.copy(library, folder / f"life{number}.so")))
         self.stage.play_watchdog_us.restype = self.stage.play_crystal_held_us.restype = ctypes.c_uint64
         self._room, self._edges = ctypes.create_string_buffer(_ROOM), (_Edge * 4096)()
         self._collector = FrameCollector()
         self.now_us = 0
+        self.stage.play_reset_cause(reset_cause)
         self.stage.play_begin()
 
     def connect(self, mtu: int = 247, subscribed: bool = True) -> None:
@@ -95,6 +99,10 @@ class ZephyrRobot:
     def frames(self) -> list[tuple[float, Frame]]:
         """Frames that have come since the last call, with the time of this one."""
         return [(self.now_us * 1e-6, frame) for frame in self._collector.feed(self.air())]
+
+    def pair(self, right: bool) -> bool:
+        """A new host pairs, with the right passkey or another; whether it is let try."""
+        return bool(self.stage.play_pair(int(right)))
 
     @property
     def crystal_held(self) -> bool:

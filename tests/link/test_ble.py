@@ -140,7 +140,7 @@ def test_how_frames_are_written(monkeypatch: pytest.MonkeyPatch) -> None:
         if data != b"\0":
             with_response.setdefault(unpack_frame(data[:-1]).name, set()).add(response)
     assert with_response == {
-        "HELLO": {True}, "FIX": {False}, "TABLE_STATUS": {True}, "TABLE_BEGIN": {True},
+        "HELLO": {True}, "STATUS": {True}, "FIX": {False}, "TABLE_STATUS": {True}, "TABLE_BEGIN": {True},
         "TABLE_CHUNK": {False}, "TABLE_COMMIT": {True},
     }  # fmt: skip
 

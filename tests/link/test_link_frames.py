@@ -116,7 +116,7 @@ def test_what_does_not_fit_the_layout_is_a_frame_error() -> None:
     for encoded in (b"", b"\x05ab", b"\0", encoded_of(b"")[:-1], encoded_of(b"\x01")):
         with pytest.raises(FrameError):
             unpack_frame(encoded)
-    for raw in (b"\x33\1", b"\xb4\1\0", b"\xe0\1" + bytes(MESSAGES["DECISION"].event.bytes), b"\xe1\1\0"):
+    for raw in (b"\x34\1", b"\xb4\1\0", b"\xe0\1" + bytes(MESSAGES["DECISION"].event.bytes), b"\xe1\1\0"):
         with pytest.raises(FrameError, match="unknown"):
             unpack_frame(encoded_of(raw))
     for raw in (

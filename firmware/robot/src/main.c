@@ -44,11 +44,11 @@ static int start_watchdog(const struct device *watchdog)
     return (error != 0) ? error : channel;
 }
 
-/* The crystal runs before the core hears of ARM, and it hears where it does not. A frame's type is its second byte: COBS
- * replaces zeros alone, which no type is. */
+/* The crystal runs before the core hears of ARM, with a code or without, and it hears where it does not. A frame's type is
+ * its second byte: COBS replaces zeros alone, which no type is. */
 static void mind_clock_before(const uint8_t *frame, uint32_t length)
 {
-    if (length < 2u || frame[1] != FK_FRAME_ARM) {
+    if (length < 2u || (frame[1] & ~FK_AUTH_BIT) != FK_FRAME_ARM) {
         return;
     }
     if (fk_limbs_hold_clock() != FK_LIMBS_OK) {
@@ -128,7 +128,7 @@ static uint8_t reset_reason(void)
 }
 
 /* With a table that is not for this robot it answers all the same, and tells its fault; no pulse. */
-static void boot_robot(void)
+static void boot_robot(uint8_t reset)
 {
     flash = fk_flash_region();
     if (fk_store_boot(&store, &flash, fk_table_image, fk_table_image_bytes) == FK_OK) {
@@ -137,7 +137,7 @@ static void boot_robot(void)
     } else {
         (void)fk_robot_init(&robot, fk_table_image, fk_table_image_bytes);
     }
-    fk_robot_note_reset(&robot, reset_reason(), &kept);
+    fk_robot_note_reset(&robot, reset, &kept);
     fk_robot_use_log(&robot, &history);
 }
 
@@ -167,9 +167,10 @@ int main(void)
         printk("no watchdog: error %d\n", channel);
         return 0;
     }
-    boot_robot();
+    const uint8_t reset = reset_reason();
+    boot_robot(reset);
     fk_supply_init(wake_up);
-    const int32_t error = fk_radio_init(wake_up);
+    const int32_t error = fk_radio_init(wake_up, (reset == FK_RESET_POWER) ? 1 : 0);
     if (error != 0) {
         printk("no radio: error %d\n", error);
     }

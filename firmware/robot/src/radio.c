@@ -22,6 +22,7 @@
 #define SENDER_STACK_BYTES 2048
 #define SENDER_PRIORITY K_PRIO_PREEMPT(5)
 #define RETRY_MS 10
+#define PAIRINGS_MAX 3u
 #define TRIES_MAX 500u /* 5 s without a buffer: that frame is given up */
 
 #define NUS_SERVICE BT_UUID_128_ENCODE(0x6e400001, 0xb5a3, 0xf393, 0xe0a9, 0xe50e24dcca9e)
@@ -119,7 +120,10 @@ static void count_bond(const struct bt_bond_info *bond, void *count)
     ++*(uint32_t *)count;
 }
 
-/* Kconfig says why: FROGKICK_PAIRING_S. */
+static int32_t is_after_power_on;
+static uint32_t pairings_tried; /* since one succeeded; one that is broken off is one too */
+
+/* Kconfig says why: FROGKICK_PAIRING_S. A passkey that is always the same gives way bit by bit, within twenty tries. */
 static enum bt_security_err on_pairing(struct bt_conn *conn, const struct bt_conn_pairing_feat *const feat)
 {
     uint32_t bonds = 0;
@@ -127,9 +131,24 @@ static enum bt_security_err on_pairing(struct bt_conn *conn, const struct bt_con
     (void)conn;
     (void)feat;
     bt_foreach_bond(BT_ID_DEFAULT, count_bond, &bonds);
-    return (bonds == 0 || k_uptime_get() < 1000 * CONFIG_FROGKICK_PAIRING_S) ? BT_SECURITY_ERR_SUCCESS
-                                                                              : BT_SECURITY_ERR_PAIR_NOT_ALLOWED;
+    if (is_after_power_on == 0 || pairings_tried >= PAIRINGS_MAX ||
+        (bonds != 0 && k_uptime_get() >= 1000 * CONFIG_FROGKICK_PAIRING_S)) {
+        return BT_SECURITY_ERR_PAIR_NOT_ALLOWED;
+    }
+    ++pairings_tried;
+    return BT_SECURITY_ERR_SUCCESS;
 }
+
+static void on_paired(struct bt_conn *conn, bool bonded)
+{
+    (void)conn;
+    (void)bonded;
+    pairings_tried = 0;
+}
+
+static struct bt_conn_auth_info_cb outcome = {
+    .pairing_complete = on_paired,
+};
 
 static void on_passkey(struct bt_conn *conn, unsigned int passkey)
 {
@@ -169,7 +188,11 @@ static int32_t secure(void)
     const int error = bt_passkey_set(key);
 
     printk("passkey %06u\n", key);
-    return (error != 0) ? error : bt_conn_auth_cb_register(&authentication);
+    if (error != 0) {
+        return error;
+    }
+    const int told = bt_conn_auth_info_cb_register(&outcome);
+    return (told != 0) ? told : bt_conn_auth_cb_register(&authentication);
 }
 #else
 static int32_t secure(void)
@@ -179,9 +202,14 @@ static int32_t secure(void)
 }
 #endif
 
-int32_t fk_radio_init(void (*arrived)(void))
+int32_t fk_radio_init(void (*arrived)(void), int32_t after_power_on)
 {
     tell_arrival = arrived;
+#if !defined(CONFIG_FROGKICK_OPEN_LINK)
+    is_after_power_on = after_power_on;
+#else
+    (void)after_power_on;
+#endif
     int32_t error = bt_enable(NULL);
     if (error == 0) {
         error = settings_load(); /* bonds */

@@ -5,9 +5,10 @@
 #include <stdint.h>
 
 /* Start Bluetooth and advertise. `arrived` is called, not from an interrupt, when bytes are there to read.
+ * @param after_power_on  1: the chip starts because it was switched on. After any other reset nobody new may pair
  * @retval 0, or Zephyr's negative errno
  */
-int32_t fk_radio_init(void (*arrived)(void));
+int32_t fk_radio_init(void (*arrived)(void), int32_t after_power_on);
 
 /* @retval 1 a byte was read, 0 there is none */
 int32_t fk_radio_read(uint8_t *byte);

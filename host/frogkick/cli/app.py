@@ -45,6 +45,7 @@ COMMANDS = {
     "identify": ("identify", "Trace what a robot's model lacks to physical effects."),
     "retune": ("retune", "Make a worn robot new tables."),
     "push": ("push", "Give a robot another table, by radio or line."),
+    "own": ("push", "Let a robot take commands from its owner alone."),
     "export": ("log", "Write a run as CSV or as MCAP."),
     "robot": ("robot", "Which robots there are, and what one looks like."),
     "camera": ("camera", "Calibrate the camera over the pool, check it."),

@@ -27,3 +27,7 @@ PlannerOption = Annotated[
 DepthOption = Annotated[
     int | None, typer.Option(min=1, max=4, help="Levels to look ahead; default: the planner's own.")
 ]
+KeyOption = Annotated[
+    Path | None,
+    typer.Option(help="Owner's key of a real robot that has one; default: the user's, see 'frogkick own'."),
+]

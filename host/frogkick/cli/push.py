@@ -1,4 +1,4 @@
-"""``frogkick push``: a table to a robot by the link, and back."""
+"""``frogkick push``: a table to a robot by the link, and back; ``frogkick own``: who may command it."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from frogkick.cli.common import JsonOption, show
+from frogkick.cli.options import KeyOption
 from frogkick.errors import InputError
 
 if TYPE_CHECKING:
@@ -31,6 +32,7 @@ def command(
     ],
     tables: Annotated[Path | None, typer.Argument(help="Table image (.fkt).")] = None,
     rollback: Annotated[bool, typer.Option("--rollback", help="Back to the table before, instead.")] = False,
+    key: KeyOption = None,
     json: JsonOption = False,
 ) -> None:
     """Give a robot another table, by radio or line. It is disarmed for it, and keeps the table before."""
@@ -40,13 +42,46 @@ def command(
     if rollback is (tables is not None):
         raise InputError("push takes a table image or --rollback: give one of them")
     if tables is not None:
-        pushed = push_table(robot, tables, progress=True)
+        pushed = push_table(robot, tables, progress=True, key=key)
     else:
-        with connect(robot) as bot:
+        with connect(robot, key) as bot:
             pushed = bot.roll_back()
     show(pushed.as_json(), json, text_of(pushed, robot))
 
 
+def own(
+    robot: Annotated[
+        str, typer.Option(metavar="TARGET", help="ble:NAME, ble:ADDRESS or serial:PORT[:BAUD].")
+    ],
+    key: Annotated[
+        Path | None,
+        typer.Option(help="File of the key, made where it is not there; default: owner.key of the user."),
+    ] = None,
+    release: Annotated[
+        bool, typer.Option("--release", help="Instead, let anybody command the robot again.")
+    ] = False,
+    json: JsonOption = False,
+) -> None:
+    """Let a robot take commands from its owner alone: from who has a key. DISARM and STOP never need it.
+
+    The key is made on this computer. Keep a copy: without it the chip is to be erased and flashed. It goes
+    to the robot as it is, so give it over a line, or a radio link that is paired.
+    """
+    from frogkick.front.robots import connect, default_key_file, require_target
+
+    require_target(robot)
+    with connect(robot, key) as bot:
+        bot.own(release)
+    file = key or default_key_file()
+    text = (
+        f"{robot} takes commands from anybody"
+        if release
+        else f"{robot} takes commands from who has the key in {file}: keep a copy of it"
+    )
+    show({"robot": robot, "owned": not release, "key": None if release else str(file)}, json, text)
+
+
 def register(app: typer.Typer) -> None:
-    """Add the command."""
+    """Add the commands."""
     app.command(name="push")(command)
+    app.command(name="own")(own)

@@ -10,6 +10,7 @@ import typer
 
 from frogkick.cli.common import JsonOption, SeedOption, say, say_left_out, show
 from frogkick.cli.identify import horizon_line
+from frogkick.cli.options import KeyOption
 from frogkick.cli.push import text_of
 from frogkick.errors import InputError
 
@@ -43,6 +44,7 @@ def command(
             metavar="TARGET", help="Send better tables to ble:NAME, serial:PORT or virtual; it keeps the old."
         ),
     ] = None,
+    key: KeyOption = None,
     seed: SeedOption = 0,
     json: JsonOption = False,
 ) -> None:
@@ -57,6 +59,7 @@ def command(
         states=states,
         workers=workers,
         push=push,
+        key=key,
         seed=seed,
         left_out=say_left_out,
         progress=True,

@@ -12,7 +12,7 @@ import typer
 import frogkick as fk
 from frogkick.cli.common import JsonOption, SeedOption, show
 from frogkick.cli.keys import keys_of
-from frogkick.cli.options import DepthOption, PlannerName, PlannerOption, TablesOption
+from frogkick.cli.options import DepthOption, KeyOption, PlannerName, PlannerOption, TablesOption
 
 WorldOption = Annotated[
     Path | None, typer.Option(help="TOML of effects that are true in the pool and no model knows.")
@@ -82,6 +82,7 @@ def run(
         float | None,
         typer.Option(help="Of a real robot's lowest battery, measured by hand at rest; too low is refused."),
     ] = None,
+    key: KeyOption = None,
     yes: Annotated[bool, typer.Option("--yes", help="Arm a real robot without asking for Enter.")] = False,
     json: JsonOption = False,
 ) -> None:
@@ -108,6 +109,7 @@ def run(
         begin=begin,
         dialect=dialect,
         battery_v=battery_v,
+        key=key,
         operator=partial(keys_of, ask=not yes),
         out=out,
         view=view,

@@ -182,10 +182,12 @@ COORDINATE_MAX = 1000.0
 
 
 @contextmanager
-def session_with(wire: Wire, dialect: str, image: Path, robot: Robot) -> Iterator[LabSession]:
-    """A session over a wire, in a robot's dialect."""
+def session_with(
+    wire: Wire, dialect: str, image: Path, robot: Robot, key: Path | None
+) -> Iterator[LabSession]:
+    """A session over a wire, in a robot's dialect; ``key``: file of its owner's key."""
     if dialect == "frogkick":
-        yield lab_session(wire)
+        yield lab_session(wire, key)
         return
     with built_firmware("native", image, robot) as built:
         core = TextRobot(wire, NativeRobot(built.image, len(robot.limbs), heat_known=False), robot)
@@ -237,6 +239,7 @@ class Bench:
         film: the log beside which the camera's pictures are kept; None: they are not.
         operator: who is asked before it is armed, and may stop the run.
         wire: to it, open; None: it is opened, and closed after the run.
+        key: file of its owner's key; None: the user's own.
     """
 
     name: str
@@ -246,6 +249,7 @@ class Bench:
     film: Path | None = None
     operator: Operators = no_operator
     wire: Wire | None = None
+    key: Path | None = None
 
 
 Kept = Callable[[SwimPath, CameraFixes | None], AbstractContextManager[Callable[[Recording], None]]]
@@ -296,7 +300,7 @@ def run_on_bench(
             path = sight.placed(path, [float(value) for value in seen[-1].pose_world])
         checked = check_start(seen, path, pool_m)
         wire = bench.wire or stack.enter_context(opened(target, greeting))
-        session = stack.enter_context(session_with(wire, bench.dialect, image, robot))
+        session = stack.enter_context(session_with(wire, bench.dialect, image, robot, bench.key))
         session.greet(tables)
         for line in (*checked, f"table: {tables.crc32:08x}, the robot's own", battery):
             _tell(line)

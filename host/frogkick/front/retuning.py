@@ -129,6 +129,7 @@ def retune(
     states: int = STATES,
     workers: int | None = None,
     push: str | None = None,
+    key: Path | str | None = None,
     seed: int = 0,
     left_out: LeftOut = lambda _rows: None,
     progress: Progress = False,
@@ -147,6 +148,7 @@ def retune(
         states: of the libraries that are simulated, 46 to 65535.
         workers: processes; None: one for each core.
         push: ``ble:NAME``, ``serial:PORT`` or ``virtual``, where better tables are sent; None: nowhere.
+        key: file of that robot's owner's key, where it has one; None: the user's own, see ``connect``.
         seed: of the libraries' sampling.
         left_out: told of runs that are not used, before the work.
         progress: True for bars on stderr, or a function of (done, all) of each stage.
@@ -175,7 +177,8 @@ def retune(
     if push is None or not found.better:
         return Retuning(found, folder, unused)
     try:  # what was made stays, whatever becomes of sending it
-        sent = push_table(push, folder / TABLES, folder / BEFORE, progress)
+        owner = None if key is None else Path(key)
+        sent = push_table(push, folder / TABLES, folder / BEFORE, progress, owner)
     except FrogkickError as error:
         return Retuning(found, folder, unused, not_pushed=error)
     return Retuning(found, folder, unused, sent)

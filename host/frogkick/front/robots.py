@@ -12,11 +12,12 @@ from frogkick.errors import InputError, nearest_name
 from frogkick.front.places import robot_of_table, simulated_robot
 from frogkick.front.running import Run, run
 from frogkick.front.tables import Table
+from frogkick.link.auth import default_key_file
 from frogkick.link.frames import DELIMITER
 from frogkick.link.opening import opened, require_wire
 from frogkick.link.wire import Wire, is_target, parse_target
-from frogkick.loop.lab_session import lab_session
-from frogkick.loop.pushing import Pushed, push, roll_back
+from frogkick.loop.lab_session import LabSession, lab_session
+from frogkick.loop.pushing import Pushed, own, push, roll_back
 from frogkick.loop.session import Session
 from frogkick.paths import Path as SwimPath
 from frogkick.planner.image import read_image
@@ -28,6 +29,7 @@ __all__ = [
     "Connection",
     "Pushed",
     "connect",
+    "default_key_file",
     "push_table",
     "require_target",
     "session_at",
@@ -56,10 +58,15 @@ class Connection:
     Attributes:
         target: ``ble:NAME``, ``ble:ADDRESS`` or ``serial:PORT[:BAUD]``.
         wire: to it, open.
+        key: file of the owner's key, for a robot that has one; None: the user's own.
     """
 
     target: str
     wire: Wire
+    key: Path | None = None
+
+    def _session(self) -> LabSession:
+        return lab_session(self.wire, self.key)
 
     def status(self) -> dict[str, Any]:
         """What the robot says of itself: the fields of HELLO and STATUS in the link's documentation.
@@ -67,7 +74,7 @@ class Connection:
         Raises:
             LinkError: no answer.
         """
-        session = lab_session(self.wire)
+        session = self._session()
         return {**session.meet(), **session.request("STATUS")}
 
     def push(self, table: Table | Path | str, progress: Progress = False) -> Pushed:
@@ -80,7 +87,7 @@ class Connection:
         """
         image = table.tables if isinstance(table, Table) else read_image(table)
         with shown(progress, "bytes sent") as tell:
-            return push(lab_session(self.wire), image, None, tell)
+            return push(self._session(), image, None, tell)
 
     def roll_back(self) -> Pushed:
         """Back to the table before.
@@ -88,7 +95,22 @@ class Connection:
         Raises:
             LinkError: it keeps none, or does not answer.
         """
-        return roll_back(lab_session(self.wire))
+        return roll_back(self._session())
+
+    def own(self, release: bool = False) -> None:
+        """Let the robot take commands from its owner alone: who has the key. It is disarmed for it.
+
+        The key is that of ``connect``, or the user's own. Where its file is not there yet, one is made; keep
+        a copy of it. DISARM and STOP never need it.
+
+        Args:
+            release: instead, let anybody command it again.
+
+        Raises:
+            InputError: the key's file cannot be read or written.
+            LinkError: the robot has another key, or cannot have one, or does not answer.
+        """
+        own(self._session(), release)
 
     def follow(
         self,
@@ -114,18 +136,20 @@ class Connection:
             options |= {"fixes": str(fixes.calibration), "source": fixes.source}
         else:
             options["fixes"] = fixes
-        return run(table, path, robot=self.target, wire=self.wire, **options)
+        return run(table, path, robot=self.target, wire=self.wire, key=self.key, **options)
 
     def __repr__(self) -> str:
         return f"Connection({self.target!r})"
 
 
 @contextmanager
-def connect(target: str) -> Iterator[Connection]:
+def connect(target: str, key: Path | str | None = None) -> Iterator[Connection]:
     """Open the link to a robot, and close it at the end of the ``with`` block.
 
     Args:
         target: ``ble:NAME``, ``ble:ADDRESS`` or ``serial:PORT[:BAUD]``.
+        key: file of the owner's key, for a robot that has one; None: ``frogkick/owner.key`` among the user's
+            settings.
 
     Raises:
         InputError: no such kind of place.
@@ -133,7 +157,7 @@ def connect(target: str) -> Iterator[Connection]:
     """
     require_target(target)
     with opened(parse_target(target), DELIMITER) as wire:
-        yield Connection(target, wire)
+        yield Connection(target, wire, None if key is None else Path(key))
 
 
 def require_target(target: str, others: tuple[str, ...] = ()) -> None:
@@ -157,19 +181,20 @@ def require_target(target: str, others: tuple[str, ...] = ()) -> None:
 
 
 @contextmanager
-def session_at(target: str, carried: Path | None) -> Iterator[Session]:
+def session_at(target: str, carried: Path | None, key: Path | None = None) -> Iterator[Session]:
     """A session with a robot.
 
     Args:
         target: as of ``require_target``.
         carried: table that a virtual robot is switched on with; others know their own.
+        key: file of the owner's key.
 
     Raises:
         WireError: it cannot be reached.
     """
     if target != VIRTUAL:
         with opened(parse_target(target)) as wire:
-            yield lab_session(wire)
+            yield lab_session(wire, key)
         return
     assert carried is not None
     with simulated_robot(VIRTUAL, carried, robot_of_table(carried, None)) as port:
@@ -177,7 +202,11 @@ def session_at(target: str, carried: Path | None) -> Iterator[Session]:
 
 
 def push_table(
-    target: str, table: Table | Path | str, carried: Path | None = None, progress: Progress = False
+    target: str,
+    table: Table | Path | str,
+    carried: Path | None = None,
+    progress: Progress = False,
+    key: Path | None = None,
 ) -> Pushed:
     """Send a table to a robot.
 
@@ -186,11 +215,12 @@ def push_table(
         table: to send, or its file.
         carried: what it must carry now, if that matters; a virtual robot is switched on with it.
         progress: of the bytes sent.
+        key: file of the owner's key.
 
     Raises:
         FrogkickError: see ``Connection.push``.
     """
     image = table.tables if isinstance(table, Table) else read_image(table)
     before = None if carried is None else read_image(carried)
-    with session_at(target, carried) as session, shown(progress, "bytes sent") as tell:
+    with session_at(target, carried, key) as session, shown(progress, "bytes sent") as tell:
         return push(session, image, before, tell)

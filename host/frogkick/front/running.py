@@ -215,6 +215,7 @@ def run(
     battery_v: float | None = None,
     operator: Operators = no_operator,
     wire: Wire | None = None,
+    key: Path | str | None = None,
     out: Path | str | None = None,
     view: bool = False,
     video: bool = False,
@@ -246,6 +247,7 @@ def run(
         battery_v: of a real robot's lowest battery, measured by hand; too low is refused.
         operator: asked before a real robot is armed, and may stop the run.
         wire: to a real robot, open; None: it is opened for this run and closed after it.
+        key: file of a real robot's owner's key, where it has one; None: the user's own, see ``connect``.
         out: log to write (HDF5); with a real robot it grows while the robot swims.
         view: draw the run in the browser; a simulated one then goes on in real time.
         video: keep the camera's pictures beside ``out``.
@@ -284,7 +286,9 @@ def run(
         said = stack.enter_context(_said(progress, desired, used, check))
         if is_real:
             sight = Sight(str(fixes), source, begin, fix_rate_hz, true, seed)
-            bench = Bench(robot, dialect, sight, battery_v, target if video else None, operator, wire)
+            owner = None if key is None else Path(key)
+            film = target if video else None
+            bench = Bench(robot, dialect, sight, battery_v, film, operator, wire, owner)
             log = logged(target, described, used.tables, options, name, known)
 
             @contextmanager

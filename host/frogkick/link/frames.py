@@ -10,7 +10,8 @@ from dataclasses import dataclass
 from cobs import cobs
 
 from frogkick.errors import FrogkickError, InputError, nearest_name
-from frogkick.link.layout import ANSWER_BIT, Payload, Value, link_layout
+from frogkick.link.auth import NEEDED, TRAILER_BYTES, Conversation
+from frogkick.link.layout import ANSWER_BIT, AUTH_BIT, EVENT_BIT, Payload, Value, link_layout
 
 DELIMITER = b"\x00"
 # COBS code byte, type, sequence, payload, CRC-32; a longer string is no frame of this link.
@@ -43,6 +44,7 @@ def pack_frame(
     sequence: int,
     values: dict[str, Value] | None = None,
     rows: Sequence[Sequence[Value]] = (),
+    auth: Conversation | None = None,
 ) -> bytes:
     """The bytes on the wire for one frame, delimiter included.
 
@@ -52,6 +54,7 @@ def pack_frame(
         sequence: 0 to 255.
         values: one value for each fixed field of the payload, and one for bytes at an answer's end, if any.
         rows: repeated rows of a command, in the field order of the layout.
+        auth: with a robot that has an owner's key: gives the commands that need one their code.
 
     Raises:
         InputError: a value does not fit its field's type, a field is missing or unknown, or there is no such
@@ -82,7 +85,11 @@ def pack_frame(
         body += str(given.get(tail, "")).encode("latin-1") if tail else b""
     except (struct.error, OverflowError, UnicodeEncodeError) as error:
         raise InputError(f"{name} {given} does not fit its fields: {error}") from error
-    return pack_raw(message.id | (ANSWER_BIT if kind == "answer" else 0), sequence, body)
+    number = message.id | (ANSWER_BIT if kind == "answer" else 0)
+    if auth is not None and kind == "command" and name in NEEDED:
+        number |= AUTH_BIT
+        body += auth.code(number, sequence, body)
+    return pack_raw(number, sequence, body)
 
 
 def pack_raw(number: int, sequence: int, body: bytes) -> bytes:
@@ -113,13 +120,17 @@ def unpack_frame(encoded: bytes) -> Frame:
         raise FrameError(f"{len(encoded)} bytes are not COBS: {error}") from error
     if len(raw) < 6 or zlib.crc32(raw[:-4]) != struct.unpack("<I", raw[-4:])[0]:
         raise FrameError(f"frame of {len(raw)} bytes fails its CRC-32: dropped")
-    message = _BY_ID.get(raw[0] & ~ANSWER_BIT)
-    is_answer = bool(raw[0] & ANSWER_BIT)
+    number, body = raw[0], raw[2:-4]
+    if (
+        number & (ANSWER_BIT | EVENT_BIT | AUTH_BIT) == AUTH_BIT
+    ):  # a command; its code is the robot's to check
+        number, body = number & ~AUTH_BIT, body[:-TRAILER_BYTES]
+    message = _BY_ID.get(number & ~ANSWER_BIT)
+    is_answer = bool(number & ANSWER_BIT)
     kind = "answer" if is_answer else "event" if message and message.event else "command"
     payload: Payload | None = getattr(message, kind, None)
     if message is None or payload is None:
         raise FrameError(f"frame type 0x{raw[0]:02x} is unknown to protocol {link_layout().protocol_version}")
-    body = raw[2:-4]
     extra = len(body) - payload.bytes
     per_row = payload.repeat_bytes
     if extra < 0 or (extra and (not per_row or extra % per_row or extra > per_row * payload.repeat_max)):

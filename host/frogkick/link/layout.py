@@ -104,6 +104,7 @@ class Layout:
     fault: dict[str, int]
     reset: dict[str, int]
     supply: dict[str, int]
+    owner: dict[str, int]
     parameter: dict[str, int]
     messages: dict[str, Message]
     records: dict[str, RecordType]
@@ -118,6 +119,9 @@ class Layout:
 
 
 ANSWER_BIT = 0x80
+EVENT_BIT = 0x40
+AUTH_BIT = 0x20
+"""Set in the type of a command that carries an authentication code."""
 
 
 def _payload(table: dict[str, object], key: str) -> Payload | None:
@@ -164,6 +168,7 @@ def link_layout() -> Layout:
         raw["fault"],
         raw["reset"],
         raw["supply"],
+        raw["owner"],
         raw["parameter"],
         messages,
         {name: _record(name, raw["record"], messages) for name in raw["record"]},

@@ -9,6 +9,7 @@ import threading
 from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, field
+from pathlib import Path
 from types import FrameType
 from typing import Any, Protocol
 
@@ -18,6 +19,7 @@ from frogkick.link.wire import Wire
 from frogkick.loop.in_time import in_time
 from frogkick.loop.lab_port import LabPort
 from frogkick.loop.session import ANSWER_TIMEOUT_S, STEP_S, Arrival, Asked, LinkError, Session
+from frogkick.planner.image import Tables
 from frogkick.pool.port import RobotPort
 
 ANSWER_S = 2.0
@@ -177,6 +179,12 @@ class LabSession(Session):
                 self.port.forget(sequence)
         raise LinkError(f"no answer to {name} within {timeout_s:g} s: bring the robot nearer, charge it")
 
+    def greet(self, tables: Tables) -> dict[str, Value]:
+        """HELLO, and refuse a robot with other tables than ours, or whose owner this host is not."""
+        told = super().greet(tables)
+        self.authenticate()
+        return told
+
     def make_safe(self) -> bool:
         """DISARM; a wire that is down is not waited for as long as otherwise."""
         self.patience_s = SAFE_S
@@ -226,9 +234,9 @@ class LabSession(Session):
         )
 
 
-def lab_session(wire: Wire) -> LabSession:
-    """A session with a robot that speaks this project's link, over a wire."""
-    return LabSession(LabPort(wire))
+def lab_session(wire: Wire, key_file: Path | None = None) -> LabSession:
+    """A session with a robot that speaks this project's link, over a wire; ``key_file`` as of ``Session``."""
+    return LabSession(LabPort(wire), key_file=key_file)
 
 
 @contextmanager

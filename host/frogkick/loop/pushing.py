@@ -1,10 +1,11 @@
-"""Another table for a robot at rest, by the link; and back to the one before."""
+"""What a robot at rest is given by the link: another table, the one before, an owner's key."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from frogkick.link.auth import KEY_BYTES, default_key_file, make_key, read_key, words
 from frogkick.link.upload import upload
 from frogkick.loop.session import LinkError, Session
 from frogkick.planner.image import Tables
@@ -70,6 +71,7 @@ def push(
             "'frogkick push'"
         )
     rest(session)
+    session.authenticate()
     begin_s = session.time_s
     done = upload(session, tables.image, progress)
     return _pushed(session, done.bytes_sent, done.resumed_at, begin_s)
@@ -83,12 +85,35 @@ def roll_back(session: Session) -> Pushed:
     """
     session.meet()
     rest(session)
+    session.authenticate()
     begin_s = session.time_s
     here = session.request("TABLE_STATUS")
     if here["previous_crc"] == here["running_crc"]:
         raise LinkError(f"the robot keeps no other table than {int(here['running_crc']):08x}: send it one")
     session.request("TABLE_ROLLBACK", {"table_crc": here["previous_crc"]})
     return _pushed(session, 0, 0, begin_s)
+
+
+def own(session: Session, release: bool = False) -> None:
+    """Give a robot the owner's key of ``session.key_file``, or take it away; it is disarmed for it.
+
+    Args:
+        session: with the robot.
+        release: let anybody command it from then on. Otherwise a key is made where there is none.
+
+    Raises:
+        LinkError: it has another key than this host, refuses, or does not answer.
+        InputError: the key's file cannot be read or written.
+    """
+    session.meet()
+    rest(session)
+    session.authenticate()
+    key = bytes(KEY_BYTES)
+    if not release:
+        file = session.key_file or default_key_file()
+        key = read_key(file) if file.exists() else make_key(file)
+    session.request("KEY", words("key", key))
+    session.authenticate()
 
 
 def rest(session: Session) -> None:

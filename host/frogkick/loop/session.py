@@ -7,8 +7,10 @@ import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass, field
+from pathlib import Path as FilePath
 
 from frogkick.errors import FrogkickError
+from frogkick.link import auth
 from frogkick.link.frames import Frame, hello, pack_frame, path_frames
 from frogkick.link.layout import Value, link_layout
 from frogkick.paths import Path
@@ -61,6 +63,7 @@ class Session:
         on_step: called after each step with the new time and the pin edges of that step.
         edges: every pin edge so far.
         conversation: another number for each session with the same robot: sequence numbers begin anew.
+        key_file: the owner's key, for a robot that has one; None: the user's own, see ``default_key_file``.
     """
 
     port: RobotPort
@@ -68,6 +71,8 @@ class Session:
     time_s: float = 0.0
     edges: list[Edge] = field(default_factory=list)
     conversation: int = 1
+    key_file: FilePath | None = None
+    _auth: auth.Conversation | None = None
     _sequence: int = 0
     _inbox: list[Arrival] = field(default_factory=list)
 
@@ -89,7 +94,7 @@ class Session:
     ) -> int:
         """Send a command without waiting; return its sequence number."""
         self._sequence = (self._sequence + 1) & 0xFF
-        encoded = pack_frame(name, "command", self._sequence, values, rows)
+        encoded = pack_frame(name, "command", self._sequence, values, rows, self._auth)
         self.port.send(encoded, self.time_s if at_s is None else at_s)
         return self._sequence
 
@@ -129,7 +134,9 @@ class Session:
         return answer
 
     def _why(self, status: int) -> str:
-        """Of a refusal that names no reason itself: the internal error behind it."""
+        """Of a refusal that names no reason itself: what is behind it, and what to do."""
+        if status in (link_layout().status["AUTH"], link_layout().status["MAC"]):
+            return ", as it takes commands from its owner alone, and does not know this host: try again"
         if status != link_layout().status["FAULT"]:
             return ""
         told = self.ask("STATUS")
@@ -237,6 +244,32 @@ class Session:
                 f"the robot speaks protocol {told['protocol_version']}, this host {ours}: flash it again"
             )
         return told
+
+    def authenticate(self) -> None:
+        """Prove to a robot with an owner's key that this host has it too; where it has none, nothing.
+
+        Raises:
+            LinkError: it has a key, and this host another one or none; or it does not answer.
+            InputError: the key's file cannot be read.
+        """
+        if int(self.request("STATUS")["owner"]) == link_layout().owner["OPEN"]:
+            self._auth = None
+            return
+        file = self.key_file or auth.default_key_file()
+        if self.key_file is None and not file.exists():
+            raise LinkError(
+                "the robot takes commands from its owner alone, and there is no owner's key in "
+                f"{str(file)!r}: give the key's file (--key)"
+            )
+        self._prove(auth.read_key(file), str(file))
+
+    def _prove(self, key: bytes, name: str) -> None:
+        nonce = auth.challenge()
+        self._auth = auth.begin(key, nonce, self.request("CHALLENGE", auth.words("nonce", nonce)))
+        if self._auth is None:
+            raise LinkError(
+                f"the owner's key in {name!r} is not this robot's: give the file of its own (--key)"
+            )
 
     def greet(self, tables: Tables) -> dict[str, Value]:
         """HELLO, and refuse a robot with other tables than ours.

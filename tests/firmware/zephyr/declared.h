@@ -130,6 +130,7 @@ int flash_write(const struct device *dev, off_t offset, const void *data, size_t
 #define RESET_SOFTWARE BIT(1)
 #define RESET_WATCHDOG BIT(4)
 #define RESET_CPU_LOCKUP BIT(8)
+int bt_rand(void *buf, size_t len);
 ssize_t hwinfo_get_device_id(uint8_t *buffer, size_t length);
 int hwinfo_get_reset_cause(uint32_t *cause);
 int hwinfo_clear_reset_cause(void);
@@ -229,6 +230,11 @@ struct bt_conn_auth_cb {
     void (*cancel)(struct bt_conn *conn);
 };
 int bt_conn_auth_cb_register(const struct bt_conn_auth_cb *cb);
+struct bt_conn_auth_info_cb {
+    void (*pairing_complete)(struct bt_conn *conn, bool bonded);
+    void (*pairing_failed)(struct bt_conn *conn, enum bt_security_err reason);
+};
+int bt_conn_auth_info_cb_register(struct bt_conn_auth_info_cb *cb);
 int bt_passkey_set(unsigned int passkey);
 
 struct bt_gatt_attr;

@@ -194,6 +194,7 @@ int flash_write(const struct device *dev, off_t offset, const void *data, size_t
     return 0;
 }
 int settings_load(void) { return 0; }
+static uint32_t reset_cause; /* 0: it was switched on */
 ssize_t hwinfo_get_device_id(uint8_t *buffer, size_t length)
 {
     memset(buffer, 1, length);
@@ -201,7 +202,16 @@ ssize_t hwinfo_get_device_id(uint8_t *buffer, size_t length)
 }
 int hwinfo_get_reset_cause(uint32_t *cause)
 {
-    *cause = 0;
+    *cause = reset_cause;
+    return 0;
+}
+void play_reset_cause(uint32_t cause);
+void play_reset_cause(uint32_t cause) { reset_cause = cause; }
+int bt_rand(void *buf, size_t len)
+{
+    for (size_t i = 0; i < len; ++i) {
+        ((uint8_t *)buf)[i] = (uint8_t)(37u * i + 11u);
+    }
     return 0;
 }
 int hwinfo_clear_reset_cause(void) { return 0; }

@@ -17,11 +17,15 @@ void play_refuse(int error, int after);
 void play_write(const uint8_t *bytes, uint32_t length);
 uint32_t play_sent(uint8_t *bytes);
 int play_notified_by(void);
+int play_pair(int right);
 
 struct bt_conn {
     int references;
 };
 static struct bt_conn the_conn;
+static uint32_t bonds;
+static const struct bt_conn_auth_cb *authentication;
+static struct bt_conn_auth_info_cb *outcome;
 static int is_connected;
 static int is_subscribed;
 static int is_faded;
@@ -56,9 +60,11 @@ int bt_le_adv_start(const struct bt_le_adv_param *param, const struct bt_data *a
 }
 void bt_foreach_bond(uint8_t id, void (*func)(const struct bt_bond_info *info, void *user_data), void *user_data)
 {
+    static const struct bt_bond_info bond;
     (void)id;
-    (void)func;
-    (void)user_data;
+    for (uint32_t i = 0; i < bonds; ++i) {
+        func(&bond, user_data);
+    }
 }
 int bt_conn_get_info(const struct bt_conn *conn, struct bt_conn_info *info)
 {
@@ -81,8 +87,28 @@ void bt_conn_foreach(int type, void (*func)(struct bt_conn *conn, void *data), v
 }
 int bt_conn_auth_cb_register(const struct bt_conn_auth_cb *cb)
 {
-    (void)cb;
+    authentication = cb;
     return 0;
+}
+int bt_conn_auth_info_cb_register(struct bt_conn_auth_info_cb *cb)
+{
+    outcome = cb;
+    return 0;
+}
+/* A host that is not bonded pairs; with the right passkey it is bonded then. 1: it was let. */
+int play_pair(int right)
+{
+    static const struct bt_conn_pairing_feat feat;
+    if (authentication->pairing_accept(&the_conn, &feat) != BT_SECURITY_ERR_SUCCESS) {
+        return 0;
+    }
+    bonds += right ? 1u : 0u;
+    if (right) {
+        outcome->pairing_complete(&the_conn, true);
+    } else if (outcome->pairing_failed != NULL) {
+        outcome->pairing_failed(&the_conn, BT_SECURITY_ERR_PAIR_NOT_ALLOWED);
+    }
+    return 1;
 }
 int bt_passkey_set(unsigned int passkey)
 {

@@ -22,6 +22,7 @@ from frogkick.pool.chip.hook import CACHE_WORDS, Flag, HookState, Stop
 from frogkick.pool.chip.image import load_image
 from frogkick.pool.chip.ppi import Ppi
 from frogkick.pool.chip.profile import Profile
+from frogkick.pool.chip.rng import Rng
 from frogkick.pool.chip.scheduler import CYCLES_PER_US, Scheduler
 from frogkick.pool.chip.timer import Timer
 from frogkick.pool.chip.uarte import Uarte
@@ -106,6 +107,7 @@ class VirtualChip:
             gpiote,
             *timers,
             self._watchdog,
+            Rng(self, "RNG", 0x4000_D000),
             Nvmc(self, "NVMC", 0x4001_E000, self._switch_cache, self.flash),
             self._ppi,
             self._gpio,

@@ -1,4 +1,6 @@
-/* native_flash.c - the native target's flash for tables: memory of the host, which context points to. */
+/* native_port.c - what the core asks of its port, for the native target: flash for tables, which is memory of the host that
+ * context points to; and bytes for nonces. */
+#include "fk_auth.h"
 #include "fk_store.h"
 
 void fk_flash_erase(const fk_flash_t *flash, uint32_t offset)
@@ -15,4 +17,15 @@ void fk_flash_program(const fk_flash_t *flash, uint32_t offset, const uint32_t *
     for (uint32_t i = 0u; i < count; ++i) {
         to[i] &= words[i]; /* bits go to 0 only */
     }
+}
+
+/* A simulated robot has nothing to hide, and does the same each time. */
+int32_t fk_port_random(uint8_t *bytes, uint32_t count)
+{
+    static uint32_t state = 1u;
+    for (uint32_t i = 0u; i < count; ++i) {
+        state = 1664525u * state + 1013904223u;
+        bytes[i] = (uint8_t)(state >> 24);
+    }
+    return 0;
 }

@@ -1,0 +1,172 @@
+"""A robot and its owner, through the commands and over real wires; and everybody else."""
+
+from __future__ import annotations
+
+import random
+import stat
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from tests.cli.commands import Outcome, frogkick
+from tests.link.live_robot import LiveRobot, PatientClock
+from tests.link.pty_line import PtyLine
+from tests.link.rigged import TRANSPORTS, rigged
+from tests.link.swim import PATH, LivePool
+from tests.loop import rig
+from tests.planner import synthetic
+
+import frogkick as fk
+from frogkick.files import write_bytes
+from frogkick.link import auth
+from frogkick.link.frames import Frame
+from frogkick.link.layout import link_layout
+from frogkick.link.upload import upload
+from frogkick.loop.closed_loop import RunOptions, run_session
+from frogkick.loop.lab_port import LabPort
+from frogkick.loop.lab_session import LabSession, lab_session
+from frogkick.loop.pushing import own
+from frogkick.loop.session import LinkError
+from frogkick.paths import shape
+from frogkick.planner.plan import PlanConfig
+
+OLD, NEW = (synthetic.affine_image(20, 9, seed) for seed in (1, 2))
+
+
+@pytest.fixture(autouse=True)
+def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A user without a key."""
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "home"))
+    return tmp_path / "home"
+
+
+@pytest.fixture
+def robot() -> LiveRobot:
+    return LiveRobot(OLD)
+
+
+@pytest.fixture
+def target(robot: LiveRobot, tmp_path: Path) -> Iterator[str]:
+    with PtyLine(tmp_path, robot) as there:
+        yield f"serial:{there.path}"
+
+
+@pytest.fixture
+def new(tmp_path: Path) -> Path:
+    write_bytes(tmp_path / "new.fkt", NEW)
+    return tmp_path / "new.fkt"
+
+
+def refused(told: Outcome, *words: str) -> None:
+    assert (told.code, told.stdout, told.stderr.count("\n")) == (2, "", 1), told.stderr
+    for word in words:
+        assert word in told.stderr
+
+
+def owner_of(robot: LiveRobot) -> bytes:
+    return bytes(b for word in robot.flash.store.record.owner_key for b in int(word).to_bytes(4, "little"))
+
+
+def test_a_robot_gets_an_owner_and_loses_him(
+    robot: LiveRobot, target: str, new: Path, home: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    told = frogkick(capsys, "own", "--robot", target)
+    key = home / "frogkick" / "owner.key"
+    assert told.code == 0 and str(key) in told.stdout and "copy" in told.stdout
+    assert owner_of(robot) == bytes.fromhex(key.read_text()) != bytes(32)
+    if sys.platform != "win32":
+        assert stat.S_IMODE(key.stat().st_mode) == 0o600
+    told = frogkick(capsys, "push", new, "--robot", target)
+    assert told.code == 0 and robot.flash.image == NEW, told.stderr
+    again = frogkick(capsys, "own", "--robot", target, "--json")
+    assert again.json == {"robot": target, "owned": True, "key": str(key)}
+    assert owner_of(robot) == bytes.fromhex(key.read_text())
+
+    moved = tmp_path / "moved.key"
+    key.rename(moved)
+    refused(frogkick(capsys, "push", "--rollback", "--robot", target), "its owner alone", str(key), "--key")
+    refused(frogkick(capsys, "own", "--robot", target, "--release"), "its owner alone")
+    other = tmp_path / "other.key"
+    other.write_text("17" * 32)
+    refused(
+        frogkick(capsys, "push", "--rollback", "--robot", target, "--key", other),
+        "other.key",
+        "not this robot",
+    )
+    refused(frogkick(capsys, "own", "--robot", target, "--key", other), "not this robot's")
+    assert robot.flash.image == NEW and owner_of(robot) == bytes.fromhex(moved.read_text())
+
+    told = frogkick(capsys, "push", "--rollback", "--robot", target, "--key", moved)
+    assert told.code == 0 and robot.flash.image == OLD
+    robot.restart()
+    told = frogkick(capsys, "own", "--robot", target, "--release", "--key", moved, "--json")
+    assert told.json == {"robot": target, "owned": False, "key": None} and owner_of(robot) == bytes(32)
+    assert frogkick(capsys, "push", new, "--robot", target).code == 0
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [("", "64 hexadecimal digits"), ("17" * 31, "64 hexadecimal digits"), ("x" * 64, "cannot be read"),
+     ("00" * 32, "not all zero")],
+)  # fmt: skip
+def test_a_file_that_holds_no_key(
+    target: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], content: str, words: str
+) -> None:
+    (tmp_path / "bad.key").write_text(content)
+    refused(frogkick(capsys, "own", "--robot", target, "--key", tmp_path / "bad.key"), "bad.key", words)
+
+
+def test_a_key_that_cannot_be_kept_is_not_given(
+    robot: LiveRobot, target: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "file").write_text("")
+    refused(
+        frogkick(capsys, "own", "--robot", target, "--key", tmp_path / "file" / "owner.key"),
+        "cannot be written",
+    )
+    assert owner_of(robot) == bytes(32)
+
+
+def test_what_it_tells_and_what_it_wrote_down_anybody_may_read(robot: LiveRobot, target: str) -> None:
+    with fk.connect(target) as bot:
+        assert bot.status()["owner"] == link_layout().owner["OPEN"]
+        bot.own()
+        assert bot.status()["owner"] == link_layout().owner["KEY"]
+    (auth.default_key_file()).unlink()
+    with fk.connect(target) as bot:
+        assert bot.status()["owner"] == link_layout().owner["KEY"]
+        with pytest.raises(LinkError, match="from its owner alone"):
+            bot.push(rig.small_table())
+
+
+@pytest.mark.parametrize("transport", TRANSPORTS)
+def test_a_run_of_its_owner(transport: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    robot = LiveRobot(clock=PatientClock(), on_for_s=100.0)
+    period_s = rig.tables().period_us * 1e-6
+    with rigged(transport, robot, tmp_path, monkeypatch) as there:
+        session = LabSession(LabPort(there.wire, robot.clock))
+        own(session)
+        source = LivePool(robot.pulses, robot.clock)
+        options = RunOptions(PlanConfig(depth=2), True, 1.5 * period_s)
+        recording = run_session(session, source, rig.tables(), shape(PATH), options)
+    assert len(recording.decisions) == 2 and recording.fix_status.count(0) > 10 and robot.pulses
+
+
+@pytest.mark.parametrize("transport", TRANSPORTS)
+def test_a_table_of_its_owner_over_a_link_that_loses_frames(
+    transport: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Frames and answers are lost, so commands come again, and out of order: each counts once."""
+    rng = random.Random(4)
+
+    def lost(frame: Frame) -> bool:
+        return frame.name.startswith("TABLE_CHUNK") and rng.random() < 0.1
+
+    robot = LiveRobot(OLD, deaf_to=lost)
+    with rigged(transport, robot, tmp_path, monkeypatch) as there:
+        session = lab_session(there.wire)
+        own(session)
+        assert upload(session, NEW).bytes_sent == len(NEW)
+        assert session.port.resent > 0  # type: ignore[attr-defined]
+    assert robot.flash.image == NEW

@@ -11,7 +11,7 @@ import unicorn as unicorn_module
 from unicorn import arm_const
 
 from frogkick.pool.chip.bus import FLASH_BYTES, Peripheral
-from frogkick.pool.chip.clock import Clock, Ficr, Nvmc
+from frogkick.pool.chip.clock import Clock, Ficr, Nvmc, Rng
 from frogkick.pool.chip.core import CoreRegisters
 from frogkick.pool.chip.cost import PARTS, CostModel, CostTable
 from frogkick.pool.chip.emulator import PAGE, RETURN_ADDRESS, invalid_access, make_core, set_arguments
@@ -22,7 +22,6 @@ from frogkick.pool.chip.hook import CACHE_WORDS, Flag, HookState, Stop
 from frogkick.pool.chip.image import load_image
 from frogkick.pool.chip.ppi import Ppi
 from frogkick.pool.chip.profile import Profile
-from frogkick.pool.chip.rng import Rng
 from frogkick.pool.chip.scheduler import CYCLES_PER_US, Scheduler
 from frogkick.pool.chip.timer import Timer
 from frogkick.pool.chip.uarte import Uarte
@@ -38,8 +37,7 @@ class VirtualChip:
 
     The same firmware and the same calls give the same cycles, bytes and edges, however ``run_until`` is cut
     up. No interrupt is ever taken; WFE sleeps until one that is enabled at its peripheral becomes pending.
-    Whatever the firmware does beyond what the model knows is a ``ChipError``, after which the chip stays
-    stopped.
+    What the firmware does beyond what the model knows is a ``ChipError``, which stops the chip for good.
     """
 
     def __init__(

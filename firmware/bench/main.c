@@ -1,6 +1,6 @@
 /* The bench robot: moves bytes, pins and time between the hardware and the core, nothing else. */
 #include "clock.h"
-#include "fk_robot.h"
+#include "fk_robot_state.h"
 #include "fk_table.h"
 #include "flash.h"
 #include "pulse.h"

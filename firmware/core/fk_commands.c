@@ -1,5 +1,5 @@
 /* The commands of the link, one function each; fk_robot_command finds it. Each writes its answer's payload. */
-#include "fk_robot.h"
+#include "fk_robot_state.h"
 
 static int32_t is_finite_within(float value, float least, float most) { return value >= least && value <= most; }
 

@@ -1,5 +1,5 @@
 /* The commands of the owner's key, and who may give which command. */
-#include "fk_robot.h"
+#include "fk_robot_state.h"
 #include "fk_store.h"
 
 /* A robot that lives through a log has no store: what is logged was admitted. */

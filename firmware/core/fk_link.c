@@ -1,48 +1,7 @@
-/* What goes in and out: frames to commands, answers and events to the transmit buffer. */
-#include "fk_robot.h"
+/* What goes in and out: frames to commands, answers to the transmit buffer. */
+#include "fk_robot_state.h"
 
-static void send(fk_robot_t *robot, uint8_t type, uint8_t sequence, const uint8_t *payload, uint32_t length)
-{
-    uint32_t bytes = fk_frame_encode(type, sequence, payload, length, robot->tx + robot->tx_length,
-                                     FK_TX_BYTES - robot->tx_length);
-    robot->tx_length += bytes;
-    if (bytes == 0u) {
-        ++robot->answers_dropped;
-    }
-}
-
-void fk_robot_send_events(fk_robot_t *robot)
-{
-    uint8_t payload[FK_PAYLOAD_BYTES_MAX];
-    if (robot->decision_pending != 0u) {
-        fk_decision_event_pack(payload, &robot->decision);
-        send(robot, FK_FRAME_DECISION, robot->event_sequence, payload, FK_DECISION_EVENT_BYTES);
-        ++robot->event_sequence;
-        robot->decision_pending = 0u;
-    }
-    if (robot->refused_pending != 0u) {
-        fk_refused_event_pack(payload, &robot->refused);
-        send(robot, FK_FRAME_REFUSED, robot->event_sequence, payload, FK_REFUSED_EVENT_BYTES);
-        ++robot->event_sequence;
-        robot->refused_pending = 0u;
-    }
-    if (robot->ended_pending != 0u) {
-        fk_ended_event_pack(payload, &robot->ended);
-        send(robot, FK_FRAME_ENDED, robot->event_sequence, payload, FK_ENDED_EVENT_BYTES);
-        ++robot->event_sequence;
-        robot->ended_pending = 0u;
-    }
-}
-
-/* Commands that change something. FIX sees to repetitions itself, by its own sequence number. */
-int32_t fk_robot_matters(uint8_t type)
-{
-    return type == FK_FRAME_ARM || type == FK_FRAME_DISARM || type == FK_FRAME_PATH || type == FK_FRAME_START ||
-           type == FK_FRAME_STOP || type == FK_FRAME_PARAM || type == FK_FRAME_STROKE || type == FK_FRAME_TABLE_BEGIN ||
-           type == FK_FRAME_TABLE_COMMIT || type == FK_FRAME_TABLE_ROLLBACK;
-}
-
-/* Of these a repetition must not change it again. What switches off always acts: two senders may use the same numbers,
+/* Commands of which a repetition must not change it again. What switches off always acts: two senders may use the same numbers,
  * and a robot that answers "disarmed" from memory would go on. A chunk or a key that comes again does no harm, but
  * its authentication code was had before. */
 static int32_t acts_once(uint8_t type)
@@ -75,13 +34,13 @@ void fk_robot_on_frame(fk_robot_t *robot, const uint8_t *encoded, uint32_t lengt
     const fk_repeat_t *before = fk_repeats_find(&robot->repeats, &frame);
     if (before != 0) {
         ++robot->commands_repeated;
-        send(robot, type, frame.sequence, before->answer, before->length);
+        fk_robot_send(robot, type, frame.sequence, before->answer, before->length);
         return;
     }
     const int8_t refusal = fk_robot_admit(robot, &frame);
     if (refusal != FK_STATUS_OK) { /* and nothing of it is kept: a stranger's frames are to push out none of the owner's */
         fk_put_i8(answer, refusal);
-        send(robot, type, frame.sequence, answer, 1u);
+        fk_robot_send(robot, type, frame.sequence, answer, 1u);
         return;
     }
     uint32_t record = fk_robot_log_command(robot, &frame);
@@ -92,7 +51,7 @@ void fk_robot_on_frame(fk_robot_t *robot, const uint8_t *encoded, uint32_t lengt
     if (acts_once(frame.type)) {
         fk_repeats_keep(&robot->repeats, &frame, answer, answer_length);
     }
-    send(robot, type, frame.sequence, answer, answer_length);
+    fk_robot_send(robot, type, frame.sequence, answer, answer_length);
 }
 
 uint32_t fk_robot_take_tx(fk_robot_t *robot, uint8_t *bytes, uint32_t capacity)

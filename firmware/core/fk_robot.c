@@ -1,6 +1,4 @@
-#include "fk_robot.h"
-
-#define FK_NEVER_US UINT64_MAX
+#include "fk_robot_state.h"
 
 uint32_t fk_robot_bytes(void) { return (uint32_t)sizeof(fk_robot_t); }
 
@@ -57,7 +55,7 @@ int32_t fk_robot_init(fk_robot_t *robot, const uint8_t *image, uint32_t image_by
     robot->fired_first = 0u;
     robot->path_points = 0u;
     robot->path_total = 0u;
-    robot->next_decision_us = FK_NEVER_US;
+    robot->next_decision_us = UINT64_MAX;
     robot->decisions = 0u;
     robot->second_mask = 0u;
     robot->second_us = 0u;
@@ -103,12 +101,6 @@ void fk_robot_note_reset(fk_robot_t *robot, uint8_t reset, fk_guard_kept_t *kept
     fk_guard_keep(&robot->guard, kept);
 }
 
-uint32_t fk_robot_rest_us(const fk_robot_t *robot)
-{
-    const uint64_t until_us = (robot->heat_unknown != 0u) ? FK_UNKNOWN_HEAT_REST_US : 0u;
-    return (robot->now_us < until_us) ? (uint32_t)(until_us - robot->now_us) : 0u;
-}
-
 void fk_robot_use_store(fk_robot_t *robot, fk_store_t *store) { robot->store = store; }
 
 /* The store has put another table in use, and checked it; the robot is disarmed. What the guard knows stays. */
@@ -116,56 +108,6 @@ void fk_robot_use_tables(fk_robot_t *robot)
 {
     (void)fk_fit_open(robot->store->image, robot->store->image_bytes, &robot->tables);
     begin_with_tables(robot);
-}
-
-void fk_robot_ask_stroke(fk_robot_t *robot, uint8_t action, uint64_t begin_us)
-{
-    robot->stroke_request = (uint8_t)(action + 1u);
-    robot->stroke_us = begin_us;
-    fk_robot_log_stroke(robot, FK_RECORD_STROKE, action);
-    fk_estimator_act(&robot->estimator, begin_us, action);
-}
-
-/* The run ends and no further pulse begins; one that is on ends by itself. */
-void fk_robot_no_more_pulses(fk_robot_t *robot)
-{
-    if (robot->stroke_request != 0u) {
-        fk_robot_log_stroke(robot, FK_RECORD_DROPPED, (uint8_t)(robot->stroke_request - 1u));
-        fk_estimator_act(&robot->estimator, robot->stroke_us, robot->resting_action);
-    }
-    robot->next_decision_us = FK_NEVER_US;
-    robot->second_mask = 0u;
-    robot->stroke_request = 0u;
-}
-
-int8_t fk_robot_may(const fk_robot_t *robot, uint8_t event) { return fk_supervisor_rule(robot->state, event).status; }
-
-int8_t fk_robot_supervise(fk_robot_t *robot, uint8_t event)
-{
-    fk_rule_t rule = fk_supervisor_rule(robot->state, event);
-    if (rule.action != FK_DO_NONE) {
-        fk_robot_no_more_pulses(robot);
-    }
-    if (rule.action == FK_DO_OFF) {
-        robot->all_off = 1u;
-    }
-    const uint8_t before = robot->state;
-    robot->state = rule.next;
-    if (before != robot->state) {
-        fk_robot_log_state(robot, before, event);
-    }
-    fk_guard_closed_loop(&robot->guard, robot->state == FK_STATE_RUNNING);
-    return rule.status;
-}
-
-void fk_robot_fault(fk_robot_t *robot, uint8_t fault, int32_t detail)
-{
-    if (robot->fault == FK_FAULT_NONE) {
-        robot->fault = fault;
-        robot->fault_detail = (int8_t)detail;
-        fk_robot_log_fault(robot);
-    }
-    (void)fk_robot_supervise(robot, FK_EVENT_ERROR);
 }
 
 /* Two costs are known by measurement on the chip: what a decision takes at all, and what each transition adds at

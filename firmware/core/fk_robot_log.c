@@ -4,7 +4,21 @@
  * Fixes that come while it is disarmed are not, nor anything that a robot in FAULT refuses: a camera that goes on for
  * minutes would overwrite the run before. The next ARM begins with a snapshot then.
  */
-#include "fk_robot.h"
+#include "fk_robot_state.h"
+
+/* Commands that change something. FIX sees to repetitions itself, by its own sequence number. */
+int32_t fk_robot_matters(uint8_t type)
+{
+    return type == FK_FRAME_ARM || type == FK_FRAME_DISARM || type == FK_FRAME_PATH || type == FK_FRAME_START ||
+           type == FK_FRAME_STOP || type == FK_FRAME_PARAM || type == FK_FRAME_STROKE || type == FK_FRAME_TABLE_BEGIN ||
+           type == FK_FRAME_TABLE_COMMIT || type == FK_FRAME_TABLE_ROLLBACK;
+}
+
+uint32_t fk_robot_rest_us(const fk_robot_t *robot)
+{
+    const uint64_t until_us = (robot->heat_unknown != 0u) ? FK_UNKNOWN_HEAT_REST_US : 0u;
+    return (robot->now_us < until_us) ? (uint32_t)(until_us - robot->now_us) : 0u;
+}
 
 void fk_robot_use_log(fk_robot_t *robot, fk_log_t *log)
 {

@@ -1,5 +1,5 @@
 /* What ends a run or disarms without a command: time, fixes that are lost, a host that fell silent, a supply that falls. */
-#include "fk_robot.h"
+#include "fk_robot_state.h"
 
 void fk_robot_end_run(fk_robot_t *robot, int8_t status, uint8_t event)
 {

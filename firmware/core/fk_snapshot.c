@@ -3,7 +3,7 @@
  * Not in it: what the table says, counters, frames on their way, and what is written before it is read again. Numbers
  * are little-endian, floats by their bits. host/frogkick/loop/chip_state.py reads the same.
  */
-#include "fk_robot.h"
+#include "fk_robot_state.h"
 
 #define PART_BYTES 240u
 
@@ -20,7 +20,8 @@ typedef struct {
 static void write_part(fk_walk_t *walk)
 {
     fk_snapshot_record_pack(walk->content, &walk->part);
-    fk_robot_log(walk->robot, FK_RECORD_SNAPSHOT, walk->content, FK_SNAPSHOT_RECORD_BYTES + walk->filled);
+    (void)fk_log_write(walk->robot->log, FK_RECORD_SNAPSHOT, walk->robot->now_us, walk->content,
+                       FK_SNAPSHOT_RECORD_BYTES + walk->filled);
     ++walk->part.part;
     walk->filled = 0u;
 }

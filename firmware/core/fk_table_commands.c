@@ -1,5 +1,5 @@
 /* The commands of tables: TABLE_BEGIN to TABLE_STATUS. */
-#include "fk_robot.h"
+#include "fk_robot_state.h"
 #include "fk_store.h"
 
 /* No limb is on, none is due, and every one has rested since its last pulse. */

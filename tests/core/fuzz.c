@@ -8,7 +8,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "fk_robot.h"
+#include "fk_robot_state.h"
 
 #define ROOM (FK_FRAME_ENCODED_MAX + 64u)
 

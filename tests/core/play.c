@@ -1,7 +1,7 @@
 /* Tests only: random command sequences to a robot and the port that would carry out what it asks for. What an onlooker
  * with a clock sees of it, radio and pins, is written down, and judged elsewhere.
  */
-#include "fk_robot.h"
+#include "fk_robot_state.h"
 #include "play.h"
 
 #define LIMBS 4u

@@ -1,5 +1,5 @@
 /* Tests only: loops over the core's functions, so that Python need not make a call for each case. */
-#include "fk_robot.h"
+#include "fk_robot_state.h"
 
 typedef struct {
     fk_tables_t tables;

@@ -122,7 +122,7 @@ CODE = {
         "fk_frames.c", "if (crc != fk_get_u32(raw + checked)) {", "if (0) {", "armed told",
     ),
     "an error changes nothing": (
-        "fk_robot.c", "    (void)fk_robot_supervise(robot, FK_EVENT_ERROR);", "", "latched",
+        "fk_robot_state.c", "    (void)fk_robot_supervise(robot, FK_EVENT_ERROR);", "", "latched",
     ),
     "all off forgotten": (
         "fk_robot.c", "outputs->all_off = robot->all_off;", "outputs->all_off = 0u;", "off",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import re
 import sys
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -193,3 +194,24 @@ def _reason(room: str, module: str, ours: set[str]) -> str:
 
 def _list(names: frozenset[str]) -> str:
     return ", ".join(sorted(names)) or "nothing of ours"
+
+
+_C_FUNCTION = re.compile(r"^(?!static|typedef|#)[a-z][\w *]*?\b(fk_\w+)\(", re.M)
+
+
+def c_arrows(files: Mapping[str, str]) -> dict[str, set[str]]:
+    """Which C file calls functions of which others.
+
+    Args:
+        files: text of each, by its name.
+    """
+    code = {name: re.sub(r"/\*.*?\*/", "", text, flags=re.S) for name, text in files.items()}
+    home = {
+        function: name
+        for name, text in code.items()
+        for function in _C_FUNCTION.findall(re.sub(r"\);", "", text))
+    }
+    return {
+        name: {home[called] for called in re.findall(r"\b(fk_\w+)\(", text) if called in home} - {name}
+        for name, text in code.items()
+    }

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import re
+from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 import pytest
 from tests.conftest import REPOSITORY
-from tests.structure.arrows import ARROWS, CODEGEN, violations
+from tests.structure.arrows import ARROWS, CODEGEN, c_arrows, violations
 
 
 def plant(root: Path, files: dict[str, str]) -> list[str]:
@@ -87,3 +89,38 @@ def test_a_wrong_import_is_found(tmp_path: Path, name: str, text: str, found: st
     lines = plant(tmp_path, {name: text})
     assert len(lines) == 1, lines
     assert lines[0].startswith(name + found), lines
+
+
+C_FOLDERS = ("firmware/core", "codegen/frogkick_codegen/planner")
+
+
+def test_c_files_lean_on_each_other_in_no_circle() -> None:
+    files = {
+        path.name: path.read_text() for folder in C_FOLDERS for path in (REPOSITORY / folder).glob("*.c")
+    }
+    arrows = c_arrows(files)
+    assert {"fk_commands.c", "fk_events.c"} <= arrows["fk_link.c"] | arrows["fk_robot.c"], "calls are found"
+    assert sum(map(len, arrows.values())) > 50
+    order = list(TopologicalSorter(arrows).static_order())
+    assert order[-1] == "fk_link.c", "nothing calls it but the port"
+
+
+def test_a_circle_is_found() -> None:
+    files = {
+        "a.c": "void fk_a(void)\n{\n    fk_b();\n}\n",
+        "b.c": "/* fk_none() */\nvoid fk_b(void) { fk_c(1); }\n",
+        "c.c": "static void in(void);\nint32_t fk_c(int32_t one)\n{\n    return one ? 0 : (fk_a(), 1);\n}\n",
+    }
+    with pytest.raises(CycleError):
+        TopologicalSorter(c_arrows(files)).prepare()
+
+
+def test_ports_do_not_look_into_the_robot() -> None:
+    """They give it its memory, and know its functions alone."""
+    public = (REPOSITORY / "firmware/core/fk_robot.h").read_text()
+    assert "struct fk_robot {" not in public
+    for port in ("firmware/bench/main.c", "firmware/robot/src/main.c"):
+        text = (REPOSITORY / port).read_text()
+        assert re.findall(r"\brobot(?:\.|->)\w+", text) == []
+        called = set(re.findall(r"\b(fk_robot_\w+)\(", text))
+        assert called and all(f" {name}(" in public for name in called)

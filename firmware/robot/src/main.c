@@ -6,7 +6,7 @@
 #include <zephyr/kernel.h>
 #include <zephyr/sys/printk.h>
 
-#include "fk_robot.h"
+#include "fk_robot_state.h"
 #include "fk_table.h"
 #include "flash.h"
 #include "limbs.h"

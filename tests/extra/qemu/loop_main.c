@@ -3,7 +3,7 @@
 #include <stdint.h>
 
 #include "calls.h"
-#include "fk_robot.h"
+#include "fk_robot_state.h"
 #include "fk_table.h"
 #include "startup.h"
 

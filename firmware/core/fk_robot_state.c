@@ -1,0 +1,52 @@
+/* The state and the strokes that are asked for: the one place that changes them. */
+#include "fk_robot_state.h"
+
+void fk_robot_ask_stroke(fk_robot_t *robot, uint8_t action, uint64_t begin_us)
+{
+    robot->stroke_request = (uint8_t)(action + 1u);
+    robot->stroke_us = begin_us;
+    fk_robot_log_stroke(robot, FK_RECORD_STROKE, action);
+    fk_estimator_act(&robot->estimator, begin_us, action);
+}
+
+/* The run ends and no further pulse begins; one that is on ends by itself. */
+void fk_robot_no_more_pulses(fk_robot_t *robot)
+{
+    if (robot->stroke_request != 0u) {
+        fk_robot_log_stroke(robot, FK_RECORD_DROPPED, (uint8_t)(robot->stroke_request - 1u));
+        fk_estimator_act(&robot->estimator, robot->stroke_us, robot->resting_action);
+    }
+    robot->next_decision_us = UINT64_MAX;
+    robot->second_mask = 0u;
+    robot->stroke_request = 0u;
+}
+
+int8_t fk_robot_may(const fk_robot_t *robot, uint8_t event) { return fk_supervisor_rule(robot->state, event).status; }
+
+int8_t fk_robot_supervise(fk_robot_t *robot, uint8_t event)
+{
+    fk_rule_t rule = fk_supervisor_rule(robot->state, event);
+    if (rule.action != FK_DO_NONE) {
+        fk_robot_no_more_pulses(robot);
+    }
+    if (rule.action == FK_DO_OFF) {
+        robot->all_off = 1u;
+    }
+    const uint8_t before = robot->state;
+    robot->state = rule.next;
+    if (before != robot->state) {
+        fk_robot_log_state(robot, before, event);
+    }
+    fk_guard_closed_loop(&robot->guard, robot->state == FK_STATE_RUNNING);
+    return rule.status;
+}
+
+void fk_robot_fault(fk_robot_t *robot, uint8_t fault, int32_t detail)
+{
+    if (robot->fault == FK_FAULT_NONE) {
+        robot->fault = fault;
+        robot->fault_detail = (int8_t)detail;
+        fk_robot_log_fault(robot);
+    }
+    (void)fk_robot_supervise(robot, FK_EVENT_ERROR);
+}

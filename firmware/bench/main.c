@@ -19,7 +19,7 @@ static fk_robot_t robot;
 static fk_frame_collector_t collector;
 static fk_flash_t flash;
 static fk_store_t store;
-static fk_guard_kept_t kept __attribute__((section(".noinit")));
+static fk_guard_persistent_t persistent __attribute__((section(".noinit")));
 static fk_log_t history __attribute__((section(".noinit")));
 
 typedef enum { NOTHING, BYTES, FRAME } taken_t;
@@ -94,7 +94,7 @@ int main(void)
     } else {
         (void)fk_robot_init(&robot, fk_table_image, fk_table_image_bytes);
     }
-    fk_robot_note_reset(&robot, fk_watchdog_reset_reason(), &kept);
+    fk_robot_note_reset(&robot, fk_watchdog_reset_reason(), &persistent);
     fk_robot_use_log(&robot, &history);
 
     for (;;) {

@@ -39,7 +39,7 @@ typedef struct {
     uint8_t has_current;
 } fk_auth_t;
 
-/* Implemented by the port: bytes that nobody can foretell.
+/* Implemented by the port: bytes that nobody can predict.
  * @retval 0         done, within some milliseconds
  * @retval negative  it has none: then this robot can have no owner
  */

@@ -33,8 +33,8 @@ static int32_t on_hello(fk_robot_t *robot, const fk_frame_t *frame, uint8_t *ans
         told.status = FK_STATUS_OK;
         if (command.conversation != robot->conversation) {
             robot->conversation = command.conversation;
-            fk_repeats_init(&robot->repeats);
-            fk_repeats_note(&robot->repeats, frame->sequence);
+            fk_duplicates_init(&robot->duplicates);
+            fk_duplicates_note(&robot->duplicates, frame->sequence);
         }
     }
     told.protocol_version = FK_PROTOCOL_VERSION;

@@ -9,7 +9,7 @@ void fk_estimator_init(fk_estimator_t *estimator, const fk_tables_t *tables)
         estimator->marks[i] = 0u;
     }
     estimator->next_mark = 0u;
-    estimator->astray_count = 0u;
+    estimator->outlier_count = 0u;
     estimator->restarts = 0u;
     estimator->newest_us = 0u;
     estimator->newest_sequence = 0u;
@@ -40,12 +40,12 @@ static int32_t agree(const fk_fix_t *a, const fk_fix_t *b)
 {
     const uint64_t apart_us =
         (a->capture_us > b->capture_us) ? a->capture_us - b->capture_us : b->capture_us - a->capture_us;
-    const float apart_s = (float)(uint32_t)apart_us * 1e-6f; /* no fix is compared with one of minutes ago: roll() */
+    const float apart_s = (float)(uint32_t)apart_us * 1e-6f; /* no fix is compared with one of minutes ago: coast() */
     const float dx = a->pose[0] - b->pose[0];
     const float dy = a->pose[1] - b->pose[1];
-    const float reach_m = FK_ASTRAY_M + FK_ASTRAY_MPS * apart_s;
+    const float reach_m = FK_OUTLIERS_AGREE_M + FK_OUTLIERS_AGREE_MPS * apart_s;
     return dx * dx + dy * dy <= reach_m * reach_m &&
-           within(fk_wrap_angle(a->pose[2] - b->pose[2]), FK_ASTRAY_RAD + FK_ASTRAY_RAD_S * apart_s);
+           within(fk_wrap_angle(a->pose[2] - b->pose[2]), FK_OUTLIERS_AGREE_RAD + FK_OUTLIERS_AGREE_RAD_S * apart_s);
 }
 
 static void took(fk_estimator_t *estimator, const fk_fix_t *fix)
@@ -63,47 +63,47 @@ static void took(fk_estimator_t *estimator, const fk_fix_t *fix)
 static void start_again(fk_estimator_t *estimator)
 {
     fk_track_t *track = &estimator->track;
-    uint32_t first = FK_ASTRAY_MAX;
-    for (uint32_t i = 0u; i < estimator->astray_count; ++i) {
-        if (estimator->astray[i].capture_us >= track->time_us[0] &&
-            (first == FK_ASTRAY_MAX || estimator->astray[i].capture_us < estimator->astray[first].capture_us)) {
+    uint32_t first = FK_OUTLIERS_MAX;
+    for (uint32_t i = 0u; i < estimator->outlier_count; ++i) {
+        if (estimator->outliers[i].capture_us >= track->time_us[0] &&
+            (first == FK_OUTLIERS_MAX || estimator->outliers[i].capture_us < estimator->outliers[first].capture_us)) {
             first = i;
         }
     }
-    fk_track_place(track, estimator->astray[first].capture_us, estimator->astray[first].pose);
+    fk_track_reset_pose(track, estimator->outliers[first].capture_us, estimator->outliers[first].pose);
     estimator->fixes = 0u;
-    took(estimator, &estimator->astray[first]);
-    for (uint32_t i = 0u; i < estimator->astray_count; ++i) {
-        if (i != first && estimator->astray[i].capture_us >= track->time_us[0]) {
-            (void)fk_track_measure(track, estimator->astray[i].capture_us, estimator->astray[i].pose, 0);
-            took(estimator, &estimator->astray[i]);
+    took(estimator, &estimator->outliers[first]);
+    for (uint32_t i = 0u; i < estimator->outlier_count; ++i) {
+        if (i != first && estimator->outliers[i].capture_us >= track->time_us[0]) {
+            (void)fk_track_update(track, estimator->outliers[i].capture_us, estimator->outliers[i].pose, 0);
+            took(estimator, &estimator->outliers[i]);
         }
     }
-    estimator->astray_count = 0u;
+    estimator->outlier_count = 0u;
 }
 
 /* A fix that was refused for where it is: 1 where the track started again from it and those before. */
 static int32_t strayed(fk_estimator_t *estimator, const fk_fix_t *fix)
 {
-    if (estimator->astray_count > 0u && !agree(fix, &estimator->astray[estimator->astray_count - 1u])) {
-        estimator->astray_count = 0u;
+    if (estimator->outlier_count > 0u && !agree(fix, &estimator->outliers[estimator->outlier_count - 1u])) {
+        estimator->outlier_count = 0u;
     }
-    estimator->astray[estimator->astray_count] = *fix;
-    ++estimator->astray_count;
-    if (estimator->astray_count < FK_ASTRAY_MAX) {
+    estimator->outliers[estimator->outlier_count] = *fix;
+    ++estimator->outlier_count;
+    if (estimator->outlier_count < FK_OUTLIERS_MAX) {
         return 0;
     }
-    fk_spread_doubt(&estimator->track.spread[0]);
-    fk_spread_doubt(&estimator->track.spread[1]);
+    fk_covariance_inflate(&estimator->track.covariance[0]);
+    fk_covariance_inflate(&estimator->track.covariance[1]);
     start_again(estimator);
     ++estimator->restarts;
     return 1;
 }
 
 /* Bring the track to a time; what it forgets, or nobody saw for long, is unknown. */
-static void roll(fk_estimator_t *estimator, uint64_t at_us)
+static void coast(fk_estimator_t *estimator, uint64_t at_us)
 {
-    fk_track_roll(&estimator->track, at_us);
+    fk_track_coast(&estimator->track, at_us);
     if (estimator->track.count == 0u || fk_estimator_is_lost(estimator, at_us, FK_FIX_UNKNOWN_US)) {
         estimator->fixes = 0u;
     }
@@ -114,7 +114,7 @@ static void settle(fk_estimator_t *estimator)
 {
     if (estimator->action_waits != 0u) {
         estimator->action_waits = 0u;
-        roll(estimator, estimator->action_us);
+        coast(estimator, estimator->action_us);
         fk_track_act(&estimator->track, estimator->action_us, estimator->action);
     }
 }
@@ -133,7 +133,7 @@ int32_t fk_estimator_add(fk_estimator_t *estimator, const fk_fix_t *given)
         }
     }
     settle(estimator);
-    roll(estimator, fix.capture_us);
+    coast(estimator, fix.capture_us);
     if (estimator->track.count == 0u) {
         fk_track_begin(&estimator->track, fix.capture_us);
     }
@@ -144,12 +144,12 @@ int32_t fk_estimator_add(fk_estimator_t *estimator, const fk_fix_t *given)
     estimator->next_mark = (uint8_t)((estimator->next_mark + 1u) % FK_FIX_MARKS);
     fix.pose[2] = fk_wrap_angle(fix.pose[2]);
     if (estimator->fixes == 0u) {
-        estimator->astray[0] = fix;
-        estimator->astray_count = 1u;
+        estimator->outliers[0] = fix;
+        estimator->outlier_count = 1u;
         start_again(estimator);
-    } else if (fk_track_measure(&estimator->track, fix.capture_us, fix.pose, 1) != 0) {
+    } else if (fk_track_update(&estimator->track, fix.capture_us, fix.pose, 1) != 0) {
         took(estimator, &fix);
-        estimator->astray_count = 0u;
+        estimator->outlier_count = 0u;
     } else if (!strayed(estimator, &fix)) {
         return FK_STATUS_OUTLIER;
     }
@@ -163,7 +163,7 @@ int32_t fk_estimator_at(fk_estimator_t *estimator, uint64_t at_us, fk_estimate_t
     if (estimator->fixes == 0u || lead_us > FK_FIX_STALE_US || lead_us < -FK_FIX_FUTURE_US) {
         return FK_STATUS_STALE;
     }
-    roll(estimator, at_us);
+    coast(estimator, at_us);
     const fk_track_t *track = &estimator->track;
     if (estimator->fixes == 0u || at_us < track->time_us[0]) {
         return FK_STATUS_STALE;

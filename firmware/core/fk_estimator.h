@@ -20,11 +20,11 @@
 #define FK_FIX_UNKNOWN_US 10000000u /* no fix for longer: the pose is unknown, the next fix is believed */
 #define FK_FIX_FIELD_M 1000.0f   /* positions beyond are refused, and headings beyond as many rad */
 #define FK_FIX_MARKS 64u         /* fixes that a doubled one is looked for in: 1 s at 60 Hz */
-#define FK_ASTRAY_MAX 3u         /* refused fixes that agree until they are believed */
-#define FK_ASTRAY_M 0.02f        /* two of them agree within this, and what a robot swims in between */
-#define FK_ASTRAY_MPS 0.15f
-#define FK_ASTRAY_RAD 0.35f
-#define FK_ASTRAY_RAD_S 1.5f
+#define FK_OUTLIERS_MAX 3u         /* refused fixes that agree until they are believed */
+#define FK_OUTLIERS_AGREE_M 0.02f        /* two of them agree within this, and what a robot swims in between */
+#define FK_OUTLIERS_AGREE_MPS 0.15f
+#define FK_OUTLIERS_AGREE_RAD 0.35f
+#define FK_OUTLIERS_AGREE_RAD_S 1.5f
 
 typedef struct {
     uint64_t capture_us; /* robot's clock */
@@ -36,14 +36,14 @@ typedef struct {
     fk_track_t track;
     uint64_t action_us;           /* when the action begins that waits to be predicted */
     uint64_t newest_us;           /* capture of the newest fix taken */
-    fk_fix_t astray[FK_ASTRAY_MAX]; /* the last fixes that were refused for where they are and agree */
+    fk_fix_t outliers[FK_OUTLIERS_MAX]; /* the last fixes that were refused for where they are and agree */
     uint32_t marks[FK_FIX_MARKS]; /* of the last fixes; 0: none */
     uint32_t restarts;            /* times that the track started again from fixes that agree */
     uint16_t newest_sequence;
     uint8_t action;
     uint8_t action_waits;
     uint8_t next_mark;            /* place of the next one */
-    uint8_t astray_count;
+    uint8_t outlier_count;
     uint8_t fixes;                /* taken since the track began or started again; 255: or more. 0: no state is known */
 } fk_estimator_t;
 

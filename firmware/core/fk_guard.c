@@ -131,36 +131,36 @@ static uint32_t last_of(const fk_guard_limb_t *limb)
     return (limb->next + FK_GUARD_HISTORY - 1u) % FK_GUARD_HISTORY;
 }
 
-static uint32_t crc_of(const fk_guard_kept_t *kept)
+static uint32_t crc_of(const fk_guard_persistent_t *persistent)
 {
     uint32_t crc = 0u;
     for (uint32_t i = 0u; i < FK_LIMBS_MAX; ++i) {
         uint8_t bytes[4];
-        fk_put_u32(bytes, kept->on_us[i]);
+        fk_put_u32(bytes, persistent->on_us[i]);
         crc = fk_crc32(crc, bytes, sizeof(bytes));
     }
     return crc ^ KEPT_MARK;
 }
 
-void fk_guard_keep(const fk_guard_t *guard, fk_guard_kept_t *kept)
+void fk_guard_keep(const fk_guard_t *guard, fk_guard_persistent_t *persistent)
 {
     for (uint32_t i = 0u; i < FK_LIMBS_MAX; ++i) {
         const fk_guard_limb_t *limb = &guard->limbs[i];
         uint32_t last = last_of(limb);
-        kept->on_us[i] = (uint32_t)on_time_us(limb, limb->start_us[last] + limb->on_us[last]);
+        persistent->on_us[i] = (uint32_t)on_time_us(limb, limb->start_us[last] + limb->on_us[last]);
     }
-    kept->crc = crc_of(kept);
+    persistent->crc = crc_of(persistent);
 }
 
-void fk_guard_lose(fk_guard_kept_t *kept) { kept->crc = ~crc_of(kept); }
+void fk_guard_lose(fk_guard_persistent_t *persistent) { persistent->crc = ~crc_of(persistent); }
 
-int32_t fk_guard_resume(fk_guard_t *guard, const fk_guard_kept_t *kept)
+int32_t fk_guard_resume(fk_guard_t *guard, const fk_guard_persistent_t *persistent)
 {
-    if (kept->crc != crc_of(kept)) {
+    if (persistent->crc != crc_of(persistent)) {
         return 0;
     }
     for (uint32_t limb = 0u; limb < FK_LIMBS_MAX; ++limb) {
-        begin_limb(guard, limb, kept->on_us[limb]);
+        begin_limb(guard, limb, persistent->on_us[limb]);
     }
     return 1;
 }

@@ -51,7 +51,7 @@ typedef struct {
 typedef struct {
     uint32_t on_us[FK_LIMBS_MAX];
     uint32_t crc;
-} fk_guard_kept_t;
+} fk_guard_persistent_t;
 
 /* How long after time 0 limbs of which nobody knows how hot they are count as cool. */
 #define FK_UNKNOWN_HEAT_REST_US                                                                                       \
@@ -65,13 +65,13 @@ void fk_guard_init(fk_guard_t *guard);
  * @retval 1  done
  * @retval 0  what was kept is damaged or lost: the books stay as they are
  */
-int32_t fk_guard_resume(fk_guard_t *guard, const fk_guard_kept_t *kept);
+int32_t fk_guard_resume(fk_guard_t *guard, const fk_guard_persistent_t *persistent);
 
 /* Keep what the books hold, which are sound. */
-void fk_guard_keep(const fk_guard_t *guard, fk_guard_kept_t *kept);
+void fk_guard_keep(const fk_guard_t *guard, fk_guard_persistent_t *persistent);
 
 /* The next start is not to believe what is kept. */
-void fk_guard_lose(fk_guard_kept_t *kept);
+void fk_guard_lose(fk_guard_persistent_t *persistent);
 
 /* The books were written by another hand, which answers for them: the checks are made to hold. */
 void fk_guard_seal(fk_guard_t *guard);

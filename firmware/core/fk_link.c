@@ -30,8 +30,8 @@ void fk_robot_on_frame(fk_robot_t *robot, const uint8_t *encoded, uint32_t lengt
     if (fk_auth_has_code(frame.type)) {
         type &= (uint8_t)~FK_AUTH_BIT;
     }
-    fk_repeats_note(&robot->repeats, frame.sequence);
-    const fk_repeat_t *before = fk_repeats_find(&robot->repeats, &frame);
+    fk_duplicates_note(&robot->duplicates, frame.sequence);
+    const fk_duplicate_t *before = fk_duplicates_find(&robot->duplicates, &frame);
     if (before != 0) {
         ++robot->commands_repeated;
         fk_robot_send(robot, type, frame.sequence, before->answer, before->length);
@@ -49,7 +49,7 @@ void fk_robot_on_frame(fk_robot_t *robot, const uint8_t *encoded, uint32_t lengt
         fk_log_finish(robot->log, record, answer[0]);
     }
     if (acts_once(frame.type)) {
-        fk_repeats_keep(&robot->repeats, &frame, answer, answer_length);
+        fk_duplicates_keep(&robot->duplicates, &frame, answer, answer_length);
     }
     fk_robot_send(robot, type, frame.sequence, answer, answer_length);
 }

@@ -32,7 +32,7 @@ int32_t fk_robot_init(fk_robot_t *robot, const uint8_t *image, uint32_t image_by
     robot->plan.depth = FK_DEPTH;
     robot->path.count = 0u;
     fk_guard_init(&robot->guard);
-    fk_repeats_init(&robot->repeats);
+    fk_duplicates_init(&robot->duplicates);
     fk_auth_init(&robot->auth);
     fk_follow_begin(&robot->follow);
 
@@ -42,7 +42,7 @@ int32_t fk_robot_init(fk_robot_t *robot, const uint8_t *image, uint32_t image_by
     robot->reset = FK_RESET_UNKNOWN;
     robot->heat_unknown = 1u;
     robot->supply = FK_SUPPLY_OK;
-    robot->kept = 0;
+    robot->persistent = 0;
     robot->store = 0;
     robot->log = 0;
     robot->log_mark = 0u;
@@ -93,12 +93,12 @@ int32_t fk_robot_init(fk_robot_t *robot, const uint8_t *image, uint32_t image_by
     return FK_OK;
 }
 
-void fk_robot_note_reset(fk_robot_t *robot, uint8_t reset, fk_guard_kept_t *kept)
+void fk_robot_note_reset(fk_robot_t *robot, uint8_t reset, fk_guard_persistent_t *persistent)
 {
     robot->reset = reset;
-    robot->kept = kept;
-    robot->heat_unknown = (fk_guard_resume(&robot->guard, kept) == 0) ? 1u : 0u;
-    fk_guard_keep(&robot->guard, kept);
+    robot->persistent = persistent;
+    robot->heat_unknown = (fk_guard_resume(&robot->guard, persistent) == 0) ? 1u : 0u;
+    fk_guard_keep(&robot->guard, persistent);
 }
 
 void fk_robot_use_store(fk_robot_t *robot, fk_store_t *store) { robot->store = store; }
@@ -206,11 +206,11 @@ static void decide(fk_robot_t *robot)
 /* Of damaged books nothing is kept: the next start does not know how hot the limbs are. */
 static void keep_books(fk_robot_t *robot, int32_t are_sound)
 {
-    if (robot->kept != 0) {
+    if (robot->persistent != 0) {
         if (are_sound != 0) {
-            fk_guard_keep(&robot->guard, robot->kept);
+            fk_guard_keep(&robot->guard, robot->persistent);
         } else {
-            fk_guard_lose(robot->kept);
+            fk_guard_lose(robot->persistent);
         }
     }
 }

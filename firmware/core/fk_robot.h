@@ -47,7 +47,7 @@ int32_t fk_robot_init(fk_robot_t *robot, const uint8_t *image, uint32_t image_by
  * @param kept   RAM that no start-up clears, for the robot to use as long as it lives: it holds how hot the limbs may
  *               be, over resets. Where it does not, they count as fully heated at time 0, as they do without this call
  */
-void fk_robot_note_reset(fk_robot_t *robot, uint8_t reset, fk_guard_kept_t *kept);
+void fk_robot_note_reset(fk_robot_t *robot, uint8_t reset, fk_guard_persistent_t *persistent);
 
 /* Take tables by radio. The store has booted, and fk_robot_init was given its image. */
 void fk_robot_use_store(fk_robot_t *robot, fk_store_t *store);

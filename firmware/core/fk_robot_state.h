@@ -12,7 +12,7 @@
 #include "fk_fit.h"
 #include "fk_follow.h"
 #include "fk_planner.h"
-#include "fk_repeats.h"
+#include "fk_duplicates.h"
 #include "fk_robot.h"
 
 #define FK_START_DELAY_MAX_US 10000000u
@@ -33,9 +33,9 @@ struct fk_robot {
     fk_estimator_t estimator;
     fk_guard_t guard;
 
-    fk_guard_kept_t *kept; /* 0: none */
+    fk_guard_persistent_t *persistent; /* 0: none */
     fk_store_t *store;     /* 0: no tables by radio */
-    fk_repeats_t repeats;
+    fk_duplicates_t duplicates;
     fk_auth_t auth;
 
     fk_log_t *log;      /* 0: none */

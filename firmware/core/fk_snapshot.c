@@ -128,12 +128,12 @@ static void follow(fk_walk_t *walk, fk_follow_t *told)
     u8(walk, &told->begun, 1u);
 }
 
-static void spread(fk_walk_t *walk, fk_spread_t *told, uint32_t states)
+static void covariance(fk_walk_t *walk, fk_covariance_t *told, uint32_t states)
 {
-    f32(walk, &told->kick, 1u);
-    f32(walk, &told->foretold_variance, 1u);
+    f32(walk, &told->process_noise, 1u);
+    f32(walk, &told->predicted_variance, 1u);
     for (uint32_t i = 0u; i < states; ++i) {
-        f32(walk, told->covariance[i], states);
+        f32(walk, told->matrix[i], states);
     }
 }
 
@@ -143,9 +143,9 @@ static void track(fk_walk_t *walk, fk_track_t *told)
     u8(walk, &told->learned, 3u);
     u8(walk, &told->teaches, 1u);
     u8(walk, &told->count, FK_INSTANTS);
-    f32(walk, told->foretold, 3u);
-    spread(walk, &told->spread[0], 2u * told->count);
-    spread(walk, &told->spread[1], 2u * told->count);
+    f32(walk, told->predicted, 3u);
+    covariance(walk, &told->covariance[0], 2u * told->count);
+    covariance(walk, &told->covariance[1], 2u * told->count);
     for (uint32_t axis = 0u; axis < 3u; ++axis) {
         f32(walk, told->mean[axis], 2u * told->count);
     }
@@ -156,7 +156,7 @@ static void track(fk_walk_t *walk, fk_track_t *told)
         }
         if (i + 1u < told->count) { /* the newest instant's period has not begun */
             u8(walk, &told->action[i], actions);
-            u8(walk, &told->rolled[i], 1u);
+            u8(walk, &told->coasted[i], 1u);
             u8(walk, &told->fixes[i], UINT8_MAX);
         }
     }
@@ -171,11 +171,11 @@ static void estimator(fk_walk_t *walk, fk_estimator_t *told)
     u64(walk, &told->newest_us);
     u16(walk, &told->newest_sequence);
     u8(walk, &told->fixes, UINT8_MAX);
-    u8(walk, &told->astray_count, FK_ASTRAY_MAX - 1u);
-    for (uint32_t i = 0u; i < told->astray_count; ++i) {
-        u64(walk, &told->astray[i].capture_us);
-        f32(walk, told->astray[i].pose, 3u);
-        u16(walk, &told->astray[i].sequence);
+    u8(walk, &told->outlier_count, FK_OUTLIERS_MAX - 1u);
+    for (uint32_t i = 0u; i < told->outlier_count; ++i) {
+        u64(walk, &told->outliers[i].capture_us);
+        f32(walk, told->outliers[i].pose, 3u);
+        u16(walk, &told->outliers[i].sequence);
     }
     u8(walk, &told->next_mark, FK_FIX_MARKS - 1u);
     for (uint32_t i = 0u; i < FK_FIX_MARKS; ++i) {

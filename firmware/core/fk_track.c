@@ -25,8 +25,8 @@ void fk_track_init(fk_track_t *track, const fk_tables_t *tables)
         }
     }
     track->fire_s = ((float)tables->pulse_us + (float)tables->second_delay_us) * 1e-6f;
-    fk_spread_init(&track->spread[0], &fk_noise_position);
-    fk_spread_init(&track->spread[1], &fk_noise_heading);
+    fk_covariance_init(&track->covariance[0], &fk_noise_position);
+    fk_covariance_init(&track->covariance[1], &fk_noise_heading);
     track->learned = 0u;
     track->teaches = 0u;
     track->count = 0u;
@@ -81,7 +81,7 @@ static void ask_table(fk_track_t *track, uint32_t from, float heading_rad, float
     }
 }
 
-static void foretell(fk_track_t *track, uint32_t from)
+static void predict(fk_track_t *track, uint32_t from)
 {
     const uint32_t now = 2u * from;
     const uint32_t then = now + 2u;
@@ -101,11 +101,11 @@ static void foretell(fk_track_t *track, uint32_t from)
     track->mean[1][then + 1u] = sine * velocity[0] + cosine * velocity[1];
     track->mean[2][then + 1u] = velocity[2];
     for (uint32_t axis = 0u; axis < 3u; ++axis) {
-        track->foretold[axis] = track->mean[axis][then];
+        track->predicted[axis] = track->mean[axis][then];
     }
     const int32_t resting = (track->action[from] == track->resting_action) ? 1 : 0;
-    fk_spread_foretell(&track->spread[0], from, period_s, resting);
-    fk_spread_foretell(&track->spread[1], from, period_s, resting);
+    fk_covariance_predict(&track->covariance[0], from, period_s, resting);
+    fk_covariance_predict(&track->covariance[1], from, period_s, resting);
 }
 
 static void drop_oldest(fk_track_t *track)
@@ -114,7 +114,7 @@ static void drop_oldest(fk_track_t *track)
     for (uint32_t i = 0u; i < track->count; ++i) {
         track->time_us[i] = track->time_us[i + 1u];
         track->action[i] = track->action[i + 1u];
-        track->rolled[i] = track->rolled[i + 1u];
+        track->coasted[i] = track->coasted[i + 1u];
         track->fixes[i] = track->fixes[i + 1u];
         for (uint32_t limb = 0u; limb < FK_LIMBS_MAX; ++limb) {
             track->limb_use[i][limb] = track->limb_use[i + 1u][limb];
@@ -125,12 +125,12 @@ static void drop_oldest(fk_track_t *track)
             track->mean[axis][i] = track->mean[axis][i + 2u];
         }
     }
-    fk_spread_drop(&track->spread[0], track->count);
-    fk_spread_drop(&track->spread[1], track->count);
+    fk_covariance_marginalise(&track->covariance[0], track->count);
+    fk_covariance_marginalise(&track->covariance[1], track->count);
 }
 
 /* A period begins at the newest instant. */
-static void open_period(fk_track_t *track, uint8_t action, uint8_t rolled)
+static void open_period(fk_track_t *track, uint8_t action, uint8_t coasted)
 {
     if (track->count == FK_INSTANTS) {
         drop_oldest(track);
@@ -142,12 +142,12 @@ static void open_period(fk_track_t *track, uint8_t action, uint8_t rolled)
         track->mean[2][2u * i] -= turns_rad;
     }
     track->action[newest] = action;
-    track->rolled[newest] = rolled;
+    track->coasted[newest] = coasted;
     track->fixes[newest] = 0u;
     track->time_us[newest + 1u] = track->time_us[newest] + track->tables->period_us;
     track->teaches = 1u;
     ++track->count;
-    foretell(track, newest);
+    predict(track, newest);
 }
 
 /* Instant 0 gets a pose of which nothing is sure, and rest. */
@@ -157,11 +157,11 @@ static void put_first(fk_track_t *track, const float *pose)
         track->mean[axis][0] = pose[axis];
         track->mean[axis][1] = 0.0f;
     }
-    fk_spread_unknown(&track->spread[0]);
-    fk_spread_unknown(&track->spread[1]);
+    fk_covariance_reset(&track->covariance[0]);
+    fk_covariance_reset(&track->covariance[1]);
 }
 
-static void begin_with(fk_track_t *track, uint64_t at_us, uint8_t action, uint8_t rolled)
+static void begin_with(fk_track_t *track, uint64_t at_us, uint8_t action, uint8_t coasted)
 {
     static const float origin[3] = {0.0f, 0.0f, 0.0f};
     track->count = 1u;
@@ -170,16 +170,16 @@ static void begin_with(fk_track_t *track, uint64_t at_us, uint8_t action, uint8_
         track->limb_use[0][limb] = 0u;
     }
     put_first(track, origin);
-    open_period(track, action, rolled);
+    open_period(track, action, coasted);
     track->teaches = 0u;
 }
 
 void fk_track_begin(fk_track_t *track, uint64_t at_us) { begin_with(track, at_us, track->resting_action, 1u); }
 
-void fk_track_roll(fk_track_t *track, uint64_t at_us)
+void fk_track_coast(fk_track_t *track, uint64_t at_us)
 {
-    for (uint32_t rolls = 0u; track->count > 0u && at_us > track->time_us[track->count - 1u] + FK_COAST_US; ++rolls) {
-        if (rolls == FK_TRACK_ROLLS_MAX) {
+    for (uint32_t coasts = 0u; track->count > 0u && at_us > track->time_us[track->count - 1u] + FK_COAST_US; ++coasts) {
+        if (coasts == FK_TRACK_COASTS_MAX) {
             fk_track_forget(track);
         } else {
             open_period(track, track->resting_action, 1u);
@@ -213,10 +213,10 @@ void fk_track_state(const fk_track_t *track, uint64_t at_us, float *pose, float 
     }
 }
 
-int32_t fk_track_measure(fk_track_t *track, uint64_t at_us, const float *pose, int32_t gated)
+int32_t fk_track_update(fk_track_t *track, uint64_t at_us, const float *pose, int32_t gated)
 {
     fk_profile_t profile;
-    fk_bearing_t bearing[2];
+    fk_innovation_t innovation[2];
     float off[3];
     const uint32_t states = 2u * track->count;
     const uint32_t from = profile_at(track, at_us, &profile);
@@ -225,9 +225,9 @@ int32_t fk_track_measure(fk_track_t *track, uint64_t at_us, const float *pose, i
     }
     off[2] = fk_wrap_angle(off[2]);
     float position_gate =
-        fk_spread_bearing(&track->spread[0], &profile, from, states, track->fixes[from], &bearing[0]);
+        fk_covariance_innovation(&track->covariance[0], &profile, from, states, track->fixes[from], &innovation[0]);
     float heading_gate =
-        fk_spread_bearing(&track->spread[1], &profile, from, states, track->fixes[from], &bearing[1]);
+        fk_covariance_innovation(&track->covariance[1], &profile, from, states, track->fixes[from], &innovation[1]);
     if (gated == 0) {
         position_gate = FK_EVERYWHERE;
         heading_gate = FK_EVERYWHERE;
@@ -237,21 +237,21 @@ int32_t fk_track_measure(fk_track_t *track, uint64_t at_us, const float *pose, i
         return 0;
     }
     for (uint32_t axis = 0u; axis < 3u; ++axis) {
-        const fk_bearing_t *mine = &bearing[spread_of[axis]];
+        const fk_innovation_t *mine = &innovation[spread_of[axis]];
         const float step = off[axis] / mine->variance;
         for (uint32_t i = 0u; i < states; ++i) {
             track->mean[axis][i] += mine->cross[i] * step;
         }
     }
-    fk_spread_correct(&track->spread[0], &bearing[0], states);
-    fk_spread_correct(&track->spread[1], &bearing[1], states);
+    fk_covariance_update(&track->covariance[0], &innovation[0], states);
+    fk_covariance_update(&track->covariance[1], &innovation[1], states);
     if (track->fixes[from] < UINT8_MAX) {
         ++track->fixes[from];
     }
     return 1;
 }
 
-void fk_track_place(fk_track_t *track, uint64_t at_us, const float *pose)
+void fk_track_reset_pose(fk_track_t *track, uint64_t at_us, const float *pose)
 {
     fk_profile_t profile;
     for (uint32_t i = profile_at(track, at_us, &profile); i > 0u; --i) {
@@ -260,7 +260,7 @@ void fk_track_place(fk_track_t *track, uint64_t at_us, const float *pose)
     put_first(track, pose);
     for (uint32_t i = 0u; i + 1u < track->count; ++i) {
         track->fixes[i] = 0u;
-        foretell(track, i);
+        predict(track, i);
     }
     track->teaches = 0u;
     /* The pose is the one at at_us, not the one at instant 0: all of them move. */
@@ -270,7 +270,7 @@ void fk_track_place(fk_track_t *track, uint64_t at_us, const float *pose)
             track->mean[axis][2u * i] += off;
         }
     }
-    (void)fk_track_measure(track, at_us, pose, 0);
+    (void)fk_track_update(track, at_us, pose, 0);
 }
 
 /* How far off the table was in the period that ends tells how far off it may be in the next. */
@@ -279,12 +279,12 @@ static void learn(fk_track_t *track)
     const uint32_t newest = track->count - 1u;
     float square[3];
     for (uint32_t axis = 0u; axis < 3u; ++axis) {
-        const float off = track->mean[axis][2u * newest] - track->foretold[axis];
+        const float off = track->mean[axis][2u * newest] - track->predicted[axis];
         square[axis] = off * off;
     }
     const float part = learn_parts[track->learned];
-    fk_spread_learn(&track->spread[0], newest, square[0] + square[1], 2.0f, part);
-    fk_spread_learn(&track->spread[1], newest, square[2], 1.0f, part);
+    fk_covariance_adapt(&track->covariance[0], newest, square[0] + square[1], 2.0f, part);
+    fk_covariance_adapt(&track->covariance[1], newest, square[2], 1.0f, part);
     if (track->learned < 3u) {
         ++track->learned;
     }
@@ -302,8 +302,8 @@ static void move_newest(fk_track_t *track, uint64_t at_us)
         mean[1] = fk_profile_sum(profile.speed, mean - 2);
         mean[0] = pose;
     }
-    fk_spread_move(&track->spread[0], &profile, newest);
-    fk_spread_move(&track->spread[1], &profile, newest);
+    fk_covariance_retime(&track->covariance[0], &profile, newest);
+    fk_covariance_retime(&track->covariance[1], &profile, newest);
     track->time_us[newest] = at_us;
 }
 
@@ -311,7 +311,7 @@ static void move_newest(fk_track_t *track, uint64_t at_us)
 static int32_t is_hasty(const fk_track_t *track, uint64_t at_us)
 {
     const uint32_t latest = track->count - 2u;
-    return track->rolled[latest] != 0u && at_us < track->time_us[latest] + FK_COAST_US;
+    return track->coasted[latest] != 0u && at_us < track->time_us[latest] + FK_COAST_US;
 }
 
 const uint16_t *fk_track_limb_use(const fk_track_t *track, uint64_t at_us)
@@ -334,7 +334,7 @@ void fk_track_act(fk_track_t *track, uint64_t at_us, uint8_t action)
     if (at_us < track->time_us[latest] + FK_PERIOD_LEAST_US) {
         --track->count;
     } else {
-        if (track->teaches != 0u && track->rolled[latest] == 0u) {
+        if (track->teaches != 0u && track->coasted[latest] == 0u) {
             learn(track);
         }
         if (at_us != track->time_us[latest + 1u]) {

@@ -1,8 +1,14 @@
-/* Where the robot was, is and will be: its state at the last few instants at which a stroke began, and at the next.
+/* Where the robot was, is and will be: a Kalman filter with fixed-lag smoothing, one for each of x, y and heading.
+ *
+ *   state  pose and speed at the last FK_INSTANTS instants, so that a late fix corrects what was then and all since
+ *   F      from instant to instant the table says; its derivative is taken as p' = p + 0.8 T v, v' = 0.7 v
+ *   Q      of a stroke: (0.8 T, 0.7) (0.8 T, 0.7)^T q + 0.04 diag(T^2, 1) q; q is learned from innovations
+ *   H      fk_profile.h: a pose at any time within a period from pose and speed at its two ends
+ *   R      of a fix, and the profile's own error; gate: five standard deviations of the innovation, and a margin
  *
  * An instant is the time of a decision, or of a stroke by command; between two lies a period. The table says how the
  * robot gets from one instant to the next, fk_profile.h what of that it has done at a time in between. All states
- * stand in one Gaussian estimate (fk_spread.h), so a pose measured at any time corrects every instant that it says
+ * stand in one Gaussian estimate (fk_covariance.h), so a pose measured at any time corrects every instant that it says
  * something about: one from before the last stroke corrects the state then and with it what followed.
  *
  * World frame. x, y and heading are estimated apart. How much each limb was used lately is counted from the actions.
@@ -13,9 +19,9 @@
 #include <stdint.h>
 
 #include "fk_planner.h"
-#include "fk_spread.h"
+#include "fk_covariance.h"
 
-#define FK_TRACK_ROLLS_MAX 8u     /* periods without a word that are predicted at once; after more all is forgotten */
+#define FK_TRACK_COASTS_MAX 8u     /* periods without a word that are predicted at once; after more all is forgotten */
 #define FK_COAST_US 200000u       /* so late may word of a decision come before the robot counts as resting */
 #define FK_PERIOD_LEAST_US 50000u /* an action that follows another one sooner takes its place */
 
@@ -23,27 +29,27 @@ typedef struct {
     const fk_tables_t *tables;
     uint64_t time_us[FK_INSTANTS]; /* oldest first; the newest is the end of the period under way */
     float mean[3][FK_TRACK_STATES]; /* x m, y m, heading rad (any turn); as covariance: pose, speed at each instant */
-    float foretold[3];             /* the newest instant's pose, as its period began */
-    fk_spread_t spread[2];         /* of x and y; of heading */
+    float predicted[3];             /* the newest instant's pose, as its period began */
+    fk_covariance_t covariance[2];         /* of x and y; of heading */
     float fire_s;                  /* from a stroke's start to its last limb's end */
     uint16_t limb_use[FK_INSTANTS][FK_LIMBS_MAX];
     uint8_t action[FK_INSTANTS];   /* of the period that begins there; tables->actions: rest, for which no row is */
-    uint8_t rolled[FK_INSTANTS];   /* 1: nobody asked for that period, it is taken as one of rest */
+    uint8_t coasted[FK_INSTANTS];   /* 1: nobody asked for that period, it is taken as one of rest */
     uint8_t fixes[FK_INSTANTS];    /* taken within that period; 255: or more */
     uint8_t count;                 /* instants: 0 (nothing is known) or 2 to FK_INSTANTS */
-    uint8_t learned;               /* periods from which the kick was learned; 3: or more */
-    uint8_t teaches;               /* 1: `foretold` is from a state that was known */
+    uint8_t learned;               /* periods from which the process noise was learned; 3: or more */
+    uint8_t teaches;               /* 1: `predicted` is from a state that was known */
     uint8_t resting_action;        /* first that fires no limb; tables->actions where there is none */
 } fk_track_t;
 
 /* tables must outlive the track. */
 void fk_track_init(fk_track_t *track, const fk_tables_t *tables);
 
-/* Nothing is known any more, but how large kicks are. */
+/* Nothing is known any more, but the process noise. */
 void fk_track_forget(fk_track_t *track);
 
 /* Predict periods of rest until at_us is at most FK_COAST_US after the newest instant, or forget. */
-void fk_track_roll(fk_track_t *track, uint64_t at_us);
+void fk_track_coast(fk_track_t *track, uint64_t at_us);
 
 /* Begin at rest at at_us, somewhere. */
 void fk_track_begin(fk_track_t *track, uint64_t at_us);
@@ -52,13 +58,13 @@ void fk_track_begin(fk_track_t *track, uint64_t at_us);
 void fk_track_act(fk_track_t *track, uint64_t at_us, uint8_t action);
 
 /* Believe no pose but this one; actions and limb use stay known. at_us: not before the oldest instant. */
-void fk_track_place(fk_track_t *track, uint64_t at_us, const float *pose);
+void fk_track_reset_pose(fk_track_t *track, uint64_t at_us, const float *pose);
 
 /* Correct all states by a pose (x, y, heading) measured at at_us, not before the oldest instant.
  * gated: 1 = refuse one that is too far from where the robot is expected
  * @retval 1  taken
  * @retval 0  refused, nothing changed */
-int32_t fk_track_measure(fk_track_t *track, uint64_t at_us, const float *pose, int32_t gated);
+int32_t fk_track_update(fk_track_t *track, uint64_t at_us, const float *pose, int32_t gated);
 
 /* Pose and speed, three each, at at_us: not before the oldest instant. */
 void fk_track_state(const fk_track_t *track, uint64_t at_us, float *pose, float *speed);

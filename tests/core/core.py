@@ -41,10 +41,10 @@ void fk_robot_use_store(void *robot, void *store);
 void fk_robot_on_frame(void *robot, const uint8_t *encoded, uint32_t length, uint64_t now_us);
 void fk_robot_tick(void *robot, uint64_t now_us, fk_outputs_t *outputs);
 void fk_robot_note_tick(void *robot, uint32_t elapsed_us);
-typedef struct { uint32_t on_us[8]; uint32_t crc; } fk_guard_kept_t;
-void fk_robot_note_reset(void *robot, uint8_t reset, fk_guard_kept_t *kept);
-void fk_guard_keep(const void *guard, fk_guard_kept_t *kept);
-int32_t fk_guard_resume(void *guard, const fk_guard_kept_t *kept);
+typedef struct { uint32_t on_us[8]; uint32_t crc; } fk_guard_persistent_t;
+void fk_robot_note_reset(void *robot, uint8_t reset, fk_guard_persistent_t *kept);
+void fk_guard_keep(const void *guard, fk_guard_persistent_t *kept);
+int32_t fk_guard_resume(void *guard, const fk_guard_persistent_t *kept);
 void fk_robot_note_pulse_failed(void *robot, int32_t error);
 void fk_robot_note_link_lost(void *robot);
 void fk_robot_note_supply(void *robot, int32_t is_low);
@@ -198,7 +198,7 @@ LATE_US = 200  # FK_PORT_LATE_US: what a port may take from the time it tells to
 
 def kept_of(on_us: Sequence[int] = ()) -> Any:
     """RAM that outlived a reset: these times, with the CRC that says that they are whole."""
-    kept = FFI.new("fk_guard_kept_t *")
+    kept = FFI.new("fk_guard_persistent_t *")
     kept.on_us = [*on_us, *[0] * (8 - len(on_us))]
     kept.crc = zlib.crc32(bytes(FFI.buffer(kept))[:32]) ^ 0x64726147
     return kept

@@ -98,7 +98,7 @@ class Twin:
         track = self._twin.track
         count = len(track.instants)
         values = [track.mean, track.covariance] if count else []
-        content = b"".join(part.astype(np.float32).tobytes() for part in [*values, track.kick])
+        content = b"".join(part.astype(np.float32).tobytes() for part in [*values, track.process_noise])
         return content, (count, self._twin._fixes, self._twin.restarts)
 
     def spoil(self, speed: int, value: float) -> None:

@@ -42,8 +42,8 @@ static sent_t sent[KEPT];
 static uint32_t sent_count;
 static uint32_t is_again; /* what the robot hears now it has heard before: its answer is the one of then */
 static fk_frame_collector_t collector;
-static fk_guard_kept_t kept; /* RAM that a reset leaves alone */
-static const fk_guard_kept_t cold = {{0u}, 0x190a55adu ^ 0x64726147u}; /* the first: CRC-32 of 32 zeros */
+static fk_guard_persistent_t kept; /* RAM that a reset leaves alone */
+static const fk_guard_persistent_t cold = {{0u}, 0x190a55adu ^ 0x64726147u}; /* the first: CRC-32 of 32 zeros */
 static fk_log_t history;     /* likewise */
 
 static uint64_t draw(void)

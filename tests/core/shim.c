@@ -157,7 +157,7 @@ int32_t fk_test_estimator_at(fk_test_estimator_t *test, uint64_t at_us, float *s
     return error;
 }
 
-/* All that the track believes: means, covariances, kicks; and what the estimator counts. Returns the floats written. */
+/* All that the track believes: means, covariances, process noise; and what the estimator counts. Returns the floats written. */
 uint32_t fk_test_estimator_inside(fk_test_estimator_t *test, float *values, uint32_t *counts)
 {
     fk_estimate_t none;
@@ -172,12 +172,12 @@ uint32_t fk_test_estimator_inside(fk_test_estimator_t *test, float *values, uint
     for (uint32_t k = 0u; k < 2u; ++k) {
         for (uint32_t i = 0u; i < 2u * track->count; ++i) {
             for (uint32_t j = 0u; j < 2u * track->count; ++j) {
-                values[at++] = track->spread[k].covariance[i][j];
+                values[at++] = track->covariance[k].matrix[i][j];
             }
         }
     }
-    values[at++] = track->spread[0].kick;
-    values[at++] = track->spread[1].kick;
+    values[at++] = track->covariance[0].process_noise;
+    values[at++] = track->covariance[1].process_noise;
     counts[0] = track->count;
     counts[1] = test->estimator.fixes;
     counts[2] = test->estimator.restarts;

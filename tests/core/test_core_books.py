@@ -40,7 +40,7 @@ def test_unknown_heat_is_heat() -> None:
     """After a time without supply, or at the first power-on, RAM holds anything."""
     rng = np.random.default_rng(5)
     for content in (bytes(36), b"\xff" * 36, b"\xa5" * 36, rng.bytes(36), rng.bytes(36)):
-        kept = FFI.new("fk_guard_kept_t *")
+        kept = FFI.new("fk_guard_persistent_t *")
         FFI.buffer(kept)[:] = content
         guard = Guard(kept=kept)
         assert not guard.known
@@ -52,7 +52,7 @@ def test_one_flipped_bit_in_what_is_kept_is_unknown_heat() -> None:
     assert before.allow(0b01, PULSE_MAX_US, 10**7)
     whole = bytes(FFI.buffer(before.keep()))
     for bit in range(8 * len(whole)):
-        kept = FFI.new("fk_guard_kept_t *")
+        kept = FFI.new("fk_guard_persistent_t *")
         FFI.buffer(kept)[:] = flipped(whole, bit)
         guard = Guard(kept=kept)
         assert not guard.known

@@ -45,7 +45,7 @@ class Guard:
         self._core.fk_guard_not_begun(self._memory, mask)
 
     def keep(self) -> Any:
-        kept = FFI.new("fk_guard_kept_t *")
+        kept = FFI.new("fk_guard_persistent_t *")
         self._core.fk_guard_keep(self._memory, kept)
         return kept
 

@@ -77,7 +77,7 @@ def back_to_new(flash: Flash) -> None:
 
 def back_and_full(flash: Flash) -> None:
     back_to_new(flash)
-    # Uploads that are begun overwrite the table before: roll back and forth instead.
+    # Uploads that are begun overwrite the table before: coast back and forth instead.
     while flash.store.place < PLACES:
         assert flash.rollback(NEW if flash.image == OLD else OLD) == "OK"
     if flash.image == NEW:

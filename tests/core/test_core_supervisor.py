@@ -316,7 +316,7 @@ def test_a_table_that_is_refused_is_told() -> None:
 def test_why_it_started_is_told(reason: str) -> None:
     robot = Robot()
     assert robot.ask("STATUS")["reset"] == RESET["UNKNOWN"]
-    kept = FFI.new("fk_guard_kept_t *")
+    kept = FFI.new("fk_guard_persistent_t *")
     core().fk_robot_note_reset(robot.memory, RESET[reason], kept)
     assert robot.ask("STATUS")["reset"] == RESET[reason]
     assert robot.state() == "DISARMED"

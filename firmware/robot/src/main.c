@@ -20,7 +20,7 @@ static fk_robot_t robot;
 static fk_frame_collector_t collector;
 static fk_flash_t flash;
 static fk_store_t store;
-static __noinit fk_guard_kept_t kept;
+static __noinit fk_guard_persistent_t persistent;
 static __noinit fk_log_t history;
 static K_SEM_DEFINE(wake, 0, 1);
 
@@ -137,7 +137,7 @@ static void boot_robot(uint8_t reset)
     } else {
         (void)fk_robot_init(&robot, fk_table_image, fk_table_image_bytes);
     }
-    fk_robot_note_reset(&robot, reset, &kept);
+    fk_robot_note_reset(&robot, reset, &persistent);
     fk_robot_use_log(&robot, &history);
 }
 

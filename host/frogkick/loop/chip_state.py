@@ -156,7 +156,7 @@ def _read_estimator(reader: _Reader, tables: Tables) -> Estimator:
     for _ in range(reader.one("B", 2)):
         capture_us = reader.one("Q")
         pose = reader.floats(3)
-        estimator._astray.append(_Fix(capture_us, pose, reader.one("H")))
+        estimator._outliers.append(_Fix(capture_us, pose, reader.one("H")))
     following = reader.one("B", MARKS - 1)
     marks = reader.take(f"{MARKS}I")
     oldest_first = marks[following:] + marks[:following]
@@ -173,14 +173,14 @@ def _read_track(reader: _Reader, estimator: Estimator, tables: Tables) -> None:
     track._teaches = bool(teaches)
     count = reader.one("B", INSTANTS)
     size = 2 * count
-    track._foretold = reader.floats(3)
-    kicks, foretold, covariances = [], [], []
+    track._predicted = reader.floats(3)
+    process_noise, predicted, covariances = [], [], []
     for _ in range(2):
-        kicks.append(reader.floats(1)[0])
-        foretold.append(reader.floats(1)[0])
+        process_noise.append(reader.floats(1)[0])
+        predicted.append(reader.floats(1)[0])
         covariances.append(reader.floats(size * size).reshape(size, size))
-    track.kick = np.array(kicks, dtype=np.float32)
-    track._foretold_variance = np.array(foretold, dtype=np.float32)
+    track.process_noise = np.array(process_noise, dtype=np.float32)
+    track._predicted_variance = np.array(predicted, dtype=np.float32)
     track.covariance = np.stack(covariances)
     track.mean = np.stack([reader.floats(size) for _ in range(3)])
     track.instants = []
@@ -189,6 +189,6 @@ def _read_track(reader: _Reader, estimator: Estimator, tables: Tables) -> None:
         instant = _Instant(time_us, np.array(reader.take(f"{LIMBS_MAX}H"), dtype=np.int64))
         if index + 1 < count:
             instant.action = reader.one("B", len(tables.actions))
-            instant.rolled = bool(reader.one("B", 1))
+            instant.coasted = bool(reader.one("B", 1))
             instant.fixes = reader.one("B")
         track.instants.append(instant)

@@ -17,7 +17,7 @@ from frogkick.planner.image import Tables
 from frogkick.planner.track import Track, sine_cosine, wrapped
 
 MARKS = 64
-ASTRAY_MAX = 3
+OUTLIERS_MAX = 3
 STALE_US = 500_000
 FUTURE_US = 100_000
 LOST_US = 2_000_000
@@ -27,8 +27,8 @@ FIELD_M = np.float32(1000.0)
 OK, RANGE, DOUBLE, OLD, OUTLIER = 0, -3, -70, -71, -72
 """What becomes of a fix; the link's status values (``frames.toml``)."""
 
-_ASTRAY_M, _ASTRAY_MPS = np.float32(0.02), np.float32(0.15)
-_ASTRAY_RAD, _ASTRAY_RAD_S = np.float32(0.35), np.float32(1.5)
+_OUTLIERS_AGREE_M, _OUTLIERS_AGREE_MPS = np.float32(0.02), np.float32(0.15)
+_OUTLIERS_AGREE_RAD, _OUTLIERS_AGREE_RAD_S = np.float32(0.35), np.float32(1.5)
 _MICROSECOND = np.float32(1e-6)
 
 
@@ -86,7 +86,7 @@ class Estimator:
     tables: Tables
     restarts: int = 0
     _newest: _Fix | None = None
-    _astray: list[_Fix] = field(default_factory=list)
+    _outliers: list[_Fix] = field(default_factory=list)
     _fixes: int = 0
 
     def __post_init__(self) -> None:
@@ -121,7 +121,7 @@ class Estimator:
     def act(self, at_us: int, action: int) -> None:
         """The robot begins an action; again for the same time: it does this one instead."""
         with np.errstate(all="ignore"):
-            self._roll(at_us)
+            self._coast(at_us)
             self.track.act(at_us, action)
 
     def at(self, at_us: int) -> Estimate | None:
@@ -130,7 +130,7 @@ class Estimator:
         if newest is None or not self._fixes or not -FUTURE_US <= at_us - newest.capture_us <= STALE_US:
             return None
         with np.errstate(all="ignore"):
-            self._roll(at_us)
+            self._coast(at_us)
             if not self._fixes or at_us < self.track.instants[0].time_us:
                 return None
             pose, speed = self.track.state(at_us)
@@ -141,14 +141,14 @@ class Estimator:
         limb_use = self.track.limb_use(at_us).astype(np.uint16)
         return Estimate(state, limb_use, newest.sequence & 0xFFFF, self._fixes)
 
-    def _roll(self, at_us: int) -> None:
-        self.track.roll(at_us)
+    def _coast(self, at_us: int) -> None:
+        self.track.coast(at_us)
         unseen = self._newest is not None and at_us - self._newest.capture_us > UNKNOWN_US
         if not self.track.instants or unseen:
             self._fixes = 0
 
     def _evaluate(self, fix: _Fix) -> int:
-        self._roll(fix.capture_us)
+        self._coast(fix.capture_us)
         if not self.track.instants:
             self.track.begin(fix.capture_us)
         if fix.capture_us < self.track.instants[0].time_us:
@@ -158,18 +158,18 @@ class Estimator:
         pose[2] = wrapped(pose[2])
         fix = _Fix(fix.capture_us, pose, fix.sequence)
         if self._fixes == 0:
-            self._astray = [fix]
+            self._outliers = [fix]
             self._start_again()
-        elif self.track.measure(fix.capture_us, fix.pose):
+        elif self.track.update(fix.capture_us, fix.pose):
             self._took(fix)
-            self._astray = []
+            self._outliers = []
         else:
-            if self._astray and not _agree(fix, self._astray[-1]):
-                self._astray = []
-            self._astray.append(fix)
-            if len(self._astray) < ASTRAY_MAX:
+            if self._outliers and not _agree(fix, self._outliers[-1]):
+                self._outliers = []
+            self._outliers.append(fix)
+            if len(self._outliers) < OUTLIERS_MAX:
                 return OUTLIER
-            self.track.doubt()
+            self.track.inflate()
             self._start_again()
             self.restarts += 1
         return OK
@@ -181,22 +181,22 @@ class Estimator:
 
     def _start_again(self) -> None:
         """From the fixes that agree, the earliest first; those from before the oldest instant have no say."""
-        kept = [fix for fix in self._astray if fix.capture_us >= self.track.instants[0].time_us]
+        kept = [fix for fix in self._outliers if fix.capture_us >= self.track.instants[0].time_us]
         first = min(kept, key=lambda fix: fix.capture_us)
-        self.track.place(first.capture_us, first.pose)
+        self.track.reset_pose(first.capture_us, first.pose)
         self._fixes = 0
         self._took(first)
         for fix in kept:
             if fix is not first:
-                self.track.measure(fix.capture_us, fix.pose, gated=False)
+                self.track.update(fix.capture_us, fix.pose, gated=False)
                 self._took(fix)
-        self._astray = []
+        self._outliers = []
 
 
 def _agree(a: _Fix, b: _Fix) -> bool:
     """Two fixes may be of one robot that swam in between."""
     apart_s = np.float32(abs(a.capture_us - b.capture_us)) * _MICROSECOND
     offset = a.pose - b.pose
-    reach_m = _ASTRAY_M + _ASTRAY_MPS * apart_s
+    reach_m = _OUTLIERS_AGREE_M + _OUTLIERS_AGREE_MPS * apart_s
     near = offset[0] * offset[0] + offset[1] * offset[1] <= reach_m * reach_m
-    return bool(near and abs(wrapped(offset[2])) <= _ASTRAY_RAD + _ASTRAY_RAD_S * apart_s)
+    return bool(near and abs(wrapped(offset[2])) <= _OUTLIERS_AGREE_RAD + _OUTLIERS_AGREE_RAD_S * apart_s)

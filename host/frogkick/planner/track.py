@@ -1,4 +1,4 @@
-"""Where the robot was, is and will be: the twin of fk_profile.c, fk_spread.c and fk_track.c.
+"""A Kalman filter with fixed-lag smoothing: the twin of fk_profile.c, fk_covariance.c and fk_track.c.
 
 Written from their headers: states are columns of arrays that grow and shrink instead of fixed ones that
 shift. What the two share is the order of float32 operations, each rounded once, and the numbers below.
@@ -22,7 +22,7 @@ from frogkick.planner.lookup import DYNAMICS, arrays_of, dynamics_after, find_ro
 Float32 = npt.NDArray[np.float32]
 
 INSTANTS = 4
-ROLLS_MAX = 8
+COASTS_MAX = 8
 COAST_US = 200_000
 PERIOD_LEAST_US = 50_000
 
@@ -31,14 +31,14 @@ _MICROSECOND = _F(1e-6)
 _TIME_MAX_US = 2**32 - 1
 _GLIDE_PART = _F(0.41666667)
 _PULL, _REMAINS, _APART, _RESTING = _F(0.8), _F(0.7), _F(0.2), _F(0.0625)
-_SHAPE_OF_KICK_S2, _SHAPE_COMMON = _F(0.0064), _F(0.3)
-_DOUBT = _F(4)
+_SHAPE_OF_NOISE_S2, _SHAPE_COMMON = _F(0.0064), _F(0.3)
+_INFLATION = _F(4)
 _SPEED_MOST = _F(1000)
 _GATE, _EVERYWHERE = _F(25), _F(1e30)
 _INFORMED, _WORD_MOST = _F(0.5), _F(9)
 _LEARN_PARTS = (_F(0.5), _F(0.33333334), _F(0.25), _F(0.2))
 _LOWER = np.tri(2 * INSTANTS, dtype=bool)
-_SPREAD_OF = np.array([0, 0, 1])  # which variances belong to x, y, heading
+_COVARIANCE_OF = np.array([0, 0, 1])  # which variances belong to x, y, heading
 
 
 def _pair(position: float, heading: float) -> Float32:
@@ -49,9 +49,9 @@ def _pair(position: float, heading: float) -> Float32:
 _FIX = _pair(4e-8, 1.2185e-5)
 _SHAPE = _pair(3.6e-7, 1.0966e-4)
 _GATE_MORE = _pair(9e-6, 2.7416e-3)
-_KICK = _pair(1e-4, 0.030462)
-_KICK_LEAST = _pair(9e-8, 2.7416e-5)
-_KICK_MOST = _pair(3.6e-3, 1.0966)
+_PROCESS_NOISE = _pair(1e-4, 0.030462)
+_PROCESS_NOISE_LEAST = _pair(9e-8, 2.7416e-5)
+_PROCESS_NOISE_MOST = _pair(3.6e-3, 1.0966)
 _POSE_UNKNOWN = _pair(0.01, 1.0)
 _SPEED_UNKNOWN = _pair(2.5e-3, 1.0)
 
@@ -144,7 +144,7 @@ class _Instant:
     time_us: int
     limb_use: npt.NDArray[np.int64]
     action: int = -1
-    rolled: bool = False
+    coasted: bool = False
     fixes: int = 0
 
 
@@ -153,54 +153,54 @@ class Track:
     """States at the last instants.
 
     Attributes:
-        tables: what foretells.
+        tables: what predicts.
         instants: oldest first; the last is the end of the period under way.
         mean: (3, 2 n) float32 x, y, heading: pose and speed at each instant, world.
         covariance: (2, 2 n, 2 n) float32 of x and of y, of heading.
-        kick: (2,) float32 variance of the speed that a stroke gives beside the table's word.
+        process_noise: (2,) float32 variance of the speed that a stroke gives beside what the table says.
     """
 
     tables: Tables
     instants: list[_Instant] = field(default_factory=list)
     mean: Float32 = field(default_factory=lambda: np.zeros((3, 0), dtype=np.float32))
     covariance: Float32 = field(default_factory=lambda: np.zeros((2, 0, 0), dtype=np.float32))
-    kick: Float32 = field(default_factory=_KICK.copy)
+    process_noise: Float32 = field(default_factory=_PROCESS_NOISE.copy)
 
     def __post_init__(self) -> None:
         self._arrays = arrays_of(self.tables)
         self._per_velocity = _F(1) / np.asarray(self.tables.velocity_scale, dtype=np.float32)
         self.resting_action = resting_action_of(self.tables)
         self._fire_s = (_F(self.tables.pulse_us) + _F(self.tables.second_delay_us)) * _MICROSECOND
-        self._foretold = np.zeros(3, dtype=np.float32)
-        self._foretold_variance = np.zeros(2, dtype=np.float32)
+        self._predicted = np.zeros(3, dtype=np.float32)
+        self._predicted_variance = np.zeros(2, dtype=np.float32)
         self._learned = 0
         self._teaches = False
 
-    def doubt(self) -> None:
-        """The robot was not where the track had it: kicks may be larger than was learned."""
-        self.kick = np.minimum(_DOUBT * self.kick, _KICK_MOST)
+    def inflate(self) -> None:
+        """The robot was not where the track had it: the process noise may be larger."""
+        self.process_noise = np.minimum(_INFLATION * self.process_noise, _PROCESS_NOISE_MOST)
 
     def forget(self) -> None:
-        """Know nothing any more, but how large kicks are."""
+        """Know nothing any more, but the process noise."""
         self.instants = []
 
     def begin(self, at_us: int) -> None:
         """Begin at rest, somewhere."""
-        self._begin(at_us, self.resting_action, rolled=True)
+        self._begin(at_us, self.resting_action, coasted=True)
 
-    def roll(self, at_us: int) -> None:
+    def coast(self, at_us: int) -> None:
         """Predict periods of rest until a time, or forget."""
-        for _ in range(ROLLS_MAX):
+        for _ in range(COASTS_MAX):
             if not self.instants or at_us <= self.instants[-1].time_us + COAST_US:
                 return
-            self._open(self.resting_action, rolled=True)
+            self._open(self.resting_action, coasted=True)
         if at_us > self.instants[-1].time_us + COAST_US:
             self.forget()
 
     def act(self, at_us: int, action: int) -> None:
         """An action begins: the newest instant is put there."""
         if not self.instants:
-            self._begin(at_us, action, rolled=False)
+            self._begin(at_us, action, coasted=False)
             return
         if len(self.instants) > 2 and self._is_hasty(at_us):
             self._undo()
@@ -208,11 +208,11 @@ class Track:
         if at_us < self.instants[-2].time_us + PERIOD_LEAST_US:
             self._undo()
         else:
-            if self._teaches and not self.instants[-2].rolled:
+            if self._teaches and not self.instants[-2].coasted:
                 self._learn()
             if at_us != self.instants[-1].time_us:
                 self._move_newest(at_us)
-        self._open(action, rolled=False)
+        self._open(action, coasted=False)
 
     def limb_use(self, at_us: int) -> npt.NDArray[np.int64]:
         """(8,) how much each limb was used, for an action that begins at a time."""
@@ -224,7 +224,7 @@ class Track:
         there = self.mean[:, 2 * first : 2 * first + 4]
         return _weighted(profile.pose, there), _weighted(profile.speed, there)
 
-    def measure(self, at_us: int, pose: Float32, gated: bool = True) -> bool:
+    def update(self, at_us: int, pose: Float32, gated: bool = True) -> bool:
         """Correct all states by a pose (3,); False where the gate refuses it and nothing changes."""
         first, profile = self._profile(at_us)
         here = slice(2 * first, 2 * first + 4)
@@ -233,12 +233,12 @@ class Track:
         off[2] = wrapped(off[2])
         cross = _weighted(profile.pose, self.covariance[:, :, here])
         expected = _weighted(profile.pose, cross[:, here])
-        shape = (_SHAPE + _SHAPE_OF_KICK_S2 * self.kick) * (profile.doubt * profile.doubt)
+        shape = (_SHAPE + _SHAPE_OF_NOISE_S2 * self.process_noise) * (profile.doubt * profile.doubt)
         variance = expected + (_FIX + shape * (_F(1) + _SHAPE_COMMON * _F(period.fixes)))
         gate = _GATE * (variance + _GATE_MORE) if gated else np.full(2, _EVERYWHERE)
         if not (off[0] * off[0] + off[1] * off[1] <= gate[0] and off[2] * off[2] <= gate[1]):
             return False
-        self.mean = self.mean + cross[_SPREAD_OF] * (off / variance[_SPREAD_OF])[:, None]
+        self.mean = self.mean + cross[_COVARIANCE_OF] * (off / variance[_COVARIANCE_OF])[:, None]
         gain = cross * (_F(1) / variance)[:, None]
         less = self.covariance - gain[:, :, None] * cross[:, None, :]
         lower = _LOWER[: less.shape[1], : less.shape[1]]
@@ -246,27 +246,27 @@ class Track:
         period.fixes = min(period.fixes + 1, 255)
         return True
 
-    def place(self, at_us: int, pose: Float32) -> None:
+    def reset_pose(self, at_us: int, pose: Float32) -> None:
         """Believe no pose but this one; actions and limb use stay known."""
         first, profile = self._profile(at_us)
         self.instants = self.instants[first:]
         self._unknown(pose)
         for index in range(len(self.instants) - 1):
             self.instants[index].fixes = 0
-            self._foretell(index)
+            self._predict(index)
         self._teaches = False
         off = pose - _weighted(profile.pose, self.mean[:, :4])
         self.mean[:, 0::2] = self.mean[:, 0::2] + off[:, None]
-        self.measure(at_us, pose, gated=False)
+        self.update(at_us, pose, gated=False)
 
     def _is_hasty(self, at_us: int) -> bool:
         """Rest was assumed for the period under way before word of what begins at a time could come."""
-        return self.instants[-2].rolled and at_us < self.instants[-2].time_us + COAST_US
+        return self.instants[-2].coasted and at_us < self.instants[-2].time_us + COAST_US
 
-    def _begin(self, at_us: int, action: int, rolled: bool) -> None:
+    def _begin(self, at_us: int, action: int, coasted: bool) -> None:
         self.instants = [_Instant(int(at_us), np.zeros(LIMBS_MAX, dtype=np.int64))]
         self._unknown(np.zeros(3, dtype=np.float32))
-        self._open(action, rolled)
+        self._open(action, coasted)
         self._teaches = False
 
     def _unknown(self, pose: Float32) -> None:
@@ -281,7 +281,7 @@ class Track:
         del self.instants[-1]
         self.mean, self.covariance = self.mean[:, :-2], self.covariance[:, :-2, :-2]
 
-    def _open(self, action: int, rolled: bool) -> None:
+    def _open(self, action: int, coasted: bool) -> None:
         if len(self.instants) == INSTANTS:
             del self.instants[0]
             self.mean, self.covariance = self.mean[:, 2:], self.covariance[:, 2:, 2:]
@@ -289,12 +289,12 @@ class Track:
         self.mean = self.mean.copy()
         self.mean[2, 0::2] = self.mean[2, 0::2] - turns_rad
         last = self.instants[-1]
-        last.action, last.rolled, last.fixes = int(action), rolled, 0
+        last.action, last.coasted, last.fixes = int(action), coasted, 0
         self.instants.append(_Instant(last.time_us + self.tables.period_us, last.limb_use))
         self._teaches = True
-        self._foretell(len(self.instants) - 2)
+        self._predict(len(self.instants) - 2)
 
-    def _foretell(self, index: int) -> None:
+    def _predict(self, index: int) -> None:
         """Add the states at the instant after ``index``, which are the newest then."""
         here, after = self.instants[index], self.instants[index + 1]
         period_s = _seconds(after.time_us - here.time_us)
@@ -314,9 +314,11 @@ class Track:
         new[1, 1] = sine * velocity[0] + cosine * velocity[1]
         new[2, 1] = velocity[2]
         self.mean = np.concatenate([self.mean[:, : 2 * index + 2], new], axis=1)
-        self._foretold = new[:, 0].copy()
+        self._predicted = new[:, 0].copy()
 
-        kick = _RESTING * self.kick if here.action == self.resting_action else self.kick
+        process_noise = (
+            _RESTING * self.process_noise if here.action == self.resting_action else self.process_noise
+        )
         pull_s, apart_s = _PULL * period_s, _APART * period_s
         size = 2 * index + 2
         grown = np.zeros((2, size + 2, size + 2), dtype=np.float32)
@@ -325,16 +327,16 @@ class Track:
         speeds = _REMAINS * known[:, :, -1]
         grown[:, :size, size] = grown[:, size, :size] = poses
         grown[:, :size, size + 1] = grown[:, size + 1, :size] = speeds
-        both = (speeds[:, -2] + pull_s * speeds[:, -1]) + (_REMAINS * pull_s) * kick
+        both = (speeds[:, -2] + pull_s * speeds[:, -1]) + (_REMAINS * pull_s) * process_noise
         grown[:, size, size] = (poses[:, -2] + pull_s * poses[:, -1]) + (
             pull_s * pull_s + apart_s * apart_s
-        ) * kick
+        ) * process_noise
         grown[:, size, size + 1] = grown[:, size + 1, size] = both
         grown[:, size + 1, size + 1] = (
-            _REMAINS * speeds[:, -1] + (_REMAINS * _REMAINS + _APART * _APART) * kick
+            _REMAINS * speeds[:, -1] + (_REMAINS * _REMAINS + _APART * _APART) * process_noise
         )
         self.covariance = grown
-        self._foretold_variance = grown[:, size, size].copy()
+        self._predicted_variance = grown[:, size, size].copy()
 
     def _ask_table(
         self, velocity: Float32, limb_use: npt.NDArray[np.int64], action: int, period_s: np.float32
@@ -348,16 +350,18 @@ class Track:
 
     def _learn(self) -> None:
         """How far off the table was in the period that ends tells how far off it may be in the next."""
-        off = self.mean[:, -2] - self._foretold
+        off = self.mean[:, -2] - self._predicted
         square = off * off
-        told = self._foretold_variance - self.covariance[:, -2, -2]
+        told = self._predicted_variance - self.covariance[:, -2, -2]
         sums = np.array([square[0] + square[1], square[2]], dtype=np.float32)
         part = _LEARN_PARTS[self._learned]
         for k, axes in enumerate((_F(2), _F(1))):
-            if told[k] > _INFORMED * self._foretold_variance[k]:
+            if told[k] > _INFORMED * self._predicted_variance[k]:
                 word = min(sums[k] / (axes * told[k]), _WORD_MOST)
-                kick = self.kick[k] * (_F(1) + part * (word - _F(1)))
-                self.kick[k] = min(max(kick, _KICK_LEAST[k]), _KICK_MOST[k])
+                process_noise = self.process_noise[k] * (_F(1) + part * (word - _F(1)))
+                self.process_noise[k] = min(
+                    max(process_noise, _PROCESS_NOISE_LEAST[k]), _PROCESS_NOISE_MOST[k]
+                )
         self._learned = min(self._learned + 1, 3)
 
     def _move_newest(self, at_us: int) -> None:

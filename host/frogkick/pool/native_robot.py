@@ -29,7 +29,7 @@ _DECLARATIONS = """
 typedef struct { uint8_t bytes[%d]; uint32_t length; } fk_frame_collector_t;
 uint32_t fk_frame_collect(fk_frame_collector_t *collector, uint8_t byte);
 typedef struct { uint8_t limb_mask; uint8_t all_off; uint32_t pulse_us; uint64_t next_tick_us; } fk_outputs_t;
-typedef struct { uint32_t on_us[8]; uint32_t crc; } fk_guard_kept_t;
+typedef struct { uint32_t on_us[8]; uint32_t crc; } fk_guard_persistent_t;
 typedef struct { const uint8_t *base; uint32_t slot_bytes; uint32_t slots; void *context; } fk_flash_t;
 typedef struct {
     const fk_flash_t *flash;
@@ -106,7 +106,7 @@ class NativeRobot:
         self._wire = self._ffi.new("fk_frame_collector_t *")
         self._outputs = self._ffi.new("fk_outputs_t *")
         self._buffer = self._ffi.new("uint8_t[]", 1024)
-        self._kept = self._ram(self._ffi.sizeof("fk_guard_kept_t"))
+        self._kept = self._ram(self._ffi.sizeof("fk_guard_persistent_t"))
         self._built_in = (self._core.fk_table_image, int(self._core.fk_table_image_bytes))
         slot_bytes = max(SLOT_BYTES_MIN, -(-self._built_in[1] // PAGE_BYTES) * PAGE_BYTES)
         self._words = self._ffi.new("uint32_t[]", (JOURNAL_BYTES + SLOTS * slot_bytes) // 4)

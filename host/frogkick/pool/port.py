@@ -13,7 +13,7 @@ UART_BITS_PER_S = 115_200
 BYTE_S = 10 / UART_BITS_PER_S
 _COLD = bytes(4 * 8)  # FK_LIMBS_MAX
 COLD_LIMBS = _COLD + struct.pack("<I", zlib.crc32(_COLD) ^ 0x6472_6147)
-"""RAM that outlives resets (``fk_guard_kept_t``), of a robot whose limbs are known to be cold."""
+"""RAM that outlives resets (``fk_guard_persistent_t``), of a robot whose limbs are known to be cold."""
 
 
 @dataclass(frozen=True)

@@ -12,8 +12,8 @@
 int main(void);
 
 static fk_robot_t robot;
-static const fk_guard_kept_t cold = {FK_COLD_LIMBS};
-static fk_guard_kept_t kept;
+static const fk_guard_persistent_t cold = {FK_COLD_LIMBS};
+static fk_guard_persistent_t kept;
 static uint8_t stream[STREAM_BYTES];
 
 static void print_stream(uint32_t length)

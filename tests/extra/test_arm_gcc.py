@@ -2,20 +2,27 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 from elftools.elf.elffile import ELFFile
-from tests.conftest import REPOSITORY
+from tests.conftest import REPOSITORY, count
 from tests.extra.tools import chip_compiler, emitted_firmware
 from tests.planner import synthetic
 
 from frogkick.loop.chip_check import check_on_chip
+from frogkick.loop.chip_planner import ChipPlanner
+from frogkick.loop.chip_twin import PLAN_TIME_WATCHDOG_US
+from frogkick.paths import shape
 from frogkick.planner.image import open_image
+from frogkick.planner.plan import config_of, transitions_within
 from frogkick.pool.chip.image import load_image
 from frogkick.pool.chip.stack import StackAnalysis
 from frogkick.pool.chip.symbols import unwanted
 from frogkick.robot import load_robot
+from frogkick.study.chip_speed import states_for_timing
 from frogkick_codegen.emit import SOURCES
 from frogkick_codegen.firmware import image_sizes
 from frogkick_codegen.toolchain import FLAGS, ToolchainError
@@ -107,6 +114,25 @@ def test_the_image_of_arm_gcc_passes_the_trial_on_the_virtual_chip(tmp_path: Pat
     report = check_on_chip(build_bench(tmp_path), open_image(robot_image()), ROBOT)
     assert [name for name, passed in report.checks.items() if not passed] == []
     assert len(report.checks) > 10
+
+
+WATCHDOG_US = 980_000
+
+
+@pytest.mark.parametrize("level", ["-O2", "-Os"])
+def test_the_longest_plan_of_arm_gcc_ends_before_the_watchdog(tmp_path: Path, level: str) -> None:
+    """By the most that the manuals allow an instruction; zig's image is timed by `study chip`."""
+    planner, tables = ChipPlanner(build_bench(tmp_path, level, "-g")), open_image(robot_image())
+    path = shape("ellipse")
+    planner.configure(path, replace(config_of(ROBOT.planner), depth=3))
+    timed = states_for_timing(tables, path, count(16, 400), np.random.default_rng(3))
+    depths = np.full(len(timed.states), 3, dtype=np.int32)
+    rows, cycles = planner.plan(timed.states, depths, timed.limb_use, timed.along_points)
+    many = rows["transitions"] > 100
+    per_transition_us = (cycles[many] / 64.0 / rows["transitions"][many]).max()
+    print(f"{level}: {per_transition_us:.2f} us for a transition, with its share of all else")
+    assert many.sum() > 5 and per_transition_us > 10.0
+    assert transitions_within(PLAN_TIME_WATCHDOG_US) * per_transition_us < WATCHDOG_US
 
 
 def test_arm_gcc_finds_nothing_with_stricter_warnings(tmp_path: Path) -> None:

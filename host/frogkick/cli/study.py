@@ -41,6 +41,7 @@ def chip(
 
     Of very many states the dearest are run on the virtual chip, which a model of the planner's blocks finds
     among all of them: "run" is how many, "model_error" its largest error, "unrun_ms" its bound of the rest.
+    "band_ms": the worst decision by the least and by the most that the manuals allow an instruction.
     """
     from frogkick.front.table_studies import study_chip
 

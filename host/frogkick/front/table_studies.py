@@ -136,6 +136,9 @@ class ChipStudy:
                 depth: {"mean": round(speed.mean_ms, 4), "worst": round(speed.worst_ms, 4)}
                 for depth, speed in speeds.items()
             },
+            "band_ms": {
+                depth: [round(speed.least_ms, 4), round(speed.worst_ms, 4)] for depth, speed in speeds.items()
+            },
             "limit_ms": {str(depth): limit for depth, limit in self.limit_ms.items()},
             "states": {depth: speed.states for depth, speed in speeds.items()},
             "run": {depth: speed.run for depth, speed in speeds.items()},

@@ -20,7 +20,7 @@ from frogkick.planner.track import resting_action_of
 _LAYOUT = link_layout()
 _STATUS = _LAYOUT.status
 _ENDS = {End.COMPLETED: "OK", End.PASSED: "PASSED", End.STALLED: "STALLED"}
-PLAN_TIME_WATCHDOG_US = 800_000
+PLAN_TIME_WATCHDOG_US = 600_000
 """No search takes longer, whatever is asked for (fk_robot.h)."""
 
 

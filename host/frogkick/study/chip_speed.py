@@ -21,6 +21,7 @@ from frogkick.paths import Path as SwimPath
 from frogkick.planner.image import Tables, read_image
 from frogkick.planner.layout import LIMBS_MAX
 from frogkick.planner.plan import PlanConfig, path_rows
+from frogkick.pool.chip.cost import LEAST_COST
 from frogkick.study.chip_worst import CycleModel, TimedStates, dearest, fit_cycles
 
 CYCLES_PER_MS = 64_000
@@ -51,7 +52,9 @@ class DepthSpeed:
 
     Attributes:
         states: how many, of which ``run`` on the virtual chip.
-        mean_ms, worst_ms: at 64 MHz; the mean of states that were taken at random.
+        mean_ms, worst_ms: at 64 MHz; the mean of states that were taken at random. By the most that the
+            manuals allow an instruction (``CostModel``), so the worst is the top of its band.
+        least_ms: the worst decision once more, by the least that they allow: the bottom of that band.
         worst_ms_by_reach: the worst of velocities from so many times the table's box.
         model_error: where not all were run, the model's largest relative error over those that were, but for
             those that it was fitted to; else 0.
@@ -66,6 +69,7 @@ class DepthSpeed:
     run: int
     mean_ms: float
     worst_ms: float
+    least_ms: float
     worst_ms_by_reach: Mapping[float, float]
     model_error: float
     unrun_ms: float
@@ -177,8 +181,23 @@ def chip_speed(
             chosen, model = study.dearest(depth, mine)
             mine += runner.run(chosen)
             error, unrun_ms = study.unrun(depth, mine, model)
-        speeds[depth] = _summary(mine, study.count(depth) * len(paths), error, unrun_ms)
+        speed = _summary(mine, study.count(depth) * len(paths), error, unrun_ms)
+        speeds[depth] = dataclasses.replace(speed, least_ms=_least_ms(elf, paths, config, depth, speed))
     return speeds
+
+
+def _least_ms(
+    elf: Path, paths: Mapping[str, SwimPath], config: PlanConfig, depth: int, speed: DepthSpeed
+) -> float:
+    planner = ChipPlanner(elf, LEAST_COST)
+    planner.configure(paths[speed.worst_path], config)
+    _, cycles = planner.plan(
+        np.array([speed.worst_state], dtype=np.float32),
+        np.array([depth], dtype=np.int32),
+        np.array([speed.worst_limb_use], dtype=np.uint16),
+        np.array([speed.worst_along_points], dtype=np.float32),
+    )
+    return float(cycles[0]) / CYCLES_PER_MS
 
 
 class _Runner:
@@ -300,6 +319,7 @@ def _summary(parts: Sequence[_Counted], states: int, error: float, unrun_ms: flo
         run=len(cycles),
         mean_ms=sum(float(part.cycles.sum()) for part in some) / number / CYCLES_PER_MS,
         worst_ms=float(cycles.max()) / CYCLES_PER_MS,
+        least_ms=0.0,
         worst_ms_by_reach={
             float(kind): float(cycles[beyond == kind].max()) / CYCLES_PER_MS for kind in np.unique(beyond)
         },

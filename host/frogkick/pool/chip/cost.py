@@ -55,6 +55,12 @@ class CostModel:
     flash_data_wait_cycles: int = 2
 
 
+LEAST_COST: Final = CostModel(
+    branch_refill_cycles=1, cache_miss_cycles=0, fetch_wait_uncached_parts=0, flash_data_wait_cycles=0
+)
+"""The lower end of each range, where ``CostModel()`` takes the upper one. Divisions keep their 12 or 14."""
+
+
 _MULTIPLE: Final = ("ldm", "stm", "push", "pop", "vldm", "vstm", "vpush", "vpop")
 _FIXED: Final = {
     "udiv": 12,

@@ -62,7 +62,7 @@ def test_every_command_is_an_event() -> None:
 def test_nothing_else_changes_the_state() -> None:
     written = [
         line.strip()
-        for path in frames.HEADER.parent.glob("*.c")
+        for path in sorted(frames.HEADER.parent.glob("*.c"))
         for line in path.read_text().splitlines()
         if re.search(r"robot->state\s*=[^=]", line)
     ]

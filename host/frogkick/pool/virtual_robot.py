@@ -39,7 +39,7 @@ class VirtualRobot:
             )
         self.chip = VirtualChip(elf, flash=flash)
         if heat_known:
-            self.chip.ram_write(self.chip.symbol("kept"), COLD_LIMBS)
+            self.chip.ram_write(self.chip.symbol("persistent"), COLD_LIMBS)
         self._limb_of_pin = {pin: limb for limb, pin in enumerate(LIMB_PINS[:limbs])}
         self._collector = FrameCollector()
 

@@ -22,7 +22,7 @@ void fk_flash_program(const fk_flash_t *flash, uint32_t offset, const uint32_t *
 /* A simulated robot has nothing to hide, and does the same each time. */
 int32_t fk_port_random(uint8_t *bytes, uint32_t count)
 {
-    static uint32_t state = 1u;
+    static uint32_t state;
     for (uint32_t i = 0u; i < count; ++i) {
         state = 1664525u * state + 1013904223u;
         bytes[i] = (uint8_t)(state >> 24);

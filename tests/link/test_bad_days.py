@@ -270,10 +270,13 @@ def test_the_disk_is_full_while_the_robot_runs(tmp_path: Path, monkeypatch: pyte
 
 
 def test_a_robot_that_speaks_another_protocol(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    newer = dataclasses.replace(link_layout(), protocol_version=4)
+    ours = link_layout().protocol_version
+    newer = dataclasses.replace(link_layout(), protocol_version=ours + 1)
     with day(tmp_path, monkeypatch) as now:
         monkeypatch.setattr(session_module, "link_layout", lambda: newer)
-        with pytest.raises(LinkError, match="the robot speaks protocol 3, this host 4: flash it again"):
+        with pytest.raises(
+            LinkError, match=f"the robot speaks protocol {ours}, this host {ours + 1}: flash it again"
+        ):
             now.session.greet(rig.tables())
         assert "ARM" not in now.robot.names()
 

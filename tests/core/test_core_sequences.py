@@ -129,7 +129,9 @@ CODE = {
     ),
     "a reset forgets": ("fk_guard.c", "limb, persistent->on_us[limb]);", "limb, 0u);", "duty"),
     "unknown heat is none": ("fk_guard.c", "limb, FK_DUTY_ON_MAX_US);", "limb, 0u);", "duty"),
-    "what is damaged counts": ("fk_guard.c", "if (persistent->crc != crc_of(persistent)) {", "if (0) {", "duty"),
+    "what is damaged counts": (
+        "fk_guard.c", "if (persistent->crc != crc_of(persistent)) {", "if (0) {", "duty",
+    ),
     "nothing is kept": ("fk_robot.c", "if (robot->persistent != 0) {", "if (0) {", "duty"),
     "no rest after a reset": (
         "fk_guard.c", "now_us < limb->off_us + FK_REST_MIN_US",

@@ -69,6 +69,7 @@ int32_t fk_test_decode(const uint8_t *encoded, uint32_t length, uint8_t *head, u
 uint32_t fk_test_count_frames(const uint8_t *bytes, const uint32_t *lengths, uint32_t count);
 int32_t fk_test_on_frames(void *robot, const uint8_t *bytes, const uint32_t *lengths, uint32_t count,
                           uint64_t now_us);
+extern uint8_t fk_test_random_fails;
 void fk_test_hmac(const uint8_t *key, const uint8_t *bytes, const uint32_t *lengths, uint32_t count,
                   uint8_t *code);
 uint32_t fk_test_collect(const uint8_t *bytes, uint32_t length, uint8_t *frames, uint32_t *lengths);

@@ -253,7 +253,7 @@ def test_the_key_outlives_power_and_tables() -> None:
     assert robot.status("ARM") == "OK"
 
 
-def test_a_key_is_changed_and_taken_away_by_its_owner_alone() -> None:
+def test_a_key_is_replaced_and_taken_away_by_its_owner_alone() -> None:
     robot, flash = owned()
     robot.auth, conversation = None, robot.auth
     assert own(robot, OTHER) == own(robot, NONE) == "AUTH"
@@ -281,6 +281,15 @@ def test_no_key_is_taken_unless_disarmed_and_rested(state: str) -> None:
     assert flash.sim.operations == 0
 
 
+def test_no_key_is_taken_before_the_limbs_have_rested() -> None:
+    """Writing flash holds the core up."""
+    robot, flash = robot_with_store()
+    assert robot.status("ARM") == "OK" and robot.status("DISARM") == "OK"
+    assert own(robot) == "STATE" and flash.sim.operations == 0  # first all is to be switched off
+    robot.tick(robot.now_us + 1000)
+    assert own(robot) == "OK"
+
+
 def test_a_power_cut_while_a_key_is_written_leaves_the_old_or_the_new_one() -> None:
     """At each word of the record."""
     outcomes = set()
@@ -299,11 +308,20 @@ def test_a_power_cut_while_a_key_is_written_leaves_the_old_or_the_new_one() -> N
 
 def test_a_robot_without_randomness_takes_no_key() -> None:
     """Nobody could prove to it who he is."""
-    files = mutated("flash_sim.c", "uint8_t fk_test_random_fails;", "uint8_t fk_test_random_fails = 1u;")
-    robot, flash = robot_with_store(files=files)
-    assert own(robot) == "UNKNOWN" and robot.status("ARM") == "OK"
-    flash.store.record.owner_key[0] = 1  # as another firmware has left it
-    assert robot.status("CHALLENGE", auth.words("nonce", bytes(16))) == "UNKNOWN"
+    robot, flash = robot_with_store()
+    robot.core.fk_test_random_fails = 1
+    try:
+        assert own(robot) == "UNKNOWN" and robot.status("ARM") == "OK"
+        flash.store.record.owner_key[0] = 1  # as another firmware has left it
+        assert robot.status("CHALLENGE", auth.words("nonce", bytes(16))) == "UNKNOWN"
+    finally:
+        robot.core.fk_test_random_fails = 0
+
+
+def test_a_frame_too_short_for_a_code() -> None:
+    robot, _ = owned()
+    for length in range(auth.TRAILER_BYTES):
+        assert heard(robot, pack_raw(AUTH_BIT | 2, 9, bytes(length))[:-1]) == "MAC"
 
 
 def test_the_log_holds_no_key_and_no_code() -> None:

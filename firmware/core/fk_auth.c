@@ -24,14 +24,6 @@ void fk_auth_init(fk_auth_t *auth)
     auth->has_current = 0u;
 }
 
-int32_t fk_auth_is_needed(uint8_t type)
-{
-    return type == FK_FRAME_ARM || type == FK_FRAME_FIX || type == FK_FRAME_PATH || type == FK_FRAME_START ||
-           type == FK_FRAME_PARAM || type == FK_FRAME_STROKE || type == FK_FRAME_TABLE_BEGIN ||
-           type == FK_FRAME_TABLE_CHUNK || type == FK_FRAME_TABLE_COMMIT || type == FK_FRAME_TABLE_ROLLBACK ||
-           type == FK_FRAME_KEY;
-}
-
 int32_t fk_auth_seed(fk_auth_t *auth)
 {
     if (auth->is_seeded == 0u && fk_port_random(auth->seed, sizeof(auth->seed)) == 0) {

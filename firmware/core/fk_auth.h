@@ -48,9 +48,6 @@ int32_t fk_port_random(uint8_t *bytes, uint32_t count);
 /* No conversation is authenticated. */
 void fk_auth_init(fk_auth_t *auth);
 
-/* The commands that need a code where there is a key. */
-int32_t fk_auth_is_needed(uint8_t type);
-
 /* A type that says that a code follows its payload. */
 static inline int32_t fk_auth_has_code(uint8_t type)
 {

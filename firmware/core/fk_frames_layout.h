@@ -123,6 +123,22 @@ enum { /* frame types */
     FK_FRAME_ENDED = 0x61
 };
 
+/* Commands that a robot with an owner's key takes with an authentication code alone. */
+static inline int32_t fk_frame_needs_code(uint8_t type)
+{
+    return type == FK_FRAME_ARM ||
+           type == FK_FRAME_FIX ||
+           type == FK_FRAME_PATH ||
+           type == FK_FRAME_START ||
+           type == FK_FRAME_PARAM ||
+           type == FK_FRAME_STROKE ||
+           type == FK_FRAME_TABLE_BEGIN ||
+           type == FK_FRAME_TABLE_CHUNK ||
+           type == FK_FRAME_TABLE_COMMIT ||
+           type == FK_FRAME_TABLE_ROLLBACK ||
+           type == FK_FRAME_KEY;
+}
+
 enum { /* records of the log */
     FK_RECORD_BOOT = 1,
     FK_RECORD_COMMAND = 2,

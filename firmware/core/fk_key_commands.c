@@ -10,7 +10,7 @@ int8_t fk_robot_admit(fk_robot_t *robot, fk_frame_t *frame)
 {
     const int32_t is_owned = fk_robot_is_owned(robot);
     if (!fk_auth_has_code(frame->type)) {
-        return (is_owned && fk_auth_is_needed(frame->type)) ? (int8_t)FK_STATUS_AUTH : (int8_t)FK_STATUS_OK;
+        return (is_owned && fk_frame_needs_code(frame->type)) ? (int8_t)FK_STATUS_AUTH : (int8_t)FK_STATUS_OK;
     }
     if (!is_owned || fk_auth_check(&robot->auth, frame) != FK_STATUS_OK) {
         return FK_STATUS_MAC;

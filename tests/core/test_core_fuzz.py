@@ -72,7 +72,7 @@ BROKEN = {
         "send(robot, type, (uint8_t)(frame.sequence & 0x7fu), answer, answer_length);",
     ),
     "a command without a code is taken": (
-        "fk_key_commands.c", "(is_owned && fk_auth_is_needed(frame->type))", "(0)",
+        "fk_key_commands.c", "(is_owned && fk_frame_needs_code(frame->type))", "(0)",
     ),
     "any code is taken": (
         "fk_key_commands.c", "if (!is_owned || fk_auth_check(&robot->auth, frame) != FK_STATUS_OK) {",

@@ -7,9 +7,11 @@ from pathlib import Path
 import pytest
 from tests.loop import rig
 
+from frogkick.link import auth
 from frogkick.link.layout import Value, link_layout
 from frogkick.loop.pushing import own
 from frogkick.loop.session import LinkError, Session
+from frogkick.pool.port import BYTE_S
 from frogkick.pool.virtual_robot import VirtualRobot
 from frogkick.robot import load_robot
 from frogkick_codegen.firmware import Build, build
@@ -48,3 +50,27 @@ def test_its_owner_commands_it_also_after_a_loss_of_power(bench: Build, tmp_path
     open_again = power_on(bench, tmp_path / "none.key", flash_of(session))
     open_again.authenticate()
     open_again.request("PARAM", PARAM)
+
+
+def took_ms(session: Session, name: str, values: dict[str, Value]) -> float:
+    """From the command's first byte to its answer's last one."""
+    begin_s, sequence = session.time_s, session.post(name, values)
+    while True:
+        session.step(session.time_s + 1e-3)
+        for arrival in session.take(name):
+            if arrival.frame.sequence == sequence:
+                return 1e3 * (arrival.time_s - begin_s)
+
+
+def test_what_a_code_costs(bench: Build, tmp_path: Path) -> None:
+    """Beyond its 12 bytes on the wire; of CHALLENGE beyond its frame and its answer."""
+    session = power_on(bench, tmp_path / "owner.key")
+    plain_ms = took_ms(session, "PARAM", PARAM)
+    own(session)
+    session.request("PARAM", PARAM)
+    code_ms = took_ms(session, "PARAM", PARAM) - plain_ms - 12e3 * BYTE_S
+    nonce = auth.words("nonce", bytes(16))
+    wire_ms = 1e3 * BYTE_S * (16 + 33 + 2 * 8)
+    challenge_ms = took_ms(session, "CHALLENGE", nonce) - wire_ms
+    print(f"a short command's code {code_ms:.2f} ms, CHALLENGE {challenge_ms:.2f} ms")
+    assert 0.1 < code_ms < 0.5 and 0.5 < challenge_ms < 2.0

@@ -128,6 +128,19 @@ def test_a_key_that_cannot_be_kept_is_not_given(
     assert owner_of(robot) == bytes(32)
 
 
+def test_no_message_holds_a_key(robot: LiveRobot, target: str, capsys: pytest.CaptureFixture[str]) -> None:
+    """Not even where the robot refuses the command that carries it."""
+    robot.core.core.fk_test_random_fails = 1
+    try:
+        told = frogkick(capsys, "own", "--robot", target)
+    finally:
+        robot.core.core.fk_test_random_fails = 0
+    refused(told, "the robot refuses KEY: UNKNOWN")
+    key = auth.read_key(auth.default_key_file())
+    assert key.hex() not in told.stderr and "key_0" not in told.stderr
+    assert "key=" not in repr(auth.Conversation(key))
+
+
 def test_what_it_tells_and_what_it_wrote_down_anybody_may_read(robot: LiveRobot, target: str) -> None:
     with fk.connect(target) as bot:
         assert bot.status()["owner"] == link_layout().owner["OPEN"]

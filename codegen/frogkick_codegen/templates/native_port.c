@@ -19,7 +19,7 @@ void fk_flash_program(const fk_flash_t *flash, uint32_t offset, const uint32_t *
     }
 }
 
-/* A simulated robot has nothing to hide, and does the same each time. */
+/* A simulated robot has nothing to hide: no nonce comes twice, and that is enough. */
 int32_t fk_port_random(uint8_t *bytes, uint32_t count)
 {
     static uint32_t state;

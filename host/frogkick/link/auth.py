@@ -10,7 +10,7 @@ import os
 import secrets
 import struct
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from frogkick.errors import InputError
@@ -19,13 +19,6 @@ KEY_BYTES = 32
 NONCE_BYTES = 16
 CODE_BYTES = 8
 TRAILER_BYTES = 4 + CODE_BYTES
-NEEDED = frozenset(
-    (
-        *("ARM", "FIX", "PATH", "START", "PARAM", "STROKE", "KEY"),
-        *("TABLE_BEGIN", "TABLE_CHUNK", "TABLE_COMMIT", "TABLE_ROLLBACK"),
-    )
-)
-"""Commands that a robot with an owner's key takes only with a code."""
 _OF_ROBOT = b"frogkick robot".ljust(16, b"\0")
 _OF_COMMAND = b"frogkick command"
 
@@ -38,7 +31,7 @@ def _code(key: bytes, *parts: bytes) -> bytes:
 class Conversation:
     """What gives commands their codes, once the robot has proved that it has the key."""
 
-    key: bytes
+    key: bytes = field(repr=False)
     counter: int = 0
 
     def code(self, number: int, sequence: int, payload: bytes) -> bytes:

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from cobs import cobs
 
 from frogkick.errors import FrogkickError, InputError, nearest_name
-from frogkick.link.auth import NEEDED, TRAILER_BYTES, Conversation
+from frogkick.link.auth import TRAILER_BYTES, Conversation
 from frogkick.link.layout import ANSWER_BIT, AUTH_BIT, EVENT_BIT, Payload, Value, link_layout
 
 DELIMITER = b"\x00"
@@ -86,7 +86,7 @@ def pack_frame(
     except (struct.error, OverflowError, UnicodeEncodeError) as error:
         raise InputError(f"{name} {given} does not fit its fields: {error}") from error
     number = message.id | (ANSWER_BIT if kind == "answer" else 0)
-    if auth is not None and kind == "command" and name in NEEDED:
+    if auth is not None and kind == "command" and message.needs_code:
         number |= AUTH_BIT
         body += auth.code(number, sequence, body)
     return pack_raw(number, sequence, body)

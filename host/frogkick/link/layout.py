@@ -65,7 +65,11 @@ class Payload:
 
 @dataclass(frozen=True)
 class Message:
-    """A type of frame: a command with its answer, or an event."""
+    """A type of frame: a command with its answer, or an event.
+
+    Attributes:
+        needs_code: a robot with an owner's key takes it with an authentication code alone.
+    """
 
     name: str
     id: int
@@ -73,6 +77,7 @@ class Message:
     command: Payload | None
     answer: Payload | None
     event: Payload | None
+    needs_code: bool = False
 
 
 @dataclass(frozen=True)
@@ -156,7 +161,13 @@ def link_layout() -> Layout:
     raw = tomllib.loads(text)
     messages = {
         name: Message(
-            name, table["id"], table["doc"], *(_payload(table, key) for key in ("command", "answer", "event"))
+            name,
+            table["id"],
+            table["doc"],
+            _payload(table, "command"),
+            _payload(table, "answer"),
+            _payload(table, "event"),
+            table.get("needs_code", False),
         )
         for name, table in raw["message"].items()
     }

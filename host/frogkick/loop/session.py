@@ -127,7 +127,7 @@ class Session:
         answer = self.ask(name, values, rows)
         status = int(answer["status"])
         if status < 0:
-            said = " ".join((name, str(values))) if values else name
+            said = " ".join((name, str(values))) if values and name != "KEY" else name  # which is a secret
             raise LinkError(
                 f"the robot refuses {said}: {link_layout().status_name(status)}{self._why(status)}"
             )

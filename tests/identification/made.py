@@ -129,7 +129,7 @@ def known_outcome(
     free = replace(known, held=frozenset(k for k, p in enumerate(plain.parameters) if values[k] == p.nominal))
     (fitted,) = derivatives([free], train, rows)
     tracks = tracks_of([nominal.model, known], test)
-    found = Found(nominal, fitted, [], rows, [[]])
+    found = Found(nominal, fitted, [], rows, [[]], stability=[1.0])
     return Outcome(
         verdict=FOUND,
         robot=robot(),

@@ -9,11 +9,12 @@ import pytest
 from made import make_swim, robot, term
 
 from frogkick.effects.acting import LEG_S
+from frogkick.identification.choice import STABLE, pruned
 from frogkick.identification.filter import Noise
 from frogkick.identification.fit import SHARES, Fitted, Model, _stepped, derivatives, fit, steps_of
 from frogkick.identification.polish import REFINING_LEG_S, WRENCH_LEG_S, Polisher, fine_leg_s
-from frogkick.identification.revise import needless, revised, without
-from frogkick.identification.search import countable, folds_of
+from frogkick.identification.revise import needless, revised, stability, without
+from frogkick.identification.search import Found, countable, folds_of
 from frogkick.identification.steps import cost_of
 from frogkick.identification.swim import Swim
 from frogkick.identification.terms import Term
@@ -125,3 +126,16 @@ def test_an_effect_that_held_out_parts_do_not_ask_for_goes(late: list[Swim]) -> 
     assert [each.title for each in less.terms] == ["limb_wear rear_left", "fix_latency"] and less.held == held
     (fitted,) = derivatives([less], late, rows)
     assert needless(fitted, folds, late) is None
+
+
+def test_what_few_draws_of_the_runs_would_take_is_unstable(late: list[Swim], whole: list[Swim]) -> None:
+    """Effects that are there would be taken in every draw; one that is not in few, though it was fitted."""
+    rows = countable(late, robot())[1]
+    terms = (term("limb_wear rear_left", 0.7, 0.0, 1.0), term("fix_latency", 0.12), term("yaw_drag"))
+    fitted = fitted_to(late, rows, terms, 0, 3, 4)
+    shares = stability(fitted, rows, late, True)
+    assert min(shares[:2]) > 0.95 and shares[2] < STABLE
+    begun = countable(whole, robot())
+    alone = fitted_to(whole, begun[1], (term("limb_wear front_left", 0.99, 0.0, 1.0),), 0)
+    kept = pruned(Found(begun[2], alone, [[]], begun[1], [[]]), whole, lambda *_: None)
+    assert not kept.fitted.model.terms and not kept.stability and not kept.alike

@@ -12,10 +12,10 @@ from made import make_swim, robot, term
 from frogkick.der import WIDTH
 from frogkick.identification import choice
 from frogkick.identification.filter import Noise
-from frogkick.identification.fit import Model, derivatives, fit_many, fit_on, told, tracks_of
+from frogkick.identification.fit import Model, derivatives, fit_many, fit_on, misses, told, tracks_of
 from frogkick.identification.polish import Polisher
-from frogkick.identification.search import Found, countable, search
-from frogkick.identification.steps import cost_of, promised
+from frogkick.identification.search import Found, _fall, countable, folds_of, search
+from frogkick.identification.steps import _shrunk, cost_of, log_density, promised, scale_of
 from frogkick.identification.swim import Swim
 from frogkick.identification.verdict import FOUND, NOTHING, PARTLY, UNEXPLAINED, Error, Scored, intervals
 
@@ -175,3 +175,30 @@ def test_a_search_in_part_is_fitted_to_all_runs(worn: list[Swim], monkeypatch: p
     found = choice._searched_in_part(begun, worn, robot(), [], lambda *_args: None)
     assert seen == [10, 10] and len(found.fitted.missed) == len(begun[1]) == 28
     assert found.fitted.model.values[0] == pytest.approx(0.7, abs=0.02)
+
+
+@pytest.mark.parametrize("title", ["limb_wear rear_left", "drag_scale"])
+def test_held_out_gains_are_those_of_fits_that_never_saw_the_fold(worn: list[Swim], title: str) -> None:
+    """Each fold's parameters fitted by simulation on the other folds alone: the search takes derivatives.
+
+    By the right effect and by a wrong one: a search that flattered itself would do so with it.
+    """
+    rows = polisher(worn).rows
+    folds = folds_of(worn, rows)
+    start = Model(robot(), (term(title),), NOISE)
+    (current,) = derivatives([replace(start, terms=())], worn, rows)
+    (fitted,) = fit_many([start], worn, rows, 4)
+    shown = _fall(current, fitted, folds, 0)[0]
+    places, falls = np.flatnonzero(rows), []
+    for label in np.unique(folds):
+        seen, left = np.zeros_like(rows), np.zeros_like(rows)
+        seen[places[folds != label]], left[places[folds == label]] = True, True
+        (alone,) = fit_many([start], worn, seen, 4)
+        (kept,) = tracks_of([alone.model], worn)
+        scores = []
+        for tracks in (current.tracks, kept):
+            train, test = misses(tracks, seen), misses(tracks, left)
+            scores.append(log_density(test, _shrunk(scale_of(train), len(train))))
+        falls.append(2.0 * (scores[1] - scores[0]))
+    refitted = float(np.concatenate(falls).mean())
+    assert shown == pytest.approx(refitted, rel=0.1, abs=0.3)

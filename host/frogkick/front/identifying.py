@@ -37,12 +37,14 @@ class FoundEffect:
         options: what it acts on, as ``{"limb": "rear_left"}``.
         parameters: name -> value, interval (low, high; 95 %) and unit.
         confounded_with: effects that these runs cannot tell from it.
+        stability: in what share of other draws of the training runs it would have been taken, 0 to 1.
     """
 
     name: str
     options: dict[str, Any]
     parameters: dict[str, Interval]
     confounded_with: tuple[str, ...]
+    stability: float
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -69,9 +71,11 @@ class Identification:
                 term.name,
                 {key: value for key, value in term.table if key not in ("name", "class")},
                 {each.name: each for each in row},
-                () if found is None else tuple(found.alike[index]),
+                tuple(found.alike[index]),
+                found.stability[index],
             )
             for index, (term, row) in enumerate(zip(self.outcome.terms, self.outcome.parameters, strict=True))
+            if found is not None
         )
 
     @property

@@ -60,6 +60,23 @@ def _resampled(runs: Sequence[FloatArray], rng: np.random.Generator) -> FloatArr
     return totals / whole
 
 
+def drawn_periods(runs: NDArray[np.int64], rng: np.random.Generator) -> NDArray[np.int64]:
+    """(n,) rows of as many periods, drawn anew with replacement as circular blocks of BLOCK of each run.
+
+    Args:
+        runs: (n,) the run that each period is of; the periods of one are in their order.
+        rng: draws.
+
+    Source: Politis, Romano 1992.
+    """
+    drawn = []
+    for run in np.unique(runs):
+        own = np.flatnonzero(runs == run)
+        starts = rng.integers(len(own), size=-(-len(own) // BLOCK))
+        drawn.append(own[(starts[:, None] + np.arange(BLOCK)).ravel()[: len(own)] % len(own)])
+    return np.concatenate(drawn)
+
+
 def deviations(
     missed: FloatArray, jacobian: FloatArray, scale: FloatArray, runs: NDArray[np.int64]
 ) -> FloatArray:

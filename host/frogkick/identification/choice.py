@@ -9,7 +9,7 @@ import numpy as np
 
 from frogkick.identification.fit import derivatives, fit
 from frogkick.identification.relatives import best_end_cost, descended, end_cost, refitted, relatives
-from frogkick.identification.revise import needless, without
+from frogkick.identification.revise import needless, stability, without
 from frogkick.identification.search import Begun, Found, countable, folds_of, search
 from frogkick.identification.swim import Swim, part_of
 from frogkick.identification.terms import Term
@@ -18,6 +18,9 @@ from frogkick.identification.worth import GAIN_EACH
 from frogkick.robot import Robot
 
 Progress = Callable[[str, int, int], None]
+
+STABLE = 0.8
+"""Share of other draws of the training runs that an effect must be taken in to be named."""
 
 SEARCHED_MOST = 200
 """Periods from which on a measured relative that explains much is tried before a whole search."""
@@ -106,23 +109,33 @@ def _searched_in_part(
 
 
 def pruned(found: Found, train: Sequence[Swim], progress: Progress) -> Found:
-    """What was found without effects whose removal costs nothing on held-out parts of the training runs.
+    """What was found without effects that are needless or unstable in the training runs.
 
-    Backward elimination, one effect at a time; the test runs have no part in it. Whether an effect is needed
-    is told by derivatives, and the model without it is fitted again by simulation.
+    Backward elimination, one effect at a time; the test runs have no part in it. Needless is what costs
+    nothing on held-out parts when it goes, unstable what fewer than STABLE of other draws of the runs would
+    have taken. Both are told by derivatives, and the model without the effect is fitted again by simulation.
     """
     folds = folds_of(train, found.rows)
-    while len(np.unique(folds)) > 1 and (place := needless(found.fitted, folds, train)) is not None:
-        progress("effects held out", len(found.fitted.model.terms), len(found.fitted.model.terms) + 1)
+    searched = bool(found.turns)
+    while True:
+        stable = stability(found.fitted, found.rows, train, searched)
+        place = needless(found.fitted, folds, train) if len(np.unique(folds)) > 1 else None
+        if place is None and stable and min(stable) < STABLE:
+            place = stable.index(min(stable))
+        if place is None:
+            return replace(found, stability=stable)
+        count = len(found.fitted.model.terms)
+        progress("effects held out", count, count + 1)
         less = without(found.fitted.model, place)
-        if found.turns:
+        if not less.terms:
+            fitted = found.nominal
+        elif searched:
             fitted = derivatives([fit(less, train, found.rows, rounds=2).model], train, found.rows)[0]
         else:
             fitted = descended(less, train, found.rows, found.nominal.model.robot)
-        kept = [k for k in range(len(found.alike)) if k != place]
+        kept = [k for k in range(count) if k != place]
         rivals = [found.rivals[k] for k in kept] if found.rivals else []
         found = replace(found, fitted=fitted, alike=[found.alike[k] for k in kept], rivals=rivals)
-    return found
 
 
 def _verdict(found: Found, swims: Sequence[Swim]) -> str:

@@ -145,6 +145,7 @@ class Outcome:
                         for each in row
                     },
                     "not_told_from": self.found.alike[index],
+                    "stability": self.found.stability[index],
                 }
             )
         return effects
@@ -218,7 +219,7 @@ def identify(
     dropped = tuple(term.title for term in found.fitted.model.terms) if not tested.helped else ()
     if dropped:
         # What does not help where it was not learned is no part of the model that is given back.
-        found = replace(found, fitted=found.nominal, alike=[], rivals=[])
+        found = replace(found, fitted=found.nominal, alike=[], rivals=[], stability=[])
         trained = scored(found, train, train, found.nominal.tracks, found.nominal.tracks)
         tracks = nominal_tracks
         tested = scored(found, train, test, tracks, tracks)

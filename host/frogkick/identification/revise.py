@@ -13,15 +13,18 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from frogkick.identification.bootstrap import mean_interval
+from frogkick.identification.bootstrap import drawn_periods, mean_interval
 from frogkick.identification.fit import Fitted, Model, begun_at, fit_many, fit_on, room_of
 from frogkick.identification.polish import ROUNDS, Polisher, fine_leg_s
-from frogkick.identification.steps import cross_fitted
+from frogkick.identification.steps import cross_fitted, promised
 from frogkick.identification.swim import Swim, copies
 from frogkick.identification.terms import Term
 from frogkick.identification.worth import ALIKE, BASE_GAIN, GAIN_EACH, free_count, price
 
 FloatArray = NDArray[np.float64]
+
+DRAWS = 50
+"""Of the runs' periods, that say how stable a choice is."""
 
 FAR_OFF = 300.0
 """A term that costs more than this at first when it is left out is not needless."""
@@ -183,14 +186,9 @@ def needless(fitted: Fitted, folds: NDArray[np.int64], swims: Sequence[Swim]) ->
     missed, jacobian = fitted.missed[:, -3:], fitted.jacobian[:, -3:, :]
     shy = 1e-6 * missed.size / model.range**2
     whole = cross_fitted(missed, jacobian, *room_of(model), shy, folds)
-    flat = [parameter for term in model.terms for parameter in term.parameters]
     wider, gains = np.sqrt(copies(swims)), list[tuple[float, float]]()
     for place in range(len(model.terms)):
-        gone = _values_of(model, place)
-        back = np.zeros(len(flat))
-        for k in gone:
-            back[k] = flat[k].nominal - model.values[k]
-        less = replace(model, held=model.held | frozenset(gone))
+        back, less = _put_back(model, place)
         scores = cross_fitted(missed + jacobian @ back, jacobian, *room_of(less), shy, folds)
         each = [(whole - scores)[folds == label] for label in np.unique(folds)]
         low, _ = mean_interval(each, np.random.default_rng(0))
@@ -198,6 +196,49 @@ def needless(fitted: Fitted, folds: NDArray[np.int64], swims: Sequence[Swim]) ->
         gains.append((value, value - wider * (value - low)))
     place = min(range(len(gains)), key=lambda k: gains[k][0])
     return place if gains[place][1] <= 0.0 else None
+
+
+def stability(fitted: Fitted, rows: NDArray[np.bool_], swims: Sequence[Swim], searched: bool) -> list[float]:
+    """In what share of other draws of the same runs each term would have been taken beside the others.
+
+    Blocks of periods are drawn anew from each run, with replacement, and the model is fitted to each draw
+    with and without the term, by derivatives. The term is taken where minus twice the log likelihood falls by
+    what the search asks of it. Source: Meinshausen, Buehlmann 2010 (stability selection).
+
+    Args:
+        fitted: with derivatives by all its parameters.
+        rows: periods of the runs that count, in ``fitted.missed``.
+        swims: the training runs.
+        searched: its terms were taken one by one; else together, and share what one of them owes.
+    """
+    model = fitted.model
+    shy = 1e-6 * fitted.missed.size / model.range**2
+    runs = np.repeat(np.arange(len(swims)), [len(swim.start_s) for swim in swims])[rows]
+    base = BASE_GAIN / (1 if searched else max(len(model.terms), 1))
+    owed = [
+        base + GAIN_EACH * len(set(_values_of(model, place)) - model.held)
+        for place in range(len(model.terms))
+    ]
+    taken = np.zeros(len(model.terms))
+    rng = np.random.default_rng(0)
+    for _ in range(DRAWS):
+        drawn = drawn_periods(runs, rng)
+        missed, jacobian = fitted.missed[drawn], fitted.jacobian[drawn]
+        _, whole = promised(missed, jacobian, *room_of(model), shy)
+        for place in range(len(model.terms)):
+            back, less = _put_back(model, place)
+            _, cost = promised(missed + jacobian @ back, jacobian, *room_of(less), shy)
+            taken[place] += cost - whole > copies(swims) * owed[place]
+    return [float(share) for share in taken / DRAWS]
+
+
+def _put_back(model: Model, place: int) -> tuple[FloatArray, Model]:
+    """The step that takes a term's parameters to where its effect vanishes, and the model that holds them."""
+    gone = _values_of(model, place)
+    back = np.zeros(len(model.values))
+    for k, parameter in zip(gone, model.terms[place].parameters, strict=True):
+        back[k] = parameter.nominal - model.values[k]
+    return back, replace(model, held=model.held | frozenset(gone))
 
 
 def without(model: Model, place: int) -> Model:

@@ -91,6 +91,7 @@ class Found:
         rows: periods that counted.
         alike: for each effect chosen, others that did as well within what the data can tell.
         rivals: these others themselves, fitted.
+        stability: of each effect; see ``revise.stability``.
     """
 
     nominal: Fitted
@@ -100,6 +101,7 @@ class Found:
     alike: list[list[str]]
     sensitivities: list[Column] = field(default_factory=list)
     rivals: list[list[Term]] = field(default_factory=list)
+    stability: list[float] = field(default_factory=list)
 
 
 Begun = tuple[Model, NDArray[np.bool_], Fitted]

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
+from frogkick.identification.choice import STABLE
 from frogkick.identification.outcome import Outcome
 from frogkick.identification.polish import HOLD
 from frogkick.identification.search import PLAIN_GAIN, SEEN_LEAST
@@ -203,6 +204,12 @@ def _effects(outcome: Outcome) -> Section:
         "which "
         "library and tables are made anew. Intervals hold all fitted parameters of an effect together with "
         "95 percent.",
+        "Taken in so many of other draws of the training runs (blocks of periods with replacement): "
+        + ", ".join(
+            f"{term.title} {100.0 * share:.0f} percent"
+            for term, share in zip(outcome.terms, outcome.found.stability, strict=True)
+        )
+        + f". An effect below {100.0 * STABLE:.0f} percent is not named.",
     ]
     header = ("effect", "parameter", "value", "interval", "unit", "plain model", "how")
     return Section("What was found", text, Table(header, rows))

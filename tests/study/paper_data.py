@@ -8,15 +8,15 @@ import numpy as np
 from scipy.io import savemat
 
 from frogkick.der import Gait, prepare
-from frogkick.robot import load_robot
+from frogkick.robot import Robot, load_robot
 from frogkick.study.gaits import GaitSwim, swim_gaits
 
 GAIT = Gait(10.0, 1.0, 0.5)
 
 
-def model_swim(gait: Gait) -> GaitSwim:
-    """What the model gives for a gait."""
-    robot = load_robot("frog2022")
+def model_swim(gait: Gait, robot: Robot | None = None) -> GaitSwim:
+    """What the model, or another robot, gives for a gait."""
+    robot = robot or load_robot("frog2022")
     (swum,) = swim_gaits(prepare(robot), robot.profiles, [gait])
     assert isinstance(swum, GaitSwim)
     return swum
@@ -29,12 +29,14 @@ def simulation_name(gait: Gait) -> str:
     )
 
 
-def write_simulation(folder: Path, gait: Gait, scale: float = 1.0, wave_m: float = 0.0) -> Path:
+def write_simulation(
+    folder: Path, gait: Gait, scale: float = 1.0, wave_m: float = 0.0, robot: Robot | None = None
+) -> Path:
     """Export the model's own run as the authors do, with its distances scaled and a wave on top.
 
     The wave is a sine of one period a cycle, so it changes no speed over whole cycles.
     """
-    swum = model_swim(gait)
+    swum = model_swim(gait, robot)
     time_s = np.arange(1, round(8e3 / gait.frequency_hz) + 1) / 1e3
     forward_m = scale * np.interp(time_s, swum.time_s, swum.forward_m)
     forward_m += wave_m * np.sin(2.0 * np.pi * gait.frequency_hz * time_s)

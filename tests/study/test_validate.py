@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,9 @@ from tests.study.paper_data import GAIT, model_swim, write_simulation, write_swi
 
 from frogkick.cli.main import run_command
 from frogkick.der import Gait
+from frogkick.errors import InputError
 from frogkick.robot import load_robot
+from frogkick.study import matched
 from frogkick.study.measured import Case, SteadySpeed
 from frogkick.study.noise import noise_of, second_differences
 from frogkick.study.validate import (
@@ -91,6 +94,26 @@ def test_what_cannot_be_compared_is_listed_with_its_reason(tmp_path: Path) -> No
     assert "not extrapolated" in reasons["1.7Hz.mat"]
     assert "MATLAB" in reasons["1.2Hz.mat"]
     assert len(result.simulations) == 1 and len(reasons) == 3
+
+
+def test_constants_are_matched_without_the_fraction_that_is_left_out(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Simulations of a frame that is heavier by a quarter: each fraction says so, and predicts the other."""
+    monkeypatch.setattr(matched, "CONSTANTS", {"frame mass": matched.CONSTANTS["frame mass"]})
+    heavier = matched.CONSTANTS["frame mass"](ROBOT, 1.25)
+    for percent in (10.0, 30.0):
+        write_simulation(tmp_path / "sim" / "freq" / f"{percent:g}", Gait(percent, 1.0, 0.5), robot=heavier)
+    result = validate(ROBOT, tmp_path, workers=1)
+    found = matched.matched_without(result)
+    assert [part.egain_percent for part in found.parts] == [10.0, 30.0]
+    for part in found.parts:
+        assert part.factors["frame mass"] == pytest.approx(1.25, abs=0.03)
+        assert part.left_out_mps < 0.1e-3
+    assert found.rmse_mps["simulations"] < 0.1e-3 < 0.3e-3 < speed_rmse_mps(result)["simulations"]
+    alone = replace(result, simulations=result.simulations[:1])
+    with pytest.raises(InputError, match="1 EGaIn fractions, needed are 2"):
+        matched.matched_without(alone)
 
 
 def test_groups_add_up_to_their_parents() -> None:

@@ -16,6 +16,7 @@ from frogkick.files import require_writable, write_text
 from frogkick.front.html import page_of
 from frogkick.progress import Progress, shown
 from frogkick.robot import Robot, load_robot
+from frogkick.study.matched import Matched, matched_without
 from frogkick.study.measured import Skipped
 from frogkick.study.noise import Noise, noise_of
 from frogkick.study.paper_winners import PAPER_PHASE, Verdict, paper_verdicts
@@ -61,10 +62,12 @@ class Validated:
     Attributes:
         validation: all cases, and those left out.
         noise: of the measured speeds.
+        matched: the robot's constants matched anew without each EGaIn fraction; None where not asked for.
     """
 
     validation: Validation
     noise: Noise
+    matched: Matched | None = None
 
     @property
     def rmse_mps(self) -> dict[str, float]:
@@ -96,6 +99,7 @@ class Validated:
             "within_cycle_rms_mm": {g: 1e3 * rms for g, rms in within_cycle_rms_m(validation).items()},
             "requirements": [_requirement_row(r) for r in requirements(validation)],
             "groups_above_limit": [_requirement_row(r) for r in single_groups_above(validation)],
+            "left_out": None if self.matched is None else _matched_row(self.matched),
             "authors_rmse_mps": authors_rmse_mps(validation),
             "noise_floor_mps": noise.neighbours,
             "noise": {
@@ -127,6 +131,7 @@ def validate(
     data_dir: Path | str,
     robot: Robot | str = "frog2022",
     *,
+    left_out: bool = False,
     workers: int | None = None,
     progress: Progress = False,
 ) -> Validated:
@@ -137,16 +142,39 @@ def validate(
     Args:
         data_dir: the paper's data, ``sim/``, ``exp/``, ``profile/``.
         robot: it, or its name or TOML file.
+        left_out: match the robot's constants anew to all EGaIn fractions but one, for each of them, and say
+            how far off the simulations of that one are then; takes minutes.
         workers: processes; None: one for each core.
-        progress: of the gaits: True for a bar, or a function of (done, all).
+        progress: of the gaits, and of the fractions: True for a bar, or a function of (done, all).
 
     Raises:
-        InputError: no such folder or robot, or nothing in the folder.
+        InputError: no such folder or robot, or nothing in the folder; with ``left_out`` fewer than two
+            fractions.
     """
     described = robot if isinstance(robot, Robot) else load_robot(robot)
+    processes = workers or os.cpu_count() or 1
     with shown(progress, "validate: gaits") as tell:
-        found = swim_and_compare(described, Path(data_dir), workers or os.cpu_count() or 1, tell)
-    return Validated(found, noise_of(found.experiments))
+        found = swim_and_compare(described, Path(data_dir), processes, tell)
+    matched = None
+    if left_out:
+        with shown(progress, "validate: fractions left out") as tell:
+            matched = matched_without(found, processes, tell)
+    return Validated(found, noise_of(found.experiments), matched)
+
+
+def _matched_row(matched: Matched) -> dict[str, Any]:
+    return {
+        "rmse_mps": dict(matched.rmse_mps),
+        "parts": [
+            {
+                "egain_percent": part.egain_percent,
+                "factors": dict(part.factors),
+                "matched_rmse_mps": part.matched_mps,
+                "left_out_rmse_mps": part.left_out_mps,
+            }
+            for part in matched.parts
+        ],
+    }
 
 
 def _gait_columns(result: SimulationResult | ExperimentResult) -> dict[str, Any]:

@@ -141,7 +141,7 @@ def validate(
         except InputError as error:
             skipped.append(Skipped(case.name, str(error)))
     references += _only_tabulated(tabulated, references, folder)
-    swum, failed = _swim(
+    swum, failed = swum_of(
         robot, profiles, {reference.case.gait for reference in references}, workers, progress
     )
     simulations: list[SimulationResult] = []
@@ -197,7 +197,7 @@ def _only_tabulated(
     return rows
 
 
-def _swim(
+def swum_of(
     robot: Robot,
     profiles: Profiles,
     gaits: Iterable[Gait],

@@ -7,6 +7,7 @@ computer, which the simulated pool talks to.
 from __future__ import annotations
 
 import hashlib
+import math
 import sys
 import tempfile
 from dataclasses import dataclass
@@ -104,7 +105,9 @@ def robot_config(robot: Robot) -> str:
         InputError: a limit of the guard is beyond what the firmware takes for any robot.
     """
     _require_limits(robot)
-    guard, planner = robot.guard, robot.planner
+    guard, planner, battery = robot.guard, robot.planner, robot.battery
+    inputs = battery.inputs if battery is not None else ()
+    least_mv = math.ceil(1e3 * battery.low_v / battery.divider) if battery is not None and inputs else 0
     duty_on_us = round(guard.duty_max * guard.duty_window_s * 1e6)
     lines = [
         "/* Do not edit. Made by frogkick_codegen.firmware from the robot's TOML.",
@@ -124,6 +127,10 @@ def robot_config(robot: Robot) -> str:
         "/* In a closed loop no pulse without a fix of the first, disarmed without one of the second. */",
         f"#define FK_FIX_FRESH_US {round(guard.fix_fresh_s * 1e6)}u",
         f"#define FK_FIX_LOST_US {round(guard.fix_lost_s * 1e6)}u",
+        "",
+        "/* Inputs of the SAADC that see a battery (bit n: AINn), and the least at such an input. */",
+        f"#define FK_BATTERY_INPUTS {sum(1 << n for n in inputs):#x}u",
+        f"#define FK_BATTERY_LEAST_MV {least_mv}",
         "",
         "/* Defaults of the planner; PARAM changes them. Hexadecimal floats lose no bit. */",
         f"#define FK_DISTANCE_WEIGHT_PER_M {_c_float(planner.distance_weight_per_m)}",
@@ -178,7 +185,7 @@ def build(target: str, image: Path, robot: Robot, out: Path, compiler: Compiler 
         emit(image, work / "emitted", command, robot_sha256=robot.sha256)
         write_text(work / "config" / "fk_robot_config.h", config)
         made = (
-            _build_bench(work, tables.limbs, len(tables.image))
+            _build_bench(work, tables.limbs, len(tables.image), robot)
             if target == "bench"
             else _build_native(work, compiler or zig("host"))
         )
@@ -228,7 +235,13 @@ def slots_for(table_bytes: int) -> tuple[int, int]:
     return (2 if 2 * slot <= room else 1), slot
 
 
-def _build_bench(work: Path, limbs: int, table_bytes: int) -> dict[str, Path]:
+def _build_bench(work: Path, limbs: int, table_bytes: int, robot: Robot) -> dict[str, Path]:
+    gates = range(GATE_INPUT_FIRST, GATE_INPUT_FIRST + max(limbs - GATE_INPUT_FIRST, 0))
+    for taken in set(robot.battery.inputs if robot.battery is not None else ()) & set(gates):
+        raise InputError(
+            f"battery.inputs of robot {robot.id!r} has {taken}, on the bench the gate of limb {taken + 1} of "
+            f"{limbs}: take another input"
+        )
     bench = firmware_sources() / "bench"
     sources, headers, places = _sources(work)
     sources, script = [*sources, *sorted(bench.glob("*.c"))], bench / "nrf52832.ld"
@@ -253,6 +266,10 @@ def _build_bench(work: Path, limbs: int, table_bytes: int) -> dict[str, Path]:
         built_once(zig("chip"), flags, [*places, f"-I{bench}", f"-Wl,-T,{script}", *sources], files, elf)
     )
     return {"elf": elf, "hex": _hex_of(elf), "map": write_map(elf)}
+
+
+GATE_INPUT_FIRST = 4
+"""AIN4 to AIN7 are the pins of the fifth to eighth limb's gates: see firmware/bench/board.h."""
 
 
 def _build_native(work: Path, compiler: Compiler) -> dict[str, Path]:

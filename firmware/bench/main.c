@@ -1,4 +1,5 @@
 /* The bench robot: moves bytes, pins and time between the hardware and the core, nothing else. */
+#include "battery.h"
 #include "clock.h"
 #include "fk_robot_state.h"
 #include "fk_table.h"
@@ -84,6 +85,7 @@ int main(void)
     fk_time_init();
     fk_sleep_init();
     fk_supply_init();
+    fk_battery_pins_init();
     /* Before the table is checked, 0.4 ms for each KB of it: what is asked meanwhile waits in the receive buffers. */
     fk_uart_init();
     /* With a table that is not for this robot it answers all the same, and tells its fault; no pulse. */
@@ -104,7 +106,7 @@ int main(void)
         (void)fk_pulse_is_on();
         const int32_t supply_is_low = fk_supply_is_low();
         fk_sleep_clear_pending();
-        fk_robot_note_supply(&robot, supply_is_low);
+        fk_robot_note_supply(&robot, (supply_is_low != 0 || fk_battery_pins_are_low() != 0) ? 1 : 0);
 
         mind_clock();
         taken_t taken = take_frame();
@@ -112,6 +114,7 @@ int main(void)
         uint64_t begin_us = fk_time_now_us();
         fk_robot_tick(&robot, begin_us, &outputs);
         int32_t at_once = drive_limbs(&outputs, begin_us);
+        fk_battery_pins_service(fk_pulse_is_on());
         fk_robot_note_tick(&robot, (uint32_t)(fk_time_now_us() - begin_us));
         send_answers();
 

@@ -59,6 +59,11 @@ void fk_guard_closed_loop(void *guard, int32_t closed);
 void fk_guard_note_fix(void *guard, uint64_t capture_us);
 uint64_t fk_guard_lost_us(const void *guard);
 int32_t fk_guard_is_sound(const void *guard);
+typedef struct { uint64_t begun_us, heated_us; uint8_t is_reading, agree, is_low; } fk_battery_t;
+void fk_battery_init(fk_battery_t *battery);
+int32_t fk_battery_is_due(fk_battery_t *battery, uint64_t now_us, int32_t limb_is_on, int32_t least_mv);
+void fk_battery_note(fk_battery_t *battery, int32_t lowest_mv, int32_t least_mv);
+int32_t fk_battery_is_low(const fk_battery_t *battery);
 uint32_t fk_frame_encode(uint8_t type, uint8_t sequence, const uint8_t *payload, uint32_t payload_length,
                          uint8_t *to, uint32_t capacity);
 uint32_t fk_test_guard_bytes(void);

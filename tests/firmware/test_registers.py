@@ -36,6 +36,11 @@ RXDRDY = "EVENTS_RXDRDY"
 TIMER_CHANNELS = 4  # the SVD gives every TIMER six CC; TIMER0 to TIMER2 have four (product specification)
 
 
+def flat(register: str) -> str:
+    """A register's name as macros have it: "CH_CONFIG" of "CH[0].CONFIG"."""
+    return re.sub(r"\[\d+\]", "", register).replace(".", "_")
+
+
 @cache
 def svd(name: str) -> ElementTree.Element:
     with zipfile.ZipFile(SVD) as content:
@@ -129,7 +134,7 @@ def test_addresses(macro: str) -> None:
             )
             if n is not None and spelled == register:
                 spelled = f"{register}[{n}]"
-            spelled = re.sub(r"^(PSEL|RXD|TXD)_", r"\1.", spelled)
+            spelled = re.sub(r"^(PSEL|RXD|TXD|RESULT)_", r"\1.", spelled)
             if (instance, spelled) == ("UARTE0", RXDRDY):
                 offset = 0x108
             else:
@@ -163,7 +168,7 @@ def test_fields_and_values(macro: str) -> None:
         (register, field)
         for name, register in registers(instance, file).items()
         for field in register.iter("field")
-        if rest.startswith(f"{name.split('[')[0]}_{field.findtext('name')}_")
+        if rest.startswith(f"{flat(name)}_{field.findtext('name')}_")
     ]
     assert candidates, f"{macro}: no such register and field in the SVD"
     _, field = candidates[0]

@@ -6,10 +6,18 @@ import ctypes
 import re
 import shutil
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+from tests.loop import rig
 
 from frogkick.link.frames import Frame, FrameCollector
+from frogkick.loop.session import Session
 from frogkick.pool.port import Edge
 from frogkick_codegen.toolchain import zig
+
+if TYPE_CHECKING:
+    from kconfiglib import Kconfig
 
 ROBOT = Path(__file__).parents[2] / "firmware" / "robot"
 DECLARED = Path(__file__).parent / "zephyr"
@@ -125,3 +133,49 @@ class ZephyrRobot:
     def watchdog_s(self) -> float:
         """The longest time that the watchdog was not fed."""
         return float(self.stage.play_watchdog_us()) * 1e-6
+
+
+def configuration(monkeypatch: pytest.MonkeyPatch, *settings: Path) -> Kconfig:
+    from kconfiglib import Kconfig
+
+    monkeypatch.setenv("srctree", str(DECLARED))
+    found = Kconfig(str(ROBOT / "Kconfig"), warn_to_stderr=False)
+    for number, file in enumerate(settings):
+        found.load_config(str(file), replace=number == 0)
+    return found
+
+
+def defines(found: Kconfig) -> list[str]:
+    told = []
+    for symbol in found.unique_defined_syms:
+        if symbol.str_value not in ("n", ""):
+            quoted = symbol.name == "BT_DEVICE_NAME"
+            value = f'"{symbol.str_value}"' if quoted else symbol.str_value.replace("y", "1")
+            told.append(f"-DCONFIG_{symbol.name}={value}")
+    return told
+
+
+RESTED_S = 5.1
+"""Its RAM kept nothing: it lets its limbs rest first."""
+
+
+class Life:
+    """A robot and a host that talks to it."""
+
+    def __init__(self, played: Path, mtu: int = 247) -> None:
+        self.tables = rig.tables()
+        self.robot = ZephyrRobot(played, played.parent)
+        self.session = Session(self.robot)
+        self.session.step(RESTED_S)
+        self.robot.connect(mtu)
+        self.session.greet(self.tables)
+
+    @property
+    def firing(self) -> int:
+        return next(i for i, row in enumerate(self.tables.actions) if row.first_mask and row.second_mask)
+
+    def live(self, for_s: float) -> None:
+        self.session.step(self.session.time_s + for_s)
+
+    def state(self) -> int:
+        return int(self.session.request("STATUS")["state"])

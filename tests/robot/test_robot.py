@@ -134,6 +134,22 @@ def test_a_battery_is_what_the_file_says_or_none() -> None:
     assert load_robot("frog2022-measured").battery == ROBOT.battery
 
 
+@pytest.mark.parametrize(
+    ("lines", "complaint"),
+    [
+        ("inputs = [0]", r"12\.6 V with battery\.divider 1 is 12\.6 V at an input.*takes 3 V"),
+        ("inputs = [0, 0]\ndivider = 5.7", r"inputs are \[0, 0\], battery\.count is 4: give one input"),
+        ("inputs = [0, 1, 2, 3, 5]\ndivider = 5.7", r"battery\.count is 4: give one input"),
+        ("inputs = [8]\ndivider = 5.7", r"inputs"),
+        ("inputs = [0]\ndivider = 0.5", r"divider"),
+    ],
+)
+def test_inputs_that_see_no_battery_are_refused(lines: str, complaint: str) -> None:
+    text = ROBOT.toml.replace("[battery]", f"[battery]\n{lines}")
+    with pytest.raises(InputError, match=complaint):
+        parse_robot(text, source="text")
+
+
 def test_toml_refuses_what_it_cannot_hold() -> None:
     with pytest.raises(InputError):
         to_toml({"a": math.inf})

@@ -6,6 +6,7 @@
 #include <zephyr/kernel.h>
 #include <zephyr/sys/printk.h>
 
+#include "battery.h"
 #include "fk_robot_state.h"
 #include "fk_table.h"
 #include "flash.h"
@@ -170,6 +171,7 @@ int main(void)
     const uint8_t reset = reset_reason();
     boot_robot(reset);
     fk_supply_init(wake_up);
+    fk_battery_pins_init();
     const int32_t error = fk_radio_init(wake_up, (reset == FK_RESET_POWER) ? 1 : 0);
     if (error != 0) {
         printk("no radio: error %d\n", error);
@@ -182,11 +184,13 @@ int main(void)
         if (fk_radio_take_drop() != 0) {
             fk_robot_note_link_lost(&robot);
         }
-        fk_robot_note_supply(&robot, fk_supply_is_low(fk_limbs_now_us()));
+        const int32_t supply_is_low = fk_supply_is_low(fk_limbs_now_us());
+        fk_robot_note_supply(&robot, (supply_is_low != 0 || fk_battery_pins_are_low() != 0) ? 1 : 0);
         const int32_t taken = take_frame();
         const uint64_t begin_us = fk_limbs_now_us();
         fk_robot_tick(&robot, begin_us, &outputs); /* a decision computes for less than the watchdog waits */
         const int32_t at_once = drive_limbs(&outputs, begin_us);
+        fk_battery_pins_service((outputs.limb_mask != 0u) ? 1 : 0);
         mind_clock_after();
         fk_robot_note_tick(&robot, (uint32_t)(fk_limbs_now_us() - begin_us));
         send_answers();

@@ -49,6 +49,9 @@ def check_battery(robot: Robot, measured_v: float | None) -> str:
     battery = robot.battery
     limits = "" if battery is None else f"{battery.low_v:g} V is low, {battery.full_v:g} V full"
     if measured_v is None:
+        if battery is not None and battery.inputs:
+            seen = f"{len(battery.inputs)} of {battery.count}"
+            return f"battery: the robot sees {seen} itself, and is not armed below {battery.low_v:g} V"
         if battery is None:
             return f"battery: unknown, nobody measured it, and {robot.id} has no [battery] in its file"
         return (

@@ -20,6 +20,9 @@ from frogkick.robot.profile import Profile
 from frogkick.robot.schema import BatteryTable, FrameTable, LibraryTable, LimbTable, ProfileTable, RobotFile
 from frogkick.robot.toml_text import to_toml
 
+PIN_MOST_V = 3.0
+"""At an analogue input, where the chip is supplied with as much as on Nordic's kit."""
+
 BUILT_IN = Path(__file__).resolve().parent / "robots"
 
 
@@ -209,7 +212,19 @@ def _battery(table: BatteryTable | None, source: str) -> Battery | None:
             f"{source}: battery.low_v is {table.low_v:g} V and battery.full_v {table.full_v:g} V: "
             "a full one has more than one that is low"
         )
-    return Battery(**table.model_dump())
+    pin_v = table.full_v / table.divider
+    if table.inputs and pin_v > PIN_MOST_V:
+        raise InputError(
+            f"{source}: battery.full_v {table.full_v:g} V with battery.divider {table.divider:g} is "
+            f"{pin_v:.3g} V at an input of the chip, which takes {PIN_MOST_V:g} V: give the divider's ratio, "
+            "battery over input"
+        )
+    if len(set(table.inputs)) != len(table.inputs) or len(table.inputs) > table.count:
+        raise InputError(
+            f"{source}: battery.inputs are {table.inputs}, battery.count is {table.count}: give one input "
+            "for each battery that is seen"
+        )
+    return Battery(**{**table.model_dump(), "inputs": tuple(table.inputs)})
 
 
 def _distinct(names: list[Any], what: str, source: str) -> None:

@@ -121,13 +121,15 @@ class Guard:
 
 @dataclass(frozen=True)
 class Battery:
-    """What drives the limbs, for those who charge it: no simulation looks at it.
+    """What drives the limbs, for those who charge it, and for the chip where it sees it; no simulation does.
 
     Attributes:
         count: how many there are.
         nominal_v: of each, as sold.
         low_v, full_v: of each, at rest: below the one nobody swims, the other is after charging.
         measure: how a person measures it, in a few words.
+        inputs: analogue inputs of the chip (0 is AIN0) that see one each; none: nothing on the robot does.
+        divider: volts of a battery for each volt at its input.
     """
 
     count: int
@@ -135,6 +137,8 @@ class Battery:
     low_v: float
     full_v: float
     measure: str
+    inputs: tuple[int, ...] = ()
+    divider: float = 1.0
 
 
 @dataclass(frozen=True)

@@ -101,6 +101,8 @@ class BatteryTable(_Table):
     low_v: Positive
     full_v: Positive
     measure: Annotated[str, Field(min_length=1, max_length=100)]
+    inputs: Annotated[list[Annotated[int, Field(ge=0, le=7)]], Field(max_length=8)] = []
+    divider: Annotated[float, Field(ge=1.0, le=100.0)] = 1.0
 
 
 class ProfileTable(_Table):

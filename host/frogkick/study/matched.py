@@ -123,10 +123,10 @@ def matched_without(
         swum, failed = swum_of(robot, validation.profiles, set(gaits), workers, None)
         if failed:
             raise InputError(next(iter(failed.values())))
-        return np.array([swum[gait].speed_mps for gait in gaits]) - known[rows]
+        return np.asarray(np.array([swum[gait].speed_mps for gait in gaits]) - known[rows])
 
     def residual(factors: FloatArray, rows: NDArray[np.bool_]) -> FloatArray:
-        return np.concatenate([missed(factors, rows) / SPEED_SD_MPS, np.log(factors) / WIDTH])
+        return np.asarray(np.append(missed(factors, rows) / SPEED_SD_MPS, np.log(factors) / WIDTH))
 
     parts, errors_mps = list[LeftOut](), np.zeros(len(cases))
     for percent in every:

@@ -23,8 +23,10 @@
 
 /* zephyr/devicetree.h: of the board in frogkick's overlay */
 #define DT_NODELABEL(label) DT_##label
+#define DECLARED_BARE(...) __VA_ARGS__
 #define DT_FOREACH_PROP_ELEM_SEP(node, property, function, separator) \
-    function(node, property, 0), function(node, property, 1), function(node, property, 2), function(node, property, 3)
+    function(node, property, 0) DECLARED_BARE separator function(node, property, 1) DECLARED_BARE separator \
+        function(node, property, 2) DECLARED_BARE separator function(node, property, 3)
 #define DT_GPIO_PIN_BY_IDX(node, property, index) (22 + (index))
 #define DT_IRQN(node) 10
 #define DT_IRQ(node, cell) 1
@@ -277,6 +279,40 @@ struct bt_gatt_service_static {
 extern const struct bt_gatt_attr *const declared_attributes;
 uint16_t bt_gatt_get_mtu(struct bt_conn *conn);
 int bt_gatt_notify(struct bt_conn *conn, const struct bt_gatt_attr *attr, const void *data, uint16_t len);
+
+/* hal/nrf_saadc.h */
+typedef struct {
+    uint32_t TASKS_START;
+} NRF_SAADC_Type;
+#define NRF_SAADC ((NRF_SAADC_Type *)0x40007000UL)
+typedef int16_t nrf_saadc_value_t;
+typedef enum { NRF_SAADC_RESOLUTION_12BIT = 2 } nrf_saadc_resolution_t;
+typedef enum { NRF_SAADC_INPUT_DISABLED = 0, NRF_SAADC_INPUT_AIN0 = 1 } nrf_saadc_input_t;
+typedef enum { NRF_SAADC_RESISTOR_DISABLED } nrf_saadc_resistor_t;
+typedef enum { NRF_SAADC_GAIN1_6 } nrf_saadc_gain_t;
+typedef enum { NRF_SAADC_REFERENCE_INTERNAL } nrf_saadc_reference_t;
+typedef enum { NRF_SAADC_ACQTIME_40US = 5 } nrf_saadc_acqtime_t;
+typedef enum { NRF_SAADC_MODE_SINGLE_ENDED } nrf_saadc_mode_t;
+typedef enum { NRF_SAADC_BURST_DISABLED } nrf_saadc_burst_t;
+typedef enum { NRF_SAADC_TASK_START = 0, NRF_SAADC_TASK_SAMPLE = 4 } nrf_saadc_task_t;
+typedef enum { NRF_SAADC_EVENT_END = 0x104 } nrf_saadc_event_t;
+typedef struct {
+    nrf_saadc_resistor_t resistor_p;
+    nrf_saadc_resistor_t resistor_n;
+    nrf_saadc_gain_t gain;
+    nrf_saadc_reference_t reference;
+    nrf_saadc_acqtime_t acq_time;
+    nrf_saadc_mode_t mode;
+    nrf_saadc_burst_t burst;
+} nrf_saadc_channel_config_t;
+void nrf_saadc_channel_init(NRF_SAADC_Type *p_reg, uint8_t channel, const nrf_saadc_channel_config_t *config);
+void nrf_saadc_channel_input_set(NRF_SAADC_Type *p_reg, uint8_t channel, nrf_saadc_input_t pselp, nrf_saadc_input_t pseln);
+void nrf_saadc_resolution_set(NRF_SAADC_Type *p_reg, nrf_saadc_resolution_t resolution);
+void nrf_saadc_buffer_init(NRF_SAADC_Type *p_reg, nrf_saadc_value_t *p_buffer, uint32_t size);
+void nrf_saadc_enable(NRF_SAADC_Type *p_reg);
+void nrf_saadc_task_trigger(NRF_SAADC_Type *p_reg, nrf_saadc_task_t task);
+bool nrf_saadc_event_check(const NRF_SAADC_Type *p_reg, nrf_saadc_event_t event);
+void nrf_saadc_event_clear(NRF_SAADC_Type *p_reg, nrf_saadc_event_t event);
 
 /* nrfx 3 */
 typedef enum { NRFX_SUCCESS = 0x0BAD0000, NRFX_ERROR_NO_MEM } nrfx_err_t;

@@ -22,6 +22,7 @@ from frogkick.pool.chip.hook import CACHE_WORDS, Flag, HookState, Stop
 from frogkick.pool.chip.image import load_image
 from frogkick.pool.chip.ppi import Ppi
 from frogkick.pool.chip.profile import Profile
+from frogkick.pool.chip.saadc import Saadc
 from frogkick.pool.chip.scheduler import CYCLES_PER_US, Scheduler
 from frogkick.pool.chip.timer import Timer
 from frogkick.pool.chip.uarte import Uarte
@@ -106,6 +107,7 @@ class VirtualChip:
             *timers,
             self._watchdog,
             Rng(self, "RNG", 0x4000_D000),
+            Saadc(self, "SAADC", 0x4000_7000, self.power),
             Nvmc(self, "NVMC", 0x4001_E000, self._switch_cache, self.flash),
             self._ppi,
             self._gpio,
@@ -119,8 +121,6 @@ class VirtualChip:
         """The peripheral of a register; two may share a page."""
         page = self._by_base.get(address & ~(PAGE - 1), [])
         return next((p for p in page if address & (PAGE - 1) in p.by_offset), page[0] if page else None)
-
-    # From outside
 
     @property
     def cycles(self) -> int:

@@ -28,6 +28,7 @@ class Power(Peripheral):
 
     Attributes:
         supply_v: what the chip is supplied with; ``set_supply`` changes it.
+        input_v: voltages at the analogue inputs AIN0 to AIN7.
         constant_latency: the mode that costs current asleep; a reset leaves the other.
         crystal_works: whether the board's 32 MHz crystal ever starts.
     """
@@ -46,6 +47,11 @@ class Power(Peripheral):
     constant_latency = False
     crystal_works = True
     _is_below = False
+
+    def __init__(self, system: System, name: str, base: int) -> None:
+        """Well supplied, nothing at the analogue inputs; arguments as for every peripheral."""
+        super().__init__(system, name, base)
+        self.input_v = [0.0] * 8
 
     def reset(self) -> None:
         """A reset of the chip: the comparator is off, the reasons stay, and so does the supply."""

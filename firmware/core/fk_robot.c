@@ -312,13 +312,20 @@ void fk_robot_tick(fk_robot_t *robot, uint64_t now_us, fk_outputs_t *outputs)
 
     if (robot->second_mask != 0u) {
         if (now_us >= later(robot->second_us, robot->free_us)) {
-            (void)fire(robot, robot->second_mask, now_us, outputs);
+            const uint8_t alone = robot->stroke_request; /* 1 + action of a stroke without first limbs */
+            if (!fire(robot, robot->second_mask, now_us, outputs) && alone != 0u) {
+                refuse_stroke(robot, (uint8_t)(alone - 1u));
+            }
+            robot->fired_first = alone;
+            robot->stroke_request = 0u;
             robot->second_mask = 0u;
         }
     } else if (robot->stroke_request != 0u) {
         if (now_us >= robot->free_us) {
             begin_stroke(robot, (uint8_t)(robot->stroke_request - 1u), now_us, outputs);
-            robot->stroke_request = 0u;
+            if (robot->second_mask == 0u || robot->fired_first != 0u) {
+                robot->stroke_request = 0u;
+            } /* else nothing of it has happened until its second limbs fire */
         }
     } else if (robot->state == FK_STATE_RUNNING && now_us >= robot->next_decision_us) {
         /* What the port has not taken yet goes into the buffer, where a decision that does not fit is counted. */

@@ -69,7 +69,7 @@ struct fk_robot {
     uint64_t free_us;            /* when the port's pulse timer is free: one pulse at a time */
     uint8_t all_off;             /* the next tick switches everything off */
     uint8_t fired_mask;          /* limbs that the last tick asked the port to heat */
-    uint8_t fired_first;         /* 1 + action whose first limbs these are; 0: the second ones of a stroke */
+    uint8_t fired_first;         /* 1 + action that begins with these; 0: limbs of a stroke that has begun */
 
     uint8_t decision_pending;    /* a DECISION event waits for its computing time */
     fk_decision_event_t decision;

@@ -8,6 +8,7 @@ import pytest
 from tests.core.core import ACTION, ACTION_ROWS, FFI, SILENT_US, Robot, core, image
 from tests.core.store_rig import NEW, OLD, Flash
 from tests.core.test_core_table_commands import begin_values
+from tests.planner import synthetic
 
 from frogkick.link.frames import hello
 from frogkick.link.layout import link_layout
@@ -273,6 +274,36 @@ def test_a_pulse_that_the_port_is_too_late_for_is_a_refused_stroke() -> None:
     counts = robot.ask("STATUS")
     assert (counts["pulses"], counts["pulses_refused"]) == (0, 1)
     assert robot.stroke("B") == "OK"
+    assert [mask for _, mask in robot.run_until(robot.now_us + 1_000_000)] == [0b0011, 0b1100]
+
+
+@pytest.mark.parametrize("how", ["refused", "late", "disarmed", "swum"])
+def test_a_stroke_without_first_limbs_has_not_begun_before_its_second_ones(how: str) -> None:
+    """Nothing of it happens where they do not fire: it is refused, and the next stroke goes."""
+    rows = [("A", 0b0011, 0b1100), ("B", 0, 0b1100), ("I", 0, 0)]
+    robot = Robot(synthetic.pack(*synthetic.transitions(20, 3, 1), action_rows=rows)).begin("ARMED")
+    fires = [0b1100]
+    if how == "refused":
+        assert robot.stroke("A") == "OK" and len(robot.run_until(robot.now_us + 300_000)) == 2
+        fires = []
+    pulses = robot.ask("STATUS")["pulses"]
+    robot.take()
+    assert robot.stroke("B") == "OK"
+    out = robot.tick()
+    assert (out.limb_mask, robot.stroke("A")) == (0, "STATE")
+    if how == "disarmed":
+        assert robot.status("DISARM") == "OK"
+        assert robot.run_until(robot.now_us + 1_000_000) == [] and robot.begin("ARMED")
+    else:
+        out = robot.tick(out.next_tick_us)
+        assert [out.limb_mask] == (fires or [0])
+        if how == "late":
+            core().fk_robot_note_pulse_failed(robot.memory, LATE)
+    told_of = [(frame.name, frame.values["action"]) for frame in robot.take() if frame.name == "REFUSED"]
+    assert told_of == ([("REFUSED", 1)] if how in ("refused", "late") else [])
+    assert robot.ask("STATUS")["pulses"] == pulses + (how == "swum")
+    robot.run_until(robot.now_us + 1_000_000)
+    assert robot.stroke("A") == "OK"
     assert [mask for _, mask in robot.run_until(robot.now_us + 1_000_000)] == [0b0011, 0b1100]
 
 

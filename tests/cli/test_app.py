@@ -8,7 +8,9 @@ import sys
 import pytest
 from typer.testing import CliRunner
 
-from frogkick.cli.app import COMMANDS, LOG_COMMANDS, STUDY_COMMANDS, app
+import frogkick
+from frogkick.cli.app import COMMANDS, LOG_COMMANDS, SECTIONS, STUDY_COMMANDS, app
+from frogkick.cli.main import run_command
 
 NAMES = [
     *([name] for name in COMMANDS),
@@ -29,9 +31,28 @@ def test_every_command_is_found_and_says_what_it_does(names: list[str]) -> None:
 def test_the_list_says_each_command_in_one_line(group: list[str]) -> None:
     table = {"log": LOG_COMMANDS, "study": STUDY_COMMANDS}[group[0]] if group else COMMANDS
     lines = CliRunner().invoke(app, [*group, "--help"]).stdout.splitlines()
-    listed = [line.split(maxsplit=1) for line in lines[lines.index("Commands:") + 1 :]]
-    assert listed == [[name, text] for name, (_, text) in table.items()]
+    titles = list(dict.fromkeys(SECTIONS.values())) if not group else ["Commands"]
+    assert [line[:-1] for line in lines if line.endswith(":") and line != "Options:"] == titles
+    rows = lines[lines.index(f"{titles[0]}:") + 1 :]
+    listed = [line.split(maxsplit=1) for line in rows if line.startswith("  ")]
+    assert sorted(listed) == sorted([name, text] for name, (_, text) in table.items())
     assert max(map(len, lines)) <= WIDTH
+
+
+def test_every_command_has_its_place_in_the_list() -> None:
+    assert SECTIONS.keys() == COMMANDS.keys()
+
+
+@pytest.mark.parametrize("group", ["firmware", "library", "tables", "camera", "robot"])
+def test_no_sentence_of_a_group_is_cut(group: str) -> None:
+    told = CliRunner().invoke(app, [group, "-h"])
+    assert told.exit_code == 0 and "Commands:" in told.stdout
+    assert not [line for line in told.stdout.splitlines() if line.endswith("...") and "Usage" not in line]
+
+
+def test_the_version_is_one_line() -> None:
+    told = CliRunner().invoke(app, ["--version"])
+    assert (told.exit_code, told.stdout) == (0, f"frogkick {frogkick.__version__}\n")
 
 
 @pytest.mark.parametrize(
@@ -42,9 +63,11 @@ def test_the_list_says_each_command_in_one_line(group: list[str]) -> None:
         (["study"], 2, "Usage: frogkick study "),
         (["study", "--help"], 0, "Usage: frogkick study "),
         (["simulat"], 2, "frogkick: No such command 'simulat'. Did you mean 'simulate'?"),
+        (["-h"], 0, "Usage: frogkick "),
+        (["--version"], 0, "frogkick 0"),
         (["study", "heldot"], 2, "frogkick: No such command 'heldot'. Did you mean 'heldout'?"),
     ],
-    ids=["help", "nothing", "group", "group's help", "typo", "group's typo"],
+    ids=["help", "nothing", "group", "group's help", "typo", "h", "version", "group's typo"],
 )
 def test_nothing_is_loaded_before_a_command_is_known(arguments: list[str], code: int, told: str) -> None:
     """Who asks what there is does not wait for physics and pictures."""
@@ -82,3 +105,20 @@ def test_numbers_that_stand_twice_are_the_same() -> None:
     assert library.RECORD_S == RECORD_S and study_ceiling.TIME_LIMIT_S == TIME_LIMIT_S
     assert parity.LOOP_DECISIONS == parity_of_places.LOOP_DECISIONS
     assert retune.STATES_LEAST == WHOLE_MIN and retune.STATES == retuning.STATES
+
+
+@pytest.mark.parametrize(
+    ("arguments", "place"),
+    [
+        (["run", "--dept", "3"], "run"),
+        (["library", "build", "--state", "3"], "library build"),
+        (["nothing"], ""),
+    ],
+    ids=["a command", "a group's command", "no command"],
+)
+def test_a_hint_names_the_help_of_what_was_called(
+    arguments: list[str], place: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run_command(arguments) == 2
+    called = " ".join(["frogkick", *place.split()])
+    assert capsys.readouterr().err.endswith(f"(see '{called} --help')\n")

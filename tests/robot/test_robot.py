@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import tomllib
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
@@ -103,6 +103,17 @@ def test_profiles_are_not_extrapolated() -> None:
     for egain, frequency in ((10.0, 2.0), (10.0, 0.1), (60.0, 1.0), (35.0, 1.0), (10.0, math.nan)):
         with pytest.raises(InputError, match=r"0\.4-1\.2 Hz"):
             ROBOT.actuation(egain, frequency)
+
+
+@pytest.mark.parametrize("period_s", [0.9, 0.7, 1.1, 1.3])
+def test_a_robot_s_only_profile_is_known_at_its_own_frequency(period_s: float) -> None:
+    """One over a period is seldom a round number: what was asked for was once rounded, what is known not."""
+    (measured,) = (p for p in ROBOT.profiles if (p.egain_percent, p.frequency_hz) == (10.0, 0.7))
+    only = replace(measured, frequency_hz=1.0 / period_s, duration_s=period_s)
+    table = tomllib.loads(ROBOT.toml)
+    table |= {"period_s": period_s, "profile_frequency_hz": 1.0 / period_s, "profile": [asdict(only)]}
+    robot = parse_robot(to_toml(table), source="text")
+    assert robot.actuation(10.0, 1.0 / period_s).duration_s == pytest.approx(period_s)
 
 
 def test_between_profiles_a_stroke_lies_between_them() -> None:

@@ -22,7 +22,7 @@ BUILD_ASSERT((PIN_MASK & GATES_MASK) == 0u, "a battery's input is a limb's gate:
 #define FULL_BITS 12
 
 static fk_battery_t battery;
-static nrf_saadc_value_t results[INPUTS];
+static volatile nrf_saadc_value_t results[INPUTS]; /* the converter writes them */
 
 void fk_battery_pins_init(void)
 {
@@ -50,7 +50,7 @@ void fk_battery_pins_init(void)
         }
     }
     nrf_saadc_resolution_set(NRF_SAADC, NRF_SAADC_RESOLUTION_12BIT);
-    nrf_saadc_buffer_init(NRF_SAADC, results, count);
+    nrf_saadc_buffer_init(NRF_SAADC, (nrf_saadc_value_t *)results, count);
     nrf_saadc_enable(NRF_SAADC);
     nrf_saadc_task_trigger(NRF_SAADC, NRF_SAADC_TASK_START);
 }

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import importlib
-from typing import Any, ClassVar
+from typing import Annotated, Any, ClassVar
 
 import typer
 import typer.main
 from typer.core import TyperGroup
 
+import frogkick
 from frogkick.interrupts import ctrl_c_waits
 
 LOG_COMMANDS = {
@@ -31,6 +32,15 @@ STUDY_COMMANDS = {
     "convergence": ("study", "Error of the rods against their time step."),
     "chip": ("study", "How long the chip plans, in cycles of the image."),
 }
+START, MAKE, RUN, LEARN, RESEARCH = "Start", "Make", "Run", "Learn", "Research"
+SECTIONS = {
+    "demo": START, "doctor": START, "robot": START,
+    "simulate": MAKE, "library": MAKE, "tables": MAKE, "codegen": MAKE, "firmware": MAKE,
+    "camera": RUN, "run": RUN, "push": RUN, "own": RUN, "log": RUN, "export": RUN,
+    "import": LEARN, "replay": LEARN, "identify": LEARN, "retune": LEARN,
+    "parity": RESEARCH, "validate": RESEARCH, "sweep": RESEARCH, "study": RESEARCH,
+}  # fmt: skip
+"""Command -> where the help lists it, in this order."""
 COMMANDS = {
     "demo": ("demo", "The whole ring once, on the virtual chip, and its report."),
     "doctor": ("doctor", "What this machine has, and what to install for more."),
@@ -85,9 +95,12 @@ class LazyGroup(TyperGroup):
         return typer.main.get_group(parent).commands[cmd_name]
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
-        """Write names and lines of help, from the table."""
-        with formatter.section("Commands"):
-            formatter.write_dl([(name, text) for name, (_, text) in self.table.items()])
+        """Write names and lines of help, from the table; those of the root by what they are for."""
+        places = {name: SECTIONS[name] if self.table is COMMANDS else "Commands" for name in self.table}
+        names = list(SECTIONS) if self.table is COMMANDS else list(self.table)
+        for section in dict.fromkeys(places[name] for name in names):
+            with formatter.section(section):
+                formatter.write_dl([(name, self.table[name][1]) for name in names if places[name] == section])
 
 
 def _group(name: str, text: str, table: dict[str, Any]) -> typer.Typer:
@@ -98,6 +111,7 @@ def _group(name: str, text: str, table: dict[str, Any]) -> typer.Typer:
         rich_markup_mode=None,
         no_args_is_help=True,
         add_completion=False,
+        context_settings={"help_option_names": ["-h", "--help"]},
     )
     made.callback()(lambda: None)
     return made
@@ -108,3 +122,19 @@ app = _group(
     "Plan for small robots that move by strokes: simulate, tabulate, emit C, flash, run, replay.",
     COMMANDS,
 )
+
+
+def _tell_version(asked: bool) -> None:
+    if asked:
+        print(f"frogkick {frogkick.__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _root(
+    _version: Annotated[
+        bool,
+        typer.Option("--version", help="Print the version and exit.", is_eager=True, callback=_tell_version),
+    ] = False,
+) -> None:
+    return None

@@ -10,11 +10,13 @@ from typing import Annotated
 
 import typer
 
-from frogkick.cli.common import JsonOption, SeedOption, json_text, show
+from frogkick.cli.common import JsonOption, SeedOption, WholeLines, json_text, show
 from frogkick.errors import InputError
 from frogkick.files import require_writable, write_text
 
-app = typer.Typer(help="Calibrate the camera over the pool, check how far off it is.", no_args_is_help=True)
+app = typer.Typer(
+    cls=WholeLines, help="Calibrate the camera over the pool, check how far off it is.", no_args_is_help=True
+)
 
 
 def _pair(text: str, option: str) -> tuple[float, float]:

@@ -11,6 +11,7 @@ from typing import Annotated, Any
 
 import typer
 from rich.console import Console
+from typer.core import TyperGroup
 
 from frogkick.chunks import check_cluster
 from frogkick.errors import InputError
@@ -26,6 +27,17 @@ ClusterOption = Annotated[
 ]
 
 stderr = Console(stderr=True)
+
+
+class WholeLines(TyperGroup):
+    """A group whose help has the first sentence of each command, whole."""
+
+    def format_commands(self, ctx: Any, formatter: Any) -> None:
+        """Write names and sentences."""
+        with formatter.section("Commands"):
+            formatter.write_dl(
+                [(name, each.get_short_help_str(limit=200)) for name, each in self.commands.items()]
+            )
 
 
 def _plain(value: Any) -> Any:

@@ -9,11 +9,13 @@ from typing import Annotated
 import typer
 
 import frogkick as fk
-from frogkick.cli.common import JsonOption, show
+from frogkick.cli.common import JsonOption, WholeLines, show
 from frogkick.cli.options import TablesOption
 from frogkick.files import require_writable
 
-app = typer.Typer(help="Build, measure, flash and test the robot's image.", no_args_is_help=True)
+app = typer.Typer(
+    cls=WholeLines, help="Build, measure, flash and test the robot's image.", no_args_is_help=True
+)
 
 
 class Target(enum.StrEnum):

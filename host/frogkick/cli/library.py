@@ -10,13 +10,15 @@ from typing import Annotated
 import typer
 
 import frogkick as fk
-from frogkick.cli.common import ClusterOption, JsonOption, SeedOption, say, share_out, show
+from frogkick.cli.common import ClusterOption, JsonOption, SeedOption, WholeLines, say, share_out, show
 from frogkick.files import require_writable
 
 RECORD_S = 5.0
 """That of frogkick.library: a command's help loads nothing of it."""
 
-app = typer.Typer(help="Simulate transitions for many initial velocities.", no_args_is_help=True)
+app = typer.Typer(
+    cls=WholeLines, help="Simulate transitions for many initial velocities.", no_args_is_help=True
+)
 
 
 class Sampling(enum.StrEnum):

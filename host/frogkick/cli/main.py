@@ -63,6 +63,12 @@ def _came_of_ctrl_c(error: BaseException | None) -> bool:
     return error is not None
 
 
+def _asked(error: Any) -> str:
+    """The command that an error of usage is about, as it is called."""
+    context = getattr(error, "ctx", None)
+    return context.command_path if context is not None else "frogkick"
+
+
 def _run(arguments: list[str] | None) -> int:
     with ctrl_c_waits():  # here and not at the top, so that Ctrl-C meanwhile is no traceback
         import typer
@@ -84,7 +90,7 @@ def _run(arguments: list[str] | None) -> int:
         if type(error).__name__ == "NoArgsIsHelpError":  # nothing was asked for: what there is
             print(message(), file=sys.stderr)
         else:
-            _complain(f"{message()} (see 'frogkick --help')")
+            _complain(f"{message()} (see '{_asked(error)} --help')")
         return BAD_INPUT
     if result == INTERRUPTED:  # what typer makes of Ctrl-C, without a word
         raise KeyboardInterrupt

@@ -9,10 +9,12 @@ from typing import Annotated, Any
 import typer
 
 import frogkick as fk
-from frogkick.cli.common import JsonOption, show
+from frogkick.cli.common import JsonOption, WholeLines, show
 from frogkick.files import require_writable
 
-app = typer.Typer(help="Which robots there are, and what one looks like.", no_args_is_help=True)
+app = typer.Typer(
+    cls=WholeLines, help="Which robots there are, and what one looks like.", no_args_is_help=True
+)
 
 
 @app.command("list")

@@ -9,11 +9,11 @@ from typing import Annotated
 import typer
 
 import frogkick as fk
-from frogkick.cli.common import JsonOption, SeedOption, show
+from frogkick.cli.common import JsonOption, SeedOption, WholeLines, show
 from frogkick.cli.library import Sampling
 from frogkick.files import require_writable
 
-app = typer.Typer(help="Make of a library the robot's table image.", no_args_is_help=True)
+app = typer.Typer(cls=WholeLines, help="Make of a library the robot's table image.", no_args_is_help=True)
 
 
 class Kind(enum.StrEnum):

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from frogkick.errors import InputError
 
 TERMS = 3  # one heating, two cooling: two terms leave 2.0 1/m RMS at worst, four gain 0.16 on average
+DIGITS_HZ = 9  # frequencies that agree in so many are the same
 SAMPLE_S = 0.0001  # linear interpolation at this step errs by less than 5e-6 of the activation
 
 
@@ -151,6 +152,11 @@ def fit_profile(
     )
 
 
+def _known_hz(profile: Profile) -> float:
+    """As frequencies are compared: one over a period is no round number."""
+    return round(profile.frequency_hz, DIGITS_HZ)
+
+
 def _brackets(values: list[float], wanted: float) -> tuple[float, float, float] | None:
     """The two neighbours of ``wanted`` and the weight of the upper one; None outside of the range."""
     if not values or not values[0] <= wanted <= values[-1]:
@@ -170,9 +176,9 @@ def actuation(profiles: Sequence[Profile], egain_percent: float, frequency_hz: f
     Raises:
         InputError: outside of the measured range, which the text names. Nothing is extrapolated.
     """
-    wanted_hz = round(float(frequency_hz), 9)
+    wanted_hz = round(float(frequency_hz), DIGITS_HZ)
     fractions = sorted({p.egain_percent for p in profiles})
-    covered = {e: sorted(p.frequency_hz for p in profiles if p.egain_percent == e) for e in fractions}
+    covered = {e: sorted(_known_hz(p) for p in profiles if p.egain_percent == e) for e in fractions}
     measured = ", ".join(f"{e:g} %: {f[0]:g}-{f[-1]:g} Hz" for e, f in covered.items())
     error = InputError(
         f"no limb profile at {egain_percent:g} % EGaIn and {frequency_hz:g} Hz: measured are {measured}; "
@@ -190,7 +196,7 @@ def actuation(profiles: Sequence[Profile], egain_percent: float, frequency_hz: f
             raise error
         for hz, weight in ((between[0], 1.0 - between[2]), (between[1], between[2])):
             if weight > 0.0:
-                profile = next(p for p in profiles if p.egain_percent == egain and p.frequency_hz == hz)
+                profile = next(p for p in profiles if p.egain_percent == egain and _known_hz(p) == hz)
                 chosen.append((egain_weight * weight, profile))
     end = chosen[0][1].duration_s if len(chosen) == 1 else 1.0 / wanted_hz
     count = int(np.ceil(end / SAMPLE_S)) + 1

@@ -42,7 +42,7 @@ def test_a_folder_s_readme_names_what_is_there(folder: Path) -> None:
     }
     named = {Path(name).name for name in KINDS.findall(readme.read_text(encoding="utf-8"))}
     assert named - OTHERS <= there, sorted(named - OTHERS - there)
-    if folder.parent.name == "frogkick":
+    if folder.parent == REPOSITORY / "host" / "frogkick":  # the clone itself may be called so
         mine = {path.name for path in folder.glob("*.py")} - {"__init__.py"}
         own = {name for name in named if name in mine}
         assert own, "names none of its own files"

@@ -14,6 +14,7 @@ from tests.conftest import REPOSITORY
 from tests.structure.test_repository import tracked
 
 from frogkick.cli.main import run_command
+from frogkick.loop.recorded.table import read_table
 
 BLOCK = re.compile(r"^```([^\n]*)\n(.*?)^```[ \t]*$", re.MULTILINE | re.DOTALL)
 SHELLS = ("", "sh", "bash", "console")
@@ -119,3 +120,29 @@ def test_shell_blocks_and_code_spans_are_read() -> None:
     assert shell_lines(text) == [
         "make a", "make b", "frogkick run    --depth 1", "make c", "make d", "frogkick e --f",
     ]  # fmt: skip
+
+
+BRACES = re.compile(r"\{([^{}]*,[^{}]*)\}")
+
+
+def data_files(word: str, folder: Path) -> list[Path]:
+    """Return what a shell makes of a word with ``DATA_DIR`` in it: braces first, then wildcards."""
+    if braces := BRACES.search(word):
+        parts = braces.group(1).split(",")
+        return [file for part in parts for file in data_files(word.replace(braces.group(), part, 1), folder)]
+    return sorted(folder.glob(word.removeprefix("DATA_DIR/")))
+
+
+def test_runs_that_the_readme_names_are_recorded_runs(frog2022_dir: Path) -> None:
+    words = [
+        word
+        for line in shell_lines((REPOSITORY / "README.md").read_text())
+        for word in shlex.split(line)
+        if word.startswith("DATA_DIR/") and word.endswith(".csv")
+    ]
+    assert words != []
+    for word in words:
+        files = data_files(word, frog2022_dir)
+        assert len(files) == 7, word
+        for file in files:
+            read_table(file)  # the path's own file beside a run is refused

@@ -254,6 +254,22 @@ def test_run(here: Path, capsys: Capture, robot: str, plan: str, path: str, dept
     assert replayed.json["actions"] == replayed.json["recorded_actions"]
 
 
+def test_a_run_that_gets_nowhere_says_so(here: Path, capsys: Capture) -> None:
+    worn = "".join(
+        f'[[effect]]\nname = "limb_wear"\nlimb = "{limb}"\ngain = 0.4\n'
+        for limb in ("front_right", "front_left", "rear_left", "rear_right")
+    )
+    against = '[[effect]]\nname = "steady_current"\nx_mps = -0.03\ny_mps = 0.0\n'
+    Path("weir.toml").write_text(worn + against)
+    done = frogkick(
+        capsys, "run", "--robot", "pool", "--path", "line", "--world", "weir.toml",
+        "--tables", rig.small_table(), "--simulated-time", "17", "--out", "run.h5", "--json",
+    )  # fmt: skip
+    assert done.code == 1 and done.json["decisions"] >= 10
+    assert "no farther along the path" in done.stderr.splitlines()[-1]
+    assert Path("run.h5").is_file(), "its log is kept all the same"
+
+
 def test_commands_make_their_own_table_where_none_is_given(
     here: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
 ) -> None:

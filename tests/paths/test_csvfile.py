@@ -70,6 +70,7 @@ def test_more_than_the_planner_holds_is_resampled(tmp_path: pathlib.Path) -> Non
         ("1,2\n3\n", "row 2 has 1 columns"),
         ("1,2,0,0\n3,4,1,1\n", "row 1: the tangent"),
         ("1,2\0\n3,4\n", "not text"),
+        ("0,0\n450,0\n", "450 m, more than 50 m: columns are in metres, are these mm"),
     ],
 )
 def test_bad_files(tmp_path: pathlib.Path, text: str, message: str) -> None:

@@ -208,3 +208,37 @@ def test_a_file_on_a_base_has_its_keys_but_those_of_its_own(tmp_path: Path) -> N
         file.write_text(f'base = "{base}"\n')
         with pytest.raises(InputError, match=says):
             load_robot(file)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "says"),
+    [
+        ("corners_m = [[0.045, -0.045]", "corners_m = [[45.0, -45.0]", "frame.corners_m is 45, above 2"),
+        ("period_s = 1.425", "period_s = 900.0", "period_s is 900, above 120"),
+        ("pulse_s = 0.08\n", "pulse_s = 80.0\n", "pulse_s is 80, above 10"),
+        ("length_m = 0.0355", "length_m = 35.5", "limb.front_right.length_m is 35.5"),
+        ("modulus_rest_pa = 3000000.0", "modulus_rest_pa = 3.0", "is the number in MPa?"),
+        ("second_moment_m4 = 1.4967e-11", "second_moment_m4 = 14.967", "is the number in mm^4?"),
+        ("density_kg_per_m3 = 1000.0", "density_kg_per_m3 = 1.0", "below 100"),
+        ("forward_mps = [0.0, 0.04]", "forward_mps = [0.0, 40.0]", "is the number in mm/s?"),
+    ],
+)
+def test_a_slip_by_a_thousand_is_refused_with_the_likely_unit(old: str, new: str, says: str) -> None:
+    assert old in ROBOT.toml
+    with pytest.raises(InputError) as caught:
+        parse_robot(ROBOT.toml.replace(old, new, 1), source="my.toml")
+    assert says in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_a_table_on_a_base_keeps_the_base_s_other_keys(tmp_path: Path) -> None:
+    file = tmp_path / "mine.toml"
+    file.write_text('base = "frog2022"\n[frame]\ndrag_normal = 0.9\n[limb_default]\nlength_m = 0.03\n')
+    mine = load_robot(file)
+    assert mine.frame == replace(ROBOT.frame, drag_normal=0.9)
+    assert mine.limbs == tuple(replace(limb, length_m=0.03) for limb in ROBOT.limbs)
+
+
+def test_all_missing_keys_are_named() -> None:
+    text = ROBOT.toml.replace("pulse_s = 0.08\n", "", 1).replace("period_s = 1.425\n", "", 1)
+    with pytest.raises(InputError, match="keys 'period_s', 'pulse_s' are missing: add them"):
+        parse_robot(text, source="my.toml")

@@ -10,7 +10,7 @@ from typing import Annotated
 import typer
 
 import frogkick as fk
-from frogkick.cli.common import JsonOption, SeedOption, show
+from frogkick.cli.common import JsonOption, SeedOption, say, show
 from frogkick.cli.keys import keys_of
 from frogkick.cli.options import DepthOption, KeyOption, PlannerName, PlannerOption, TablesOption
 
@@ -39,7 +39,10 @@ def run(
         typer.Option(help="Who decides: the robot, the host, or the robot checked live by the host."),
     ] = PlanWhere.onboard,
     path: Annotated[
-        str, typer.Option(help="line, sine, ellipse, circle, bends, eight, or CSV file")
+        str,
+        typer.Option(
+            help="line, sine, ellipse, circle, bends, eight, or a CSV file: x, y in m, 50 m at most"
+        ),
     ] = "line",
     planner: PlannerOption = PlannerName.robot,
     depth: DepthOption = None,
@@ -86,8 +89,8 @@ def run(
     yes: Annotated[bool, typer.Option("--yes", help="Arm a real robot without asking for Enter.")] = False,
     json: JsonOption = False,
 ) -> None:
-    """Follow a path: position fixes in, strokes out. Exit 1 if the guard's limits were broken, or robot and
-    host decide differently (--plan both).
+    """Follow a path: position fixes in, strokes out. Exit 1 if the guard's limits were broken, robot and
+    host decide differently (--plan both), or the robot gets nowhere along its path.
 
     At a terminal a real robot is armed by Enter, and any key stops the run. However it ends, the robot is
     disarmed first.
@@ -117,7 +120,13 @@ def run(
         progress=True,
     )
     show(found.as_json(), json)
-    if found.tracking.limit_violations:
+    if found.tracking.stood:
+        say(
+            f"after {found.tracking.decisions} decisions the robot is no farther along the path, "
+            f"{1e3 * found.tracking.mean_distance_m:.0f} mm beside it on average: "
+            "does the path begin where the robot is, and point where it can go?"
+        )
+    if found.tracking.limit_violations or found.tracking.stood:
         raise typer.Exit(1)
 
 

@@ -28,6 +28,9 @@ _FIRST_FIELDS = _FIELDS[: _FIELDS.index("cost")]  # older logs know no others: t
 _WHOLE = {"depth": (1, 4), "cost": (0, 1), "transitions_max": (0, 1e7)}
 
 
+STOOD_DECISIONS, STOOD_MPS = 10, 1e-4
+
+
 @dataclass(frozen=True)
 class Tracking:
     """How well a run followed its path, from the first decision to the end.
@@ -44,6 +47,11 @@ class Tracking:
     fixes_lost: int
     limit_violations: int | None
     plan_ms_p99: float
+
+    @property
+    def stood(self) -> bool:
+        """Many decisions, and it is no farther along its path than before: 0.1 mm/s at most."""
+        return not self.completed and self.decisions >= STOOD_DECISIONS and self.progress_mps < STOOD_MPS
 
     def as_json(self) -> dict[str, Any]:
         """The keys of the command ``run``."""

@@ -13,6 +13,9 @@ from frogkick.files import existing_file
 from frogkick.paths.path import POINTS_MAX, Path
 from frogkick.paths.shapes import from_waypoints
 
+LENGTH_MAX_M = 50.0
+"""Longer than a small robot swims in half an hour: a file in mm is longer still."""
+
 # Header names that are taken, and what they mean.
 _NAMES = {
     "x": "x", "x_m": "x", "y": "y", "y_m": "y", "dx": "dx", "dx/ds": "dx", "dy": "dy", "dy/ds": "dy",
@@ -33,8 +36,19 @@ def from_csv(file: pathlib.Path | str) -> Path:
 
     Raises:
         InputError: missing or empty file, not text, unknown or missing columns, a cell that is not a finite
-            number (row and column named), a tangent of no length, one point, no length.
+            number (row and column named), a tangent of no length, one point, no length, a length that is
+            likely one in mm.
     """
+    path = _read(file)
+    if path.length_m > LENGTH_MAX_M:
+        raise InputError(
+            f"path file {pathlib.Path(file).name!r} is a path of {path.length_m:.4g} m, more than "
+            f"{LENGTH_MAX_M:g} m: columns are in metres, are these mm?"
+        )
+    return path
+
+
+def _read(file: pathlib.Path | str) -> Path:
     source = existing_file(file, "path file")
     name = source.name
     try:

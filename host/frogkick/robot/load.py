@@ -23,6 +23,33 @@ from frogkick.robot.toml_text import to_toml
 PIN_MOST_V = 3.0
 """At an analogue input, where the chip is supplied with as much as on Nordic's kit."""
 
+LIKELY: dict[str, tuple[float, float, str]] = {
+    "corners_m": (0.0, 2.0, "mm"),
+    "length_m": (0.0, 2.0, "mm"),
+    "drag_width_m": (0.0, 2.0, "mm"),
+    "section_m2": (0.0, 1e-2, "mm^2"),
+    "second_moment_m4": (0.0, 1e-6, "mm^4"),
+    "modulus_rest_pa": (1e3, 1e13, "MPa"),
+    "modulus_active_pa": (1e3, 1e13, "MPa"),
+    "mass_per_length_kg_per_m": (0.0, 100.0, "g/m"),
+    "added_mass_per_length_kg_per_m": (0.0, 100.0, "g/m"),
+    "density_kg_per_m3": (100.0, 3000.0, "g/cm^3"),
+    "period_s": (0.02, 120.0, "ms"),
+    "pulse_s": (0.0, 10.0, "ms"),
+    "second_delay_s": (0.0, 60.0, "ms"),
+    "pulse_max_s": (0.0, 10.0, "ms"),
+    "rest_min_s": (0.0, 120.0, "ms"),
+    "fix_fresh_s": (0.0, 60.0, "ms"),
+    "fix_lost_s": (0.0, 120.0, "ms"),
+    "duration_s": (0.0, 120.0, "ms"),
+    "centre_s": (0.0, 120.0, "ms"),
+    "width_s": (0.0, 120.0, "ms"),
+    "forward_mps": (0.0, 10.0, "mm/s"),
+    "left_mps": (0.0, 10.0, "mm/s"),
+}
+"""Key -> least and most that a small swimmer in water can have, in the key's unit, and the unit that a number
+beyond is likely to be in. Wide: a robot of 5 mm and one of 2 m are inside, a slip by a thousand is not."""
+
 BUILT_IN = Path(__file__).resolve().parent / "robots"
 
 
@@ -84,7 +111,38 @@ def parse_robot(content: str, source: str, folder: Path | None = None) -> Robot:
         file_model = RobotFile.model_validate(table)
     except ValidationError as error:
         raise InputError(f"{source}: {_first_error(error)}") from None
+    _require_likely(file_model.model_dump(), source)
     return _robot(file_model, source, folder)
+
+
+def _numbers(value: Any) -> list[float]:
+    if isinstance(value, list | tuple):
+        return [number for part in value for number in _numbers(part)]
+    return [float(value)]
+
+
+def _require_likely(table: Mapping[str, Any], source: str, where: str = "") -> None:
+    """Refuse a number that no small swimmer in water has, see LIKELY.
+
+    Raises:
+        InputError: naming the key, its value, the limit, and the unit that was likely meant.
+    """
+    for key, value in table.items():
+        if isinstance(value, Mapping):
+            _require_likely(value, source, f"{where}{key}.")
+        elif isinstance(value, list) and value and isinstance(value[0], Mapping) and key != "effect":
+            for index, row in enumerate(value):
+                _require_likely(row, source, f"{where}{key}.{row.get('name', index)}.")
+        elif key in LIKELY:
+            least, most, other = LIKELY[key]
+            sizes = [abs(number) for number in _numbers(value)]
+            if not sizes or least <= max(sizes) <= most:
+                continue
+            limit = f"above {most:g}" if max(sizes) > most else f"below {least:g}"
+            raise InputError(
+                f"{source}: {where}{key} is {max(sizes):g}, {limit}, which no small swimmer has: "
+                f"its unit is in its name, is the number in {other}?"
+            )
 
 
 def _on_base(table: dict[str, Any], source: str, folder: Path | None) -> tuple[dict[str, Any], Path | None]:
@@ -105,8 +163,17 @@ def _on_base(table: dict[str, Any], source: str, folder: Path | None) -> tuple[d
         raise InputError(f"{source}: base {base!r} has a base itself: give {below['base']!r}")
     if "profiles_file" in table or "profile" in table:
         below.pop("profiles_file", None)
-        return {**below, **table}, folder
-    return {**below, **table}, BUILT_IN
+        return _merged(below, table), folder
+    return _merged(below, table), BUILT_IN
+
+
+def _merged(below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any]:
+    """All keys of both; tables key by key, anything else, lists of tables too, as ``above`` has it."""
+    found = {**below, **above}
+    for key, value in above.items():
+        if isinstance(value, Mapping) and isinstance(below.get(key), Mapping):
+            found[key] = _merged(below[key], value)
+    return found
 
 
 def _parse_toml(content: str, source: str) -> dict[str, Any]:
@@ -130,7 +197,8 @@ def _table_at(location: tuple[int | str, ...]) -> type[BaseModel]:
 
 
 def _first_error(error: ValidationError) -> str:
-    """One line for the first thing wrong, unknown keys first: they usually explain the missing ones."""
+    """One line for the first thing wrong, unknown keys first: they usually explain the missing ones, of which
+    all are named."""
     problems = sorted(error.errors(), key=lambda e: e["type"] != "extra_forbidden")
     first = problems[0]
     location = first["loc"]
@@ -140,6 +208,9 @@ def _first_error(error: ValidationError) -> str:
         key = str(location[-1])
         hint = nearest_name(key, _table_at(location).model_fields) or " (not a key of this table)"
         return f"unknown key {where!r}{hint}: correct or remove it{more}"
+    missing = [".".join(map(str, problem["loc"])) for problem in problems if problem["type"] == "missing"]
+    if first["type"] == "missing" and len(missing) == len(problems) > 1:
+        return f"keys {', '.join(map(repr, missing))} are missing: add them"
     if first["type"] == "missing":
         return f"key {where!r} is missing: add it{more}"
     return f"{where} is {str(first['input'])[:60]!r}: {first['msg'][0].lower()}{first['msg'][1:]}{more}"

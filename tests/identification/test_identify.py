@@ -13,6 +13,7 @@ from made import WORN, make_run, make_swim, robot, term
 
 from frogkick.cli.identify import spread
 from frogkick.cli.main import run_command
+from frogkick.effects.acting import LEG_S
 from frogkick.errors import InputError
 from frogkick.identification.filter import Filter, Noise, Series, likeliest, surprise
 from frogkick.identification.fit import Model, fit_many, tracks_of
@@ -29,6 +30,7 @@ from frogkick.identification.verdict import (
     fix_noise,
     gaps,
     intervals,
+    left_by_steps,
     noise_floor,
     scored,
     verdict_of,
@@ -122,7 +124,11 @@ def test_planted_wear_is_found_among_others(worn: list[Swim]) -> None:
     rivals = [term(name) for name in ("limb_wear rear_left", "limb_wear rear_right", "mass_scale", "warm_up")]
     found = search(worn, robot(), rivals)
     assert [each.title for each in found.fitted.model.terms] == ["limb_wear rear_left"]
-    (row,) = intervals(found.fitted, found.rows)
+    left = left_by_steps(found.fitted, worn, found.rows)
+    (fine,) = fit_many([replace(found.fitted.model, step_s=8e-4, leg_s=LEG_S)], worn, found.rows, 8)
+    assert fine.model.values[0] - found.fitted.model.values[0] == pytest.approx(left[0], rel=0.4)
+    assert 0.0 < np.abs(left).max() < 0.02
+    (row,) = intervals(found.fitted, found.rows, left)
     for each, true in zip(row, (0.7, 0.0, 1.0), strict=True):
         # One interval of 95 % in twenty misses: of these three, each is given twice its width.
         assert abs(true - each.value) <= each.high - each.low

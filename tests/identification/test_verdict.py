@@ -17,7 +17,7 @@ from tests.conftest import count
 
 from frogkick.identification import choice as choice_module
 from frogkick.identification import outcome as outcome_module
-from frogkick.identification.bootstrap import deviations, gain_by_chance, mean_interval
+from frogkick.identification.bootstrap import deviations, gain_by_chance, mean_interval, moved_by
 from frogkick.identification.filter import Noise
 from frogkick.identification.fit import Model, tracks_of
 from frogkick.identification.outcome import identify
@@ -250,3 +250,16 @@ def test_a_limb_that_misfires_at_random_is_not_found_elsewhere(
     assert tested.after.position_rmse_m <= tested.before.position_rmse_m
     assert tested.after.heading_rmse_rad <= tested.before.heading_rmse_rad
     assert tested.noise_floor.position_rmse_m < 0.4e-3 and tested.repeatability.position_rmse_m > 1e-3
+
+
+def test_what_moves_the_misses_moves_the_parameters() -> None:
+    """Misses that a parameter explains move it by as much, whatever the others; what none explains, none."""
+    rng = np.random.default_rng(4)
+    jacobian = rng.normal(size=(200, 9, 2))
+    missed = 1e-3 * rng.normal(size=(200, 9))
+    scale = np.array([1.0, 10.0])
+    for change in ((0.0, 3e-4), (2e-4, -1e-4)):
+        moved = moved_by(jacobian @ np.array(change), missed, jacobian, scale)
+        assert moved == pytest.approx(-np.array(change), rel=0.1, abs=2e-6)
+    aside = 1e-4 * rng.normal(size=(200, 9))
+    assert np.abs(moved_by(aside, missed, jacobian, scale)).max() < 1.5e-5

@@ -14,7 +14,7 @@ from tests.loop import rig
 
 from frogkick.chunks import run_chunks
 from frogkick.effects import changed_robot, make_effects
-from frogkick.front.identification_studies import cases_of
+from frogkick.front.identification_studies import VerdictStudy, cases_of
 from frogkick.identification.outcome import Outcome
 from frogkick.identification.terms import Term, catalogue
 from frogkick.identification.verdict import FOUND, NOTHING, PARTLY, UNEXPLAINED, Error, Interval
@@ -63,16 +63,27 @@ def outcome(verdict: str, *found: tuple[str, dict[str, tuple[float, float]]]) ->
     return cast(Any, given)
 
 
-def test_found_means_the_right_effect_with_its_parameters_inside() -> None:
+def test_found_means_the_right_effect_with_no_parameter_far_off() -> None:
     worn = {"name": "limb_wear", "limb": "rear_left", "gain": 0.7}
     right = outcome(FOUND, ("limb_wear rear_left", {"gain": (0.68, 0.72)}))
     beside = outcome(FOUND, ("limb_wear rear_left", {"gain": (0.71, 0.75)}))
+    far = outcome(FOUND, ("limb_wear rear_left", {"gain": (0.73, 0.75)}))
     late = outcome(FOUND, ("limb_wear rear_left", {"gain": (0.68, 0.72), "delay_s": (0.01, 0.02)}))
     other = outcome(FOUND, ("limb_wear rear_right", {"gain": (0.68, 0.72)}))
-    assert recovered(worn, right)
-    assert not any(recovered(worn, each) for each in (beside, late, other))
+    assert recovered(worn, right) and recovered(worn, beside)
+    assert not any(recovered(worn, each) for each in (far, late, other))
     kind = kinds()["wear"]
-    assert judged(kind, [worn], right, 1.0).right
+    told = [judged(kind, [worn], each, 1.0) for each in (right, beside, far, other)]
+    assert [result.right for result in told] == [True, True, False, False]
+    assert [(result.inside, result.parameters) for result in told] == [(1, 1), (0, 1), (0, 1), (0, 0)]
+    many = VerdictStudy({Case("wear", seed): result for seed, result in enumerate([told[0]] * 97 + told[1:])})
+    assert many.groups["one"] == {
+        "cases": 100, "right": 98, "wrongly_found": 2, "parameters": 99, "inside": 97, "passed": True,
+    }  # fmt: skip
+    many = VerdictStudy(
+        {Case("wear", seed): result for seed, result in enumerate([told[0]] * 97 + [told[3]] * 3)}
+    )
+    assert many.groups["one"]["right"] == 97 and not many.passed, "three of a hundred are wrong"
     assert judged(kind, [worn], other, 1.0).wrong
     missed = judged(kind, [worn], outcome(UNEXPLAINED), 1.0)
     assert not missed.right and not missed.wrong

@@ -42,8 +42,7 @@ class Parameter:
             bounds' distance.
         tried: values that a search tries as well, increasing: small steps may lead to a near dip and not to
             the deepest.
-        open: half the width of what simulations with other time steps leave open; 0: half a percent of its
-            bounds' distance.
+        open: half the width of what simulations leave open that agree in all that is seen; most have none.
     """
 
     name: str

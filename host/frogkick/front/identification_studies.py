@@ -48,6 +48,9 @@ __all__ = [
 LEAST = {NULL: 0.95, ONE: 0.95, TWO: 0.90, OUTSIDE: 0.95}
 """Share of the cases of a group that must be right."""
 
+MOST_WRONG = 0.02
+"""Share that may be wrongly found."""
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class HeldOutStudy:
@@ -166,17 +169,20 @@ class VerdictStudy:
 
     @property
     def groups(self) -> dict[str, dict[str, Any]]:
-        """Group of kinds -> cases, right ones, wrongly found ones, and whether enough are right."""
+        """Group of kinds -> cases, right ones, wrongly found ones, planted parameters of effects that were
+        found, how many of these are inside their intervals, and whether all is as good as asked."""
         known, found = kinds(), {}
         for group, least in LEAST.items():
             some = [result for case, result in self.results.items() if known[case.kind].group == group]
             if some:
-                right = sum(result.right for result in some)
+                right, wrong = sum(result.right for result in some), sum(result.wrong for result in some)
                 found[group] = {
                     "cases": len(some),
                     "right": right,
-                    "wrongly_found": sum(result.wrong for result in some),
-                    "passed": right >= least * len(some),
+                    "wrongly_found": wrong,
+                    "parameters": sum(result.parameters for result in some),
+                    "inside": sum(result.inside for result in some),
+                    "passed": right >= least * len(some) and wrong <= MOST_WRONG * len(some),
                 }
         return found
 
@@ -203,6 +209,8 @@ class VerdictStudy:
                     "right": result.right,
                     "planted": result.planted,
                     "found": result.found,
+                    "parameters": result.parameters,
+                    "inside": result.inside,
                     "before": result.before,
                     "after": result.after,
                     "noise_floor": result.floor,

@@ -102,15 +102,8 @@ def deviations(
     size = np.maximum(scale, 1e-12)
     white = whitener(missed)
     misses, columns = missed @ white, np.einsum("nip,ij->njp", jacobian, white) * size
-    weight = (DOF + wide) / (DOF + (misses**2).sum(axis=1))
+    weight, inverse = _at_best(misses, columns)
     slope = np.einsum("njp,nj->np", columns, misses)
-    squares = np.einsum("njp,njq->npq", columns, columns)
-    bent = np.einsum("n,np,nq->pq", 2.0 * weight**2 / (DOF + wide), slope, slope)
-    curvature = np.einsum("n,npq->pq", weight, squares) - bent
-    values = np.linalg.eigvalsh(curvature)
-    if values[0] < 1e-6 * values[-1]:  # of few periods: the one that is expected
-        curvature = squares.sum(axis=0) * (DOF + wide) / (DOF + wide + 2.0)
-    inverse = np.linalg.pinv(curvature + 1e-9 * missed.size * np.eye(width))
     score, scatter = weight[:, None] * slope, np.zeros((width, width))
     for run in np.unique(runs):
         own = score[runs == run]
@@ -122,6 +115,42 @@ def deviations(
     variance = np.maximum(np.diag(inverse), np.diag(inverse @ scatter @ inverse))
     estimated = count / max(count - wide - 1, 1) * (count - 1) / max(count - wide, 1)
     return np.asarray(np.sqrt(variance * estimated) * size)
+
+
+def _at_best(misses: FloatArray, columns: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """(n,) weights of whitened misses, and (p, p) the inverse of the log likelihood's curvature.
+
+    Args:
+        misses: (n, d) whitened.
+        columns: (n, d, p) of these by the parameters, in typical sizes.
+    """
+    wide, width = columns.shape[1:]
+    weight = (DOF + wide) / (DOF + (misses**2).sum(axis=1))
+    slope = np.einsum("njp,nj->np", columns, misses)
+    squares = np.einsum("njp,njq->npq", columns, columns)
+    bent = np.einsum("n,np,nq->pq", 2.0 * weight**2 / (DOF + wide), slope, slope)
+    curvature = np.einsum("n,npq->pq", weight, squares) - bent
+    values = np.linalg.eigvalsh(curvature)
+    if values[0] < 1e-6 * values[-1]:  # of few periods: the one that is expected
+        curvature = squares.sum(axis=0) * (DOF + wide) / (DOF + wide + 2.0)
+    return weight, np.linalg.pinv(curvature + 1e-9 * misses.size * np.eye(width))
+
+
+def moved_by(change: FloatArray, missed: FloatArray, jacobian: FloatArray, scale: FloatArray) -> FloatArray:
+    """(p,) how far a change of what periods missed moves the parameters that fit best, to first order.
+
+    Args:
+        change: (n, d) of ``missed``.
+        missed, jacobian, scale: see ``deviations``.
+    """
+    size = np.maximum(scale, 1e-12)
+    white = whitener(missed)
+    columns = np.einsum("nip,ij->njp", jacobian, white) * size
+    misses, moved = missed @ white, change @ white
+    weight, inverse = _at_best(misses, columns)
+    along = np.einsum("n,nj,nj->n", 2.0 * weight**2 / (DOF + missed.shape[1]), misses, moved)
+    pull = weight[:, None] * moved - along[:, None] * misses  # periods that get wilder count less
+    return np.asarray(-inverse @ np.einsum("njp,nj->p", columns, pull) * size)
 
 
 def gain_by_chance(

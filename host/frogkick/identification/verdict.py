@@ -18,9 +18,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from frogkick.identification.bootstrap import CONFIDENCE, deviations, mean_interval
+from frogkick import der
+from frogkick.effects.acting import LEG_S
+from frogkick.identification.bootstrap import CONFIDENCE, deviations, mean_interval, moved_by
 from frogkick.identification.filter import Filter, Noise, first_rate_std
-from frogkick.identification.fit import Fitted
+from frogkick.identification.fit import LOST, Fitted, misses, tracks_of
 from frogkick.identification.predict import Track
 from frogkick.identification.relatives import end_gaps, ends_missed
 from frogkick.identification.search import Found
@@ -51,8 +53,8 @@ CHANCE = 5.0
 INEXACT = 0.03
 """Of the error before, what an effect leaves that is the right one: simulations are as coarse as that."""
 
-LEFT_OPEN = 0.005
-"""Of the distance of a parameter's bounds: what time steps leave open, where it does not say so itself."""
+FAR = 2.0
+"""Times its interval's half width: a true value farther off is no chance, one in 10,000."""
 
 
 @dataclass(frozen=True)
@@ -254,13 +256,37 @@ class Interval:
         """Low and high."""
         return self.low, self.high
 
+    def holds(self, value: float, times: float = 1.0) -> bool:
+        """Whether a value is inside, or inside of an interval so many times as wide."""
+        more = 0.5 * (times - 1.0) * (self.high - self.low)
+        return self.low - more <= value <= self.high + more
 
-def intervals(fitted: Fitted, rows: NDArray[np.bool_] | None = None) -> list[list[Interval]]:
+
+def left_by_steps(fitted: Fitted, swims: Sequence[Swim], rows: NDArray[np.bool_]) -> FloatArray:
+    """(p,) how far parameters would move, were the runs followed with steps as short as a simulated pool's.
+
+    Args:
+        fitted: a model at its best, with derivatives by all its parameters.
+        swims: what it was fitted to.
+        rows: which of all their periods ``fitted.missed`` has.
+    """
+    if not fitted.jacobian.shape[2]:
+        return np.empty(0)
+    fine = replace(fitted.model, step_s=der.STEP_S, leg_s=LEG_S)
+    change = misses(tracks_of([fine], swims)[0], rows) - fitted.missed
+    change[(np.abs(change) > 0.5 * LOST).any(axis=1)] = 0.0  # it failed with one of both
+    return moved_by(change, fitted.missed, fitted.jacobian, fitted.model.range)
+
+
+def intervals(
+    fitted: Fitted, rows: NDArray[np.bool_] | None = None, left_open: FloatArray | None = None
+) -> list[list[Interval]]:
     """Of each term's parameters: together they hold the true values with CONFIDENCE.
 
     Args:
         fitted: a model at its best, with derivatives by all its parameters.
         rows: which periods of all runs ``fitted.missed`` has; None: all of them.
+        left_open: (p,) what is open besides chance, see ``left_by_steps``; None: nothing.
     """
     from scipy import stats
 
@@ -274,9 +300,8 @@ def intervals(fitted: Fitted, rows: NDArray[np.bool_] | None = None) -> list[lis
         wide = stats.t.ppf(0.5 + 0.5 * (1.0 - (1.0 - CONFIDENCE) / len(term.values)), freedom)
         row = []
         for k, (parameter, value) in enumerate(zip(term.parameters, term.values, strict=True)):
-            # Simulations with coarser steps here than in the pool.
-            left_open = parameter.open or LEFT_OPEN * (parameter.high - parameter.low)
-            reach = float(np.hypot(wide * deviation[first + k], left_open))
+            steps = 0.0 if left_open is None else left_open[first + k]
+            reach = math.hypot(wide * deviation[first + k], steps, parameter.open)
             row.append(
                 Interval(
                     parameter.name,

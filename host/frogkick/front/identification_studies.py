@@ -202,20 +202,7 @@ class VerdictStudy:
         return {
             "groups": self.groups,
             "cases": [
-                {
-                    "kind": case.kind,
-                    "seed": case.seed,
-                    "verdict": result.verdict,
-                    "right": result.right,
-                    "planted": result.planted,
-                    "found": result.found,
-                    "parameters": result.parameters,
-                    "inside": result.inside,
-                    "before": result.before,
-                    "after": result.after,
-                    "noise_floor": result.floor,
-                    "cpu_s": round(result.cpu_s, 1),
-                }
+                {"kind": case.kind, "seed": case.seed, **result.as_json()}
                 for case, result in self.results.items()
             ],
         }

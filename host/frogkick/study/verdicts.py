@@ -86,6 +86,11 @@ class Result:
     inside: int = 0
     parameters: int = 0
 
+    def as_json(self) -> dict[str, Any]:
+        """The keys of a case in the command ``study verdicts``."""
+        own = dataclasses.asdict(self)
+        return {**own, "noise_floor": own.pop("floor"), "cpu_s": round(self.cpu_s, 1)}
+
 
 def run_cases(
     robot: Robot,

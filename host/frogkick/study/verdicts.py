@@ -12,6 +12,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -88,8 +89,8 @@ class Result:
 
     def as_json(self) -> dict[str, Any]:
         """The keys of a case in the command ``study verdicts``."""
-        own = dataclasses.asdict(self)
-        return {**own, "noise_floor": own.pop("floor"), "cpu_s": round(self.cpu_s, 1)}
+        values = dataclasses.asdict(self)
+        return {"noise_floor": values.pop("floor"), **values, "cpu_s": round(self.cpu_s, 1)}
 
 
 def run_cases(

@@ -28,7 +28,9 @@ def pipe() -> Iterator[tuple[LineFixes, Callable[[bytes], None], Callable[[], No
     end()
 
 
-def test_lines(pipe: tuple[LineFixes, Callable[[bytes], None], Callable[[], None]]) -> None:
+def test_lines(
+    pipe: tuple[LineFixes, Callable[[bytes], None], Callable[[], None]], capfd: pytest.CaptureFixture[str]
+) -> None:
     fixes, write, end = pipe
     write(b"# a tracker\n\n0.1 0.2 3.5\n0.3, 0.4, -1, 0.5\n0.5 0.6")
     fixes.wait_first(120.0)
@@ -49,6 +51,10 @@ def test_lines(pipe: tuple[LineFixes, Callable[[bytes], None], Callable[[], None
     end()
     assert fixes.advance(102.0) == []
     assert fixes.next_event_s > 102.0
+    deadline_s, told = time.monotonic() + 120.0, ""
+    while not told and time.monotonic() < deadline_s:
+        told = capfd.readouterr().err
+    assert told == "the pipe has ended after 4 position fixes: no more will come from it\n"
 
 
 def test_a_bad_line_is_named(pipe: tuple[LineFixes, Callable[[bytes], None], Callable[[], None]]) -> None:
@@ -64,9 +70,11 @@ def test_a_bad_line_is_named(pipe: tuple[LineFixes, Callable[[bytes], None], Cal
 
 def test_no_fix(pipe: tuple[LineFixes, Callable[[bytes], None], Callable[[], None]]) -> None:
     fixes, _, end = pipe
-    end()
     with pytest.raises(InputError, match=r"no position fix came from the pipe within 0.1 s: start"):
         fixes.wait_first(0.1)
+    end()
+    with pytest.raises(InputError, match=r"no position fix came from the pipe and it has ended: start"):
+        fixes.wait_first(120.0)
 
 
 @pytest.mark.parametrize(

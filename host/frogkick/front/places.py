@@ -75,7 +75,7 @@ def require_simulated(name: str) -> None:
     if name not in SIMULATED:
         raise InputError(
             f"--robot is {name!r}{nearest_name(name, SIMULATED)}: choose virtual (the firmware on the "
-            "virtual chip) or pool (the same core on this computer)"
+            "virtual chip), pool (the same core on this computer), or a real one: ble:NAME, serial:PORT"
         )
 
 

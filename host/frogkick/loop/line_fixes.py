@@ -13,6 +13,7 @@ import numpy as np
 from frogkick.errors import InputError
 from frogkick.interrupts import Bell
 from frogkick.pool.camera import Fix
+from frogkick.progress import tell_line
 
 POLL_S = 0.002
 KEEP_S = 2.0
@@ -25,23 +26,32 @@ class LineFixes:
     """A ``FixSource`` that reads lines ``x_m y_m heading_rad [age_s]`` as they come, in a thread.
 
     Pose in the world; age from the picture to the line's arrival, 0 where it is left out. Empty lines and
-    those that begin with # are skipped. The end of the lines is a camera that sees nothing more.
+    those that begin with # are skipped. The end of the lines is told once, and is a camera that sees nothing
+    more.
     """
 
-    def __init__(self, file: int, name: str, clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(
+        self,
+        file: int,
+        name: str,
+        clock: Callable[[], float] = time.monotonic,
+        tell: Callable[[str], None] = tell_line,
+    ) -> None:
         """Begin to read.
 
         Args:
             file: descriptor to read from.
             name: for people.
             clock: in s.
+            tell: hears of the end, in the thread that reads.
         """
-        self._file, self._name, self._clock = file, name, clock
+        self._file, self._name, self._clock, self._tell = file, name, clock, tell
         self._lock = threading.Lock()
         self._bell = Bell()
         self._fixes: list[tuple[float, tuple[float, float, float]]] = []
         self._error: InputError | None = None
         self._seen = self._sequence = 0
+        self._ended = False
         self._looked_s = 0.0
         threading.Thread(target=self._read, name=name, daemon=True).start()
 
@@ -56,13 +66,14 @@ class LineFixes:
         Raises:
             InputError: none came in time, or a line that is none.
         """
-        self._bell.wait_for(lambda: self._seen > 0 or self._error is not None, timeout_s)
+        self._bell.wait_for(lambda: self._seen > 0 or self._error is not None or self._ended, timeout_s)
         with self._lock:
             if self._error is not None:
                 raise self._error
             if not self._seen:
+                how = "and it has ended" if self._ended else f"within {timeout_s:g} s"
                 raise InputError(
-                    f"no position fix came from {self._name} within {timeout_s:g} s: start the tracker, "
+                    f"no position fix came from {self._name} {how}: start the tracker, "
                     "whose lines are 'x_m y_m heading_rad [age_s]'"
                 )
 
@@ -116,6 +127,11 @@ class LineFixes:
                     self._bell.ring()
                     if self._error is not None:
                         return
+        with self._lock:
+            self._ended = True
+            self._bell.ring()
+        if self._seen:
+            self._tell(f"{self._name} has ended after {self._seen} position fixes: no more will come from it")
 
     def _more(self) -> bytes:
         # Not the buffered stream: its lock, held by a thread that waits, would not let the program end.

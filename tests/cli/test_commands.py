@@ -13,6 +13,7 @@ from tests.cli.commands import frogkick, listing
 from tests.library.synthetic import Known
 from tests.loop import rig
 
+from frogkick.cli.common import show
 from frogkick.files import cache_folder
 from frogkick.library import write_library
 from frogkick.planner.image import read_image
@@ -362,3 +363,19 @@ def test_help_and_text_need_no_json(here: Path, capsys: Capture) -> None:
     assert frogkick(capsys, "run", "--help").code == 0
     text = frogkick(capsys, "tables", "info", rig.small_table(), "--test-states", "0").stdout
     assert "states: 40" in text
+
+
+def test_results_are_read_by_people_too(here: Path, capsys: Capture) -> None:
+    """No dict of Python, no digits beyond what is known, no nan."""
+    values = {
+        "speed_mps": 0.30000000000000004, "completed": False, "ended": None, "left": float("nan"),
+        "decisions": 12345, "plan": {"ms": {"p99": 1.23456}, "none": {}},
+        "rows": [{"name": "a", "at_m": (0.1, 2.0)}], "names": ["b", "c"],
+    }  # fmt: skip
+    show(values, as_json=False)
+    assert capsys.readouterr().out.splitlines() == [
+        "speed_mps: 0.3", "completed: no", "ended: -", "left: -", "decisions: 12345", "plan:", "  ms:",
+        "    p99: 1.235", "  none: -", "rows:", "  name a, at_m 0.1, 2", "names: b, c",
+    ]  # fmt: skip
+    told = frogkick(capsys, "tables", "info", rig.small_table()).stdout
+    assert "{" not in told and ": nan" not in told

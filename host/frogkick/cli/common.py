@@ -58,6 +58,36 @@ def json_text(values: Mapping[str, Any]) -> str:
     return json.dumps(_plain(values), allow_nan=False)
 
 
+def short(value: Any) -> str:
+    """A value as people read it: four digits, yes and no, "-" where nothing is known."""
+    value = _plain(value)
+    if value is None:
+        return "-"
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, float):
+        return f"{value:.4g}"
+    if isinstance(value, list):
+        return ", ".join(map(short, value)) or "-"
+    if isinstance(value, Mapping):
+        return ", ".join(f"{key} {short(each)}" for key, each in value.items()) or "-"
+    return str(value)
+
+
+def text_lines(values: Mapping[str, Any], indent: str = "") -> list[str]:
+    """Values as people read them, one a line; tables below their name, a row of a list on one line."""
+    lines = []
+    for key, value in values.items():
+        rows = isinstance(value, list | tuple) and any(isinstance(each, Mapping) for each in value)
+        if isinstance(value, Mapping) and value:
+            lines += [f"{indent}{key}:", *text_lines(value, f"{indent}  ")]
+        elif rows:
+            lines += [f"{indent}{key}:", *(f"{indent}  {short(each)}" for each in value)]
+        else:
+            lines.append(f"{indent}{key}: {short(value)}")
+    return lines
+
+
 def say(text: str) -> None:
     """Print one line to stderr, where it does not disturb what is piped on."""
     stderr.print(f"frogkick: {text}", markup=False, highlight=False, soft_wrap=True)
@@ -74,7 +104,7 @@ def show(values: Mapping[str, Any], as_json: bool, text: str = "") -> None:
     if as_json:
         print(json_text(values))
         return
-    print(text or "\n".join(f"{key}: {value}" for key, value in values.items()))
+    print(text or "\n".join(text_lines(values)))
 
 
 def write_picture(figure: Any, out: Path) -> None:

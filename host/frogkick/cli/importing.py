@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from frogkick.cli.common import JsonOption, say, show
+from frogkick.cli.common import JsonOption, say, short, show
 
 
 def import_(
@@ -20,16 +20,12 @@ def import_(
 
     runs = import_runs(data_dir, out, progress=True)
     columns = list(dict.fromkeys(c for row in runs for c in row if c not in ("clock_notes", "skipped")))
-    lines = ["  ".join(columns)] + ["  ".join(_cell(row.get(c)) for c in columns) for row in runs]
+    lines = ["  ".join(columns)] + ["  ".join(short(row.get(c)) for c in columns) for row in runs]
     lines += [f"{row['run']}: skipped, {row['skipped']}" for row in runs if "skipped" in row]
     for row in runs:
         for note in row.get("clock_notes", ()):
             say(f"{row['run']}: {note}")
     show({"runs": runs, "out": str(out)}, json, "\n".join(lines))
-
-
-def _cell(value: object) -> str:
-    return "-" if value is None else f"{value:.4g}" if isinstance(value, float) else str(value)
 
 
 def register(app: typer.Typer) -> None:

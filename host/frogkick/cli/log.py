@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import typer
 
 import frogkick as fk
-from frogkick.cli.common import JsonOption, show, write_picture
+from frogkick.cli.common import JsonOption, short, show, text_lines, write_picture
 from frogkick.errors import InputError
 from frogkick.files import require_writable
 
@@ -51,7 +51,7 @@ def compare(
         write_picture(compare_figure((one.log, two.log), names), out)
     told = found.as_json()
     rows = [
-        f"{key:18s}  {_short(told['a'][key]):>22s}  {_short(told['b'][key]):>22s}"
+        f"{key:18s}  {short(told['a'][key]):>22s}  {short(told['b'][key]):>22s}"
         for key in told["a"]
         if key not in ("actions", "clock", "notes")
     ]
@@ -90,16 +90,12 @@ def _require_picture(out: Path | None) -> None:
         raise InputError(f"--out {str(out)!r} is no .png: pictures are PNG here")
 
 
-def _short(value: Any) -> str:
-    return "-" if value is None else f"{value:.4g}" if isinstance(value, float) else str(value)
-
-
 def _lines(values: Mapping[str, Any]) -> str:
-    texts = {key: _short(value) for key, value in values.items() if key not in ("actions", "clock")}
-    texts |= {key: _short(value) for key, value in values.get("clock", {}).items()}
+    told = {key: value for key, value in values.items() if key not in ("actions", "clock")}
+    told |= values.get("clock", {})
     if "actions" in values:
-        texts["actions"] = " ".join(f"{name}{count}" for name, count in values["actions"].items())
-    return "\n".join(f"{key}: {text}" for key, text in texts.items())
+        told["actions"] = " ".join(f"{name}{count}" for name, count in values["actions"].items())
+    return "\n".join(text_lines(told))
 
 
 def register(app: typer.Typer) -> None:

@@ -122,3 +122,20 @@ def test_a_hint_names_the_help_of_what_was_called(
     assert run_command(arguments) == 2
     called = " ".join(["frogkick", *place.split()])
     assert capsys.readouterr().err.endswith(f"(see '{called} --help')\n")
+
+
+def test_one_option_names_the_robot_s_file_everywhere() -> None:
+    """``--robot`` is the robot to talk to in some commands; ``--model`` is the file in all."""
+    talks = {"run", "replay", "push", "own", "log fetch", "study twin"}  # of two robots, the last one
+    waiting, seen = [[name] for name in COMMANDS], 0
+    while waiting:
+        names = waiting.pop()
+        told = CliRunner().invoke(app, [*names, "--help"]).stdout
+        if "\nCommands:\n" in told:
+            rows = told.split("\nCommands:\n")[1].splitlines()
+            waiting += [[*names, row.split()[0]] for row in rows if row[:3].strip()]
+        elif "  --robot" in told and " ".join(names) not in talks:
+            assert "  --robot, --model" in told, names
+            seen += 1
+        assert "--robot" not in told or "--model" in told or " ".join(names) in talks, names
+    assert seen > 8

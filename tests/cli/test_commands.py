@@ -137,6 +137,21 @@ def test_tables_build_and_info(here: Path, library: Path, capsys: Capture) -> No
     assert quick.json["error"] is None
 
 
+def test_a_table_of_another_robot_finds_its_file(here: Path, tmp_path: Path, capsys: Capture) -> None:
+    mine = tmp_path / "mine.toml"
+    mine.write_text('base = "frog2022"\nid = "tri"\n[frame]\ndrag_normal = 0.9\n')
+    made = ("library", "build", mine, "--states", "3", "--workers", "1", "--record-s", "0", "--out", "lib.h5")
+    assert frogkick(capsys, *made).code == 0
+    assert frogkick(capsys, "tables", "build", "lib.h5", "--test-states", "4", "--out", "x.fkt").code == 0
+    options = ("run", "--robot", "pool", "--tables", "x.fkt", "--simulated-time", "2", "--out", "run.h5")
+    without = frogkick(capsys, *options)
+    assert without.code == 2 and not Path("run.h5").exists()
+    assert "is for robot 'tri', which is no built-in one: give its TOML file with --model" in without.stderr
+    assert frogkick(capsys, *options, "--model", mine).code == 0
+    mine.rename("tri.toml")
+    assert frogkick(capsys, *options).code == 0
+
+
 def test_tables_within_a_budget(here: Path, tmp_path: Path, capsys: Capture) -> None:
     """Of a made library: nothing but the unseen states is simulated, and they are not its."""
     lib = tmp_path / "made.h5"

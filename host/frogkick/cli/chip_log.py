@@ -27,7 +27,9 @@ def fetch(
 def replay(
     file: Annotated[Path, typer.Argument(help="File that 'log fetch' wrote.")],
     tables: TablesOption = None,
-    model: Annotated[str | None, typer.Option(help="Robot TOML or name; default: the table's.")] = None,
+    model: Annotated[
+        str | None, typer.Option("--model", "--robot", help="Robot TOML or name; default: the table's.")
+    ] = None,
     json: JsonOption = False,
 ) -> None:
     """Decide a robot's log again, by the C core and the Python twin, bit by bit. Exit 1 on a mismatch."""

@@ -17,7 +17,9 @@ if TYPE_CHECKING:
 
 def demo(
     out: Annotated[Path, typer.Option(help="Folder for everything that is made.")] = Path("demo"),
-    robot: Annotated[str, typer.Option(help="TOML file or built-in name.")] = "frog2022",
+    robot: Annotated[
+        str, typer.Option("--robot", "--model", help="TOML file or built-in name.")
+    ] = "frog2022",
     states: Annotated[int, typer.Option(min=10, max=2000, help="Initial velocities of the library.")] = 300,
     depth: DepthOption = None,
     seed: SeedOption = 0,

@@ -25,7 +25,9 @@ class Target(enum.StrEnum):
     native = "native"
 
 
-RobotOption = Annotated[str | None, typer.Option(help="TOML or name; by default the table's own robot.")]
+RobotOption = Annotated[
+    str | None, typer.Option("--robot", "--model", help="TOML or name; by default the table's own robot.")
+]
 
 
 @app.command()

@@ -71,7 +71,10 @@ def command(
         Path | None, typer.Option(help="Python file with effects of your own, tried as well.")
     ] = None,
     robot: Annotated[
-        str | None, typer.Option(help="Robot TOML or name that is nominal; default: the runs' own.")
+        str | None,
+        typer.Option(
+            "--robot", "--model", help="Robot TOML or name that is nominal; default: the runs' own."
+        ),
     ] = None,
     predictions: Annotated[
         Path | None, typer.Option(help="CSV to write: each period of the test runs, predicted.")

@@ -25,7 +25,9 @@ def parity(
         int, typer.Option(min=0, max=100_000, help="Decisions of a whole loop, fixes in, decisions out.")
     ] = LOOP_DECISIONS,
     tables: TablesOption = None,
-    model: Annotated[str | None, typer.Option(help="Robot TOML or name; default: the table's robot.")] = None,
+    model: Annotated[
+        str | None, typer.Option("--model", "--robot", help="Robot TOML or name; default: the table's robot.")
+    ] = None,
     planner: PlannerOption = PlannerName.paper,
     depth: DepthOption = None,
     seed: SeedOption = 0,

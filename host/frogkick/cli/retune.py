@@ -28,7 +28,9 @@ def command(
         list[Path],
         typer.Argument(help="The robot's last runs: logs, or recorded runs (.csv). Last: to judge."),
     ],
-    robot: Annotated[str, typer.Option(help="Robot TOML or name that its tables were made from.")],
+    robot: Annotated[
+        str, typer.Option("--robot", "--model", help="Robot TOML or name that its tables were made from.")
+    ],
     out: Annotated[Path, typer.Option(help="New folder for robot, library, tables and firmware.")],
     tables: Annotated[
         Path | None,

@@ -30,7 +30,9 @@ def convergence(
 
 def chip(
     tables: TablesOption = None,
-    model: Annotated[str | None, typer.Option(help="Robot TOML or name; default: the table's robot.")] = None,
+    model: Annotated[
+        str | None, typer.Option("--model", "--robot", help="Robot TOML or name; default: the table's robot.")
+    ] = None,
     states: Annotated[int, typer.Option(min=12, max=1_000_000, help="Decisions at each depth.")] = 300,
     planner: PlannerOption = PlannerName.robot,
     workers: Annotated[int, typer.Option(min=0, max=256, help="Processes; 0: one for each core.")] = 1,

@@ -24,7 +24,9 @@ _RatesOption = Annotated[
 
 def estimator(
     tables: TablesOption = None,
-    model: Annotated[str | None, typer.Option(help="Robot TOML or name; default: the table's robot.")] = None,
+    model: Annotated[
+        str | None, typer.Option("--model", "--robot", help="Robot TOML or name; default: the table's robot.")
+    ] = None,
     path: _PathsOption = None,
     rate: _RatesOption = None,
     planner: PlannerOption = PlannerName.robot,

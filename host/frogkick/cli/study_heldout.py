@@ -15,7 +15,10 @@ from frogkick.files import require_writable
 def heldout(
     runs: Annotated[list[Path], typer.Argument(help="Three runs or more: logs, or recorded runs (.csv).")],
     robot: Annotated[
-        str | None, typer.Option(help="Robot TOML or name that is nominal; default: the runs' own.")
+        str | None,
+        typer.Option(
+            "--robot", "--model", help="Robot TOML or name that is nominal; default: the runs' own."
+        ),
     ] = None,
     effects: Annotated[
         Path | None, typer.Option(help="Python file with effects of your own, tried as well.")

@@ -30,7 +30,9 @@ def loop(
             "effects, as for 'run'. Again for more. Default: nominal and hidden."
         ),
     ] = None,
-    robot: Annotated[str, typer.Option(help="TOML file or built-in name.")] = "frog2022",
+    robot: Annotated[
+        str, typer.Option("--robot", "--model", help="TOML file or built-in name.")
+    ] = "frog2022",
     library: Annotated[
         Path | None, typer.Option(help="Library for both tables; default: one of 8503 states, made once.")
     ] = None,

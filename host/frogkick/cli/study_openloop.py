@@ -31,7 +31,9 @@ def openloop(
     test: Annotated[Path | None, typer.Option(help="Folder to predict, laid out as DATA_DIR.")] = None,
     train_egain: _PercentOption = None,
     test_egain: _TestOption = None,
-    robot: Annotated[str, typer.Option(help="TOML file or built-in name.")] = "frog2022",
+    robot: Annotated[
+        str, typer.Option("--robot", "--model", help="TOML file or built-in name.")
+    ] = "frog2022",
     out: Annotated[
         Path | None, typer.Option(help="Folder for openloop.png and a robot's TOML for each fit.")
     ] = None,

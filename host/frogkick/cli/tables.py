@@ -63,7 +63,9 @@ def build(
 @app.command()
 def info(
     tables: Annotated[Path, typer.Argument(help="Table image (.fkt).")],
-    robot: Annotated[str | None, typer.Option(help="Refuse a table that is not for this robot.")] = None,
+    robot: Annotated[
+        str | None, typer.Option("--robot", "--model", help="Refuse a table that is not for this robot.")
+    ] = None,
     test_states: Annotated[
         int, typer.Option(min=0, max=10000, help="Unseen states to measure the error on; 0: do not.")
     ] = 64,

@@ -50,7 +50,9 @@ def _text(result: dict[str, Any]) -> str:
 
 def validate(
     data_dir: Annotated[Path, typer.Argument(help="The paper's data: sim/, exp/, profile/.")],
-    robot: Annotated[str, typer.Option(help="TOML file or built-in name.")] = "frog2022",
+    robot: Annotated[
+        str, typer.Option("--robot", "--model", help="TOML file or built-in name.")
+    ] = "frog2022",
     report: Annotated[Path | None, typer.Option(help="HTML report to write.")] = None,
     left_out: Annotated[
         bool,

@@ -20,7 +20,7 @@ from frogkick.planner.image import Tables, read_image
 from frogkick.planner.plan import PlanConfig
 from frogkick.pool.native_robot import NativeRobot
 from frogkick.pool.port import RobotPort
-from frogkick.robot import Robot, load_robot
+from frogkick.robot import Robot, built_in_robots, load_robot
 from frogkick_codegen.firmware import Build, build, require_tools
 
 DEFAULT_ROBOT = "frog2022"
@@ -38,16 +38,25 @@ def table_image(tables: Path | None, robot: str | None) -> Path:
 
 
 def robot_of_table(tables: Path, robot: str | None) -> Robot:
-    """The robot by name or file, by default the one that the table names.
+    """The robot by name or file, by default the one that the table names: built-in, or ID.toml beside it.
 
     Raises:
         InputError: no such robot, or the table is for another one, or for another version of it.
     """
-    return robot_of_image(read_image(tables), robot, tables.name)
+    return robot_of_image(read_image(tables), robot, tables)
 
 
-def robot_of_image(tables: Tables, robot: Robot | str | None, name: str) -> Robot:
-    """The same for an image in memory; ``name`` is that of its file."""
+def robot_of_image(tables: Tables, robot: Robot | str | None, file: Path) -> Robot:
+    """The same for an image that was read from ``file``."""
+    name, beside = file.name, file.parent / f"{tables.robot_id}.toml"
+    built_in = tables.robot_id in built_in_robots()
+    if robot is None and not built_in and beside.is_file():
+        robot = str(beside)
+    if robot is None and not built_in:
+        raise InputError(
+            f"table {name!r} is for robot {tables.robot_id!r}, which is no built-in one: give its TOML file "
+            f"with --model, or lay it beside the table as {tables.robot_id}.toml"
+        )
     described = robot if isinstance(robot, Robot) else load_robot(tables.robot_id if robot is None else robot)
     tables.require_robot(described.id)
     if not strokes_alike(tables, described):

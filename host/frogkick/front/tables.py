@@ -139,7 +139,8 @@ def load_table(file: Path | str | None = None, robot: Robot | str | None = None)
     Args:
         file: the image; None: the robot's default table, which is made on first use and kept in the user's
             cache (about a minute, with a bar on stderr).
-        robot: the robot or its name or TOML file; None: the built-in one that the image names.
+        robot: the robot or its name or TOML file; None: the one that the image names, built-in or ID.toml
+            beside the file.
 
     Raises:
         InputError: no such file or robot, or the table is for another robot or another version of it.
@@ -148,7 +149,7 @@ def load_table(file: Path | str | None = None, robot: Robot | str | None = None)
     if file is None:
         file = default_tables(robot or DEFAULT_ROBOT)
     tables = read_image(file)
-    return Table(tables, robot_of_image(tables, robot, Path(file).name), Path(file).name)
+    return Table(tables, robot_of_image(tables, robot, Path(file)), Path(file).name)
 
 
 def build_library(

@@ -57,7 +57,7 @@ COMMANDS = {
     "push": ("push", "Give a robot another table, by radio or line."),
     "own": ("push", "Let a robot take commands from its owner alone."),
     "export": ("log", "Write a run as CSV or as MCAP."),
-    "robot": ("robot", "Which robots there are, and what one looks like."),
+    "robot": ("robot", "Which robots there are, what one looks like, and a file for a new one."),
     "camera": ("camera", "Calibrate the camera over the pool, check it."),
     "log": (LOG_COMMANDS, "Look at runs; fetch what a robot wrote down."),
     "library": ("library", "Simulate transitions for many initial velocities."),

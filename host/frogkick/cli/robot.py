@@ -1,4 +1,4 @@
-"""``frogkick robot``: which robots there are, and what one looks like."""
+"""``frogkick robot``: which robots there are, what one looks like, and a file for a new one."""
 
 from __future__ import annotations
 
@@ -13,7 +13,9 @@ from frogkick.cli.common import JsonOption, WholeLines, show
 from frogkick.files import require_writable
 
 app = typer.Typer(
-    cls=WholeLines, help="Which robots there are, and what one looks like.", no_args_is_help=True
+    cls=WholeLines,
+    help="Which robots there are, what one looks like, and a file for a new one.",
+    no_args_is_help=True,
 )
 
 
@@ -37,6 +39,23 @@ def list_robots(json: JsonOption = False) -> None:
         for row in rows
     ]
     show({"robots": rows}, json, "\n".join(lines))
+
+
+@app.command("new")
+def new(
+    out: Annotated[Path, typer.Argument(help="TOML file to write; its name is the robot's id.")],
+    base: Annotated[
+        str, typer.Option("--from", help="Built-in name or TOML file to begin from.")
+    ] = "frog2022",
+    limbs: Annotated[int | None, typer.Option(help="The first so many of its limbs; default: all.")] = None,
+    json: JsonOption = False,
+) -> None:
+    """Write a robot file to begin with: complete, with a comment on every key."""
+    from frogkick.front.describing import write_new_robot
+
+    robot = write_new_robot(out, base, limbs)
+    told = {"id": robot.id, "limbs": len(robot.limbs), "actions": len(robot.actions), "out": str(out)}
+    show(told, json)
 
 
 @app.command("show")

@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from frogkick.der import Rods, prepare
-from frogkick.robot import Robot, load_robot, robot_warnings
+from frogkick.errors import InputError
+from frogkick.files import require_writable, write_text
+from frogkick.robot import Robot, load_robot, parse_robot, robot_warnings
+from frogkick.robot.template import new_robot_text
 
-__all__ = ["Description", "describe"]
+__all__ = ["Description", "describe", "write_new_robot"]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -101,3 +105,23 @@ def describe(robot: Robot | str) -> Description:
     """
     described = robot if isinstance(robot, Robot) else load_robot(robot)
     return Description(described, prepare(described), tuple(robot_warnings(described)))
+
+
+def write_new_robot(file: Path, base: Robot | str = "frog2022", limbs: int | None = None) -> Robot:
+    """Write a robot file to begin with: all keys of another robot, a comment on each; and read it.
+
+    Args:
+        file: TOML file to write, not one that is there; its name without ending is the robot's id.
+        base: the robot to begin from, or its name or TOML file. Its effects do not come along.
+        limbs: the first so many of its limbs, and the actions that these can do; None: all.
+
+    Raises:
+        InputError: no such base, not so many limbs, a name that is no id, or the file cannot be written.
+    """
+    require_writable(file)
+    if file.exists():
+        raise InputError(f"{str(file)!r} is there already: name a new file, or take that one away")
+    text = new_robot_text(base if isinstance(base, Robot) else load_robot(base), file.stem, limbs)
+    robot = parse_robot(text, str(file), file.parent)
+    write_text(file, text)
+    return robot

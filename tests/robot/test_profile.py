@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.cli.commands import frogkick
 
 from frogkick.errors import InputError
 from frogkick.robot import load_robot
@@ -66,3 +67,66 @@ def test_the_stored_coefficients_are_those_of_the_measurements(frog2022_dir: Pat
     assert np.abs(again.curvature_per_m(t) - profile.curvature_per_m(t)).max() < 0.05
     write_profiles([again], tmp_path / "p.toml", "a test")
     assert "Origin: a test" in (tmp_path / "p.toml").read_text()
+
+
+def arc_tip(curvature_per_m: np.ndarray, length_m: float) -> tuple[np.ndarray, np.ndarray]:
+    """Where arcs end that begin along x, by adding up short pieces."""
+    along = np.linspace(0.0, length_m, 4001)
+    angle = curvature_per_m[:, None] * 0.5 * (along[1:] + along[:-1])
+    step = np.diff(along)
+    return (np.cos(angle) * step).sum(axis=1), (np.sin(angle) * step).sum(axis=1)
+
+
+def csv_of(file: Path, **columns: np.ndarray) -> Path:
+    rows = zip(*columns.values(), strict=True)
+    file.write_text("\n".join([",".join(columns), *(",".join(map(repr, map(float, row))) for row in rows)]))
+    return file
+
+
+def test_a_measured_stroke_becomes_a_robot_s_profile(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """By the command, from curvatures and from the tip's place; the robot's file names what comes out."""
+    t, k = made_up(noise=0.2)
+    x, y = arc_tip(-k, 0.0355)  # another limb curls the other way
+    files = (
+        csv_of(tmp_path / "k.csv", time_s=t, curvature_per_m=k),
+        csv_of(tmp_path / "tip.csv", time_s=t * 1.25, tip_x_m=x, tip_y_m=y),
+    )
+    done = frogkick(
+        capsys, "robot", "fit-stroke", *files, "--length-m", "0.0355", "--out", tmp_path / "strokes.toml",
+        "--picture", tmp_path / "fit.png", "--json",
+    )  # fmt: skip
+    assert done.code == 0, done.stderr
+    assert [row["frequency_hz"] for row in done.json["profiles"]] == [0.64, 0.8]
+    assert all(row["rms_per_m"] < 1.0 and row["drop_per_m"] > 85.0 for row in done.json["profiles"])
+    assert (tmp_path / "fit.png").read_bytes()[:4] == b"\x89PNG"
+    mine = tmp_path / "mine.toml"
+    keys = 'base = "frog2022"\nprofiles_file = "strokes.toml"\negain_percent = 0.0\n'
+    mine.write_text(f"{keys}profile_frequency_hz = 0.8\n")
+    drop = load_robot(mine).actuation().drop_per_m
+    assert drop == pytest.approx(k[0] - k.min(), abs=3.0)
+
+
+@pytest.mark.parametrize(
+    ("text", "more", "says"),
+    [
+        ("", (), "is empty"),
+        ("time,k\n0,1\n", (), "begins with 'time,k'"),
+        ("time_s,curvature_per_m\n0,1,2\n", (), "line 2: 3 cells, not 2"),
+        ("time_s,curvature_per_m\n0,x\n", (), "line 2: curvature_per_m is 'x'"),
+        ("time_s,curvature_per_m\n0,1\n1,2\n", (), "20 or more"),
+        ("time_s,curvature_per_m\n-1,1\n1,2\n", (), "begins at -1 s"),
+        ("time_s,curvature_per_m\n0,1\n1,2\n", ("--frequency-hz", "-2"), "-2.0 strokes a second"),
+        ("time_s,tip_x_m,tip_y_m\n0,1,1\n", (), "the limb's length is None"),
+        ("time_s,tip_x_m,tip_y_m\n0,1,1\n", ("--length-m", "0"), "the limb's length is 0.0"),
+    ],
+)
+def test_files_that_hold_no_stroke_are_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], text: str, more: tuple[str, ...], says: str
+) -> None:
+    (tmp_path / "k.csv").write_text(text)
+    out = tmp_path / "strokes.toml"
+    done = frogkick(capsys, "robot", "fit-stroke", tmp_path / "k.csv", "--out", out, *more)
+    assert done.code == 2 and says in done.stderr and done.stderr.count("\n") == 1, done.stderr
+    assert not out.exists()

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import typer
 
 import frogkick as fk
-from frogkick.cli.common import JsonOption, WholeLines, show
+from frogkick.cli.common import JsonOption, WholeLines, show, write_picture
 from frogkick.files import require_writable
 
 app = typer.Typer(
@@ -56,6 +56,36 @@ def new(
     robot = write_new_robot(out, base, limbs)
     told = {"id": robot.id, "limbs": len(robot.limbs), "actions": len(robot.actions), "out": str(out)}
     show(told, json)
+
+
+@app.command("fit-stroke")
+def fit_stroke(
+    strokes: Annotated[
+        list[Path],
+        typer.Argument(
+            help="CSV of one cycle each, from the pulse on: time_s,curvature_per_m or time_s,tip_x_m,tip_y_m "
+            "(the tip seen from the root, x along the limb there)."
+        ),
+    ],
+    out: Annotated[Path, typer.Option(help="TOML to write; a robot's profiles_file names it.")],
+    egain_percent: Annotated[float, typer.Option(min=0.0, max=100.0, help="Of the limb's alloy.")] = 0.0,
+    frequency_hz: Annotated[
+        float | None, typer.Option(help="Strokes a second; default: one over each file's last time.")
+    ] = None,
+    length_m: Annotated[float | None, typer.Option(help="Of the limb, where its tip was tracked.")] = None,
+    picture: Annotated[Path | None, typer.Option(help="PNG to write: strokes as measured, and fits.")] = None,
+    json: JsonOption = False,
+) -> None:
+    """Fit limb profiles to measured strokes: how the curvature falls and comes back."""
+    from frogkick.front.describing import fit_strokes
+
+    require_writable(out)
+    require_writable(picture)
+    found = fit_strokes(strokes, egain_percent=egain_percent, frequency_hz=frequency_hz, length_m=length_m)
+    found.save(out)
+    if picture is not None:
+        write_picture(found.plot(), picture)
+    show({**found.as_json(), "out": str(out), "picture": picture and str(picture)}, json)
 
 
 @app.command("show")

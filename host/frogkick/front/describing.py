@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import itertools
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -12,9 +14,14 @@ from frogkick.der import Rods, prepare
 from frogkick.errors import InputError
 from frogkick.files import require_writable, write_text
 from frogkick.robot import Robot, load_robot, parse_robot, robot_warnings
+from frogkick.robot.profile import Profile
+from frogkick.robot.profile_files import Stroke, fit_stroke, read_stroke, write_profiles
 from frogkick.robot.template import new_robot_text
 
-__all__ = ["Description", "describe", "write_new_robot"]
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+__all__ = ["Description", "FittedStrokes", "describe", "fit_strokes", "write_new_robot"]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -125,3 +132,78 @@ def write_new_robot(file: Path, base: Robot | str = "frog2022", limbs: int | Non
     robot = parse_robot(text, str(file), file.parent)
     write_text(file, text)
     return robot
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class FittedStrokes:
+    """Measured strokes and the profiles that were fitted to them.
+
+    Attributes:
+        strokes: as measured.
+        profiles: of each.
+    """
+
+    strokes: Sequence[Stroke]
+    profiles: Sequence[Profile]
+
+    def as_json(self) -> dict[str, Any]:
+        """The keys of the command ``robot fit-stroke``: of each stroke its fit and what that misses."""
+        return {
+            "profiles": [
+                {
+                    "file": stroke.name,
+                    "egain_percent": profile.egain_percent,
+                    "frequency_hz": profile.frequency_hz,
+                    "duration_s": profile.duration_s,
+                    "rest_curvature_per_m": profile.rest_curvature_per_m,
+                    "drop_per_m": float(stroke.curvature_per_m[0] - stroke.curvature_per_m.min()),
+                    "rms_per_m": profile.rms_per_m,
+                }
+                for stroke, profile in zip(self.strokes, self.profiles, strict=True)
+            ]
+        }
+
+    def plot(self) -> Figure:
+        """A matplotlib figure: each stroke as measured, and its fit."""
+        from frogkick.report.stroke_figure import stroke_figure
+
+        return stroke_figure(self.strokes, self.profiles)
+
+    def save(self, file: Path | str) -> None:
+        """Write them as the TOML file that a robot's ``profiles_file`` names.
+
+        Raises:
+            InputError: the file cannot be written.
+        """
+        write_profiles(list(self.profiles), file, ", ".join(stroke.name for stroke in self.strokes))
+
+
+def fit_strokes(
+    files: Sequence[Path | str],
+    *,
+    egain_percent: float = 0.0,
+    frequency_hz: float | None = None,
+    length_m: float | None = None,
+) -> FittedStrokes:
+    """Fit limb profiles to measured strokes, a CSV file for each frequency.
+
+    Args:
+        files: columns ``time_s,curvature_per_m``, or ``time_s,tip_x_m,tip_y_m`` of the tip seen from the
+            root, x along the limb's tangent there; one cycle from the pulse's beginning on.
+        egain_percent: of the limb's alloy.
+        frequency_hz: strokes a second; None: of each file one over its last time.
+        length_m: of the limb, where the tip was tracked.
+
+    Raises:
+        InputError: a file that holds no stroke, or two of one frequency.
+    """
+    strokes = [read_stroke(file, length_m) for file in files]
+    profiles = [fit_stroke(stroke, egain_percent, frequency_hz) for stroke in strokes]
+    order = sorted(range(len(strokes)), key=lambda index: profiles[index].frequency_hz)
+    for one, other in itertools.pairwise(order):
+        if profiles[one].frequency_hz == profiles[other].frequency_hz:
+            raise InputError(
+                f"stroke files {strokes[one].name!r} and {strokes[other].name!r} are both at "
+                f"{profiles[one].frequency_hz:g} Hz: give one file for each frequency"
+            )
+    return FittedStrokes([strokes[k] for k in order], [profiles[k] for k in order])

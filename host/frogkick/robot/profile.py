@@ -130,8 +130,9 @@ def fit_profile(
             rising = np.flatnonzero(k[cooling] > low + level * (k[cooling].max() - low))
             centre = t[cooling[rising[0]]] if rising.size else 0.5 * end
             start += [(rest - low) / (TERMS - 1), centre, 0.15 * end / TERMS]
-        lower = [0.0] + [-300.0, 0.0, 0.002] + [-300.0, 0.0, 0.004] * (TERMS - 1)
-        upper = [2.0 * rest] + [300.0, end, 0.1] + [300.0, 1.3 * end, end] * (TERMS - 1)
+        most = max(300.0, 4.0 * (rest - low))
+        lower = [0.0] + [-most, 0.0, 0.002] + [-most, 0.0, 0.004] * (TERMS - 1)
+        upper = [2.0 * rest] + [most, end, 0.1] + [most, 1.3 * end, end] * (TERMS - 1)
         guess = np.clip(start, np.asarray(lower) + 1e-9, np.asarray(upper) - 1e-9)
         fit = least_squares(
             lambda p: _formula(p, t, end) - k, guess, bounds=(lower, upper), x_scale="jac", max_nfev=400

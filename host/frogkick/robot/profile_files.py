@@ -1,14 +1,17 @@
-"""Fit every measured profile of a folder and write their coefficients as TOML."""
+"""Measured strokes from files, fitted, and their coefficients as TOML."""
 
 from __future__ import annotations
 
-from dataclasses import asdict
+import csv
+import math
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from frogkick.errors import InputError
-from frogkick.files import write_text
+from frogkick.files import existing_file, write_text
 from frogkick.robot.profile import Profile, fit_profile
 from frogkick.robot.toml_text import to_toml
 
@@ -31,6 +34,93 @@ def read_measured_profile(path: Path | str) -> tuple[np.ndarray, np.ndarray]:
         np.asarray(content["t"], dtype=np.float64).ravel(),
         np.asarray(content["mean"], dtype=np.float64).ravel(),
     )
+
+
+@dataclass(frozen=True, eq=False)
+class Stroke:
+    """A stroke as it was measured.
+
+    Attributes:
+        name: of its file.
+        time_s: (n,) since the pulse began.
+        curvature_per_m: (n,) of the limb, 1/m, positive at rest.
+    """
+
+    name: str
+    time_s: NDArray[np.float64]
+    curvature_per_m: NDArray[np.float64]
+
+
+def read_stroke(file: Path | str, length_m: float | None = None) -> Stroke:
+    """Read a measured stroke: CSV with a header and one cycle, from the pulse's beginning to rest again.
+
+    Columns ``time_s`` and ``curvature_per_m``; or ``time_s``, ``tip_x_m``, ``tip_y_m``: the limb's tip seen
+    from its root, x along the limb's tangent there. An arc of length l that ends there turns by twice the
+    angle of its chord, so its curvature is 2 atan2(y, x) / l.
+
+    Args:
+        file: the CSV file.
+        length_m: of the limb along it, where the tip was tracked.
+
+    Raises:
+        InputError: no such file, other columns, a cell that is no number (its line is named), a curvature
+            that has no sign at rest, or a tip without the limb's length.
+    """
+    source = existing_file(file, "stroke file")
+    try:
+        rows = [row for row in csv.reader(source.read_text(encoding="utf-8-sig").splitlines()) if row]
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise InputError(f"stroke file {source.name!r} is no CSV text: {error}") from error
+    columns = [cell.strip().lower() for cell in rows[0]] if rows else []
+    if set(columns) not in ({"time_s", "curvature_per_m"}, {"time_s", "tip_x_m", "tip_y_m"}):
+        raise InputError(
+            f"stroke file {source.name!r} begins with {','.join(columns)[:60]!r}: its first line is to be "
+            "time_s,curvature_per_m or time_s,tip_x_m,tip_y_m"
+        )
+    values = {name: np.empty(len(rows) - 1) for name in columns}
+    for number, row in enumerate(rows[1:], start=2):
+        if len(row) != len(columns):
+            raise InputError(
+                f"stroke file {source.name!r} line {number}: {len(row)} cells, not {len(columns)}"
+            )
+        for name, cell in zip(columns, row, strict=True):
+            try:
+                values[name][number - 2] = float(cell)
+            except ValueError:
+                raise InputError(
+                    f"stroke file {source.name!r} line {number}: {name} is {cell.strip()[:40]!r}, no number"
+                ) from None
+    if "curvature_per_m" in values:
+        curvature = values["curvature_per_m"]
+    elif length_m is None or not 0.0 < length_m < math.inf:
+        raise InputError(
+            f"stroke file {source.name!r} has the tip's place, the limb's length is {length_m}: "
+            "give it in m, above 0"
+        )
+    else:
+        curvature = 2.0 * np.unwrap(np.arctan2(values["tip_y_m"], values["tip_x_m"])) / length_m
+    if len(curvature) and curvature[0] < 0.0:
+        curvature = -curvature
+    return Stroke(source.name, values["time_s"], curvature)
+
+
+def fit_stroke(stroke: Stroke, egain_percent: float, frequency_hz: float | None = None) -> Profile:
+    """The profile of a measured stroke; ``frequency_hz`` None: one over its last time, to four digits.
+
+    Raises:
+        InputError: see ``fit_profile``; times before the pulse.
+    """
+    time_s = stroke.time_s
+    if len(time_s) and not time_s[0] >= 0.0:
+        raise InputError(f"stroke file {stroke.name!r} begins at {time_s[0]:g} s: 0 is when the pulse begins")
+    if frequency_hz is None and len(time_s) and time_s[-1] > 0.0:
+        frequency_hz = float(f"{1.0 / float(time_s[-1]):.4g}")
+    if frequency_hz is None or not 0.0 < frequency_hz < math.inf:
+        raise InputError(f"stroke file {stroke.name!r}: {frequency_hz} strokes a second: give more than 0 Hz")
+    try:
+        return fit_profile(time_s, stroke.curvature_per_m, egain_percent, frequency_hz)
+    except InputError as error:
+        raise InputError(f"stroke file {stroke.name!r}: {error}") from None
 
 
 def fit_profile_folder(folder: Path | str) -> list[Profile]:
@@ -62,7 +152,7 @@ def write_profiles(profiles: list[Profile], path: Path | str, origin: str) -> No
     """
     worst = max(p.rms_per_m for p in profiles)
     head = (
-        f"# Coefficients of the curvature formula in frogkick.robot.profile, fitted by fit_profile_folder.\n"
+        f"# Coefficients of the curvature formula in frogkick.robot.profile, fitted to measured strokes.\n"
         f"# Origin: {origin}\n# Worst fit: {worst:g} 1/m RMS; each profile states its own.\n\n"
     )
     write_text(path, head + to_toml({"profile": [asdict(p) for p in profiles]}))

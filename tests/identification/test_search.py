@@ -14,7 +14,7 @@ from frogkick.identification import choice
 from frogkick.identification.filter import Noise
 from frogkick.identification.fit import Model, derivatives, fit_many, fit_on, misses, told, tracks_of
 from frogkick.identification.polish import Polisher
-from frogkick.identification.search import Found, _fall, countable, folds_of, search
+from frogkick.identification.search import Found, _fall, _Hunt, countable, folds_of, search
 from frogkick.identification.steps import _shrunk, cost_of, log_density, promised, scale_of
 from frogkick.identification.swim import Swim
 from frogkick.identification.verdict import FOUND, NOTHING, PARTLY, UNEXPLAINED, Error, Scored, intervals
@@ -202,3 +202,25 @@ def test_held_out_gains_are_those_of_fits_that_never_saw_the_fold(worn: list[Swi
         falls.append(2.0 * (scores[1] - scores[0]))
     refitted = float(np.concatenate(falls).mean())
     assert shown == pytest.approx(refitted, rel=0.1, abs=0.3)
+
+
+def test_a_rival_is_not_judged_in_a_dip() -> None:
+    """Every fix late and every limb late are the same swims: the one with a number less is named.
+
+    The limb that is worn as well had settled half a swing of the frame late beside the fixes' delay, and two
+    steps of a fit do not get it out of there: "every limb late" was found, and nothing that is like it.
+    """
+    worn = {"name": "limb_wear", "limb": "front_left", "gain": 0.88}
+    swims = [make_swim([worn, {"name": "fix_latency", "delay_s": 0.062}], seed, 14) for seed in (1, 2)]
+    limb, every, fixes = (term(name) for name in ("limb_wear front_left", "limb_wear all", "fix_latency"))
+    begun = polisher(swims)
+    late = (limb.at((0.882, 0.003, 1.0)), every.at((1.0, 0.0625, 1.0)))
+    dip = (limb.at((0.8817, 0.0457, 1.0)), fixes.at((0.0562,)))
+    held = frozenset({2, 3, 5})
+    (taken,) = fit_many([Model(robot(), late, NOISE, held=held)], swims, begun.rows, 6)
+    (rival,) = derivatives([Model(robot(), dip, NOISE, held=frozenset({2}))], swims, begun.rows)
+    hunt = _Hunt(swims, begun.rows, folds_of(swims, begun.rows), [], 1)
+    settled, alike = hunt.settled(begun.quietened(taken), [rival])
+    assert [each.title for each in settled.model.terms] == ["limb_wear front_left", "fix_latency"]
+    assert [each.title for each in alike] == ["limb_wear all"]
+    assert settled.model.values[-1] == pytest.approx(0.062, abs=0.006)

@@ -116,7 +116,7 @@ def _exchanged(
         others.pop(term.title, None)
     if not others:
         return current, []
-    starts = [_in_place(current.model, place, term) for term in others.values()]
+    starts = [in_place(current.model, place, term) for term in others.values()]
     fits = fit_many(starts, polisher.swims, polisher.rows, ROUNDS)
     every = [current, *fits]  # of one noise
     bound = min(price(each) for each in every) + ALIKE * polisher.copies
@@ -128,8 +128,9 @@ def _exchanged(
     )
 
 
-def _in_place(model: Model, place: int, term: Term) -> Model:
-    """Another term in a place, its parameters free but for those where it vanishes."""
+def in_place(model: Model, place: int, term: Term) -> Model:
+    """Another term in a place (-1: the last), its parameters free but for those where it vanishes."""
+    place %= len(model.terms)
     left, held = _left_out(model, place)
     first = sum(len(each.values) for each in left[:place])
     count = len(term.values)

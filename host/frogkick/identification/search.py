@@ -23,8 +23,16 @@ from frogkick.identification.fit import (
     told,
     tracks_of,
 )
-from frogkick.identification.polish import HOLD, NEAR, REFINING_LEG_S, Polisher, best_noise, fine_leg_s
-from frogkick.identification.revise import revised
+from frogkick.identification.polish import (
+    HOLD,
+    NEAR,
+    REFINING_LEG_S,
+    ROUNDS,
+    Polisher,
+    best_noise,
+    fine_leg_s,
+)
+from frogkick.identification.revise import in_place, revised
 from frogkick.identification.steps import cross_fitted, promised
 from frogkick.identification.swim import Swim, copies
 from frogkick.identification.terms import Term
@@ -167,7 +175,10 @@ def search(
         taken, tried, rivals, fits = hunt.turn(current)
         alone = alone or fits
         if taken is not None:
-            current, others = hunt.settled(polisher.polished(taken), rivals)
+            polished = polisher.polished(taken)
+            current, others = hunt.settled(polished, rivals)
+            if current is not polished:
+                current = polisher.polished(current)
             title = current.model.terms[-1].title
             tried = [replace(each, chosen=each.title == title) for each in tried]
             equals.append(others)
@@ -281,7 +292,12 @@ class _Hunt:
             replace(each.model, noise=taken.model.noise, leg_s=fine_leg_s(each.model)) for each in rivals
         ]
         begun = begun_at(starts, [each.jacobian for each in rivals], self.swims, self.rows)
-        every = [taken, *fit_on(begun, self.swims, self.rows, 2)]
+        # As many steps as a polish has: after two a rival that does as well may seem 20 worse. And from the
+        # other terms as they are polished, too: its own may have settled in a dip.
+        beside = [in_place(taken.model, -1, each.model.terms[-1]) for each in rivals]
+        own = fit_on(begun, self.swims, self.rows, ROUNDS)
+        near = fit_many(beside, self.swims, self.rows, ROUNDS)
+        every = [taken, *(min(pair, key=price) for pair in zip(own, near, strict=True))]
         every.sort(key=price)
         equals = [each for each in every if price(each) < price(every[0]) + ALIKE * self.copies]
         equals.sort(key=lambda each: len(each.model.values))

@@ -13,6 +13,7 @@ from tests.vision.scenes import scene
 
 from frogkick.vision.board import Board
 from frogkick.vision.calibration_file import read_calibration
+from frogkick.vision.tags import dictionary, picture_order
 
 USUAL = scene()
 
@@ -79,6 +80,11 @@ def test_check_with_tags_laid_down(tmp_path: Path, capsys: pytest.CaptureFixture
     done = frogkick(capsys, "camera", "check", file, "--places", tmp_path / "places.csv", "--json")
     assert done.code == 0, done.stderr
     assert done.json["found"] == 2
+    turned = [row.replace("10.0", "190.0").replace("-120.0", "60.0") for row in rows]
+    (tmp_path / "turned.csv").write_text("\n".join(turned) + "\n")
+    told = frogkick(capsys, "camera", "check", file, "--places", tmp_path / "turned.csv").stderr.splitlines()
+    assert "all headings are turned by 180 degrees" in told[1] or "by -180 degrees" in told[1], told
+    assert "(0.3, 0.2) m: " in told[2] and "(1, 0.7) m: " in told[2]
     (tmp_path / "1.png").write_bytes(b"none")
     wrong = frogkick(capsys, "camera", "check", file, "--places", tmp_path / "places.csv")
     assert wrong.code == 2
@@ -210,3 +216,33 @@ def test_wrong_input_is_one_line(
     assert says in done.stderr
     assert done.stderr.count("\n") == 1
     assert not (tmp_path / "o.toml").exists()
+
+
+def test_a_printed_tag_is_to_scale_and_points_forward(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Its picture is found by the same tracker: corners as far apart as said, the arrow's end at its top."""
+    done = frogkick(capsys, "camera", "tag", "--out", tmp_path / "t.png", "--tag-id", "7", "--json")
+    assert done.code == 0
+    image = cv2.imread(str(tmp_path / "t.png"), cv2.IMREAD_GRAYSCALE)
+    per_mm = image.shape[1] / done.json["page_mm"][0]
+    assert image.shape[0] / done.json["page_mm"][1] == pytest.approx(per_mm, rel=2e-3)
+    corners, numbers, _ = cv2.aruco.ArucoDetector(dictionary()).detectMarkers(image)
+    assert numbers.ravel().tolist() == [7]
+    top_left, top_right, bottom_right, _ = picture_order(corners[0][0].astype(np.float64))
+    assert np.hypot(*(top_right - top_left)) / per_mm == pytest.approx(47.0, abs=0.1)
+    assert top_left[0] < top_right[0] and bottom_right[1] > top_right[1], "the page is not turned"
+    above = image[: int(top_left[1] - 6 * per_mm), image.shape[1] // 2 - 2 : image.shape[1] // 2 + 2]
+    assert (above < 100).any(), "the arrow is above the picture's top"
+    first = frogkick(capsys, "camera", "tag", "--out", tmp_path / "a.pdf")
+    again = frogkick(capsys, "camera", "tag", "--out", tmp_path / "b.pdf")
+    assert first.code == again.code == 0 and (tmp_path / "a.pdf").read_bytes()[:5] == b"%PDF-"
+    assert (tmp_path / "a.pdf").read_bytes() == (tmp_path / "b.pdf").read_bytes()
+    for more, says in (
+        (("--tag-id", "9999"), "has no tag 9999"),
+        (("--tag-size-mm", "900"), "give one of 1 to 250 mm"),
+        (("--tag-family", "tag16h5"), "is not known"),
+    ):
+        told = frogkick(capsys, "camera", "tag", "--out", tmp_path / "c.pdf", *more)
+        assert told.code == 2 and says in told.stderr and not (tmp_path / "c.pdf").exists()
+    assert frogkick(capsys, "camera", "tag", "--out", tmp_path / "c.doc").code == 2

@@ -10,12 +10,14 @@ from typing import Annotated
 
 import typer
 
-from frogkick.cli.common import JsonOption, SeedOption, WholeLines, json_text, show
+from frogkick.cli.common import JsonOption, SeedOption, WholeLines, json_text, say, show
 from frogkick.errors import InputError
 from frogkick.files import require_writable, write_text
 
 app = typer.Typer(
-    cls=WholeLines, help="Calibrate the camera over the pool, check how far off it is.", no_args_is_help=True
+    cls=WholeLines,
+    help="Calibrate the camera over the pool, check how far off it is, print the tag.",
+    no_args_is_help=True,
 )
 
 
@@ -167,4 +169,26 @@ def check(
             f"(limit {limit_deg:g})",
             file=sys.stderr,
         )
+        for remark in checked.remarks:
+            say(remark)
         raise typer.Exit(1)
+
+
+@app.command("tag")
+def tag_page(
+    out: Annotated[Path, typer.Option(help="Page to print (.pdf, .svg or .png).")],
+    tag_family: Annotated[
+        str, typer.Option(help="tag36h11, or tagStandard41h12 (with the extra 'apriltag').")
+    ] = "tag36h11",
+    tag_id: Annotated[int, typer.Option(help="Number of the tag in its family.")] = 0,
+    tag_size_mm: Annotated[
+        float, typer.Option(help="Side of tag36h11's black, of tagStandard41h12's white square.")
+    ] = 47.0,
+    json: JsonOption = False,
+) -> None:
+    """Write a tag to print at true scale, with an arrow that points forward, and a ruler."""
+    from frogkick.front.cameras import write_tag
+
+    require_writable(out)
+    width_m, height_m = write_tag(out, family=tag_family, tag_id=tag_id, size_m=tag_size_mm / 1e3)
+    show({"out": str(out), "page_mm": [1e3 * width_m, 1e3 * height_m], "tag_size_mm": tag_size_mm}, json)

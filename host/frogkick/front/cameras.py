@@ -17,8 +17,21 @@ from frogkick.vision.check import Place, check_frames, check_points, known_place
 from frogkick.vision.corners import calibrate_corners, read_corners
 from frogkick.vision.plane_board import calibrate_plane
 from frogkick.vision.scene import Conditions
+from frogkick.vision.tags import check_tag, tag_cells, tag_margin
 
-__all__ = ["Board", "Calibrated", "CameraCheck", "Rendering", "Tag", "calibrate_camera", "check_camera"]
+__all__ = [
+    "Board",
+    "Calibrated",
+    "CameraCheck",
+    "Rendering",
+    "Tag",
+    "calibrate_camera",
+    "check_camera",
+    "write_tag",
+]
+
+REMARKS = 5
+"""Places that are named where many are beyond the limits."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -188,6 +201,32 @@ class CameraCheck:
         """The keys of the command ``camera check``."""
         return {**self.summary(), "map": [{**asdict(one), "error_mm": one.error_mm} for one in self.found]}
 
+    @property
+    def remarks(self) -> list[str]:
+        """What failed, a line each: a turn that all headings share, the first places beyond the limits."""
+        said = []
+        turns = np.array([p.heading_error_deg for p in self.found if np.isfinite(p.heading_error_deg)])
+        if len(turns) > 1:
+            mean = float(np.degrees(np.angle(np.exp(1j * np.radians(turns)).mean())))
+            apart = np.abs((turns - mean + 180.0) % 360.0 - 180.0).max()
+            if abs(mean) > max(10.0 * apart, self.limit_deg):
+                said.append(
+                    f"all headings are turned by {mean:.0f} degrees: is the tag mounted or printed that way? "
+                    "--tag-heading-deg of 'camera calibrate' says how, 'camera tag' prints one with an arrow"
+                )
+        off = [
+            f"({p.x_m:g}, {p.y_m:g}) m: "
+            + (
+                f"{p.error_mm:.2f} mm, {p.heading_error_deg:.2f} degrees off"
+                if p.reason == "found"
+                else p.reason
+            )
+            for p in self.found
+            if not p.error_mm <= self.limit_mm or abs(p.heading_error_deg) > self.limit_deg
+        ]
+        more = f"; {len(off) - REMARKS} more" if len(off) > REMARKS else ""
+        return said + ([f"{'; '.join(off[:REMARKS])}{more}"] if off else [])
+
     def draw(self, file: Path | str) -> None:
         """Write a map of the errors (.png).
 
@@ -247,3 +286,24 @@ def check_camera(
         pictures = rendered(known, conditions, drawn.columns, drawn.rows, rng)
         found, source = check_frames(known, pictures), "rendered"
     return CameraCheck(known, source, found, limit_mm, limit_deg)
+
+
+def write_tag(
+    file: Path | str, *, family: str = "tag36h11", tag_id: int = 0, size_m: float = 0.047
+) -> tuple[float, float]:
+    """Write a tag to print at true scale, with its forward arrow and a ruler; (width, height) of the page, m.
+
+    Args:
+        file: .pdf, .svg or .png.
+        family, tag_id: which tag.
+        size_m: side of tag36h11's black square, of tagStandard41h12's white one.
+
+    Raises:
+        InputError: no such tag, a size that no page has, another ending, or the file cannot be written.
+    """
+    from frogkick.report.tag_figure import write_tag_page
+
+    check_tag(family, tag_id)
+    return write_tag_page(
+        tag_cells(family, tag_id), tag_margin(family), size_m, f"{family} {tag_id}", Path(file)
+    )

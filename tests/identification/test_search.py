@@ -14,6 +14,7 @@ from frogkick.identification import choice
 from frogkick.identification.filter import Noise
 from frogkick.identification.fit import Model, derivatives, fit_many, fit_on, misses, told, tracks_of
 from frogkick.identification.polish import Polisher
+from frogkick.identification.revise import same_named
 from frogkick.identification.search import Found, _fall, _Hunt, countable, folds_of, search
 from frogkick.identification.steps import _shrunk, cost_of, log_density, promised, scale_of
 from frogkick.identification.swim import Swim
@@ -224,3 +225,19 @@ def test_a_rival_is_not_judged_in_a_dip() -> None:
     assert [each.title for each in settled.model.terms] == ["limb_wear front_left", "fix_latency"]
     assert [each.title for each in alike] == ["limb_wear all"]
     assert settled.model.values[-1] == pytest.approx(0.062, abs=0.006)
+    # And where the rival was never tried; not where the limbs are weaker as well.
+    named, alike = same_named(begun, begun.quietened(taken), [[], []], [limb, every, fixes])
+    assert [each.title for each in named.model.terms] == ["limb_wear front_left", "fix_latency"]
+    assert [[each.title for each in others] for others in alike] == [[], ["limb_wear all"]]
+    assert same_named(begun, taken, [[], []], [limb, every])[0] is taken, "nobody looks for late fixes"
+
+
+def test_limbs_that_are_late_and_weak_are_no_late_fixes() -> None:
+    weak = {"name": "limb_wear", "limb": "all", "gain": 0.8, "delay_s": 0.06}
+    swims = [make_swim([weak], seed, 14) for seed in (1, 2)]
+    every, fixes = term("limb_wear all"), term("fix_latency")
+    begun = polisher(swims)
+    model = Model(robot(), (every.at((0.8, 0.06, 1.0)),), NOISE, held=frozenset({2}))
+    (taken,) = fit_many([model], swims, begun.rows, 6)
+    named, alike = same_named(begun, taken, [[]], [every, fixes])
+    assert named is taken and alike == [[]]

@@ -19,7 +19,7 @@ from frogkick.identification.polish import ROUNDS, Polisher, fine_leg_s
 from frogkick.identification.steps import cross_fitted, promised
 from frogkick.identification.swim import Swim, copies
 from frogkick.identification.terms import Term
-from frogkick.identification.worth import ALIKE, BASE_GAIN, GAIN_EACH, free_count, price
+from frogkick.identification.worth import ALIKE, BASE_GAIN, GAIN_EACH, SAME, SAME_ALIKE, free_count, price
 
 FloatArray = NDArray[np.float64]
 
@@ -53,7 +53,8 @@ def revised(
     """
     found = [list(others) for others in equals]
     for place in range(len(found) - 1):  # beside the last one all others were there
-        current, found[place] = _exchanged(polisher, current, place, passed_over[place])
+        near = [each.model.terms[-1] for each in passed_over[place]]
+        current, found[place] = _exchanged(polisher, current, place, near)
     current, kept = _fewer(polisher, current)
     current = polisher.sparer(current, whole=True)
     found = [found[place] for place in kept]
@@ -105,12 +106,40 @@ def _whole_price(polisher: Polisher, fitted: Fitted) -> float:
     return fitted.cost + polisher.copies * (effects + GAIN_EACH * free_count(fitted))
 
 
+def same_named(
+    polisher: Polisher, current: Fitted, equals: Sequence[list[Term]], candidates: Sequence[Term]
+) -> tuple[Fitted, list[list[Term]]]:
+    """The model with the simpler of two effects that are one swim (SAME), where it has either.
+
+    Args:
+        polisher: of the runs.
+        current: as the search ended.
+        equals: for each term those that cannot be told from it.
+        candidates: of the search.
+
+    Returns:
+        The model, and the same with the other of the two where it does as well.
+    """
+    known, found = {term.title: term for term in candidates}, [list(others) for others in equals]
+    for place, term in enumerate(current.model.terms):
+        if term.title not in SAME or not set(SAME) <= known.keys():
+            continue
+        other = known[SAME[1 - SAME.index(term.title)]]
+        if other.title in [each.title for each in found[place]]:
+            continue
+        late_s = term.values[[p.name for p in term.parameters].index("delay_s")]
+        values = [late_s if p.name == "delay_s" else p.nominal for p in other.parameters]
+        current, alike = _exchanged(polisher, current, place, [other.at(values)], SAME_ALIKE)
+        found[place] += alike
+    return current, found
+
+
 def _exchanged(
-    polisher: Polisher, current: Fitted, place: int, rivals: Sequence[Fitted]
+    polisher: Polisher, current: Fitted, place: int, rivals: Sequence[Term], alike: float = ALIKE
 ) -> tuple[Fitted, list[Term]]:
-    """The model with the best of some terms in one place, and those of them that do as well."""
+    """The model with the best of some terms in one place, and those that cost less than ``alike`` more."""
     title = current.model.terms[place].title
-    others = {each.model.terms[-1].title: each.model.terms[-1] for each in rivals}
+    others = {term.title: term for term in rivals}
     others.pop(title, None)
     for term in current.model.terms:
         others.pop(term.title, None)
@@ -119,7 +148,7 @@ def _exchanged(
     starts = [in_place(current.model, place, term) for term in others.values()]
     fits = fit_many(starts, polisher.swims, polisher.rows, ROUNDS)
     every = [current, *fits]  # of one noise
-    bound = min(price(each) for each in every) + ALIKE * polisher.copies
+    bound = min(price(each) for each in every) + alike * polisher.copies
     equal = [each for each in every if price(each) < bound]
     first, *rest = sorted(equal, key=lambda each: (len(each.model.values), price(each)))
     return (

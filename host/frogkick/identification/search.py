@@ -32,7 +32,7 @@ from frogkick.identification.polish import (
     best_noise,
     fine_leg_s,
 )
-from frogkick.identification.revise import in_place, revised
+from frogkick.identification.revise import in_place, revised, same_named
 from frogkick.identification.steps import cross_fitted, promised
 from frogkick.identification.swim import Swim, copies
 from frogkick.identification.terms import Term
@@ -188,6 +188,7 @@ def search(
             break
     if len(current.model.terms) > 1:
         current, equals = revised(polisher, current, equals, passed_over, alone)
+    current, equals = same_named(polisher, current, equals, candidates)
     (current,) = told([current], swims, rows)  # what is held has an interval as well
     progress("effects", most, most)
     alike = [[term.title for term in others] for others in equals]

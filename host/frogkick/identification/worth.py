@@ -10,6 +10,12 @@ BASE_GAIN, GAIN_EACH = 20.0, 4.0
 ALIKE = 15.0
 """Effects whose gains differ by less cannot be told apart."""
 
+SAME = ("limb_wear all", "fix_latency")
+"""Every limb late and every fix late are one swim, but for its first stroke. The second is simpler."""
+
+SAME_ALIKE = 4.0 * ALIKE
+"""Of such two: what coarse time steps and a parameter that follows them make of a cost, and more."""
+
 
 def free_count(fitted: Fitted) -> int:
     """How many parameters a fit has found."""

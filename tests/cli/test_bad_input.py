@@ -54,6 +54,7 @@ def stock(tmp_path_factory: pytest.TempPathFactory) -> Path:
             if name != "decisions":
                 run.copy(name, file)
     (folder / "newt.fkt").write_bytes(rig.changed_image(16, b"newt".ljust(16, b"\0")))
+    (folder / "eft.fkt").write_bytes(rig.changed_image(16, b"eft".ljust(16, b"\0")))  # no eft.toml beside it
     newer = (FORMAT_VERSION + 1).to_bytes(2, "little")
     (folder / "newer.fkt").write_bytes(rig.changed_image(4, newer))
     flipped = bytearray((folder / "x.fkt").read_bytes())
@@ -123,7 +124,7 @@ CASES = {
     "table of a newer format": "tables info {newer.fkt}",
     "library given as table": "firmware build --tables {lib.h5} --out out/fw",
     # another robot
-    "table for another robot": "run --tables {newt.fkt} --simulated-time 1 --out out/run.h5",
+    "table for another robot": "run --tables {eft.fkt} --simulated-time 1 --out out/run.h5",
     "robot of another table": "run --tables {x.fkt} --model {newt.toml} --simulated-time 1 --out out/run.h5",
     "firmware for another robot": "firmware build --tables {x.fkt} --robot {newt.toml} --out out/fw",
     "table info for another robot": "tables info {x.fkt} --robot {newt.toml}",

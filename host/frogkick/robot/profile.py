@@ -130,7 +130,7 @@ def fit_profile(
             rising = np.flatnonzero(k[cooling] > low + level * (k[cooling].max() - low))
             centre = t[cooling[rising[0]]] if rising.size else 0.5 * end
             start += [(rest - low) / (TERMS - 1), centre, 0.15 * end / TERMS]
-        most = max(300.0, 4.0 * (rest - low))
+        most = max(300.0, 2.0 * (rest - low))  # 300 for the published ones, whose fits stay
         lower = [0.0] + [-most, 0.0, 0.002] + [-most, 0.0, 0.004] * (TERMS - 1)
         upper = [2.0 * rest] + [most, end, 0.1] + [most, 1.3 * end, end] * (TERMS - 1)
         guess = np.clip(start, np.asarray(lower) + 1e-9, np.asarray(upper) - 1e-9)

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import csv
+import math
 import os
 import stat
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
@@ -30,6 +32,44 @@ def existing_file(path: Path | str, what: str) -> Path:
     if file.stat().st_size == 0:
         raise InputError(f"{what} {str(path)!r} is empty (0 bytes): make it again")
     return file
+
+
+def csv_numbers(
+    path: Path | str, what: str, needed: Sequence[str], optional: Sequence[str] = ()
+) -> list[list[float]]:
+    """Return columns of a CSV file by their names in its first line, a list for each line below it.
+
+    Args:
+        path: the file.
+        what: what it should be, for the error text.
+        needed: columns whose numbers are finite.
+        optional: columns behind these; NaN where one is not there or a cell is empty.
+
+    Raises:
+        InputError: no such file, no text, a column or a number that is missing (its line is named), no lines.
+    """
+    file, name = existing_file(path, what), f"{what} {str(path)!r}"
+    values = []
+    try:
+        with file.open(encoding="utf-8-sig", newline="") as handle:
+            reader = csv.DictReader(handle)
+            missing = [column for column in needed if column not in (reader.fieldnames or ())]
+            if missing:
+                raise InputError(f"{name} has no column {missing[0]!r}: needed are {', '.join(needed)}")
+            for number, row in enumerate(reader, start=2):
+                try:
+                    known = [float(row[column]) for column in needed]
+                    more = [float(row.get(column) or "nan") for column in optional]
+                except (TypeError, ValueError) as error:
+                    raise InputError(f"{name} line {number}: {error}") from error
+                if not all(map(math.isfinite, known)):
+                    raise InputError(f"{name} line {number} holds a value that is not finite")
+                values.append(known + more)
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise InputError(f"{name} is no CSV text: {error}") from error
+    if not values:
+        raise InputError(f"{name} has no rows below its header")
+    return values
 
 
 def require_writable(out: Path | None, folder: bool = False) -> None:

@@ -112,9 +112,10 @@ def test_a_measured_stroke_becomes_a_robot_s_profile(
     ("text", "more", "says"),
     [
         ("", (), "is empty"),
-        ("time,k\n0,1\n", (), "begins with 'time,k'"),
-        ("time_s,curvature_per_m\n0,1,2\n", (), "line 2: 3 cells, not 2"),
-        ("time_s,curvature_per_m\n0,x\n", (), "line 2: curvature_per_m is 'x'"),
+        ("time,k\n0,1\n", (), "has no column 'time_s'"),
+        ("time_s,k\n0,1\n", (), "has no column 'curvature_per_m'"),
+        ("time_s,curvature_per_m\n", (), "has no rows"),
+        ("time_s,curvature_per_m\n0,x\n", (), "line 2: could not convert string to float: 'x'"),
         ("time_s,curvature_per_m\n0,1\n1,2\n", (), "20 or more"),
         ("time_s,curvature_per_m\n-1,1\n1,2\n", (), "begins at -1 s"),
         ("time_s,curvature_per_m\n0,1\n1,2\n", ("--frequency-hz", "-2"), "-2.0 strokes a second"),

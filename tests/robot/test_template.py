@@ -8,6 +8,7 @@ import tomllib
 from pathlib import Path
 
 import pytest
+from pydantic import BaseModel
 from tests.cli.commands import frogkick
 
 from frogkick.errors import InputError
@@ -17,10 +18,10 @@ from frogkick.robot.schema import RobotFile
 from frogkick.robot.template import ABOUT
 
 
-def keys_of(table: type) -> set[str]:
+def keys_of(table: type[BaseModel]) -> set[str]:
     """Every key of the schema below this table, with the table that it is in."""
     found = set()
-    for name, field in table.model_fields.items():  # type: ignore[attr-defined]
+    for name, field in table.model_fields.items():
         inner = list(re.findall(r"\w+Table", str(field.annotation)))
         if inner:
             module = __import__("frogkick.robot.schema", fromlist=inner)

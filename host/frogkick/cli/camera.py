@@ -20,6 +20,12 @@ app = typer.Typer(
     no_args_is_help=True,
 )
 
+FamilyOption = Annotated[str, typer.Option(help="tag36h11, or tagStandard41h12 (with the extra 'apriltag').")]
+TagIdOption = Annotated[int, typer.Option(help="Number of the tag in its family.")]
+TagSizeOption = Annotated[
+    float, typer.Option(help="Side of tag36h11's black, of tagStandard41h12's white square.")
+]
+
 
 def _pair(text: str, option: str) -> tuple[float, float]:
     parts = re.fullmatch(r"([0-9.]+)[x,]([0-9.]+)", text.strip())
@@ -63,13 +69,9 @@ def calibrate(
         str,
         typer.Option(help="Its first inner corner in the pool, m; its rows along the pool.", metavar="X,Y"),
     ] = "0,0",
-    tag_family: Annotated[
-        str, typer.Option(help="tag36h11, or tagStandard41h12 (with the extra 'apriltag').")
-    ] = "tag36h11",
-    tag_id: Annotated[int, typer.Option(help="Number of the tag in its family.")] = 0,
-    tag_size_mm: Annotated[
-        float, typer.Option(help="Side of tag36h11's black, of tagStandard41h12's white square.")
-    ] = 47.0,
+    tag_family: FamilyOption = "tag36h11",
+    tag_id: TagIdOption = 0,
+    tag_size_mm: TagSizeOption = 47.0,
     tag_height_mm: Annotated[float, typer.Option(help="Over the water; negative: under it.")] = 0.0,
     tag_height_sd_mm: Annotated[float, typer.Option(help="By how much waves move it.")] = 0.5,
     tag_tilt_sd_deg: Annotated[float, typer.Option(help="By how much waves and swimming tilt it.")] = 1.15,
@@ -177,13 +179,9 @@ def check(
 @app.command("tag")
 def tag_page(
     out: Annotated[Path, typer.Option(help="Page to print (.pdf, .svg or .png).")],
-    tag_family: Annotated[
-        str, typer.Option(help="tag36h11, or tagStandard41h12 (with the extra 'apriltag').")
-    ] = "tag36h11",
-    tag_id: Annotated[int, typer.Option(help="Number of the tag in its family.")] = 0,
-    tag_size_mm: Annotated[
-        float, typer.Option(help="Side of tag36h11's black, of tagStandard41h12's white square.")
-    ] = 47.0,
+    tag_family: FamilyOption = "tag36h11",
+    tag_id: TagIdOption = 0,
+    tag_size_mm: TagSizeOption = 47.0,
     json: JsonOption = False,
 ) -> None:
     """Write a tag to print at true scale, with an arrow that points forward, and a ruler."""

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from frogkick.cli.common import JsonOption, show
-from frogkick.cli.options import TablesOption
+from frogkick.cli.options import ModelOption, TablesOption
 
 
 def fetch(
@@ -27,9 +27,7 @@ def fetch(
 def replay(
     file: Annotated[Path, typer.Argument(help="File that 'log fetch' wrote.")],
     tables: TablesOption = None,
-    model: Annotated[
-        str | None, typer.Option("--model", "--robot", help="Robot TOML or name; default: the table's.")
-    ] = None,
+    model: ModelOption = None,
     json: JsonOption = False,
 ) -> None:
     """Decide a robot's log again, by the C core and the Python twin, bit by bit. Exit 1 on a mismatch."""

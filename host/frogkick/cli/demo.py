@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from frogkick.cli.common import JsonOption, SeedOption, show
-from frogkick.cli.options import DepthOption
+from frogkick.cli.options import DepthOption, RobotFileOption
 
 if TYPE_CHECKING:
     from frogkick.front.ring import Demonstration
@@ -17,9 +17,7 @@ if TYPE_CHECKING:
 
 def demo(
     out: Annotated[Path, typer.Option(help="Folder for everything that is made.")] = Path("demo"),
-    robot: Annotated[
-        str, typer.Option("--robot", "--model", help="TOML file or built-in name.")
-    ] = "frog2022",
+    robot: RobotFileOption = "frog2022",
     states: Annotated[int, typer.Option(min=10, max=2000, help="Initial velocities of the library.")] = 300,
     depth: DepthOption = None,
     seed: SeedOption = 0,

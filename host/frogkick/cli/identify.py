@@ -11,6 +11,7 @@ from typer.core import TyperCommand
 
 import frogkick as fk
 from frogkick.cli.common import JsonOption, say_left_out, show
+from frogkick.cli.options import NominalOption
 from frogkick.files import require_writable
 
 if TYPE_CHECKING:
@@ -70,12 +71,7 @@ def command(
     effects: Annotated[
         Path | None, typer.Option(help="Python file with effects of your own, tried as well.")
     ] = None,
-    robot: Annotated[
-        str | None,
-        typer.Option(
-            "--robot", "--model", help="Robot TOML or name that is nominal; default: the runs' own."
-        ),
-    ] = None,
+    robot: NominalOption = None,
     predictions: Annotated[
         Path | None, typer.Option(help="CSV to write: each period of the test runs, predicted.")
     ] = None,

@@ -31,3 +31,11 @@ KeyOption = Annotated[
     Path | None,
     typer.Option(help="Owner's key of a real robot that has one; default: the user's, see 'frogkick own'."),
 ]
+RobotFileOption = Annotated[str, typer.Option("--robot", "--model", help="TOML file or built-in name.")]
+ModelOption = Annotated[
+    str | None, typer.Option("--model", "--robot", help="Robot TOML or name; default: the table's robot.")
+]
+NominalOption = Annotated[
+    str | None,
+    typer.Option("--robot", "--model", help="Robot TOML or name that is nominal; default: the runs' own."),
+]

@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from frogkick.cli.common import JsonOption, SeedOption, show
-from frogkick.cli.options import DepthOption, PlannerName, PlannerOption, TablesOption
+from frogkick.cli.options import DepthOption, ModelOption, PlannerName, PlannerOption, TablesOption
 
 LOOP_DECISIONS = 200
 """That of frogkick.front.parity: a command's help loads nothing of it."""
@@ -25,9 +25,7 @@ def parity(
         int, typer.Option(min=0, max=100_000, help="Decisions of a whole loop, fixes in, decisions out.")
     ] = LOOP_DECISIONS,
     tables: TablesOption = None,
-    model: Annotated[
-        str | None, typer.Option("--model", "--robot", help="Robot TOML or name; default: the table's robot.")
-    ] = None,
+    model: ModelOption = None,
     planner: PlannerOption = PlannerName.paper,
     depth: DepthOption = None,
     seed: SeedOption = 0,

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from frogkick.cli.common import JsonOption, SeedOption, show, write_picture
-from frogkick.cli.options import PlannerName, PlannerOption, TablesOption
+from frogkick.cli.options import ModelOption, PlannerName, PlannerOption, TablesOption
 
 
 def convergence(
@@ -30,9 +30,7 @@ def convergence(
 
 def chip(
     tables: TablesOption = None,
-    model: Annotated[
-        str | None, typer.Option("--model", "--robot", help="Robot TOML or name; default: the table's robot.")
-    ] = None,
+    model: ModelOption = None,
     states: Annotated[int, typer.Option(min=12, max=1_000_000, help="Decisions at each depth.")] = 300,
     planner: PlannerOption = PlannerName.robot,
     workers: Annotated[int, typer.Option(min=0, max=256, help="Processes; 0: one for each core.")] = 1,

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from frogkick.cli.common import JsonOption, show, write_picture
-from frogkick.cli.options import DepthOption, PlannerName, PlannerOption, TablesOption
+from frogkick.cli.options import DepthOption, ModelOption, PlannerName, PlannerOption, TablesOption
 from frogkick.files import require_writable
 
 if TYPE_CHECKING:
@@ -24,9 +24,7 @@ _RatesOption = Annotated[
 
 def estimator(
     tables: TablesOption = None,
-    model: Annotated[
-        str | None, typer.Option("--model", "--robot", help="Robot TOML or name; default: the table's robot.")
-    ] = None,
+    model: ModelOption = None,
     path: _PathsOption = None,
     rate: _RatesOption = None,
     planner: PlannerOption = PlannerName.robot,

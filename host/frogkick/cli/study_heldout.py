@@ -9,17 +9,13 @@ from typing import Annotated, Any
 import typer
 
 from frogkick.cli.common import JsonOption, say_left_out, show, write_picture
+from frogkick.cli.options import NominalOption
 from frogkick.files import require_writable
 
 
 def heldout(
     runs: Annotated[list[Path], typer.Argument(help="Three runs or more: logs, or recorded runs (.csv).")],
-    robot: Annotated[
-        str | None,
-        typer.Option(
-            "--robot", "--model", help="Robot TOML or name that is nominal; default: the runs' own."
-        ),
-    ] = None,
+    robot: NominalOption = None,
     effects: Annotated[
         Path | None, typer.Option(help="Python file with effects of your own, tried as well.")
     ] = None,

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from frogkick.cli.common import JsonOption, show, write_picture
+from frogkick.cli.options import RobotFileOption
 
 if TYPE_CHECKING:
     from frogkick.front.planner_studies import PlannersCompared, Summary
@@ -30,9 +31,7 @@ def loop(
             "effects, as for 'run'. Again for more. Default: nominal and hidden."
         ),
     ] = None,
-    robot: Annotated[
-        str, typer.Option("--robot", "--model", help="TOML file or built-in name.")
-    ] = "frog2022",
+    robot: RobotFileOption = "frog2022",
     library: Annotated[
         Path | None, typer.Option(help="Library for both tables; default: one of 8503 states, made once.")
     ] = None,

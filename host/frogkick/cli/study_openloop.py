@@ -8,6 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from frogkick.cli.common import JsonOption, show, write_picture
+from frogkick.cli.options import RobotFileOption
 from frogkick.errors import InputError
 from frogkick.files import require_writable
 
@@ -31,9 +32,7 @@ def openloop(
     test: Annotated[Path | None, typer.Option(help="Folder to predict, laid out as DATA_DIR.")] = None,
     train_egain: _PercentOption = None,
     test_egain: _TestOption = None,
-    robot: Annotated[
-        str, typer.Option("--robot", "--model", help="TOML file or built-in name.")
-    ] = "frog2022",
+    robot: RobotFileOption = "frog2022",
     out: Annotated[
         Path | None, typer.Option(help="Folder for openloop.png and a robot's TOML for each fit.")
     ] = None,

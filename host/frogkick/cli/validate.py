@@ -9,6 +9,7 @@ from typing import Annotated, Any
 import typer
 
 from frogkick.cli.common import JsonOption, show
+from frogkick.cli.options import RobotFileOption
 from frogkick.files import require_writable
 
 
@@ -50,9 +51,7 @@ def _text(result: dict[str, Any]) -> str:
 
 def validate(
     data_dir: Annotated[Path, typer.Argument(help="The paper's data: sim/, exp/, profile/.")],
-    robot: Annotated[
-        str, typer.Option("--robot", "--model", help="TOML file or built-in name.")
-    ] = "frog2022",
+    robot: RobotFileOption = "frog2022",
     report: Annotated[Path | None, typer.Option(help="HTML report to write.")] = None,
     left_out: Annotated[
         bool,

@@ -17,7 +17,7 @@ from frogkick.vision.check import Place, check_frames, check_points, known_place
 from frogkick.vision.corners import calibrate_corners, read_corners
 from frogkick.vision.plane_board import calibrate_plane
 from frogkick.vision.scene import Conditions
-from frogkick.vision.tags import check_tag, tag_cells, tag_margin
+from frogkick.vision.tags import tag_cells, tag_margin
 
 __all__ = [
     "Board",
@@ -303,7 +303,5 @@ def write_tag(
     """
     from frogkick.report.tag_figure import write_tag_page
 
-    check_tag(family, tag_id)
-    return write_tag_page(
-        tag_cells(family, tag_id), tag_margin(family), size_m, f"{family} {tag_id}", Path(file)
-    )
+    cells = tag_cells(family, tag_id)
+    return write_tag_page(cells, tag_margin(family), size_m, f"{family} {tag_id}", Path(file))

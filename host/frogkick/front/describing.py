@@ -1,4 +1,4 @@
-"""What a robot is, in numbers: its limbs, actions, sizes and limits, and what is doubtful about them."""
+"""What a robot is, in numbers, and what is doubtful about it; a file for a new one; its limbs' strokes."""
 
 from __future__ import annotations
 

@@ -14,7 +14,7 @@ SAME = ("limb_wear all", "fix_latency")
 """Every limb late and every fix late are one swim, but for its first stroke. The second is simpler."""
 
 SAME_ALIKE = 4.0 * ALIKE
-"""Of such two: what coarse time steps and a parameter that follows them make of a cost, and more."""
+"""Such two may differ by more: by 22, under one's noise, in world 20010 of ``study verdicts``."""
 
 
 def free_count(fitted: Fitted) -> int:

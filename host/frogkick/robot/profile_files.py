@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import math
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -11,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from frogkick.errors import InputError
-from frogkick.files import existing_file, write_text
+from frogkick.files import csv_numbers, write_text
 from frogkick.robot.profile import Profile, fit_profile
 from frogkick.robot.toml_text import to_toml
 
@@ -63,45 +62,25 @@ def read_stroke(file: Path | str, length_m: float | None = None) -> Stroke:
         length_m: of the limb along it, where the tip was tracked.
 
     Raises:
-        InputError: no such file, other columns, a cell that is no number (its line is named), a curvature
-            that has no sign at rest, or a tip without the limb's length.
+        InputError: no such file, other columns, a cell that is no number (its line is named), or a tip
+            without the limb's length.
     """
-    source = existing_file(file, "stroke file")
-    try:
-        rows = [row for row in csv.reader(source.read_text(encoding="utf-8-sig").splitlines()) if row]
-    except (UnicodeDecodeError, csv.Error) as error:
-        raise InputError(f"stroke file {source.name!r} is no CSV text: {error}") from error
-    columns = [cell.strip().lower() for cell in rows[0]] if rows else []
-    if set(columns) not in ({"time_s", "curvature_per_m"}, {"time_s", "tip_x_m", "tip_y_m"}):
-        raise InputError(
-            f"stroke file {source.name!r} begins with {','.join(columns)[:60]!r}: its first line is to be "
-            "time_s,curvature_per_m or time_s,tip_x_m,tip_y_m"
-        )
-    values = {name: np.empty(len(rows) - 1) for name in columns}
-    for number, row in enumerate(rows[1:], start=2):
-        if len(row) != len(columns):
+    name = Path(file).name
+    rows = np.array(csv_numbers(file, "stroke file", ("time_s",), ("curvature_per_m", "tip_x_m", "tip_y_m")))
+    time_s, curvature, x_m, y_m = rows.T
+    if np.isnan(curvature).all():
+        if np.isnan(x_m).all() or np.isnan(y_m).all():
             raise InputError(
-                f"stroke file {source.name!r} line {number}: {len(row)} cells, not {len(columns)}"
+                f"stroke file {name!r} has no column 'curvature_per_m', nor 'tip_x_m' and 'tip_y_m': "
+                "its first line is to name them"
             )
-        for name, cell in zip(columns, row, strict=True):
-            try:
-                values[name][number - 2] = float(cell)
-            except ValueError:
-                raise InputError(
-                    f"stroke file {source.name!r} line {number}: {name} is {cell.strip()[:40]!r}, no number"
-                ) from None
-    if "curvature_per_m" in values:
-        curvature = values["curvature_per_m"]
-    elif length_m is None or not 0.0 < length_m < math.inf:
-        raise InputError(
-            f"stroke file {source.name!r} has the tip's place, the limb's length is {length_m}: "
-            "give it in m, above 0"
-        )
-    else:
-        curvature = 2.0 * np.unwrap(np.arctan2(values["tip_y_m"], values["tip_x_m"])) / length_m
-    if len(curvature) and curvature[0] < 0.0:
-        curvature = -curvature
-    return Stroke(source.name, values["time_s"], curvature)
+        if length_m is None or not 0.0 < length_m < math.inf:
+            raise InputError(
+                f"stroke file {name!r} has the tip's place, the limb's length is {length_m}: "
+                "give it in m, above 0"
+            )
+        curvature = 2.0 * np.unwrap(np.arctan2(y_m, x_m)) / length_m
+    return Stroke(name, time_s, -curvature if curvature[0] < 0.0 else curvature)
 
 
 def fit_stroke(stroke: Stroke, egain_percent: float, frequency_hz: float | None = None) -> Profile:
@@ -111,9 +90,9 @@ def fit_stroke(stroke: Stroke, egain_percent: float, frequency_hz: float | None 
         InputError: see ``fit_profile``; times before the pulse.
     """
     time_s = stroke.time_s
-    if len(time_s) and not time_s[0] >= 0.0:
+    if not time_s[0] >= 0.0:
         raise InputError(f"stroke file {stroke.name!r} begins at {time_s[0]:g} s: 0 is when the pulse begins")
-    if frequency_hz is None and len(time_s) and time_s[-1] > 0.0:
+    if frequency_hz is None and time_s[-1] > 0.0:
         frequency_hz = float(f"{1.0 / float(time_s[-1]):.4g}")
     if frequency_hz is None or not 0.0 < frequency_hz < math.inf:
         raise InputError(f"stroke file {stroke.name!r}: {frequency_hz} strokes a second: give more than 0 Hz")

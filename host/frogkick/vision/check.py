@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from frogkick.errors import InputError
-from frogkick.files import existing_file
+from frogkick.files import csv_numbers, existing_file
 from frogkick.vision.calibration import Calibration, camera_pose, lens_from_height
 from frogkick.vision.plane import wrap
 from frogkick.vision.pose import tag_place
@@ -58,7 +58,7 @@ def check_points(calibration: Calibration, path: Path | str) -> list[Place]:
     Raises:
         InputError: the file lacks columns, numbers or rows.
     """
-    rows = _numbers(path, ("x_px", "y_px", "x_m", "y_m"))
+    rows = np.array(csv_numbers(path, "CSV", ("x_px", "y_px", "x_m", "y_m")))
     seen = calibration.pool(calibration.undistort(rows[:, :2]), calibration.plane_apparent_m)
     off = 1e3 * (seen - rows[:, 2:])
     return [
@@ -99,7 +99,7 @@ def known_places(path: Path | str) -> Iterable[tuple[npt.NDArray[np.uint8], floa
     Raises:
         InputError: a row or a picture that cannot be read.
     """
-    rows = _numbers(path, ("x_m", "y_m"), ("heading_deg",))
+    rows = np.array(csv_numbers(path, "CSV", ("x_m", "y_m"), ("heading_deg",)))
     with Path(path).open(encoding="utf-8-sig", newline="") as handle:
         names = [row.get("image") or "" for row in csv.DictReader(handle)]
     for name, (x, y, heading) in zip(names, rows, strict=True):
@@ -174,25 +174,3 @@ def summary(places: list[Place]) -> dict[str, float | int]:
         "heading_rms_deg": float(np.sqrt(np.mean(turns**2))) if len(turns) else nan,
         "heading_max_deg": float(np.abs(turns).max()) if len(turns) else nan,
     }
-
-
-def _numbers(path: Path | str, needed: tuple[str, ...], optional: tuple[str, ...] = ()) -> Array:
-    """(n, columns) of a CSV; optional ones that are not there are NaN."""
-    file = existing_file(path, "CSV")
-    with file.open(encoding="utf-8-sig", newline="") as handle:
-        reader = csv.DictReader(handle)
-        missing = [name for name in needed if name not in (reader.fieldnames or ())]
-        if missing:
-            raise InputError(f"{str(path)!r} has no column {missing[0]!r}: needed are {', '.join(needed)}")
-        values = []
-        for number, row in enumerate(reader, start=2):
-            try:
-                known = [float(row[name]) for name in needed]
-                values.append(known + [float(row.get(name) or "nan") for name in optional])
-            except (TypeError, ValueError) as error:
-                raise InputError(f"{str(path)!r} line {number}: {error}") from error
-            if not np.isfinite(known).all():
-                raise InputError(f"{str(path)!r} line {number} holds a value that is not finite")
-    if not values:
-        raise InputError(f"{str(path)!r} has no rows below its header")
-    return np.array(values)

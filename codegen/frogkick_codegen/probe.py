@@ -96,18 +96,29 @@ def _programmer(session: Any, progress: Callable[[int, int], None]) -> Any:
     return programmer(session, progress=lambda share: progress(round(100 * share), 100), chip_erase="sector")
 
 
-def _connect(unique_id: str | None) -> Any:
+def probes(unique_id: str | None = None) -> list[Any]:
+    """pyOCD's probes that are plugged in; with ``unique_id`` those whose number begins so.
+
+    Raises:
+        InputError: the package is not installed.
+    """
     require("flashing", "pyocd")
     logging.getLogger("pyocd").setLevel(logging.CRITICAL)  # what matters of it is in the errors
     helpers = importlib.import_module("pyocd.core.helpers").ConnectHelper
-    probes = helpers.get_all_connected_probes(blocking=False, unique_id=unique_id, print_wait_message=False)
-    if not probes:
+    return list(
+        helpers.get_all_connected_probes(blocking=False, unique_id=unique_id, print_wait_message=False)
+    )
+
+
+def _connect(unique_id: str | None) -> Any:
+    found = probes(unique_id)
+    if not found:
         which = "" if unique_id is None else f" whose number begins with {unique_id!r}"
         raise InputError(
             f"no debug probe{which} is plugged in: plug in the kit's USB cable, switch the kit on"
         )
-    if len(probes) > 1:
-        names = ", ".join(f"{probe.unique_id} ({probe.description})" for probe in probes)
-        raise InputError(f"{len(probes)} debug probes are plugged in, {names}: choose one with --probe")
+    if len(found) > 1:
+        names = ", ".join(f"{probe.unique_id} ({probe.description})" for probe in found)
+        raise InputError(f"{len(found)} debug probes are plugged in, {names}: choose one with --probe")
     session = importlib.import_module("pyocd.core.session").Session
-    return session(probes[0], auto_open=True, options={"target_override": TARGET})
+    return session(found[0], auto_open=True, options={"target_override": TARGET})

@@ -21,7 +21,7 @@ _FROM = {
     "front.planning": ("Plan", "Planner"),
     "front.replaying": ("Replayed", "replay"),
     "front.retuning": ("Retuning", "retune"),
-    "front.robots": ("Camera", "Connection", "connect"),
+    "front.robots": ("Camera", "Connection", "connect", "scan"),
     "front.running": ("Run", "load_run", "run"),
     "front.swimming": ("simulate",),
     "front.tables": ("Table", "build_library", "fit_table", "load_library", "load_table"),
@@ -68,6 +68,7 @@ __all__ = [  # noqa: RUF022 - strings, in the order of the work
     "emit_c",
     "build_firmware",
     "Firmware",
+    "scan",
     "connect",
     "Connection",
     "Camera",
@@ -89,7 +90,7 @@ if TYPE_CHECKING:
     from frogkick.front.planning import Plan, Planner
     from frogkick.front.replaying import Replayed, replay
     from frogkick.front.retuning import Retuning, retune
-    from frogkick.front.robots import Camera, Connection, connect
+    from frogkick.front.robots import Camera, Connection, connect, scan
     from frogkick.front.running import Run, load_run, run
     from frogkick.front.swimming import simulate
     from frogkick.front.tables import Table, build_library, fit_table, load_library, load_table

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import csv
+import errno
 import math
 import os
+import shutil
 import stat
 import tempfile
 from collections.abc import Iterator, Sequence
@@ -91,12 +93,15 @@ def require_writable(out: Path | None, folder: bool = False) -> None:
         raise InputError(f"cannot write {str(out)!r} in {str(place)!r}: choose another --out")
 
 
+_FULL = (errno.ENOSPC, errno.EFBIG, getattr(errno, "EDQUOT", errno.ENOSPC))
+
+
 @contextmanager
 def atomic_path(target: Path | str) -> Iterator[Path]:
     """Yield a temporary path beside ``target``; rename it there on success, remove it on any error.
 
     Raises:
-        InputError: the folder of ``target`` cannot be made or written to.
+        InputError: the folder of ``target`` cannot be made or written to, or its disk is full.
     """
     final = Path(target)
     try:
@@ -112,6 +117,12 @@ def atomic_path(target: Path | str) -> Iterator[Path]:
             os.fsync(file.fileno())
         os.chmod(temporary, 0o644)
         os.replace(temporary, final)
+    except OSError as error:
+        if error.errno not in _FULL:
+            raise
+        raise InputError(
+            f"cannot write {str(target)!r}: {error.strerror}; make room or choose another --out"
+        ) from error
     finally:
         temporary.unlink(missing_ok=True)
 
@@ -125,6 +136,25 @@ def write_bytes(target: Path | str, content: bytes) -> None:
 def write_text(target: Path | str, content: str) -> None:
     """Write UTF-8 ``content`` to ``target``, wholly or not at all."""
     write_bytes(target, content.encode("utf-8"))
+
+
+def require_room(target: Path | str, size: int) -> None:
+    """Refuse to write where there is no room for it.
+
+    Args:
+        target: the file.
+        size: of it, bytes.
+
+    Raises:
+        InputError: too little is free, or nothing can be written there.
+    """
+    with atomic_path(target) as temporary:
+        free = shutil.disk_usage(temporary.parent).free
+        if free < size:
+            raise InputError(
+                f"cannot write {str(target)!r}: it takes {size / 1e6:.1f} MB, and {free / 1e6:.1f} MB are "
+                "free there; make room or choose another --out"
+            )
 
 
 @contextmanager

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import os
+import re
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -21,6 +23,7 @@ from tests.link.live_robot import LiveRobot
 from tests.loop import rig
 from tests.planner import synthetic
 
+from frogkick.cli.main import run_command
 from frogkick.link import ble
 from frogkick.link.ble import BleWire, explained
 from frogkick.link.frames import unpack_frame
@@ -218,3 +221,41 @@ def test_what_backends_say(error: Exception, words: str) -> None:
     with pytest.raises(WireError, match=words):
         raise explained(error, "frogkick")
     assert "\n" not in str(explained(error, "frogkick"))
+
+
+def test_a_scan_tells_who_is_there(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Two of one name have their addresses; who wants pairing or runs other firmware, the reason."""
+    robots = [
+        Peripheral(LiveRobot(), "frog"),
+        Peripheral(LiveRobot(), "twin"),
+        Peripheral(LiveRobot(), "twin"),
+        Peripheral(LiveRobot(), "shy", wants_pairing=True),
+        Peripheral(LiveRobot(), "asleep", asleep=True),
+        Peripheral(None, "other", has_characteristics=False),
+    ]
+    breathe(monkeypatch, *robots)
+    assert run_command(["scan", "--seconds", "0.5", "--json"]) == 0
+    found = {row.pop("address"): row for row in json.loads(capsys.readouterr().out)["robots"]}
+    assert set(found) == {robot.address for robot in robots if not robot.asleep}
+    frog, twin, _, shy, _, other = (found.get(robot.address) for robot in robots)
+    assert frog == {
+        "target": "ble:frog", "signal_dbm": frog["signal_dbm"], "robot": "frog2022",
+        "table_crc": rig.tables().crc32, "state": "DISARMED", "owned": False, "error": "",
+    }  # fmt: skip
+    assert -128 < frog["signal_dbm"] <= 20
+    assert twin["target"] == f"ble:{robots[1].address}" and twin["robot"] == "frog2022"
+    assert "wants pairing" in shy["error"] and shy["robot"] is None
+    assert "no Nordic UART Service" in other["error"]
+
+    breathe(monkeypatch, robots[0])
+    assert run_command(["scan", "--seconds", "0.5"]) == 0
+    told = capsys.readouterr().out
+    assert re.fullmatch(rf"ble:frog  -?\d+ dBm  frog2022, table {rig.tables().crc32:08x}, DISARMED\n", told)
+
+    breathe(monkeypatch)
+    assert run_command(["scan", "--seconds", "0.5"]) == 1
+    silence = capsys.readouterr()
+    assert silence.out == "" and silence.err.startswith("frogkick: no robot advertises within 0.5 s: ")
+    assert run_command(["scan", "--seconds", "0"]) == 2

@@ -36,7 +36,7 @@ START, MAKE, RUN, LEARN, RESEARCH = "Start", "Make", "Run", "Learn", "Research"
 SECTIONS = {
     "demo": START, "doctor": START, "robot": START,
     "simulate": MAKE, "library": MAKE, "tables": MAKE, "codegen": MAKE, "firmware": MAKE,
-    "camera": RUN, "run": RUN, "push": RUN, "own": RUN, "log": RUN, "export": RUN,
+    "camera": RUN, "scan": RUN, "run": RUN, "push": RUN, "own": RUN, "log": RUN, "export": RUN,
     "import": LEARN, "replay": LEARN, "identify": LEARN, "retune": LEARN,
     "parity": RESEARCH, "validate": RESEARCH, "sweep": RESEARCH, "study": RESEARCH,
 }  # fmt: skip
@@ -54,6 +54,7 @@ COMMANDS = {
     "import": ("importing", "Read recorded runs, repair or mark what is wrong."),
     "identify": ("identify", "Trace what a robot's model lacks to physical effects."),
     "retune": ("retune", "Make a worn robot new tables."),
+    "scan": ("push", "Robots in range by Bluetooth: signal, table, state."),
     "push": ("push", "Give a robot another table, by radio or line."),
     "own": ("push", "Let a robot take commands from its owner alone."),
     "export": ("log", "Write a run as CSV or as MCAP."),
@@ -110,7 +111,7 @@ def _group(name: str, text: str, table: dict[str, Any]) -> typer.Typer:
         cls=type("Commands", (LazyGroup,), {"table": table}),
         rich_markup_mode=None,
         no_args_is_help=True,
-        add_completion=False,
+        add_completion=table is COMMANDS,
         context_settings={"help_option_names": ["-h", "--help"]},
     )
     made.callback()(lambda: None)

@@ -30,6 +30,8 @@ def doctor(json: JsonOption = False) -> None:
         for finding in findings:
             mark = "ok     " if finding.works else "MISSING"
             lines.append(f"  {mark} {finding.name}: {finding.detail} ({finding.needed_for}){_hint(finding)}")
+    lines.append("plugged in:")
+    lines += [f"  {finding.name}: {finding.detail}" for finding in found.hardware]
     lines.append("ready for:")
     for stage in found.stages:
         lines.append(f"  {'ready    ' if stage.ready else 'NOT READY'} {stage.name}: {stage.begin}")

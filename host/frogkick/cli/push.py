@@ -1,4 +1,4 @@
-"""``frogkick push``: a table to a robot by the link, and back; ``frogkick own``: who may command it."""
+"""``frogkick scan``: robots in range; ``push``: a table to one, and back; ``own``: who may command it."""
 
 from __future__ import annotations
 
@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from frogkick.cli.common import JsonOption, show
+import frogkick as fk
+from frogkick.cli.common import JsonOption, say, show
 from frogkick.cli.options import KeyOption
 from frogkick.errors import InputError
 
@@ -81,7 +82,33 @@ def own(
     show({"robot": robot, "owned": not release, "key": None if release else str(file)}, json, text)
 
 
+def scan(
+    seconds: Annotated[float, typer.Option(help="How long to listen, 0.5 to 60.")] = 4.0,
+    json: JsonOption = False,
+) -> None:
+    """Robots in range by Bluetooth, the strongest first: signal, table, state. Exit 1 where there is none.
+
+    Each is connected to for a moment, and none is armed, disarmed or moved.
+    """
+    found = fk.scan(seconds)
+    lines = []
+    for one in found:
+        told = one.error or (
+            f"{one.robot}, table {one.table_crc:08x}, {one.state}{', has an owner' if one.owned else ''}"
+        )
+        lines.append(f"{one.target}  {one.signal_dbm} dBm  {told}")
+    if found or json:
+        show({"robots": [one.as_json() for one in found]}, json, "\n".join(lines))
+    if not found:
+        say(
+            f"no robot advertises within {seconds:g} s: switch it on, charge it, bring it nearer, and "
+            "disconnect other hosts from it"
+        )
+        raise typer.Exit(1)
+
+
 def register(app: typer.Typer) -> None:
     """Add the commands."""
+    app.command(name="scan")(scan)
     app.command(name="push")(command)
     app.command(name="own")(own)

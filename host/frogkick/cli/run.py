@@ -41,7 +41,8 @@ def run(
     path: Annotated[
         str,
         typer.Option(
-            help="line, sine, ellipse, circle, bends, eight, or a CSV file: x, y in m, 50 m at most"
+            help="line, sine, ellipse, circle, bends, eight, or a CSV file: columns x, y in m (and dx, dy or "
+            "tangent_rad), 100 points (more are resampled), 50 m at most."
         ),
     ] = "line",
     planner: PlannerOption = PlannerName.robot,

@@ -16,7 +16,9 @@ from frogkick.files import require_writable
 if TYPE_CHECKING:
     from frogkick.front.input_studies import Condition, Outcome
 
-_PathsOption = Annotated[list[str] | None, typer.Option("--path", help="line, sine, ellipse, or a CSV file.")]
+_PathsOption = Annotated[
+    list[str] | None, typer.Option("--path", help="line, sine, ellipse, or a CSV file as for 'run'.")
+]
 _RatesOption = Annotated[
     list[float] | None, typer.Option("--rate", help="Fixes per second; may be repeated.")
 ]

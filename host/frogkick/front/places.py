@@ -20,6 +20,7 @@ from frogkick.planner.image import Tables, read_image
 from frogkick.planner.plan import PlanConfig
 from frogkick.pool.native_robot import NativeRobot
 from frogkick.pool.port import RobotPort
+from frogkick.progress import tell_line
 from frogkick.robot import Robot, built_in_robots, load_robot
 from frogkick_codegen.firmware import Build, build, require_tools
 
@@ -168,7 +169,7 @@ def plan_config(
 
 
 def swim_path(name: str) -> SwimPath:
-    """A path by its shape's name or from a file.
+    """A path by its shape's name or from a file; of a file with too many points a line on stderr tells.
 
     Raises:
         InputError: neither.
@@ -179,7 +180,7 @@ def swim_path(name: str) -> SwimPath:
         raise InputError(f"--path is empty: choose {', '.join(SHAPES)}, or name a CSV file")
     if not Path(name).exists() and "." not in name and "/" not in name:
         shape(name)  # names the nearest right one
-    return from_csv(name)
+    return from_csv(name, tell_line)
 
 
 def start_pose(path: SwimPath) -> tuple[float, float, float]:

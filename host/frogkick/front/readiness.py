@@ -64,11 +64,13 @@ class Readiness:
     Attributes:
         needed: for the ring without a robot.
         optional: for more.
+        hardware: serial ports, debug probes, Bluetooth adapters and cameras that are plugged in.
         stages: what it is ready for.
     """
 
     needed: tuple[Finding, ...]
     optional: tuple[Finding, ...]
+    hardware: tuple[Finding, ...]
     stages: tuple[Stage, ...]
 
     @property
@@ -85,6 +87,7 @@ class Readiness:
             "ready_without_robot": self.ready,
             "needed": [asdict(finding) for finding in self.needed],
             "optional": [asdict(finding) for finding in self.optional],
+            "hardware": [asdict(finding) for finding in self.hardware],
             "stages": [stage.as_json() for stage in self.stages],
         }
 
@@ -106,7 +109,8 @@ def look_around() -> Readiness:
         _program("qemu-system-arm", "extra checks", "apt install qemu-system-arm"),
         _program("cppcheck", "extra checks", "apt install cppcheck"),
     )
-    return Readiness(needed, optional, tuple(stages(needed)))
+    hardware = look_at_hardware()
+    return Readiness(needed, optional, hardware, tuple(stages(needed, hardware)))
 
 
 def _program(name: str, needed_for: str, package: str) -> Finding:
@@ -165,24 +169,34 @@ def _try_bench_image() -> str:
     return f"its C sources and {zig('chip').version}"
 
 
-def stages(without_robot: Sequence[Finding]) -> list[Stage]:
+def look_at_hardware() -> tuple[Finding, Finding, Finding, Finding]:
+    """Serial ports, debug probes, Bluetooth adapters, cameras."""
+    kit = "plug the kit's USB cable in"
+    return (
+        _hardware("serial port", "talking with a kit", f"{kit}; may this user open its port?", serial_ports),
+        _hardware("debug probe", "flashing a kit", f"{kit}; may this user open it?", debug_probes),
+        _hardware("Bluetooth adapter", "talking with a robot", "plug one in, switch it on", adapters),
+        _hardware("camera", "position fixes", "plug one in; may this user open it?", cameras),
+    )
+
+
+def stages(
+    without_robot: Sequence[Finding], hardware: tuple[Finding, Finding, Finding, Finding]
+) -> list[Stage]:
     """The three, as this machine is now."""
+    port, probe, adapter, camera = hardware
     kit = (
         bench_image(),
         package("pyocd", "flashing a development kit"),
         package("serial", "talking with it"),
-        _hardware(
-            "serial port",
-            "talking with it",
-            "plug the kit's USB cable in; may this user open its port?",
-            serial_ports,
-        ),
+        port,
+        probe,
     )
     robot = (
         package("bleak", "talking with a robot by Bluetooth"),
         package("cv2", "the camera"),
-        _hardware("Bluetooth adapter", "talking with a robot", "plug one in, switch it on", adapters),
-        _hardware("camera", "position fixes", "plug one in; may this user open it?", cameras),
+        adapter,
+        camera,
     )
     return [
         Stage("no hardware", "frogkick demo", tuple(without_robot)),
@@ -208,6 +222,18 @@ def serial_ports() -> list[str]:
     """Names of serial ports that this user may open; none without the package that lists them."""
     found = ports() if installed("serial") else []
     return [port for port in found if sys.platform == "win32" or os.access(port, os.R_OK | os.W_OK)]
+
+
+def debug_probes() -> list[str]:
+    """Debug probes by number and name; none without the package that talks with them."""
+    if not installed("pyocd"):
+        return []
+    from frogkick_codegen.probe import probes
+
+    try:
+        return [f"{probe.unique_id} ({probe.description})" for probe in probes()]
+    except Exception:  # whatever a driver of some probe cannot do on this system
+        return []
 
 
 def adapters(folder: Path = Path("/sys/class/bluetooth")) -> list[str] | None:

@@ -4,16 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from frogkick.errors import InputError, nearest_name
+from frogkick.errors import FrogkickError, InputError, nearest_name
 from frogkick.front.places import robot_of_table, simulated_robot
 from frogkick.front.running import Run, run
 from frogkick.front.tables import Table
 from frogkick.link.auth import default_key_file
 from frogkick.link.frames import DELIMITER
+from frogkick.link.layout import link_layout
 from frogkick.link.opening import opened, require_wire
 from frogkick.link.wire import Wire, is_target, parse_target
 from frogkick.loop.lab_session import LabSession, lab_session
@@ -28,10 +29,12 @@ __all__ = [
     "Camera",
     "Connection",
     "Pushed",
+    "RobotHeard",
     "connect",
     "default_key_file",
     "push_table",
     "require_target",
+    "scan",
     "session_at",
 ]
 
@@ -158,6 +161,80 @@ def connect(target: str, key: Path | str | None = None) -> Iterator[Connection]:
     require_target(target)
     with opened(parse_target(target), DELIMITER) as wire:
         yield Connection(target, wire, None if key is None else Path(key))
+
+
+@dataclass(frozen=True)
+class RobotHeard:
+    """A robot in range.
+
+    Attributes:
+        target: what ``connect`` and ``run`` take: ``ble:NAME``, or its address where two have one name.
+        address: as this computer's Bluetooth has it.
+        signal_dbm: how strong it is heard.
+        robot: the id of the robot that its firmware is for; None where it did not answer.
+        table_crc: CRC-32 of its table.
+        state: DISARMED, ARMED, RUNNING or FAULT.
+        owned: it takes commands from its owner alone.
+        error: why it did not answer; "" where it did.
+    """
+
+    target: str
+    address: str
+    signal_dbm: int
+    robot: str | None = None
+    table_crc: int | None = None
+    state: str | None = None
+    owned: bool | None = None
+    error: str = ""
+
+    def as_json(self) -> dict[str, Any]:
+        """One of ``robots`` of the command ``scan``."""
+        return asdict(self)
+
+
+def scan(seconds: float = 4.0) -> list[RobotHeard]:
+    """Robots that advertise by Bluetooth, the strongest first, and what each says of itself.
+
+    Each is connected to for a moment; none is armed, disarmed or moved. A robot that is connected with
+    another computer is not heard.
+
+    Args:
+        seconds: how long to listen.
+
+    Raises:
+        InputError: not 0.5 to 60 s, or the package for Bluetooth is not installed.
+        WireError: no adapter, or no permission.
+    """
+    if not 0.5 <= seconds <= 60.0:
+        raise InputError(f"listening for {seconds:g} s: give 0.5 to 60")
+    require_wire(parse_target("ble:any"))
+    from frogkick.link.ble import listen
+
+    heard = listen(seconds)
+    names = [one.name for one in heard]
+    found = []
+    for one in heard:
+        alone = one.name and names.count(one.name) == 1
+        seen = RobotHeard(f"ble:{one.name if alone else one.address}", one.address, one.signal_dbm)
+        found.append(_with_what_it_says(seen))
+    return found
+
+
+def _with_what_it_says(heard: RobotHeard) -> RobotHeard:
+    layout = link_layout()
+    states = {number: name for name, number in layout.state.items()}
+    try:
+        with connect(f"ble:{heard.address}") as bot:
+            told = bot.status()
+    except FrogkickError as error:
+        return replace(heard, error=str(error))
+    return replace(
+        heard,
+        robot=str(told["robot_id"]),
+        table_crc=int(told["table_crc"]),
+        state=states.get(int(told["state"]), str(told["state"])),
+        owned=told["owner"] != layout.owner["OPEN"],
+    )
 
 
 def require_target(target: str, others: tuple[str, ...] = ()) -> None:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import copy
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, field
-from functools import cached_property
+from dataclasses import dataclass, field, replace
+from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -41,7 +41,7 @@ from frogkick.loop.closed_loop import Recording, RunOptions, require_time, run_i
 from frogkick.loop.export_csv import export_csv
 from frogkick.loop.export_mcap import export_mcap
 from frogkick.loop.live_check import LiveCheck
-from frogkick.loop.live_log import logged, part_of
+from frogkick.loop.live_log import CUT_OFF, logged, part_of
 from frogkick.loop.record import BATTERY_V, Tracking, run_log, tracking_of_recording
 from frogkick.loop.recorded import import_recorded
 from frogkick.loop.recorded import load_run as load_log
@@ -308,9 +308,20 @@ def run(
                 )
             pool = Pool(described, start_pose(desired), eye, np.random.default_rng(seed), true)
             draw = stack.enter_context(viewed(view, described, used.tables, desired, options, pool))
-            recording = run_in_pool(
-                port, pool, used.tables, desired, options, said.progress, _all_of(said.keep, draw)
+            whole = partial(
+                run_log,
+                pool=pool,
+                robot=described,
+                tables=used.tables,
+                path=desired,
+                options=options,
+                seed=seed,
+                source=name,
             )
+            with _log_so_far(target, whole) as keep:
+                recording = run_in_pool(
+                    port, pool, used.tables, desired, options, said.progress, _all_of(said.keep, draw, keep)
+                )
     log_seed = None if is_real else seed
     found = Run(
         run_log(recording, pool, described, used.tables, desired, options, log_seed, name, known),
@@ -363,5 +374,22 @@ def _names_what_is_left(out: Path | None) -> Iterator[None]:
         yield
     except BaseException:
         if out is not None and part_of(out).exists():
-            tell_line(f"frogkick: what was recorded until then is in {str(part_of(out))!r}")
+            _tell_what_is_left(out)
         raise
+
+
+@contextmanager
+def _log_so_far(out: Path | None, log_of: Callable[[Recording], RunLog]) -> Iterator[Keep]:
+    """Where a simulated run breaks off, leave its log so far beside ``out``."""
+    held: dict[str, Recording] = {}
+    try:
+        yield lambda recording: held.update(begun=recording)
+    except BaseException:
+        if out is not None and held:
+            write_run(part_of(out), replace(log_of(held["begun"]), notes=CUT_OFF))
+            _tell_what_is_left(out)
+        raise
+
+
+def _tell_what_is_left(out: Path) -> None:
+    tell_line(f"frogkick: what was recorded until then is in {str(part_of(out))!r}")

@@ -18,7 +18,7 @@ from frogkick.front.html import page_of
 from frogkick.front.places import DEFAULT_ROBOT, robot_of_image
 from frogkick.library import RECORD_S, Library, library_info
 from frogkick.planner.image import Tables, open_image, read_image
-from frogkick.progress import Progress, shown
+from frogkick.progress import Progress, shown, tell_line
 from frogkick.robot import Robot
 
 __all__ = ["RECORD_S", "Table", "build_library", "fit_table", "library_info", "load_library", "load_table"]
@@ -179,7 +179,7 @@ def build_library(
         workers: processes; None: one for each core.
         cluster: address of a Dask scheduler whose workers simulate instead.
         out: HDF5 file to write as well. Stopped and started again with the same arguments, a build goes on
-            from what is finished.
+            from what is finished; parts of another robot, seed or the like are refused.
         progress: True for a bar, or a function of (transitions done, all).
 
     Raises:
@@ -192,10 +192,27 @@ def build_library(
             file = Path(folder) / "library.h5"
         else:
             file = Path(out)
+            stack.enter_context(_tells_that_it_goes_on(file))
         tell = stack.enter_context(shown(progress, "library"))
         processes = 1 if cluster else workers or os.cpu_count() or 1
-        libraries.build_library(robot, states, seed, processes, file, tell, sampling, record_s, cluster)
+        libraries.build_library(
+            robot, states, seed, processes, file, tell, sampling, record_s, cluster, keep_others=True
+        )
         return replace(libraries.read_library(file), folder=robot.folder)
+
+
+@contextmanager
+def _tells_that_it_goes_on(out: Path) -> Iterator[None]:
+    """Where a build is interrupted, say what is finished and how it goes on."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        if libraries.parts_of(out).exists():
+            tell_line(
+                f"frogkick: finished parts are in {str(libraries.parts_of(out))!r}: "
+                "the same command goes on from there"
+            )
+        raise
 
 
 def load_library(file: Path | str) -> Library:

@@ -4,6 +4,7 @@ from frogkick.library.build import RECORD_S, BuildReport, build_library, sample_
 from frogkick.library.cut import cut_library
 from frogkick.library.error import error_on, table_error
 from frogkick.library.fitting import BUDGET_BYTES, KINDS, Fitted, fit_table
+from frogkick.library.parts import parts_of
 from frogkick.library.quantise import quantise
 from frogkick.library.sampling import SAMPLINGS, sample_starts
 from frogkick.library.store import (
@@ -31,6 +32,7 @@ __all__ = [
     "error_on",
     "fit_table",
     "library_info",
+    "parts_of",
     "quantise",
     "read_library",
     "read_recorded",

@@ -77,6 +77,7 @@ def build_library(
     sampling: str = "box",
     record_s: float = RECORD_S,
     cluster: str | None = None,
+    keep_others: bool = False,
 ) -> BuildReport:
     """Simulate ``states`` initial velocities times all actions and write the library.
 
@@ -95,10 +96,11 @@ def build_library(
         sampling: "box", "visited" or "planned", see ``sample_starts``.
         record_s: how long to follow and record each transition; up to the period, nothing is recorded.
         cluster: address of a Dask scheduler whose workers simulate instead; see frogkick.chunks.
+        keep_others: refuse where ``OUT.parts`` is of another robot, seed and the like; else that is dropped.
 
     Raises:
         InputError: states, seed, sampling, workers or record_s out of range, a place that cannot be written
-            to, or no cluster there.
+            to, no cluster there, or parts of another library to be kept.
         ConvergenceError: every simulation failed; the text lists the first. Nothing is written.
         FrogkickError: a worker process died, or the cluster failed. What is finished is kept.
     """
@@ -108,7 +110,8 @@ def build_library(
         raise InputError(f"record is {record_s} s: give 0 to {RECORD_MAX_S:g}")
     began = time.monotonic()
     starts = sample_starts(robot, states, seed, sampling, workers, cluster)
-    parts = Parts(Path(out), _job(robot, starts, record_s))
+    name = f"{robot.id} {robot.sha256.hex()[:8]}, {states} states, seed {seed}, {sampling}, {record_s:g} s"
+    parts = Parts(Path(out), _job(robot, starts, record_s), name, keep_others)
     done = _simulate_parts(robot, starts, record_s, parts, progress, workers, cluster)
     library = make_library(robot, sampling, seed, starts, done)
     failed = library.failed

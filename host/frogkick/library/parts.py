@@ -16,36 +16,54 @@ from frogkick.errors import InputError
 from frogkick.files import write_bytes, write_text
 from frogkick.library.transitions import Failed, Transitions
 
-_FORMAT = "frogkick library parts 2"
+_FORMAT = "frogkick library parts"
+
+
+def parts_of(out: Path) -> Path:
+    """The folder where the parts of a library are kept until it is whole."""
+    return out.with_name(out.name + ".parts")
 
 
 class Parts:
     """A folder ``OUT.parts`` of one job: a start after a stop finds there what the first one finished."""
 
-    def __init__(self, out: Path, job: bytes) -> None:
+    def __init__(self, out: Path, job: bytes, name: str = "", keep_others: bool = False) -> None:
         """Open the folder, or make it when the first part is kept.
 
         Args:
             out: the library's file.
-            job: everything that its content depends on. Parts of another job are dropped.
+            job: everything that its content depends on.
+            name: of the job, for people.
+            keep_others: refuse where there are parts of another job; else those are dropped.
 
         Raises:
-            InputError: the folder's name is taken by something else.
+            InputError: the folder's name is taken by something else, or parts of another job are to be kept.
         """
-        self.folder = out.with_name(out.name + ".parts")
+        self.folder = parts_of(out)
+        self._name = name
         self._key = hashlib.sha256(job).hexdigest()
-        if self.folder.exists() and self._found() != self._key:
-            self.remove()
+        if not self.folder.exists():
+            return
+        key, whose = self._found()
+        if key == self._key:
+            return
+        if keep_others and key and any(self.folder.glob("*.npz")):
+            raise InputError(
+                f"{str(self.folder)!r} holds finished parts of another library ({whose}), this one is "
+                f"{name}: build that one to its end, choose another --out, or delete the folder"
+            )
+        self.remove()
 
-    def _found(self) -> str | None:
+    def _found(self) -> tuple[str, str]:
+        """Key and name of the job whose parts are there; two empty ones where nothing says."""
         try:
             text = json.loads((self.folder / "job.json").read_text(encoding="utf-8"))
-            if text["format"] == _FORMAT:
-                return str(text["key"])
+            if str(text["format"]).startswith(_FORMAT):
+                return str(text["key"]), str(text.get("name", "by an earlier version"))
         except (OSError, ValueError, KeyError, TypeError):
             pass
         if self.folder.is_dir() and all(file.suffix == ".npz" for file in self.folder.iterdir()):
-            return None  # stopped before it could say whose they are
+            return "", ""  # stopped before it could say whose they are
         raise InputError(
             f"{str(self.folder)!r} is in the way of the library's parts and is none of ours: "
             "move it or choose another --out"
@@ -57,7 +75,8 @@ class Parts:
     def keep(self, index: int, part: Transitions) -> None:
         """Write a part, wholly or not at all."""
         if not self.folder.exists():
-            write_text(self.folder / "job.json", json.dumps({"format": _FORMAT, "key": self._key}) + "\n")
+            told = {"format": _FORMAT, "key": self._key, "name": self._name}
+            write_text(self.folder / "job.json", json.dumps(told) + "\n")
         content = io.BytesIO()
         np.savez(
             content,

@@ -14,12 +14,15 @@ from numpy.typing import NDArray
 
 import frogkick
 from frogkick.errors import InputError
-from frogkick.files import atomic_path, existing_file
+from frogkick.files import atomic_path, existing_file, require_room
 from frogkick.library.starts import Starts
 from frogkick.library.transitions import HISTORY, RESTED, Failed, IntArray, SampleArray, Transitions
 from frogkick.robot import Robot, parse_robot
 
 FloatArray = NDArray[np.float64]
+
+OVERHEAD_BYTES, STEP_BYTES, SAMPLE_BYTES = 65536, 64, 24
+"""Of the file: its tables of contents, each transition, each recorded pose and velocity."""
 
 FORMAT = "frogkick library"
 FORMAT_VERSION = 3  # 2: recorded motions, transitions that failed; 3: what was done before a state
@@ -143,6 +146,7 @@ def write_library(
     """
     states, actions, _ = library.displacement_body.shape
     times = np.empty(0) if recorded_time_s is None else recorded_time_s
+    require_room(out, OVERHEAD_BYTES + states * actions * (STEP_BYTES + len(times) * SAMPLE_BYTES))
     with atomic_path(out) as temporary, h5py.File(temporary, "w", libver=("v110", "v110")) as file:
         file.attrs["format"] = FORMAT
         file.attrs["format_version"] = FORMAT_VERSION

@@ -6,6 +6,7 @@ import asyncio
 import contextlib
 import threading
 import time
+from dataclasses import dataclass
 from typing import NoReturn
 
 from bleak import BleakClient, BleakScanner
@@ -44,6 +45,53 @@ _DEFINITE = (
     BleakGATTProtocolErrorCode.INSUFFICIENT_AUTHORIZATION,
     BleakGATTProtocolErrorCode.INSUFFICIENT_ENCRYPTION,
 )
+
+
+@dataclass(frozen=True)
+class Heard:
+    """A robot that advertises.
+
+    Attributes:
+        name: as it calls itself; "" where it does not.
+        address: as this computer's Bluetooth has it.
+        signal_dbm: strength of the last advertisement.
+    """
+
+    name: str
+    address: str
+    signal_dbm: int
+
+
+def listen(scan_s: float) -> list[Heard]:
+    """Robots that advertise within so many seconds, the strongest first. Nobody is connected to.
+
+    Raises:
+        WireError: no adapter, no permission.
+    """
+    seen: dict[str, Heard] = {}
+    failed: list[Exception] = []
+
+    def heard(device: BLEDevice, advertised: AdvertisementData) -> None:
+        name = advertised.local_name or device.name or ""
+        seen[device.address] = Heard(name, device.address, advertised.rssi)
+
+    async def live() -> None:
+        async with BleakScanner(heard, service_uuids=[SERVICE]):
+            await asyncio.sleep(scan_s)
+
+    def run() -> None:
+        try:
+            asyncio.run(live())
+        except Exception as error:
+            failed.append(error)
+
+    # A notebook's own event loop runs in this thread.
+    thread = threading.Thread(target=run, name="listen", daemon=True)
+    thread.start()
+    thread.join()
+    if failed:
+        raise explained(failed[0], "a robot") from failed[0]
+    return sorted(seen.values(), key=lambda one: (-one.signal_dbm, one.address))
 
 
 class BleWire:

@@ -11,9 +11,10 @@ import h5py
 import numpy as np
 
 from frogkick.errors import InputError
-from frogkick.files import atomic_path, existing_file
+from frogkick.files import existing_file
 from frogkick.link.layout import link_layout
 from frogkick.link.log import ChipLog, Record, Stretch
+from frogkick.loop.runlog_file import hdf5_to_write
 
 FORMAT = "frogkick chip log"
 FORMAT_VERSION = 1
@@ -61,7 +62,7 @@ def write_log(target: Path | str, fetched: FetchedLog) -> None:
     Raises:
         InputError: the folder cannot be written to.
     """
-    with atomic_path(target) as temporary, h5py.File(temporary, "w") as file:
+    with hdf5_to_write(target) as file:
         file.attrs["format"] = FORMAT
         file.attrs["format_version"] = FORMAT_VERSION
         file.attrs["robot_id"] = fetched.robot_id

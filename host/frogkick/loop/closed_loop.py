@@ -229,6 +229,7 @@ class _Run:
         self.recording = Recording()
         self.may_be_armed = False
         self.session = session
+        self.recording.edges = session.edges  # which grow
         session.on_step = self._source_step
         self.twin = DecisionTwin(tables, path, options.config)
         self._awaited: dict[int, int] = {}
@@ -257,7 +258,6 @@ class _Run:
         self.recording.end_s = session.time_s
         session.request("DISARM")
         self.recording.fixes_refused = int(session.request("STATUS")["fixes_refused"])
-        self.recording.edges = session.edges
         return self.recording
 
     def _run_onboard(self) -> None:
@@ -321,6 +321,7 @@ class _Run:
             self.session.step(min(max(self.source.next_event_s, self.session.time_s + 1e-6), until_s))
             for arrival in self.session.take("FIX", "STROKE", "DECISION", "REFUSED", "ENDED"):
                 self._note(arrival.frame)
+            self.recording.end_s = self.session.time_s
             self.keep(self.recording)
 
     def _note(self, frame: Frame) -> None:

@@ -8,7 +8,10 @@ attributes. Every dataset carries `unit`.
 
 from __future__ import annotations
 
+import io
 import pathlib
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import fields
 from typing import Any
 
@@ -16,7 +19,7 @@ import h5py
 import numpy as np
 
 from frogkick.errors import InputError
-from frogkick.files import atomic_path, existing_file
+from frogkick.files import existing_file, write_bytes
 from frogkick.loop.runlog import DecisionFlag, Decisions, Fixes, FixFlag, RunLog, Strokes, Truth
 from frogkick.paths import Path
 
@@ -35,13 +38,28 @@ _SUFFIX_UNITS = {
 }
 
 
+@contextmanager
+def hdf5_to_write(target: pathlib.Path | str) -> Iterator[h5py.File]:
+    """Yield a new HDF5 file in memory, which is written to ``target`` wholly or not at all.
+
+    On a full disk the HDF5 library itself would end the process.
+
+    Raises:
+        InputError: the folder cannot be written to, or the disk is full.
+    """
+    content = io.BytesIO()
+    with h5py.File(content, "w") as file:
+        yield file
+    write_bytes(target, content.getvalue())
+
+
 def write_run(target: pathlib.Path | str, run: RunLog) -> None:
     """Write a run to HDF5, wholly or not at all; the same run gives the same bytes.
 
     Raises:
         InputError: the folder cannot be written to.
     """
-    with atomic_path(target) as temporary, h5py.File(temporary, "w") as file:
+    with hdf5_to_write(target) as file:
         fill(file, run)
 
 

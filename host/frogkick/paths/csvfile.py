@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import math
 import pathlib
+from collections.abc import Callable
 
 import numpy as np
 
@@ -23,7 +24,7 @@ _NAMES = {
 }  # fmt: skip
 
 
-def from_csv(file: pathlib.Path | str) -> Path:
+def from_csv(file: pathlib.Path | str, tell: Callable[[str], None] = lambda _line: None) -> Path:
     """Read a path from CSV.
 
     Without header: columns x, y or x, y, dx, dy (the paper's ``linep1.csv``). With header: x, y and
@@ -33,22 +34,30 @@ def from_csv(file: pathlib.Path | str) -> Path:
 
     Args:
         file: the CSV file; metres, world frame.
+        tell: gets a line where more points than 100 are resampled: how many, and how far off that is.
 
     Raises:
         InputError: missing or empty file, not text, unknown or missing columns, a cell that is not a finite
             number (row and column named), a tangent of no length, one point, no length, a length that is
             likely one in mm.
     """
-    path = _read(file)
+    path, points_m = _read(file)
     if path.length_m > LENGTH_MAX_M:
         raise InputError(
             f"path file {pathlib.Path(file).name!r} is a path of {path.length_m:.4g} m, more than "
             f"{LENGTH_MAX_M:g} m: columns are in metres, are these mm?"
         )
+    if len(points_m) > POINTS_MAX:
+        off_mm = 1e3 * float(path.distance_m(points_m).max())
+        tell(
+            f"path file {pathlib.Path(file).name!r}: {len(points_m)} points are resampled to {POINTS_MAX}, "
+            f"the robot's most; the given ones are {off_mm:.2g} mm beside it at most"
+        )
     return path
 
 
-def _read(file: pathlib.Path | str) -> Path:
+def _read(file: pathlib.Path | str) -> tuple[Path, np.ndarray[tuple[int, int], np.dtype[np.float64]]]:
+    """The path, and the points (n, 2) of the file."""
     source = existing_file(file, "path file")
     name = source.name
     try:
@@ -75,7 +84,7 @@ def _read(file: pathlib.Path | str) -> Path:
     stem = source.stem
     has_tangent = "tangent_rad" in values or "dx" in values
     if not has_tangent or len(points) > POINTS_MAX:
-        return from_waypoints(points, smooth=False, name=stem)
+        return from_waypoints(points, smooth=False, name=stem), points
     if "dx" in values:
         still = np.flatnonzero((values["dx"] == 0.0) & (values["dy"] == 0.0))
         if still.size:
@@ -85,7 +94,7 @@ def _read(file: pathlib.Path | str) -> Path:
         tangent = np.arctan2(values["dy"], values["dx"])
     else:
         tangent = values["tangent_rad"]
-    return Path.from_arrays(points[:, 0], points[:, 1], tangent, stem)
+    return Path.from_arrays(points[:, 0], points[:, 1], tangent, stem), points
 
 
 def _rows(text: str, name: str) -> list[tuple[int, list[str]]]:

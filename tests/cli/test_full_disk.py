@@ -1,0 +1,84 @@
+"""A disk that is full: one line that names the file, exit 2, nothing half-written."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+from typing import NamedTuple
+
+import pytest
+
+import frogkick as fk
+from frogkick import files
+
+# No process may write a file longer than this: as good as a full disk, wherever the tests run.
+WITHOUT_ROOM = """
+import resource, sys
+resource.setrlimit(resource.RLIMIT_FSIZE, (8192, 8192))
+from frogkick.cli.main import run_command
+sys.exit(run_command(sys.argv[1:]))
+"""
+
+
+pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="limits the length of files")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "name"),
+    [
+        (("robot", "show", "frog2022", "--out"), "robot.png"),
+        (("camera", "tag", "--out"), "tag.pdf"),
+    ],
+)
+def test_one_line_names_the_file(tmp_path: Path, arguments: tuple[str, ...], name: str) -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", WITHOUT_ROOM, *arguments, name],
+        cwd=tmp_path, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    told = [line for line in done.stderr.splitlines() if line.startswith("frogkick: ")]
+    assert told == [f"frogkick: cannot write {name!r}: File too large; make room or choose another --out"]
+    assert "Traceback" not in done.stderr and done.returncode == 2
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_run_s_log_does_not_end_the_process(tmp_path: Path) -> None:
+    """As the HDF5 library does where it cannot write on."""
+    program = (
+        "import resource, frogkick as fk\n"
+        "found = fk.run(robot='pool', time_limit_s=3.0)\n"
+        "resource.setrlimit(resource.RLIMIT_FSIZE, (8192, 8192))\n"
+        "try:\n    found.save('run.h5')\n"
+        "except fk.InputError as error:\n    print(error)\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", program], cwd=tmp_path, capture_output=True, text=True, check=False
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout == "cannot write 'run.h5': File too large; make room or choose another --out\n"
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_library_looks_for_room_before_it_is_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its parts stay, and the same build goes on from them where there is room."""
+
+    class Usage(NamedTuple):
+        free: int
+
+    robot, out = fk.load_robot("frog2022"), tmp_path / "lib.h5"
+    with monkeypatch.context() as patch:
+        patch.setattr(files.shutil, "disk_usage", lambda _folder: Usage(70_000))
+        with pytest.raises(fk.InputError, match=r"lib\.h5': it takes 0\.1 MB, and 0\.1 MB are free there"):
+            fk.build_library(robot, states=16, workers=1, out=out)
+    assert [entry.name for entry in tmp_path.iterdir()] == ["lib.h5.parts"]
+    with pytest.raises(
+        fk.InputError, match=r"another library \(frog2022 \w{8}, 16 states, seed 0, box, 0 s\)"
+    ):
+        fk.build_library(robot, states=16, seed=1, workers=1, out=out)
+    told: list[int] = []
+    fk.build_library(robot, states=16, workers=1, out=out, progress=lambda done, _all: told.append(done))
+    assert told == [16 * 9] and [entry.name for entry in tmp_path.iterdir()] == ["lib.h5"]
+    # What is asked for is what is taken, to some kilobytes.
+    assert 0 < 65536 + 16 * 9 * 64 - out.stat().st_size < 65536

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import importlib.util
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -15,6 +17,7 @@ from frogkick import files
 # No process may write a file longer than this: as good as a full disk, wherever the tests run.
 WITHOUT_ROOM = """
 import resource, sys
+sys.dont_write_bytecode = True  # some Pythons would leave it cut short, for everyone
 resource.setrlimit(resource.RLIMIT_FSIZE, (8192, 8192))
 from frogkick.cli.main import run_command
 sys.exit(run_command(sys.argv[1:]))
@@ -42,10 +45,33 @@ def test_one_line_names_the_file(tmp_path: Path, arguments: tuple[str, ...], nam
     assert list(tmp_path.iterdir()) == []
 
 
+def test_a_module_that_a_full_disk_cut_short_is_named(tmp_path: Path) -> None:
+    """By a Python that kept it so: once "interrupted", for ever."""
+    from frogkick.cli import camera
+
+    environment = os.environ | {"PYTHONPYCACHEPREFIX": str(tmp_path / "kept")}
+    environment.pop("PYTHONDONTWRITEBYTECODE", None)
+    command = [sys.executable, "-m", "frogkick.cli.main", "camera", "--help"]
+    subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, check=True)
+    name = Path(importlib.util.cache_from_source(camera.__file__)).name
+    (kept,) = (tmp_path / "kept").rglob(f"cli/{name}")
+    kept.write_bytes(kept.read_bytes()[:1000])
+    done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
+    told = done.stderr.strip()
+    assert (
+        told
+        == f"frogkick: {str(kept)!r} is cut short, as by a disk that was full: delete it, it is made again"
+    )
+    assert done.returncode == 2
+    kept.unlink()
+    subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, check=True)
+
+
 def test_a_run_s_log_does_not_end_the_process(tmp_path: Path) -> None:
     """As the HDF5 library does where it cannot write on."""
     program = (
-        "import resource, frogkick as fk\n"
+        "import resource, sys, frogkick as fk\n"
+        "sys.dont_write_bytecode = True\n"
         "found = fk.run(robot='pool', time_limit_s=3.0)\n"
         "resource.setrlimit(resource.RLIMIT_FSIZE, (8192, 8192))\n"
         "try:\n    found.save('run.h5')\n"

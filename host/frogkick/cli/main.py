@@ -8,7 +8,7 @@ from __future__ import annotations
 import os
 import signal
 import sys
-from types import FrameType
+from types import FrameType, TracebackType
 from typing import Any
 
 from frogkick.errors import CheckError, FrogkickError
@@ -45,6 +45,8 @@ def run_command(arguments: list[str] | None = None) -> int:
         _complain(str(error))
     except UnicodeError as error:
         _complain(f"a text in the input is not UTF-8 ({error}): make the file again")
+    except EOFError as error:
+        _complain(_cut_short(error.__traceback__))
     except OSError as error:
         named = f" {error.filename!r}" if error.filename else ""
         _complain(f"cannot read or write{named}: {error.strerror or error}; check the path and the disk")
@@ -54,6 +56,19 @@ def run_command(arguments: list[str] | None = None) -> int:
         _complain(_INTERRUPTED)
         return INTERRUPTED
     return BAD_INPUT
+
+
+def _cut_short(trace: TracebackType | None) -> str:
+    """What to do about a file that ended before what is loaded from it did.
+
+    Until 3.12.8 Python kept a compiled module as it was where the disk was full in the middle of it.
+    """
+    file = None
+    while trace is not None:
+        file = trace.tb_frame.f_locals.get("bytecode_path", file)
+        trace = trace.tb_next
+    named = "a file of a cache" if file is None else f"{file!r}"
+    return f"{named} is cut short, as by a disk that was full: delete it, it is made again"
 
 
 def _came_of_ctrl_c(error: BaseException | None) -> bool:
@@ -80,7 +95,9 @@ def _run(arguments: list[str] | None) -> int:
         sys.stdout.flush()
     except typer.Exit as error:
         return error.exit_code
-    except typer.Abort:
+    except typer.Abort as error:
+        if isinstance(error.__cause__, EOFError):
+            raise error.__cause__ from None
         raise KeyboardInterrupt from None
     except Exception as error:
         # Usage errors come as the command-line library's own class, which it does not export.

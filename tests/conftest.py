@@ -6,6 +6,7 @@ import hashlib
 import os
 import signal
 import sys
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -49,11 +50,18 @@ def count(ci: int, full: int, quick: int | None = None) -> int:
         quick: in make test; None: as many as at ``ci``.
     """
     chosen = {"quick": ci if quick is None else quick, "ci": ci, "full": full}[LEVEL]
-    caller = sys._getframe(1 if sys._getframe(1).f_code.co_name != "cases" else 2)
+    caller = sys._getframe(1 if sys._getframe(1).f_code.co_name not in ("cases", "some") else 2)
     file = Path(caller.f_code.co_filename)
     place = file.relative_to(REPOSITORY) if file.is_relative_to(REPOSITORY) else file
     counted[f"{place}:{caller.f_lineno}"] = chosen
     return chosen
+
+
+def some(cases: Iterable[Any], quick: int) -> list[Any]:
+    """All cases of a parametrized test; in make test ``quick`` of them, evenly spread, with the first."""
+    every = list(cases)
+    wanted = count(len(every), len(every), min(quick, len(every)))
+    return [every[k * len(every) // wanted] for k in range(wanted)]
 
 
 @pytest.hookimpl(optionalhook=True)

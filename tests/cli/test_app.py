@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 
@@ -48,6 +49,18 @@ def test_no_sentence_of_a_group_is_cut(group: str) -> None:
     told = CliRunner().invoke(app, [group, "-h"])
     assert told.exit_code == 0 and "Commands:" in told.stdout
     assert not [line for line in told.stdout.splitlines() if line.endswith("...") and "Usage" not in line]
+
+
+@pytest.mark.parametrize(
+    ("words", "offered"), [("frogkick fi", {"firmware"}), ("frogkick camera t", {"track", "tag"})]
+)
+def test_a_shell_completes_commands(words: str, offered: set[str]) -> None:
+    asked = {"_FROGKICK_COMPLETE": "complete_bash", "COMP_WORDS": words, "COMP_CWORD": str(words.count(" "))}
+    done = subprocess.run(
+        [sys.executable, "-m", "frogkick.cli.main"],
+        env=os.environ | asked, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert set(done.stdout.split()) == offered, done.stderr
 
 
 def test_the_version_is_one_line() -> None:

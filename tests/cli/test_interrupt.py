@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import random
+import re
 import signal
 import subprocess
 import sys
@@ -13,10 +14,13 @@ from contextlib import suppress
 from pathlib import Path
 
 import pytest
+from tests.cli.commands import frogkick
 from tests.conftest import count
 
 from frogkick.link.wire import Inbox
 from frogkick.progress import progress_bar
+
+RECORD_S = str(count(5, 5, 0))
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="sends SIGINT to a process group")
 
@@ -44,6 +48,7 @@ def test_library_build(tmp_path: Path, whole_group: bool) -> None:
         [
             sys.executable, "-m", "frogkick.cli.main",
             "library", "build", "--states", "400", "--workers", "2", "--out", "lib.h5", "--json",
+            "--record-s", RECORD_S,
         ],
         cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True,
     )  # fmt: skip
@@ -57,12 +62,48 @@ def test_library_build(tmp_path: Path, whole_group: bool) -> None:
         assert process.returncode == 130
         assert stdout == ""
         complaints = [line for line in stderr.splitlines() if not line.startswith("library: ")]
-        assert complaints == ["frogkick: interrupted: nothing half-written was left"]
-        assert {entry.name for entry in tmp_path.iterdir()} <= {"lib.h5.parts"}  # finished parts stay
+        kept = [entry.name for entry in tmp_path.iterdir()]
+        assert kept in ([], ["lib.h5.parts"])  # finished parts stay
+        goes_on = "frogkick: finished parts are in 'lib.h5.parts': the same command goes on from there"
+        interrupted = "frogkick: interrupted: nothing half-written was left"
+        assert complaints == [goes_on, interrupted] or (not kept and complaints == [interrupted])
         assert group_members(process.pid) == []
     finally:
         if process.poll() is None:
             os.killpg(process.pid, signal.SIGKILL)
+
+
+def test_a_simulated_run_leaves_what_was_recorded(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    process = subprocess.Popen(
+        [
+            sys.executable, "-m", "frogkick.cli.main",
+            "run", "--robot", "virtual", "--path", "circle", "--out", "x.h5",
+        ],
+        cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True,
+    )  # fmt: skip
+    assert process.stderr is not None
+    try:
+        for line in process.stderr:
+            told = re.match(r"circle: (\d+)/100, ", line)
+            if told and int(told[1]) >= 20:
+                break
+        os.kill(process.pid, signal.SIGINT)
+        _, stderr = process.communicate(timeout=300)
+    finally:
+        if process.poll() is None:
+            os.killpg(process.pid, signal.SIGKILL)
+    assert process.returncode == 130
+    assert [line for line in stderr.splitlines() if line.startswith("frogkick: ")] == [
+        "frogkick: what was recorded until then is in 'x.h5.part'",
+        "frogkick: interrupted: nothing half-written was left",
+    ]
+    assert [entry.name for entry in tmp_path.iterdir()] == ["x.h5.part"]
+    monkeypatch.chdir(tmp_path)
+    shown = frogkick(capsys, "log", "show", "x.h5.part", "--out", "x.png", "--json")
+    assert shown.code == 0, shown.stderr
+    assert shown.json["decisions"] >= 3
 
 
 def test_while_it_is_still_loading(tmp_path: Path) -> None:
@@ -176,7 +217,8 @@ def test_while_processes_are_started(tmp_path: Path, when: str) -> None:
         "    return real(*given, **named)\n"
         "chunks.ProcessPoolExecutor = begin\n"
         "import sys\n"
-        "sys.argv = 'frogkick library build --states 40 --workers 2 --out lib.h5 --json'.split()\n"
+        "sys.argv = 'frogkick library build --states 40 --workers 2 --out lib.h5 --json "
+        f"--record-s {RECORD_S}'.split()\n"
         "main.main()\n"
     )
     done = subprocess.run(

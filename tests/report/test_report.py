@@ -8,9 +8,11 @@ import re
 from html.parser import HTMLParser
 from pathlib import Path
 
+import numpy as np
 import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from tests.identification.made import robot
 from tests.loop import rig
 
 from frogkick.errors import InputError
@@ -74,7 +76,10 @@ def test_every_axis_of_a_run_has_a_label_and_a_unit() -> None:
         assert each.get_title(loc="left"), "each panel says what it is"
         label = each.get_ylabel()
         assert label == "action" or re.search(r"\((cm|mm|s|mm, deg)\)$", label), label
-    assert [each.get_xlabel() for each in axes if each.get_xlabel()] == ["x (cm)", "time (s)"]
+    assert [each.get_xlabel() for each in axes if each.get_xlabel()] == [
+        "x in the pool (cm)",
+        "time (s)",
+    ]
     track = axes[0]
     assert track.get_aspect() == 1.0
     legend = track.get_legend()
@@ -82,6 +87,10 @@ def test_every_axis_of_a_run_has_a_label_and_a_unit() -> None:
     assert [text.get_text() for text in legend.get_texts()] == [
         "desired path", "position fixes", "true track", "start of the path",
     ]  # fmt: skip
+    path = short_run().path
+    assert path is not None
+    (desired,) = (line for line in track.lines if line.get_label() == "desired path")
+    assert np.asarray(desired.get_xydata()) == pytest.approx(100.0 * path.points_m), "in the pool's frame"
     letters = [text.get_text() for text in track.texts]
     assert letters == [short_run().action_names[index] for index in short_run().decisions.action]
 
@@ -117,7 +126,7 @@ def test_the_rings_report(tmp_path: Path) -> None:
     from frogkick.report.ring_page import write_ring_report
     from frogkick.study.ring import go_round
 
-    ring = go_round(rig.robot(), tmp_path, 10, 1, 0, progress_bar, paths=("line", "sine"), time_limit_s=4.0)
+    ring = go_round(robot(), tmp_path, 10, 1, 0, progress_bar, paths=("line", "sine"), time_limit_s=4.0)
     target = tmp_path / "report.html"
     write_ring_report(target, ring)
     links = self_contained(target.read_text(encoding="utf-8"))

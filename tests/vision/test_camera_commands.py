@@ -3,16 +3,23 @@
 from __future__ import annotations
 
 import json
+import re
+import urllib.request
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
 import pytest
 from tests.cli.commands import frogkick
-from tests.vision.scenes import scene
+from tests.conftest import count
+from tests.vision.scenes import calibration, scene
 
+from frogkick.front.cameras import track_camera
+from frogkick.loop.line_fixes import parse_line
+from frogkick.pool.camera import Fix
 from frogkick.vision.board import Board
-from frogkick.vision.calibration_file import read_calibration
+from frogkick.vision.calibration_file import read_calibration, write_calibration
 from frogkick.vision.tags import dictionary, picture_order
 
 USUAL = scene()
@@ -92,7 +99,7 @@ def test_check_with_tags_laid_down(tmp_path: Path, capsys: pytest.CaptureFixture
 
 
 def board_pictures(folder: Path, kind: str) -> tuple[Path, np.ndarray]:
-    """A board of 9 x 6 squares of 40 mm, held in eight ways before a known lens; and the camera matrix."""
+    """A board of 9 x 6 squares of 40 mm, held in several ways before a known lens; and the camera matrix."""
     cell = 60
     if kind == "charuco":
         flat = Board(kind, 9, 6, 0.04).charuco().generateImage((9 * cell, 6 * cell))
@@ -103,9 +110,8 @@ def board_pictures(folder: Path, kind: str) -> tuple[Path, np.ndarray]:
     matrix = np.array([[640.0, 0, 319.5], [0, 640.0, 239.5], [0, 0, 1]])
     flat = cv2.GaussianBlur(flat, (0, 0), 1.2)  # or the smaller pictures would alias
     folder.mkdir()
-    for k, tilt in enumerate(
-        [(0, 0), (0.4, 0), (-0.4, 0.1), (0, 0.4), (0.1, -0.4), (0.3, 0.3), (-0.3, 0.3), (0.3, -0.3)]
-    ):
+    tilts = [(0, 0), (0.4, 0), (-0.4, 0.1), (0, 0.4), (0.1, -0.4), (0.3, 0.3), (-0.3, 0.3), (0.3, -0.3)]
+    for k, tilt in enumerate(tilts[: count(8, 8, 5)]):
         turn, _ = cv2.Rodrigues(np.array([*tilt, 0.1 * k - 0.3]))
         # Into every corner of the picture: a lens is not known where no board was.
         shift = np.array([0.16 * (-1) ** k, 0.1 * (-1) ** (k // 2), 0.7 + 0.02 * k])
@@ -216,6 +222,76 @@ def test_wrong_input_is_one_line(
     assert says in done.stderr
     assert done.stderr.count("\n") == 1
     assert not (tmp_path / "o.toml").exists()
+
+
+@pytest.fixture(scope="module")
+def filmed(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path, np.ndarray]:
+    """A calibration, pictures of a tag that moves on, but the first four of none, and the tag's poses."""
+    folder = tmp_path_factory.mktemp("filmed")
+    (folder / "pictures").mkdir()
+    rng = np.random.default_rng(8)
+    poses = np.array([(0.4 + 0.005 * k, 0.5 - 0.003 * k, 0.3 + 0.02 * k) for k in range(24)])
+    for k in range(4 + len(poses)):
+        pose = None if k < 4 else tuple(map(float, poses[k - 4]))
+        cv2.imwrite(str(folder / "pictures" / f"{k:03d}.png"), USUAL.picture(pose, rng))
+    write_calibration(folder / "camera.toml", calibration(USUAL))
+    return folder / "camera.toml", folder / "pictures", poses
+
+
+def test_a_tag_is_tracked_without_a_robot(
+    filmed: tuple[Path, Path, np.ndarray], capsys: pytest.CaptureFixture[str]
+) -> None:
+    file, pictures, poses = filmed
+    done = frogkick(capsys, "camera", "track", file, "--source", pictures)
+    assert done.code == 0, done.stderr
+    lines = [parse_line(line) for line in done.stdout.splitlines()]
+    assert 5 < len(lines) <= len(poses)
+    begun = 0
+    for age_s, pose in lines:  # each is one of the poses, in their order
+        apart = np.abs(poses[begun:] - pose).max(axis=1)
+        begun += int(apart.argmin()) + 1
+        assert apart.min() < 2e-3 and 0.0 <= age_s < 5.0
+    told = re.match(r"frogkick: (\d+) places of (\d+) pictures, [\d.]+ a second; without one: ", done.stderr)
+    assert told is not None and int(told[1]) == len(lines) and int(told[2]) >= len(lines) + 1
+    asked = frogkick(capsys, "camera", "track", file, "--source", pictures, "--json", "--seconds", "30")
+    assert asked.code == 0 and asked.json["fixes"] == asked.json["reasons"]["found"] > 5
+    assert asked.json["pictures"] == sum(asked.json["reasons"].values()) and asked.json["rate_hz"] > 0.5
+
+
+def test_a_page_shows_what_the_camera_sees(
+    filmed: tuple[Path, Path, np.ndarray], capsys: pytest.CaptureFixture[str]
+) -> None:
+    file, pictures, poses = filmed
+    seen: list[dict[str, Any]] = []
+    address = ""
+
+    def look(_fix: Fix) -> None:
+        nonlocal address
+        told = re.search(r"what the camera sees is drawn at (\S+)", capsys.readouterr().err)
+        address = told[1] if told else address
+        with urllib.request.urlopen(f"{address}state.json", timeout=60.0) as answer:
+            seen.append(json.load(answer))
+
+    found = track_camera(file, str(pictures), view=True, each=look)
+    assert found.fixes == len(seen) > 5
+    fixes = seen[-1]["fixes"]
+    assert fixes and np.abs(poses[:, :2] - fixes[-1][:2]).max(axis=1).min() < 2e-3
+    assert len(seen[-1]["robot"]) >= 4 and not seen[-1]["path"], "the tag's outline, and no path"
+
+
+def test_tracking_tells_what_is_wrong(
+    filmed: tuple[Path, Path, np.ndarray], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file, pictures, _ = filmed
+    cv2.imwrite(str(tmp_path / "0.png"), cv2.imread(str(pictures / "000.png")))
+    without = frogkick(capsys, "camera", "track", file, "--source", tmp_path, "--json")
+    assert (without.code, without.json["fixes"], without.json["rate_hz"]) == (1, 0, 0.0)
+    for source, more, says in (
+        (tmp_path / "none", (), "none"),
+        (pictures, ("--seconds", "0"), "give more than 0"),
+    ):
+        done = frogkick(capsys, "camera", "track", file, "--source", source, *more)
+        assert done.code == 2 and says in done.stderr and done.stderr.count("\n") == 1
 
 
 def test_a_printed_tag_is_to_scale_and_points_forward(

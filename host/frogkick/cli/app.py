@@ -59,7 +59,7 @@ COMMANDS = {
     "own": ("push", "Let a robot take commands from its owner alone."),
     "export": ("log", "Write a run as CSV or as MCAP."),
     "robot": ("robot", "Which robots there are, what one looks like, and a file for a new one."),
-    "camera": ("camera", "Calibrate the camera over the pool, check it, print the tag."),
+    "camera": ("camera", "Calibrate the camera over the pool, check it, track the tag, print it."),
     "log": (LOG_COMMANDS, "Look at runs; fetch what a robot wrote down."),
     "library": ("library", "Simulate transitions for many initial velocities."),
     "tables": ("tables", "Make of a library the robot's table image."),

@@ -1,4 +1,4 @@
-"""``frogkick camera``: calibrate the camera over the pool, check how far off it is."""
+"""``frogkick camera``: calibrate the camera over the pool, check how far off it is, track the tag, print it."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import math
 import re
 import sys
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -16,7 +16,7 @@ from frogkick.files import require_writable, write_text
 
 app = typer.Typer(
     cls=WholeLines,
-    help="Calibrate the camera over the pool, check how far off it is, print the tag.",
+    help="Calibrate the camera over the pool, check how far off it is, track the tag, print it.",
     no_args_is_help=True,
 )
 
@@ -173,6 +173,43 @@ def check(
         )
         for remark in checked.remarks:
             say(remark)
+        raise typer.Exit(1)
+
+
+@app.command()
+def track(
+    calibration: Annotated[Path, typer.Argument(help="What 'camera calibrate' wrote.")],
+    source: Annotated[str, typer.Option(help="Camera number, video, or folder of pictures.")] = "0",
+    seconds: Annotated[float | None, typer.Option(help="How long; default: to the end, or Ctrl-C.")] = None,
+    view: Annotated[
+        bool, typer.Option("--view", help="Draw pictures, tag and fixes in the browser.")
+    ] = False,
+    json: JsonOption = False,
+) -> None:
+    """Print the tag's place in each picture, without a robot. Exit 1 if none told one.
+
+    A line for each is x_m y_m heading_rad age_s: pose in the pool's frame, and how old its picture is. So the
+    lines may be piped into 'frogkick run --fixes stdin'.
+    """
+    from frogkick.front.cameras import track_camera
+
+    def tell(fix: Any) -> None:
+        x_m, y_m, heading_rad = fix.pose_world
+        print(f"{x_m:.5f} {y_m:.5f} {heading_rad:.5f} {fix.arrival_s - fix.capture_s:.4f}", flush=True)
+
+    found = track_camera(
+        calibration, source, seconds=seconds, view=view, each=(lambda _fix: None) if json else tell
+    )
+    told = found.as_json()
+    if json:
+        show(told, json)
+    without = {reason: count for reason, count in found.reasons.items() if reason != "found"}
+    why = ", ".join(f"{count} x {reason}" for reason, count in without.items())
+    say(
+        f"{found.fixes} places of {told['pictures']} pictures, {told['rate_hz']:.1f} a second"
+        f"{f'; without one: {why}' if why else ''}"
+    )
+    if not found.fixes:
         raise typer.Exit(1)
 
 

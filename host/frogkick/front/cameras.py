@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+import time
+from collections.abc import Callable, Sequence
+from contextlib import closing, suppress
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -10,6 +13,11 @@ from typing import Any
 import numpy as np
 
 from frogkick.errors import InputError
+from frogkick.front.viewing import camera_viewed
+from frogkick.loop.camera_fixes import CameraFixes
+from frogkick.loop.closed_loop import Recording
+from frogkick.loop.live_view import FIXES_SHOWN
+from frogkick.pool.camera import Fix
 from frogkick.vision.board import Board, calibrate_lens, read_picture, read_pictures
 from frogkick.vision.calibration import Calibration, Tag, refraction_offset_m
 from frogkick.vision.calibration_file import read_calibration, write_calibration
@@ -17,16 +25,19 @@ from frogkick.vision.check import Place, check_frames, check_points, known_place
 from frogkick.vision.corners import calibrate_corners, read_corners
 from frogkick.vision.plane_board import calibrate_plane
 from frogkick.vision.scene import Conditions
+from frogkick.vision.sources import open_source
 from frogkick.vision.tags import tag_cells, tag_margin
 
 __all__ = [
     "Board",
     "Calibrated",
     "CameraCheck",
+    "CameraTracked",
     "Rendering",
     "Tag",
     "calibrate_camera",
     "check_camera",
+    "track_camera",
     "write_tag",
 ]
 
@@ -286,6 +297,76 @@ def check_camera(
         pictures = rendered(known, conditions, drawn.columns, drawn.rows, rng)
         found, source = check_frames(known, pictures), "rendered"
     return CameraCheck(known, source, found, limit_mm, limit_deg)
+
+
+@dataclass(frozen=True)
+class CameraTracked:
+    """What a camera told of the tag under it.
+
+    Attributes:
+        fixes: how many places it told.
+        reasons: how many pictures told a place (``found``), or why not.
+        seconds: from the first fix's picture to the last one's.
+    """
+
+    fixes: int
+    reasons: dict[str, int]
+    seconds: float
+
+    def as_json(self) -> dict[str, Any]:
+        """The keys of the command ``camera track``."""
+        return {
+            "fixes": self.fixes,
+            "pictures": sum(self.reasons.values()),
+            "rate_hz": (self.fixes - 1) / self.seconds if self.seconds > 0.0 else 0.0,
+            "reasons": self.reasons,
+        }
+
+
+def track_camera(
+    calibration: Path | str,
+    source: str = "0",
+    *,
+    seconds: float | None = None,
+    view: bool = False,
+    each: Callable[[Fix], None] = lambda _fix: None,
+) -> CameraTracked:
+    """Find the tag in a camera's pictures, without a robot, until they end, the time is over, or Ctrl-C.
+
+    Args:
+        calibration: file of ``frogkick camera calibrate``.
+        source: camera number, video file or folder of pictures.
+        seconds: how long, from the first picture on; None: to the end.
+        view: draw pictures, tag and fixes in the browser.
+        each: gets each fix: pose in the pool's frame (m, m, rad), times of its picture and of its coming, s.
+
+    Raises:
+        InputError: no such calibration or camera, or a camera that fails.
+    """
+    if seconds is not None and not 0.0 < seconds < math.inf:
+        raise InputError(f"looking for {seconds} s: give more than 0")
+    known = read_calibration(Path(calibration))
+    name = f"camera {source}" if source.isdigit() else source
+    camera = CameraFixes(open_source(source, known.image_px), known, name)
+    recording, count, times_s = Recording(), 0, [0.0, 0.0]
+    end_s = math.inf
+    with closing(camera), camera_viewed(view, camera) as show, suppress(KeyboardInterrupt):
+        is_over = False
+        while not is_over:
+            if seconds is not None and end_s == math.inf and camera.newest is not None:
+                end_s = time.monotonic() + seconds
+            # What came last before the end is taken as well.
+            is_over = camera.ended or time.monotonic() >= end_s
+            new = camera.advance(time.monotonic())
+            for fix in new:
+                each(fix)
+                times_s = [times_s[0] if count else fix.capture_s, fix.capture_s]
+                count += 1
+            recording.fixes = [*recording.fixes, *new][-FIXES_SHOWN:]
+            show(recording)
+            if not is_over:
+                time.sleep(0.005)
+    return CameraTracked(count, dict(camera.reasons), times_s[1] - times_s[0])
 
 
 def write_tag(

@@ -50,6 +50,29 @@ def viewed(
         return
     eye = None if camera is None else CameraView(camera)
     view = LiveView(tables, path, options.config, robot.frame.corners_m, eye)
+    with _drawn(view, "the run", pool) as keep:
+        yield keep
+
+
+@contextmanager
+def camera_viewed(wanted: bool, camera: CameraFixes) -> Iterator[Callable[[Recording], None]]:
+    """What shows a camera's pictures with the tag and its fixes, without a run.
+
+    Args:
+        wanted: False = there is no page.
+        camera: over the pool.
+    """
+    if not wanted:
+        yield lambda _recording: None
+        return
+    half_m = camera.calibration.tag.size_m / 2.0
+    tag = [(half_m, half_m), (half_m, -half_m), (-half_m, -half_m), (-half_m, half_m)]
+    with _drawn(LiveView(None, None, None, tag, CameraView(camera)), "what the camera sees", None) as keep:
+        yield keep
+
+
+@contextmanager
+def _drawn(view: LiveView, name: str, pool: Pool | None) -> Iterator[Callable[[Recording], None]]:
     begin_s, shown_s = time.monotonic(), 0.0
     newest = Recording()
 
@@ -74,8 +97,8 @@ def viewed(
             draw()
 
     drawing = threading.Thread(target=draw_on, name="view", daemon=True)
-    with served(lambda: view.text, None if eye is None else eye.picture) as address:
-        tell_line(f"frogkick: the run is drawn at {address}")
+    with served(lambda: view.text, None if view.camera is None else view.camera.picture) as address:
+        tell_line(f"frogkick: {name} is drawn at {address}")
         if sys.stderr.isatty():
             webbrowser.open(address)
         if pool is None:

@@ -88,6 +88,11 @@ class CameraFixes:
         self._thread.start()
 
     @property
+    def ended(self) -> bool:
+        """Whether its pictures have come to their end, as those of a video do."""
+        return not self._thread.is_alive()
+
+    @property
     def next_event_s(self) -> float:
         """A moment later: nobody knows when the next picture comes."""
         return self._looked_s + POLL_S

@@ -94,15 +94,15 @@ class LiveView:
     """The run as JSON, renewed as it goes on; what a page asks for, from another thread.
 
     Attributes:
-        tables, path, config: of the run.
+        tables, path, config: of the run; None where nothing is decided, as with a camera alone.
         outline_m: (n)(2) the robot's frame, body frame, to be drawn where it is.
         camera: over the pool, where its pictures are shown: all is told in their pixels as well.
         text: the newest state.
     """
 
-    tables: Tables
-    path: Path
-    config: PlanConfig
+    tables: Tables | None
+    path: Path | None
+    config: PlanConfig | None
     outline_m: Sequence[tuple[float, float]]
     camera: CameraView | None = None
     text: str = "{}"
@@ -119,7 +119,7 @@ class LiveView:
         newest = recording.fixes[-1] if recording.fixes else None
         swum = np.zeros((0, 3)) if track is None else track[-4 * FIXES_SHOWN :]
         state = {
-            "path": self.path.points_m,
+            "path": np.zeros((0, 2)) if self.path is None else self.path.points_m,
             "fixes": fixes,
             "track": swum,
             "robot": self._outline(swum if len(swum) else fixes),
@@ -152,6 +152,10 @@ class LiveView:
         """What is told of the newest decision, and of those before it."""
         planned = [one for one in recording.decisions if one.status == 0]
         last = planned[-DECISIONS_SHOWN:]
+        self._drawn = {"decisions": [], "fan": [], "branch": []}
+        self._told = {"letters": [], "actions": ""}
+        if self.tables is None or self.path is None or self.config is None:
+            return
         self._drawn = {"decisions": [one.estimate[:3].tolist() for one in last], "fan": [], "branch": []}
         self._told = {"letters": [self.tables.actions[one.action].name for one in last], "actions": ""}
         if not last or last[-1].action >= len(self.tables.actions):

@@ -63,21 +63,18 @@ def _letters(run: RunLog) -> list[str]:
 def _tracks(axes: Axes, runs: tuple[RunLog, RunLog], names: tuple[str, str], every: list[np.ndarray]) -> None:
     paths = [None if run.path is None else run.path.points_m for run in runs]
     known = [path for path in paths if path is not None]
-    middle = (known[0] if known else every[0][:, :2]).mean(axis=0)
     same = len(known) == 2 and np.array_equal(known[0], known[1])
     for k, path in enumerate(paths):
         if path is not None and not (k and same):
             label = "desired path" if same or len(known) == 1 else f"desired path of {names[k]}"
             shade = "--" if k == 0 else ":"
-            axes.plot(
-                *(100.0 * (path - middle)).T, color=style.DESIRED, linewidth=2.5, linestyle=shade, label=label
-            )
+            axes.plot(*(100.0 * path).T, color=style.DESIRED, linewidth=2.5, linestyle=shade, label=label)
     for name, colour, mark, poses in zip(names, COLOURS, MARKS, every, strict=True):
-        points = 100.0 * (poses[:, :2] - middle)
+        points = 100.0 * poses[:, :2]
         axes.plot(*points.T, color=colour, linewidth=1.5, label=name)
         axes.plot(*points[0], mark, color=colour, markersize=7)
     axes.set_aspect("equal", adjustable="datalim")
-    axes.set_xlabel("x (cm)")
-    axes.set_ylabel("y (cm)")
+    axes.set_xlabel(style.POOL_X)
+    axes.set_ylabel(style.POOL_Y)
     axes.set_title("Tracks; marks are where they begin")
     axes.legend(loc="best")

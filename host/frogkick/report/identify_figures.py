@@ -91,8 +91,8 @@ def track_figure(outcome: Outcome, misses: Misses) -> Figure:
                     middle = 50.0 * (misses.pose[row, :2] + misses.measured[row, :2])
                     axes.annotate(name, middle, fontsize=9, fontweight="bold")
             axes.set_aspect("equal", adjustable="datalim")
-            axes.set_xlabel("x (cm)")
-            axes.set_ylabel("y (cm)")
+            axes.set_xlabel(style.POOL_X)
+            axes.set_ylabel(style.POOL_Y)
             first, last = misses.period[some[0]] + 1, misses.period[some[-1]] + 1
             what = "Close by, with actions" if close else f"Run {swim.name}"
             axes.set_title(f"{what}: periods {first} to {last}")
@@ -255,8 +255,8 @@ def place_figure(misses: Misses) -> Figure:
             )
             axes.set_aspect("equal", adjustable="datalim")
             axes.margins(0.15)
-            axes.set_xlabel("x (cm)")
-            axes.set_ylabel("y (cm)")
+            axes.set_xlabel(style.POOL_X)
+            axes.set_ylabel(style.POOL_Y)
             axes.set_title(f"{label.capitalize()}: measured - predicted, {factor:g} times as long")
     return figure
 

@@ -56,23 +56,16 @@ class _Seen:
         time_s: (n,).
         poses: (n, 3).
         colour: of what it is seen by.
-        middle_m: (2,) where the picture has its origin.
     """
 
     time_s: FloatArray
     poses: FloatArray
     colour: str
-    middle_m: FloatArray
 
     @classmethod
     def of(cls, run: RunLog) -> _Seen:
         time_s, poses, by = track_of(run)
-        middle = poses[:, :2].mean(axis=0) if run.path is None else run.path.points_m.mean(axis=0)
-        return cls(time_s, poses, style.TRUE if by == "truth" else style.MEASURED, np.asarray(middle))
-
-    def centred(self, points_m: FloatArray) -> FloatArray:
-        """(n, 2) cm from the middle."""
-        return np.asarray(100.0 * (points_m - self.middle_m))
+        return cls(time_s, poses, style.TRUE if by == "truth" else style.MEASURED)
 
     def at(self, time_s: FloatArray) -> FloatArray:
         """(n, 2) positions at times."""
@@ -91,15 +84,15 @@ def _beside(points: FloatArray) -> FloatArray:
 
 def _track(axes: Axes, run: RunLog, seen: _Seen) -> None:
     if run.path is not None:
-        path = seen.centred(run.path.points_m)
+        path = 100.0 * run.path.points_m
         axes.plot(*path.T, color=style.DESIRED, linewidth=2.5, linestyle="--", label="desired path")
     usable = run.fixes.usable
-    fixes = seen.centred(np.column_stack([run.fixes.x_m, run.fixes.y_m])[usable])
+    fixes = 100.0 * np.column_stack([run.fixes.x_m, run.fixes.y_m])[usable]
     axes.plot(*fixes.T, ".", color=style.MEASURED, markersize=2.5, label="position fixes")
     if run.truth is not None:
-        track = seen.centred(run.truth.pose_world[:, :2])
+        track = 100.0 * run.truth.pose_world[:, :2]
         axes.plot(*track.T, color=style.TRUE, linewidth=1.5, label="true track")
-    here = seen.centred(seen.at(run.decisions.time_s))
+    here = 100.0 * seen.at(run.decisions.time_s)
     names = [run.action_names[index] if index >= 0 else "?" for index in run.decisions.action]
     axes.plot(*here.T, "o", color=seen.colour, markersize=3)
     for (x, y), name, offset in zip(here, names, _beside(here), strict=True):
@@ -116,8 +109,8 @@ def _track(axes: Axes, run: RunLog, seen: _Seen) -> None:
     if run.path is not None:
         axes.plot(*path[0], "s", color=style.DESIRED, label="start of the path")
     axes.set_aspect("equal", adjustable="datalim")
-    axes.set_xlabel("x (cm)")
-    axes.set_ylabel("y (cm)")
+    axes.set_xlabel(style.POOL_X)
+    axes.set_ylabel(style.POOL_Y)
     axes.set_title("Track over path; letters are the actions chosen there")
     axes.legend(loc="best")
 

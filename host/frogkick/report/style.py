@@ -21,6 +21,8 @@ ALARM = "#d55e00"
 NOMINAL = "#56b4e9"  # predicted by the nominal model; by the corrected one: PREDICTED
 FLOOR = "#000000"  # what noise of the fixes alone makes
 
+POOL_X, POOL_Y = "x in the pool (cm)", "y in the pool (cm)"
+
 _SETTINGS: Any = {
     "font.size": 9,
     "axes.grid": True,

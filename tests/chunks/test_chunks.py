@@ -14,6 +14,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from tests.conftest import REPOSITORY, count
 
 import frogkick.chunks
 from frogkick.chunks import Job, check_cluster, run_chunks
@@ -163,7 +164,8 @@ class Cluster:
             port = free.getsockname()[1]
         self.address = f"tcp://127.0.0.1:{port}"
         # frogkick's tests are importable there, as an installed frogkick is.
-        paths = os.pathsep.join([str(Path(__file__).parent), os.environ.get("PYTHONPATH", "")])
+        folders = (str(Path(__file__).parent), str(REPOSITORY), os.environ.get("PYTHONPATH", ""))
+        paths = os.pathsep.join(folders)
         self._environment = {**os.environ, "PYTHONPATH": paths}
         self._folder = folder
         self._log = (folder / "log").open("wb")
@@ -255,20 +257,21 @@ def kill_one(cluster: Cluster) -> None:
 
 @needs_distributed
 def test_a_sweep_with_a_worker_killed_in_it_gives_the_same_bytes(cluster: Cluster, tmp_path: Path) -> None:
-    plan = plan_sweep(load_robot("frog2022"), [1.9, 2.0, 2.1, 2.2, 2.3], phases=8, egain_percent=[50.0])
+    frequencies = [1.9, 2.0, 2.1, 2.2, 2.3][: count(5, 5, 3)]
+    plan = plan_sweep(load_robot("frog2022"), frequencies, phases=8, egain_percent=[50.0])
     told: list[int] = []
 
     def kill_in_the_middle(done: int, total: int) -> None:
         told.append(done)
-        if len(told) == 2:  # one of five chunks is done; each worker has another in hand
+        if len(told) == 2:  # one chunk is done; each worker has another in hand
             kill_one(cluster)
 
     run_sweep(plan, tmp_path / "far", 1, kill_in_the_middle, cluster.address)
-    assert told == [0, 8, 16, 24, 32, 40]
+    assert told == [8 * k for k in range(len(frequencies) + 1)]
     assert "Remove worker" in cluster.log() or "Removing" in cluster.log()
     run_sweep(plan, tmp_path / "here", 1)
     assert chunks_of(tmp_path / "far") == chunks_of(tmp_path / "here")
-    cluster.workers.append(cluster.add_worker())
+    cluster.workers += [cluster.add_worker() for _ in range(count(1, 1, 0))]
 
 
 @needs_distributed

@@ -10,13 +10,15 @@ from pathlib import Path
 
 import pytest
 from tests.cli.commands import frogkick, listing
+from tests.conftest import count
 from tests.library.synthetic import Known
 from tests.loop import rig
 
 from frogkick.cli.common import show
 from frogkick.files import cache_folder
-from frogkick.library import write_library
+from frogkick.library import fitting, write_library
 from frogkick.planner.image import read_image
+from frogkick.study import emitted
 
 Capture = pytest.CaptureFixture[str]
 
@@ -152,8 +154,12 @@ def test_a_table_of_another_robot_finds_its_file(here: Path, tmp_path: Path, cap
     assert frogkick(capsys, *options).code == 0
 
 
-def test_tables_within_a_budget(here: Path, tmp_path: Path, capsys: Capture) -> None:
+def test_tables_within_a_budget(
+    here: Path, tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Of a made library: nothing but the unseen states is simulated, and they are not its."""
+    monkeypatch.setattr(fitting, "_SAMPLES", (count(8192, 8192, 1024), 131_072))
+    monkeypatch.setattr(fitting, "_SAMPLES_A_CELL", count(64, 64, 16))
     lib = tmp_path / "made.h5"
     write_library(Known(1, 3).library(100, 2), lib)
     common = ("--test-states", "4", "--json", "--out", "x.fkt")
@@ -176,8 +182,11 @@ def test_tables_within_a_budget(here: Path, tmp_path: Path, capsys: Capture) -> 
     assert (whole.json["kind"], whole.json["states"]) == ("nearest", 100)
 
 
-def test_codegen(here: Path, capsys: Capture) -> None:
+def test_codegen(here: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch) -> None:
     table = rig.small_table()
+    monkeypatch.setitem(emitted.STATES, 1, count(60, 60, 12))
+    monkeypatch.setitem(emitted.STATES, 2, count(30, 30, 6))
+    monkeypatch.setitem(emitted.STATES, 3, count(12, 12, 3))
     done = frogkick(capsys, "codegen", table, "--out", "emitted", "--json")
     assert done.code == 0
     assert sorted(done.json["files"]) == sorted(path.name for path in Path("emitted").iterdir())
@@ -202,7 +211,8 @@ def test_firmware_build(
 
     for name in ("ZIG_GLOBAL_CACHE_DIR", "ZIG_LOCAL_CACHE_DIR"):  # which takes seconds to fill
         monkeypatch.setenv(name, str(cache_folder("zig")))
-    compile_anew()
+    if count(2, 2, 1) == 2:  # else the first is what some other test had compiled, elsewhere too
+        compile_anew()
     done = frogkick(
         capsys, "firmware", "build", "--target", target, "--tables", table, "--out", "a/fw", "--json"
     )
@@ -314,6 +324,7 @@ def test_a_damaged_cached_table_is_made_again(tmp_path: Path, monkeypatch: pytes
 def test_two_that_want_the_same_table_at_once_both_get_it(tmp_path: Path) -> None:
     """One builds it, the other waits; neither takes away what the other reads."""
     code = "from frogkick.front.default_tables import default_tables as made\nprint(made('frog2022', 2).stem)"
+    asking = count(3, 3, 2)
     many = [
         subprocess.Popen(
             [sys.executable, "-c", code],
@@ -322,10 +333,10 @@ def test_two_that_want_the_same_table_at_once_both_get_it(tmp_path: Path) -> Non
             stderr=subprocess.PIPE,
             text=True,
         )
-        for _ in range(3)
+        for _ in range(asking)
     ]
     told = [process.communicate(timeout=600) for process in many]
-    assert [process.returncode for process in many] == [0, 0, 0], told
+    assert [process.returncode for process in many] == [0] * asking, told
     assert len({stdout for stdout, _ in told}) == 1
     assert sum("library for" in stderr for _, stderr in told) == 1, "built more than once"
 
@@ -345,8 +356,8 @@ def test_replay_a_recorded_run(here: Path, capsys: Capture, frog2022_dir: Path, 
 
 
 def test_parity(here: Path, capsys: Capture) -> None:
-    options = ("--states", "300", "--chip-states", "60", "--tables", rig.small_table(), "--json")
-    done = frogkick(capsys, "parity", *options)
+    options = ("--states", "300", "--chip-states", "60", "--loop-decisions", str(count(200, 200, 20)))
+    done = frogkick(capsys, "parity", *options, "--tables", rig.small_table(), "--json")
     assert done.code == 0
     assert done.json["states"] == 300
     pairs = done.json["mismatches"] | {"loop " + name: n for name, n in done.json["loop_mismatches"].items()}
@@ -392,5 +403,6 @@ def test_results_are_read_by_people_too(here: Path, capsys: Capture) -> None:
         "speed_mps: 0.3", "completed: no", "ended: -", "left: -", "decisions: 12345", "plan:", "  ms:",
         "    p99: 1.235", "  none: -", "rows:", "  name a, at_m 0.1, 2", "names: b, c",
     ]  # fmt: skip
-    told = frogkick(capsys, "tables", "info", rig.small_table()).stdout
+    states = str(count(64, 64, 8))
+    told = frogkick(capsys, "tables", "info", rig.small_table(), "--test-states", states).stdout
     assert "{" not in told and ": nan" not in told

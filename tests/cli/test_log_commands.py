@@ -79,7 +79,7 @@ def test_runs_on_two_paths_are_told_apart(folder: Path, capsys: pytest.CaptureFi
     assert picture.read_bytes().startswith(b"\x89PNG")
     figure = compare_figure((swum("sine", 6.0), swum("line", 6.0)), ("one", "two"))
     labels = [axes.get_ylabel() for axes in figure.axes]
-    assert labels == ["y (cm)", "distance (mm)", "action"]
+    assert labels == ["y in the pool (cm)", "distance (mm)", "action"]
     legend = figure.axes[0].get_legend()
     assert legend is not None
     assert [text.get_text() for text in legend.get_texts()] == [

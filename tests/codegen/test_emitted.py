@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from elftools.elf.elffile import ELFFile
 from tests.codegen import made_up
+from tests.conftest import some
 
 from frogkick.planner.image import open_image
 from frogkick.planner.plan import PlanConfig, plan
@@ -36,7 +37,7 @@ class Emitted:
     figures: Figures
 
 
-@pytest.fixture(scope="module", params=made_up.KINDS)
+@pytest.fixture(scope="module", params=some(made_up.KINDS, 1))
 def emitted(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Emitted:
     work = tmp_path_factory.mktemp("emitted")
     image = made_up.image(request.param)

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 from tests.codegen import made_up
+from tests.loop import rig
 
 from frogkick.files import cache_folder
 from frogkick.robot import Robot, load_robot
@@ -19,16 +20,13 @@ from frogkick_codegen.toolchain import Compiler
 ROBOT = load_robot("frog2022")
 
 
-_BUILT: dict[str, bytes] = {}
-"""What a compiler made of firmware, by the suffix."""
-
-
 @pytest.fixture
 def calls(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[Path]:
     """A cache folder of the test's own, and what a compiler was called for.
 
-    Firmware is compiled once for each target, later calls write the same: here it matters who is called.
+    Of firmware it makes what others use as well: here it matters who is called.
     """
+    built = {image.suffix: image.read_bytes() for image in (rig.firmware(name).image for name in TARGETS)}
     for name in ("ZIG_GLOBAL_CACHE_DIR", "ZIG_LOCAL_CACHE_DIR"):  # which takes seconds to fill
         monkeypatch.setenv(name, str(cache_folder("zig")))
     monkeypatch.setenv("FROGKICK_CACHE_DIR", str(tmp_path / "cache"))
@@ -38,12 +36,10 @@ def calls(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[Path]:
     def counted(self: Compiler, arguments: list[str | Path], folder: Path | None = None) -> None:
         output = Path(arguments[-1])
         made.append(output)
-        if output.suffix in _BUILT:
-            output.write_bytes(_BUILT[output.suffix])
-            return
-        run(self, arguments, folder)
-        if output.suffix != ".o":
-            _BUILT[output.suffix] = output.read_bytes()
+        if output.suffix in built:
+            output.write_bytes(built[output.suffix])
+        else:
+            run(self, arguments, folder)
 
     monkeypatch.setattr(Compiler, "run", counted)
     return made

@@ -98,9 +98,10 @@ FFI = cffi.FFI()
 FFI.cdef(_DECLARATIONS)
 
 
-def cases(normal: int, full: int) -> int:
+def cases(normal: int, full: int, quick: int | None = None) -> int:
     """``count``, a fifth in make test; a hundredth where gcov counts: there every line once is enough."""
-    quick = normal // 5 if normal >= 1000 else normal
+    if quick is None:
+        quick = normal // 5 if normal >= 1000 else normal
     return max(1, normal // 100) if COVERAGE_DIR else count(normal, full, quick)
 
 
@@ -110,10 +111,10 @@ def pick(rng: np.random.Generator, values: Sequence[Picked]) -> Picked:
 
 
 def source_files() -> dict[str, bytes]:
-    """Every file of the core's library by name: planner, core, the robot's limits, the shim."""
+    """Every file of the core's library by name: planner, core, limits, the shim, what plays and fuzzes."""
     files = planner_files() | {path.name: path.read_bytes() for path in sorted(CORE.glob("*.[ch]"))}
     files["fk_robot_config.h"] = robot_config(load_robot("frog2022")).encode()
-    for name in ("shim.c", "play.c", "play.h", "flash_sim.c"):
+    for name in ("shim.c", "play.c", "play.h", "flash_sim.c", "fuzz.c"):
         files[name] = (Path(__file__).parent / name).read_bytes()
     return files
 

@@ -257,7 +257,7 @@ def test_two_hundred_decisions_with_a_bad_camera_are_the_twins() -> None:
     twin = DecisionTwin(open_image(robot.image), path, DEFAULTS)
     pose, poses, ways = np.array([0.0, 0.0, 0.4]), {}, []
     decided, statuses, uses, number, running = 0, set(), set(), 0, False
-    while decided < count(220, 2000):
+    while decided < count(220, 2000, 60):
         robot.run_until(robot.now_us + int(rng.integers(10_000, 60_000)))
         pose = pose + rng.normal(0, [0.001, 0.001, 0.01]) + (rng.random() < 0.001) * rng.normal(0, 0.5, 3)
         fix = (pose + (rng.random() < 0.05) * rng.uniform(-0.5, 0.5, 3)).astype(np.float32)

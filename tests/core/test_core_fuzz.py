@@ -10,7 +10,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from tests.conftest import count
+from tests.conftest import LEVEL, count, some
 from tests.core.core import FFI, cases, image, library, source_files
 
 from frogkick.link.auth import words
@@ -25,11 +25,6 @@ const char *fk_fuzz(const uint8_t *table, uint32_t bytes, uint64_t seed, uint64_
 """)
 
 
-def fuzz_files() -> dict[str, bytes]:
-    """The core and the fuzzing harness."""
-    return source_files() | {"fuzz.c": (HERE / "fuzz.c").read_bytes()}
-
-
 def fuzz(files: dict[str, bytes], frames: int, seed: int = 1) -> tuple[str, dict[str, int]]:
     """Play frames to a library of these files: what did not hold, and what was counted."""
     table = image()
@@ -42,7 +37,7 @@ def fuzz(files: dict[str, bytes], frames: int, seed: int = 1) -> tuple[str, dict
 
 def test_a_million_frames() -> None:
     frames = cases(100_000, 10_000_000)
-    wrong, told = fuzz(fuzz_files(), frames)
+    wrong, told = fuzz(source_files(), frames)
     print(f"{frames} frames: {told}")
     assert wrong == ""
     assert told["good"] + told["bad"] >= frames
@@ -83,9 +78,9 @@ BROKEN = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("name", BROKEN)
+@pytest.mark.parametrize("name", some(BROKEN, 4))
 def test_what_is_broken_is_seen_by_the_monitor(name: str) -> None:
-    files = fuzz_files()
+    files = source_files()
     file, old, new = BROKEN[name]
     text = files[file].decode()
     assert text.count(old) == 1, f"{file} holds {old!r} {text.count(old)} times: correct the mutation"
@@ -96,9 +91,11 @@ def test_what_is_broken_is_seen_by_the_monitor(name: str) -> None:
 # Guided by coverage, under sanitizers
 
 NOT_FUZZED = ("shim.c", "play.c", "fuzz_main.c")
-SANITIZED = ("-std=c99", "-O1", "-g", "-fno-omit-frame-pointer", "-fno-sanitize-recover=all")
+# In make test what is found is told with fewer words: compiling for more of them takes most of the time.
+WORDS, TOLD = (["-O0"], ["-fsanitize-trap=undefined"]) if LEVEL == "quick" else (["-O1", "-g"], [])
+SANITIZED = ("-std=c99", *WORDS, "-fno-omit-frame-pointer", "-fno-sanitize-recover=all")
 WAYS = {
-    "zig": ("-fsanitize=undefined", "-fsanitize-coverage=trace-pc-guard"),
+    "zig": ("-fsanitize=undefined", *TOLD, "-fsanitize-coverage=trace-pc-guard"),
     "gcc": ("-fsanitize=address,undefined", "-fsanitize-coverage=trace-pc"),
 }
 
@@ -173,7 +170,7 @@ NO_GCC = pytest.mark.skipif(
 
 @pytest.mark.parametrize("way", ["zig", pytest.param("gcc", marks=[NO_GCC, pytest.mark.extra])])
 def test_inputs_guided_by_coverage_under_sanitizers(way: str, tmp_path: Path) -> None:
-    told = guided(tmp_path, way, fuzz_files(), count(20_000, 1_000_000, 5000))
+    told = guided(tmp_path, way, source_files(), count(20_000, 1_000_000, 5000))
     assert not told.startswith("failed"), told
     inputs, of_seeds, kept, places = map(int, told.split())
     print(f"{way}: {inputs} inputs, {of_seeds} kept of the seeds, {kept} in all, {places} places reached")
@@ -187,9 +184,9 @@ PLANTED = {
 
 
 @NO_GCC
-@pytest.mark.parametrize("name", PLANTED)
+@pytest.mark.parametrize("name", some(PLANTED, 1))
 def test_a_planted_fault_is_found_by_the_monitor(name: str, tmp_path: Path) -> None:
-    files = fuzz_files()
+    files = source_files()
     file, old, new = PLANTED[name]
     text = files[file].decode()
     assert text.count(old) == 1, f"{file} holds {old!r} {text.count(old)} times: correct the mutation"
@@ -219,7 +216,7 @@ def test_libfuzzer_finds_nothing_either(tmp_path: Path) -> None:
         clang.run([*flags, "-o", "probe", "probe.c"], folder=tmp_path)
     except Exception:
         pytest.skip("no clang with libFuzzer on this machine: the fuzzer of the tests runs without it")
-    files = fuzz_files()
+    files = source_files()
     for name, content in files.items():
         (tmp_path / name).write_bytes(content)
     sources = sorted(name for name in files if name.endswith(".c") and name not in NOT_FUZZED)

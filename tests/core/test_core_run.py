@@ -192,7 +192,7 @@ def test_the_host_makes_the_same_decisions() -> None:
     decided = refused = 0
     rows = [(index / 19, 0.05 * np.sin(index / 3), 0.1) for index in range(18)]
     path = Path(*(np.array(column, dtype=np.float32) for column in zip(*rows, strict=True)), name="test")
-    for _ in range(cases(100, 2000)):
+    for _ in range(cases(100, 2000, 25)):
         robot = Robot(now_us=int(rng.integers(500_000, 2**34))).begin("ARMED")
         assert robot.status("PATH", {"first": 0, "total": 18, "count": 18}, rows) == "OK"
         depth = int(rng.integers(1, 4))
@@ -225,7 +225,7 @@ def test_the_host_makes_the_same_decisions() -> None:
                 if decision is not None:
                     decided += 1
                     assert not decision_of_event(frame.values).differences(decision)
-    assert decided > 2 * cases(100, 2000) and refused > 0
+    assert decided > 2 * cases(100, 2000, 25) and refused > 0
 
 
 def test_no_pulse_breaks_a_limit_whatever_is_commanded() -> None:
@@ -233,7 +233,7 @@ def test_no_pulse_breaks_a_limit_whatever_is_commanded() -> None:
     robot_limits = load_robot("frog2022")
     pulses_seen = 0
     names = list(ACTION)
-    for seed in range(cases(400, 8000)):
+    for seed in range(cases(400, 8000, 80)):
         rng = np.random.default_rng(seed)
         delay_us = int(rng.choice([0, 1000, 80_000, 80_000, 400_000]))
         robot = Robot(image(second_delay_us=delay_us), now_us=int(rng.choice([0, 10**6, 2**32 - 10**6])))
@@ -272,7 +272,7 @@ def test_no_pulse_breaks_a_limit_whatever_is_commanded() -> None:
         seen = [Pulse(limb, start * 1e-6, end * 1e-6) for limb, start, end in pulses if end > start]
         pulses_seen += len(seen)
         assert not violations(robot_limits, seen), f"seed {seed}"
-    assert pulses_seen > 5 * cases(400, 8000)
+    assert pulses_seen > 5 * cases(400, 8000, 80)
 
 
 def test_start_without_any_fix_is_refused() -> None:

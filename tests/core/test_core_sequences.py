@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import pytest
+from tests.conftest import some
 from tests.core.core import COVERAGE_DIR, FFI, cases, core, image, library, source_files
 from tests.core.onlooker import ARM, DISARM, HIGH, LOW, POWER_ON, SEEN, STARTED, Limits, broken, judge
 
@@ -54,7 +55,7 @@ def play(made: Any, sequences: int, first: int = 0, **times: object) -> Iterator
 
 def test_no_sequence_breaks_a_limit() -> None:
     found: Counter[str] = Counter()
-    sequences = cases(100_000, 10_000_000)
+    sequences = cases(100_000, 10_000_000, 6000)
     for index, times in enumerate(TIMES):
         for seen in play(core(), sequences // len(TIMES), 10**9 * index, **times):
             counts = judge(LIMITS, seen)
@@ -157,7 +158,7 @@ def changed(files: dict[str, bytes], name: str, old: str, new: str) -> None:
     files[name] = text.replace(old, new).encode()
 
 
-@pytest.mark.parametrize("name", CONFIG)
+@pytest.mark.parametrize("name", some(CONFIG, 1))
 def test_a_limit_that_is_a_little_too_far_is_seen_by_the_monitor(name: str) -> None:
     files = source_files()
     changed(files, "fk_robot_config.h", *CONFIG[name])
@@ -168,7 +169,7 @@ def test_a_limit_that_is_a_little_too_far_is_seen_by_the_monitor(name: str) -> N
     assert set(found) & {name.split()[0], "armed"}, dict(found)
 
 
-@pytest.mark.parametrize("name", CODE)
+@pytest.mark.parametrize("name", some(CODE, 6))
 def test_a_core_without_a_limit_is_seen_by_the_monitor(name: str) -> None:
     files = source_files()
     file, old, new, limit = CODE[name]

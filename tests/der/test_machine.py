@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import io
 import os
 import platform
 import subprocess
@@ -10,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.conftest import FULL, REPOSITORY
+from tests.conftest import FULL, REPOSITORY, count
 
 RODS = """
 import numpy as np
@@ -62,6 +64,14 @@ def said(script: str, changed: dict[str, str]) -> str:
     return run.stdout
 
 
+def said_here(script: str) -> str:
+    """In this process, which has loaded what the script needs."""
+    told = io.StringIO()
+    with contextlib.redirect_stdout(told):
+        exec(script, {})
+    return told.getvalue()
+
+
 def simulated(script: str, processor: str, cache: Path) -> str:
     changed = {"NUMBA_CACHE_DIR": str(cache)}
     if processor:
@@ -80,17 +90,19 @@ def test_another_processor_computes_the_same_bits(script: str, processor: str, t
 @x86_only
 def test_the_planner_has_the_same_bits_with_any_library_beneath_it() -> None:
     """The twin; the C by every compiler, and on the chip, is compared with it by tests/codegen."""
-    own = said(TWIN, {})
-    assert {name: said(TWIN, changed) for name, changed in OTHER_MACHINES.items()} == dict.fromkeys(
-        OTHER_MACHINES, own
-    )
+    own = said_here(TWIN)
+    machines = OTHER_MACHINES
+    if count(len(machines), len(machines), 1) == 1:
+        machines = {"all at once": {key: value for one in machines.values() for key, value in one.items()}}
+    assert {name: said(TWIN, changed) for name, changed in machines.items()} == dict.fromkeys(machines, own)
 
 
 @x86_only
 def test_a_library_is_the_same_to_eight_digits() -> None:
     """States that a robot meets are averaged by linear algebra, whose sums go in another order elsewhere."""
     one, other = (
-        np.frombuffer(bytes.fromhex(said(LIBRARY, changed))) for changed in ({}, OTHER_LINEAR_ALGEBRA)
+        np.frombuffer(bytes.fromhex(text))
+        for text in (said_here(LIBRARY), said(LIBRARY, OTHER_LINEAR_ALGEBRA))
     )
     assert one.size > 1000
     assert np.abs(other - one).max() < 1e-8 * np.abs(one).max()

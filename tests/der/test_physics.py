@@ -200,8 +200,10 @@ def test_gaits_converge_at_second_order() -> None:
         ]
         gaits.append(Gait(egain, float(rng.uniform(low, high)), float(rng.uniform(0.0, 0.99))))
 
+    cycles = count(8, 8, 4)
+
     def speeds(step_s: float) -> np.ndarray:
-        results = simulate_gaits(ROBOT, gaits, 8, step_s=step_s)
+        results = simulate_gaits(ROBOT, gaits, cycles, step_s=step_s)
         return np.array([r.speed_mps for r in results if isinstance(r, Trajectory)])
 
     reference = speeds(0.00025)

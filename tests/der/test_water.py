@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from tests.conftest import count
 
 from frogkick.der import STILL, Batch, Swimmer, Water, prepare
 from frogkick.robot import load_robot
@@ -60,11 +61,19 @@ def test_a_push_accelerates_the_centre_and_a_turn_the_heading() -> None:
 
 
 def test_a_lane_in_still_water_does_not_notice_that_its_neighbour_s_moves() -> None:
-    rest = np.zeros((2, 3))
+    rest, width = np.zeros((2, 3)), count(2, 2, 8)  # 2 is compiled for this test alone
     ends = []
     for neighbour in (STILL, Water(flow_mps=(0.05, 0.02), turn_rad_s2=0.1)):
         batch = Batch(
-            RODS.mesh, RODS.plan, [RODS.actuation] * 2, rest, rest, limbs=4, time_s=0.0, step_s=0.001, width=2
+            RODS.mesh,
+            RODS.plan,
+            [RODS.actuation] * 2,
+            rest,
+            rest,
+            limbs=4,
+            time_s=0.0,
+            step_s=0.001,
+            width=width,
         )
         batch.set_water(1, neighbour)
         for lane in range(2):

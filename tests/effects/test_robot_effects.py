@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.conftest import count
 
 from frogkick.effects import effects_of, rods_of
 from frogkick.errors import InputError
@@ -47,7 +48,7 @@ def test_history_and_resistance_act_over_several_strokes(tmp_path: Path) -> None
     ends = {}
     for name, robot in (("plain", PLAIN), ("fading", fading)):
         out = tmp_path / f"{name}.h5"
-        build_library(robot, 12, 3, 1, out, sampling="visited", record_s=0.0)
+        build_library(robot, count(12, 12, 6), 3, 1, out, sampling="visited", record_s=0.0)
         ends[name] = read_library(out).velocity_body_end
     assert np.isfinite(ends["fading"]).all()
     spread = [np.abs(ends[name][..., 2]).max() for name in ("plain", "fading")]

@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 from bare_chip import clock_of, power_of
 from bench_build import build
+from tests.conftest import some
 from tests.loop import rig
 from unicorn import arm_const
 
@@ -59,7 +60,7 @@ def test_a_pin_reset_is_told_as_one_whatever_else_stands_there(others: int) -> N
     assert power_of(port.chip).values["RESETREAS"] == 0
 
 
-@pytest.mark.parametrize("limbs", [1, 2, 3, 4])
+@pytest.mark.parametrize("limbs", some([1, 2, 3, 4], 2))
 @pytest.mark.parametrize("ends", ["by itself", "off"])
 def test_a_pulse_s_end_leaves_no_mode_behind_that_costs_current(
     limbs: int, ends: str, tmp_path: Path
@@ -116,6 +117,9 @@ def test_the_slow_oscillator_is_started_late_enough() -> None:
         assert isinstance(watchdog, Watchdog)
         assert watchdog.started_cycle - began_cycle > 330 * CYCLES_PER_US
         chip.hang()
+        if not chip.resets:
+            chip.run_until(chip.time_us + 900_000.0)  # of the watchdog's second
+            assert not chip.resets
         while len(chip.resets) == 0:
             chip.run_until(chip.time_us + 1.0)
         chip.hang(False)

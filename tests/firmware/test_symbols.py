@@ -45,10 +45,10 @@ void helper(void) {{ __asm__("bx lr"); }}"""
 
 @pytest.fixture(scope="module")
 def bench(tmp_path_factory: pytest.TempPathFactory) -> Build:
-    """The whole bench firmware around a table."""
-    folder = tmp_path_factory.mktemp("bench")
-    write_bytes(folder / "t.fkt", synthetic.image())
-    return firmware.build("bench", folder / "t.fkt", load_robot("frog2022"), folder / "out")
+    """The whole bench firmware around a table; by these names the one of test_parity_places.py too."""
+    file = tmp_path_factory.mktemp("bench") / "nearest.fkt"
+    write_bytes(file, synthetic.image())
+    return firmware.build("bench", file, load_robot("frog2022"), file.parent / "out")
 
 
 def test_the_bench_image_has_nothing_unwanted(bench: Build) -> None:

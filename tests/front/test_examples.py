@@ -28,16 +28,23 @@ LEFT = {
 }
 
 
+built: dict[tuple[Any, ...], fk.Library] = {}
+"""Libraries that one of the scripts has built, for the others."""
+
+
 @pytest.fixture
 def quick(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
     """A folder to run in; but with test-full the same calls are made cheaper."""
     monkeypatch.chdir(tmp_path)
-    if few := count(60, 0):
+    if few := count(60, 0, 46):
         load, build = fk.load_robot, fk.build_library
         some = [term for term in catalogue(few_pieces()) if "limb_wear rear" in term.title]
 
-        def fewer(robot: fk.Robot, states: int = 300, *more: Any, **options: Any) -> fk.Library:
-            return build(robot, min(states, few), *more, **options)
+        def fewer(robot: fk.Robot, states: int = 300, **options: Any) -> fk.Library:
+            key = (robot, states, *options.items())
+            if key not in built:
+                built[key] = build(robot, min(states, few), **options)
+            return built[key]
 
         monkeypatch.setattr(fk, "load_robot", lambda name: few_pieces() if name == "frog2022" else load(name))
         monkeypatch.setattr(fk, "build_library", fewer)

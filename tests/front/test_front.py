@@ -44,7 +44,7 @@ def readme(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     folder = tmp_path_factory.mktemp("readme")
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
-        if few := count(60, 0):
+        if few := count(60, 0, 46):
             for old, new in (('fk.load_robot("frog2022")', "few_pieces()"), ("states=300", f"states={few}")):
                 assert old in lines
                 lines = lines.replace(old, new)

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from made import known_outcome, make_run, make_swim, robot
+from made import known_outcome, make_run, make_swim, robot, robot_option
 
 from frogkick.cli.main import run_command
 from frogkick.cli.retune import printed
@@ -338,7 +338,10 @@ def test_from_logs_to_firmware(
     for seed, periods in ((4, 8), (5, 8), (6, 8)):
         runs.append(tmp_path / f"run{seed}.h5")
         write_run(runs[-1], make_run([WORN], seed, periods))
-    out, given = tmp_path / "new", ["--robot", "frog2022", "--states", STATES, "--workers", "1", "--json"]
+    out, given = (
+        tmp_path / "new",
+        ["--robot", robot_option(tmp_path), "--states", STATES, "--workers", "1", "--json"],
+    )
     outcome = known_outcome(*(list(map(read_swim, some)) for some in (runs[:2], runs[2:])), *WEAR)
 
     def told(*arguments: Any, progress: Any, **more: Any) -> Outcome:

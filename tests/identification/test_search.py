@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from made import make_swim, robot, term
+from tests.conftest import count, some
 
 from frogkick.der import WIDTH
 from frogkick.identification import choice
@@ -107,7 +108,7 @@ def test_a_late_limb_is_found_with_its_delay() -> None:
     (row,) = intervals(found.fitted, found.rows)
     for each, true in zip(row, (1.0, 0.12, 1.0), strict=True):
         assert abs(true - each.value) <= each.high - each.low, each
-    assert row[1].low <= 0.12 <= row[1].high and row[1].high - row[1].low < 0.03
+    assert row[1].low <= 0.12 <= row[1].high and row[1].high - row[1].low < count(30, 30, 40) * 1e-3
     assert row[0].high - row[0].low < 0.1, "what is held has an interval too"
 
 
@@ -178,7 +179,7 @@ def test_a_search_in_part_is_fitted_to_all_runs(worn: list[Swim], monkeypatch: p
     assert found.fitted.model.values[0] == pytest.approx(0.7, abs=0.02)
 
 
-@pytest.mark.parametrize("title", ["limb_wear rear_left", "drag_scale"])
+@pytest.mark.parametrize("title", some(["limb_wear rear_left", "drag_scale"], 1))
 def test_held_out_gains_are_those_of_fits_that_never_saw_the_fold(worn: list[Swim], title: str) -> None:
     """Each fold's parameters fitted by simulation on the other folds alone: the search takes derivatives.
 

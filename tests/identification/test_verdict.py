@@ -126,7 +126,8 @@ def test_blocks_of_periods_tell_how_sure_a_mean_is() -> None:
 @pytest.mark.parametrize("periods", [12, 20, 40])
 def test_intervals_of_parameters_hold_as_often_as_they_say(periods: int) -> None:
     """Two runs of heavy-tailed misses, 9 to a period, two parameters: once too narrow by up to a third."""
-    rng, runs, draws = np.random.default_rng(periods), np.repeat([0, 1], periods), 150
+    rng, runs = np.random.default_rng(periods), np.repeat([0, 1], periods)
+    draws = count(150, 150, 100)
     far = np.full(2, 10.0)
 
     def inside(shared: bool) -> float:
@@ -151,7 +152,8 @@ def test_what_chance_gains_is_known_from_the_signs_of_blocks() -> None:
 
     In more where periods share half of each miss with the next: blocks of four cut every fourth tie.
     """
-    rng, runs, draws, price = np.random.default_rng(5), np.repeat([0, 1], 24), 120, 4.0
+    rng, runs, price = np.random.default_rng(5), np.repeat([0, 1], 24), 4.0
+    draws = count(120, 120, 40)
 
     def best(missed: np.ndarray, candidates: list[np.ndarray]) -> float:
         far = np.full(2, 10.0)
@@ -235,14 +237,14 @@ def test_a_limb_that_misfires_at_random_is_not_found_elsewhere(
     frog2022_dir: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Five logs of the simulated pool, a front limb idle in 3 strokes of 10: once "found" as ten effects."""
-    if few := count(0, 0, 4):  # of all candidates, and no robots of the same body
+    if few := count(0, 0, 2):  # of all candidates, and no robots of the same body
         some = [each for each in catalogue(robot()) if each.name in ("hull", "limb_wear", "warm_up")][:few]
         monkeypatch.setattr(outcome_module, "catalogue", lambda *_: some)
         monkeypatch.setattr(choice_module, "relatives", lambda _robot: {})
     folder = frog2022_dir.parent / "misfire"
     if not folder.is_dir():
         pytest.skip("no logs of misfires beside the recorded runs")
-    names = ("line", "eight", "sine", "ellipse")[: count(4, 4, 2)]
+    names = ("line", "eight", "sine", "ellipse")[count(0, 0, 1) : count(4, 4, 2)]
     train = [read_swim(folder / f"{name}.h5", robot()) for name in names]
     outcome = identify(train, [read_swim(folder / "bends.h5", robot())], robot())
     tested = outcome.tested

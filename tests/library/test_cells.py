@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from tests.conftest import count as cases
 
 from frogkick.library.cells import Cells, Division
 
 RNG = np.random.default_rng(7)
-CODES = RNG.uniform(-2000.0, 2000.0, (16000, 3))
+CODES = RNG.uniform(-2000.0, 2000.0, (cases(16_000, 16_000, 9000), 3))
 WEIGHT = np.array([1.0, 2.0])
 
 

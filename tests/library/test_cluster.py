@@ -7,42 +7,51 @@ from pathlib import Path
 
 import pytest
 from tests.chunks.test_chunks import Cluster, kill_one, needs_distributed
+from tests.conftest import count
 
 from frogkick.errors import FrogkickError
 from frogkick.library import build_library
 from frogkick.robot import load_robot
 
 ROBOT = load_robot("frog2022")
-STATES, SEED = 100, 5  # 50 simulated, 4 parts
+STATES, SEED = count(100, 100, 66), 5  # half of them simulated, 4 parts or 3
 
 
-@pytest.fixture
-def cluster(tmp_path: Path) -> Iterator[Cluster]:
-    (tmp_path / "cluster").mkdir()
-    running = Cluster(tmp_path / "cluster")
+@pytest.fixture(scope="module")
+def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cluster]:
+    """The first test kills a worker of it, the second all."""
+    running = Cluster(tmp_path_factory.mktemp("cluster"))
     yield running
     running.close()
 
 
+@pytest.fixture(scope="module")
+def here(tmp_path_factory: pytest.TempPathFactory) -> bytes:
+    """The library built in this process."""
+    out = tmp_path_factory.mktemp("here") / "here.h5"
+    build_library(ROBOT, STATES, SEED, 1, out, record_s=0.0)
+    return out.read_bytes()
+
+
 @needs_distributed
-def test_a_killed_worker_changes_no_byte(cluster: Cluster, tmp_path: Path) -> None:
+def test_a_killed_worker_changes_no_byte(cluster: Cluster, here: bytes, tmp_path: Path) -> None:
     told: list[int] = []
 
     def kill_in_the_middle(done: int, _all: int) -> None:
         told.append(done)
-        if len(told) == 2:  # one of four parts is done
+        if len(told) == 2:  # the first part is done
             kill_one(cluster)
 
     out = tmp_path / "far.h5"
     build_library(ROBOT, STATES, SEED, 1, out, kill_in_the_middle, record_s=0.0, cluster=cluster.address)
     assert told[0] == 0
     assert told[-1] == STATES * 9
-    build_library(ROBOT, STATES, SEED, 1, tmp_path / "here.h5", record_s=0.0)
-    assert out.read_bytes() == (tmp_path / "here.h5").read_bytes()
+    assert out.read_bytes() == here
+    cluster.workers += [cluster.add_worker() for _ in range(count(1, 1, 0))]
 
 
 @needs_distributed
-def test_what_a_lost_cluster_had_finished_is_kept(cluster: Cluster, tmp_path: Path) -> None:
+def test_what_a_lost_cluster_had_finished_is_kept(cluster: Cluster, here: bytes, tmp_path: Path) -> None:
     out = tmp_path / "out.h5"
 
     def lose(done: int, _all: int) -> None:
@@ -55,5 +64,4 @@ def test_what_a_lost_cluster_had_finished_is_kept(cluster: Cluster, tmp_path: Pa
     told: list[int] = []
     build_library(ROBOT, STATES, SEED, 1, out, lambda done, _all: told.append(done), record_s=0.0)
     assert told[0] > 0
-    build_library(ROBOT, STATES, SEED, 1, tmp_path / "here.h5", record_s=0.0)
-    assert out.read_bytes() == (tmp_path / "here.h5").read_bytes()
+    assert out.read_bytes() == here

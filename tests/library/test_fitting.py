@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import functools
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.conftest import count, some
 from tests.library.synthetic import ACTIONS, LIMBS, ROBOT, SIZE, Known
 
 from frogkick.errors import InputError
-from frogkick.library import Library, error_on, fit_table, quantise
+from frogkick.library import Library, error_on, fit_table, fitting, quantise
 from frogkick.library.error import looked_up
 from frogkick.library.history import History
 from frogkick.library.transitions import HISTORY, RESTED, Failed
@@ -19,6 +22,17 @@ from frogkick.planner.image import Tables, open_image
 EFFECT = np.random.default_rng(5).uniform(-0.1, 0.1, (ACTIONS, LIMBS, 6)) * SIZE
 PLAIN = Known(1, 3)
 TIRING = Known(1, 3, History(EFFECT, 0.4, 0.6))
+SAMPLES_LEAST = count(8192, 8192, 1024)
+SAMPLES_A_CELL = count(64, 64, 16)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def samples() -> Iterator[None]:
+    """How many a division is made of: for each cell, and at least and at most."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(fitting, "_SAMPLES_A_CELL", SAMPLES_A_CELL)
+        patch.setattr(fitting, "_SAMPLES", (SAMPLES_LEAST, 131_072))
+        yield
 
 
 @pytest.fixture(scope="module")
@@ -31,16 +45,21 @@ def tiring() -> Library:
     return TIRING.library(300, 2)
 
 
+fitted = functools.cache(fit_table)
+"""For tests that look at the same table."""
+
+
 def by_hand(tables: Tables, library: Library) -> np.ndarray:
     """(n, a, 6) what a table says, straight from its layout, with numpy's integers."""
     velocities = library.initial_velocity_body.astype(np.float32) * (np.float32(1.0) / tables.velocity_scale)
     codes = np.copysign(np.floor(np.abs(velocities) + 0.5), velocities).astype(np.int64)
-    apart = ((codes[:, None, :] - tables.states[None].astype(np.int64)) ** 2).sum(axis=2)
+    states, limit = tables.states.astype(np.int64), tables.offset_limit
+    inside = np.clip(codes, states.min(axis=0) - limit, states.max(axis=0) + limit)
+    apart = ((inside[:, None, :] - states) ** 2).sum(axis=2)
     rows = apart.argmin(axis=1)
     told = tables.transitions[rows].astype(np.int64)
     if tables.kind == "affine":
-        limit = tables.offset_limit
-        offset = np.clip(codes - tables.states[rows], -limit, limit)
+        offset = np.clip(codes - states[rows], -limit, limit)
         rise = np.einsum("navx,nx->nav", tables.derivatives[rows].astype(np.int64), offset)
         told = told + ((rise + ((1 << tables.correction_shift) >> 1)) >> tables.correction_shift)
         masks = [row.first_mask | row.second_mask for row in tables.actions]
@@ -57,14 +76,15 @@ def by_hand(tables: Tables, library: Library) -> np.ndarray:
 
 
 @pytest.mark.parametrize(
-    ("kind", "budget"), [("nearest", 2100), ("nearest", 3001), ("affine", 4097), ("affine", 16_001)]
+    ("kind", "budget"),
+    some([("nearest", 2100), ("nearest", 3001), ("affine", 4097), ("affine", 16_001)], 2),
 )
 def test_a_budget_is_kept_and_used(tiring: Library, kind: str, budget: int) -> None:
-    fitted = fit_table(tiring, kind, budget)
-    assert fitted.kind == kind
-    tables = open_image(fitted.image)
+    found = fit_table(tiring, kind, budget)
+    assert found.kind == kind
+    tables = open_image(found.image)
     assert tables.kind == kind
-    assert 0.94 * budget < len(fitted.image) <= budget
+    assert 0.94 * budget < len(found.image) <= budget
     assert tables.provenance == tiring.content_sha256()
     assert tables.robot_id == ROBOT.id
 
@@ -89,7 +109,7 @@ def test_the_error_is_that_of_looking_up_by_hand(tiring: Library, kind: str) -> 
 def test_affine_errs_less_than_all_states_and_less_with_more_bytes(plain: Library) -> None:
     unseen = PLAIN.library(200, 9)
     whole = error_on(open_image(quantise(plain)), unseen)
-    images = [fit_table(plain, "affine", budget).image for budget in (4000, 8000, 16_000)]
+    images = [fitted(plain, "affine", budget).image for budget in (4000, 8000, 16_000)]
     errors = [error_on(open_image(image), unseen) for image in images]
     for name in ("position_m", "heading_rad"):
         assert whole[name] > 1.3 * errors[0][name]
@@ -99,10 +119,10 @@ def test_affine_errs_less_than_all_states_and_less_with_more_bytes(plain: Librar
 def test_what_is_held_out_tells_what_unseen_states_will(plain: Library) -> None:
     unseen = PLAIN.library(300, 9)
     for kind in ("nearest", "affine"):
-        fitted = fit_table(plain, kind, 4000)
-        told = error_on(open_image(fitted.image), unseen)
+        found = fitted(plain, kind, 4000)
+        told = error_on(open_image(found.image), unseen)
         for name, value in told.items():
-            assert fitted.held_out[name] == pytest.approx(value, rel=0.35)
+            assert found.held_out[name] == pytest.approx(value, rel=0.35)
 
 
 def test_limb_use_as_an_input_lowers_the_error(tiring: Library) -> None:
@@ -118,9 +138,9 @@ def test_limb_use_as_an_input_lowers_the_error(tiring: Library) -> None:
 
 
 def test_the_better_kind_is_taken_where_none_is_named(plain: Library) -> None:
-    both = {kind: fit_table(plain, kind, 4000).score for kind in ("nearest", "affine")}
+    both = {kind: fitted(plain, kind, 4000).score for kind in ("nearest", "affine")}
     assert both["affine"] < both["nearest"]
-    assert fit_table(plain, None, 4000).image == fit_table(plain, "affine", 4000).image
+    assert fit_table(plain, None, 4000).image == fitted(plain, "affine", 4000).image
     tight = fit_table(plain, None, 1400)  # less than a table of kind "nearest" takes
     assert tight.kind == "affine"
 
@@ -141,14 +161,14 @@ def test_failed_transitions_are_left_out(plain: Library) -> None:
     )
     hurt.displacement_body[3, 1] = hurt.displacement_body[7, 0] = np.nan
     for kind in ("nearest", "affine"):
-        fitted = fit_table(hurt, kind, 3000)
-        assert error_on(open_image(fitted.image), PLAIN.library(50, 9))["position_m"] < 0.02
+        image = fit_table(hurt, kind, 3000).image
+        assert error_on(open_image(image), PLAIN.library(50, 9))["position_m"] < 0.02
 
 
 def test_the_same_library_gives_the_same_bytes(plain: Library) -> None:
     seen: list[tuple[int, int]] = []
     again = fit_table(plain, "affine", 4000, lambda done, whole: seen.append((done, whole)))
-    assert again.image == fit_table(plain, "affine", 4000).image
+    assert again.image == fitted(plain, "affine", 4000).image
     assert seen[0][0] == 0 and seen[-1][0] == seen[-1][1] > 0
     assert seen == sorted(seen)
 

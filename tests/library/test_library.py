@@ -13,6 +13,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
+from tests.conftest import count
 
 from frogkick.der import simulate_action
 from frogkick.errors import ConvergenceError, InputError
@@ -35,6 +36,9 @@ from frogkick.robot import load_robot, mirror_of, parse_robot
 
 ROBOT = load_robot("frog2022")
 STATES, SEED = 5, 11
+SWUM = count(24, 24, 12)
+RECORD_S = count(5, 5, 0)  # where nobody looks at it
+PERIOD_MS = count(1425, 1425, 200)
 
 
 @pytest.fixture(scope="module")
@@ -236,7 +240,7 @@ class Stop(Exception):
 
 
 def test_a_stopped_build_goes_on_to_the_same_bytes(tmp_path: Path) -> None:
-    states = 70  # 35 simulated, 3 parts
+    states = count(70, 70, 34)  # half of them simulated, 3 parts or 2
     build_library(ROBOT, states, SEED, 2, tmp_path / "whole.h5", record_s=2.0)
     out = tmp_path / "out.h5"
 
@@ -291,10 +295,12 @@ def test_somebody_else_s_folder_is_not_touched(tmp_path: Path) -> None:
 @pytest.mark.skipif(sys.platform == "win32", reason="sends SIGINT")
 def test_ctrl_c_ends_the_workers_and_leaves_finished_parts(tmp_path: Path) -> None:
     script = (
+        "from dataclasses import replace\n"
         "from frogkick.library import build_library\n"
         "from frogkick.robot import load_robot\n"
+        f"robot = replace(load_robot('frog2022'), period_s={PERIOD_MS / 1000})\n"
         "def say(done, total):\n    print(done, flush=True)\n"
-        f"build_library(load_robot('frog2022'), 5000, 1, 2, {str(tmp_path / 'x.h5')!r}, say)\n"
+        f"build_library(robot, 5000, 1, 2, {str(tmp_path / 'x.h5')!r}, say, record_s={RECORD_S})\n"
     )
     process = subprocess.Popen(
         [sys.executable, "-c", script],
@@ -335,7 +341,7 @@ def test_libraries_of_swims_are_built_alike_whoever_simulates(tmp_path: Path) ->
     for workers, record_s in ((1, 3.0), (2, 3.0), (1, 0.0)):
         build_library(
             ROBOT,
-            24,
+            SWUM,
             SEED,
             workers,
             tmp_path / f"{workers}{record_s}.h5",
@@ -345,7 +351,7 @@ def test_libraries_of_swims_are_built_alike_whoever_simulates(tmp_path: Path) ->
     assert (tmp_path / "13.0.h5").read_bytes() == (tmp_path / "23.0.h5").read_bytes()
     library = read_library(tmp_path / "13.0.h5")
     assert library.has_history()
-    here = sample_library(ROBOT, 24, SEED, "visited")
+    here = sample_library(ROBOT, SWUM, SEED, "visited")
     assert np.array_equal(library.previous_actions, here.previous_actions)
     assert np.array_equal(library.initial_velocity_body, here.initial_velocity_body)
     assert np.array_equal(library.rows(), here.rows())  # recording on changes nothing
@@ -356,7 +362,7 @@ def test_libraries_of_swims_are_built_alike_whoever_simulates(tmp_path: Path) ->
     assert recorded.time_s[27:29].mean() == pytest.approx(ROBOT.period_s)
     assert halfway == pytest.approx(library.displacement_body, abs=2e-3)
     info = library_info(tmp_path / "13.0.h5")
-    assert info["with_history"] == (library.previous_actions[:, 0] >= 0).sum() == 23
+    assert info["with_history"] == (library.previous_actions[:, 0] >= 0).sum() == SWUM - 1
     other = replace(ROBOT, period_s=2.0)
     with pytest.raises(InputError, match=r"1\.425 s apart: build one for 2 s"):
         cut_library(tmp_path / "13.0.h5", other)

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from tests.conftest import count
 
 from frogkick.errors import InputError
 from frogkick.library import Library, sample_library, sample_starts
@@ -16,6 +17,7 @@ from frogkick.robot import load_robot, mirror_of
 ROBOT = load_robot("frog2022")
 MIRROR = mirror_of(ROBOT)
 LEFT = np.array([1.0, -1.0, -1.0])
+VISITED = count(100, 100, 64)
 
 
 def test_velocities_fill_the_box_and_repeat() -> None:
@@ -40,7 +42,7 @@ def test_states_of_the_box_come_in_mirror_pairs() -> None:
 
 @pytest.fixture(scope="module")
 def visited() -> Library:
-    return sample_library(ROBOT, 100, 0, "visited")
+    return sample_library(ROBOT, VISITED, 0, "visited")
 
 
 def test_visited_states_are_those_of_a_swimming_robot(visited: Library) -> None:
@@ -57,7 +59,7 @@ def test_visited_states_are_those_of_a_swimming_robot(visited: Library) -> None:
 def test_visited_states_know_what_was_done_before_them(visited: Library) -> None:
     """From rest through the earlier actions, one after another, to the state's velocity."""
     before = visited.previous_actions
-    assert before.shape == (100, HISTORY)
+    assert before.shape == (VISITED, HISTORY)
     assert (before[0] == RESTED).all()
     assert len(np.unique(before[before[:, -1] == RESTED], axis=0)) == (before[:, -1] == RESTED).sum()
     place = {tuple(row): state for state, row in enumerate(before.tolist())}
@@ -81,7 +83,7 @@ def test_visited_states_come_in_mirror_pairs(visited: Library) -> None:
         if row[-1] != RESTED:
             continue  # what was done still earlier may differ
         other = place.get(tuple(a if a == RESTED else MIRROR.actions[a] for a in row))
-        assert other is not None or state == 99
+        assert other is not None or state == VISITED - 1
         if other is not None and other != state:  # one that is its own image is simulated as it is
             images = visited.rows()[other, list(MIRROR.actions)]
             assert np.array_equal(images, visited.rows()[state] * np.tile(LEFT, 2))

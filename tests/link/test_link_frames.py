@@ -50,7 +50,7 @@ def value_of(field: Field) -> st.SearchStrategy[Value]:
 
 
 @pytest.mark.parametrize(("name", "kind"), KINDS)
-@settings(max_examples=count(50, 1000), deadline=None)
+@settings(max_examples=count(50, 1000, 15), deadline=None)
 @given(data=st.data())
 def test_every_message_there_and_back(name: str, kind: str, data: st.DataObject) -> None:
     payload = getattr(MESSAGES[name], kind)

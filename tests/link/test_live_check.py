@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from tests.cli.commands import frogkick
+from tests.conftest import some
 from tests.link.live_robot import LiveRobot, PatientClock
 from tests.link.rigged import TRANSPORTS, rigged
 from tests.link.swim import PATH, LivePool
@@ -60,7 +61,7 @@ def past_the_hash(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Session, "greet", greet)
 
 
-@pytest.mark.parametrize("transport", TRANSPORTS)
+@pytest.mark.parametrize("transport", some(TRANSPORTS, 1))
 def test_host_and_robot_agree(transport: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     robot, check = LiveRobot(clock=PatientClock(), on_for_s=100.0), LiveCheck()
     options = RunOptions(PlanConfig(depth=2), True, 2.5 * PERIOD_S, check)

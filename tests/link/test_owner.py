@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 from tests.cli.commands import Outcome, frogkick
+from tests.conftest import some
 from tests.link.live_robot import LiveRobot, PatientClock
 from tests.link.pty_line import PtyLine
 from tests.link.rigged import TRANSPORTS, rigged
@@ -153,7 +154,7 @@ def test_what_it_tells_and_what_it_wrote_down_anybody_may_read(robot: LiveRobot,
             bot.push(rig.small_table())
 
 
-@pytest.mark.parametrize("transport", TRANSPORTS)
+@pytest.mark.parametrize("transport", some(TRANSPORTS, 1))
 def test_a_run_of_its_owner(transport: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     robot = LiveRobot(clock=PatientClock(), on_for_s=100.0)
     period_s = rig.tables().period_us * 1e-6

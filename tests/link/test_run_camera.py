@@ -15,6 +15,7 @@ import cv2
 import numpy as np
 import pytest
 from tests.cli.commands import frogkick
+from tests.conftest import count
 from tests.link.live_robot import LiveRobot
 from tests.link.pty_line import PtyLine
 from tests.link.rigged import rigged
@@ -93,8 +94,9 @@ def filmed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("filmed")
     (folder / "pictures").mkdir()
     rng = np.random.default_rng(5)
+    different = [SCENE.picture(START, rng) for _ in range(count(90, 90, 9))]
     for k in range(90):
-        cv2.imwrite(str(folder / "pictures" / f"{k:03d}.png"), SCENE.picture(START, rng))
+        cv2.imwrite(str(folder / "pictures" / f"{k:03d}.png"), different[k % len(different)])
     write_calibration(folder / "camera.toml", calibration(SCENE))
     return folder
 

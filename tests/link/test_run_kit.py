@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.conftest import some
 from tests.link.live_robot import LiveRobot
 from tests.link.pty_line import PtyLine
 from tests.link.swim import PATH
@@ -22,7 +23,7 @@ PERIOD_S = rig.tables().period_us * 1e-6
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="needs a pseudo-terminal")
-@pytest.mark.parametrize("plan", ["onboard", "host"])
+@pytest.mark.parametrize("plan", some(["onboard", "host"], 1))
 def test_a_kit_closes_the_loop_through_its_line(plan: str, tmp_path: Path) -> None:
     rig.swim("pool", PATH, 1.0, onboard=False)  # compiled here, where others wait for it, not in the command
     # In real time: on a machine that is busy elsewhere fixes come late, and the robot ends the run itself.

@@ -17,6 +17,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from tests.cli.commands import frogkick
+from tests.conftest import some
 from tests.link.live_robot import LiveRobot, PatientClock
 from tests.link.pty_line import PtyLine
 from tests.link.rigged import TRANSPORTS, rigged
@@ -55,7 +56,7 @@ def seen_pulses(pulses: list[tuple[float, int, int]]) -> list[Pulse]:
 
 
 @pytest.mark.parametrize("onboard", [True, False], ids=["onboard", "host"])
-@pytest.mark.parametrize("transport", TRANSPORTS)
+@pytest.mark.parametrize("transport", some(TRANSPORTS, 1))
 def test_a_run(transport: str, onboard: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     robot = LiveRobot(clock=PatientClock(), on_for_s=100.0)  # its clock is not the host's
     options = RunOptions(PlanConfig(depth=2), onboard, 2.5 * PERIOD_S)
@@ -231,7 +232,7 @@ def command(line: PtyLine, pool: LivePool, *options: str) -> Iterator[subprocess
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="sends signals")
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", some([signal.SIGINT, signal.SIGTERM], 1))
 def test_a_signal_disarms_first(tmp_path: Path, number: signal.Signals) -> None:
     robot = LiveRobot()
     with PtyLine(tmp_path, robot) as line, command(line, LivePool(robot.pulses)) as process:
@@ -250,7 +251,7 @@ def test_a_signal_disarms_first(tmp_path: Path, number: signal.Signals) -> None:
         assert int(robot.core.ask("STATUS")["state"]) == STATE["DISARMED"]
 
 
-@pytest.mark.parametrize("dialect", DIALECTS)
+@pytest.mark.parametrize("dialect", some(DIALECTS, 1))
 def test_a_whole_run_by_the_command(tmp_path: Path, dialect: str) -> None:
     """Fixes piped in, numbers and a log out."""
     robot = LiveRobot() if dialect == "frogkick" else TextFrog()

@@ -8,6 +8,8 @@ import shutil
 
 import numpy as np
 import pytest
+from tests.conftest import some
+from tests.identification.made import robot_option
 from tests.loop.test_recorded import REST, RUNS
 from typer.testing import CliRunner
 
@@ -76,7 +78,7 @@ def altered(source: pathlib.Path, folder: pathlib.Path, **how: float) -> pathlib
 
 
 @pytest.mark.parametrize("stretch", [0.75, 0.8, 1.25])
-@pytest.mark.parametrize("name", RUNS)
+@pytest.mark.parametrize("name", some(RUNS, 3))
 def test_a_run_at_another_period_is_read_at_that(
     frog2022_dir: pathlib.Path, tmp_path: pathlib.Path, name: str, stretch: float
 ) -> None:
@@ -91,7 +93,7 @@ def test_a_run_at_another_period_is_read_at_that(
 @pytest.mark.parametrize(
     "how", [{"cut": 0.3}, {"cut": 0.5}, {"holes": 3}, {"twice": 0.3}, {"twice": 1.0}], ids=str
 )
-@pytest.mark.parametrize("name", ["line1", "sin3", "ellipse6"])
+@pytest.mark.parametrize("name", some(["line1", "sin3", "ellipse6"], 2))
 def test_frames_cut_out_or_doubled_leave_the_clock(
     frog2022_dir: pathlib.Path, tmp_path: pathlib.Path, name: str, how: dict[str, float]
 ) -> None:
@@ -102,7 +104,7 @@ def test_frames_cut_out_or_doubled_leave_the_clock(
     assert not clock_problem(run) and run.measured["clock_slips"] == 0
 
 
-@pytest.mark.parametrize("share", [-0.5, -0.3, 0.2, 0.3, 0.5])
+@pytest.mark.parametrize("share", some([-0.5, -0.3, 0.2, 0.3, 0.5], 2))
 @pytest.mark.parametrize(("name", "stretch"), [("sin1", 0.8), ("ellipse3", 1.0), ("ellipse5", 1.0)])
 def test_a_slip_is_found_or_the_run_refused(
     frog2022_dir: pathlib.Path, tmp_path: pathlib.Path, name: str, share: float, stretch: float
@@ -168,6 +170,7 @@ def test_a_run_without_a_clock_changes_nothing_among_good_ones(
             *(f"--train={file}" for file in train),
             f"--test={test}",
             f"--out={out}",
+            f"--robot={robot_option(tmp_path)}",
             "--json",
         ]
         told.append(CliRunner().invoke(app, asked))

@@ -83,10 +83,11 @@ def test_states_are_from_the_box_and_beyond_it() -> None:
 
 
 def test_a_summary_is_of_the_states_that_were_timed(small: Built) -> None:
-    speeds = small.speed({1: 30, 2: 9})
+    counts = {1: count(30, 30, 12), 2: count(9, 9, 3)}
+    speeds = small.speed(counts)
     assert set(speeds) == {1, 2}
     for depth, speed in speeds.items():
-        assert speed.states == {1: 30, 2: 9}[depth]
+        assert speed.states == counts[depth]
         assert 0.0 < speed.mean_ms <= speed.worst_ms
         assert sum(share.percent for share in speed.shares) == pytest.approx(100.0)
         shares = {share.function: share for share in speed.shares}

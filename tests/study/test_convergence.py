@@ -24,7 +24,7 @@ def test_second_order_and_the_limit_at_the_default_step(
     capsys: pytest.CaptureFixture[str], tmp_path_factory: pytest.TempPathFactory
 ) -> None:
     picture = tmp_path_factory.mktemp("convergence") / "order.png"
-    asked = ["study", "convergence", "--json", "--out", str(picture), "--every", str(count(9, 1, 27))]
+    asked = ["study", "convergence", "--json", "--out", str(picture), "--every", str(count(9, 1, 50))]
     assert run_command(asked) == 0
     told = json.loads(capsys.readouterr().out)
     assert 1.7 < told["order"]["strokes"] < 2.3

@@ -43,7 +43,7 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
 @pytest.fixture
 def candidates(monkeypatch: pytest.MonkeyPatch) -> None:
     """Few candidates in make test, and no robots of the same body: the search as it is, in a minute."""
-    if few := count(0, 0, 3):
+    if few := count(0, 0, 2):
         some = [term for term in catalogue(robot()) if term.name == "steady_current"]
         some += [term for term in catalogue(robot()) if "limb_wear rear" in term.title][: few - 1]
         monkeypatch.setattr(outcome_module, "catalogue", lambda *_: some)

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
+from tests.identification.made import robot, robot_option
 from tests.loop import rig
 
 from frogkick.cli.main import run_command
@@ -52,7 +53,7 @@ def run(out: Path, settings: tuple[Setting, ...], cases: list[Case]) -> Outcomes
     tables = {PAPER: rig.small_table(), ROBOT: rig.small_table()}
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(study, "build", lambda target, *_: rig.firmware(target))
-        return run_cases(rig.robot(), tables, PLANNERS, settings, cases, out)
+        return run_cases(robot(), tables, PLANNERS, settings, cases, out)
 
 
 @pytest.fixture(scope="module")
@@ -262,12 +263,21 @@ def test_the_picture_shows_every_run() -> None:
 @pytest.fixture(scope="module")
 def library(tmp_path_factory: pytest.TempPathFactory) -> Path:
     file = tmp_path_factory.mktemp("library") / "lib.h5"
-    build_library(rig.robot(), 6, 0, 1, file, record_s=0.0)
+    build_library(robot(), 6, 0, 1, file, record_s=0.0)
     return file
 
 
 def words_of(tmp_path: Path, library: Path) -> list[str]:
-    words = ["study", "loop", "--library", str(library), "--tables", str(rig.small_table())]
+    words = [
+        "study",
+        "loop",
+        "--robot",
+        robot_option(tmp_path),
+        "--library",
+        str(library),
+        "--tables",
+        str(rig.small_table()),
+    ]
     return [*words, "--out", str(tmp_path / "out"), "--seeds", "1", "--path", "line", "--workers", "1"]
 
 

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from tests.conftest import count
 from tests.identification.made import robot
 
 from frogkick.cli.main import run_command
@@ -30,12 +31,14 @@ from frogkick.study import ring as ring_module
 from frogkick.study.closing import plant
 from frogkick.study.ring import Ring, close, go_round
 
+SWUM_S = float(count(17, 17, 14))
+
 
 @pytest.fixture(scope="module")
 def round_once(tmp_path_factory: pytest.TempPathFactory) -> tuple[Ring, Path, list[str]]:
     """A small ring, its folder, and what is in that."""
     out = tmp_path_factory.mktemp("ring")
-    ring = go_round(robot(), out, 10, 1, 3, progress_bar, paths=("line", "sine"), time_limit_s=17.0)
+    ring = go_round(robot(), out, 10, 1, 3, progress_bar, paths=("line", "sine"), time_limit_s=SWUM_S)
     return ring, out, sorted(path.name for path in out.iterdir())
 
 
@@ -86,6 +89,7 @@ def test_the_ring_closes(
 
     monkeypatch.setattr(outcome_module, "catalogue", lambda *_: few)
     monkeypatch.setattr(choice_module, "relatives", lambda _robot: {})
+    monkeypatch.setattr(outcome_module, "PERIODS_LEAST", count(20, 20, 16))
     monkeypatch.setattr(closing_module, "identify", watched)
     ring = replace(round_once[0])
     close(ring, tmp_path, 3, progress_bar, held_out="bends")

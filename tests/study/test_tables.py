@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +17,6 @@ from frogkick.library import Library, error_on, fit_table, quantise, sample_libr
 from frogkick.planner.image import open_image
 from frogkick.report.history_figure import history_figure
 from frogkick.report.table_size_figure import table_size_figure
-from frogkick.robot import load_robot
 from frogkick.study import history, table_size
 from frogkick.study.table_size import (
     TablePoint,
@@ -28,13 +28,12 @@ from frogkick.study.table_size import (
     table_sizes,
 )
 
-ROBOT = load_robot("frog2022")
-
 
 @pytest.fixture(scope="module")
 def library() -> Library:
     """Of a made system: what is measured on simulated states then only has to be told right."""
-    return Known(1, 3).library(90, 2)
+    made = Known(1, 3).library(90, 2)
+    return replace(made, robot_toml=robot().toml, robot_sha256=robot().sha256)
 
 
 @pytest.fixture
@@ -53,7 +52,7 @@ def test_each_point_is_a_table_made_and_measured_by_hand(library: Library) -> No
         ("nearest", 30), ("nearest", 90), ("affine", 90), ("affine", 90)
     ]  # fmt: skip
     assert [p.library_states for p in sizes.by_library] == [60, 90]
-    box, visited = (sample_library(ROBOT, 4, 7, sampling) for sampling in ("box", "visited"))
+    box, visited = (sample_library(robot(), 4, 7, sampling) for sampling in ("box", "visited"))
     for point, image in (
         (sizes.by_size[0], quantise(first_states(library, 30))),
         (sizes.by_size[3], fit_table(library, "affine", 6 * 1024).image),
@@ -115,7 +114,7 @@ def test_history_as_an_input_is_worth_most_where_limbs_tire(monkeypatch: pytest.
     fading = list(history.VARIANTS)[-1]
     if not FULL:
         monkeypatch.setattr(history, "VARIANTS", {fading: history.VARIANTS[fading]})
-    results = history.history_worth(robot(), count(60, 400), count(8, 100), 1)
+    results = history.history_worth(robot(), count(60, 400, 48), count(8, 100, 5), 1)
     tiring = [result for result in results if result.variant != "as described"]
     assert len(tiring) == count(1, 2)
     better = count(80, 30) / 100.0

@@ -3,19 +3,25 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import json
 import random
 import shutil
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from PIL import Image
+from tests.conftest import count
+from tests.identification import made
 from tests.loop import rig
 
 from frogkick.cli.main import run_command
 from frogkick.errors import InputError
-from frogkick.library import build_library
+from frogkick.front import planner_studies
+from frogkick.library import Library, build_library
 from frogkick.loop.recorded import read_recorded
 from frogkick.paths import shape
 from frogkick.planner.image import open_image
@@ -23,6 +29,7 @@ from frogkick.planner.plan import PlanConfig, path_rows, plan
 from frogkick.robot import Robot, load_robot, parse_robot
 from frogkick.study import believed as believed_module
 from frogkick.study import loop as loop_module
+from frogkick.study import twin as twin_module
 from frogkick.study.believed import Choices, believed_motions, choices_of, image_of_motions
 from frogkick.study.kept import Case, Outcome
 from frogkick.study.loop import PAPER, ROBOT, Course, course_of
@@ -199,14 +206,21 @@ def test_a_course_is_known_by_path_and_start() -> None:
 def libraries(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     """Of the fitted robot and of the nominal one, few states."""
     folder = tmp_path_factory.mktemp("libraries")
-    for name, robot in (("robot", measured()), ("model", rig.robot())):
-        build_library(robot, 48, 0, 1, folder / f"{name}.h5", sampling="box", record_s=0.0)
+    measured, nominal = made.robot("frog2022-measured"), made.robot()
+    for name, robot, states in (("robot", measured, 48), ("model", nominal, count(48, 48, 4))):
+        build_library(robot, states, 0, 1, folder / f"{name}.h5", sampling="box", record_s=0.0)
     return folder / "robot.h5", folder / "model.h5"
 
 
 def words_of(tmp_path: Path, libraries: tuple[Path, Path]) -> list[str]:
     own, model = libraries
     words = ["study", "twin", "--library", str(own), "--model-library", str(model), "--seeds", "1"]
+    words += [
+        "--robot",
+        made.robot_option(tmp_path, "frog2022-measured"),
+        "--model",
+        made.robot_option(tmp_path),
+    ]
     return [*words, "--path", "line", "--out", str(tmp_path / "out"), "--workers", "1"]
 
 
@@ -229,6 +243,25 @@ def test_the_command_swims_shapes_in_the_twins_pool(
         assert picture.width > 700
 
 
+@pytest.fixture(scope="module")
+def shared() -> Iterator[None]:
+    """The recorded runs are read once, and of each library one table is fitted."""
+    read, fit = functools.cache(twin_module.read_runs), planner_studies.fit_table
+    fitted: dict[bytes, Any] = {}
+
+    def once(library: Library, *how: Any) -> Any:
+        sha256 = library.content_sha256()
+        if sha256 not in fitted:
+            fitted[sha256] = fit(library, *how)
+        return fitted[sha256]
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(twin_module, "read_runs", read)
+        patch.setattr(planner_studies, "fit_table", once)
+        yield
+
+
+@pytest.mark.usefixtures("shared")
 @pytest.mark.parametrize(("far_mm", "code"), [({}, 0), ({"robot": 11.0}, 1)])
 def test_the_exit_code_is_the_verdict(
     tmp_path: Path,

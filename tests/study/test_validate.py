@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from tests.conftest import count
+from tests.identification.made import robot
 from tests.study.paper_data import GAIT, model_swim, write_simulation, write_swim
 
 from frogkick.cli.main import run_command
@@ -101,10 +102,10 @@ def test_constants_are_matched_without_the_fraction_that_is_left_out(
 ) -> None:
     """Simulations of a frame that is heavier by a quarter: each fraction says so, and predicts the other."""
     monkeypatch.setattr(matched, "CONSTANTS", {"frame mass": matched.CONSTANTS["frame mass"]})
-    heavier = matched.CONSTANTS["frame mass"](ROBOT, 1.25)
+    heavier = matched.CONSTANTS["frame mass"](robot(), 1.25)
     for percent in (10.0, 30.0):
         write_simulation(tmp_path / "sim" / "freq" / f"{percent:g}", Gait(percent, 1.0, 0.5), robot=heavier)
-    result = validate(ROBOT, tmp_path, workers=1)
+    result = validate(robot(), tmp_path, workers=1)
     found = matched.matched_without(result)
     assert [part.egain_percent for part in found.parts] == [10.0, 30.0]
     for part in found.parts:

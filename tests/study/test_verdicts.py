@@ -9,12 +9,15 @@ from typing import Any, cast
 
 import numpy as np
 import pytest
+from tests.conftest import count
 from tests.identification.made import robot
 from tests.loop import rig
 
 from frogkick.chunks import run_chunks
 from frogkick.effects import changed_robot, make_effects
 from frogkick.front.identification_studies import VerdictStudy, cases_of
+from frogkick.identification import choice as choice_module
+from frogkick.identification import outcome as outcome_module
 from frogkick.identification.outcome import Outcome
 from frogkick.identification.terms import Term, catalogue
 from frogkick.identification.verdict import FOUND, NOTHING, PARTLY, UNEXPLAINED, Error, Interval
@@ -123,7 +126,12 @@ def test_cases_are_so_many_of_each_kind_or_of_each_group() -> None:
     assert len(set(every)) == 100 * len({kind.group for kind in kinds().values()}) == 400
 
 
-def test_a_stopped_study_goes_on_where_it_was(tmp_path: Path) -> None:
+def test_a_stopped_study_goes_on_where_it_was(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """In make test with a path to learn from, and two candidates."""
+    if few := count(0, 0, 2):
+        monkeypatch.setattr(verdicts, "TRAIN", ("sine",))
+        monkeypatch.setattr(outcome_module, "catalogue", lambda *_: catalogue(robot())[:few])
+        monkeypatch.setattr(choice_module, "relatives", lambda _robot: {})
     case = Case("null", 0)
     asked: list[int] = []
 

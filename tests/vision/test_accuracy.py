@@ -10,7 +10,8 @@ from tests.vision.scenes import Told, aside, calibration, drawn_pose, errors, sc
 from frogkick.vision.plane import wrap
 from frogkick.vision.tracker import Tracker
 
-POSES = count(12, 500)
+POSES = count(12, 500, 6)
+WAVES = count(25, 500, 12)
 
 
 @pytest.mark.parametrize(
@@ -39,9 +40,8 @@ def test_position_and_heading(conditions: dict[str, float]) -> None:
 def test_the_heading_holds_on_waves_that_tilt_the_tag(wave_height_m: float) -> None:
     """Slopes of 1.2 and 2.4 degrees, which turn the picture of a tag that is seen from aside."""
     rough = scene(wave_height_m=wave_height_m)
-    poses = count(25, 500)
-    off, seen = errors(rough, poses, np.random.default_rng(8))
-    assert len(off) >= 0.95 * poses, [one.reason for one in seen]
+    off, seen = errors(rough, WAVES, np.random.default_rng(8))
+    assert len(off) >= 0.95 * WAVES, [one.reason for one in seen]
     assert np.degrees(np.abs(off[:, 2]).max()) < 0.5
     assert (
         1e3 * np.sqrt(np.mean(off[:, :2] ** 2)) < 300 * wave_height_m
@@ -49,7 +49,7 @@ def test_the_heading_holds_on_waves_that_tilt_the_tag(wave_height_m: float) -> N
     # Of the same pictures, taken as of a tag that lies flat, headings are off by more.
     tracker, rng = Tracker(calibration(rough, tilt_sd_rad=0.0)), np.random.default_rng(8)
     flat_off = []
-    for _ in range(poses):
+    for _ in range(WAVES):
         truth = drawn_pose(rough, rng)
         tracker.forget()
         pose = tracker.observe(rough.picture(truth, rng), 0.0).pose
@@ -63,7 +63,7 @@ def test_waves_move_the_place_by_their_heave_alone(wave_height_m: float) -> None
     rough = scene(wave_height_m=wave_height_m)
     tracker, rng = Tracker(calibration(rough)), Told(9)
     off, left = [], []
-    for _ in range(count(25, 500)):
+    for _ in range(WAVES):
         truth = drawn_pose(rough, rng)
         tracker.forget()
         pose = tracker.observe(rough.picture(truth, rng), 0.0).pose
@@ -71,14 +71,14 @@ def test_waves_move_the_place_by_their_heave_alone(wave_height_m: float) -> None
             error = np.array([pose.x_m - truth[0], pose.y_m - truth[1]])
             off.append(np.hypot(*error))
             left.append(np.hypot(*(error - wave_height_m * rng.heave * aside(rough, truth[:2]))))
-    assert len(off) >= 0.95 * count(25, 500)
+    assert len(off) >= 0.95 * WAVES
     assert max(left) < 2e-4 and max(off) > 4 * max(left)
 
 
 def test_the_covariance_holds_the_errors() -> None:
     """Nine of ten errors within what nine of ten should be (chi squared, 3 numbers: 6.25), waves included."""
     usual = scene(noise=6.0, wave_height_m=0.0005)
-    off, seen = errors(usual, count(30, 1000), np.random.default_rng(2))
+    off, seen = errors(usual, count(30, 1000, 15), np.random.default_rng(2))
     found = [one.pose for one in seen if one.pose is not None]
     assert len(found) == len(seen)
     squared = [float(e @ np.linalg.solve(p.covariance, e)) for e, p in zip(off, found, strict=True)]

@@ -103,7 +103,7 @@ def test_the_corners_of_the_golden_tag() -> None:
 )
 def test_position_and_heading(conditions: dict[str, float]) -> None:
     """The bounds that tag36h11 has."""
-    off, seen = errors(spoilt(**conditions), count(6, 500), np.random.default_rng(1))
+    off, seen = errors(spoilt(**conditions), count(6, 500, 4), np.random.default_rng(1))
     assert [one.reason for one in seen if one.pose is None] == []
     assert 1e3 * np.hypot(off[:, 0], off[:, 1]).max() < 1.0
     assert np.degrees(np.abs(off[:, 2]).max()) < 0.5
@@ -118,7 +118,7 @@ def test_no_pose_without_a_tag() -> None:
     """Random cells in the tag's frame, other tags, its mirror image and negative, chessboards."""
     rng = np.random.default_rng(11)
     tracker = Tracker(calibration(USUAL))
-    for k in range(count(20, 10_000)):
+    for k in range(count(20, 10_000, 10)):
         tracker.forget()
         assert tracker.observe(USUAL.picture(None, rng, clutter(USUAL, rng)), 0.0).pose is None, k
 
@@ -180,7 +180,7 @@ def test_a_program_that_looked_for_one_ends_in_peace() -> None:
         import gc
         import numpy as np
         from frogkick.vision import standard
-        for _ in range({count(20, 100, 4)}):
+        for _ in range({count(20, 100, 2)}):
             standard._detector.cache_clear()
             assert standard.find_standard(np.zeros((60, 80), np.uint8), 0) == []
             gc.collect()

@@ -1,4 +1,4 @@
-"""``frogkick camera``: calibrate the camera over the pool, check how far off it is, track the tag, print it."""
+"""``frogkick camera``: calibrate the camera over the pool, check it, track the tag, print it."""
 
 from __future__ import annotations
 

@@ -23,6 +23,7 @@ EXTRAS: Mapping[str, Mapping[str, str]] = {
         "mcap_protobuf": "mcap-protobuf-support",
         "foxglove_schemas_protobuf": "foxglove-schemas-protobuf",
     },
+    "pandas": {"pandas": "pandas"},
     "apriltag": {"pupil_apriltags": "pupil-apriltags"},
 }
 """Extra of pyproject.toml -> the name that a package is imported by -> the name that it is installed by."""

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import csv
+import hashlib
 import os
 import subprocess
 import sys
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
+import h5py
 import pytest
 from tests.cli.commands import frogkick, listing
 from tests.conftest import count
@@ -268,9 +271,18 @@ def test_run(here: Path, capsys: Capture, robot: str, plan: str, path: str, dept
     assert done.json["limit_violations"] == 0
     assert list(listing(here)) == ["run.h5"]
     again = frogkick(capsys, "run", *options, "--out", "again.h5")
+    with h5py.File("run.h5", "r+") as file, h5py.File("again.h5", "r+") as other:
+        about = {name: text.asstr()[()] for name, text in file["made"].items()}
+        assert about["robot_sha256"] == rig.robot().sha256.hex() and about["robot_toml"] == rig.robot().toml
+        assert about["table_sha256"] == hashlib.sha256(rig.small_table().read_bytes()).hexdigest()
+        assert datetime.now(UTC) - datetime.fromisoformat(about["began_at"]) < timedelta(minutes=10)
+        for made in (file["made"], other["made"]):  # all else is the same, byte for byte
+            made["began_at"][()] = about["began_at"]
     assert Path("run.h5").read_bytes() == Path("again.h5").read_bytes()
     if plan == "onboard":
         assert again.stdout == done.stdout
+    told = frogkick(capsys, "log", "show", "run.h5", "--json").json["made"]
+    assert told == {name: text for name, text in about.items() if name != "robot_toml"}
     replayed = frogkick(capsys, "replay", "run.h5", "--tables", rig.small_table(), "--json")
     assert replayed.code == 0
     assert {"decisions", "actions", "mismatches"} <= replayed.json.keys()

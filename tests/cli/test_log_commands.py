@@ -64,6 +64,7 @@ def test_two_runs_of_one_seed_are_the_same_as_long_as_both_last(
     folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     found = told(capsys, "log", "compare", str(folder / "sine.h5"), str(folder / "longer.h5"))
+    assert found["a"]["made"] == {}, "nobody said how it came about"
     assert found["same_robot"] and found["same_table"] and found["same_path"]
     assert found["same_decisions"] == len(swum("sine", 6.0).decisions)
     assert float(str(found["apart_m"])) < 1e-9

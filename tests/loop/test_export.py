@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 from tests.loop import rig
 
+import frogkick as fk
 from frogkick import extras
 from frogkick.errors import InputError
 from frogkick.loop.export_csv import export_csv
@@ -67,10 +69,10 @@ def messages(file: Path) -> dict[str, list[tuple[int, Any]]]:
         reader = make_reader(opened, decoder_factories=[DecoderFactory()])
         for schema, channel, message in reader.iter_messages():
             assert schema is not None
-            if schema.encoding == "jsonschema":
-                said = json.loads(message.data)
-            else:
-                said = DecoderFactory().decoder_for("protobuf", schema)(message.data)
+            assert channel.message_encoding == schema.encoding == "protobuf"
+            decode = DecoderFactory().decoder_for("protobuf", schema)
+            assert decode is not None
+            said = decode(message.data)
             found.setdefault(channel.topic, []).append((message.log_time, said))
     return found
 
@@ -118,11 +120,56 @@ def test_mcap_has_poses_path_and_plan_in_foxglove_s_schemas(swum: RunLog, tmp_pa
         ends = [[point.x, point.y] for point in entity.lines[0].points]
         assert ends == [estimate[:2].tolist(), predicted[:2].tolist()]
         assert entity.texts[0].text == swum.action_names[action]
-    told = [said["name"] for _, said in found["/decision"]]
+    told = [said.name for _, said in found["/decision"]]
     assert told == [swum.action_names[index] for index in decisions.action]
-    assert [said["limb_mask"] for _, said in found["/stroke"]] == swum.strokes.limb_mask.tolist()
+    assert [said.limb_mask for _, said in found["/stroke"]] == swum.strokes.limb_mask.tolist()
+    assert [sum(1 << limb for limb in said.limbs) for _, said in found["/stroke"]] == [
+        said.limb_mask for _, said in found["/stroke"]
+    ]
+    assert decisions.cost is not None
+    assert [said.cost for _, said in found["/decision"]] == decisions.cost.tolist()
     times = [time_ns for rows in found.values() for time_ns, _ in rows]
     assert min(times) >= 0
+
+
+def test_a_layout_shows_every_channel_with_something_to_see(swum: RunLog, tmp_path: Path) -> None:
+    counts = export_mcap(swum, tmp_path / "run.mcap")
+    layout = json.loads((tmp_path / "run.layout.json").read_text())
+    panels = layout["configById"]
+    plotted = {path["value"].split(".")[0] for name in panels for path in panels[name].get("paths", ())}
+    assert set(panels["3D!pool"]["topics"]) | plotted | {"/stroke"} == set(counts)
+    shown = layout["layout"]
+    assert {shown["first"], shown["second"]["first"], shown["second"]["second"]} == set(panels)
+
+
+def test_times_are_those_of_the_clock_on_the_wall(swum: RunLog, tmp_path: Path) -> None:
+    made = {"began_at": "2026-03-01T12:00:00.250000+00:00", "frogkick": "1.2"}
+    export_mcap(replace(swum, made=made), tmp_path / "run.mcap")
+    begin_ns = 1_772_366_400_250_000_000
+    found = messages(tmp_path / "run.mcap")
+    assert [time_ns - begin_ns for time_ns, _ in found["/estimate"]] == [
+        round(time_s * 1e9) for time_s in swum.decisions.time_s
+    ]
+    stamps = [said.timestamp.seconds * 10**9 + said.timestamp.nanos for _, said in found["/fix"]]
+    captures = swum.fixes.capture_time_s[swum.fixes.usable]
+    assert stamps == [begin_ns + round(float(time_s) * 1e9) for time_s in captures]
+    with (tmp_path / "run.mcap").open("rb") as opened:
+        (about,) = make_reader(opened).iter_metadata()
+    assert about.metadata.items() >= made.items()
+
+
+def test_pandas_gets_what_csv_gets(swum: RunLog, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    import pandas
+
+    tables = fk.Run(swum).to_pandas()
+    export_csv(swum, tmp_path)
+    assert set(tables) == {"fixes", "decisions", "strokes", "path", "truth"}
+    for name, table in tables.items():
+        read = pandas.read_csv(tmp_path / f"{name}.csv")
+        pandas.testing.assert_frame_equal(table, read, check_dtype=False, check_exact=True)
+    monkeypatch.setattr(extras, "installed", lambda package: package != "pandas")
+    with pytest.raises(InputError, match=r"needs the package 'pandas'.*pip install 'frogkick\[pandas\]'"):
+        fk.Run(swum).to_pandas()
 
 
 def test_a_recorded_run_without_estimates_opens_too(frog2022_dir: Path, tmp_path: Path) -> None:

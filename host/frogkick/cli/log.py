@@ -53,7 +53,7 @@ def compare(
     rows = [
         f"{key:18s}  {short(told['a'][key]):>22s}  {short(told['b'][key]):>22s}"
         for key in told["a"]
-        if key not in ("actions", "clock", "notes")
+        if key not in ("actions", "clock", "notes", "made")
     ]
     more = {key: told[key] for key in ("same_robot", "same_table", "same_path", "same_decisions", "apart_m")}
     show({**told, "picture": out and str(out)}, json, "\n".join([*rows, _lines(more)]))
@@ -63,7 +63,7 @@ def export(
     run: RunArgument,
     out: Annotated[Path, typer.Option(help="File (.mcap), or folder for CSV.")],
     csv: Annotated[bool, typer.Option("--csv", help="One CSV for each group of columns.")] = False,
-    mcap: Annotated[bool, typer.Option("--mcap", help="One MCAP, as Foxglove opens it.")] = False,
+    mcap: Annotated[bool, typer.Option("--mcap", help="One MCAP for Foxglove, and a layout.")] = False,
     json: JsonOption = False,
 ) -> None:
     """Write a run as CSV (a folder of files) or as MCAP (poses, path and plan in Foxglove's schemas)."""
@@ -76,10 +76,11 @@ def export(
         show({"files": files}, json, "\n".join(files))
         return
     counts = log.export_mcap(out)
+    files = [str(out), str(out.with_suffix(".layout.json"))]
     show(
-        {"files": [str(out)], "messages": counts},
+        {"files": files, "messages": counts},
         json,
-        "\n".join([str(out), *(f"  {topic:12s} {count}" for topic, count in counts.items())]),
+        "\n".join([*files, *(f"  {topic:12s} {count}" for topic, count in counts.items())]),
     )
 
 
@@ -91,8 +92,8 @@ def _require_picture(out: Path | None) -> None:
 
 
 def _lines(values: Mapping[str, Any]) -> str:
-    told = {key: value for key, value in values.items() if key not in ("actions", "clock")}
-    told |= values.get("clock", {})
+    told = {key: value for key, value in values.items() if key not in ("actions", "clock", "made")}
+    told |= values.get("clock", {}) | values.get("made", {})
     if "actions" in values:
         told["actions"] = " ".join(f"{name}{count}" for name, count in values["actions"].items())
     return "\n".join(text_lines(told))

@@ -252,8 +252,9 @@ class Bench:
     key: Path | None = None
 
 
-Kept = Callable[[SwimPath, CameraFixes | None], AbstractContextManager[Callable[[Recording], None]]]
-"""Makes, from the path as placed and the camera if there is one, what keeps a recording while it grows."""
+Kept = Callable[[SwimPath, CameraFixes | None, float], AbstractContextManager[Callable[[Recording], None]]]
+"""Makes, from the path as placed, the camera if there is one and the wall clock at the session's time 0
+(s since 1970), what keeps a recording while it grows."""
 
 
 def _tell(line: str) -> None:
@@ -310,7 +311,7 @@ def run_on_bench(
             stack.callback(video.close)
             stack.callback(camera.close)  # before the video: its thread writes there
             camera.film(video)
-        write = stack.enter_context(kept(path, camera))
+        write = stack.enter_context(kept(path, camera, time.time() - session.port.now_s))
 
         def keep(recording: Recording) -> None:
             write(recording)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field, replace
@@ -14,6 +15,7 @@ import numpy as np
 
 from frogkick.effects import World, read_world
 from frogkick.errors import InputError, nearest_name
+from frogkick.extras import EXTRAS, require
 from frogkick.files import require_writable
 from frogkick.front.bench import (
     Bench,
@@ -38,11 +40,11 @@ from frogkick.front.viewing import viewed
 from frogkick.link.wire import Wire, is_target
 from frogkick.loop.camera_fixes import CameraFixes
 from frogkick.loop.closed_loop import Recording, RunOptions, require_time, run_in_pool
-from frogkick.loop.export_csv import export_csv
+from frogkick.loop.export_csv import columns_of, export_csv
 from frogkick.loop.export_mcap import export_mcap
 from frogkick.loop.live_check import LiveCheck
 from frogkick.loop.live_log import CUT_OFF, logged, part_of
-from frogkick.loop.record import BATTERY_V, Tracking, run_log, tracking_of_recording
+from frogkick.loop.record import BATTERY_V, Tracking, made_of, run_log, tracking_of_recording
 from frogkick.loop.recorded import import_recorded
 from frogkick.loop.recorded import load_run as load_log
 from frogkick.loop.runlog import RunLog
@@ -56,6 +58,7 @@ from frogkick.robot import Robot
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+    from pandas import DataFrame
 
 PLANS = ("onboard", "host", "both")
 
@@ -132,12 +135,28 @@ class Run:
         return [Path(folder) / name for name in export_csv(self.log, Path(folder))]
 
     def export_mcap(self, file: Path | str) -> dict[str, int]:
-        """Write an MCAP as Foxglove opens it: poses, path and plan; how many messages each topic has.
+        """Write an MCAP as Foxglove opens it, ``run.mcap``, and a layout for it, ``run.layout.json``.
+
+        Returns:
+            Messages of each topic.
 
         Raises:
             InputError: the file cannot be written, or the package mcap is not installed.
         """
         return export_mcap(self.log, Path(file))
+
+    def to_pandas(self) -> dict[str, DataFrame]:
+        """A pandas table for each group of columns, as ``export_csv`` writes them: fixes, decisions, ...
+
+        Units are in the columns' names; what the log marks as missing is NaN.
+
+        Raises:
+            InputError: pandas is not installed.
+        """
+        require("Tables of pandas", *EXTRAS["pandas"])
+        from pandas import DataFrame
+
+        return {name: DataFrame(columns) for name, columns in columns_of(self.log)}
 
     def plot(self) -> Figure:
         """A matplotlib figure: path and track, distance, actions, estimate and prediction errors."""
@@ -281,6 +300,7 @@ def run(
     name = f"run --robot {robot.replace('/', ' ').replace(chr(92), ' ')} --plan {plan}"
     known = {} if battery_v is None else {BATTERY_V: battery_v}
     pool = None
+    made: dict[str, str] = {}
     with ExitStack() as stack:
         image = stack.enter_context(used.file())
         said = stack.enter_context(_said(progress, desired, used, check))
@@ -292,9 +312,10 @@ def run(
             log = logged(target, described, used.tables, options, name, known)
 
             @contextmanager
-            def kept(placed: SwimPath, camera: CameraFixes | None) -> Iterator[Keep]:
+            def kept(placed: SwimPath, camera: CameraFixes | None, began_unix_s: float) -> Iterator[Keep]:
+                made.update(made_of(described, used.tables, began_unix_s))
                 drawn = viewed(view, described, used.tables, placed, options, camera=camera)
-                with log(placed) as write, drawn as draw:
+                with log(placed, made) as write, drawn as draw:
                     yield _all_of(said.keep, write, draw)
 
             stack.enter_context(_names_what_is_left(target))
@@ -306,6 +327,7 @@ def run(
                 port = stack.enter_context(
                     simulated_robot(robot, image, described, lambda: compile_rods(described))
                 )
+            made = made_of(described, used.tables, time.time())
             pool = Pool(described, start_pose(desired), eye, np.random.default_rng(seed), true)
             draw = stack.enter_context(viewed(view, described, used.tables, desired, options, pool))
             whole = partial(
@@ -317,6 +339,7 @@ def run(
                 options=options,
                 seed=seed,
                 source=name,
+                made=made,
             )
             with _log_so_far(target, whole) as keep:
                 recording = run_in_pool(
@@ -324,7 +347,7 @@ def run(
                 )
     log_seed = None if is_real else seed
     found = Run(
-        run_log(recording, pool, described, used.tables, desired, options, log_seed, name, known),
+        run_log(recording, pool, described, used.tables, desired, options, log_seed, name, known, made),
         tracking_of_recording(recording, pool, described, desired),
         {} if check is None else check.as_json(),
     )

@@ -38,7 +38,7 @@ def export_csv(run: RunLog, folder: pathlib.Path) -> list[str]:
         InputError: the folder cannot be written to.
     """
     made = []
-    for name, columns in _groups(run):
+    for name, columns in columns_of(run):
         text = io.StringIO()
         writer = csv.writer(text, lineterminator="\n")
         writer.writerow(columns)
@@ -58,6 +58,7 @@ def export_csv(run: RunLog, folder: pathlib.Path) -> list[str]:
         "notes": run.notes,
         "measured": dict(run.measured),
         "planner": dict(run.planner),
+        "made": dict(run.made),
     }
     write_bytes(folder / "run.json", (json.dumps(about, indent=2) + "\n").encode())
     return [*made, "run.json"]
@@ -72,7 +73,8 @@ _PARTS = {
 }
 
 
-def _groups(run: RunLog) -> Iterator[tuple[str, dict[str, NDArray[Any]]]]:
+def columns_of(run: RunLog) -> Iterator[tuple[str, dict[str, NDArray[Any]]]]:
+    """Each group of a log's columns by name: one-dimensional, units in their names."""
     for group in (run.fixes, run.decisions, run.strokes, run.truth):
         if group is None:
             continue

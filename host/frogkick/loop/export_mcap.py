@@ -1,7 +1,8 @@
-"""A run as MCAP, which Foxglove opens: poses, path and plan in its own schemas, the rest as JSON.
+"""A run as MCAP for Foxglove: poses, path and plan in its own schemas, decisions and strokes in ours.
 
-Times are those of the log, nanoseconds from the epoch as a viewer sees them: it shows 1970. Poses are in the
-frame of the pool; the robot's own frame has x forward and y left.
+All are protobuf, whose schemas the file brings along. Times are of the clock on the wall, where the log knows
+when it began; else they count from 1970. Poses are in the frame of the pool; the robot's own frame has x
+forward and y left. Beside it is a layout that shows all of it.
 """
 
 from __future__ import annotations
@@ -11,13 +12,14 @@ import math
 import pathlib
 from collections.abc import Iterator
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from frogkick.extras import EXTRAS, require
-from frogkick.files import atomic_path
+from frogkick.files import atomic_path, write_text
 from frogkick.loop.runlog import RunLog
 
 POOL, ROBOT = "pool", "robot"
@@ -26,9 +28,46 @@ POOL, ROBOT = "pool", "robot"
 CHANNELS = ("/fix", "/estimate", "/predicted", "/truth", "/path", "/plan", "/tf", "/decision", "/stroke")
 """What there may be; those without a row are left out."""
 
+ENCODING = "protobuf"
+
+LAYOUT = {
+    "configById": {
+        "3D!pool": {
+            "followTf": POOL,
+            "followMode": "follow-none",
+            "cameraState": {"perspective": False, "distance": 2.0, "phi": 0.0, "thetaOffset": 90.0},
+            "topics": {
+                topic: {"visible": True} for topic in CHANNELS if topic not in ("/decision", "/stroke")
+            },
+        },
+        "StateTransitions!actions": {
+            "isSynced": True,
+            "paths": [{"value": "/decision.name", "timestampMethod": "receiveTime"}],
+        },
+        "Plot!decisions": {
+            "isSynced": True,
+            "xAxisVal": "timestamp",
+            "paths": [
+                {"value": f"/decision.{key}", "enabled": True, "timestampMethod": "receiveTime"}
+                for key in ("cost", "plan_s")
+            ],
+        },
+    },
+    "globalVariables": {},
+    "userNodes": {},
+    "playbackConfig": {"speed": 1},
+    "layout": {
+        "direction": "row",
+        "first": "3D!pool",
+        "second": {"direction": "column", "first": "StateTransitions!actions", "second": "Plot!decisions"},
+        "splitPercentage": 65,
+    },
+}
+"""For Foxglove: the pool from above, the actions, what decisions cost."""
+
 
 def export_mcap(run: RunLog, target: pathlib.Path) -> dict[str, int]:
-    """Write an MCAP: poses, path and plan in Foxglove's own schemas, decisions and strokes as JSON.
+    """Write an MCAP, and beside it a layout for Foxglove (*Import from file...* among its layouts).
 
     Args:
         run: the log.
@@ -60,6 +99,7 @@ def export_mcap(run: RunLog, target: pathlib.Path) -> dict[str, int]:
                 "pulse_s": repr(run.pulse_s),
                 "table_crc": "" if run.table_crc is None else f"{run.table_crc:08x}",
                 "notes": run.notes,
+                **run.made,
             },
         )
         channels: dict[str, int] = {}
@@ -67,10 +107,10 @@ def export_mcap(run: RunLog, target: pathlib.Path) -> dict[str, int]:
         for message in said:
             schema = message.schema
             if schema.name not in schemas:
-                schemas[schema.name] = writer.register_schema(schema.name, schema.encoding, schema.data)
+                schemas[schema.name] = writer.register_schema(schema.name, ENCODING, schema.data)
             if message.topic not in channels:
                 channels[message.topic] = writer.register_channel(
-                    message.topic, schema.message_encoding, schemas[schema.name]
+                    message.topic, ENCODING, schemas[schema.name]
                 )
             writer.add_message(
                 channels[message.topic],
@@ -81,6 +121,7 @@ def export_mcap(run: RunLog, target: pathlib.Path) -> dict[str, int]:
             )
             counts[message.topic] = counts.get(message.topic, 0) + 1
         writer.finish()  # type: ignore[no-untyped-call]
+    write_text(target.with_suffix(".layout.json"), json.dumps(LAYOUT, indent=2) + "\n")
     return {topic: counts[topic] for topic in CHANNELS if topic in counts}
 
 
@@ -90,14 +131,10 @@ class Schema:
 
     Attributes:
         name: as Foxglove knows it.
-        encoding: of the schema itself.
-        message_encoding: of messages.
         data: the schema.
     """
 
     name: str
-    encoding: str
-    message_encoding: str
     data: bytes
 
 
@@ -115,12 +152,19 @@ def _ns(time_s: float) -> int:
     return round(float(time_s) * 1e9)
 
 
+def _since_1970_ns(moment: datetime) -> int:
+    past = moment - datetime(1970, 1, 1, tzinfo=UTC)
+    return (past.days * 86_400 + past.seconds) * 10**9 + past.microseconds * 1000
+
+
 def _messages(run: RunLog, foxglove: Any) -> Iterator[Message]:
     """Every message, channel by channel; times before the run's start are its start."""
-    begin_ns = 0
+    began_at = run.made.get("began_at")
+    # From the text: a float has too few digits for nanoseconds since 1970.
+    begin_ns = 0 if began_at is None else _since_1970_ns(datetime.fromisoformat(began_at))
 
     def at(time_s: float) -> int:
-        return max(begin_ns, _ns(time_s))
+        return begin_ns + max(0, _ns(time_s))
 
     fixes = run.fixes
     seen = np.column_stack([fixes.x_m, fixes.y_m, fixes.heading_rad])
@@ -136,7 +180,7 @@ def _messages(run: RunLog, foxglove: Any) -> Iterator[Message]:
     ):
         limbs = [limb for limb in range(8) if int(mask) >> limb & 1]
         told = {"limb_mask": int(mask), "limbs": limbs, "pulse_s": float(pulse_s)}
-        yield Message("/stroke", at(time_s), _STROKE, json.dumps(told).encode())
+        yield Message("/stroke", at(time_s), *foxglove.stroke(**told))
     if run.truth is not None:
         for time_s, pose in zip(run.truth.time_s, run.truth.pose_world, strict=True):
             yield Message("/truth", at(time_s), *foxglove.pose(at(time_s), POOL, pose))
@@ -151,12 +195,12 @@ def _decision(run: RunLog, row: int, time_ns: int, foxglove: Any) -> Iterator[Me
     decisions = run.decisions
     action = int(decisions.action[row])
     name = run.action_names[action] if action >= 0 else ""
-    told: dict[str, Any] = {"action": action, "name": name}
-    for key in ("cost", "plan_s"):
-        values = getattr(decisions, key)
-        if values is not None and math.isfinite(values[row]):
-            told[key] = float(values[row])
-    yield Message("/decision", time_ns, _DECISION, json.dumps(told).encode())
+    cost, plan_s = (
+        math.nan if values is None else float(values[row]) for values in (decisions.cost, decisions.plan_s)
+    )
+    yield Message(
+        "/decision", time_ns, *foxglove.decision(action=action, name=name, cost=cost, plan_s=plan_s)
+    )
     if decisions.estimate is None or not np.isfinite(decisions.estimate[row]).all():
         return
     estimate = decisions.estimate[row]
@@ -178,27 +222,3 @@ def _best_poses(run: RunLog) -> Iterator[tuple[float, NDArray[np.float64]]]:
     for row in np.flatnonzero(fixes.usable):
         pose = np.array([fixes.x_m[row], fixes.y_m[row], fixes.heading_rad[row]])
         yield float(fixes.capture_time_s[row]), pose
-
-
-def _json_schema(name: str, properties: dict[str, Any]) -> Schema:
-    text = json.dumps({"title": name, "type": "object", "properties": properties})
-    return Schema(name, "jsonschema", "json", text.encode())
-
-
-_DECISION = _json_schema(
-    "frogkick.Decision",
-    {
-        "action": {"type": "integer"},
-        "name": {"type": "string"},
-        "cost": {"type": "number"},
-        "plan_s": {"type": "number"},
-    },
-)
-_STROKE = _json_schema(
-    "frogkick.Stroke",
-    {
-        "limb_mask": {"type": "integer"},
-        "limbs": {"type": "array", "items": {"type": "integer"}},
-        "pulse_s": {"type": "number"},
-    },
-)

@@ -1,4 +1,4 @@
-"""Foxglove's own schemas: poses, paths, frames and drawings as its viewer knows them.
+"""Foxglove's own schemas (poses, paths, frames and drawings as its viewer knows them), and two of ours.
 
 Loaded only where an MCAP is written: its packages are an extra.
 """
@@ -22,6 +22,9 @@ from foxglove_schemas_protobuf.SceneEntity_pb2 import SceneEntity
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 from foxglove_schemas_protobuf.TextPrimitive_pb2 import TextPrimitive
 from foxglove_schemas_protobuf.Vector3_pb2 import Vector3
+from google.protobuf import message_factory
+from google.protobuf.descriptor_pb2 import FieldDescriptorProto, FileDescriptorProto
+from google.protobuf.descriptor_pool import DescriptorPool
 from google.protobuf.duration_pb2 import Duration
 from google.protobuf.timestamp_pb2 import Timestamp
 from mcap_protobuf.schema import build_file_descriptor_set
@@ -37,11 +40,32 @@ _PREDICTED = Color(r=0.80, g=0.47, b=0.65, a=1.0)  # as in the pictures
 @cache
 def _schema(kind: Any) -> Schema:
     name = str(kind.DESCRIPTOR.full_name)
-    return Schema(name, "protobuf", "protobuf", build_file_descriptor_set(kind).SerializeToString())
+    return Schema(name, build_file_descriptor_set(kind).SerializeToString())
 
 
 def _said(message: Any) -> Said:
     return _schema(message.__class__), message.SerializeToString(deterministic=True)
+
+
+def _declared(name: str, /, **kinds: int) -> Any:
+    """A message ``frogkick.NAME`` with a field of each kind; limbs are a list."""
+    file = FileDescriptorProto(name=f"frogkick/{name}.proto", package="frogkick", syntax="proto3")
+    message = file.message_type.add(name=name)
+    for number, (field, kind) in enumerate(kinds.items(), 1):
+        one = FieldDescriptorProto.LABEL_REPEATED if field == "limbs" else FieldDescriptorProto.LABEL_OPTIONAL
+        message.field.add(name=field, number=number, type=kind, label=one)
+    pool = DescriptorPool()
+    pool.Add(file)
+    return message_factory.GetMessageClass(pool.FindMessageTypeByName(f"frogkick.{name}"))
+
+
+_INT, _NUMBER, _TEXT = (
+    FieldDescriptorProto.TYPE_SINT32,
+    FieldDescriptorProto.TYPE_DOUBLE,
+    FieldDescriptorProto.TYPE_STRING,
+)
+_DECISION = _declared("Decision", action=_INT, name=_TEXT, cost=_NUMBER, plan_s=_NUMBER)
+_STROKE = _declared("Stroke", limb_mask=_INT, limbs=_INT, pulse_s=_NUMBER)
 
 
 def _stamp(time_ns: int) -> Timestamp:
@@ -59,6 +83,14 @@ def _pose(pose: Sequence[float]) -> Pose:
 
 class Foxglove:
     """Messages of each schema: (schema, bytes). Poses are x (m), y (m), heading (rad) in the named frame."""
+
+    def decision(self, **told: Any) -> Said:
+        """What was decided: action (-1: unseen), its name, cost and time to plan (s); NaN: not known."""
+        return _said(_DECISION(**told))
+
+    def stroke(self, **told: Any) -> Said:
+        """Which limbs were heated, as bits and as numbers, and for how long (s)."""
+        return _said(_STROKE(**told))
 
     def pose(self, time_ns: int, frame: str, pose: Sequence[float]) -> Said:
         """A pose at a time."""

@@ -203,18 +203,19 @@ def logged(
     options: RunOptions,
     source: str,
     known: Mapping[str, float] | None = None,
-) -> Callable[[Path], AbstractContextManager[Callable[[Recording], None]]]:
+) -> Callable[..., AbstractContextManager[Callable[[Recording], None]]]:
     """What begins, once the path is known, a live log beside ``target``; without a target there is none.
 
-    ``known``: numbers about the run that are told from its start on.
+    ``known``: numbers about the run that are told from its start on. It is called with the path, and with how
+    the run came about where that is known (``RunLog.made``).
     """
 
     @contextmanager
-    def begin(path: Path) -> Iterator[Callable[[Recording], None]]:
+    def begin(path: Path, made: Mapping[str, str] | None = None) -> Iterator[Callable[[Recording], None]]:
         if target is None:
             yield lambda _recording: None
             return
-        empty = run_log(Recording(), None, robot, tables, path, options, None, source)
+        empty = run_log(Recording(), None, robot, tables, path, options, None, source, made=made)
         live = LiveLog(target, replace(empty, measured=known or {}, notes=CUT_OFF), options.onboard)
         try:
             yield live.keep

@@ -2,12 +2,19 @@
 
 from __future__ import annotations
 
+import hashlib
+import os
+import pathlib
+import shlex
+import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, replace
+from datetime import UTC, datetime
 from typing import Any
 
 import numpy as np
 
+import frogkick
 from frogkick.errors import InputError
 from frogkick.loop.closed_loop import Recording, RunOptions
 from frogkick.loop.decision import Decision
@@ -127,6 +134,7 @@ def run_log(
     seed: int | None,
     source: str,
     known: Mapping[str, float] | None = None,
+    made: Mapping[str, str] | None = None,
 ) -> RunLog:
     """The log of a run.
 
@@ -137,6 +145,7 @@ def run_log(
         seed: of the camera's noise, where that was simulated.
         source: what made the log, without folders.
         known: numbers about the run from elsewhere, for ``RunLog.measured``.
+        made: how it came about, for ``RunLog.made``.
     """
     fixes = recording.fixes
     pulses = pulses_of(recording.edges, recording.end_s)
@@ -178,7 +187,31 @@ def run_log(
             **(known or {}),
         },
         planner={key: float(value) for key, value in asdict(options.config).items()},
+        made=made or {},
     )
+
+
+def made_of(robot: Robot, tables: Tables, began_unix_s: float) -> dict[str, str]:
+    """How a run came about, for ``RunLog.made``.
+
+    With SOURCE_DATE_EPOCH (seconds) in the environment the same simulated run gives the same bytes.
+
+    Args:
+        robot, tables: as in the run.
+        began_unix_s: this computer's clock at the run's time 0, s since 1970.
+    """
+    fixed = os.environ.get("SOURCE_DATE_EPOCH")
+    began = datetime.fromtimestamp(float(fixed) if fixed else began_unix_s, UTC)
+    program = pathlib.Path(sys.argv[0])
+    is_ours = program.stem == "frogkick" or program.parts[-3:] == ("frogkick", "cli", "main.py")
+    return {
+        "began_at": began.isoformat(timespec="microseconds"),
+        "frogkick": frogkick.__version__,
+        "robot_toml": robot.toml,
+        "robot_sha256": robot.sha256.hex(),
+        "table_sha256": hashlib.sha256(tables.image).hexdigest(),
+        **({"command": shlex.join(["frogkick", *sys.argv[1:]])} if is_ours else {}),
+    }
 
 
 def _truth(pool: Pool) -> Truth:

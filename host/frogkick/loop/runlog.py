@@ -232,6 +232,9 @@ class RunLog:
         notes: free text.
         measured: numbers about the run (name with unit suffix -> finite value).
         planner: weights and depth that decided (field of PlanConfig -> finite value), where they are known.
+        made: how it came about, as texts: ``began_at`` (UTC at the log's time 0, ISO 8601), ``frogkick`` (its
+            version), ``robot_toml``, ``robot_sha256``, ``table_sha256``, ``command``; not all are always
+            known.
     """
 
     robot_id: str
@@ -249,6 +252,7 @@ class RunLog:
     notes: str = ""
     measured: Mapping[str, float] = field(default_factory=dict)
     planner: Mapping[str, float] = field(default_factory=dict)
+    made: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         for name in ("period_s", "pulse_s"):

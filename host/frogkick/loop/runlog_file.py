@@ -2,8 +2,9 @@
 
 Root attributes: format, format_version, robot_id, source, period_s, pulse_s, notes; table_crc and seed
 where the run has them. Groups `fixes`, `decisions`, `strokes`, and where the run has them `path`, `truth`
-(simulated runs only), `measured` (numbers about the run) and `planner` (weights and depth), the last two as
-attributes. Every dataset carries `unit`.
+(simulated runs only), `measured` (numbers about the run), `planner` (weights and depth) and `made` (how it
+came about: when, by which version, robot, table and command). Numbers about a run are attributes, texts of
+`made` datasets. Every dataset carries `unit`.
 """
 
 from __future__ import annotations
@@ -89,6 +90,11 @@ def fill(file: h5py.File, run: RunLog, chunk_rows: int = 0) -> None:
             group = file.create_group(title)
             for name in sorted(numbers):
                 group.attrs[name] = float(numbers[name])
+    if run.made:
+        # In a dataset each: an attribute holds no text as long as a robot's.
+        group = file.create_group("made")
+        for name in sorted(run.made):
+            group[name] = run.made[name]
 
 
 def read_run(source: pathlib.Path | str) -> RunLog:
@@ -153,6 +159,7 @@ def _read(file: h5py.File, name: str) -> RunLog:
         notes=str(file.attrs["notes"]),
         measured=_numbers(file, "measured"),
         planner=_numbers(file, "planner"),
+        made={name: text.asstr()[()] for name, text in file["made"].items()} if "made" in file else {},
     )
 
 

@@ -38,6 +38,7 @@ class Summary:
         period_s: from one decision to the next.
         clock: of a recorded run, how its period was told; see frogkick.loop.recorded.
         notes: how it ended.
+        made: how it came about, as ``RunLog.made`` has it, without the robot's text.
     """
 
     robot: str
@@ -58,6 +59,7 @@ class Summary:
     period_s: float
     clock: dict[str, float]
     notes: str
+    made: dict[str, str]
 
     def as_json(self) -> dict[str, Any]:
         """All of it."""
@@ -125,6 +127,7 @@ def summary(run: RunLog) -> Summary:
         period_s=run.period_s,
         clock={name: value for name, value in run.measured.items() if name.startswith(("clock_", "period_"))},
         notes=run.notes,
+        made={name: text for name, text in run.made.items() if name != "robot_toml"},
     )
 
 

@@ -16,12 +16,13 @@ import numpy as np
 import pytest
 from tests.loop import rig
 
+import frogkick as fk
 from frogkick.front.viewing import viewed
-from frogkick.loop.closed_loop import RunOptions
+from frogkick.loop.closed_loop import STOPPED, RunOptions
 from frogkick.loop.live_view import LiveView, fan_of, tree_of
 from frogkick.paths import shape
 from frogkick.planner.plan import PlanConfig, plan
-from frogkick.report.live_page import HOST, page, served
+from frogkick.report.live_page import ASKS, HOST, page, served
 
 CONFIG = PlanConfig(depth=3)
 OUTLINE = rig.robot().frame.corners_m
@@ -133,6 +134,35 @@ def test_the_command_draws_a_run(tmp_path: Path) -> None:
     counts = [len(told["decisions"]) for told in seen]
     assert counts == sorted(counts) and counts[-1] >= 2 and len(set(counts)) >= 2
     assert seen[-1]["branch"] and len(seen[-1]["track"]) > 10
+
+
+def test_the_page_s_button_stops_a_run_and_no_other_page_does(capsys: pytest.CaptureFixture[str]) -> None:
+    answers: list[int] = []
+    told: list[int] = []
+    address = ""
+
+    def press(headers: dict[str, str]) -> None:
+        nonlocal address
+        address = address or re.findall(r"http://\S+", capsys.readouterr().err)[0]
+        asked = urllib.request.Request(address + "stop", data=b"", headers=headers, method="POST")
+        try:
+            with urllib.request.urlopen(asked, timeout=60.0) as answer:
+                answers.append(answer.status)
+        except HTTPError as error:
+            answers.append(error.code)
+
+    def progress(done: int, _whole: int) -> None:
+        told.append(done)
+        if len(told) == 3:
+            press({})
+        if len(told) == 4:
+            press({ASKS: "stop"})
+
+    began_s = time.monotonic()
+    found = fk.run(rig.small_table(), "sine", view=True, time_limit_s=600.0, progress=progress)
+    assert answers == [404, 204], "a page from elsewhere cannot send the header"
+    assert found.ended == STOPPED and 3 <= len(found.actions) <= 6 and time.monotonic() - began_s < 300.0
+    assert "<button" in page(stops=True) and "<button" not in page()
 
 
 def test_a_real_run_is_drawn_by_a_thread_of_its_own(capsys: pytest.CaptureFixture[str]) -> None:

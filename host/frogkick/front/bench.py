@@ -320,5 +320,6 @@ def run_on_bench(
 
         operator = stack.enter_context(bench.operator(sight.fixes == STDIN))
         operator.wait_to_arm()
-        options = replace(options, stop=operator.pressed)
+        asked = options.stop
+        options = replace(options, stop=lambda: operator.pressed() or asked())
         return run_session(session, fixes, tables, path, options, progress, keep), path

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
@@ -268,7 +269,8 @@ def run(
         wire: to a real robot, open; None: it is opened for this run and closed after it.
         key: file of a real robot's owner's key, where it has one; None: the user's own, see ``connect``.
         out: log to write (HDF5); with a real robot it grows while the robot swims.
-        view: draw the run in the browser; a simulated one then goes on in real time.
+        view: draw the run in the browser, with a button that stops it; a simulated one then goes on in real
+            time.
         video: keep the camera's pictures beside ``out``.
         progress: True for a bar, or a function of (path points passed, all).
 
@@ -296,7 +298,9 @@ def run(
     used = table if isinstance(table, Table) else load_table(table, model)
     described = used.robot
     check = LiveCheck() if plan == "both" else None
-    options = RunOptions(plan_config(described, planner, depth), plan != "host", time_limit_s, check)
+    stopped = threading.Event()  # by the button of the page
+    config = plan_config(described, planner, depth)
+    options = RunOptions(config, plan != "host", time_limit_s, check, stopped.is_set)
     name = f"run --robot {robot.replace('/', ' ').replace(chr(92), ' ')} --plan {plan}"
     known = {} if battery_v is None else {BATTERY_V: battery_v}
     pool = None
@@ -314,7 +318,7 @@ def run(
             @contextmanager
             def kept(placed: SwimPath, camera: CameraFixes | None, began_unix_s: float) -> Iterator[Keep]:
                 made.update(made_of(described, used.tables, began_unix_s))
-                drawn = viewed(view, described, used.tables, placed, options, camera=camera)
+                drawn = viewed(view, described, used.tables, placed, options, camera=camera, stop=stopped.set)
                 with log(placed, made) as write, drawn as draw:
                     yield _all_of(said.keep, write, draw)
 
@@ -329,7 +333,9 @@ def run(
                 )
             made = made_of(described, used.tables, time.time())
             pool = Pool(described, start_pose(desired), eye, np.random.default_rng(seed), true)
-            draw = stack.enter_context(viewed(view, described, used.tables, desired, options, pool))
+            draw = stack.enter_context(
+                viewed(view, described, used.tables, desired, options, pool, stop=stopped.set)
+            )
             whole = partial(
                 run_log,
                 pool=pool,

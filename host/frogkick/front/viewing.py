@@ -36,6 +36,7 @@ def viewed(
     options: RunOptions,
     pool: Pool | None = None,
     camera: CameraFixes | None = None,
+    stop: Callable[[], None] | None = None,
 ) -> Iterator[Callable[[Recording], None]]:
     """What shows the recording while it grows; a simulated pool is kept from running ahead of the clock.
 
@@ -43,6 +44,7 @@ def viewed(
         wanted: False = there is no page, and nothing is slowed.
         robot, tables, path, options: of the run.
         pool: the simulated one; None: a real one.
+        stop: called, from another thread, when the page's button is pressed; None: it has none.
         camera: over a real one, whose pictures are shown; None: the pool is drawn.
     """
     if not wanted:
@@ -50,7 +52,7 @@ def viewed(
         return
     eye = None if camera is None else CameraView(camera)
     view = LiveView(tables, path, options.config, robot.frame.corners_m, eye)
-    with _drawn(view, "the run", pool) as keep:
+    with _drawn(view, "the run", pool, stop) as keep:
         yield keep
 
 
@@ -72,7 +74,9 @@ def camera_viewed(wanted: bool, camera: CameraFixes) -> Iterator[Callable[[Recor
 
 
 @contextmanager
-def _drawn(view: LiveView, name: str, pool: Pool | None) -> Iterator[Callable[[Recording], None]]:
+def _drawn(
+    view: LiveView, name: str, pool: Pool | None, stop: Callable[[], None] | None = None
+) -> Iterator[Callable[[Recording], None]]:
     begin_s, shown_s = time.monotonic(), 0.0
     newest = Recording()
 
@@ -97,7 +101,7 @@ def _drawn(view: LiveView, name: str, pool: Pool | None) -> Iterator[Callable[[R
             draw()
 
     drawing = threading.Thread(target=draw_on, name="view", daemon=True)
-    with served(lambda: view.text, None if view.camera is None else view.camera.picture) as address:
+    with served(lambda: view.text, None if view.camera is None else view.camera.picture, stop) as address:
         tell_line(f"frogkick: {name} is drawn at {address}")
         if sys.stderr.isatty():
             webbrowser.open(address)

@@ -36,7 +36,7 @@ START_DELAY_S = 0.1
 # A chip boots longer than the core on this computer. From a common time on, both meet the same fixes.
 READY_S = 1.0
 TIME = "time limit"
-STOPPED = "stopped by key"
+STOPPED = "stopped by hand"
 DISARMED = "the robot disarmed itself"
 DROPPED = "connection lost, and the robot ended the run meanwhile"
 ENDED = {

@@ -13,24 +13,30 @@ import jinja2
 from frogkick.report import style
 
 HOST = "127.0.0.1"
+ASKS = "X-Frogkick"
+"""Header of what asks for something to be done: pages from elsewhere cannot send it here."""
 
 
-def page() -> str:
-    """The page: one HTML file that needs no other, and asks for ``state.json`` ten times a second."""
+def page(stops: bool = False) -> str:
+    """The page: one HTML file that needs no other, and asks for ``state.json`` ten times a second.
+
+    With ``stops`` it has a button that ends the run.
+    """
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("frogkick.report"), autoescape=True, undefined=jinja2.StrictUndefined
     )
     colours = {
         name.lower(): getattr(style, name)
-        for name in ("DESIRED", "TRUE", "MEASURED", "ESTIMATED", "PREDICTED", "NOMINAL")
+        for name in ("DESIRED", "TRUE", "MEASURED", "ESTIMATED", "PREDICTED", "NOMINAL", "ALARM")
     }
-    return environment.get_template("live.html.jinja").render(colours=colours)
+    return environment.get_template("live.html.jinja").render(colours=colours, stops=stops, asks=ASKS)
 
 
 @contextmanager
 def served(
     state: Callable[[], str],
     picture: Callable[[], tuple[bytes, dict[str, str]] | None] | None = None,
+    stop: Callable[[], None] | None = None,
     port: int = 0,
 ) -> Iterator[str]:
     """Serve the page as long as the context lives.
@@ -39,12 +45,13 @@ def served(
         state: gives the newest state as JSON; called from other threads.
         picture: gives the camera's newest picture as JPEG with headers, None where there is none yet; called
             from other threads, when a page asks for it. None: there is no camera.
+        stop: wants the run to end; called from another thread when the button is pressed. None: no button.
         port: 0 = a free one.
 
     Returns:
         Its address.
     """
-    text = page().encode()
+    text = page(stop is not None).encode()
 
     class Handler(BaseHTTPRequestHandler):
         def do_GET(self) -> None:
@@ -66,6 +73,14 @@ def served(
             self.send_header("Cache-Control", "no-store")
             self.end_headers()
             self.wfile.write(content)
+
+        def do_POST(self) -> None:
+            if self.path != "/stop" or stop is None or self.headers.get(ASKS) != "stop":
+                self.send_error(404)
+                return
+            stop()
+            self.send_response(204)
+            self.end_headers()
 
         def log_message(self, format: str, *args: object) -> None:
             """Nobody wants to read of every look."""

@@ -165,6 +165,51 @@ def test_the_page_s_button_stops_a_run_and_no_other_page_does(capsys: pytest.Cap
     assert "<button" in page(stops=True) and "<button" not in page()
 
 
+def test_a_log_is_played(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    fk.run(rig.small_table(), "sine", time_limit_s=6.0, out=tmp_path / "run.h5")
+    log = fk.load_run(tmp_path / "run.h5").log
+    process = subprocess.Popen(
+        [
+            sys.executable, "-m", "frogkick.cli.main", "log", "show", str(tmp_path / "run.h5"),
+            "--view", "--speed", "2", "--json",
+        ],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    assert process.stderr is not None
+    address = re.findall(r"is played at (http://\S+)", process.stderr.readline())[0]
+    seen, began_s = [json.loads(fetched(address + "state.json"))], time.monotonic()
+    while process.poll() is None and not seen[-1]["ended"]:
+        time.sleep(0.05)
+        seen.append(json.loads(fetched(address + "state.json")))
+    took_s = time.monotonic() - began_s
+    out, _ = process.communicate(timeout=300)
+    assert process.returncode == 0 and json.loads(out)["decisions"] == len(log.decisions)
+    assert took_s >= 0.5 * (log.fixes.time_s.max() - log.fixes.time_s.min())
+    assert seen[-1]["ended"] == log.notes
+    counts = [len(state["decisions"]) for state in seen]
+    assert counts == sorted(counts) and counts[0] == 0 and counts[-1] == len(log.decisions)
+    assert seen[-1]["letters"] == [log.action_names[index] for index in log.decisions.action]
+    told = log.decisions
+    assert told.estimate is not None and told.predicted is not None and log.truth is not None
+    assert seen[-1]["branch"] == [
+        pytest.approx(rows[-1, :3].tolist(), abs=1e-4) for rows in (told.estimate, told.predicted)
+    ]
+    assert seen[-1]["track"][-1] == pytest.approx(log.truth.pose_world[-1].tolist(), abs=1e-4)
+    assert len(seen[-1]["robot"]) == len(rig.robot().frame.corners_m) + 2
+    with pytest.raises(fk.InputError, match="speed 0"):
+        fk.Run(log).play(0.0)
+
+
+def test_a_recorded_run_is_played_by_its_fixes(frog2022_dir: Path) -> None:
+    log = fk.load_run(frog2022_dir / "control" / "line1.csv").log
+    view = LiveView(None, log.path, None, [])
+    view.show_log(log, float(log.decisions.time_s[3]))
+    told = json.loads(view.text)
+    assert len(told["decisions"]) == len(told["letters"]) == 4 and not told["branch"] and not told["ended"]
+    view.show_log(log, 1e6)
+    assert len(json.loads(view.text)["decisions"]) == len(log.decisions)
+
+
 def test_a_real_run_is_drawn_by_a_thread_of_its_own(capsys: pytest.CaptureFixture[str]) -> None:
     """What is recorded is handed over and no more: fixes wait for no picture."""
     recording, _, _ = rig.swim("pool", "sine", 4.0)

@@ -34,13 +34,15 @@ class Links(HTMLParser):
     def __init__(self, page: str) -> None:
         super().__init__()
         self.found: list[str] = []
+        self.beside: list[str] = []
         self.tags: list[str] = []
         self.text = ""
         self.feed(page)
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
         self.tags.append(tag)
-        self.found += [value or "" for name, value in attrs if name in FETCHING]
+        links = self.beside if tag == "a" else self.found  # what is fetched when one asks for it
+        links += [value or "" for name, value in attrs if name in FETCHING]
 
     def handle_data(self, data: str) -> None:
         self.text += data
@@ -130,11 +132,12 @@ def test_the_rings_report(tmp_path: Path) -> None:
     target = tmp_path / "report.html"
     write_ring_report(target, ring)
     links = self_contained(target.read_text(encoding="utf-8"))
-    assert len(links.found) == 2  # a picture for each path
+    assert links.beside == ["line.h5", "sine.h5"] and all((tmp_path / name).exists() for name in links.beside)
+    assert len(links.found) == 4  # the robot, its actions, a picture for each path
     for told in (
         "distance", "actions", "estimate", "mismatches", "limits broken", "flash", "RAM", "stack",
         "one plan at depth 1", "one plan at depth 4", "cycles at 64 MHz", "Line", "Sine", "15 Hz",
-        "library, tables",
+        "library, tables", "actions: which limbs to heat", "is followed least well", "turned in any period",
     ):  # fmt: skip
         assert told in links.text, told
     assert "nan" not in links.text.lower().split()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
@@ -21,6 +22,8 @@ RunArgument = Annotated[
 def show_(
     run: RunArgument,
     out: Annotated[Path | None, typer.Option(help="Picture (.png) to write.")] = None,
+    view: Annotated[bool, typer.Option("--view", help="Play it in the browser.")] = False,
+    speed: Annotated[float, typer.Option(help="Of --view: 2 is twice as fast as it was swum.")] = 1.0,
     json: JsonOption = False,
 ) -> None:
     """A run in numbers and in one picture: track, distance, actions, what the prediction missed."""
@@ -32,6 +35,9 @@ def show_(
 
         write_picture(run_figure(log.log, f"{run.name}: {found.decisions} decisions"), out)
     show({**found.as_json(), "picture": out and str(out)}, json, _lines(found.as_json()))
+    if view:
+        sys.stdout.flush()
+        log.play(speed)
 
 
 def compare(

@@ -37,7 +37,7 @@ from frogkick.front.places import (
 )
 from frogkick.front.run_progress import RunProgress
 from frogkick.front.tables import Table, load_table
-from frogkick.front.viewing import viewed
+from frogkick.front.viewing import played, viewed
 from frogkick.link.wire import Wire, is_target
 from frogkick.loop.camera_fixes import CameraFixes
 from frogkick.loop.closed_loop import Recording, RunOptions, require_time, run_in_pool
@@ -164,6 +164,14 @@ class Run:
         from frogkick.report.run_figure import run_figure
 
         return run_figure(self.log, f"{self.log.robot_id}: {self.log.source}")
+
+    def play(self, speed: float = 1.0) -> None:
+        """Play the run in the browser, from the page's first look to its end, the page's button or Ctrl-C.
+
+        Raises:
+            InputError: the speed is not above 0, or the log holds neither a fix nor a decision.
+        """
+        played(self.log, speed)
 
     def as_json(self) -> dict[str, Any]:
         """The keys of the command ``run``."""

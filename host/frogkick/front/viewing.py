@@ -1,26 +1,29 @@
-"""``run --view``: a page in the browser that draws the run."""
+"""``run --view``, ``log show --view``: a page in the browser that draws the run."""
 
 from __future__ import annotations
 
+import math
 import sys
 import threading
 import time
 import webbrowser
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 
 import numpy as np
 
+from frogkick.errors import FrogkickError, InputError
 from frogkick.loop.camera_fixes import CameraFixes
 from frogkick.loop.camera_view import CameraView
 from frogkick.loop.closed_loop import Recording, RunOptions
 from frogkick.loop.live_view import LiveView
+from frogkick.loop.runlog import RunLog
 from frogkick.paths import Path as SwimPath
 from frogkick.planner.image import Tables
 from frogkick.pool.pool import Pool
 from frogkick.progress import tell_line
 from frogkick.report.live_page import served
-from frogkick.robot import Robot
+from frogkick.robot import Robot, load_robot, parse_robot
 
 EVERY_S = 0.1
 LINGER_S = 0.5
@@ -54,6 +57,52 @@ def viewed(
     view = LiveView(tables, path, options.config, robot.frame.corners_m, eye)
     with _drawn(view, "the run", pool, stop) as keep:
         yield keep
+
+
+def played(run: RunLog, speed: float = 1.0) -> None:
+    """Play a log in the browser, from the page's first look to the log's end, the page's button or Ctrl-C.
+
+    Args:
+        run: the log.
+        speed: 2 = twice as fast as it was swum.
+
+    Raises:
+        InputError: a speed that is none, or a log without a fix or decision.
+    """
+    if not 0.0 < speed < math.inf:
+        raise InputError(f"a log cannot be played at speed {speed:g}: give more than 0")
+    times_s = np.concatenate([run.fixes.time_s, run.decisions.time_s])
+    if not len(times_s):
+        raise InputError(f"run {run.source!r} has neither fixes nor decisions: nothing to play")
+    first_s, last_s = float(times_s.min()), float(times_s.max())
+    looked, stopped = threading.Event(), threading.Event()
+    view = LiveView(None, run.path, None, _outline_of(run))
+    view.show_log(run, first_s)
+
+    def text() -> str:
+        looked.set()
+        return view.text
+
+    with served(text, None, stopped.set) as address, suppress(KeyboardInterrupt):
+        tell_line(f"frogkick: the run is played at {address}")
+        if sys.stderr.isatty():
+            webbrowser.open(address)
+        while not looked.wait(EVERY_S):
+            pass
+        begin_s, now_s = time.monotonic(), first_s
+        while now_s < last_s and not stopped.wait(EVERY_S):
+            now_s = first_s + speed * (time.monotonic() - begin_s)
+            view.show_log(run, now_s)
+        time.sleep(LINGER_S)
+
+
+def _outline_of(run: RunLog) -> Sequence[tuple[float, float]]:
+    """The frame of a log's robot: by its own text, or by its name; nothing where neither tells."""
+    try:
+        told = run.made.get("robot_toml")
+        return (load_robot(run.robot_id) if told is None else parse_robot(told, run.robot_id)).frame.corners_m
+    except FrogkickError:
+        return ()
 
 
 @contextmanager

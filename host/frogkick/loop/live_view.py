@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from frogkick.loop.camera_view import CameraView
 from frogkick.loop.closed_loop import Recording
 from frogkick.loop.decision import Decision
+from frogkick.loop.runlog import RunLog
 from frogkick.paths import Path
 from frogkick.planner import lookup
 from frogkick.planner.image import Tables
@@ -107,7 +108,7 @@ class LiveView:
     camera: CameraView | None = None
     text: str = "{}"
     _decisions: int = -1
-    _drawn: dict[str, list[list[float]]] = field(default_factory=dict)
+    _drawn: dict[str, Sequence[Any]] = field(default_factory=dict)
     _told: dict[str, Any] = field(default_factory=dict)
 
     def show(self, recording: Recording, track: FloatArray | None = None) -> None:
@@ -115,9 +116,37 @@ class LiveView:
         if len(recording.decisions) != self._decisions:
             self._decisions = len(recording.decisions)
             self._plan(recording)
-        fixes = np.array([fix.pose_world for fix in recording.fixes[-FIXES_SHOWN:]]).reshape(-1, 3)
+        fixes = np.array([fix.pose_world for fix in recording.fixes]).reshape(-1, 3)
         newest = recording.fixes[-1] if recording.fixes else None
-        swum = np.zeros((0, 3)) if track is None else track[-4 * FIXES_SHOWN :]
+        age_s = None if newest is None else newest.arrival_s - newest.capture_s
+        self._write(fixes, np.zeros((0, 3)) if track is None else track, age_s, recording.ended)
+
+    def show_log(self, run: RunLog, time_s: float) -> None:
+        """Take what a log holds until a time of it."""
+        seen = run.fixes.usable & (run.fixes.time_s <= time_s)
+        fixes = np.column_stack([run.fixes.x_m, run.fixes.y_m, run.fixes.heading_rad])[seen]
+        ages_s = (run.fixes.time_s - run.fixes.capture_time_s)[seen]
+        track = np.zeros((0, 3)) if run.truth is None else run.truth.pose_world[run.truth.time_s <= time_s]
+        decisions, made = run.decisions, int((run.decisions.time_s <= time_s).sum())
+        last, some = made - 1, range(max(0, made - DECISIONS_SHOWN), made)
+        places = decisions.estimate
+        if places is None:  # nobody told it: where it was seen
+            places = fixes[np.searchsorted(run.fixes.time_s[seen], decisions.time_s[:made], "right") - 1]
+        names = [run.action_names[index] if index >= 0 else "?" for index in decisions.action]
+        branch = []
+        if made and decisions.estimate is not None and decisions.predicted is not None:
+            branch = [decisions.estimate[last, :3], decisions.predicted[last, :3]]
+        self._drawn = {"decisions": [places[k, :3] for k in some if len(fixes)], "fan": [], "branch": branch}
+        self._told = {"letters": [names[k] for k in some], "actions": names[last] if made else ""}
+        if made and decisions.cost is not None:
+            self._told["cost"] = round(float(decisions.cost[last]), 3)
+        is_over = time_s >= max(run.fixes.time_s.max(initial=0.0), decisions.time_s.max(initial=0.0))
+        age_s = float(ages_s[-1]) if len(ages_s) and np.isfinite(ages_s[-1]) else None
+        self._write(fixes, track, age_s, (run.notes or "so far was recorded") if is_over else "")
+
+    def _write(self, fixes: FloatArray, track: FloatArray, age_s: float | None, ended: str) -> None:
+        """The state as text: (n, 3) fixes, (m, 3) where the robot really was."""
+        fixes, swum = fixes[-FIXES_SHOWN:], track[-4 * FIXES_SHOWN :]
         state = {
             "path": np.zeros((0, 2)) if self.path is None else self.path.points_m,
             "fixes": fixes,
@@ -128,8 +157,8 @@ class LiveView:
         told: dict[str, Any] = {
             **{name: np.round(rows, 4).tolist() for name, rows in state.items()},
             "camera": None,
-            "fix_age_s": None if newest is None else round(newest.arrival_s - newest.capture_s, 3),
-            "ended": recording.ended,
+            "fix_age_s": None if age_s is None else round(age_s, 3),
+            "ended": ended,
             **self._told,
         }
         if self.camera is not None:
@@ -140,7 +169,7 @@ class LiveView:
 
     def _outline(self, poses: FloatArray) -> FloatArray:
         """(n + 2, 2) the frame's corners at the last of (m, 3) poses, its centre, its foremost place."""
-        if not len(poses):
+        if not len(poses) or not len(self.outline_m):
             return np.zeros((0, 2))
         corners = np.array(self.outline_m, dtype=np.float64)
         ends = np.vstack([corners, [[0.0, 0.0], [corners[:, 0].max(), 0.0]]])

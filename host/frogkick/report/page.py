@@ -28,12 +28,14 @@ class Section:
         text: paragraphs.
         table: or None.
         images: (data URI, what it shows) of each picture.
+        links: (file beside the page, what it is) of each.
     """
 
     title: str
     text: Sequence[str] = ()
     table: Table | None = None
     images: Sequence[tuple[str, str]] = field(default_factory=tuple)
+    links: Sequence[tuple[str, str]] = field(default_factory=tuple)
 
 
 def write_page(target: Path, title: str, lead: str, sections: Sequence[Section]) -> None:

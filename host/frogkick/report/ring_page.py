@@ -8,12 +8,16 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from frogkick.identification.verdict import Error
+from frogkick.loop.live_view import fan_of
+from frogkick.planner.layout import LIMBS_MAX
 from frogkick.report.identify_figures import error_figure
 from frogkick.report.page import Section, Table, write_page
+from frogkick.report.robot_figure import actions_figure, robot_figure
 from frogkick.report.run_figure import run_figure
 from frogkick.report.style import NOMINAL, PREDICTED, figure_uri, styled
 from frogkick.study.closing import Closing
 from frogkick.study.ring import Ring, RingRun
+from frogkick.study.trial import Trial
 from frogkick_codegen.firmware import FLASH_BYTES, RAM_BYTES
 
 
@@ -27,7 +31,7 @@ def write_ring_report(target: Path, ring: Ring) -> None:
         f"{1e3 * float(missed['position_rmse_m']):.1f} mm and "
         f"{np.rad2deg(float(missed['heading_rmse_rad'])):.1f} degrees (RMSE, {missed['periods']} periods)."
     )
-    sections = [_paths(ring), *(_one_path(run) for run in ring.runs), _chip(ring)]
+    sections = [_robot(ring), _paths(ring), *(_one_path(run) for run in ring.runs), _chip(ring)]
     if ring.closing is not None:
         tested = ring.closing.outcome.tested
         lead += (
@@ -73,13 +77,30 @@ def _closing(closing: Closing) -> Section:
         f"{1e3 * closing.distance_m(closing.old):.1f} mm."
         if closing.new
         else "Nothing was found, so library, table and firmware stayed as they were.",
-        "The full report of the identification is identify.html, beside this page.",
     ]
+    text += _got_worse(closing)
     images = [(figure_uri(error_figure(outcome)), "Errors before and after on the run kept out of learning.")]
     if closing.new:
         images.append((figure_uri(_distances(closing)), "The worn robot on its paths, same noise for both."))
     table = Table(("found", "parameter", "value", "interval", "hidden value"), rows) if rows else None
-    return Section("Then a limb wore: what the logs told", text, table, images)
+    links = [("identify.html", "The full report of the identification")]
+    return Section("Then a limb wore: what the logs told", text, table, images, links)
+
+
+def _got_worse(closing: Closing) -> list[str]:
+    """A paragraph on the paths that the new firmware keeps less well than the old one, if there are any."""
+    worse = [
+        f"the {_name(old)} from {1e3 * old.tracking.mean_distance_m:.1f} to "
+        f"{1e3 * new.tracking.mean_distance_m:.1f} mm"
+        for old, new in zip(closing.old, closing.new, strict=False)
+        if new.tracking.mean_distance_m > old.tracking.mean_distance_m
+    ]
+    if not worse:
+        return []
+    return [
+        f"Not every path gained: {', '.join(worse)}. Each is one swim, on which another decision early on "
+        "leads elsewhere; over many seeds 'frogkick study loop' tells what is chance."
+    ]
 
 
 def _distances(closing: Closing) -> Figure:
@@ -102,6 +123,62 @@ def _distances(closing: Closing) -> Figure:
         axes.margins(y=0.12)
         figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=2)
     return figure
+
+
+def _name(run: RingRun | Trial) -> str:
+    return run.log.path.name if run.log.path else "path"
+
+
+def _robot(ring: Ring) -> Section:
+    """Who swims, and with what."""
+    robot = ring.robot
+    ends = fan_of(ring.tables, np.zeros(6, dtype=np.float32), (0,) * LIMBS_MAX)
+    text = (
+        f"It has {len(robot.limbs)} limbs on a frame. A pulse of {1e3 * robot.pulse_s:.0f} ms heats a limb, "
+        f"which bends and pushes the water. Every {robot.period_s:g} s the robot decides on one of "
+        f"{len(robot.actions)} actions: which limbs to heat at once, and which {robot.second_delay_s:g} s "
+        "later.",
+    )
+    images = (
+        (figure_uri(robot_figure(robot)), "The robot from above, swimming up the page."),
+        (
+            figure_uri(actions_figure(robot, ends)),
+            "The actions. Orange limbs are heated first, pink ones after them. Arrow and numbers: how far a "
+            "stroke from rest moves the robot in a period, and how far it turns it (positive: to the left).",
+        ),
+    )
+    return Section("The robot", text, images=images)
+
+
+def _why(ring: Ring) -> list[str]:
+    """What the worst path asks of the robot, and what the robot can."""
+    worst = max(ring.runs, key=lambda run: run.tracking.mean_distance_m)
+    log = worst.log
+    if log.path is None or log.truth is None or len(log.decisions) < 2:
+        return []
+    along_m = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(log.path.points_m, axis=0).T))])
+    tangent_rad = np.unwrap(log.path.tangent_rad)
+    step_m = worst.tracking.progress_mps * log.period_s
+    starts_m = np.linspace(0.0, max(0.0, along_m[-1] - step_m), 400)
+    asked_rad = np.abs(
+        np.interp(starts_m + step_m, along_m, tangent_rad) - np.interp(starts_m, along_m, tangent_rad)
+    ).max()
+    headings_rad = np.interp(log.decisions.time_s, log.truth.time_s, np.unwrap(log.truth.pose_world[:, 2]))
+    turned_rad = np.abs(np.diff(headings_rad)).max()
+    told = (
+        f"The {_name(worst)} is followed least well: {1e3 * worst.tracking.mean_distance_m:.1f} mm off on "
+        f"average. In a period the robot went {1e3 * step_m:.0f} mm along it, and where the path bends most, "
+        f"it turns by {np.rad2deg(asked_rad):.0f} degrees within that. The most that the robot turned in any "
+        f"period was {np.rad2deg(turned_rad):.0f} degrees."
+    )
+    if asked_rad > 1.1 * turned_rad:
+        told += (
+            " So no choice of actions stays on it there. What would help: a path about "
+            f"{asked_rad / turned_rad:.1f} times as large, or limbs that turn the robot more."
+        )
+    else:
+        told += " So the path is not too tight: what is left is what the prediction misses (below)."
+    return [told]
 
 
 def _paths(ring: Ring) -> Section:
@@ -130,11 +207,12 @@ def _paths(ring: Ring) -> Section:
         "chip against Python twin, mismatches",
         "limits broken",
     )
-    return Section("The three paths", table=Table(header, rows))
+    links = [(f"{_name(run)}.h5", f"The log of the {_name(run)}") for run in ring.runs]
+    return Section("The paths", _why(ring), Table(header, rows), links=links)
 
 
 def _one_path(run: RingRun) -> Section:
-    name = run.log.path.name if run.log.path else "path"
+    name = _name(run)
     figure = run_figure(run.log, f"{name}: {run.tracking.decisions} decisions on the chip")
     caption = (
         "Left: the true track over the desired path, with the noisy fixes that the robot saw. Right: "

@@ -48,6 +48,48 @@ def robot_figure(robot: Robot) -> Figure:
     return figure
 
 
+def actions_figure(robot: Robot, ends: FloatArray) -> Figure:
+    """Draw each action small: the limbs that it heats, and how far it moves and turns the robot.
+
+    Args:
+        robot: whose.
+        ends: (actions, 3) where each leads from rest in a period, body frame before it: m, m, rad.
+    """
+    columns = min(5, len(robot.actions))
+    rows = -(-len(robot.actions) // columns)
+    outline = 1e3 * np.array([*robot.frame.corners_m, robot.frame.corners_m[0]])
+    rest = [1e3 * limb_points(robot.frame, limb) for limb in robot.limbs]
+    fall_per_m = robot.actuation().drop_per_m
+    active = [1e3 * limb_points(robot.frame, limb, fall_per_m) for limb in robot.limbs]
+    points = np.vstack([outline, *rest, *active])
+    low, high = points.min(axis=0) - 5.0, points.max(axis=0) + 5.0
+    with style.styled():
+        figure = Figure(figsize=(1.9 * columns, 2.3 * rows), layout="constrained")
+        every = figure.subplots(rows, columns, squeeze=False).ravel()
+        for axes in every[len(robot.actions) :]:
+            axes.remove()
+        for axes, action, end in zip(every, robot.actions, ends, strict=False):
+            _line(axes, outline, "-", color=style.DESIRED, linewidth=1.5)
+            for index in range(len(robot.limbs)):
+                first, second = action.first_mask >> index & 1, action.second_mask >> index & 1
+                colour = style.ALARM if first else style.PREDICTED if second else style.TRUE
+                shapes, width = (active, 2.5) if first or second else (rest, 1.0)
+                _line(axes, shapes[index], "-", color=colour, linewidth=width)
+            axes.annotate(
+                "",
+                (1e3 * end[1], 1e3 * end[0]),
+                xytext=(0.0, 0.0),
+                arrowprops={"arrowstyle": "-|>", "color": "black", "shrinkA": 0, "shrinkB": 0},
+            )
+            axes.set_xlim(high[1], low[1])
+            axes.set_ylim(low[0], high[0])
+            axes.set_aspect("equal", adjustable="box")
+            axes.set_axis_off()
+            far_mm, turn_deg = 1e3 * math.hypot(end[0], end[1]), math.degrees(end[2])
+            axes.set_title(f"{action.name}: {far_mm:.0f} mm, {turn_deg:+.0f} deg", loc="center")
+    return figure
+
+
 def _window(axes: Axes) -> None:
     """Show all of the robot at equal scales, with room for the limbs' names at its sides."""
     box = axes.dataLim

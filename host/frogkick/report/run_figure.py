@@ -120,6 +120,10 @@ def _distance(axes: Axes, run: RunLog, seen: _Seen) -> None:
     distance_mm = 1e3 * run.path.distance_m(seen.poses[:, :2])
     mean_mm = float(distance_mm.mean())
     axes.plot(seen.time_s, distance_mm, color=seen.colour)
+    # Once the robot has passed the path's end it only goes away from it.
+    before_end = np.flatnonzero(run.path.nearest_index(seen.poses[:, :2]) < len(run.path) - 1)
+    if before_end.size:
+        axes.set_ylim(0.0, 1.15 * max(1.0, mean_mm, float(distance_mm[: before_end[-1] + 2].max())))
     axes.axhline(mean_mm, color=style.DESIRED, linestyle="--")
     axes.set_ylabel("distance (mm)")
     axes.set_title(f"Distance to the path, mean {mean_mm:.1f} mm (dashed)")

@@ -281,6 +281,11 @@ def test_run(here: Path, capsys: Capture, robot: str, plan: str, path: str, dept
     assert Path("run.h5").read_bytes() == Path("again.h5").read_bytes()
     if plan == "onboard":
         assert again.stdout == done.stdout
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("SOURCE_DATE_EPOCH", "yesterday")
+        refused = frogkick(capsys, "run", *options, "--out", "never.h5")
+        assert refused.code == 2 and "SOURCE_DATE_EPOCH is 'yesterday'" in refused.stderr
+        assert not Path("never.h5").exists()
     told = frogkick(capsys, "log", "show", "run.h5", "--json").json["made"]
     assert told == {name: text for name, text in about.items() if name != "robot_toml"}
     replayed = frogkick(capsys, "replay", "run.h5", "--tables", rig.small_table(), "--json")

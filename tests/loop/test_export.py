@@ -158,6 +158,12 @@ def test_times_are_those_of_the_clock_on_the_wall(swum: RunLog, tmp_path: Path) 
     assert about.metadata.items() >= made.items()
 
 
+@pytest.mark.parametrize("began_at", ["yesterday", "2026-03-01T12:00:00"])
+def test_a_log_that_began_at_no_time_is_refused(swum: RunLog, began_at: str) -> None:
+    with pytest.raises(InputError, match=f"began_at is '{began_at}'"):
+        replace(swum, made={"began_at": began_at})
+
+
 def test_pandas_gets_what_csv_gets(swum: RunLog, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     import pandas
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import copy
 import threading
-import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field, replace
@@ -339,7 +338,7 @@ def run(
                 port = stack.enter_context(
                     simulated_robot(robot, image, described, lambda: compile_rods(described))
                 )
-            made = made_of(described, used.tables, time.time())
+            made = made_of(described, used.tables)
             pool = Pool(described, start_pose(desired), eye, np.random.default_rng(seed), true)
             draw = stack.enter_context(
                 viewed(view, described, used.tables, desired, options, pool, stop=stopped.set)

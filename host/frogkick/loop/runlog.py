@@ -10,6 +10,7 @@ import enum
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from datetime import datetime
 from typing import Any, ClassVar
 
 import numpy as np
@@ -218,6 +219,13 @@ class Truth(_Group):
     extra: Mapping[str, Array] = field(default_factory=dict)
 
 
+def _is_moment(text: str) -> bool:
+    try:
+        return datetime.fromisoformat(text).tzinfo is not None
+    except ValueError:
+        return False
+
+
 @dataclass(frozen=True, eq=False)
 class RunLog:
     """A whole run.
@@ -261,6 +269,9 @@ class RunLog:
                 raise InputError(f"run: {name} is {value}: give a finite time above 0 s")
         if "/" in self.source or "\\" in self.source:
             raise InputError(f"run: source {self.source!r} has folders in it: give the file's name only")
+        began_at = self.made.get("began_at")
+        if began_at is not None and not _is_moment(began_at):
+            raise InputError(f"run: made/began_at is {began_at!r}: give it as 2026-03-01T12:00:00+00:00")
         for group in ("measured", "planner"):
             for name, number in getattr(self, group).items():
                 if not math.isfinite(number):

@@ -111,7 +111,7 @@ def read_run(source: pathlib.Path | str) -> RunLog:
             return _read(file, name)
     except InputError as error:
         raise InputError(f"run log {name!r}: {str(error).removeprefix('run: ')}") from error
-    except (OSError, KeyError, RuntimeError, ValueError, TypeError) as error:
+    except (OSError, KeyError, RuntimeError, ValueError, TypeError, AttributeError) as error:
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise InputError(
             f"run log {name!r} is not HDF5, is cut short or is damaged ({reason}): record or import it again"

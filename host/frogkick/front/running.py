@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import copy
+import os
 import threading
+import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field, replace
+from datetime import UTC, datetime
 from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -338,7 +341,7 @@ def run(
                 port = stack.enter_context(
                     simulated_robot(robot, image, described, lambda: compile_rods(described))
                 )
-            made = made_of(described, used.tables)
+            made = made_of(described, used.tables, _now_unix_s())
             pool = Pool(described, start_pose(desired), eye, np.random.default_rng(seed), true)
             draw = stack.enter_context(
                 viewed(view, described, used.tables, desired, options, pool, stop=stopped.set)
@@ -376,6 +379,21 @@ def compile_rods(robot: Robot) -> None:
 
 
 Keep = Callable[[Recording], None]
+
+
+def _now_unix_s() -> float:
+    """The wall clock, or SOURCE_DATE_EPOCH where the environment has it: the same run, the same bytes.
+
+    Raises:
+        InputError: SOURCE_DATE_EPOCH is no time.
+    """
+    fixed = os.environ.get("SOURCE_DATE_EPOCH")
+    try:
+        now_s = float(fixed) if fixed else time.time()
+        datetime.fromtimestamp(now_s, UTC)
+    except (ValueError, OverflowError, OSError):
+        raise InputError(f"SOURCE_DATE_EPOCH is {fixed!r}: give seconds since 1970, or unset it") from None
+    return now_s
 
 
 @contextmanager

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import hashlib
-import os
 import pathlib
 import shlex
 import sys
-import time
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from datetime import UTC, datetime
@@ -192,32 +190,17 @@ def run_log(
     )
 
 
-def made_of(robot: Robot, tables: Tables, began_unix_s: float | None = None) -> dict[str, str]:
+def made_of(robot: Robot, tables: Tables, began_unix_s: float) -> dict[str, str]:
     """How a run came about, for ``RunLog.made``.
 
     Args:
         robot, tables: as in the run.
-        began_unix_s: the wall clock at time 0 of the run, s since 1970; None: a simulated run begins now,
-            or at SOURCE_DATE_EPOCH where the environment has it, so that the same run gives the same bytes.
-
-    Raises:
-        InputError: SOURCE_DATE_EPOCH is no time.
+        began_unix_s: the wall clock at time 0 of the run, s since 1970.
     """
-    if began_unix_s is None:
-        fixed = os.environ.get("SOURCE_DATE_EPOCH")
-        try:
-            began_unix_s = float(fixed) if fixed else time.time()
-            began = datetime.fromtimestamp(began_unix_s, UTC)
-        except (ValueError, OverflowError, OSError):
-            raise InputError(
-                f"SOURCE_DATE_EPOCH is {fixed!r}: give seconds since 1970, or unset it"
-            ) from None
-    else:
-        began = datetime.fromtimestamp(began_unix_s, UTC)
     program = pathlib.Path(sys.argv[0] if sys.argv else "")
     is_ours = program.stem == "frogkick" or program.parts[-3:] == ("frogkick", "cli", "main.py")
     return {
-        "began_at": began.isoformat(timespec="microseconds"),
+        "began_at": datetime.fromtimestamp(began_unix_s, UTC).isoformat(timespec="microseconds"),
         "frogkick": frogkick.__version__,
         "robot_toml": robot.toml,
         "robot_sha256": robot.sha256.hex(),

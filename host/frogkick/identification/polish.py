@@ -155,14 +155,17 @@ class Polisher:
         """The same with parameters of its last term, or of all, put back to nominal if that does no worse.
 
         Simulated and not judged by derivatives: how a stroke's delay acts ripples with the frame's swing.
+        Such a parameter is put back in every term: what comes next would take up what its dip leaves.
         """
         while True:
             model, tries, worth, first = fitted.model, list[Model](), list[float](), 0
             for number, term in enumerate(model.terms, 1):
                 free = [k for k in range(len(term.values)) if first + k not in model.held]
-                if len(free) > 1 and (whole or number == len(model.terms)):
-                    tries += [held_at(fitted, first + k, term.parameters[k].nominal) for k in free]
-                    worth += [self.worth(fitted, first + k) for k in free]
+                if len(free) > 1:
+                    every_one = whole or number == len(model.terms)
+                    back = [k for k in free if every_one or term.parameters[k].tried]
+                    tries += [put_back(fitted, first + k) for k in back]
+                    worth += [self.worth(fitted, first + k) for k in back]
                 first += len(term.values)
             if not tries:
                 return fitted
@@ -191,6 +194,21 @@ def fine_leg_s(model: Model) -> float:
 
 def _shy(fitted: Fitted) -> FloatArray:
     return np.asarray(1e-6 * fitted.missed.size / fitted.model.range**2)
+
+
+def put_back(fitted: Fitted, k: int) -> Model:
+    """The model with one value held where it is nominal; see ``held_at``.
+
+    The others stay as they are where that value is one of those that are tried far apart: its derivative is
+    one of the dip that it is in.
+    """
+    model = fitted.model
+    parameter = [p for term in model.terms for p in term.parameters][k]
+    if not parameter.tried:
+        return held_at(fitted, k, parameter.nominal)
+    values = model.values
+    values[k] = parameter.nominal
+    return replace(model.with_values(values), held=model.held | {k})
 
 
 def held_at(fitted: Fitted, k: int, value: float) -> Model:

@@ -76,7 +76,9 @@ def _pair(
     for one, other in combinations((each.model for each in alone), 2):
         held = one.held | {len(one.values) + k for k in other.held}
         both = replace(model, terms=(*one.terms, *other.terms), held=frozenset(held))
-        starts.append(replace(both, leg_s=fine_leg_s(both)))
+        both = replace(both, leg_s=fine_leg_s(both))
+        # Alone, a limb that is worn takes up with its delay what comes from the other.
+        starts += [both] if (plain := _undelayed(both)) is both else [both, plain]
     fits = fit_many(starts, polisher.swims, polisher.rows, ROUNDS) if starts else []
     bound = min((price(each) for each in fits), default=0.0) + ALIKE * polisher.copies  # all of one noise
     equal = [each for each in fits if price(each) < bound and each.cost < current.cost + FAR_OFF]
@@ -98,6 +100,20 @@ def _pair(
         ]
         for place in range(2)
     ]
+
+
+def _undelayed(model: Model) -> Model:
+    """The model with all values put back that are tried far apart, where their terms have others."""
+    values, back, first = model.values, set[int](), 0
+    for term in model.terms:
+        free = {first + k for k in range(len(term.values))} - model.held
+        tried = {first + k for k, parameter in enumerate(term.parameters) if parameter.tried} & free
+        if tried < free:
+            back |= tried
+            for k in tried:
+                values[k] = term.parameters[k - first].nominal
+        first += len(term.values)
+    return replace(model.with_values(values), held=model.held | back) if back else model
 
 
 def _whole_price(polisher: Polisher, fitted: Fitted) -> float:

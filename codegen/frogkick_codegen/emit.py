@@ -14,11 +14,11 @@ import jinja2
 import numpy as np
 
 import frogkick
-from frogkick.errors import InputError
+from frogkick.core.errors import InputError
 from frogkick.planner import kernel
-from frogkick.planner.image import Tables, open_image, read_image
-from frogkick.planner.layout import FORMAT_VERSION
 from frogkick.planner.plan import PlanConfig
+from frogkick.tables.image import Tables, open_image, read_image
+from frogkick.tables.layout import FORMAT_VERSION
 from frogkick_codegen.figures import Figures
 from frogkick_codegen.native import PLANNER_SOURCES, planner_files
 from frogkick_codegen.toolchain import FLAGS, FLOAT_RULES

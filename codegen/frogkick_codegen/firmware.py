@@ -15,11 +15,11 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
-from frogkick.errors import InputError
-from frogkick.extras import require
-from frogkick.files import write_bytes, write_text
-from frogkick.planner.image import read_image
+from frogkick.core.errors import InputError
+from frogkick.core.extras import require
+from frogkick.core.files import write_bytes, write_text
 from frogkick.robot import Robot
+from frogkick.tables.image import read_image
 from frogkick_codegen.emit import emit
 from frogkick_codegen.kept import built_once
 from frogkick_codegen.map_file import write_map

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import jinja2
 
-from frogkick.files import write_text
+from frogkick.core.files import write_text
 from frogkick.link.layout import Field, Payload, link_layout
 from frogkick.link.supervisor import supervisor
 from frogkick_codegen.sources import firmware_sources

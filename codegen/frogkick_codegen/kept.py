@@ -8,8 +8,8 @@ from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from pathlib import Path
 
-from frogkick.errors import InputError
-from frogkick.files import cache_folder, write_bytes
+from frogkick.core.errors import InputError
+from frogkick.core.files import cache_folder, write_bytes
 from frogkick_codegen.toolchain import Compiler
 
 KEPT_MAX = 64

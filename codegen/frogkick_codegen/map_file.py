@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from frogkick.files import write_text
+from frogkick.core.files import write_text
 
 RAM_START = 0x20000000
 

@@ -15,10 +15,10 @@ import cffi
 import numpy as np
 import numpy.typing as npt
 
-from frogkick.errors import InputError
-from frogkick.files import cache_folder, one_at_a_time
-from frogkick.planner.image import TableError
+from frogkick.core.errors import InputError
+from frogkick.core.files import cache_folder, one_at_a_time
 from frogkick.planner.plan import PLAN_ROW, PathLike, PlanConfig, along_rows, limb_use_rows, path_rows
+from frogkick.tables.image import TableError
 from frogkick_codegen.toolchain import FLAGS, Compiler, ToolchainError, zig
 
 PLANNER_HEADERS = ("fk_planner.h", "fk_tables.h", "fk_internal.h", "fk_route.h", "fk_trig.h")

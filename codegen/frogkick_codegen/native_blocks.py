@@ -8,8 +8,8 @@ import cffi
 import numpy as np
 import numpy.typing as npt
 
-from frogkick.planner.image import TableError
 from frogkick.planner.plan import PathLike, PlanConfig, path_rows
+from frogkick.tables.image import TableError
 from frogkick_codegen.native import build_shared, native_entries, planner_files
 from frogkick_codegen.toolchain import FLOAT_RULES, WARNINGS
 

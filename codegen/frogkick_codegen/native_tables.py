@@ -11,8 +11,8 @@ import cffi
 import numpy as np
 import numpy.typing as npt
 
-from frogkick.planner.image import TableError, Tables
-from frogkick.planner.layout import LIMBS_MAX
+from frogkick.tables.image import TableError, Tables
+from frogkick.tables.layout import LIMBS_MAX
 from frogkick_codegen.native import build_shared, planner_files
 from frogkick_codegen.toolchain import FLAGS, Compiler
 

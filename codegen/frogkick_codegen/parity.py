@@ -15,10 +15,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from frogkick.errors import FrogkickError, InputError
-from frogkick.planner.image import Tables
-from frogkick.planner.layout import LIMBS_MAX
+from frogkick.core.errors import FrogkickError, InputError
 from frogkick.planner.plan import PLAN_ROW, PathLike, PlanConfig, path_rows, plan_batch
+from frogkick.tables.image import Tables
+from frogkick.tables.layout import LIMBS_MAX
 from frogkick_codegen.native import NativeLibrary
 
 Float32 = npt.NDArray[np.float32]

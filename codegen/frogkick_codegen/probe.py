@@ -8,8 +8,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from frogkick.errors import FrogkickError, InputError
-from frogkick.extras import require
+from frogkick.core.errors import FrogkickError, InputError
+from frogkick.core.extras import require
 
 TARGET = "nrf52832"
 FLASH_BYTES = 512 * 1024

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from frogkick.errors import InputError
+from frogkick.core.errors import InputError
 
 _PACKAGE = Path(__file__).resolve().parent
 _PLACES = (_PACKAGE / "firmware_sources", _PACKAGE.parents[1] / "firmware")

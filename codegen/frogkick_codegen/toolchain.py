@@ -12,9 +12,9 @@ from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
-from frogkick.errors import FrogkickError, nearest_name
-from frogkick.extras import require
-from frogkick.files import cache_folder
+from frogkick.core.errors import FrogkickError, nearest_name
+from frogkick.core.extras import require
+from frogkick.core.files import cache_folder
 
 STANDARD = ("-std=c99", "-O2")
 WARNINGS = ("-Wall", "-Wextra", "-Wconversion", "-Wdouble-promotion", "-Wmissing-prototypes", "-Werror")

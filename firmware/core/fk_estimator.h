@@ -5,7 +5,7 @@
  * so and agree with each other are believed, and the track starts again from them: the robot was moved by hand, or the
  * first fix was the wrong one. A fix that was had before changes nothing.
  *
- * The Python twin is host/frogkick/planner/estimator.py; both give the same bits.
+ * The Python twin is host/frogkick/estimator/estimator.py; both give the same bits.
  */
 #ifndef FK_ESTIMATOR_H
 #define FK_ESTIMATOR_H

@@ -1,5 +1,5 @@
 /* How far along its path the robot is, and whether the run is over. The Python twin is
- * host/frogkick/planner/follow.py; both give the same bits.
+ * host/frogkick/estimator/follow.py; both give the same bits.
  */
 #ifndef FK_FOLLOW_H
 #define FK_FOLLOW_H

@@ -14,7 +14,7 @@ __version__ = "0.1.0"
 _FROM = {
     "der": ("Trajectory",),
     "effects": ("World",),
-    "errors": ("CheckError", "ConvergenceError", "FrogkickError", "InputError"),
+    "core.errors": ("CheckError", "ConvergenceError", "FrogkickError", "InputError"),
     "front.building": ("Firmware", "build_firmware", "emit_c"),
     "front.gaits": ("Swept", "Validated", "sweep", "validate"),
     "front.identifying": ("Identification", "identify"),
@@ -81,9 +81,9 @@ __all__ = [  # noqa: RUF022 - strings, in the order of the work
 if TYPE_CHECKING:
     from frogkick import effects as effects
     from frogkick import paths as paths
+    from frogkick.core.errors import CheckError, ConvergenceError, FrogkickError, InputError
     from frogkick.der import Trajectory
     from frogkick.effects import World
-    from frogkick.errors import CheckError, ConvergenceError, FrogkickError, InputError
     from frogkick.front.building import Firmware, build_firmware, emit_c
     from frogkick.front.gaits import Swept, Validated, sweep, validate
     from frogkick.front.identifying import Identification, identify
@@ -100,7 +100,7 @@ if TYPE_CHECKING:
 
 # Installed for all users: numba keeps what it compiles in this user's folder.
 if not os.access(os.path.dirname(__file__), os.W_OK):
-    from frogkick.files import cache_folder
+    from frogkick.core.files import cache_folder
 
     os.environ.setdefault("NUMBA_CACHE_DIR", str(cache_folder("numba")))
 

@@ -15,7 +15,7 @@ from pathlib import Path
 
 from tests.firmware.bench_build import BENCH, build
 
-from frogkick.errors import InputError
+from frogkick.core.errors import InputError
 from frogkick.pool.chip import VirtualChip
 from frogkick.pool.chip.cost import LEAST_COST, CostModel
 

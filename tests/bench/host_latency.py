@@ -20,17 +20,17 @@ from tests.link.live_robot import LiveRobot
 from tests.link.rigged import rigged
 from tests.link.swim import PATH
 from tests.link.test_run_camera import SCENE, START
-from tests.loop import rig
+from tests.runs import rig
 from tests.vision.scenes import calibration
 
 from frogkick.front.bench import Sight
-from frogkick.loop.camera_fixes import CameraFixes
-from frogkick.loop.closed_loop import RunOptions, run_session
-from frogkick.loop.in_time import warm_up
-from frogkick.loop.lab_session import lab_session
-from frogkick.loop.live_log import logged
 from frogkick.paths import shape
 from frogkick.planner.plan import PlanConfig
+from frogkick.runs.camera_fixes import CameraFixes
+from frogkick.runs.closed_loop import RunOptions, run_session
+from frogkick.runs.in_time import warm_up
+from frogkick.runs.lab_session import lab_session
+from frogkick.runs.live_log import logged
 from frogkick.vision.sources import Frame
 
 RATE_HZ = 60.0

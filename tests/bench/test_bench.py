@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from tests.bench import coremark, elastica_rod, rods, startup
 
-from frogkick.errors import InputError
+from frogkick.core.errors import InputError
 
 
 def test_the_benchmark_tells_every_cost(capsys: pytest.CaptureFixture[str]) -> None:

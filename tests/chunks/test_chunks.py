@@ -16,10 +16,10 @@ from pathlib import Path
 import pytest
 from tests.conftest import REPOSITORY, count
 
-import frogkick.chunks
-from frogkick.chunks import Job, check_cluster, run_chunks
+import frogkick.core.chunks
 from frogkick.cli.main import run_command
-from frogkick.errors import FrogkickError, InputError
+from frogkick.core.chunks import Job, check_cluster, run_chunks
+from frogkick.core.errors import FrogkickError, InputError
 from frogkick.robot import load_robot
 from frogkick.study.sweep import plan_sweep, run_sweep
 
@@ -142,8 +142,8 @@ def test_where_no_scheduler_answers(listens: bool, tmp_path: Path) -> None:
             other.listen()
         address = f"127.0.0.1:{other.getsockname()[1]}"
         script = (  # a shorter patience than a user's
-            "import sys, frogkick.chunks\n"
-            "frogkick.chunks.CONNECT_S = 1\n"
+            "import sys, frogkick.core.chunks\n"
+            "frogkick.core.chunks.CONNECT_S = 1\n"
             "from frogkick.cli.main import run_command\n"
             f"sys.exit(run_command(['sweep', '--out', {str(tmp_path)!r}, '--cluster', {address!r}]))"
         )
@@ -236,7 +236,7 @@ def test_every_task_once_on_a_cluster_and_errors_come_back(cluster: Cluster) -> 
 
 @needs_distributed
 def test_a_worker_with_other_code_is_refused(cluster: Cluster, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(frogkick.chunks, "code_stamp", lambda: "another")
+    monkeypatch.setattr(frogkick.core.chunks, "code_stamp", lambda: "another")
     with pytest.raises(FrogkickError, match="has another frogkick"):
         list(run_chunks(ADDING, [1], 1, cluster.address))
 
@@ -289,13 +289,13 @@ def test_the_command_gives_the_same_files(cluster: Cluster, tmp_path: Path) -> N
 def test_a_scheduler_without_workers_and_one_that_dies(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(frogkick.chunks, "WORKERS_S", 1)
+    monkeypatch.setattr(frogkick.core.chunks, "WORKERS_S", 1)
     alone = Cluster(tmp_path, workers=0)
     try:
         with pytest.raises(InputError, match="has no workers"):
             list(run_chunks(ADDING, [1], 1, alone.address))
         alone.workers.append(alone.add_worker())
-        monkeypatch.setattr(frogkick.chunks, "WORKERS_S", 300)  # however slow the day
+        monkeypatch.setattr(frogkick.core.chunks, "WORKERS_S", 300)  # however slow the day
         running = run_chunks(Job(start, (0,), rest, len), range(100), 1, alone.address)
         next(running)
         alone.scheduler.kill()

@@ -12,14 +12,14 @@ import numpy as np
 import pytest
 from tests.cli.commands import frogkick, listing
 from tests.conftest import some
-from tests.loop import rig
+from tests.runs import rig
 
 from frogkick.library import build_library
-from frogkick.loop.record import run_log
-from frogkick.loop.runlog_file import write_run
 from frogkick.paths import shape
-from frogkick.planner.layout import FORMAT_VERSION
 from frogkick.robot import load_robot
+from frogkick.runs.record import run_log
+from frogkick.runs.runlog_file import write_run
+from frogkick.tables.layout import FORMAT_VERSION
 
 Capture = pytest.CaptureFixture[str]
 

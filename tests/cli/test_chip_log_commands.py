@@ -7,15 +7,15 @@ from pathlib import Path
 
 import h5py
 import pytest
-from tests.loop import rig
+from tests.runs import rig
 
 from frogkick.cli.main import run_command
-from frogkick.errors import InputError
+from frogkick.core.errors import InputError
 from frogkick.front.replaying import fetch_from
 from frogkick.link.log import ChipLog, Stretch
-from frogkick.loop.chip_log_file import FetchedLog, read_log, write_log
-from frogkick.loop.session import Session
 from frogkick.paths import shape
+from frogkick.runs.chip_log_file import FetchedLog, read_log, write_log
+from frogkick.runs.session import Session
 
 
 @pytest.fixture(scope="module")

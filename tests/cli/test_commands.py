@@ -15,13 +15,13 @@ import pytest
 from tests.cli.commands import frogkick, listing
 from tests.conftest import count
 from tests.library.synthetic import Known
-from tests.loop import rig
+from tests.runs import rig
 
 from frogkick.cli.common import show
-from frogkick.files import cache_folder
+from frogkick.core.files import cache_folder
 from frogkick.library import fitting, write_library
-from frogkick.planner.image import read_image
 from frogkick.study import emitted
+from frogkick.tables.image import read_image
 
 Capture = pytest.CaptureFixture[str]
 

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import pytest
 
 import frogkick as fk
-from frogkick import files
+from frogkick.core import files
 
 # No process may write a file longer than this: as good as a full disk, wherever the tests run.
 WITHOUT_ROOM = """

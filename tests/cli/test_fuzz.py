@@ -12,14 +12,14 @@ from pathlib import Path
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from tests.conftest import count
-from tests.loop import rig
+from tests.runs import rig
 
 from frogkick.cli.main import run_command
 from frogkick.library import build_library
-from frogkick.loop.record import run_log
-from frogkick.loop.runlog_file import write_run
 from frogkick.paths import shape
 from frogkick.robot import load_robot
+from frogkick.runs.record import run_log
+from frogkick.runs.runlog_file import write_run
 
 
 @functools.cache

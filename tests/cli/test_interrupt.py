@@ -17,8 +17,8 @@ import pytest
 from tests.cli.commands import frogkick
 from tests.conftest import count
 
+from frogkick.core.progress import progress_bar
 from frogkick.link.wire import Inbox
-from frogkick.progress import progress_bar
 
 RECORD_S = str(count(5, 5, 0))
 

@@ -7,15 +7,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.loop import rig
+from tests.runs import rig
 
 from frogkick.cli.main import run_command
-from frogkick.loop.record import run_log
-from frogkick.loop.runlog import RunLog
-from frogkick.loop.runlog_file import write_run
-from frogkick.loop.summary import compare_runs, summary
 from frogkick.paths import shape
 from frogkick.report.compare_figure import compare_figure
+from frogkick.runs.record import run_log
+from frogkick.runs.runlog import RunLog
+from frogkick.runs.runlog_file import write_run
+from frogkick.runs.summary import compare_runs, summary
 
 
 def swum(path: str, seconds: float) -> RunLog:

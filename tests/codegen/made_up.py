@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from tests.planner import synthetic
 
-from frogkick.planner.packing import pack_affine
+from frogkick.tables.packing import pack_affine
 
 KINDS = ("nearest", "affine")
 

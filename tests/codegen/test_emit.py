@@ -13,9 +13,9 @@ from elftools.elf.elffile import ELFFile
 from tests.conftest import some
 from tests.planner import synthetic
 
-from frogkick.errors import InputError
-from frogkick.planner.image import TableError, open_image
+from frogkick.core.errors import InputError
 from frogkick.planner.plan import PlanConfig, plan
+from frogkick.tables.image import TableError, open_image
 from frogkick_codegen import toolchain
 from frogkick_codegen.emit import BUILD_COMMAND, SOURCES, emit, portable_command
 

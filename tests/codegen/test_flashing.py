@@ -13,9 +13,9 @@ from unittest.mock import MagicMock
 import pytest
 from intelhex import IntelHex
 from tests.cli.commands import frogkick
-from tests.loop import rig
+from tests.runs import rig
 
-from frogkick.errors import InputError
+from frogkick.core.errors import InputError
 from frogkick_codegen import probe
 from frogkick_codegen.probe import PART, PART_ADDRESS, TARGET, ProbeError, check_image, flash
 

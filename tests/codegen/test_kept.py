@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 from tests.codegen import made_up
-from tests.loop import rig
+from tests.runs import rig
 
-from frogkick.files import cache_folder
+from frogkick.core.files import cache_folder
 from frogkick.robot import Robot, load_robot
 from frogkick_codegen import firmware, kept, toolchain
 from frogkick_codegen.firmware import TARGETS, build

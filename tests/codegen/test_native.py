@@ -18,11 +18,12 @@ from hypothesis import strategies as st
 from tests.conftest import count
 from tests.planner import synthetic
 
-from frogkick.errors import InputError
-from frogkick.files import cache_folder
-from frogkick.planner import floats, kernel, layout
-from frogkick.planner.image import TableError, open_image
+from frogkick.core.errors import InputError
+from frogkick.core.files import cache_folder
+from frogkick.planner import floats, kernel
 from frogkick.planner.plan import PlanConfig, plan_batch
+from frogkick.tables import layout
+from frogkick.tables.image import TableError, open_image
 from frogkick_codegen import toolchain
 from frogkick_codegen.native import NativeLibrary, build_shared, planner_files
 from frogkick_codegen.toolchain import FLAGS, ToolchainError

@@ -10,9 +10,9 @@ import pytest
 from tests.conftest import count, some
 from tests.planner import synthetic
 
-from frogkick.errors import FrogkickError, InputError
-from frogkick.planner.image import Tables, open_image
+from frogkick.core.errors import FrogkickError, InputError
 from frogkick.planner.plan import PlanConfig
+from frogkick.tables.image import Tables, open_image
 from frogkick_codegen.native import NativeLibrary, planner_files
 from frogkick_codegen.parity import (
     KINDS,

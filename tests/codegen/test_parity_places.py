@@ -12,12 +12,15 @@ from tests.codegen import made_up
 from tests.conftest import count, some
 from tests.planner import synthetic
 
-from frogkick.files import write_bytes
+from frogkick.core.files import write_bytes
 from frogkick.link.frames import FrameCollector
 from frogkick.link.layout import link_layout
-from frogkick.loop.chip_planner import ChipPlanner
-from frogkick.loop.closed_loop import robot_plan_config
-from frogkick.loop.rehearsal import (
+from frogkick.paths import shape
+from frogkick.planner.plan import PlanConfig
+from frogkick.robot import load_robot
+from frogkick.runs.chip_planner import ChipPlanner
+from frogkick.runs.closed_loop import robot_plan_config
+from frogkick.runs.rehearsal import (
     Rehearsal,
     call_mismatches,
     live_natively,
@@ -25,10 +28,7 @@ from frogkick.loop.rehearsal import (
     rehearse,
     twin_mismatches,
 )
-from frogkick.paths import shape
-from frogkick.planner.image import Tables, open_image
-from frogkick.planner.plan import PlanConfig
-from frogkick.robot import load_robot
+from frogkick.tables.image import Tables, open_image
 from frogkick_codegen import firmware, toolchain
 from frogkick_codegen.native import NativeLibrary
 from frogkick_codegen.parity import compare, make_cases, native_place, python_place

@@ -12,8 +12,8 @@ from tests.codegen.planner_c import FFI, config_of, library, path_of, state_of
 from tests.conftest import count
 from tests.planner import synthetic
 
-from frogkick.planner.image import open_image
 from frogkick.planner.plan import Cost, PlanConfig, plan_batch
+from frogkick.tables.image import open_image
 
 NEAREST = synthetic.image(60, 5)
 AFFINE = synthetic.affine_image(60, 5)

@@ -12,8 +12,8 @@ from tests.conftest import count
 from tests.planner import synthetic
 
 from frogkick.planner import floats
-from frogkick.planner.image import open_image
 from frogkick.planner.lookup import DYNAMICS, arrays_of, find_row
+from frogkick.tables.image import open_image
 
 NEAREST = synthetic.image(60, 5)
 NAN, INFINITY = float("nan"), float("inf")

@@ -10,8 +10,8 @@ import pytest
 from tests.codegen.test_planner_c import ROUTE, c_plan, twin_plan
 from tests.planner import synthetic
 
-from frogkick.planner.image import open_image
 from frogkick.planner.plan import Cost, PlanConfig
+from frogkick.tables.image import open_image
 
 PATH = synthetic.wave_path()
 CONFIG = PlanConfig(**ROUTE)

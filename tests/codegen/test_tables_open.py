@@ -12,9 +12,9 @@ from tests.conftest import count
 from tests.planner import synthetic
 from tests.planner.test_image import WRONG, WRONG_AFFINE, WRONG_NEAREST
 
-from frogkick.planner import layout
-from frogkick.planner.image import TableError, open_image
 from frogkick.planner.lookup import velocity_code
+from frogkick.tables import layout
+from frogkick.tables.image import TableError, open_image
 from frogkick_codegen.native import planner_files
 from frogkick_codegen.native_tables import NativeTables
 

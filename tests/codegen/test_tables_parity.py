@@ -12,8 +12,6 @@ from numba import njit
 from tests.conftest import count, some
 from tests.planner import synthetic
 
-from frogkick.planner.image import Tables, open_image
-from frogkick.planner.layout import LIMBS_MAX, VELOCITY_CODE_MAX
 from frogkick.planner.lookup import (
     DYNAMICS,
     TableArrays,
@@ -23,6 +21,8 @@ from frogkick.planner.lookup import (
     find_row,
     motion_of,
 )
+from frogkick.tables.image import Tables, open_image
+from frogkick.tables.layout import LIMBS_MAX, VELOCITY_CODE_MAX
 from frogkick_codegen.native import planner_files
 from frogkick_codegen.native_tables import LookedUp, NativeTables
 

@@ -11,9 +11,9 @@ import numpy.typing as npt
 from tests.core.core import ACTION_ROWS, FFI, PERIOD_US, RESTING, STATUS, core, image, pick
 from tests.planner import synthetic
 
-from frogkick.planner.estimator import FUTURE_US, STALE_US, Estimator
-from frogkick.planner.image import Tables, open_image
-from frogkick.planner.track import PERIOD_LEAST_US
+from frogkick.estimator.estimator import FUTURE_US, STALE_US, Estimator
+from frogkick.estimator.track import PERIOD_LEAST_US
+from frogkick.tables.image import Tables, open_image
 
 Pose = npt.NDArray[np.float32]
 ESTIMATOR_BYTES_MAX = 1536

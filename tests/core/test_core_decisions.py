@@ -17,11 +17,11 @@ from tests.planner import synthetic
 
 from frogkick.link.frames import Frame
 from frogkick.link.layout import Value, link_layout
-from frogkick.loop.decision import LIMB_USE_FIELDS, DecisionTwin, decision_of_event, events_of_frame
 from frogkick.paths import Path
-from frogkick.planner.image import open_image
 from frogkick.planner.plan import config_of
 from frogkick.robot import load_robot
+from frogkick.runs.decision import LIMB_USE_FIELDS, DecisionTwin, decision_of_event, events_of_frame
+from frogkick.tables.image import open_image
 
 STATUS, STATE = link_layout().status, link_layout().state
 SECOND_US = DELAY_US + GAP_US

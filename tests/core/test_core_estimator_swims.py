@@ -9,8 +9,8 @@ import pytest
 from tests.core.core import ACTION_ROWS, PERIOD_US, RESTING, STATUS, image
 from tests.core.estimator_rig import IMAGES, WILD, CEstimator, Twin, follow, on_time, rms, swim, table
 
-from frogkick.planner.estimator import STALE_US
-from frogkick.planner.track import COAST_US
+from frogkick.estimator.estimator import STALE_US
+from frogkick.estimator.track import COAST_US
 
 
 def test_without_noise_it_finds_the_truth() -> None:

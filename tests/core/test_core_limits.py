@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 from tests.core.core import library, mutated, source_files
 
-from frogkick.errors import InputError
+from frogkick.core.errors import InputError
 from frogkick.robot import load_robot
 from frogkick_codegen.firmware import robot_config
 from frogkick_codegen.toolchain import ToolchainError

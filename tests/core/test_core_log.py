@@ -10,7 +10,7 @@ from tests.core.log_rig import RING_BYTES, Asking, Log, content_of, fetched, nam
 
 from frogkick.link.layout import link_layout
 from frogkick.link.log import HEAD_BYTES, LogError, Stretch, check_of, fetch_log, records_of
-from frogkick.loop.session import LinkError
+from frogkick.runs.session import LinkError
 
 
 def test_ram_as_found_is_an_empty_log() -> None:

@@ -17,9 +17,9 @@ from tests.core.test_core_table_commands import begin_values, robot_with_store, 
 from frogkick.link.layout import Value, link_layout
 from frogkick.link.log import HEAD_BYTES, ChipLog, Record, Stretch, check_of, records_of
 from frogkick.link.supervisor import supervisor
-from frogkick.loop.chip_core import LATE, TOO_LATE
-from frogkick.loop.chip_log_replay import LogReplay, replay_log
-from frogkick.planner.image import open_image
+from frogkick.runs.chip_core import LATE, TOO_LATE
+from frogkick.runs.chip_log_replay import LogReplay, replay_log
+from frogkick.tables.image import open_image
 from frogkick_codegen.native import build_shared
 
 STATUS = link_layout().status

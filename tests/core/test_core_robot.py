@@ -15,8 +15,8 @@ from tests.core.core import ACTION, FFI, PERIOD_US, RESTING, STATE, Robot, bits,
 from frogkick.link.auth import words
 from frogkick.link.frames import hello
 from frogkick.link.layout import AUTH_BIT, EVENT_BIT, Value, link_layout
-from frogkick.loop.decision import LIMB_USE_FIELDS
 from frogkick.planner.plan import PlanConfig
+from frogkick.runs.decision import LIMB_USE_FIELDS
 from frogkick_codegen.native import NativeLibrary
 
 STATES = ("DISARMED", "ARMED", "RUNNING", "FAULT")

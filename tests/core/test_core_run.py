@@ -23,12 +23,12 @@ from tests.core.core import (
 
 from frogkick.link.frames import Frame
 from frogkick.link.layout import link_layout
-from frogkick.loop.decision import DecisionTwin, decision_of_event, events_of_frame
 from frogkick.paths import Path
-from frogkick.planner.image import open_image
 from frogkick.planner.plan import config_of
 from frogkick.pool.monitor import Pulse, violations
 from frogkick.robot import load_robot
+from frogkick.runs.decision import DecisionTwin, decision_of_event, events_of_frame
+from frogkick.tables.image import open_image
 
 SECOND_US = DELAY_US + GAP_US
 DEFAULTS = config_of(load_robot("frog2022").planner)  # what the core is built with

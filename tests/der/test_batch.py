@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from tests.conftest import count
 
+from frogkick.core.errors import InputError
 from frogkick.der import (
     Batch,
     Gait,
@@ -19,7 +20,6 @@ from frogkick.der import (
     simulate_gaits,
     simulate_many,
 )
-from frogkick.errors import InputError
 from frogkick.robot import load_robot
 
 ROBOT = load_robot("frog2022")

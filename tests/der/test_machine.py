@@ -27,7 +27,7 @@ print(motions.pose_world.tobytes().hex(), motions.velocity_body.tobytes().hex())
 """
 TWIN = """
 import hashlib
-from frogkick.planner.image import open_image
+from frogkick.tables.image import open_image
 from frogkick.planner.plan import PlanConfig
 from frogkick_codegen.parity import make_cases, python_place
 from tests.planner import synthetic

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from frogkick.core.errors import InputError
 from frogkick.der import Swimmer, prepare
 from frogkick.effects import (
     BUILT_IN,
@@ -21,7 +22,6 @@ from frogkick.effects import (
     make_effect,
     read_world,
 )
-from frogkick.errors import InputError
 from frogkick.robot import load_robot
 
 ROBOT = load_robot("frog2022")

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from tests.conftest import count
 
+from frogkick.core.errors import InputError
 from frogkick.effects import effects_of, rods_of
-from frogkick.errors import InputError
 from frogkick.library import build_library, read_library
 from frogkick.library.starts import gliding
 from frogkick.library.transitions import simulate_task

@@ -12,17 +12,17 @@ from tests.conftest import REPOSITORY, count
 from tests.extra.tools import chip_compiler, emitted_firmware
 from tests.planner import synthetic
 
-from frogkick.loop.chip_check import check_on_chip
-from frogkick.loop.chip_planner import ChipPlanner
-from frogkick.loop.chip_twin import PLAN_TIME_WATCHDOG_US
 from frogkick.paths import shape
-from frogkick.planner.image import open_image
 from frogkick.planner.plan import config_of, transitions_within
 from frogkick.pool.chip.image import load_image
 from frogkick.pool.chip.stack import StackAnalysis
 from frogkick.pool.chip.symbols import unwanted
 from frogkick.robot import load_robot
+from frogkick.runs.chip_check import check_on_chip
+from frogkick.runs.chip_planner import ChipPlanner
+from frogkick.runs.chip_twin import PLAN_TIME_WATCHDOG_US
 from frogkick.study.chip_speed import states_for_timing
+from frogkick.tables.image import open_image
 from frogkick_codegen.emit import SOURCES
 from frogkick_codegen.firmware import image_sizes
 from frogkick_codegen.toolchain import FLAGS, ToolchainError

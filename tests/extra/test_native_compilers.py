@@ -9,8 +9,8 @@ from tests.conftest import count
 from tests.extra.tools import compiler
 from tests.planner import synthetic
 
-from frogkick.planner.image import open_image
 from frogkick.planner.plan import PlanConfig
+from frogkick.tables.image import open_image
 from frogkick_codegen.native import NativeLibrary, planner_files
 from frogkick_codegen.parity import compare, make_cases, native_place, python_place
 from frogkick_codegen.toolchain import FLAGS

@@ -11,13 +11,13 @@ from tests.conftest import count
 from tests.extra.test_qemu import BOARD, COMPILERS, boot
 from tests.extra.tools import chip_compiler, emitted_firmware, program
 
-from frogkick.loop.rehearsal import Rehearsal, call_mismatches, rehearse
 from frogkick.paths import shape
-from frogkick.planner.image import open_image
 from frogkick.planner.plan import PlanConfig
 from frogkick.pool.native_robot import CoreCall
 from frogkick.pool.port import COLD_LIMBS
 from frogkick.robot import load_robot
+from frogkick.runs.rehearsal import Rehearsal, call_mismatches, rehearse
+from frogkick.tables.image import open_image
 from frogkick_codegen import firmware
 from frogkick_codegen.emit import SOURCES
 from frogkick_codegen.sources import firmware_sources

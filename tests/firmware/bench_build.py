@@ -8,7 +8,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from frogkick.files import cache_folder
+from frogkick.core.files import cache_folder
 
 BENCH = Path(__file__).resolve().parents[2] / "firmware" / "bench"
 CORE = BENCH.parent / "core"

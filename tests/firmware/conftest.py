@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 from bench_build import build
-from tests.loop import rig
+from tests.runs import rig
 from zephyr_robot import ROBOT, Life, configuration, defines, play
 
 from frogkick.robot import load_robot

@@ -8,16 +8,16 @@ from pathlib import Path
 
 import pytest
 from test_hang import firing
-from tests.loop import rig
+from tests.runs import rig
 
-from frogkick.errors import InputError
+from frogkick.core.errors import InputError
 from frogkick.link.layout import link_layout
-from frogkick.loop.session import Session
 from frogkick.pool.chip.saadc import Saadc
 from frogkick.pool.monitor import pulses_of
 from frogkick.pool.virtual_robot import VirtualRobot
 from frogkick.robot import Robot
 from frogkick.robot.model import Battery
+from frogkick.runs.session import Session
 from frogkick_codegen.firmware import _build_bench, build
 
 LAYOUT = link_layout()

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import os
 import re
+import signal
 from pathlib import Path
 
 import pytest
 from bare_chip import NO_WAITS, bare
 from bench_build import build_text
 
-from frogkick.errors import InputError
+from frogkick.core.errors import InputError
 from frogkick.pool.chip import ChipError, VirtualChip
+from frogkick.pool.chip.bus import Peripheral
 
 
 def with_main(folder: Path, body: str) -> VirtualChip:
@@ -132,6 +135,27 @@ def test_sending_into_the_past(echo_elf: Path) -> None:
     chip.run_until(2000)
     with pytest.raises(ChipError, match="already at"):
         chip.send(b"x", 1000)
+
+
+def test_ctrl_c_while_a_register_is_read_is_not_lost(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Python calls its handler inside the callback, of which unicorn takes neither the error nor a value."""
+    chip, real, reads = (
+        with_main(tmp_path, "for (;;) { (void)FK_REGISTER(0x40008540u); }"),
+        Peripheral.read,
+        [],
+    )
+
+    def read(self: Peripheral, offset: int) -> int:
+        reads.append(offset)
+        if len(reads) == 100:
+            os.kill(os.getpid(), signal.SIGINT)
+        return real(self, offset)
+
+    monkeypatch.setattr(Peripheral, "read", read)
+    with pytest.raises(KeyboardInterrupt):
+        chip.run_until(10_000)
+    assert len(reads) > 100, "it went on to where it can be left"
+    chip.run_until(20_000)
 
 
 # What is counted

@@ -7,16 +7,16 @@ from functools import cache
 
 import pytest
 from tests.conftest import count
-from tests.loop import rig
+from tests.runs import rig
 
 from frogkick.link.layout import link_layout
 from frogkick.link.log import HEAD_BYTES, ChipLog, Record, Stretch, check_of, fetch_log, records_of
-from frogkick.loop.chip_log_replay import LogReplay, replay_log
-from frogkick.loop.closed_loop import Recording, RunOptions, run_in_pool
-from frogkick.loop.session import Session
 from frogkick.paths import shape
 from frogkick.planner.plan import PlanConfig
 from frogkick.pool.virtual_robot import VirtualRobot
+from frogkick.runs.chip_log_replay import LogReplay, replay_log
+from frogkick.runs.closed_loop import Recording, RunOptions, run_in_pool
+from frogkick.runs.session import Session
 from frogkick_codegen.firmware import FLASH_BYTES, RAM_BYTES
 
 RESET = link_layout().reset

@@ -5,15 +5,15 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from tests.loop import rig
+from tests.runs import rig
 
 from frogkick.link import auth
 from frogkick.link.layout import Value, link_layout
-from frogkick.loop.pushing import own
-from frogkick.loop.session import LinkError, Session
 from frogkick.pool.port import BYTE_S
 from frogkick.pool.virtual_robot import VirtualRobot
 from frogkick.robot import load_robot
+from frogkick.runs.pushing import own
+from frogkick.runs.session import LinkError, Session
 from frogkick_codegen.firmware import Build, build
 
 PARAM: dict[str, Value] = {"parameter": link_layout().parameter["LEVEL_WEIGHT"], "value": 0.5}

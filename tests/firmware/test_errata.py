@@ -8,11 +8,10 @@ import pytest
 from bare_chip import clock_of, power_of
 from bench_build import build
 from tests.conftest import some
-from tests.loop import rig
+from tests.runs import rig
 from unicorn import arm_const
 
 from frogkick.link.layout import link_layout
-from frogkick.loop.session import Session
 from frogkick.paths import shape
 from frogkick.pool.chip import VirtualChip
 from frogkick.pool.chip.bus import Peripheral
@@ -21,6 +20,7 @@ from frogkick.pool.chip.scheduler import CYCLES_PER_US
 from frogkick.pool.chip.timer import Timer
 from frogkick.pool.chip.watchdog import Watchdog
 from frogkick.pool.virtual_robot import VirtualRobot
+from frogkick.runs.session import Session
 
 RESET = link_layout().reset
 PIN, DOG, SOFTWARE, LOCKUP = 1, 2, 4, 8

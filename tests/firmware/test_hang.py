@@ -12,15 +12,15 @@ from types import SimpleNamespace
 import pytest
 from bare_chip import clock_of, power_of
 from tests.conftest import REPOSITORY, count, some
-from tests.loop import rig
+from tests.runs import rig
 
 from frogkick.link.layout import link_layout
-from frogkick.loop.session import LinkError, Session
 from frogkick.paths import shape
 from frogkick.pool.chip import ChipError
 from frogkick.pool.chip.watchdog import Watchdog
 from frogkick.pool.monitor import pulses_of
 from frogkick.pool.virtual_robot import VirtualRobot
+from frogkick.runs.session import LinkError, Session
 from frogkick_codegen import firmware
 
 RESET, STATE, FAULT = link_layout().reset, link_layout().state, link_layout().fault

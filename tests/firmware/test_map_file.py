@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from itertools import pairwise
 
-from tests.loop import rig
+from tests.runs import rig
 
 from frogkick.pool.chip.symbols import unwanted
 

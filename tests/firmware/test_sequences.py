@@ -9,7 +9,7 @@ import pytest
 from tests.conftest import count
 from tests.core import onlooker
 from tests.core.onlooker import SEEN, Limits, broken, judge
-from tests.loop import rig
+from tests.runs import rig
 
 from frogkick.link.frames import Frame, hello, pack_frame, path_frames
 from frogkick.link.layout import Value, link_layout

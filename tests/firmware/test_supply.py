@@ -4,20 +4,20 @@ from __future__ import annotations
 
 import pytest
 from test_hang import armed, firing
-from tests.loop import rig
+from tests.runs import rig
 
 from frogkick.link.layout import link_layout
 from frogkick.link.log import fetch_log
 from frogkick.link.supervisor import supervisor
-from frogkick.loop.chip_log_replay import replay_log
-from frogkick.loop.closed_loop import ENDED, RunOptions, run_in_pool
-from frogkick.loop.decision import DecisionTwin
-from frogkick.loop.replay import compare, replay_on_host
-from frogkick.loop.session import Session
 from frogkick.paths import shape
 from frogkick.planner.plan import PlanConfig
 from frogkick.pool.monitor import pulses_of
 from frogkick.pool.virtual_robot import VirtualRobot
+from frogkick.runs.chip_log_replay import replay_log
+from frogkick.runs.closed_loop import ENDED, RunOptions, run_in_pool
+from frogkick.runs.decision import DecisionTwin
+from frogkick.runs.replay import compare, replay_on_host
+from frogkick.runs.session import Session
 
 LAYOUT = link_layout()
 SUPPLY, STATE = LAYOUT.supply, LAYOUT.state

@@ -8,8 +8,8 @@ import pytest
 from bench_build import build_text
 from tests.planner import synthetic
 
-from frogkick.errors import FrogkickError
-from frogkick.files import write_bytes
+from frogkick.core.errors import FrogkickError
+from frogkick.core.files import write_bytes
 from frogkick.pool.chip.image import load_image
 from frogkick.pool.chip.stack import StackAnalysis
 from frogkick.pool.chip.symbols import UNWANTED, unwanted

@@ -11,17 +11,17 @@ import pytest
 from bench_build import build_text
 from tests.planner import synthetic
 
-from frogkick.files import write_bytes
+from frogkick.core.files import write_bytes
 from frogkick.link.layout import Value, link_layout
 from frogkick.link.upload import UploadError, upload
-from frogkick.loop.decision import LIMB_USE_FIELDS
-from frogkick.loop.session import Session
 from frogkick.paths import shape
-from frogkick.planner.image import open_image
 from frogkick.planner.plan import config_of, plan
 from frogkick.pool.chip import ChipError, VirtualChip
 from frogkick.pool.virtual_robot import VirtualRobot
 from frogkick.robot import load_robot
+from frogkick.runs.decision import LIMB_USE_FIELDS
+from frogkick.runs.session import Session
+from frogkick.tables.image import open_image
 from frogkick_codegen import firmware
 from frogkick_codegen.firmware import Build
 

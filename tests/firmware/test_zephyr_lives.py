@@ -12,8 +12,8 @@ from zephyr_robot import ROBOT, Life, ZephyrRobot, configuration, defines, play
 
 from frogkick.link import auth
 from frogkick.link.layout import link_layout
-from frogkick.loop.session import LinkError
 from frogkick.robot import load_robot
+from frogkick.runs.session import LinkError
 from frogkick_codegen.firmware import robot_config
 
 STATE = link_layout().state

@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING
 
 import pytest
 from tests.conftest import LEVEL
-from tests.loop import rig
+from tests.runs import rig
 
 from frogkick.link.frames import Frame, FrameCollector
-from frogkick.loop.session import Session
 from frogkick.pool.port import Edge
+from frogkick.runs.session import Session
 from frogkick_codegen.toolchain import zig
 
 if TYPE_CHECKING:

@@ -18,7 +18,7 @@ from tests.conftest import REPOSITORY, count
 from tests.identification.made import robot as few_pieces
 from tests.link.live_robot import LiveRobot
 from tests.link.pty_line import PtyLine
-from tests.loop import rig
+from tests.runs import rig
 
 import frogkick as fk
 from frogkick.effects import LimbWear

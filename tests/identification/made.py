@@ -21,12 +21,12 @@ from frogkick.identification.signature import signature
 from frogkick.identification.swim import Swim, swim_of
 from frogkick.identification.terms import Term, catalogue
 from frogkick.identification.verdict import FOUND, intervals, scored
-from frogkick.loop.runlog import Decisions, Fixes, RunLog, Strokes, Truth
 from frogkick.paths import wrap_angle
 from frogkick.pool.camera import Camera
 from frogkick.pool.pool import Pool
 from frogkick.robot import Robot, load_robot, parse_robot
 from frogkick.robot.toml_text import to_toml
+from frogkick.runs.runlog import Decisions, Fixes, RunLog, Strokes, Truth
 
 START_S = 1.0
 WORN = {"name": "limb_wear", "limb": "rear_left", "gain": 0.7}

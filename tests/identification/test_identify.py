@@ -14,8 +14,8 @@ from tests.conftest import count
 
 from frogkick.cli.identify import spread
 from frogkick.cli.main import run_command
+from frogkick.core.errors import InputError
 from frogkick.effects.acting import LEG_S
-from frogkick.errors import InputError
 from frogkick.identification.filter import Filter, Noise, Series, likeliest, surprise
 from frogkick.identification.fit import Model, fit_many, tracks_of
 from frogkick.identification.outcome import identify, too_little
@@ -36,9 +36,9 @@ from frogkick.identification.verdict import (
     scored,
     verdict_of,
 )
-from frogkick.loop.runlog import FixFlag, RunLog
-from frogkick.loop.runlog_file import write_run
 from frogkick.robot import load_robot
+from frogkick.runs.runlog import FixFlag, RunLog
+from frogkick.runs.runlog_file import write_run
 
 
 def test_filter_is_bayes_rule() -> None:

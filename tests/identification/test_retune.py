@@ -15,8 +15,8 @@ from made import known_outcome, make_run, make_swim, robot, robot_option
 
 from frogkick.cli.main import run_command
 from frogkick.cli.retune import printed
+from frogkick.core.errors import InputError
 from frogkick.effects import make_effect
-from frogkick.errors import InputError
 from frogkick.front import retuning as command_module
 from frogkick.front.retuning import Retuning
 from frogkick.identification import retune as module
@@ -35,9 +35,9 @@ from frogkick.identification.swim import Swim, read_swim
 from frogkick.identification.tables import RESTED, Tracked, earlier_actions, table_error, table_horizons
 from frogkick.identification.terms import catalogue
 from frogkick.identification.verdict import FOUND, NOTHING, TOO_LITTLE, UNEXPLAINED, Error
-from frogkick.loop.runlog_file import write_run
-from frogkick.planner.image import read_image
 from frogkick.robot import Robot, load_robot
+from frogkick.runs.runlog_file import write_run
+from frogkick.tables.image import read_image
 
 WORN = {"name": "limb_wear", "limb": "rear_left", "gain": 0.7}
 WEAR = ("limb_wear rear_left", (0.7, 0.0, 1.0))

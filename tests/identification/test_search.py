@@ -245,8 +245,9 @@ def test_a_delay_that_is_none_does_not_stay_in_a_dip() -> None:
     begun = polisher(swims)
     dip = (term("limb_wear front_left").at((0.76, 0.06, 1.0)), term("fix_latency").at((0.083,)))
     quiet = Noise(NOISE.fix, (8e-6, 2e-4), (8e-6, 2e-4))
-    (taken,) = fit_many([Model(robot(), dip, quiet, held=frozenset({2}))], swims, begun.rows, 6)
-    assert taken.model.values[1] > 0.01, "the fit met no dip"
+    # Whether a fit stops in a dip hangs on last digits, so the delay is held there while the others settle.
+    (settled,) = fit_many([Model(robot(), dip, quiet, held=frozenset({1, 2}))], swims, begun.rows, 6)
+    (taken,) = derivatives([replace(settled.model, held=frozenset({2}))], swims, begun.rows)
     steep = replace(taken, jacobian=taken.jacobian * np.array([1.0, 8.0, 1.0, 1.0]))
     spared = begun.sparer(steep)
     assert spared.model.values[1] == 0.0 and spared.cost < taken.cost

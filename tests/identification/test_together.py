@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 from made import make_swim, robot
 
+from frogkick.core.errors import InputError
 from frogkick.effects import make_effects
-from frogkick.errors import InputError
 from frogkick.identification import predict
 from frogkick.identification.filter import Noise
 from frogkick.identification.fit import LEG_S, Model, tracks_of

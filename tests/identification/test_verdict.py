@@ -38,7 +38,7 @@ from frogkick.identification.verdict import (
     scored,
     verdict_of,
 )
-from frogkick.loop.runlog import Fixes, FixFlag
+from frogkick.runs.runlog import Fixes, FixFlag
 from frogkick.study.planted import OUTSIDE_TEXT
 
 

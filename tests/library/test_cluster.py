@@ -9,7 +9,7 @@ import pytest
 from tests.chunks.test_chunks import Cluster, kill_one, needs_distributed
 from tests.conftest import count
 
-from frogkick.errors import FrogkickError
+from frogkick.core.errors import FrogkickError
 from frogkick.library import build_library
 from frogkick.robot import load_robot
 

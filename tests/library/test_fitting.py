@@ -12,12 +12,12 @@ import pytest
 from tests.conftest import count, some
 from tests.library.synthetic import ACTIONS, LIMBS, ROBOT, SIZE, Known
 
-from frogkick.errors import InputError
+from frogkick.core.errors import InputError
 from frogkick.library import Library, error_on, fit_table, fitting, quantise
 from frogkick.library.error import looked_up
 from frogkick.library.history import History
 from frogkick.library.transitions import HISTORY, RESTED, Failed
-from frogkick.planner.image import Tables, open_image
+from frogkick.tables.image import Tables, open_image
 
 EFFECT = np.random.default_rng(5).uniform(-0.1, 0.1, (ACTIONS, LIMBS, 6)) * SIZE
 PLAIN = Known(1, 3)

@@ -15,8 +15,8 @@ import numpy as np
 import pytest
 from tests.conftest import count
 
+from frogkick.core.errors import ConvergenceError, InputError
 from frogkick.der import simulate_action
-from frogkick.errors import ConvergenceError, InputError
 from frogkick.library import (
     Failed,
     build,
@@ -31,8 +31,8 @@ from frogkick.library import (
 )
 from frogkick.library.sampling import box_velocities
 from frogkick.library.starts import gliding
-from frogkick.planner.image import open_image
 from frogkick.robot import load_robot, mirror_of, parse_robot
+from frogkick.tables.image import open_image
 
 ROBOT = load_robot("frog2022")
 STATES, SEED = 5, 11

@@ -15,7 +15,7 @@ from frogkick.library.planned import planned_swims
 from frogkick.library.starts import Met, gliding
 from frogkick.library.store import make_library
 from frogkick.library.transitions import RESTED, simulate_task
-from frogkick.planner.image import open_image
+from frogkick.tables.image import open_image
 
 ROBOT = robot()
 STATES = count(128, 128, 48)

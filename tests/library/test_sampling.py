@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from tests.conftest import count
 
-from frogkick.errors import InputError
+from frogkick.core.errors import InputError
 from frogkick.library import Library, sample_library, sample_starts
 from frogkick.library.sampling import box_velocities
 from frogkick.library.transitions import HISTORY, RESTED

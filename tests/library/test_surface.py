@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from tests.library.synthetic import ACTIONS, LIMBS, ROBOT, Known
 
-from frogkick.errors import InputError
+from frogkick.core.errors import InputError
 from frogkick.library import Library
 from frogkick.library.history import History, fit_history, limb_use
 from frogkick.library.surface import RIDGES, STATES_MIN, Surface, fit_surface

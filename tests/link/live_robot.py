@@ -10,7 +10,7 @@ from typing import Protocol
 
 from tests.core.core import Robot
 from tests.core.store_rig import PAGE, Flash
-from tests.loop import rig
+from tests.runs import rig
 
 from frogkick.link.frames import Frame, FrameError, unpack_frame
 

@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
-from tests.loop import rig
+from tests.runs import rig
 
 from frogkick.link.text_dialect import LIMBS
 from frogkick.pool.camera import Fix

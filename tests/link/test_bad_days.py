@@ -18,24 +18,24 @@ from tests.link.live_robot import LiveRobot, PatientClock
 from tests.link.rigged import Rigged, rigged
 from tests.link.swim import PATH, LivePool
 from tests.link.test_run_camera import SCENE, START, Filmed
-from tests.loop import rig
+from tests.runs import rig
 from tests.vision.scenes import calibration
 
-from frogkick.errors import FrogkickError, InputError
+from frogkick.core.errors import FrogkickError, InputError
 from frogkick.front.bench import Sight
 from frogkick.link.layout import link_layout
-from frogkick.loop import session as session_module
-from frogkick.loop.camera_fixes import CameraFixes
-from frogkick.loop.closed_loop import ENDED, FixSource, Recording, RunOptions, run_session
-from frogkick.loop.lab_port import LabPort
-from frogkick.loop.lab_session import CLOCK_ASKED, LabSession, lab_session
-from frogkick.loop.live_log import LiveLog, logged, part_of
-from frogkick.loop.runlog import Fixes
-from frogkick.loop.runlog_file import read_run
-from frogkick.loop.session import LinkError
 from frogkick.paths import Path as SwimPath
 from frogkick.paths import shape
 from frogkick.planner.plan import PlanConfig
+from frogkick.runs import session as session_module
+from frogkick.runs.camera_fixes import CameraFixes
+from frogkick.runs.closed_loop import ENDED, FixSource, Recording, RunOptions, run_session
+from frogkick.runs.lab_port import LabPort
+from frogkick.runs.lab_session import CLOCK_ASKED, LabSession, lab_session
+from frogkick.runs.live_log import LiveLog, logged, part_of
+from frogkick.runs.runlog import Fixes
+from frogkick.runs.runlog_file import read_run
+from frogkick.runs.session import LinkError
 from frogkick.vision.sources import Frame, live_frames
 
 PERIOD_S = rig.tables().period_us * 1e-6

@@ -20,8 +20,8 @@ from bleak.exc import (
 )
 from tests.link.air import Air, Peripheral, VirtualScanner, breathe
 from tests.link.live_robot import LiveRobot
-from tests.loop import rig
 from tests.planner import synthetic
+from tests.runs import rig
 
 from frogkick.cli.main import run_command
 from frogkick.link import ble
@@ -29,9 +29,9 @@ from frogkick.link.ble import BleWire, explained
 from frogkick.link.frames import unpack_frame
 from frogkick.link.upload import upload
 from frogkick.link.wire import WireError
-from frogkick.loop.lab_session import lab_session
 from frogkick.paths import shape
 from frogkick.pool.camera import Fix
+from frogkick.runs.lab_session import lab_session
 
 
 @contextmanager

@@ -13,15 +13,15 @@ import pytest
 from tests.link.live_robot import LiveRobot, PatientClock
 from tests.link.rigged import rigged
 from tests.link.swim import PATH, LivePool
-from tests.loop import rig
+from tests.runs import rig
 
 from frogkick.cli.keys import Keys
 from frogkick.link.layout import link_layout
-from frogkick.loop.closed_loop import STOPPED, RunOptions, run_session
-from frogkick.loop.lab_port import LabPort
-from frogkick.loop.lab_session import LabSession
 from frogkick.paths import shape
 from frogkick.planner.plan import PlanConfig
+from frogkick.runs.closed_loop import STOPPED, RunOptions, run_session
+from frogkick.runs.lab_port import LabPort
+from frogkick.runs.lab_session import LabSession
 
 PERIOD_S = rig.tables().period_us * 1e-6
 STATE = link_layout().state

@@ -10,9 +10,9 @@ from contextlib import suppress
 import numpy as np
 import pytest
 
-from frogkick.errors import InputError
+from frogkick.core.errors import InputError
 from frogkick.link.text_dialect import fire_line, limb_numbers, pulse_line
-from frogkick.loop.line_fixes import LineFixes, parse_line
+from frogkick.runs.line_fixes import LineFixes, parse_line
 
 
 @pytest.fixture

@@ -14,7 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from tests.conftest import REPOSITORY, count
 
-from frogkick.errors import InputError
+from frogkick.core.errors import InputError
 from frogkick.link.frames import (
     ENCODED_MAX,
     PATH_POINTS_MAX,

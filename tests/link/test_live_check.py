@@ -12,20 +12,20 @@ from tests.conftest import some
 from tests.link.live_robot import LiveRobot, PatientClock
 from tests.link.rigged import TRANSPORTS, rigged
 from tests.link.swim import PATH, LivePool
-from tests.loop import rig
+from tests.runs import rig
 
-from frogkick.errors import CheckError, InputError
+from frogkick.core.errors import CheckError, InputError
 from frogkick.link.layout import link_layout
-from frogkick.loop.closed_loop import TIME, RunOptions, run_in_pool, run_session
-from frogkick.loop.lab_port import LabPort
-from frogkick.loop.lab_session import LabSession
-from frogkick.loop.live_check import LiveCheck
-from frogkick.loop.live_log import logged, part_of
-from frogkick.loop.runlog_file import read_run
-from frogkick.loop.session import Session
 from frogkick.paths import shape
-from frogkick.planner.image import Tables, open_image
 from frogkick.planner.plan import PlanConfig
+from frogkick.runs.closed_loop import TIME, RunOptions, run_in_pool, run_session
+from frogkick.runs.lab_port import LabPort
+from frogkick.runs.lab_session import LabSession
+from frogkick.runs.live_check import LiveCheck
+from frogkick.runs.live_log import logged, part_of
+from frogkick.runs.runlog_file import read_run
+from frogkick.runs.session import Session
+from frogkick.tables.image import Tables, open_image
 
 PERIOD_S = rig.tables().period_us * 1e-6
 STATE = link_layout().state

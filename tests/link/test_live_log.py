@@ -17,17 +17,17 @@ from tests.link.pty_line import PtyLine
 from tests.link.rigged import rigged
 from tests.link.swim import PATH, LivePool
 from tests.link.test_run_live import command
-from tests.loop import rig
+from tests.runs import rig
 
-from frogkick.errors import InputError
-from frogkick.loop.closed_loop import Recording, RunOptions, run_session
-from frogkick.loop.lab_session import lab_session
-from frogkick.loop.live_log import CUT_OFF, LiveLog, logged, part_of
-from frogkick.loop.record import BATTERY_V, run_log
-from frogkick.loop.runlog import RunLog
-from frogkick.loop.runlog_file import read_run, write_run
+from frogkick.core.errors import InputError
 from frogkick.paths import shape
 from frogkick.planner.plan import PlanConfig
+from frogkick.runs.closed_loop import Recording, RunOptions, run_session
+from frogkick.runs.lab_session import lab_session
+from frogkick.runs.live_log import CUT_OFF, LiveLog, logged, part_of
+from frogkick.runs.record import BATTERY_V, run_log
+from frogkick.runs.runlog import RunLog
+from frogkick.runs.runlog_file import read_run, write_run
 
 PERIOD_S = rig.tables().period_us * 1e-6
 OPTIONS = RunOptions(PlanConfig(), True, 1.2 * PERIOD_S)

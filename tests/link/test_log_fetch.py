@@ -9,11 +9,11 @@ from tests.cli.commands import frogkick
 from tests.core.log_rig import Log
 from tests.link.live_robot import LiveRobot
 from tests.link.rigged import TRANSPORTS, rigged
-from tests.loop import rig
+from tests.runs import rig
 
 from frogkick.link.log import fetch_log
-from frogkick.loop.lab_session import lab_session
 from frogkick.paths import shape
+from frogkick.runs.lab_session import lab_session
 
 
 @pytest.fixture

@@ -15,22 +15,22 @@ from tests.link.live_robot import LiveRobot, PatientClock
 from tests.link.pty_line import PtyLine
 from tests.link.rigged import TRANSPORTS, rigged
 from tests.link.swim import PATH, LivePool
-from tests.loop import rig
 from tests.planner import synthetic
+from tests.runs import rig
 
 import frogkick as fk
-from frogkick.files import write_bytes
+from frogkick.core.files import write_bytes
 from frogkick.link import auth
 from frogkick.link.frames import Frame
 from frogkick.link.layout import link_layout
 from frogkick.link.upload import upload
-from frogkick.loop.closed_loop import RunOptions, run_session
-from frogkick.loop.lab_port import LabPort
-from frogkick.loop.lab_session import LabSession, lab_session
-from frogkick.loop.pushing import own
-from frogkick.loop.session import LinkError
 from frogkick.paths import shape
 from frogkick.planner.plan import PlanConfig
+from frogkick.runs.closed_loop import RunOptions, run_session
+from frogkick.runs.lab_port import LabPort
+from frogkick.runs.lab_session import LabSession, lab_session
+from frogkick.runs.pushing import own
+from frogkick.runs.session import LinkError
 
 OLD, NEW = (synthetic.affine_image(20, 9, seed) for seed in (1, 2))
 

@@ -13,14 +13,14 @@ from tests.identification.made import make_run
 from tests.link.live_robot import LiveRobot
 from tests.link.pty_line import PtyLine
 from tests.link.rigged import TRANSPORTS, rigged
-from tests.loop import rig
 from tests.planner import synthetic
+from tests.runs import rig
 
-from frogkick.files import write_bytes
+from frogkick.core.files import write_bytes
 from frogkick.identification import retune as retune_module
 from frogkick.identification.retune import BEFORE, TABLES, Retuned
 from frogkick.identification.verdict import FOUND, Error
-from frogkick.loop.runlog_file import write_run
+from frogkick.runs.runlog_file import write_run
 
 OLD, NEW, OTHER = (synthetic.affine_image(20, 9, seed) for seed in (1, 2, 3))
 

@@ -20,18 +20,18 @@ from tests.link.live_robot import LiveRobot
 from tests.link.pty_line import PtyLine
 from tests.link.rigged import rigged
 from tests.link.swim import PATH, LivePool
-from tests.loop import rig
+from tests.runs import rig
 from tests.vision.scenes import calibration, scene
 
 from frogkick.front.bench import Sight
-from frogkick.loop.camera_fixes import CameraFixes
-from frogkick.loop.closed_loop import ENDED, TIME, RunOptions, run_session
-from frogkick.loop.lab_session import lab_session
-from frogkick.loop.record import tracking_of_recording
-from frogkick.loop.runlog_file import read_run
-from frogkick.loop.summary import summary
 from frogkick.paths import shape
 from frogkick.planner.plan import PlanConfig
+from frogkick.runs.camera_fixes import CameraFixes
+from frogkick.runs.closed_loop import ENDED, TIME, RunOptions, run_session
+from frogkick.runs.lab_session import lab_session
+from frogkick.runs.record import tracking_of_recording
+from frogkick.runs.runlog_file import read_run
+from frogkick.runs.summary import summary
 from frogkick.vision.calibration_file import write_calibration
 from frogkick.vision.sources import Frame
 

@@ -23,13 +23,13 @@ from tests.link.live_robot import LiveRobot
 from tests.link.pty_line import PtyLine
 from tests.link.swim import PATH, LivePool
 from tests.link.test_run_camera import SCENE, START
-from tests.loop import rig
+from tests.runs import rig
 from tests.vision.scenes import calibration
 
 from frogkick.link.layout import link_layout
-from frogkick.loop.closed_loop import STOPPED
-from frogkick.loop.live_log import part_of
-from frogkick.loop.runlog_file import read_run
+from frogkick.runs.closed_loop import STOPPED
+from frogkick.runs.live_log import part_of
+from frogkick.runs.runlog_file import read_run
 from frogkick.vision.calibration_file import write_calibration
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="needs a pseudo-terminal")

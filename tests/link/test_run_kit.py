@@ -13,10 +13,10 @@ from tests.conftest import some
 from tests.link.live_robot import LiveRobot
 from tests.link.pty_line import PtyLine
 from tests.link.swim import PATH
-from tests.loop import rig
+from tests.runs import rig
 
-from frogkick.loop.closed_loop import ENDED, TIME
-from frogkick.loop.runlog_file import read_run
+from frogkick.runs.closed_loop import ENDED, TIME
+from frogkick.runs.runlog_file import read_run
 
 TRIES = 6
 PERIOD_S = rig.tables().period_us * 1e-6

@@ -22,24 +22,24 @@ from tests.link.live_robot import LiveRobot, PatientClock
 from tests.link.pty_line import PtyLine
 from tests.link.rigged import TRANSPORTS, rigged
 from tests.link.swim import PATH, LivePool, TextFrog
-from tests.loop import rig
+from tests.runs import rig
 
 from frogkick.link.layout import link_layout
 from frogkick.link.opening import opened
 from frogkick.link.text_dialect import DIALECTS, pulse_line
 from frogkick.link.wire import Target
-from frogkick.loop.closed_loop import DROPPED, ENDED, TIME, RunOptions, run_session
-from frogkick.loop.decision import DecisionTwin
-from frogkick.loop.lab_port import LabPort
-from frogkick.loop.lab_session import LabSession
-from frogkick.loop.record import run_log, tracking_of_recording
-from frogkick.loop.runlog_file import read_run
-from frogkick.loop.session import LinkError
-from frogkick.loop.text_robot import TextRobot
 from frogkick.paths import shape
 from frogkick.planner.plan import PlanConfig
 from frogkick.pool.monitor import Pulse, pulses_of, violations
 from frogkick.pool.native_robot import NativeRobot
+from frogkick.runs.closed_loop import DROPPED, ENDED, TIME, RunOptions, run_session
+from frogkick.runs.decision import DecisionTwin
+from frogkick.runs.lab_port import LabPort
+from frogkick.runs.lab_session import LabSession
+from frogkick.runs.record import run_log, tracking_of_recording
+from frogkick.runs.runlog_file import read_run
+from frogkick.runs.session import LinkError
+from frogkick.runs.text_robot import TextRobot
 
 PERIOD_S = rig.tables().period_us * 1e-6
 STATE = link_layout().state

@@ -8,12 +8,12 @@ from pathlib import Path
 import pytest
 from tests.link.live_robot import LiveRobot
 from tests.link.pty_line import PtyLine
-from tests.loop import rig
+from tests.runs import rig
 
-from frogkick.errors import InputError
+from frogkick.core.errors import InputError
 from frogkick.link.serial import SerialWire, _account
 from frogkick.link.wire import Target, WireError, is_target, parse_target
-from frogkick.loop.lab_session import lab_session
+from frogkick.runs.lab_session import lab_session
 
 
 @pytest.mark.parametrize(

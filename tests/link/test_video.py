@@ -15,10 +15,10 @@ from tests.cli.commands import frogkick
 from tests.link.live_robot import LiveRobot
 from tests.link.pty_line import PtyLine
 from tests.link.test_run_camera import filmed  # noqa: F401 - a fixture
-from tests.loop import rig
+from tests.runs import rig
 
-from frogkick.errors import InputError
-from frogkick.loop.runlog_file import read_run
+from frogkick.core.errors import InputError
+from frogkick.runs.runlog_file import read_run
 from frogkick.vision.video import LOOK_EVERY, Video, times_of, video_of
 
 

@@ -13,19 +13,19 @@ from tests.conftest import count
 from tests.core.store_rig import crc_of
 from tests.link.live_robot import LiveRobot
 from tests.link.rigged import TRANSPORTS, Rigged, rigged
-from tests.loop import rig
 from tests.planner import synthetic
+from tests.runs import rig
 
-from frogkick.errors import FrogkickError
+from frogkick.core.errors import FrogkickError
 from frogkick.link.frames import Frame
 from frogkick.link.layout import link_layout
 from frogkick.link.upload import CHUNK_BYTES, upload
 from frogkick.link.wire import WireError
-from frogkick.loop.lab_session import LabSession, lab_session
-from frogkick.loop.session import LinkError
 from frogkick.paths import shape
-from frogkick.planner.image import open_image
 from frogkick.pool.camera import Fix
+from frogkick.runs.lab_session import LabSession, lab_session
+from frogkick.runs.session import LinkError
+from frogkick.tables.image import open_image
 
 NEW, NEXT = synthetic.affine_image(40, 9, 2), synthetic.affine_image(40, 9, 3)
 

@@ -8,7 +8,7 @@ import pathlib
 import numpy as np
 import pytest
 
-from frogkick.errors import InputError
+from frogkick.core.errors import InputError
 from frogkick.paths import from_csv
 
 

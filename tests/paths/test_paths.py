@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from frogkick.errors import InputError
+from frogkick.core.errors import InputError
 from frogkick.paths import Path, ellipse, from_csv, from_waypoints, line, shape, sine, wrap_angle
 
 COORDINATE = st.floats(-5.0, 5.0, allow_nan=False)

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from frogkick.planner.image import Tables, open_image
-from frogkick.planner.packing import pack_affine, pack_nearest
+from frogkick.tables.image import Tables, open_image
+from frogkick.tables.packing import pack_affine, pack_nearest
 
 VELOCITY_SCALE = (1e-5, 1e-5, 1.745329e-4)
 LOW = np.array([0.0, -0.03, -0.5236])

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from tests.planner import synthetic
 
-from frogkick.errors import InputError
-from frogkick.planner import layout
-from frogkick.planner.image import TableError, open_image, read_image
+from frogkick.core.errors import InputError
+from frogkick.tables import layout
+from frogkick.tables.image import TableError, open_image, read_image
 
 IMAGE = synthetic.image(states=41, actions=5)
 AFFINE = synthetic.affine_image(states=41, actions=5)

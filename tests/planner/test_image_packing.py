@@ -11,9 +11,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from tests.planner import synthetic
 
-from frogkick.planner import coding, layout
-from frogkick.planner.image import TableError, Tables, open_image
 from frogkick.planner.lookup import DYNAMICS, arrays_of, dynamics_after, find_row, motion_of
+from frogkick.tables import coding, layout
+from frogkick.tables.image import TableError, Tables, open_image
 
 UNITS = np.array([1e-3, 1e-3, np.pi / 180] * 2)
 """Of the six values: mm, degrees, mm/s, degrees/s."""

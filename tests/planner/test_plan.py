@@ -12,10 +12,10 @@ from hypothesis import strategies as st
 from tests.conftest import count
 from tests.planner import synthetic
 
-from frogkick.errors import InputError
+from frogkick.core.errors import InputError
 from frogkick.planner import floats, kernel
-from frogkick.planner.image import Tables, open_image
 from frogkick.planner.plan import PlanConfig, PlanError, plan, plan_batch
+from frogkick.tables.image import Tables, open_image
 
 TABLES = open_image(synthetic.image())
 PATH = synthetic.wave_path()

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from tests.conftest import count
 
-from frogkick.errors import InputError
+from frogkick.core.errors import InputError
 from frogkick.pool.camera import Camera, Fix, deliver, measure
 from frogkick.pool.pool import Pool
 from frogkick.robot import load_robot

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from tests.core.core import ACTION, DELAY_US, GAP_US, PERIOD_US, PULSE_US, image
 
-from frogkick.errors import FrogkickError, InputError
+from frogkick.core.errors import FrogkickError, InputError
 from frogkick.link.frames import pack_frame
 from frogkick.link.layout import Value
 from frogkick.pool.monitor import pulses_of, violations

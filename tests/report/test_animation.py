@@ -14,8 +14,8 @@ from matplotlib.colors import to_rgb
 from PIL import Image
 
 from frogkick.cli.main import run_command
+from frogkick.core.errors import InputError
 from frogkick.der import simulate_actions, simulate_gait
-from frogkick.errors import InputError
 from frogkick.report import animation, style
 from frogkick.report.animation import actions_swim, film, gait_swim, write_animation
 from frogkick.robot import load_robot

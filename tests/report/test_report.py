@@ -13,16 +13,16 @@ import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from tests.identification.made import robot
-from tests.loop import rig
+from tests.runs import rig
 
-from frogkick.errors import InputError
-from frogkick.loop.record import run_log
-from frogkick.loop.runlog import RunLog
+from frogkick.core.errors import InputError
+from frogkick.core.progress import progress_bar
 from frogkick.paths import shape
-from frogkick.progress import progress_bar
 from frogkick.report.page import Section, Table, write_page
 from frogkick.report.run_figure import run_figure
 from frogkick.report.style import figure_uri
+from frogkick.runs.record import run_log
+from frogkick.runs.runlog import RunLog
 
 # What a page can fetch from elsewhere.
 FETCHING = {"src", "href", "data", "action", "poster", "srcset", "background"}

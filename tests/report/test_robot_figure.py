@@ -11,8 +11,8 @@ import pytest
 from PIL import Image
 
 from frogkick.cli.main import run_command
+from frogkick.core.errors import InputError
 from frogkick.der import prepare
-from frogkick.errors import InputError
 from frogkick.report import style
 from frogkick.report.robot_figure import robot_figure, write_robot_figure
 from frogkick.robot import built_in_robots, limb_points, load_robot

@@ -13,10 +13,10 @@ from tests.conftest import count
 
 from frogkick.cli.main import run_command
 from frogkick.der import Rods, prepare, simulate_action, simulate_actions
-from frogkick.planner.image import read_image
 from frogkick.robot import Action, Robot, load_robot
 from frogkick.study import emitted as emitted_study
 from frogkick.study.chip_speed import chip_speed
+from frogkick.tables.image import read_image
 from frogkick_codegen.toolchain import FLAGS, zig
 
 OTHERS = ("streamlined", "hexapod")

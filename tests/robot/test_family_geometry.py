@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from frogkick.core.errors import InputError
 from frogkick.der import prepare
-from frogkick.errors import InputError
 from frogkick.robot import built_in_robots, limb_points, load_robot, parse_robot, robot_warnings
 from frogkick.robot.toml_text import to_toml
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from tests.cli.commands import frogkick
 
-from frogkick.errors import InputError
+from frogkick.core.errors import InputError
 from frogkick.robot import load_robot
 from frogkick.robot.profile import fit_profile
 from frogkick.robot.profile_files import fit_profile_folder, read_measured_profile, write_profiles

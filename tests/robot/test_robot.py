@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from frogkick.errors import InputError
+from frogkick.core.errors import InputError
 from frogkick.robot import load_robot, parse_robot
 from frogkick.robot.toml_text import to_toml
 

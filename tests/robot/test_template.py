@@ -11,7 +11,7 @@ import pytest
 from pydantic import BaseModel
 from tests.cli.commands import frogkick
 
-from frogkick.errors import InputError
+from frogkick.core.errors import InputError
 from frogkick.front.describing import write_new_robot
 from frogkick.robot import built_in_robots, load_robot, robot_warnings
 from frogkick.robot.schema import RobotFile

@@ -16,16 +16,16 @@ from tests.soak.table_pool import TablePool
 from tests.soak.watch import UPDATE_S, Watch
 from tests.soak.witness import SeenRobot
 
-from frogkick.errors import FrogkickError
+from frogkick.core.errors import FrogkickError
 from frogkick.link.frames import hello
 from frogkick.link.layout import Value, link_layout
 from frogkick.link.upload import upload
-from frogkick.loop.closed_loop import SETTLE_S, START_DELAY_S, parameters, robot_plan_config
-from frogkick.loop.session import ANSWER_TIMEOUT_S, STEP_S, Asked, LinkError, Session
-from frogkick.planner.image import Tables
 from frogkick.pool.camera import Camera
 from frogkick.pool.port import Edge
 from frogkick.robot import Robot
+from frogkick.runs.closed_loop import SETTLE_S, START_DELAY_S, parameters, robot_plan_config
+from frogkick.runs.session import ANSWER_TIMEOUT_S, STEP_S, Asked, LinkError, Session
+from frogkick.tables.image import Tables
 
 CAMERA = Camera(rate_hz=10.0, delay_s=0.08, jitter_s=0.32, lost=0.3, outliers=0.01)
 """30 % lost, 80 to 400 ms late, so that they overtake each other, some plainly wrong."""

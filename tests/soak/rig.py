@@ -6,10 +6,10 @@ import functools
 import tempfile
 from pathlib import Path
 
-from tests.loop import rig
+from tests.runs import rig
 from tests.soak.tables import spread_table
 
-from frogkick.planner.image import Tables, open_image
+from frogkick.tables.image import Tables, open_image
 from frogkick_codegen.firmware import build
 
 robot = rig.robot

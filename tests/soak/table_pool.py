@@ -7,9 +7,9 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from frogkick.planner.image import Tables
 from frogkick.pool.camera import Camera, Fix
 from frogkick.pool.pool import Pool, Truth
+from frogkick.tables.image import Tables
 
 _TOGETHER_S = 0.005  # limbs of one group
 _STROKE_S = 0.3  # longer than from the first group to the second

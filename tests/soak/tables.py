@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from frogkick.planner.image import Tables
-from frogkick.planner.packing import pack_nearest
+from frogkick.tables.image import Tables
+from frogkick.tables.packing import pack_nearest
 
 _BESIDE = 0.3  # of the states' spread in each velocity
 _OFF = 0.02  # part of each motion

@@ -12,94 +12,47 @@ from pathlib import Path
 CODEGEN = "codegen"
 """How the table below calls the package frogkick_codegen."""
 
-EVERYBODY = frozenset(
-    {"errors", "extras", "files", "interrupts", "progress", "chunks", "compiled", "__init__"}
-)
-"""Modules of frogkick that all may import; ``__init__`` is the version."""
+EVERYBODY = frozenset({"core", "__init__"})
+"""Rooms of frogkick that all may import; ``__init__`` is the version."""
+
+_LOWER = ("robot", "der", "effects", "library", "tables", "planner", "estimator", "paths")
 
 ARROWS: Mapping[str, frozenset[str]] = {
+    "core": frozenset(),
     "robot": frozenset(),
     "der": frozenset({"robot"}),
     "effects": frozenset({"robot", "der"}),
-    "library": frozenset({"robot", "der", "effects", "planner"}),  # planner: it packs the table image
-    "planner": frozenset(),
+    "tables": frozenset(),
+    "planner": frozenset({"tables"}),
+    "estimator": frozenset({"tables", "planner"}),
+    "library": frozenset({"robot", "der", "effects", "tables", "planner"}),  # planner: states that it meets
     "paths": frozenset(),
     "vision": frozenset(),
     "link": frozenset(),
     "pool": frozenset({"robot", "der", "effects", "link"}),
-    "loop": frozenset({"robot", "effects", "planner", "paths", "vision", "link", "pool"}),
-    "identification": frozenset({"robot", "der", "effects", "paths", "loop"}),
-    "study": frozenset(
-        {
-            "robot",
-            "der",
-            "effects",
-            "library",
-            "planner",
-            "paths",
-            "link",
-            "pool",
-            "loop",
-            "identification",
-            CODEGEN,
-        }
+    "runs": frozenset(
+        {"robot", "effects", "tables", "planner", "estimator", "paths", "vision", "link", "pool"}
     ),
-    "report": frozenset(
-        {
-            "robot",
-            "der",
-            "effects",
-            "library",
-            "planner",
-            "paths",
-            "pool",
-            "loop",
-            "identification",
-            "study",
-            CODEGEN,
-        }
-    ),
+    "identification": frozenset({"robot", "der", "effects", "paths", "runs"}),
+    "study": frozenset({*_LOWER, "link", "pool", "runs", "identification", CODEGEN}),
+    "report": frozenset({*_LOWER, "pool", "runs", "identification", "study", CODEGEN}),
     "front": frozenset(
-        {
-            "robot",
-            "der",
-            "effects",
-            "library",
-            "planner",
-            "paths",
-            "vision",
-            "link",
-            "pool",
-            "loop",
-            "identification",
-            "study",
-            "report",
-            CODEGEN,
-        }
+        {*_LOWER, "vision", "link", "pool", "runs", "identification", "study", "report", CODEGEN}
     ),
     "cli": frozenset({"front", "report"}),  # arguments in, one call of the front door, printing out
-    CODEGEN: frozenset({"robot", "planner", "link"}),
-    "errors": frozenset(),
-    "extras": frozenset(),
-    "files": frozenset(),
-    "interrupts": frozenset(),
-    "progress": frozenset(),
-    "chunks": frozenset(),
-    "compiled": frozenset(),
-    "__init__": frozenset({"front", "robot", "der", "effects", "library", "paths", "errors", "files"}),
+    CODEGEN: frozenset({"robot", "tables", "planner", "estimator", "link"}),
+    "__init__": frozenset({"front", "robot", "der", "effects", "library", "paths"}),
 }
 """Folder or module of frogkick -> those that it may import besides itself and ``EVERYBODY``."""
 
 WHEELS: Mapping[str, frozenset[str]] = {
+    "core": frozenset({"distributed", "rich"}),
+    "tables": frozenset({"numpy", "numba"}),
     "planner": frozenset({"numpy", "numba"}),
+    "estimator": frozenset({"numpy", "numba"}),
     "paths": frozenset({"numpy", "numba"}),
     "vision": frozenset({"numpy", "cv2", "pupil_apriltags"}),
     "link": frozenset({"cobs", "serial", "bleak"}),
-    "errors": frozenset(),
-    "extras": frozenset(),
-    "files": frozenset(),
-    "chunks": frozenset({"distributed"}),
-    "compiled": frozenset(),
     "__init__": frozenset(),
 }
 """Where an arrow also limits what is not ours: the packages allowed besides the standard library."""

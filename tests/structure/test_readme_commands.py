@@ -14,7 +14,7 @@ from tests.conftest import REPOSITORY
 from tests.structure.test_repository import tracked
 
 from frogkick.cli.main import run_command
-from frogkick.loop.recorded.table import read_table
+from frogkick.runs.recorded.table import read_table
 
 BLOCK = re.compile(r"^```([^\n]*)\n(.*?)^```[ \t]*$", re.MULTILINE | re.DOTALL)
 SHELLS = ("", "sh", "bash", "console")

@@ -11,11 +11,11 @@ from pathlib import Path
 import pytest
 from packaging.requirements import Requirement
 from tests.conftest import LEVEL, REPOSITORY
-from tests.loop import rig
+from tests.runs import rig
 from tests.structure.wheel import Environment, build_wheel, installed, repository_files
 
 from frogkick.cli.app import COMMANDS
-from frogkick.extras import EXTRAS
+from frogkick.core.extras import EXTRAS
 from frogkick_codegen.firmware import build
 
 PLACES = {

@@ -20,7 +20,7 @@ from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 from tests.conftest import REPOSITORY
 
-from frogkick.files import cache_folder
+from frogkick.core.files import cache_folder
 
 PACKED = ("host", "codegen", "firmware", "pyproject.toml", "README.md", "LICENSE")
 """What of the repository a wheel is made of."""

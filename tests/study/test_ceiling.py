@@ -19,7 +19,6 @@ from frogkick.effects import rods_of
 from frogkick.library import Library, fit_table, quantise, sample_library, write_library
 from frogkick.library.transitions import fire_action, lane_effects
 from frogkick.paths import shape
-from frogkick.planner.image import open_image
 from frogkick.planner.lookup import arrays_of
 from frogkick.planner.plan import Cost, PlanConfig, config_of, plan
 from frogkick.report.ceiling_figure import ceiling_figure
@@ -40,6 +39,7 @@ from frogkick.study.ceiling import (
 )
 from frogkick.study.rod_tree import ask_rods, table_of_motions
 from frogkick.study.table_size import first_states
+from frogkick.tables.image import open_image
 
 ROBOT = made.robot()
 ACTIONS = len(ROBOT.actions)

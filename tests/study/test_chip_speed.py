@@ -10,17 +10,16 @@ import numpy as np
 import pytest
 from tests.codegen import made_up
 from tests.conftest import count
-from tests.loop import rig
 from tests.planner import synthetic
+from tests.runs import rig
 
 from frogkick.cli.main import run_command
-from frogkick.files import write_bytes
-from frogkick.loop.chip_planner import ChipPlanner
-from frogkick.loop.closed_loop import robot_plan_config
+from frogkick.core.files import write_bytes
 from frogkick.paths import SHAPES, shape
-from frogkick.planner.image import open_image
 from frogkick.pool.chip.cost import CostModel
 from frogkick.robot import load_robot
+from frogkick.runs.chip_planner import ChipPlanner
+from frogkick.runs.closed_loop import robot_plan_config
 from frogkick.study.chip_speed import (
     CYCLES_PER_MS,
     LIMIT_MS,
@@ -32,6 +31,7 @@ from frogkick.study.chip_speed import (
     states_for_timing,
 )
 from frogkick.study.chip_worst import dearest, fit_cycles
+from frogkick.tables.image import open_image
 from frogkick_codegen import firmware
 
 PATHS = {name: shape(name) for name in SHAPES}

@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
-from tests.loop import rig
+from tests.runs import rig
 
 from frogkick.cli.main import run_command
+from frogkick.estimator.estimator import STALE_US
 from frogkick.paths import shape
-from frogkick.planner.estimator import STALE_US
 from frogkick.planner.plan import PlanConfig
 from frogkick.report.estimator_figure import estimator_figure
 from frogkick.study import estimator as study

@@ -8,12 +8,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.loop import rig
+from tests.runs import rig
 
 from frogkick.cli.main import run_command
-from frogkick.errors import InputError
-from frogkick.loop.record import along_path
+from frogkick.core.errors import InputError
 from frogkick.paths import from_waypoints, shape
+from frogkick.runs.record import along_path
 from frogkick.study.foresight import SAMPLES, Foreseen, foresee, nearest_at, swim
 
 REST = (0.0, 0.0, 0.0)

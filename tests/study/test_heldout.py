@@ -13,15 +13,15 @@ from tests.identification.made import WORN, make_run, robot
 from typer.testing import CliRunner
 
 from frogkick.cli.app import app
-from frogkick.errors import InputError
+from frogkick.core.errors import InputError
 from frogkick.identification import choice as choice_module
 from frogkick.identification import outcome as outcome_module
 from frogkick.identification.outcome import identify
 from frogkick.identification.swim import read_swim
 from frogkick.identification.terms import catalogue
 from frogkick.identification.verdict import Error
-from frogkick.loop.runlog_file import write_run
 from frogkick.robot import load_robot
+from frogkick.runs.runlog_file import write_run
 from frogkick.study import heldout
 from frogkick.study.heldout import HeldOut, held_out, pooled
 

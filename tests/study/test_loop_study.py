@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from PIL import Image
 from tests.identification.made import robot, robot_option
-from tests.loop import rig
+from tests.runs import rig
 
 from frogkick.cli.main import run_command
-from frogkick.errors import InputError
+from frogkick.core.errors import InputError
 from frogkick.library import build_library
 from frogkick.planner.plan import Cost, PlanConfig
 from frogkick.report.loop_figure import loop_figure

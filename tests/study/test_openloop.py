@@ -15,9 +15,9 @@ from tests.study.paper_data import write_swim
 from typer.testing import CliRunner
 
 from frogkick.cli.app import app
+from frogkick.core.errors import InputError
 from frogkick.der import Gait
 from frogkick.effects import BUILT_IN, changed_robot, make_effect, rods_of
-from frogkick.errors import InputError
 from frogkick.robot import load_robot
 from frogkick.study import openloop
 from frogkick.study.gaits import GaitSwim, swim_gaits

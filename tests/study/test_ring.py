@@ -14,22 +14,22 @@ from tests.conftest import count
 from tests.identification.made import robot
 
 from frogkick.cli.main import run_command
+from frogkick.core.progress import progress_bar
 from frogkick.identification import choice as choice_module
 from frogkick.identification import outcome as outcome_module
 from frogkick.identification.outcome import Outcome, identify
 from frogkick.identification.swim import Swim
 from frogkick.identification.terms import catalogue
 from frogkick.library import library_info
-from frogkick.loop.runlog_file import read_run
-from frogkick.planner.image import read_image
-from frogkick.progress import progress_bar
 from frogkick.report import identify_page, ring_page
 from frogkick.report.ring_page import write_ring_report
 from frogkick.robot import load_robot
+from frogkick.runs.runlog_file import read_run
 from frogkick.study import closing as closing_module
 from frogkick.study import ring as ring_module
 from frogkick.study.closing import plant
 from frogkick.study.ring import Ring, close, go_round
+from frogkick.tables.image import read_image
 
 SWUM_S = float(count(17, 17, 14))
 

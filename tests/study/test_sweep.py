@@ -12,8 +12,8 @@ from tests.conftest import count
 from tests.identification.made import robot
 
 from frogkick.cli.main import run_command
+from frogkick.core.errors import InputError
 from frogkick.der import Gait, prepare, simulate_gait
-from frogkick.errors import InputError
 from frogkick.report.sweep_page import write_sweep_report
 from frogkick.robot import load_robot
 from frogkick.study.gaits import GaitSwim, cost_of_transport, swim_chunks, swim_gaits

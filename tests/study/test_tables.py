@@ -14,7 +14,6 @@ from tests.library.synthetic import Known
 
 from frogkick.cli.main import run_command
 from frogkick.library import Library, error_on, fit_table, quantise, sample_library, write_library
-from frogkick.planner.image import open_image
 from frogkick.report.history_figure import history_figure
 from frogkick.report.table_size_figure import table_size_figure
 from frogkick.study import history, table_size
@@ -27,6 +26,7 @@ from frogkick.study.table_size import (
     slope,
     table_sizes,
 )
+from frogkick.tables.image import open_image
 
 
 @pytest.fixture(scope="module")

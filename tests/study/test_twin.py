@@ -16,17 +16,16 @@ import pytest
 from PIL import Image
 from tests.conftest import count
 from tests.identification import made
-from tests.loop import rig
+from tests.runs import rig
 
 from frogkick.cli.main import run_command
-from frogkick.errors import InputError
+from frogkick.core.errors import InputError
 from frogkick.front import planner_studies
 from frogkick.library import Library, build_library
-from frogkick.loop.recorded import read_recorded
 from frogkick.paths import shape
-from frogkick.planner.image import open_image
 from frogkick.planner.plan import PlanConfig, path_rows, plan
 from frogkick.robot import Robot, load_robot, parse_robot
+from frogkick.runs.recorded import read_recorded
 from frogkick.study import believed as believed_module
 from frogkick.study import loop as loop_module
 from frogkick.study import twin as twin_module
@@ -44,6 +43,7 @@ from frogkick.study.twin import (
     require_related,
     world_of,
 )
+from frogkick.tables.image import open_image
 
 MOTION = np.array(
     [

@@ -14,8 +14,8 @@ from tests.identification.made import robot
 from tests.study.paper_data import GAIT, model_swim, write_simulation, write_swim
 
 from frogkick.cli.main import run_command
+from frogkick.core.errors import InputError
 from frogkick.der import Gait
-from frogkick.errors import InputError
 from frogkick.robot import load_robot
 from frogkick.study import matched
 from frogkick.study.measured import Case, SteadySpeed

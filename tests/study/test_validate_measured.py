@@ -9,8 +9,8 @@ import pytest
 from scipy.io import savemat
 from tests.study.paper_data import write_swim
 
+from frogkick.core.errors import InputError
 from frogkick.der import Gait
-from frogkick.errors import InputError
 from frogkick.robot import load_robot
 from frogkick.study.measured import (
     Swim,

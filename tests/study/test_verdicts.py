@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 from tests.conftest import count
 from tests.identification.made import robot
-from tests.loop import rig
+from tests.runs import rig
 
-from frogkick.chunks import run_chunks
+from frogkick.core.chunks import run_chunks
 from frogkick.effects import changed_robot, make_effects
 from frogkick.front.identification_studies import VerdictStudy, cases_of
 from frogkick.identification import choice as choice_module

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from tests.vision.scenes import calibration, scene
 
-from frogkick.errors import InputError
+from frogkick.core.errors import InputError
 from frogkick.vision.calibration import Calibration, Lens, Tag, refraction_offset_m
 from frogkick.vision.calibration_file import calibration_text, read_calibration, write_calibration
 from frogkick.vision.corners import calibrate_corners, read_corners

@@ -16,8 +16,8 @@ from tests.conftest import count
 from tests.vision.scenes import calibration, scene
 
 from frogkick.front.cameras import track_camera
-from frogkick.loop.line_fixes import parse_line
 from frogkick.pool.camera import Fix
+from frogkick.runs.line_fixes import parse_line
 from frogkick.vision.board import Board
 from frogkick.vision.calibration_file import read_calibration, write_calibration
 from frogkick.vision.tags import dictionary, picture_order

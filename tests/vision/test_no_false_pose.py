@@ -7,7 +7,7 @@ import pytest
 from tests.conftest import count
 from tests.vision.scenes import calibration, drawn_pose, scene
 
-from frogkick.errors import InputError
+from frogkick.core.errors import InputError
 from frogkick.vision.scene import Conditions, Scene, clutter, looking_at
 from frogkick.vision.tags import tag_cells
 from frogkick.vision.tracker import Tracker

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from tests.vision.scenes import calibration, scene
 
-from frogkick.errors import InputError
+from frogkick.core.errors import InputError
 from frogkick.vision.sources import FROZEN_FRAMES, live_frames, open_source, scene_frames
 from frogkick.vision.tracker import Tracker
 

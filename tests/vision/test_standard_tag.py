@@ -20,7 +20,7 @@ from tests.conftest import count
 from tests.vision.scenes import calibration, drawn_pose, errors, scene
 from tests.vision.test_golden_tag import from_above, photograph
 
-from frogkick.errors import InputError
+from frogkick.core.errors import InputError
 from frogkick.vision import standard
 from frogkick.vision.calibration import Tag
 from frogkick.vision.calibration_file import read_calibration

@@ -10,7 +10,7 @@ import typer.main
 from typer.core import TyperGroup
 
 import frogkick
-from frogkick.interrupts import ctrl_c_waits
+from frogkick.core.interrupts import ctrl_c_waits
 
 LOG_COMMANDS = {
     "show": ("log", "A run in numbers and in one picture."),

@@ -11,8 +11,8 @@ from typing import Annotated, Any
 import typer
 
 from frogkick.cli.common import JsonOption, SeedOption, WholeLines, json_text, say, show
-from frogkick.errors import InputError
-from frogkick.files import require_writable, write_text
+from frogkick.core.errors import InputError
+from frogkick.core.files import require_writable, write_text
 
 app = typer.Typer(
     cls=WholeLines,

@@ -9,7 +9,7 @@ import typer
 
 import frogkick as fk
 from frogkick.cli.common import JsonOption, show
-from frogkick.files import require_writable
+from frogkick.core.files import require_writable
 
 
 def codegen(

@@ -13,9 +13,9 @@ import typer
 from rich.console import Console
 from typer.core import TyperGroup
 
-from frogkick.chunks import check_cluster
-from frogkick.errors import InputError
-from frogkick.files import atomic_path
+from frogkick.core.chunks import check_cluster
+from frogkick.core.errors import InputError
+from frogkick.core.files import atomic_path
 
 JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else.")]
 SeedOption = Annotated[int, typer.Option("--seed", min=0, help="Makes the run repeatable.")]

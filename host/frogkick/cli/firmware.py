@@ -11,7 +11,7 @@ import typer
 import frogkick as fk
 from frogkick.cli.common import JsonOption, WholeLines, show
 from frogkick.cli.options import TablesOption
-from frogkick.files import require_writable
+from frogkick.core.files import require_writable
 
 app = typer.Typer(
     cls=WholeLines, help="Build, measure, flash and test the robot's image.", no_args_is_help=True

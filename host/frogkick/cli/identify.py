@@ -12,7 +12,7 @@ from typer.core import TyperCommand
 import frogkick as fk
 from frogkick.cli.common import JsonOption, say_left_out, show
 from frogkick.cli.options import NominalOption
-from frogkick.files import require_writable
+from frogkick.core.files import require_writable
 
 if TYPE_CHECKING:
     from frogkick.front.identifying import Error, Horizon, Outcome

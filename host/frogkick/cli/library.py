@@ -11,7 +11,7 @@ import typer
 
 import frogkick as fk
 from frogkick.cli.common import ClusterOption, JsonOption, SeedOption, WholeLines, say, share_out, show
-from frogkick.files import require_writable
+from frogkick.core.files import require_writable
 
 RECORD_S = 5.0
 """That of frogkick.library: a command's help loads nothing of it."""

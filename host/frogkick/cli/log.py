@@ -11,8 +11,8 @@ import typer
 
 import frogkick as fk
 from frogkick.cli.common import JsonOption, short, show, text_lines, write_picture
-from frogkick.errors import InputError
-from frogkick.files import require_writable
+from frogkick.core.errors import InputError
+from frogkick.core.files import require_writable
 
 RunArgument = Annotated[
     Path, typer.Argument(help="Log of ours (.h5) or a recorded run of the paper (line1.csv).")

@@ -11,8 +11,8 @@ import sys
 from types import FrameType, TracebackType
 from typing import Any
 
-from frogkick.errors import CheckError, FrogkickError
-from frogkick.interrupts import ctrl_c_waits
+from frogkick.core.errors import CheckError, FrogkickError
+from frogkick.core.interrupts import ctrl_c_waits
 
 CHECK_FAILED = 1
 BAD_INPUT = 2

@@ -10,7 +10,7 @@ import typer
 import frogkick as fk
 from frogkick.cli.common import JsonOption, say, show
 from frogkick.cli.options import KeyOption
-from frogkick.errors import InputError
+from frogkick.core.errors import InputError
 
 if TYPE_CHECKING:
     from frogkick.front.robots import Pushed

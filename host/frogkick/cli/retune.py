@@ -12,7 +12,7 @@ from frogkick.cli.common import JsonOption, SeedOption, say, say_left_out, show
 from frogkick.cli.identify import horizon_line
 from frogkick.cli.options import KeyOption
 from frogkick.cli.push import text_of
-from frogkick.errors import InputError
+from frogkick.core.errors import InputError
 
 if TYPE_CHECKING:
     from frogkick.front.retuning import Retuning

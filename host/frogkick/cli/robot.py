@@ -10,7 +10,7 @@ import typer
 
 import frogkick as fk
 from frogkick.cli.common import JsonOption, WholeLines, show, write_picture
-from frogkick.files import require_writable
+from frogkick.core.files import require_writable
 
 app = typer.Typer(
     cls=WholeLines,

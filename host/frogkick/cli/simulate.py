@@ -11,9 +11,9 @@ import typer
 
 import frogkick as fk
 from frogkick.cli.common import JsonOption, show
-from frogkick.errors import InputError
-from frogkick.files import require_writable, write_text
-from frogkick.progress import progress_bar
+from frogkick.core.errors import InputError
+from frogkick.core.files import require_writable, write_text
+from frogkick.core.progress import progress_bar
 
 
 def _velocity(text: str) -> tuple[float, float, float]:

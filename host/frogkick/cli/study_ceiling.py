@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import typer
 
 from frogkick.cli.common import JsonOption, show, write_picture
-from frogkick.files import require_writable
+from frogkick.core.files import require_writable
 
 _DepthsOption = Annotated[
     list[int] | None, typer.Option("--depth", min=1, max=3, help="Strokes to look ahead; may be repeated.")

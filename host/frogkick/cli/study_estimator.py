@@ -11,7 +11,7 @@ import typer
 
 from frogkick.cli.common import JsonOption, show, write_picture
 from frogkick.cli.options import DepthOption, ModelOption, PlannerName, PlannerOption, TablesOption
-from frogkick.files import require_writable
+from frogkick.core.files import require_writable
 
 if TYPE_CHECKING:
     from frogkick.front.input_studies import Condition, Outcome

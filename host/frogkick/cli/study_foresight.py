@@ -9,7 +9,7 @@ import typer
 
 from frogkick.cli.common import JsonOption, show, write_picture
 from frogkick.cli.options import TablesOption
-from frogkick.files import require_writable
+from frogkick.core.files import require_writable
 
 
 def foresight(

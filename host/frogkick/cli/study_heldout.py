@@ -10,7 +10,7 @@ import typer
 
 from frogkick.cli.common import JsonOption, say_left_out, show, write_picture
 from frogkick.cli.options import NominalOption
-from frogkick.files import require_writable
+from frogkick.core.files import require_writable
 
 
 def heldout(

@@ -9,8 +9,8 @@ import typer
 
 from frogkick.cli.common import JsonOption, show, write_picture
 from frogkick.cli.options import RobotFileOption
-from frogkick.errors import InputError
-from frogkick.files import require_writable
+from frogkick.core.errors import InputError
+from frogkick.core.files import require_writable
 
 _PercentOption = Annotated[
     list[float] | None,

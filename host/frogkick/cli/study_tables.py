@@ -9,7 +9,7 @@ import typer
 
 from frogkick.cli.common import JsonOption, SeedOption, show, write_picture
 from frogkick.cli.library import Sampling
-from frogkick.files import require_writable
+from frogkick.core.files import require_writable
 
 _PictureOption = Annotated[Path | None, typer.Option(help="Picture to write (PNG).")]
 

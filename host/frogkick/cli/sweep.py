@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from frogkick.cli.common import ClusterOption, JsonOption, share_out, show
-from frogkick.errors import InputError
-from frogkick.files import require_writable
-from frogkick.progress import progress_bar, tell_line
+from frogkick.core.errors import InputError
+from frogkick.core.files import require_writable
+from frogkick.core.progress import progress_bar, tell_line
 
 if TYPE_CHECKING:
     from frogkick.front.gaits import Point, Swept

@@ -11,7 +11,7 @@ import typer
 import frogkick as fk
 from frogkick.cli.common import JsonOption, SeedOption, WholeLines, show
 from frogkick.cli.library import Sampling
-from frogkick.files import require_writable
+from frogkick.core.files import require_writable
 
 app = typer.Typer(cls=WholeLines, help="Make of a library the robot's table image.", no_args_is_help=True)
 

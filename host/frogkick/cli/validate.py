@@ -10,7 +10,7 @@ import typer
 
 from frogkick.cli.common import JsonOption, show
 from frogkick.cli.options import RobotFileOption
-from frogkick.files import require_writable
+from frogkick.core.files import require_writable
 
 
 def _text(result: dict[str, Any]) -> str:

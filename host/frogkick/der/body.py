@@ -12,7 +12,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from frogkick.compiled import INNER
+from frogkick.core.compiled import INNER
 from frogkick.der.lanes import Numbers, get, put
 from frogkick.der.mesh import Mesh
 

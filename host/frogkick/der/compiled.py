@@ -1,6 +1,6 @@
 """The rods' compiled functions as Python calls them, kept on disk between runs.
 
-Only these outermost functions are kept: see frogkick.compiled.
+Only these outermost functions are kept: see frogkick.core.compiled.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from typing import Any
 
 from numba import njit
 
-from frogkick.compiled import KEPT, stamp_of
+from frogkick.core.compiled import KEPT, stamp_of
 from frogkick.der import body, stepping
 
 

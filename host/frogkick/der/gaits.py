@@ -8,11 +8,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from frogkick.core.errors import ConvergenceError, InputError
 from frogkick.der.batch import WIDTH, Failure
 from frogkick.der.strokes import Acts, Plainly, between
 from frogkick.der.swimmer import STEP_S, Rods, batch_of, prepare
 from frogkick.der.trajectory import Trajectory, sample_times, trajectory_of
-from frogkick.errors import ConvergenceError, InputError
 from frogkick.robot import Robot
 
 FloatArray = NDArray[np.float64]

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 from numba import njit
 
-from frogkick.compiled import BARE
+from frogkick.core.compiled import BARE
 from frogkick.der.lanes import Numbers, add, get, lane_zeros, put, root, size
 from frogkick.der.mesh import Mesh
 from frogkick.der.plan import Plan

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from numba import njit
 
-from frogkick.compiled import BARE
+from frogkick.core.compiled import BARE
 from frogkick.der.lanes import Numbers, add, get, put
 from frogkick.der.plan import Plan
 

@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numba import njit
 
-from frogkick.compiled import INNER
+from frogkick.core.compiled import INNER
 from frogkick.der.body import set_sums
 from frogkick.der.lanes import Numbers, add, any_above, choose_above, get, lane_zeros, put
 from frogkick.der.mesh import Mesh

@@ -9,9 +9,9 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from frogkick.core.errors import ConvergenceError, InputError
 from frogkick.der.batch import WIDTH, Batch, Failure
 from frogkick.der.swimmer import STEP_S, Rods, batch_of, prepare
-from frogkick.errors import ConvergenceError, InputError
 from frogkick.robot import Action, Robot
 
 FloatArray = NDArray[np.float64]

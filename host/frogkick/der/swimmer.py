@@ -9,11 +9,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from frogkick.core.errors import ConvergenceError, InputError
 from frogkick.der.batch import Batch
 from frogkick.der.mesh import Mesh, build_mesh
 from frogkick.der.plan import Plan
 from frogkick.der.water import Water
-from frogkick.errors import ConvergenceError, InputError
 from frogkick.robot import Actuation, Robot
 
 FloatArray = NDArray[np.float64]

@@ -9,9 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from frogkick.core.errors import ConvergenceError, InputError
 from frogkick.der.strokes import Acts, program_of, simulate_many
 from frogkick.der.swimmer import STEP_S, Rods, prepare
-from frogkick.errors import ConvergenceError, InputError
 from frogkick.robot import Action, Robot
 from frogkick.robot.model import STANDARD_GRAVITY_MPS2
 

@@ -14,7 +14,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from frogkick.compiled import INNER
+from frogkick.core.compiled import INNER
 from frogkick.der.lanes import Numbers, get
 
 FloatArray = NDArray[np.float64]

@@ -9,10 +9,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from frogkick.core.errors import InputError
 from frogkick.der import STILL, Batch, Rods, Swimmer, Water, prepare
 from frogkick.effects.base import Body, Effect, Fix, FloatArray, History, Stroke
 from frogkick.effects.registry import effects_of
-from frogkick.errors import InputError
 from frogkick.robot import Robot
 
 LEG_S = 0.02

@@ -22,7 +22,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from frogkick.errors import InputError, nearest_name
+from frogkick.core.errors import InputError, nearest_name
 from frogkick.robot import Robot
 
 FloatArray = NDArray[np.float64]

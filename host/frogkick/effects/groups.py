@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from frogkick.core.errors import InputError
 from frogkick.effects.base import Effect, History, Parameter, Stroke
-from frogkick.errors import InputError
 from frogkick.robot import Robot
 
 

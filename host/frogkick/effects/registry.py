@@ -10,10 +10,10 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from frogkick.core.errors import InputError, nearest_name
+from frogkick.core.files import existing_file
 from frogkick.effects import body, camera, groups, inertia, limbs, walls, water
 from frogkick.effects.base import Effect
-from frogkick.errors import InputError, nearest_name
-from frogkick.files import existing_file
 from frogkick.robot import Robot
 
 

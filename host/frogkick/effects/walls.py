@@ -7,8 +7,8 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from frogkick.core.errors import InputError, nearest_name
 from frogkick.effects.base import Body, Effect, FloatArray, Parameter
-from frogkick.errors import InputError, nearest_name
 from frogkick.robot import Robot
 
 OUTWARD: Mapping[str, tuple[float, float]] = {

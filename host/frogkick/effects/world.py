@@ -7,10 +7,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from frogkick.core.errors import InputError
+from frogkick.core.files import existing_file
 from frogkick.effects.base import Effect
 from frogkick.effects.registry import make_effects
-from frogkick.errors import InputError
-from frogkick.files import existing_file
 
 
 @dataclass(frozen=True)

@@ -13,26 +13,26 @@ from typing import Protocol
 
 import numpy as np
 
+from frogkick.core.errors import InputError, nearest_name
+from frogkick.core.progress import tell_line
 from frogkick.effects import World
-from frogkick.errors import InputError, nearest_name
 from frogkick.front.places import built_firmware, start_pose
 from frogkick.link.frames import DELIMITER
 from frogkick.link.opening import opened, require_wire
 from frogkick.link.text_dialect import pulse_line, require_dialect
 from frogkick.link.wire import Wire, is_target, parse_target
-from frogkick.loop.camera_fixes import CameraFixes
-from frogkick.loop.closed_loop import Recording, RunOptions, run_session
-from frogkick.loop.in_time import warm_up
-from frogkick.loop.lab_session import LabSession, lab_session, stops_are_interrupts
-from frogkick.loop.line_fixes import LineFixes
-from frogkick.loop.pool_fixes import PoolFixes
-from frogkick.loop.start_checks import check_battery, check_start, look
-from frogkick.loop.text_robot import TextRobot
 from frogkick.paths import Path as SwimPath
-from frogkick.planner.image import Tables
 from frogkick.pool.native_robot import NativeRobot
-from frogkick.progress import tell_line
 from frogkick.robot import Robot
+from frogkick.runs.camera_fixes import CameraFixes
+from frogkick.runs.closed_loop import Recording, RunOptions, run_session
+from frogkick.runs.in_time import warm_up
+from frogkick.runs.lab_session import LabSession, lab_session, stops_are_interrupts
+from frogkick.runs.line_fixes import LineFixes
+from frogkick.runs.pool_fixes import PoolFixes
+from frogkick.runs.start_checks import check_battery, check_start, look
+from frogkick.runs.text_robot import TextRobot
+from frogkick.tables.image import Tables
 from frogkick.vision.calibration_file import read_calibration
 from frogkick.vision.sources import open_source
 from frogkick.vision.video import Video

@@ -10,20 +10,20 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from frogkick.errors import InputError
-from frogkick.extras import require
-from frogkick.files import existing_file
+from frogkick.core.errors import InputError
+from frogkick.core.extras import require
+from frogkick.core.files import existing_file
+from frogkick.core.progress import Progress, shown
 from frogkick.front.places import built_firmware
 from frogkick.front.tables import Table, load_table
-from frogkick.planner.image import read_image
-from frogkick.progress import Progress, shown
 from frogkick.robot import Robot
+from frogkick.tables.image import read_image
 from frogkick_codegen.emit import emit
 from frogkick_codegen.firmware import FLASH_BYTES, RAM_BYTES, Build, build, require_tools
 from frogkick_codegen.probe import check_image, flash
 
 if TYPE_CHECKING:
-    from frogkick.loop.chip_check import ChipReport
+    from frogkick.runs.chip_check import ChipReport
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -185,7 +185,7 @@ def try_firmware(
         ChipError: it does what the chip does not allow.
     """
     require_tools("bench")
-    from frogkick.loop.chip_check import check_on_chip  # it cannot be loaded without the extra
+    from frogkick.runs.chip_check import check_on_chip  # it cannot be loaded without the extra
 
     used = table if isinstance(table, Table) else load_table(table, robot)
     with ExitStack() as stack:

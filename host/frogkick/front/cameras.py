@@ -12,12 +12,12 @@ from typing import Any
 
 import numpy as np
 
-from frogkick.errors import InputError
+from frogkick.core.errors import InputError
 from frogkick.front.viewing import camera_viewed
-from frogkick.loop.camera_fixes import CameraFixes
-from frogkick.loop.closed_loop import Recording
-from frogkick.loop.live_view import FIXES_SHOWN
 from frogkick.pool.camera import Fix
+from frogkick.runs.camera_fixes import CameraFixes
+from frogkick.runs.closed_loop import Recording
+from frogkick.runs.live_view import FIXES_SHOWN
 from frogkick.vision.board import Board, calibrate_lens, read_picture, read_pictures
 from frogkick.vision.calibration import Calibration, Tag, refraction_offset_m
 from frogkick.vision.calibration_file import read_calibration, write_calibration

@@ -7,12 +7,12 @@ import os
 from pathlib import Path
 
 import frogkick
-from frogkick.errors import InputError
-from frogkick.files import cache_folder, one_at_a_time, write_bytes
+from frogkick.core.errors import InputError
+from frogkick.core.files import cache_folder, one_at_a_time, write_bytes
+from frogkick.core.progress import Progress, shown
 from frogkick.library import build_library, quantise, read_library
-from frogkick.planner.image import read_image
-from frogkick.progress import Progress, shown
 from frogkick.robot import Robot, load_robot
+from frogkick.tables.image import read_image
 
 STATES = 300
 SEED = 0
@@ -60,7 +60,7 @@ def _source_sha256() -> str:
     """Of the code that simulates and quantises: with other physics a kept table would be a wrong one."""
     digest = hashlib.sha256()
     package = Path(frogkick.__file__).parent
-    for folder in ("robot", "der", "library", "planner"):
+    for folder in ("robot", "der", "library", "tables", "planner"):
         for file in sorted((package / folder).glob("*.py")):
             digest.update(file.read_bytes())
     return digest.hexdigest()

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from frogkick.core.errors import InputError
+from frogkick.core.files import require_writable, write_text
 from frogkick.der import Rods, prepare
-from frogkick.errors import InputError
-from frogkick.files import require_writable, write_text
 from frogkick.robot import Robot, load_robot, parse_robot, robot_warnings
 from frogkick.robot.profile import Profile
 from frogkick.robot.profile_files import Stroke, fit_stroke, read_stroke, write_profiles

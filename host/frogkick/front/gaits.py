@@ -12,9 +12,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from frogkick.files import require_writable, write_text
+from frogkick.core.files import require_writable, write_text
+from frogkick.core.progress import Progress, shown
 from frogkick.front.html import page_of
-from frogkick.progress import Progress, shown
 from frogkick.robot import Robot, load_robot
 from frogkick.study.matched import Matched, matched_without
 from frogkick.study.measured import Skipped

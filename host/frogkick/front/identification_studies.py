@@ -13,14 +13,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from frogkick.errors import InputError
-from frogkick.files import require_writable, write_text
+from frogkick.core.errors import InputError
+from frogkick.core.files import require_writable, write_text
+from frogkick.core.progress import Progress, shown
 from frogkick.front.identifying import LeftOut
 from frogkick.front.places import robot_of_table, table_image
 from frogkick.identification.outcome import robot_of_runs
 from frogkick.identification.swim import read_swim, reliable
 from frogkick.identification.verdict import Error
-from frogkick.progress import Progress, shown
 from frogkick.robot import Robot, load_robot
 from frogkick.robot.toml_text import to_toml
 from frogkick.study import heldout

@@ -8,7 +8,8 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from frogkick.errors import InputError
+from frogkick.core.errors import InputError
+from frogkick.core.progress import progress_bar
 from frogkick.front.html import page_of
 from frogkick.front.running import Run
 from frogkick.identification.horizons import Horizon
@@ -22,7 +23,6 @@ from frogkick.identification.outcome import identify as find
 from frogkick.identification.retune import steps
 from frogkick.identification.swim import Swim, read_swim, swim_of
 from frogkick.identification.verdict import Error, Interval
-from frogkick.progress import progress_bar
 from frogkick.robot import Robot, load_robot, parse_robot
 
 __all__ = ["Error", "FoundEffect", "Horizon", "Identification", "Interval", "Outcome", "identify"]

@@ -10,18 +10,18 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from frogkick.errors import InputError
+from frogkick.core.errors import InputError
+from frogkick.core.progress import Progress, shown
 from frogkick.front.places import plan_config, robot_of_table, start_pose, swim_path, table_image
 from frogkick.library import fit_table, quantise, read_library
 from frogkick.library.fitting import BUDGET_BYTES, require_enough
-from frogkick.loop.closed_loop import require_time
 from frogkick.paths import SHAPES
 from frogkick.paths import Path as SwimPath
-from frogkick.planner.image import Tables, read_image
-from frogkick.progress import Progress, shown
+from frogkick.runs.closed_loop import require_time
 from frogkick.study import ceiling
 from frogkick.study.estimator import RATES_HZ, Condition, Outcome, compare_estimators
 from frogkick.study.foresight import Foreseen, foresee, nearest_at
+from frogkick.tables.image import Tables, read_image
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

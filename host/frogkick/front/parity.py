@@ -8,13 +8,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from frogkick.core.progress import Progress, shown
 from frogkick.front.places import plan_config
 from frogkick.front.tables import Table, load_table
 from frogkick.paths import shape
-from frogkick.planner.image import Tables
 from frogkick.planner.plan import PlanConfig
-from frogkick.progress import Progress, shown
 from frogkick.robot import Robot
+from frogkick.tables.image import Tables
 from frogkick_codegen.firmware import build, require_tools
 from frogkick_codegen.native import NativeLibrary
 from frogkick_codegen.parity import KINDS, PairReport, Place, compare, make_cases, native_place, python_place
@@ -138,7 +138,7 @@ def _single(
     progress: Callable[[int, int], None],
 ) -> list[PairReport]:
     """Compare single decisions: all places but the chip on all states, the chip on the first of them."""
-    from frogkick.loop.chip_planner import ChipPlanner  # it cannot be loaded without the extra
+    from frogkick.runs.chip_planner import ChipPlanner  # it cannot be loaded without the extra
 
     states, chip_states, seed = counts
     path = shape("sine")
@@ -169,7 +169,7 @@ def _loops(
     seed: int,
 ) -> dict[str, int]:
     """Compare a whole loop: the twin by decisions, other builds by all that their core puts out."""
-    from frogkick.loop.rehearsal import (
+    from frogkick.runs.rehearsal import (
         call_mismatches,
         live_natively,
         live_on_chip,

@@ -9,19 +9,19 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
 
-from frogkick.errors import InputError, nearest_name
+from frogkick.core.errors import InputError, nearest_name
+from frogkick.core.progress import tell_line
 from frogkick.front.default_tables import default_tables
-from frogkick.loop.closed_loop import robot_plan_config
-from frogkick.loop.record import config_of_log
-from frogkick.loop.runlog import RunLog
 from frogkick.paths import OTHER_SHAPES, SHAPES, from_csv, shape
 from frogkick.paths import Path as SwimPath
-from frogkick.planner.image import Tables, read_image
 from frogkick.planner.plan import PlanConfig
 from frogkick.pool.native_robot import NativeRobot
 from frogkick.pool.port import RobotPort
-from frogkick.progress import tell_line
 from frogkick.robot import Robot, built_in_robots, load_robot
+from frogkick.runs.closed_loop import robot_plan_config
+from frogkick.runs.record import config_of_log
+from frogkick.runs.runlog import RunLog
+from frogkick.tables.image import Tables, read_image
 from frogkick_codegen.firmware import Build, build, require_tools
 
 DEFAULT_ROBOT = "frog2022"

@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from frogkick.errors import InputError
-from frogkick.files import require_writable, write_bytes
+from frogkick.core.errors import InputError
+from frogkick.core.files import require_writable, write_bytes
+from frogkick.core.progress import Progress, shown
 from frogkick.library import Library, build_library, fit_table, quantise, read_library
 from frogkick.library.fitting import BUDGET_BYTES
 from frogkick.paths import SHAPES, shape
-from frogkick.progress import Progress, shown
 from frogkick.robot import Robot, load_robot
 from frogkick.study import believed as beliefs
 from frogkick.study import loop as planners_in_loop

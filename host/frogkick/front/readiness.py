@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import Any
 
 from frogkick import __version__
-from frogkick.errors import FrogkickError
-from frogkick.extras import EXTRAS, install_command, installed
+from frogkick.core.errors import FrogkickError
+from frogkick.core.extras import EXTRAS, install_command, installed
 from frogkick.link.serial import ports
 
 

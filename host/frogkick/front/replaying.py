@@ -8,8 +8,9 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from frogkick.errors import InputError, nearest_name
-from frogkick.files import require_writable
+from frogkick.core.errors import InputError, nearest_name
+from frogkick.core.files import require_writable
+from frogkick.core.progress import Progress, shown
 from frogkick.front.default_tables import default_tables
 from frogkick.front.places import (
     built_firmware,
@@ -26,16 +27,15 @@ from frogkick.front.running import PLANS, Run
 from frogkick.front.tables import Table, load_table
 from frogkick.link.log import fetch_log as fetch_bytes
 from frogkick.link.wire import is_target, parse_target
-from frogkick.loop.chip_log_file import FetchedLog, read_log, write_log
-from frogkick.loop.chip_log_replay import LogReplay
-from frogkick.loop.chip_log_replay import replay_log as replay_records
-from frogkick.loop.recorded import load_run as load_log
-from frogkick.loop.replay import Replay, require_replayable
-from frogkick.loop.replay import replay as replay_run
-from frogkick.loop.session import Session
-from frogkick.planner.image import Tables, read_image
-from frogkick.progress import Progress, shown
 from frogkick.robot import Robot
+from frogkick.runs.chip_log_file import FetchedLog, read_log, write_log
+from frogkick.runs.chip_log_replay import LogReplay
+from frogkick.runs.chip_log_replay import replay_log as replay_records
+from frogkick.runs.recorded import load_run as load_log
+from frogkick.runs.replay import Replay, require_replayable
+from frogkick.runs.replay import replay as replay_run
+from frogkick.runs.session import Session
+from frogkick.tables.image import Tables, read_image
 from frogkick_codegen.firmware import require_tools
 
 __all__ = ["FetchedLog", "LogReplayed", "Replayed", "fetch_from", "fetch_log", "replay", "replay_log"]

@@ -12,9 +12,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from frogkick.core.errors import FrogkickError, InputError
+from frogkick.core.files import require_writable
+from frogkick.core.progress import Progress, shown
 from frogkick.effects import World, effects_of
-from frogkick.errors import FrogkickError, InputError
-from frogkick.files import require_writable
 from frogkick.front.html import page_of
 from frogkick.front.identifying import Error, Given, LeftOut, Outcome, swim_of_given
 from frogkick.front.places import built_firmware
@@ -27,10 +28,9 @@ from frogkick.identification.tables import Stage, Tracked
 from frogkick.library import build_library, fit_table, read_library
 from frogkick.library.error import looked_up
 from frogkick.paths import SHAPES
-from frogkick.planner.image import open_image, read_image
-from frogkick.progress import Progress, shown
 from frogkick.robot import Robot, load_robot
 from frogkick.study.trial import trials
+from frogkick.tables.image import open_image, read_image
 from frogkick_codegen.firmware import build, require_tools
 
 __all__ = ["BEFORE", "STATES", "TABLES", "Error", "Pushed", "Retuning", "retune"]

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from frogkick.files import require_writable
+from frogkick.core.files import require_writable
+from frogkick.core.progress import Progress, shown
 from frogkick.front.places import plan_config
-from frogkick.progress import Progress, shown
 from frogkick.robot import Robot, load_robot
 from frogkick_codegen.firmware import require_tools
 

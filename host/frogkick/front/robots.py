@@ -8,7 +8,8 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from frogkick.errors import FrogkickError, InputError, nearest_name
+from frogkick.core.errors import FrogkickError, InputError, nearest_name
+from frogkick.core.progress import Progress, shown
 from frogkick.front.places import robot_of_table, simulated_robot
 from frogkick.front.running import Run, run
 from frogkick.front.tables import Table
@@ -17,12 +18,11 @@ from frogkick.link.frames import DELIMITER
 from frogkick.link.layout import link_layout
 from frogkick.link.opening import opened, require_wire
 from frogkick.link.wire import Wire, is_target, parse_target
-from frogkick.loop.lab_session import LabSession, lab_session
-from frogkick.loop.pushing import Pushed, own, push, roll_back
-from frogkick.loop.session import Session
 from frogkick.paths import Path as SwimPath
-from frogkick.planner.image import read_image
-from frogkick.progress import Progress, shown
+from frogkick.runs.lab_session import LabSession, lab_session
+from frogkick.runs.pushing import Pushed, own, push, roll_back
+from frogkick.runs.session import Session
+from frogkick.tables.image import read_image
 
 __all__ = [
     "VIRTUAL",

@@ -6,10 +6,10 @@ import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from frogkick.loop.closed_loop import Recording
-from frogkick.loop.live_check import LiveCheck
-from frogkick.planner.image import Tables
-from frogkick.progress import Tell
+from frogkick.core.progress import Tell
+from frogkick.runs.closed_loop import Recording
+from frogkick.runs.live_check import LiveCheck
+from frogkick.tables.image import Tables
 
 SLOW_S = 2.0
 

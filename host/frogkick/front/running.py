@@ -16,10 +16,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from frogkick.core.errors import InputError, nearest_name
+from frogkick.core.extras import EXTRAS, require
+from frogkick.core.files import require_writable
+from frogkick.core.progress import Progress, progress_bar, shown, tell_line
 from frogkick.effects import World, read_world
-from frogkick.errors import InputError, nearest_name
-from frogkick.extras import EXTRAS, require
-from frogkick.files import require_writable
 from frogkick.front.bench import (
     Bench,
     Operators,
@@ -41,23 +42,22 @@ from frogkick.front.run_progress import RunProgress
 from frogkick.front.tables import Table, load_table
 from frogkick.front.viewing import played, viewed
 from frogkick.link.wire import Wire, is_target
-from frogkick.loop.camera_fixes import CameraFixes
-from frogkick.loop.closed_loop import Recording, RunOptions, require_time, run_in_pool
-from frogkick.loop.export_csv import columns_of, export_csv
-from frogkick.loop.export_mcap import export_mcap
-from frogkick.loop.live_check import LiveCheck
-from frogkick.loop.live_log import CUT_OFF, logged, part_of
-from frogkick.loop.record import BATTERY_V, Tracking, made_of, run_log, tracking_of_recording
-from frogkick.loop.recorded import import_recorded
-from frogkick.loop.recorded import load_run as load_log
-from frogkick.loop.runlog import RunLog
-from frogkick.loop.runlog_file import write_run
-from frogkick.loop.summary import Comparison, Summary, compare_runs, summary, tracking_of_log
 from frogkick.paths import Path as SwimPath
 from frogkick.pool.camera import Camera as SimulatedCamera
 from frogkick.pool.pool import Pool
-from frogkick.progress import Progress, progress_bar, shown, tell_line
 from frogkick.robot import Robot
+from frogkick.runs.camera_fixes import CameraFixes
+from frogkick.runs.closed_loop import Recording, RunOptions, require_time, run_in_pool
+from frogkick.runs.export_csv import columns_of, export_csv
+from frogkick.runs.export_mcap import export_mcap
+from frogkick.runs.live_check import LiveCheck
+from frogkick.runs.live_log import CUT_OFF, logged, part_of
+from frogkick.runs.record import BATTERY_V, Tracking, made_of, run_log, tracking_of_recording
+from frogkick.runs.recorded import import_recorded
+from frogkick.runs.recorded import load_run as load_log
+from frogkick.runs.runlog import RunLog
+from frogkick.runs.runlog_file import write_run
+from frogkick.runs.summary import Comparison, Summary, compare_runs, summary, tracking_of_log
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

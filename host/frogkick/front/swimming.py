@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+from frogkick.core.errors import ConvergenceError, InputError
 from frogkick.der import Failure, Gait, Trajectory, simulate_actions, simulate_gaits
 from frogkick.effects import rods_of
-from frogkick.errors import ConvergenceError, InputError
 from frogkick.library.transitions import lane_effects
 from frogkick.robot import Action, Robot
 

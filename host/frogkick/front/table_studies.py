@@ -9,11 +9,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from frogkick.core.progress import Progress, shown
 from frogkick.der import STEP_S
 from frogkick.front.places import built_firmware, plan_config, robot_of_table, table_image
 from frogkick.library import read_library
 from frogkick.paths import SHAPES, shape
-from frogkick.progress import Progress, shown
 from frogkick.robot import Robot, load_robot
 from frogkick.study.convergence import ERROR_LIMIT, Curve, convergence
 from frogkick.study.history import HistoryResult, history_worth

@@ -11,15 +11,15 @@ from pathlib import Path
 from typing import Any
 
 from frogkick import library as libraries
-from frogkick.errors import InputError
-from frogkick.files import write_bytes
+from frogkick.core.errors import InputError
+from frogkick.core.files import write_bytes
+from frogkick.core.progress import Progress, shown, tell_line
 from frogkick.front.default_tables import default_tables
 from frogkick.front.html import page_of
 from frogkick.front.places import DEFAULT_ROBOT, robot_of_image
 from frogkick.library import RECORD_S, Library, library_info
-from frogkick.planner.image import Tables, open_image, read_image
-from frogkick.progress import Progress, shown, tell_line
 from frogkick.robot import Robot
+from frogkick.tables.image import Tables, open_image, read_image
 
 __all__ = ["RECORD_S", "Table", "build_library", "fit_table", "library_info", "load_library", "load_table"]
 

@@ -12,18 +12,18 @@ from contextlib import contextmanager, suppress
 
 import numpy as np
 
-from frogkick.errors import FrogkickError, InputError
-from frogkick.loop.camera_fixes import CameraFixes
-from frogkick.loop.camera_view import CameraView
-from frogkick.loop.closed_loop import Recording, RunOptions
-from frogkick.loop.live_view import LiveView
-from frogkick.loop.runlog import RunLog
+from frogkick.core.errors import FrogkickError, InputError
+from frogkick.core.progress import tell_line
 from frogkick.paths import Path as SwimPath
-from frogkick.planner.image import Tables
 from frogkick.pool.pool import Pool
-from frogkick.progress import tell_line
 from frogkick.report.live_page import served
 from frogkick.robot import Robot, load_robot, parse_robot
+from frogkick.runs.camera_fixes import CameraFixes
+from frogkick.runs.camera_view import CameraView
+from frogkick.runs.closed_loop import Recording, RunOptions
+from frogkick.runs.live_view import LiveView
+from frogkick.runs.runlog import RunLog
+from frogkick.tables.image import Tables
 
 EVERY_S = 0.1
 LINGER_S = 0.5

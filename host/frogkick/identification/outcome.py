@@ -14,8 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from frogkick.errors import InputError
-from frogkick.files import write_text
+from frogkick.core.errors import InputError
+from frogkick.core.files import write_text
 from frogkick.identification.choice import Progress, found_in, pruned
 from frogkick.identification.drift import Drift, drift_of
 from frogkick.identification.experiment import Experiment, experiment_of

@@ -12,7 +12,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from frogkick.compiled import stamp_of
+from frogkick.core.compiled import stamp_of
 from frogkick.der.schedule import _step_times, stroke_activation
 
 FloatArray = NDArray[np.float64]

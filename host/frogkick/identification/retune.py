@@ -20,9 +20,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from frogkick.core.errors import InputError
+from frogkick.core.files import write_bytes
 from frogkick.effects import Effect
-from frogkick.errors import InputError
-from frogkick.files import write_bytes
 from frogkick.identification.horizons import Horizon
 from frogkick.identification.outcome import Outcome, identify, write_robot
 from frogkick.identification.swim import Swim

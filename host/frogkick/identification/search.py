@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from frogkick.errors import InputError
+from frogkick.core.errors import InputError
 from frogkick.identification.bootstrap import gain_by_chance
 from frogkick.identification.columns import Column, sensitivities
 from frogkick.identification.filter import Noise

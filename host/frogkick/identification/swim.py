@@ -11,10 +11,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from frogkick.errors import InputError
-from frogkick.loop.recorded import clock_problem, load_run
-from frogkick.loop.runlog import FixFlag, RunLog
+from frogkick.core.errors import InputError
 from frogkick.robot import Robot
+from frogkick.runs.recorded import clock_problem, load_run
+from frogkick.runs.runlog import FixFlag, RunLog
 
 FloatArray = NDArray[np.float64]
 

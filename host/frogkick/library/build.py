@@ -13,11 +13,11 @@ from pathlib import Path
 import numpy as np
 
 from frogkick import __version__ as VERSION
-from frogkick.chunks import WORKERS_MAX, Job, run_chunks
+from frogkick.core.chunks import WORKERS_MAX, Job, run_chunks
+from frogkick.core.errors import ConvergenceError, InputError
 from frogkick.der import Rods
 from frogkick.der.compiled import SOURCES
 from frogkick.effects import rods_of
-from frogkick.errors import ConvergenceError, InputError
 from frogkick.library.parts import Parts
 from frogkick.library.sampling import sample_starts
 from frogkick.library.starts import Starts, gliding
@@ -95,7 +95,7 @@ def build_library(
         progress: called with (transitions done, all).
         sampling: "box", "visited" or "planned", see ``sample_starts``.
         record_s: how long to follow and record each transition; up to the period, nothing is recorded.
-        cluster: address of a Dask scheduler whose workers simulate instead; see frogkick.chunks.
+        cluster: address of a Dask scheduler whose workers simulate instead; see frogkick.core.chunks.
         keep_others: refuse where ``OUT.parts`` is of another robot, seed and the like; else that is dropped.
 
     Raises:

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
+from frogkick.core.errors import InputError
 from frogkick.der.strokes import body_from_world, cubic
-from frogkick.errors import InputError
 from frogkick.library.store import Library, library_of, read_library, read_recorded
 from frogkick.robot import Robot
 

@@ -9,13 +9,13 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from frogkick.compiled import stamp_of
+from frogkick.core.compiled import stamp_of
 from frogkick.library.build import sample_library
 from frogkick.library.store import Library
 from frogkick.library.transitions import IntArray
-from frogkick.planner.image import Tables
 from frogkick.planner.lookup import DYNAMICS, arrays_of, dynamics_after, find_row, motion_of, velocity_code
 from frogkick.robot import Robot
+from frogkick.tables.image import Tables
 
 FloatArray = NDArray[np.float64]
 

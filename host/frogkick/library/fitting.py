@@ -10,16 +10,16 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from frogkick.errors import InputError, nearest_name
+from frogkick.core.errors import InputError, nearest_name
 from frogkick.library.cells import Cells, Division
 from frogkick.library.error import looked_up, rms_gap
 from frogkick.library.quantise import quantise, table_fields
 from frogkick.library.store import Library
 from frogkick.library.surface import STATES_MIN, Surface, fit_surface, noise_of
 from frogkick.library.transitions import IntArray
-from frogkick.planner.image import open_image
-from frogkick.planner.packing import pack_affine, pack_nearest
-from frogkick.planner.sealing import ERROR_MAX
+from frogkick.tables.image import open_image
+from frogkick.tables.packing import pack_affine, pack_nearest
+from frogkick.tables.sealing import ERROR_MAX
 
 FloatArray = NDArray[np.float64]
 

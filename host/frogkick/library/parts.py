@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from frogkick.errors import InputError
-from frogkick.files import write_bytes, write_text
+from frogkick.core.errors import InputError
+from frogkick.core.files import write_bytes, write_text
 from frogkick.library.transitions import Failed, Transitions
 
 _FORMAT = "frogkick library parts"

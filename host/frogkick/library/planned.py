@@ -14,19 +14,19 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from frogkick.chunks import Job, run_chunks
+from frogkick.core.chunks import Job, run_chunks
+from frogkick.core.errors import ConvergenceError
 from frogkick.der import STEP_S, WIDTH, Rods
 from frogkick.der.swimmer import batch_of
 from frogkick.effects import rods_of
-from frogkick.errors import ConvergenceError
 from frogkick.library.quantise import quantise
 from frogkick.library.starts import Met
 from frogkick.library.store import make_library
 from frogkick.library.swims import steered_swims
 from frogkick.library.transitions import fire_action, lane_effects, simulate_task
-from frogkick.planner.image import Tables, open_image
 from frogkick.planner.plan import config_of, plan_batch
 from frogkick.robot import Robot
+from frogkick.tables.image import Tables, open_image
 
 Float32 = NDArray[np.float32]
 
@@ -58,7 +58,7 @@ def planned_swims(
     Args:
         robot: who swims, with the planner of its TOML.
         seed: of the paths; each swim has a generator of its own.
-        workers, cluster: who simulates; see frogkick.chunks.
+        workers, cluster: who simulates; see frogkick.core.chunks.
 
     Yields:
         A few swims after others; the same whoever simulates.

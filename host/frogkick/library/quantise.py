@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import Any
 
-from frogkick.errors import InputError
+from frogkick.core.errors import InputError
 from frogkick.library.store import Library
-from frogkick.planner.packing import pack_nearest
 from frogkick.robot import Robot
+from frogkick.tables.packing import pack_nearest
 
 
 def table_fields(robot: Robot, provenance: bytes) -> dict[str, Any]:

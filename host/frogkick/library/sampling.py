@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from frogkick.errors import InputError, nearest_name
+from frogkick.core.errors import InputError, nearest_name
 from frogkick.library.planned import planned_swims
 from frogkick.library.starts import Met, Starts, gliding
 from frogkick.library.swims import steered_swims
@@ -39,7 +39,7 @@ def sample_starts(
             them. "planned" lets the planner steer along random paths instead; a quarter of its states are
             visited ones. Each state is followed by its mirror image, for a robot that has one: simulating one
             of them serves both. Fewer visited states are the first of more.
-        workers, cluster: who simulates planned swims; see frogkick.chunks. They change no state.
+        workers, cluster: who simulates planned swims; see frogkick.core.chunks. They change no state.
 
     Raises:
         InputError: states outside of 1 to 65535, a negative seed, or an unknown sampling; planned swims that

@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 import frogkick
-from frogkick.errors import InputError
-from frogkick.files import atomic_path, existing_file, require_room
+from frogkick.core.errors import InputError
+from frogkick.core.files import atomic_path, existing_file, require_room
 from frogkick.library.starts import Starts
 from frogkick.library.transitions import HISTORY, RESTED, Failed, IntArray, SampleArray, Transitions
 from frogkick.robot import Robot, parse_robot

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from frogkick.errors import InputError
+from frogkick.core.errors import InputError
 from frogkick.library.history import History, fit_history
 from frogkick.library.transitions import IntArray
 from frogkick.robot import Robot

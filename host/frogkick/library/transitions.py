@@ -8,11 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from frogkick.core.errors import ConvergenceError
 from frogkick.der import STEP_S, WIDTH, Batch, Rods, program_of
 from frogkick.der.strokes import between, body_from_world
 from frogkick.der.swimmer import batch_of
 from frogkick.effects import ActingLanes, body_effects
-from frogkick.errors import ConvergenceError
 from frogkick.robot import Robot
 
 FloatArray = NDArray[np.float64]

@@ -13,7 +13,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from frogkick.errors import InputError
+from frogkick.core.errors import InputError
 
 KEY_BYTES = 32
 NONCE_BYTES = 16

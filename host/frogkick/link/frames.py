@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 from cobs import cobs
 
-from frogkick.errors import FrogkickError, InputError, nearest_name
+from frogkick.core.errors import FrogkickError, InputError, nearest_name
 from frogkick.link.auth import TRAILER_BYTES, Conversation
 from frogkick.link.layout import ANSWER_BIT, AUTH_BIT, EVENT_BIT, Payload, Value, link_layout
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Protocol
 
-from frogkick.errors import FrogkickError
+from frogkick.core.errors import FrogkickError
 from frogkick.link.layout import Field, RecordType, Value, link_layout
 
 HEAD_BYTES = 10

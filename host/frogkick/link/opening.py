@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from frogkick.extras import require
+from frogkick.core.extras import require
 from frogkick.link.frames import DELIMITER
 from frogkick.link.wire import Target, Wire
 

@@ -9,7 +9,7 @@ import threading
 import time
 from typing import Any
 
-from frogkick.extras import require
+from frogkick.core.extras import require
 from frogkick.link.frames import DELIMITER
 from frogkick.link.wire import BAUD, Delivery, Inbox, WireError
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from frogkick.errors import InputError, nearest_name
+from frogkick.core.errors import InputError, nearest_name
 
 DIALECTS = ("frogkick", "frog2022")
 LIMBS = ("front_left", "front_right", "rear_left", "rear_right")

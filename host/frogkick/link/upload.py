@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
-from frogkick.errors import FrogkickError
+from frogkick.core.errors import FrogkickError
 from frogkick.link.layout import Value, link_layout
 
 CHUNK_BYTES = 128

@@ -9,8 +9,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
-from frogkick.errors import FrogkickError, InputError, nearest_name
-from frogkick.interrupts import Bell
+from frogkick.core.errors import FrogkickError, InputError, nearest_name
+from frogkick.core.interrupts import Bell
 
 BAUD = 115_200
 BAUD_MAX = 4_000_000

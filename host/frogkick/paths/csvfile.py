@@ -9,8 +9,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from frogkick.errors import InputError, nearest_name
-from frogkick.files import existing_file
+from frogkick.core.errors import InputError, nearest_name
+from frogkick.core.files import existing_file
 from frogkick.paths.path import POINTS_MAX, Path
 from frogkick.paths.shapes import from_waypoints
 

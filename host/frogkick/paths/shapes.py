@@ -21,7 +21,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from frogkick.errors import InputError, nearest_name
+from frogkick.core.errors import InputError, nearest_name
 from frogkick.paths.path import POINTS_MAX, Path
 
 Float64 = NDArray[np.float64]

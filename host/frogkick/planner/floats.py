@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from frogkick.compiled import KEPT
+from frogkick.core.compiled import KEPT
 
 ANGLE_MAX_RAD = np.float32(2100)
 

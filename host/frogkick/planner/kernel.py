@@ -27,7 +27,7 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
-from frogkick.compiled import ALLOCATING, BARE, INNER, stamp_of
+from frogkick.core.compiled import ALLOCATING, BARE, INNER, stamp_of
 from frogkick.planner import route
 from frogkick.planner.floats import sincos, wrap_angle
 from frogkick.planner.lookup import (

@@ -8,9 +8,9 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
-from frogkick.compiled import INNER, KEPT
-from frogkick.planner.image import Tables
-from frogkick.planner.layout import LIMBS_MAX, VELOCITY_CODE_MAX
+from frogkick.core.compiled import INNER, KEPT
+from frogkick.tables.image import Tables
+from frogkick.tables.layout import LIMBS_MAX, VELOCITY_CODE_MAX
 
 Array = npt.NDArray[Any]
 
@@ -20,7 +20,7 @@ _CODE_MAX = np.float32(VELOCITY_CODE_MAX)
 
 
 class TableArrays(NamedTuple):
-    """A table as the kernels read it; for the fields see frogkick.planner.image.Tables.
+    """A table as the kernels read it; for the fields see frogkick.tables.image.Tables.
 
     A state's dynamics are an int64 row of 3 + LIMBS_MAX: velocity codes, then how much each limb was used.
     ``least`` and ``most`` (3,) int64 hold what a velocity's codes are clamped to before a row is looked for:

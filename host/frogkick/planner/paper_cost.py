@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
-from frogkick.compiled import INNER
+from frogkick.core.compiled import INNER
 from frogkick.planner.floats import wrap_angle
 
 Array = npt.NDArray[Any]

@@ -9,11 +9,11 @@ from typing import Any, Protocol
 import numpy as np
 import numpy.typing as npt
 
-from frogkick.errors import FrogkickError, InputError
+from frogkick.core.errors import FrogkickError, InputError
 from frogkick.planner import kernel
-from frogkick.planner.image import Tables
-from frogkick.planner.layout import LIMBS_MAX
 from frogkick.planner.lookup import arrays_of
+from frogkick.tables.image import Tables
+from frogkick.tables.layout import LIMBS_MAX
 
 Float32 = npt.NDArray[np.float32]
 UInt16 = npt.NDArray[np.uint16]

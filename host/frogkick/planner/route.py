@@ -23,7 +23,7 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
-from frogkick.compiled import BARE, INNER
+from frogkick.core.compiled import BARE, INNER
 
 Array = npt.NDArray[Any]
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from frogkick.errors import InputError
+from frogkick.core.errors import InputError
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ from typing import Any
 import cffi
 import numpy as np
 
-from frogkick.errors import FrogkickError
+from frogkick.core.errors import FrogkickError
 from frogkick.link.frames import Frame, FrameCollector
 from frogkick.link.layout import link_layout
 from frogkick.pool.port import BYTE_S, COLD_LIMBS, Edge

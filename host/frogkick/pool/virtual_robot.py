@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from frogkick.errors import InputError
+from frogkick.core.errors import InputError
 from frogkick.link.frames import Frame, FrameCollector
 from frogkick.pool.chip import VirtualChip
 from frogkick.pool.port import COLD_LIMBS, Edge

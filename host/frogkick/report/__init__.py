@@ -3,7 +3,7 @@
 import os
 from pathlib import Path
 
-from frogkick.files import cache_folder, writable_folder
+from frogkick.core.files import cache_folder, writable_folder
 
 # Before matplotlib is loaded: without a home it would complain in several lines, and look at all fonts again.
 if "MPLCONFIGDIR" not in os.environ:

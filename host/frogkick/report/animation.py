@@ -17,9 +17,9 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from PIL import Image
 
+from frogkick.core.errors import FrogkickError, InputError
+from frogkick.core.files import atomic_path
 from frogkick.der import Rods, Swimmer, prepare
-from frogkick.errors import FrogkickError, InputError
-from frogkick.files import atomic_path
 from frogkick.report import style
 from frogkick.robot import Action, Robot
 

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 from matplotlib.figure import Figure
 
-from frogkick.files import atomic_path
+from frogkick.core.files import atomic_path
 from frogkick.report import style
 
 

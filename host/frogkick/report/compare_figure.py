@@ -6,9 +6,9 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from frogkick.loop.runlog import RunLog
-from frogkick.loop.summary import track_of
 from frogkick.report import style
+from frogkick.runs.runlog import RunLog
+from frogkick.runs.summary import track_of
 
 COLOURS = (style.TRUE, style.ALARM)
 MARKS = ("o", "^")

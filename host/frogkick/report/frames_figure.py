@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Arc, Polygon, Rectangle
 
-from frogkick.files import atomic_path
+from frogkick.core.files import atomic_path
 from frogkick.report import style
 from frogkick.report.robot_figure import require_picture_name
 

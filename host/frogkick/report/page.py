@@ -8,7 +8,7 @@ from pathlib import Path
 
 import jinja2
 
-from frogkick.files import write_text
+from frogkick.core.files import write_text
 
 
 @dataclass(frozen=True)

@@ -8,16 +8,16 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from frogkick.identification.verdict import Error
-from frogkick.loop.live_view import fan_of
-from frogkick.planner.layout import LIMBS_MAX
 from frogkick.report.identify_figures import error_figure
 from frogkick.report.page import Section, Table, write_page
 from frogkick.report.robot_figure import actions_figure, robot_figure
 from frogkick.report.run_figure import run_figure
 from frogkick.report.style import NOMINAL, PREDICTED, figure_uri, styled
+from frogkick.runs.live_view import fan_of
 from frogkick.study.closing import Closing
 from frogkick.study.ring import Ring, RingRun
 from frogkick.study.trial import Trial
+from frogkick.tables.layout import LIMBS_MAX
 from frogkick_codegen.firmware import FLASH_BYTES, RAM_BYTES
 
 

@@ -11,10 +11,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
+from frogkick.core.errors import InputError
+from frogkick.core.files import atomic_path
 from frogkick.der import prepare
 from frogkick.der.mesh import Mesh
-from frogkick.errors import InputError
-from frogkick.files import atomic_path
 from frogkick.report import style
 from frogkick.robot import Robot, limb_points
 

@@ -10,11 +10,11 @@ import numpy.typing as npt
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from frogkick.loop.residual import Residual, residual, true_poses_at
-from frogkick.loop.runlog import RunLog
-from frogkick.loop.summary import track_of
 from frogkick.paths import wrap_angle
 from frogkick.report import style
+from frogkick.runs.residual import Residual, residual, true_poses_at
+from frogkick.runs.runlog import RunLog
+from frogkick.runs.summary import track_of
 
 FloatArray = npt.NDArray[np.float64]
 

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from numpy.typing import NDArray
 
-from frogkick.files import write_bytes
+from frogkick.core.files import write_bytes
 from frogkick.report import style
 from frogkick.report.page import Section, Table, write_page
 from frogkick.report.style import figure_uri

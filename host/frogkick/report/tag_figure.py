@@ -8,8 +8,8 @@ import numpy as np
 import numpy.typing as npt
 from matplotlib.figure import Figure
 
-from frogkick.errors import InputError
-from frogkick.files import atomic_path
+from frogkick.core.errors import InputError
+from frogkick.core.files import atomic_path
 from frogkick.report import style
 
 MARGIN_MM, ABOVE_MM, BELOW_MM, RULER_MM = 15.0, 25.0, 30.0, 50.0

@@ -8,7 +8,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from frogkick.errors import InputError
+from frogkick.core.errors import InputError
 from frogkick.robot.model import Frame, Limb, Robot
 
 FloatArray = NDArray[np.float64]

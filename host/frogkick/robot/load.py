@@ -12,8 +12,8 @@ from typing import Any, get_args
 
 from pydantic import BaseModel, ValidationError
 
-from frogkick.errors import InputError, nearest_name
-from frogkick.files import existing_file
+from frogkick.core.errors import InputError, nearest_name
+from frogkick.core.files import existing_file
 from frogkick.robot.geometry import require_geometry
 from frogkick.robot.model import Action, Battery, Frame, Guard, Limb, PlannerDefaults, Robot, VelocityBox
 from frogkick.robot.profile import Profile

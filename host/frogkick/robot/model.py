@@ -9,8 +9,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from frogkick.errors import InputError
-from frogkick.files import write_text
+from frogkick.core.errors import InputError
+from frogkick.core.files import write_text
 from frogkick.robot.profile import Actuation, Profile, actuation
 from frogkick.robot.toml_text import to_toml
 

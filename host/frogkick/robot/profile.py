@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from frogkick.errors import InputError
+from frogkick.core.errors import InputError
 
 TERMS = 3  # one heating, two cooling: two terms leave 2.0 1/m RMS at worst, four gain 0.16 on average
 DIGITS_HZ = 9  # frequencies that agree in so many are the same

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from frogkick.errors import InputError
-from frogkick.files import csv_numbers, write_text
+from frogkick.core.errors import InputError
+from frogkick.core.files import csv_numbers, write_text
 from frogkick.robot.profile import Profile, fit_profile
 from frogkick.robot.toml_text import to_toml
 

@@ -6,7 +6,7 @@ import re
 import tomllib
 from typing import Any
 
-from frogkick.errors import InputError
+from frogkick.core.errors import InputError
 from frogkick.robot.model import Robot
 from frogkick.robot.schema import RobotFile
 from frogkick.robot.toml_text import to_toml

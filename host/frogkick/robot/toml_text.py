@@ -7,7 +7,7 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from frogkick.errors import InputError
+from frogkick.core.errors import InputError
 
 
 def _scalar(value: object, where: str) -> str:

@@ -15,13 +15,13 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from frogkick.errors import InputError
+from frogkick.core.errors import InputError
 from frogkick.library.quantise import table_fields
-from frogkick.loop.runlog import RunLog
-from frogkick.planner.packing import pack_nearest
 from frogkick.planner.paper_cost import pose_cost
 from frogkick.planner.plan import PlanConfig, path_rows
 from frogkick.robot import Robot, mirror_of
+from frogkick.runs.runlog import RunLog
+from frogkick.tables.packing import pack_nearest
 
 FloatArray = NDArray[np.float64]
 

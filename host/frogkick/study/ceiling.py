@@ -18,22 +18,22 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from frogkick.chunks import Job, run_chunks
+from frogkick.core.chunks import Job, run_chunks
+from frogkick.core.errors import FrogkickError
 from frogkick.der import STEP_S, WIDTH
 from frogkick.der.strokes import between, body_from_world
 from frogkick.der.swimmer import batch_of
 from frogkick.effects import rods_of
-from frogkick.errors import FrogkickError
+from frogkick.estimator.estimator import Estimator
+from frogkick.estimator.follow import End, Follow
 from frogkick.library.error import looked_up
 from frogkick.library.transitions import lane_effects, previous_actions
 from frogkick.paths import Path, shape
-from frogkick.planner.estimator import Estimator
-from frogkick.planner.follow import End, Follow
-from frogkick.planner.image import Tables, open_image
 from frogkick.planner.plan import PlanConfig, config_of, plan
 from frogkick.pool.camera import Camera, Fix, measure
 from frogkick.robot import Robot
 from frogkick.study.rod_tree import ask_rods, motion_of, swim_a_period, table_of_motions
+from frogkick.tables.image import Tables, open_image
 
 FloatArray = NDArray[np.float64]
 

@@ -15,14 +15,14 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from frogkick.chunks import Job, run_chunks
-from frogkick.loop.chip_planner import ChipPlanner
+from frogkick.core.chunks import Job, run_chunks
 from frogkick.paths import Path as SwimPath
-from frogkick.planner.image import Tables, read_image
-from frogkick.planner.layout import LIMBS_MAX
 from frogkick.planner.plan import PlanConfig, path_rows
 from frogkick.pool.chip.cost import LEAST_COST
+from frogkick.runs.chip_planner import ChipPlanner
 from frogkick.study.chip_worst import CycleModel, TimedStates, dearest, fit_cycles
+from frogkick.tables.image import Tables, read_image
+from frogkick.tables.layout import LIMBS_MAX
 
 CYCLES_PER_MS = 64_000
 LIMIT_MS: Mapping[int, float] = {1: 0.45, 2: 4.5, 3: 20.0}

@@ -12,19 +12,19 @@ from typing import Any
 
 import numpy as np
 
+from frogkick.core.files import write_bytes
 from frogkick.effects import World
 from frogkick.effects.registry import make_effects
-from frogkick.files import write_bytes
 from frogkick.identification.outcome import Outcome, identify, write_robot
 from frogkick.identification.retune import steps
 from frogkick.identification.swim import read_swim
 from frogkick.library import build_library, quantise, read_library
-from frogkick.loop.closed_loop import RunOptions
-from frogkick.loop.runlog_file import write_run
-from frogkick.planner.image import Tables, read_image
 from frogkick.pool.virtual_robot import VirtualRobot
 from frogkick.robot import Robot, load_robot
+from frogkick.runs.closed_loop import RunOptions
+from frogkick.runs.runlog_file import write_run
 from frogkick.study.trial import Trial, swim
+from frogkick.tables.image import Tables, read_image
 from frogkick_codegen.firmware import build
 
 Bar = Callable[[str], AbstractContextManager[Callable[[int, int], None]]]

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from frogkick.core.errors import ConvergenceError
 from frogkick.der import STEP_S, Gait, Trajectory, prepare, program_of, simulate_gaits, simulate_many
-from frogkick.errors import ConvergenceError
 from frogkick.robot import Robot
 
 FloatArray = npt.NDArray[np.float64]

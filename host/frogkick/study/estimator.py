@@ -10,18 +10,18 @@ from pathlib import Path as Folder
 import numpy as np
 import numpy.typing as npt
 
-from frogkick.chunks import Job, run_chunks
+from frogkick.core.chunks import Job, run_chunks
 from frogkick.effects import World, make_effects
-from frogkick.loop.decision import DecisionTwin
-from frogkick.loop.record import along_path
+from frogkick.estimator.estimator import Estimates, Estimator
 from frogkick.paths import Path
-from frogkick.planner.estimator import Estimates, Estimator
-from frogkick.planner.image import Tables, open_image
 from frogkick.planner.plan import PlanConfig
 from frogkick.pool.camera import Camera
 from frogkick.pool.pool import Pool
 from frogkick.robot import Robot
+from frogkick.runs.decision import DecisionTwin
+from frogkick.runs.record import along_path
 from frogkick.study.fix_baselines import DifferenceEstimator, LineEstimator
+from frogkick.tables.image import Tables, open_image
 
 FloatArray = npt.NDArray[np.float64]
 

@@ -7,7 +7,7 @@ from abc import ABC, abstractmethod
 import numpy as np
 import numpy.typing as npt
 
-from frogkick.planner.estimator import FIELD_M, FUTURE_US, OK, OLD, RANGE, STALE_US, Estimate
+from frogkick.estimator.estimator import FIELD_M, FUTURE_US, OK, OLD, RANGE, STALE_US, Estimate
 
 FloatArray = npt.NDArray[np.float64]
 

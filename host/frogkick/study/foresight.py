@@ -17,12 +17,12 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
-from frogkick.compiled import stamp_of
-from frogkick.errors import InputError
-from frogkick.loop.record import along_path
+from frogkick.core.compiled import stamp_of
+from frogkick.core.errors import InputError
 from frogkick.paths import Path
-from frogkick.planner.image import Tables
 from frogkick.planner.lookup import DYNAMICS, TableArrays, arrays_of, dynamics_after, find_row, motion_of
+from frogkick.runs.record import along_path
+from frogkick.tables.image import Tables
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]

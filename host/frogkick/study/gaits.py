@@ -9,10 +9,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from frogkick.chunks import Job, run_chunks
+from frogkick.core.chunks import Job, run_chunks
+from frogkick.core.errors import InputError
 from frogkick.der import Failure, Gait, Rods, Swimmer, Track, swim_tracks
 from frogkick.effects import rods_of
-from frogkick.errors import InputError
 from frogkick.library.transitions import lane_effects
 from frogkick.robot import Actuation, Profile, Robot
 from frogkick.robot.model import STANDARD_GRAVITY_MPS2

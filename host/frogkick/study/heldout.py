@@ -14,8 +14,8 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
-from frogkick.chunks import Job, run_chunks
-from frogkick.errors import InputError
+from frogkick.core.chunks import Job, run_chunks
+from frogkick.core.errors import InputError
 from frogkick.identification.outcome import identify
 from frogkick.identification.swim import Swim, read_swim, reliable
 from frogkick.identification.together import all_at_once

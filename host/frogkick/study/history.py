@@ -12,8 +12,8 @@ from frogkick.library import Library, error_on, fit_table, sample_library
 from frogkick.library.starts import gliding
 from frogkick.library.store import make_library
 from frogkick.library.transitions import RESTED, simulate_task
-from frogkick.planner.image import open_image
 from frogkick.robot import Robot, parse_robot
+from frogkick.tables.image import open_image
 
 VARIANTS = {
     "as described": "",

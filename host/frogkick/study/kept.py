@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from frogkick.files import write_text
+from frogkick.core.files import write_text
 
 
 @dataclass(frozen=True)
@@ -24,7 +24,7 @@ class Case:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a run gave; see ``frogkick.loop.record.Tracking``."""
+    """What a run gave; see ``frogkick.runs.record.Tracking``."""
 
     mean_distance_m: float
     progress_mps: float

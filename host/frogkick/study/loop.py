@@ -13,22 +13,22 @@ from typing import Any
 
 import numpy as np
 
-from frogkick.chunks import Job, code_stamp, run_chunks
+from frogkick.core.chunks import Job, code_stamp, run_chunks
+from frogkick.core.errors import InputError
+from frogkick.core.files import existing_file
 from frogkick.effects import World, changed_robot, read_world
 from frogkick.effects.registry import make_effects
-from frogkick.errors import InputError
-from frogkick.files import existing_file
-from frogkick.loop.closed_loop import RunOptions, run_in_pool
-from frogkick.loop.record import tracking_of_recording
 from frogkick.paths import Path as SwimPath
 from frogkick.paths import shape
-from frogkick.planner.image import Tables, read_image
 from frogkick.planner.plan import PlanConfig, config_of
 from frogkick.pool.camera import Camera
 from frogkick.pool.native_robot import NativeRobot
 from frogkick.pool.pool import Pool
 from frogkick.robot import Robot
+from frogkick.runs.closed_loop import RunOptions, run_in_pool
+from frogkick.runs.record import tracking_of_recording
 from frogkick.study.kept import Case, Kept, Outcome
+from frogkick.tables.image import Tables, read_image
 from frogkick_codegen.firmware import build
 
 TIME_LIMIT_S = 120.0

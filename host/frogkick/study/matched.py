@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from frogkick.errors import InputError
+from frogkick.core.errors import InputError
 from frogkick.robot import Limb, Robot
 from frogkick.study.validate import Validation, by_group, root_mean_square, swum_of
 

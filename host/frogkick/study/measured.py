@@ -22,9 +22,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from frogkick.core.errors import InputError
+from frogkick.core.files import existing_file
 from frogkick.der import Gait
-from frogkick.errors import InputError
-from frogkick.files import existing_file
 from frogkick.robot import Profile, fit_profile
 
 FloatArray = NDArray[np.float64]

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from frogkick.errors import InputError
+from frogkick.core.errors import InputError
 from frogkick.study.validate import ExperimentResult
 
 FloatArray = NDArray[np.float64]

@@ -10,20 +10,20 @@ from pathlib import Path
 
 import numpy as np
 
-from frogkick.loop.chip_check import ChipReport, check_on_chip
-from frogkick.loop.closed_loop import RunOptions, robot_plan_config
-from frogkick.loop.decision import DecisionTwin
-from frogkick.loop.record import Tracking
-from frogkick.loop.replay import compare, replay_on_host
-from frogkick.loop.residual import Residual, residual
-from frogkick.loop.runlog import RunLog
-from frogkick.loop.runlog_file import write_run
 from frogkick.paths import SHAPES
-from frogkick.planner.image import Tables, read_image
 from frogkick.pool.virtual_robot import VirtualRobot
 from frogkick.robot import Robot
+from frogkick.runs.chip_check import ChipReport, check_on_chip
+from frogkick.runs.closed_loop import RunOptions, robot_plan_config
+from frogkick.runs.decision import DecisionTwin
+from frogkick.runs.record import Tracking
+from frogkick.runs.replay import compare, replay_on_host
+from frogkick.runs.residual import Residual, residual
+from frogkick.runs.runlog import RunLog
+from frogkick.runs.runlog_file import write_run
 from frogkick.study.closing import HELD_OUT, Bar, Closing, close_ring, make_tables
 from frogkick.study.trial import swim
+from frogkick.tables.image import Tables, read_image
 from frogkick_codegen.emit import emit
 from frogkick_codegen.firmware import Build, build
 

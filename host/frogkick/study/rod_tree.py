@@ -8,13 +8,13 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from frogkick.core.errors import ConvergenceError
 from frogkick.der import WIDTH, Batch
 from frogkick.der.strokes import between, body_from_world
 from frogkick.effects import ActingLanes
-from frogkick.errors import ConvergenceError
 from frogkick.library.transitions import fire_action
-from frogkick.planner.image import Tables
 from frogkick.robot import Robot
+from frogkick.tables.image import Tables
 
 FloatArray = NDArray[np.float64]
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from frogkick.chunks import Job, run_chunks
+from frogkick.core.chunks import Job, run_chunks
 from frogkick.der import WIDTH, Gait
 from frogkick.effects import BUILT_IN, Parameter, rods_of
 from frogkick.robot import Profile, Robot

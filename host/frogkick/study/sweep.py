@@ -17,9 +17,9 @@ from pathlib import Path
 import frogkick.der
 import frogkick.robot.profile
 import frogkick.study.gaits
+from frogkick.core.errors import InputError
+from frogkick.core.files import write_text
 from frogkick.der import WIDTH, Gait
-from frogkick.errors import InputError
-from frogkick.files import write_text
 from frogkick.robot import Robot
 from frogkick.robot.profile import actuation
 from frogkick.study.gaits import CYCLES, FIRST_CYCLE, GaitSwim, swim_chunks

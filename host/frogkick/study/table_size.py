@@ -9,7 +9,7 @@ import numpy as np
 
 from frogkick.library import Library, error_on, fit_table, quantise, sample_library
 from frogkick.library.fitting import require_enough
-from frogkick.planner.image import open_image
+from frogkick.tables.image import open_image
 
 KIB = 1024
 NEAREST_STATES = (100, 300, 1000, 3000)

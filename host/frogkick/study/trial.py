@@ -10,16 +10,16 @@ from pathlib import Path
 import numpy as np
 
 from frogkick.effects import World
-from frogkick.loop.closed_loop import Recording, RunOptions, robot_plan_config, run_in_pool
-from frogkick.loop.record import Tracking, run_log, tracking_of_recording
-from frogkick.loop.runlog import RunLog
 from frogkick.paths import SHAPES, shape
-from frogkick.planner.image import Tables
 from frogkick.pool.camera import Camera
 from frogkick.pool.native_robot import NativeRobot
 from frogkick.pool.pool import Pool
 from frogkick.pool.port import RobotPort
 from frogkick.robot import Robot
+from frogkick.runs.closed_loop import Recording, RunOptions, robot_plan_config, run_in_pool
+from frogkick.runs.record import Tracking, run_log, tracking_of_recording
+from frogkick.runs.runlog import RunLog
+from frogkick.tables.image import Tables
 
 TIME_LIMIT_S = 90.0
 SEEDS = 2

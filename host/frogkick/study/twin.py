@@ -13,14 +13,14 @@ from pathlib import Path
 
 import numpy as np
 
-from frogkick.errors import InputError
-from frogkick.loop.record import along_path
-from frogkick.loop.recorded import clock_problem, read_recorded
-from frogkick.loop.recorded.importer import RUN_NAME, path_file
-from frogkick.loop.runlog import RunLog
+from frogkick.core.errors import InputError
 from frogkick.paths import wrap_angle
 from frogkick.planner.plan import PlanConfig, config_of
 from frogkick.robot import Robot
+from frogkick.runs.record import along_path
+from frogkick.runs.recorded import clock_problem, read_recorded
+from frogkick.runs.recorded.importer import RUN_NAME, path_file
+from frogkick.runs.runlog import RunLog
 from frogkick.study.believed import Choices, choices_of
 from frogkick.study.kept import Case, Outcome
 from frogkick.study.loop import PAPER, ROBOT, Course, Planner, Setting, setting_from, summaries

@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from frogkick.core.errors import InputError
 from frogkick.der import WIDTH, Gait
-from frogkick.errors import InputError
 from frogkick.robot import Robot
 from frogkick.study.gaits import CYCLES, FIRST_CYCLE, GaitSwim, speed_over_cycles, swim_chunks
 from frogkick.study.measured import (

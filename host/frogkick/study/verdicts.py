@@ -16,24 +16,24 @@ from typing import Any
 
 import numpy as np
 
-from frogkick.chunks import Job, code_stamp, run_chunks
+from frogkick.core.chunks import Job, code_stamp, run_chunks
+from frogkick.core.files import write_text
 from frogkick.effects import Parameter, World
 from frogkick.effects.registry import make_effects
-from frogkick.files import write_text
 from frogkick.identification.outcome import Outcome, identify
 from frogkick.identification.swim import Swim, swim_of
 from frogkick.identification.together import all_at_once, cpu_s
 from frogkick.identification.verdict import FAR, FOUND, NOTHING, PARTLY, UNEXPLAINED, Interval
-from frogkick.loop.closed_loop import RunOptions, robot_plan_config, run_in_pool
-from frogkick.loop.record import run_log
 from frogkick.paths import shape
-from frogkick.planner.image import Tables, read_image
 from frogkick.pool.camera import Camera
 from frogkick.pool.native_robot import NativeRobot
 from frogkick.pool.pool import Pool
 from frogkick.robot import Robot
+from frogkick.runs.closed_loop import RunOptions, robot_plan_config, run_in_pool
+from frogkick.runs.record import run_log
 from frogkick.study.kept import Lines
 from frogkick.study.planted import NULL, OUTSIDE, OUTSIDE_FILE, OUTSIDE_TEXT, Kind, Table, kinds
+from frogkick.tables.image import Tables, read_image
 from frogkick_codegen.firmware import build
 
 TRAIN, TEST = ("sine", "ellipse", "line"), ("bends",)

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from frogkick.errors import InputError
+from frogkick.core.errors import InputError
 from frogkick.vision.calibration import Lens
 
 Array = npt.NDArray[np.float64]

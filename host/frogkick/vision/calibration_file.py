@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from frogkick.errors import InputError, nearest_name
-from frogkick.files import existing_file, write_text
+from frogkick.core.errors import InputError, nearest_name
+from frogkick.core.files import existing_file, write_text
 from frogkick.vision.calibration import Calibration, Lens, Tag
 
 FORMAT = 1

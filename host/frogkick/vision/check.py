@@ -11,8 +11,8 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from frogkick.errors import InputError
-from frogkick.files import csv_numbers, existing_file
+from frogkick.core.errors import InputError
+from frogkick.core.files import csv_numbers, existing_file
 from frogkick.vision.calibration import Calibration, camera_pose, lens_from_height
 from frogkick.vision.plane import wrap
 from frogkick.vision.pose import tag_place

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from frogkick.errors import InputError
-from frogkick.files import existing_file
+from frogkick.core.errors import InputError
+from frogkick.core.files import existing_file
 from frogkick.vision.calibration import (
     Calibration,
     Lens,

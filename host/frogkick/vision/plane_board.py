@@ -5,7 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from frogkick.errors import InputError
+from frogkick.core.errors import InputError
 from frogkick.vision.board import Board, Grey
 from frogkick.vision.calibration import (
     Calibration,

@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from frogkick.errors import InputError
+from frogkick.core.errors import InputError
 from frogkick.vision.tags import tag_cells, tag_count, tag_margin, tag_white
 
 Array = npt.NDArray[np.float64]

@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from frogkick.errors import InputError
+from frogkick.core.errors import InputError
 from frogkick.vision.board import read_pictures
 from frogkick.vision.scene import Scene
 

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from frogkick.extras import require
+from frogkick.core.extras import require
 
 NAME = "tagStandard41h12"
 HAMMING_MAX = 2

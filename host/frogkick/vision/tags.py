@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from frogkick.errors import InputError
+from frogkick.core.errors import InputError
 from frogkick.vision import standard
 
 STANDARD = "tagStandard41h12"

@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from frogkick.errors import InputError
+from frogkick.core.errors import InputError
 from frogkick.vision.calibration import Calibration
 from frogkick.vision.pose import Pose, solve_pose, tag_place
 from frogkick.vision.standard import find_standard

@@ -1,6 +1,6 @@
 """A virtual nRF52832: runs the bench firmware's ELF, counts cycles, knows the peripherals that it uses."""
 
-from frogkick.extras import require
+from frogkick.core.extras import require
 
 # Whatever is imported of this folder comes by here: what it lacks is one line, not a traceback.
 require("the virtual chip", "unicorn", "capstone", "elftools", "ziglang")

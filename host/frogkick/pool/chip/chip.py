@@ -10,6 +10,7 @@ from typing import Any, Final
 import unicorn as unicorn_module
 from unicorn import arm_const
 
+from frogkick.core.interrupts import ctrl_c_waits
 from frogkick.pool.chip.bus import FLASH_BYTES, Peripheral
 from frogkick.pool.chip.clock import Clock, Ficr, Nvmc, Rng
 from frogkick.pool.chip.core import CoreRegisters
@@ -60,11 +61,10 @@ class VirtualChip:
         self.scheduler = Scheduler()
         self._event_cycle: int | None = None
         self._target_cycle = 0
-        self._sleeping = self._hung = False
+        self._sleeping = self._hung = self._reset_due = False
         self._slept_parts = 0
         self._failed: ChipError | None = None
         self._invalid: tuple[int, int, int] | None = None
-        self._reset_due = False
         self.resets: list[float] = []
         self._access_error: ChipError | None = None
         self.power = Power(self, "POWER", 0x4000_0000)
@@ -82,9 +82,7 @@ class VirtualChip:
             table=ctypes.cast(self._table.entries, ctypes.c_void_p),
         )
         self._pc = self._image.reset_address
-        pages = [
-            (base, partial(self._mmio_read, base), partial(self._mmio_write, base)) for base in self._by_base
-        ]
+        pages = [(at, partial(self._mmio_read, at), partial(self._mmio_write, at)) for at in self._by_base]
         self._uc = make_core(self._image, pages, self._on_invalid, self._state)
         self.flash.attach(self._uc, self._state, self._refuse)
 
@@ -199,9 +197,9 @@ class VirtualChip:
         Raises:
             ChipError: there is none of that name.
         """
-        if name not in self._image.symbols:
-            raise ChipError(f"the firmware has no symbol {name!r}: name one of its variables, unstripped")
-        return self._image.symbols[name]
+        if name in self._image.symbols:
+            return self._image.symbols[name]
+        raise ChipError(f"the firmware has no symbol {name!r}: name one of its variables, unstripped")
 
     def hang(self, hangs: bool = True) -> None:
         """Let the core do nothing more, as one that a fault holds, until a reset or ``hang(False)``.
@@ -210,6 +208,7 @@ class VirtualChip:
         """
         self._hung = hangs
 
+    @ctrl_c_waits()  # in a register's callback it would be lost, and the register's value with it
     def run_until(self, time_us: float) -> None:
         """Let the chip live until a virtual time; it may go over by the rest of one instruction or IT block.
 
@@ -238,6 +237,7 @@ class VirtualChip:
             self._failed = error
             raise
 
+    @ctrl_c_waits()
     def call(self, function: str, *arguments: int | float) -> tuple[int, int]:
         """Let the sleeping chip call one function of its firmware, and sleep on afterwards.
 

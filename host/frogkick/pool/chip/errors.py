@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from frogkick.errors import FrogkickError
+from frogkick.core.errors import FrogkickError
 
 
 class ChipError(FrogkickError):

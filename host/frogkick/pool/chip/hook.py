@@ -13,8 +13,8 @@ from functools import cache
 from pathlib import Path
 from typing import Final
 
-from frogkick.extras import install_command
-from frogkick.files import cache_folder
+from frogkick.core.extras import install_command
+from frogkick.core.files import cache_folder
 from frogkick.pool.chip.errors import ChipError
 
 _SOURCE: Final = Path(__file__).with_name("hook.c")

@@ -10,8 +10,8 @@ from typing import Any
 from elftools.common.exceptions import ELFError
 from elftools.elf.elffile import ELFFile
 
-from frogkick.errors import InputError
-from frogkick.files import existing_file
+from frogkick.core.errors import InputError
+from frogkick.core.files import existing_file
 from frogkick.pool.chip.bus import FLASH_BYTES, RAM_BASE, RAM_BYTES
 
 

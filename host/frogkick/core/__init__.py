@@ -1,0 +1,1 @@
+"""What every room shares: errors, files, chunks of long work, progress, what is compiled."""

@@ -1,0 +1,279 @@
+"""Run the chunks of long work: in this process, on a pool of processes, or on a Dask cluster.
+
+A chunk's result depends on what it is given alone, so it is the same wherever it ran, and it may run twice.
+Nothing distributed is written here: a cluster's scheduler hands chunks out, and hands them out again when a
+worker dies.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import functools
+import hashlib
+import importlib
+import logging
+import multiprocessing
+import pickle
+import platform
+import re
+import signal
+import sys
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
+from dataclasses import dataclass
+from importlib import metadata, resources
+from types import FrameType
+from typing import Any, Generic, TypeVar
+
+from frogkick.core.errors import FrogkickError, InputError
+from frogkick.core.extras import require
+from frogkick.core.interrupts import ctrl_c_waits
+
+Ready = TypeVar("Ready")
+Task = TypeVar("Task")
+Result = TypeVar("Result")
+
+WORKERS_MAX = 256
+CONNECT_S = 30
+"""How long a scheduler has to answer."""
+WORKERS_S = 30
+"""How long a first worker of it then has to be there."""
+
+_RETRIES = 2  # of a chunk that raised, a connection lost within it say; a worker's death is not counted here
+_ADDRESS = re.compile(r"(?:(?:tcp|tls)://)?(?:\[[0-9A-Fa-f:.]+\]|[^\s/:\[\]@]+):(\d{1,5})")
+
+
+@dataclass(frozen=True)
+class Job(Generic[Ready, Task, Result]):
+    """What all chunks of one piece of work share.
+
+    Attributes:
+        start: makes of ``given`` what chunks need; once in each process. A function of a module.
+        given: its arguments; these and the tasks travel, so they can be pickled.
+        run: one chunk. A function of a module.
+        warm: compiles what chunks call. Called here before a pool starts: a forked worker inherits it,
+            others find it in numba's cache.
+    """
+
+    start: Callable[..., Ready]
+    given: tuple[Any, ...]
+    run: Callable[[Ready, Task], Result]
+    warm: Callable[[Ready], object]
+
+
+def run_chunks(
+    job: Job[Ready, Task, Result], tasks: Sequence[Task], workers: int, cluster: str | None = None
+) -> Iterator[tuple[int, Result]]:
+    """Run one chunk for each task; yield (index of the task, its result) as they finish.
+
+    When the caller stops early, by Ctrl-C say, chunks that have begun on the pool are waited for and dropped;
+    a cluster drops those that wait and goes on living.
+
+    Args:
+        workers: processes, 1 to 256; 1 runs all in this one. Not looked at with a cluster.
+        cluster: address of a Dask scheduler, as "tcp://host:8786"; None: this machine.
+
+    Raises:
+        InputError: workers out of range, or no cluster to be had at that address.
+        FrogkickError: a worker process died, or the cluster failed.
+    """
+    if not 1 <= workers <= WORKERS_MAX:
+        raise InputError(f"workers is {workers}: give 1 to {WORKERS_MAX}")
+    if not tasks:
+        return
+    if cluster is not None:
+        yield from _on_cluster(job, tasks, cluster)
+        return
+    with _interrupts() as check:
+        if workers == 1 or len(tasks) == 1:
+            ready = job.start(*job.given)
+            for index, task in enumerate(tasks):
+                check()
+                yield index, job.run(ready, task)
+        else:
+            yield from _on_pool(job, tasks, workers, check)
+
+
+@contextmanager
+def _interrupts() -> Iterator[Callable[[], None]]:
+    """Give what raises a Ctrl-C again that fell into code which swallows it, as a compiler's callbacks do."""
+    seen: list[int] = []
+
+    def note(number: int, frame: FrameType | None) -> None:
+        seen.append(number)
+        signal.default_int_handler(number, frame)
+
+    def check() -> None:
+        if seen:
+            raise KeyboardInterrupt
+
+    if (
+        threading.current_thread() is not threading.main_thread()
+        or signal.getsignal(signal.SIGINT) is not signal.default_int_handler
+    ):
+        yield check
+        return
+    signal.signal(signal.SIGINT, note)
+    try:
+        yield check
+    finally:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+# Set in each worker process by _start_worker, so that a task carries its own numbers only.
+_worker: tuple[Callable[[Any, Any], Any], Any] | None = None
+
+
+def _start_worker(start: Callable[..., Any], given: tuple[Any, ...], run: Callable[[Any, Any], Any]) -> None:
+    global _worker
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's business: it ends the workers
+    _worker = (run, start(*given))
+
+
+def _run_in_worker(task: Any) -> Any:
+    if _worker is None:
+        raise FrogkickError("a worker process was not started: run chunks through run_chunks")
+    run, ready = _worker
+    return run(ready, task)
+
+
+def _on_pool(
+    job: Job[Ready, Task, Result], tasks: Sequence[Task], workers: int, check: Callable[[], None]
+) -> Iterator[tuple[int, Result]]:
+    job.warm(job.start(*job.given))
+    check()
+    # Forked before this process has threads, which a fork would copy with their locks held.
+    method = "fork" if sys.platform == "linux" else "spawn"
+    executor = ProcessPoolExecutor(
+        min(workers, len(tasks)),
+        mp_context=multiprocessing.get_context(method),
+        initializer=_start_worker,
+        initargs=(job.start, job.given, job.run),
+    )
+    try:
+        with ctrl_c_waits():
+            pending = {executor.submit(_run_in_worker, task): index for index, task in enumerate(tasks)}
+        for future in as_completed(pending):
+            check()
+            yield pending.pop(future), future.result()
+    except BrokenProcessPool as error:
+        raise FrogkickError(
+            "a worker process ended unexpectedly (killed, or out of memory): use fewer --workers"
+        ) from error
+    finally:
+        executor.shutdown(wait=True, cancel_futures=True)
+
+
+def check_cluster(address: str) -> None:
+    """Refuse, without connecting, an address that can be no scheduler's, and a missing ``distributed``.
+
+    Raises:
+        InputError: either.
+    """
+    match = _ADDRESS.fullmatch(address)
+    if match is None or not 1 <= int(match[1]) <= 65535:
+        raise InputError(
+            f"cluster address {address!r} is not HOST:PORT: give the scheduler's, as tcp://127.0.0.1:8786"
+        )
+    require("--cluster", "distributed")
+
+
+def _on_cluster(
+    job: Job[Ready, Task, Result], tasks: Sequence[Task], address: str
+) -> Iterator[tuple[int, Result]]:
+    check_cluster(address)
+    distributed: Any = importlib.import_module("distributed")  # a second of loading, only when asked for
+    try:
+        # A look first, with a deadline: a client waits for ever where what listens is mute. In a thread, to
+        # have an event loop of its own where the caller runs in one.
+        with ThreadPoolExecutor(1) as thread:
+            thread.submit(lambda: asyncio.run(_say_hello(address))).result()
+        client = distributed.Client(address, timeout=CONNECT_S, set_as_default=False)
+    except Exception as error:
+        raise InputError(
+            f"no Dask scheduler answers at {address!r} within {CONNECT_S} s: start one with 'dask scheduler' "
+            "or give its address"
+        ) from error
+    log = logging.getLogger("distributed.client")
+    level = log.level
+    log.setLevel(logging.CRITICAL)  # what it has to say is raised as well, and told below in one line
+    try:
+        try:
+            client.wait_for_workers(1, timeout=WORKERS_S)
+        except TimeoutError as error:
+            raise InputError(
+                f"the Dask scheduler at {address!r} has no workers: start some with 'dask worker {address}'"
+            ) from error
+        # A task that hands the bytes on, and no scattered data: a scheduler can make it again.
+        shared = client.submit(bytes, pickle.dumps((job.start, job.given, job.run)), pure=False)
+        code = code_stamp()
+        pending = {
+            client.submit(
+                _run_for_cluster, shared, pickle.dumps(task), code, pure=False, retries=_RETRIES
+            ): index
+            for index, task in enumerate(tasks)
+        }
+        with client.as_current():
+            finished = distributed.as_completed(list(pending))
+        for future in finished:
+            result: Result = future.result()
+            yield pending.pop(future), result  # forgotten here, a result leaves the cluster's memory too
+    except FrogkickError:
+        raise
+    except (Exception, asyncio.CancelledError) as error:
+        raise FrogkickError(
+            f"the Dask cluster at {address!r} failed ({type(error).__name__}: {_short(error)}): see its "
+            "logs; scheduler and workers need this frogkick installed"
+        ) from error
+    finally:
+        client.close()  # and with it what of ours still waits there
+        log.setLevel(level)
+
+
+async def _say_hello(address: str) -> None:
+    comm: Any = importlib.import_module("distributed.comm")
+    security: Any = importlib.import_module("distributed.security").Security()
+    hello = comm.connect(address, timeout=CONNECT_S, **security.get_connection_args("client"))
+    (await asyncio.wait_for(hello, CONNECT_S)).abort()
+
+
+def _short(error: BaseException) -> str:
+    text = " ".join(str(error).split())
+    return text if len(text) <= 160 else text[:160] + "..."
+
+
+@functools.lru_cache(maxsize=4)  # once in a worker, whose chunks mostly are of one job
+def _started(shared: bytes) -> tuple[Callable[[Any, Any], Any], Any]:
+    start, given, run = pickle.loads(shared)
+    return run, start(*given)
+
+
+def _run_for_cluster(shared: bytes, task: bytes, code: str) -> Any:
+    if code_stamp() != code:
+        raise FrogkickError(
+            f"the cluster's worker on {platform.node()!r} has another frogkick or other package versions, "
+            "which may give other numbers: install the same there"
+        )
+    run, ready = _started(shared)
+    return run(ready, pickle.loads(task))
+
+
+@functools.lru_cache(maxsize=1)
+def code_stamp() -> str:
+    """SHA-256 of frogkick's text and of the versions of what it computes with, as hex."""
+    digest = hashlib.sha256(platform.python_version().encode("ascii"))
+    for package in ("numpy", "numba", "llvmlite", "scipy"):
+        digest.update(f"{package} {metadata.version(package)}\n".encode("ascii"))
+    _add_folder(digest, resources.files("frogkick"))
+    return digest.hexdigest()
+
+
+def _add_folder(digest: Any, folder: Any) -> None:
+    for entry in sorted(folder.iterdir(), key=lambda e: str(e.name)):
+        if entry.is_dir():
+            _add_folder(digest, entry)
+        elif entry.name.endswith((".py", ".toml")):
+            digest.update(entry.name.encode("utf-8") + b"\0" + entry.read_bytes())

@@ -1,0 +1,202 @@
+"""The estimator's twin: the state at a decision's time, from fixes that are late, lost, doubled or wrong.
+
+Every operation is float32 in one order; the C is ``firmware/core/fk_estimator.c``, written separately, and
+both give the same bits.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from frogkick.estimator.track import Track, sine_cosine, wrapped
+from frogkick.tables.image import Tables
+
+MARKS = 64
+OUTLIERS_MAX = 3
+STALE_US = 500_000
+FUTURE_US = 100_000
+LOST_US = 2_000_000
+UNKNOWN_US = 10_000_000
+FIXES_MAX = 255
+FIELD_M = np.float32(1000.0)
+OK, RANGE, DOUBLE, OLD, OUTLIER = 0, -3, -70, -71, -72
+"""What becomes of a fix; the link's status values (``frames.toml``)."""
+
+_OUTLIERS_AGREE_M, _OUTLIERS_AGREE_MPS = np.float32(0.02), np.float32(0.15)
+_OUTLIERS_AGREE_RAD, _OUTLIERS_AGREE_RAD_S = np.float32(0.35), np.float32(1.5)
+_MICROSECOND = np.float32(1e-6)
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """The state at a time.
+
+    Attributes:
+        state: (6,) float32 x_m, y_m, heading_rad (world), vx_mps, vy_mps, omega_rad_s (body).
+        limb_use: (8,) uint16 how much each limb was used lately.
+        fix_sequence: newest fix used.
+        fixes: fixes that it rests on, 255 = or more; 1 = the velocity is unknown and taken as that of rest.
+    """
+
+    state: npt.NDArray[np.float32]
+    limb_use: npt.NDArray[np.uint16]
+    fix_sequence: int
+    fixes: int
+
+
+class Estimates(Protocol):
+    """What turns fixes into states; Estimator is one."""
+
+    @property
+    def newest_capture_us(self) -> int | None: ...
+
+    def add(self, capture_us: int, pose_world: npt.NDArray[np.float32], sequence: int) -> int: ...
+
+    def act(self, at_us: int, action: int) -> None: ...
+
+    def at(self, at_us: int) -> Estimate | None: ...
+
+
+@dataclass(frozen=True)
+class _Fix:
+    capture_us: int
+    pose: npt.NDArray[np.float32]
+    sequence: int
+
+    @property
+    def mark(self) -> tuple[int, bytes]:
+        """What a fix is known by when it comes again; its capture time may be wrong the second time."""
+        return self.sequence & 0xFFFF, self.pose.tobytes()
+
+
+@dataclass
+class Estimator:
+    """Predicts from decision to decision with a table, corrects by fixes.
+
+    Attributes:
+        tables: what predicts.
+        restarts: times that fixes which were refused but agree were believed.
+    """
+
+    tables: Tables
+    restarts: int = 0
+    _newest: _Fix | None = None
+    _outliers: list[_Fix] = field(default_factory=list)
+    _fixes: int = 0
+
+    def __post_init__(self) -> None:
+        self.track = Track(self.tables)
+        self._marks: deque[tuple[int, bytes]] = deque(maxlen=MARKS)
+
+    @property
+    def newest_capture_us(self) -> int | None:
+        """Capture time of the newest fix taken, None where no state is known."""
+        return self._newest.capture_us if self._newest is not None and self._fixes else None
+
+    def add(self, capture_us: int, pose_world: npt.NDArray[np.float32], sequence: int) -> int:
+        """Take a fix.
+
+        Args:
+            capture_us: capture time on the clock that the decisions use.
+            pose_world: (3,) float32 x_m, y_m, heading_rad.
+            sequence: number of the fix.
+
+        Returns:
+            OK, or why it is refused: RANGE (not finite, beyond 1000 m or rad), DOUBLE (had before), OLD (from
+            before what is kept), OUTLIER (too far from where the robot can be).
+        """
+        fix = _Fix(int(capture_us), np.array(pose_world, dtype=np.float32), int(sequence))
+        if not (np.abs(fix.pose) <= FIELD_M).all():
+            return RANGE
+        if fix.mark in self._marks:
+            return DOUBLE
+        with np.errstate(all="ignore"):
+            return self._evaluate(fix)
+
+    def act(self, at_us: int, action: int) -> None:
+        """The robot begins an action; again for the same time: it does this one instead."""
+        with np.errstate(all="ignore"):
+            self._coast(at_us)
+            self.track.act(at_us, action)
+
+    def at(self, at_us: int) -> Estimate | None:
+        """The state at a time; None where no fix is near enough to it."""
+        newest = self._newest
+        if newest is None or not self._fixes or not -FUTURE_US <= at_us - newest.capture_us <= STALE_US:
+            return None
+        with np.errstate(all="ignore"):
+            self._coast(at_us)
+            if not self._fixes or at_us < self.track.instants[0].time_us:
+                return None
+            pose, speed = self.track.state(at_us)
+            heading = wrapped(pose[2])
+            sine, cosine = sine_cosine(heading)
+            vx, vy = cosine * speed[0] + sine * speed[1], cosine * speed[1] - sine * speed[0]
+            state = np.array([pose[0], pose[1], heading, vx, vy, speed[2]], dtype=np.float32)
+        limb_use = self.track.limb_use(at_us).astype(np.uint16)
+        return Estimate(state, limb_use, newest.sequence & 0xFFFF, self._fixes)
+
+    def _coast(self, at_us: int) -> None:
+        self.track.coast(at_us)
+        unseen = self._newest is not None and at_us - self._newest.capture_us > UNKNOWN_US
+        if not self.track.instants or unseen:
+            self._fixes = 0
+
+    def _evaluate(self, fix: _Fix) -> int:
+        self._coast(fix.capture_us)
+        if not self.track.instants:
+            self.track.begin(fix.capture_us)
+        if fix.capture_us < self.track.instants[0].time_us:
+            return OLD
+        self._marks.append(fix.mark)
+        pose = fix.pose.copy()
+        pose[2] = wrapped(pose[2])
+        fix = _Fix(fix.capture_us, pose, fix.sequence)
+        if self._fixes == 0:
+            self._outliers = [fix]
+            self._start_again()
+        elif self.track.update(fix.capture_us, fix.pose):
+            self._took(fix)
+            self._outliers = []
+        else:
+            if self._outliers and not _agree(fix, self._outliers[-1]):
+                self._outliers = []
+            self._outliers.append(fix)
+            if len(self._outliers) < OUTLIERS_MAX:
+                return OUTLIER
+            self.track.inflate()
+            self._start_again()
+            self.restarts += 1
+        return OK
+
+    def _took(self, fix: _Fix) -> None:
+        if self._newest is None or self._fixes == 0 or fix.capture_us > self._newest.capture_us:
+            self._newest = fix
+        self._fixes = min(self._fixes + 1, FIXES_MAX)
+
+    def _start_again(self) -> None:
+        """From the fixes that agree, the earliest first; those from before the oldest instant have no say."""
+        kept = [fix for fix in self._outliers if fix.capture_us >= self.track.instants[0].time_us]
+        first = min(kept, key=lambda fix: fix.capture_us)
+        self.track.reset_pose(first.capture_us, first.pose)
+        self._fixes = 0
+        self._took(first)
+        for fix in kept:
+            if fix is not first:
+                self.track.update(fix.capture_us, fix.pose, gated=False)
+                self._took(fix)
+        self._outliers = []
+
+
+def _agree(a: _Fix, b: _Fix) -> bool:
+    """Two fixes may be of one robot that swam in between."""
+    apart_s = np.float32(abs(a.capture_us - b.capture_us)) * _MICROSECOND
+    offset = a.pose - b.pose
+    reach_m = _OUTLIERS_AGREE_M + _OUTLIERS_AGREE_MPS * apart_s
+    near = offset[0] * offset[0] + offset[1] * offset[1] <= reach_m * reach_m
+    return bool(near and abs(wrapped(offset[2])) <= _OUTLIERS_AGREE_RAD + _OUTLIERS_AGREE_RAD_S * apart_s)

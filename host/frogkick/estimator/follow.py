@@ -1,0 +1,83 @@
+"""How far along its path a robot is, and whether its run is over: the twin of firmware/core/fk_follow.c."""
+
+from __future__ import annotations
+
+import enum
+
+import numpy as np
+
+from frogkick.planner import route
+from frogkick.planner.plan import Cost, PathLike, Plan, PlanConfig, path_rows
+from frogkick.tables.image import Tables
+
+IDLE_DECISIONS_MAX = 40
+_GAIN = np.float32(0.25)
+
+
+class End(enum.Enum):
+    """Why a run ended."""
+
+    COMPLETED = "completed"
+    PASSED = "passed the end"
+    STALLED = "no progress"
+
+
+class Follow:
+    """Progress of one run along a path.
+
+    Attributes:
+        along_points: float32, where along the path the robot was at the last decision; 0 at the start.
+    """
+
+    def __init__(self, tables: Tables, path: PathLike, config: PlanConfig) -> None:
+        self._path = path_rows(path)
+        self._reach_m = np.float32(tables.reach_m)
+        self._is_route = config.cost == Cost.ROUTE
+        self.begin()
+
+    def begin(self) -> None:
+        """A run starts."""
+        self.along_points = np.float32(0.0)
+        self._mark: tuple[np.float32, tuple[np.float32, np.float32], np.float32] | None = None
+        self._idle = 0
+
+    def decided(self, plan: Plan) -> End | None:
+        """Take a decision; why the run is over with it, or None."""
+        self.along_points = plan.along_points
+        self._note_progress(plan.distance_m)
+        if plan.path_index + 1 >= self._path.shape[1]:
+            return self._end(plan.distance_m) if self._is_route else End.COMPLETED
+        return End.STALLED if self._idle >= IDLE_DECISIONS_MAX else None
+
+    def fixed(self, x_m: np.float32, y_m: np.float32) -> End | None:
+        """Take a fix between decisions; with the route cost a run ends where the path's end is crossed."""
+        if self._mark is None or not self._is_route:
+            return None
+        reach = route.reach_of(self._reach_m)
+        segment, part, distance2, _ = route.foot(self._path, reach, self.along_points, x_m, y_m)
+        if np.float32(segment) + part < self._path.shape[1] - 1:
+            return None
+        return self._end(np.sqrt(distance2))
+
+    def _end(self, distance_m: np.float32) -> End:
+        return End.COMPLETED if distance_m <= self._reach_m else End.PASSED
+
+    def _place(self) -> tuple[np.float32, np.float32]:
+        segment = min(int(self.along_points), self._path.shape[1] - 2)
+        part = self.along_points - np.float32(segment)
+        here, following = self._path[:2, segment], self._path[:2, segment + 1]
+        x_m, y_m = here + part * (following - here)
+        return x_m, y_m
+
+    def _note_progress(self, distance_m: np.float32) -> None:
+        x_m, y_m = self._place()
+        if self._mark is not None:
+            points, (mark_x_m, mark_y_m), mark_distance_m = self._mark
+            dx_m, dy_m = x_m - mark_x_m, y_m - mark_y_m
+            gain_m = _GAIN * self._reach_m
+            is_further = self.along_points > points and dx_m * dx_m + dy_m * dy_m >= gain_m * gain_m
+            if not is_further and not distance_m <= mark_distance_m - gain_m:
+                self._idle += 1
+                return
+        self._mark = (self.along_points, (x_m, y_m), distance_m)
+        self._idle = 0

@@ -1,0 +1,410 @@
+"""A Kalman filter with fixed-lag smoothing: the twin of fk_profile.c, fk_covariance.c and fk_track.c.
+
+Written from their headers: states are columns of arrays that grow and shrink instead of fixed ones that
+shift. What the two share is the order of float32 operations, each rounded once, and the numbers below.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+from frogkick.core.compiled import stamp_of
+from frogkick.planner import floats
+from frogkick.planner.lookup import DYNAMICS, arrays_of, dynamics_after, find_row, motion_of, velocity_code
+from frogkick.tables.image import Tables
+from frogkick.tables.layout import LIMBS_MAX
+
+Float32 = npt.NDArray[np.float32]
+
+INSTANTS = 4
+COASTS_MAX = 8
+COAST_US = 200_000
+PERIOD_LEAST_US = 50_000
+
+_F = np.float32
+_MICROSECOND = _F(1e-6)
+_TIME_MAX_US = 2**32 - 1
+_GLIDE_PART = _F(0.41666667)
+_PULL, _REMAINS, _APART, _RESTING = _F(0.8), _F(0.7), _F(0.2), _F(0.0625)
+_SHAPE_OF_NOISE_S2, _SHAPE_COMMON = _F(0.0064), _F(0.3)
+_INFLATION = _F(4)
+_SPEED_MOST = _F(1000)
+_GATE, _EVERYWHERE = _F(25), _F(1e30)
+_INFORMED, _WORD_MOST = _F(0.5), _F(9)
+_LEARN_PARTS = (_F(0.5), _F(0.33333334), _F(0.25), _F(0.2))
+_LOWER = np.tri(2 * INSTANTS, dtype=bool)
+_COVARIANCE_OF = np.array([0, 0, 1])  # which variances belong to x, y, heading
+
+
+def _pair(position: float, heading: float) -> Float32:
+    return np.array([position, heading], dtype=np.float32)
+
+
+# Variances in m^2, (m/s)^2 and rad^2, (rad/s)^2.
+_FIX = _pair(4e-8, 1.2185e-5)
+_SHAPE = _pair(3.6e-7, 1.0966e-4)
+_GATE_MORE = _pair(9e-6, 2.7416e-3)
+_PROCESS_NOISE = _pair(1e-4, 0.030462)
+_PROCESS_NOISE_LEAST = _pair(9e-8, 2.7416e-5)
+_PROCESS_NOISE_MOST = _pair(3.6e-3, 1.0966)
+_POSE_UNKNOWN = _pair(0.01, 1.0)
+_SPEED_UNKNOWN = _pair(2.5e-3, 1.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Profile:
+    """What a robot has done of a period at a time within it.
+
+    Attributes:
+        pose, speed: (4,) float32 weights of pose and speed at the start, pose and speed at the end.
+        doubt: 0 to 1, how much of the profile's own error there is.
+    """
+
+    pose: Float32
+    speed: Float32
+    doubt: np.float32
+
+
+def profile_after(after_s: np.float32) -> Profile:
+    """The weights a time after the end: straight on."""
+    return Profile(
+        np.array([0, 0, 1, after_s], dtype=np.float32), np.array([0, 0, 0, 1], dtype=np.float32), _F(0)
+    )
+
+
+def profile_within(since_s: np.float32, period_s: np.float32, fire_s: np.float32) -> Profile:
+    """The weights a time after the start: speed changes linearly while limbs fire, then as (u + u^2) / 2."""
+    one, half = _F(1), _F(0.5)
+    x = since_s / period_s
+    rest = (one - x) * (one - x)
+    fire = min(fire_s / period_s, half)
+    half_fire, glide = half * fire, one - fire
+    glide_part = _GLIDE_PART * glide
+    per_way = one / (half_fire + glide_part)
+    per_start = -half_fire * per_way
+    per_end = -(glide - glide_part) * per_way
+    if x <= fire:
+        share = x / fire
+        area = half * (x * share)
+        at_start, at_end = x - area, _F(0)
+        share_start, share_end = one - share, _F(0)
+        doubt = share * rest
+    else:
+        s = (x - fire) / glide
+        u = one - s
+        curve = glide * ((s - _F(0.75) * (s * s)) + _F(0.16666667) * ((s * s) * s))
+        area = half_fire + curve
+        at_start, at_end = half_fire, (x - fire) - curve
+        share = half * (u * (one + u))
+        share_start, share_end = _F(0), one - share
+        doubt = rest
+    way = area * per_way
+    way_speed = share * per_way / period_s
+    pose = [one - way, (at_start + area * per_start) * period_s, way, (at_end + area * per_end) * period_s]
+    speed = [-way_speed, share_start + share * per_start, way_speed, share_end + share * per_end]
+    return Profile(np.array(pose, dtype=np.float32), np.array(speed, dtype=np.float32), doubt)
+
+
+def _weighted(weights: Float32, values: Float32) -> Float32:
+    """Weights (4,) times the last axis (..., 4), added from the left."""
+    parts = weights * values
+    return np.asarray(((parts[..., 0] + parts[..., 1]) + parts[..., 2]) + parts[..., 3])
+
+
+def wrapped(angle: np.float32) -> np.float32:
+    """An angle in (-pi, pi]; numba hands float32 back as Python's float, which would choose float64 next."""
+    return np.float32(floats.wrap_angle(angle))
+
+
+def sine_cosine(angle: np.float32) -> tuple[np.float32, np.float32]:
+    """Sine and cosine, likewise."""
+    sine, cosine = floats.sincos(angle)
+    return np.float32(sine), np.float32(cosine)
+
+
+def _seconds(time_us: int) -> np.float32:
+    return np.float32(_F(min(time_us, _TIME_MAX_US)) * _MICROSECOND)
+
+
+def resting_action_of(tables: Tables) -> int:
+    """The first action that fires no limb; the number of actions where every one does."""
+    still = [i for i, row in enumerate(tables.actions) if not row.first_mask | row.second_mask]
+    return still[0] if still else len(tables.actions)
+
+
+@dataclass
+class _Instant:
+    """An instant, and the period that begins there."""
+
+    time_us: int
+    limb_use: npt.NDArray[np.int64]
+    action: int = -1
+    coasted: bool = False
+    fixes: int = 0
+
+
+@dataclass
+class Track:
+    """States at the last instants.
+
+    Attributes:
+        tables: what predicts.
+        instants: oldest first; the last is the end of the period under way.
+        mean: (3, 2 n) float32 x, y, heading: pose and speed at each instant, world.
+        covariance: (2, 2 n, 2 n) float32 of x and of y, of heading.
+        process_noise: (2,) float32 variance of the speed that a stroke gives beside what the table says.
+    """
+
+    tables: Tables
+    instants: list[_Instant] = field(default_factory=list)
+    mean: Float32 = field(default_factory=lambda: np.zeros((3, 0), dtype=np.float32))
+    covariance: Float32 = field(default_factory=lambda: np.zeros((2, 0, 0), dtype=np.float32))
+    process_noise: Float32 = field(default_factory=_PROCESS_NOISE.copy)
+
+    def __post_init__(self) -> None:
+        self._arrays = arrays_of(self.tables)
+        self._per_velocity = _F(1) / np.asarray(self.tables.velocity_scale, dtype=np.float32)
+        self.resting_action = resting_action_of(self.tables)
+        self._fire_s = (_F(self.tables.pulse_us) + _F(self.tables.second_delay_us)) * _MICROSECOND
+        self._predicted = np.zeros(3, dtype=np.float32)
+        self._predicted_variance = np.zeros(2, dtype=np.float32)
+        self._learned = 0
+        self._teaches = False
+
+    def inflate(self) -> None:
+        """The robot was not where the track had it: the process noise may be larger."""
+        self.process_noise = np.minimum(_INFLATION * self.process_noise, _PROCESS_NOISE_MOST)
+
+    def forget(self) -> None:
+        """Know nothing any more, but the process noise."""
+        self.instants = []
+
+    def begin(self, at_us: int) -> None:
+        """Begin at rest, somewhere."""
+        self._begin(at_us, self.resting_action, coasted=True)
+
+    def coast(self, at_us: int) -> None:
+        """Predict periods of rest until a time, or forget."""
+        for _ in range(COASTS_MAX):
+            if not self.instants or at_us <= self.instants[-1].time_us + COAST_US:
+                return
+            self._open(self.resting_action, coasted=True)
+        if at_us > self.instants[-1].time_us + COAST_US:
+            self.forget()
+
+    def act(self, at_us: int, action: int) -> None:
+        """An action begins: the newest instant is put there."""
+        if not self.instants:
+            self._begin(at_us, action, coasted=False)
+            return
+        if len(self.instants) > 2 and self._is_hasty(at_us):
+            self._undo()
+            self._teaches = False
+        if at_us < self.instants[-2].time_us + PERIOD_LEAST_US:
+            self._undo()
+        else:
+            if self._teaches and not self.instants[-2].coasted:
+                self._learn()
+            if at_us != self.instants[-1].time_us:
+                self._move_newest(at_us)
+        self._open(action, coasted=False)
+
+    def limb_use(self, at_us: int) -> npt.NDArray[np.int64]:
+        """(8,) how much each limb was used, for an action that begins at a time."""
+        return self.instants[-2 if self._is_hasty(at_us) else -1].limb_use
+
+    def state(self, at_us: int) -> tuple[Float32, Float32]:
+        """Pose (3,) and speed (3,) at a time, not before the oldest instant."""
+        first, profile = self._profile(at_us)
+        there = self.mean[:, 2 * first : 2 * first + 4]
+        return _weighted(profile.pose, there), _weighted(profile.speed, there)
+
+    def update(self, at_us: int, pose: Float32, gated: bool = True) -> bool:
+        """Correct all states by a pose (3,); False where the gate refuses it and nothing changes."""
+        first, profile = self._profile(at_us)
+        here = slice(2 * first, 2 * first + 4)
+        period = self.instants[first]
+        off = pose - _weighted(profile.pose, self.mean[:, here])
+        off[2] = wrapped(off[2])
+        cross = _weighted(profile.pose, self.covariance[:, :, here])
+        expected = _weighted(profile.pose, cross[:, here])
+        shape = (_SHAPE + _SHAPE_OF_NOISE_S2 * self.process_noise) * (profile.doubt * profile.doubt)
+        variance = expected + (_FIX + shape * (_F(1) + _SHAPE_COMMON * _F(period.fixes)))
+        gate = _GATE * (variance + _GATE_MORE) if gated else np.full(2, _EVERYWHERE)
+        if not (off[0] * off[0] + off[1] * off[1] <= gate[0] and off[2] * off[2] <= gate[1]):
+            return False
+        self.mean = self.mean + cross[_COVARIANCE_OF] * (off / variance[_COVARIANCE_OF])[:, None]
+        gain = cross * (_F(1) / variance)[:, None]
+        less = self.covariance - gain[:, :, None] * cross[:, None, :]
+        lower = _LOWER[: less.shape[1], : less.shape[1]]
+        self.covariance = np.where(lower, less, np.swapaxes(less, 1, 2))
+        period.fixes = min(period.fixes + 1, 255)
+        return True
+
+    def reset_pose(self, at_us: int, pose: Float32) -> None:
+        """Believe no pose but this one; actions and limb use stay known."""
+        first, profile = self._profile(at_us)
+        self.instants = self.instants[first:]
+        self._unknown(pose)
+        for index in range(len(self.instants) - 1):
+            self.instants[index].fixes = 0
+            self._predict(index)
+        self._teaches = False
+        off = pose - _weighted(profile.pose, self.mean[:, :4])
+        self.mean[:, 0::2] = self.mean[:, 0::2] + off[:, None]
+        self.update(at_us, pose, gated=False)
+
+    def _is_hasty(self, at_us: int) -> bool:
+        """Rest was assumed for the period under way before word of what begins at a time could come."""
+        return self.instants[-2].coasted and at_us < self.instants[-2].time_us + COAST_US
+
+    def _begin(self, at_us: int, action: int, coasted: bool) -> None:
+        self.instants = [_Instant(int(at_us), np.zeros(LIMBS_MAX, dtype=np.int64))]
+        self._unknown(np.zeros(3, dtype=np.float32))
+        self._open(action, coasted)
+        self._teaches = False
+
+    def _unknown(self, pose: Float32) -> None:
+        """One instant, of whose pose and speed nothing is sure."""
+        self.mean = np.stack([pose, np.zeros(3, dtype=np.float32)], axis=1)
+        self.covariance = np.zeros((2, 2, 2), dtype=np.float32)
+        self.covariance[:, 0, 0] = _POSE_UNKNOWN
+        self.covariance[:, 1, 1] = _SPEED_UNKNOWN
+
+    def _undo(self) -> None:
+        """The period under way was none."""
+        del self.instants[-1]
+        self.mean, self.covariance = self.mean[:, :-2], self.covariance[:, :-2, :-2]
+
+    def _open(self, action: int, coasted: bool) -> None:
+        if len(self.instants) == INSTANTS:
+            del self.instants[0]
+            self.mean, self.covariance = self.mean[:, 2:], self.covariance[:, 2:, 2:]
+        turns_rad = self.mean[2, -2] - wrapped(self.mean[2, -2])
+        self.mean = self.mean.copy()
+        self.mean[2, 0::2] = self.mean[2, 0::2] - turns_rad
+        last = self.instants[-1]
+        last.action, last.coasted, last.fixes = int(action), coasted, 0
+        self.instants.append(_Instant(last.time_us + self.tables.period_us, last.limb_use))
+        self._teaches = True
+        self._predict(len(self.instants) - 2)
+
+    def _predict(self, index: int) -> None:
+        """Add the states at the instant after ``index``, which are the newest then."""
+        here, after = self.instants[index], self.instants[index + 1]
+        period_s = _seconds(after.time_us - here.time_us)
+        pose, speed = self.mean[:, 2 * index], self.mean[:, 2 * index + 1]
+        heading = wrapped(pose[2])
+        sine, cosine = sine_cosine(heading)
+        forward, left = cosine * speed[0] + sine * speed[1], cosine * speed[1] - sine * speed[0]
+        velocity = np.array([forward, left, speed[2]], dtype=np.float32)
+        velocity[~(np.abs(velocity) <= _SPEED_MOST)] = 0  # what is no number the table cannot be asked
+        motion, velocity, after.limb_use = self._ask_table(velocity, here.limb_use, here.action, period_s)
+        new = np.empty((3, 2), dtype=np.float32)
+        new[0, 0] = pose[0] + (cosine * motion[0] - sine * motion[1])
+        new[1, 0] = pose[1] + (sine * motion[0] + cosine * motion[1])
+        new[2, 0] = pose[2] + motion[2]
+        sine, cosine = sine_cosine(heading + motion[2])
+        new[0, 1] = cosine * velocity[0] - sine * velocity[1]
+        new[1, 1] = sine * velocity[0] + cosine * velocity[1]
+        new[2, 1] = velocity[2]
+        self.mean = np.concatenate([self.mean[:, : 2 * index + 2], new], axis=1)
+        self._predicted = new[:, 0].copy()
+
+        process_noise = (
+            _RESTING * self.process_noise if here.action == self.resting_action else self.process_noise
+        )
+        pull_s, apart_s = _PULL * period_s, _APART * period_s
+        size = 2 * index + 2
+        grown = np.zeros((2, size + 2, size + 2), dtype=np.float32)
+        grown[:, :size, :size] = known = self.covariance[:, :size, :size]
+        poses = known[:, :, -2] + pull_s * known[:, :, -1]
+        speeds = _REMAINS * known[:, :, -1]
+        grown[:, :size, size] = grown[:, size, :size] = poses
+        grown[:, :size, size + 1] = grown[:, size + 1, :size] = speeds
+        both = (speeds[:, -2] + pull_s * speeds[:, -1]) + (_REMAINS * pull_s) * process_noise
+        grown[:, size, size] = (poses[:, -2] + pull_s * poses[:, -1]) + (
+            pull_s * pull_s + apart_s * apart_s
+        ) * process_noise
+        grown[:, size, size + 1] = grown[:, size + 1, size] = both
+        grown[:, size + 1, size + 1] = (
+            _REMAINS * speeds[:, -1] + (_REMAINS * _REMAINS + _APART * _APART) * process_noise
+        )
+        self.covariance = grown
+        self._predicted_variance = grown[:, size, size].copy()
+
+    def _ask_table(
+        self, velocity: Float32, limb_use: npt.NDArray[np.int64], action: int, period_s: np.float32
+    ) -> tuple[Float32, Float32, npt.NDArray[np.int64]]:
+        """Motion in the body frame, velocity and limb use a period later."""
+        if action >= len(self.tables.actions):
+            return velocity * period_s, velocity, limb_use
+        codes, motion = np.zeros(DYNAMICS, dtype=np.int64), np.zeros(3, dtype=np.float32)
+        _transition(self._arrays, velocity, self._per_velocity, limb_use, action, motion, codes)
+        return motion, codes[:3].astype(np.float32) * self._arrays.velocity_scale, codes[3:]
+
+    def _learn(self) -> None:
+        """How far off the table was in the period that ends tells how far off it may be in the next."""
+        off = self.mean[:, -2] - self._predicted
+        square = off * off
+        told = self._predicted_variance - self.covariance[:, -2, -2]
+        sums = np.array([square[0] + square[1], square[2]], dtype=np.float32)
+        part = _LEARN_PARTS[self._learned]
+        for k, axes in enumerate((_F(2), _F(1))):
+            if told[k] > _INFORMED * self._predicted_variance[k]:
+                word = min(sums[k] / (axes * told[k]), _WORD_MOST)
+                process_noise = self.process_noise[k] * (_F(1) + part * (word - _F(1)))
+                self.process_noise[k] = min(
+                    max(process_noise, _PROCESS_NOISE_LEAST[k]), _PROCESS_NOISE_MOST[k]
+                )
+        self._learned = min(self._learned + 1, 3)
+
+    def _move_newest(self, at_us: int) -> None:
+        """Put the newest instant to another time after the one before it."""
+        _, profile = self._profile(at_us)
+        mean, known = self.mean[:, -4:], self.covariance
+        self.mean = self.mean.copy()
+        self.mean[:, -2:] = np.stack([_weighted(profile.pose, mean), _weighted(profile.speed, mean)], axis=1)
+        poses = _weighted(profile.pose, known[:, :, -4:])
+        speeds = _weighted(profile.speed, known[:, :, -4:])
+        moved = known.copy()
+        moved[:, :-2, -2] = moved[:, -2, :-2] = poses[:, :-2]
+        moved[:, :-2, -1] = moved[:, -1, :-2] = speeds[:, :-2]
+        moved[:, -2, -2] = _weighted(profile.pose, poses[:, -4:])
+        moved[:, -2, -1] = moved[:, -1, -2] = _weighted(profile.speed, poses[:, -4:])
+        moved[:, -1, -1] = _weighted(profile.speed, speeds[:, -4:])
+        self.covariance = moved
+        self.instants[-1].time_us = int(at_us)
+
+    def _profile(self, at_us: int) -> tuple[int, Profile]:
+        """The period that holds a time, or the last one, and the weights there."""
+        last = len(self.instants) - 2
+        if at_us >= self.instants[-1].time_us:
+            return last, profile_after(_seconds(at_us - self.instants[-1].time_us))
+        index = max((i for i in range(last + 1) if at_us >= self.instants[i].time_us), default=0)
+        begin_us, end_us = self.instants[index].time_us, self.instants[index + 1].time_us
+        return index, profile_within(_seconds(at_us - begin_us), _seconds(end_us - begin_us), self._fire_s)
+
+
+def _compiled(stamp: int) -> Any:
+    @njit(cache=True)
+    def transition(table, velocity, per_velocity, limb_use, action, motion, after):  # type: ignore[no-untyped-def]
+        dynamics = np.zeros(DYNAMICS, dtype=np.int64)
+        for axis in range(3):
+            dynamics[axis] = velocity_code(velocity[axis], per_velocity[axis])
+        dynamics[3:] = limb_use
+        row = find_row(table, dynamics)
+        motion_of(table, row, dynamics, action, motion)
+        dynamics_after(table, row, dynamics, action, after)
+        return stamp
+
+    return transition
+
+
+_transition = _compiled(stamp_of("frogkick.planner"))
+"""Write the motion (3,) float32 and the dynamics (DYNAMICS,) a period after an action."""

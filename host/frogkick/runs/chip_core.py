@@ -1,0 +1,131 @@
+"""The robot's C core on this computer, living through what a robot's log tells, with a log of its own."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import cffi
+
+from frogkick.core.errors import FrogkickError
+from frogkick.link.frames import pack_raw
+from frogkick.link.layout import link_layout
+from frogkick.link.log import Record, Stretch, records_of
+
+_DECLARATIONS = """
+typedef struct { uint8_t limb_mask; uint8_t all_off; uint32_t pulse_us; uint64_t next_tick_us; } fk_outputs_t;
+uint32_t fk_robot_bytes(void);
+uint32_t fk_log_bytes(void);
+int32_t fk_robot_init(void *robot, const uint8_t *image, uint32_t image_bytes);
+void fk_robot_use_log(void *robot, void *log);
+int32_t fk_robot_restore(void *robot, const uint8_t *snapshot, uint32_t length);
+void fk_robot_on_frame(void *robot, const uint8_t *encoded, uint32_t length, uint64_t now_us);
+void fk_robot_note_time(void *robot, uint64_t now_us);
+void fk_robot_note_pulse_failed(void *robot, int32_t error);
+void fk_robot_note_link_lost(void *robot);
+void fk_robot_note_supply(void *robot, int32_t is_low);
+void fk_robot_tick(void *robot, uint64_t now_us, fk_outputs_t *outputs);
+uint32_t fk_robot_take_tx(void *robot, uint8_t *bytes, uint32_t capacity);
+uint32_t fk_log_read(const void *log, uint32_t offset, uint8_t *bytes, uint32_t capacity, uint32_t *from);
+"""
+_CHUNK = 4096
+
+
+class ChipCore:
+    """The core, from a snapshot on.
+
+    Every call but ``begin`` lets it do one thing, and returns the records that it wrote thereby.
+    """
+
+    def __init__(self, library: Path, image: bytes) -> None:
+        """Load a library made by ``firmware build --target native``.
+
+        Args:
+            library: with the robot's limits in it.
+            image: table image that the robot used.
+        """
+        self._ffi = cffi.FFI()
+        self._ffi.cdef(_DECLARATIONS)
+        self._core: Any = self._ffi.dlopen(str(library))
+        self._image = self._ffi.new("uint64_t[]", (len(image) + 7) // 8)
+        self._ffi.memmove(self._image, image, len(image))
+        self._image_bytes = len(image)
+        self._outputs = self._ffi.new("fk_outputs_t *")
+        self._from = self._ffi.new("uint32_t *")
+        self._buffer = self._ffi.new("uint8_t[]", _CHUNK)
+        self._sequence = 0
+
+    def begin(self, snapshot: bytes) -> None:
+        """Take the state of a snapshot.
+
+        Raises:
+            FrogkickError: the core refuses the table, or the snapshot.
+        """
+        core, ffi = self._core, self._ffi
+        self._memory = ffi.new("uint64_t[]", (core.fk_robot_bytes() + 7) // 8)
+        self._log = ffi.new("uint64_t[]", (core.fk_log_bytes() + 7) // 8)
+        self._offset = 0
+        error = core.fk_robot_init(self._memory, ffi.cast("uint8_t *", self._image), self._image_bytes)
+        if error:
+            raise FrogkickError(f"the core refuses the table (fk_error_t {error}): give the robot's own")
+        core.fk_robot_use_log(self._memory, self._log)
+        if core.fk_robot_restore(self._memory, snapshot, len(snapshot)):
+            raise FrogkickError(
+                "the core refuses the snapshot: it is of another firmware, fetch and replay with one"
+            )
+        self._written()
+
+    def command(self, record: Record) -> list[Record]:
+        """A command comes, as a COMMAND record has it."""
+        self._sequence = (self._sequence + 1) & 0xFF
+        encoded = pack_raw(int(record.values["type"]), self._sequence, record.rest)[:-1]
+        self._core.fk_robot_on_frame(self._memory, encoded, len(encoded), record.time_us)
+        return self._written()
+
+    def pulse_failed(self, detail: int) -> list[Record]:
+        """The port could not start a pulse."""
+        self._core.fk_robot_note_pulse_failed(self._memory, detail)
+        return self._written()
+
+    def link_lost(self, now_us: int) -> list[Record]:
+        """The host fell silent, or its connection ended."""
+        self._core.fk_robot_note_time(self._memory, now_us)
+        self._core.fk_robot_note_link_lost(self._memory)
+        return self._written()
+
+    def supply_low(self, now_us: int) -> list[Record]:
+        """The port sees that the supply is too low."""
+        self._core.fk_robot_note_time(self._memory, now_us)
+        self._core.fk_robot_note_supply(self._memory, 1)
+        return self._written()
+
+    def note_time(self, now_us: int) -> list[Record]:
+        """Time has come that far, and a frame that is not logged."""
+        self._core.fk_robot_note_time(self._memory, now_us)
+        return self._written()
+
+    def tick(self, now_us: int) -> list[Record]:
+        """The port calls."""
+        self._core.fk_robot_tick(self._memory, now_us, self._outputs)
+        return self._written()
+
+    def _written(self) -> list[Record]:
+        while self._core.fk_robot_take_tx(self._memory, self._buffer, _CHUNK):
+            pass
+        content = b""
+        while count := self._core.fk_log_read(
+            self._log, (self._offset + len(content)) % 2**32, self._buffer, _CHUNK, self._from
+        ):
+            content += bytes(self._ffi.buffer(self._buffer, count))
+        records = records_of(Stretch(self._offset, content))
+        self._offset = (self._offset + len(content)) % 2**32
+        return records
+
+
+LATE, TOO_LATE = -16, 2
+"""FK_PULSE_LATE, and FK_PULSE_TOO_LATE in a PULSE record: the port was too late to begin it."""
+
+
+def pulse_fault(record: Record) -> bool:
+    """Whether a FAULT is the port's word, which can be told to a core again."""
+    return record.values["fault"] == link_layout().fault["PULSE"]

@@ -1,0 +1,252 @@
+"""A robot's log decided again: by the C core on this computer and by the Python twin, compared bit by bit.
+
+A replay begins at a snapshot: what stands before the first one can be read, not decided again. It goes on
+to the next thing that cannot be lived through again: a start, an update of the table, something that was not
+logged (the next snapshot says so), an internal error but the port's, a damaged record, the end of what was
+fetched; and begins anew at the next snapshot. A record that differs is told, and where the core cannot
+follow any more, likewise.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from frogkick.core.errors import FrogkickError
+from frogkick.link.log import DAMAGED, UNFINISHED, ChipLog, Record
+from frogkick.link.supervisor import supervisor
+from frogkick.runs.chip_core import LATE, TOO_LATE, ChipCore, pulse_fault
+from frogkick.runs.chip_twin import ChipTwin
+from frogkick.runs.decision import Decision
+from frogkick.tables.image import Tables
+
+_TICKS = 3  # at one time: a stroke begins, a decision, another stroke
+_TABLE_COMMANDS = ("TABLE_BEGIN", "TABLE_COMMIT", "TABLE_ROLLBACK")
+
+
+@dataclass(frozen=True)
+class Mismatch:
+    """A record that is not what came out again.
+
+    Attributes:
+        offset, time_us: of the record.
+        place: "core", "twin", or "log" where the record itself is damaged.
+        what: what differs.
+    """
+
+    offset: int
+    time_us: int
+    place: str
+    what: str
+
+
+@dataclass
+class LogReplay:
+    """What came out.
+
+    Attributes:
+        records: all of the log's.
+        replayed: those that were lived through again, of snapshots all parts.
+        decisions: of the planner on board among them, as the twin made them.
+        segments: times that the replay began at a snapshot.
+        mismatches: in their order.
+    """
+
+    records: int = 0
+    replayed: int = 0
+    segments: int = 0
+    decisions: list[Decision] = field(default_factory=list)
+    mismatches: list[Mismatch] = field(default_factory=list)
+
+
+@dataclass(frozen=True)
+class _Snapshot:
+    """Records [begin, end) are its parts."""
+
+    begin: int
+    end: int
+    content: bytes
+    table_crc: int
+    anew: bool
+
+
+def replay_log(
+    log: ChipLog,
+    library: Path,
+    tables: Sequence[Tables],
+    progress: Callable[[int, int], None] = lambda _done, _all: None,
+) -> LogReplay:
+    """Decide again what a log tells.
+
+    Args:
+        log: as fetched.
+        library: the core for this computer, made by ``firmware build --target native`` for the same robot.
+        tables: those that the robot used; what it did with another one is not replayed.
+        progress: called with records done and all of them.
+
+    Raises:
+        FrogkickError: the core refuses a table.
+    """
+    found = LogReplay()
+    by_crc = {table.crc32: table for table in tables}
+    cores = {crc: ChipCore(library, table.image) for crc, table in by_crc.items()}
+    stretches = log.records()
+    every = sum(map(len, stretches))
+    for records in stretches:
+        found.mismatches += _damage(records)
+        _replay_stretch(records, by_crc, cores, found)
+        found.records += len(records)
+        progress(found.records, every)
+    found.mismatches.sort(key=lambda mismatch: mismatch.time_us)
+    return found
+
+
+def _damage(records: list[Record]) -> list[Mismatch]:
+    """What no robot writes.
+
+    A check that does not fit; a command after one that never ended; a run, or a fix, after a start or an
+    update of the table without a snapshot in between.
+    """
+    found, unfinished, without = [], False, ""
+    for record in records:
+        what = ""
+        if record.name == DAMAGED:
+            what = "the record's check does not fit"
+        elif record.name == "COMMAND" and unfinished:
+            what = "the command before never ended"
+        elif without and (record.name == "DECISION" or record.command == "FIX"):
+            what = f"no snapshot since {without}"
+        if what:
+            found.append(Mismatch(record.offset, record.time_us, "log", what))
+        if record.name in ("COMMAND", "BOOT"):
+            unfinished = record.name == "COMMAND" and record.values["status"] == UNFINISHED
+        if record.name == "BOOT" or record.command in _TABLE_COMMANDS:
+            without = record.command or record.name
+        elif what or record.name == "SNAPSHOT":
+            without = ""
+    return found
+
+
+def _replay_stretch(
+    records: list[Record], tables: Mapping[int, Tables], cores: Mapping[int, ChipCore], found: LogReplay
+) -> None:
+    snapshots = [s for s in _snapshots(records) if s.table_crc in tables]
+    at = 0
+    for snapshot in snapshots:
+        if snapshot.begin < at:
+            continue  # lived through already
+        end = _end_of(records, snapshot)
+        run = _Segment(records[snapshot.end : end], cores[snapshot.table_crc], found)
+        at = snapshot.end + run.go(snapshot, tables[snapshot.table_crc])
+
+
+def _snapshots(records: list[Record]) -> list[_Snapshot]:
+    """The whole ones."""
+    snapshots, begin, content = [], 0, b""
+    for index, record in enumerate(records):
+        if record.name != "SNAPSHOT":
+            begin, content = -len(records), b""  # no part that follows is the one wanted
+            continue
+        if record.values["part"] == 0:
+            begin, content = index, b""
+        if int(record.values["part"]) != index - begin:
+            continue
+        content += record.rest
+        if record.values["last"]:
+            crc, anew = int(record.values["table_crc"]), bool(record.values["anew"])
+            snapshots.append(_Snapshot(begin, index + 1, content, crc, anew))
+    return snapshots
+
+
+def _end_of(records: list[Record], snapshot: _Snapshot) -> int:
+    """The first record behind a snapshot that cannot be lived through from it."""
+    for index in range(snapshot.end, len(records)):
+        record = records[index]
+        if (
+            record.name in (DAMAGED, "BOOT")
+            or (record.name == "SNAPSHOT" and record.values["anew"])
+            or (record.name == "FAULT" and not pulse_fault(record))
+            or (record.name == "COMMAND" and record.values["status"] == UNFINISHED)
+            or record.command in _TABLE_COMMANDS
+        ):
+            return index
+    return len(records)
+
+
+class _Segment:
+    def __init__(self, records: list[Record], core: ChipCore, found: LogReplay) -> None:
+        self.records = records
+        self.core = core
+        self.found = found
+        self.made: list[Record] = []
+
+    def go(self, snapshot: _Snapshot, tables: Tables) -> int:
+        """Live through the records; how many, before the core could not follow."""
+        try:
+            self.core.begin(snapshot.content)
+            twin = ChipTwin(snapshot.content, tables)
+        except FrogkickError as error:
+            self._tell(self.records[0] if self.records else None, "core", str(error))
+            return 0
+        self.found.segments += 1
+        self.found.replayed += snapshot.end - snapshot.begin
+        for index, record in enumerate(self.records):
+            if not self.made and self._is_cut(index):
+                return index
+            if not self.made:
+                self.made = self._let_happen(index)
+            if not self.made:
+                self._tell(record, "core", f"{record.name} does not happen")
+                return index
+            made = self.made.pop(0)
+            if (made.name, made.time_us) != (record.name, record.time_us):
+                self._tell(record, "core", f"{made.name} at {made.time_us} us instead of {record.name}")
+                self.made = []
+                return index
+            if made.content != record.content:
+                self._tell(record, "core", f"{record.name} differs in {_fields(made, record)}")
+                if (
+                    record.name == "COMMAND"
+                ):  # taken by one, refused by the other: what follows is not the same
+                    self.made = []
+                    return index
+            for what in twin.meet(record):
+                self._tell(record, "twin", what)
+            self.found.replayed += 1
+        self.found.decisions += twin.decisions
+        return len(self.records)
+
+    def _is_cut(self, index: int) -> bool:
+        """Whether the command before which a snapshot was taken is not there any more, or not yet."""
+        return all(record.name == "SNAPSHOT" for record in self.records[index:])
+
+    def _let_happen(self, index: int) -> list[Record]:
+        """What leads to the record: of a snapshot the command that comes after it."""
+        record = self.records[index]
+        if record.name == "SNAPSHOT":
+            record = next(r for r in self.records[index:] if r.name != "SNAPSHOT")
+        if record.name == "COMMAND":
+            return self.core.command(record)
+        if record.name == "FAULT":
+            return self.core.pulse_failed(int(record.values["detail"]))
+        if record.name == "PULSE" and record.values["allowed"] == TOO_LATE:
+            return self.core.pulse_failed(LATE)
+        if record.name == "STATE" and record.values["event"] == supervisor().number("LINK_LOST"):
+            return self.core.link_lost(record.time_us)
+        if record.name == "STATE" and record.values["event"] == supervisor().number("SUPPLY_LOW"):
+            return self.core.supply_low(record.time_us)
+        made = self.core.note_time(record.time_us)
+        for _ in range(_TICKS):
+            if not made:
+                made = self.core.tick(record.time_us)
+        return made
+
+    def _tell(self, record: Record | None, place: str, what: str) -> None:
+        offset, time_us = (record.offset, record.time_us) if record is not None else (0, 0)
+        self.found.mismatches.append(Mismatch(offset, time_us, place, what))
+
+
+def _fields(made: Record, record: Record) -> str:
+    names = [name for name, value in record.values.items() if made.values[name] != value]
+    return ", ".join(names) or "its bytes"

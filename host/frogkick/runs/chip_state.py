@@ -1,0 +1,194 @@
+"""A snapshot of the robot's state, read for the Python twin: what firmware/core/fk_snapshot.c writes.
+
+The guard's books, which come last, are the robot's own matter: they decide about pulses, not about decisions.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections import deque
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from frogkick.core.errors import FrogkickError
+from frogkick.estimator.estimator import MARKS, Estimator, _Fix
+from frogkick.estimator.follow import Follow
+from frogkick.estimator.track import INSTANTS, _Instant
+from frogkick.planner.plan import PlanConfig
+from frogkick.tables.image import Tables
+from frogkick.tables.layout import LIMBS_MAX
+
+_WEIGHTS = (
+    "distance_weight_per_m", "angle_weight_per_rad", "progress_weight", "level_weight",
+    "progress_weight_per_m", "look_ahead_m", "soft_distance_m", "turn_lead",
+)  # fmt: skip
+Float32 = npt.NDArray[np.float32]
+
+
+class SnapshotError(FrogkickError):
+    """Bytes that are no state of this robot."""
+
+
+@dataclass(frozen=True, eq=False)
+class Points:
+    """A path as the robot holds it: (n,) float32 each, world."""
+
+    x_m: Float32
+    y_m: Float32
+    tangent_rad: Float32
+
+    def __len__(self) -> int:
+        return len(self.x_m)
+
+
+@dataclass(frozen=True, eq=False)
+class ChipState:
+    """What the twin needs of a state.
+
+    Attributes:
+        time_us: the robot's clock.
+        state: number of its state.
+        period_us: between decisions.
+        decisions: since START.
+        next_decision_us: when the next one is due.
+        config: cost, weights, depth.
+        points: of the path received so far; ``total``: of all of it.
+        follow: what the robot knows of its way along the path: mark and so on, for ``follow_of``.
+        estimator: the twin's, as the robot's.
+    """
+
+    time_us: int
+    state: int
+    period_us: int
+    decisions: int
+    next_decision_us: int
+    config: PlanConfig
+    points: Points
+    total: int
+    follow: tuple[Any, ...]
+    estimator: Estimator
+
+
+def follow_of(state: ChipState, tables: Tables) -> Follow:
+    """The twin's progress along the path, as the robot's; the path must be whole."""
+    follow = Follow(tables, state.points, state.config)
+    along, mark, place, distance_m, idle, begun = state.follow
+    follow.along_points = along
+    follow._mark = (mark, place, distance_m) if begun else None
+    follow._idle = idle
+    return follow
+
+
+class _Reader:
+    def __init__(self, content: bytes) -> None:
+        self._content = content
+        self._at = 0
+
+    def take(self, form: str) -> tuple[Any, ...]:
+        size = struct.calcsize("<" + form)
+        if self._at + size > len(self._content):
+            raise SnapshotError(f"a snapshot of {len(self._content)} bytes ends too early: fetch it again")
+        self._at += size
+        return struct.unpack_from("<" + form, self._content, self._at - size)
+
+    def one(self, form: str, most: int | None = None) -> Any:
+        (value,) = self.take(form)
+        if most is not None and value > most:
+            raise SnapshotError(f"a snapshot holds {value}, at most {most} can be: fetch it again")
+        return value
+
+    def floats(self, count: int) -> Float32:
+        return np.frombuffer(struct.pack(f"<{count}I", *self.take(f"{count}I")), dtype="<f4").copy()
+
+
+class _Mark(int):
+    """A fix that was had before, as the robot knows it: FNV-1a over its number and its pose's bits."""
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, tuple):
+            return int(self) == other
+        sequence, pose = other
+        mark = ((2166136261 ^ sequence) * 16777619) & 0xFFFFFFFF
+        for half in struct.unpack("<6H", pose):
+            mark = ((mark ^ half) * 16777619) & 0xFFFFFFFF
+        return bool(int(self) == mark | 1)
+
+    def __hash__(self) -> int:
+        return hash(int(self))
+
+
+def read_state(content: bytes, tables: Tables) -> ChipState:
+    """Read a snapshot.
+
+    Args:
+        content: of all its parts, without what stands before it in each record.
+        tables: those in use when it was taken.
+
+    Raises:
+        SnapshotError: too few bytes, or a number that none of this robot's states has.
+    """
+    reader = _Reader(content)
+    time_us, state, period_us, decisions, next_decision_us = reader.take("QBIIQ")
+    reader.take("BQBQQBB")  # the stroke under way, whether all is to be off, and the supply
+    weights = dict(zip(_WEIGHTS, map(float, reader.floats(8)), strict=True))
+    transitions_max, cost, depth = reader.take("IBB")
+    config = PlanConfig(**weights, transitions_max=transitions_max, cost=cost, depth=depth)
+    total, count = reader.take("BB")
+    points = Points(reader.floats(count), reader.floats(count), reader.floats(count))
+    along, mark, x_m, y_m, distance_m = reader.floats(5)
+    idle, begun = reader.take("IB")
+    estimator = _read_estimator(reader, tables)
+    follow = (along, mark, (x_m, y_m), distance_m, idle, begun)
+    return ChipState(
+        time_us, state, period_us, decisions, next_decision_us, config, points, total, follow, estimator
+    )
+
+
+def _read_estimator(reader: _Reader, tables: Tables) -> Estimator:
+    estimator = Estimator(tables)
+    _read_track(reader, estimator, tables)
+    action_us, action, action_waits = reader.take("QBB")
+    newest_us, newest_sequence, estimator._fixes = reader.take("QHB")
+    estimator._newest = _Fix(newest_us, np.zeros(3, dtype=np.float32), newest_sequence)
+    for _ in range(reader.one("B", 2)):
+        capture_us = reader.one("Q")
+        pose = reader.floats(3)
+        estimator._outliers.append(_Fix(capture_us, pose, reader.one("H")))
+    following = reader.one("B", MARKS - 1)
+    marks = reader.take(f"{MARKS}I")
+    oldest_first = marks[following:] + marks[:following]
+    known: deque[Any] = deque((_Mark(mark) for mark in oldest_first if mark), maxlen=MARKS)
+    estimator._marks = known
+    if action_waits:
+        estimator.act(action_us, action)
+    return estimator
+
+
+def _read_track(reader: _Reader, estimator: Estimator, tables: Tables) -> None:
+    track = estimator.track
+    track._learned, teaches = reader.take("BB")
+    track._teaches = bool(teaches)
+    count = reader.one("B", INSTANTS)
+    size = 2 * count
+    track._predicted = reader.floats(3)
+    process_noise, predicted, covariances = [], [], []
+    for _ in range(2):
+        process_noise.append(reader.floats(1)[0])
+        predicted.append(reader.floats(1)[0])
+        covariances.append(reader.floats(size * size).reshape(size, size))
+    track.process_noise = np.array(process_noise, dtype=np.float32)
+    track._predicted_variance = np.array(predicted, dtype=np.float32)
+    track.covariance = np.stack(covariances)
+    track.mean = np.stack([reader.floats(size) for _ in range(3)])
+    track.instants = []
+    for index in range(count):
+        time_us = reader.one("Q")
+        instant = _Instant(time_us, np.array(reader.take(f"{LIMBS_MAX}H"), dtype=np.int64))
+        if index + 1 < count:
+            instant.action = reader.one("B", len(tables.actions))
+            instant.coasted = bool(reader.one("B", 1))
+            instant.fixes = reader.one("B")
+        track.instants.append(instant)

@@ -1,0 +1,172 @@
+"""The Python twin lives through what a robot's log tells and says where it decides otherwise."""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import replace
+
+import numpy as np
+
+from frogkick.estimator.follow import End, Follow
+from frogkick.estimator.track import resting_action_of
+from frogkick.link.layout import link_layout
+from frogkick.link.log import Record
+from frogkick.link.supervisor import supervisor
+from frogkick.planner.plan import transitions_within
+from frogkick.runs.chip_state import ChipState, Points, follow_of, read_state
+from frogkick.runs.decision import Decision, decide, decision_of_event
+from frogkick.tables.image import Tables
+
+_LAYOUT = link_layout()
+_STATUS = _LAYOUT.status
+_ENDS = {End.COMPLETED: "OK", End.PASSED: "PASSED", End.STALLED: "STALLED"}
+PLAN_TIME_WATCHDOG_US = 600_000
+"""No search takes longer, whatever is asked for (fk_robot.h)."""
+
+
+def _within(plan_us: int) -> int:
+    """Transitions that fit into a time, as the robot sees it."""
+    limited = PLAN_TIME_WATCHDOG_US if plan_us == 0 else min(plan_us, PLAN_TIME_WATCHDOG_US)
+    return transitions_within(limited)
+
+
+class ChipTwin:
+    """Estimator, planner and progress along the path, from a robot's snapshot on.
+
+    Attributes:
+        decisions: made so far.
+    """
+
+    def __init__(self, snapshot: bytes, tables: Tables) -> None:
+        """Begin.
+
+        Raises:
+            SnapshotError: the snapshot is none.
+        """
+        state = read_state(snapshot, tables)
+        self.decisions: list[Decision] = []
+        self._tables = tables
+        self._resting_action = resting_action_of(tables)
+        self._estimator = state.estimator
+        self._config = state.config
+        self._points = state.points
+        self._total = state.total
+        self._period_us = state.period_us
+        self._running = state.state == _LAYOUT.state["RUNNING"]
+        self._next_us = state.next_decision_us
+        self._number = state.decisions
+        self._follow = self._begun(state)
+        self._asked: tuple[int, int] | None = None
+        self._end: End | None = None
+        self._supply_low = False
+
+    def _begun(self, state: ChipState) -> Follow | None:
+        return follow_of(state, self._tables) if len(self._points) == self._total > 1 else None
+
+    def meet(self, record: Record) -> list[str]:
+        """Live through a record; what the twin finds otherwise."""
+        if record.name == "COMMAND":
+            return self._command(record)
+        if record.name == "DECISION":
+            return self._decide(record)
+        if record.name in ("REFUSED", "DROPPED"):
+            self._estimator.act(int(record.values["begin_us"]), self._resting_action)
+        elif record.name == "STROKE":
+            return self._stroke(record)
+        elif record.name == "ENDED":
+            return self._ended(record)
+        elif record.name == "STATE":
+            self._running = record.values["state"] == _LAYOUT.state["RUNNING"]
+            self._supply_low = record.values["event"] == supervisor().number("SUPPLY_LOW")
+        return []
+
+    def _command(self, record: Record) -> list[str]:
+        status, asked = int(record.values["status"]), record.asked
+        if record.command == "FIX":
+            return self._fix(record, status)
+        if status != _STATUS["OK"]:
+            return []
+        if record.command == "PATH":
+            self._path(record)
+        elif record.command == "PARAM":
+            self._set(int(asked["parameter"]), float(asked["value"]))
+        elif record.command == "START":
+            self._follow = Follow(self._tables, self._points, self._config)
+            self._next_us = record.time_us + int(asked["delay_us"])
+            self._number = 0
+            self._end = None
+        elif record.command == "STROKE":
+            self._asked = None
+        return []
+
+    def _fix(self, record: Record, status: int) -> list[str]:
+        asked = record.asked
+        if status == _STATUS["VALUE"] or not asked:
+            return []
+        capture_us = record.time_us - int(asked["capture_age_us"])
+        pose = np.array([asked["x_m"], asked["y_m"], asked["heading_rad"]], dtype=np.float32)
+        told = self._estimator.add(capture_us, pose, int(asked["fix_sequence"]))
+        if told == 0 and self._running and self._follow is not None:
+            self._end = self._follow.fixed(pose[0], pose[1])
+        names = (_LAYOUT.status_name(told), _LAYOUT.status_name(status))
+        return [] if told == status else [f"FIX is {names[0]}, not {names[1]}"]
+
+    def _path(self, record: Record) -> None:
+        payload = _LAYOUT.messages["PATH"].command
+        assert payload is not None
+        first = int(record.asked["first"])
+        rows = np.array(list(struct.iter_unpack(payload.repeat_format, record.rest[payload.bytes :])))
+        x_m, y_m, tangent_rad = rows.astype(np.float32).T
+        before = self._points
+        self._points = Points(
+            np.concatenate([before.x_m[:first], x_m]),
+            np.concatenate([before.y_m[:first], y_m]),
+            np.concatenate([before.tangent_rad[:first], tangent_rad]),
+        )
+        self._total = int(record.asked["total"])
+
+    def _set(self, parameter: int, value: float) -> None:
+        name = next(name for name, number in _LAYOUT.parameter.items() if number == parameter)
+        if name == "PERIOD_US":
+            self._period_us = int(value)
+        elif name == "PLAN_TIME_US":
+            self._config = replace(self._config, transitions_max=_within(int(value)))
+        elif name == "TRANSITIONS_MAX":
+            most = _within(0)
+            self._config = replace(self._config, transitions_max=min(int(value) or most, most))
+        else:
+            changes = {name.lower(): int(value) if name in ("DEPTH", "COST") else value}
+            self._config = replace(self._config, **changes)  # type: ignore[arg-type]
+
+    def _decide(self, record: Record) -> list[str]:
+        if self._follow is None:
+            return ["a decision without a path"]
+        over = self._end is not None
+        made, self._end = decide(
+            self._tables, self._points, self._config, self._estimator, self._follow, self._next_us
+        )
+        differing = made.differences(decision_of_event(record.values))
+        if over:
+            differing.append("that the run was over")
+        if int(record.values["decision"]) != self._number:
+            differing.append("decision")
+        if self._end is None:
+            self._asked = (made.action, self._next_us)
+            self._next_us += self._period_us
+        self._number += 1
+        self.decisions.append(made)
+        return [f"DECISION differs in {', '.join(differing)}"] if differing else []
+
+    def _stroke(self, record: Record) -> list[str]:
+        told = (int(record.values["action"]), int(record.values["begin_us"]))
+        asked, self._asked = self._asked, None
+        self._estimator.act(told[1], told[0])
+        if self._running and asked != told:
+            return [f"STROKE {told} was not decided: {asked} was"]
+        return []
+
+    def _ended(self, record: Record) -> list[str]:
+        status = _LAYOUT.status_name(int(record.values["status"]))
+        wanted = "STALE" if self._end is None else _ENDS[self._end]
+        wanted = "SUPPLY" if self._supply_low else wanted
+        return [] if status == wanted else [f"the run ends with {status}, not {wanted}"]

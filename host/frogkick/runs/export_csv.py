@@ -1,0 +1,113 @@
+"""A run as CSV: one file for each group of columns, and what is known of the whole run as JSON.
+
+Times are those of the log, seconds from the run's start; poses are in the pool's frame, velocities in the
+body frame.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import math
+import pathlib
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from frogkick.core.files import write_bytes
+from frogkick.runs.runlog import RunLog
+
+
+def export_csv(run: RunLog, folder: pathlib.Path) -> list[str]:
+    """Write fixes.csv, decisions.csv, strokes.csv, and path.csv and truth.csv where a run has them; run.json.
+
+    A column's unit is in its name; one of several numbers is several columns (``estimate_vx_mps``). What a
+    log marks as missing is empty.
+
+    Args:
+        run: the log.
+        folder: made where it is not there.
+
+    Returns:
+        Names of the files.
+
+    Raises:
+        InputError: the folder cannot be written to.
+    """
+    made = []
+    for name, columns in columns_of(run):
+        text = io.StringIO()
+        writer = csv.writer(text, lineterminator="\n")
+        writer.writerow(columns)
+        for row in zip(*columns.values(), strict=True):
+            writer.writerow([_cell(value) for value in row])
+        write_bytes(folder / f"{name}.csv", text.getvalue().encode())
+        made.append(f"{name}.csv")
+    about = {
+        "robot_id": run.robot_id,
+        "source": run.source,
+        "period_s": run.period_s,
+        "pulse_s": run.pulse_s,
+        "actions": list(run.action_names),
+        "path": None if run.path is None else run.path.name,
+        "table_crc": run.table_crc,
+        "seed": run.seed,
+        "notes": run.notes,
+        "measured": dict(run.measured),
+        "planner": dict(run.planner),
+        "made": dict(run.made),
+    }
+    write_bytes(folder / "run.json", (json.dumps(about, indent=2) + "\n").encode())
+    return [*made, "run.json"]
+
+
+_STATE = ("x_m", "y_m", "heading_rad", "vx_mps", "vy_mps", "omega_radps")
+_PARTS = {
+    "estimate": _STATE,
+    "predicted": _STATE,
+    "pose_world": _STATE[:3],
+    "velocity_body": _STATE[3:],
+}
+
+
+def columns_of(run: RunLog) -> Iterator[tuple[str, dict[str, NDArray[Any]]]]:
+    """Each group of a log's columns by name: one-dimensional, units in their names."""
+    for group in (run.fixes, run.decisions, run.strokes, run.truth):
+        if group is None:
+            continue
+        columns: dict[str, NDArray[Any]] = {}
+        for name in group.SCHEMA:
+            _spread(columns, name, getattr(group, name))
+        for name, values in sorted(group.extra.items()):
+            _spread(columns, name, values)
+        if group is run.decisions:
+            names = [run.action_names[index] if index >= 0 else "" for index in run.decisions.action]
+            columns["action_name"] = np.array(names, dtype=object)
+        yield group.NAME, columns
+    if run.path is not None:
+        yield (
+            "path",
+            {"x_m": run.path.x_m, "y_m": run.path.y_m, "tangent_rad": run.path.tangent_rad},
+        )
+
+
+def _spread(columns: dict[str, NDArray[Any]], name: str, values: NDArray[Any] | None) -> None:
+    """Add a dataset: as one column, or one for each of its numbers."""
+    if values is None:
+        return
+    if values.ndim == 1:
+        columns[name] = values
+        return
+    parts = _PARTS.get(name, tuple(str(k) for k in range(values.shape[1])))
+    for k, part in enumerate(parts):
+        columns[f"{name}_{part}"] = values[:, k]
+
+
+def _cell(value: Any) -> Any:
+    if isinstance(value, np.generic):
+        value = value.item()
+    # As short as it can be and still be the same number.
+    return ("" if math.isnan(value) else repr(value)) if isinstance(value, float) else value

@@ -1,0 +1,167 @@
+"""Position fixes as lines of text, from whatever tracker a lab has."""
+
+from __future__ import annotations
+
+import math
+import os
+import threading
+import time
+from collections.abc import Callable
+
+import numpy as np
+
+from frogkick.core.errors import InputError
+from frogkick.core.interrupts import Bell
+from frogkick.core.progress import tell_line
+from frogkick.pool.camera import Fix
+
+POLL_S = 0.002
+KEEP_S = 2.0
+AGE_MAX_S = 10.0
+FIELD_M = 1000.0
+_LINE_MAX = 200
+
+
+class LineFixes:
+    """A ``FixSource`` that reads lines ``x_m y_m heading_rad [age_s]`` as they come, in a thread.
+
+    Pose in the world; age from the picture to the line's arrival, 0 where it is left out. Empty lines and
+    those that begin with # are skipped. The end of the lines is told once, and is a camera that sees nothing
+    more.
+    """
+
+    def __init__(
+        self,
+        file: int,
+        name: str,
+        clock: Callable[[], float] = time.monotonic,
+        tell: Callable[[str], None] = tell_line,
+    ) -> None:
+        """Begin to read.
+
+        Args:
+            file: descriptor to read from.
+            name: for people.
+            clock: in s.
+            tell: hears of the end, in the thread that reads.
+        """
+        self._file, self._name, self._clock, self._tell = file, name, clock, tell
+        self._lock = threading.Lock()
+        self._bell = Bell()
+        self._fixes: list[tuple[float, tuple[float, float, float]]] = []
+        self._error: InputError | None = None
+        self._seen = self._sequence = 0
+        self._ended = False
+        self._looked_s = 0.0
+        threading.Thread(target=self._read, name=name, daemon=True).start()
+
+    @property
+    def next_event_s(self) -> float:
+        """A moment later: nobody knows when the next line comes."""
+        return self._looked_s + POLL_S
+
+    def wait_first(self, timeout_s: float) -> None:
+        """Wait for the first fix.
+
+        Raises:
+            InputError: none came in time, or a line that is none.
+        """
+        self._bell.wait_for(lambda: self._seen > 0 or self._error is not None or self._ended, timeout_s)
+        with self._lock:
+            if self._error is not None:
+                raise self._error
+            if not self._seen:
+                how = "and it has ended" if self._ended else f"within {timeout_s:g} s"
+                raise InputError(
+                    f"no position fix came from {self._name} {how}: start the tracker, "
+                    "whose lines are 'x_m y_m heading_rad [age_s]'"
+                )
+
+    def advance(self, until_s: float) -> list[Fix]:
+        """Fixes that came since the last call; those older than 2 s are left out.
+
+        Raises:
+            InputError: a line that is no fix.
+        """
+        self._looked_s = until_s
+        with self._lock:
+            if self._error is not None:
+                raise self._error
+            taken, self._fixes = self._fixes, []
+        now_s = self._clock()
+        fixes = []
+        for captured_s, pose in taken:
+            if now_s - captured_s <= KEEP_S:
+                fixes.append(
+                    Fix(
+                        self._sequence,
+                        until_s - (now_s - captured_s),
+                        until_s,
+                        np.array(pose, dtype=np.float32),
+                    )
+                )
+                self._sequence = (self._sequence + 1) & 0xFFFF
+        return fixes
+
+    def heat(self, limb: int, start_s: float) -> None:
+        """A real limb needs no telling."""
+
+    def _read(self) -> None:
+        rest, number = b"", 0
+        while data := self._more():
+            now_s = self._clock()
+            *lines, rest = (rest + data).split(b"\n")
+            for line in [*lines, *([rest] if len(rest) > _LINE_MAX else [])]:
+                number += 1
+                text = line.decode("utf-8", "replace").strip()
+                if not text or text.startswith("#"):
+                    continue
+                with self._lock:
+                    try:
+                        age_s, pose = parse_line(text)
+                    except InputError as error:
+                        self._error = InputError(f"{self._name} line {number}: {error}")
+                    else:
+                        self._fixes.append((now_s - age_s, pose))
+                        self._seen += 1
+                    self._bell.ring()
+                    if self._error is not None:
+                        return
+        with self._lock:
+            self._ended = True
+            self._bell.ring()
+        if self._seen:
+            self._tell(f"{self._name} has ended after {self._seen} position fixes: no more will come from it")
+
+    def _more(self) -> bytes:
+        # Not the buffered stream: its lock, held by a thread that waits, would not let the program end.
+        try:
+            return os.read(self._file, 4096)
+        except OSError:
+            return b""
+
+
+def parse_line(text: str) -> tuple[float, tuple[float, float, float]]:
+    """Age in s and pose (x_m, y_m, heading_rad) of a line.
+
+    Raises:
+        InputError: not three or four numbers, or one outside its limits.
+    """
+    words = text.replace(",", " ").split()
+    try:
+        numbers = [float(word) for word in words]
+    except ValueError:
+        numbers = []
+    if len(numbers) not in (3, 4):
+        raise InputError(f"{text[:60]!r} is no position fix: give 'x_m y_m heading_rad [age_s]'")
+    x_m, y_m, heading_rad = numbers[:3]
+    age_s = numbers[3] if len(numbers) == 4 else 0.0
+    limits = {"x_m": FIELD_M, "y_m": FIELD_M, "heading_rad": 1000.0}
+    for (name, limit), value in zip(limits.items(), numbers[:3], strict=True):
+        if not abs(value) <= limit:  # a NaN as well
+            raise InputError(
+                f"{name} is {value}, allowed is -{limit:g} to {limit:g}: check the tracker's units"
+            )
+    if not 0.0 <= age_s <= AGE_MAX_S:
+        raise InputError(f"age is {age_s} s, allowed is 0 to {AGE_MAX_S:g}: give it in seconds")
+    return age_s, (x_m, y_m, math.remainder(heading_rad, math.tau))

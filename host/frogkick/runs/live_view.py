@@ -1,0 +1,200 @@
+"""What a viewer shows of a run while it runs: path, fixes, track, the planner's fan and its chosen branch."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from frogkick.paths import Path
+from frogkick.planner import lookup
+from frogkick.planner.plan import PlanConfig, PlanError, plan
+from frogkick.runs.camera_view import CameraView
+from frogkick.runs.closed_loop import Recording
+from frogkick.runs.decision import Decision
+from frogkick.runs.runlog import RunLog
+from frogkick.tables.image import Tables
+from frogkick.tables.layout import LIMBS_MAX
+
+FloatArray = NDArray[np.float64]
+
+FIXES_SHOWN = 600
+DECISIONS_SHOWN = 60
+
+
+def fan_of(tables: Tables, state: NDArray[np.float32], limb_use: tuple[int, ...]) -> FloatArray:
+    """(actions, 3) poses in the world after each action from a state, as the table tells them."""
+    arrays = lookup.arrays_of(tables)
+    dynamics = np.zeros(lookup.DYNAMICS, dtype=np.int64)
+    for axis in range(3):
+        per_velocity = np.float32(1) / tables.velocity_scale[axis]
+        dynamics[axis] = lookup.velocity_code(np.float32(state[3 + axis]), per_velocity)
+    dynamics[3:] = limb_use
+    row = lookup.find_row(arrays, dynamics)
+    x, y, heading = (float(value) for value in state[:3])
+    c, s = np.cos(heading), np.sin(heading)
+    motion, poses = np.zeros(3, dtype=np.float32), []
+    for action in range(len(tables.actions)):
+        lookup.motion_of(arrays, row, dynamics, action, motion)
+        forward, left, turn = (float(value) for value in motion)
+        poses.append((x + c * forward - s * left, y + s * forward + c * left, heading + turn))
+    return np.array(poses)
+
+
+@dataclass(frozen=True)
+class Tree:
+    """What the planner looked at, along the branch that it chose.
+
+    Attributes:
+        branch: poses from the estimate on, one more than there are actions in it.
+        fans: for each but the last of these, (actions, 3) poses where every action would lead from there.
+        names: of the branch's actions.
+    """
+
+    branch: list[list[float]]
+    fans: list[FloatArray]
+    names: str
+
+
+def tree_of(tables: Tables, path: Path, config: PlanConfig, decision: Decision) -> Tree:
+    """The tree of a decision.
+
+    The branch's first action is the decision's; each further one what the planner chooses from there with
+    what is left of its depth.
+    """
+    branch = [decision.estimate[:3].tolist(), decision.predicted[:3].tolist()]
+    fans = [fan_of(tables, decision.estimate, decision.limb_use)]
+    names = [tables.actions[decision.action].name]
+    state: NDArray[np.float32] = decision.predicted
+    use: NDArray[Any] = _used(tables, decision)
+    for depth in range(config.depth - 1, 0, -1):
+        try:
+            told = plan(tables, path, replace(config, depth=depth), state, limb_use=use)
+        except PlanError:
+            break
+        branch.append(told.predicted[:3].tolist())
+        fans.append(fan_of(tables, state, tuple(int(one) for one in use)))
+        names.append(tables.actions[told.action].name)
+        state, use = told.predicted, told.predicted_limb_use
+    return Tree(branch, fans, "".join(names))
+
+
+def _used(tables: Tables, decision: Decision) -> NDArray[np.int64]:
+    after = np.zeros(LIMBS_MAX, dtype=np.int64)
+    before = np.array(decision.limb_use, dtype=np.int64)
+    lookup.limb_use_after(lookup.arrays_of(tables), before, decision.action, after)
+    return after
+
+
+@dataclass
+class LiveView:
+    """The run as JSON, renewed as it goes on; what a page asks for, from another thread.
+
+    Attributes:
+        tables, path, config: of the run; None where nothing is decided, as with a camera alone.
+        outline_m: (n)(2) the robot's frame, body frame, to be drawn where it is.
+        camera: over the pool, where its pictures are shown: all is told in their pixels as well.
+        text: the newest state.
+    """
+
+    tables: Tables | None
+    path: Path | None
+    config: PlanConfig | None
+    outline_m: Sequence[tuple[float, float]]
+    camera: CameraView | None = None
+    text: str = "{}"
+    _decisions: int = -1
+    _drawn: dict[str, Sequence[Any]] = field(default_factory=dict)
+    _told: dict[str, Any] = field(default_factory=dict)
+
+    def show(self, recording: Recording, track: FloatArray | None = None) -> None:
+        """Take what is recorded so far, and in a simulated pool (n, 3) where the robot really was."""
+        if len(recording.decisions) != self._decisions:
+            self._decisions = len(recording.decisions)
+            self._plan(recording)
+        fixes = np.array([fix.pose_world for fix in recording.fixes]).reshape(-1, 3)
+        newest = recording.fixes[-1] if recording.fixes else None
+        age_s = None if newest is None else newest.arrival_s - newest.capture_s
+        self._write(fixes, np.zeros((0, 3)) if track is None else track, age_s, recording.ended)
+
+    def show_log(self, run: RunLog, time_s: float) -> None:
+        """Take what a log holds until a time of it."""
+        seen = run.fixes.usable & (run.fixes.time_s <= time_s)
+        fixes = np.column_stack([run.fixes.x_m, run.fixes.y_m, run.fixes.heading_rad])[seen]
+        ages_s = (run.fixes.time_s - run.fixes.capture_time_s)[seen]
+        track = np.zeros((0, 3)) if run.truth is None else run.truth.pose_world[run.truth.time_s <= time_s]
+        decisions, made = run.decisions, int((run.decisions.time_s <= time_s).sum())
+        last, some = made - 1, range(max(0, made - DECISIONS_SHOWN), made)
+        places = decisions.estimate
+        if places is None:  # nobody told it: where it was seen
+            places = fixes[np.searchsorted(run.fixes.time_s[seen], decisions.time_s[:made], "right") - 1]
+        names = [run.action_names[index] if index >= 0 else "?" for index in decisions.action]
+        branch = []
+        if made and decisions.estimate is not None and decisions.predicted is not None:
+            branch = [decisions.estimate[last, :3], decisions.predicted[last, :3]]
+        self._drawn = {"decisions": [places[k, :3] for k in some if len(fixes)], "fan": [], "branch": branch}
+        self._told = {"letters": [names[k] for k in some], "actions": names[last] if made else ""}
+        if made and decisions.cost is not None:
+            self._told["cost"] = round(float(decisions.cost[last]), 3)
+        is_over = time_s >= max(run.fixes.time_s.max(initial=0.0), decisions.time_s.max(initial=0.0))
+        age_s = float(ages_s[-1]) if len(ages_s) and np.isfinite(ages_s[-1]) else None
+        self._write(fixes, track, age_s, (run.notes or "so far was recorded") if is_over else "")
+
+    def _write(self, fixes: FloatArray, track: FloatArray, age_s: float | None, ended: str) -> None:
+        """The state as text: (n, 3) fixes, (m, 3) where the robot really was."""
+        fixes, swum = fixes[-FIXES_SHOWN:], track[-4 * FIXES_SHOWN :]
+        state = {
+            "path": np.zeros((0, 2)) if self.path is None else self.path.points_m,
+            "fixes": fixes,
+            "track": swum,
+            "robot": self._outline(swum if len(swum) else fixes),
+            **{name: np.array(rows, dtype=np.float64).reshape(-1, 3) for name, rows in self._drawn.items()},
+        }
+        told: dict[str, Any] = {
+            **{name: np.round(rows, 4).tolist() for name, rows in state.items()},
+            "camera": None,
+            "fix_age_s": None if age_s is None else round(age_s, 3),
+            "ended": ended,
+            **self._told,
+        }
+        if self.camera is not None:
+            seen = {name: self.camera.pixels(rows[:, :2]) for name, rows in state.items()}
+            pixels = {name: np.round(rows, 1).tolist() for name, rows in seen.items()}
+            told["camera"] = {"size": self.camera.size_px, **pixels}
+        self.text = json.dumps(told)
+
+    def _outline(self, poses: FloatArray) -> FloatArray:
+        """(n + 2, 2) the frame's corners at the last of (m, 3) poses, its centre, its foremost place."""
+        if not len(poses) or not len(self.outline_m):
+            return np.zeros((0, 2))
+        corners = np.array(self.outline_m, dtype=np.float64)
+        ends = np.vstack([corners, [[0.0, 0.0], [corners[:, 0].max(), 0.0]]])
+        x, y, heading = (float(value) for value in poses[-1])
+        c, s = np.cos(heading), np.sin(heading)
+        return np.asarray([x, y] + ends @ np.array([[c, s], [-s, c]]))
+
+    def _plan(self, recording: Recording) -> None:
+        """What is told of the newest decision, and of those before it."""
+        planned = [one for one in recording.decisions if one.status == 0]
+        last = planned[-DECISIONS_SHOWN:]
+        self._drawn = {"decisions": [], "fan": [], "branch": []}
+        self._told = {"letters": [], "actions": ""}
+        if self.tables is None or self.path is None or self.config is None:
+            return
+        self._drawn = {"decisions": [one.estimate[:3].tolist() for one in last], "fan": [], "branch": []}
+        self._told = {"letters": [self.tables.actions[one.action].name for one in last], "actions": ""}
+        if not last or last[-1].action >= len(self.tables.actions):
+            return
+        newest = last[-1]
+        tree = tree_of(self.tables, self.path, self.config, newest)
+        self._drawn |= {"fan": np.vstack(tree.fans).tolist(), "branch": tree.branch}
+        self._told |= {
+            "actions": tree.names,
+            "cost": round(float(newest.cost), 3),
+            "distance_mm": round(1e3 * float(newest.distance_m), 1),
+            "plan_ms": round(1e-3 * newest.plan_us, 2),
+        }

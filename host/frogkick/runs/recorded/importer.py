@@ -1,0 +1,377 @@
+"""The paper's runs as run logs: repaired or marked, nothing invented."""
+
+from __future__ import annotations
+
+import pathlib
+import re
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from frogkick.core.errors import InputError
+from frogkick.core.files import existing_file
+from frogkick.paths import from_csv, wrap_angle
+from frogkick.robot import Robot, load_robot
+from frogkick.runs.recorded.clock import Clock, estimate_clock
+from frogkick.runs.recorded.frames import mark_frames
+from frogkick.runs.recorded.motion import forward_speed, motion_lag
+from frogkick.runs.recorded.table import ACTION_NAMES, Table, read_table
+from frogkick.runs.runlog import DecisionFlag, Decisions, Fixes, FixFlag, RunLog, Strokes
+from frogkick.runs.runlog_file import read_run, write_run
+
+Float64 = NDArray[np.float64]
+
+ROBOT_ID = "frog2022"
+PULSE_S = 0.080
+REST = ACTION_NAMES.index("I")
+# Limbs in the order front right, front left, rear left, rear right; bit i of a mask is limb i.
+_LIMBS = {
+    "A": "1100", "B": "1111", "C": "0111", "D": "1011", "E": "0110", "F": "1001", "G": "0100", "H": "1000",
+    "I": "0000",
+}  # fmt: skip
+FRONT_MASK = 0b0011
+ACTION_MASKS = tuple(
+    sum(1 << limb for limb, on in enumerate(_LIMBS[name]) if on == "1") for name in ACTION_NAMES
+)
+COST_NAMES = ("cost_total", "cost_distance", "cost_angle", "cost_progress")
+# Frames this near the ends of a period may still, or already, carry the neighbour's label.
+LABEL_MARGIN_S = 0.15
+# Frames farther apart than this tell a mean speed, not that within a stroke.
+SPEED_OVER_S = 0.2
+CLOCK_UNUSABLE, CLOCK_SLIPS = "stroke clock not usable: ", "stroke clock slips by "
+CLOCK_NOTES = (CLOCK_UNUSABLE, CLOCK_SLIPS, "labels contradict")
+RUN_NAME = re.compile(r"(line|sin|ellipse)(\d+)\.csv")
+HDF5_MAGIC = b"\x89HDF\r\n\x1a\n"
+
+
+def path_file(run_file: pathlib.Path) -> pathlib.Path:
+    """The path beside a run: line1.csv -> linep1.csv."""
+    match = RUN_NAME.fullmatch(run_file.name)
+    if match is None:
+        raise InputError(
+            f"recorded run {run_file.name!r}: the name tells no path file: call it lineN.csv, sinN.csv or "
+            "ellipseN.csv with its path linepN.csv, sinpN.csv or ellipsepN.csv beside it"
+        )
+    return run_file.with_name(f"{match[1]}p{match[2]}.csv")
+
+
+def read_recorded(file: pathlib.Path | str) -> RunLog:
+    """A run of the paper as a run log.
+
+    The frame of the file is kept: x, y of the pool, theta from +x counter-clockwise with the robot's
+    forward direction along it; only theta's range changes, to (-pi, pi]. `time_s` is the logger's stamp from
+    the first row; `capture_time_s` is the same (the camera's delay is not in the record) and NaN for frames
+    of the backlog at the start. Decision times come from the stroke clock. The front limbs of an action are
+    logged as fired at its decision, the rear ones one pulse later: these are times of the label, motion
+    follows `measured["motion_lag_s"]` later. `cost_*` are the authors' own, of the state in that row, not of
+    a branch; a decision carries those of the newest fix before it. The `logged_v*` columns are differences
+    over one camera frame: right on average (slope 0.75 to 1.24 against positions), with a noise of 4 to
+    24 mm/s and 0.2 to 0.4 rad/s at rest, so they serve to repeat what the authors' planner saw, not to
+    identify.
+
+    Raises:
+        InputError: not a recorded run, its path is missing, or a bad cell (line and column named).
+    """
+    source = existing_file(file, "recorded run")
+    table = read_table(source)
+    beside = path_file(source)
+    if not beside.exists():
+        raise InputError(
+            f"recorded run {source.name!r}: its path file {beside.name!r} is not beside it: add it"
+        )
+    path = from_csv(beside)
+    heading = wrap_angle(table.pose_world[:, 2])
+    pose = np.column_stack([table.pose_world[:, :2], heading])
+    quality, flags = mark_frames(table.time_s, pose, table.carried)
+    untrusted = (flags & int(FixFlag.UNTRUSTED_TIME)) != 0
+    usable = (quality == 1) & ~untrusted
+    start_s, end_s, speed = forward_speed(table.time_s, pose, usable)
+    near = (end_s - start_s < SPEED_OVER_S) & (end_s > start_s)
+    motion = (0.5 * (start_s + end_s)[near], speed[near])
+    limits_s = period_limits(load_robot(ROBOT_ID))
+    clock = estimate_clock(table.time_s, table.action, ~untrusted, REST, limits_s, motion)
+    decisions, strokes = _decisions(table, clock)
+    first_s = decisions.time_s[0] if len(decisions) else np.inf
+    flags[table.time_s < first_s] |= int(FixFlag.AT_REST)
+    measured: dict[str, float] = {}
+    notes = [f"imported from a run of Huang 2022, recorded {table.started}"]
+    if clock is None:
+        notes.append("no action fires in it")
+    else:
+        measured = _evidence(clock)
+        notes += [
+            f"{CLOCK_SLIPS}{slip.jump_s:+.3f} s between {slip.time_s:.2f} and {slip.until_s:.2f} s"
+            for slip in clock.slips
+        ]
+        if clock.problem:
+            notes.append(f"{CLOCK_UNUSABLE}{clock.problem}")
+        if clock.slack_s < 0.0:
+            notes.append(f"labels contradict a constant stroke clock by {-clock.slack_s:.3f} s")
+        lag = motion_lag(table.time_s, pose, usable, decisions.time_s[decisions.action != REST])
+        if lag is not None:
+            measured["motion_lag_s"] = lag
+    extra = {
+        "logged_vx_world_mps": table.velocity_world[:, 0],
+        "logged_vy_world_mps": table.velocity_world[:, 1],
+        "logged_omega_radps": table.velocity_world[:, 2],
+        "logged_action": table.action,
+        **dict(zip(COST_NAMES, table.cost.T, strict=True)),
+    }
+    fixes = Fixes(
+        time_s=table.time_s,
+        capture_time_s=np.where(untrusted, np.nan, table.time_s),
+        x_m=pose[:, 0],
+        y_m=pose[:, 1],
+        heading_rad=pose[:, 2],
+        quality=quality,
+        flags=flags,
+        extra=extra,
+    )
+    return RunLog(
+        robot_id=ROBOT_ID,
+        source=source.name,
+        period_s=clock.period_s if clock else load_robot(ROBOT_ID).period_s,
+        pulse_s=PULSE_S,
+        action_names=ACTION_NAMES,
+        fixes=fixes,
+        decisions=decisions,
+        strokes=strokes,
+        path=path,
+        notes="; ".join(notes),
+        measured=measured,
+    )
+
+
+def period_limits(robot: Robot) -> tuple[float, float]:
+    """Shortest and longest period that a robot allows, s.
+
+    A limb's pulse, its rest by the guard and the second group's delay bound it below; beyond the frequencies
+    at which its limbs were measured nothing could be predicted.
+    """
+    measured = [p.frequency_hz for p in robot.profiles if p.egain_percent == robot.egain_percent]
+    shortest = robot.pulse_s + max(robot.guard.rest_min_s, robot.second_delay_s)
+    if not measured:
+        return shortest, 2.0 * robot.period_s
+    return max(shortest, 1.0 / max(measured)), 1.0 / min(measured)
+
+
+def _evidence(clock: Clock) -> dict[str, float]:
+    """What a run keeps of how its clock was told; a figure that there is none of is left out."""
+    values = {
+        "period_std_s": clock.period_std_s,
+        "phase_s": clock.phase_s,
+        "phase_std_s": clock.phase_std_s,
+        "clock_slack_s": clock.slack_s,
+        "clock_resultant": clock.resultant,
+        "clock_labels": clock.labels,
+        "clock_motion_power": clock.motion_power,
+        "clock_other_period_s": clock.other_period_s,
+        "clock_other_resultant": clock.other_resultant,
+        "clock_margin_nats": clock.margin,
+        "clock_slips": len(clock.slips),
+        "clock_unusable": float(bool(clock.problem)),
+    }
+    return {name: float(value) for name, value in values.items() if np.isfinite(value)}
+
+
+def clock_problem(run: RunLog) -> str:
+    """Why a run's stroke clock cannot be relied on; "" where it can, or the run is a log of ours."""
+    if not run.measured.get("clock_unusable"):
+        return ""
+    return next(
+        (part[len(CLOCK_UNUSABLE) :] for part in run.notes.split("; ") if part.startswith(CLOCK_UNUSABLE)),
+        "its import could not tell the period",
+    )
+
+
+def _decisions(table: Table, clock: Clock | None) -> tuple[Decisions, Strokes]:
+    """One decision per period from the first label that fires, and the strokes they mean."""
+    if clock is None:
+        return (
+            Decisions(time_s=[], action=[], fix_sequence=[], flags=[]),  # type: ignore[arg-type]
+            Strokes(time_s=[], limb_mask=[], pulse_s=[]),  # type: ignore[arg-type]
+        )
+    firing = int(np.flatnonzero(table.action != REST)[0])
+    time_s = clock.starts_s
+    ends = np.minimum(np.append(time_s[1:], np.inf), time_s + clock.period_s)
+    action = np.empty(len(time_s), dtype=np.int64)
+    for index, (start, end) in enumerate(zip(time_s, ends, strict=True)):
+        within = (table.time_s >= start) & (table.time_s < end)
+        if index == 0:
+            within[:firing] = False
+        core = within & (table.time_s >= start + LABEL_MARGIN_S) & (table.time_s < end - LABEL_MARGIN_S)
+        labels = table.action[core if core.any() else within]
+        action[index] = np.bincount(labels).argmax() if labels.size else -1
+    newest = np.searchsorted(table.time_s, time_s, side="left") - 1
+    # An action first seen in row 0 was decided before any row was logged.
+    cost = table.cost[np.maximum(newest, 0)]
+    flags = np.where(action < 0, int(DecisionFlag.UNSEEN), 0) | np.where(
+        newest < 0, int(DecisionFlag.NO_PLAN), 0
+    )
+    cost = np.where((newest < 0)[:, None], np.nan, cost)
+    decisions = Decisions(
+        time_s=time_s,
+        action=action,
+        fix_sequence=newest,
+        flags=flags,
+        cost=cost[:, 0],
+        extra=dict(zip(COST_NAMES[1:], cost.T[1:], strict=True)),
+    )
+    fired: list[tuple[float, int]] = []
+    for start, label in zip(time_s.tolist(), action.tolist(), strict=True):
+        mask = ACTION_MASKS[label] if label >= 0 else 0
+        groups = ((start, mask & FRONT_MASK), (start + PULSE_S, mask & ~FRONT_MASK))
+        fired += [(time, limbs) for time, limbs in groups if limbs]
+    return decisions, Strokes(
+        time_s=np.array([time for time, _ in fired]),
+        limb_mask=np.array([limbs for _, limbs in fired]),
+        pulse_s=np.full(len(fired), PULSE_S),
+    )
+
+
+def cost_mismatch(run: RunLog) -> float:
+    """Largest difference of the logged costs from 500 d + 50 |angle| + 300 (1 - i/(n-1)), any of the four.
+
+    d in m to the nearest path point i, the angle in rad to its tangent; the path is float32 here, which alone
+    makes up to about 1e-4.
+    """
+    fixes, path = run.fixes, run.path
+    if path is None or COST_NAMES[0] not in fixes.extra:
+        raise InputError(
+            f"run {run.source!r} has no path or no logged costs: give a recorded run of the paper"
+        )
+    points = np.column_stack([fixes.x_m, fixes.y_m])
+    index = path.nearest_index(points)
+    distance = 500.0 * np.hypot(*(points - path.points_m[index]).T)
+    angle = 50.0 * np.abs(wrap_angle(fixes.heading_rad - path.tangent_rad[index]))
+    progress = 300.0 * (1.0 - index / (len(path) - 1))
+    cost = np.column_stack([distance + angle + progress, distance, angle, progress])
+    logged = np.column_stack([fixes.extra[name] for name in COST_NAMES])
+    return float(np.abs(cost - logged).max())
+
+
+def summarise(run: RunLog) -> dict[str, Any]:
+    """Figures of a run, for people and --json: counts, clock, noise at rest, distance to the path.
+
+    Noise is 1.4826 times the median absolute difference of frames in a row at rest, over sqrt 2: slow drift
+    does not count. Distances are to the path's segments, over good fixes from the first decision on.
+    """
+    fixes = run.fixes
+    flag = fixes.flags.astype(np.int64)
+    good = fixes.quality == 1
+    rest = np.flatnonzero(good & ((flag & int(FixFlag.AT_REST)) != 0))
+    moving = fixes.usable & ((flag & int(FixFlag.AT_REST)) == 0)
+    summary: dict[str, Any] = {
+        "run": run.source,
+        "rows": len(fixes),
+        "rest_rows": len(rest),
+        "untrusted_time_rows": _count(flag, FixFlag.UNTRUSTED_TIME),
+        "gaps": _count(flag, FixFlag.AFTER_GAP),
+        "longest_gap_s": float(np.diff(fixes.time_s).max()) if len(fixes) > 1 else 0.0,
+        "misdetections": _count(flag, FixFlag.MISDETECTION),
+        "jumps": _count(flag, FixFlag.JUMP),
+        "duplicates": _count(flag, FixFlag.DUPLICATE),
+        "duration_s": float(fixes.time_s[-1] - fixes.time_s[0]) if len(fixes) else 0.0,
+        "period_s": run.period_s,
+        "decisions": len(run.decisions),
+        "strokes": len(run.strokes),
+        **{name: float(value) for name, value in run.measured.items()},
+        "clock_notes": [part for part in run.notes.split("; ") if part.startswith(CLOCK_NOTES)],
+    }
+    if len(rest) > 3:
+        steps = np.diff(np.column_stack([fixes.x_m[rest], fixes.y_m[rest]]), axis=0)
+        turn = wrap_angle(np.diff(fixes.heading_rad[rest]))
+        summary["rest_noise_m"] = float(np.hypot(_spread(steps[:, 0]), _spread(steps[:, 1])) / np.sqrt(2.0))
+        summary["rest_noise_rad"] = _spread(turn)
+    if run.path is not None and moving.any():
+        distance = run.path.distance_m(np.column_stack([fixes.x_m, fixes.y_m])[moving])
+        summary["mean_distance_m"] = float(distance.mean())
+        summary["p95_distance_m"] = float(np.percentile(distance, 95))
+    if COST_NAMES[0] in fixes.extra and run.path is not None:
+        summary["cost_mismatch"] = cost_mismatch(run)
+    return summary
+
+
+def load_run(file: pathlib.Path | str) -> RunLog:
+    """A run from our HDF5 log or from a recorded run of the paper, told apart by content.
+
+    Raises:
+        InputError: neither of both, or one that is damaged.
+    """
+    source = existing_file(file, "run")
+    with source.open("rb") as stream:
+        start = stream.read(len(HDF5_MAGIC))
+    if start == HDF5_MAGIC or source.suffix in (".h5", ".hdf5"):
+        return read_run(source)
+    return read_recorded(source)
+
+
+def import_recorded(
+    data_dir: pathlib.Path | str,
+    out_dir: pathlib.Path | str,
+    progress: Callable[[int, int], None] = lambda done, total: None,
+) -> list[dict[str, Any]]:
+    """Convert every run of a folder that has its path beside it, to OUT_DIR/NAME.h5.
+
+    All runs are read and checked before the first file is written, so a bad one leaves nothing behind.
+
+    Args:
+        data_dir: folder with lineN.csv, sinN.csv, ellipseN.csv and their paths, or with `control` in it.
+        out_dir: folder to write to; made where it is missing.
+        progress: called with (runs done, runs).
+
+    Returns:
+        One summary for each run, in order of name and number, with "file"; a run without a path has only
+        "run" and "skipped".
+
+    Raises:
+        InputError: no such folder, no run in it, or a run that cannot be read.
+    """
+    folder = pathlib.Path(data_dir)
+    if not folder.is_dir():
+        raise InputError(
+            f"data folder {str(data_dir)!r} is not a folder: give one with lineN.csv and linepN.csv"
+        )
+    if not _run_files(folder) and (folder / "control").is_dir():
+        folder = folder / "control"
+    files = _run_files(folder)
+    ready = [file for file in files if path_file(file).exists()]
+    if not ready:
+        raise InputError(
+            f"data folder {str(data_dir)!r} holds {len(files)} recorded runs and none with its "
+            "path beside it: "
+            "give one with lineN.csv and linepN.csv (or sin, ellipse)"
+        )
+    runs = []
+    for done, file in enumerate(ready):
+        progress(done, len(ready))
+        runs.append((file, read_recorded(file)))
+    summaries: dict[str, dict[str, Any]] = {}
+    for file, run in runs:
+        write_run(pathlib.Path(out_dir) / f"{file.stem}.h5", run)
+        summaries[file.name] = {**summarise(run), "file": f"{file.stem}.h5"}
+    progress(len(ready), len(ready))
+    return [
+        summaries.get(
+            file.name, {"run": file.name, "skipped": f"path file {path_file(file).name!r} is missing"}
+        )
+        for file in files
+    ]
+
+
+def _run_files(folder: pathlib.Path) -> list[pathlib.Path]:
+    found = [(match, file) for file in folder.iterdir() if (match := RUN_NAME.fullmatch(file.name))]
+    order = {"line": 0, "sin": 1, "ellipse": 2}
+    return [
+        file for match, file in sorted(found, key=lambda item: (order[item[0][1]], int(item[0][2]), item[1]))
+    ]
+
+
+def _count(flags: NDArray[np.int64], flag: FixFlag) -> int:
+    return int(((flags & int(flag)) != 0).sum())
+
+
+def _spread(differences: Float64) -> float:
+    return float(1.4826 * np.median(np.abs(differences - np.median(differences))) / np.sqrt(2.0))

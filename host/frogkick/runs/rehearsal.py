@@ -1,0 +1,157 @@
+"""A whole loop from fixes to decisions that every build of the robot's core can live through, bit for bit."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from frogkick.link.layout import link_layout
+from frogkick.paths import Path as SwimPath
+from frogkick.planner.plan import PlanConfig, plan
+from frogkick.pool.camera import Fix
+from frogkick.pool.chip import VirtualChip
+from frogkick.pool.chip.layout import Layouts
+from frogkick.pool.native_robot import CoreCall, NativeRobot
+from frogkick.pool.port import COLD_LIMBS
+from frogkick.runs.decision import Decision, DecisionTwin, RobotEvent
+from frogkick.runs.replay import Schedule, compare, replay_on_host, replay_onboard
+from frogkick.tables.image import Tables
+
+FIRST_S = 2.0
+_RATES_HZ = (2.0, 15.0, 60.0)
+_SILENCE_S = 1.2
+"""Longer than an estimate lives, shorter than what ends a run."""
+
+
+@dataclass(frozen=True, eq=False)
+class Rehearsal:
+    """A loop as one build of the core lived through it.
+
+    Attributes:
+        calls: every turn of the core with all that came out.
+        decisions: its decisions.
+        events: what it met, for the twin.
+    """
+
+    calls: list[CoreCall]
+    decisions: list[Decision]
+    events: list[RobotEvent]
+
+
+def schedule_fixes(
+    tables: Tables, path: SwimPath, config: PlanConfig, decisions: int, rng: np.random.Generator
+) -> Schedule:
+    """Return fixes of a robot on a path: late, lost, doubled, out of order, noisy and plainly wrong.
+
+    It swims as the table says, by what the planner chooses from its true state, and begins anew at the path's
+    end. The rate of the fixes changes from 2 to 60 Hz, with silences.
+    """
+    period_s = tables.period_us * 1e-6
+    start = np.array([path.x_m[0], path.y_m[0], path.tangent_rad[0], 0.0, 0.0, 0.0], dtype=np.float32)
+    state, fixes, sequence = start, [], 0
+    for index in range(-1, decisions):
+        made = plan(tables, path, config, state)
+        ahead = made.predicted
+        begin_s = FIRST_S + index * period_s
+        times = np.arange(0.0, 1.0, 1.0 / (period_s * rng.choice(_RATES_HZ)))
+        if index > 2 and rng.random() < 0.05:
+            times = times[times * period_s > _SILENCE_S]
+        for part in times + rng.uniform(0.0, 1e-3):
+            sequence += 1
+            if rng.random() < 0.1:
+                continue
+            turn = np.remainder(ahead[2] - state[2] + np.pi, 2.0 * np.pi) - np.pi
+            pose = np.array([*(state[:2] + part * (ahead[:2] - state[:2])), state[2] + part * turn])
+            pose += rng.normal(0.0, [2e-4, 2e-4, 3.5e-3])
+            if rng.random() < 0.03:
+                pose += rng.uniform(-1.0, 1.0, 3)
+            capture_s = begin_s + float(part) * period_s
+            delay_s = float(
+                rng.uniform(0.02, 0.15)
+                if rng.random() < 0.9
+                else rng.choice([0.3, 0.6, 1.9]) * rng.uniform(0.5, 1.0)
+            )
+            fix = Fix(sequence & 0xFFFF, capture_s, capture_s + delay_s, pose.astype(np.float32))
+            fixes += [fix] * (2 if rng.random() < 0.05 else 1)
+        state = start if made.path_index + 1 >= len(path) else ahead
+    arrivals = sorted(((fix.arrival_s, fix) for fix in fixes), key=lambda one: one[0])
+    return Schedule(arrivals, round(FIRST_S * 1e6), tables.period_us, decisions)
+
+
+def rehearse(
+    library: Path, tables: Tables, path: SwimPath, config: PlanConfig, decisions: int, seed: int
+) -> Rehearsal:
+    """Let the native core decide on such fixes.
+
+    Args:
+        library: shared library made by ``firmware build --target native``.
+        tables: its tables.
+        path, config: what it plans with.
+        decisions: how many.
+        seed: makes the same fixes again.
+
+    Raises:
+        LinkError: the core refuses or does not answer.
+    """
+    schedule = schedule_fixes(tables, path, config, decisions, np.random.default_rng(seed))
+    robot = NativeRobot(library, tables.limbs, keep_calls=True)
+    found, events = replay_onboard(schedule, path, tables, config, robot)
+    return Rehearsal(robot.calls, found, events)
+
+
+def twin_mismatches(
+    rehearsal: Rehearsal, tables: Tables, path: SwimPath, config: PlanConfig
+) -> list[tuple[int, list[str]]]:
+    """Decisions in which the host's twins differ from the rehearsal's in any bit, with the fields."""
+    twin = DecisionTwin(tables, path, config)
+    return compare(rehearsal.decisions, replay_on_host(rehearsal.events, twin))
+
+
+def call_mismatches(rehearsal: Rehearsal, others: Sequence[CoreCall]) -> list[int]:
+    """Turns of the core in which another build gave other outputs or sent other bytes."""
+    pairs = zip(rehearsal.calls, others, strict=True)
+    return [index for index, (one, other) in enumerate(pairs) if one != other]
+
+
+def live_natively(library: Path, tables: Tables, calls: Sequence[CoreCall]) -> list[CoreCall]:
+    """The same turns in another native build of the core."""
+    robot = NativeRobot(library, tables.limbs)
+    return [robot.turn(call.now_us, call.frame) for call in calls]
+
+
+def live_on_chip(elf: Path, calls: Sequence[CoreCall]) -> list[CoreCall]:
+    """The same turns in the core of a bench image, called on the virtual chip.
+
+    Raises:
+        ChipError: the image does what the chip does not allow.
+    """
+    chip = VirtualChip(elf)
+    while not chip.sleeping:
+        chip.run_until(chip.time_us + 100_000.0)
+    types = Layouts(elf)
+    robot, place = chip.symbol("robot"), chip.symbol("fk_bss_end") + 7 & ~7
+    outputs = np.dtype(types["fk_outputs_t"])
+    frame_at, stream_at, kept_at = place + 64, place + 64 + 1024, place + 64 + 2048
+    table = [chip.flash.word(chip.symbol(f"fk_table_image{end}")) for end in ("", "_bytes")]
+    chip.call("fk_robot_init", robot, *table)
+    chip.ram_write(kept_at, COLD_LIMBS)  # as a native robot begins
+    chip.call("fk_robot_note_reset", robot, link_layout().reset["POWER"], kept_at)
+    found = []
+    for call in calls:
+        # A 64-bit argument begins on an even register: r2 for tick, the stack for on_frame.
+        low, high = call.now_us & 0xFFFF_FFFF, call.now_us >> 32
+        if call.frame:
+            chip.ram_write(frame_at, call.frame)
+            chip.call("fk_robot_on_frame", robot, frame_at, len(call.frame), 0, low, high)
+        chip.call("fk_robot_tick", robot, 0, low, high, place)
+        told = np.frombuffer(chip.ram_read(place, outputs.itemsize), dtype=outputs)[0]
+        stream = b""
+        while count := chip.call("fk_robot_take_tx", robot, stream_at, 1024)[0]:
+            stream += chip.ram_read(stream_at, count)
+        mask, off = int(told["limb_mask"]), int(told["all_off"])
+        values = (mask, off, int(told["pulse_us"]), int(told["next_tick_us"]))
+        found.append(CoreCall(call.now_us, call.frame, values, stream))
+    return found

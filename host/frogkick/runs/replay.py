@@ -1,0 +1,254 @@
+"""Recorded fixes once more through the planner: on the chip, on the host, or on both and compared."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from frogkick.core.errors import InputError
+from frogkick.link.layout import Value, link_layout
+from frogkick.paths import Path
+from frogkick.planner.plan import PlanConfig
+from frogkick.pool.camera import Fix
+from frogkick.pool.port import RobotPort
+from frogkick.runs.closed_loop import parameters
+from frogkick.runs.decision import (
+    STALE,
+    Decision,
+    DecisionTwin,
+    RobotEvent,
+    decision_of_event,
+    events_of_frame,
+)
+from frogkick.runs.recorded import clock_problem
+from frogkick.runs.runlog import RunLog
+from frogkick.runs.session import LinkError, Session
+from frogkick.tables.image import Tables
+
+LEAD_IN_S = 1.0  # robot time before the recorded run's time zero, for path and parameters
+START_AHEAD_S = 0.2  # ARM and START go out this long before a first decision
+STEP_S = 0.02
+
+
+@dataclass(frozen=True)
+class Replay:
+    """What came out.
+
+    Attributes:
+        actions: decided action names, one a decision, of the chip where it took part, else of the host.
+        recorded: what was decided in the recorded run at the same decision; None where unknown.
+        onboard, host: the decisions of each side; empty where it took no part.
+        differences: (decision, fields that differ), decisions of both sides compared bit by bit.
+    """
+
+    actions: list[str]
+    recorded: list[str | None]
+    onboard: list[Decision]
+    host: list[Decision]
+    differences: list[tuple[int, list[str]]]
+
+    @property
+    def agreement(self) -> float | None:
+        """Share of decisions that are the recorded ones; None where nothing is recorded."""
+        known = [a == r for a, r in zip(self.actions, self.recorded, strict=True) if r is not None]
+        return float(np.mean(known)) if known else None
+
+
+@dataclass(frozen=True)
+class Schedule:
+    """A run on the robot's clock.
+
+    Attributes:
+        fixes: (arrival, fix), robot time in s, in order of arrival.
+        first_us, period_us, decisions: when it decides, and how often.
+    """
+
+    fixes: list[tuple[float, Fix]]
+    first_us: int
+    period_us: int
+    decisions: int
+
+
+def require_replayable(run: RunLog) -> None:
+    """Refuse a run that holds nothing to decide again.
+
+    Raises:
+        InputError: the run has no path, no decisions or no usable fix.
+    """
+    if run.path is None:
+        raise InputError(f"run {run.source!r} has no path: a replay needs the one that was followed")
+    if len(run.decisions) == 0:
+        raise InputError(f"run {run.source!r} has no decisions: nothing to replay")
+    if clock_problem(run):
+        raise InputError(f"run {run.source!r} cannot be replayed: {clock_problem(run)}: give another run")
+    if run.measured.get("clock_slips"):
+        raise InputError(
+            f"run {run.source!r} cannot be replayed: its stroke clock slips ({run.notes}); a replay decides "
+            "by a constant one: cut the run there"
+        )
+    if not run.fixes.usable.any():
+        raise InputError(f"run {run.source!r} has no usable fix: nothing to replay")
+    for name in ("x_m", "y_m", "heading_rad"):
+        far = float(np.abs(getattr(run.fixes, name)[run.fixes.usable]).max())
+        if not far <= _FAR:
+            raise InputError(
+                f"run {run.source!r} has a fix with {name} of {far:g}: {_FAR:g} at most; correct it"
+            )
+
+
+_FAR = 1e6
+"""Of a fix, m or rad: no pool is as large, and float32 still holds it."""
+
+
+def _schedule(run: RunLog) -> Schedule:
+    fixes = []
+    # A fix that came twice has one number: by it and its pose the robot knows it again.
+    numbers = run.fixes.extra.get("sequence", np.arange(len(run.fixes)))
+    for row in np.flatnonzero(run.fixes.usable):
+        pose = np.array(
+            [run.fixes.x_m[row], run.fixes.y_m[row], run.fixes.heading_rad[row]], dtype=np.float32
+        )
+        arrival_s = LEAD_IN_S + float(run.fixes.time_s[row])
+        capture_s = LEAD_IN_S + float(run.fixes.capture_time_s[row])
+        fixes.append((arrival_s, Fix(int(numbers[row]) & 0xFFFF, capture_s, arrival_s, pose)))
+    first_us = round((LEAD_IN_S + float(run.decisions.time_s[0])) * 1e6)
+    return Schedule(fixes, first_us, round(run.period_s * 1e6), len(run.decisions))
+
+
+def replay(
+    run: RunLog,
+    tables: Tables,
+    config: PlanConfig,
+    port: RobotPort | None,
+    host: bool,
+    progress: Callable[[int, int], None] = lambda _done, _all: None,
+) -> Replay:
+    """Feed a run's fixes to the planner at their recorded times; decide when the run decided.
+
+    The robot's strokes go nowhere: the recorded robot swims on as it did.
+
+    Args:
+        run: recorded run with its path.
+        tables: transitions for the planner.
+        config: weights and depth.
+        port: a robot with these tables on board; None = the host alone.
+        host: also (or only) decide with the twins on the host.
+        progress: called with decisions done and to do.
+
+    Raises:
+        InputError: the run has no path, no decisions or no usable fix.
+        LinkError: the robot refuses or does not answer.
+    """
+    require_replayable(run)
+    schedule = _schedule(run)
+    assert run.path is not None
+    onboard: list[Decision] = []
+    if port is not None:
+        onboard, events = replay_onboard(schedule, run.path, tables, config, port, progress)
+    else:
+        events = _events_of(schedule)
+    decided = replay_on_host(events, DecisionTwin(tables, run.path, config)) if host else []
+    names = [row.name for row in tables.actions] + ["-"]
+    actions = [names[d.action] for d in (onboard or decided)]
+    recorded: list[str | None] = [
+        run.action_names[index] if index >= 0 else None for index in run.decisions.action[: len(actions)]
+    ]
+    differences = compare(onboard, decided) if port is not None and host else []
+    return Replay(actions, recorded, onboard, decided, differences)
+
+
+def compare(onboard: Sequence[Decision], host: Sequence[Decision]) -> list[tuple[int, list[str]]]:
+    """Decisions that differ in any bit, with the fields; a missing decision is a difference too."""
+    found = [
+        (index, fields)
+        for index, (a, b) in enumerate(zip(onboard, host, strict=False))
+        if (fields := a.differences(b))
+    ]
+    shorter = min(len(onboard), len(host))
+    return found + [(index, ["missing"]) for index in range(shorter, max(len(onboard), len(host)))]
+
+
+def replay_on_host(events: Sequence[RobotEvent], twin: DecisionTwin) -> list[Decision]:
+    """The twin's decisions for what the robot saw, in the order in which it saw it."""
+    return [decision for event in events if (decision := twin.meet(event)) is not None]
+
+
+def _events_of(schedule: Schedule) -> list[RobotEvent]:
+    """Without a robot: a decision sees the fixes that arrived before it."""
+    timed = [
+        (round(arrival_s * 1e6), 0, RobotEvent(round(fix.capture_s * 1e6), fix.pose_world, fix.sequence))
+        for arrival_s, fix in schedule.fixes
+    ]
+    for index in range(schedule.decisions):
+        at_us = schedule.first_us + index * schedule.period_us
+        timed.append((at_us, 1, RobotEvent(at_us)))
+    return [event for _, _, event in sorted(timed, key=lambda row: row[:2])]
+
+
+def replay_onboard(
+    schedule: Schedule,
+    path: Path,
+    tables: Tables,
+    config: PlanConfig,
+    port: RobotPort,
+    progress: Callable[[int, int], None] = lambda _done, _all: None,
+) -> tuple[list[Decision], list[RobotEvent]]:
+    """Let a robot decide on a schedule's fixes.
+
+    Returns:
+        Its decisions, and what it met in its order: enough for ``replay_on_host``.
+
+    Raises:
+        LinkError: the robot refuses or does not answer.
+    """
+    session = Session(port)
+    session.greet(tables)
+    session.set_parameters({**parameters(config), "PERIOD_US": schedule.period_us})
+    session.send_path(path)
+    waiting = list(schedule.fixes)
+    poses: dict[int, npt.NDArray[np.float32]] = {}
+    events: list[RobotEvent] = []
+    decisions: list[Decision] = []
+    running = False
+    while len(decisions) < schedule.decisions:
+        next_us = schedule.first_us + len(decisions) * schedule.period_us
+        if not running and next_us * 1e-6 - session.time_s < START_AHEAD_S:
+            # Also after an end on board (path completed): the recorded robot swam on, so the replay does.
+            running = _start(session, next_us)
+        next_s = waiting[0][0] if waiting else session.time_s + STEP_S
+        session.step(max(min(next_s, session.time_s + STEP_S), session.time_s + 1e-6))
+        while waiting and waiting[0][0] <= session.time_s:
+            _, fix = waiting.pop(0)
+            poses[session.post_fix(fix, session.time_s)] = fix.pose_world
+        for arrival in session.take("FIX", "DECISION", "REFUSED", "ENDED"):
+            frame = arrival.frame
+            events += events_of_frame(frame, poses)
+            if frame.name == "FIX":
+                del poses[frame.sequence]
+            elif frame.name == "DECISION":
+                decisions.append(decision_of_event(frame.values))
+                progress(len(decisions), schedule.decisions)
+            elif frame.name == "ENDED":
+                running = False
+        if session.time_s * 1e6 > next_us + 5 * schedule.period_us:
+            raise LinkError(f"the robot made no decision after {len(decisions)}: is it disarmed?")
+    session.request("DISARM")
+    return decisions, events
+
+
+def _start(session: Session, first_us: int) -> bool:
+    """ARM, and START so that the first decision falls on a time, to the frame's own time on the wire.
+
+    Returns:
+        Whether the run has begun; it does not before there is a position fix.
+    """
+    session.request("ARM")
+    delay_us = first_us - round(session.time_s * 1e6)
+    values: dict[str, Value] = {"delay_us": max(0, delay_us)}
+    status = int(session.ask("START", values)["status"])
+    if status not in (0, STALE):
+        raise LinkError(f"the robot refuses START {values}: {link_layout().status_name(status)}")
+    return status == 0

@@ -1,0 +1,87 @@
+"""What the model missed: the predicted pose a period ahead against what happened."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from frogkick.core.errors import InputError
+from frogkick.paths import wrap_angle
+from frogkick.runs.runlog import RunLog
+
+FloatArray = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Residual:
+    """One row for each period with a prediction and a measured end.
+
+    Attributes:
+        time_s: (n,) decision time.
+        action: (n,) action taken.
+        position_body_m: (n, 2) happened minus predicted position, forward and left in the body frame at the
+            decision.
+        heading_rad: (n,) happened minus predicted heading, wrapped.
+    """
+
+    time_s: FloatArray
+    action: npt.NDArray[np.int64]
+    position_body_m: FloatArray
+    heading_rad: FloatArray
+
+    @property
+    def position_rmse_m(self) -> float:
+        """Root mean square of the distance between predicted and happened position."""
+        return float(np.sqrt((self.position_body_m**2).sum(axis=1).mean()))
+
+    @property
+    def heading_rmse_rad(self) -> float:
+        """Root mean square of the heading's error."""
+        return float(np.sqrt((self.heading_rad**2).mean()))
+
+    def as_json(self) -> dict[str, float | int]:
+        """Both errors and the number of periods."""
+        return {
+            "position_rmse_m": self.position_rmse_m,
+            "heading_rmse_rad": self.heading_rmse_rad,
+            "periods": len(self.time_s),
+        }
+
+
+def true_poses_at(run: RunLog, time_s: npt.ArrayLike) -> FloatArray:
+    """(n, 3) true poses of a simulated run, interpolated between its pictures; headings not wrapped."""
+    if run.truth is None or len(run.truth) < 2:
+        raise InputError(f"run {run.source!r} has no truth: only a simulated run knows it")
+    poses = np.array(run.truth.pose_world)
+    poses[:, 2] = np.unwrap(poses[:, 2])
+    at = np.asarray(time_s, dtype=np.float64)
+    return np.column_stack([np.interp(at, run.truth.time_s, poses[:, k]) for k in range(3)])
+
+
+def residual(run: RunLog) -> Residual:
+    """Compare each prediction of a simulated run with the true pose a period later.
+
+    Raises:
+        InputError: no predictions in the run, or no truth, or not one whole period.
+    """
+    decisions = run.decisions
+    if decisions.predicted is None or decisions.estimate is None:
+        raise InputError(f"run {run.source!r} holds no predictions: log one with 'frogkick run'")
+    end_s = decisions.time_s + run.period_s
+    last_s = run.truth.time_s[-1] if run.truth is not None and len(run.truth) else -np.inf
+    rows = np.flatnonzero(np.isfinite(decisions.predicted[:, 0]) & (end_s <= last_s))
+    if rows.size == 0:
+        raise InputError(f"run {run.source!r} has no whole period with a prediction: let it run longer")
+    happened = true_poses_at(run, end_s[rows])
+    gap = happened[:, :2] - decisions.predicted[rows, :2]
+    heading = decisions.estimate[rows, 2]
+    forward = np.cos(heading) * gap[:, 0] + np.sin(heading) * gap[:, 1]
+    left = np.cos(heading) * gap[:, 1] - np.sin(heading) * gap[:, 0]
+    return Residual(
+        time_s=np.array(decisions.time_s[rows]),
+        action=np.array(decisions.action[rows], dtype=np.int64),
+        position_body_m=np.column_stack([forward, left]),
+        heading_rad=wrap_angle(happened[:, 2] - decisions.predicted[rows, 2]),
+    )

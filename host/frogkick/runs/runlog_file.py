@@ -1,0 +1,214 @@
+"""The run log's HDF5 layout: one for ours (on board, in the pool) and for imported ones.
+
+Root attributes: format, format_version, robot_id, source, period_s, pulse_s, notes; table_crc and seed
+where the run has them. Groups `fixes`, `decisions`, `strokes`, and where the run has them `path`, `truth`
+(simulated runs only), `measured` (numbers about the run), `planner` (weights and depth) and `made` (how it
+came about: when, by which version, robot, table and command). Numbers about a run are attributes, texts of
+`made` datasets. Every dataset carries `unit`.
+"""
+
+from __future__ import annotations
+
+import io
+import pathlib
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import fields
+from typing import Any
+
+import h5py
+import numpy as np
+
+from frogkick.core.errors import InputError
+from frogkick.core.files import existing_file, write_bytes
+from frogkick.paths import Path
+from frogkick.runs.runlog import DecisionFlag, Decisions, Fixes, FixFlag, RunLog, Strokes, Truth
+
+FORMAT = "frogkick run"
+FORMAT_VERSION = 1
+
+# Unit of an additional column, from the end of its name, longest first.
+_SUFFIX_UNITS = {
+    "_mps": "m/s",
+    "_radps": "rad/s",
+    "_rad_s": "rad/s",
+    "_rad": "rad",
+    "_m": "m",
+    "_us": "us",
+    "_s": "s",
+}
+
+
+@contextmanager
+def hdf5_to_write(target: pathlib.Path | str) -> Iterator[h5py.File]:
+    """Yield a new HDF5 file in memory, which is written to ``target`` wholly or not at all.
+
+    On a full disk the HDF5 library itself would end the process.
+
+    Raises:
+        InputError: the folder cannot be written to, or the disk is full.
+    """
+    content = io.BytesIO()
+    with h5py.File(content, "w") as file:
+        yield file
+    write_bytes(target, content.getvalue())
+
+
+def write_run(target: pathlib.Path | str, run: RunLog) -> None:
+    """Write a run to HDF5, wholly or not at all; the same run gives the same bytes.
+
+    Raises:
+        InputError: the folder cannot be written to.
+    """
+    with hdf5_to_write(target) as file:
+        fill(file, run)
+
+
+def fill(file: h5py.File, run: RunLog, chunk_rows: int = 0) -> None:
+    """Write a run into an open file; with ``chunk_rows`` its columns can grow."""
+    file.attrs["format"] = FORMAT
+    file.attrs["format_version"] = FORMAT_VERSION
+    for name in ("robot_id", "source", "period_s", "pulse_s", "notes"):
+        file.attrs[name] = getattr(run, name)
+    if run.table_crc is not None:
+        file.attrs["table_crc"] = np.uint32(run.table_crc)
+    if run.seed is not None:
+        file.attrs["seed"] = np.int64(run.seed)
+    for group in (run.fixes, run.decisions, run.strokes, run.truth):
+        if group is not None:
+            _write_group(file, group, chunk_rows)
+    for name, flag in (("fixes", FixFlag), ("decisions", DecisionFlag)):
+        file[f"{name}/flags"].attrs["bits"] = [f"{bit.name.lower()}={int(bit)}" for bit in flag if bit.name]
+    file["decisions/action"].attrs["names"] = list(run.action_names) or h5py.Empty("S1")
+    if run.path is not None:
+        group = file.create_group("path")
+        group.attrs["name"] = run.path.name
+        for name, unit in (("x_m", "m"), ("y_m", "m"), ("tangent_rad", "rad")):
+            group.create_dataset(name, data=getattr(run.path, name)).attrs["unit"] = unit
+    for title, numbers in (("measured", run.measured), ("planner", run.planner)):
+        if numbers:
+            group = file.create_group(title)
+            for name in sorted(numbers):
+                group.attrs[name] = float(numbers[name])
+    if run.made:
+        # In a dataset each: an attribute holds no text as long as a robot's.
+        group = file.create_group("made")
+        for name in sorted(run.made):
+            group[name] = run.made[name]
+
+
+def read_run(source: pathlib.Path | str) -> RunLog:
+    """Read a run from HDF5.
+
+    Raises:
+        InputError: missing, empty, foreign, truncated or newer file; a missing group or column; NaN in a
+            column where no flag marks it missing (column and row named).
+    """
+    file_path = existing_file(source, "run log")
+    name = file_path.name
+    try:
+        with _opened(file_path) as file:
+            return _read(file, name)
+    except InputError as error:
+        raise InputError(f"run log {name!r}: {str(error).removeprefix('run: ')}") from error
+    except (OSError, KeyError, RuntimeError, ValueError, TypeError, AttributeError) as error:
+        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+        raise InputError(
+            f"run log {name!r} is not HDF5, is cut short or is damaged ({reason}): record or import it again"
+        ) from error
+
+
+def _opened(path: pathlib.Path) -> h5py.File:
+    """A log; also one that a run is still writing, or wrote when it was killed."""
+    try:
+        return h5py.File(path, "r")
+    except OSError as error:
+        try:
+            return h5py.File(path, "r", libver="latest", swmr=True)
+        except (OSError, ValueError):
+            raise error from None
+
+
+def _read(file: h5py.File, name: str) -> RunLog:
+    if file.attrs.get("format") != FORMAT:
+        found = file.attrs.get("format", "no format")
+        raise InputError(f"run: this is another kind of file ({found!r}), expected {FORMAT!r}: give a run")
+    version = int(file.attrs["format_version"])
+    if version != FORMAT_VERSION:
+        raise InputError(
+            f"run: format version {version}, this frogkick reads {FORMAT_VERSION}: use a matching frogkick"
+        )
+    path = None
+    if "path" in file:
+        group = file["path"]
+        path = Path(group["x_m"][:], group["y_m"][:], group["tangent_rad"][:], str(group.attrs["name"]))
+    names = file["decisions/action"].attrs["names"]
+    return RunLog(
+        robot_id=str(file.attrs["robot_id"]),
+        source=str(file.attrs["source"]),
+        period_s=float(file.attrs["period_s"]),
+        pulse_s=float(file.attrs["pulse_s"]),
+        action_names=() if isinstance(names, h5py.Empty) else tuple(str(action) for action in names),
+        fixes=Fixes(**_read_group(file, Fixes)),
+        decisions=Decisions(**_read_group(file, Decisions)),
+        strokes=Strokes(**_read_group(file, Strokes)),
+        path=path,
+        truth=Truth(**_read_group(file, Truth)) if "truth" in file else None,
+        table_crc=int(file.attrs["table_crc"]) if "table_crc" in file.attrs else None,
+        seed=int(file.attrs["seed"]) if "seed" in file.attrs else None,
+        notes=str(file.attrs["notes"]),
+        measured=_numbers(file, "measured"),
+        planner=_numbers(file, "planner"),
+        made={name: text.asstr()[()] for name, text in file["made"].items()} if "made" in file else {},
+    )
+
+
+def _numbers(file: h5py.File, title: str) -> dict[str, float]:
+    return {name: float(value) for name, value in file[title].attrs.items()} if title in file else {}
+
+
+def _write_group(file: h5py.File, group: Fixes | Decisions | Strokes | Truth, chunk_rows: int) -> None:
+    target = file.create_group(group.NAME)
+
+    def write(name: str, values: Any, unit: str) -> None:
+        grows: dict[str, Any] = {}
+        if chunk_rows:
+            grows = {"maxshape": (None, *values.shape[1:]), "chunks": (chunk_rows, *values.shape[1:])}
+        target.create_dataset(name, data=values, **grows).attrs["unit"] = unit
+
+    for name, column in group.SCHEMA.items():
+        values = getattr(group, name)
+        if values is not None:
+            write(name, values, column.unit)
+    for name, values in sorted(group.extra.items()):
+        unit = next((unit for end, unit in _SUFFIX_UNITS.items() if name.endswith(end)), "1")
+        write(name, values, unit)
+
+
+def _read_group(file: h5py.File, kind: type[Fixes | Decisions | Strokes | Truth]) -> dict[str, Any]:
+    if kind.NAME not in file:
+        raise InputError(f"run: group {kind.NAME!r} is missing: record or import it again")
+    group = file[kind.NAME]
+    columns: dict[str, Any] = {}
+    for name, column in kind.SCHEMA.items():
+        if name in group:
+            columns[name] = group[name][:]
+        elif not column.optional:
+            raise InputError(f"run: column {kind.NAME}/{name} is missing: record or import it again")
+    known = {entry.name for entry in fields(kind)}
+    columns["extra"] = {name: group[name][:] for name in group if name not in known}
+    if file.attrs.get("live", False):
+        _cut(columns, len(file[Fixes.NAME]["time_s"]))
+    return columns
+
+
+def _cut(columns: dict[str, Any], fixes: int) -> None:
+    """Of a log that was being written: only rows that are there in every column."""
+    given = [values for name, values in columns.items() if name != "extra"]
+    whole = min(len(values) for values in [*given, *columns["extra"].values()])
+    for part in (columns, columns["extra"]):
+        for name, values in part.items():
+            if name != "extra":
+                part[name] = values[:whole]
+    if "fix_sequence" in columns:
+        columns["fix_sequence"] = np.where(columns["fix_sequence"] < fixes, columns["fix_sequence"], -1)

@@ -1,0 +1,1 @@
+"""Table images (``.fkt``): their layout, packing, reading and checking."""

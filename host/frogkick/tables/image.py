@@ -1,0 +1,251 @@
+"""Table images (``.fkt``): check and open. The layout stands in ``layout.py``; ``packing.py`` makes them."""
+
+from __future__ import annotations
+
+import zlib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from frogkick.core.errors import InputError
+from frogkick.core.files import existing_file
+from frogkick.tables import coding, layout
+from frogkick.tables.fields import (
+    AGAIN,
+    ActionRow,
+    TableError,
+    action_rows_of,
+    require,
+    require_codes,
+    require_counts,
+    require_times,
+    robot_id_of,
+)
+from frogkick.tables.header import Columns, Header, columns_of, identified, laid_out, require_numbers
+
+__all__ = ["ActionRow", "TableError", "Tables", "open_image", "read_image"]
+
+Float32 = npt.NDArray[np.float32]
+Int16 = npt.NDArray[np.int16]
+Int32 = npt.NDArray[np.int32]
+Int64 = npt.NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class Tables:
+    """An opened, wholly checked table image. All arrays are read-only.
+
+    Attributes:
+        image: the bytes themselves.
+        kind: "nearest" or "affine".
+        robot_id: the robot that the table is for.
+        provenance: 32 bytes, SHA-256 of the library's content.
+        period_us, pulse_us, second_delay_us: integer microseconds.
+        limbs: number of limbs, 1 to 8.
+        actions: the actions in table order.
+        velocity_scale: (3,) float32 velocity per code: m/s, m/s, rad/s, body frame.
+        motion_scale: (3,) float32 motion per code: m, m, rad, body frame at the action's start.
+        motion_limit: (3,) largest |motion code| that a look-up gives.
+        states: (n, 3) int16 velocity codes in k-d order.
+        transitions: (n, a, 6) int32, decoded: three motion codes, three velocity codes at the action's end;
+            kind affine: before any correction and not yet clamped.
+        derivatives: kind affine: (n, a, 6, 3) int32 codes per code, times 2**correction_shift; else (0, ...).
+        correction_shift: (6,) of the values.
+        offset_limit: (3,) largest |query - state| in codes that the derivatives see.
+        history: (a, l, 6) int32 codes that a fully used limb adds; kind nearest: zeros.
+        use_decay, use_gain: 1/32768: what is left of a limb's use a period later; what firing adds.
+        residual_codes: (6,) codes per unit of a residual: values are rounded to half of it.
+        sections: where the image's sections stand.
+        block_levels: 2**block_levels blocks of rows have predictions of their own (kind nearest).
+    """
+
+    image: bytes
+    kind: str
+    robot_id: str
+    provenance: bytes
+    period_us: int
+    pulse_us: int
+    second_delay_us: int
+    limbs: int
+    actions: tuple[ActionRow, ...]
+    velocity_scale: Float32
+    motion_scale: Float32
+    motion_limit: Int64
+    states: Int16
+    transitions: Int32
+    derivatives: Int32
+    correction_shift: Int64
+    offset_limit: Int64
+    history: Int32
+    use_decay: int
+    use_gain: int
+    residual_codes: Int64
+    sections: layout.Sections
+    block_levels: int
+
+    @property
+    def crc32(self) -> int:
+        """CRC-32 of the image, as its header and the robot's HELLO have it."""
+        return zlib.crc32(self.image[16:])
+
+    @property
+    def reach_m(self) -> np.float32:
+        """No look-up moves the robot further than this; float32, as fk_tables_t has it."""
+        forward, left = self.motion_limit[:2].astype(np.float32) * self.motion_scale[:2]
+        return np.float32(np.sqrt(forward * forward + left * left))
+
+    @property
+    def turn_max_rad(self) -> np.float32:
+        """No look-up turns the robot further than this; float32, as fk_tables_t has it."""
+        return np.float32(np.float32(self.motion_limit[2]) * self.motion_scale[2])
+
+    def require_robot(self, robot_id: str) -> None:
+        """Refuse a table that was made for another robot.
+
+        Raises:
+            TableError: ``robot_id`` is not the table's; the text names both.
+        """
+        if robot_id != self.robot_id:
+            raise TableError(
+                f"table image is for robot {self.robot_id!r}, this robot is {robot_id!r}: "
+                f"build tables from a library of {robot_id!r}"
+            )
+
+
+def read_image(path: Path | str) -> Tables:
+    """Open a table image file.
+
+    Raises:
+        InputError: no such file, or an empty one.
+        TableError: the file is not a usable table image; the text names the file.
+    """
+    file = existing_file(path, "table image")
+    try:
+        return open_image(file.read_bytes())
+    except TableError as error:
+        raise TableError(f"{str(path)!r}: {error}") from None
+    except OSError as error:
+        raise InputError(
+            f"table image {str(path)!r} cannot be read: {error.strerror}; check access"
+        ) from None
+
+
+def open_image(image: bytes) -> Tables:
+    """Check every part of a table image and decode it.
+
+    Args:
+        image: the whole image, nothing before or after it.
+
+    Raises:
+        TableError: one clear line on the first thing that is wrong.
+    """
+    head = identified(image)
+    kind = head.kind
+    require_counts(head.states, head.actions, head.limbs, f"the table image is wrong, {AGAIN}")
+    right = laid_out(head)
+    robot_id = robot_id_of(head.robot)
+    require_times(head.period_us, head.pulse_us, head.second_delay_us)
+    require_numbers(head)
+    require(
+        not any(image[165:166] + image[170:172]),
+        f"table image has a reserved byte that is not zero: {AGAIN}",
+    )
+    actions = action_rows_of(image[right.actions : right.columns], head.limbs)
+    columns = columns_of(image, head, right)
+    splits = np.frombuffer(image, "<i2", 2**head.tree_levels - 1, right.splits)
+    require_codes("splits", splits, layout.VELOCITY_CODE_MAX)
+    codes = np.frombuffer(image, "<i2", 3 * head.states, right.states).reshape(-1, 3)
+    for start, used, end in (
+        (right.splits, 2 * len(splits), right.models),
+        (right.states, 6 * head.states, right.transitions),
+        (right.transitions, head.row_bytes * head.states, right.length),
+    ):
+        require(
+            not any(image[start + used : end]),
+            f"table image has a padding byte that is not zero: {AGAIN}",
+        )
+    coefficients = np.frombuffer(image[right.models : right.states], "<i2").astype(np.int64)
+    sums = np.abs(coefficients.reshape(-1, layout.COEFFICIENTS)).sum(axis=1)
+    require(
+        int(sums.max(initial=0)) <= layout.COEFFICIENT_SUM_MAX,
+        f"table image has coefficients that sum to {sums.max(initial=0)}, allowed is 131071: {AGAIN}",
+    )
+    if kind == layout.KIND_AFFINE:
+        _require_affine(columns)
+    require_codes("states", codes, [layout.VELOCITY_CODE_MAX >> up for up in head.up])
+    axes = layout.axes_of(head.axes, head.tree_levels)
+    require(3 not in axes, f"table image's search tree has a level without an axis: {AGAIN}")
+    wrong = layout.kd_violation(codes, splits, axes)
+    require(wrong is None, f"table image's state {wrong} breaks the k-d order: {AGAIN}")
+
+    residuals = coding.take_residuals(image[right.transitions :], head.states, head.row_bytes, columns.bits)
+    residuals = residuals.reshape(head.states, head.actions, 6, -1)
+    if kind == layout.KIND_NEAREST:
+        transitions = _predicted(head, coefficients, codes, residuals[..., 0])
+        derivatives = np.empty((0, head.actions, 6, 3), dtype=np.int64)
+    else:
+        transitions = columns.least[..., 3] + residuals[..., 3] * np.array(head.unit)
+        derivatives = columns.least[..., :3] + residuals[..., :3]
+    history = np.moveaxis(columns.history, 1, 2)  # actions, limbs, values
+    return Tables(
+        image=bytes(image),
+        kind=layout.KINDS[kind],
+        robot_id=robot_id,
+        provenance=head.provenance,
+        period_us=head.period_us,
+        pulse_us=head.pulse_us,
+        second_delay_us=head.second_delay_us,
+        limbs=head.limbs,
+        actions=actions,
+        velocity_scale=_frozen(np.array(head.velocity_scale, dtype=np.float32)),
+        motion_scale=_frozen(np.array(head.motion_scale, dtype=np.float32)),
+        motion_limit=_frozen(np.array(head.motion_limit, dtype=np.int64)),
+        states=_frozen(codes.astype(np.int16)),
+        transitions=_frozen(transitions.astype(np.int32)),
+        derivatives=_frozen(derivatives.astype(np.int32)),
+        correction_shift=_frozen(np.array(head.shift, dtype=np.int64)),
+        offset_limit=_frozen(np.array(head.offset_limit, dtype=np.int64)),
+        history=_frozen(history.astype(np.int32)),
+        use_decay=head.use_decay,
+        use_gain=head.use_gain,
+        residual_codes=_frozen(np.array(head.unit, dtype=np.int64)),
+        sections=right,
+        block_levels=head.block_levels,
+    )
+
+
+def _require_affine(columns: Columns) -> None:
+    """Refuse derivatives and history whose sums could overflow."""
+    top = columns.least + (1 << np.array(layout.AFFINE_BITS)) - 1
+    good = (
+        int(columns.least.min()) >= -32767
+        and int(top[..., :3].max()) <= 32767
+        and int(columns.history.min()) >= -32767
+        and int(np.abs(columns.history).sum(axis=2).max()) <= layout.HISTORY_SUM_MAX
+    )
+    require(good, f"table image has a least value, derivative or history out of range: {AGAIN}")
+
+
+def _predicted(head: Header, model: Int64, codes: Int16, residuals: Int64) -> Int64:
+    """Transitions of kind nearest: (n, a, 6) predictions and residuals, clamped."""
+    coefficients = model.reshape(2**head.block_levels, -1, layout.COEFFICIENTS)
+    factors = coding.products(codes, np.array(head.up))
+    first = layout.first_rows(head.states, head.block_levels)
+    values = np.empty(residuals.shape, dtype=np.int64)
+    shift = np.tile(head.shift, head.actions)
+    for block in range(2**head.block_levels):
+        rows = slice(first[block], first[block + 1])
+        predicted = coding.predictions(factors[rows], coefficients[block].T, shift)
+        values[rows] = predicted.reshape(-1, head.actions, 6)
+    values += residuals * np.array(head.unit)
+    limit = np.array([*head.motion_limit, *[layout.VELOCITY_CODE_MAX] * 3])
+    return np.clip(values, -limit, limit)
+
+
+def _frozen(array: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    array = np.ascontiguousarray(array)
+    array.setflags(write=False)
+    return array

@@ -1,0 +1,100 @@
+"""What the suites of loop, cli and report share: one small table, its firmware, short runs in the pool."""
+
+from __future__ import annotations
+
+import functools
+import tempfile
+import zlib
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from frogkick.front.default_tables import default_tables
+from frogkick.paths import shape
+from frogkick.planner.plan import PlanConfig
+from frogkick.pool.camera import Camera, Fix
+from frogkick.pool.native_robot import NativeRobot
+from frogkick.pool.pool import Pool
+from frogkick.pool.port import RobotPort
+from frogkick.pool.virtual_robot import VirtualRobot
+from frogkick.robot import Robot, load_robot
+from frogkick.runs.closed_loop import Recording, RunOptions, run_in_pool
+from frogkick.tables.image import Tables, read_image
+from frogkick_codegen.firmware import Build, build
+
+SMALL_STATES = 40
+
+# Lives as long as the test session.
+_FOLDER = tempfile.TemporaryDirectory(prefix="frogkick-tests-")
+
+
+@functools.cache
+def small_table() -> Path:
+    """A table image of few states; its library takes some seconds, once on a machine."""
+    return default_tables("frog2022", SMALL_STATES)
+
+
+@functools.cache
+def tables() -> Tables:
+    """The same, opened."""
+    return read_image(small_table())
+
+
+@functools.cache
+def robot() -> Robot:
+    """The paper's robot."""
+    return load_robot("frog2022")
+
+
+@functools.cache
+def firmware(target: str) -> Build:
+    """Firmware with the small table."""
+    return build(target, small_table(), robot(), Path(_FOLDER.name) / target)
+
+
+def port(place: str) -> RobotPort:
+    """A robot just switched on: "virtual" or "pool"."""
+    if place == "virtual":
+        return VirtualRobot(firmware("bench").image, len(robot().limbs))
+    return NativeRobot(firmware("native").image, len(robot().limbs))
+
+
+class FadingPool(Pool):
+    """A pool whose camera sees nothing after a time."""
+
+    last_fix_s = np.inf
+
+    def advance(self, until_s: float) -> list[Fix]:
+        return [fix for fix in super().advance(until_s) if fix.capture_s <= self.last_fix_s]
+
+
+def new_pool(path_name: str, seed: int = 0, start_at: int = 0) -> FadingPool:
+    """The robot at rest on a path's point, along its tangent."""
+    path = shape(path_name)
+    start = (float(path.x_m[start_at]), float(path.y_m[start_at]), float(path.tangent_rad[start_at]))
+    return FadingPool(robot(), start, Camera(), np.random.default_rng(seed))
+
+
+def swim(
+    place: str,
+    path_name: str,
+    limit_s: float,
+    depth: int = 1,
+    onboard: bool = True,
+    pool: Pool | None = None,
+    progress: Callable[[float, int], None] = lambda _time_s, _index: None,
+) -> tuple[Recording, Pool, RunOptions]:
+    """A run in the pool."""
+    chosen = new_pool(path_name) if pool is None else pool
+    options = RunOptions(PlanConfig(depth=depth), onboard, limit_s)
+    recording = run_in_pool(port(place), chosen, tables(), shape(path_name), options, progress)
+    return recording, chosen, options
+
+
+def changed_image(at: int, content: bytes) -> bytes:
+    """The small table's image with other bytes at a place, and its CRC-32 right again."""
+    image = bytearray(small_table().read_bytes())
+    image[at : at + len(content)] = content
+    image[12:16] = zlib.crc32(image[16:]).to_bytes(4, "little")
+    return bytes(image)

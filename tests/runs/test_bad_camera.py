@@ -1,0 +1,91 @@
+"""Runs with fixes late, lost, doubled, out of order, wrong: decided alike everywhere, and near the truth."""
+
+from __future__ import annotations
+
+import functools
+
+import numpy as np
+import pytest
+from tests.runs import rig
+
+from frogkick.link.layout import link_layout
+from frogkick.paths import shape
+from frogkick.pool.camera import Camera
+from frogkick.pool.pool import Pool
+from frogkick.runs.closed_loop import Recording, RunOptions
+from frogkick.runs.decision import DecisionTwin
+from frogkick.runs.record import run_log, tracking_of_recording
+from frogkick.runs.replay import compare, replay, replay_on_host
+from frogkick.runs.residual import true_poses_at
+from frogkick.runs.runlog import RunLog
+
+BAD = Camera(rate_hz=15.0, jitter_s=0.2, lost=0.2, doubled=0.1, held=0.1, outliers=0.05)
+STATUS = link_layout().status
+
+
+def bad_pool(path_name: str, camera: Camera = BAD, seed: int = 0) -> rig.FadingPool:
+    path = shape(path_name)
+    start = (float(path.x_m[0]), float(path.y_m[0]), float(path.tangent_rad[0]))
+    return rig.FadingPool(rig.robot(), start, camera, np.random.default_rng(seed))
+
+
+@functools.cache
+def run(place: str, onboard: bool = True) -> tuple[Recording, Pool, RunOptions]:
+    return rig.swim(place, "ellipse", 14.0, onboard=onboard, pool=bad_pool("ellipse"))
+
+
+def log_of(place: str, onboard: bool = True) -> RunLog:
+    recording, pool, options = run(place, onboard)
+    return run_log(recording, pool, rig.robot(), rig.tables(), shape("ellipse"), options, 0, "test")
+
+
+@pytest.mark.parametrize("place", ["virtual", "pool"])
+def test_every_decision_on_board_is_the_twins(place: str) -> None:
+    recording, _, options = run(place)
+    assert len(recording.decisions) >= 9
+    assert {0, STATUS["DOUBLE"], STATUS["OUTLIER"]} <= set(recording.fix_status)
+    again = replay_on_host(recording.events, DecisionTwin(rig.tables(), shape("ellipse"), options.config))
+    assert compare(recording.decisions, again) == []
+
+
+@pytest.mark.parametrize("onboard", [True, False])
+def test_the_state_at_decision_time_is_near_the_truth(onboard: bool) -> None:
+    log = log_of("pool", onboard)
+    assert log.decisions.estimate is not None
+    error = log.decisions.estimate[:, :3] - true_poses_at(log, log.decisions.time_s)
+    error[:, 2] = np.angle(np.exp(1j * error[:, 2]))
+    away_m = np.hypot(error[:, 0], error[:, 1])
+    assert away_m.max() < 0.004 and np.sqrt(np.mean(away_m**2)) < 0.0015
+    assert np.abs(error[:, 2]).max() < np.deg2rad(1.5)
+
+
+def test_fixes_lost_are_those_that_the_robot_refused() -> None:
+    recording, pool, _ = run("pool")
+    tracked = tracking_of_recording(recording, pool, rig.robot(), shape("ellipse"))
+    refused = [status for status in recording.fix_status if status is not None and status < 0]
+    assert tracked.fixes_lost == recording.fixes_refused
+    assert len(refused) <= tracked.fixes_lost <= len(refused) + 3, (
+        "a last one or so is answered after the run"
+    )
+    assert sum(us is not None for us in recording.capture_us) == recording.fix_status.count(0) > 100
+
+
+@pytest.mark.parametrize("place", ["virtual", "pool"])
+def test_the_log_is_decided_again_as_it_was(place: str) -> None:
+    log = log_of("pool")
+    again = replay(log, rig.tables(), run("pool")[2].config, rig.port(place), host=True)
+    assert again.differences == []
+    assert again.agreement == 1.0
+    assert (log.fixes.extra["robot_status"] == STATUS["DOUBLE"]).any()
+    assert log.decisions.extra["limb_use"].shape == (len(log.decisions), 8)
+
+
+def test_at_two_fixes_a_second_it_still_gets_along() -> None:
+    """Where a decision falls more than half a second after the newest fix it rests, as the guard wants."""
+    pool = bad_pool("line", Camera(rate_hz=2.0))
+    recording, _, _ = rig.swim("pool", "line", 40.0, pool=pool)
+    statuses = [d.status for d in recording.decisions]
+    assert set(statuses) <= {0, STATUS["STALE"]} and statuses.count(0) > len(statuses) // 2
+    assert recording.completed
+    tracked = tracking_of_recording(recording, pool, rig.robot(), shape("line"))
+    assert tracked.mean_distance_m < 0.02 and tracked.fixes_lost == 0

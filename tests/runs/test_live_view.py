@@ -1,0 +1,224 @@
+"""What is drawn of a run while it runs: the planner's own predictions, by the command too."""
+
+from __future__ import annotations
+
+import json
+import re
+import subprocess
+import sys
+import time
+import urllib.request
+from pathlib import Path
+from typing import Any
+from urllib.error import HTTPError
+
+import numpy as np
+import pytest
+from tests.runs import rig
+
+import frogkick as fk
+from frogkick.front.viewing import viewed
+from frogkick.paths import shape
+from frogkick.planner.plan import PlanConfig, plan
+from frogkick.report.live_page import ASKS, HOST, page, served
+from frogkick.runs.closed_loop import STOPPED, RunOptions
+from frogkick.runs.live_view import LiveView, fan_of, tree_of
+
+CONFIG = PlanConfig(depth=3)
+OUTLINE = rig.robot().frame.corners_m
+
+
+def test_the_fan_is_what_the_planner_predicts() -> None:
+    rng = np.random.default_rng(3)
+    for _ in range(20):
+        state = np.array([*rng.uniform(-0.2, 0.2, 2), rng.uniform(-3, 3), 0.02, 0.0, 0.1], dtype=np.float32)
+        told = plan(rig.tables(), shape("sine"), CONFIG, state)
+        fan = fan_of(rig.tables(), state, (0,) * 8)
+        assert len(fan) == len(rig.tables().actions)
+        assert fan[told.action, :2] == pytest.approx(told.predicted[:2], abs=1e-5)
+        turned = np.angle(np.exp(1j * (fan[told.action, 2] - float(told.predicted[2]))))
+        assert abs(turned) < 1e-5
+
+
+def test_the_tree_begins_with_the_decision_and_is_as_deep_as_the_plan() -> None:
+    recording, _, _ = rig.swim("pool", "sine", 6.0)
+    decision = recording.decisions[-1]
+    tree = tree_of(rig.tables(), shape("sine"), CONFIG, decision)
+    assert len(tree.branch) == 4 and len(tree.fans) == len(tree.names) == 3
+    assert tree.names[0] == rig.tables().actions[decision.action].name
+    assert tree.branch[:2] == [decision.estimate[:3].tolist(), decision.predicted[:3].tolist()]
+    actions = [row.name for row in rig.tables().actions]
+    for level, fan in enumerate(tree.fans):  # the branch goes on along one of each node's actions
+        end = fan[actions.index(tree.names[level])]
+        assert end[:2] == pytest.approx(tree.branch[level + 1][:2], abs=1e-5)
+    alone = tree_of(rig.tables(), shape("sine"), PlanConfig(depth=1), decision)
+    assert len(alone.branch) == 2 and len(alone.fans) == 1
+
+
+def test_the_newest_state_is_told() -> None:
+    recording, pool, _ = rig.swim("pool", "sine", 6.0)
+    view = LiveView(rig.tables(), shape("sine"), CONFIG, OUTLINE)
+    assert json.loads(view.text) == {}
+    view.show(recording, np.array(pool.truth.pose_world))
+    told = json.loads(view.text)
+    assert len(told["path"]) == 100 and len(told["decisions"]) == len(recording.decisions)
+    assert len(told["branch"]) == 4 and len(told["fan"]) == 3 * len(rig.tables().actions)
+    assert told["track"][-1] == pytest.approx(pool.truth.pose_world[-1], abs=1e-4)
+    assert len(told["letters"]) == len(told["decisions"]) and set("".join(told["letters"])) <= set(
+        "ABCDEFGHI"
+    )
+    assert told["camera"] is None
+    *corners, centre, foremost = told["robot"]
+    assert centre == pytest.approx(pool.truth.pose_world[-1][:2], abs=1e-4) and len(corners) == len(OUTLINE)
+    ahead = np.array(foremost) - centre
+    assert np.arctan2(ahead[1], ahead[0]) == pytest.approx(pool.truth.pose_world[-1][2], abs=5e-3)
+    apart = np.hypot(*(np.array(corners) - centre).T)
+    assert apart == pytest.approx(np.hypot(*np.array(OUTLINE).T), abs=2e-4)
+    assert told["fix_age_s"] == pytest.approx(0.08, abs=0.05)
+
+
+def test_a_run_without_a_decision_is_drawn_too() -> None:
+    from frogkick.runs.closed_loop import Recording
+
+    view = LiveView(rig.tables(), shape("line"), CONFIG, OUTLINE)
+    view.show(Recording())
+    told = json.loads(view.text)
+    assert (told["fixes"], told["decisions"], told["branch"], told["fix_age_s"]) == ([], [], [], None)
+
+
+def fetched(address: str) -> str:
+    with urllib.request.urlopen(address, timeout=60.0) as answer:
+        return str(answer.read().decode())
+
+
+def test_the_page_is_served_here_alone() -> None:
+    with served(lambda: '{"newest": 1}') as address:
+        assert address.startswith(f"http://{HOST}:") and HOST == "127.0.0.1"
+        assert fetched(address) == page()
+        assert fetched(address + "state.json") == '{"newest": 1}'
+        for name in ("etc/passwd", "picture.jpg"):
+            with pytest.raises(HTTPError, match="404"):
+                fetched(address + name)
+    assert not re.search(r"https?:|src=|@import|url[(]", page()), "it needs no other file"
+
+
+def test_the_command_draws_a_run(tmp_path: Path) -> None:
+    """In real time: it takes no less than what is simulated."""
+    began = time.monotonic()
+    process = subprocess.Popen(
+        [
+            sys.executable, "-m", "frogkick.cli.main", "run", "--robot", "pool", "--path", "line", "--view",
+            "--tables", str(rig.small_table()), "--simulated-time", "3", "--json",
+        ],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=tmp_path,
+    )  # fmt: skip
+    assert process.stderr is not None and process.stdout is not None
+    address = ""
+    while not address:
+        line = process.stderr.readline()
+        assert line, "it ended without an address"
+        found = re.search(r"the run is drawn at (http://\S+)", line)
+        address = found[1] if found else ""
+    seen: list[dict[str, Any]] = []
+    while process.poll() is None:
+        try:
+            told = json.loads(fetched(address + "state.json"))
+        except OSError:
+            break
+        if told:
+            seen.append(told)
+        time.sleep(0.1)
+    out, _ = process.communicate(timeout=300)
+    assert process.returncode == 0 and json.loads(out)["decisions"] >= 2
+    assert time.monotonic() - began > 3.0
+    counts = [len(told["decisions"]) for told in seen]
+    assert counts == sorted(counts) and counts[-1] >= 2 and len(set(counts)) >= 2
+    assert seen[-1]["branch"] and len(seen[-1]["track"]) > 10
+
+
+def test_the_page_s_button_stops_a_run_and_no_other_page_does(capsys: pytest.CaptureFixture[str]) -> None:
+    answers: list[int] = []
+    told: list[int] = []
+    address = ""
+
+    def press(headers: dict[str, str]) -> None:
+        nonlocal address
+        address = address or re.findall(r"http://\S+", capsys.readouterr().err)[0]
+        asked = urllib.request.Request(address + "stop", data=b"", headers=headers, method="POST")
+        try:
+            with urllib.request.urlopen(asked, timeout=60.0) as answer:
+                answers.append(answer.status)
+        except HTTPError as error:
+            answers.append(error.code)
+
+    def progress(done: int, _whole: int) -> None:
+        told.append(done)
+        if len(told) == 3:
+            press({})
+        if len(told) == 4:
+            press({ASKS: "stop"})
+
+    began_s = time.monotonic()
+    found = fk.run(rig.small_table(), "sine", view=True, time_limit_s=600.0, progress=progress)
+    assert answers == [404, 204], "a page from elsewhere cannot send the header"
+    assert found.ended == STOPPED and 3 <= len(found.actions) <= 6 and time.monotonic() - began_s < 300.0
+    assert "<button" in page(stops=True) and "<button" not in page()
+
+
+def test_a_log_is_played(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    fk.run(rig.small_table(), "sine", time_limit_s=6.0, out=tmp_path / "run.h5")
+    log = fk.load_run(tmp_path / "run.h5").log
+    process = subprocess.Popen(
+        [
+            sys.executable, "-m", "frogkick.cli.main", "log", "show", str(tmp_path / "run.h5"),
+            "--view", "--speed", "2", "--json",
+        ],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    assert process.stderr is not None
+    address = re.findall(r"is played at (http://\S+)", process.stderr.readline())[0]
+    seen, began_s = [json.loads(fetched(address + "state.json"))], time.monotonic()
+    while process.poll() is None and not seen[-1]["ended"]:
+        time.sleep(0.05)
+        seen.append(json.loads(fetched(address + "state.json")))
+    took_s = time.monotonic() - began_s
+    out, _ = process.communicate(timeout=300)
+    assert process.returncode == 0 and json.loads(out)["decisions"] == len(log.decisions)
+    assert took_s >= 0.5 * (log.fixes.time_s.max() - log.fixes.time_s.min())
+    assert seen[-1]["ended"] == log.notes
+    counts = [len(state["decisions"]) for state in seen]
+    assert counts == sorted(counts) and counts[0] == 0 and counts[-1] == len(log.decisions)
+    assert seen[-1]["letters"] == [log.action_names[index] for index in log.decisions.action]
+    told = log.decisions
+    assert told.estimate is not None and told.predicted is not None and log.truth is not None
+    assert seen[-1]["branch"] == [
+        pytest.approx(rows[-1, :3].tolist(), abs=1e-4) for rows in (told.estimate, told.predicted)
+    ]
+    assert seen[-1]["track"][-1] == pytest.approx(log.truth.pose_world[-1].tolist(), abs=1e-4)
+    assert len(seen[-1]["robot"]) == len(rig.robot().frame.corners_m) + 2
+    with pytest.raises(fk.InputError, match="speed 0"):
+        fk.Run(log).play(0.0)
+
+
+def test_a_recorded_run_is_played_by_its_fixes(frog2022_dir: Path) -> None:
+    log = fk.load_run(frog2022_dir / "control" / "line1.csv").log
+    view = LiveView(None, log.path, None, [])
+    view.show_log(log, float(log.decisions.time_s[3]))
+    told = json.loads(view.text)
+    assert len(told["decisions"]) == len(told["letters"]) == 4 and not told["branch"] and not told["ended"]
+    view.show_log(log, 1e6)
+    assert len(json.loads(view.text)["decisions"]) == len(log.decisions)
+
+
+def test_a_real_run_is_drawn_by_a_thread_of_its_own(capsys: pytest.CaptureFixture[str]) -> None:
+    """What is recorded is handed over and no more: fixes wait for no picture."""
+    recording, _, _ = rig.swim("pool", "sine", 4.0)
+    options = RunOptions(CONFIG)
+    with viewed(True, rig.robot(), rig.tables(), shape("sine"), options) as keep:
+        address = re.findall(r"http://\S+", capsys.readouterr().err)[0]
+        keep(recording)
+        deadline_s = time.monotonic() + 120.0
+        while not (told := json.loads(fetched(address + "state.json"))).get("decisions"):
+            assert time.monotonic() < deadline_s, "nobody draws"
+            time.sleep(0.02)
+    assert len(told["decisions"]) == sum(one.status == 0 for one in recording.decisions)

@@ -1,0 +1,84 @@
+"""Replay: recorded runs of the paper, and our own logs decided again as they were."""
+
+from __future__ import annotations
+
+import dataclasses
+import pathlib
+
+import numpy as np
+import pytest
+from tests.conftest import count
+from tests.runs import rig
+
+from frogkick.core.errors import InputError
+from frogkick.paths import shape
+from frogkick.planner.plan import PlanConfig
+from frogkick.runs.record import run_log
+from frogkick.runs.recorded import load_run
+from frogkick.runs.recorded.importer import RUN_NAME
+from frogkick.runs.replay import Replay, replay
+from frogkick.runs.runlog import Decisions, FixFlag, RunLog
+from frogkick.runs.runlog_file import read_run, write_run
+
+
+def both(run: RunLog, place: str, depth: int = 1) -> Replay:
+    return replay(run, rig.tables(), PlanConfig(depth=depth), rig.port(place), host=True)
+
+
+@pytest.mark.parametrize(
+    ("name", "place", "depth"),
+    [("line1", "virtual", 1), ("line1", "virtual", 3), ("sin1", "pool", 1), ("ellipse1", "pool", 3)],
+)
+def test_recorded_runs_are_decided_alike_on_board_and_on_the_host(
+    frog2022_dir: pathlib.Path, name: str, place: str, depth: int
+) -> None:
+    run = load_run(frog2022_dir / "control" / f"{name}.csv")
+    result = both(run, place, depth)
+    assert result.differences == []
+    assert len(result.onboard) == len(result.host) == len(run.decisions) > 0
+    assert [d.scheduled_us for d in result.onboard] == [d.scheduled_us for d in result.host]
+    assert sum(d.status == 0 for d in result.onboard) > len(run.decisions) // 2
+    assert result.agreement is not None and 0.0 <= result.agreement <= 1.0
+
+
+def test_all_recorded_runs(frog2022_dir: pathlib.Path) -> None:
+    files = [file for file in sorted((frog2022_dir / "control").iterdir()) if RUN_NAME.fullmatch(file.name)]
+    for file in files[: count(2, len(files))]:
+        assert both(load_run(file), "pool").differences == [], file.name
+
+
+@pytest.fixture(scope="module")
+def own_log(tmp_path_factory: pytest.TempPathFactory) -> RunLog:
+    recording, pool, options = rig.swim("pool", "sine", 8.0, depth=2)
+    log = run_log(recording, pool, rig.robot(), rig.tables(), shape("sine"), options, 0, "test")
+    target = tmp_path_factory.mktemp("log") / "run.h5"
+    write_run(target, log)
+    return read_run(target)
+
+
+@pytest.mark.parametrize("place", ["virtual", "pool"])
+def test_our_own_log_gives_the_decisions_that_were_logged(own_log: RunLog, place: str) -> None:
+    result = both(own_log, place, depth=2)
+    assert result.differences == []
+    assert result.actions == [own_log.action_names[index] for index in own_log.decisions.action]
+    assert result.agreement == 1.0
+
+
+def test_the_host_alone_decides_our_own_log_again(own_log: RunLog) -> None:
+    result = replay(own_log, rig.tables(), PlanConfig(depth=2), None, host=True)
+    assert result.agreement == 1.0
+    assert result.onboard == [] and result.differences == []
+    assert result.recorded == result.actions
+
+
+def test_a_run_without_what_a_replay_needs_is_refused(own_log: RunLog) -> None:
+    bare = dataclasses.replace(own_log, path=None)
+    with pytest.raises(InputError, match="has no path"):
+        both(bare, "pool")
+    none = dataclasses.replace(own_log, decisions=Decisions([], [], [], []))
+    with pytest.raises(InputError, match="no decisions"):
+        both(none, "pool")
+    lost = np.full(len(own_log.fixes), int(FixFlag.MISSING))
+    blind = dataclasses.replace(own_log, fixes=dataclasses.replace(own_log.fixes, flags=lost))
+    with pytest.raises(InputError, match="no usable fix"):
+        both(blind, "pool")

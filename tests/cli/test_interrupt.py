@@ -209,7 +209,7 @@ def test_while_processes_are_started(tmp_path: Path, when: str) -> None:
     program = (
         "import os, signal\n"
         "from frogkick.cli import main\n"
-        "from frogkick import chunks\n"
+        "from frogkick.core import chunks\n"
         "real = chunks.ProcessPoolExecutor\n"
         "def press(): os.kill(os.getpid(), signal.SIGINT)\n"
         "def begin(*given, **named):\n"

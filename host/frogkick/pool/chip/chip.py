@@ -10,7 +10,7 @@ from typing import Any, Final
 import unicorn as unicorn_module
 from unicorn import arm_const
 
-from frogkick.core.interrupts import ctrl_c_waits
+from frogkick.core.interrupts import ctrl_c_comes_after
 from frogkick.pool.chip.bus import FLASH_BYTES, Peripheral
 from frogkick.pool.chip.clock import Clock, Ficr, Nvmc, Rng
 from frogkick.pool.chip.core import CoreRegisters
@@ -208,7 +208,7 @@ class VirtualChip:
         """
         self._hung = hangs
 
-    @ctrl_c_waits()  # in a register's callback it would be lost, and the register's value with it
+    @ctrl_c_comes_after()  # in a register's callback it would be lost, and the register's value with it
     def run_until(self, time_us: float) -> None:
         """Let the chip live until a virtual time; it may go over by the rest of one instruction or IT block.
 
@@ -237,7 +237,7 @@ class VirtualChip:
             self._failed = error
             raise
 
-    @ctrl_c_waits()
+    @ctrl_c_comes_after()
     def call(self, function: str, *arguments: int | float) -> tuple[int, int]:
         """Let the sleeping chip call one function of its firmware, and sleep on afterwards.
 

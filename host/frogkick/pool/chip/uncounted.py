@@ -12,7 +12,7 @@ from typing import Any, Final
 import unicorn as unicorn_module
 from unicorn import arm_const
 
-from frogkick.core.interrupts import ctrl_c_waits
+from frogkick.core.interrupts import ctrl_c_comes_after
 from frogkick.pool.chip.bus import FLASH_BYTES, RAM_BASE, RAM_BYTES
 from frogkick.pool.chip.chip import VirtualChip
 from frogkick.pool.chip.emulator import RETURN_ADDRESS, add_hooks, set_arguments
@@ -56,7 +56,7 @@ class UncountedCalls:
         """Read the copy's RAM."""
         return bytes(self._uc.mem_read(address, count))
 
-    @ctrl_c_waits()
+    @ctrl_c_comes_after()
     def call(self, function: str, *arguments: int | float) -> int:
         """Call a function: see ``VirtualChip.call``. Returns register r0.
 

@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 from tests.vision.scenes import Told, aside, calibration, drawn_pose, scene
 
-from frogkick.vision.plane import wrap
+from frogkick.core.poses import wrap_angle
 from frogkick.vision.scene import looking_at
 from frogkick.vision.tracker import Tracker
 
@@ -52,7 +52,9 @@ def main(frames: int) -> None:
             windows += again.windowed
             if seen.pose is not None:
                 pose = seen.pose
-                off.append([pose.x_m - truth[0], pose.y_m - truth[1], wrap(pose.heading_rad - truth[2])])
+                off.append(
+                    [pose.x_m - truth[0], pose.y_m - truth[1], wrap_angle(pose.heading_rad - truth[2])]
+                )
                 left.append(np.array(off[-1][:2]) - height_m * rng.heave * aside(one, truth[:2]))
         errors = np.array(off).reshape(-1, 3)
         place, turn = 1e3 * np.hypot(errors[:, 0], errors[:, 1]), np.degrees(np.abs(errors[:, 2]))

@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from frogkick.core.poses import wrap_angle
 from frogkick.vision.calibration import Calibration, Tag
 from frogkick.vision.corners import calibrate_corners
-from frogkick.vision.plane import wrap
 from frogkick.vision.scene import Conditions, Scene
 from frogkick.vision.tracker import Observation, Tracker
 
@@ -77,5 +77,5 @@ def errors(
         seen.append(one)
         if one.pose is not None:
             pose = one.pose
-            off.append([pose.x_m - truth[0], pose.y_m - truth[1], wrap(pose.heading_rad - truth[2])])
+            off.append([pose.x_m - truth[0], pose.y_m - truth[1], wrap_angle(pose.heading_rad - truth[2])])
     return np.array(off).reshape(-1, 3), seen

@@ -7,7 +7,7 @@ import pytest
 from tests.conftest import count
 from tests.vision.scenes import Told, aside, calibration, drawn_pose, errors, scene
 
-from frogkick.vision.plane import wrap
+from frogkick.core.poses import wrap_angle
 from frogkick.vision.tracker import Tracker
 
 POSES = count(12, 500, 6)
@@ -53,7 +53,7 @@ def test_the_heading_holds_on_waves_that_tilt_the_tag(wave_height_m: float) -> N
         truth = drawn_pose(rough, rng)
         tracker.forget()
         pose = tracker.observe(rough.picture(truth, rng), 0.0).pose
-        flat_off += [] if pose is None else [wrap(pose.heading_rad - truth[2])]
+        flat_off += [] if pose is None else [wrap_angle(pose.heading_rad - truth[2])]
     assert np.std(flat_off) > 2.0 * np.std(off[:, 2])
 
 
@@ -124,11 +124,11 @@ def test_a_moving_tag_is_followed_in_a_window() -> None:
     windowed = []
     for k in range(count(12, 300)):
         time_s = k / 30
-        truth = (0.6 + 0.3 * np.cos(time_s), 0.45 + 0.3 * np.sin(time_s), wrap(2.0 * time_s))
+        truth = (0.6 + 0.3 * np.cos(time_s), 0.45 + 0.3 * np.sin(time_s), wrap_angle(2.0 * time_s))
         seen = tracker.observe(usual.picture(truth, rng), time_s)
         assert seen.pose is not None, (k, seen.reason)
         assert np.hypot(seen.pose.x_m - truth[0], seen.pose.y_m - truth[1]) < 1e-3
-        assert abs(wrap(seen.pose.heading_rad - truth[2])) < np.deg2rad(0.5)
+        assert abs(wrap_angle(seen.pose.heading_rad - truth[2])) < np.deg2rad(0.5)
         windowed.append(seen.windowed)
     assert windowed == [False] + [True] * (len(windowed) - 1)
 

@@ -12,8 +12,8 @@ import numpy.typing as npt
 import pytest
 from tests.vision.scenes import calibration, scene
 
+from frogkick.core.poses import wrap_angle
 from frogkick.vision.calibration import Calibration, Tag
-from frogkick.vision.plane import wrap
 from frogkick.vision.tags import tag_cells
 from frogkick.vision.template import fit_template, likeliest_turn, templates
 from frogkick.vision.tracker import Tracker, find_corners
@@ -75,7 +75,7 @@ def test_the_heading_of_the_golden_tag(turn: int, heading_deg: float) -> None:
     seen = Tracker(from_above(0.048)).observe(photograph(golden(), turn), 3.5)
     assert seen.reason == "found"
     assert seen.pose is not None
-    assert np.degrees(abs(wrap(seen.pose.heading_rad - np.deg2rad(heading_deg)))) < 0.1
+    assert np.degrees(abs(wrap_angle(seen.pose.heading_rad - np.deg2rad(heading_deg)))) < 0.1
     # 60 px across from 130: the centre is between pixels 159 and 160, 119 and 120.
     assert np.allclose([seen.pose.x_m, seen.pose.y_m], [0.1595, 0.1195], atol=5e-5)
     assert seen.pose.capture_s == 3.5

@@ -21,10 +21,10 @@ from tests.vision.scenes import calibration, drawn_pose, errors, scene
 from tests.vision.test_golden_tag import from_above, photograph
 
 from frogkick.core.errors import InputError
+from frogkick.core.poses import wrap_angle
 from frogkick.vision import standard
 from frogkick.vision.calibration import Tag
 from frogkick.vision.calibration_file import read_calibration
-from frogkick.vision.plane import wrap
 from frogkick.vision.scene import Scene, clutter
 from frogkick.vision.tags import STANDARD, tag_cells
 from frogkick.vision.template import fit_template, templates
@@ -78,7 +78,7 @@ def test_the_heading_of_the_golden_tag(turn: int, heading_deg: float) -> None:
         photograph(golden(), turn), 3.5
     )
     assert seen.reason == "found" and seen.pose is not None
-    assert np.degrees(abs(wrap(seen.pose.heading_rad - np.deg2rad(heading_deg)))) < 0.1
+    assert np.degrees(abs(wrap_angle(seen.pose.heading_rad - np.deg2rad(heading_deg)))) < 0.1
     # 54 px across from 133 (and 93): the centre is at pixel 159.5, 119.5.
     assert np.allclose([seen.pose.x_m, seen.pose.y_m], [0.1595, 0.1195], atol=5e-5)
     assert seen.pose.capture_s == 3.5

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import copy
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from frogkick.core.poses import rotation
 from frogkick.der.body import MOTION, SUMS, body_motion, place_nodes
 from frogkick.der.compiled import run_steps, set_accelerations, set_sums
 from frogkick.der.lanes import Numbers, lane_floats, lane_zeros
@@ -238,8 +238,7 @@ class Batch:
 
     def shift(self, lane: int, pose_world: Sequence[float], velocity_world: Sequence[float]) -> None:
         """Move a lane's robot as a whole: by (m, m, rad about its centre), and its velocity likewise."""
-        c, s = math.cos(pose_world[2]), math.sin(pose_world[2])
-        turn = np.array([[c, -s], [s, c]])
+        turn = rotation(pose_world[2])
         x, v, a = (lane_floats(each) for each in (self._state.x_m, self._state.v_mps, self._state.a_mps2))
         centre = self._state.motion()[lane, :2]
         arms = (x[..., lane] - centre) @ turn.T

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from frogkick.core.errors import ConvergenceError, InputError
+from frogkick.core.poses import body_from_world
 from frogkick.der.batch import WIDTH, Batch, Failure
 from frogkick.der.swimmer import STEP_S, Rods, batch_of, prepare
 from frogkick.robot import Action, Robot
@@ -136,13 +137,6 @@ def simulate_many(
             rows = np.concatenate([before[lane : lane + 1], *(leg[lane][1] for leg in legs)])
             pose[first + lane], speed[first + lane] = between(ends, rows, times)
     return Motions(times, pose, speed, failures)
-
-
-def body_from_world(heading_rad: FloatArray, velocity: FloatArray) -> FloatArray:
-    """Velocities (.., 3) seen from frames turned by (..) headings; minus the heading turns them back."""
-    c, s = np.cos(heading_rad), np.sin(heading_rad)
-    vx, vy, omega = np.moveaxis(velocity, -1, 0)
-    return np.stack([c * vx + s * vy, c * vy - s * vx, omega], axis=-1)
 
 
 def cubic(

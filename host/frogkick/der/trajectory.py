@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from frogkick.core.errors import ConvergenceError, InputError
+from frogkick.core.poses import wrap_angle
 from frogkick.der.strokes import Acts, program_of, simulate_many
 from frogkick.der.swimmer import STEP_S, Rods, prepare
 from frogkick.robot import Action, Robot
@@ -65,8 +66,7 @@ def trajectory_of(
     power_w = energy_j / float(time_s[-1])
     cost = power_w / (robot.mass_kg * STANDARD_GRAVITY_MPS2 * speed_mps) if speed_mps > 0.0 else math.inf
     distance = math.hypot(x_m[-1] - x_m[0], y_m[-1] - y_m[0])
-    wrapped = heading - 2.0 * math.pi * np.ceil((heading - math.pi) / (2.0 * math.pi))
-    poses = np.column_stack([x_m, y_m, wrapped])
+    poses = np.column_stack([x_m, y_m, wrap_angle(heading)])
     return Trajectory(time_s, poses, velocity_body, speed_mps, distance, cost)
 
 

@@ -10,6 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from frogkick.core.errors import InputError
+from frogkick.core.poses import rotate
 from frogkick.der import STILL, Batch, Rods, Swimmer, Water, prepare
 from frogkick.effects.base import Body, Effect, Fix, FloatArray, History, Stroke
 from frogkick.effects.registry import effects_of
@@ -179,12 +180,8 @@ class ActingLanes:
         total = np.zeros(3)
         for effect in self._wrenches:
             total += _numbers(effect, "wrench", effect.wrench(time_s, seen), 3)
-        c, s = math.cos(heading), math.sin(heading)
-        return (
-            float(c * total[0] - s * total[1]) / body.mass_kg,
-            float(s * total[0] + c * total[1]) / body.mass_kg,
-            float(total[2]) / body.inertia_kg_m2,
-        )
+        force_x, force_y = rotate(heading, float(total[0]), float(total[1]))
+        return force_x / body.mass_kg, force_y / body.mass_kg, float(total[2]) / body.inertia_kg_m2
 
 
 class Acting:

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
+from frogkick.core.poses import rotate
 from frogkick.effects.base import Effect, Fix, Parameter
 
 
@@ -47,9 +46,9 @@ class TagOffset(Effect):
     turn_rad: float
 
     def fix(self, fix: Fix, rng: np.random.Generator) -> Fix:
-        c, s = math.cos(fix.heading_rad), math.sin(fix.heading_rad)
-        fix.x_m += c * self.forward_m - s * self.left_m
-        fix.y_m += s * self.forward_m + c * self.left_m
+        x_m, y_m = rotate(fix.heading_rad, self.forward_m, self.left_m)
+        fix.x_m += x_m
+        fix.y_m += y_m
         fix.heading_rad += self.turn_rad
         return fix
 

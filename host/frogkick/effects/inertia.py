@@ -14,6 +14,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from frogkick.core.poses import rotate
 from frogkick.effects.base import Effect, Fix, Parameter
 from frogkick.robot import Robot
 from frogkick.robot.model import Frame, Limb
@@ -95,9 +96,9 @@ class OffCentreMass(Effect):
         return replace(robot, frame=with_inertia(robot.frame, moved, 0.0))
 
     def fix(self, fix: Fix, rng: np.random.Generator) -> Fix:
-        c, s = math.cos(fix.heading_rad), math.sin(fix.heading_rad)
-        fix.x_m -= c * self.forward_m - s * self.left_m
-        fix.y_m -= s * self.forward_m + c * self.left_m
+        x_m, y_m = rotate(fix.heading_rad, self.forward_m, self.left_m)
+        fix.x_m -= x_m
+        fix.y_m -= y_m
         return fix
 
 

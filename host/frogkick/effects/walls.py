@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from frogkick.core.errors import InputError, nearest_name
+from frogkick.core.poses import rotate
 from frogkick.effects.base import Body, Effect, FloatArray, Parameter
 from frogkick.robot import Robot
 
@@ -107,9 +107,8 @@ class Wall(Effect):
     def wrench(self, time_s: float, body: Body) -> Sequence[float]:
         x_m, y_m, heading = body.pose_world
         forward_mps, left_mps, omega = body.velocity_body
-        c, s = math.cos(heading), math.sin(heading)
         across, along = OUTWARD[self.side]
-        out_x, out_y = c * across + s * along, c * along - s * across  # in the body's frame
+        out_x, out_y = rotate(-heading, across, along)  # in the body's frame
         room_m = self.at_m - across * x_m - along * y_m
         share = self.drag_ns_per_m / len(self._corners)
         stiffness_n_per_m = SOFT_N_PER_M * self.hardness / (1.0 - self.hardness)

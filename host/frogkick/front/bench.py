@@ -14,6 +14,7 @@ from typing import Protocol
 import numpy as np
 
 from frogkick.core.errors import InputError, nearest_name
+from frogkick.core.poses import rotation
 from frogkick.core.progress import tell_line
 from frogkick.effects import World
 from frogkick.front.places import built_firmware, start_pose
@@ -158,8 +159,7 @@ class Sight:
         x_m, y_m, heading_rad = pose_world if self.begin == "here" else parse_begin(self.begin)
         first = np.array([path.x_m[0], path.y_m[0]], dtype=np.float64)
         turn = heading_rad - float(path.tangent_rad[0])
-        c, s = math.cos(turn), math.sin(turn)
-        shift = np.array([x_m, y_m]) - np.array([[c, -s], [s, c]]) @ first
+        shift = np.array([x_m, y_m]) - rotation(turn) @ first
         return path.place((float(shift[0]), float(shift[1]), turn))
 
 

@@ -7,7 +7,8 @@ from pathlib import Path
 import numpy as np
 
 from frogkick.core.errors import InputError
-from frogkick.der.strokes import body_from_world, cubic
+from frogkick.core.poses import body_from_world
+from frogkick.der.strokes import cubic
 from frogkick.library.store import Library, library_of, read_library, read_recorded
 from frogkick.robot import Robot
 

@@ -10,6 +10,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from frogkick.core.compiled import stamp_of
+from frogkick.core.poses import wrap_angle
 from frogkick.library.build import sample_library
 from frogkick.library.store import Library
 from frogkick.library.transitions import IntArray
@@ -60,7 +61,7 @@ def error_on(tables: Tables, unseen: Library) -> dict[str, float]:
 
 def rms_gap(gap: FloatArray) -> dict[str, float]:
     """Root mean square of differences (n, a, 6), by what they are of."""
-    turn = np.arctan2(np.sin(gap[..., 2]), np.cos(gap[..., 2]))
+    turn = wrap_angle(gap[..., 2])
 
     def rms(*columns: FloatArray) -> float:
         return float(np.sqrt(np.mean(np.sum(np.square(columns), axis=0))))

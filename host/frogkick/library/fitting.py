@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from frogkick.core.errors import InputError, nearest_name
+from frogkick.core.poses import wrap_angle
 from frogkick.library.cells import Cells, Division
 from frogkick.library.error import looked_up, rms_gap
 from frogkick.library.quantise import quantise, table_fields
@@ -222,7 +223,7 @@ class _Fit:
             open_image(image), library.initial_velocity_body[held], library.previous_actions[held]
         )
         gap = found - library.rows()[held]
-        gap[..., 2] = np.arctan2(np.sin(gap[..., 2]), np.cos(gap[..., 2]))
+        gap[..., 2] = wrap_angle(gap[..., 2])
         score = float(np.sqrt(np.mean((gap / noise_of(self._robot)) ** 2)))
         return Fitted(image, kind, rms_gap(gap), score)
 

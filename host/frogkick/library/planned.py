@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from frogkick.core.chunks import Job, run_chunks
 from frogkick.core.errors import ConvergenceError
+from frogkick.core.poses import wrap_angle
 from frogkick.der import STEP_S, WIDTH, Rods
 from frogkick.der.swimmer import batch_of
 from frogkick.effects import rods_of
@@ -117,8 +118,7 @@ def _random_path(tables: Tables, rng: np.random.Generator) -> _Path:
     steps = np.diff(along)
     x = np.concatenate([[0.0], np.cumsum(np.cos(heading[:-1]) * steps)])
     y = np.concatenate([[0.0], np.cumsum(np.sin(heading[:-1]) * steps)])
-    wrapped = np.arctan2(np.sin(heading), np.cos(heading))
-    return _Path(*(column.astype(np.float32) for column in (x, y, wrapped)))
+    return _Path(*(column.astype(np.float32) for column in (x, y, wrap_angle(heading))))
 
 
 def _swim(rods: Rods, tables: Tables, paths: Sequence[_Path], strokes: int) -> list[list[int]]:

@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from frogkick.core.errors import ConvergenceError
+from frogkick.core.poses import relative
 from frogkick.der import STEP_S, WIDTH, Batch, Rods, program_of
-from frogkick.der.strokes import between, body_from_world
+from frogkick.der.strokes import between
 from frogkick.der.swimmer import batch_of
 from frogkick.effects import ActingLanes, body_effects
 from frogkick.robot import Robot
@@ -196,7 +197,7 @@ def _branch(
         steps[np.cumsum([len(leg[lane][0]) for leg in legs])] = ends  # to the last bit
         traced = np.concatenate([before[lane : lane + 1], *(leg[lane][1] for leg in legs)])
         pose, speed = between(steps, traced, times)
-        moved = body_from_world(origin[source, 2], pose - origin[source])
+        moved = relative(origin[source], pose)
         motion = np.concatenate([moved, speed], axis=1)
         found.append((motion[at_period], motion[kept]))
     return found

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from frogkick.core.errors import InputError
+from frogkick.core.poses import rotation, wrap_angle
 
 # fk_path_t holds this many points (FK_PATH_POINTS_MAX in fk_planner.h); the paper's paths have exactly 100.
 POINTS_MAX = 100
@@ -18,14 +19,6 @@ COORDINATE_MAX_M = 1000.0
 
 Float32 = NDArray[np.float32]
 Float64 = NDArray[np.float64]
-
-
-def wrap_angle(angle_rad: ArrayLike) -> Float64:
-    """Wrap angles to (-pi, pi], in float64, same shape as given."""
-    angle = np.asarray(angle_rad, dtype=np.float64)
-    wrapped = np.pi - np.mod(np.pi - angle, 2.0 * np.pi)
-    # mod may round up to its divisor: such an angle is -pi, which belongs to +pi.
-    return np.where(wrapped <= -np.pi, np.pi, wrapped)
 
 
 def tangent_float32(tangent_rad: ArrayLike) -> Float32:
@@ -147,8 +140,7 @@ class Path:
             raise InputError(
                 f"path {self.name!r} cannot be placed at {pose.tolist()}: give x m, y m, heading rad"
             )
-        cos, sin = np.cos(pose[2]), np.sin(pose[2])
-        points = self.points_m @ np.array([[cos, sin], [-sin, cos]]) + pose[:2]
+        points = self.points_m @ rotation(pose[2]).T + pose[:2]
         return Path.from_arrays(
             points[:, 0], points[:, 1], self.tangent_rad.astype(np.float64) + pose[2], self.name
         )

@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from frogkick.core.errors import InputError
+from frogkick.core.poses import wrap_angle
 
 
 @dataclass(frozen=True)
@@ -90,7 +91,7 @@ def measure(
     """
     sigma = np.array([camera.position_noise_m, camera.position_noise_m, camera.heading_noise_rad])
     noisy = np.asarray(pose_world, dtype=np.float64) + sigma * rng.standard_normal(3)
-    noisy[2] = np.arctan2(np.sin(noisy[2]), np.cos(noisy[2]))
+    noisy[2] = wrap_angle(noisy[2])
     return Fix(sequence & 0xFFFF, capture_s, capture_s + camera.delay_s, noisy.astype(np.float32))
 
 

@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Arc, Polygon, Rectangle
 
 from frogkick.core.files import atomic_path
+from frogkick.core.poses import rotation
 from frogkick.report import style
 from frogkick.report.robot_figure import require_picture_name
 
@@ -100,10 +101,9 @@ def _above(axes: Axes) -> None:
 
 def _robot(axes: Axes) -> None:
     x, y, heading = POSE
-    turn = np.array([[math.cos(heading), -math.sin(heading)], [math.sin(heading), math.cos(heading)]])
 
     def place(forward_m: float, left_m: float) -> np.ndarray:
-        return np.asarray(np.array([x, y]) + turn @ np.array([forward_m, left_m]))
+        return np.asarray(np.array([x, y]) + rotation(heading) @ np.array([forward_m, left_m]))
 
     half = SIDE_M / 2
     axes.add_patch(

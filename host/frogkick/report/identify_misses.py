@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from frogkick.core.poses import body_from_world, wrap_angle
 from frogkick.identification.fit import Fitted
 from frogkick.identification.outcome import Outcome
 from frogkick.identification.steps import whitener
@@ -43,14 +44,12 @@ class Misses:
     def missed_world(self, which: str) -> FloatArray:
         """(n, 3) measured minus predicted by "nominal" or "found": m, m, rad."""
         gap = self.measured - getattr(self, which)
-        gap[:, 2] = np.arctan2(np.sin(gap[:, 2]), np.cos(gap[:, 2]))
+        gap[:, 2] = wrap_angle(gap[:, 2])
         return np.asarray(gap)
 
     def missed_body(self, which: str) -> FloatArray:
         """(n, 3) the same forward, left (m) and heading (rad), by the heading at the start."""
-        gap = self.missed_world(which)
-        c, s = np.cos(self.pose[:, 2]), np.sin(self.pose[:, 2])
-        return np.column_stack([c * gap[:, 0] + s * gap[:, 1], c * gap[:, 1] - s * gap[:, 0], gap[:, 2]])
+        return body_from_world(self.pose[:, 2], self.missed_world(which))
 
 
 def misses_of(outcome: Outcome) -> Misses:

@@ -10,7 +10,7 @@ import numpy.typing as npt
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from frogkick.paths import wrap_angle
+from frogkick.core.poses import wrap_angle
 from frogkick.report import style
 from frogkick.runs.residual import Residual, residual, true_poses_at
 from frogkick.runs.runlog import RunLog

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from frogkick.core.poses import compose, rotation
 from frogkick.paths import Path
 from frogkick.planner import lookup
 from frogkick.planner.plan import PlanConfig, PlanError, plan
@@ -35,14 +36,10 @@ def fan_of(tables: Tables, state: NDArray[np.float32], limb_use: tuple[int, ...]
         dynamics[axis] = lookup.velocity_code(np.float32(state[3 + axis]), per_velocity)
     dynamics[3:] = limb_use
     row = lookup.find_row(arrays, dynamics)
-    x, y, heading = (float(value) for value in state[:3])
-    c, s = np.cos(heading), np.sin(heading)
-    motion, poses = np.zeros(3, dtype=np.float32), []
-    for action in range(len(tables.actions)):
+    motions = np.zeros((len(tables.actions), 3), dtype=np.float32)
+    for action, motion in enumerate(motions):
         lookup.motion_of(arrays, row, dynamics, action, motion)
-        forward, left, turn = (float(value) for value in motion)
-        poses.append((x + c * forward - s * left, y + s * forward + c * left, heading + turn))
-    return np.array(poses)
+    return compose(np.asarray(state[:3], dtype=np.float64), motions.astype(np.float64))
 
 
 @dataclass(frozen=True)
@@ -173,9 +170,7 @@ class LiveView:
             return np.zeros((0, 2))
         corners = np.array(self.outline_m, dtype=np.float64)
         ends = np.vstack([corners, [[0.0, 0.0], [corners[:, 0].max(), 0.0]]])
-        x, y, heading = (float(value) for value in poses[-1])
-        c, s = np.cos(heading), np.sin(heading)
-        return np.asarray([x, y] + ends @ np.array([[c, s], [-s, c]]))
+        return np.asarray(poses[-1, :2] + ends @ rotation(poses[-1, 2]).T)
 
     def _plan(self, recording: Recording) -> None:
         """What is told of the newest decision, and of those before it."""

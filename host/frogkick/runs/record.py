@@ -15,7 +15,8 @@ import numpy as np
 
 import frogkick
 from frogkick.core.errors import InputError
-from frogkick.paths import Path, wrap_angle
+from frogkick.core.poses import wrap_angle
+from frogkick.paths import Path
 from frogkick.planner.plan import PlanConfig
 from frogkick.pool.monitor import pulses_of, violations
 from frogkick.pool.pool import Pool

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from frogkick.core.errors import InputError
-from frogkick.paths import wrap_angle
+from frogkick.core.poses import body_from_world, wrap_angle
 from frogkick.runs.runlog import RunLog
 
 FloatArray = npt.NDArray[np.float64]
@@ -75,13 +75,10 @@ def residual(run: RunLog) -> Residual:
     if rows.size == 0:
         raise InputError(f"run {run.source!r} has no whole period with a prediction: let it run longer")
     happened = true_poses_at(run, end_s[rows])
-    gap = happened[:, :2] - decisions.predicted[rows, :2]
-    heading = decisions.estimate[rows, 2]
-    forward = np.cos(heading) * gap[:, 0] + np.sin(heading) * gap[:, 1]
-    left = np.cos(heading) * gap[:, 1] - np.sin(heading) * gap[:, 0]
+    gap = happened - decisions.predicted[rows, :3]
     return Residual(
         time_s=np.array(decisions.time_s[rows]),
         action=np.array(decisions.action[rows], dtype=np.int64),
-        position_body_m=np.column_stack([forward, left]),
-        heading_rad=wrap_angle(happened[:, 2] - decisions.predicted[rows, 2]),
+        position_body_m=body_from_world(decisions.estimate[rows, 2], gap[:, :2]),
+        heading_rad=wrap_angle(gap[:, 2]),
     )

@@ -20,8 +20,9 @@ from numpy.typing import NDArray
 
 from frogkick.core.chunks import Job, run_chunks
 from frogkick.core.errors import FrogkickError
+from frogkick.core.poses import body_from_world, wrap_angle
 from frogkick.der import STEP_S, WIDTH
-from frogkick.der.strokes import between, body_from_world
+from frogkick.der.strokes import between
 from frogkick.der.swimmer import batch_of
 from frogkick.effects import rods_of
 from frogkick.estimator.estimator import Estimator
@@ -252,8 +253,8 @@ class _Lane:
             return None
         self._estimator.act(at_us, made.action)
         apart = made.predicted[:3].astype(np.float64) - state[:3]
-        apart[2] = np.arctan2(np.sin(apart[2]), np.cos(apart[2]))
-        self.expected.append(body_from_world(np.asarray(state[2], dtype=np.float64), apart))
+        apart[2] = wrap_angle(apart[2])
+        self.expected.append(body_from_world(np.float64(state[2]), apart))
         self.actions.append(made.action)
         return made.action
 
@@ -341,5 +342,5 @@ def _told(ready: _Ready, task: Task, path: Path, lane: _Lane, asked: FloatArray)
 
 def _wrapped(errors: FloatArray) -> FloatArray:
     found = errors.copy()
-    found[:, 2] = np.arctan2(np.sin(found[:, 2]), np.cos(found[:, 2]))
+    found[:, 2] = wrap_angle(found[:, 2])
     return found

@@ -7,6 +7,7 @@ from abc import ABC, abstractmethod
 import numpy as np
 import numpy.typing as npt
 
+from frogkick.core.poses import body_from_world, wrap_angle
 from frogkick.estimator.estimator import FIELD_M, FUTURE_US, OK, OLD, RANGE, STALE_US, Estimate
 
 FloatArray = npt.NDArray[np.float64]
@@ -44,16 +45,8 @@ class _FromLastFixes(ABC):
         if not self._fixes or not -FUTURE_US <= at_us - self._fixes[-1][0] <= STALE_US:
             return None
         pose, speed = self._state((at_us - self._fixes[-1][0]) * 1e-6)
-        heading = np.angle(np.exp(1j * pose[2]))
-        c, s = np.cos(heading), np.sin(heading)
-        state = [
-            pose[0],
-            pose[1],
-            heading,
-            c * speed[0] + s * speed[1],
-            c * speed[1] - s * speed[0],
-            speed[2],
-        ]
+        heading = wrap_angle(pose[2])
+        state = [*pose[:2], heading, *body_from_world(heading, np.asarray(speed))]
         use = np.zeros(8, dtype=np.uint16)
         return Estimate(np.array(state, dtype=np.float32), use, self._fixes[-1][2], len(self._fixes))
 

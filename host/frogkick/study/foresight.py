@@ -19,6 +19,7 @@ from numba import njit
 
 from frogkick.core.compiled import stamp_of
 from frogkick.core.errors import InputError
+from frogkick.core.poses import world_from_body
 from frogkick.paths import Path
 from frogkick.planner.lookup import DYNAMICS, TableArrays, arrays_of, dynamics_after, find_row, motion_of
 from frogkick.runs.record import along_path
@@ -137,9 +138,7 @@ def swim(tables: Tables, actions: Sequence[int], start_world: tuple[float, float
         row = find_row(table, dynamics)
         motion_of(table, row, dynamics, action, motion)
         dynamics_after(table, row, dynamics, action, after)
-        cosine, sine = np.cos(pose[2]), np.sin(pose[2])
-        forward_m, left_m, turn_rad = (float(value) for value in motion)
-        step = np.array([cosine * forward_m - sine * left_m, sine * forward_m + cosine * left_m, turn_rad])
+        step = world_from_body(pose[2], motion.astype(np.float64))
         poses += [pose + step * (sample / SAMPLES) for sample in range(1, SAMPLES + 1)]
         pose, dynamics = pose + step, after.copy()
     return np.array(poses)

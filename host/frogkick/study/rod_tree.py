@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from frogkick.core.errors import ConvergenceError
+from frogkick.core.poses import relative
 from frogkick.der import WIDTH, Batch
-from frogkick.der.strokes import between, body_from_world
+from frogkick.der.strokes import between
 from frogkick.effects import ActingLanes
 from frogkick.library.transitions import fire_action
 from frogkick.robot import Robot
@@ -48,7 +49,7 @@ def swim_a_period(
 def motion_of(times_s: FloatArray, rows: FloatArray) -> FloatArray:
     """(3,) from the first row to the last one, in the body frame of the first."""
     pose = between(times_s, rows, times_s[[0, -1]])[0]
-    return body_from_world(pose[0, 2], pose[1] - pose[0])
+    return relative(pose[0], pose[1])
 
 
 def ask_rods(robot: Robot, batch: Batch, acting: ActingLanes, depth: int) -> FloatArray:

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from frogkick.core.errors import InputError
-from frogkick.paths import wrap_angle
+from frogkick.core.poses import wrap_angle
 from frogkick.planner.plan import PlanConfig, config_of
 from frogkick.robot import Robot
 from frogkick.runs.record import along_path

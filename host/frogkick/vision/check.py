@@ -13,8 +13,8 @@ import numpy.typing as npt
 
 from frogkick.core.errors import InputError
 from frogkick.core.files import csv_numbers, existing_file
+from frogkick.core.poses import wrap_angle
 from frogkick.vision.calibration import Calibration, camera_pose, lens_from_height
-from frogkick.vision.plane import wrap
 from frogkick.vision.pose import tag_place
 from frogkick.vision.scene import Conditions, Scene, Viewpoint
 from frogkick.vision.tracker import Tracker
@@ -84,7 +84,9 @@ def check_frames(
         if seen.pose is None:
             places.append(Place(x, y, float("nan"), float("nan"), float("nan"), seen.reason))
             continue
-        turned = np.degrees(wrap(seen.pose.heading_rad - heading)) if np.isfinite(heading) else float("nan")
+        turned = (
+            np.degrees(wrap_angle(seen.pose.heading_rad - heading)) if np.isfinite(heading) else float("nan")
+        )
         off = 1e3 * (np.array([seen.pose.x_m, seen.pose.y_m]) - (x, y))
         places.append(Place(x, y, float(off[0]), float(off[1]), float(turned), "found"))
     return places

@@ -26,9 +26,3 @@ def from_four(source: Array, target: Array) -> Array:
     rows[0::2, 6:] = -source * target[:, :1]
     rows[1::2, 6:] = -source * target[:, 1:]
     return np.append(np.linalg.solve(rows, target.ravel()), 1.0).reshape(3, 3)
-
-
-def wrap(angle_rad: float) -> float:
-    """An angle in (-pi, pi]."""
-    turned = float(np.arctan2(np.sin(angle_rad), np.cos(angle_rad)))
-    return np.pi if turned == -np.pi else turned

@@ -15,8 +15,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from frogkick.core.poses import rotation, wrap_angle
 from frogkick.vision.calibration import Calibration
-from frogkick.vision.plane import wrap
 
 Array = npt.NDArray[np.float64]
 FLOOR_PX = 0.02
@@ -101,14 +101,13 @@ def solve_pose(
         slip = tag.height_sd_m * (state[:2] - calibration.camera_m[:2]) / above
         covariance[:2, :2] += np.outer(slip, slip)
     heading = state[2] - tag.mount_heading_rad
-    c, s = np.cos(heading), np.sin(heading)
-    offset = np.array([[c, -s], [s, c]]) @ np.array(tag.offset_body_m)
+    offset = rotation(heading) @ np.array(tag.offset_body_m)
     lever = np.eye(3)
     lever[:2, 2] = [offset[1], -offset[0]]
     return Pose(
         float(state[0] - offset[0]),
         float(state[1] - offset[1]),
-        wrap(float(heading)),
+        float(wrap_angle(heading)),
         lever @ covariance @ lever.T,
         capture_s,
         float(state[3]),
@@ -152,8 +151,7 @@ def _with_slopes(
 
 def _corners(calibration: Calibration, square: Array, state: Array) -> Array:
     """(8,) undistorted pixels of the tag's corners at x, y, heading, size of the tag, and slopes if any."""
-    c, s = np.cos(state[2]), np.sin(state[2])
-    turned = state[3] * square @ np.array([[c, s], [-s, c]])
+    turned = state[3] * square @ rotation(state[2]).T
     places = state[:2] + turned
     if len(state) > 4 and calibration.camera_m is not None:
         # A corner that is higher than the tag's middle is seen further from the camera's foot.
@@ -165,6 +163,5 @@ def _corners(calibration: Calibration, square: Array, state: Array) -> Array:
 
 def tag_place(calibration: Calibration, x_m: float, y_m: float, heading_rad: float) -> Array:
     """(3,) centre and heading of the tag of a robot at a pose; the inverse of ``solve_pose``'s end."""
-    c, s = np.cos(heading_rad), np.sin(heading_rad)
-    offset = np.array([[c, -s], [s, c]]) @ np.array(calibration.tag.offset_body_m)
+    offset = rotation(heading_rad) @ np.array(calibration.tag.offset_body_m)
     return np.array([x_m + offset[0], y_m + offset[1], heading_rad + calibration.tag.mount_heading_rad])

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from frogkick.core.errors import InputError
 from frogkick.core.files import existing_file
-from frogkick.paths import from_csv, wrap_angle
+from frogkick.core.poses import wrap_angle
+from frogkick.paths import from_csv
 from frogkick.robot import Robot, load_robot
 from frogkick.runs.recorded.clock import Clock, estimate_clock
 from frogkick.runs.recorded.frames import mark_frames

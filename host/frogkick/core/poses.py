@@ -1,0 +1,57 @@
+"""Poses and motions in the plane, SE(2): x, y in m, heading in rad from +x, counter-clockwise."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Float64 = NDArray[np.float64]
+
+
+def wrap_angle(angle_rad: ArrayLike) -> Float64:
+    """Wrap angles to (-pi, pi], in float64, same shape as given."""
+    angle = np.asarray(angle_rad, dtype=np.float64)
+    wrapped = np.pi - np.mod(np.pi - angle, 2.0 * np.pi)
+    # mod may round up to its divisor: such an angle is -pi, which belongs to +pi.
+    return np.where(wrapped <= -np.pi, np.pi, wrapped)
+
+
+def rotation(heading_rad: float) -> Float64:
+    """The (2, 2) matrix that takes a vector of the body frame to the world frame."""
+    c, s = math.cos(heading_rad), math.sin(heading_rad)
+    return np.array([[c, -s], [s, c]])
+
+
+def rotate(heading_rad: float, x: float, y: float) -> tuple[float, float]:
+    """One vector of the body frame in the world frame; with minus the heading, the other way."""
+    c, s = math.cos(heading_rad), math.sin(heading_rad)
+    return c * x - s * y, s * x + c * y
+
+
+def world_from_body(heading_rad: ArrayLike, vector_body: Float64) -> Float64:
+    """Vectors of the body frames in the world frame.
+
+    Args:
+        heading_rad: (..) of the bodies.
+        vector_body: (.., 2) x, y, or (.., 3) with an angle or a turn rate, which stays as it is.
+    """
+    c, s = np.cos(heading_rad), np.sin(heading_rad)
+    x, y, *turn = np.moveaxis(vector_body, -1, 0)
+    return np.stack([c * x - s * y, s * x + c * y, *turn], axis=-1)
+
+
+def body_from_world(heading_rad: ArrayLike, vector_world: Float64) -> Float64:
+    """Vectors of the world frame in the body frames; see ``world_from_body``."""
+    return world_from_body(np.negative(heading_rad), vector_world)
+
+
+def compose(pose: Float64, motion_body: Float64) -> Float64:
+    """(.., 3) poses after motions (.., 3) seen from them; the heading is not wrapped."""
+    return pose + world_from_body(pose[..., 2], motion_body)
+
+
+def relative(origin: Float64, pose: Float64) -> Float64:
+    """(.., 3) poses seen from others: what ``compose`` takes from ``origin`` to them; not wrapped."""
+    return body_from_world(origin[..., 2], pose - origin)

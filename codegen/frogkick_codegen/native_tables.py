@@ -78,7 +78,7 @@ class NativeTables:
         return int(self._library.fk_native_nearest(*self._image(image), self._ffi.NULL, 0, self._ffi.NULL))
 
     def bounds(self, image: bytes) -> tuple[np.float32, np.float32]:
-        """Return reach_m and turn_max_rad of a table."""
+        """Return stroke_max_m and turn_max_rad of a table."""
         found = np.zeros(2, dtype=np.float32)
         self._check(self._library.fk_native_bounds(*self._image(image), self._into("float[]", found)))
         return found[0], found[1]

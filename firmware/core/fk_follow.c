@@ -2,7 +2,7 @@
 
 #include "fk_frames_layout.h"
 
-#define FK_FOLLOW_GAIN 0.25f /* part of a reach that counts as progress or approach */
+#define FK_FOLLOW_GAIN 0.25f /* part of the longest stroke that counts as progress or approach */
 
 void fk_follow_begin(fk_follow_t *follow)
 {
@@ -17,7 +17,7 @@ void fk_follow_begin(fk_follow_t *follow)
 
 static int32_t end_status(const fk_tables_t *tables, float distance_m)
 {
-    return (distance_m <= tables->reach_m) ? FK_STATUS_OK : FK_STATUS_PASSED;
+    return (distance_m <= tables->stroke_max_m) ? FK_STATUS_OK : FK_STATUS_PASSED;
 }
 
 /* Whether the robot has got on since the mark; then here is the new one. */
@@ -31,7 +31,7 @@ static void mark_progress(fk_follow_t *follow, const fk_tables_t *tables, const 
     float y_m = path->y_m[segment] + part * (path->y_m[segment + 1u] - path->y_m[segment]);
     float dx_m = x_m - follow->mark_x_m;
     float dy_m = y_m - follow->mark_y_m;
-    float gain_m = FK_FOLLOW_GAIN * tables->reach_m;
+    float gain_m = FK_FOLLOW_GAIN * tables->stroke_max_m;
     int32_t is_further = follow->along_points > follow->mark_points && dx_m * dx_m + dy_m * dy_m >= gain_m * gain_m;
     int32_t is_nearer = distance_m <= follow->mark_distance_m - gain_m;
     if (follow->begun != 0u && !is_further && !is_nearer) {

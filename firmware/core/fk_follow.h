@@ -9,7 +9,7 @@
 #include "fk_planner.h"
 
 #define FK_FOLLOW_ON 1               /* the run goes on; every other value is an ENDED status */
-#define FK_IDLE_DECISIONS_MAX 40u    /* without a quarter of a reach of progress or approach: stalled */
+#define FK_IDLE_DECISIONS_MAX 40u    /* without progress or approach by a quarter of the longest stroke: stalled */
 
 typedef struct {
     float along_points;    /* where along the path the robot was at the last decision; 0 at the start */
@@ -26,7 +26,7 @@ void fk_follow_begin(fk_follow_t *follow);
 /* After a decision with a plan.
  * @retval FK_FOLLOW_ON       goes on
  * @retval FK_STATUS_OK       the path's end is reached
- * @retval FK_STATUS_PASSED   the end is passed, more than one reach beside it (cost route)
+ * @retval FK_STATUS_PASSED   the end is passed, more than one longest stroke beside it (cost route)
  * @retval FK_STATUS_STALLED  neither progress nor approach for FK_IDLE_DECISIONS_MAX decisions
  */
 int32_t fk_follow_decided(fk_follow_t *follow, const fk_tables_t *tables, const fk_path_t *path,

@@ -340,21 +340,26 @@ def test_degenerate_paths_are_planned_along(shape: str, kind: str) -> None:
 
 def test_a_place_on_the_path_is_found_again_and_a_far_robot_keeps_its_own() -> None:
     tables = planner_c.opened(NEAREST)
-    reach_m = tables.pointer.reach_m
-    length = 40 * reach_m
+    stroke_max_m = tables.pointer.stroke_max_m
+    length = 40 * stroke_max_m
     path = path_of([(x, 0.0, 0.0) for x in np.linspace(0.0, length, 41)])
     distance = FFI.new("float *")
     for wanted in (0.0, 0.4, 1.0, 17.25, 39.5, 40.0):
         place = library().fk_path_along(
-            tables.pointer, path, min(max(wanted - 0.5, 0.0), 40.0), wanted * reach_m, 0.5 * reach_m, distance
+            tables.pointer,
+            path,
+            min(max(wanted - 0.5, 0.0), 40.0),
+            wanted * stroke_max_m,
+            0.5 * stroke_max_m,
+            distance,
         )
         assert place == pytest.approx(wanted, abs=1e-4)
-        assert distance[0] == pytest.approx(0.5 * reach_m, rel=1e-4)
-        again = library().fk_path_along(tables.pointer, path, place, wanted * reach_m, 0.0, FFI.NULL)
+        assert distance[0] == pytest.approx(0.5 * stroke_max_m, rel=1e-4)
+        again = library().fk_path_along(tables.pointer, path, place, wanted * stroke_max_m, 0.0, FFI.NULL)
         assert again == pytest.approx(wanted, abs=1e-4)
-    far = library().fk_path_along(tables.pointer, path, 17.25, 30.0 * reach_m, 0.0, distance)
+    far = library().fk_path_along(tables.pointer, path, 17.25, 30.0 * stroke_max_m, 0.0, distance)
     assert far == np.float32(17.25)
-    assert distance[0] == pytest.approx(12.75 * reach_m, rel=1e-4)
+    assert distance[0] == pytest.approx(12.75 * stroke_max_m, rel=1e-4)
 
 
 def test_a_robot_at_its_look_ahead_has_no_direction_to_take() -> None:

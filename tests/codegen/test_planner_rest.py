@@ -53,7 +53,7 @@ def test_from_rest_it_moves_at_any_depth_and_within_any_budget(depth: int, limit
 def test_while_it_moves_it_may_rest(axis: int, sign: float) -> None:
     """Beyond an eighth of a reach in a period, or an eighth of a radian."""
     image = table(FIRES)
-    step = float(open_image(image).reach_m) / 8 if axis < 2 else 0.125
+    step = float(open_image(image).stroke_max_m) / 8 if axis < 2 else 0.125
     for part, may_rest in ((0.99, False), (1.01, True)):
         speed = [0.0, 0.0, 0.0]
         speed[axis] = sign * part * step / PERIOD_S
@@ -63,7 +63,7 @@ def test_while_it_moves_it_may_rest(axis: int, sign: float) -> None:
 
 def test_speed_counts_in_any_direction_and_any_size() -> None:
     image = table(FIRES)
-    speed = 0.9 * float(open_image(image).reach_m) / 8 / PERIOD_S
+    speed = 0.9 * float(open_image(image).stroke_max_m) / 8 / PERIOD_S
     for velocity in ((speed, speed, 0.0), (3e38, 0.0, 0.0), (0.0, -3e38, 0.0), (0.0, 0.0, 3e38)):
         assert {0, 2} & set(decided(image, CONFIG, velocity))
 

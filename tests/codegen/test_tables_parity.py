@@ -148,17 +148,17 @@ def test_whole_chains_of_actions_stay_alike(library: NativeTables) -> None:
 @pytest.mark.parametrize("name", TABLES)
 def test_no_look_up_goes_beyond_the_reach(library: NativeTables, name: str) -> None:
     tables = TABLES[name]
-    reach_m, turn_max_rad = library.bounds(tables.image)
-    assert (reach_m, turn_max_rad) == (tables.reach_m, tables.turn_max_rad)
+    stroke_max_m, turn_max_rad = library.bounds(tables.image)
+    assert (stroke_max_m, turn_max_rad) == (tables.stroke_max_m, tables.turn_max_rad)
     table = arrays_of(tables)
-    assert (table.reach_m[0], table.turn_max_rad[0]) == (reach_m, turn_max_rad)
+    assert (table.stroke_max_m[0], table.turn_max_rad[0]) == (stroke_max_m, turn_max_rad)
     codes, use = states(tables, 20_000, SEED + 1)
     motions = library.look_up(tables, codes, use).motions.astype(np.float64)
-    assert np.hypot(motions[..., 0], motions[..., 1]).max() <= float(reach_m) * (1 + 1e-7)
+    assert np.hypot(motions[..., 0], motions[..., 1]).max() <= float(stroke_max_m) * (1 + 1e-7)
     assert np.abs(motions[..., 2]).max() <= turn_max_rad
     if name == "nearest":  # and the bound is a near one
         assert np.abs(motions[..., 2]).max() == turn_max_rad
-        assert np.hypot(motions[..., 0], motions[..., 1]).max() > 0.6 * float(reach_m)
+        assert np.hypot(motions[..., 0], motions[..., 1]).max() > 0.6 * float(stroke_max_m)
 
 
 def brute_force(rows: Int64, codes: Int64) -> Int64:

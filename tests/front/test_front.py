@@ -194,7 +194,7 @@ def test_the_planner_gives_its_whole_branch(table: fk.Table) -> None:
     one = fk.Planner(table, depth=1).plan(np.zeros(6), path)
     assert one.predicted_pose.shape == (1, 3) and np.isfinite(one.cost)
     # The first step of the branch is what the table says of its first action, from rest.
-    assert np.hypot(*found.predicted_pose[0, :2]) < float(table.tables.reach_m) + 1e-6
+    assert np.hypot(*found.predicted_pose[0, :2]) < float(table.tables.stroke_max_m) + 1e-6
     paper = fk.Planner(table, planner="paper")
     assert paper.config.depth == 1 and len(repr(planner)) < 200
     with pytest.raises(fk.FrogkickError, match="NaN"):

@@ -17,7 +17,7 @@ from frogkick.pool.pool import Pool
 from frogkick.runs.closed_loop import Recording, RunOptions, robot_plan_config, run_in_pool
 
 LIMIT_S = 150.0
-REACH_M = float(rig.tables().reach_m)
+REACH_M = float(rig.tables().stroke_max_m)
 RESTING = next(
     i for i, action in enumerate(rig.tables().actions) if not action.first_mask | action.second_mask
 )

@@ -131,7 +131,7 @@ def test_the_planner_finds_what_a_tree_holds(config: PlanConfig, images: dict[st
             node = 1 + node * ACTIONS + action
         motions[node, 4, 0] = 0.2  # further than the table's longest: it is not cut
         assert chosen(motions, depth) == 6
-        assert float(table_of_motions(motions, like).reach_m) == pytest.approx(0.2, abs=0.1)
+        assert float(table_of_motions(motions, like).stroke_max_m) == pytest.approx(0.2, abs=0.1)
 
 
 def test_nothing_is_more_exact_than_the_rods_and_a_bad_table_is_off(whole_runs: list[Run]) -> None:

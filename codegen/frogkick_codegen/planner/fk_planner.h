@@ -1,5 +1,8 @@
 /* fk_planner.h - picks the next action of a stroke-driven robot from a table of transitions.
  *
+ * Method: receding-horizon control. At each decision a depth-limited branch and bound over sequences of actions finds
+ * the one of least cost on the table's model, and only its first action is taken.
+ *
  * C99, no libc, no heap, no recursion, no double. The caller owns all state. The same bits come out of the
  * Python twin, a PC and the chip, provided that the compiler rounds every operation to float32 once: build
  * with -ffp-contract=off -fno-math-errno, never with -ffast-math. fk_tables_open() tests this when it runs.
@@ -49,8 +52,8 @@ typedef struct {
 
 /* How a motion is judged. Numbers travel on the link. */
 typedef enum {
-    FK_COST_PAPER = 0, /* pose against the nearest path point: the paper's Eq. 19 as its authors ran it */
-    FK_COST_ROUTE = 1  /* progress along the path, which no branch jumps, and direction at a branch's end: route.c */
+    FK_COST_PAPER = 0, /* the paper's Eq. 19, as its authors ran it */
+    FK_COST_ROUTE = 1  /* progress along the path as stage cost, heading as terminal cost: route.c */
 } fk_cost_t;
 
 /* What to plan for. Weights and lengths are 0 to FK_WEIGHT_MAX; those of the other cost are only checked. */
@@ -60,7 +63,7 @@ typedef struct {
                                   * direction to its place look_ahead_m further on, at a branch's end only */
     float progress_weight;       /* paper: x (1 - index / (count - 1)); paper: 300 */
     float level_weight;          /* paper: a level's cost x (1 + level_weight * levels below it); paper: 0.3 */
-    float progress_weight_per_m; /* route: x what a motion advances less than the table's reach */
+    float progress_weight_per_m; /* route: x how much less a motion advances than the table's longest stroke */
     float look_ahead_m;          /* route: how far along the path a branch's end points */
     float soft_distance_m;       /* route: below it, distance counts by its square */
     float turn_lead;             /* route: x the last turn, by which the robot turns on; 0 to FK_TURN_LEAD_MAX */
@@ -84,9 +87,10 @@ typedef struct {
 } fk_plan_t;
 
 /* Choose the next action (the paper's Algorithm 1 with a fixed per-axis metric).
- * Least cost wins, ties take the lowest first action. Branches that cannot win are left: the answer is that of the
- * full tree. Level 1 is searched first, then the depth, or where transitions_max may cut that, level after level;
- * a level that is cut still counts if the best first action of the level before it was finished. Stack: below 2800 bytes.
+ * Least cost wins, ties take the lowest first action. Branches that cannot win are pruned, so the answer is that of
+ * the full tree. Level 1 is searched first, then the full depth, or level after level where transitions_max may cut
+ * that; a level that is cut still counts if the best first action of the level before it was finished. Stack: below
+ * 2800 bytes.
  * @retval FK_OK
  * @retval FK_ERROR_NULL, FK_ERROR_DEPTH, FK_ERROR_COST, FK_ERROR_WEIGHT, FK_ERROR_PATH_COUNT,
  *         FK_ERROR_PATH_POINT, FK_ERROR_NOT_FINITE, FK_ERROR_RANGE in this order of checks */

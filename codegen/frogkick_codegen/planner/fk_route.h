@@ -1,15 +1,15 @@
-/* fk_route.h - the route cost, for the planner's own files: progress along the path that no branch jumps, and
- * where a branch ends. route.c says how. */
+/* fk_route.h - the route cost, for the planner's own files: progress along the path as the stage cost, and where the
+ * robot points as the terminal cost. route.c says how. */
 #ifndef FK_ROUTE_H
 #define FK_ROUTE_H
 
 #include "fk_internal.h"
 
-#define FK_ROUTE_PER_STEP 0.125f  /* step between knots over the table's reach */
-#define FK_ROUTE_AHEAD 12U        /* knots that one motion may advance: one and a half reaches */
+#define FK_ROUTE_PER_STEP 0.125f  /* step between knots over the table's longest stroke */
+#define FK_ROUTE_AHEAD 12U        /* knots that one motion may advance: one and a half of the longest stroke */
 #define FK_ROUTE_BEHIND 2U        /* knots behind the one where the route begins */
 #define FK_ROUTE_KNOTS_MAX 80U
-#define FK_ROUTE_REACH_MIN_M 1e-4f
+#define FK_ROUTE_STROKE_MIN_M 1e-4f
 #define FK_ROUTE_STILL_RAD 0.125f /* 7 degrees in a period: far beyond what noise makes of rest */
 
 /* A place of the route and its direction there. */
@@ -20,18 +20,18 @@ typedef struct {
     float direction_y;
 } fk_knot_t;
 
-/* Where along a path a state is. */
+/* A state projected onto its path. */
 typedef struct {
-    float part;          /* of the segment from its point to the next, 0 to 1 */
+    float fraction;          /* of the segment from its point to the next, 0 to 1 */
     float distance2_m2;  /* squared distance of the state from there */
     uint16_t segment;    /* index of its first point */
     uint8_t held;        /* 1: the state is far off, and the place is the one where it was last */
-} fk_foot_t;
+} fk_projection_t;
 
 /* What a search works with; filled by fk_route_lay_out(). */
 typedef struct {
     fk_knot_t knots[FK_ROUTE_KNOTS_MAX];
-    float reach_m;
+    float stroke_max_m;
     float step_m;
     float steps_per_m;
     float distance_weight_per_m;
@@ -39,26 +39,27 @@ typedef struct {
     float progress_weight_per_m;
     float look_ahead_m;
     float turn_lead;
-    float soft2_m2;         /* square of the distance below which distance is softened */
-    float half_per_soft;    /* 1 / m; 0 where nothing is softened */
-    float half_soft_m;
+    float huber2_m2;         /* square of the distance below which distance is softened */
+    float half_per_huber;    /* 1 / m; 0 where nothing is softened */
+    float half_huber_m;
     uint32_t last;          /* index of the last knot */
-    uint32_t ahead;         /* knots that one motion may advance; 0 where the foot is held */
+    uint32_t ahead;         /* knots that one motion may advance; 0 where the projection is held */
 } fk_route_t;
 
-/* Find where along the path a position is, near the place where it was last (along_points, checked). */
-void fk_route_foot(const fk_path_t *path, float reach_m, float along_points, float x_m, float y_m, fk_foot_t *foot);
+/* Project a position onto the path, near where it was last (along_points, checked). */
+void fk_route_project(const fk_path_t *path, float stroke_max_m, float along_points, float x_m, float y_m,
+                      fk_projection_t *projection);
 
-/* Lay out the knots from a foot on, for a search of some levels. */
-void fk_route_lay_out(const fk_path_t *path, const fk_plan_config_t *config, float reach_m, const fk_foot_t *foot,
-                      fk_route_t *route);
+/* Lay out the knots from a projection on, as many as a search to the configured depth needs. */
+void fk_route_lay_out(const fk_path_t *path, const fk_plan_config_t *config, float stroke_max_m,
+                      const fk_projection_t *projection, fk_route_t *route);
 
-/* 1 where a state moves so little that a period of it counts for nothing: not by a step between knots, and not
- * turned by FK_ROUTE_STILL_RAD. */
+/* 1 where a state is at rest: within a period it moves less than a step between knots and turns less than
+ * FK_ROUTE_STILL_RAD. */
 int32_t fk_route_is_still(const fk_tables_t *tables, const fk_route_t *route, const fk_state_t *state);
 
-/* Length that scales a route: the table's reach, but not nothing. */
-float fk_route_reach(const fk_tables_t *tables);
+/* Length that scales a route: the table's longest stroke, at least FK_ROUTE_STROKE_MIN_M. */
+float fk_route_stroke_max(const fk_tables_t *tables);
 
 static inline float fk_larger(float one, float two)
 {
@@ -118,9 +119,9 @@ static inline const fk_knot_t *fk_route_nearest(const fk_route_t *route, uint32_
 }
 
 /* What a motion costs that ends at (x_m, y_m), at least 0.
- * knot, place_m: where on the route it began; where it ends goes to *next_knot and *next_place_m. */
-static inline float fk_route_motion_cost(const fk_route_t *route, uint32_t knot, float place_m, float x_m, float y_m,
-                                         uint32_t *next_knot, float *next_place_m)
+ * knot, arc_m: where on the route it began; where it ends goes to *next_knot and *next_arc_m. */
+static inline float fk_route_motion_cost(const fk_route_t *route, uint32_t knot, float arc_m, float x_m, float y_m,
+                                         uint32_t *next_knot, float *next_arc_m)
 {
     const uint32_t low = (knot > 0U) ? knot - 1U : 0U;
     const fk_knot_t *found;
@@ -128,11 +129,11 @@ static inline float fk_route_motion_cost(const fk_route_t *route, uint32_t knot,
     float distance2_m2;
     float along_m;
     float moved_m;
-    float short_m;
-    float off_m;
+    float shortfall_m;
+    float deviation_m;
 
     if ((route->ahead == 0U) && (high < FK_ROUTE_BEHIND)) {
-        high = FK_ROUTE_BEHIND; /* a held foot is behind nothing */
+        high = FK_ROUTE_BEHIND; /* no knot lies behind a held projection */
     }
     high += route->ahead;
     high = (high > route->last) ? route->last : high;
@@ -141,21 +142,21 @@ static inline float fk_route_motion_cost(const fk_route_t *route, uint32_t knot,
     moved_m = fk_larger(-route->step_m, fk_smaller(route->step_m, along_m));
     distance2_m2 = fk_larger(0.0f, distance2_m2 - moved_m * (2.0f * along_m - moved_m));
     *next_knot = (uint32_t)(found - route->knots);
-    *next_place_m = (float)*next_knot * route->step_m + moved_m;
+    *next_arc_m = (float)*next_knot * route->step_m + moved_m;
 
-    short_m = route->reach_m - fk_smaller(*next_place_m - place_m, route->reach_m);
-    off_m = (distance2_m2 < route->soft2_m2) ? distance2_m2 * route->half_per_soft
-                                             : FK_SQRT(distance2_m2) - route->half_soft_m;
-    return route->distance_weight_per_m * off_m + route->progress_weight_per_m * short_m;
+    shortfall_m = route->stroke_max_m - fk_smaller(*next_arc_m - arc_m, route->stroke_max_m);
+    deviation_m = (distance2_m2 < route->huber2_m2) ? distance2_m2 * route->half_per_huber
+                                             : FK_SQRT(distance2_m2) - route->half_huber_m;
+    return route->distance_weight_per_m * deviation_m + route->progress_weight_per_m * shortfall_m;
 }
 
 /* What it costs to end at a position and a place of the route, pointing along (cosine, sine), at least 0: that
  * grows with the angle up to half a turn as 2 sin(angle / 2), without an arc tangent. */
-static inline float fk_route_end_cost(const fk_route_t *route, float place_m, float x_m, float y_m, float cosine,
+static inline float fk_route_end_cost(const fk_route_t *route, float arc_m, float x_m, float y_m, float cosine,
                                       float sine)
 {
     const float last = (float)route->last;
-    const float steps = fk_larger(0.0f, fk_smaller(last, (place_m + route->look_ahead_m) * route->steps_per_m));
+    const float steps = fk_larger(0.0f, fk_smaller(last, (arc_m + route->look_ahead_m) * route->steps_per_m));
     const uint32_t index = (uint32_t)steps;
     const fk_knot_t *knot = &route->knots[index];
     const float beyond_m = (steps - (float)index) * route->step_m;

@@ -86,7 +86,7 @@ typedef struct {
     float velocity_scale[3];             /* per code: m/s forward, m/s left, rad/s */
     float codes_per_velocity[3];         /* 1 / velocity_scale in float32 */
     float motion_scale[3];               /* per code: m forward, m left, rad */
-    float reach_m;                       /* no look-up moves the robot further in one period */
+    float stroke_max_m;                  /* no look-up moves the robot further in one period */
     float turn_max_rad;                  /* no look-up turns it further, either way */
     int32_t state_least[3];              /* least code of the states on each axis */
     int32_t state_most[3];               /* largest code of the states on each axis */

@@ -1,6 +1,6 @@
 /* lookup.c - what a table says of a state: decoded by kind, corrected, clamped.
  *
- * Every value is clamped to its limit, so whatever an image holds, a motion stays within reach_m and
+ * Every value is clamped to its limit, so whatever an image holds, a motion stays within stroke_max_m and
  * turn_max_rad and a velocity within its code. fk_tables_open() has checked what the widths below rest on. */
 #include "fk_internal.h"
 

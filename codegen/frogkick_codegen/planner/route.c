@@ -1,25 +1,27 @@
 /* route.c - the route cost.
  *
- * The path is its polyline. How far a state is along it is carried from decision to decision and looked for only
- * near where it was, so a path that crosses or closes on itself is never left for another part of it. From there
- * knots are laid out at equal steps, straight on beyond both of the path's ends. A pose belongs to the nearest of
- * the knots that one motion can reach, and lies off it along and across the route's direction there.
+ * The path is a polyline. A state is projected onto it (its nearest point, as an arc length along the path). The
+ * projection is carried from decision to decision and looked for only near the last one, so a path that crosses or
+ * closes on itself is never left for another part of it. From there knots are laid out at equal steps, straight on
+ * beyond both of the path's ends. A pose belongs to the nearest of the knots that one motion can reach, and its
+ * deviation from that knot is split along and across the route's direction there.
  *
- * A motion costs its end's distance from the route and what it advances less than the table's reach: both at
- * least 0, which the search relies on. The end of a branch costs how far the robot points away from the route's
- * place a look-ahead further on. */
+ * Stage cost: a Huber loss of the motion's end's distance from the route, and the shortfall of its advance against
+ * the longest stroke of the table. Both are at least 0, which the branch and bound of tree.c relies on. Terminal cost:
+ * how far the robot points away from the route's place a look-ahead further on (pure pursuit's target point). */
 #include "fk_route.h"
 
-#define FK_ROUTE_AHEAD_REACHES 1.5f /* how far along the path a foot is looked for */
-#define FK_ROUTE_FAR_REACHES 2.0f   /* further off than this, the foot stays where it was */
+#define FK_ROUTE_AHEAD_STROKES 1.5f /* how far ahead along the path the projection is looked for */
+#define FK_ROUTE_FAR_STROKES 2.0f   /* further off than this, the projection stays where it was */
 
-float fk_route_reach(const fk_tables_t *tables)
+float fk_route_stroke_max(const fk_tables_t *tables)
 {
-    return fk_larger(tables->reach_m, FK_ROUTE_REACH_MIN_M);
+    return fk_larger(tables->stroke_max_m, FK_ROUTE_STROKE_MIN_M);
 }
 
-/* Nearest part of a segment, given by its extent, to an offset from its first point. */
-static inline float fk_segment_part(float dx_m, float dy_m, float length2_m2, float offset_x_m, float offset_y_m)
+/* Projection of a point onto a segment, as a fraction of it: 0 at its first point, 1 at its last. */
+static inline float fk_segment_fraction(float dx_m, float dy_m, float length2_m2, float offset_x_m,
+                                        float offset_y_m)
 {
     const float along_m2 = offset_x_m * dx_m + offset_y_m * dy_m;
 
@@ -32,33 +34,35 @@ static inline float fk_segment_part(float dx_m, float dy_m, float length2_m2, fl
     return along_m2 / length2_m2;
 }
 
-/* Take a segment as the foot's if it is nearer, or as near and wins ties. Returns the segment's length. */
-static inline float fk_foot_try(const fk_path_t *path, uint32_t segment, int32_t wins_ties, float x_m, float y_m,
-                                fk_foot_t *foot)
+/* Project onto one segment; keep that if it is nearer than what was found, or as near and wins ties. Returns the
+ * segment's length. */
+static inline float fk_project_segment(const fk_path_t *path, uint32_t segment, int32_t wins_ties, float x_m, float y_m,
+                                fk_projection_t *projection)
 {
     const float dx_m = path->x_m[segment + 1U] - path->x_m[segment];
     const float dy_m = path->y_m[segment + 1U] - path->y_m[segment];
     const float length2_m2 = dx_m * dx_m + dy_m * dy_m;
     const float offset_x_m = x_m - path->x_m[segment];
     const float offset_y_m = y_m - path->y_m[segment];
-    const float part = fk_segment_part(dx_m, dy_m, length2_m2, offset_x_m, offset_y_m);
-    const float across_x_m = offset_x_m - part * dx_m;
-    const float across_y_m = offset_y_m - part * dy_m;
+    const float fraction = fk_segment_fraction(dx_m, dy_m, length2_m2, offset_x_m, offset_y_m);
+    const float across_x_m = offset_x_m - fraction * dx_m;
+    const float across_y_m = offset_y_m - fraction * dy_m;
     const float distance2_m2 = across_x_m * across_x_m + across_y_m * across_y_m;
 
-    if ((distance2_m2 < foot->distance2_m2) || ((wins_ties != 0) && (distance2_m2 == foot->distance2_m2))) {
-        foot->distance2_m2 = distance2_m2;
-        foot->segment = (uint16_t)segment; /* < FK_PATH_POINTS_MAX */
-        foot->part = part;
+    if ((distance2_m2 < projection->distance2_m2) || ((wins_ties != 0) && (distance2_m2 == projection->distance2_m2))) {
+        projection->distance2_m2 = distance2_m2;
+        projection->segment = (uint16_t)segment; /* < FK_PATH_POINTS_MAX */
+        projection->fraction = fraction;
     }
     return FK_SQRT(length2_m2);
 }
 
-void fk_route_foot(const fk_path_t *path, float reach_m, float along_points, float x_m, float y_m, fk_foot_t *foot)
+void fk_route_project(const fk_path_t *path, float stroke_max_m, float along_points, float x_m, float y_m,
+                      fk_projection_t *projection)
 {
     const uint32_t last = path->count - 2U; /* count >= 2, checked */
-    const float far_m = FK_ROUTE_FAR_REACHES * reach_m;
-    const float ahead_limit_m = FK_ROUTE_AHEAD_REACHES * reach_m;
+    const float far_m = FK_ROUTE_FAR_STROKES * stroke_max_m;
+    const float ahead_limit_m = FK_ROUTE_AHEAD_STROKES * stroke_max_m;
     uint32_t home = (uint32_t)along_points; /* 0 to count - 1, checked */
     uint32_t segment;
     float home_part;
@@ -68,28 +72,28 @@ void fk_route_foot(const fk_path_t *path, float reach_m, float along_points, flo
 
     home = (home > last) ? last : home;
     home_part = along_points - (float)home;
-    foot->distance2_m2 = FLT_MAX; /* positions are within 1000 m, so squares stay below 1e7 */
-    length_m = fk_foot_try(path, home, 0, x_m, y_m, foot);
+    projection->distance2_m2 = FLT_MAX; /* positions are within 1000 m, so squares stay below 1e7 */
+    length_m = fk_project_segment(path, home, 0, x_m, y_m, projection);
     /* Outwards from there; the lowest segment keeps a tie. */
     behind_m = home_part * length_m;
-    for (segment = home; (segment > 0U) && (behind_m < reach_m); segment--) {
-        behind_m = behind_m + fk_foot_try(path, segment - 1U, 1, x_m, y_m, foot);
+    for (segment = home; (segment > 0U) && (behind_m < stroke_max_m); segment--) {
+        behind_m = behind_m + fk_project_segment(path, segment - 1U, 1, x_m, y_m, projection);
     }
     ahead_m = (1.0f - home_part) * length_m;
     for (segment = home; (segment < last) && (ahead_m < ahead_limit_m); segment++) {
-        ahead_m = ahead_m + fk_foot_try(path, segment + 1U, 0, x_m, y_m, foot);
+        ahead_m = ahead_m + fk_project_segment(path, segment + 1U, 0, x_m, y_m, projection);
     }
-    foot->held = 0U;
-    if (foot->distance2_m2 > far_m * far_m) {
+    projection->held = 0U;
+    if (projection->distance2_m2 > far_m * far_m) {
         const float dx_m = path->x_m[home + 1U] - path->x_m[home];
         const float dy_m = path->y_m[home + 1U] - path->y_m[home];
         const float across_x_m = (x_m - path->x_m[home]) - home_part * dx_m;
         const float across_y_m = (y_m - path->y_m[home]) - home_part * dy_m;
 
-        foot->distance2_m2 = across_x_m * across_x_m + across_y_m * across_y_m;
-        foot->segment = (uint16_t)home;
-        foot->part = home_part;
-        foot->held = 1U;
+        projection->distance2_m2 = across_x_m * across_x_m + across_y_m * across_y_m;
+        projection->segment = (uint16_t)home;
+        projection->fraction = home_part;
+        projection->held = 1U;
     }
 }
 
@@ -102,21 +106,21 @@ static uint32_t fk_route_knots(uint32_t depth, float look_ahead_steps)
     return (look_ahead_steps >= (float)room) ? FK_ROUTE_KNOTS_MAX : reached + (uint32_t)look_ahead_steps;
 }
 
-static void fk_route_settings(const fk_plan_config_t *config, float reach_m, fk_route_t *route)
+static void fk_route_settings(const fk_plan_config_t *config, float stroke_max_m, fk_route_t *route)
 {
     const float soft_m = config->soft_distance_m;
 
-    route->reach_m = reach_m;
-    route->step_m = reach_m * FK_ROUTE_PER_STEP;
-    route->steps_per_m = 1.0f / route->step_m; /* reach_m >= FK_ROUTE_REACH_MIN_M */
+    route->stroke_max_m = stroke_max_m;
+    route->step_m = stroke_max_m * FK_ROUTE_PER_STEP;
+    route->steps_per_m = 1.0f / route->step_m; /* stroke_max_m >= FK_ROUTE_STROKE_MIN_M */
     route->distance_weight_per_m = config->distance_weight_per_m;
     route->angle_weight_per_rad = config->angle_weight_per_rad;
     route->progress_weight_per_m = config->progress_weight_per_m;
     route->look_ahead_m = config->look_ahead_m;
     route->turn_lead = config->turn_lead;
-    route->soft2_m2 = soft_m * soft_m;
-    route->half_soft_m = 0.5f * soft_m;
-    route->half_per_soft = (soft_m > 0.0f) ? 0.5f / soft_m : 0.0f;
+    route->huber2_m2 = soft_m * soft_m;
+    route->half_huber_m = 0.5f * soft_m;
+    route->half_per_huber = (soft_m > 0.0f) ? 0.5f / soft_m : 0.0f;
 }
 
 /* A segment while a route is laid out: its first point, its extent from there, its length. */
@@ -137,12 +141,12 @@ static inline void fk_segment_between(fk_segment_t *segment, float x_m, float y_
     segment->length_m = FK_SQRT(segment->dx_m * segment->dx_m + segment->dy_m * segment->dy_m);
 }
 
-void fk_route_lay_out(const fk_path_t *path, const fk_plan_config_t *config, float reach_m, const fk_foot_t *foot,
-                      fk_route_t *route)
+void fk_route_lay_out(const fk_path_t *path, const fk_plan_config_t *config, float stroke_max_m,
+                      const fk_projection_t *projection, fk_route_t *route)
 {
     const uint32_t last = path->count - 2U;
-    const float step_m = reach_m * FK_ROUTE_PER_STEP;
-    uint32_t index = foot->segment;
+    const float step_m = stroke_max_m * FK_ROUTE_PER_STEP;
+    uint32_t index = projection->segment;
     fk_knot_t *knot = route->knots;
     const fk_knot_t *end;
     fk_segment_t here;
@@ -153,9 +157,9 @@ void fk_route_lay_out(const fk_path_t *path, const fk_plan_config_t *config, flo
     float next_y_m = path->y_m[index + 1U];
     float along_m; /* from the segment's first point; below 0 before the path, above its length beyond it */
 
-    fk_route_settings(config, reach_m, route);
+    fk_route_settings(config, stroke_max_m, route);
     fk_segment_between(&here, path->x_m[index], path->y_m[index], next_x_m, next_y_m);
-    along_m = foot->part * here.length_m - (float)FK_ROUTE_BEHIND * step_m;
+    along_m = projection->fraction * here.length_m - (float)FK_ROUTE_BEHIND * step_m;
     while ((along_m < 0.0f) && (index > 0U)) {
         index -= 1U;
         next_x_m = here.x_m;
@@ -190,7 +194,7 @@ void fk_route_lay_out(const fk_path_t *path, const fk_plan_config_t *config, flo
         knot->direction_y = direction_y;
         along_m = along_m + step_m;
     }
-    route->ahead = (foot->held != 0U) ? 0U : FK_ROUTE_AHEAD;
+    route->ahead = (projection->held != 0U) ? 0U : FK_ROUTE_AHEAD;
 }
 
 int32_t fk_route_is_still(const fk_tables_t *tables, const fk_route_t *route, const fk_state_t *state)
@@ -209,11 +213,11 @@ int32_t fk_route_is_still(const fk_tables_t *tables, const fk_route_t *route, co
 float fk_path_along(const fk_tables_t *tables, const fk_path_t *path, float along_points, float x_m, float y_m,
                     float *distance_m)
 {
-    fk_foot_t foot;
+    fk_projection_t projection;
 
-    fk_route_foot(path, fk_route_reach(tables), along_points, x_m, y_m, &foot);
+    fk_route_project(path, fk_route_stroke_max(tables), along_points, x_m, y_m, &projection);
     if (distance_m != NULL) {
-        *distance_m = FK_SQRT(foot.distance2_m2);
+        *distance_m = FK_SQRT(projection.distance2_m2);
     }
-    return (float)foot.segment + foot.part;
+    return (float)projection.segment + projection.fraction;
 }

@@ -92,7 +92,7 @@ int32_t fk_tables_open(const uint8_t *image, uint32_t size, fk_tables_t *tables)
     }
     forward_m = (float)tables->motion_limit[0] * tables->motion_scale[0];
     left_m = (float)tables->motion_limit[1] * tables->motion_scale[1];
-    tables->reach_m = FK_SQRT(forward_m * forward_m + left_m * left_m);
+    tables->stroke_max_m = FK_SQRT(forward_m * forward_m + left_m * left_m);
     tables->turn_max_rad = (float)tables->motion_limit[2] * tables->motion_scale[2];
     tables->states = (uint16_t)fk_read_u16(image + 72);
     tables->row_bytes = (uint16_t)fk_read_u16(image + 128);

@@ -1,4 +1,6 @@
-/* tree.c - the search over sequences of actions: level after level, each depth first with an explicit stack. */
+/* tree.c - a depth-limited branch and bound over sequences of actions, with iterative deepening where the
+ * transitions are limited. Each level is searched depth first with an explicit stack. The bound is the cost so far: no
+ * cost is negative (Land & Doig 1960; iterative deepening: Korf 1985). */
 #include "fk_route.h"
 #include "fk_trig.h"
 
@@ -10,7 +12,7 @@ typedef struct {
     float sine;           /* of the heading */
     float cosine;
     float cost;           /* sum over the levels above, added from the root */
-    float place_m;        /* along the route, from its first knot */
+    float arc_m;          /* arc length along the route, from its first knot */
     uint32_t knot;        /* of the route */
     uint32_t next_action; /* first action not yet tried */
     fk_dynamics_t dynamics;
@@ -27,7 +29,7 @@ typedef struct {
     float level_factor[FK_DEPTH_MAX];   /* paper: of each level of the search under way */
     float best_cost;                    /* of the search under way */
     uint32_t best_action;
-    uint32_t left_out;                  /* first actions that are not tried, a bit each */
+    uint32_t excluded;                  /* first actions that are not candidates, a bit each */
     uint32_t transitions;
     uint32_t levels;                    /* of the search under way */
 } fk_search_t;
@@ -94,8 +96,8 @@ static void fk_node_open(const fk_tables_t *tables, fk_node_t *node)
 }
 
 /* Whether a branch that begins with this action and costs at least this much can no longer be the best. Costs are
- * not negative, and rounding keeps a sum from falling when something not negative is added, so this is exact. */
-static int32_t fk_is_left(const fk_search_t *search, uint32_t first_action, float cost)
+ * not negative, and rounding never lowers a sum when something not negative is added, so pruning is exact. */
+static int32_t fk_is_pruned(const fk_search_t *search, uint32_t first_action, float cost)
 {
     return ((cost > search->best_cost) || ((cost == search->best_cost) && (first_action >= search->best_action)))
              ? 1
@@ -127,8 +129,8 @@ static void fk_node_direction(const fk_node_t *from, const fk_motion_t *motion, 
     *sine = from->sine * turned_cosine + from->cosine * turned_sine;
 }
 
-/* Try one action at a level: 1 where its branch goes on at the next level, whose node then stands. */
-static int32_t fk_try(fk_search_t *search, uint32_t level, uint32_t first_action, uint32_t action)
+/* Expand a node by one action: 1 where that gives a node at the next level, which is not pruned. */
+static int32_t fk_expand(fk_search_t *search, uint32_t level, uint32_t first_action, uint32_t action)
 {
     const fk_node_t *node = &search->nodes[level];
     const fk_route_t *route = &search->route;
@@ -138,20 +140,20 @@ static int32_t fk_try(fk_search_t *search, uint32_t level, uint32_t first_action
     float x_m;
     float y_m;
     float cost;
-    float place_m = 0.0f;
+    float arc_m = 0.0f;
     uint32_t knot = 0U;
 
     search->transitions += 1U;
     fk_lookup_motion(search->tables, &node->lookup, &node->dynamics, action, &motion);
     fk_node_move(node, &motion, &x_m, &y_m);
     if (is_route != 0) {
-        cost = node->cost + fk_route_motion_cost(route, node->knot, node->place_m, x_m, y_m, &knot, &place_m);
+        cost = node->cost + fk_route_motion_cost(route, node->knot, node->arc_m, x_m, y_m, &knot, &arc_m);
     } else {
         cost = node->cost
              + fk_cost(search->path, search->config, x_m, y_m, fk_wrap_angle(node->heading_rad + motion.turn_rad))
                    * search->level_factor[level];
     }
-    if (fk_is_left(search, first_action, cost) != 0) {
+    if (fk_is_pruned(search, first_action, cost) != 0) {
         return 0;
     }
     if (level + 1U == search->levels) {
@@ -160,9 +162,9 @@ static int32_t fk_try(fk_search_t *search, uint32_t level, uint32_t first_action
             float sine;
 
             fk_node_direction(node, &motion, route->turn_lead, &cosine, &sine);
-            cost = cost + fk_route_end_cost(route, place_m, x_m, y_m, cosine, sine);
+            cost = cost + fk_route_end_cost(route, arc_m, x_m, y_m, cosine, sine);
         }
-        if (fk_is_left(search, first_action, cost) == 0) {
+        if (fk_is_pruned(search, first_action, cost) == 0) {
             search->best_cost = cost;
             search->best_action = first_action;
         }
@@ -174,7 +176,7 @@ static int32_t fk_try(fk_search_t *search, uint32_t level, uint32_t first_action
     next->heading_rad = fk_wrap_angle(node->heading_rad + motion.turn_rad);
     next->cost = cost;
     next->knot = knot;
-    next->place_m = place_m;
+    next->arc_m = arc_m;
     fk_lookup_next(search->tables, &node->lookup, &node->dynamics, action, &next->dynamics);
     fk_node_open(search->tables, next);
     return 1;
@@ -192,13 +194,13 @@ static void fk_search_begin(fk_search_t *search, uint32_t levels)
     }
 }
 
-/* First actions that are not tried: with the route cost those that fire nothing, where the robot hardly moves. To
- * rest from rest changes nothing, so the next decision would be the same one and the robot would rest for ever. Where
- * nothing else is in the table they stay. */
-static uint32_t fk_left_out(const fk_search_t *search, const fk_state_t *state)
+/* First actions that are not candidates: with the route cost those that fire nothing, where the robot is at rest. To
+ * rest from rest changes nothing, so the next decision would be the same one and the robot would rest for ever. They
+ * stay where the table holds nothing else. */
+static uint32_t fk_excluded(const fk_search_t *search, const fk_state_t *state)
 {
     const uint8_t *row = search->tables->action_rows; /* name, first mask, second mask, 0 */
-    uint32_t left_out = 0U;
+    uint32_t excluded = 0U;
     uint32_t firing = 0U;
     uint32_t action;
 
@@ -210,11 +212,11 @@ static uint32_t fk_left_out(const fk_search_t *search, const fk_state_t *state)
         if (((uint32_t)row[1] | (uint32_t)row[2]) != 0U) {
             firing = 1U;
         } else {
-            left_out |= 1U << action; /* < FK_ACTIONS_MAX = 32 */
+            excluded |= 1U << action; /* < FK_ACTIONS_MAX = 32 */
         }
         row += 4;
     }
-    return (firing != 0U) ? left_out : 0U;
+    return (firing != 0U) ? excluded : 0U;
 }
 
 /* The order in which a deeper level tries the first actions: the best so far, then by their cost at level 1, the
@@ -227,7 +229,7 @@ static uint32_t fk_search_order(const fk_search_t *search, uint32_t best_action,
     for (count = 0U; count < search->tables->actions; count++) {
         uint32_t place = firsts;
 
-        if (((search->left_out >> count) & 1U) != 0U) {
+        if (((search->excluded >> count) & 1U) != 0U) {
             continue;
         }
         while ((place > 0U) && (order[place - 1U] != best_action)
@@ -290,7 +292,7 @@ FK_CACHE_ALIGNED static int32_t fk_search_tree(fk_search_t *search, const uint8_
             }
             return 1;
         }
-        if (fk_try(search, level, order[index], action) != 0) {
+        if (fk_expand(search, level, order[index], action) != 0) {
             level += 1U;
         }
         while ((level > 0U) && (search->nodes[level].next_action == actions)) {
@@ -341,25 +343,25 @@ static void fk_search_levels(fk_search_t *search, fk_plan_t *plan)
     }
 }
 
-/* Where the state is on its path: for the plan, and for the search where the route cost asks for it. */
+/* Project the state onto its path: for the plan, and for the search where the cost is the route's. */
 static void fk_find_on_path(fk_search_t *search, const fk_state_t *state, fk_plan_t *plan)
 {
     fk_node_t *root = &search->nodes[0];
     float distance2_m2;
 
     root->knot = 0U;
-    root->place_m = 0.0f;
+    root->arc_m = 0.0f;
     if (search->config->cost == (uint8_t)FK_COST_ROUTE) {
-        const float reach_m = fk_route_reach(search->tables);
-        fk_foot_t foot;
+        const float stroke_max_m = fk_route_stroke_max(search->tables);
+        fk_projection_t projection;
 
-        fk_route_foot(search->path, reach_m, state->along_points, state->x_m, state->y_m, &foot);
-        fk_route_lay_out(search->path, search->config, reach_m, &foot, &search->route);
+        fk_route_project(search->path, stroke_max_m, state->along_points, state->x_m, state->y_m, &projection);
+        fk_route_lay_out(search->path, search->config, stroke_max_m, &projection, &search->route);
         root->knot = FK_ROUTE_BEHIND;
-        root->place_m = (float)FK_ROUTE_BEHIND * search->route.step_m;
-        distance2_m2 = foot.distance2_m2;
-        plan->along_points = (float)foot.segment + foot.part;
-        plan->path_index = (uint16_t)(foot.segment + (uint32_t)foot.part); /* part 1 is the next point */
+        root->arc_m = (float)FK_ROUTE_BEHIND * search->route.step_m;
+        distance2_m2 = projection.distance2_m2;
+        plan->along_points = (float)projection.segment + projection.fraction;
+        plan->path_index = (uint16_t)(projection.segment + (uint32_t)projection.fraction); /* 1: next */
     } else {
         plan->path_index = fk_path_nearest(search->path, state->x_m, state->y_m, &distance2_m2);
         plan->along_points = (float)plan->path_index;
@@ -434,7 +436,7 @@ int32_t fk_plan(const fk_tables_t *tables, const fk_path_t *path, const fk_plan_
     fk_node_open(tables, root);
     plan->nearest_state = root->lookup.row;
     fk_find_on_path(&search, state, plan);
-    search.left_out = fk_left_out(&search, state);
+    search.excluded = fk_excluded(&search, state);
     fk_search_levels(&search, plan);
     plan->transitions = search.transitions;
     fk_predict(&search, plan);

@@ -91,14 +91,14 @@ int32_t fk_native_nearest(const uint8_t *image, uint32_t size, const int32_t *co
     return FK_OK;
 }
 
-/* bounds: reach_m, turn_max_rad. Returns what fk_tables_open() returns. */
+/* bounds: stroke_max_m, turn_max_rad. Returns what fk_tables_open() returns. */
 int32_t fk_native_bounds(const uint8_t *image, uint32_t size, float *bounds)
 {
     fk_tables_t tables;
     const int32_t error = fk_tables_open(image, size, &tables);
 
     if (error == FK_OK) {
-        bounds[0] = tables.reach_m;
+        bounds[0] = tables.stroke_max_m;
         bounds[1] = tables.turn_max_rad;
     }
     return error;

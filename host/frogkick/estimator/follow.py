@@ -31,7 +31,7 @@ class Follow:
 
     def __init__(self, tables: Tables, path: PathLike, config: PlanConfig) -> None:
         self._path = path_rows(path)
-        self._reach_m = np.float32(tables.reach_m)
+        self._reach_m = np.float32(tables.stroke_max_m)
         self._is_route = config.cost == Cost.ROUTE
         self.begin()
 
@@ -53,8 +53,8 @@ class Follow:
         """Take a fix between decisions; with the route cost a run ends where the path's end is crossed."""
         if self._mark is None or not self._is_route:
             return None
-        reach = route.reach_of(self._reach_m)
-        segment, part, distance2, _ = route.foot(self._path, reach, self.along_points, x_m, y_m)
+        stroke_max = route.stroke_scale(self._reach_m)
+        segment, part, distance2, _ = route.project(self._path, stroke_max, self.along_points, x_m, y_m)
         if np.float32(segment) + part < self._path.shape[1] - 1:
             return None
         return self._end(np.sqrt(distance2))

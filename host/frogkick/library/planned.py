@@ -104,13 +104,13 @@ def _warm(ready: _Ready) -> None:
 
 def _path_length_m(tables: Tables) -> float:
     """As far as the longest strokes take the robot in one swim: no swim runs out of path."""
-    return _STROKES * float(tables.reach_m)
+    return _STROKES * float(tables.stroke_max_m)
 
 
 def _random_path(tables: Tables, rng: np.random.Generator) -> _Path:
     """Arcs from the origin, as long as the swim, as tight as the robot can turn."""
     length_m = _path_length_m(tables)
-    tightest = _TIGHTEST * float(tables.turn_max_rad) / float(tables.reach_m)
+    tightest = _TIGHTEST * float(tables.turn_max_rad) / float(tables.stroke_max_m)
     curvature = tightest * rng.uniform(-1.0, 1.0, _ARCS)
     along = np.linspace(0.0, length_m, _POINTS)
     bend = curvature[np.minimum((along / length_m * _ARCS).astype(int), _ARCS - 1)]

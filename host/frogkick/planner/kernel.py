@@ -1,17 +1,22 @@
-"""Algorithm 1 in float32 (numba): the onboard planner's twin, bit for bit.
+"""The onboard planner's twin, bit for bit (numba): depth-limited branch and bound in float32.
 
-Written from the format and the rules, not from the C: neighbours by brute force instead of a tree, the search
-as a count through sequences of actions. What the two share is the order of float32 operations, the order in
-which branches are tried and left, and these rules:
+It is receding-horizon control: each decision searches sequences of actions on the table's model and takes the
+first action of the cheapest one (Huang et al. 2022, Algorithm 1). The bound is the cost so far (Land & Doig
+1960); where the transitions are limited, the depth grows level by level (iterative deepening, Korf 1985).
 
-- only + - * / sqrt in float32, each rounded once. numba would turn ``int * float32`` into float64, so every
-  integer is made a float32 first and every constant is one; no fastmath, so nothing is fused;
-- integers where a comparison decides; ties take the lowest action of the first level;
-- level 1 is searched first, then the depth, or where that might be cut, level after level; from the second
-  one on the best first action so far comes first, then the others by their cost at level 1 (ties: lowest);
-- costs are not negative, so a branch whose sum has reached the best cannot beat it and is left. Rounding
-  keeps this exact: adding what is not negative never lowers a float32 sum;
-- a search that may evaluate only so many transitions stops before the next one. The first level is always
+It is written from the format and the rules, not from the C: neighbours are found by brute force instead of a
+tree, and the search counts through sequences of actions. The two share the order of float32 operations, the
+order in which branches are expanded and pruned, and these rules:
+
+- Only + - * / sqrt in float32, each rounded once. numba would turn ``int * float32`` into float64, so every
+  integer is made a float32 first and every constant is one. There is no fastmath, so nothing is fused.
+- Integers where a comparison decides. Ties take the lowest action of the first level.
+- Level 1 is searched first, then the full depth, or level after level where the limit might cut that. From
+  the second level on, the best first action so far comes first, then the others by their cost at level 1
+  (ties: the lowest).
+- Costs are not negative, so a branch whose cost has reached the best one cannot beat it and is pruned.
+  Rounding keeps this exact: adding what is not negative never lowers a float32 sum.
+- A search that may evaluate only so many transitions stops before the next one. The first level is always
   finished. An unfinished level counts if its first action is finished: what was found there is a branch of
   that depth, no worse than the one before it.
 
@@ -95,12 +100,12 @@ class _Search(NamedTuple):
     settings: Settings
     knots: Array
     step: np.float32
-    held: bool
+    held: bool  # the robot is far off, and its projection is the last one
     poses: Array
     dynamics: Array
     rows: Array
     knot: Array
-    place: Array
+    place: Array  # arc length along the route, from its first knot
     sums: Array
     best: Array  # (2,) int64: first action (-1: none), transitions so far
     best_cost: Array  # (1,) float32
@@ -172,7 +177,7 @@ def step(pose: Array, motion: Array, after: Array) -> None:
 
 @njit(**INNER)
 def motion_cost(search: _Search, level: int, depth: int) -> Any:
-    """Return what the motion from a level to the next one costs, without what the branch's end costs."""
+    """Return the stage cost: what the motion from a level to the next one costs."""
     settings = search.settings
     after = search.poses[level + 1]
     if settings.cost == COST_PAPER:
@@ -190,18 +195,18 @@ def motion_cost(search: _Search, level: int, depth: int) -> Any:
     low = max(0, search.knot[level] - 1)
     ahead = 0 if search.held else route.AHEAD
     high = min(max(search.knot[level], route.BEHIND if search.held else 0) + ahead, len(search.knots) - 1)
-    knot, place, distance2 = route.place_on(search.knots, search.step, low, high, after[0], after[1])
+    knot, place, distance2 = route.project_on_knots(search.knots, search.step, low, high, after[0], after[1])
     search.knot[level + 1] = knot
     search.place[level + 1] = place
-    reach = search.step / _PER_STEP
-    short = reach - min(place - search.place[level], reach)
-    off = route.softened(distance2, settings.soft_distance_m)
-    return settings.distance_weight_per_m * off + settings.progress_weight_per_m * short
+    stroke_max = search.step / _PER_STEP
+    shortfall = stroke_max - min(place - search.place[level], stroke_max)
+    deviation = route.huber(distance2, settings.soft_distance_m)
+    return settings.distance_weight_per_m * deviation + settings.progress_weight_per_m * shortfall
 
 
 @njit(**INNER)
 def end_cost(search: _Search, level: int, motion: Array) -> Any:
-    """Return what it costs to end a branch at a level, reached by a motion (3,)."""
+    """Return the terminal cost: of a branch that ends at a level, reached by a motion (3,)."""
     settings = search.settings
     if settings.cost == COST_PAPER:
         return _F0
@@ -220,7 +225,7 @@ def end_cost(search: _Search, level: int, motion: Array) -> Any:
 
 
 @njit(**INNER)
-def is_left(search: _Search, first: int, cost: Any) -> bool:
+def is_pruned(search: _Search, first: int, cost: Any) -> bool:
     """Whether a branch with this first action and at least this cost can no longer be the best."""
     if cost == search.best_cost[0]:
         return bool(first >= search.best[0])
@@ -228,13 +233,13 @@ def is_left(search: _Search, first: int, cost: Any) -> bool:
 
 
 @njit(**INNER)
-def goes_on(search: _Search, level: int, depth: int, first: int, action: int) -> bool:
-    """Take an action at a level; True where its branch has a next level and is not left."""
+def expand(search: _Search, level: int, depth: int, first: int, action: int) -> bool:
+    """Expand a node by one action; True where that gives a node at the next level, which is not pruned."""
     search.best[1] += 1
     motion_of(search.table, search.rows[level], search.dynamics[level], action, search.motion)
     step(search.poses[level], search.motion, search.poses[level + 1])
     cost = search.sums[level] + motion_cost(search, level, depth)
-    if is_left(search, first, cost):
+    if is_pruned(search, first, cost):
         return False
     if level + 1 < depth:
         search.sums[level + 1] = cost
@@ -243,15 +248,15 @@ def goes_on(search: _Search, level: int, depth: int, first: int, action: int) ->
         search.rows[level + 1] = find_row(search.table, after)
         return True
     cost = cost + end_cost(search, depth, search.motion)
-    if not is_left(search, first, cost):
+    if not is_pruned(search, first, cost):
         search.best_cost[0] = cost
         search.best[0] = first
     return False
 
 
 @njit(**ALLOCATING)
-def try_first(search: _Search, depth: int, first: int) -> bool:
-    """Count through the sequences of ``depth`` actions that begin with one; True where it has to stop."""
+def search_branch(search: _Search, depth: int, first: int) -> bool:
+    """Search the sequences of ``depth`` actions that begin with one; True where the limit stops it."""
     limit = search.settings.transitions_max
     sequence = np.zeros(DEPTH_MAX, dtype=np.int64)
     sequence[0] = first
@@ -259,7 +264,7 @@ def try_first(search: _Search, depth: int, first: int) -> bool:
     while True:
         if depth > 1 and limit > 0 and search.best[1] >= limit:
             return True
-        if goes_on(search, level, depth, first, sequence[level]):
+        if expand(search, level, depth, first, sequence[level]):
             level += 1
             sequence[level] = 0
             continue
@@ -273,9 +278,9 @@ def try_first(search: _Search, depth: int, first: int) -> bool:
 
 
 @njit(**ALLOCATING)
-def first_actions(shallow: Array, best: int) -> Array:
+def root_order(root_cost: Array, best: int) -> Array:
     """Return the order in which a deeper level tries the first actions: ``best``, then by cost at level 1."""
-    keys = shallow.copy()
+    keys = root_cost.copy()
     keys[best] = -_F1
     order = np.zeros(len(keys), dtype=np.int64)
     for action in range(len(keys)):
@@ -297,8 +302,8 @@ def second_level(limit: int, depth: int, actions: int) -> int:
 
 
 @njit(**INNER)
-def is_tried(search: _Search, moves: bool, action: int) -> bool:
-    """Whether an action may be the first; to rest may not, from rest, unless there is nothing else."""
+def is_candidate(search: _Search, moves: bool, action: int) -> bool:
+    """Whether an action may be the first: resting may not, from rest, unless there is nothing else."""
     if moves or search.settings.cost != COST_ROUTE or not np.any(search.table.fires):
         return True
     return bool(np.any(search.table.fires[action]))
@@ -308,20 +313,20 @@ def is_tried(search: _Search, moves: bool, action: int) -> bool:
 def search_levels(search: _Search, depth: int, moves: bool) -> Any:
     """Search level after level; leave cost and first action in ``search``. Return (action, depth reached)."""
     actions = action_count(search.table)
-    shallow = np.full(actions, np.inf, dtype=np.float32)
-    firsts = 0
+    root_cost = np.full(actions, np.inf, dtype=np.float32)
+    candidates = 0
     best_action: Any = np.int64(0)  # a plain 0 is a type of its own: all below would be compiled for it too
     best_cost = np.float32(np.inf)
     for action in range(actions):
-        if not is_tried(search, moves, action):
+        if not is_candidate(search, moves, action):
             continue
-        firsts += 1
+        candidates += 1
         search.best[0] = actions
         search.best_cost[0] = np.float32(np.inf)
-        try_first(search, np.int64(1), action)
-        shallow[action] = search.best_cost[0]
-        if shallow[action] < best_cost:
-            best_cost = shallow[action]
+        search_branch(search, np.int64(1), action)
+        root_cost[action] = search.best_cost[0]
+        if root_cost[action] < best_cost:
+            best_cost = root_cost[action]
             best_action = action
     reached = 1
     for levels in range(second_level(search.settings.transitions_max, depth, actions), depth + 1):
@@ -329,8 +334,8 @@ def search_levels(search: _Search, depth: int, moves: bool) -> Any:
         search.best_cost[0] = np.float32(np.inf)
         stopped = False
         finished = 0
-        for action in first_actions(shallow, best_action)[:firsts]:
-            stopped = try_first(search, levels, action)
+        for action in root_order(root_cost, best_action)[:candidates]:
+            stopped = search_branch(search, levels, action)
             if stopped:
                 break
             finished += 1
@@ -366,15 +371,15 @@ def plan_one(
     numbers[0] = check(path, settings, depth, state, limb_use, along)
     if numbers[0] != OK:
         return
-    reach = route.reach_of(table.reach_m[0])
-    spacing = reach * _PER_STEP
+    stroke_max = route.stroke_scale(table.stroke_max_m[0])
+    spacing = stroke_max * _PER_STEP
     is_route = settings.cost == COST_ROUTE
     knots = np.zeros(
         (route.knot_count(depth, settings.look_ahead_m, spacing) if is_route else 1, 4), np.float32
     )
     held = False
     if is_route:
-        segment, part, distance2, held = route.foot(path, reach, along, state[0], state[1])
+        segment, part, distance2, held = route.project(path, stroke_max, along, state[0], state[1])
         numbers[3] = segment + int(part)
         values[1] = np.sqrt(distance2)
         values[2] = np.float32(segment) + part

@@ -42,7 +42,7 @@ class TableArrays(NamedTuple):
     least: Array
     most: Array
     use: Array
-    reach_m: Array
+    stroke_max_m: Array
     turn_max_rad: Array
     period_s: Array
 
@@ -68,7 +68,7 @@ def arrays_of(tables: Tables) -> TableArrays:
         least=states.min(axis=0) - tables.offset_limit,
         most=states.max(axis=0) + tables.offset_limit,
         use=np.array([tables.use_decay, tables.use_gain], dtype=np.int64),
-        reach_m=np.array([tables.reach_m], dtype=np.float32),
+        stroke_max_m=np.array([tables.stroke_max_m], dtype=np.float32),
         turn_max_rad=np.array([tables.turn_max_rad], dtype=np.float32),
         period_s=np.array([tables.period_us], dtype=np.float32) * np.float32(1e-6),
     )

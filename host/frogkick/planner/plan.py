@@ -1,4 +1,4 @@
-"""Plan on the host with the bits of the robot: one decision, or many for comparison."""
+"""Plan on the host with the robot's bits: one decision, or a batch of them."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ PLAN_ROW = np.dtype(
 
 PLAN_FIXED_US = 600
 TRANSITION_NS = 22000
-"""Of a decision's time on the chip what no transition takes, and the most that each adds (fk_robot.h)."""
+"""Time of a decision on the chip: what no transition takes, and the most that each one adds (fk_robot.h)."""
 
 _NUMBER_FIELDS = ("status", "action", "nearest_state", "path_index", "depth_reached", "transitions")
 
@@ -83,20 +83,20 @@ class Cost(enum.IntEnum):
 class PlanConfig:
     """Cost, weights and depth; the defaults are the paper's.
 
-    Weights and lengths are 0 to 1e6. Those of the cost that is not chosen are not looked at.
+    Weights and lengths are 0 to 1e6. Those of the other cost are ignored.
 
     Attributes:
-        distance_weight_per_m: times the distance to the path (route: softened near it).
+        distance_weight_per_m: times the distance to the path (route: its Huber loss).
         angle_weight_per_rad: times the angle between heading and path: its tangent there (paper), the
             direction to its place a look-ahead further on (route, at a branch's end only).
-        progress_weight: paper: times the part of the path that is left.
+        progress_weight: paper: times the part of the path that remains.
         level_weight: paper: a level's cost is multiplied by 1 + level_weight * levels below it.
         depth: levels to look ahead, 1 to 4.
         cost: which cost.
-        progress_weight_per_m: route: times what a motion advances less than the table's longest one.
+        progress_weight_per_m: route: times how much less a motion advances than the table's longest stroke.
         look_ahead_m: route: how far along the path a branch's end points.
-        soft_distance_m: route: the distance below which distance counts by its square.
-        turn_lead: route: times the last turn, by which the robot is taken to turn on; 0 to 2.
+        soft_distance_m: route: threshold of the Huber loss, below which distance counts by its square.
+        turn_lead: route: the robot is expected to turn on by this many times the last turn; 0 to 2.
         transitions_max: transitions to evaluate before the search has to answer; 0 = as many as it takes.
             The first level is always finished.
     """

@@ -1,16 +1,18 @@
-"""The route cost in float32 (numba): progress along the path that no branch jumps, and where a branch ends.
+"""The route cost in float32 (numba): progress along the path as stage cost, heading as terminal cost.
 
-The twin of route.c, written from these rules:
+It is the twin of route.c, written from these rules:
 
-- The path is its polyline. How far a state is along it is carried from decision to decision, in points
-  (2.25 lies a quarter of the way from point 2 to point 3), and looked for only near where it was: a path that
-  crosses or closes on itself is never left for another part of it.
-- From there a route is laid out: knots at equal steps along the polyline, straight on beyond both of its
-  ends. A pose belongs to the nearest of every third knot that one motion can reach, or to a neighbour of it,
-  and lies off it along and across the route's direction there.
-- A robot that hardly moves does not choose to rest: that changes nothing, so it would rest for ever.
-- A motion costs distance from the route, softened near it, and what it advances less than the table's longest
-  motion. A branch's end costs how far the robot points away from the route's place a look-ahead further on.
+- The path is a polyline. A state is projected onto it, and the projection is carried from decision to
+  decision in points (2.25 lies a quarter of the way from point 2 to point 3). It is looked for only near the
+  last one: a path that crosses or closes on itself is never left for another part of it.
+- From the projection a route is laid out: knots at equal steps along the polyline, straight on beyond both of
+  its ends. A pose belongs to the nearest of every third knot that one motion can reach, or to a neighbour of
+  it, and its deviation from that knot is split along and across the route's direction there.
+- A robot at rest does not choose to rest: that changes nothing, so it would rest for ever.
+- Stage cost of a motion: the Huber loss of its end's distance from the route (Huber 1964; the quadratic part
+  ends at ``soft_distance_m``), and the shortfall of its advance against the table's longest stroke.
+- Terminal cost of a branch: how far the robot points away from the route's place a look-ahead further on, the
+  target point of pure pursuit (Coulter 1992).
 
 Every operation is float32 in the order written; ties take the lowest index.
 """
@@ -27,33 +29,33 @@ from frogkick.core.compiled import BARE, INNER
 
 Array = npt.NDArray[Any]
 
-STEPS_PER_REACH = 8
+STEPS_PER_STROKE = 8
 AHEAD = 12
-"""Knots that one motion may advance: one and a half times the table's longest motion."""
+"""Knots that one motion may advance: one and a half times the table's longest stroke."""
 BEHIND = 2
 """Knots of the route behind where it begins."""
 KNOTS_MAX = 80
-REACH_MIN_M = np.float32(1e-4)
+STROKE_MIN_M = np.float32(1e-4)
 STILL_RAD = np.float32(0.125)
 
 _F0 = np.float32(0)
 _F1 = np.float32(1)
 _F2 = np.float32(2)
 _HALF = np.float32(0.5)
-_AHEAD_REACHES = np.float32(1.5)
-_FAR_REACHES = np.float32(2)
+_AHEAD_STROKES = np.float32(1.5)
+_FAR_STROKES = np.float32(2)
 _PER_STEP = np.float32(0.125)
 
 
 @njit(**BARE)
-def reach_of(reach_m: np.float32) -> Any:
-    """Return the length that scales everything here: the table's longest motion, but not nothing."""
-    return max(reach_m, REACH_MIN_M)
+def stroke_scale(stroke_max_m: np.float32) -> Any:
+    """Return the length that scales everything here: the table's longest stroke, at least STROKE_MIN_M."""
+    return max(stroke_max_m, STROKE_MIN_M)
 
 
 @njit(**INNER)
 def is_still(state: Array, step: np.float32, period: np.float32) -> bool:
-    """Whether a state (6,) moves so little that a period of it counts for nothing."""
+    """Whether a state (6,) is at rest: within a period it moves less than a step and hardly turns."""
     speed2 = state[3] * state[3] + state[4] * state[4]
     turn = state[5] * period
     return bool(speed2 * (period * period) <= step * step and abs(turn) <= STILL_RAD)
@@ -68,7 +70,7 @@ def segment_length(path: Array, segment: int) -> Any:
 
 
 @njit(**INNER)
-def offset_from(path: Array, segment: int, part: np.float32, x: np.float32, y: np.float32) -> Any:
+def distance2_to(path: Array, segment: int, part: np.float32, x: np.float32, y: np.float32) -> Any:
     """Return the squared distance of a position from a place on a segment."""
     dx = path[0, segment + 1] - path[0, segment]
     dy = path[1, segment + 1] - path[1, segment]
@@ -78,8 +80,8 @@ def offset_from(path: Array, segment: int, part: np.float32, x: np.float32, y: n
 
 
 @njit(**INNER)
-def part_of_segment(path: Array, segment: int, x: np.float32, y: np.float32) -> Any:
-    """Return how far along a segment its nearest place to a position lies, 0 to 1."""
+def project_on_segment(path: Array, segment: int, x: np.float32, y: np.float32) -> Any:
+    """Project a position onto a segment: how far along it the nearest place lies, 0 to 1."""
     dx = path[0, segment + 1] - path[0, segment]
     dy = path[1, segment + 1] - path[1, segment]
     length2 = dx * dx + dy * dy
@@ -92,18 +94,18 @@ def part_of_segment(path: Array, segment: int, x: np.float32, y: np.float32) -> 
 
 
 @njit(**BARE)
-def foot(path: Array, reach: np.float32, begin: np.float32, x: np.float32, y: np.float32) -> Any:
-    """Find where along the path a position is.
+def project(path: Array, stroke_max: np.float32, begin: np.float32, x: np.float32, y: np.float32) -> Any:
+    """Project a position onto the path, near its last projection.
 
     Args:
         path: (3, n) float32.
-        reach: from ``reach_of``.
-        begin: where it was, in points, 0 to n - 1: looked for from one reach behind it to one and a half
-            ahead, in whole segments.
+        stroke_max: from ``stroke_scale``.
+        begin: the last projection, in points, 0 to n - 1. The search goes from one longest stroke behind it
+            to one and a half ahead, in whole segments.
 
     Returns:
-        (segment, part of it, squared distance m^2, held): where that is more than two reaches away the robot
-        shall come back to ``begin``, which is then held.
+        (segment, fraction of it, squared distance m^2, held): where the nearest place is more than two
+        longest strokes away, the robot shall come back to ``begin``, which is then held as its projection.
     """
     last = path.shape[1] - 2
     home = min(int(begin), last)
@@ -111,27 +113,27 @@ def foot(path: Array, reach: np.float32, begin: np.float32, x: np.float32, y: np
     length = segment_length(path, home)
     first = home
     behind = home_part * length
-    while first > 0 and behind < reach:
+    while first > 0 and behind < stroke_max:
         first -= 1
         behind = behind + segment_length(path, first)
     end = home
     ahead = (_F1 - home_part) * length
-    while end < last and ahead < _AHEAD_REACHES * reach:
+    while end < last and ahead < _AHEAD_STROKES * stroke_max:
         end += 1
         ahead = ahead + segment_length(path, end)
     best = np.float32(np.inf)
     segment = home
     part = home_part
     for candidate in range(first, end + 1):
-        place = part_of_segment(path, candidate, x, y)
-        distance2 = offset_from(path, candidate, place, x, y)
+        place = project_on_segment(path, candidate, x, y)
+        distance2 = distance2_to(path, candidate, place, x, y)
         if distance2 < best:
             best = distance2
             segment = candidate
             part = place
-    far = _FAR_REACHES * reach
+    far = _FAR_STROKES * stroke_max
     if best > far * far:
-        return home, home_part, offset_from(path, home, home_part, x, y), True
+        return home, home_part, distance2_to(path, home, home_part, x, y), True
     return segment, part, best, False
 
 
@@ -148,7 +150,7 @@ def knot_count(depth: int, look_ahead: np.float32, step: np.float32) -> int:
 def lay_out(path: Array, segment: int, part: np.float32, step: np.float32, knots: Array) -> None:
     """Write the knots (n, 4) float32: x, y, and the unit vector along the route.
 
-    Knot BEHIND stands at the foot. A segment of no length keeps the direction of the one before it.
+    Knot BEHIND stands at the projection. A segment of no length keeps the direction of the one before it.
     """
     last = path.shape[1] - 2
     length = segment_length(path, segment)
@@ -204,8 +206,10 @@ def nearest_knot(knots: Array, low: int, high: int, x: np.float32, y: np.float32
 
 
 @njit(**INNER)
-def place_on(knots: Array, step: np.float32, low: int, high: int, x: np.float32, y: np.float32) -> Any:
-    """Find a position among the knots low to high: (knot, metres from knot 0, squared distance m^2)."""
+def project_on_knots(
+    knots: Array, step: np.float32, low: int, high: int, x: np.float32, y: np.float32
+) -> Any:
+    """Project a position onto knots low to high: (knot, arc length from knot 0 m, squared distance m^2)."""
     knot = nearest_knot(knots, low, high, x, y)
     along = (x - knots[knot, 0]) * knots[knot, 2] + (y - knots[knot, 1]) * knots[knot, 3]
     moved = max(-step, min(step, along))
@@ -214,11 +218,11 @@ def place_on(knots: Array, step: np.float32, low: int, high: int, x: np.float32,
 
 
 @njit(**INNER)
-def softened(distance2: np.float32, soft: np.float32) -> Any:
-    """Return a distance less half of ``soft``; within ``soft`` a part of its square, which meets that."""
-    if distance2 < soft * soft:
-        return distance2 * (_HALF / soft)
-    return np.sqrt(distance2) - _HALF * soft
+def huber(distance2: np.float32, huber_m: np.float32) -> Any:
+    """Return the Huber loss of a distance over its threshold: quadratic within ``huber_m``, linear beyond."""
+    if distance2 < huber_m * huber_m:
+        return distance2 * (_HALF / huber_m)
+    return np.sqrt(distance2) - _HALF * huber_m
 
 
 @njit(**INNER)

@@ -92,7 +92,7 @@ class Tables:
         return zlib.crc32(self.image[16:])
 
     @property
-    def reach_m(self) -> np.float32:
+    def stroke_max_m(self) -> np.float32:
         """No look-up moves the robot further than this; float32, as fk_tables_t has it."""
         forward, left = self.motion_limit[:2].astype(np.float32) * self.motion_scale[:2]
         return np.float32(np.sqrt(forward * forward + left * left))

@@ -101,7 +101,7 @@ def _lines(values: Mapping[str, Any]) -> str:
     told = {key: value for key, value in values.items() if key not in ("actions", "clock", "made")}
     told |= values.get("clock", {}) | values.get("made", {})
     if "actions" in values:
-        told["actions"] = " ".join(f"{name}{count}" for name, count in values["actions"].items())
+        told["actions"] = ", ".join(f"{name} {count}" for name, count in values["actions"].items())
     return "\n".join(text_lines(told))
 
 

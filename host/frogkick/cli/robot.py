@@ -142,7 +142,7 @@ def _text(robot: fk.Robot, facts: dict[str, Any]) -> str:
     for limb in facts["limbs"]:
         x, y = (1e3 * value for value in limb["root_m"])
         place = f"corner {limb['corner']} at ({x:g}, {y:g}) mm"
-        fired = "".join(limb["actions"]) or "none"
+        fired = " ".join(limb["actions"]) or "none"
         lines.append(f"limb {limb['index']} {limb['name']}: {place}, actions {fired}")
     for action in facts["actions"]:
         first, second = (" ".join(action[group]) or "none" for group in ("first", "second"))

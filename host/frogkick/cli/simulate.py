@@ -46,7 +46,9 @@ def simulate(
     frequency_hz: Annotated[float | None, typer.Option(help="Strokes per second of a gait.")] = None,
     phase: Annotated[float, typer.Option(help="Rear limbs' lag as a part of the period, 0 to 1.")] = 0.5,
     cycles: Annotated[int, typer.Option(min=1, max=200, help="Cycles of the gait.")] = 8,
-    actions: Annotated[str | None, typer.Option(help="Actions one after another, as B,B,C.")] = None,
+    actions: Annotated[
+        str | None, typer.Option(help="Names of actions, one after another, as B,B,C or kick,glide.")
+    ] = None,
     initial_velocity: Annotated[str, typer.Option(help="VX,VY,OMEGA: forward, left m/s, rad/s.")] = "0,0,0",
     out: Annotated[Path | None, typer.Option(help="CSV with time_s, x_m, y_m, heading_rad.")] = None,
     animation: Annotated[Path | None, typer.Option(help="Moving picture to write (.gif or .mp4).")] = None,
@@ -66,13 +68,10 @@ def simulate(
         raise InputError(
             "--actions uses the robot's own profile: leave --egain-percent and --frequency-hz out"
         )
-    names = None if actions is None else [name.strip() for name in actions.split(",") if name.strip()]
-    if names == []:
-        raise InputError("--actions is empty: name at least one action, as B,B,C")
-    begin = (0.0, 0.0, 0.0) if names is None else _velocity(initial_velocity)
+    begin = (0.0, 0.0, 0.0) if actions is None else _velocity(initial_velocity)
     result = fk.simulate(
         described,
-        names,
+        actions,
         velocity_body=begin,
         egain_percent=egain_percent,
         frequency_hz=frequency_hz,
@@ -85,8 +84,10 @@ def simulate(
     if animation is not None:
         from frogkick.report.animation import actions_swim, gait_swim, write_animation
 
-        if names:
-            swim = actions_swim(described, [described.action(name) for name in names], begin)
+        if actions is not None:
+            from frogkick.front.swimming import actions_of
+
+            swim = actions_swim(described, actions_of(described, actions), begin)
         else:
             swim = gait_swim(described, egain, frequency, phase, cycles)
         with progress_bar("animation") as progress:

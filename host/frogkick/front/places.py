@@ -72,8 +72,14 @@ def strokes_alike(tables: Tables, robot: Robot) -> bool:
     """A table's limbs and actions are the robot's own."""
     rows = [(row.name, row.first_mask, row.second_mask) for row in tables.actions]
     return tables.limbs == len(robot.limbs) and rows == [
-        (action.name, action.first_mask, action.second_mask) for action in robot.actions
+        (code, action.first_mask, action.second_mask)
+        for code, action in zip(robot.action_codes, robot.actions, strict=True)
     ]
+
+
+def called_by(robot: Robot, tables: Tables) -> Tables:
+    """A robot's table, its actions by the names that the robot's file gives them."""
+    return tables.called([action.name for action in robot.actions])
 
 
 def require_simulated(name: str) -> None:

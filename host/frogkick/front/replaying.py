@@ -14,6 +14,7 @@ from frogkick.core.progress import Progress, shown
 from frogkick.front.default_tables import default_tables
 from frogkick.front.places import (
     built_firmware,
+    called_by,
     plan_config,
     require_period,
     require_simulated,
@@ -27,7 +28,7 @@ from frogkick.front.running import PLANS, Run
 from frogkick.front.tables import Table, load_table
 from frogkick.link.log import fetch_log as fetch_bytes
 from frogkick.link.wire import is_target, parse_target
-from frogkick.robot import Robot
+from frogkick.robot import Robot, in_a_row
 from frogkick.runs.chip_log_file import FetchedLog, read_log, write_log
 from frogkick.runs.chip_log_replay import LogReplay
 from frogkick.runs.chip_log_replay import replay_log as replay_records
@@ -63,9 +64,9 @@ class Replayed:
         result = self.result
         values: dict[str, Any] = {
             "decisions": len(result.actions),
-            "actions": "".join(result.actions),
+            "actions": in_a_row(result.actions),
             "mismatches": self.mismatches,
-            "recorded_actions": "".join(name or "?" for name in result.recorded),
+            "recorded_actions": in_a_row([name or "?" for name in result.recorded]),
             "agreement_with_recorded": result.agreement,
             "depth": self.depth,
             "places": [place for place, made in (("onboard", result.onboard), ("host", result.host)) if made],
@@ -199,7 +200,7 @@ class LogReplayed:
             "replayed": result.replayed,
             "segments": result.segments,
             "decisions": len(result.decisions),
-            "actions": "".join(self.actions),
+            "actions": in_a_row(self.actions),
             "mismatches": len(result.mismatches),
         }
         if result.mismatches:
@@ -256,4 +257,4 @@ def replay_log(
             f"nothing in {name} can be decided again with table {opened.crc32:08x}, the robot used "
             f"{fetched.table_crc:08x}: give its table with --tables, or fetch after an ARM"
         )
-    return LogReplayed(found, opened)
+    return LogReplayed(found, called_by(described, opened))

@@ -68,15 +68,21 @@ def actions_of(robot: Robot, actions: str | Sequence[str]) -> list[Action]:
 
     Args:
         robot: whose.
-        actions: names in one text, with commas between them or each of one letter, or a sequence.
+        actions: names in one text, with commas between them (letters need none), or a sequence.
 
     Raises:
         InputError: none, or an unknown one.
     """
     if isinstance(actions, str):
-        names = [name.strip() for name in actions.split(",")] if "," in actions else list(actions.strip())
-        known = {action.name for action in robot.actions}
-        names = [actions.strip()] if actions.strip().upper() in known else names
+        names = [name.strip() for name in actions.split(",")]
+        known = {action.name.upper() for action in robot.actions}
+        letters = {name for name in known if len(name) == 1}
+        if (
+            len(names) == 1
+            and names[0].upper() not in known
+            and (letters == known or letters.issuperset(names[0].upper()))
+        ):
+            names = list(names[0])
     else:
         names = list(actions)
     names = [name for name in names if name]

@@ -16,7 +16,7 @@ from frogkick.core.files import write_bytes
 from frogkick.core.progress import Progress, shown, tell_line
 from frogkick.front.default_tables import default_tables
 from frogkick.front.html import page_of
-from frogkick.front.places import DEFAULT_ROBOT, robot_of_image
+from frogkick.front.places import DEFAULT_ROBOT, called_by, robot_of_image
 from frogkick.library import RECORD_S, Library, library_info
 from frogkick.robot import Robot
 from frogkick.tables.image import Tables, open_image, read_image
@@ -149,7 +149,8 @@ def load_table(file: Path | str | None = None, robot: Robot | str | None = None)
     if file is None:
         file = default_tables(robot or DEFAULT_ROBOT)
     tables = read_image(file)
-    return Table(tables, robot_of_image(tables, robot, Path(file)), Path(file).name)
+    described = robot_of_image(tables, robot, Path(file))
+    return Table(called_by(described, tables), described, Path(file).name)
 
 
 def build_library(
@@ -252,4 +253,5 @@ def fit_table(
         budget = None if budget_kib is None else int(budget_kib * KIB)
         with shown(progress, "tables tried") as tell:
             image = libraries.fit_table(library, kind, budget, tell).image
-    return Table(open_image(image), library.robot())
+    robot = library.robot()
+    return Table(called_by(robot, open_image(image)), robot)

@@ -28,6 +28,7 @@ from frogkick.identification.swim import Swim
 from frogkick.identification.terms import Term
 from frogkick.identification.verdict import Interval
 from frogkick.identification.worth import ALIKE
+from frogkick.robot import in_a_row
 
 FloatArray = NDArray[np.float64]
 
@@ -82,7 +83,7 @@ class Experiment:
     @property
     def row(self) -> str:
         """Its actions in a row."""
-        return ("" if all(len(name) == 1 for name in self.actions) else " ").join(self.actions)
+        return in_a_row(self.actions)
 
     @property
     def text(self) -> str:

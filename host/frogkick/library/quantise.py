@@ -19,7 +19,10 @@ def table_fields(robot: Robot, provenance: bytes) -> dict[str, Any]:
         "pulse_us": round(robot.pulse_s * 1e6),
         "second_delay_us": round(robot.second_delay_s * 1e6),
         "limbs": len(robot.limbs),
-        "action_rows": [(a.name, a.first_mask, a.second_mask) for a in robot.actions],
+        "action_rows": [
+            (code, action.first_mask, action.second_mask)
+            for code, action in zip(robot.action_codes, robot.actions, strict=True)
+        ],
         "velocity_scale": robot.velocity_resolution,
     }
 

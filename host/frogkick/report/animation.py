@@ -21,7 +21,7 @@ from frogkick.core.errors import FrogkickError, InputError
 from frogkick.core.files import atomic_path
 from frogkick.der import Rods, Swimmer, prepare
 from frogkick.report import style
-from frogkick.robot import Action, Robot
+from frogkick.robot import Action, Robot, in_a_row
 
 FloatArray = npt.NDArray[np.float64]
 Pixels = npt.NDArray[np.uint8]
@@ -99,7 +99,7 @@ def actions_swim(
         for index, action in enumerate(actions)
         for delay_s, mask in ((0.0, action.first_mask), (robot.second_delay_s, action.second_mask))
     ]
-    names = "".join(action.name for action in actions)
+    names = in_a_row([action.name for action in actions])
     shown = names if len(names) <= 40 else names[:37] + "..."
     return Swim(
         prepare(robot),

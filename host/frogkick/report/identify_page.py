@@ -141,7 +141,7 @@ def _errors(outcome: Outcome) -> Section:
 def _tracks(outcome: Outcome, misses: Misses) -> Section:
     caption = (
         "Left: a whole test run. Right: the periods around the one that the nominal model missed most, with "
-        "the letters of the actions. Dashed lines lead from where each period began to where it was "
+        "the names of the actions. Dashed lines lead from where each period began to where it was "
         "predicted "
         "to end."
     )

@@ -16,7 +16,7 @@ from frogkick.core.files import atomic_path
 from frogkick.der import prepare
 from frogkick.der.mesh import Mesh
 from frogkick.report import style
-from frogkick.robot import Robot, limb_points
+from frogkick.robot import Robot, in_a_row, limb_points
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -179,7 +179,8 @@ def _limbs(axes: Axes, robot: Robot, mesh: Mesh, nodes_mm: FloatArray) -> None:
         step = 1 if limb.clamp == "next" else -1
         edge = nodes_mm[[root, (root + 2 * step) % mesh.frame_nodes]]
         _line(axes, edge, "-", color="black", linewidth=4.0, alpha=0.55, solid_capstyle="butt")
-        actions = "".join(a.name for a in robot.actions if (a.first_mask | a.second_mask) >> index & 1)
+        fires = [a.name for a in robot.actions if (a.first_mask | a.second_mask) >> index & 1]
+        actions = in_a_row(fires)
         tip = active[-1]
         # The page's x is -y of the body.
         right, up = -math.sin(limb.direction_rad), math.cos(limb.direction_rad)

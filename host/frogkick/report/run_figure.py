@@ -111,7 +111,7 @@ def _track(axes: Axes, run: RunLog, seen: _Seen) -> None:
     axes.set_aspect("equal", adjustable="datalim")
     axes.set_xlabel(style.POOL_X)
     axes.set_ylabel(style.POOL_Y)
-    axes.set_title("Track over path; letters are the actions chosen there")
+    axes.set_title("Track over path; beside it the actions chosen there")
     axes.legend(loc="best")
 
 

@@ -2,7 +2,7 @@
 
 from frogkick.robot.geometry import limb_points, robot_warnings
 from frogkick.robot.load import built_in_robots, load_robot, parse_robot
-from frogkick.robot.model import Action, Frame, Guard, Limb, PlannerDefaults, Robot, VelocityBox
+from frogkick.robot.model import Action, Frame, Guard, Limb, PlannerDefaults, Robot, VelocityBox, in_a_row
 from frogkick.robot.profile import Actuation, Profile, fit_profile
 from frogkick.robot.symmetry import Mirror, mirror_of
 
@@ -19,6 +19,7 @@ __all__ = [
     "VelocityBox",
     "built_in_robots",
     "fit_profile",
+    "in_a_row",
     "limb_points",
     "load_robot",
     "mirror_of",

@@ -17,7 +17,16 @@ from frogkick.core.files import existing_file
 from frogkick.robot.geometry import require_geometry
 from frogkick.robot.model import Action, Battery, Frame, Guard, Limb, PlannerDefaults, Robot, VelocityBox
 from frogkick.robot.profile import Profile
-from frogkick.robot.schema import BatteryTable, FrameTable, LibraryTable, LimbTable, ProfileTable, RobotFile
+from frogkick.robot.schema import (
+    ACTION_NAME_MAX,
+    ACTIONS_MAX,
+    BatteryTable,
+    FrameTable,
+    LibraryTable,
+    LimbTable,
+    ProfileTable,
+    RobotFile,
+)
 from frogkick.robot.toml_text import to_toml
 
 PIN_MOST_V = 3.0
@@ -213,6 +222,13 @@ def _first_error(error: ValidationError) -> str:
         return f"keys {', '.join(map(repr, missing))} are missing: add them"
     if first["type"] == "missing":
         return f"key {where!r} is missing: add it{more}"
+    if location[0] == "action" and location[-1] == "name":
+        return (
+            f"{where} is {str(first['input'])[:60]!r}: give a letter, or a word of up to {ACTION_NAME_MAX} "
+            f"letters, digits, - and _ that begins with a letter{more}"
+        )
+    if location == ("action",) and first["type"] == "too_long":
+        return f"there are {len(first['input'])} actions: a table has room for {ACTIONS_MAX}, leave some out"
     return f"{where} is {str(first['input'])[:60]!r}: {first['msg'][0].lower()}{first['msg'][1:]}{more}"
 
 
@@ -308,7 +324,7 @@ def _robot(file: RobotFile, source: str, folder: Path | None) -> Robot:
     limb_names = [limb.name for limb in file.limb]
     _distinct(limb_names, "limbs", source)
     _distinct([limb.corner for limb in file.limb], "limbs' corners", source)
-    _distinct([action.name for action in file.action], "actions", source)
+    _distinct([action.name.upper() for action in file.action], "actions", source)
     _distinct([(p.egain_percent, p.frequency_hz) for p in file.profile], "profiles", source)
     frame = _frame(file.frame, source)
     limbs = tuple(_limb(limb, len(frame.corners_m), source) for limb in file.limb)

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import html
 import os
+import string
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -91,11 +92,19 @@ class Limb:
 
 @dataclass(frozen=True)
 class Action:
-    """One stroke: the limbs of first_mask fire, those of second_mask one delay later (bit i = limb i)."""
+    """One stroke: the limbs of first_mask fire, those of second_mask one delay later (bit i = limb i).
+
+    Its name is a letter or a word.
+    """
 
     name: str
     first_mask: int
     second_mask: int
+
+
+def in_a_row(names: Sequence[str]) -> str:
+    """Names of actions in one text: letters side by side, words with spaces between them."""
+    return ("" if all(len(name) == 1 for name in names) else " ").join(names)
 
 
 @dataclass(frozen=True)
@@ -288,6 +297,14 @@ class Robot:
         self.actuation(frequency_hz=1.0 / period_s)
         return replace(self, period_s=period_s, profile_frequency_hz=1.0 / period_s)
 
+    @property
+    def action_codes(self) -> tuple[str, ...]:
+        """What a table image calls its actions, a character each: their names, or where these are words the
+        next free letters."""
+        names = [action.name for action in self.actions]
+        free = (letter for letter in string.ascii_uppercase + string.ascii_lowercase if letter not in names)
+        return tuple(name if len(name) == 1 else next(free) for name in names)
+
     def action(self, name: str) -> Action:
         """The action of that name (case ignored).
 
@@ -295,7 +312,7 @@ class Robot:
             InputError: no such action; the text lists those there are.
         """
         for action in self.actions:
-            if action.name == name.upper():
+            if action.name.upper() == name.upper():
                 return action
         known = ", ".join(action.name for action in self.actions)
         raise InputError(f"robot {self.id!r} has no action {name!r}: choose from {known}")

@@ -10,6 +10,11 @@ Positive = Annotated[float, Field(gt=0.0)]
 NotNegative = Annotated[float, Field(ge=0.0)]
 Weight = Annotated[float, Field(ge=0.0, le=1e6)]
 Pair = tuple[float, float]
+ACTION_NAME_MAX = 20
+ACTIONS_MAX = 32
+"""As many as a table image has room for."""
+
+ActionName = Annotated[str, Field(max_length=ACTION_NAME_MAX, pattern=r"^[A-Za-z][A-Za-z0-9_\-]*$")]
 Name = Annotated[str, Field(min_length=1, max_length=40, pattern=r"^[A-Za-z0-9_\-]+$")]
 
 
@@ -55,7 +60,7 @@ class LimbTable(_Table):
 
 
 class ActionTable(_Table):
-    name: Annotated[str, Field(pattern=r"^[A-Z]$")]
+    name: ActionName
     first: list[str]
     second: list[str]
 
@@ -131,7 +136,7 @@ class RobotFile(_Table):
     water: WaterTable
     frame: FrameTable
     limb: Annotated[list[LimbTable], Field(min_length=1, max_length=8)]
-    action: Annotated[list[ActionTable], Field(min_length=1, max_length=32)]
+    action: Annotated[list[ActionTable], Field(min_length=1, max_length=ACTIONS_MAX)]
     gait: GaitTable
     library: LibraryTable
     guard: GuardTable

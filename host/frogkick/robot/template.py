@@ -49,7 +49,7 @@ ABOUT = {
     "limb.drag_width_m": "m across the flow",
     "limb.drag_normal": "drag coefficient across the limb",
     "limb.drag_tangential": "drag coefficient along it",
-    "action.name": "one letter, A to Z",
+    "action.name": "a letter, or a word of up to 20 letters, digits, - and _; up to 32 actions",
     "action.first": "limbs that fire at the action's start",
     "action.second": "limbs that fire second_delay_s later",
     "gait.lead": "of a steady gait: limbs that fire first",
@@ -130,18 +130,15 @@ def new_robot_text(base: Robot, name: str, limbs: int | None = None) -> str:
 
 
 def _actions(actions: list[dict[str, Any]], kept: set[str]) -> list[dict[str, Any]]:
-    """Those that differ in what the kept limbs do, called A, B, C, ..."""
-    found: list[tuple[list[str], list[str]]] = []
+    """Those that differ in what the kept limbs do, each by the name of the first that does so."""
+    found: list[dict[str, Any]] = []
     for action in actions:
         groups = [[limb for limb in action[key] if limb in kept] for key in ("first", "second")]
         # Without first limbs the second ones are the first.
-        pair = (groups[0], groups[1]) if groups[0] else (groups[1], [])
-        if pair not in found:
-            found.append(pair)
-    return [
-        {"name": chr(ord("A") + index), "first": first, "second": second}
-        for index, (first, second) in enumerate(found)
-    ]
+        first, second = groups if groups[0] else (groups[1], [])
+        if not any((each["first"], each["second"]) == (first, second) for each in found):
+            found.append({"name": action["name"], "first": first, "second": second})
+    return found
 
 
 def _commented(text: str) -> list[str]:

@@ -14,6 +14,7 @@ from frogkick.core.poses import compose, rotation
 from frogkick.paths import Path
 from frogkick.planner import lookup
 from frogkick.planner.plan import PlanConfig, PlanError, plan
+from frogkick.robot import in_a_row
 from frogkick.runs.camera_view import CameraView
 from frogkick.runs.closed_loop import Recording
 from frogkick.runs.decision import Decision
@@ -77,7 +78,7 @@ def tree_of(tables: Tables, path: Path, config: PlanConfig, decision: Decision) 
         fans.append(fan_of(tables, state, tuple(int(one) for one in use)))
         names.append(tables.actions[told.action].name)
         state, use = told.predicted, told.predicted_limb_use
-    return Tree(branch, fans, "".join(names))
+    return Tree(branch, fans, in_a_row(names))
 
 
 def _used(tables: Tables, decision: Decision) -> NDArray[np.int64]:

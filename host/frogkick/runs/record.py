@@ -165,7 +165,7 @@ def run_log(
         source=source,
         period_s=tables.period_us * 1e-6,
         pulse_s=tables.pulse_us * 1e-6,
-        action_names=tuple(row.name for row in tables.actions),
+        action_names=tuple(action.name for action in robot.actions),
         fixes=fix_columns(recording),
         decisions=decisions,
         strokes=Strokes(

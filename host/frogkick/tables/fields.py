@@ -22,7 +22,8 @@ class TableError(InputError):
 class ActionRow:
     """One action: two groups of limbs, the second ``second_delay_us`` after the first.
 
-    ``name`` is one printable ASCII character; bit i of a mask is limb i, 0 = no limb.
+    ``name`` is one printable ASCII character, or where the robot is known its own name for it; bit i of a
+    mask is limb i, 0 = no limb.
     """
 
     name: str

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import zlib
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -101,6 +102,11 @@ class Tables:
     def turn_max_rad(self) -> np.float32:
         """No look-up turns the robot further than this; float32, as fk_tables_t has it."""
         return np.float32(np.float32(self.motion_limit[2]) * self.motion_scale[2])
+
+    def called(self, names: Sequence[str]) -> Tables:
+        """The same table, its actions by the robot's own names, which the image has no room for."""
+        rows = [replace(row, name=name) for row, name in zip(self.actions, names, strict=True)]
+        return replace(self, actions=tuple(rows))
 
     def require_robot(self, robot_id: str) -> None:
         """Refuse a table that was made for another robot.

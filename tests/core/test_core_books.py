@@ -13,7 +13,7 @@ from tests.core.test_core_guard import PULSE_MAX_US, REST_US, WINDOW_US, Guard
 from tests.core.test_core_supervisor import LATE, told
 
 from frogkick.link.layout import link_layout
-from frogkick.pool.port import COLD_LIMBS
+from frogkick.pool.native_robot import COLD_LIMBS
 
 RESET = link_layout().reset
 UNKNOWN_REST_US = WINDOW_US + LATE_US

@@ -13,8 +13,7 @@ from tests.extra.tools import chip_compiler, emitted_firmware, program
 
 from frogkick.paths import shape
 from frogkick.planner.plan import PlanConfig
-from frogkick.pool.native_robot import CoreCall
-from frogkick.pool.port import COLD_LIMBS
+from frogkick.pool.native_robot import COLD_LIMBS, CoreCall
 from frogkick.robot import load_robot
 from frogkick.runs.rehearsal import Rehearsal, call_mismatches, rehearse
 from frogkick.tables.image import open_image

@@ -9,7 +9,7 @@ from tests.runs import rig
 
 from frogkick.link import auth
 from frogkick.link.layout import Value, link_layout
-from frogkick.pool.port import BYTE_S
+from frogkick.link.wire import BYTE_S
 from frogkick.pool.virtual_robot import VirtualRobot
 from frogkick.robot import load_robot
 from frogkick.runs.pushing import own

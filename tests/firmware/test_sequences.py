@@ -13,9 +13,9 @@ from tests.runs import rig
 
 from frogkick.link.frames import Frame, hello, pack_frame, path_frames
 from frogkick.link.layout import Value, link_layout
+from frogkick.link.wire import BYTE_S
 from frogkick.paths import shape
 from frogkick.pool.chip.timer import Timer
-from frogkick.pool.port import BYTE_S
 from frogkick.pool.virtual_robot import VirtualRobot
 
 COMMANDS = 10

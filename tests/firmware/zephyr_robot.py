@@ -13,7 +13,7 @@ from tests.conftest import LEVEL
 from tests.runs import rig
 
 from frogkick.link.frames import Frame, FrameCollector
-from frogkick.pool.port import Edge
+from frogkick.link.wire import Edge
 from frogkick.runs.session import Session
 from frogkick_codegen.toolchain import zig
 

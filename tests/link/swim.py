@@ -5,12 +5,12 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from tests.runs import rig
 
+from frogkick.core.poses import Fix
 from frogkick.link.text_dialect import LIMBS
-from frogkick.pool.camera import Fix
 
 PATH = "line"
 
@@ -50,7 +50,10 @@ class LivePool:
     def advance(self, until_s: float) -> list[Fix]:
         self._looked_s = until_s
         shift_s = until_s - (self._clock() - self._begin_s)
-        return [Fix(fix.sequence, fix.capture_s + shift_s, until_s, fix.pose_world) for fix in self.swim()]
+        return [
+            replace(fix, capture_s=fix.capture_s + shift_s, delay_s=until_s - fix.capture_s - shift_s)
+            for fix in self.swim()
+        ]
 
     def heat(self, limb: int, start_s: float) -> None:
         pass

@@ -10,7 +10,6 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 import bleak
-import numpy as np
 import pytest
 from bleak.exc import (
     BleakBluetoothNotAvailableError,
@@ -24,13 +23,13 @@ from tests.planner import synthetic
 from tests.runs import rig
 
 from frogkick.cli.main import run_command
+from frogkick.core.poses import Fix
 from frogkick.link import ble
 from frogkick.link.ble import BleWire, explained
 from frogkick.link.frames import unpack_frame
 from frogkick.link.upload import upload
 from frogkick.link.wire import WireError
 from frogkick.paths import shape
-from frogkick.pool.camera import Fix
 from frogkick.runs.lab_session import lab_session
 
 
@@ -117,9 +116,8 @@ def test_frames_are_cut_to_the_size_negotiated(monkeypatch: pytest.MonkeyPatch, 
         session = lab_session(wire)
         session.greet(rig.tables())
         session.send_path(shape("sine"))
-        pose = np.zeros(3, dtype=np.float32)
         for number in range(30):  # fixes, in parts too, beside commands
-            session.post_fix(Fix(number, session.time_s, session.time_s, pose), session.port.now_s)
+            session.post_fix(Fix(session.time_s, 0.0, 0.0, 0.0, 0.0, sequence=number), session.port.now_s)
             session.request("STATUS")
         session.step(session.port.now_s + 0.1)
         assert wire.part_bytes == mtu - 3
@@ -136,7 +134,7 @@ def test_how_frames_are_written(monkeypatch: pytest.MonkeyPatch) -> None:
     with connected("frogkick") as wire:
         session = lab_session(wire)
         session.greet(rig.tables())
-        session.post_fix(Fix(0, 0.0, 0.0, np.zeros(3, dtype=np.float32)), session.port.now_s)
+        session.post_fix(Fix(0.0, 0.0, 0.0, 0.0, 0.0), session.port.now_s)
         upload(session, new)
     with_response: dict[str, set[bool]] = {}
     for data, response in air.writes:
@@ -157,8 +155,7 @@ def test_fixes_that_wait_are_the_newest(monkeypatch: pytest.MonkeyPatch) -> None
 
         async def burst() -> None:  # nothing of it can be written before its end
             for number in range(10):
-                pose = np.zeros(3, dtype=np.float32)
-                session.post_fix(Fix(number, 0.0, 0.0, pose), session.port.now_s)
+                session.post_fix(Fix(0.0, 0.0, 0.0, 0.0, 0.0, sequence=number), session.port.now_s)
 
         Air.now.call(burst)
         session.request("STATUS")

@@ -17,12 +17,12 @@ from tests.planner import synthetic
 from tests.runs import rig
 
 from frogkick.core.errors import FrogkickError
+from frogkick.core.poses import Fix
 from frogkick.link.frames import Frame
 from frogkick.link.layout import link_layout
 from frogkick.link.upload import CHUNK_BYTES, upload
 from frogkick.link.wire import WireError
 from frogkick.paths import shape
-from frogkick.pool.camera import Fix
 from frogkick.runs.lab_session import LabSession, lab_session
 from frogkick.runs.session import LinkError
 from frogkick.tables.image import open_image
@@ -174,9 +174,8 @@ def test_fixes_need_no_answer_and_are_not_sent_again(robot: LiveRobot, there: Ri
     session.greet(rig.tables())
     robot.deaf_to = lambda frame: frame.name == "FIX"
     resent = session.port.resent
-    pose = np.zeros(3, dtype=np.float32)
     for number in range(20):
-        session.post_fix(Fix(number, session.time_s, session.time_s, pose), session.time_s)
+        session.post_fix(Fix(session.time_s, 0.0, 0.0, 0.0, 0.0, sequence=number), session.time_s)
         session.step(session.port.now_s + 0.03)
     assert session.take("FIX") == []
     assert session.port.resent == resent

@@ -7,7 +7,8 @@ import pytest
 from tests.conftest import count
 
 from frogkick.core.errors import InputError
-from frogkick.pool.camera import Camera, Fix, deliver, measure
+from frogkick.core.poses import Fix
+from frogkick.pool.camera import Camera, deliver, measure
 from frogkick.pool.pool import Pool
 from frogkick.robot import load_robot
 
@@ -57,7 +58,7 @@ def test_a_camera_without_noise_gives_the_truth() -> None:
     assert (measure(camera, 0, 0.0, pose, np.random.default_rng(1)).pose_world == pose).all()
 
 
-FIX = Fix(7, 2.0, 2.08, np.array([0.1, 0.2, 0.3], dtype=np.float32))
+FIX = Fix(2.0, 0.08, 0.1, 0.2, 0.3, sequence=7)
 
 
 def test_a_camera_without_faults_draws_nothing() -> None:

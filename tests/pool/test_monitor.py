@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
+from frogkick.link.wire import Edge
 from frogkick.pool.monitor import Pulse, pulses_of, violations
-from frogkick.pool.port import Edge
 from frogkick.robot import load_robot
 
 ROBOT = load_robot("frog2022")

@@ -11,9 +11,9 @@ from tests.core.core import ACTION, DELAY_US, GAP_US, PERIOD_US, PULSE_US, image
 from frogkick.core.errors import FrogkickError, InputError
 from frogkick.link.frames import pack_frame
 from frogkick.link.layout import Value
+from frogkick.link.wire import BYTE_S, Edge
 from frogkick.pool.monitor import pulses_of, violations
 from frogkick.pool.native_robot import NativeRobot
-from frogkick.pool.port import BYTE_S, Edge
 from frogkick.robot import load_robot
 from frogkick_codegen.firmware import build
 

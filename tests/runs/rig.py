@@ -10,13 +10,14 @@ from pathlib import Path
 
 import numpy as np
 
+from frogkick.core.poses import Fix
 from frogkick.front.default_tables import default_tables
+from frogkick.link.wire import RobotPort
 from frogkick.paths import shape
 from frogkick.planner.plan import PlanConfig
-from frogkick.pool.camera import Camera, Fix
+from frogkick.pool.camera import Camera
 from frogkick.pool.native_robot import NativeRobot
 from frogkick.pool.pool import Pool
-from frogkick.pool.port import RobotPort
 from frogkick.pool.virtual_robot import VirtualRobot
 from frogkick.robot import Robot, load_robot
 from frogkick.runs.closed_loop import Recording, RunOptions, run_in_pool

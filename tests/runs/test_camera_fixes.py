@@ -11,7 +11,7 @@ import pytest
 from tests.vision.scenes import calibration, scene
 
 from frogkick.core.errors import InputError
-from frogkick.pool.camera import Fix
+from frogkick.core.poses import Fix
 from frogkick.runs.camera_fixes import CameraFixes
 from frogkick.vision.sources import Frame, live_frames
 

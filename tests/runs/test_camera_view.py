@@ -18,10 +18,10 @@ import pytest
 from tests.runs import rig
 from tests.vision.scenes import calibration, scene
 
+from frogkick.core.poses import Fix
 from frogkick.front.viewing import viewed
 from frogkick.paths import shape
 from frogkick.planner.plan import PlanConfig
-from frogkick.pool.camera import Fix
 from frogkick.report.live_page import served
 from frogkick.runs import camera_view
 from frogkick.runs.camera_fixes import CameraFixes
@@ -163,7 +163,7 @@ def test_a_real_run_is_drawn_over_its_camera_s_picture(capsys: pytest.CaptureFix
     with looking(of) as (_, camera):
         path = shape("line").place((POSE[0], POSE[1], POSE[2] - float(shape("line").tangent_rad[0])))
         recording = Recording()
-        recording.fixes.append(Fix(0, 0.0, 0.02, np.array(POSE, dtype=np.float32)))
+        recording.fixes.append(Fix(0.0, 0.02, *POSE))
         options = RunOptions(PlanConfig(depth=2))
         with viewed(True, rig.robot(), rig.tables(), path, options, camera=camera) as keep:
             address = re.findall(r"http://\S+", capsys.readouterr().err)[0]

@@ -9,11 +9,11 @@ import pytest
 from tests.runs import rig
 
 from frogkick.core.errors import InputError
+from frogkick.link.wire import Edge
 from frogkick.paths import shape
 from frogkick.planner.plan import PlanConfig
 from frogkick.pool.monitor import pulses_of
 from frogkick.pool.pool import Pool
-from frogkick.pool.port import Edge
 from frogkick.runs.closed_loop import Recording, RunOptions, require_time, robot_plan_config
 from frogkick.runs.decision import DecisionTwin, RobotEvent
 from frogkick.runs.record import config_of_log, run_log, tracking_of_recording
@@ -126,8 +126,8 @@ def test_lost_fixes_end_the_run(onboard: bool) -> None:
 
 
 def test_a_lost_robot_is_disarmed() -> None:
+    from frogkick.core.poses import Fix
     from frogkick.link.layout import link_layout
-    from frogkick.pool.camera import Fix
     from frogkick.runs.session import Session
 
     session = Session(rig.port("pool"))
@@ -135,8 +135,7 @@ def test_a_lost_robot_is_disarmed() -> None:
     session.send_path(shape("line"))
     session.request("ARM")
     for number in range(5):
-        pose = np.zeros(3, dtype=np.float32)
-        session.post_fix(Fix(number, session.time_s, session.time_s, pose), session.time_s)
+        session.post_fix(Fix(session.time_s, 0.0, 0.0, 0.0, 0.0, sequence=number), session.time_s)
         session.step(session.time_s + 0.07)
     session.request("START", {"delay_us": 0})
     assert int(session.request("STATUS")["state"]) == link_layout().state["RUNNING"]

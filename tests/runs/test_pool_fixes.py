@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 from tests.runs import rig
 
+from frogkick.core.poses import Fix
 from frogkick.effects import World, read_world
 from frogkick.paths import shape
 from frogkick.planner.plan import PlanConfig
-from frogkick.pool.camera import Camera, Fix
+from frogkick.pool.camera import Camera
 from frogkick.pool.pool import Pool
 from frogkick.runs.closed_loop import Recording, RunOptions, run_in_pool
 from frogkick.runs.decision import RESTING, Decision, RobotEvent

@@ -10,9 +10,9 @@ from tests.conftest import count
 from tests.runs import rig
 
 from frogkick.link.frames import Frame
+from frogkick.link.wire import Edge, RobotPort
 from frogkick.planner.plan import PlanConfig
 from frogkick.pool.monitor import pulses_of, violations
-from frogkick.pool.port import Edge, RobotPort
 from frogkick.runs.decision import Decision
 from frogkick.runs.recorded import load_run
 from frogkick.runs.replay import Replay, replay

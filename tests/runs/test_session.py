@@ -6,8 +6,8 @@ import pytest
 from tests.runs import rig
 
 from frogkick.link.frames import Frame, hello
+from frogkick.link.wire import Edge
 from frogkick.paths import shape
-from frogkick.pool.port import Edge
 from frogkick.runs.decision import LIMB_USE_FIELDS
 from frogkick.runs.session import ANSWER_TIMEOUT_S, LinkError, Session
 from frogkick.tables.image import TableError, open_image

@@ -10,9 +10,9 @@ from tests.conftest import REPOSITORY
 from tests.runs import rig
 
 from frogkick.core.errors import InputError
+from frogkick.core.poses import Fix
 from frogkick.front.bench import Sight, parse_begin
 from frogkick.paths import shape
-from frogkick.pool.camera import Fix
 from frogkick.robot.model import Battery
 from frogkick.runs.start_checks import check_battery, check_start, look
 
@@ -20,7 +20,7 @@ POOL_M = (1.2, 0.9)
 
 
 def fixes(*places: tuple[float, float]) -> list[Fix]:
-    return [Fix(k, 0.1 * k, 0.1 * k, np.array([*xy, 0.3], dtype=np.float32)) for k, xy in enumerate(places)]
+    return [Fix(0.1 * k, 0.0, *xy, 0.3, sequence=k) for k, xy in enumerate(places)]
 
 
 AT_REST = fixes(*[(0.3, 0.4)] * 10)

@@ -20,8 +20,8 @@ from frogkick.core.errors import FrogkickError
 from frogkick.link.frames import hello
 from frogkick.link.layout import Value, link_layout
 from frogkick.link.upload import upload
+from frogkick.link.wire import Edge
 from frogkick.pool.camera import Camera
-from frogkick.pool.port import Edge
 from frogkick.robot import Robot
 from frogkick.runs.closed_loop import SETTLE_S, START_DELAY_S, parameters, robot_plan_config
 from frogkick.runs.session import ANSWER_TIMEOUT_S, STEP_S, Asked, LinkError, Session

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from frogkick.link.frames import Frame
-from frogkick.pool.port import BYTE_S, Edge, RobotPort
+from frogkick.link.wire import BYTE_S, Edge, RobotPort
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,8 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from frogkick.pool.camera import Camera, Fix
+from frogkick.core.poses import Fix
+from frogkick.pool.camera import Camera
 from frogkick.pool.pool import Pool, Truth
 from frogkick.tables.image import Tables
 

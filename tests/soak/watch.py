@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 from tests.soak.route import POINTS, Route
 
+from frogkick.link.wire import Edge
 from frogkick.pool.monitor import Pulse, violations
-from frogkick.pool.port import Edge
 from frogkick.robot import Robot
 
 RUN_S = 10.0

@@ -15,8 +15,8 @@ from tests.cli.commands import frogkick
 from tests.conftest import count
 from tests.vision.scenes import calibration, scene
 
+from frogkick.core.poses import Fix
 from frogkick.front.cameras import track_camera
-from frogkick.pool.camera import Fix
 from frogkick.runs.line_fixes import parse_line
 from frogkick.vision.board import Board
 from frogkick.vision.calibration_file import read_calibration, write_calibration

@@ -195,7 +195,7 @@ def track(
 
     def tell(fix: Any) -> None:
         x_m, y_m, heading_rad = fix.pose_world
-        print(f"{x_m:.5f} {y_m:.5f} {heading_rad:.5f} {fix.arrival_s - fix.capture_s:.4f}", flush=True)
+        print(f"{x_m:.5f} {y_m:.5f} {heading_rad:.5f} {fix.delay_s:.4f}", flush=True)
 
     found = track_camera(
         calibration, source, seconds=seconds, view=view, each=(lambda _fix: None) if json else tell

@@ -1,13 +1,43 @@
-"""Poses and motions in the plane, SE(2): x, y in m, heading in rad from +x, counter-clockwise."""
+"""Poses and motions in the plane, SE(2), and position fixes: m, rad from +x, counter-clockwise."""
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 Float64 = NDArray[np.float64]
+
+
+@dataclass
+class Fix:
+    """A position fix: what a camera says where the robot is. An effect may change it on its way.
+
+    Attributes:
+        capture_s: when the picture was taken, on the clock of the one who reads it.
+        delay_s: from then to its arrival at the robot.
+        x_m, y_m, heading_rad: the robot's pose, world frame.
+        sequence: counts fixes, wraps at 65,536.
+    """
+
+    capture_s: float
+    delay_s: float
+    x_m: float
+    y_m: float
+    heading_rad: float
+    sequence: int = field(default=0, kw_only=True)
+
+    @property
+    def arrival_s(self) -> float:
+        """When it arrives at the robot, on the clock of ``capture_s``."""
+        return self.capture_s + self.delay_s
+
+    @property
+    def pose_world(self) -> NDArray[np.float32]:
+        """(3,) x_m, y_m, heading_rad as the link carries them."""
+        return np.array([self.x_m, self.y_m, self.heading_rad], dtype=np.float32)
 
 
 def wrap_angle(angle_rad: ArrayLike) -> Float64:

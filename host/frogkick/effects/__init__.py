@@ -1,7 +1,8 @@
 """Terms that a model may lack: each physical, with named, bounded, united parameters."""
 
+from frogkick.core.poses import Fix
 from frogkick.effects.acting import Acting, ActingLanes, body_effects, changed_robot, rods_of
-from frogkick.effects.base import Body, Effect, Fix, History, Parameter, Stroke
+from frogkick.effects.base import Body, Effect, History, Parameter, Stroke
 from frogkick.effects.body import Hull, LimbFatigue, LimbMount, LimbWater, MunkMoment
 from frogkick.effects.camera import CameraScale, FixLatency, TagOffset
 from frogkick.effects.groups import GroupGain

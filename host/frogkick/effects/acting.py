@@ -10,9 +10,9 @@ from dataclasses import replace
 import numpy as np
 
 from frogkick.core.errors import InputError
-from frogkick.core.poses import rotate
+from frogkick.core.poses import Fix, rotate
 from frogkick.der import STILL, Batch, Rods, Swimmer, Water, prepare
-from frogkick.effects.base import Body, Effect, Fix, FloatArray, History, Stroke
+from frogkick.effects.base import Body, Effect, FloatArray, History, Stroke
 from frogkick.effects.registry import effects_of
 from frogkick.robot import Robot
 

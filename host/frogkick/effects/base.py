@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from frogkick.core.errors import InputError, nearest_name
+from frogkick.core.poses import Fix
 from frogkick.robot import Robot
 
 FloatArray = NDArray[np.float64]
@@ -100,23 +101,6 @@ class Body:
     time_s: float
     pose_world: tuple[float, float, float]
     velocity_body: tuple[float, float, float]
-
-
-@dataclass
-class Fix:
-    """A position fix on its way to the robot: what an effect may change.
-
-    Attributes:
-        capture_s: when the picture was taken.
-        delay_s: from then to its arrival.
-        x_m, y_m, heading_rad: what it says, world frame.
-    """
-
-    capture_s: float
-    delay_s: float
-    x_m: float
-    y_m: float
-    heading_rad: float
 
 
 class Effect:

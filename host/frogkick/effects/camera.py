@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from frogkick.core.poses import rotate
-from frogkick.effects.base import Effect, Fix, Parameter
+from frogkick.core.poses import Fix, rotate
+from frogkick.effects.base import Effect, Parameter
 
 
 class CameraScale(Effect):

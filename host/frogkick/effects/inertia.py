@@ -14,8 +14,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from frogkick.core.poses import rotate
-from frogkick.effects.base import Effect, Fix, Parameter
+from frogkick.core.poses import Fix, rotate
+from frogkick.effects.base import Effect, Parameter
 from frogkick.robot import Robot
 from frogkick.robot.model import Frame, Limb
 

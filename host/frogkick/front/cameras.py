@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 
 from frogkick.core.errors import InputError
+from frogkick.core.poses import Fix
 from frogkick.front.viewing import camera_viewed
-from frogkick.pool.camera import Fix
 from frogkick.runs.camera_fixes import CameraFixes
 from frogkick.runs.closed_loop import Recording
 from frogkick.runs.live_view import FIXES_SHOWN

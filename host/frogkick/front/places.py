@@ -12,11 +12,11 @@ from pathlib import Path
 from frogkick.core.errors import InputError, nearest_name
 from frogkick.core.progress import tell_line
 from frogkick.front.default_tables import default_tables
+from frogkick.link.wire import RobotPort
 from frogkick.paths import OTHER_SHAPES, SHAPES, from_csv, shape
 from frogkick.paths import Path as SwimPath
 from frogkick.planner.plan import PlanConfig
 from frogkick.pool.native_robot import NativeRobot
-from frogkick.pool.port import RobotPort
 from frogkick.robot import Robot, built_in_robots, load_robot
 from frogkick.runs.closed_loop import robot_plan_config
 from frogkick.runs.record import config_of_log

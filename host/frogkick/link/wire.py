@@ -11,10 +11,37 @@ from typing import Protocol
 
 from frogkick.core.errors import FrogkickError, InputError, nearest_name
 from frogkick.core.interrupts import Bell
+from frogkick.link.frames import Frame
 
 BAUD = 115_200
+BYTE_S = 10 / BAUD
 BAUD_MAX = 4_000_000
 KINDS = ("ble", "serial")
+
+
+@dataclass(frozen=True)
+class Edge:
+    """A limb's pin changed: robot time, limb's index, new level."""
+
+    time_s: float
+    limb: int
+    level: bool
+
+
+class RobotPort(Protocol):
+    """A robot in simulated time. Its clock starts at 0 with the port."""
+
+    def send(self, encoded: bytes, at_s: float) -> None:
+        """Put bytes on the wire at a time, not before the robot's own."""
+
+    def advance(self, until_s: float) -> None:
+        """Let the robot live until a time."""
+
+    def frames(self) -> list[tuple[float, Frame]]:
+        """Frames that came from the robot since the last call, with their times."""
+
+    def edges(self) -> list[Edge]:
+        """Pin edges since the last call, in order."""
 
 
 class WireError(FrogkickError):

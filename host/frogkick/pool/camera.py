@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 
 from frogkick.core.errors import InputError
-from frogkick.core.poses import wrap_angle
+from frogkick.core.poses import Fix, wrap_angle
 
 
 @dataclass(frozen=True)
@@ -56,23 +56,6 @@ class Camera:
                 raise InputError(f"camera {name} is {value}, allowed is {low} to {high}")
 
 
-@dataclass(frozen=True)
-class Fix:
-    """One position fix.
-
-    Attributes:
-        sequence: counts fixes, wraps at 65,536.
-        capture_s: when the picture was taken, pool time.
-        arrival_s: when the fix is sent to the robot, pool time.
-        pose_world: (3,) x_m, y_m, heading_rad as float32, as the link carries them.
-    """
-
-    sequence: int
-    capture_s: float
-    arrival_s: float
-    pose_world: npt.NDArray[np.float32]
-
-
 def measure(
     camera: Camera,
     sequence: int,
@@ -92,7 +75,7 @@ def measure(
     sigma = np.array([camera.position_noise_m, camera.position_noise_m, camera.heading_noise_rad])
     noisy = np.asarray(pose_world, dtype=np.float64) + sigma * rng.standard_normal(3)
     noisy[2] = wrap_angle(noisy[2])
-    return Fix(sequence & 0xFFFF, capture_s, capture_s + camera.delay_s, noisy.astype(np.float32))
+    return Fix(capture_s, camera.delay_s, *noisy.astype(np.float32).tolist(), sequence=sequence & 0xFFFF)
 
 
 def deliver(camera: Camera, fix: Fix, rng: np.random.Generator) -> list[Fix]:
@@ -111,11 +94,7 @@ def deliver(camera: Camera, fix: Fix, rng: np.random.Generator) -> list[Fix]:
     again_s = rng.uniform(0.0, 0.2)
     if lost:
         return []
-    pose = fix.pose_world
+    came = replace(fix, delay_s=fix.delay_s + late_s)
     if wrong:
-        pose = np.array([*(pose[:2] + off_m), turn_rad], dtype=np.float32)
-    arrival_s = fix.arrival_s + late_s
-    came = [Fix(fix.sequence, fix.capture_s, arrival_s, pose)]
-    if doubled:
-        came.append(Fix(fix.sequence, fix.capture_s + again_s, arrival_s + again_s, pose))
-    return came
+        came = replace(came, x_m=fix.x_m + off_m[0], y_m=fix.y_m + off_m[1], heading_rad=turn_rad)
+    return [came, replace(came, capture_s=came.capture_s + again_s)] if doubled else [came]

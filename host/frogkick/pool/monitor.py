@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from frogkick.pool.port import Edge
+from frogkick.link.wire import Edge
 from frogkick.robot import Robot
 
 # Pins are seen with the resolution of a 1 MHz timer, and a duty sum adds up some of them.

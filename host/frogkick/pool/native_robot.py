@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import heapq
+import struct
+import zlib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,8 +15,11 @@ import numpy as np
 from frogkick.core.errors import FrogkickError
 from frogkick.link.frames import Frame, FrameCollector
 from frogkick.link.layout import link_layout
-from frogkick.pool.port import BYTE_S, COLD_LIMBS, Edge
+from frogkick.link.wire import BYTE_S, Edge
 
+_COLD = bytes(4 * 8)  # FK_LIMBS_MAX
+COLD_LIMBS = _COLD + struct.pack("<I", zlib.crc32(_COLD) ^ 0x6472_6147)
+"""RAM that outlives resets (``fk_guard_persistent_t``), of a robot whose limbs are known to be cold."""
 # FK_FRAME_ENCODED_MAX: head, CRC-32, COBS code byte and delimiter around the largest payload.
 _ENCODED_MAX = link_layout().payload_bytes_max + 8
 WATCHDOG_S = 0.98

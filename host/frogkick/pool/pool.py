@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import heapq
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import numpy.typing as npt
 
-from frogkick import effects
+from frogkick.core.poses import Fix
 from frogkick.der import Swimmer
 from frogkick.effects import Acting, World, changed_robot
-from frogkick.pool.camera import Camera, Fix, deliver, measure
+from frogkick.pool.camera import Camera, deliver, measure
 from frogkick.robot import Robot
 
 
@@ -132,11 +132,9 @@ class Pool:
         """A fix as this world's effects have it; None where it is lost."""
         if not self._acting.effects:
             return fix
-        x, y, heading = (float(value) for value in fix.pose_world)
-        given = effects.Fix(fix.capture_s, fix.arrival_s - fix.capture_s, x, y, heading)
-        seen = self._acting.fix(given)
+        seen = self._acting.fix(replace(fix))
         if seen is None:
             return None
-        pose = np.array([seen.x_m, seen.y_m, math.remainder(seen.heading_rad, math.tau)], dtype=np.float32)
-        arrival_s = max(fix.capture_s, seen.capture_s + seen.delay_s)
-        return Fix(fix.sequence, seen.capture_s, arrival_s, pose)
+        delay_s = max(seen.delay_s, fix.capture_s - seen.capture_s)  # it arrives after the picture
+        heading_rad = math.remainder(seen.heading_rad, math.tau)
+        return replace(seen, delay_s=delay_s, heading_rad=heading_rad, sequence=fix.sequence)

@@ -6,8 +6,9 @@ from pathlib import Path
 
 from frogkick.core.errors import InputError
 from frogkick.link.frames import Frame, FrameCollector
+from frogkick.link.wire import Edge
 from frogkick.pool.chip import VirtualChip
-from frogkick.pool.port import COLD_LIMBS, Edge
+from frogkick.pool.native_robot import COLD_LIMBS
 
 # firmware/bench/board.h; a test holds the two together.
 LIMB_PINS = (22, 23, 24, 25, 28, 29, 30, 31)

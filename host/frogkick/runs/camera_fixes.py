@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from frogkick.core.errors import InputError
 from frogkick.core.interrupts import Bell
-from frogkick.pool.camera import Fix
+from frogkick.core.poses import Fix
 from frogkick.vision.calibration import Calibration
 from frogkick.vision.sources import Frame
 from frogkick.vision.tracker import Tracker
@@ -131,8 +131,8 @@ class CameraFixes:
         for captured_s, pose in taken:
             age_s = now_s - captured_s
             if age_s <= KEEP_S:
-                told = np.array(pose, dtype=np.float32)
-                fixes.append(Fix(self._sequence, until_s - age_s, until_s, told))
+                capture_s = until_s - age_s
+                fixes.append(Fix(capture_s, until_s - capture_s, *pose, sequence=self._sequence))
                 self._sequence = (self._sequence + 1) & 0xFFFF
         return fixes
 

@@ -9,15 +9,15 @@ from dataclasses import dataclass, field
 from typing import Protocol
 
 from frogkick.core.errors import InputError
+from frogkick.core.poses import Fix
 from frogkick.estimator.follow import End
 from frogkick.link.frames import Frame
 from frogkick.link.layout import link_layout
+from frogkick.link.wire import Edge, RobotPort
 from frogkick.paths import Path
 from frogkick.planner import kernel
 from frogkick.planner.plan import PlanConfig, config_of
-from frogkick.pool.camera import Fix
 from frogkick.pool.pool import Pool
-from frogkick.pool.port import Edge, RobotPort
 from frogkick.robot import Robot
 from frogkick.runs.decision import (
     RESTING,

@@ -7,8 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from frogkick.link.frames import Frame, FrameCollector, unpack_frame
-from frogkick.link.wire import Delivery, Wire
-from frogkick.pool.port import Edge
+from frogkick.link.wire import Delivery, Edge, Wire
 
 RESEND_S = 0.25
 LOOK_S = 0.1

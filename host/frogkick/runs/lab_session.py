@@ -15,8 +15,7 @@ from typing import Any, Protocol
 
 from frogkick.link.frames import hello
 from frogkick.link.layout import Value
-from frogkick.link.wire import Wire
-from frogkick.pool.port import RobotPort
+from frogkick.link.wire import RobotPort, Wire
 from frogkick.runs.in_time import in_time
 from frogkick.runs.lab_port import LabPort
 from frogkick.runs.session import ANSWER_TIMEOUT_S, STEP_S, Arrival, Asked, LinkError, Session

@@ -8,12 +8,10 @@ import threading
 import time
 from collections.abc import Callable
 
-import numpy as np
-
 from frogkick.core.errors import InputError
 from frogkick.core.interrupts import Bell
+from frogkick.core.poses import Fix
 from frogkick.core.progress import tell_line
-from frogkick.pool.camera import Fix
 
 POLL_S = 0.002
 KEEP_S = 2.0
@@ -92,14 +90,8 @@ class LineFixes:
         fixes = []
         for captured_s, pose in taken:
             if now_s - captured_s <= KEEP_S:
-                fixes.append(
-                    Fix(
-                        self._sequence,
-                        until_s - (now_s - captured_s),
-                        until_s,
-                        np.array(pose, dtype=np.float32),
-                    )
-                )
+                capture_s = until_s - (now_s - captured_s)
+                fixes.append(Fix(capture_s, until_s - capture_s, *pose, sequence=self._sequence))
                 self._sequence = (self._sequence + 1) & 0xFFFF
         return fixes
 

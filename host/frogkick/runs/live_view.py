@@ -116,7 +116,7 @@ class LiveView:
             self._plan(recording)
         fixes = np.array([fix.pose_world for fix in recording.fixes]).reshape(-1, 3)
         newest = recording.fixes[-1] if recording.fixes else None
-        age_s = None if newest is None else newest.arrival_s - newest.capture_s
+        age_s = None if newest is None else newest.delay_s
         self._write(fixes, np.zeros((0, 3)) if track is None else track, age_s, recording.ended)
 
     def show_log(self, run: RunLog, time_s: float) -> None:

@@ -10,8 +10,9 @@ from collections.abc import Callable
 
 import numpy as np
 
+from frogkick.core.poses import Fix
 from frogkick.effects import World
-from frogkick.pool.camera import Camera, Fix
+from frogkick.pool.camera import Camera
 from frogkick.pool.pool import Pool
 from frogkick.robot import Robot
 from frogkick.runs.closed_loop import Recording
@@ -114,8 +115,10 @@ class PoolFixes:
             self.pool.heat(limb, max(at_s, self.pool.time_s))
         if due_s > self.pool.time_s:
             fixes += self.pool.advance(due_s)
-        shift_s = self._shift_s
-        return [Fix(fix.sequence, fix.capture_s + shift_s, until_s, fix.pose_world) for fix in fixes]
+        for fix in fixes:
+            fix.capture_s += self._shift_s
+            fix.delay_s = until_s - fix.capture_s
+        return fixes
 
     def heat(self, limb: int, start_s: float) -> None:
         """No pin of a real kit is seen."""

@@ -8,14 +8,13 @@ from pathlib import Path
 
 import numpy as np
 
+from frogkick.core.poses import Fix
 from frogkick.link.layout import link_layout
 from frogkick.paths import Path as SwimPath
 from frogkick.planner.plan import PlanConfig, plan
-from frogkick.pool.camera import Fix
 from frogkick.pool.chip import VirtualChip
 from frogkick.pool.chip.layout import Layouts
-from frogkick.pool.native_robot import CoreCall, NativeRobot
-from frogkick.pool.port import COLD_LIMBS
+from frogkick.pool.native_robot import COLD_LIMBS, CoreCall, NativeRobot
 from frogkick.runs.decision import Decision, DecisionTwin, RobotEvent
 from frogkick.runs.replay import Schedule, compare, replay_on_host, replay_onboard
 from frogkick.tables.image import Tables
@@ -74,7 +73,7 @@ def schedule_fixes(
                 if rng.random() < 0.9
                 else rng.choice([0.3, 0.6, 1.9]) * rng.uniform(0.5, 1.0)
             )
-            fix = Fix(sequence & 0xFFFF, capture_s, capture_s + delay_s, pose.astype(np.float32))
+            fix = Fix(capture_s, delay_s, *pose.tolist(), sequence=sequence & 0xFFFF)
             fixes += [fix] * (2 if rng.random() < 0.05 else 1)
         state = start if made.path_index + 1 >= len(path) else ahead
     arrivals = sorted(((fix.arrival_s, fix) for fix in fixes), key=lambda one: one[0])

@@ -9,11 +9,11 @@ import numpy as np
 import numpy.typing as npt
 
 from frogkick.core.errors import InputError
+from frogkick.core.poses import Fix
 from frogkick.link.layout import Value, link_layout
+from frogkick.link.wire import RobotPort
 from frogkick.paths import Path
 from frogkick.planner.plan import PlanConfig
-from frogkick.pool.camera import Fix
-from frogkick.pool.port import RobotPort
 from frogkick.runs.closed_loop import parameters
 from frogkick.runs.decision import (
     STALE,
@@ -108,12 +108,12 @@ def _schedule(run: RunLog) -> Schedule:
     # A fix that came twice has one number: by it and its pose the robot knows it again.
     numbers = run.fixes.extra.get("sequence", np.arange(len(run.fixes)))
     for row in np.flatnonzero(run.fixes.usable):
-        pose = np.array(
-            [run.fixes.x_m[row], run.fixes.y_m[row], run.fixes.heading_rad[row]], dtype=np.float32
-        )
+        pose = [float(each[row]) for each in (run.fixes.x_m, run.fixes.y_m, run.fixes.heading_rad)]
         arrival_s = LEAD_IN_S + float(run.fixes.time_s[row])
         capture_s = LEAD_IN_S + float(run.fixes.capture_time_s[row])
-        fixes.append((arrival_s, Fix(int(numbers[row]) & 0xFFFF, capture_s, arrival_s, pose)))
+        fixes.append(
+            (arrival_s, Fix(capture_s, arrival_s - capture_s, *pose, sequence=int(numbers[row]) & 0xFFFF))
+        )
     first_us = round((LEAD_IN_S + float(run.decisions.time_s[0])) * 1e6)
     return Schedule(fixes, first_us, round(run.period_s * 1e6), len(run.decisions))
 

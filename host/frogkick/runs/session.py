@@ -10,12 +10,12 @@ from dataclasses import dataclass, field
 from pathlib import Path as FilePath
 
 from frogkick.core.errors import FrogkickError
+from frogkick.core.poses import Fix
 from frogkick.link import auth
 from frogkick.link.frames import Frame, hello, pack_frame, path_frames
 from frogkick.link.layout import Value, link_layout
+from frogkick.link.wire import Edge, RobotPort
 from frogkick.paths import Path
-from frogkick.pool.camera import Fix
-from frogkick.pool.port import Edge, RobotPort
 from frogkick.tables.image import Tables
 
 STEP_S = 0.002
@@ -104,9 +104,9 @@ class Session:
             "fix_sequence": fix.sequence,
             "quality": 1,
             "capture_age_us": max(0, round((at_s - fix.capture_s) * 1e6)),
-            "x_m": float(fix.pose_world[0]),
-            "y_m": float(fix.pose_world[1]),
-            "heading_rad": float(fix.pose_world[2]),
+            "x_m": fix.x_m,
+            "y_m": fix.y_m,
+            "heading_rad": fix.heading_rad,
         }
         return self.post("FIX", values, at_s=at_s)
 

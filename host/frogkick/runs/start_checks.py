@@ -11,8 +11,8 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from frogkick.core.errors import InputError
+from frogkick.core.poses import Fix
 from frogkick.paths import Path
-from frogkick.pool.camera import Fix
 from frogkick.robot import Robot
 from frogkick.runs.closed_loop import FixSource
 

@@ -14,9 +14,8 @@ from collections.abc import Callable
 from frogkick.core.interrupts import Bell
 from frogkick.link.frames import Frame, FrameCollector
 from frogkick.link.text_dialect import fire_line, limb_numbers
-from frogkick.link.wire import Delivery, Wire
+from frogkick.link.wire import Delivery, Edge, Wire
 from frogkick.pool.native_robot import NativeRobot
-from frogkick.pool.port import Edge
 from frogkick.robot import Robot
 
 _SLEEP_S = 0.02

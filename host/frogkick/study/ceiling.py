@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from frogkick.core.chunks import Job, run_chunks
 from frogkick.core.errors import FrogkickError
-from frogkick.core.poses import body_from_world, wrap_angle
+from frogkick.core.poses import Fix, body_from_world, wrap_angle
 from frogkick.der import STEP_S, WIDTH
 from frogkick.der.strokes import between
 from frogkick.der.swimmer import batch_of
@@ -31,7 +31,7 @@ from frogkick.library.error import looked_up
 from frogkick.library.transitions import lane_effects, previous_actions
 from frogkick.paths import Path, shape
 from frogkick.planner.plan import PlanConfig, config_of, plan
-from frogkick.pool.camera import Camera, Fix, measure
+from frogkick.pool.camera import Camera, measure
 from frogkick.robot import Robot
 from frogkick.study.rod_tree import ask_rods, motion_of, swim_a_period, table_of_motions
 from frogkick.tables.image import Tables, open_image

@@ -10,11 +10,11 @@ from pathlib import Path
 import numpy as np
 
 from frogkick.effects import World
+from frogkick.link.wire import RobotPort
 from frogkick.paths import SHAPES, shape
 from frogkick.pool.camera import Camera
 from frogkick.pool.native_robot import NativeRobot
 from frogkick.pool.pool import Pool
-from frogkick.pool.port import RobotPort
 from frogkick.robot import Robot
 from frogkick.runs.closed_loop import Recording, RunOptions, robot_plan_config, run_in_pool
 from frogkick.runs.record import Tracking, run_log, tracking_of_recording

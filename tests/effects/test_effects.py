@@ -28,9 +28,9 @@ ROBOT = load_robot("frog2022")
 RNG = np.random.default_rng(5)
 
 
-GIVEN = {
-    name: {"group": "front"} for name in ("group_gain", "limb_mount", "limb_fatigue")
-}  # options without a default
+GIVEN = {name: {"group": "front"} for name in ("group_gain", "limb_mount", "limb_fatigue")} | {
+    "law": {"forward_n": "0"}
+}  # what has no default
 
 
 def effect(name: str, **values: object) -> Effect:

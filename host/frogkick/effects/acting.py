@@ -72,6 +72,7 @@ class ActingLanes:
         self._flows = [effect for effect in effects if _overrides(effect, "flow")]
         self._wrenches = [effect for effect in effects if _overrides(effect, "wrench")]
         self.leg_s = leg_s if self._flows or self._wrenches else math.inf
+        self.asks_body = any(effect.asks_body for effect in effects)
 
     def copy(self) -> ActingLanes:
         """The same effects and histories, to go on from here by themselves."""
@@ -84,13 +85,16 @@ class ActingLanes:
         twin._rngs = [copy.deepcopy(self._rngs[lane]) for lane in lanes]
         return twin
 
-    def stroke(self, lane: int, limb: int, time_s: float) -> Stroke:
+    def stroke(self, lane: int, limb: int, time_s: float, body: Body | None = None) -> Stroke:
         """What a lane's limb does when it is fired; from then on it belongs to the history.
+
+        Args:
+            body: the robot now, for effects that ask where it is (``asks_body``).
 
         Raises:
             InputError: an effect gave a stroke that is not finite.
         """
-        stroke = Stroke(self._names[limb], limb, time_s)
+        stroke = Stroke(self._names[limb], limb, time_s, body=body)
         for effect in self.effects:
             stroke = effect.stroke(stroke, self.histories[lane], self._rngs[lane]) or stroke
         self.histories[lane].strokes.append((time_s, limb))
@@ -106,7 +110,10 @@ class ActingLanes:
         if not self.effects:
             batch.fire(lane, limb, time_s)
             return
-        stroke = self.stroke(lane, limb, time_s)
+        body = None
+        if self.asks_body:
+            body = body_at(time_s, batch.pose_world()[lane], batch.velocity_body()[lane])
+        stroke = self.stroke(lane, limb, time_s, body)
         start_s = time_s + stroke.delay_s
         batch.fire(lane, limb, start_s, gain=stroke.gain, duration_scale=stroke.duration_scale)
 
@@ -174,9 +181,7 @@ class ActingLanes:
         """Accelerations, world frame: m/s^2, m/s^2, rad/s^2."""
         if not self._wrenches:
             return (0.0, 0.0, 0.0)
-        x, y, heading = (float(value) for value in pose)
-        forward, left, omega = (float(value) for value in velocity)
-        seen = Body(time_s, (x, y, heading), (forward, left, omega))
+        seen, heading = body_at(time_s, pose, velocity), float(pose[2])
         total = np.zeros(3)
         for effect in self._wrenches:
             total += _numbers(effect, "wrench", effect.wrench(time_s, seen), 3)
@@ -203,7 +208,10 @@ class Acting:
         Raises:
             InputError: see Swimmer.fire and ActingLanes.stroke.
         """
-        stroke = self._lane.stroke(0, limb, time_s)
+        body = None
+        if self._lane.asks_body:
+            body = body_at(time_s, swimmer.pose_world(), swimmer.velocity_body())
+        stroke = self._lane.stroke(0, limb, time_s, body)
         start_s = time_s + stroke.delay_s
         swimmer.fire(limb, start_s, gain=stroke.gain, duration_scale=stroke.duration_scale)
 
@@ -228,6 +236,13 @@ class Acting:
                 return None
             seen = effect.fix(seen, self._rng)
         return seen
+
+
+def body_at(time_s: float, pose: FloatArray, velocity: FloatArray) -> Body:
+    """A body from its pose (3,), world frame, and its velocity (3,), its own frame."""
+    x, y, heading = (float(value) for value in pose)
+    forward, left, omega = (float(value) for value in velocity)
+    return Body(time_s, (x, y, heading), (forward, left, omega))
 
 
 def _overrides(effect: Effect, hook: str) -> bool:

@@ -57,6 +57,15 @@ class Parameter:
     open: float = 0.0
 
 
+@dataclass(frozen=True)
+class Body:
+    """The robot's body: pose in the world (m, m, rad), velocity in its own frame (m/s, m/s, rad/s)."""
+
+    time_s: float
+    pose_world: tuple[float, float, float]
+    velocity_body: tuple[float, float, float]
+
+
 @dataclass
 class Stroke:
     """A limb fires: what an effect may change.
@@ -68,6 +77,7 @@ class Stroke:
         gain: share of the measured stroke, 0 to 2.
         delay_s: how much later than its pulse it starts, 0 or more.
         duration_scale: how many times as long as measured it takes to curl back, 0.1 to 10.
+        body: the robot when it was told to fire; None where that is not known.
     """
 
     limb: str
@@ -76,6 +86,7 @@ class Stroke:
     gain: float = 1.0
     delay_s: float = 0.0
     duration_scale: float = 1.0
+    body: Body | None = None
 
 
 @dataclass
@@ -94,15 +105,6 @@ class History:
         return min((time_s - then for then, limb in self.strokes if limb == index), default=math.inf)
 
 
-@dataclass(frozen=True)
-class Body:
-    """The robot's body: pose in the world (m, m, rad), velocity in its own frame (m/s, m/s, rad/s)."""
-
-    time_s: float
-    pose_world: tuple[float, float, float]
-    velocity_body: tuple[float, float, float]
-
-
 class Effect:
     """A term that the plain model lacks; override what it acts on.
 
@@ -116,7 +118,7 @@ class Effect:
     """
 
     name: ClassVar[str] = ""
-    parameters: ClassVar[tuple[Parameter, ...]] = ()
+    parameters: tuple[Parameter, ...] = ()
     options: ClassVar[dict[str, Any]] = {}
     about: ClassVar[str] = ""
     shown_by: ClassVar[str] = ""
@@ -153,6 +155,11 @@ class Effect:
             if value is None:
                 raise InputError(f"effect {self.title!r} needs {option!r}: give it")
             setattr(self, option, value)
+
+    @property
+    def asks_body(self) -> bool:
+        """What it does to a stroke hangs on where the robot is and how it moves: ``Stroke.body`` is given."""
+        return False
 
     @property
     def stiff(self) -> bool:

@@ -12,16 +12,16 @@ from typing import Any
 
 from frogkick.core.errors import InputError, nearest_name
 from frogkick.core.files import existing_file
-from frogkick.effects import body, camera, groups, inertia, limbs, walls, water
+from frogkick.effects import body, camera, groups, inertia, law, limbs, walls, water
 from frogkick.effects.base import Effect
 from frogkick.robot import Robot
 
 
 def _built_in() -> dict[str, type[Effect]]:
     found = {}
-    for module in (limbs, groups, body, inertia, water, walls, camera):
+    for module in (limbs, groups, body, inertia, water, walls, camera, law):
         for _, kind in inspect.getmembers(module, inspect.isclass):
-            if issubclass(kind, Effect) and kind.name:
+            if issubclass(kind, Effect) and vars(kind).get("name"):
                 found[kind.name] = kind
     return dict(sorted(found.items()))
 

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from frogkick.der import WIDTH
-from frogkick.effects import ActingLanes, Effect, Fix, changed_robot
+from frogkick.effects import ActingLanes, Effect, Fix, body_at, changed_robot
 from frogkick.identification.filter import Filter, Noise, Series, first_rate_std
 from frogkick.identification.gentle import Amid, Gentle, gentle
 from frogkick.identification.swim import Swim
@@ -236,7 +236,11 @@ class Party:
             course.poses = joined
 
     def _fire(self, seat: int, course: Course, time_s: float, limb: int) -> None:
-        stroke = course.acting.stroke(0, limb, time_s)
+        body = None
+        if course.acting.asks_body:
+            row = self.batch.motion_world()[seat]
+            body = body_at(time_s, row[:3], row[3:6])
+        stroke = course.acting.stroke(0, limb, time_s, body)
         start_s = time_s + stroke.delay_s
         self.batch.fire(seat, limb, start_s, gain=stroke.gain, duration_scale=stroke.duration_scale)
 

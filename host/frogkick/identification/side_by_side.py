@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from frogkick.der import WIDTH
-from frogkick.effects import ActingLanes, Effect, Fix, changed_robot
+from frogkick.effects import ActingLanes, Effect, Fix, body_at, changed_robot
 from frogkick.effects.registry import effects_of
 from frogkick.identification.columns import COARSE_STEP_S
 from frogkick.identification.fit import Model
@@ -97,7 +97,8 @@ class Side:
             batch.enter(lane, robot.amid)
             actings.append(robot.acting.copy())
             for at_s, limb in strokes_of(self.robot, action, start_s):
-                stroke = actings[-1].stroke(0, limb, at_s)
+                row = batch.motion_world()[lane]
+                stroke = actings[-1].stroke(0, limb, at_s, body_at(at_s, row[:3], row[3:6]))
                 later_s, slower = at_s + stroke.delay_s, stroke.duration_scale
                 batch.fire(lane, limb, later_s, gain=stroke.gain, duration_scale=slower)
         leg_s = actings[0].leg_s

@@ -70,8 +70,8 @@ def catalogue(robot: Robot, own: Path | None = None) -> list[Term]:
     """
     terms = []
     for name, kind in BUILT_IN.items():
-        if kind.together:
-            continue  # see frogkick.identification.relatives
+        if kind.together or not kind.parameters:
+            continue  # see frogkick.identification.relatives; a law has what its formulas name
         for options in _options(kind, robot):
             terms.append(_term({"name": name, **options}, Path(), kind))
     if own is not None:

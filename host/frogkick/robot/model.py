@@ -9,6 +9,7 @@ import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 from frogkick.core.errors import InputError
 from frogkick.core.files import write_text
@@ -229,7 +230,7 @@ class Robot:
     toml: str
     sha256: bytes
     battery: Battery | None = None
-    effects: tuple[Mapping[str, str | bool | int | float], ...] = ()
+    effects: tuple[Mapping[str, Any], ...] = ()
     folder: Path | None = field(default=None, compare=False)
 
     def __repr__(self) -> str:

@@ -143,4 +143,4 @@ class RobotFile(_Table):
     planner: PlannerTable
     profile: Annotated[list[ProfileTable], Field(min_length=1)]
     battery: BatteryTable | None = None
-    effect: list[dict[str, str | bool | int | float]] = []
+    effect: list[dict[str, str | bool | int | float | dict[str, dict[str, str | int | float]]]] = []

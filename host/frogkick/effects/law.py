@@ -1,0 +1,294 @@
+"""A law: an effect that is a formula, written by hand or found by identification.
+
+    [[effect]]
+    name = "law"
+    on = "wrench"
+    x_n = "-stiffness * max(0, x_m - slack_x)"
+    [effect.parameters]
+    stiffness = { value = 0.05, unit = "N/m", low = 0.0, high = 1.0 }
+    slack_x = { value = 0.3, unit = "m" }
+
+See ``formula`` for what a formula may hold, and CHANNELS and NAMES for what it gives and what it knows.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from frogkick.core.errors import InputError, nearest_name
+from frogkick.core.poses import Fix, rotate
+from frogkick.effects.base import Body, Effect, FloatArray, History, Parameter, Stroke, limb_index
+from frogkick.effects.formula import Formula, Unit, parse, unit_of
+from frogkick.effects.limbs import ALL
+from frogkick.robot import Robot
+
+CHANNELS: Mapping[str, Mapping[str, str]] = {
+    "wrench": {"forward_n": "N", "left_n": "N", "x_n": "N", "y_n": "N", "torque_nm": "N m"},
+    "flow": {"x_mps": "m/s", "y_mps": "m/s"},
+    "stroke": {"gain": "1", "delay_s": "s", "duration_scale": "1"},
+    "fix": {"x_m": "m", "y_m": "m", "heading_rad": "rad", "delay_s": "s"},
+}
+"""What a law acts on -> the keys that may hold a formula, and the unit that it comes out in.
+
+``wrench``: a force on the body, by its own axes or the pool's, and a torque. ``flow``: the water's velocity
+at a place. ``stroke``: a factor on the stroke, how much later it begins, a factor on how long it takes.
+``fix``: what is added to a position fix, and how much later it was taken than it claims.
+"""
+
+_PLACE = {"time_s": "s", "x_m": "m", "y_m": "m"}
+_POSE = {**_PLACE, "heading_rad": "rad"}
+_BODY = {**_POSE, "forward_mps": "m/s", "left_mps": "m/s", "turn_radps": "rad/s"}
+NAMES: Mapping[str, Mapping[str, str]] = {
+    "wrench": _BODY,
+    "flow": _PLACE,
+    "stroke": {**_BODY, "strokes": "1", "since_s": "s", "chance": "1"},
+    "fix": {**_POSE, "chance": "1"},
+}
+"""What a law acts on -> the names that its formulas may use besides its parameters, and their units.
+
+``time_s`` counts from the start of the run. For a stroke: ``strokes`` how many pulses there were before,
+``since_s`` how long ago the same limb fired last, ``since_LIMB_s`` how long ago that limb did, ``chance`` a
+random number from 0 to 1, drawn anew for each stroke or fix.
+"""
+
+LONG_AGO_S = 1e3
+"""How long ago a limb fired that has not fired yet."""
+
+_KEYS = ("value", "unit", "low", "high", "nominal", "about", "step")
+
+
+class Law(Effect):
+    """An effect that is a formula."""
+
+    name = "law"
+    about = "a formula for a force, a flow, a stroke or a fix"
+    shown_by = "whatever its formula depends on: record runs in which that varies"
+
+    def __new__(cls, on: str = "wrench", **_given: Any) -> Law:
+        """One that has the methods of what it acts on, and no others: what asks often costs time."""
+        made: Law = object.__new__(_KINDS.get(on, cls))
+        return made
+
+    def __init__(
+        self,
+        on: str = "wrench",
+        limb: str = ALL,
+        title: str = "law",
+        parameters: Mapping[str, Mapping[str, Any]] | None = None,
+        **values: Any,
+    ) -> None:
+        """Make a law.
+
+        Args:
+            on: a key of CHANNELS.
+            limb: whose strokes it changes, where it is on strokes.
+            title: what reports call it.
+            parameters: name -> ``value``, ``unit``, and where it is to be fitted ``low``, ``high``,
+                ``nominal`` (where the law vanishes; default 0 where that is within the bounds).
+            values: formulas by the names of CHANNELS; and values of parameters, instead of those above.
+
+        Raises:
+            InputError: an unknown key or name, a formula that cannot be read or whose unit does not fit.
+        """
+        if on not in CHANNELS:
+            raise InputError(f"a law on {on!r}{nearest_name(str(on), CHANNELS)}: give {', '.join(CHANNELS)}")
+        self.on, self.limb, self._title = on, limb, str(title)
+        self._declared = {name: dict(given) for name, given in (parameters or {}).items()}
+        self.parameters = tuple(_parameter(name, given) for name, given in self._declared.items())
+        units = {p.name: unit_of(p.unit) for p in self.parameters}
+        known = {name: unit_of(unit) for name, unit in NAMES[on].items()}
+        clash = sorted(set(units) & {*known, *CHANNELS[on], "on", "limb", "title", "parameters", "name"})
+        if clash:
+            raise InputError(f"a law's parameter {clash[0]!r} is a name that is taken: choose another")
+        formulas = {key: values.pop(key) for key in CHANNELS[on] if key in values}
+        for key in values:
+            if key not in units:
+                allowed = [*CHANNELS[on], *units]
+                raise InputError(
+                    f"a law on {on!r} has no {key!r}{nearest_name(key, allowed)}: it has {', '.join(allowed)}"
+                )
+        if not formulas:
+            raise InputError(f"a law on {on!r} has no formula: give one of {', '.join(CHANNELS[on])}")
+        for parameter in self.parameters:
+            value = values.get(parameter.name, self._declared[parameter.name].get("value", parameter.nominal))
+            _check_value(parameter, value)
+            setattr(self, parameter.name, float(value))
+        self._texts = {key: str(text) for key, text in formulas.items()}
+        self._formulas = {
+            key: _parsed(key, text, {**known, **units}, unit_of(CHANNELS[on][key]))
+            for key, text in self._texts.items()
+        }
+        self._others = sorted(
+            name for each in self._formulas.values() for name in each.names if name not in {**known, **units}
+        )
+        self._given = {p.name: self.value(p.name) for p in self.parameters}
+        self._limbs: dict[str, int] = {}
+
+    @property
+    def title(self) -> str:
+        """What reports call it."""
+        return self._title
+
+    @property
+    def table(self) -> dict[str, Any]:
+        """Its keys as a TOML's ``[[effect]]`` table, with values and bounds of its parameters."""
+        declared = {
+            p.name: {"value": self.value(p.name), "unit": p.unit, "low": p.low, "high": p.high}
+            for p in self.parameters
+        }
+        limb = {"limb": self.limb} if self.on == "stroke" else {}
+        named = {"title": self._title} if self._title != "law" else {}
+        return {"name": "law", **named, "on": self.on, **limb, **self._texts, "parameters": declared}
+
+    @property
+    def asks_body(self) -> bool:
+        return self.on == "stroke" and any(self._uses(name) for name in _BODY if name != "time_s")
+
+    def check(self, robot: Robot) -> None:
+        if self.on == "stroke" and self.limb != ALL:
+            limb_index(robot, self, self.limb)
+        self._limbs = {f"since_{limb.name}_s": k for k, limb in enumerate(robot.limbs)}
+        for name in self._others:
+            if name not in self._limbs:
+                limb_index(robot, self, name.removeprefix("since_").removesuffix("_s"))
+
+    def _uses(self, name: str) -> bool:
+        return any(name in formula.names for formula in self._formulas.values())
+
+    def _all(self, values: Mapping[str, float], keys: Sequence[str]) -> list[float]:
+        """What its formulas give of these keys, nought for those that have none."""
+        return [self._formulas[key](values) if key in self._formulas else 0.0 for key in keys]
+
+    def __repr__(self) -> str:
+        formulas = [f"{key}={text!r}" for key, text in self._texts.items()]
+        return f"Law({self.on}: {', '.join([*formulas, *(f'{k}={v:g}' for k, v in self._given.items())])})"
+
+
+class _OnWrench(Law):
+    def wrench(self, time_s: float, body: Body) -> Sequence[float]:
+        forward, left, x, y, torque = self._all(
+            {**self._given, **_seen(body), "time_s": time_s},
+            ("forward_n", "left_n", "x_n", "y_n", "torque_nm"),
+        )
+        along, aside = rotate(-body.pose_world[2], x, y)
+        return (forward + along, left + aside, torque)
+
+
+class _OnFlow(Law):
+    def flow(self, time_s: float, position_world_m: FloatArray) -> Sequence[float]:
+        x, y = float(position_world_m[0]), float(position_world_m[1])
+        return self._all({**self._given, "time_s": time_s, "x_m": x, "y_m": y}, ("x_mps", "y_mps"))
+
+
+class _OnStroke(Law):
+    def stroke(self, stroke: Stroke, history: History, rng: np.random.Generator) -> Stroke:
+        if self.limb not in (ALL, stroke.limb):
+            return stroke
+        values = {
+            **self._given,
+            **_seen(stroke.body or Body(stroke.time_s, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))),
+            "time_s": stroke.time_s,
+            "strokes": float(history.pulses),
+            "since_s": min(history.since_s(stroke.index, stroke.time_s), LONG_AGO_S),
+            "chance": float(rng.random()) if self._uses("chance") else 0.5,
+        }
+        for name in self._others:
+            if name not in self._limbs:
+                raise InputError(
+                    f"law {self.title!r} does not know which limb {name!r} means: check(robot) first"
+                )
+            values[name] = min(history.since_s(self._limbs[name], stroke.time_s), LONG_AGO_S)
+        given = {key: formula(values) for key, formula in self._formulas.items()}
+        stroke.gain *= given.get("gain", 1.0)
+        stroke.delay_s += given.get("delay_s", 0.0)
+        stroke.duration_scale *= given.get("duration_scale", 1.0)
+        return stroke
+
+
+class _OnFix(Law):
+    def fix(self, fix: Fix, rng: np.random.Generator) -> Fix:
+        values = {
+            **self._given,
+            "time_s": fix.capture_s,
+            "x_m": fix.x_m,
+            "y_m": fix.y_m,
+            "heading_rad": fix.heading_rad,
+            "chance": float(rng.random()) if self._uses("chance") else 0.5,
+        }
+        x, y, heading, delay = self._all(values, ("x_m", "y_m", "heading_rad", "delay_s"))
+        fix.x_m += x
+        fix.y_m += y
+        fix.heading_rad += heading
+        fix.capture_s += delay
+        fix.delay_s -= delay
+        return fix
+
+
+_KINDS: Mapping[str, type[Law]] = {"wrench": _OnWrench, "flow": _OnFlow, "stroke": _OnStroke, "fix": _OnFix}
+
+
+def _seen(body: Body) -> dict[str, float]:
+    x, y, heading = body.pose_world
+    forward, left, turn = body.velocity_body
+    return {
+        "x_m": x, "y_m": y, "heading_rad": heading,
+        "forward_mps": forward, "left_mps": left, "turn_radps": turn,
+    }  # fmt: skip
+
+
+def _parsed(key: str, text: str, units: dict[str, Unit], wanted: Unit) -> Formula:
+    """A formula; names ``since_LIMB_s`` are known on strokes, whatever the robot's limbs are."""
+    if "since_s" in units:
+        for name in re.findall(r"\bsince_\w+_s\b", text):
+            units.setdefault(name, unit_of("s"))
+    try:
+        return parse(text, units, wanted)
+    except InputError as error:
+        raise InputError(f"a law's {key}: {error}") from None
+
+
+def _parameter(name: str, given: Mapping[str, Any]) -> Parameter:
+    """A declared parameter.
+
+    Raises:
+        InputError: an unknown key, no unit, no value, bounds that are none.
+    """
+    if not name.isidentifier():
+        raise InputError(f"a law's parameter {name!r} is no name: use letters, digits and _")
+    wrong = sorted(set(given) - set(_KEYS))
+    if wrong or "unit" not in given:
+        raise InputError(
+            f"a law's parameter {name!r} "
+            + (f"has {wrong[0]!r}{nearest_name(wrong[0], _KEYS)}" if wrong else "has no unit")
+            + f": give {', '.join(_KEYS)}"
+        )
+    numbers = {key: given[key] for key in ("value", "low", "high", "nominal", "step") if key in given}
+    for key, number in numbers.items():
+        if isinstance(number, bool) or not isinstance(number, int | float) or not np.isfinite(number):
+            raise InputError(f"a law's parameter {name!r}: {key} is {number!r}, needed is a finite number")
+    value = float(numbers.get("value", numbers.get("nominal", 0.0)))
+    reach = 10.0 * abs(value) or 1.0
+    low, high = float(numbers.get("low", value - reach)), float(numbers.get("high", value + reach))
+    nominal = float(numbers.get("nominal", min(max(0.0, low), high)))
+    if not low < high or not low <= nominal <= high:
+        raise InputError(
+            f"a law's parameter {name!r}: {low:g} to {high:g} with nominal {nominal:g} are no bounds"
+        )
+    step = float(numbers.get("step", 0.0))
+    return Parameter(name, str(given["unit"]), low, high, nominal, str(given.get("about", "")), step)
+
+
+def _check_value(parameter: Parameter, value: object) -> None:
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise InputError(
+            f"a law's {parameter.name} is {value!r}, needed is a number of unit {parameter.unit}"
+        )
+    if not parameter.low <= value <= parameter.high:
+        raise InputError(
+            f"a law's {parameter.name} is {value:g}, allowed is {parameter.low:g} to {parameter.high:g} "
+            f"{parameter.unit}"
+        )

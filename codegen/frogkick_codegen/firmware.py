@@ -20,6 +20,7 @@ from frogkick.core.extras import require
 from frogkick.core.files import write_bytes, write_text
 from frogkick.robot import Robot
 from frogkick.tables.image import read_image
+from frogkick_codegen import declared
 from frogkick_codegen.emit import emit
 from frogkick_codegen.kept import built_once
 from frogkick_codegen.map_file import write_map
@@ -276,7 +277,9 @@ def _build_native(work: Path, compiler: Compiler) -> dict[str, Path]:
     sources, headers, places = _sources(work)
     port = work / "native_port.c"
     write_bytes(port, (resources.files("frogkick_codegen") / "templates" / port.name).read_bytes())
-    sources.append(port)
+    told = work / declared.SOURCE
+    write_bytes(told, declared.source({path.name: path.read_bytes() for path in [*headers, *sources, port]}))
+    sources += [port, told]
     name = compiler.version.encode()
     digest = hashlib.sha256(name + b"".join(path.read_bytes() for path in [*sources, *headers])).hexdigest()[
         :12

@@ -11,32 +11,21 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
-import cffi
 import numpy as np
 import numpy.typing as npt
 
 from frogkick.core.errors import InputError
 from frogkick.core.files import cache_folder, one_at_a_time
+from frogkick.core.shared_library import load
 from frogkick.planner.plan import PLAN_ROW, PathLike, PlanConfig, along_rows, limb_use_rows, path_rows
 from frogkick.tables.image import TableError
+from frogkick_codegen import declared
 from frogkick_codegen.toolchain import FLAGS, Compiler, ToolchainError, zig
 
 PLANNER_HEADERS = ("fk_planner.h", "fk_tables.h", "fk_internal.h", "fk_route.h", "fk_trig.h")
 PLANNER_SOURCES = (
     "cost.c", "lookup.c", "math.c", "nearest.c", "path.c", "route.c", "tables.c", "tables_check.c", "tree.c",
 )  # fmt: skip
-
-_DECLARATIONS = """
-uint32_t fk_native_row_bytes(void);
-int32_t fk_native_open(const uint8_t *image, uint32_t size);
-int32_t fk_native_plan_batch(const uint8_t *image, uint32_t size, const float *path, uint32_t points,
-                             const float *weights, uint32_t cost, uint32_t transitions_max,
-                             const float *states, const uint16_t *limb_use, const float *along_points,
-                             const int32_t *depths, uint32_t count, void *rows);
-void fk_native_sincos(const float *angles_rad, uint32_t count, float *sines, float *cosines);
-void fk_native_wrap(const float *angles_rad, uint32_t count, float *wrapped_rad);
-uint32_t fk_native_crc32(uint32_t crc, const uint8_t *bytes, uint32_t length);
-"""
 
 
 def planner_files() -> dict[str, bytes]:
@@ -61,14 +50,14 @@ def build_shared(
         flags: compiler flags.
 
     Returns:
-        The library, in the user's cache folder.
+        The library, in the user's cache folder; it carries its declarations (``core.shared_library.load``).
 
     Raises:
         ToolchainError: no compiler, a refused source, or no writable cache folder.
     """
     driver = zig() if compiler is None else compiler
     suffix = {"darwin": ".dylib", "win32": ".dll"}.get(sys.platform, ".so")
-    digest = hashlib.sha256()
+    digest = hashlib.sha256(Path(declared.__file__).read_bytes())
     for text in (driver.version, *driver.target_flags, *flags, sys.platform, platform.machine()):
         digest.update(text.encode() + b"\0")
     for file in sorted(files):
@@ -78,15 +67,16 @@ def build_shared(
     if library.exists():
         return library
     try:
-        texts = chr(0).join([driver.name, *driver.target_flags, *flags, *sorted(files)])
+        every = {**files, declared.SOURCE: declared.source(files)}
+        texts = chr(0).join([driver.name, *driver.target_flags, *flags, *sorted(every)])
         with one_at_a_time(folder, f"build-{hashlib.sha256(texts.encode()).hexdigest()[:16]}") as work:
             if library.exists():  # whoever was waited for has built it
                 return library
-            for file, content in files.items():
+            for file, content in every.items():
                 here = work / file
                 if not here.exists() or here.read_bytes() != content:
                     here.write_bytes(content)
-            sources = sorted(file for file in files if file.endswith(".c"))
+            sources = sorted(file for file in every if file.endswith(".c"))
             pic = () if sys.platform == "win32" else ("-fPIC",)
             driver.run([*flags, *pic, "-shared", "-o", library.name, *sources], folder=work)
             os.replace(work / library.name, library)
@@ -124,17 +114,13 @@ class NativeLibrary:
         every = dict(planner_files() if files is None else files)
         every |= native_entries("native_batch.c")
         path = build_shared("fk_planner", every, compiler, flags)
-        self._ffi = cffi.FFI()
-        self._ffi.cdef(_DECLARATIONS)
         try:
-            self._library: Any = self._ffi.dlopen(str(path))
+            self._ffi, self._library = load(path)
         except OSError as error:
             raise ToolchainError(f"built library {path.name!r} does not load ({error}): remove it") from error
-        row_bytes = self._library.fk_native_row_bytes()
-        if row_bytes != PLAN_ROW.itemsize:
-            raise ToolchainError(
-                f"native rows have {row_bytes} bytes, the host reads {PLAN_ROW.itemsize}: update both"
-            )
+        row = {name: field.offset for name, field in self._ffi.typeof("fk_native_row_t").fields}
+        if row != {name: field[1] for name, field in (PLAN_ROW.fields or {}).items()}:
+            raise ToolchainError(f"native rows have their fields at {row}, the host at others: update both")
 
     def open_status(self, image: bytes) -> int:
         """Return what ``fk_tables_open`` says of an image: 0 or a negative fk_error_t."""

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Any
-
-import cffi
 import numpy as np
 import numpy.typing as npt
 
+from frogkick.core.shared_library import load
 from frogkick.planner.plan import PathLike, PlanConfig, path_rows
 from frogkick.tables.image import TableError
 from frogkick_codegen.native import build_shared, native_entries, planner_files
@@ -17,14 +15,6 @@ _FLAGS = ("-std=c99", "-O1", "-fno-vectorize", "-fno-unroll-loops", *WARNINGS, *
 _COUNTED = "-fsanitize-coverage=trace-pc-guard"
 """The compiler that comes as a wheel knows it; its calls go to native_blocks.c."""
 
-_DECLARATIONS = """
-uint32_t fk_native_blocks(void);
-int32_t fk_native_blocks_plan(const uint8_t *image, uint32_t size, const float *path, uint32_t points,
-                              const float *weights, uint32_t cost, uint32_t transitions_max, uint32_t depth,
-                              const float *states, const uint16_t *limb_use, const float *along_points,
-                              uint32_t count, uint32_t *blocks, int32_t *statuses);
-"""
-
 
 class BlockCounter:
     """The C planner, built to count its blocks."""
@@ -32,10 +22,7 @@ class BlockCounter:
     def __init__(self) -> None:
         """Build (or find) the library and load it; errors as for ``build_shared``."""
         files = planner_files() | native_entries("native_blocks.c")
-        self._ffi = cffi.FFI()
-        self._ffi.cdef(_DECLARATIONS)
-        built = build_shared("fk_blocks", files, flags=(*_FLAGS, _COUNTED))
-        self._library: Any = self._ffi.dlopen(str(built))
+        self._ffi, self._library = load(build_shared("fk_blocks", files, flags=(*_FLAGS, _COUNTED)))
 
     def count(
         self,

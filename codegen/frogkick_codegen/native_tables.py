@@ -7,29 +7,16 @@ from importlib import resources
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import cffi
 import numpy as np
 import numpy.typing as npt
 
+from frogkick.core.shared_library import load
 from frogkick.tables.image import TableError, Tables
 from frogkick.tables.layout import LIMBS_MAX
 from frogkick_codegen.native import build_shared, planner_files
 from frogkick_codegen.toolchain import FLAGS, Compiler
 
 TABLE_SOURCES = ("lookup.c", "math.c", "nearest.c", "tables.c", "tables_check.c")
-
-_DECLARATIONS = """
-int32_t fk_native_lookup(const uint8_t *image, uint32_t size, const int32_t *codes, const uint16_t *use,
-                         uint32_t count, uint32_t *rows, float *motions, int32_t *next_codes,
-                         uint16_t *next_use);
-int32_t fk_native_nearest(const uint8_t *image, uint32_t size, const int32_t *codes, uint32_t count,
-                          uint32_t *rows);
-int32_t fk_native_bounds(const uint8_t *image, uint32_t size, float *bounds);
-int32_t fk_native_robot(const uint8_t *image, uint32_t size, const char *robot_id);
-int32_t fk_native_action(const uint8_t *image, uint32_t size, uint8_t index, uint8_t *row);
-int32_t fk_native_nulls(const uint8_t *image, uint32_t size, int32_t *statuses);
-void fk_native_codes(const float *velocities, uint32_t count, float codes_per_velocity, int32_t *codes);
-"""
 
 
 class LookedUp(NamedTuple):
@@ -56,10 +43,7 @@ class NativeTables:
             files: planner files; the package's own where it is None.
             library: one that is built already, with these entries; nothing else is looked at then.
         """
-        self._ffi = cffi.FFI()
-        self._ffi.cdef(_DECLARATIONS)
-        built = self._built(files, compiler, flags) if library is None else library
-        self._library: Any = self._ffi.dlopen(str(built))
+        self._ffi, self._library = load(library or self._built(files, compiler, flags))
 
     @staticmethod
     def _built(files: Mapping[str, bytes] | None, compiler: Compiler | None, flags: Sequence[str]) -> Path:

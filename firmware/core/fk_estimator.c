@@ -28,7 +28,7 @@ static uint32_t mark_of(const fk_fix_t *fix)
 {
     uint32_t mark = (2166136261u ^ fix->sequence) * 16777619u;
     for (uint32_t axis = 0u; axis < 3u; ++axis) {
-        fk_float_bits_t pun;
+        fk_f32_bits_t pun;
         pun.value = fix->pose[axis];
         mark = (mark ^ (pun.bits & 0xFFFFu)) * 16777619u;
         mark = (mark ^ (pun.bits >> 16)) * 16777619u;

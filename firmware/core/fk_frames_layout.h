@@ -158,7 +158,7 @@ enum { /* records of the log */
 typedef union {
     float value;
     uint32_t bits;
-} fk_float_bits_t;
+} fk_f32_bits_t;
 
 static inline void fk_put_u8(uint8_t *to, uint8_t value) { to[0] = value; }
 
@@ -184,7 +184,7 @@ static inline void fk_put_u64(uint8_t *to, uint64_t value)
 
 static inline void fk_put_f32(uint8_t *to, float value)
 {
-    fk_float_bits_t pun;
+    fk_f32_bits_t pun;
     pun.value = value;
     fk_put_u32(to, pun.bits);
 }
@@ -203,7 +203,7 @@ static inline uint32_t fk_get_u32(const uint8_t *from)
 
 static inline float fk_get_f32(const uint8_t *from)
 {
-    fk_float_bits_t pun;
+    fk_f32_bits_t pun;
     pun.bits = fk_get_u32(from);
     return pun.value;
 }

@@ -9,8 +9,6 @@ typedef struct {
     uint8_t sums;
 } fk_check_t;
 
-uint32_t fk_log_bytes(void) { return (uint32_t)sizeof(fk_log_t); }
-
 static void add(fk_check_t *check, uint8_t byte)
 {
     check->sum = (uint8_t)(check->sum + byte);

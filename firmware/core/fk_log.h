@@ -63,7 +63,4 @@ void fk_log_finish(fk_log_t *log, uint32_t offset, uint8_t last);
  */
 uint32_t fk_log_read(const fk_log_t *log, uint32_t offset, uint8_t *bytes, uint32_t capacity, uint32_t *from);
 
-/* Size of fk_log_t, for a host that holds one without seeing its type. */
-uint32_t fk_log_bytes(void);
-
 #endif

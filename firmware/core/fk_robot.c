@@ -1,7 +1,5 @@
 #include "fk_robot_state.h"
 
-uint32_t fk_robot_bytes(void) { return (uint32_t)sizeof(fk_robot_t); }
-
 /* What depends on the table. */
 static void begin_with_tables(fk_robot_t *robot)
 {

@@ -106,9 +106,6 @@ void fk_robot_note_frames_dropped(fk_robot_t *robot, uint32_t frames);
  */
 int32_t fk_robot_restore(fk_robot_t *robot, const uint8_t *snapshot, uint32_t length);
 
-/* Size of fk_robot_t, for a host that holds one without seeing its type. */
-uint32_t fk_robot_bytes(void);
-
 /* Whether an event's command or pulse is possible in the robot's present state.
  * @param event  FK_EVENT_..., as FK_EVENT_PULSE
  * @retval FK_STATUS_OK, or what it would be refused with

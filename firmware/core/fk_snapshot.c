@@ -84,7 +84,7 @@ static void u64(fk_walk_t *walk, uint64_t *value)
 static void f32(fk_walk_t *walk, float *values, uint32_t count)
 {
     for (uint32_t i = 0u; i < count; ++i) {
-        fk_float_bits_t pun;
+        fk_f32_bits_t pun;
         pun.value = values[i];
         u32(walk, &pun.bits);
         values[i] = pun.value;

@@ -8,8 +8,6 @@ typedef union {
     uint32_t words[FK_STORE_RECORD_WORDS];
 } fk_store_words_t;
 
-uint32_t fk_store_bytes(void) { return (uint32_t)sizeof(fk_store_t); }
-
 static uint32_t word_at(const fk_store_t *store, uint32_t offset) { return fk_get_u32(store->flash->base + offset); }
 
 static uint32_t slot_offset(const fk_store_t *store, uint32_t slot)

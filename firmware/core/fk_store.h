@@ -147,7 +147,4 @@ int32_t fk_store_is_owned(const fk_store_t *store);
 /* CRC-32 in the header of a table: FK_STORE_BUILT_IN, or a slot that was committed. */
 uint32_t fk_store_crc32(const fk_store_t *store, uint8_t table);
 
-/* Size of fk_store_t, for a host that holds one without seeing its type. */
-uint32_t fk_store_bytes(void);
-
 #endif

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
@@ -11,9 +10,9 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
-import cffi
-
+from frogkick.core.shared_library import ffi_of, load
 from frogkick.planner.plan import PathLike, PlanConfig
+from frogkick_codegen import declared
 from frogkick_codegen.native import build_shared, planner_files
 from frogkick_codegen.native_tables import NativeTables
 from frogkick_codegen.toolchain import FLAGS, other
@@ -21,31 +20,9 @@ from frogkick_codegen.toolchain import FLAGS, other
 COVERAGE_DIR = os.environ.get("FK_PLANNER_COVERAGE_DIR")
 """Set by test_planner_coverage for its own runs: build with gcov's counters, into that folder."""
 
-_SHIM = """
-int32_t fk_test_open_spoiled(const uint8_t *image, uint32_t size, uint32_t flush, fk_tables_t *tables);
-uint32_t fk_test_wrapped_wrong(uint32_t step);
-uint16_t fk_nearest(const fk_tables_t *tables, const int32_t codes[3]);
-"""
 _FIELDS = ("distance_weight_per_m", "angle_weight_per_rad", "progress_weight", "level_weight",
            "progress_weight_per_m", "look_ahead_m", "soft_distance_m", "turn_lead",
            "transitions_max", "cost", "depth")  # fmt: skip
-
-
-def headers() -> str:
-    """The planner's public headers as cffi reads them: without comments, macros in place."""
-    files = planner_files()
-    text = "".join(files[name].decode() for name in ("fk_tables.h", "fk_planner.h"))
-    text = re.sub(r"/\*.*?\*/", "", text, flags=re.DOTALL)
-    numbers = dict(re.findall(r"#define (FK_\w+_(?:MAX|BYTES)|FK_COEFFICIENTS) (\d+)U?\b", text))
-    text = re.sub(r"#ifdef __cplusplus.*?#endif", "", text, flags=re.DOTALL)
-    text = re.sub(r"^#.*$", "", text, flags=re.MULTILINE)
-    for name, value in numbers.items():
-        text = re.sub(rf"\b{name}\b", value, text)
-    return re.sub(r"\[(\d+)U? / 2U\]", lambda found: f"[{int(found[1]) // 2}]", text)
-
-
-FFI = cffi.FFI()
-FFI.cdef(headers() + _SHIM)
 
 
 def source_files() -> dict[str, bytes]:
@@ -53,6 +30,9 @@ def source_files() -> dict[str, bytes]:
     entries = resources.files("frogkick_codegen") / "templates" / "native_tables.c"
     shim = Path(__file__).parent / "planner_shim.c"
     return planner_files() | {"native_tables.c": entries.read_bytes(), "planner_shim.c": shim.read_bytes()}
+
+
+FFI = ffi_of(declared.declarations(source_files()))
 
 
 @cache
@@ -63,6 +43,7 @@ def library_file() -> Path:
         return build_shared("fk_planner_c", files)
     folder, gcc = Path(COVERAGE_DIR), other("gcc")
     assert gcc is not None, "test_planner_coverage looks for gcc before it sets FK_PLANNER_COVERAGE_DIR"
+    files[declared.SOURCE] = declared.source(files)
     for name, content in files.items():
         (folder / name).write_bytes(content)
     flags = [flag for flag in FLAGS if flag != "-O2"] + ["-O0", "--coverage", "-fPIC", "-shared"]
@@ -73,7 +54,7 @@ def library_file() -> Path:
 @cache
 def library() -> Any:
     """The library, loaded."""
-    return FFI.dlopen(str(library_file()))
+    return load(library_file())[1]
 
 
 def native_tables() -> NativeTables:

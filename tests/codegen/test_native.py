@@ -10,7 +10,6 @@ import tempfile
 import zlib
 from pathlib import Path
 
-import cffi
 import numpy as np
 import pytest
 from hypothesis import given
@@ -20,6 +19,7 @@ from tests.planner import synthetic
 
 from frogkick.core.errors import InputError
 from frogkick.core.files import cache_folder
+from frogkick.core.shared_library import load
 from frogkick.planner import floats, kernel
 from frogkick.planner.plan import PlanConfig, plan_batch
 from frogkick.tables import layout
@@ -199,14 +199,12 @@ def test_a_change_of_one_character_is_compiled(own_cache: Path) -> None:
         b"int fk_a(void);\n",
         b'#include "a.h"\nint fk_b(void);\nint fk_b(void) { return fk_a(); }\n',
     )
-    ffi = cffi.FFI()
-    ffi.cdef("int fk_b(void);")
     for answer in (b"1", b"2", b"3", b"1"):
         source = b'#include "a.h"\nint fk_a(void) { return ' + answer + b"; }\n"
         files = {"a.c": source, "b.c": caller, "a.h": header + b"#define ANSWER " + answer + b"\n"}
-        assert ffi.dlopen(str(build_shared("a", files))).fk_b() == int(answer)
+        assert load(build_shared("a", files))[1].fk_b() == int(answer)
         files["a.c"] = source.replace(b"return " + answer, b"return ANSWER + 3")
-        assert ffi.dlopen(str(build_shared("a", files))).fk_b() == int(answer) + 3
+        assert load(build_shared("a", files))[1].fk_b() == int(answer) + 3
 
 
 def test_a_missing_compiler_wheel_is_said_so(monkeypatch: pytest.MonkeyPatch) -> None:

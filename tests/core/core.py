@@ -11,15 +11,16 @@ from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar
 
-import cffi
 import numpy as np
 from tests.conftest import REPOSITORY, count
 from tests.planner import synthetic
 
+from frogkick.core.shared_library import ffi_of, load
 from frogkick.link.auth import Conversation
 from frogkick.link.frames import Frame, FrameCollector, hello, pack_frame
 from frogkick.link.layout import Value, link_layout
 from frogkick.robot import load_robot
+from frogkick_codegen import declared
 from frogkick_codegen.firmware import robot_config
 from frogkick_codegen.native import build_shared, planner_files
 from frogkick_codegen.toolchain import FLAGS, Compiler, other
@@ -32,70 +33,6 @@ STATUS = link_layout().status
 STATE = link_layout().state
 NEVER_US = 2**64 - 1
 Picked = TypeVar("Picked")
-
-_DECLARATIONS = """
-typedef struct { uint8_t limb_mask; uint8_t all_off; uint32_t pulse_us; uint64_t next_tick_us; } fk_outputs_t;
-uint32_t fk_robot_bytes(void);
-int32_t fk_robot_init(void *robot, const uint8_t *image, uint32_t image_bytes);
-void fk_robot_use_store(void *robot, void *store);
-void fk_robot_on_frame(void *robot, const uint8_t *encoded, uint32_t length, uint64_t now_us);
-void fk_robot_tick(void *robot, uint64_t now_us, fk_outputs_t *outputs);
-void fk_robot_note_tick(void *robot, uint32_t elapsed_us);
-typedef struct { uint32_t on_us[8]; uint32_t crc; } fk_guard_persistent_t;
-void fk_robot_note_reset(void *robot, uint8_t reset, fk_guard_persistent_t *kept);
-void fk_guard_keep(const void *guard, fk_guard_persistent_t *kept);
-int32_t fk_guard_resume(void *guard, const fk_guard_persistent_t *kept);
-void fk_robot_note_pulse_failed(void *robot, int32_t error);
-void fk_robot_note_link_lost(void *robot);
-void fk_robot_note_supply(void *robot, int32_t is_low);
-void fk_robot_note_clock_failed(void *robot);
-void fk_robot_note_frames_dropped(void *robot, uint32_t frames);
-uint32_t fk_robot_take_tx(void *robot, uint8_t *bytes, uint32_t capacity);
-void fk_guard_init(void *guard);
-int32_t fk_guard_allow(void *guard, uint8_t limb_mask, uint32_t pulse_us, uint64_t now_us);
-void fk_guard_cut(void *guard, uint64_t now_us);
-void fk_guard_not_begun(void *guard, uint8_t limb_mask);
-void fk_guard_closed_loop(void *guard, int32_t closed);
-void fk_guard_note_fix(void *guard, uint64_t capture_us);
-uint64_t fk_guard_lost_us(const void *guard);
-int32_t fk_guard_is_sound(const void *guard);
-typedef struct { uint64_t begun_us, heated_us; uint8_t is_reading, agree, is_low; } fk_battery_t;
-void fk_battery_init(fk_battery_t *battery);
-int32_t fk_battery_is_due(fk_battery_t *battery, uint64_t now_us, int32_t limb_is_on, int32_t least_mv);
-void fk_battery_note(fk_battery_t *battery, int32_t lowest_mv, int32_t least_mv);
-int32_t fk_battery_is_low(const fk_battery_t *battery);
-uint32_t fk_frame_encode(uint8_t type, uint8_t sequence, const uint8_t *payload, uint32_t payload_length,
-                         uint8_t *to, uint32_t capacity);
-uint32_t fk_test_guard_bytes(void);
-uint32_t fk_test_estimator_bytes(void);
-uint32_t fk_test_encoded_max(void);
-int32_t fk_test_decode(const uint8_t *encoded, uint32_t length, uint8_t *head, uint8_t *payload,
-                       uint32_t *payload_length);
-uint32_t fk_test_count_frames(const uint8_t *bytes, const uint32_t *lengths, uint32_t count);
-int32_t fk_test_on_frames(void *robot, const uint8_t *bytes, const uint32_t *lengths, uint32_t count,
-                          uint64_t now_us);
-extern uint8_t fk_test_random_fails;
-void fk_test_hmac(const uint8_t *key, const uint8_t *bytes, const uint32_t *lengths, uint32_t count,
-                  uint8_t *code);
-uint32_t fk_test_collect(const uint8_t *bytes, uint32_t length, uint8_t *frames, uint32_t *lengths);
-uint32_t fk_test_estimator_only_bytes(void);
-int32_t fk_test_estimator_init(void *test, const uint8_t *image, uint32_t bytes);
-int32_t fk_test_estimator_add(void *test, uint64_t capture_us, const float *pose, uint16_t sequence);
-void fk_test_estimator_act(void *test, uint64_t at_us, uint8_t action);
-int32_t fk_test_estimator_at(void *test, uint64_t at_us, float *state, uint32_t *numbers);
-uint32_t fk_test_estimator_inside(void *test, float *values, uint32_t *counts);
-void fk_test_estimator_spoil(void *test, uint32_t speed, float value);
-void fk_test_rule(uint8_t state, uint8_t event, uint8_t *rule);
-void fk_test_spoil_robot(void *robot, int32_t state, int32_t action);
-void fk_test_spoil_guard(void *robot, uint32_t bit);
-typedef struct { int64_t time_us; int32_t kind; int32_t value; } seen_t;
-uint32_t fk_play(const uint8_t *table, uint32_t bytes, uint64_t seed, uint32_t count, uint32_t commands,
-                 seen_t *to, uint32_t capacity, uint32_t *busy_pulses);
-void fk_test_floats(const uint32_t *bits, uint32_t count, uint8_t *bytes, uint32_t *back);
-"""
-
-FFI = cffi.FFI()
-FFI.cdef(_DECLARATIONS)
 
 
 def cases(normal: int, full: int, quick: int | None = None) -> int:
@@ -119,16 +56,20 @@ def source_files() -> dict[str, bytes]:
     return files
 
 
+FFI = ffi_of(declared.declarations(source_files()))
+
+
 def library(files: Mapping[str, bytes] | None = None) -> Any:
     """Build and load the core; ``files`` where a test changed some of them."""
     if COVERAGE_DIR and files is None:
         return FFI.dlopen(str(_coverage_library(Path(COVERAGE_DIR), other("gcc"))))
-    return FFI.dlopen(str(build_shared("fk_core", source_files() if files is None else files)))
+    return load(build_shared("fk_core", source_files() if files is None else files))[1]
 
 
 def _coverage_library(folder: Path, gcc: Compiler | None) -> Path:
     assert gcc is not None, "test_core_coverage looks for gcc before it sets FK_CORE_COVERAGE_DIR"
     files = source_files()
+    files[declared.SOURCE] = declared.source(files)
     for name, content in files.items():
         (folder / name).write_bytes(content)
     flags = [flag for flag in FLAGS if flag != "-O2"] + ["-O0", "--coverage", "-fPIC", "-shared"]
@@ -237,7 +178,7 @@ class Robot:
         self.core = core() if made is None else made
         self.image = image() if table is None else table
         self.now_us = now_us
-        self.memory = FFI.new("uint64_t[]", (self.core.fk_robot_bytes() + 7) // 8)
+        self.memory = FFI.new("fk_robot_t *")
         self._image = FFI.new("uint64_t[]", (len(self.image) + 7) // 8)
         FFI.memmove(self._image, self.image, len(self.image))
         self._outputs = FFI.new("fk_outputs_t *")

@@ -39,7 +39,7 @@ class CEstimator:
 
     def __init__(self, name: str = "usual", made: Any = None) -> None:
         self._core = core() if made is None else made
-        self._memory = FFI.new("uint64_t[]", (self._core.fk_test_estimator_bytes() + 7) // 8)
+        self._memory = FFI.new("fk_test_estimator_t *")
         content = table(name)[0]
         self._image = FFI.new("uint64_t[]", (len(content) + 7) // 8)
         FFI.memmove(self._image, content, len(content))

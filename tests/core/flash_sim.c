@@ -25,14 +25,11 @@ typedef struct {
     uint32_t erase_places[64]; /* which operation erased the page last */
 } fk_flash_sim_t;
 
-uint32_t fk_test_sim_bytes(void);
 void fk_test_store_setup(fk_flash_sim_t *sim, fk_flash_t *flash);
 int8_t fk_test_store_upload(fk_store_t *store, const uint8_t *image, uint32_t length, uint32_t stop_at,
                             int8_t *error);
 void fk_test_store_keep(fk_flash_sim_t *sim, const fk_store_t *store);
 void fk_test_sha256(const uint8_t *bytes, uint32_t length, uint8_t *digest);
-
-uint32_t fk_test_sim_bytes(void) { return (uint32_t)sizeof(fk_flash_sim_t); }
 
 static uint32_t next_random(fk_flash_sim_t *sim) /* Marsaglia 2003, xorshift */
 {

@@ -10,15 +10,6 @@ from tests.core.core import FFI, Robot, core
 from frogkick.link.layout import link_layout
 from frogkick.link.log import ChipLog, Record, Stretch, fetch_log, records_of
 
-FFI.cdef("""
-uint32_t fk_log_bytes(void);
-int32_t fk_log_open(void *log);
-uint32_t fk_log_write(void *log, uint8_t id, uint64_t time_us, const uint8_t *content, uint32_t length);
-void fk_log_finish(void *log, uint32_t offset, uint8_t last);
-uint32_t fk_log_read(const void *log, uint32_t offset, uint8_t *bytes, uint32_t capacity, uint32_t *from);
-void fk_robot_use_log(void *robot, void *log);
-int32_t fk_robot_restore(void *robot, const uint8_t *snapshot, uint32_t length);
-""")
 RING_BYTES = 24576
 SNAPSHOT = link_layout().records["SNAPSHOT"].id
 
@@ -27,14 +18,14 @@ class Log:
     """A log in C, in RAM as found: random bytes."""
 
     def __init__(self, seed: int = 1) -> None:
-        size = core().fk_log_bytes()
-        self.memory = FFI.new("uint32_t[]", (size + 3) // 4)
-        self.raw = FFI.buffer(self.memory, size)
-        self.raw[:] = random.Random(seed).randbytes(size)
+        self.memory = FFI.new("fk_log_t *")
+        self.words = FFI.cast("uint32_t *", self.memory)
+        self.raw = FFI.buffer(self.memory)
+        self.raw[:] = random.Random(seed).randbytes(len(self.raw))
         self.kept = core().fk_log_open(self.memory)
 
     def word(self, place: int) -> int:
-        return int(self.memory[place])
+        return int(self.words[place])
 
     def write(self, content: bytes, time_us: int = 0) -> int:
         return int(core().fk_log_write(self.memory, SNAPSHOT, time_us, content, len(content)))
@@ -56,7 +47,7 @@ def content_of(number: int, length: int) -> bytes:
 
 def robot_with_log(now_us: int = 1_000_000, made: Any = None) -> tuple[Robot, Log]:
     robot, log = Robot(now_us=now_us, made=made), Log()
-    log.memory[0] = 0  # as found
+    log.memory.magic = 0  # as found
     robot._log = log  # lives as long
     robot.core.fk_robot_use_log(robot.memory, log.memory)
     return robot, log

@@ -6,9 +6,6 @@ typedef struct {
     fk_estimator_t estimator;
 } fk_test_estimator_t;
 
-uint32_t fk_test_guard_bytes(void);
-uint32_t fk_test_estimator_bytes(void);
-uint32_t fk_test_estimator_only_bytes(void);
 uint32_t fk_test_encoded_max(void);
 int32_t fk_test_decode(const uint8_t *encoded, uint32_t length, uint8_t *head, uint8_t *payload,
                        uint32_t *payload_length);
@@ -27,12 +24,6 @@ void fk_test_rule(uint8_t state, uint8_t event, uint8_t *rule);
 void fk_test_spoil_robot(fk_robot_t *robot, int32_t state, int32_t action);
 void fk_test_spoil_guard(fk_robot_t *robot, uint32_t bit);
 void fk_test_floats(const uint32_t *bits, uint32_t count, uint8_t *bytes, uint32_t *back);
-
-uint32_t fk_test_guard_bytes(void) { return (uint32_t)sizeof(fk_guard_t); }
-
-uint32_t fk_test_estimator_bytes(void) { return (uint32_t)sizeof(fk_test_estimator_t); }
-
-uint32_t fk_test_estimator_only_bytes(void) { return (uint32_t)sizeof(fk_estimator_t); }
 
 uint32_t fk_test_encoded_max(void) { return FK_FRAME_ENCODED_MAX; }
 
@@ -215,7 +206,7 @@ void fk_test_spoil_guard(fk_robot_t *robot, uint32_t bit)
 void fk_test_floats(const uint32_t *bits, uint32_t count, uint8_t *bytes, uint32_t *back)
 {
     for (uint32_t i = 0u; i < count; ++i) {
-        fk_float_bits_t pun;
+        fk_f32_bits_t pun;
         pun.bits = bits[i];
         fk_put_f32(bytes + 4u * i, pun.value);
         pun.value = fk_get_f32(bytes + 4u * i);

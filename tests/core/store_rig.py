@@ -4,63 +4,19 @@ from __future__ import annotations
 
 import struct
 import zlib
-from collections.abc import Mapping
 from functools import cache
-from pathlib import Path
 from typing import Any
 
-import cffi
-from tests.core.core import COVERAGE_DIR, core, source_files
+from tests.core.core import FFI, core
 from tests.planner import synthetic
 
 from frogkick.link.layout import link_layout
-from frogkick_codegen.native import build_shared
 
 PAGE = 4096
 RECORD = 112
 PLACES = PAGE // RECORD
 JOURNAL = 2 * PAGE
 HOWS = ("not done", "done in part", "garbage")
-
-FFI = cffi.FFI()
-FFI.cdef("""
-typedef struct { const uint8_t *base; uint32_t slot_bytes; uint32_t slots; void *context; } fk_flash_t;
-typedef struct {
-    uint32_t magic, sequence, layout;
-    uint8_t active, previous, pending, pages_done;
-    uint32_t length[2], crc32[2], erases[2], journal_erases, hash[8], owner_key[8], check;
-} fk_store_record_t;
-typedef struct {
-    const fk_flash_t *flash;
-    const uint8_t *built_in;
-    uint32_t built_in_bytes;
-    const uint8_t *image;
-    uint32_t image_bytes;
-    uint8_t running, open, begun;
-    uint32_t next_offset;
-    fk_store_record_t record, update;
-    uint32_t sequence, newest_page, page, place;
-} fk_store_t;
-typedef struct {
-    uint8_t *bytes;
-    uint32_t size, operations, cut_at, cut_how, random, dead, fail_at, refused, keep_from, keep_to, touched;
-    uint32_t words[2], erased[2], page_erases[64], erase_places[64];
-} fk_flash_sim_t;
-uint32_t fk_store_bytes(void);
-uint32_t fk_test_sim_bytes(void);
-int32_t fk_store_boot(fk_store_t *store, const fk_flash_t *flash, const uint8_t *built_in,
-                      uint32_t built_in_bytes);
-int8_t fk_store_begin(fk_store_t *store, uint32_t length, const uint32_t *hash);
-int8_t fk_store_chunk(fk_store_t *store, uint32_t offset, const uint8_t *bytes, uint32_t count);
-int8_t fk_store_commit(fk_store_t *store, int8_t *error);
-int8_t fk_store_rollback(fk_store_t *store, uint32_t crc32, int8_t *error);
-uint32_t fk_store_crc32(const fk_store_t *store, uint8_t table);
-void fk_test_store_setup(fk_flash_sim_t *sim, fk_flash_t *flash);
-int8_t fk_test_store_upload(fk_store_t *store, const uint8_t *image, uint32_t length, uint32_t stop_at,
-                            int8_t *error);
-void fk_test_store_keep(fk_flash_sim_t *sim, const fk_store_t *store);
-void fk_test_sha256(const uint8_t *bytes, uint32_t length, uint8_t *digest);
-""")
 
 
 @cache
@@ -71,20 +27,6 @@ def table(seed: int) -> bytes:
 
 def crc_of(image: bytes) -> int:
     return zlib.crc32(image[16:])
-
-
-@cache
-def store_library() -> Any:
-    """The core with the store, as it is."""
-    if COVERAGE_DIR:
-        core()  # builds it
-        return FFI.dlopen(str(Path(COVERAGE_DIR) / "core.so"))
-    return changed_library(source_files())
-
-
-def changed_library(files: Mapping[str, bytes]) -> Any:
-    """The same of files that a test changed."""
-    return FFI.dlopen(str(build_shared("fk_core", files)))
 
 
 class Flash:
@@ -98,7 +40,7 @@ class Flash:
     def __init__(
         self, lib: Any = None, slots: int = 2, slot_bytes: int = 2 * PAGE, built_in: bytes = b""
     ) -> None:
-        self.lib = store_library() if lib is None else lib
+        self.lib = core() if lib is None else lib
         self.built_in = built_in or table(1)
         self._built_in = FFI.from_buffer(self.built_in)
         size = JOURNAL + slots * slot_bytes
@@ -109,8 +51,6 @@ class Flash:
         self.store = FFI.new("fk_store_t *")
         self.error = FFI.new("int8_t *")
         lib = self.lib
-        assert lib.fk_store_bytes() == FFI.sizeof("fk_store_t")
-        assert lib.fk_test_sim_bytes() == FFI.sizeof("fk_flash_sim_t")
         lib.fk_test_store_setup(self.sim, self.flash)
         assert self.boot() == 0
 

@@ -12,7 +12,6 @@ import pytest
 from cobs import cobs
 from tests.core.core import FFI, SILENT_US, Robot, decode, library, mutated, strings
 from tests.core.log_rig import Log
-from tests.core.store_rig import FFI as STORE_FFI
 from tests.core.store_rig import NEW, OLD, Flash
 from tests.core.test_core_table_commands import AT_REST_US, begin_values, send
 
@@ -86,13 +85,10 @@ def test_what_moves_or_changes_it_needs_a_code() -> None:
     robot, flash = owned()
     assert robot.ask("STATUS")["owner"] == link_layout().owner["KEY"]
     conversation, robot.auth = robot.auth, None
-    before = bytes(STORE_FFI.buffer(STORE_FFI.addressof(flash.store.record)))
+    before = bytes(FFI.buffer(FFI.addressof(flash.store.record)))
     for name, values in GUARDED.items():
         assert robot.status(name, values, ROWS.get(name, ())) == "AUTH", name
-    assert (
-        bytes(STORE_FFI.buffer(STORE_FFI.addressof(flash.store.record))) == before
-        and robot.state() == "DISARMED"
-    )
+    assert bytes(FFI.buffer(FFI.addressof(flash.store.record))) == before and robot.state() == "DISARMED"
     robot.auth = conversation
     assert robot.status("PATH", GUARDED["PATH"], ROWS["PATH"]) == "OK"
     assert (robot.status("PARAM", GUARDED["PARAM"]), robot.fix(0.0), robot.status("ARM")) == (
@@ -328,7 +324,7 @@ def test_the_log_holds_no_key_and_no_code() -> None:
     """Anybody may read it; and what it holds is lived through again without them."""
     robot, _ = robot_with_store()
     log = Log()
-    log.memory[0] = 0
+    log.memory.magic = 0
     robot.core.fk_robot_use_log(robot.memory, log.memory)
     assert own(robot) == "OK"
     robot.auth = challenge(robot)

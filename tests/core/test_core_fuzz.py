@@ -20,9 +20,6 @@ from frogkick_codegen.toolchain import other, zig
 
 HERE = Path(__file__).parent
 COUNTS = ("good", "bad", "answers", "pulses", "repeats")
-FFI.cdef("""
-const char *fk_fuzz(const uint8_t *table, uint32_t bytes, uint64_t seed, uint64_t frames, uint64_t *told);
-""")
 
 
 def fuzz(files: dict[str, bytes], frames: int, seed: int = 1) -> tuple[str, dict[str, int]]:

@@ -31,7 +31,7 @@ class Guard:
 
     def __init__(self, made: Any = None, kept: Any = None) -> None:
         self._core = core() if made is None else made
-        self._memory = FFI.new("uint64_t[]", self._core.fk_test_guard_bytes() // 8)
+        self._memory = FFI.new("fk_guard_t *")
         self.bytes = FFI.buffer(self._memory)
         self._core.fk_guard_init(self._memory)
         self.known = bool(self._core.fk_guard_resume(self._memory, kept_of() if kept is None else kept))
@@ -316,7 +316,7 @@ def test_a_closed_loop_needs_a_fresh_fix() -> None:
 
 def test_when_a_fix_is_lost() -> None:
     made = core()
-    memory = FFI.new("uint64_t[]", made.fk_test_guard_bytes() // 8)
+    memory = FFI.new("fk_guard_t *")
     made.fk_guard_init(memory)
     assert made.fk_guard_lost_us(memory) == 0, "no fix is one that is lost"
     made.fk_guard_note_fix(memory, 3_000_000)

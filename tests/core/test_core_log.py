@@ -69,7 +69,7 @@ def test_read_from_any_offset() -> None:
 def test_offsets_go_round_after_four_gigabytes() -> None:
     log = Log()
     size = HEAD_BYTES + 8
-    log.memory[1] = log.memory[2] = 2**32 - size
+    log.words[1] = log.words[2] = 2**32 - size
     log.write(content_of(1, 1))
     log.write(content_of(2, 1))
     offset, content = log.read(2**32 - size)
@@ -125,7 +125,7 @@ def test_a_head_that_cannot_be(place: int, value: int) -> None:
     log = Log()
     for number in range(20):
         log.write(content_of(number, 30))
-    log.memory[place] = value
+    log.words[place] = value
     assert core().fk_log_open(log.memory) == 0
     assert log.read() == (0, b"")
 
@@ -185,7 +185,7 @@ def test_a_fetch_goes_on_where_the_last_one_ended() -> None:
 def test_a_first_fetch_begins_at_a_record_also_where_offsets_go_round() -> None:
     robot, log = robot_with_log()
     shift = 2**32 - 20  # offset 0 is in the middle of a record
-    log.memory[1], log.memory[2] = shift, (shift + log.word(2)) % 2**32
+    log.words[1], log.words[2] = shift, (shift + log.word(2)) % 2**32
     robot.begin("ARMED")
     told = fetched(robot)
     assert (told.stretches[0].offset, len(told.stretches)) == (shift, 1)

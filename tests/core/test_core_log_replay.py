@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 from tests.conftest import count, some
-from tests.core.core import ACTION, COVERAGE_DIR, Robot, cases, core, image, mutated, source_files
+from tests.core.core import ACTION, COVERAGE_DIR, FFI, Robot, cases, core, image, mutated, source_files
 from tests.core.core import library as core_library
 from tests.core.log_rig import RING_BYTES, Log, fetched, robot_with_log
 from tests.core.store_rig import NEW, OLD, crc_of
@@ -307,7 +307,7 @@ def test_an_update_of_the_table_in_between() -> None:
     """What was done by a table is decided again by that table; nothing is while it changes."""
     robot, flash = robot_with_store()
     log = Log()
-    log.memory[0] = 0
+    log.memory.magic = 0
     robot.core.fk_robot_use_log(robot.memory, log.memory)
     swim_a_little(robot)
     robot.status("DISARM")
@@ -443,4 +443,4 @@ def test_no_damaged_snapshot_leads_out_of_memory() -> None:
 
 
 def test_the_ring_is_as_long_as_it_says() -> None:
-    assert core().fk_log_bytes() == RING_BYTES + 20
+    assert FFI.sizeof("fk_log_t") == RING_BYTES + 20

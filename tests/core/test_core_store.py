@@ -5,9 +5,8 @@ from __future__ import annotations
 import hashlib
 import random
 
-from tests.core.core import cases
+from tests.core.core import FFI, cases, core
 from tests.core.store_rig import (
-    FFI,
     JOURNAL,
     LATER,
     NEW,
@@ -18,7 +17,6 @@ from tests.core.store_rig import (
     crc_of,
     forged,
     refusals,
-    store_library,
     table,
 )  # fmt: skip
 from tests.planner import synthetic
@@ -32,7 +30,7 @@ def test_hash_is_sha256() -> None:
     for length in (*range(130), 1000, 4096, len(NEW)):
         digest = FFI.new("uint8_t[32]")
         data = (NEW * 2)[:length]
-        store_library().fk_test_sha256(data, length, digest)
+        core().fk_test_sha256(data, length, digest)
         assert bytes(FFI.buffer(digest)) == hashlib.sha256(data).digest(), length
 
 

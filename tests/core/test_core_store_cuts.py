@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 from tests.conftest import count, some
-from tests.core.core import COVERAGE_DIR, cases, mutated
+from tests.core.core import COVERAGE_DIR, cases, library, mutated
 from tests.core.store_rig import (
     HOWS,
     LATER,
@@ -19,7 +19,6 @@ from tests.core.store_rig import (
     PLACES,
     RECORD,
     Flash,
-    changed_library,
     refusals,
     table,
 )  # fmt: skip
@@ -245,7 +244,7 @@ MUTATIONS = {
 
 @pytest.mark.parametrize("name", some(MUTATIONS, 3))
 def test_a_changed_store_is_found_out(name: str) -> None:
-    lib = changed_library(mutated("fk_store.c", *MUTATIONS[name]))
+    lib = library(mutated("fk_store.c", *MUTATIONS[name]))
     with pytest.raises(AssertionError):
         all_of(lib)
 

@@ -17,7 +17,6 @@ typedef struct {
     uint32_t predicted_limb_use[FK_LIMBS_MAX];
 } fk_native_row_t;
 
-FK_EXPORT uint32_t fk_native_row_bytes(void);
 FK_EXPORT int32_t fk_native_open(const uint8_t *image, uint32_t size);
 FK_EXPORT int32_t fk_native_plan_batch(const uint8_t *image, uint32_t size, const float *path, uint32_t points,
                                        const float *weights, uint32_t cost, uint32_t transitions_max,
@@ -26,11 +25,6 @@ FK_EXPORT int32_t fk_native_plan_batch(const uint8_t *image, uint32_t size, cons
 FK_EXPORT void fk_native_sincos(const float *angles_rad, uint32_t count, float *sines, float *cosines);
 FK_EXPORT void fk_native_wrap(const float *angles_rad, uint32_t count, float *wrapped_rad);
 FK_EXPORT uint32_t fk_native_crc32(uint32_t crc, const uint8_t *bytes, uint32_t length);
-
-uint32_t fk_native_row_bytes(void)
-{
-    return (uint32_t)sizeof(fk_native_row_t);
-}
 
 int32_t fk_native_open(const uint8_t *image, uint32_t size)
 {

@@ -9,10 +9,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import cffi
 import numpy as np
 
 from frogkick.core.errors import FrogkickError
+from frogkick.core.shared_library import load
 from frogkick.link.frames import Frame, FrameCollector
 from frogkick.link.layout import link_layout
 from frogkick.link.wire import BYTE_S, Edge
@@ -20,8 +20,6 @@ from frogkick.link.wire import BYTE_S, Edge
 _COLD = bytes(4 * 8)  # FK_LIMBS_MAX
 COLD_LIMBS = _COLD + struct.pack("<I", zlib.crc32(_COLD) ^ 0x6472_6147)
 """RAM that outlives resets (``fk_guard_persistent_t``), of a robot whose limbs are known to be cold."""
-# FK_FRAME_ENCODED_MAX: head, CRC-32, COBS code byte and delimiter around the largest payload.
-_ENCODED_MAX = link_layout().payload_bytes_max + 8
 WATCHDOG_S = 0.98
 """From the last feeding to the reset; firmware/bench/watchdog.c."""
 JOURNAL_BYTES, PAGE_BYTES, SLOT_BYTES_MIN, SLOTS = 2 * 4096, 4096, 65536, 2
@@ -30,33 +28,6 @@ _BOOT_S, _BOOT_S_PER_BYTE = 1e-3, 0.4e-6  # the second for the check of the tabl
 _BESIDE = 64  # bytes before and behind the core's memory, which nobody may write to
 _BESIDE_BYTE = 0xC5
 _CLEARED = 2  # of the core's structures, how many the start-up clears; the others stand in .noinit
-_DECLARATIONS = """
-typedef struct { uint8_t bytes[%d]; uint32_t length; } fk_frame_collector_t;
-uint32_t fk_frame_collect(fk_frame_collector_t *collector, uint8_t byte);
-typedef struct { uint8_t limb_mask; uint8_t all_off; uint32_t pulse_us; uint64_t next_tick_us; } fk_outputs_t;
-typedef struct { uint32_t on_us[8]; uint32_t crc; } fk_guard_persistent_t;
-typedef struct { const uint8_t *base; uint32_t slot_bytes; uint32_t slots; void *context; } fk_flash_t;
-typedef struct {
-    const fk_flash_t *flash;
-    const uint8_t *built_in;
-    uint32_t built_in_bytes;
-    const uint8_t *image;
-    uint32_t image_bytes;
-} fk_store_head_t; /* how an fk_store_t begins */
-uint32_t fk_store_bytes(void);
-int32_t fk_store_boot(void *store, const fk_flash_t *flash, const uint8_t *built_in, uint32_t built_in_bytes);
-uint32_t fk_robot_bytes(void);
-int32_t fk_robot_init(void *robot, const uint8_t *image, uint32_t image_bytes);
-void fk_robot_use_store(void *robot, void *store);
-void fk_robot_note_reset(void *robot, uint8_t reset, void *kept);
-void fk_robot_use_log(void *robot, void *log);
-uint32_t fk_log_bytes(void);
-void fk_robot_on_frame(void *robot, const uint8_t *encoded, uint32_t length, uint64_t now_us);
-void fk_robot_tick(void *robot, uint64_t now_us, fk_outputs_t *outputs);
-uint32_t fk_robot_take_tx(void *robot, uint8_t *bytes, uint32_t capacity);
-extern const uint8_t *fk_table_image;
-extern uint32_t fk_table_image_bytes;
-"""
 
 
 @dataclass(frozen=True)
@@ -101,17 +72,15 @@ class NativeRobot:
         Raises:
             FrogkickError: the core refuses its own table.
         """
-        self._ffi = cffi.FFI()
-        self._ffi.cdef(_DECLARATIONS % _ENCODED_MAX)
-        self._core: Any = self._ffi.dlopen(str(library))
+        self._ffi, self._core = load(library)
         self._blocks: list[tuple[Any, int]] = []
-        self._memory = self._ram(self._core.fk_robot_bytes())
-        self._store = self._ram(self._core.fk_store_bytes())
-        self._log = self._ram(self._core.fk_log_bytes())
+        self._memory = self._ram("fk_robot_t")
+        self._store = self._ram("fk_store_t")
+        self._log = self._ram("fk_log_t")
         self._wire = self._ffi.new("fk_frame_collector_t *")
         self._outputs = self._ffi.new("fk_outputs_t *")
         self._buffer = self._ffi.new("uint8_t[]", 1024)
-        self._kept = self._ram(self._ffi.sizeof("fk_guard_persistent_t"))
+        self._kept = self._ram("fk_guard_persistent_t")
         self._built_in = (self._core.fk_table_image, int(self._core.fk_table_image_bytes))
         slot_bytes = max(SLOT_BYTES_MIN, -(-self._built_in[1] // PAGE_BYTES) * PAGE_BYTES)
         self._words = self._ffi.new("uint32_t[]", (JOURNAL_BYTES + SLOTS * slot_bytes) // 4)
@@ -248,12 +217,13 @@ class NativeRobot:
     def _boot_s(self) -> float:
         return _BOOT_S + _BOOT_S_PER_BYTE * self._built_in[1]
 
-    def _ram(self, size: int) -> Any:
+    def _ram(self, kind: str) -> Any:
         """Memory for a structure of the core, on 8 bytes, with bytes on both sides that are not its own."""
+        size = self._ffi.sizeof(kind)
         words = self._ffi.new("uint64_t[]", (size + 7) // 8 + 2 * _BESIDE // 8)
         self._ffi.memmove(words, bytes([_BESIDE_BYTE]) * self._ffi.sizeof(words), self._ffi.sizeof(words))
         self._blocks.append((words, size))
-        return words + _BESIDE // 8
+        return self._ffi.cast(f"{kind} *", words + _BESIDE // 8)
 
     def ram_bytes(self) -> int:
         """Bytes of RAM that the core's structures take: always the same.
@@ -283,8 +253,7 @@ class NativeRobot:
         for arrival_us, order, part in waiting:
             self._wait(arrival_us, order, part)
         if core.fk_store_boot(self._store, self._flash, image, image_bytes) == 0:
-            head = self._ffi.cast("fk_store_head_t *", self._store)
-            error = core.fk_robot_init(self._memory, head.image, head.image_bytes)
+            error = core.fk_robot_init(self._memory, self._store.image, self._store.image_bytes)
             core.fk_robot_use_store(self._memory, self._store)
         else:
             error = core.fk_robot_init(self._memory, image, image_bytes)

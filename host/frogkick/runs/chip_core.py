@@ -3,31 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
-
-import cffi
 
 from frogkick.core.errors import FrogkickError
+from frogkick.core.shared_library import load
 from frogkick.link.frames import pack_raw
 from frogkick.link.layout import link_layout
 from frogkick.link.log import Record, Stretch, records_of
 
-_DECLARATIONS = """
-typedef struct { uint8_t limb_mask; uint8_t all_off; uint32_t pulse_us; uint64_t next_tick_us; } fk_outputs_t;
-uint32_t fk_robot_bytes(void);
-uint32_t fk_log_bytes(void);
-int32_t fk_robot_init(void *robot, const uint8_t *image, uint32_t image_bytes);
-void fk_robot_use_log(void *robot, void *log);
-int32_t fk_robot_restore(void *robot, const uint8_t *snapshot, uint32_t length);
-void fk_robot_on_frame(void *robot, const uint8_t *encoded, uint32_t length, uint64_t now_us);
-void fk_robot_note_time(void *robot, uint64_t now_us);
-void fk_robot_note_pulse_failed(void *robot, int32_t error);
-void fk_robot_note_link_lost(void *robot);
-void fk_robot_note_supply(void *robot, int32_t is_low);
-void fk_robot_tick(void *robot, uint64_t now_us, fk_outputs_t *outputs);
-uint32_t fk_robot_take_tx(void *robot, uint8_t *bytes, uint32_t capacity);
-uint32_t fk_log_read(const void *log, uint32_t offset, uint8_t *bytes, uint32_t capacity, uint32_t *from);
-"""
 _CHUNK = 4096
 
 
@@ -44,9 +26,7 @@ class ChipCore:
             library: with the robot's limits in it.
             image: table image that the robot used.
         """
-        self._ffi = cffi.FFI()
-        self._ffi.cdef(_DECLARATIONS)
-        self._core: Any = self._ffi.dlopen(str(library))
+        self._ffi, self._core = load(library)
         self._image = self._ffi.new("uint64_t[]", (len(image) + 7) // 8)
         self._ffi.memmove(self._image, image, len(image))
         self._image_bytes = len(image)
@@ -62,8 +42,8 @@ class ChipCore:
             FrogkickError: the core refuses the table, or the snapshot.
         """
         core, ffi = self._core, self._ffi
-        self._memory = ffi.new("uint64_t[]", (core.fk_robot_bytes() + 7) // 8)
-        self._log = ffi.new("uint64_t[]", (core.fk_log_bytes() + 7) // 8)
+        self._memory = ffi.new("fk_robot_t *")
+        self._log = ffi.new("fk_log_t *")
         self._offset = 0
         error = core.fk_robot_init(self._memory, ffi.cast("uint8_t *", self._image), self._image_bytes)
         if error:

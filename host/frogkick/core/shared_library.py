@@ -1,0 +1,64 @@
+"""A shared library of ours, which carries what its C declares: nobody writes that down a second time."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import cffi
+
+from frogkick.core.errors import FrogkickError
+
+_CARRIED = """
+typedef struct { const char *text; uint32_t bytes; } fk_declared_t;
+extern const fk_declared_t fk_declared[];
+"""
+
+
+@cache
+def _declared(texts: tuple[str, ...]) -> cffi.FFI:
+    ffi = cffi.FFI()
+    ffi.cdef("\n".join(texts))
+    return ffi
+
+
+def ffi_of(texts: Iterable[str]) -> cffi.FFI:
+    """Return cffi's view of declarations: the same one for the same texts."""
+    return _declared(tuple(texts))
+
+
+def load(library: Path) -> tuple[cffi.FFI, Any]:
+    """Load a shared library that this project built.
+
+    Returns:
+        cffi's view of what the library declares, and the library.
+
+    Raises:
+        OSError: it does not load.
+        FrogkickError: it says nothing of itself, or a type has not the size that its compiler gave it.
+    """
+    first = cffi.FFI()
+    first.cdef(_CARRIED)
+    opened = first.dlopen(str(library))
+    try:
+        rows = opened.fk_declared
+    except KeyError:
+        raise FrogkickError(f"{library.name!r} does not say what it declares: build it again") from None
+    texts: dict[str, int] = {}
+    while rows.text != first.NULL:
+        texts[first.string(rows.text).decode()] = rows.bytes
+        rows = rows + 1
+    ffi = ffi_of(texts)
+    for text, size in texts.items():
+        if size and ffi.sizeof(_type_of(text)) != size:
+            raise FrogkickError(
+                f"{_type_of(text)} has {size} bytes in {library.name!r}, read were others: {text}"
+            )
+    return ffi, ffi.dlopen(str(library))
+
+
+def _type_of(text: str) -> str:
+    """The type that a declaration defines."""
+    return text.rsplit("}", 1)[1].strip(" ;") or " ".join(text.split()[:2])

@@ -46,7 +46,7 @@ lint: $(STAMP)
 	$(BIN)/ruff format --check host codegen tests firmware
 
 types: $(STAMP)
-	$(BIN)/mypy host/frogkick codegen/frogkick_codegen
+	$(BIN)/mypy host/frogkick host/studies/frogkick_studies codegen/frogkick_codegen
 
 venv: $(STAMP)
 

@@ -155,8 +155,8 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     Before them two files that compile different halves in a fresh clone, the rods and the planner. Files that
     wait for a radio in real time are spread among those that compute, or all processes would wait at once.
     """
-    first = ("study/test_convergence.py", "codegen/test_parity.py")
-    dear = ("study", "identification", "library", "codegen", "loop", "core", "soak")
+    first = ("studies/test_convergence.py", "codegen/test_parity.py")
+    dear = ("studies", "front", "identification", "library", "codegen", "loop", "core", "soak")
 
     def rank(file: Path) -> int:
         place = file.relative_to(REPOSITORY / "tests")

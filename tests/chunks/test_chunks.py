@@ -21,7 +21,7 @@ from frogkick.cli.main import run_command
 from frogkick.core.chunks import Job, check_cluster, run_chunks
 from frogkick.core.errors import FrogkickError, InputError
 from frogkick.robot import load_robot
-from frogkick.study.sweep import plan_sweep, run_sweep
+from frogkick.validation.sweep import plan_sweep, run_sweep
 
 needs_distributed = pytest.mark.skipif(
     importlib.util.find_spec("distributed") is None,

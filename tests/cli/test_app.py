@@ -113,7 +113,7 @@ def test_numbers_that_stand_twice_are_the_same() -> None:
     from frogkick.front import retuning
     from frogkick.library import RECORD_S
     from frogkick.library.fitting import WHOLE_MIN
-    from frogkick.study.ceiling import TIME_LIMIT_S
+    from frogkick_studies.ceiling import TIME_LIMIT_S
 
     assert library.RECORD_S == RECORD_S and study_ceiling.TIME_LIMIT_S == TIME_LIMIT_S
     assert parity.LOOP_DECISIONS == parity_of_places.LOOP_DECISIONS

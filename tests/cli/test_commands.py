@@ -19,8 +19,8 @@ from tests.runs import rig
 
 from frogkick.cli.common import show
 from frogkick.core.files import cache_folder
+from frogkick.front import emitted
 from frogkick.library import fitting, write_library
-from frogkick.study import emitted
 from frogkick.tables.image import read_image
 
 Capture = pytest.CaptureFixture[str]

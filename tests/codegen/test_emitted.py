@@ -14,8 +14,8 @@ from elftools.elf.elffile import ELFFile
 from tests.codegen import made_up
 from tests.conftest import some
 
+from frogkick.front.emitted import measure
 from frogkick.planner.plan import PlanConfig, plan
-from frogkick.study.emitted import measure
 from frogkick.tables.image import open_image
 from frogkick_codegen import toolchain
 from frogkick_codegen.emit import PARTS, SOURCES, emit

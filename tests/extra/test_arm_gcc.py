@@ -19,9 +19,8 @@ from frogkick.pool.chip.stack import StackAnalysis
 from frogkick.pool.chip.symbols import unwanted
 from frogkick.robot import load_robot
 from frogkick.runs.chip_check import check_on_chip
-from frogkick.runs.chip_planner import ChipPlanner
+from frogkick.runs.chip_planner import ChipPlanner, states_for_timing
 from frogkick.runs.chip_twin import PLAN_TIME_WATCHDOG_US
-from frogkick.study.chip_speed import states_for_timing
 from frogkick.tables.image import open_image
 from frogkick_codegen.emit import SOURCES
 from frogkick_codegen.firmware import image_sizes

@@ -39,7 +39,7 @@ from frogkick.identification.verdict import (
     verdict_of,
 )
 from frogkick.runs.runlog import Fixes, FixFlag
-from frogkick.study.planted import OUTSIDE_TEXT
+from frogkick_studies.planted import OUTSIDE_TEXT
 
 
 def test_the_noise_of_fixes_is_told_by_fixes_alone(whole: list[Swim], worn: list[Swim]) -> None:

@@ -126,7 +126,7 @@ def test_a_page_escapes_what_it_is_given(tmp_path: Path) -> None:
 
 def test_the_rings_report(tmp_path: Path) -> None:
     from frogkick.report.ring_page import write_ring_report
-    from frogkick.study.ring import go_round
+    from frogkick.ring import go_round
 
     ring = go_round(robot(), tmp_path, 10, 1, 0, progress_bar, paths=("line", "sine"), time_limit_s=4.0)
     target = tmp_path / "report.html"

@@ -13,9 +13,8 @@ from tests.conftest import count
 
 from frogkick.cli.main import run_command
 from frogkick.der import Rods, prepare, simulate_action, simulate_actions
+from frogkick.front import emitted as emitted_planner
 from frogkick.robot import Action, Robot, load_robot
-from frogkick.study import emitted as emitted_study
-from frogkick.study.chip_speed import chip_speed
 from frogkick.tables.image import read_image
 from frogkick_codegen.toolchain import FLAGS, zig
 
@@ -97,10 +96,8 @@ def test_six_limbs_from_the_file_to_the_closed_loop(
     ]
 
     if count(0, 0, 1):
-        fewer = {1: 12, 2: 12, 3: 3}
-        monkeypatch.setattr(
-            emitted_study, "chip_speed", lambda *given, **more: chip_speed(*given[:-1], fewer, **more)
-        )
+        for depth, states in {1: 12, 2: 12, 3: 3}.items():
+            monkeypatch.setitem(emitted_planner.STATES, depth, states)
     told_by(capsys, "codegen", str(fkt), "--out", str(emitted))
     program = tmp_path / "example"
     zig("host").run([*FLAGS, f"-I{emitted}", *sorted(emitted.glob("*.c")), "-o", program], folder=tmp_path)

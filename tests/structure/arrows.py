@@ -9,13 +9,21 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-CODEGEN = "codegen"
-"""How the table below calls the package frogkick_codegen."""
+CODEGEN, STUDIES = "codegen", "studies"
+"""How the table below calls the packages frogkick_codegen and frogkick_studies."""
+
+PACKAGES = {
+    "host/frogkick": "",
+    "host/studies/frogkick_studies": STUDIES,
+    "codegen/frogkick_codegen": CODEGEN,
+}
+"""Folder of each package -> its row; of frogkick each room has its own."""
 
 EVERYBODY = frozenset({"core", "__init__"})
 """Rooms of frogkick that all may import; ``__init__`` is the version."""
 
 _LOWER = ("robot", "der", "effects", "library", "tables", "planner", "estimator", "paths")
+_MOST = (*_LOWER, "pool", "runs", "identification", CODEGEN)
 
 ARROWS: Mapping[str, frozenset[str]] = {
     "core": frozenset(),
@@ -34,12 +42,13 @@ ARROWS: Mapping[str, frozenset[str]] = {
         {"robot", "effects", "tables", "planner", "estimator", "paths", "vision", "link", "pool"}
     ),
     "identification": frozenset({"robot", "der", "effects", "paths", "runs"}),
-    "study": frozenset({*_LOWER, "link", "pool", "runs", "identification", CODEGEN}),
-    "report": frozenset({*_LOWER, "pool", "runs", "identification", "study", CODEGEN}),
-    "front": frozenset(
-        {*_LOWER, "vision", "link", "pool", "runs", "identification", "study", "report", CODEGEN}
-    ),
-    "cli": frozenset({"front", "report"}),  # arguments in, one call of the front door, printing out
+    "validation": frozenset({"robot", "der", "effects", "library"}),
+    "ring": frozenset(_MOST),
+    "report": frozenset({*_MOST, "validation", "ring"}),
+    "front": frozenset({*_MOST, "vision", "link", "validation", "ring", "report"}),
+    "cli": frozenset({"front", "report", STUDIES}),  # arguments in, one call, printing out
+    # A study asks what no front door answers: rods step by step, bytes of tables, cycles of the chip.
+    STUDIES: frozenset({*_MOST, "validation", "report", "front"}),
     CODEGEN: frozenset({"robot", "tables", "planner", "estimator", "link"}),
     "__init__": frozenset({"front", "robot", "der", "effects", "library", "paths"}),
 }
@@ -103,16 +112,17 @@ def violations(root: Path) -> list[str]:
     """Return one line for each import below ``root`` that the tables do not allow.
 
     Args:
-        root: a repository: ``host/frogkick`` and ``codegen/frogkick_codegen`` are read.
+        root: a repository: folders of ``PACKAGES`` are read.
     """
     found: list[str] = []
     host = root / "host" / "frogkick"
     ours = {entry.stem for entry in host.iterdir() if entry.suffix == ".py" or entry.is_dir()}
-    for top in (host, root / "codegen" / "frogkick_codegen"):
+    for folder, row in PACKAGES.items():
+        top = root / folder
         for file in sorted(top.rglob("*.py")):
             inside = file.relative_to(top)
             package = ".".join([top.name, *inside.parts[:-1]])
-            room = CODEGEN if top.name == "frogkick_codegen" else inside.parts[0].removesuffix(".py")
+            room = row or inside.parts[0].removesuffix(".py")
             name = file.relative_to(root).as_posix()
             if room not in ARROWS:
                 found.append(f"{name}:1 {room!r} has no row in ARROWS: add one")
@@ -132,10 +142,10 @@ def _reason(room: str, module: str, ours: set[str]) -> str:
         if target not in ARROWS:
             # A name out of frogkick/__init__.py, unless there is such a folder without a row.
             target = target if target in ours else "__init__"
-            if target == "__init__" and room != "cli" and parts[1] != "__version__":
+            if target == "__init__" and room not in ("cli", STUDIES) and parts[1] != "__version__":
                 return f"{room} imports {parts[1]} of the front door, which stands above it"
-    elif parts[0] == "frogkick_codegen":
-        target = CODEGEN
+    elif parts[0] in ("frogkick_codegen", "frogkick_studies"):
+        target = parts[0].removeprefix("frogkick_")
     elif parts[0] in sys.stdlib_module_names or room not in WHEELS or parts[0] in WHEELS[room]:
         return ""
     else:

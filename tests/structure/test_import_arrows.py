@@ -21,6 +21,7 @@ def plant(root: Path, files: dict[str, str]) -> list[str]:
         "host/frogkick/front/running.py": "from frogkick.planner import kernel\n",
         "host/frogkick/cli/run.py": "import frogkick as fk\nfrom frogkick.front.running import run\n",
         "codegen/frogkick_codegen/emit.py": "from frogkick import __version__, planner\n",
+        "host/studies/frogkick_studies/loop.py": "import frogkick\nfrom frogkick.der import rods\n",
     }
     for name, text in {**sound, **files}.items():
         file = root / name
@@ -61,7 +62,7 @@ def test_a_sound_tree_has_no_violation(tmp_path: Path) -> None:
             "import importlib\nimportlib.import_module('frogkick.cli')\n",
             ":2 runs",
         ),
-        ("host/frogkick/study/ring.py", "from frogkick.report import page\n", ":1 study imports report"),
+        ("host/frogkick/ring.py", "from frogkick.report import page\n", ":1 ring imports report"),
         ("host/frogkick/report/page.py", "from frogkick.cli.main import app\n", ":1 report imports cli"),
         ("host/frogkick/tables/image.py", "import h5py\n", ":1 tables imports h5py"),
         ("host/frogkick/paths/path.py", "from scipy import optimize\n", ":1 paths imports scipy"),
@@ -77,12 +78,14 @@ def test_a_sound_tree_has_no_violation(tmp_path: Path) -> None:
         ("host/frogkick/vision/tag.py", "from frogkick.pool import camera\n", ":1 vision imports pool"),
         (
             "host/frogkick/cli/run.py",
-            "def f():\n    from frogkick.study import loop\n",
-            ":2 cli imports study",
+            "def f():\n    from frogkick.validation import sweep\n",
+            ":2 cli imports validation",
         ),
         ("host/frogkick/cli/run.py", "if x:\n    from ..robot import Robot\n", ":2 cli imports robot"),
         ("host/frogkick/cli/run.py", "import frogkick_codegen.emit\n", f":1 cli imports {CODEGEN}"),
         ("host/frogkick/radio/tag.py", "import numpy\n", ":1 'radio' has no row"),
+        ("host/studies/frogkick_studies/loop.py", "import frogkick.cli.app\n", ":1 studies imports cli"),
+        ("host/frogkick/front/gaits.py", "import frogkick_studies.loop\n", ":1 front imports studies"),
     ],
 )
 def test_a_wrong_import_is_found(tmp_path: Path, name: str, text: str, found: str) -> None:

@@ -98,7 +98,7 @@ def test_python_lines_work_too(bare: Environment) -> None:
     shutil.rmtree(bare.here / "lines")
 
 
-FIRMWARE, LINK, FLASH = "firmware", "link", "flash"
+FIRMWARE, LINK, FLASH, CLONE = "firmware", "link", "flash", "a clone"
 LACKING: list[tuple[str, list[str]]] = [
     (FIRMWARE, ["demo", "--out", "made"]),
     (FIRMWARE, ["codegen", "t.fkt", "--out", "made"]),
@@ -112,17 +112,17 @@ LACKING: list[tuple[str, list[str]]] = [
     (FIRMWARE, ["run", "--robot", "virtual", "--out", "made.h5"]),
     (FIRMWARE, ["replay", "run.h5"]),
     (FIRMWARE, ["retune", "run.h5", "--robot", "frog2022", "--out", "made"]),
-    (FIRMWARE, ["study", "chip"]),
-    (FIRMWARE, ["study", "loop", "--out", "made"]),
-    (FIRMWARE, ["study", "twin", "--out", "made"]),
-    (FIRMWARE, ["study", "verdicts", "--out", "made"]),
+    (CLONE, ["study", "chip"]),
+    (CLONE, ["study", "loop", "--out", "made"]),
+    (CLONE, ["study", "twin", "--out", "made"]),
+    (CLONE, ["study", "verdicts", "--out", "made"]),
     (LINK, ["run", "--robot", "ble:frogkick", "--fixes", "stdin", "--out", "made.h5"]),
     (LINK, ["run", "--robot", "serial:/dev/ttyACM0", "--fixes", "stdin", "--out", "made.h5"]),
     (LINK, ["push", "t.fkt", "--robot", "ble:frogkick"]),
     (LINK, ["log", "fetch", "--robot", "serial:/dev/ttyACM0", "--out", "made.h5"]),
     ("cluster", ["sweep", "--out", "made", "--cluster", "127.0.0.1:8786"]),
 ]
-"""Extra -> a command that needs it. Without a table given: it must not simulate one before it says so."""
+"""Extra -> a command that needs it, or a clone. With no table given: none is simulated before it says so."""
 
 
 def test_without_an_extra_commands_work_or_say_which_they_need(bare: Environment) -> None:
@@ -140,7 +140,8 @@ def test_without_an_extra_commands_work_or_say_which_they_need(bare: Environment
     for (extra, line), said in zip(LACKING, every[len(working) :], strict=True):
         assert said.code == 2, (line, said)
         assert said.stderr.count("\n") == 1 and said.stdout == "", (line, said)
-        assert f"pip install 'frogkick[{extra}]'" in said.stderr, (line, said)
+        needed = "studies come with a clone" if extra == CLONE else f"pip install 'frogkick[{extra}]'"
+        assert needed in said.stderr, (line, said)
     assert sorted(file.name for file in bare.here.iterdir()) == ["emitted", "t.fkt"]
     assert not list(bare.root.glob("cache/tables/*"))  # nothing was simulated for it
 

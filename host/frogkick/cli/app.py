@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import importlib
+import sys
+from pathlib import Path
 from typing import Annotated, Any, ClassVar
 
 import typer
@@ -10,6 +12,7 @@ import typer.main
 from typer.core import TyperGroup
 
 import frogkick
+from frogkick.core.errors import InputError
 from frogkick.core.interrupts import ctrl_c_waits
 
 LOG_COMMANDS = {
@@ -85,6 +88,8 @@ class LazyGroup(TyperGroup):
         place, text = self.table[cmd_name]
         if isinstance(place, dict):
             return typer.main.get_command(_group(cmd_name, text, place))
+        if self.table is STUDY_COMMANDS:
+            _find_studies()
         with ctrl_c_waits():
             module = importlib.import_module(f"frogkick.cli.{place}")
         parent = typer.Typer(rich_markup_mode=None, add_completion=False)
@@ -102,6 +107,19 @@ class LazyGroup(TyperGroup):
         for section in dict.fromkeys(places[name] for name in names):
             with formatter.section(section):
                 formatter.write_dl([(name, self.table[name][1]) for name in names if places[name] == section])
+
+
+def _find_studies() -> None:
+    """Let Python find the studies, which come with a clone of the project and not with the wheel.
+
+    Raises:
+        InputError: they are not there.
+    """
+    folder = Path(frogkick.__file__).parents[1] / "studies"
+    if not (folder / "frogkick_studies").is_dir():
+        raise InputError("studies come with a clone of the project, not with the wheel: run them in a clone")
+    if str(folder) not in sys.path:
+        sys.path.append(str(folder))
 
 
 def _group(name: str, text: str, table: dict[str, Any]) -> typer.Typer:

@@ -18,7 +18,7 @@ def convergence(
     json: JsonOption = False,
 ) -> None:
     """Error of the rod simulation against its time step. Exit 1 if the default step errs too much."""
-    from frogkick.front.table_studies import study_convergence
+    from frogkick_studies.table_studies import study_convergence
 
     found = study_convergence(robot, every=every, progress=True)
     if out is not None:
@@ -43,7 +43,7 @@ def chip(
     among all of them: "run" is how many, "model_error" its largest error, "unrun_ms" its bound of the rest.
     "band_ms": the worst decision by the least and by the most that the manuals allow an instruction.
     """
-    from frogkick.front.table_studies import study_chip
+    from frogkick_studies.table_studies import study_chip
 
     found = study_chip(
         tables,

@@ -17,7 +17,7 @@ _DepthsOption = Annotated[
 
 
 TIME_LIMIT_S = 120.0
-"""That of frogkick.study.ceiling: a command's help loads nothing of it."""
+"""That of frogkick_studies.ceiling: a command's help loads nothing of it."""
 
 
 def ceiling(
@@ -36,7 +36,7 @@ def ceiling(
 
     Each --depth that the rods look further takes as many times longer as the robot has actions.
     """
-    from frogkick.front.input_studies import study_ceiling
+    from frogkick_studies.input_studies import study_ceiling
 
     require_writable(out)
     found = study_ceiling(

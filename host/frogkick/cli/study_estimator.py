@@ -14,7 +14,7 @@ from frogkick.cli.options import DepthOption, ModelOption, PlannerName, PlannerO
 from frogkick.core.files import require_writable
 
 if TYPE_CHECKING:
-    from frogkick.front.input_studies import Condition, Outcome
+    from frogkick_studies.input_studies import Condition, Outcome
 
 _PathsOption = Annotated[
     list[str] | None, typer.Option("--path", help="line, sine, ellipse, or a CSV file as for 'run'.")
@@ -38,7 +38,7 @@ def estimator(
     json: JsonOption = False,
 ) -> None:
     """States from late, lost, doubled and wrong fixes in the pool: the robot's way, a line, the paper's."""
-    from frogkick.front.input_studies import RATES_HZ, study_estimator
+    from frogkick_studies.input_studies import RATES_HZ, study_estimator
 
     require_writable(out)
     found = study_estimator(

@@ -27,7 +27,7 @@ def foresight(
     No noise, no delay, no limit of time or memory. A planner on the robot stays further off; by how much
     more tells what it misses, and the rest is what the path asks of the robot.
     """
-    from frogkick.front.input_studies import study_foresight
+    from frogkick_studies.input_studies import study_foresight
 
     require_writable(out)
     found = study_foresight(path, tables=tables, at_least_mps=at_least, breadth=breadth, progress=True)

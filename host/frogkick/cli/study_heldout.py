@@ -29,7 +29,7 @@ def heldout(
     found without it. Fits of many effects start from nominal values, never from a built-in robot that was
     measured before. Exit 1 where what was found predicts worse than the nominal model.
     """
-    from frogkick.front.identification_studies import study_held_out
+    from frogkick_studies.identification_studies import study_held_out
 
     require_writable(out)
     found = study_held_out(

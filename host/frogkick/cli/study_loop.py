@@ -12,7 +12,7 @@ from frogkick.cli.common import JsonOption, show, write_picture
 from frogkick.cli.options import RobotFileOption
 
 if TYPE_CHECKING:
-    from frogkick.front.planner_studies import PlannersCompared, Summary
+    from frogkick_studies.planner_studies import PlannersCompared, Summary
 
 
 def loop(
@@ -46,7 +46,7 @@ def loop(
     Exit 1 where, in a world and over all paths, the robot's planner is not at most half as far off as the
     paper's at no less progress, or depth 2 and 3 are both further off than depth 1.
     """
-    from frogkick.front.planner_studies import compare_planners
+    from frogkick_studies.planner_studies import compare_planners
 
     found = compare_planners(
         out,

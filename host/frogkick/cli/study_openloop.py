@@ -47,7 +47,7 @@ def openloop(
     groups of the training swims that are left out of the fit are predicted better by more than the sampling
     error (paired bootstrap over cases); else the nominal model stays.
     """
-    from frogkick.front.identification_studies import study_open_loop
+    from frogkick_studies.identification_studies import study_open_loop
 
     require_writable(out, folder=True)
     if (train is None) != (test is None) or (train is None) == (data_dir is None):

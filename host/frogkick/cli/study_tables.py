@@ -25,7 +25,7 @@ def tables(
     json: JsonOption = False,
 ) -> None:
     """Error of tables of both kinds against their size, and against the library's."""
-    from frogkick.front.table_studies import study_tables
+    from frogkick_studies.table_studies import study_tables
 
     require_writable(out)
     found = study_tables(library, test_states=test_states, swims=swims.value, seed=seed, progress=True)
@@ -43,7 +43,7 @@ def history(
     json: JsonOption = False,
 ) -> None:
     """Error of affine tables with and without limb use as an input, for this robot and tiring ones."""
-    from frogkick.front.table_studies import study_history
+    from frogkick_studies.table_studies import study_history
 
     require_writable(out)
     found = study_history(robot, states=states, test_states=test_states, seed=seed, progress=True)

@@ -12,7 +12,7 @@ from frogkick.cli.common import JsonOption, show, write_picture
 from frogkick.cli.study_loop import table_of_rows
 
 if TYPE_CHECKING:
-    from frogkick.front.planner_studies import TwinStudy
+    from frogkick_studies.planner_studies import TwinStudy
 
 
 def twin(
@@ -45,7 +45,7 @@ def twin(
     or over the recorded runs' paths. With --runs the paper's planner also swims with what it believed of
     each action, as its recorded decisions show.
     """
-    from frogkick.front.planner_studies import compare_in_twin
+    from frogkick_studies.planner_studies import compare_in_twin
 
     found = compare_in_twin(
         out,

@@ -11,7 +11,7 @@ from frogkick.cli.common import JsonOption, show, write_picture
 from frogkick.cli.options import TablesOption
 
 if TYPE_CHECKING:
-    from frogkick.front.identification_studies import VerdictStudy
+    from frogkick_studies.identification_studies import VerdictStudy
 
 
 def verdicts(
@@ -36,7 +36,7 @@ def verdicts(
     An effect with a parameter farther off than twice its interval is wrong. How many parameters are inside
     their intervals of 95 % is counted beside it.
     """
-    from frogkick.front.identification_studies import study_verdicts
+    from frogkick_studies.identification_studies import study_verdicts
 
     found = study_verdicts(
         out,

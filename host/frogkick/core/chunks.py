@@ -262,12 +262,17 @@ def _run_for_cluster(shared: bytes, task: bytes, code: str) -> Any:
 
 
 @functools.lru_cache(maxsize=1)
-def code_stamp() -> str:
-    """SHA-256 of frogkick's text and of the versions of what it computes with, as hex."""
+def code_stamp(*more: str) -> str:
+    """SHA-256 of frogkick's text and of the versions of what it computes with, as hex.
+
+    Args:
+        more: further packages of ours that count.
+    """
     digest = hashlib.sha256(platform.python_version().encode("ascii"))
     for package in ("numpy", "numba", "llvmlite", "scipy"):
         digest.update(f"{package} {metadata.version(package)}\n".encode("ascii"))
-    _add_folder(digest, resources.files("frogkick"))
+    for package in ("frogkick", *more):
+        _add_folder(digest, resources.files(package))
     return digest.hexdigest()
 
 

@@ -106,7 +106,7 @@ def emit_c(
     name = table.name if isinstance(table, Table) else Path(table).name
     figures = None
     if measure:
-        from frogkick.study.emitted import measure as measured
+        from frogkick.front.emitted import measure as measured
 
         with tempfile.TemporaryDirectory(prefix="frogkick-table-") as folder:
             file = Path(folder) / name

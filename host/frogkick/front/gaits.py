@@ -16,11 +16,11 @@ from frogkick.core.files import require_writable, write_text
 from frogkick.core.progress import Progress, shown
 from frogkick.front.html import page_of
 from frogkick.robot import Robot, load_robot
-from frogkick.study.matched import Matched, matched_without
-from frogkick.study.measured import Skipped
-from frogkick.study.noise import Noise, noise_of
-from frogkick.study.paper_winners import PAPER_PHASE, Verdict, paper_verdicts
-from frogkick.study.sweep import (
+from frogkick.validation.matched import Matched, matched_without
+from frogkick.validation.measured import Skipped
+from frogkick.validation.noise import Noise, noise_of
+from frogkick.validation.paper_winners import PAPER_PHASE, Verdict, paper_verdicts
+from frogkick.validation.sweep import (
     PHASE_TIE_MPS,
     Point,
     Sweep,
@@ -33,7 +33,7 @@ from frogkick.study.sweep import (
     rank_gaits,
     run_sweep,
 )
-from frogkick.study.validate import (
+from frogkick.validation.validate import (
     ExperimentResult,
     Requirement,
     SimulationResult,
@@ -44,7 +44,7 @@ from frogkick.study.validate import (
     speed_rmse_mps,
     within_cycle_rms_m,
 )
-from frogkick.study.validate import validate as swim_and_compare
+from frogkick.validation.validate import validate as swim_and_compare
 
 __all__ = ["Point", "Swept", "Validated", "sweep", "validate"]
 

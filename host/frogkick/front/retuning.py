@@ -29,7 +29,7 @@ from frogkick.library import build_library, fit_table, read_library
 from frogkick.library.error import looked_up
 from frogkick.paths import SHAPES
 from frogkick.robot import Robot, load_robot
-from frogkick.study.trial import trials
+from frogkick.runs.trial import trials
 from frogkick.tables.image import open_image, read_image
 from frogkick_codegen.firmware import build, require_tools
 

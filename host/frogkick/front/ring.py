@@ -15,8 +15,7 @@ from frogkick.robot import Robot, load_robot
 from frogkick_codegen.firmware import require_tools
 
 if TYPE_CHECKING:
-    from frogkick.study.closing import Closing
-    from frogkick.study.ring import Ring
+    from frogkick.ring import Closing, Ring
 
 __all__ = ["Demonstration", "demonstrate"]
 
@@ -98,7 +97,7 @@ def demonstrate(
     # What follows cannot be loaded without the extra.
     from frogkick.report.identify_page import write_identify_page
     from frogkick.report.ring_page import write_ring_report
-    from frogkick.study.ring import close, go_round
+    from frogkick.ring import close, go_round
 
     def bar(title: str) -> AbstractContextManager[Callable[[int, int], None]]:
         return shown(progress, title)

@@ -13,10 +13,9 @@ from frogkick.report.page import Section, Table, write_page
 from frogkick.report.robot_figure import actions_figure, robot_figure
 from frogkick.report.run_figure import run_figure
 from frogkick.report.style import NOMINAL, PREDICTED, figure_uri, styled
+from frogkick.ring import Closing, Ring, RingRun
 from frogkick.runs.live_view import fan_of
-from frogkick.study.closing import Closing
-from frogkick.study.ring import Ring, RingRun
-from frogkick.study.trial import Trial
+from frogkick.runs.trial import Trial
 from frogkick.tables.layout import LIMBS_MAX
 from frogkick_codegen.firmware import FLASH_BYTES, RAM_BYTES
 

@@ -17,8 +17,8 @@ from frogkick.core.files import write_bytes
 from frogkick.report import style
 from frogkick.report.page import Section, Table, write_page
 from frogkick.report.style import figure_uri
-from frogkick.study.paper_winners import PAPER_PHASE, Verdict
-from frogkick.study.sweep import (
+from frogkick.validation.paper_winners import PAPER_PHASE, Verdict
+from frogkick.validation.sweep import (
     PHASE_TIE_MPS,
     Design,
     Point,

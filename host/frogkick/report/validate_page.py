@@ -13,10 +13,10 @@ from matplotlib.figure import Figure
 from frogkick.report import style
 from frogkick.report.page import Section, Table, write_page
 from frogkick.report.style import figure_uri
-from frogkick.study.gaits import CYCLES, FIRST_CYCLE
-from frogkick.study.measured import EXPERIMENTS, SIMULATIONS
-from frogkick.study.noise import Noise
-from frogkick.study.validate import (
+from frogkick.validation.gaits import CYCLES, FIRST_CYCLE
+from frogkick.validation.measured import EXPERIMENTS, SIMULATIONS
+from frogkick.validation.noise import Noise
+from frogkick.validation.validate import (
     SPEED_LIMITS_MPS,
     WITHIN_CYCLE_LIMIT_M,
     ExperimentResult,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -13,10 +14,43 @@ from frogkick.planner.plan import PLAN_ROW, PathLike, PlanConfig, path_rows
 from frogkick.pool.chip import ChipError, CostModel, VirtualChip
 from frogkick.pool.chip.layout import Layouts
 from frogkick.pool.chip.uncounted import UncountedCalls
+from frogkick.tables.image import Tables
+from frogkick.tables.layout import LIMBS_MAX
+
+CYCLES_PER_MS = 64_000
+_BEYOND = (1.0, 3.0, 30.0, 1000.0)
+"""Velocities go to so many times the table's box, in turn; poses to so many times the path's surroundings."""
 
 _BOOT_STEP_US = 100_000.0
 _BOOT_STEPS_MAX = 100
 _POSE_MEMBERS = ("x_m", "y_m", "heading_rad", "vx_mps", "vy_mps", "omega_rad_s")
+
+
+@dataclass(frozen=True, eq=False)
+class TimedStates:
+    """States to time.
+
+    Attributes:
+        states: (k, 6) float32: x, y, heading in the world, velocity in the body.
+        limb_use: (k, 8) uint16.
+        along_points: (k,) float32: where along the path each was last, points.
+        beyond: (k,) float32: velocities are from so many times the table's box.
+    """
+
+    states: npt.NDArray[np.float32]
+    limb_use: npt.NDArray[np.uint16]
+    along_points: npt.NDArray[np.float32]
+    beyond: npt.NDArray[np.float32]
+
+    def part(self, at: int, count: int) -> TimedStates:
+        """Return ``count`` of them."""
+        return self.chosen(np.arange(at, min(at + count, len(self.states))))
+
+    def chosen(self, places: npt.NDArray[np.int64]) -> TimedStates:
+        """Return those at some places."""
+        return TimedStates(
+            self.states[places], self.limb_use[places], self.along_points[places], self.beyond[places]
+        )
 
 
 class ChipPlanner:
@@ -145,6 +179,26 @@ class ChipPlanner:
                 told[index] = np.frombuffer(data, dtype=told.dtype)[0]
             progress(index + 1)
         return _rows(status.view(np.int32), told)
+
+
+def states_for_timing(tables: Tables, path: PathLike, count: int, rng: np.random.Generator) -> TimedStates:
+    """Return states about a path, from the table's box and beyond."""
+    rows = path_rows(path).astype(np.float64)
+    scale = tables.velocity_scale.astype(np.float64)
+    low, high = tables.states.min(axis=0) * scale, tables.states.max(axis=0) * scale
+    far = np.resize(_BEYOND, count)
+    states = np.empty((count, 6))
+    near = rng.integers(0, rows.shape[1], count)
+    reach = 0.2 * np.minimum(far, 30.0)
+    for axis in (0, 1):
+        states[:, axis] = rows[axis, near] + reach * rng.uniform(-1.0, 1.0, count)
+    states[:, 2] = rng.uniform(-np.pi, np.pi, count)
+    states[:, 3:] = rng.uniform(low, high, (count, 3)) * far[:, np.newaxis]
+    limb_use = rng.integers(0, 32768, (count, LIMBS_MAX)).astype(np.uint16)
+    limb_use[:, tables.limbs :] = 0
+    limb_use[rng.random(count) < 0.25] = 0
+    along = np.clip(near - rng.exponential(0.03 * rows.shape[1], count), 0, rows.shape[1] - 1)
+    return TimedStates(states.astype(np.float32), limb_use, along.astype(np.float32), far.astype(np.float32))
 
 
 def _rows(status: npt.NDArray[np.int32], plans: npt.NDArray[Any]) -> npt.NDArray[Any]:

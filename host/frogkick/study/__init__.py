@@ -1,1 +1,0 @@
-"""Studies over the whole: the ring once round."""

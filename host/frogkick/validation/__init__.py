@@ -1,0 +1,1 @@
+"""The model beside measured swims, and over every gait."""

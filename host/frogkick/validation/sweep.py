@@ -1,0 +1,307 @@
+"""Every measured EGaIn fraction, frequency and phase offset: what is fastest, what swims cheapest.
+
+The work is cut into chunks, one for each EGaIn fraction and frequency, with all phases. Each is a file of its
+own that says what it was made from. A finished chunk is never made again, so a sweep that was stopped goes on
+where it was, and ends with the same bytes.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import frogkick.der
+import frogkick.robot.profile
+import frogkick.validation.gaits
+from frogkick.core.errors import InputError
+from frogkick.core.files import write_text
+from frogkick.der import WIDTH, Gait
+from frogkick.robot import Robot
+from frogkick.robot.profile import actuation
+from frogkick.validation.gaits import CYCLES, FIRST_CYCLE, GaitSwim, swim_chunks
+from frogkick.validation.measured import Skipped
+
+PHASE_TIE_MPS = 0.5e-3
+"""Speeds at two phases of one design that differ by less are the same to this model, which is only held to
+this over phase (``frogkick validate``)."""
+_FORMAT = "frogkick sweep chunk"
+
+
+@dataclass(frozen=True, order=True)
+class Design:
+    """What a robot is built and driven with: EGaIn fraction (%) and frequency (Hz)."""
+
+    egain_percent: float
+    frequency_hz: float
+
+    @property
+    def name(self) -> str:
+        """For files and people."""
+        return f"{self.egain_percent:g}pct_{self.frequency_hz:g}Hz"
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What to sweep.
+
+    Attributes:
+        phases: of every design, ascending.
+        interpolated: designs whose limb profile lies between measured ones.
+        skipped: designs asked for that lie outside of them.
+    """
+
+    robot: Robot
+    designs: tuple[Design, ...]
+    phases: tuple[float, ...]
+    interpolated: frozenset[Design]
+    skipped: tuple[Skipped, ...]
+
+    @property
+    def gaits(self) -> int:
+        """How many gaits that is."""
+        return len(self.designs) * len(self.phases)
+
+
+@dataclass(frozen=True)
+class Point:
+    """One gait's result; ``failure`` says why it has none."""
+
+    gait: Gait
+    speed_mps: float
+    cost_of_transport: float
+    failure: str = ""
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """A finished sweep: its points by design, then phase."""
+
+    plan: Plan
+    points: tuple[Point, ...]
+
+    def of_design(self, design: Design) -> list[Point]:
+        """The points of one design that have a result, by phase."""
+        wanted = (design.egain_percent, design.frequency_hz)
+        return [
+            p for p in self.points if (p.gait.egain_percent, p.gait.frequency_hz) == wanted and not p.failure
+        ]
+
+
+def plan_sweep(
+    robot: Robot,
+    frequencies_hz: Sequence[float] | None = None,
+    phases: int = 10,
+    egain_percent: Sequence[float] | None = None,
+) -> Plan:
+    """List the designs of a sweep.
+
+    Args:
+        frequencies_hz: for every fraction; None: those measured for it (for a fraction between measured ones,
+            those measured for a neighbour).
+        phases: how many, evenly from 0.
+        egain_percent: fractions; None: the measured ones.
+
+    Raises:
+        InputError: a count or value out of range, or not one design within the measured profiles.
+    """
+    if not 1 <= phases <= 1000:
+        raise InputError(f"phases is {phases}: give 1 to 1000")
+    measured = {(p.egain_percent, p.frequency_hz) for p in robot.profiles}
+    fractions = sorted({e for e, _ in measured} if egain_percent is None else set(egain_percent))
+    known_hz = sorted({hz for _, hz in measured})
+    designs: list[Design] = []
+    interpolated: set[Design] = set()
+    skipped: list[Skipped] = []
+    for fraction in fractions:
+        own_hz = [hz for e, hz in sorted(measured) if e == fraction]
+        for hz in sorted(set(frequencies_hz)) if frequencies_hz is not None else own_hz or known_hz:
+            design = Design(fraction, hz)
+            try:
+                _check(design)
+                actuation(robot.profiles, fraction, hz)
+            except InputError as error:
+                skipped.append(Skipped(design.name, str(error)))
+                continue
+            designs.append(design)
+            if (fraction, hz) not in measured:
+                interpolated.add(design)
+    if not designs:
+        raise InputError(
+            f"nothing to sweep: {skipped[0].reason}" if skipped else "nothing to sweep: name a fraction"
+        )
+    steps = tuple(round(k / phases, 12) for k in range(phases))
+    return Plan(robot, tuple(designs), steps, frozenset(interpolated), tuple(skipped))
+
+
+def _check(design: Design) -> None:
+    if not (math.isfinite(design.egain_percent) and 0.0 < design.frequency_hz < math.inf):
+        raise InputError(
+            f"{design.egain_percent:g} % EGaIn at {design.frequency_hz:g} Hz is no gait: give a finite "
+            "fraction and a positive frequency"
+        )
+
+
+def run_sweep(
+    plan: Plan,
+    out: Path,
+    workers: int,
+    progress: Callable[[int, int], None] | None = None,
+    cluster: str | None = None,
+) -> Sweep:
+    """Simulate what ``out/chunks`` does not hold yet, and return all.
+
+    Args:
+        out: folder; each finished chunk goes to ``chunks/<design>.json`` at once.
+        workers: processes.
+        progress: called with (gaits done, all).
+        cluster: address of a Dask scheduler to simulate on instead; files are written here all the same.
+
+    Raises:
+        InputError: workers out of range, no cluster at that address, or a place that cannot be written to.
+        FrogkickError: a worker died, or the cluster failed.
+    """
+    key = _key(plan)
+    found = {design: _read_chunk(_chunk_file(out, design), key, plan, design) for design in plan.designs}
+    missing = [design for design in plan.designs if found[design] is None]
+    done = len(plan.designs) - len(missing)
+    if progress is not None:
+        progress(done * len(plan.phases), plan.gaits)
+    # A task is as many designs as fill the lanes of the simulation; each is a chunk file of its own.
+    together = WIDTH // math.gcd(WIDTH, len(plan.phases))
+    tasks = [missing[first : first + together] for first in range(0, len(missing), together)]
+    gaits = [[gait for design in task for gait in _gaits(plan, design)] for task in tasks]
+    for index, swum in swim_chunks(plan.robot, plan.robot.profiles, gaits, workers, cluster):
+        points = [_point(gait, result) for gait, result in zip(gaits[index], swum, strict=True)]
+        for place, design in enumerate(tasks[index]):
+            own = points[place * len(plan.phases) : (place + 1) * len(plan.phases)]
+            write_text(_chunk_file(out, design), _chunk_text(key, own))
+            found[design] = own
+        done += len(tasks[index])
+        if progress is not None:
+            progress(done * len(plan.phases), plan.gaits)
+    return Sweep(plan, tuple(point for design in plan.designs for point in found[design] or ()))
+
+
+def _gaits(plan: Plan, design: Design) -> list[Gait]:
+    return [Gait(design.egain_percent, design.frequency_hz, phase) for phase in plan.phases]
+
+
+def _chunk_file(out: Path, design: Design) -> Path:
+    return out / "chunks" / f"{design.name}.json"
+
+
+def _point(gait: Gait, result: GaitSwim | str) -> Point:
+    if isinstance(result, str):
+        return Point(gait, math.nan, math.nan, result)
+    return Point(gait, result.speed_mps, result.cost_of_transport)
+
+
+def _key(plan: Plan) -> str:
+    """What a chunk's numbers come from: robot, phases, and the code that simulates."""
+    digest = hashlib.sha256(plan.robot.sha256)
+    digest.update(repr((CYCLES, FIRST_CYCLE, plan.phases)).encode("ascii"))
+    sources = sorted(Path(frogkick.der.__file__).parent.glob("*.py"))
+    for file in (*sources, Path(frogkick.robot.profile.__file__), Path(frogkick.validation.gaits.__file__)):
+        digest.update(file.read_bytes())
+    return digest.hexdigest()
+
+
+def _finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None
+
+
+def point_row(point: Point) -> dict[str, float | str | None]:
+    """A point as JSON has it; what is not finite is null."""
+    row: dict[str, float | str | None] = {
+        "egain_percent": point.gait.egain_percent,
+        "frequency_hz": point.gait.frequency_hz,
+        "phase": point.gait.phase,
+        "speed_mps": _finite(point.speed_mps),
+        "cost_of_transport": _finite(point.cost_of_transport),
+    }
+    return {**row, "failure": point.failure} if point.failure else row
+
+
+def _chunk_text(key: str, points: Sequence[Point]) -> str:
+    chunk = {"format": _FORMAT, "made_from": key, "points": [point_row(point) for point in points]}
+    return json.dumps(chunk, indent=1, allow_nan=False) + "\n"
+
+
+def _read_chunk(file: Path, key: str, plan: Plan, design: Design) -> list[Point] | None:
+    """The points of a chunk file; None where it is missing, not whole, or made from something else."""
+    try:
+        chunk = json.loads(file.read_text(encoding="utf-8"))
+        if chunk["format"] != _FORMAT or chunk["made_from"] != key:
+            return None
+        points = [_point_of(row) for row in chunk["points"]]
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
+    return points if [point.gait for point in points] == _gaits(plan, design) else None
+
+
+def _point_of(row: dict[str, float | str | None]) -> Point:
+    gait = Gait(*(float(row[name] or 0.0) for name in ("egain_percent", "frequency_hz", "phase")))
+    failure = str(row.get("failure", ""))
+    missing = math.nan if failure else math.inf  # without forward motion the cost is infinite
+    speed, cost = row["speed_mps"], row["cost_of_transport"]
+    return Point(
+        gait,
+        math.nan if speed is None else float(speed),
+        missing if cost is None else float(cost),
+        failure,
+    )
+
+
+Rank = Callable[[Point], float]
+
+
+def by_speed(point: Point) -> float:
+    """Fastest first."""
+    return -point.speed_mps
+
+
+def by_cost(point: Point) -> float:
+    """Most efficient first."""
+    return point.cost_of_transport
+
+
+def listed_phase(points: Sequence[Point]) -> Point:
+    """The point that stands for a design with these, one for each phase.
+
+    Of the phases within PHASE_TIE_MPS of the fastest, the one nearest to half a cycle: there the two groups
+    of limbs fire farthest apart and draw the least current at once.
+    """
+    fastest = max(point.speed_mps for point in points)
+    tied = [point for point in points if point.speed_mps >= fastest - PHASE_TIE_MPS]
+    return min(tied, key=lambda point: (abs(point.gait.phase - 0.5), point.gait.phase))
+
+
+def rank_designs(sweep: Sweep, order: Rank, phase: float | None = None) -> list[Point]:
+    """Every design at its listed phase, or at the one given, best first; ties in order of the sweep."""
+    ranked: list[Point] = []
+    for design in sweep.plan.designs:
+        points = [p for p in sweep.of_design(design) if phase is None or p.gait.phase == phase]
+        if points:
+            ranked.append(listed_phase(points))
+    return sorted(ranked, key=order)
+
+
+def rank_gaits(sweep: Sweep, order: Rank) -> list[Point]:
+    """Every gait, best first, to the last digit; ties in order of the sweep."""
+    return sorted((point for point in sweep.points if not point.failure), key=order)
+
+
+def energy_model(robot: Robot) -> str:
+    """What the cost of transport counts, in one paragraph."""
+    pulses = robot.gait_lead_mask.bit_count() + robot.gait_lag_mask.bit_count()
+    return (
+        "Cost of transport = electrical energy of a cycle / (weight in air x distance of a cycle). A cycle "
+        f"is {pulses} pulses of {robot.pulse_energy_j:g} J, the same at every frequency, phase and EGaIn "
+        f"fraction; the weight is that of {robot.mass_kg:.4f} kg; the distance is speed / frequency over "
+        f"cycles {FIRST_CYCLE} to {CYCLES}. The robot's electronics are not in it, nor that a limb with more "
+        "EGaIn takes heat otherwise."
+    )

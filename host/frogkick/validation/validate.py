@@ -1,0 +1,317 @@
+"""The model against the authors' simulations and against measured swims, case by case."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from frogkick.core.errors import InputError
+from frogkick.der import WIDTH, Gait
+from frogkick.robot import Robot
+from frogkick.validation.gaits import CYCLES, FIRST_CYCLE, GaitSwim, speed_over_cycles, swim_chunks
+from frogkick.validation.measured import (
+    EXPERIMENTS,
+    SIMULATIONS,
+    Case,
+    Profiles,
+    Skipped,
+    SteadySpeed,
+    find_cases,
+    read_profiles,
+    read_simulation,
+    read_speeds,
+    read_swim,
+    steady_speed,
+)
+
+FloatArray = NDArray[np.float64]
+
+SPEED_LIMITS_MPS = {f"{SIMULATIONS}/freq": 1.2e-3, f"{SIMULATIONS}/phase": 0.5e-3}
+WITHIN_CYCLE_LIMIT_M = 0.3e-3
+_SAMPLES_PER_CYCLE = 200
+_END_SLACK_S = 0.0015  # the authors' files end one of their 1 ms steps around the last cycle's end
+
+
+@dataclass(frozen=True)
+class SimulationResult:
+    """One of the authors' simulations and ours.
+
+    Attributes:
+        reference_mps, model_mps: speeds over cycles 5 to 8.
+        within_cycle_rms_m: RMS difference of the forward position within cycles 5 to 8, each less its own
+            mean speed, and less the mean difference.
+        profile: where the limb's profile comes from.
+        time_s: (n,) over cycles 5 to 8.
+        reference_wave_m, model_wave_m: (n,) the two that were compared.
+    """
+
+    case: Case
+    reference_mps: float
+    model_mps: float
+    within_cycle_rms_m: float
+    profile: str
+    time_s: FloatArray
+    reference_wave_m: FloatArray
+    model_wave_m: FloatArray
+
+    @property
+    def error_mps(self) -> float:
+        """Model less reference."""
+        return self.model_mps - self.reference_mps
+
+
+@dataclass(frozen=True)
+class ExperimentResult:
+    """One measured swim, what the authors' simulation gives for it (where the data has it), and ours.
+
+    Attributes:
+        reference: from the swim's own file, or from the table where there is no file.
+        tabulated_mps: the authors' tabulated speed for this gait, the nearest where it has several.
+    """
+
+    case: Case
+    reference: SteadySpeed
+    tabulated_mps: float | None
+    model_mps: float
+    authors_mps: float | None
+    profile: str
+
+    @property
+    def error_mps(self) -> float:
+        """Model less measurement."""
+        return self.model_mps - self.reference.speed_mps
+
+    @property
+    def authors_error_mps(self) -> float | None:
+        """The authors' simulation less measurement."""
+        return None if self.authors_mps is None else self.authors_mps - self.reference.speed_mps
+
+
+@dataclass(frozen=True)
+class Validation:
+    """All cases, and those left out."""
+
+    folder: Path
+    robot: Robot
+    profiles: Profiles
+    simulations: tuple[SimulationResult, ...]
+    experiments: tuple[ExperimentResult, ...]
+    skipped: tuple[Skipped, ...]
+
+
+@dataclass(frozen=True)
+class _Reference:
+    """What was read of a case before ours is simulated: a simulation's track or a swim's speed."""
+
+    case: Case
+    track: tuple[FloatArray, FloatArray] | None = None
+    steady: SteadySpeed | None = None
+    tabulated_mps: float | None = None
+
+
+def validate(
+    robot: Robot, folder: Path, workers: int, progress: Callable[[int, int], None] | None = None
+) -> Validation:
+    """Swim every gait that a data folder has a simulation or a measurement of, and compare.
+
+    One robot for all cases. Limb profiles are fitted to the folder's files; where one is missing the robot's
+    own coefficients serve, or those next to it; outside of them a case is skipped.
+
+    Args:
+        folder: laid out as ``frogkick.validation.measured`` says.
+        workers: processes.
+        progress: called with (gaits done, all).
+
+    Raises:
+        InputError: no such folder, or nothing in it.
+    """
+    cases, skipped = find_cases(folder)
+    profiles, unusable = read_profiles(folder / "profile", robot.profiles)
+    skipped += unusable
+    references: list[_Reference] = []
+    tabulated = read_speeds(folder / "exp" / "speeds.csv")
+    for case in cases:
+        try:
+            references.append(_read(case, tabulated))
+        except InputError as error:
+            skipped.append(Skipped(case.name, str(error)))
+    references += _only_tabulated(tabulated, references, folder)
+    swum, failed = swum_of(
+        robot, profiles, {reference.case.gait for reference in references}, workers, progress
+    )
+    simulations: list[SimulationResult] = []
+    experiments: list[ExperimentResult] = []
+    authors = {
+        r.case.gait: speed_over_cycles(*r.track, r.case.gait.frequency_hz) for r in references if r.track
+    }
+    for reference in references:
+        gait = reference.case.gait
+        if gait in failed:
+            skipped.append(Skipped(reference.case.name, failed[gait]))
+        elif reference.track is not None:
+            simulations.append(_against_simulation(reference.case, reference.track, swum[gait], profiles))
+        elif reference.steady is not None:
+            experiments.append(
+                ExperimentResult(
+                    reference.case,
+                    reference.steady,
+                    reference.tabulated_mps,
+                    swum[gait].speed_mps,
+                    authors.get(gait),
+                    profiles.source(gait),
+                )
+            )
+    return Validation(folder, robot, profiles, tuple(simulations), tuple(experiments), tuple(skipped))
+
+
+def _read(case: Case, tabulated: Sequence[tuple[Gait, float]]) -> _Reference:
+    gait = case.gait
+    if case.group.startswith(SIMULATIONS):
+        time_s, forward_m = read_simulation(case.file)
+        needed_s = CYCLES / gait.frequency_hz
+        if time_s[-1] < needed_s - _END_SLACK_S:
+            raise InputError(f"it ends at {time_s[-1]:g} s: cycle {CYCLES} ends at {needed_s:g} s")
+        return _Reference(case, track=(time_s, forward_m))
+    steady = steady_speed(read_swim(case.file), gait.frequency_hz)
+    rows = [speed for row, speed in tabulated if row == gait]
+    nearest = min(rows, key=lambda speed: abs(speed - steady.speed_mps), default=None)
+    return _Reference(case, steady=steady, tabulated_mps=nearest)
+
+
+def _only_tabulated(
+    tabulated: Sequence[tuple[Gait, float]], references: Sequence[_Reference], folder: Path
+) -> list[_Reference]:
+    """Tabulated speeds of gaits that have no file."""
+    filed = {reference.case.gait for reference in references if reference.steady is not None}
+    rows: list[_Reference] = []
+    for number, (gait, speed_mps) in enumerate(tabulated, start=2):
+        if gait not in filed:
+            name = f"exp/speeds.csv line {number}"
+            case = Case(name, f"{EXPERIMENTS}/tabulated", gait, folder / "exp" / "speeds.csv")
+            rows.append(_Reference(case, steady=SteadySpeed(speed_mps, None, 0), tabulated_mps=speed_mps))
+    return rows
+
+
+def swum_of(
+    robot: Robot,
+    profiles: Profiles,
+    gaits: Iterable[Gait],
+    workers: int,
+    progress: Callable[[int, int], None] | None,
+) -> tuple[dict[Gait, GaitSwim], dict[Gait, str]]:
+    """Swim each gait once; return those that succeeded and why the others did not."""
+    ordered = sorted(gaits, key=lambda gait: (gait.frequency_hz, gait.egain_percent, gait.phase))
+    chunks = [ordered[first : first + WIDTH] for first in range(0, len(ordered), WIDTH)]
+    swum: dict[Gait, GaitSwim] = {}
+    failed: dict[Gait, str] = {}
+    for index, results in swim_chunks(robot, profiles.profiles, chunks, workers):
+        for gait, result in zip(chunks[index], results, strict=True):
+            if isinstance(result, GaitSwim):
+                swum[gait] = result
+            else:
+                failed[gait] = result
+        if progress is not None:
+            progress(len(swum) + len(failed), len(ordered))
+    return swum, failed
+
+
+def _wave(time_s: FloatArray, forward_m: FloatArray, speed_mps: float) -> FloatArray:
+    wave = forward_m - speed_mps * time_s
+    return np.asarray(wave - wave.mean())
+
+
+def _against_simulation(
+    case: Case, track: tuple[FloatArray, FloatArray], swum: GaitSwim, profiles: Profiles
+) -> SimulationResult:
+    frequency_hz = case.gait.frequency_hz
+    cycles = CYCLES - FIRST_CYCLE
+    time_s = np.linspace(FIRST_CYCLE, CYCLES, _SAMPLES_PER_CYCLE * cycles + 1) / frequency_hz
+    reference_mps = speed_over_cycles(*track, frequency_hz)
+    reference_wave = _wave(time_s, np.interp(time_s, *track), reference_mps)
+    model_wave = _wave(time_s, np.interp(time_s, swum.time_s, swum.forward_m), swum.speed_mps)
+    rms = float(np.sqrt(np.mean((model_wave - reference_wave) ** 2)))
+    source = profiles.source(case.gait)
+    return SimulationResult(
+        case, reference_mps, swum.speed_mps, rms, source, time_s, reference_wave, model_wave
+    )
+
+
+def root_mean_square(values: Iterable[float]) -> float:
+    """Root of the mean square; NaN of nothing."""
+    squares = [value * value for value in values]
+    return math.sqrt(sum(squares) / len(squares)) if squares else math.nan
+
+
+def by_group(rows: Iterable[tuple[str, float]]) -> dict[str, float]:
+    """RMS of (group, value) over each group and over each group's parents (``simulations/freq``)."""
+    members: dict[str, list[float]] = {}
+    for group, value in rows:
+        parts = group.split("/")
+        for length in range(1, min(len(parts), 3) + 1):
+            members.setdefault("/".join(parts[:length]), []).append(value)
+    return {group: root_mean_square(values) for group, values in sorted(members.items())}
+
+
+@dataclass(frozen=True)
+class Requirement:
+    """A limit on a figure of a group, in SI units."""
+
+    what: str
+    group: str
+    limit: float
+    value: float
+
+    @property
+    def held(self) -> bool:
+        """Whether the figure is there and within the limit."""
+        return self.value <= self.limit
+
+
+def speed_rmse_mps(validation: Validation) -> dict[str, float]:
+    """RMS speed error of every group of simulations and of experiments, m/s."""
+    rows = [(s.case.group, s.error_mps) for s in validation.simulations]
+    return by_group(rows + [(e.case.group, e.error_mps) for e in validation.experiments])
+
+
+def within_cycle_rms_m(validation: Validation) -> dict[str, float]:
+    """RMS of within_cycle_rms_m over every group of simulations, m."""
+    return by_group((r.case.group, r.within_cycle_rms_m) for r in validation.simulations)
+
+
+def authors_rmse_mps(validation: Validation) -> dict[str, float]:
+    """RMS error of the authors' simulation against every group of experiments that it was made for, m/s."""
+    pairs = ((r.case.group, r.authors_error_mps) for r in validation.experiments)
+    return by_group((group, error) for group, error in pairs if error is not None)
+
+
+def requirements(validation: Validation) -> list[Requirement]:
+    """The limits on the agreement with the authors' simulations that this data can test."""
+    speed, shape = speed_rmse_mps(validation), within_cycle_rms_m(validation)
+    asked = [
+        Requirement("speed_rmse_mps", group, limit, speed[group])
+        for group, limit in SPEED_LIMITS_MPS.items()
+        if group in speed
+    ]
+    return asked + [
+        Requirement("within_cycle_rms_m", group, WITHIN_CYCLE_LIMIT_M, shape[group])
+        for group in (SIMULATIONS, *SPEED_LIMITS_MPS)
+        if group in shape
+    ]
+
+
+def single_groups_above(validation: Validation) -> list[Requirement]:
+    """Single groups (one EGaIn fraction, or one phase sweep) above the limit of their kind."""
+    speed, shape = speed_rmse_mps(validation), within_cycle_rms_m(validation)
+    found: list[Requirement] = []
+    for group in shape:
+        if group.count("/") < 2:
+            continue
+        limit = SPEED_LIMITS_MPS.get(group.rsplit("/", 1)[0], math.inf)
+        found.append(Requirement("speed_rmse_mps", group, limit, speed[group]))
+        found.append(Requirement("within_cycle_rms_m", group, WITHIN_CYCLE_LIMIT_M, shape[group]))
+    return [requirement for requirement in found if not requirement.held]

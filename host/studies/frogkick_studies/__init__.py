@@ -1,0 +1,1 @@
+"""Questions about the method, answered with figures (``frogkick study``)."""

@@ -1,0 +1,313 @@
+"""How long the chip plans: cycles of the flashed image over many states and paths.
+
+Up to ``RUN`` states of a depth are all run on the virtual chip. Of more, that many are: half of them at
+random, then those that a model of the planner's blocks finds dearest; frogkick_studies.chip_worst says how.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from frogkick.core.chunks import Job, run_chunks
+from frogkick.paths import Path as SwimPath
+from frogkick.planner.plan import PlanConfig
+from frogkick.pool.chip.cost import LEAST_COST
+from frogkick.runs.chip_planner import CYCLES_PER_MS, ChipPlanner, TimedStates, states_for_timing
+from frogkick.tables.image import Tables, read_image
+from frogkick_studies.chip_worst import CycleModel, dearest, fit_cycles
+
+LIMIT_MS: Mapping[int, float] = {1: 0.45, 2: 4.5, 3: 20.0}
+"""What a decision may take at each depth, worst case."""
+DEPTHS = (1, 2, 3, 4)
+NODE = "fk_lookup_motion"
+"""One call of it is one node of the search: a pose that is predicted and costed."""
+RUN: Mapping[int, int] = {1: 3000, 2: 1200, 3: 480, 4: 24}
+"""Depth -> states that are run on the virtual chip at the most."""
+_CHUNK = 50
+
+
+@dataclass(frozen=True)
+class Share:
+    """A function's part of one depth's time: name, percent of the cycles, calls a decision."""
+
+    function: str
+    percent: float
+    calls: float
+
+
+@dataclass(frozen=True)
+class DepthSpeed:
+    """What decisions of one depth took.
+
+    Attributes:
+        states: how many, of which ``run`` on the virtual chip.
+        mean_ms, worst_ms: at 64 MHz; the mean of states that were taken at random. By the most that the
+            manuals allow an instruction (``CostModel``), so the worst is the top of its band.
+        least_ms: the worst decision once more, by the least that they allow: the bottom of that band.
+        worst_ms_by_reach: the worst of velocities from so many times the table's box.
+        model_error: where not all were run, the model's largest relative error over those that were, but for
+            those that it was fitted to; else 0.
+        unrun_ms: no state that was not run is above this by the model and that error; else 0.
+        worst_path, worst_state, worst_limb_use, worst_along_points: where it was worst.
+        nodes: nodes of the search, mean.
+        instructions_per_node: mean.
+        shares: functions, the most expensive first.
+    """
+
+    states: int
+    run: int
+    mean_ms: float
+    worst_ms: float
+    least_ms: float
+    worst_ms_by_reach: Mapping[float, float]
+    model_error: float
+    unrun_ms: float
+    worst_path: str
+    worst_state: tuple[float, ...]
+    worst_limb_use: tuple[int, ...]
+    worst_along_points: float
+    nodes: float
+    instructions_per_node: float
+    shares: tuple[Share, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class _Chunk:
+    elf: Path
+    config: PlanConfig
+    path_name: str
+    path: SwimPath
+    depth: int
+    timed: TimedStates
+    at_random: bool
+
+
+@dataclass(frozen=True, eq=False)
+class _Counted:
+    depth: int
+    path_name: str
+    cycles: npt.NDArray[np.int64]
+    timed: TimedStates
+    at_random: bool
+    functions: tuple[tuple[str, int, int, float], ...]
+
+
+def open_ms(elf: Path) -> float:
+    """How long the image takes to check and open its table, once after power-on."""
+    return planner_of(elf).open_cycles / CYCLES_PER_MS
+
+
+@lru_cache(maxsize=1)
+def planner_of(elf: Path) -> ChipPlanner:
+    """One booted chip for each process."""
+    return ChipPlanner(elf)
+
+
+def _count(_ready: object, chunk: _Chunk) -> _Counted:
+    planner = planner_of(chunk.elf)
+    planner.configure(chunk.path, chunk.config)
+    profile = planner.chip.profile()
+    timed = chunk.timed
+    depths = np.full(len(timed.states), chunk.depth, dtype=np.int32)
+    _, cycles = planner.plan(timed.states, depths, timed.limb_use, timed.along_points)
+    functions = tuple((f.name, f.calls, f.instructions, f.cycles) for f in profile.functions())
+    return _Counted(chunk.depth, chunk.path_name, cycles, timed, chunk.at_random, functions)
+
+
+def chip_speed(
+    elf: Path,
+    image: Path,
+    paths: Mapping[str, SwimPath],
+    config: PlanConfig,
+    counts: Mapping[int, int],
+    seed: int = 0,
+    workers: int = 1,
+    progress: Callable[[int, int], None] = lambda _done, _all: None,
+) -> dict[int, DepthSpeed]:
+    """Time decisions of a bench image.
+
+    Args:
+        elf: the image.
+        image: its table.
+        paths: to plan along, by name.
+        config: of the planner; its depth is not used.
+        counts: depth -> states, shared among the paths.
+        seed: makes the states again.
+        workers: processes.
+        progress: called with decisions done and to do, weighted by what a depth costs.
+
+    Returns:
+        Depth -> what was found.
+    """
+    study = _Study(elf, read_image(image), paths, config, counts, seed)
+    runner = _Runner(workers, sum(min(counts[depth], RUN[depth]) for depth in counts), progress)
+    found = runner.run(study.at_random())
+    speeds = {}
+    for depth in counts:
+        mine = [one for one in found if one.depth == depth]
+        error, unrun_ms = 0.0, 0.0
+        if counts[depth] > RUN[depth]:
+            chosen, model = study.dearest(depth, mine)
+            mine += runner.run(chosen)
+            error, unrun_ms = study.unrun(depth, mine, model)
+        speed = _summary(mine, study.count(depth) * len(paths), error, unrun_ms)
+        speeds[depth] = dataclasses.replace(speed, least_ms=_least_ms(elf, paths, config, depth, speed))
+    return speeds
+
+
+def _least_ms(
+    elf: Path, paths: Mapping[str, SwimPath], config: PlanConfig, depth: int, speed: DepthSpeed
+) -> float:
+    planner = ChipPlanner(elf, LEAST_COST)
+    planner.configure(paths[speed.worst_path], config)
+    _, cycles = planner.plan(
+        np.array([speed.worst_state], dtype=np.float32),
+        np.array([depth], dtype=np.int32),
+        np.array([speed.worst_limb_use], dtype=np.uint16),
+        np.array([speed.worst_along_points], dtype=np.float32),
+    )
+    return float(cycles[0]) / CYCLES_PER_MS
+
+
+class _Runner:
+    """Runs chunks, in as many processes as are wanted, and tells how far it is."""
+
+    def __init__(self, workers: int, whole: int, progress: Callable[[int, int], None]) -> None:
+        self._workers, self._whole, self._progress, self._done = workers, whole, progress, 0
+
+    def run(self, chunks: Sequence[_Chunk]) -> list[_Counted]:
+        job = Job(tuple, (), _count, len)  # each process boots a chip of its own, and needs nothing for that
+        return [self._note(counted) for _, counted in run_chunks(job, chunks, self._workers)]
+
+    def _note(self, counted: _Counted) -> _Counted:
+        self._done += len(counted.timed.states)
+        self._progress(min(self._done, self._whole), self._whole)
+        return counted
+
+
+@dataclass(frozen=True, eq=False)
+class _Study:
+    """Which states there are, and which of them are run."""
+
+    elf: Path
+    tables: Tables
+    paths: Mapping[str, SwimPath]
+    config: PlanConfig
+    counts: Mapping[int, int]
+    seed: int
+
+    def count(self, depth: int) -> int:
+        """States of a depth along one path."""
+        return -(-self.counts[depth] // len(self.paths))
+
+    def states(self, depth: int, name: str) -> TimedStates:
+        """All states of a depth along a path."""
+        rng = np.random.default_rng([self.seed, depth, list(self.paths).index(name)])
+        return states_for_timing(self.tables, self.paths[name], self.count(depth), rng)
+
+    def first(self, depth: int) -> int:
+        """States along one path that are run at random: all, or half of those that may be run."""
+        if self.counts[depth] <= RUN[depth]:
+            return self.count(depth)
+        return RUN[depth] // (2 * len(self.paths))
+
+    def at_random(self) -> list[_Chunk]:
+        """The dearest depth first, so that no process is left with a long one at the end."""
+        chunks = []
+        for depth in sorted(self.counts, reverse=True):
+            for name in self.paths:
+                timed = self.states(depth, name).part(0, self.first(depth))
+                chunks += self._cut(depth, name, timed, at_random=True)
+        return chunks
+
+    def dearest(self, depth: int, ran: Sequence[_Counted]) -> tuple[list[_Chunk], CycleModel]:
+        """Those of the other states that cost most by a model that is fitted to half of what ran."""
+        model = fit_cycles(
+            self.tables.image,
+            self.config,
+            [(self.paths[one.path_name], one.timed.part(0, half), one.cycles[:half])
+             for one in ran for half in [len(one.cycles) // 2]],
+            depth,
+        )  # fmt: skip
+        chunks = []
+        for name in self.paths:
+            timed, predicted = self._others(depth, name, model)
+            places = dearest(predicted, timed.beyond, RUN[depth] // (2 * len(self.paths)))
+            chunks += self._cut(depth, name, timed.chosen(places), at_random=False)
+        return chunks, model
+
+    def unrun(self, depth: int, ran: Sequence[_Counted], model: CycleModel) -> tuple[float, float]:
+        """The model's largest relative error, and what it bounds the states by that were not run, ms."""
+        settings = dataclasses.replace(self.config, depth=depth)
+        error, most = 0.0, 0.0
+        for one in ran:
+            fitted = len(one.cycles) // 2 if one.at_random else 0
+            predicted = model.predict(self.tables.image, self.paths[one.path_name], settings, one.timed)
+            error = max(error, float(np.abs(one.cycles / predicted - 1.0)[fitted:].max()))
+        for name in self.paths:
+            timed, predicted = self._others(depth, name, model)
+            places = dearest(predicted, timed.beyond, RUN[depth] // (2 * len(self.paths)))
+            most = max(most, float(np.delete(predicted, places).max()))
+        return error, most * (1.0 + error) / CYCLES_PER_MS
+
+    def _others(
+        self, depth: int, name: str, model: CycleModel
+    ) -> tuple[TimedStates, npt.NDArray[np.float64]]:
+        timed = self.states(depth, name).part(self.first(depth), self.count(depth))
+        settings = dataclasses.replace(self.config, depth=depth)
+        return timed, model.predict(self.tables.image, self.paths[name], settings, timed)
+
+    def _cut(self, depth: int, name: str, timed: TimedStates, at_random: bool) -> list[_Chunk]:
+        count = len(timed.states)
+        step = max(_CHUNK, count // 64)
+        return [
+            _Chunk(self.elf, self.config, name, self.paths[name], depth, timed.part(at, step), at_random)
+            for at in range(0, count, step)
+        ]
+
+
+def _summary(parts: Sequence[_Counted], states: int, error: float, unrun_ms: float) -> DepthSpeed:
+    cycles = np.concatenate([part.cycles for part in parts])
+    beyond = np.concatenate([part.timed.beyond for part in parts])
+    some = [part for part in parts if part.at_random]
+    number = sum(len(part.cycles) for part in some)
+    worst = max(parts, key=lambda part: int(part.cycles.max()))
+    at = int(worst.cycles.argmax())
+    totals: dict[str, list[float]] = {}
+    for part in some:
+        for name, calls, instructions, spent in part.functions:
+            total = totals.setdefault(name, [0.0, 0.0, 0.0])
+            for place, value in enumerate((calls, instructions, spent)):
+                total[place] += value
+    spent_all = sum(total[2] for total in totals.values())
+    instructions_all = sum(total[1] for total in totals.values())
+    nodes = totals.get(NODE, [0.0])[0]
+    ordered = sorted(totals, key=lambda name: -totals[name][2])
+    return DepthSpeed(
+        states=states,
+        run=len(cycles),
+        mean_ms=sum(float(part.cycles.sum()) for part in some) / number / CYCLES_PER_MS,
+        worst_ms=float(cycles.max()) / CYCLES_PER_MS,
+        least_ms=0.0,
+        worst_ms_by_reach={
+            float(kind): float(cycles[beyond == kind].max()) / CYCLES_PER_MS for kind in np.unique(beyond)
+        },
+        model_error=error,
+        unrun_ms=unrun_ms,
+        worst_path=worst.path_name,
+        worst_state=tuple(worst.timed.states[at].tolist()),
+        worst_limb_use=tuple(worst.timed.limb_use[at].tolist()),
+        worst_along_points=float(worst.timed.along_points[at]),
+        nodes=nodes / number,
+        instructions_per_node=instructions_all / max(nodes, 1.0),
+        shares=tuple(
+            Share(name, 100.0 * totals[name][2] / spent_all, totals[name][0] / number) for name in ordered
+        ),
+    )

@@ -1,0 +1,145 @@
+"""Steady speeds of a robot with effects, and the parameters of effects that such speeds can show."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from frogkick.core.chunks import Job, run_chunks
+from frogkick.der import WIDTH, Gait
+from frogkick.effects import BUILT_IN, Parameter, rods_of
+from frogkick.robot import Profile, Robot
+from frogkick.validation.gaits import GaitSwim, swim_gaits
+
+FloatArray = NDArray[np.float64]
+Table = Mapping[str, Any]
+
+_FAR = 10.0  # widths: a factor whose bound is 0 goes no lower
+
+
+@dataclass(frozen=True)
+class Free:
+    """A parameter that may be fitted.
+
+    Attributes:
+        effect, parameter: of the catalogue.
+        width: how far off what is expected it may well be; for a factor the logarithm of that factor.
+        factor: it multiplies, and is sought by its logarithm.
+        expected: in widths from the plain model.
+        starts: where fits may begin, in widths from there: that with the smallest misses is taken.
+    """
+
+    effect: str
+    parameter: str
+    width: float
+    factor: bool = True
+    expected: float = 0.0
+    starts: tuple[float, ...] = (0.0,)
+
+    @property
+    def declared(self) -> Parameter:
+        """As its effect has it: bounds, unit, nominal value."""
+        return next(p for p in BUILT_IN[self.effect].parameters if p.name == self.parameter)
+
+    @property
+    def name(self) -> str:
+        """``effect.parameter``."""
+        return f"{self.effect}.{self.parameter}"
+
+    def value(self, widths: float) -> float:
+        """The value so many widths from nominal, within its bounds."""
+        p, away = self.declared, min(max(widths, self.bounds[0]), self.bounds[1]) * self.width
+        value = p.nominal * math.exp(away) if self.factor else p.nominal + away
+        return min(max(value, p.low), p.high)
+
+    @property
+    def bounds(self) -> tuple[float, float]:
+        """Of its values, in widths."""
+        p = self.declared
+        least = math.exp(-_FAR * self.width)
+        low, high = (
+            math.log(max(v / p.nominal, least)) if self.factor else v - p.nominal for v in (p.low, p.high)
+        )
+        return low / self.width, high / self.width
+
+
+_LIMB_DRAG = Free("hull", "limb_drag", math.log(2.0), starts=(-0.25, 0.0))
+
+CANDIDATES: tuple[tuple[Free, ...], ...] = (
+    (_LIMB_DRAG,),
+    # A long plate as high as a limb takes along 33 times the water that the model's round rod does, and one
+    # as short as a limb about half of that. How it pushes and how drag pushes are told apart together only.
+    (Free("limb_water", "added", math.log(2.0), True, 4.0, (-0.5, 0.0, 0.5)), _LIMB_DRAG),
+    (Free("hull", "frame_drag", math.log(2.0)),),
+    (Free("limb_wear", "duration_scale", math.log(1.5)),),
+    (Free("group_loss", "loss", 0.3, False, 0.0, (0.3,)), Free("group_loss", "fade_s", math.log(3.0))),
+)
+"""What steady speeds can show and every alloy shares; parameters of a row come together."""
+
+
+def expected(frees: Sequence[Free]) -> FloatArray:
+    """(p,) of parameters, in widths from the plain model."""
+    return np.array([free.expected for free in frees])
+
+
+def tables_of(values: Mapping[Free, float]) -> tuple[Table, ...]:
+    """Effects with these values, as a robot's TOML has them."""
+    tables: dict[str, dict[str, Any]] = {}
+    for free, value in values.items():
+        tables.setdefault(free.effect, {"name": free.effect})[free.parameter] = float(f"{value:.6g}")
+    return tuple(tables.values())
+
+
+def with_effects(robot: Robot, tables: Sequence[Table]) -> Robot:
+    """The robot with further effects than its file has."""
+    return replace(robot, effects=(*robot.effects, *(dict(table) for table in tables)))
+
+
+class Simulation:
+    """Steady speeds of a robot with various effects, each asked for once."""
+
+    def __init__(self, robot: Robot, profiles: Sequence[Profile], workers: int) -> None:
+        self.robot, self.profiles, self.workers = robot, tuple(profiles), workers
+        self._known: dict[tuple[str, Gait], float] = {}
+
+    def speeds(self, effects: Sequence[Sequence[Table]], gaits: Sequence[Gait]) -> FloatArray:
+        """(len(effects), len(gaits)) speeds, m/s; NaN where a simulation failed."""
+        tasks: list[tuple[tuple[Table, ...], list[Gait]]] = []
+        for tables in dict.fromkeys(map(repr, effects)):
+            chosen = next(each for each in effects if repr(each) == tables)
+            missing = sorted(
+                {gait for gait in gaits if (tables, gait) not in self._known},
+                key=lambda gait: (gait.frequency_hz, gait.egain_percent, gait.phase),
+            )
+            tasks += [
+                (tuple(chosen), missing[first : first + WIDTH]) for first in range(0, len(missing), WIDTH)
+            ]
+        job = Job(_start, (self.robot, self.profiles), _swim_task, _warm)
+        for index, found in run_chunks(job, tasks, self.workers if len(tasks) > 1 else 1):
+            tables = repr(tasks[index][0])
+            self._known.update(
+                {(tables, gait): speed for gait, speed in zip(tasks[index][1], found, strict=True)}
+            )
+        return np.array([[self._known[repr(tuple(each)), gait] for gait in gaits] for each in effects])
+
+
+_Ready = tuple[Robot, tuple[Profile, ...]]
+
+
+def _start(robot: Robot, profiles: tuple[Profile, ...]) -> _Ready:
+    return robot, profiles
+
+
+def _swim_task(ready: _Ready, task: tuple[tuple[Table, ...], Sequence[Gait]]) -> list[float]:
+    swum = swim_gaits(rods_of(with_effects(ready[0], task[0])), ready[1], task[1])
+    return [swim.speed_mps if isinstance(swim, GaitSwim) else math.nan for swim in swum]
+
+
+def _warm(ready: _Ready) -> None:
+    profile = ready[1][0]
+    _swim_task(ready, ((), [Gait(profile.egain_percent, profile.frequency_hz, 0.0)]))

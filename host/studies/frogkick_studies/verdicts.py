@@ -1,0 +1,258 @@
+"""Are verdicts right? Worlds with planted effects, identified from runs alone, and counted.
+
+Each case makes runs of the simulated robot along the paper's paths in a world that identification never
+sees: nothing planted, one effect of the catalogue with random parameters, two at once, or an effect of a
+user's own file that the catalogue does not have.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from frogkick.core.chunks import Job, code_stamp, run_chunks
+from frogkick.core.files import write_text
+from frogkick.effects import Parameter, World
+from frogkick.effects.registry import make_effects
+from frogkick.identification.outcome import Outcome, identify
+from frogkick.identification.swim import Swim, swim_of
+from frogkick.identification.together import all_at_once, cpu_s
+from frogkick.identification.verdict import FAR, FOUND, NOTHING, PARTLY, UNEXPLAINED, Interval
+from frogkick.paths import shape
+from frogkick.pool.camera import Camera
+from frogkick.pool.native_robot import NativeRobot
+from frogkick.pool.pool import Pool
+from frogkick.robot import Robot
+from frogkick.runs.closed_loop import RunOptions, robot_plan_config, run_in_pool
+from frogkick.runs.record import run_log
+from frogkick.tables.image import Tables, read_image
+from frogkick_codegen.firmware import build
+from frogkick_studies.kept import Lines
+from frogkick_studies.planted import NULL, OUTSIDE, OUTSIDE_FILE, OUTSIDE_TEXT, Kind, Table, kinds
+
+TRAIN, TEST = ("sine", "ellipse", "line"), ("bends",)
+
+HURRY = 0.5
+"""Of the planner's weight of progress so much on the test path: other actions in another order, slower."""
+TIME_LIMIT_S = 60.0
+
+GROUP = 24
+"""Cases that a process does before their results are written: towards its end batches are less full."""
+
+
+@dataclass(frozen=True)
+class Case:
+    """A kind by its name, and a seed for its parameters and the camera's noise."""
+
+    kind: str
+    seed: int
+
+    @property
+    def key(self) -> str:
+        """Names it in the file of results."""
+        return f"{self.kind}/{self.seed}"
+
+
+@dataclass(frozen=True)
+class Result:
+    """What came of a case.
+
+    Attributes:
+        verdict: as given.
+        right: as asked for this group.
+        wrong: "found" although what was planted is not what was named; where nothing was planted, "partly
+            explained" as well.
+        planted, found: in words.
+        before, after, floor: position (m) and heading (rad) on the test run.
+        cpu_s: of identification.
+        inside, parameters: planted parameters of effects that were named: inside their intervals, and all.
+    """
+
+    verdict: str
+    right: bool
+    wrong: bool
+    planted: list[str]
+    found: list[str]
+    before: list[float]
+    after: list[float]
+    floor: list[float]
+    periods: int
+    cpu_s: float
+    inside: int = 0
+    parameters: int = 0
+
+    def as_json(self) -> dict[str, Any]:
+        """The keys of a case in the command ``study verdicts``."""
+        values = dataclasses.asdict(self)
+        return {"noise_floor": values.pop("floor"), **values, "cpu_s": round(self.cpu_s, 1)}
+
+
+def run_cases(
+    robot: Robot,
+    tables: Path,
+    cases: Sequence[Case],
+    out: Path,
+    workers: int = 1,
+    progress: Callable[[int, int], None] = lambda _done, _all: None,
+) -> dict[Case, Result]:
+    """Run every case; those that ``out`` holds already, of the same code, are not run again.
+
+    Args:
+        robot: nominal.
+        tables: what the robot plans with.
+        cases: what to run.
+        out: folder for results, firmware and the outside effects' file.
+        workers: processes.
+        progress: called with cases done and to do.
+
+    Raises:
+        FrogkickError: of the robot, the pool or the tables.
+    """
+    out.mkdir(parents=True, exist_ok=True)
+    write_text(out / OUTSIDE_FILE, OUTSIDE_TEXT)
+    library = build("native", tables, robot, out / "firmware").image
+    lines = Lines(out / "cases.jsonl", {"stamp": code_stamp("frogkick_studies"), "robot": robot.sha256.hex()})
+    kept = {values["key"]: Result(**values["result"]) for values in lines.values}
+    waiting = [case for case in cases if case.key not in kept]
+    progress(len(cases) - len(waiting), len(cases))
+    size = max(1, min(GROUP, -(-len(waiting) // workers)))
+    groups = [waiting[first : first + size] for first in range(0, len(waiting), size)]
+    job = Job(_start, (robot, tables, library, out), _run, lambda _ready: None)
+    for index, results in run_chunks(job, groups, workers):
+        for case, result in zip(groups[index], results, strict=True):
+            kept[case.key] = result
+            lines.add({"key": case.key, "result": dataclasses.asdict(result)})
+        progress(sum(case.key in kept for case in cases), len(cases))
+    return {case: kept[case.key] for case in cases}
+
+
+@dataclass(frozen=True)
+class _Ready:
+    robot: Robot
+    tables: Tables
+    library: Path
+    folder: Path
+
+
+def _start(robot: Robot, tables: Path, library: Path, folder: Path) -> _Ready:
+    return _Ready(robot, read_image(tables), library, folder)
+
+
+def swims_of(ready: _Ready, planted: Sequence[Table], seed: int, paths: Sequence[str]) -> list[Swim]:
+    """Runs of the simulated robot along paths in a world, as identification reads them from logs."""
+    swims = []
+    for index, name in enumerate(paths):
+        path = shape(name)
+        start = (float(path.x_m[0]), float(path.y_m[0]), float(path.tangent_rad[0]))
+        world = World(make_effects(planted, ready.folder))
+        pool = Pool(ready.robot, start, Camera(), np.random.default_rng([seed, index]), world)
+        config = robot_plan_config(ready.robot)
+        if name in TEST:
+            hurry = HURRY * config.progress_weight_per_m
+            config = dataclasses.replace(config, progress_weight_per_m=hurry)
+        options = RunOptions(config, time_limit_s=TIME_LIMIT_S)
+        port = NativeRobot(ready.library, len(ready.robot.limbs))
+        recording = run_in_pool(port, pool, ready.tables, path, options)
+        log = run_log(recording, pool, ready.robot, ready.tables, path, options, seed, "study verdicts")
+        swims.append(swim_of(dataclasses.replace(log, truth=None), f"{name}-{index}", ready.robot))
+    return swims
+
+
+def _run(ready: _Ready, cases: Sequence[Case]) -> list[Result]:
+    """Several cases, their simulations in shared batches: each comes out as it would alone."""
+    found: list[Result | None] = [None] * len(cases)
+    for index, result in all_at_once([partial(_run_one, ready, case) for case in cases]):
+        found[index] = result
+    return [result for result in found if result is not None]
+
+
+def _run_one(ready: _Ready, case: Case) -> Result:
+    kind = kinds()[case.kind]
+    seed = [case.seed, *case.kind.encode()]
+    planted = kind.draw(np.random.default_rng(seed))
+    every = swims_of(ready, planted, case.seed, [*TRAIN, *TEST])
+    begun_s = cpu_s()
+    outcome = identify(every[: len(TRAIN)], every[len(TRAIN) :], ready.robot)
+    return judged(kind, planted, outcome, cpu_s() - begun_s)
+
+
+def judged(kind: Kind, planted: Sequence[Table], outcome: Outcome, cpu_s: float) -> Result:
+    """Hold an outcome against what was planted."""
+    named = [recovered(table, outcome) for table in planted]
+    held = [
+        p.holds(float(table[p.name]))
+        for table in planted
+        for _, p in _named(table, outcome)
+        if p.name in table and outcome.verdict == FOUND
+    ]
+    titles = {term.name for term in outcome.terms}
+    equivalent = bool(kind.alike) and outcome.verdict == FOUND and titles <= set(kind.alike)
+    if kind.group == NULL:
+        right = outcome.verdict == NOTHING
+        wrong = outcome.verdict in (FOUND, PARTLY)
+    elif kind.group == OUTSIDE:
+        # What helps and leaves more than noise may be said of an effect that nobody knows.
+        right = outcome.verdict in (UNEXPLAINED, PARTLY) or equivalent
+        wrong = outcome.verdict == FOUND and not equivalent
+    else:
+        right = outcome.verdict == FOUND and (all(named) or equivalent)
+        wrong = outcome.verdict == FOUND and not (all(named) or equivalent)
+    before, after, floor = (
+        [error.position_rmse_m, error.heading_rmse_rad]
+        for error in (outcome.tested.before, outcome.tested.after, outcome.tested.noise_floor)
+    )
+    return Result(
+        outcome.verdict,
+        right,
+        wrong,
+        [_words(table) for table in planted],
+        [
+            f"{term.title}: "
+            + ", ".join(f"{p.name} {p.value:.4g} [{p.low:.4g}, {p.high:.4g}]" for p in row)
+            + (f" (or {', '.join(others)})" if others else "")
+            for term, row, others in zip(
+                outcome.terms, outcome.parameters, outcome.found.alike if outcome.found else [], strict=True
+            )
+        ],
+        before,
+        after,
+        floor,
+        sum(len(swim.start_s) for swim in outcome.train),
+        cpu_s,
+        sum(held),
+        len(held),
+    )
+
+
+def _words(table: Table) -> str:
+    values = ", ".join(
+        f"{key} {value}" for key, value in table.items() if key not in ("name", "file", "class")
+    )
+    return f"{table.get('name') or table.get('class')}: {values}"
+
+
+def recovered(table: Table, outcome: Outcome) -> bool:
+    """An effect is among those found, and none of its parameters is FAR from what was planted.
+
+    How many are inside their intervals is counted beside it: one of 95 % misses one value of twenty.
+    """
+    row = _named(table, outcome)
+    return bool(row) and all(
+        p.holds(float(table.get(p.name, parameter.nominal)), FAR) for parameter, p in row
+    )
+
+
+def _named(table: Table, outcome: Outcome) -> list[tuple[Parameter, Interval]]:
+    """The parameters of the effect that was found for this one, and their values; none where it was not."""
+    for term, row in zip(outcome.terms, outcome.parameters, strict=True):
+        options = dict(term.table)
+        same = all(options[key] == table[key] for key in options if key in table)
+        if term.name == table.get("name") and same:
+            return list(zip(term.parameters, row, strict=True))
+    return []

@@ -1,0 +1,111 @@
+"""Each run predicted by what the others show: nothing of itself is learned from, all periods count once."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from tests.conftest import count
+from tests.identification.made import WORN, make_run, robot
+from typer.testing import CliRunner
+
+from frogkick.cli.app import app
+from frogkick.core.errors import InputError
+from frogkick.identification import choice as choice_module
+from frogkick.identification import outcome as outcome_module
+from frogkick.identification.outcome import identify
+from frogkick.identification.swim import read_swim
+from frogkick.identification.terms import catalogue
+from frogkick.identification.verdict import Error
+from frogkick.robot import load_robot
+from frogkick.runs.runlog_file import write_run
+from frogkick_studies import heldout
+from frogkick_studies.heldout import HeldOut, held_out, pooled
+
+CURRENT = {"name": "steady_current", "x_mps": 0.008, "y_mps": -0.004}
+PLANTED = WORN if count(0, 0, 1) else CURRENT  # in make test what still water is quicker to simulate with
+PERIODS = (14, 12, 10)
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    """Three runs with the same effect."""
+    folder = tmp_path_factory.mktemp("runs")
+    files = [folder / f"run{seed}.h5" for seed in range(len(PERIODS))]
+    for seed, (file, periods) in enumerate(zip(files, PERIODS, strict=True)):
+        write_run(file, make_run([PLANTED], seed, periods))
+    return files
+
+
+@pytest.fixture
+def candidates(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Few candidates in make test, and no robots of the same body: the search as it is, in a minute."""
+    if few := count(0, 0, 2):
+        some = [term for term in catalogue(robot()) if term.name == "steady_current"]
+        some += [term for term in catalogue(robot()) if "limb_wear rear" in term.title][: few - 1]
+        monkeypatch.setattr(outcome_module, "catalogue", lambda *_: some)
+        monkeypatch.setattr(choice_module, "relatives", lambda _robot: {})
+
+
+@pytest.mark.usefixtures("candidates")
+def test_each_run_is_predicted_by_what_the_others_show(runs: list[Path], tmp_path: Path) -> None:
+    out = tmp_path / "heldout.png"
+    toml = tmp_path / "robot.toml"
+    toml.write_text(robot().toml, encoding="utf-8")
+    asked = ["study", "heldout", *map(str, runs), "--robot", str(toml), "--out", str(out), "--workers", "1"]
+    told = CliRunner().invoke(app, [*asked, "--json"])
+    assert told.exit_code == 0, told.stderr
+    values = json.loads(told.stdout)
+    assert out.read_bytes().startswith(b"\x89PNG")
+    assert [row["run"] for row in values["runs"]] == [str(run) for run in runs]
+    assert values["periods"] == sum(row["periods"] for row in values["runs"]) > sum(PERIODS) - 6
+    for row in values["runs"]:
+        assert row["effects"] == [" ".join(str(PLANTED[key]) for key in ("name", "limb") if key in PLANTED)]
+        assert row["after"]["position_rmse_m"] < 0.2 * row["before"]["position_rmse_m"]
+    whole = values["after"]["position_rmse_m"]
+    squares = [row["periods"] * row["after"]["position_rmse_m"] ** 2 for row in values["runs"]]
+    assert whole == pytest.approx(np.sqrt(sum(squares) / values["periods"]))
+
+    swims = [read_swim(run, robot()) for run in runs]
+    alone = identify(swims[:2], swims[2:], robot())
+    assert values["runs"][2]["after"] == alone.tested.after.as_json(), "the same as identify by itself"
+
+
+def test_no_value_of_a_robot_measured_before_enters(
+    runs: list[Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The built-in measured robot was fitted to the very runs that are kept back here."""
+    asked: list[bool] = []
+
+    def spied(*given: Any, measured: bool = True) -> Any:
+        asked.append(measured)
+        raise InputError("enough")
+
+    monkeypatch.setattr(heldout, "identify", spied)
+    with pytest.raises(InputError, match="enough"):
+        held_out(load_robot("frog2022"), runs)
+    assert asked and not any(asked)
+
+
+def test_periods_weigh_the_same_whatever_run_they_are_of() -> None:
+    assert pooled([Error(3.0, 0.0), Error(0.0, 1.0)], [1, 8]) == Error(1.0, pytest.approx((8 / 9) ** 0.5), 9)
+
+
+def test_what_is_asked_wrongly_is_refused(runs: list[Path]) -> None:
+    robot = load_robot("frog2022")
+    with pytest.raises(InputError, match="give 3 runs or more, not 2"):
+        held_out(robot, runs[:2])
+    with pytest.raises(InputError, match=r"run0\.h5 is given twice"):
+        held_out(robot, [*runs, runs[0]])
+
+
+@pytest.mark.parametrize(("after_m", "code"), [(2e-3, 0), (3e-3, 0), (4e-3, 1)])
+def test_the_exit_code_says_whether_it_is_worse_than_nominal(
+    runs: list[Path], after_m: float, code: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    errors = (Error(3e-3, 0.02, 10), Error(after_m, 0.02, 10), Error(1e-3, 0.01))
+    monkeypatch.setattr(heldout, "held_out", lambda *_: [HeldOut(runs[0], "found", (), *errors)])
+    assert CliRunner().invoke(app, ["study", "heldout", *map(str, runs)]).exit_code == code

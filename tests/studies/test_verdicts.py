@@ -1,0 +1,162 @@
+"""Planted worlds: all can be made, and what was found is held against them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, cast
+
+import numpy as np
+import pytest
+from tests.conftest import count
+from tests.identification.made import robot
+from tests.runs import rig
+
+from frogkick.core.chunks import run_chunks
+from frogkick.effects import changed_robot, make_effects
+from frogkick.identification import choice as choice_module
+from frogkick.identification import outcome as outcome_module
+from frogkick.identification.outcome import Outcome
+from frogkick.identification.terms import Term, catalogue
+from frogkick.identification.verdict import FOUND, NOTHING, PARTLY, UNEXPLAINED, Error, Interval
+from frogkick.robot import load_robot
+from frogkick_studies import verdicts
+from frogkick_studies.identification_studies import VerdictStudy, cases_of
+from frogkick_studies.planted import NULL, OUTSIDE, OUTSIDE_FILE, OUTSIDE_TEXT, kinds
+from frogkick_studies.verdicts import Case, Result, judged, recovered, run_cases
+from frogkick_studies.verdicts_figure import verdicts_figure
+
+ROBOT = load_robot("frog2022")
+
+
+@pytest.mark.parametrize("name", kinds())
+def test_every_world_can_be_made(name: str, tmp_path: Path) -> None:
+    (tmp_path / OUTSIDE_FILE).write_text(OUTSIDE_TEXT)
+    kind = kinds()[name]
+    for seed in range(20):
+        tables = kind.draw(np.random.default_rng(seed))
+        changed_robot(ROBOT, make_effects(tables, tmp_path))
+        assert [("file" in table) for table in tables] == [kind.group == OUTSIDE] * len(tables)
+    assert bool(tables) == (kind.group != NULL)
+
+
+def outcome(verdict: str, *found: tuple[str, dict[str, tuple[float, float]]]) -> Outcome:
+    """An outcome with effects by title and the intervals of their parameters."""
+    terms: list[Term] = []
+    rows = []
+    for title, ends in found:
+        terms.append(next(each for each in catalogue(ROBOT) if each.title == title))
+        rows.append(
+            [
+                Interval(p.name, p.nominal, *ends.get(p.name, (p.low, p.high)), p.unit)
+                for p in terms[-1].parameters
+            ]
+        )
+    error = Error(1e-3, 1e-2)
+    scored = SimpleNamespace(before=error, after=error, noise_floor=error)
+    given = SimpleNamespace(
+        verdict=verdict,
+        terms=terms,
+        parameters=rows,
+        found=SimpleNamespace(alike=[[] for _ in terms]),
+        tested=scored,
+        train=[],
+    )
+    return cast(Any, given)
+
+
+def test_found_means_the_right_effect_with_no_parameter_far_off() -> None:
+    worn = {"name": "limb_wear", "limb": "rear_left", "gain": 0.7}
+    right = outcome(FOUND, ("limb_wear rear_left", {"gain": (0.68, 0.72)}))
+    beside = outcome(FOUND, ("limb_wear rear_left", {"gain": (0.71, 0.75)}))
+    far = outcome(FOUND, ("limb_wear rear_left", {"gain": (0.73, 0.75)}))
+    late = outcome(FOUND, ("limb_wear rear_left", {"gain": (0.68, 0.72), "delay_s": (0.01, 0.02)}))
+    other = outcome(FOUND, ("limb_wear rear_right", {"gain": (0.68, 0.72)}))
+    assert recovered(worn, right) and recovered(worn, beside)
+    assert not any(recovered(worn, each) for each in (far, late, other))
+    kind = kinds()["wear"]
+    told = [judged(kind, [worn], each, 1.0) for each in (right, beside, far, other)]
+    assert [result.right for result in told] == [True, True, False, False]
+    assert [(result.inside, result.parameters) for result in told] == [(1, 1), (0, 1), (0, 1), (0, 0)]
+    many = VerdictStudy({Case("wear", seed): result for seed, result in enumerate([told[0]] * 97 + told[1:])})
+    assert many.groups["one"] == {
+        "cases": 100, "right": 98, "wrongly_found": 2, "parameters": 99, "inside": 97, "passed": True,
+    }  # fmt: skip
+    many = VerdictStudy(
+        {Case("wear", seed): result for seed, result in enumerate([told[0]] * 97 + [told[3]] * 3)}
+    )
+    assert many.groups["one"]["right"] == 97 and not many.passed, "three of a hundred are wrong"
+    assert judged(kind, [worn], other, 1.0).wrong
+    missed = judged(kind, [worn], outcome(UNEXPLAINED), 1.0)
+    assert not missed.right and not missed.wrong
+
+
+def test_outside_effects_may_be_named_by_what_is_the_same() -> None:
+    whirl, waves = kinds()["whirl"], kinds()["waves"]
+    shear = outcome(FOUND, ("shear_current", {}))
+    assert judged(whirl, [], shear, 1.0).right
+    assert judged(waves, [], shear, 1.0).wrong
+    assert judged(waves, [], outcome(UNEXPLAINED, ("shear_current", {})), 1.0).right
+    partly = outcome(PARTLY, ("shear_current", {}))
+    assert judged(waves, [], partly, 1.0).right and judged(kinds()["null"], [], partly, 1.0).wrong
+    assert not judged(kinds()["shear"], [], partly, 1.0).right
+    null = kinds()["null"]
+    assert judged(null, [], outcome(NOTHING), 1.0).right and judged(null, [], shear, 1.0).wrong
+    results = {Case("whirl", 0): judged(whirl, [], shear, 1.0)}
+    assert len(verdicts_figure(results).axes) == 2
+
+
+def test_cases_are_so_many_of_each_kind_or_of_each_group() -> None:
+    names = ["null", "wear", "current", "lens"]
+    assert [case.key for case in cases_of(names[:2], 3, 2, None)] == ["null/3", "wear/3", "null/4", "wear/4"]
+    keys = [case.key for case in cases_of(names, 1, 99, 3)]
+    assert keys == [
+        "null/1",
+        "null/2",
+        "null/3",
+        "wear/1",
+        "current/1",
+        "wear/2",
+        "lens/1",
+        "lens/2",
+        "lens/3",
+    ]
+    every = cases_of(list(kinds()), 0, 99, 100)
+    assert len(set(every)) == 100 * len({kind.group for kind in kinds().values()}) == 400
+
+
+def test_a_stopped_study_goes_on_where_it_was(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """In make test with a path to learn from, and two candidates."""
+    if few := count(0, 0, 2):
+        monkeypatch.setattr(verdicts, "TRAIN", ("sine",))
+        monkeypatch.setattr(outcome_module, "catalogue", lambda *_: catalogue(robot())[:few])
+        monkeypatch.setattr(choice_module, "relatives", lambda _robot: {})
+    case = Case("null", 0)
+    asked: list[int] = []
+
+    class Stopped(Exception):
+        pass
+
+    def run(out: Path) -> Result:
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(verdicts, "build", lambda target, *_: rig.firmware(target))
+            patch.setattr(verdicts, "run_chunks", counted)
+            return run_cases(robot(), rig.small_table(), [case], out)[case]
+
+    def counted(job: Any, groups: list[Any], workers: int) -> Iterator[tuple[int, Any]]:
+        asked.append(len(groups))
+        if asked[1:] and groups:
+            raise Stopped
+        return run_chunks(job, groups, workers)
+
+    first = run(tmp_path)
+    file = tmp_path / "cases.jsonl"
+    whole = file.read_text(encoding="utf-8")
+    assert run(tmp_path) == first and file.read_text(encoding="utf-8") == whole
+    assert asked == [1, 0], "what is kept is not run again"
+
+    file.write_text(whole[:-40], encoding="utf-8")
+    with pytest.raises(Stopped):
+        run(tmp_path)
+    assert asked == [1, 0, 1], "a line that a stop cut is run again"

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from frogkick.core.files import write_bytes
+from frogkick.core.poses import PredictionError
 from frogkick.effects import World
 from frogkick.effects.registry import make_effects
 from frogkick.identification.outcome import Outcome, identify, write_robot
@@ -122,15 +123,9 @@ class Ring:
         return float(np.mean([run.tracking.mean_distance_m for run in self.runs]))
 
     @property
-    def missed(self) -> dict[str, float | int]:
+    def missed(self) -> PredictionError:
         """Prediction error one period ahead, over all paths."""
-        position = np.concatenate([run.missed.position_body_m for run in self.runs])
-        heading = np.concatenate([run.missed.heading_rad for run in self.runs])
-        return {
-            "position_rmse_m": float(np.sqrt((position**2).sum(axis=1).mean())),
-            "heading_rmse_rad": float(np.sqrt((heading**2).mean())),
-            "periods": len(heading),
-        }
+        return PredictionError.of(np.concatenate([run.missed.gap_body for run in self.runs]))
 
 
 def go_round(

@@ -15,6 +15,7 @@ from tests.conftest import count
 from frogkick.cli.identify import spread
 from frogkick.cli.main import run_command
 from frogkick.core.errors import InputError
+from frogkick.core.poses import PredictionError
 from frogkick.effects.acting import LEG_S
 from frogkick.identification.filter import Filter, Noise, Series, likeliest, surprise
 from frogkick.identification.fit import Model, fit_many, tracks_of
@@ -27,7 +28,6 @@ from frogkick.identification.verdict import (
     FOUND,
     NOTHING,
     TOO_LITTLE,
-    error_of,
     fix_noise,
     gaps,
     intervals,
@@ -80,7 +80,7 @@ def test_likeliest_noise_is_the_one_that_made_the_series() -> None:
 
 def test_predictions_meet_the_truth(whole: list[Swim]) -> None:
     _, _, fitted = countable(whole, robot())
-    before = error_of(gaps(fitted.tracks, whole))
+    before = PredictionError.of(gaps(fitted.tracks, whole))
     fix = fix_noise(whole)
     assert fix is not None
     floor = noise_floor(whole, fix)
@@ -155,8 +155,8 @@ def test_effects_of_the_camera_act_on_what_is_shown() -> None:
     terms = (term("fix_latency").at((0.1,)), term("camera_scale").at((1.1,)))
     noise = Noise((2e-4, 3.5e-3), (1e-4, 1e-3), (1e-4, 1e-3))
     with_both, without = tracks_of([Model(robot(), terms, noise), Model(robot(), (), noise)], swims)
-    assert error_of(gaps(with_both, swims)).position_rmse_m < 0.6e-3
-    assert error_of(gaps(without, swims)).position_rmse_m > count(20, 20, 18) * 1e-4
+    assert PredictionError.of(gaps(with_both, swims)).position_rmse_m < 0.6e-3
+    assert PredictionError.of(gaps(without, swims)).position_rmse_m > count(20, 20, 18) * 1e-4
 
 
 def test_fit_needs_no_luck_with_its_start(worn: list[Swim]) -> None:

@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from made import make_swim, robot
 from tests.conftest import count
 
+from frogkick.core.poses import PredictionError
 from frogkick.identification import relatives as module
 from frogkick.identification.filter import Noise
 from frogkick.identification.fit import Model, derivatives, tracks_of
@@ -21,7 +22,7 @@ from frogkick.identification.relatives import best_end_cost, end_cost, refitted,
 from frogkick.identification.search import countable
 from frogkick.identification.swim import read_swim
 from frogkick.identification.terms import catalogue
-from frogkick.identification.verdict import error_of, gaps
+from frogkick.identification.verdict import gaps
 from frogkick.identification.worth import BASE_GAIN
 from frogkick.robot import load_robot
 
@@ -140,7 +141,7 @@ def test_effects_fitted_to_recorded_runs_predict_another_one(
     fitted = refitted(nominal, start, train, rows)
     assert fitted is not None
     after, before = (
-        error_of(gaps(tracks, test)) for tracks in tracks_of([fitted.model, nominal.model], test)
+        PredictionError.of(gaps(tracks, test)) for tracks in tracks_of([fitted.model, nominal.model], test)
     )
     assert before.heading_rmse_rad > np.radians(6.0) and before.position_rmse_m > 0.007
     assert after.heading_rmse_rad < np.radians(4.5) and after.position_rmse_m < 0.006

@@ -16,6 +16,7 @@ from made import known_outcome, make_run, make_swim, robot, robot_option
 from frogkick.cli.main import run_command
 from frogkick.cli.retune import printed
 from frogkick.core.errors import InputError
+from frogkick.core.poses import PredictionError
 from frogkick.effects import make_effect
 from frogkick.front import retuning as command_module
 from frogkick.front.retuning import Retuning
@@ -34,7 +35,7 @@ from frogkick.identification.retune import (
 from frogkick.identification.swim import Swim, read_swim
 from frogkick.identification.tables import RESTED, Tracked, earlier_actions, table_error, table_horizons
 from frogkick.identification.terms import catalogue
-from frogkick.identification.verdict import FOUND, NOTHING, TOO_LITTLE, UNEXPLAINED, Error
+from frogkick.identification.verdict import FOUND, NOTHING, TOO_LITTLE, UNEXPLAINED
 from frogkick.robot import Robot, load_robot
 from frogkick.runs.runlog_file import write_run
 from frogkick.tables.image import read_image
@@ -181,12 +182,12 @@ def test_earlier_actions_are_forgotten_beyond_a_gap(swims: list[Swim]) -> None:
 
 
 def test_better_is_both_no_worse_and_one_by_more_than_chance() -> None:
-    old = Error(1e-3, 1e-2, 9)
-    assert is_better(old, Error(0.97e-3, 1e-2, 9)) and is_better(old, Error(1e-3, 0.9e-2, 9))
-    assert not is_better(old, old) and not is_better(old, Error(0.99e-3, 0.99e-2, 9))
-    assert not is_better(old, Error(0.5e-3, 1.01e-2, 9)) and not is_better(old, Error(1.01e-3, 0.5e-2, 9))
-    assert not is_better(old, Error(0.5e-3, 0.5e-2, 4))
-    assert not is_better(old, Error(np.nan, np.nan, 9))
+    old = PredictionError(1e-3, 1e-2, 9)
+    for better in ((0.97e-3, 1e-2, 9), (1e-3, 0.9e-2, 9)):
+        assert is_better(old, PredictionError(*better))
+    worse = ((0.99e-3, 0.99e-2, 9), (0.5e-3, 1.01e-2, 9), (1.01e-3, 0.5e-2, 9), (0.5e-3, 0.5e-2, 4))
+    for other in ((1e-3, 1e-2, 9), *worse, (np.nan, np.nan, 9)):
+        assert not is_better(old, PredictionError(*other))
 
 
 def test_the_last_run_is_held_out(swims: list[Swim]) -> None:

@@ -10,6 +10,7 @@ import pytest
 from made import make_swim, robot, term
 from tests.conftest import count, some
 
+from frogkick.core.poses import PredictionError
 from frogkick.der import WIDTH
 from frogkick.identification import choice
 from frogkick.identification.filter import Noise
@@ -19,7 +20,7 @@ from frogkick.identification.revise import same_named
 from frogkick.identification.search import Found, _fall, _Hunt, countable, folds_of, search
 from frogkick.identification.steps import _shrunk, cost_of, log_density, promised, scale_of
 from frogkick.identification.swim import Swim
-from frogkick.identification.verdict import FOUND, NOTHING, PARTLY, UNEXPLAINED, Error, Scored, intervals
+from frogkick.identification.verdict import FOUND, NOTHING, PARTLY, UNEXPLAINED, Scored, intervals
 
 NOISE = Noise((2e-4, 3.5e-3), (1e-4, 1e-3), (1e-4, 1e-3))
 
@@ -147,8 +148,8 @@ def test_a_relative_that_does_not_explain_all_is_held_against_a_search(
     """A robot at a wall is as far off as a hull from its drawing."""
     rows = np.ones(choice.SEARCHED_MOST + many, dtype=bool)
     verdicts = {"search": searched, "part": searched, "relative": related}
-    off = Error(*(2.0 * np.array(choice.FAR) if far else 0.5 * np.array(choice.FAR)).tolist(), 10)
-    near = Error(0.5 * off.position_rmse_m, 0.5 * off.heading_rmse_rad, 10)
+    off = PredictionError(*(2.0 * np.array(choice.FAR) if far else 0.5 * np.array(choice.FAR)).tolist(), 10)
+    near = PredictionError(0.5 * off.position_rmse_m, 0.5 * off.heading_rmse_rad, 10)
 
     def named(name: str) -> Any:
         return lambda *_args, **_more: name

@@ -15,6 +15,7 @@ from made import START_S, WORN, make_run, make_swim, robot, term
 from scipy.stats import t as student
 from tests.conftest import count
 
+from frogkick.core.poses import PredictionError
 from frogkick.identification import choice as choice_module
 from frogkick.identification import outcome as outcome_module
 from frogkick.identification.bootstrap import deviations, gain_by_chance, mean_interval, moved_by
@@ -30,7 +31,6 @@ from frogkick.identification.verdict import (
     NEAR_FLOOR,
     PARTLY,
     UNEXPLAINED,
-    Error,
     Gain,
     Scored,
     fix_noise,
@@ -96,8 +96,10 @@ def test_effects_that_make_predictions_worse_are_never_found(
     low: float,
     quiet: bool,
 ) -> None:
-    tested = Scored(Error(*before, 40), Error(*after, 40), Error(*floor), Gain(low + 1.0, low, low + 2.0))
-    trained = Scored(Error(*before, 40), Error(*floor, 40) if quiet else Error(1.0, 1.0, 40), Error(*floor))
+    first, last, least = PredictionError(*before, 40), PredictionError(*after, 40), PredictionError(*floor)
+    tested = Scored(first, last, least, Gain(low + 1.0, low, low + 2.0))
+    left = PredictionError(*floor, 40) if quiet else PredictionError(1.0, 1.0, 40)
+    trained = Scored(first, left, least)
     found: Any = SimpleNamespace(fitted=SimpleNamespace(model=SimpleNamespace(terms=("one",))))
     verdict = verdict_of(found, trained, tested)
     worse = any(

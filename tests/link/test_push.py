@@ -17,9 +17,10 @@ from tests.planner import synthetic
 from tests.runs import rig
 
 from frogkick.core.files import write_bytes
+from frogkick.core.poses import PredictionError
 from frogkick.identification import retune as retune_module
 from frogkick.identification.retune import BEFORE, TABLES, Retuned
-from frogkick.identification.verdict import FOUND, Error
+from frogkick.identification.verdict import FOUND
 from frogkick.runs.runlog_file import write_run
 
 OLD, NEW, OTHER = (synthetic.affine_image(20, 9, seed) for seed in (1, 2, 3))
@@ -130,7 +131,7 @@ def retuned(
         out.mkdir()
         write_bytes(out / BEFORE, before)
         write_bytes(out / (TABLES if better else "refused.fkt"), after)
-        errors = [Error(0.002, 0.01, 10), Error(0.001, 0.005, 10)]
+        errors = [PredictionError(0.002, 0.01, 10), PredictionError(0.001, 0.005, 10)]
         outcome: Any = Known()
         reason = "" if better else "no better"
         tables = {"file": str(out / TABLES), "bytes": len(after), "states": 20}

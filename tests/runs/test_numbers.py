@@ -67,10 +67,10 @@ def synthetic_run(offset_body_m: tuple[float, float], turn_rad: float) -> RunLog
 def test_residual_is_the_offset_that_was_put_in(offset: tuple[float, float], turn: float) -> None:
     missed = residual(synthetic_run(offset, turn))
     # The pool's poses are interpolated between pictures: 20 ms on this circle make some 5 um.
-    assert np.allclose(missed.position_body_m, offset, atol=2e-5)
-    assert np.allclose(missed.heading_rad, turn, atol=1e-9)
-    assert missed.position_rmse_m == pytest.approx(np.hypot(*offset), abs=2e-5)
-    assert missed.heading_rmse_rad == pytest.approx(abs(turn), abs=1e-9)
+    assert np.allclose(missed.gap_body[:, :2], offset, atol=2e-5)
+    assert np.allclose(missed.gap_body[:, 2], turn, atol=1e-9)
+    assert missed.error.position_rmse_m == pytest.approx(np.hypot(*offset), abs=2e-5)
+    assert missed.error.heading_rmse_rad == pytest.approx(abs(turn), abs=1e-9)
     assert len(missed.time_s) == len(synthetic_run(offset, turn).decisions)
 
 

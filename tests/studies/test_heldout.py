@@ -14,12 +14,12 @@ from typer.testing import CliRunner
 
 from frogkick.cli.app import app
 from frogkick.core.errors import InputError
+from frogkick.core.poses import PredictionError
 from frogkick.identification import choice as choice_module
 from frogkick.identification import outcome as outcome_module
 from frogkick.identification.outcome import identify
 from frogkick.identification.swim import read_swim
 from frogkick.identification.terms import catalogue
-from frogkick.identification.verdict import Error
 from frogkick.robot import load_robot
 from frogkick.runs.runlog_file import write_run
 from frogkick_studies import heldout
@@ -91,7 +91,8 @@ def test_no_value_of_a_robot_measured_before_enters(
 
 
 def test_periods_weigh_the_same_whatever_run_they_are_of() -> None:
-    assert pooled([Error(3.0, 0.0), Error(0.0, 1.0)], [1, 8]) == Error(1.0, pytest.approx((8 / 9) ** 0.5), 9)
+    found = pooled([PredictionError(3.0, 0.0), PredictionError(0.0, 1.0)], [1, 8])
+    assert found == PredictionError(1.0, pytest.approx((8 / 9) ** 0.5), 9)
 
 
 def test_what_is_asked_wrongly_is_refused(runs: list[Path]) -> None:
@@ -106,6 +107,6 @@ def test_what_is_asked_wrongly_is_refused(runs: list[Path]) -> None:
 def test_the_exit_code_says_whether_it_is_worse_than_nominal(
     runs: list[Path], after_m: float, code: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    errors = (Error(3e-3, 0.02, 10), Error(after_m, 0.02, 10), Error(1e-3, 0.01))
+    errors = [PredictionError(at_m, 0.02, 10) for at_m in (3e-3, after_m)] + [PredictionError(1e-3, 0.01)]
     monkeypatch.setattr(heldout, "held_out", lambda *_: [HeldOut(runs[0], "found", (), *errors)])
     assert CliRunner().invoke(app, ["study", "heldout", *map(str, runs)]).exit_code == code

@@ -14,12 +14,13 @@ from tests.identification.made import robot
 from tests.runs import rig
 
 from frogkick.core.chunks import run_chunks
+from frogkick.core.poses import PredictionError
 from frogkick.effects import changed_robot, make_effects
 from frogkick.identification import choice as choice_module
 from frogkick.identification import outcome as outcome_module
 from frogkick.identification.outcome import Outcome
 from frogkick.identification.terms import Term, catalogue
-from frogkick.identification.verdict import FOUND, NOTHING, PARTLY, UNEXPLAINED, Error, Interval
+from frogkick.identification.verdict import FOUND, NOTHING, PARTLY, UNEXPLAINED, Interval
 from frogkick.robot import load_robot
 from frogkick_studies import verdicts
 from frogkick_studies.identification_studies import VerdictStudy, cases_of
@@ -53,7 +54,7 @@ def outcome(verdict: str, *found: tuple[str, dict[str, tuple[float, float]]]) ->
                 for p in terms[-1].parameters
             ]
         )
-    error = Error(1e-3, 1e-2)
+    error = PredictionError(1e-3, 1e-2)
     scored = SimpleNamespace(before=error, after=error, noise_floor=error)
     given = SimpleNamespace(
         verdict=verdict,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -45,8 +44,7 @@ def _closing_lines(done: Demonstration) -> list[str]:
     hidden = ", ".join(str(value) for value in closing.planted.values())
     lines = [f"hidden: {hidden}; verdict: {closing.outcome.verdict} ({', '.join(found) or 'no effect'})"]
     lines += [
-        f"{name:8s} {1e3 * error.position_rmse_m:.2f} mm, {math.degrees(error.heading_rmse_rad):.2f} deg RMS "
-        "a period ahead on the run kept out of learning"
+        f"{name:8s} {error} RMS a period ahead on the run kept out of learning"
         for name, error in (("before", tested.before), ("after", tested.after), ("noise", tested.noise_floor))
     ]
     if closing.new:

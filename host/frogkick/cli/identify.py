@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -15,13 +14,13 @@ from frogkick.cli.options import NominalOption
 from frogkick.core.files import require_writable
 
 if TYPE_CHECKING:
-    from frogkick.front.identifying import Error, Horizon, Outcome
+    from frogkick.front.identifying import Horizon, Outcome
 
 
 def horizon_line(horizon: Horizon) -> str:
     """Errors some periods ahead, in words."""
-    before, after = _error(horizon.before), _error(horizon.after)
-    return f"{horizon.periods} periods ahead: {before} before, {after} after ({horizon.before.count} starts)"
+    before, after = horizon.before, horizon.after
+    return f"{horizon.periods} periods ahead: {before} before, {after} after ({before.count} starts)"
 
 
 def _text(outcome: Outcome) -> str:
@@ -35,7 +34,7 @@ def _text(outcome: Outcome) -> str:
             ("after", outcome.tested.after),
             ("noise floor", outcome.tested.noise_floor),
         ):
-            lines.append(f"{name}: {_error(error)} RMS a period ahead")
+            lines.append(f"{name}: {error} RMS a period ahead")
         lines += _beside(outcome)
         lines += [horizon_line(each) for each in outcome.horizons if each.periods > 1]
         lines.append(str(outcome.signature["text"]))
@@ -50,18 +49,14 @@ def _beside(outcome: Outcome) -> list[str]:
         gain = tested.gain
         lines.append(f"log score gain: {gain.value:.2f} [{gain.low:.2f}, {gain.high:.2f}] nats a period")
     if tested.repeatability.count:
-        lines.append(f"repeatability: {_error(tested.repeatability)} RMS between strokes at like states")
+        lines.append(f"repeatability: {tested.repeatability} RMS between strokes at like states")
     if outcome.followed is not None:
         followed = outcome.followed
-        both = f"{_error(followed.before)} before, {_error(followed.after)} after"
+        both = f"{followed.before} before, {followed.after} after"
         lines.append(f"with drift followed in each run: {both}")
     if outcome.dropped:
         lines.append(f"dropped, as the test runs are no likelier with it: {', '.join(outcome.dropped)}")
     return lines
-
-
-def _error(error: Error) -> str:
-    return f"{1e3 * error.position_rmse_m:.2f} mm, {math.degrees(error.heading_rmse_rad):.2f} deg"
 
 
 def command(

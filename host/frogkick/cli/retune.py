@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -87,10 +86,7 @@ def printed(made: Retuning, push: str | None = None) -> str:
         lines.append(f"effect {term.title}: {values}")
     for name, error in (("old", result.before), ("new", result.after)):
         if error.count:
-            lines.append(
-                f"{name} tables: {1e3 * error.position_rmse_m:.2f} mm, "
-                f"{math.degrees(error.heading_rmse_rad):.2f} deg RMS a period ahead ({error.count} periods)"
-            )
+            lines.append(f"{name} tables: {error} RMS a period ahead ({error.count} periods)")
     if result.loop is not None:
         for name, tracked in zip(("old", "new"), result.loop, strict=True):
             lines.append(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -45,17 +44,15 @@ def heldout(
 
 
 def _text(values: dict[str, Any]) -> str:
+    from frogkick.core.poses import PredictionError
+
     lines = []
     for name, of in [*((Path(row["run"]).name, row) for row in values["runs"]), ("all", values)]:
         titles = (("nominal", "before"), ("after", "after"), ("noise floor", "noise_floor"))
-        errors = ", ".join(f"{title} {_words(of[key])}" for title, key in titles)
+        errors = ", ".join(f"{title} {PredictionError(**of[key])}" for title, key in titles)
         found = f"; {of['verdict']}: {', '.join(of['effects']) or 'no effect'}" if "verdict" in of else ""
         lines.append(f"{name}: {errors} over {of['periods']} periods{found}")
     return "\n".join(lines)
-
-
-def _words(error: dict[str, float]) -> str:
-    return f"{1e3 * error['position_rmse_m']:.2f} mm {math.degrees(error['heading_rmse_rad']):.2f} deg"
 
 
 def register(app: typer.Typer) -> None:

@@ -40,6 +40,38 @@ class Fix:
         return np.array([self.x_m, self.y_m, self.heading_rad], dtype=np.float32)
 
 
+@dataclass(frozen=True)
+class PredictionError:
+    """How far predicted poses are off, root mean square over ``count`` predictions; NaN: none is known."""
+
+    position_rmse_m: float = math.nan
+    heading_rmse_rad: float = math.nan
+    count: int = 0
+
+    @classmethod
+    def of(cls, gap: Float64) -> PredictionError:
+        """Of (n, 3) measured minus predicted poses, headings wrapped; rows with a NaN are left out."""
+        known = gap[np.isfinite(gap).all(axis=1)]
+        if not len(known):
+            return cls()
+        return cls(
+            float(np.sqrt((known[:, :2] ** 2).sum(axis=1).mean())),
+            float(np.sqrt((known[:, 2] ** 2).mean())),
+            len(known),
+        )
+
+    def as_json(self) -> dict[str, float]:
+        """The keys of the commands."""
+        return {"position_rmse_m": self.position_rmse_m, "heading_rmse_rad": self.heading_rmse_rad}
+
+    def __str__(self) -> str:
+        return f"{self:.2f}"
+
+    def __format__(self, spec: str) -> str:
+        place, turn = 1e3 * self.position_rmse_m, math.degrees(self.heading_rmse_rad)
+        return f"{place:{spec or '.2f'}} mm and {turn:{spec or '.2f'}} degrees"
+
+
 def wrap_angle(angle_rad: ArrayLike) -> Float64:
     """Wrap angles to (-pi, pi], in float64, same shape as given."""
     angle = np.asarray(angle_rad, dtype=np.float64)

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from frogkick.core.errors import InputError
+from frogkick.core.poses import PredictionError
 from frogkick.core.progress import progress_bar
 from frogkick.front.html import page_of
 from frogkick.front.running import Run
@@ -22,10 +23,10 @@ from frogkick.identification.outcome import (
 from frogkick.identification.outcome import identify as find
 from frogkick.identification.retune import steps
 from frogkick.identification.swim import Swim, read_swim, swim_of
-from frogkick.identification.verdict import Error, Interval
+from frogkick.identification.verdict import Interval
 from frogkick.robot import Robot, load_robot, parse_robot
 
-__all__ = ["Error", "FoundEffect", "Horizon", "Identification", "Interval", "Outcome", "identify"]
+__all__ = ["FoundEffect", "Horizon", "Identification", "Interval", "Outcome", "identify"]
 
 
 @dataclass(frozen=True)
@@ -79,18 +80,18 @@ class Identification:
         )
 
     @property
-    def before(self) -> Error:
+    def before(self) -> PredictionError:
         """Error of the nominal model a period ahead on the test runs: ``position_rmse_m``,
         ``heading_rmse_rad``."""
         return self.outcome.tested.before
 
     @property
-    def after(self) -> Error:
+    def after(self) -> PredictionError:
         """The same with the effects found."""
         return self.outcome.tested.after
 
     @property
-    def noise_floor(self) -> Error:
+    def noise_floor(self) -> PredictionError:
         """What is left for any model, because position fixes scatter."""
         return self.outcome.tested.noise_floor
 
@@ -135,10 +136,7 @@ class Identification:
             )
             rows[" ".join([effect.name, *map(str, effect.options.values())])] = told
         for name in ("before", "after", "noise_floor"):
-            error: Error = getattr(self, name)
-            rows[name] = (
-                f"{1e3 * error.position_rmse_m:.2f} mm, {57.29578 * error.heading_rmse_rad:.2f} degrees"
-            )
+            rows[name] = str(getattr(self, name))
         if self.outcome.found is None:
             return page_of("Identification", rows)
         from frogkick.report.identify_figures import error_figure

@@ -14,10 +14,11 @@ from numpy.typing import NDArray
 
 from frogkick.core.errors import FrogkickError, InputError
 from frogkick.core.files import require_writable
+from frogkick.core.poses import PredictionError
 from frogkick.core.progress import Progress, shown
 from frogkick.effects import World, effects_of
 from frogkick.front.html import page_of
-from frogkick.front.identifying import Error, Given, LeftOut, Outcome, swim_of_given
+from frogkick.front.identifying import Given, LeftOut, Outcome, swim_of_given
 from frogkick.front.places import built_firmware
 from frogkick.front.robots import VIRTUAL, Pushed, push_table, require_target
 from frogkick.front.tables import Table, load_table
@@ -33,7 +34,7 @@ from frogkick.runs.trial import trials
 from frogkick.tables.image import open_image, read_image
 from frogkick_codegen.firmware import build, require_tools
 
-__all__ = ["BEFORE", "STATES", "TABLES", "Error", "Pushed", "Retuning", "retune"]
+__all__ = ["BEFORE", "STATES", "TABLES", "Pushed", "Retuning", "retune"]
 
 STATES = 800
 SAMPLING = "visited"
@@ -80,12 +81,12 @@ class Retuning:
         return self.found.reason
 
     @property
-    def before(self) -> Error:
+    def before(self) -> PredictionError:
         """Error of the old tables a period ahead on held-out periods; NaN where no new ones were made."""
         return self.found.before
 
     @property
-    def after(self) -> Error:
+    def after(self) -> PredictionError:
         """The same of the new tables."""
         return self.found.after
 

@@ -55,7 +55,7 @@ class Demonstration:
             "mean_distance_m": self.ring.mean_distance_m,
             "paths": self.paths,
             **self.closing.as_json(),  # before and after: see Closing
-            "table_missed": self.ring.missed,
+            "table_missed": {**self.ring.missed.as_json(), "periods": self.ring.missed.count},
             "chip_checks_passed": self.ring.chip.passed,
             "report": str(self.report),
         }

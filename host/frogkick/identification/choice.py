@@ -7,13 +7,14 @@ from dataclasses import replace
 
 import numpy as np
 
+from frogkick.core.poses import PredictionError
 from frogkick.identification.fit import derivatives, fit
 from frogkick.identification.relatives import best_end_cost, descended, end_cost, refitted, relatives
 from frogkick.identification.revise import needless, stability, without
 from frogkick.identification.search import Begun, Found, countable, folds_of, search
 from frogkick.identification.swim import Swim, part_of
 from frogkick.identification.terms import Term
-from frogkick.identification.verdict import FOUND, NOTHING, Error, Scored, scored, verdict_of
+from frogkick.identification.verdict import FOUND, NOTHING, Scored, scored, verdict_of
 from frogkick.identification.worth import GAIN_EACH
 from frogkick.robot import Robot
 
@@ -147,5 +148,5 @@ def _scored(found: Found, swims: Sequence[Swim]) -> Scored:
     return scored(found, swims, swims, found.nominal.tracks, found.fitted.tracks)
 
 
-def _pair(error: Error) -> tuple[float, float]:
+def _pair(error: PredictionError) -> tuple[float, float]:
     return error.position_rmse_m, error.heading_rmse_rad

@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from frogkick.core.poses import PredictionError
 from frogkick.der import WIDTH
 from frogkick.identification.fit import Model
 from frogkick.identification.gentle import Amid, gentle
 from frogkick.identification.predict import Course, Lane, Party, parties
 from frogkick.identification.swim import Swim
-from frogkick.identification.verdict import Error, error_of
 from frogkick.paths import wrap_angle
 from frogkick.robot import Robot
 
@@ -32,8 +32,8 @@ class Horizon:
     """Errors so many periods ahead, over the same starts without and with what was found."""
 
     periods: int
-    before: Error
-    after: Error
+    before: PredictionError
+    after: PredictionError
 
     def as_json(self) -> dict[str, Any]:
         """One of ``test.horizons``."""
@@ -66,7 +66,7 @@ def horizons_of(
             gaps.append(np.concatenate(parts) if parts else np.empty((0, 3)))
         known = np.isfinite(gaps[0]).all(axis=1) & np.isfinite(gaps[1]).all(axis=1)
         if known.any():
-            found.append(Horizon(periods, error_of(gaps[0][known]), error_of(gaps[1][known])))
+            found.append(Horizon(periods, *(PredictionError.of(gap[known]) for gap in gaps)))
     return found
 
 

@@ -16,6 +16,7 @@ import numpy as np
 
 from frogkick.core.errors import InputError
 from frogkick.core.files import write_text
+from frogkick.core.poses import PredictionError
 from frogkick.identification.choice import Progress, found_in, pruned
 from frogkick.identification.drift import Drift, drift_of
 from frogkick.identification.experiment import Experiment, experiment_of
@@ -31,10 +32,8 @@ from frogkick.identification.verdict import (
     FOUND,
     PARTLY,
     TOO_LITTLE,
-    Error,
     Interval,
     Scored,
-    error_of,
     fix_noise,
     gaps,
     intervals,
@@ -61,8 +60,8 @@ class Followed:
         nominal_tracks, tracks: of the runs.
     """
 
-    before: Error
-    after: Error
+    before: PredictionError
+    after: PredictionError
     nominal_tracks: list[Track]
     tracks: list[Track]
 
@@ -260,7 +259,7 @@ def _followed(
         list(some) if drift is None else drift.followed(some, test, robot)
         for drift, some in zip(drifts, (nominal_tracks, tracks), strict=True)
     ]
-    before, after = (error_of(gaps(each, test)) for each in moved)
+    before, after = (PredictionError.of(gaps(each, test)) for each in moved)
     return drifts[1], Followed(before, after, moved[0], moved[1])
 
 
@@ -268,9 +267,9 @@ def _only_predicted(train: Sequence[Swim], test: Sequence[Swim], robot: Robot, r
     """Too little to learn from: the test runs by the nominal model, at their usual noise."""
     model = Model(robot, (), Noise())
     tracks = tracks_of([model], test)[0]
-    error = error_of(gaps(tracks, test))
+    error = PredictionError.of(gaps(tracks, test))
     tested = Scored(error, error, noise_floor(test, fix_noise(test) or model.noise.fix))
-    unknown = Error(float("nan"), float("nan"))
+    unknown = PredictionError()
     trained = Scored(unknown, unknown, unknown)
     signed = {"text": f"not looked for: {reason}"}
     return Outcome(TOO_LITTLE, robot, train, test, None, [], trained, tested, tracks, tracks, signed, reason)

@@ -6,7 +6,6 @@ libraries.
 
 from __future__ import annotations
 
-import math
 import os
 import shutil
 import tempfile
@@ -22,12 +21,13 @@ from numpy.typing import NDArray
 
 from frogkick.core.errors import InputError
 from frogkick.core.files import write_bytes
+from frogkick.core.poses import PredictionError
 from frogkick.effects import Effect
 from frogkick.identification.horizons import Horizon
 from frogkick.identification.outcome import Outcome, identify, write_robot
 from frogkick.identification.swim import Swim
 from frogkick.identification.tables import PERIOD_OFF, Stage, Tools, Tracked, table_error, table_horizons
-from frogkick.identification.verdict import NOTHING, TOO_LITTLE, Error
+from frogkick.identification.verdict import NOTHING, TOO_LITTLE
 from frogkick.robot import Robot, load_robot
 
 FloatArray = NDArray[np.float64]
@@ -64,8 +64,8 @@ class Retuned:
     """
 
     outcome: Outcome
-    before: Error
-    after: Error
+    before: PredictionError
+    after: PredictionError
     better: bool
     reason: str
     held_out: str
@@ -124,7 +124,7 @@ def retune(
     train, test, held_out = split(swims)
     with steps(stage) as tell:
         outcome = identify(train, test, robot, progress=tell)
-    unknown = Error(math.nan, math.nan)
+    unknown = PredictionError()
     reason = _needless(outcome, len(swims) == 1)
     if reason:
         return Retuned(outcome, unknown, unknown, False, reason, held_out)
@@ -208,7 +208,7 @@ class _Later(Swim):
         return np.array([np.full(3, np.nan)] * self.judged_from + ends[self.judged_from :]).reshape(-1, 3)
 
 
-def is_better(before: Error, after: Error) -> bool:
+def is_better(before: PredictionError, after: PredictionError) -> bool:
     """Neither position nor heading is worse, and one of them is better by more than chance would have it."""
     pairs = (
         (before.position_rmse_m, after.position_rmse_m),
@@ -244,17 +244,10 @@ def _swims(effect: Effect) -> bool:
     return any(getattr(type(effect), hook) is not getattr(Effect, hook) for hook in hooks)
 
 
-def _no_better(before: Error, after: Error) -> str:
+def _no_better(before: PredictionError, after: PredictionError) -> str:
     if after.count < HELD_LEAST:
         return f"the tables could be judged on {after.count} held-out periods, needed are {HELD_LEAST}"
-    return (
-        f"the new tables are no better on held-out periods: {_text(after)} after {_text(before)}; "
-        "the old ones stay"
-    )
-
-
-def _text(error: Error) -> str:
-    return f"{1e3 * error.position_rmse_m:.2f} mm, {math.degrees(error.heading_rmse_rad):.2f} deg"
+    return f"the new tables are no better on held-out periods: {after} after {before}; the old ones stay"
 
 
 def _check_periods(swims: Sequence[Swim], robot: Robot) -> None:

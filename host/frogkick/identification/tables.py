@@ -11,12 +11,12 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from frogkick.core.poses import PredictionError
 from frogkick.effects import Effect, Fix
 from frogkick.identification.horizons import HORIZONS, Horizon
 from frogkick.identification.outcome import Outcome
 from frogkick.identification.predict import Track
 from frogkick.identification.swim import Swim
-from frogkick.identification.verdict import Error, error_of
 from frogkick.paths import wrap_angle
 from frogkick.robot import Robot
 
@@ -78,7 +78,7 @@ class Tools(Protocol):
         """Build the robot's image around a table file into a folder; its sizes."""
 
 
-def table_error(tools: Tools, image: bytes, outcome: Outcome, periods: int = 1) -> Error:
+def table_error(tools: Tools, image: bytes, outcome: Outcome, periods: int = 1) -> PredictionError:
     """How far a table errs some periods ahead on the test runs, looked up from where each period began.
 
     Old and new tables begin from the same states, the best that are known of the robot: those of the rods
@@ -96,7 +96,7 @@ def table_error(tools: Tools, image: bytes, outcome: Outcome, periods: int = 1) 
         _gaps(tools, image, *pair, effects, periods)
         for pair in zip(outcome.test, outcome.tracks, strict=True)
     ]
-    return error_of(np.concatenate(gaps))
+    return PredictionError.of(np.concatenate(gaps))
 
 
 def table_horizons(tools: Tools, old: bytes, new: bytes, outcome: Outcome) -> list[Horizon]:

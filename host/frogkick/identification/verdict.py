@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from frogkick import der
+from frogkick.core.poses import PredictionError
 from frogkick.effects.acting import LEG_S
 from frogkick.identification.bootstrap import CONFIDENCE, deviations, mean_interval, moved_by
 from frogkick.identification.filter import Filter, Noise, first_rate_std
@@ -57,37 +58,12 @@ FAR = 2.0
 """Times its interval's half width: a true value farther off is no chance, one in 10,000."""
 
 
-@dataclass(frozen=True)
-class Error:
-    """How far predictions a period ahead are off, root mean square over ``count`` periods."""
-
-    position_rmse_m: float
-    heading_rmse_rad: float
-    count: int = 0
-
-    def as_json(self) -> dict[str, float]:
-        """The keys of the command."""
-        return {"position_rmse_m": self.position_rmse_m, "heading_rmse_rad": self.heading_rmse_rad}
-
-
 def gaps(tracks: Sequence[Track], swims: Sequence[Swim]) -> FloatArray:
     """(n, 3) measured minus predicted pose at the ends of all periods; NaN rows where one is not known."""
     every = [swim.measured - track.predicted for track, swim in zip(tracks, swims, strict=True)]
     gap = np.concatenate(every) if every else np.empty((0, 3))
     gap[:, 2] = wrap_angle(gap[:, 2])
     return gap
-
-
-def error_of(gap: FloatArray) -> Error:
-    """Root mean squares over the rows that are known."""
-    known = gap[np.isfinite(gap).all(axis=1)]
-    if not len(known):
-        return Error(math.nan, math.nan)
-    return Error(
-        float(np.sqrt((known[:, :2] ** 2).sum(axis=1).mean())),
-        float(np.sqrt((known[:, 2] ** 2).mean())),
-        len(known),
-    )
 
 
 def fix_noise(swims: Sequence[Swim]) -> tuple[float, float] | None:
@@ -129,7 +105,7 @@ def _scatter(values: FloatArray) -> float:
     return float(np.sqrt((kept**2).mean() / inside))
 
 
-def noise_floor(swims: Sequence[Swim], fix: tuple[float, float]) -> Error:
+def noise_floor(swims: Sequence[Swim], fix: tuple[float, float]) -> PredictionError:
     """What a perfect model would miss: the pose and rate at the start as fixes tell them, and the end's pose.
 
     A perfect model needs no process noise. What limbs do differently from stroke to stroke is no fault of the
@@ -156,10 +132,10 @@ def noise_floor(swims: Sequence[Swim], fix: tuple[float, float]) -> Error:
             sums += p[:, 0] + 2.0 * ahead * p[:, 1] + ahead**2 * p[:, 2] + share * variances
             count += 1
     variance = sums / max(count, 1)
-    return Error(float(np.sqrt(variance[0] + variance[1])), float(np.sqrt(variance[2])))
+    return PredictionError(float(np.sqrt(variance[0] + variance[1])), float(np.sqrt(variance[2])))
 
 
-def repeatability(tracks: Sequence[Track], swims: Sequence[Swim], floor: Error) -> Error:
+def repeatability(tracks: Sequence[Track], swims: Sequence[Swim], floor: PredictionError) -> PredictionError:
     """What strokes do differently from one another at like states, root mean square; ``count`` pairs.
 
     Of each period the one of the same action whose start is most like it, in velocity and in the action
@@ -175,7 +151,7 @@ def repeatability(tracks: Sequence[Track], swims: Sequence[Swim], floor: Error) 
     known = np.isfinite(gap).all(axis=1) & np.isfinite(start).all(axis=1) & (action >= 0)
     gap, action, previous, start = gap[known], action[known], previous[known], start[known]
     if len(gap) < 2:
-        return Error(math.nan, math.nan)
+        return PredictionError()
     start = start / np.maximum(start.std(axis=0), 1e-9)
     apart = ((start[:, None, :] - start[None, :, :]) ** 2).sum(axis=2) + 1e3 * (
         previous[:, None] != previous[None, :]
@@ -185,9 +161,9 @@ def repeatability(tracks: Sequence[Track], swims: Sequence[Swim], floor: Error) 
     nearest = apart.argmin(axis=1)
     paired = np.isfinite(apart[np.arange(len(gap)), nearest])
     if not paired.any():
-        return Error(math.nan, math.nan)
+        return PredictionError()
     half = 0.5 * ((gap - gap[nearest])[paired] ** 2).mean(axis=0)
-    return Error(
+    return PredictionError(
         math.sqrt(max(float(half[0] + half[1]) - floor.position_rmse_m**2, 0.0)),
         math.sqrt(max(float(half[2]) - floor.heading_rmse_rad**2, 0.0)),
         int(paired.sum()),
@@ -322,7 +298,7 @@ def _runs_of(fitted: Fitted, rows: NDArray[np.bool_] | None) -> NDArray[np.int64
     return labels if rows is None else labels[rows]
 
 
-def near(error: Error, floor: Error, before: Error) -> bool:
+def near(error: PredictionError, floor: PredictionError, before: PredictionError) -> bool:
     """An error is no more than noise, and what is inexact where a large one was explained."""
     over = max(NEAR_FLOOR, math.sqrt(1.0 + CHANCE * math.sqrt(2.0 / max(error.count, 1))))
     return error.position_rmse_m <= math.hypot(
@@ -343,11 +319,11 @@ class Scored:
         repeatability: see ``repeatability``.
     """
 
-    before: Error
-    after: Error
-    noise_floor: Error
+    before: PredictionError
+    after: PredictionError
+    noise_floor: PredictionError
     gain: Gain | None = None
-    repeatability: Error = Error(math.nan, math.nan)
+    repeatability: PredictionError = PredictionError()  # noqa: RUF009 - frozen
 
     @property
     def quiet(self) -> bool:
@@ -393,7 +369,7 @@ def scored(
         swims: the runs to judge.
         before, after: of these, by the models without and with effects.
     """
-    errors = [error_of(gaps(tracks, swims)) for tracks in (before, after)]
+    errors = [PredictionError.of(gaps(tracks, swims)) for tracks in (before, after)]
     one_noise = copies(swims)
     first, second = (replace(error, count=error.count // one_noise) for error in errors)
     floor = noise_floor(swims, fix_noise([*train]) or fix_noise(swims) or found.fitted.model.noise.fix)

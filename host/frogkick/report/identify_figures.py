@@ -9,9 +9,9 @@ import numpy.typing as npt
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from frogkick.core.poses import PredictionError
 from frogkick.identification.outcome import Outcome
 from frogkick.identification.search import Tried
-from frogkick.identification.verdict import Error
 from frogkick.identification.worth import BASE_GAIN
 from frogkick.report import style
 from frogkick.report.identify_misses import Misses, by_limb
@@ -37,7 +37,7 @@ def heading_deg(missed: FloatArray) -> FloatArray:
 Size = Callable[[FloatArray], FloatArray]
 
 
-def _sizes(floor: Error) -> tuple[tuple[str, str, Size, float], ...]:
+def _sizes(floor: PredictionError) -> tuple[tuple[str, str, Size, float], ...]:
     return (
         ("position", "mm", position_mm, 1e3 * floor.position_rmse_m),
         ("heading", "deg", heading_deg, float(np.rad2deg(floor.heading_rmse_rad))),
@@ -143,7 +143,7 @@ def error_figure(outcome: Outcome) -> Figure:
     return figure
 
 
-def _value(error: Error, what: str) -> float:
+def _value(error: PredictionError, what: str) -> float:
     return 1e3 * error.position_rmse_m if what == "position" else float(np.rad2deg(error.heading_rmse_rad))
 
 

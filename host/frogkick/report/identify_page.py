@@ -7,12 +7,13 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
+from frogkick.core.poses import PredictionError
 from frogkick.identification.choice import STABLE
 from frogkick.identification.outcome import Outcome
 from frogkick.identification.polish import HOLD
 from frogkick.identification.search import PLAIN_GAIN, SEEN_LEAST
 from frogkick.identification.swim import Swim
-from frogkick.identification.verdict import FOUND, NEAR_FLOOR, NOTHING, PARTLY, UNEXPLAINED, Error, Gain
+from frogkick.identification.verdict import FOUND, NEAR_FLOOR, NOTHING, PARTLY, UNEXPLAINED, Gain
 from frogkick.identification.worth import BASE_GAIN, GAIN_EACH
 from frogkick.report.identify_figures import (
     cause_figure,
@@ -53,9 +54,9 @@ def write_identify_page(target: Path, outcome: Outcome) -> None:
     lead = (
         f"Verdict: {outcome.verdict} ({names}): {MEANS[outcome.verdict]}. A period ahead, on runs kept out "
         "of "
-        f"learning, the nominal model of {outcome.robot.title} is off by {_words(tested.before)} (RMS), with "
-        f"what was found by {_words(tested.after)}; noise of the fixes alone makes "
-        f"{_words(tested.noise_floor)}.{_gain_words(tested.gain)}"
+        f"learning, the nominal model of {outcome.robot.title} is off by {tested.before} (RMS), with "
+        f"what was found by {tested.after}; noise of the fixes alone makes "
+        f"{tested.noise_floor}.{_gain_words(tested.gain)}"
     )
     misses = misses_of(outcome)
     sections = [_errors(outcome)]
@@ -63,10 +64,6 @@ def write_identify_page(target: Path, outcome: Outcome) -> None:
         sections += [_tracks(outcome, misses), _residual(outcome, misses)]
     sections += [_effects(outcome), _tried(outcome), _apart(outcome), _rest(outcome), _terms(outcome)]
     write_page(target, TITLE, lead, sections)
-
-
-def _words(error: Error) -> str:
-    return f"{1e3 * error.position_rmse_m:.2f} mm and {math.degrees(error.heading_rmse_rad):.2f} degrees"
 
 
 def _gain_words(gain: Gain | None) -> str:
@@ -83,7 +80,7 @@ def _picture(figure: Figure, caption: str) -> tuple[str, str]:
 
 
 def _errors(outcome: Outcome) -> Section:
-    def row(what: str, error: Error, count: str) -> tuple[str, ...]:
+    def row(what: str, error: PredictionError, count: str) -> tuple[str, ...]:
         return (
             what,
             f"{1e3 * error.position_rmse_m:.2f}",

@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from frogkick.identification.verdict import Error
 from frogkick.report.identify_figures import error_figure
 from frogkick.report.page import Section, Table, write_page
 from frogkick.report.robot_figure import actions_figure, robot_figure
@@ -27,8 +26,7 @@ def write_ring_report(target: Path, ring: Ring) -> None:
         f"A simulated robot, {ring.robot.title}, followed three paths with the planner running on a virtual "
         f"nRF52832. Mean distance to the path {1e3 * ring.mean_distance_m:.1f} mm. The pool's physics is the "
         "rod simulation, not the table: the table's prediction one period ahead missed by "
-        f"{1e3 * float(missed['position_rmse_m']):.1f} mm and "
-        f"{np.rad2deg(float(missed['heading_rmse_rad'])):.1f} degrees (RMSE, {missed['periods']} periods)."
+        f"{missed:.1f} (RMSE, {missed.count} periods)."
     )
     sections = [_robot(ring), _paths(ring), *(_one_path(run) for run in ring.runs), _chip(ring)]
     if ring.closing is not None:
@@ -36,15 +34,11 @@ def write_ring_report(target: Path, ring: Ring) -> None:
         lead += (
             " Then a limb wore, which the model was not told. From logs of four runs identification says: "
             f"{ring.closing.outcome.verdict} ({_found(ring.closing)}). A period ahead on the run kept out of "
-            f"learning, the model was off by {_words(tested.before)}, with what was found it is off by "
-            f"{_words(tested.after)}; noise of the fixes alone makes {_words(tested.noise_floor)}."
+            f"learning, the model was off by {tested.before}, with what was found it is off by "
+            f"{tested.after}; noise of the fixes alone makes {tested.noise_floor}."
         )
         sections.append(_closing(ring.closing))
     write_page(target, "frogkick: once round the ring", lead, [*sections, _how(ring)])
-
-
-def _words(error: Error) -> str:
-    return f"{1e3 * error.position_rmse_m:.2f} mm and {np.rad2deg(error.heading_rmse_rad):.2f} degrees"
 
 
 def _found(closing: Closing) -> str:
@@ -189,7 +183,7 @@ def _paths(ring: Ring) -> Section:
             f"{1e3 * run.tracking.progress_mps:.1f}",
             "yes" if run.tracking.completed else f"no ({run.log.notes})",
             str(run.tracking.decisions),
-            f"{1e3 * run.missed.position_rmse_m:.1f} / {np.rad2deg(run.missed.heading_rmse_rad):.1f}",
+            f"{run.missed.error:.1f}",
             str(run.mismatches),
             str(run.tracking.limit_violations),
         )
@@ -202,7 +196,7 @@ def _paths(ring: Ring) -> Section:
         "progress, mm/s",
         "completed",
         "decisions",
-        "prediction missed, mm / deg",
+        "prediction missed",
         "chip against Python twin, mismatches",
         "limits broken",
     )

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 
 from frogkick.core.poses import wrap_angle
 from frogkick.report import style
-from frogkick.runs.residual import Residual, residual, true_poses_at
+from frogkick.runs.residual import residual, true_poses_at
 from frogkick.runs.runlog import RunLog
 from frogkick.runs.summary import track_of
 
@@ -161,15 +161,12 @@ def _estimate(axes: Axes, run: RunLog, seen: _Seen) -> None:
 
 
 def _prediction(axes: Axes, run: RunLog, seen: _Seen) -> None:
-    missed: Residual = residual(run)
+    missed = residual(run)
     _errors(
         axes,
         missed.time_s,
-        1e3 * np.hypot(*missed.position_body_m.T),
-        np.rad2deg(np.abs(missed.heading_rad)),
+        1e3 * np.hypot(*missed.gap_body[:, :2].T),
+        np.rad2deg(np.abs(missed.gap_body[:, 2])),
         style.PREDICTED,
     )
-    axes.set_title(
-        f"Prediction missed, a period ahead: {1e3 * missed.position_rmse_m:.1f} mm, "
-        f"{np.rad2deg(missed.heading_rmse_rad):.1f} deg RMS"
-    )
+    axes.set_title(f"Prediction missed, a period ahead: {missed.error:.1f} RMS")

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from frogkick.core.errors import InputError
-from frogkick.core.poses import body_from_world, wrap_angle
+from frogkick.core.poses import PredictionError, body_from_world, wrap_angle
 from frogkick.runs.runlog import RunLog
 
 FloatArray = npt.NDArray[np.float64]
@@ -20,34 +20,17 @@ class Residual:
 
     Attributes:
         time_s: (n,) decision time.
-        action: (n,) action taken.
-        position_body_m: (n, 2) happened minus predicted position, forward and left in the body frame at the
-            decision.
-        heading_rad: (n,) happened minus predicted heading, wrapped.
+        gap_body: (n, 3) happened minus predicted pose: forward, left (m) in the body frame at the decision,
+            heading (rad), wrapped.
     """
 
     time_s: FloatArray
-    action: npt.NDArray[np.int64]
-    position_body_m: FloatArray
-    heading_rad: FloatArray
+    gap_body: FloatArray
 
     @property
-    def position_rmse_m(self) -> float:
-        """Root mean square of the distance between predicted and happened position."""
-        return float(np.sqrt((self.position_body_m**2).sum(axis=1).mean()))
-
-    @property
-    def heading_rmse_rad(self) -> float:
-        """Root mean square of the heading's error."""
-        return float(np.sqrt((self.heading_rad**2).mean()))
-
-    def as_json(self) -> dict[str, float | int]:
-        """Both errors and the number of periods."""
-        return {
-            "position_rmse_m": self.position_rmse_m,
-            "heading_rmse_rad": self.heading_rmse_rad,
-            "periods": len(self.time_s),
-        }
+    def error(self) -> PredictionError:
+        """Root mean square over all rows."""
+        return PredictionError.of(self.gap_body)
 
 
 def true_poses_at(run: RunLog, time_s: npt.ArrayLike) -> FloatArray:
@@ -75,10 +58,6 @@ def residual(run: RunLog) -> Residual:
     if rows.size == 0:
         raise InputError(f"run {run.source!r} has no whole period with a prediction: let it run longer")
     happened = true_poses_at(run, end_s[rows])
-    gap = happened - decisions.predicted[rows, :3]
-    return Residual(
-        time_s=np.array(decisions.time_s[rows]),
-        action=np.array(decisions.action[rows], dtype=np.int64),
-        position_body_m=body_from_world(decisions.estimate[rows, 2], gap[:, :2]),
-        heading_rad=wrap_angle(gap[:, 2]),
-    )
+    gap = body_from_world(decisions.estimate[rows, 2], happened - decisions.predicted[rows, :3])
+    gap[:, 2] = wrap_angle(gap[:, 2])
+    return Residual(np.array(decisions.time_s[rows]), gap)

@@ -100,10 +100,8 @@ def summary(run: RunLog) -> Summary:
     distances: tuple[float | None, float | None, float | None] = (None, None, None)
     if run.path is not None:
         distances = along_path(run.path, time_s, poses)
-    missed: tuple[float | None, float | None] = (None, None)
-    if run.decisions.predicted is not None and run.truth is not None:
-        found = residual(run)
-        missed = (found.position_rmse_m, found.heading_rmse_rad)
+    known = run.decisions.predicted is not None and run.truth is not None
+    error = residual(run).error if known else None
     usable = run.fixes.usable
     answered = run.fixes.extra.get("robot_status")
     lost = ~usable if answered is None else ~usable | (answered != 0)
@@ -121,8 +119,8 @@ def summary(run: RunLog) -> Summary:
         mean_distance_m=distances[0],
         p95_distance_m=distances[1],
         progress_mps=distances[2],
-        position_rmse_m=missed[0],
-        heading_rmse_rad=missed[1],
+        position_rmse_m=None if error is None else error.position_rmse_m,
+        heading_rmse_rad=None if error is None else error.heading_rmse_rad,
         battery_v=run.measured.get(BATTERY_V),
         period_s=run.period_s,
         clock={name: value for name, value in run.measured.items() if name.startswith(("clock_", "period_"))},

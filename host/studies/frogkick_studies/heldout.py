@@ -16,10 +16,10 @@ from pathlib import Path
 
 from frogkick.core.chunks import Job, run_chunks
 from frogkick.core.errors import InputError
+from frogkick.core.poses import PredictionError
 from frogkick.identification.outcome import identify
 from frogkick.identification.swim import Swim, read_swim, reliable
 from frogkick.identification.together import all_at_once
-from frogkick.identification.verdict import Error
 from frogkick.robot import Robot
 
 LEAST_RUNS = 3
@@ -40,9 +40,9 @@ class HeldOut:
     run: Path
     verdict: str
     effects: tuple[str, ...]
-    before: Error
-    after: Error
-    floor: Error
+    before: PredictionError
+    after: PredictionError
+    floor: PredictionError
 
 
 def held_out(
@@ -84,14 +84,14 @@ def held_out(
     return [kept[k] for k in range(len(runs))]
 
 
-def pooled(errors: Sequence[Error], periods: Sequence[int]) -> Error:
+def pooled(errors: Sequence[PredictionError], periods: Sequence[int]) -> PredictionError:
     """Root mean square over all periods of several runs."""
     whole = sum(periods)
 
     def mean(values: Sequence[float]) -> float:
         return math.sqrt(sum(n * value * value for n, value in zip(periods, values, strict=True)) / whole)
 
-    return Error(
+    return PredictionError(
         mean([error.position_rmse_m for error in errors]),
         mean([error.heading_rmse_rad for error in errors]),
         whole,

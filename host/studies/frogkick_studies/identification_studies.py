@@ -15,12 +15,12 @@ import numpy as np
 
 from frogkick.core.errors import InputError
 from frogkick.core.files import require_writable, write_text
+from frogkick.core.poses import PredictionError
 from frogkick.core.progress import Progress, shown
 from frogkick.front.identifying import LeftOut
 from frogkick.front.places import robot_of_table, table_image
 from frogkick.identification.outcome import robot_of_runs
 from frogkick.identification.swim import read_swim, reliable
-from frogkick.identification.verdict import Error
 from frogkick.robot import Robot, load_robot
 from frogkick.robot.toml_text import to_toml
 from frogkick.validation.validate import authors_rmse_mps, speed_rmse_mps
@@ -65,21 +65,21 @@ class HeldOutStudy:
     left_out: Sequence[Mapping[str, str]]
 
     @property
-    def before(self) -> Error:
+    def before(self) -> PredictionError:
         """Error of the nominal model a period ahead, over all periods of all runs."""
         return self._pooled([row.before for row in self.rows])
 
     @property
-    def after(self) -> Error:
+    def after(self) -> PredictionError:
         """The same with the effects found in the other runs."""
         return self._pooled([row.after for row in self.rows])
 
     @property
-    def noise_floor(self) -> Error:
+    def noise_floor(self) -> PredictionError:
         """What noise of the fixes alone makes."""
         return self._pooled([row.floor for row in self.rows])
 
-    def _pooled(self, errors: Sequence[Error]) -> Error:
+    def _pooled(self, errors: Sequence[PredictionError]) -> PredictionError:
         return heldout.pooled(errors, [row.before.count for row in self.rows])
 
     @property

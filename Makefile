@@ -4,6 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 DEMO_STAMP := $(VENV)/.installed-for-the-demo
+DOCS_STAMP := $(VENV)/.installed-for-the-docs
 # uv, where it is there, installs the same in less time.
 UV := $(shell command -v uv 2>/dev/null)
 INSTALL := $(if $(UV),$(UV) pip install --python $(BIN)/python,$(BIN)/python -m pip install --disable-pip-version-check)
@@ -18,7 +19,7 @@ endif
 # Tests side by side; how many processes tests/conftest.py says. A file's tests stay together and share what they built.
 SPREAD := -n logical --dist loadfile --no-loadscope-reorder --durations 25 --durations-min 3
 
-.PHONY: demo test test-full bench extra lint types check venv clean
+.PHONY: demo test test-full bench extra docs lint types check venv clean
 
 demo: $(DEMO_STAMP)
 	$(BIN)/frogkick demo --out demo
@@ -39,7 +40,13 @@ bench: $(STAMP)
 extra: $(STAMP)
 	$(BIN)/python -m pytest $(SPREAD) -m extra
 
-check: test extra lint types
+# The documentation, into build/docs: a broken link or a code block that does not run is an error.
+docs: $(DOCS_STAMP)
+	$(BIN)/python host/docs/run_blocks.py
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet -f host/docs/mkdocs.yml
+	@echo "open build/docs/index.html"
+
+check: test extra docs lint types
 
 lint: $(STAMP)
 	$(BIN)/ruff check host codegen tests firmware
@@ -70,6 +77,10 @@ $(DEMO_STAMP): pyproject.toml requirements.lock
 	$(INSTALL) -c requirements.lock setuptools
 	$(INSTALL) $(if $(UV),,--no-compile) -c requirements.lock --no-build-isolation -e '.[firmware]'
 	@touch $(DEMO_STAMP)
+
+$(DOCS_STAMP): $(STAMP) host/docs/requirements.lock
+	$(INSTALL) -r requirements.lock -r host/docs/requirements.lock
+	@touch $(DOCS_STAMP)
 
 clean:
 	rm -rf $(VENV) build demo out

@@ -1,4 +1,4 @@
-"""Makes the firmware's view of the link and of its supervisor: C headers and tables for the README.
+"""Makes the firmware's view of the link and of its supervisor: C headers, and tables for the documentation.
 
 Run ``python -m frogkick_codegen.frames`` after a change of ``frames.toml`` or ``supervisor.toml``; a test
 fails until it was run.
@@ -16,7 +16,6 @@ from frogkick_codegen.sources import firmware_sources
 _FIRMWARE = firmware_sources()
 HEADER = _FIRMWARE / "core" / "fk_frames_layout.h"
 SUPERVISOR_HEADER = _FIRMWARE / "core" / "fk_supervisor_table.h"
-README = _FIRMWARE / "README.md"
 
 
 def _render(template: str) -> str:
@@ -88,29 +87,10 @@ def supervisor_table() -> str:
     return "\n".join(lines)
 
 
-def _replaced(text: str, what: str, content: str) -> str:
-    begin, end = f"<!-- {what}: made by python -m frogkick_codegen.frames -->", f"<!-- {what} end -->"
-    head, _, rest = text.partition(begin)
-    _, _, tail = rest.partition(end)
-    return f"{head}{begin}\n{content}\n{end}{tail}"
-
-
-def readme_with_tables(text: str) -> str:
-    """``text`` with the parts between the markers replaced by today's tables."""
-    for what, table in (
-        ("frames", layout_table()),
-        ("records", records_table()),
-        ("supervisor", supervisor_table()),
-    ):
-        text = _replaced(text, what, table)
-    return text
-
-
 def main() -> None:
-    """Write the headers and the README's tables."""
+    """Write the headers."""
     write_text(HEADER, layout_header())
     write_text(SUPERVISOR_HEADER, supervisor_header())
-    write_text(README, readme_with_tables(README.read_text(encoding="utf-8")))
 
 
 if __name__ == "__main__":

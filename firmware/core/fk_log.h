@@ -1,6 +1,6 @@
 /* What the robot lived through, in RAM: records one behind the other in a ring, the oldest overwritten, whole ones only.
  * A host fetches them with LOG and decides everything again from them; which records there are and what stands in them
- * says frames.toml, of which firmware/README.md has the table.
+ * says frames.toml, of which the documentation has the table: host/docs/pages/reference/link.md.
  *
  * A record: length u8 of its content, id u8, check u16, time 48 bit (us, the robot's clock), content. The check is that
  * of Fletcher, modulo 256, over all but itself: it finds every single wrong bit, and costs little.

@@ -1,5 +1,6 @@
 /* The supervisor: in which state the robot is and what leads to another one, as one table.
- * The table is made from host/frogkick/link/supervisor.toml, which firmware/README.md shows as well.
+ * The table is made from host/frogkick/link/supervisor.toml, as is
+ * the documentation's (host/docs/pages/reference/link.md).
  */
 #ifndef FK_SUPERVISOR_H
 #define FK_SUPERVISOR_H

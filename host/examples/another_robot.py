@@ -4,7 +4,7 @@ from pathlib import Path
 
 import frogkick as fk
 
-# All keys of frog2022 but these. `host/frogkick/robot/README.md` names every key.
+# All keys of frog2022 but these. The documentation names every key: host/docs/pages/reference/robot-files.md.
 Path("mine.toml").write_text(
     """
 base = "frog2022"

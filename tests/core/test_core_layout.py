@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 
 import pytest
+from tests.conftest import REPOSITORY
 
 from frogkick.link.layout import link_layout
 from frogkick_codegen import frames
@@ -17,10 +18,10 @@ def test_the_header_is_up_to_date() -> None:
     assert frames.HEADER.read_text(encoding="utf-8") == frames.layout_header(), RUN
 
 
-def test_the_readme_s_table_is_up_to_date() -> None:
-    text = frames.README.read_text(encoding="utf-8")
-    assert frames.readme_with_tables(text) == text, RUN
-    assert all(f"| {name} |" in text for name in link_layout().messages)
+def test_the_documentation_has_every_frame() -> None:
+    page = (REPOSITORY / "host/docs/pages/reference/link.md").read_text(encoding="utf-8")
+    assert {"{{ link_frames }}", "{{ log_records }}", "{{ supervisor }}"} <= set(page.splitlines())
+    assert all(f"| {name} |" in frames.layout_table() for name in link_layout().messages)
 
 
 def test_statuses_are_the_planner_s_errors_and_never_collide() -> None:

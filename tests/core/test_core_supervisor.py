@@ -26,11 +26,10 @@ def test_the_header_is_up_to_date() -> None:
     assert frames.SUPERVISOR_HEADER.read_text(encoding="utf-8") == frames.supervisor_header(), RUN
 
 
-def test_the_readme_s_table_is_the_code_s() -> None:
+def test_the_documentation_s_table_is_the_code_s() -> None:
     """Read back from the text that people read, and asked of the C that runs, cell by cell."""
-    text = frames.README.read_text(encoding="utf-8")
-    part = text.split("<!-- supervisor:")[1].split("<!-- supervisor end -->")[0]
-    rows = [line.strip("| ").split(" | ") for line in part.splitlines() if line.startswith("| ")]
+    lines = frames.supervisor_table().splitlines()
+    rows = [line.strip("| ").split(" | ") for line in lines if line.startswith("| ")]
     assert rows[0] == ["event", *STATES]
     assert [row[0] for row in rows[1:]] == list(TABLE.docs)
     rule = FFI.new("uint8_t[3]")

@@ -1,4 +1,4 @@
-"""What the bench image does about errata of the nRF52832 (firmware/README.md), seen by the virtual chip."""
+"""What the bench image does about errata of the nRF52832 (reference/errata.md), seen by the virtual chip."""
 
 from __future__ import annotations
 

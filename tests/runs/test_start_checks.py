@@ -47,7 +47,7 @@ def test_batteries_that_nobody_measured_are_said_to_be_unknown_and_how_to_measur
     assert check_battery(seen, None) == (
         "battery: the robot sees 2 of 4 itself, and is not armed below 10.5 V"
     )
-    page = (REPOSITORY / "host/FIRST_DAY.md").read_text(encoding="utf-8")
+    page = (REPOSITORY / "host/docs/pages/tutorials/first-day.md").read_text(encoding="utf-8")
     for word in ("--battery-v", "12.6 V", "10.5 V", "battery: unknown, not measured by this robot"):
         assert word in page, word
     assert check_battery(replace(rig.robot(), battery=None), None) == (

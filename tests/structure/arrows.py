@@ -1,4 +1,4 @@
-"""Who may import whom: DESIGN.md's arrows as data, and a reader of the code that finds what breaks them."""
+"""Who may import whom: the arrows of the documentation's architecture page, and what breaks them."""
 
 from __future__ import annotations
 

@@ -23,7 +23,7 @@ OTHERS = {
 
 
 def test_each_test_that_the_hazards_name_is_there() -> None:
-    page = (REPOSITORY / "firmware" / "HAZARDS.md").read_text(encoding="utf-8")
+    page = (REPOSITORY / "host/docs/pages/explanation/hazards.md").read_text(encoding="utf-8")
     named = set(re.findall(r"`(test_\w+)`", page))
     sources = "".join(path.read_text(encoding="utf-8") for path in (REPOSITORY / "tests").rglob("test_*.py"))
     assert len(named) > 15

@@ -1,4 +1,4 @@
-"""DESIGN.md's import arrows hold, and the check finds what would break them."""
+"""The import arrows of the architecture page (host/docs) hold, and the check finds what would break them."""
 
 from __future__ import annotations
 

@@ -133,10 +133,13 @@ def data_files(word: str, folder: Path) -> list[Path]:
     return sorted(folder.glob(word.removeprefix("DATA_DIR/")))
 
 
-def test_runs_that_the_readme_names_are_recorded_runs(frog2022_dir: Path) -> None:
+def test_runs_that_the_documentation_names_are_recorded_runs(frog2022_dir: Path) -> None:
+    pages = [REPOSITORY / "README.md", *sorted((REPOSITORY / "host" / "docs" / "pages").rglob("*.md"))]
     words = [
         word
-        for line in shell_lines((REPOSITORY / "README.md").read_text())
+        for page in pages
+        for line in shell_lines(page.read_text())
+        if "DATA_DIR/" in line
         for word in shlex.split(line)
         if word.startswith("DATA_DIR/") and word.endswith(".csv")
     ]

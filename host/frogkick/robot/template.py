@@ -123,7 +123,7 @@ def new_robot_text(base: Robot, name: str, limbs: int | None = None) -> str:
     table["profile"] = [profile for profile in table["profile"] if profile["egain_percent"] == alloy]
     intro = [
         f"# A robot file of frogkick, begun from {base.id}. Units are in the names of keys. Look at it with",
-        "# 'frogkick robot show FILE --out robot.png'; host/frogkick/robot/README.md has the rest.",
+        "# 'frogkick robot show FILE --out robot.png'; the documentation has the rest: A robot of your own.",
         "",
     ]
     return "\n".join([*intro, *_commented(to_toml(table))])

@@ -1,6 +1,7 @@
 """What is looked at before a real robot is armed: is it seen well, in the pool, is its path; its batteries.
 
-No pin of the robot measures these: a person does (host/FIRST_DAY.md), and where nobody did, that is said.
+No pin of the robot measures these: a person does (the documentation's first day in the lab), and
+where nobody did, that is said.
 """
 
 from __future__ import annotations

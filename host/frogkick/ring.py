@@ -22,7 +22,7 @@ from frogkick.effects import World
 from frogkick.effects.registry import make_effects
 from frogkick.identification.outcome import Outcome, identify, write_robot
 from frogkick.identification.retune import steps
-from frogkick.identification.swim import read_swim
+from frogkick.identification.segments import read_segments
 from frogkick.library import build_library, quantise, read_library
 from frogkick.paths import SHAPES
 from frogkick.pool.virtual_robot import VirtualRobot
@@ -234,7 +234,7 @@ def close(ring: Ring, out: Path, seed: int, bar: Bar, held_out: str = HELD_OUT) 
         write_run(logs[-1], dataclasses.replace(run.log, truth=None))
         old.append(run)
     clock.lap("swim with a worn limb")
-    swims = [read_swim(log, robot) for log in logs]
+    swims = [read_segments(log, robot) for log in logs]
     with steps(bar) as tell:
         outcome = identify(swims[:-1], swims[-1:], robot, progress=tell)
     with bar("predict several periods ahead") as progress:

@@ -20,7 +20,7 @@ from frogkick.core.progress import progress_bar
 from frogkick.identification import choice as choice_module
 from frogkick.identification import outcome as outcome_module
 from frogkick.identification.outcome import Outcome, identify
-from frogkick.identification.swim import Swim
+from frogkick.identification.segments import Segments
 from frogkick.identification.terms import catalogue
 from frogkick.library import library_info
 from frogkick.report import identify_page, ring_page
@@ -80,9 +80,9 @@ def test_the_ring_closes(
     planted = plant(robot(), 3)
     names = ("limb_wear " + planted["limb"], "warm_up")
     few = [term for term in catalogue(robot()) if term.title in names]
-    given: list[Sequence[Swim]] = []
+    given: list[Sequence[Segments]] = []
 
-    def watched(train: Sequence[Swim], test: Sequence[Swim], *more: Any, **options: Any) -> Outcome:
+    def watched(train: Sequence[Segments], test: Sequence[Segments], *more: Any, **options: Any) -> Outcome:
         given.extend((train, test))
         return identify(train, test, *more, **options)
 

@@ -17,8 +17,8 @@ from frogkick.identification.filter import Noise
 from frogkick.identification.fit import derivatives, tracks_of
 from frogkick.identification.outcome import Outcome
 from frogkick.identification.search import Found, countable
+from frogkick.identification.segments import Segments, segments_of
 from frogkick.identification.signature import signature
-from frogkick.identification.swim import Swim, swim_of
 from frogkick.identification.terms import Term, catalogue
 from frogkick.identification.verdict import FOUND, intervals, scored
 from frogkick.paths import wrap_angle
@@ -122,12 +122,14 @@ def make_run(effects: Sequence[Mapping[str, Any]], seed: int, periods: int, row:
     )
 
 
-def make_swim(effects: Sequence[Mapping[str, Any]], seed: int, periods: int, row: str | None = None) -> Swim:
-    return swim_of(make_run(effects, seed, periods, row), f"made{seed}", robot())
+def make_swim(
+    effects: Sequence[Mapping[str, Any]], seed: int, periods: int, row: str | None = None
+) -> Segments:
+    return segments_of(make_run(effects, seed, periods, row), f"made{seed}", robot())
 
 
 def known_outcome(
-    train: Sequence[Swim], test: Sequence[Swim], title: str, values: Sequence[float]
+    train: Sequence[Segments], test: Sequence[Segments], title: str, values: Sequence[float]
 ) -> Outcome:
     """What identification would end with, were these the right values of the right effect: no search."""
     plain = next(each for each in catalogue(robot()) if each.title == title)

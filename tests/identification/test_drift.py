@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from frogkick.identification.drift import Drift, drift_of, firing_of, follow_offsets
 from frogkick.identification.predict import Track
-from frogkick.identification.swim import Swim
+from frogkick.identification.segments import Segments
 
 PERIOD_S = 1.4
 SIZE = np.array([2e-3, 2e-3, 0.04])
@@ -19,7 +19,7 @@ SIZE = np.array([2e-3, 2e-3, 0.04])
 
 def made_run(
     seed: int, wander: float, periods: int = 40, heading_rad: float = 0.0
-) -> tuple[Swim, Track, NDArray[np.float64]]:
+) -> tuple[Segments, Track, NDArray[np.float64]]:
     """A run of random strokes, the model's predictions all zero, and what each period misses by its limbs."""
     rng = np.random.default_rng(seed)
     start_s = PERIOD_S * np.arange(periods)
@@ -31,7 +31,7 @@ def made_run(
     world = np.column_stack([c * body[:, 0] - s * body[:, 1], s * body[:, 0] + c * body[:, 1], body[:, 2]])
     start = np.zeros((periods, 6))
     start[:, 2] = heading_rad
-    swim = Swim(
+    swim = Segments(
         "made", "frog2022", ("A",), start_s, start_s, np.zeros((periods, 3)), tuple(sorted(strokes)), start_s,
         np.zeros(periods, dtype=np.int64), start_s + PERIOD_S, PERIOD_S, 0.0,
     )  # fmt: skip
@@ -42,7 +42,7 @@ def made_run(
     return swim, track, body
 
 
-def rms(track: Track, swim: Swim) -> NDArray[np.float64]:
+def rms(track: Track, swim: Segments) -> NDArray[np.float64]:
     gap = swim.measured - track.predicted
     return np.sqrt((gap**2).mean(axis=0) / SIZE**2)
 

@@ -23,9 +23,9 @@ from frogkick.identification.experiment import (
 from frogkick.identification.filter import Noise
 from frogkick.identification.fit import Fitted, Model, fit, misses, tracks_of
 from frogkick.identification.search import Found
-from frogkick.identification.side_by_side import Row, Side, grow, swim_of_row
+from frogkick.identification.segments import Segments
+from frogkick.identification.side_by_side import Row, Side, grow, segments_of_row
 from frogkick.identification.steps import whitener
-from frogkick.identification.swim import Swim
 from frogkick.identification.terms import Term
 from frogkick.identification.verdict import Interval, intervals
 from frogkick.robot import load_robot
@@ -105,7 +105,7 @@ def test_a_row_stays_in_its_pool_and_beats_one_action_all_the_time() -> None:
     for action in indices(planned.row):
         (row,) = grow([row], side, white(), robot(), [action])
         assert (row.told[-1][:, :2] >= POOL[0]).all() and (row.told[-1][:, :2] <= POOL[1]).all()
-    swim = swim_of_row(robot(), row, START)
+    swim = segments_of_row(robot(), row, START)
     assert swim.pose[0] == pytest.approx(START) and len(swim.start_s) == len(planned.actions)
 
 
@@ -176,7 +176,7 @@ def test_a_planned_row_narrows_what_runs_left_wide(monkeypatch: pytest.MonkeyPat
     planted = [{"name": "limb_memory", "loss": 0.35, "fade_s": 2.5}]
     swims = [make_swim(planted, seed, 0, "A" * 8) for seed in (31, 32)]
 
-    def fitted_to(runs: list[Swim]) -> Fitted:
+    def fitted_to(runs: list[Segments]) -> Fitted:
         rows = np.ones(sum(len(swim.start_s) for swim in runs), dtype=bool)
         return fit(model(term("limb_memory", 0.34, 2.7)), runs, rows, rounds=3)
 

@@ -11,7 +11,7 @@ from made import make_run, make_swim, robot
 from frogkick.identification.filter import Noise
 from frogkick.identification.fit import Model, tracks_of
 from frogkick.identification.horizons import follow_ahead, horizons_of
-from frogkick.identification.swim import Swim
+from frogkick.identification.segments import Segments
 from frogkick.identification.terms import catalogue
 
 WORN = {"name": "limb_wear", "limb": "rear_left", "gain": 0.7}
@@ -27,7 +27,7 @@ def model(**values: tuple[float, ...]) -> Model:
 
 
 @pytest.fixture(scope="module")
-def swim() -> Swim:
+def swim() -> Segments:
     return make_swim([WORN, SLOW], 21, PERIODS)
 
 
@@ -35,7 +35,7 @@ RIGHT = model(limb_wear_rear_left=(0.7, 0.0, 1.0), fix_latency=(0.1,))
 PLAIN = model()
 
 
-def test_one_period_ahead_is_the_prediction_of_that_period(swim: Swim) -> None:
+def test_one_period_ahead_is_the_prediction_of_that_period(swim: Segments) -> None:
     other = make_swim([WORN, SLOW], 22, 5)
     swims = [swim, other]
     found = follow_ahead([RIGHT.lane(each) for each in swims], (1, 3))
@@ -46,7 +46,7 @@ def test_one_period_ahead_is_the_prediction_of_that_period(swim: Swim) -> None:
         ]
 
 
-def test_a_right_model_meets_the_truth_far_ahead(swim: Swim) -> None:
+def test_a_right_model_meets_the_truth_far_ahead(swim: Segments) -> None:
     truth = make_run([WORN, SLOW], 21, PERIODS).truth
     assert truth is not None
     ((five,),) = follow_ahead([replace(RIGHT, noise=NOISE).lane(swim)], (5,))
@@ -60,7 +60,7 @@ def test_a_right_model_meets_the_truth_far_ahead(swim: Swim) -> None:
     assert by_periods[5].before.position_rmse_m > 2.0 * by_periods[1].before.position_rmse_m
 
 
-def test_no_fix_after_the_start_is_looked_at(swim: Swim) -> None:
+def test_no_fix_after_the_start_is_looked_at(swim: Segments) -> None:
     pose = swim.pose.copy()
     pose[swim.arrival_s > swim.start_s[3]] += 0.5
     (true,), (false,) = (
@@ -70,7 +70,7 @@ def test_no_fix_after_the_start_is_looked_at(swim: Swim) -> None:
     assert not np.allclose(true[5], false[5], atol=0.1)
 
 
-def test_nothing_is_predicted_across_a_pause_or_from_starts_left_out(swim: Swim) -> None:
+def test_nothing_is_predicted_across_a_pause_or_from_starts_left_out(swim: Segments) -> None:
     late = np.where(np.arange(PERIODS) >= 4, 0.3 * swim.period_s, 0.0)
     paused = replace(swim, start_s=swim.start_s + late, end_s=swim.end_s + late)
     ((two,),) = follow_ahead([PLAIN.lane(paused)], (2,))
@@ -79,7 +79,7 @@ def test_nothing_is_predicted_across_a_pause_or_from_starts_left_out(swim: Swim)
     assert np.flatnonzero(np.isfinite(one).all(axis=1)).tolist() == [0, 3, 6]
 
 
-def test_a_short_run_has_near_horizons_alone(swim: Swim) -> None:
+def test_a_short_run_has_near_horizons_alone(swim: Segments) -> None:
     short = replace(swim, start_s=swim.start_s[:2], end_s=swim.end_s[:2], action=swim.action[:2])
     assert [each.periods for each in horizons_of(PLAIN, RIGHT, [short])] == [1, 2]
     (first, _) = horizons_of(PLAIN, RIGHT, [short])

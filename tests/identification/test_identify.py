@@ -21,8 +21,8 @@ from frogkick.identification.filter import Filter, Noise, Series, likeliest, sur
 from frogkick.identification.fit import Model, fit_many, tracks_of
 from frogkick.identification.outcome import identify, too_little
 from frogkick.identification.search import countable, search
+from frogkick.identification.segments import Segments, replicate_count, segments_of
 from frogkick.identification.steps import bounded_step
-from frogkick.identification.swim import Swim, copies, swim_of
 from frogkick.identification.terms import catalogue
 from frogkick.identification.verdict import (
     FOUND,
@@ -78,7 +78,7 @@ def test_likeliest_noise_is_the_one_that_made_the_series() -> None:
     assert noise.calm == pytest.approx((3e-3, 0.1), rel=0.5)
 
 
-def test_predictions_meet_the_truth(whole: list[Swim]) -> None:
+def test_predictions_meet_the_truth(whole: list[Segments]) -> None:
     _, _, fitted = countable(whole, robot())
     before = PredictionError.of(gaps(fitted.tracks, whole))
     fix = fix_noise(whole)
@@ -94,7 +94,7 @@ def test_predictions_meet_the_truth(whole: list[Swim]) -> None:
         assert np.hypot(*(track.predicted[period, :2] - true)) < 1.2e-3
 
 
-def test_predictions_look_at_no_later_fix(whole: list[Swim]) -> None:
+def test_predictions_look_at_no_later_fix(whole: list[Segments]) -> None:
     """Fixes after a period's start, however wrong, change nothing in its prediction."""
     swim = whole[0]
     model = Model(robot(), (), Noise())
@@ -107,7 +107,7 @@ def test_predictions_look_at_no_later_fix(whole: list[Swim]) -> None:
     assert not np.allclose(true.predicted[8], false.predicted[8])
 
 
-def test_the_floor_knows_how_well_an_end_is_measured(whole: list[Swim]) -> None:
+def test_the_floor_knows_how_well_an_end_is_measured(whole: list[Segments]) -> None:
     """The same run under a thousand draws of noise: its measured ends scatter as they are said to."""
     swim, rng = whole[0], np.random.default_rng(11)
     kept = np.isfinite(swim.end_noise)
@@ -121,7 +121,7 @@ def test_the_floor_knows_how_well_an_end_is_measured(whole: list[Swim]) -> None:
     assert scatter == pytest.approx(swim.end_noise[kept], rel=0.12)
 
 
-def test_planted_wear_is_found_among_others(worn: list[Swim]) -> None:
+def test_planted_wear_is_found_among_others(worn: list[Segments]) -> None:
     rivals = [term(name) for name in ("limb_wear rear_left", "limb_wear rear_right", "mass_scale", "warm_up")]
     found = search(worn, robot(), rivals)
     assert [each.title for each in found.fitted.model.terms] == ["limb_wear rear_left"]
@@ -141,7 +141,7 @@ def test_planted_wear_is_found_among_others(worn: list[Swim]) -> None:
     assert verdict_of(found, judged, judged) == FOUND
 
 
-def test_nothing_is_found_where_nothing_is_missing(whole: list[Swim]) -> None:
+def test_nothing_is_found_where_nothing_is_missing(whole: list[Segments]) -> None:
     found = search(whole, robot(), [term("limb_wear rear_left"), term("drag_scale"), term("tag_offset")])
     judged = scored(found, whole, whole, found.nominal.tracks, found.fitted.tracks)
     assert not found.fitted.model.terms and judged.gain is None
@@ -159,7 +159,7 @@ def test_effects_of_the_camera_act_on_what_is_shown() -> None:
     assert PredictionError.of(gaps(without, swims)).position_rmse_m > count(20, 20, 18) * 1e-4
 
 
-def test_fit_needs_no_luck_with_its_start(worn: list[Swim]) -> None:
+def test_fit_needs_no_luck_with_its_start(worn: list[Segments]) -> None:
     noise = Noise((2e-4, 3.5e-3), (1e-4, 1e-3), (1e-4, 1e-3))
     (tracks,) = tracks_of([Model(robot(), (), noise)], worn)
     rows = np.isfinite(np.concatenate([track.missed for track in tracks])).all(axis=1)
@@ -175,7 +175,7 @@ def test_bounded_step_holds_its_bounds() -> None:
     assert step == pytest.approx([1.0, 1.0, 0.25])
 
 
-def test_too_little_is_said(whole: list[Swim]) -> None:
+def test_too_little_is_said(whole: list[Segments]) -> None:
     assert too_little(whole) == ""
     assert "8 periods more" in too_little([replace_periods(whole[0], 12)])
     still = [replace(swim, pose=np.tile(swim.pose[:1], (len(swim.pose), 1))) for swim in whole]
@@ -184,13 +184,13 @@ def test_too_little_is_said(whole: list[Swim]) -> None:
     assert "only one action" in too_little(same)
 
 
-def test_runs_of_one_seed_are_known_by_their_noise(whole: list[Swim]) -> None:
-    assert copies(whole) == 1
+def test_runs_of_one_seed_are_known_by_their_noise(whole: list[Segments]) -> None:
+    assert replicate_count(whole) == 1
     moved = replace(whole[0], pose=whole[0].pose + np.array([0.3, -0.2, 0.0]))
-    assert copies([*whole, moved]) == 2
+    assert replicate_count([*whole, moved]) == 2
 
 
-def test_bad_logs_are_one_clear_line_each(whole: list[Swim]) -> None:
+def test_bad_logs_are_one_clear_line_each(whole: list[Segments]) -> None:
     run = make_run([], 6, 3)
 
     def with_fixes(**columns: np.ndarray) -> RunLog:
@@ -199,27 +199,27 @@ def test_bad_logs_are_one_clear_line_each(whole: list[Swim]) -> None:
     heading_deg = np.degrees(run.fixes.heading_rad) + 100.0
     x_mm, y_mm = 1e3 * run.fixes.x_m, 1e3 * run.fixes.y_m
     with pytest.raises(InputError, match="headings are radians"):
-        swim_of(with_fixes(heading_rad=heading_deg), "x.h5", robot())
+        segments_of(with_fixes(heading_rad=heading_deg), "x.h5", robot())
     with pytest.raises(InputError, match="positions are metres"):
-        swim_of(with_fixes(x_m=x_mm, y_m=y_mm), "x.h5", robot())
+        segments_of(with_fixes(x_m=x_mm, y_m=y_mm), "x.h5", robot())
     with pytest.raises(InputError, match="fixes/x_m row 4 is nan"):
         with_fixes(x_m=np.where(np.arange(len(x_mm)) == 4, np.nan, run.fixes.x_m))
     with pytest.raises(InputError, match="time_s row 7 goes back"):
         with_fixes(time_s=np.where(np.arange(len(x_mm)) == 7, 0.0, run.fixes.time_s))
     jumped = run.fixes.capture_time_s - np.where(np.arange(len(x_mm)) > 60, 5.0, 0.0)
     with pytest.raises(InputError, match=r"clock jumps by 5\.0 s"):
-        swim_of(with_fixes(capture_time_s=jumped), "x.h5", robot())
+        segments_of(with_fixes(capture_time_s=jumped), "x.h5", robot())
     with pytest.raises(InputError, match="no test run has a whole period"):
         identify(whole, [replace_periods(whole[0], 0)], robot())
 
 
-def test_an_empty_run_among_others_is_left_out(whole: list[Swim]) -> None:
+def test_an_empty_run_among_others_is_left_out(whole: list[Segments]) -> None:
     outcome = identify([replace_periods(whole[0], 0), whole[1]], whole[:1], robot())
     assert outcome.verdict == TOO_LITTLE and "6 periods more" in outcome.reason
     assert len(outcome.train) == 1 and outcome.tested.before.position_rmse_m < 1e-3
 
 
-def replace_periods(swim: Swim, count: int) -> Swim:
+def replace_periods(swim: Segments, count: int) -> Segments:
     return replace(swim, start_s=swim.start_s[:count], end_s=swim.end_s[:count], action=swim.action[:count])
 
 
@@ -229,15 +229,15 @@ def test_positions_in_another_unit_are_refused(flag: int) -> None:
     run = make_run([], 0, 4)
     known, flags = run.fixes, np.full(len(run.fixes.x_m), flag, dtype=np.uint16)
     centimetres = replace(known, x_m=100.0 * known.x_m, y_m=100.0 * known.y_m, flags=flags)
-    swim_of(replace(run, fixes=replace(known, flags=flags)), "metres", robot())
+    segments_of(replace(run, fixes=replace(known, flags=flags)), "metres", robot())
     with pytest.raises(InputError, match=r"'cm' moves faster than 1 m/s .* convert them"):
-        swim_of(replace(run, fixes=centimetres), "cm", robot())
+        segments_of(replace(run, fixes=centimetres), "cm", robot())
 
 
 def test_another_robots_run_is_refused() -> None:
     run = replace(make_run([], 6, 3), robot_id="other")
     with pytest.raises(InputError, match="'other'"):
-        swim_of(run, "x.h5", robot())
+        segments_of(run, "x.h5", robot())
 
 
 def test_several_runs_follow_one_option() -> None:

@@ -20,7 +20,7 @@ from frogkick.identification.filter import Noise
 from frogkick.identification.fit import Model, derivatives, tracks_of
 from frogkick.identification.relatives import best_end_cost, end_cost, refitted, relatives
 from frogkick.identification.search import countable
-from frogkick.identification.swim import read_swim
+from frogkick.identification.segments import read_segments
 from frogkick.identification.terms import catalogue
 from frogkick.identification.verdict import gaps
 from frogkick.identification.worth import BASE_GAIN
@@ -134,8 +134,8 @@ def test_effects_fitted_to_recorded_runs_predict_another_one(
     """Short runs to learn from, two steps from rough values (one in make test); one run kept out."""
     monkeypatch.setattr(module, "ROUNDS", count(2, 2, 1))
     model, names = load_robot("frog2022"), ("line1", "sin3", "sin1")[: count(3, 3, 2)]
-    train = [read_swim(frog2022_dir / "control" / f"{name}.csv", model) for name in names]
-    test = [read_swim(frog2022_dir / "control" / "ellipse5.csv", model)]
+    train = [read_segments(frog2022_dir / "control" / f"{name}.csv", model) for name in names]
+    test = [read_segments(frog2022_dir / "control" / "ellipse5.csv", model)]
     _, rows, nominal = countable(train, model)
     start = [term.at(GENERIC.get(term.title, term.values)) for term in relatives(model)["frog2022-measured"]]
     fitted = refitted(nominal, start, train, rows)

@@ -32,7 +32,7 @@ from frogkick.identification.retune import (
     retune,
     split,
 )
-from frogkick.identification.swim import Swim, read_swim
+from frogkick.identification.segments import Segments, read_segments
 from frogkick.identification.tables import RESTED, Tracked, earlier_actions, table_error, table_horizons
 from frogkick.identification.terms import catalogue
 from frogkick.identification.verdict import FOUND, NOTHING, TOO_LITTLE, UNEXPLAINED
@@ -46,12 +46,12 @@ STATES = "46"  # the fewest that a table can be fitted to
 
 
 @pytest.fixture(scope="module")
-def swims() -> list[Swim]:
+def swims() -> list[Segments]:
     return [make_swim([WORN], seed, periods) for seed, periods in ((1, 14), (2, 14), (3, 10))]
 
 
 @pytest.fixture(scope="module")
-def found(swims: list[Swim]) -> Outcome:
+def found(swims: list[Segments]) -> Outcome:
     """What identification makes of the worn robot's first runs, the last held out."""
     return known_outcome(swims[:2], swims[2:], *WEAR)
 
@@ -169,7 +169,7 @@ def test_starts_are_taken_as_the_camera_shows_them(found: Outcome) -> None:
     assert error.position_rmse_m == pytest.approx(np.sqrt(np.mean(apart**2)), rel=1e-6)
 
 
-def test_earlier_actions_are_forgotten_beyond_a_gap(swims: list[Swim]) -> None:
+def test_earlier_actions_are_forgotten_beyond_a_gap(swims: list[Segments]) -> None:
     swim = replace(swims[2], action=np.arange(10) % 5)
     previous = earlier_actions(swim)
     assert (previous[0] == RESTED).all()
@@ -190,12 +190,12 @@ def test_better_is_both_no_worse_and_one_by_more_than_chance() -> None:
         assert not is_better(old, PredictionError(*other))
 
 
-def test_the_last_run_is_held_out(swims: list[Swim]) -> None:
+def test_the_last_run_is_held_out(swims: list[Segments]) -> None:
     train, test, said = split(swims)
     assert train == swims[:2] and test == swims[2:] and "made3" in said
 
 
-def test_of_a_single_run_the_last_third_is_held_out(swims: list[Swim]) -> None:
+def test_of_a_single_run_the_last_third_is_held_out(swims: list[Segments]) -> None:
     swim = swims[0]
     (learned,), (kept,), said = split([swim])
     assert len(learned.start_s) == len(learned.action) == len(learned.end_s) == 9
@@ -207,7 +207,9 @@ def test_of_a_single_run_the_last_third_is_held_out(swims: list[Swim]) -> None:
     assert np.array_equal(kept.pose, swim.pose) and kept.strokes == swim.strokes
 
 
-def test_better_tables_are_kept_with_the_old_ones(known: Outcome, swims: list[Swim], tmp_path: Path) -> None:
+def test_better_tables_are_kept_with_the_old_ones(
+    known: Outcome, swims: list[Segments], tmp_path: Path
+) -> None:
     tools, out = tools_of(known, 0.5e-3, 2e-3), tmp_path / "new"
     out.mkdir()  # an empty one is as good as none
     result = retune(swims, robot(), out, tools, silent)
@@ -234,7 +236,7 @@ def test_better_tables_are_kept_with_the_old_ones(known: Outcome, swims: list[Sw
 
 @pytest.mark.parametrize("worn_m", [2e-3, 1.99e-3, 3e-3])
 def test_tables_that_are_no_better_are_refused(
-    known: Outcome, swims: list[Swim], tmp_path: Path, worn_m: float
+    known: Outcome, swims: list[Segments], tmp_path: Path, worn_m: float
 ) -> None:
     tools, out = tools_of(known, worn_m, 2e-3), tmp_path / "new"
     result = retune(swims, robot(), out, tools, silent, old=b"old")
@@ -251,7 +253,7 @@ def test_tables_that_are_no_better_are_refused(
 )  # fmt: skip
 def test_without_an_effect_nothing_is_made(
     found: Outcome,
-    swims: list[Swim],
+    swims: list[Segments],
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     verdict: str,
@@ -270,7 +272,7 @@ def test_without_an_effect_nothing_is_made(
 
 
 def test_what_tables_cannot_know_is_said_before_they_are_made(
-    known: Outcome, swims: list[Swim], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    known: Outcome, swims: list[Segments], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     assert known.found is not None
     outside = tuple(term for term in catalogue(robot()) if term.name in ("camera_scale", "steady_current"))
@@ -292,7 +294,7 @@ def test_what_tables_cannot_know_is_said_before_they_are_made(
 @pytest.mark.parametrize("error", [KeyboardInterrupt, InputError("the disk is full")])
 def test_stopped_amid_its_work_it_leaves_nothing(
     known: Outcome,
-    swims: list[Swim],
+    swims: list[Segments],
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     error: type[BaseException] | BaseException,
@@ -308,14 +310,14 @@ def test_stopped_amid_its_work_it_leaves_nothing(
     assert tools.made == ["worn", "nominal"] and not list(tmp_path.iterdir())
 
 
-def test_a_folder_with_something_in_it_is_not_touched(swims: list[Swim], tmp_path: Path) -> None:
+def test_a_folder_with_something_in_it_is_not_touched(swims: list[Segments], tmp_path: Path) -> None:
     (tmp_path / "tables.fkt").write_bytes(b"mine")
     with pytest.raises(InputError, match="is not empty"):
         retune(swims, robot(), tmp_path, Tools({}), silent)
     assert (tmp_path / "tables.fkt").read_bytes() == b"mine"
 
 
-def test_another_period_is_refused(swims: list[Swim], tmp_path: Path) -> None:
+def test_another_period_is_refused(swims: list[Segments], tmp_path: Path) -> None:
     slow = [replace(swims[0], period_s=2.0)]
     with pytest.raises(InputError, match=r"a period of 2\.000 s, robot 'frog2022' 1\.425 s"):
         retune(slow, robot(), tmp_path / "new", Tools({}), silent)
@@ -343,7 +345,7 @@ def test_from_logs_to_firmware(
         tmp_path / "new",
         ["--robot", robot_option(tmp_path), "--states", STATES, "--workers", "1", "--json"],
     )
-    outcome = known_outcome(*(list(map(read_swim, some)) for some in (runs[:2], runs[2:])), *WEAR)
+    outcome = known_outcome(*(list(map(read_segments, some)) for some in (runs[:2], runs[2:])), *WEAR)
 
     def told(*arguments: Any, progress: Any, **more: Any) -> Outcome:
         assert [[swim.name for swim in swims] for swims in arguments[:2]] == [

@@ -15,8 +15,8 @@ from frogkick.identification.fit import SHARES, Fitted, Model, _stepped, derivat
 from frogkick.identification.polish import REFINING_LEG_S, WRENCH_LEG_S, Polisher, fine_leg_s
 from frogkick.identification.revise import needless, revised, stability, without
 from frogkick.identification.search import Found, countable, folds_of
+from frogkick.identification.segments import Segments
 from frogkick.identification.steps import cost_of
-from frogkick.identification.swim import Swim
 from frogkick.identification.terms import Term
 
 QUIET = Noise((2e-4, 3.5e-3), (2e-5, 5e-4), (2e-5, 5e-4))
@@ -27,18 +27,18 @@ def held_but(model: Model, *free: int) -> Model:
     return replace(model, held=frozenset(range(len(model.values))) - set(free))
 
 
-def fitted_to(swims: list[Swim], rows: np.ndarray, terms: tuple[Term, ...], *free: int) -> Fitted:
+def fitted_to(swims: list[Segments], rows: np.ndarray, terms: tuple[Term, ...], *free: int) -> Fitted:
     model = held_but(Model(robot(), terms, QUIET, REFINING_LEG_S), *free)
     return derivatives([fit(model, swims, rows, 4).model], swims, rows)[0]
 
 
 @pytest.fixture(scope="module")
-def late() -> list[Swim]:
+def late() -> list[Segments]:
     """A worn limb, seen late."""
     return [make_swim([WEAR, {"name": "fix_latency", "delay_s": 0.12}], 3, 16)]
 
 
-def test_an_effect_that_others_make_needless_is_dropped(late: list[Swim]) -> None:
+def test_an_effect_that_others_make_needless_is_dropped(late: list[Segments]) -> None:
     rows = countable(late, robot())[1]
     terms = (term("steady_wrench", 1e-4, 0.0, 0.0), term("limb_wear rear_left"), term("fix_latency", 0.1))
     current = fitted_to(late, rows, terms, 0, 3, 6)
@@ -49,7 +49,7 @@ def test_an_effect_that_others_make_needless_is_dropped(late: list[Swim]) -> Non
     assert found.model.terms[1].values[0] == pytest.approx(0.12, abs=0.01)
 
 
-def test_another_effect_takes_the_place_of_one_that_stood_in_for_it(late: list[Swim]) -> None:
+def test_another_effect_takes_the_place_of_one_that_stood_in_for_it(late: list[Segments]) -> None:
     """Every stroke late is nearly the same as every fix late, and not quite where the worn limb is known."""
     rows = countable(late, robot())[1]
     taken = fitted_to(late, rows, (term("limb_wear all", 1.0, 0.12, 1.0),), 1)
@@ -62,7 +62,7 @@ def test_another_effect_takes_the_place_of_one_that_stood_in_for_it(late: list[S
     assert all(each.title == "limb_wear all" for each in equals[0])
 
 
-def test_delays_of_all_limbs_are_no_substitute_for_late_fixes(late: list[Swim]) -> None:
+def test_delays_of_all_limbs_are_no_substitute_for_late_fixes(late: list[Segments]) -> None:
     """Four effects that each gained something imitate one that did not seem best after the first of them."""
     rows = countable(late, robot())[1]
     wear = fitted_to(late, rows, (term("limb_wear rear_left", 0.8, 0.0, 1.0),), 0)
@@ -114,7 +114,7 @@ def test_a_wall_is_followed_as_finely_as_in_the_pool() -> None:
         assert fine_leg_s(Model(robot(), (term(title, *values),), QUIET)) == leg_s
 
 
-def test_an_effect_that_held_out_parts_do_not_ask_for_goes(late: list[Swim]) -> None:
+def test_an_effect_that_held_out_parts_do_not_ask_for_goes(late: list[Segments]) -> None:
     """Of a right effect and an idle one beside it, the idle one costs nothing when it is left out."""
     terms = (term("limb_wear rear_left", 0.7, 0.0, 1.0), term("fix_latency", 0.12), term("yaw_drag"))
     rows, held = countable(late, robot())[1], frozenset({1, 2})
@@ -128,7 +128,9 @@ def test_an_effect_that_held_out_parts_do_not_ask_for_goes(late: list[Swim]) -> 
     assert needless(fitted, folds, late) is None
 
 
-def test_what_few_draws_of_the_runs_would_take_is_unstable(late: list[Swim], whole: list[Swim]) -> None:
+def test_what_few_draws_of_the_runs_would_take_is_unstable(
+    late: list[Segments], whole: list[Segments]
+) -> None:
     """Effects that are there would be taken in every draw; one that is not in few, though it was fitted."""
     rows = countable(late, robot())[1]
     terms = (term("limb_wear rear_left", 0.7, 0.0, 1.0), term("fix_latency", 0.12), term("yaw_drag"))

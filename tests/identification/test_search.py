@@ -18,26 +18,26 @@ from frogkick.identification.fit import Model, derivatives, fit_many, fit_on, mi
 from frogkick.identification.polish import Polisher
 from frogkick.identification.revise import same_named
 from frogkick.identification.search import Found, _fall, _Hunt, countable, folds_of, search
+from frogkick.identification.segments import Segments
 from frogkick.identification.steps import _shrunk, cost_of, log_density, promised, scale_of
-from frogkick.identification.swim import Swim
 from frogkick.identification.verdict import FOUND, NOTHING, PARTLY, UNEXPLAINED, Scored, intervals
 
 NOISE = Noise((2e-4, 3.5e-3), (1e-4, 1e-3), (1e-4, 1e-3))
 
 
 @pytest.fixture(scope="module")
-def worn() -> list[Swim]:
+def worn() -> list[Segments]:
     planted = {"name": "limb_wear", "limb": "rear_left", "gain": 0.7}
     return [make_swim([planted], seed, 14) for seed in (1, 2)]
 
 
-def polisher(swims: list[Swim]) -> Polisher:
+def polisher(swims: list[Segments]) -> Polisher:
     (tracks,) = tracks_of([Model(robot(), (), NOISE)], swims)
     rows = np.isfinite(np.concatenate([track.missed for track in tracks])).all(axis=1)
     return Polisher(swims, rows, 1)
 
 
-def test_lanes_that_wait_for_a_place_swim_as_they_would_at_once(worn: list[Swim]) -> None:
+def test_lanes_that_wait_for_a_place_swim_as_they_would_at_once(worn: list[Segments]) -> None:
     models = [
         Model(robot(), (term("limb_wear rear_left").at((gain, 0.0, 1.0)),), NOISE)
         for gain in np.linspace(0.5, 1.0, WIDTH // 2 + 1)
@@ -64,7 +64,7 @@ def test_a_step_explains_what_few_periods_show() -> None:
     assert cost == pytest.approx(cost_of(missed + jacobian[:, :, 0] * step[0]))
 
 
-def test_what_is_held_is_not_simulated_in_a_fit(worn: list[Swim]) -> None:
+def test_what_is_held_is_not_simulated_in_a_fit(worn: list[Segments]) -> None:
     model = Model(robot(), (term("limb_wear rear_left"),), NOISE, held=frozenset({1, 2}))
     rows = polisher(worn).rows
     (fitted,) = fit_many([model], worn, rows, 4)
@@ -74,7 +74,7 @@ def test_what_is_held_is_not_simulated_in_a_fit(worn: list[Swim]) -> None:
     assert whole.jacobian.any(axis=(0, 1)).all()
 
 
-def test_derivatives_that_mislead_are_simulated_anew(worn: list[Swim]) -> None:
+def test_derivatives_that_mislead_are_simulated_anew(worn: list[Segments]) -> None:
     """Of another place a third as steep: the first step goes three times too far, and the fit notices."""
     model = Model(robot(), (term("limb_wear rear_left").at((0.9, 0.0, 1.0)),), NOISE, held=frozenset({1, 2}))
     rows = polisher(worn).rows
@@ -90,7 +90,7 @@ def test_derivatives_that_mislead_are_simulated_anew(worn: list[Swim]) -> None:
     assert whole.fresh and np.allclose(whole.jacobian[:, :, 1:], exact.jacobian[:, :, 1:], rtol=0.0)
 
 
-def test_a_delay_that_settled_in_a_dip_is_put_back(worn: list[Swim]) -> None:
+def test_a_delay_that_settled_in_a_dip_is_put_back(worn: list[Segments]) -> None:
     """Frames swing at 40 Hz: half a swing late fits as well as derivatives can tell."""
     searching = polisher(worn)
     dip = Model(robot(), (term("limb_wear rear_left").at((0.71, 0.0125, 1.0)),), NOISE, held=frozenset({2}))
@@ -165,12 +165,14 @@ def test_a_relative_that_does_not_explain_all_is_held_against_a_search(
     assert given == taken
 
 
-def test_a_search_in_part_is_fitted_to_all_runs(worn: list[Swim], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_search_in_part_is_fitted_to_all_runs(
+    worn: list[Segments], monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(choice, "PART", 20)
     begun = countable(worn, robot())
     seen: list[int] = []
 
-    def searched(swims: list[Swim], *_args: Any, most: int) -> Found:
+    def searched(swims: list[Segments], *_args: Any, most: int) -> Found:
         seen.extend(len(swim.start_s) for swim in swims)
         return search(swims, robot(), [term("limb_wear rear_left")], most=most)
 
@@ -181,7 +183,7 @@ def test_a_search_in_part_is_fitted_to_all_runs(worn: list[Swim], monkeypatch: p
 
 
 @pytest.mark.parametrize("title", some(["limb_wear rear_left", "drag_scale"], 1))
-def test_held_out_gains_are_those_of_fits_that_never_saw_the_fold(worn: list[Swim], title: str) -> None:
+def test_held_out_gains_are_those_of_fits_that_never_saw_the_fold(worn: list[Segments], title: str) -> None:
     """Each fold's parameters fitted by simulation on the other folds alone: the search takes derivatives.
 
     By the right effect and by a wrong one: a search that flattered itself would do so with it.

@@ -18,7 +18,7 @@ from frogkick.identification import predict
 from frogkick.identification.filter import Noise
 from frogkick.identification.fit import LEG_S, Model, tracks_of
 from frogkick.identification.predict import Lane, Track
-from frogkick.identification.swim import Swim
+from frogkick.identification.segments import Segments
 from frogkick.identification.terms import catalogue
 from frogkick.identification.together import all_at_once, cpu_s
 
@@ -26,7 +26,7 @@ NOISE = Noise((2e-4, 3.5e-3), (1e-4, 1e-3), (1e-4, 1e-3))
 
 
 @pytest.fixture(scope="module")
-def swim() -> Swim:
+def swim() -> Segments:
     return make_swim([{"name": "limb_wear", "limb": "rear_left", "gain": 0.7}], 1, 4)
 
 
@@ -35,7 +35,7 @@ def worn(gain: float) -> Model:
     return Model(robot(), (term.at((gain, 0.0, 1.0)),), NOISE)
 
 
-def twice(swim: Swim, gain: float) -> list[Track]:
+def twice(swim: Segments, gain: float) -> list[Track]:
     """Two rounds of simulations, the second by what the first gave."""
     ((first,),) = tracks_of([worn(gain)], [swim])
     lag = 0.01 * float(np.nanmean(np.abs(first.missed[:, 0])))
@@ -43,7 +43,7 @@ def twice(swim: Swim, gain: float) -> list[Track]:
     return [first, second]
 
 
-def test_what_goes_at_once_is_what_would_go_alone(swim: Swim, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_goes_at_once_is_what_would_go_alone(swim: Segments, monkeypatch: pytest.MonkeyPatch) -> None:
     gains, asked = (0.6, 0.7, 0.8), list[int]()
 
     def counted(lanes: list[Lane]) -> list[Track]:
@@ -86,7 +86,7 @@ def test_who_swims_beside_a_lane_makes_no_difference(
         assert np.array_equal(together.difference, alone.difference)
 
 
-def test_work_that_waits_for_a_thread_is_done_too(swim: Swim) -> None:
+def test_work_that_waits_for_a_thread_is_done_too(swim: Segments) -> None:
     def once(gain: float) -> float:
         ((track,),) = tracks_of([worn(gain)], [swim])
         return float(np.nansum(track.missed))
@@ -97,7 +97,7 @@ def test_work_that_waits_for_a_thread_is_done_too(swim: Swim) -> None:
     assert len({missed for _, missed in found}) == len(gains)
 
 
-def test_what_a_piece_raises_is_raised_and_ends_the_others(swim: Swim) -> None:
+def test_what_a_piece_raises_is_raised_and_ends_the_others(swim: Segments) -> None:
     def fails() -> None:
         raise InputError("no such run")
 
@@ -110,7 +110,7 @@ def test_what_a_piece_raises_is_raised_and_ends_the_others(swim: Swim) -> None:
         list(all_at_once(work))
 
 
-def test_simulations_for_several_are_shared_out(swim: Swim) -> None:
+def test_simulations_for_several_are_shared_out(swim: Segments) -> None:
     def measured(models: list[Model]) -> float:
         begun_s = cpu_s()
         tracks_of(models, [swim])

@@ -23,8 +23,8 @@ from frogkick.identification.filter import Noise
 from frogkick.identification.fit import Model, tracks_of
 from frogkick.identification.outcome import identify
 from frogkick.identification.search import Found, countable
+from frogkick.identification.segments import Segments, read_segments, segments_of
 from frogkick.identification.steps import DOF, cost_of, promised
-from frogkick.identification.swim import Swim, read_swim, swim_of
 from frogkick.identification.terms import catalogue
 from frogkick.identification.verdict import (
     FOUND,
@@ -42,7 +42,7 @@ from frogkick.runs.runlog import Fixes, FixFlag
 from frogkick_studies.planted import OUTSIDE_TEXT
 
 
-def test_the_noise_of_fixes_is_told_by_fixes_alone(whole: list[Swim], worn: list[Swim]) -> None:
+def test_the_noise_of_fixes_is_told_by_fixes_alone(whole: list[Segments], worn: list[Segments]) -> None:
     """The camera's own 0.2 mm and 0.2 degrees, whatever limbs do; a wild fix now and then is no noise."""
     strays = []
     for swim in worn:
@@ -60,15 +60,15 @@ def test_the_noise_of_fixes_is_told_by_fixes_alone(whole: list[Swim], worn: list
     assert fix_noise([replace_fixes(whole[0], 10)]) is None
 
 
-def drawn(swim: Swim, size_m: float) -> np.ndarray:
+def drawn(swim: Segments, size_m: float) -> np.ndarray:
     return np.random.default_rng(9).normal(0.0, size_m, swim.pose.shape) * (1.0, 1.0, 0.0)
 
 
-def replace_fixes(swim: Swim, count: int) -> Swim:
+def replace_fixes(swim: Segments, count: int) -> Segments:
     return replace(swim, time_s=swim.time_s[:count], pose=swim.pose[:count])
 
 
-def test_what_strokes_do_differently_is_no_noise_of_the_fixes(whole: list[Swim], tmp_path: Path) -> None:
+def test_what_strokes_do_differently_is_no_noise_of_the_fixes(whole: list[Segments], tmp_path: Path) -> None:
     """A limb that misfires in 4 strokes of 10: the floor stays, beside it stands what strokes differ by."""
     (tmp_path / "mine.py").write_text(OUTSIDE_TEXT)
     table = {"file": str(tmp_path / "mine.py"), "class": "Misfire", "limb": "front_left", "share": 0.4}
@@ -176,7 +176,7 @@ def test_what_chance_gains_is_known_from_the_signs_of_blocks() -> None:
 
 
 def test_what_does_not_help_on_runs_kept_out_is_left_out(
-    whole: list[Swim], worn: list[Swim], monkeypatch: pytest.MonkeyPatch
+    whole: list[Segments], worn: list[Segments], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A limb worn in the training runs, whole in the test run: the nominal model is given back."""
     monkeypatch.setattr(outcome_module, "catalogue", lambda *_args: [term("limb_wear rear_left")])
@@ -192,7 +192,7 @@ def test_what_does_not_help_on_runs_kept_out_is_left_out(
     assert told["test"]["repeatability"].keys() == {"position_rmse_m", "heading_rmse_rad"}
 
 
-def rested(seed: int, frames: int) -> Swim:
+def rested(seed: int, frames: int) -> Segments:
     """A run whose frames before the first stroke have wrong times, but for the last; the first ones still."""
     run, rng = make_run([], seed, 6), np.random.default_rng(seed)
     first = int(np.searchsorted(run.fixes.capture_time_s, START_S)) - 1
@@ -211,7 +211,7 @@ def rested(seed: int, frames: int) -> Swim:
         quality=np.ones(len(told), dtype=np.uint8),
         flags=flags,
     )
-    return swim_of(replace(run, fixes=fixes), "rested", robot())
+    return segments_of(replace(run, fixes=fixes), "rested", robot())
 
 
 def test_a_robot_seen_at_rest_is_known_to_rest() -> None:
@@ -230,7 +230,7 @@ def test_a_robot_seen_at_rest_is_known_to_rest() -> None:
 
 def test_recorded_runs_that_begin_with_hardly_a_fix_have_the_floor_of_the_others(frog2022_dir: Path) -> None:
     for name in ("ellipse6", "line1"):
-        swim = read_swim(frog2022_dir / "control" / f"{name}.csv", robot())
+        swim = read_segments(frog2022_dir / "control" / f"{name}.csv", robot())
         fix = fix_noise([swim])
         assert fix is not None and noise_floor([swim], fix).position_rmse_m < 1.5e-3
 
@@ -247,8 +247,8 @@ def test_a_limb_that_misfires_at_random_is_not_found_elsewhere(
     if not folder.is_dir():
         pytest.skip("no logs of misfires beside the recorded runs")
     names = ("line", "eight", "sine", "ellipse")[count(0, 0, 1) : count(4, 4, 2)]
-    train = [read_swim(folder / f"{name}.h5", robot()) for name in names]
-    outcome = identify(train, [read_swim(folder / "bends.h5", robot())], robot())
+    train = [read_segments(folder / f"{name}.h5", robot()) for name in names]
+    outcome = identify(train, [read_segments(folder / "bends.h5", robot())], robot())
     tested = outcome.tested
     assert outcome.verdict in (UNEXPLAINED, PARTLY)
     assert tested.after.position_rmse_m <= tested.before.position_rmse_m

@@ -19,7 +19,7 @@ from frogkick.identification import choice as choice_module
 from frogkick.identification import outcome as outcome_module
 from frogkick.identification.filter import Noise
 from frogkick.identification.fit import Model
-from frogkick.identification.swim import read_swim, reliable
+from frogkick.identification.segments import read_segments, reliable
 from frogkick.identification.terms import catalogue
 from frogkick.robot import load_robot
 from frogkick.runs.recorded import clock_problem, load_run, read_recorded
@@ -126,7 +126,7 @@ def test_a_slip_is_found_or_the_run_refused(
     spacing = np.diff(run.decisions.time_s)
     odd = np.flatnonzero(np.abs(spacing - run.period_s) > 1e-6)
     assert len(odd) <= 1 and np.all((spacing > 0.45 * period_s) & (spacing < 1.55 * period_s))
-    swim = read_swim(file)
+    swim = read_segments(file)
     assert np.all(np.diff(swim.start_s) > 0.79 * period_s)
 
 
@@ -192,8 +192,8 @@ def test_a_run_without_a_clock_is_not_used_in_silence(
     file = without_a_clock(source, tmp_path)
     run = read_recorded(file)
     assert clock_problem(run)
-    good = read_swim(source)
-    kept, left_out = reliable([good, read_swim(file)])
+    good = read_segments(source)
+    kept, left_out = reliable([good, read_segments(file)])
     assert kept == [good] and left_out == [{"run": "sin3.csv", "reason": clock_problem(run)}]
     out = tmp_path / "out"
     told = CliRunner().invoke(app, ["import", str(tmp_path), "--out", str(out), "--json"])
@@ -224,7 +224,7 @@ def test_a_run_at_another_period_swims_by_the_profile_there(
 ) -> None:
     robot = load_robot("frog2022")
     source = frog2022_dir / "control" / "sin1.csv"
-    plain, fast = read_swim(source), read_swim(altered(source, tmp_path, stretch=0.8))
+    plain, fast = read_segments(source), read_segments(altered(source, tmp_path, stretch=0.8))
     model = Model(robot, (), Noise())
     assert model.lane(plain).robot is robot
     there = model.lane(fast).robot

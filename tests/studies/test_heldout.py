@@ -18,7 +18,7 @@ from frogkick.core.poses import PredictionError
 from frogkick.identification import choice as choice_module
 from frogkick.identification import outcome as outcome_module
 from frogkick.identification.outcome import identify
-from frogkick.identification.swim import read_swim
+from frogkick.identification.segments import read_segments
 from frogkick.identification.terms import catalogue
 from frogkick.robot import load_robot
 from frogkick.runs.runlog_file import write_run
@@ -69,7 +69,7 @@ def test_each_run_is_predicted_by_what_the_others_show(runs: list[Path], tmp_pat
     squares = [row["periods"] * row["after"]["position_rmse_m"] ** 2 for row in values["runs"]]
     assert whole == pytest.approx(np.sqrt(sum(squares) / values["periods"]))
 
-    swims = [read_swim(run, robot()) for run in runs]
+    swims = [read_segments(run, robot()) for run in runs]
     alone = identify(swims[:2], swims[2:], robot())
     assert values["runs"][2]["after"] == alone.tested.after.as_json(), "the same as identify by itself"
 

@@ -22,7 +22,7 @@ from frogkick.identification.outcome import (
 )
 from frogkick.identification.outcome import identify as find
 from frogkick.identification.retune import steps
-from frogkick.identification.swim import Swim, read_swim, swim_of
+from frogkick.identification.segments import Segments, read_segments, segments_of
 from frogkick.identification.verdict import Interval
 from frogkick.robot import Robot, load_robot, parse_robot
 
@@ -178,9 +178,9 @@ def identify(
     described = robot
     if not isinstance(described, Robot):
         described = load_robot(
-            described or robot_of_runs([swim_of_given(each, None) for each in (*runs, *test)])
+            described or robot_of_runs([segments_of_given(each, None) for each in (*runs, *test)])
         )
-    train, kept = ([swim_of_given(each, described) for each in some] for some in (runs, test))
+    train, kept = ([segments_of_given(each, described) for each in some] for some in (runs, test))
     own = None if effects is None else Path(effects)
     if not progress:
         return Identification(find(train, kept, described, own, measured=measured))
@@ -192,8 +192,8 @@ def identify(
     return Identification(found)
 
 
-def swim_of_given(given: Given, robot: Robot | None) -> Swim:
+def segments_of_given(given: Given, robot: Robot | None) -> Segments:
     """A run as identification takes it; ``robot`` is whose it is to be, None = the run's own."""
     if isinstance(given, Run):
-        return swim_of(given.log, given.log.source, robot)
-    return read_swim(given, robot)
+        return segments_of(given.log, given.log.source, robot)
+    return read_segments(given, robot)

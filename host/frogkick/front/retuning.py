@@ -18,13 +18,13 @@ from frogkick.core.poses import PredictionError
 from frogkick.core.progress import Progress, shown
 from frogkick.effects import World, effects_of
 from frogkick.front.html import page_of
-from frogkick.front.identifying import Given, LeftOut, Outcome, swim_of_given
+from frogkick.front.identifying import Given, LeftOut, Outcome, segments_of_given
 from frogkick.front.places import built_firmware
 from frogkick.front.robots import VIRTUAL, Pushed, push_table, require_target
 from frogkick.front.tables import Table, load_table
 from frogkick.identification import retune as retuning
 from frogkick.identification.retune import BEFORE, ROBOT, TABLES, Retuned, require_new
-from frogkick.identification.swim import reliable
+from frogkick.identification.segments import reliable
 from frogkick.identification.tables import Stage, Tracked
 from frogkick.library import build_library, fit_table, read_library
 from frogkick.library.error import looked_up
@@ -166,7 +166,7 @@ def retune(
     require_writable(folder, folder=True)
     require_new(folder)
     described = robot if isinstance(robot, Robot) else load_robot(robot)
-    swims, unused = reliable([swim_of_given(each, described) for each in runs])
+    swims, unused = reliable([segments_of_given(each, described) for each in runs])
     left_out(unused)
     old = None if table is None else _carried(table, described)
     tools = _Tools(states, seed, workers or os.cpu_count() or 1)

@@ -12,7 +12,7 @@ from frogkick.identification.fit import derivatives, fit
 from frogkick.identification.relatives import best_end_cost, descended, end_cost, refitted, relatives
 from frogkick.identification.revise import needless, stability, without
 from frogkick.identification.search import Begun, Found, countable, folds_of, search
-from frogkick.identification.swim import Swim, part_of
+from frogkick.identification.segments import Segments, part_of
 from frogkick.identification.terms import Term
 from frogkick.identification.verdict import FOUND, NOTHING, Scored, scored, verdict_of
 from frogkick.identification.worth import GAIN_EACH
@@ -36,7 +36,7 @@ than this share of both errors is then taken where a search does not explain all
 
 
 def found_in(
-    train: Sequence[Swim],
+    train: Sequence[Segments],
     robot: Robot,
     candidates: Sequence[Term],
     progress: Progress,
@@ -81,7 +81,7 @@ def found_in(
 def _relative(
     begun: Begun,
     known: Sequence[Sequence[Term]],
-    train: Sequence[Swim],
+    train: Sequence[Segments],
     progress: Progress,
     measured: bool = True,
 ) -> Found | None:
@@ -97,7 +97,7 @@ def _relative(
 
 
 def _searched_in_part(
-    begun: Begun, train: Sequence[Swim], robot: Robot, candidates: Sequence[Term], progress: Progress
+    begun: Begun, train: Sequence[Segments], robot: Robot, candidates: Sequence[Term], progress: Progress
 ) -> Found:
     """What a search finds in some of the periods, the same share of each run, fitted to all of them."""
     _, rows, nominal = begun
@@ -109,7 +109,7 @@ def _searched_in_part(
     return Found(nominal, fitted, found.turns, rows, found.alike, rivals=found.rivals)
 
 
-def pruned(found: Found, train: Sequence[Swim], progress: Progress) -> Found:
+def pruned(found: Found, train: Sequence[Segments], progress: Progress) -> Found:
     """What was found without effects that are needless or unstable in the training runs.
 
     Backward elimination, one effect at a time; the test runs have no part in it. Needless is what costs
@@ -139,12 +139,12 @@ def pruned(found: Found, train: Sequence[Swim], progress: Progress) -> Found:
         found = replace(found, fitted=fitted, alike=[found.alike[k] for k in kept], rivals=rivals)
 
 
-def _verdict(found: Found, swims: Sequence[Swim]) -> str:
+def _verdict(found: Found, swims: Sequence[Segments]) -> str:
     both = _scored(found, swims)
     return verdict_of(found, both, both)
 
 
-def _scored(found: Found, swims: Sequence[Swim]) -> Scored:
+def _scored(found: Found, swims: Sequence[Segments]) -> Scored:
     return scored(found, swims, swims, found.nominal.tracks, found.fitted.tracks)
 
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from frogkick.identification.fit import Model, coarse, misses, steps_of, tracks_of
 from frogkick.identification.probe import Probes, Sums, changes, probes_of, spread_first
-from frogkick.identification.swim import Swim
+from frogkick.identification.segments import Segments
 from frogkick.identification.terms import Term
 from frogkick.robot import Robot
 
@@ -36,7 +36,7 @@ class Column:
 def sensitivities(
     model: Model,
     candidates: Sequence[Term],
-    swims: Sequence[Swim],
+    swims: Sequence[Segments],
     rows: NDArray[np.bool_],
     progress: Callable[[int, int], None],
 ) -> list[Column]:
@@ -112,7 +112,7 @@ def _changes(probes: Probes, bare: Model, term: Term) -> list[FloatArray | None]
     return changes(probes, term, steps_of(replace(bare, terms=(term,))))
 
 
-def _own_starts(term: Term, robot: Robot, swims: Sequence[Swim]) -> list[tuple[Term, set[str]]]:
+def _own_starts(term: Term, robot: Robot, swims: Sequence[Segments]) -> list[tuple[Term, set[str]]]:
     """Starts that an effect asks for by itself, and which parameters say where it is there.
 
     Probes are here and there, such an effect is in one place: all its other parameters are simulated.
@@ -127,7 +127,7 @@ def _own_starts(term: Term, robot: Robot, swims: Sequence[Swim]) -> list[tuple[T
     return found
 
 
-def _starts(term: Term, dead: NDArray[np.bool_], swims: Sequence[Swim]) -> list[Term]:
+def _starts(term: Term, dead: NDArray[np.bool_], swims: Sequence[Segments]) -> list[Term]:
     """Starts spread over parameters that say nothing where the effect vanishes; places where runs went."""
     starts = [term]
     primes = (2, 3, 5, 7)

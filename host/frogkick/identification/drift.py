@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from frogkick.identification.predict import Track
-from frogkick.identification.swim import Swim
+from frogkick.identification.segments import Segments
 from frogkick.robot import Robot
 
 FloatArray = NDArray[np.float64]
@@ -54,14 +54,14 @@ class Drift:
         """The key ``drift`` of the command."""
         return {"size": list(self.size), "wander": list(self.wander), "cut": list(self.cut)}
 
-    def followed(self, tracks: Sequence[Track], swims: Sequence[Swim], robot: Robot) -> list[Track]:
+    def followed(self, tracks: Sequence[Track], swims: Sequence[Segments], robot: Robot) -> list[Track]:
         """Tracks whose predictions take into account what each run had shown by each period's start."""
         return [
             replace(track, predicted=_moved(track, self._offsets(track, swim, robot)))
             for track, swim in zip(tracks, swims, strict=True)
         ]
 
-    def _offsets(self, track: Track, swim: Swim, robot: Robot) -> FloatArray:
+    def _offsets(self, track: Track, swim: Segments, robot: Robot) -> FloatArray:
         """(m, 3) what is expected beside the model at the end of each period, by the pose at its start."""
         firing, shown = firing_of(swim, robot), track.missed[:, -3:]
         return np.column_stack(
@@ -73,7 +73,7 @@ class Drift:
         )
 
 
-def firing_of(swim: Swim, robot: Robot) -> FloatArray:
+def firing_of(swim: Segments, robot: Robot) -> FloatArray:
     """(m, limbs) 1 where a limb fires in a period."""
     found = np.zeros((len(swim.start_s), len(robot.limbs)))
     for time_s, limb in swim.strokes:
@@ -114,7 +114,7 @@ def _moved(track: Track, offsets: FloatArray) -> FloatArray:
     return np.asarray(track.predicted + moved)
 
 
-def drift_of(tracks: Sequence[Track], swims: Sequence[Swim], robot: Robot) -> Drift | None:
+def drift_of(tracks: Sequence[Track], swims: Sequence[Segments], robot: Robot) -> Drift | None:
     """How limbs drift in the training runs; None where following that gains next to nothing there."""
     missed = [_end_misses(track, swim) for track, swim in zip(tracks, swims, strict=True)]
     shown = [track.missed[:, -3:] for track in tracks]
@@ -148,7 +148,7 @@ def _square(missed: Sequence[FloatArray], axis: int, expected: Sequence[FloatArr
     return float(np.nansum(np.concatenate(gaps) ** 2))
 
 
-def _end_misses(track: Track, swim: Swim) -> FloatArray:
+def _end_misses(track: Track, swim: Segments) -> FloatArray:
     """(m, 3) measured minus predicted pose at each period's end: forward, left (m), heading (rad)."""
     gap = swim.measured - track.predicted
     c, s = np.cos(track.start[:, 2]), np.sin(track.start[:, 2])

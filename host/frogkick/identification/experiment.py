@@ -22,9 +22,9 @@ from frogkick.identification.fit import Model, misses, tracks_of
 from frogkick.identification.polish import held_at
 from frogkick.identification.predict import WILD
 from frogkick.identification.search import Found
-from frogkick.identification.side_by_side import Row, Side, grow, swim_of_row
+from frogkick.identification.segments import Segments
+from frogkick.identification.side_by_side import Row, Side, grow, segments_of_row
 from frogkick.identification.steps import whitener
-from frogkick.identification.swim import Swim
 from frogkick.identification.terms import Term
 from frogkick.identification.verdict import Interval
 from frogkick.identification.worth import ALIKE
@@ -110,7 +110,7 @@ class Experiment:
 
 
 def experiment_of(
-    found: Found, parameters: Sequence[Sequence[Interval]], swims: Sequence[Swim], periods: int = PERIODS
+    found: Found, parameters: Sequence[Sequence[Interval]], swims: Sequence[Segments], periods: int = PERIODS
 ) -> Experiment | None:
     """The experiment that settles most of what a search left open; None where nothing is open.
 
@@ -161,7 +161,7 @@ def _ends(found: Found, term: Term, k: int, interval: Interval) -> Question:
     return Question((names[0], names[1]), (low, high))
 
 
-def pool_of(swims: Sequence[Swim]) -> FloatArray:
+def pool_of(swims: Sequence[Segments]) -> FloatArray:
     """(2, 2) low and high corner of where a row may go: a square about where runs went."""
     every = np.concatenate([swim.pose[:, :2] for swim in swims])
     low, high = every.min(axis=0), every.max(axis=0)
@@ -193,7 +193,7 @@ def plan(
     names = tuple(robot.actions[index].name for index in best.actions)
     at = (float(start[0]), float(start[1]), float(start[2]))
     return Experiment(
-        question.between, names, at, _separation(question, white, swim_of_row(robot, best, start))
+        question.between, names, at, _separation(question, white, segments_of_row(robot, best, start))
     )
 
 
@@ -204,14 +204,14 @@ def separation(question: Question, white: FloatArray, start: FloatArray, actions
     row = Row((), 0.0, tuple(side.at_rest(start) for side in sides), ())
     for action in actions:
         (row,) = grow([row], sides, white, robot, [action])
-    return _separation(question, white, swim_of_row(robot, row, start))
+    return _separation(question, white, segments_of_row(robot, row, start))
 
 
 def _is_inside(shown: FloatArray, pool: FloatArray) -> bool:
     return bool(((shown[:, :2] >= pool[0]) & (shown[:, :2] <= pool[1])).all())
 
 
-def _separation(question: Question, white: FloatArray, swim: Swim) -> float:
+def _separation(question: Question, white: FloatArray, swim: Segments) -> float:
     if not len(swim.start_s):
         return 0.0
     one, other = (

@@ -54,7 +54,7 @@ def first_rate_std(rest_rate: tuple[float, float, float] | None) -> tuple[float,
     """What the rate's error may be where a run begins.
 
     Args:
-        rest_rate: how fast the robot moved at rest (see Swim.rest_rate), where that is known.
+        rest_rate: how fast the robot moved at rest (see Segments.rest_rate), where that is known.
     """
     if rest_rate is None:
         return RATE_STD
@@ -67,7 +67,7 @@ class Filter:
     """Error of one lane.
 
     Attributes:
-        busy_s: (2, k) knots of time and of how long limbs had been straightening by then.
+        actuated_s: (2, k) knots of time and of how long limbs had been straightening by then.
         time_s: of the state.
         rate_std: of the rate at first, (m/s, m/s, rad/s); see ``first_rate_std``.
         error: (3, 2) offset and rate.
@@ -75,7 +75,7 @@ class Filter:
     """
 
     noise: Noise
-    busy_s: FloatArray
+    actuated_s: FloatArray
     time_s: float
     rate_std: tuple[float, float, float] = RATE_STD
     error: FloatArray = field(default_factory=lambda: np.zeros((3, 2)))
@@ -88,7 +88,7 @@ class Filter:
     def go_to(self, time_s: float) -> None:
         """Let time pass; never backwards."""
         self.time_s = _go_to(
-            self.error, self.covariance, self.time_s, time_s, self.busy_s, self._calm, self._kick
+            self.error, self.covariance, self.time_s, time_s, self.actuated_s, self._calm, self._kick
         )
 
     def take(self, time_s: float, difference: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -105,7 +105,7 @@ class Filter:
             self.time_s,
             times_s,
             differences,
-            self.busy_s,
+            self.actuated_s,
             (self._fix, self._calm, self._kick),
             innovations,
             variances,
@@ -126,14 +126,14 @@ def _go_to(
     covariance: FloatArray,
     now_s: float,
     time_s: float,
-    busy_s: FloatArray,
+    actuated_s: FloatArray,
     calm: FloatArray,
     kick: FloatArray,
 ) -> float:
     dt = time_s - now_s
     if dt <= 0.0:
         return now_s
-    busy = np.interp(time_s, busy_s[0], busy_s[1]) - np.interp(now_s, busy_s[0], busy_s[1])
+    busy = np.interp(time_s, actuated_s[0], actuated_s[1]) - np.interp(now_s, actuated_s[0], actuated_s[1])
     for axis in range(3):
         drive = calm[axis] + kick[axis] * busy / dt
         error[axis, 0] += dt * error[axis, 1]
@@ -151,14 +151,14 @@ def _take_all(
     now_s: float,
     times_s: FloatArray,
     differences: FloatArray,
-    busy_s: FloatArray,
+    actuated_s: FloatArray,
     noise: tuple[FloatArray, FloatArray, FloatArray],
     innovations: FloatArray,
     variances: FloatArray,
 ) -> float:
     fix, calm, kick = noise
     for row in range(len(times_s)):
-        now_s = _go_to(error, covariance, now_s, times_s[row], busy_s, calm, kick)
+        now_s = _go_to(error, covariance, now_s, times_s[row], actuated_s, calm, kick)
         for axis in range(3):
             p = covariance[axis]
             innovation = differences[row, axis] - error[axis, 0]
@@ -179,13 +179,13 @@ class Series:
 
     Attributes:
         time_s: (n,) not decreasing.
-        busy_s: (n,) how long limbs had been straightening by then.
+        actuated_s: (n,) how long limbs had been straightening by then.
         difference: (n,).
         rate_std: of the rate at the start.
     """
 
     time_s: FloatArray
-    busy_s: FloatArray
+    actuated_s: FloatArray
     difference: FloatArray
     rate_std: float
 
@@ -193,7 +193,7 @@ class Series:
 def surprise(series: Series, fix_std: FloatArray, calm_std: FloatArray, kick_std: FloatArray) -> FloatArray:
     """(k,) minus twice the log likelihood of a series, for k noises at once."""
     dts = np.diff(series.time_s, prepend=series.time_s[:1])
-    busy = np.diff(series.busy_s, prepend=series.busy_s[:1])
+    busy = np.diff(series.actuated_s, prepend=series.actuated_s[:1])
     noises = np.square(np.column_stack([fix_std, calm_std, kick_std]))
     return np.asarray(_surprise(dts, busy, series.difference, series.rate_std**2, noises))
 

@@ -12,8 +12,8 @@ from frogkick.effects.acting import LEG_S
 from frogkick.effects.registry import effects_of
 from frogkick.identification.filter import Noise, likeliest
 from frogkick.identification.predict import PARTS, STEP_S, Lane, Track
+from frogkick.identification.segments import Segments
 from frogkick.identification.steps import CLOSE, cost_of, promised
-from frogkick.identification.swim import Swim
 from frogkick.identification.terms import Term
 from frogkick.identification.together import follow
 from frogkick.robot import Robot
@@ -48,7 +48,7 @@ class Model:
     step_s: float = STEP_S
     held: frozenset[int] = frozenset()
 
-    def lane(self, swim: Swim) -> Lane:
+    def lane(self, swim: Segments) -> Lane:
         """This model on a run, its limbs' strokes as they are at the run's own period."""
         effects = (*effects_of(self.robot), *(term.effect() for term in self.terms))
         return Lane(swim, self.robot.at_period(swim.period_s), effects, self.noise, self.leg_s, self.step_s)
@@ -86,7 +86,7 @@ def coarse(robot: Robot) -> Robot:
     return replace(robot, frame=replace(frame, segments=segments))
 
 
-def tracks_of(models: Sequence[Model], swims: Sequence[Swim]) -> list[list[Track]]:
+def tracks_of(models: Sequence[Model], swims: Sequence[Segments]) -> list[list[Track]]:
     """Follow all runs with all models: a list of tracks for each model."""
     tracks = follow([model.lane(swim) for model in models for swim in swims])
     return [tracks[i : i + len(swims)] for i in range(0, len(tracks), max(len(swims), 1))]
@@ -111,7 +111,7 @@ LOST = np.tile([0.1, 0.1, 1.0], len(PARTS))
 """Counted as missed where a simulation failed: m, m, rad."""
 
 
-def renoised(model: Model, tracks: Sequence[Track], swims: Sequence[Swim]) -> Model:
+def renoised(model: Model, tracks: Sequence[Track], swims: Sequence[Segments]) -> Model:
     """The same with the noise under which these tracks are likeliest."""
     series = [track.series(swim) for track, swim in zip(tracks, swims, strict=True) if not track.failed]
     return replace(model, noise=likeliest(series)) if series else model
@@ -155,7 +155,7 @@ def steps_of(model: Model) -> FloatArray:
 
 def derivatives(
     models: Sequence[Model],
-    swims: Sequence[Swim],
+    swims: Sequence[Segments],
     rows: NDArray[np.bool_],
     known: FloatArray | None = None,
     held: bool = True,
@@ -209,7 +209,10 @@ the last."""
 
 
 def begun_at(
-    models: Sequence[Model], jacobians: Sequence[FloatArray], swims: Sequence[Swim], rows: NDArray[np.bool_]
+    models: Sequence[Model],
+    jacobians: Sequence[FloatArray],
+    swims: Sequence[Segments],
+    rows: NDArray[np.bool_],
 ) -> list[Fitted]:
     """Models simulated as they are; derivatives are taken from where those of others are near."""
     found = []
@@ -221,7 +224,7 @@ def begun_at(
 
 def told(
     fits: Sequence[Fitted],
-    swims: Sequence[Swim],
+    swims: Sequence[Segments],
     rows: NDArray[np.bool_],
     skipped: int = 0,
     held: bool = True,
@@ -256,7 +259,7 @@ def told(
     return found
 
 
-def fit(model: Model, swims: Sequence[Swim], rows: NDArray[np.bool_], rounds: int = 6) -> Fitted:
+def fit(model: Model, swims: Sequence[Segments], rows: NDArray[np.bool_], rounds: int = 6) -> Fitted:
     """Fit all parameters of a model's terms to runs, at its noise.
 
     Args:
@@ -270,7 +273,7 @@ def fit(model: Model, swims: Sequence[Swim], rows: NDArray[np.bool_], rounds: in
 
 def fit_many(
     models: Sequence[Model],
-    swims: Sequence[Swim],
+    swims: Sequence[Segments],
     rows: NDArray[np.bool_],
     rounds: int,
     known: FloatArray | None = None,
@@ -283,7 +286,7 @@ def fit_many(
 
 def fit_on(
     begun: Sequence[Fitted],
-    swims: Sequence[Swim],
+    swims: Sequence[Segments],
     rows: NDArray[np.bool_],
     rounds: int,
     skipped: int = 0,

@@ -14,7 +14,7 @@ from frogkick.der import WIDTH
 from frogkick.identification.fit import Model
 from frogkick.identification.gentle import Amid, gentle
 from frogkick.identification.predict import Course, Lane, Party, parties
-from frogkick.identification.swim import Swim
+from frogkick.identification.segments import Segments
 from frogkick.paths import wrap_angle
 from frogkick.robot import Robot
 
@@ -46,7 +46,7 @@ class Horizon:
 
 
 def horizons_of(
-    nominal: Model, fitted: Model, swims: Sequence[Swim], ahead: Sequence[int] = HORIZONS
+    nominal: Model, fitted: Model, swims: Sequence[Segments], ahead: Sequence[int] = HORIZONS
 ) -> list[Horizon]:
     """How far both models are off by horizon, without those that no run is long enough for.
 
@@ -70,7 +70,7 @@ def horizons_of(
     return found
 
 
-def _gap(swim: Swim, predicted: FloatArray, periods: int) -> FloatArray:
+def _gap(swim: Segments, predicted: FloatArray, periods: int) -> FloatArray:
     """(m, 3) measured minus predicted pose so many periods after each start; NaN where one is not known."""
     gap = np.full((len(swim.start_s), 3), np.nan)
     whole = len(gap) - periods + 1

@@ -25,8 +25,8 @@ from frogkick.identification.fit import Model, tracks_of
 from frogkick.identification.horizons import Horizon, horizons_of
 from frogkick.identification.predict import Track
 from frogkick.identification.search import Found
+from frogkick.identification.segments import Segments, reliable
 from frogkick.identification.signature import signature
-from frogkick.identification.swim import Swim, reliable
 from frogkick.identification.terms import Term, catalogue
 from frogkick.identification.verdict import (
     FOUND,
@@ -93,8 +93,8 @@ class Outcome:
 
     verdict: str
     robot: Robot
-    train: Sequence[Swim]
-    test: Sequence[Swim]
+    train: Sequence[Segments]
+    test: Sequence[Segments]
     found: Found | None
     parameters: list[list[Interval]]
     trained: Scored
@@ -180,8 +180,8 @@ class Outcome:
 
 
 def identify(
-    train: Sequence[Swim],
-    test: Sequence[Swim],
+    train: Sequence[Segments],
+    test: Sequence[Segments],
     robot: Robot,
     own: Path | None = None,
     progress: Progress = lambda _what, _done, _whole: None,
@@ -245,8 +245,8 @@ def identify(
 
 def _followed(
     found: Found,
-    train: Sequence[Swim],
-    test: Sequence[Swim],
+    train: Sequence[Segments],
+    test: Sequence[Segments],
     nominal_tracks: Sequence[Track],
     tracks: Sequence[Track],
     robot: Robot,
@@ -263,7 +263,9 @@ def _followed(
     return drifts[1], Followed(before, after, moved[0], moved[1])
 
 
-def _only_predicted(train: Sequence[Swim], test: Sequence[Swim], robot: Robot, reason: str) -> Outcome:
+def _only_predicted(
+    train: Sequence[Segments], test: Sequence[Segments], robot: Robot, reason: str
+) -> Outcome:
     """Too little to learn from: the test runs by the nominal model, at their usual noise."""
     model = Model(robot, (), Noise())
     tracks = tracks_of([model], test)[0]
@@ -275,7 +277,7 @@ def _only_predicted(train: Sequence[Swim], test: Sequence[Swim], robot: Robot, r
     return Outcome(TOO_LITTLE, robot, train, test, None, [], trained, tested, tracks, tracks, signed, reason)
 
 
-def too_little(swims: Sequence[Swim]) -> str:
+def too_little(swims: Sequence[Segments]) -> str:
     """Why runs cannot be judged, and what to record; "" where they can."""
     periods = sum(len(swim.start_s) for swim in swims)
     if periods < PERIODS_LEAST:
@@ -355,7 +357,7 @@ def found_toml(outcome: Outcome, folder: Path | None = None) -> str:
     return to_toml(table)
 
 
-def robot_of_runs(swims: Sequence[Swim]) -> str:
+def robot_of_runs(swims: Sequence[Segments]) -> str:
     """The robot that all runs are of.
 
     Raises:

@@ -23,8 +23,8 @@ from frogkick.identification.fit import (
     told,
     tracks_of,
 )
+from frogkick.identification.segments import Segments
 from frogkick.identification.steps import cost_of, promised
-from frogkick.identification.swim import Swim
 
 FloatArray = NDArray[np.float64]
 
@@ -53,7 +53,7 @@ WRENCH_LEG_S = 0.03
 """The same for what was taken, where it pushes or turns the body, which lags by half of it."""
 
 
-def best_noise(model: Model, swims: Sequence[Swim], rows: NDArray[np.bool_]) -> Fitted:
+def best_noise(model: Model, swims: Sequence[Segments], rows: NDArray[np.bool_]) -> Fitted:
     """The model with its noise scaled to what predicts a period ahead best, without derivatives."""
     given, models = model.noise, []
     for calm, kick in ((1.0, 1.0), (1.0, 0.4), (0.3, 0.4), (0.1, 0.4)):
@@ -77,12 +77,12 @@ class Polisher:
     Attributes:
         swims: the runs.
         rows: periods that count.
-        copies: how many runs are of the same noise: a gain counts once.
+        replicates: how many runs are of the same noise: a gain counts once.
     """
 
-    swims: Sequence[Swim]
+    swims: Sequence[Segments]
     rows: NDArray[np.bool_]
-    copies: int
+    replicates: int
 
     def polished(self, taken: Fitted) -> Fitted:
         """A model with what was taken, fitted as finely as can be, with no more free parameters than help."""
@@ -131,7 +131,7 @@ class Polisher:
         few = count / max(count - known - len(fitted.model.values), 1)
         parameter = [p for term in fitted.model.terms for p in term.parameters][k]
         hold = HOLD + (HOLD_TRIED if parameter.tried else 0.0)
-        return float(self.copies * min(few, FEW_MOST) * hold)
+        return float(self.replicates * min(few, FEW_MOST) * hold)
 
     def far(self, fitted: Fitted) -> list[tuple[float, Model]]:
         """Costs of values that derivatives do not tell of, simulated, while something is left to explain."""

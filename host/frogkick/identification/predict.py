@@ -19,7 +19,7 @@ from frogkick.der import WIDTH
 from frogkick.effects import ActingLanes, Effect, Fix, body_at, changed_robot
 from frogkick.identification.filter import Filter, Noise, Series, first_rate_std
 from frogkick.identification.gentle import Amid, Gentle, gentle
-from frogkick.identification.swim import Swim
+from frogkick.identification.segments import Segments
 from frogkick.robot import Robot
 
 FloatArray = NDArray[np.float64]
@@ -64,9 +64,9 @@ class Track:
     missed: FloatArray
     failed: bool
 
-    def series(self, swim: Swim) -> tuple[Series, ...]:
+    def series(self, swim: Segments) -> tuple[Series, ...]:
         """What other noises are tried on, for x, y and heading."""
-        busy = np.interp(self.time_s, *swim.busy_s)
+        busy = np.interp(self.time_s, *swim.actuated_s)
         rate_std = first_rate_std(swim.rest_rate)
         return tuple(Series(self.time_s, busy, self.difference[:, k], rate_std[k]) for k in range(3))
 
@@ -75,7 +75,7 @@ class Track:
 class Lane:
     """What to follow: a run, by a robot with effects."""
 
-    swim: Swim
+    swim: Segments
     robot: Robot
     effects: tuple[Effect, ...]
     noise: Noise
@@ -110,7 +110,7 @@ class Course:
     lane: Lane
     acting: ActingLanes
     filter: Filter
-    corners_s: FloatArray
+    segment_times_s: FloatArray
     claims_s: list[float] = field(default_factory=list)
     next_fix: int = 0
     next_stroke: int = 0
@@ -138,12 +138,12 @@ class Party:
         for lane in lanes:
             acting = ActingLanes(lane.effects, robot, [np.random.default_rng(0)], lane.leg_s)
             swim, rate_std = lane.swim, first_rate_std(lane.swim.rest_rate)
-            state = Filter(lane.noise, swim.busy_s, swim.begin_s, rate_std)
-            course = Course(lane, acting, state, swim.corners_s)
+            state = Filter(lane.noise, swim.actuated_s, swim.begin_s, rate_std)
+            course = Course(lane, acting, state, swim.segment_times_s)
             course.next_fix = int(np.searchsorted(lane.swim.time_s, lane.swim.begin_s))
             course.claims_s = [lane.swim.begin_s]
             self.courses.append(course)
-        self.waiting = sorted(range(len(lanes)), key=lambda index: len(self.courses[index].corners_s))
+        self.waiting = sorted(range(len(lanes)), key=lambda index: len(self.courses[index].segment_times_s))
         self.seats = [self.waiting.pop() for _ in range(min(WIDTH, len(lanes)))]
         first = np.array([self._first_pose(self.courses[index]) for index in self.seats])
         self.batch = gentle(robot, first, lanes[0].step_s)
@@ -178,17 +178,17 @@ class Party:
         while seated := self.seated():
             until = self.batch.time_s.copy()
             for seat, course in seated:
-                if course.next_corner < len(course.corners_s):
-                    until[seat] = course.corners_s[course.next_corner]
+                if course.next_corner < len(course.segment_times_s):
+                    until[seat] = course.segment_times_s[course.next_corner]
             self.advance(until)
-            there = [row for row in seated if row[1].next_corner < len(row[1].corners_s)]
+            there = [row for row in seated if row[1].next_corner < len(row[1].segment_times_s)]
             moves = {seat: self._arrive(course, outcome[self.seats[seat]]) for seat, course in there}
             self.batch.shift_some(moves)
             motion = self.batch.motion_world()
             for seat, course in there:
                 self._begin(seat, course, motion[seat, :6], outcome[self.seats[seat]][2])
             for seat, course in seated:
-                if course.next_corner >= len(course.corners_s):
+                if course.next_corner >= len(course.segment_times_s):
                     self._leave(seat, course)
         return [self._track(course, *outcome[index]) for index, course in enumerate(self.courses)]
 
@@ -250,13 +250,13 @@ class Party:
         Returns:
             By what pose and velocity these say that the robot is off, (3,) each, world frame.
         """
-        swim, at_s = course.lane.swim, float(course.corners_s[course.next_corner])
+        swim, at_s = course.lane.swim, float(course.segment_times_s[course.next_corner])
         predicted, spread, start, missed = outcome
         ended = -1
         for period in np.flatnonzero(np.abs(swim.end_s - at_s) < 1e-6):
             if course.claims_s[-1] <= swim.start_s[period] + 1e-6 and len(course.times):
                 predicted[period] = self.shown_at(course, at_s)[1]
-                before = Filter(course.lane.noise, swim.busy_s, course.filter.time_s)
+                before = Filter(course.lane.noise, swim.actuated_s, course.filter.time_s)
                 before.covariance = course.filter.covariance.copy()
                 before.go_to(at_s)
                 spread[period] = np.sqrt(before.covariance[:, 0])
@@ -285,7 +285,7 @@ class Party:
 
     def _begin(self, seat: int, course: Course, motion: FloatArray, start: FloatArray) -> None:
         """Start anew from a corner, where the robot is now known to move like this."""
-        at_s = float(course.corners_s[course.next_corner])
+        at_s = float(course.segment_times_s[course.next_corner])
         course.next_corner += 1
         for period in np.flatnonzero(np.abs(course.lane.swim.start_s - at_s) < 1e-6):
             start[period] = motion
@@ -336,7 +336,7 @@ class Party:
 
 
 def _by_parts(
-    swim: Swim, period: int, times_s: FloatArray, gaps: FloatArray, heading_rad: float
+    swim: Segments, period: int, times_s: FloatArray, gaps: FloatArray, heading_rad: float
 ) -> FloatArray:
     """(9,) what a period's prediction missed; see Track.missed."""
     c, s = math.cos(heading_rad), math.sin(heading_rad)

@@ -30,8 +30,8 @@ from frogkick.identification.fit import (
     tracks_of,
 )
 from frogkick.identification.predict import Track
+from frogkick.identification.segments import Segments, part_of
 from frogkick.identification.steps import bounded_step, cost_of, whiten, whitener
-from frogkick.identification.swim import Swim, part_of
 from frogkick.identification.terms import Term
 from frogkick.identification.worth import BASE_GAIN, GAIN_EACH
 from frogkick.paths import wrap_angle
@@ -101,7 +101,7 @@ def _term(table: dict[str, object], effect: Effect) -> Term:
 def refitted(
     nominal: Fitted,
     terms: Sequence[Term],
-    swims: Sequence[Swim],
+    swims: Sequence[Segments],
     rows: NDArray[np.bool_],
     measured: bool = True,
 ) -> Fitted | None:
@@ -139,7 +139,7 @@ def refitted(
 
 
 def descended(
-    begin: Model, swims: Sequence[Swim], rows: NDArray[np.bool_], robot: Robot, rounds: int = WHOLE_ROUNDS
+    begin: Model, swims: Sequence[Segments], rows: NDArray[np.bool_], robot: Robot, rounds: int = WHOLE_ROUNDS
 ) -> Fitted:
     """A model of many effects fitted by periods' ends, with a coarse frame and then with the robot's own."""
     model = _Descent(replace(begin, robot=coarse(begin.robot)), swims).run(rounds)
@@ -155,7 +155,7 @@ def descended(
     return Fitted(fine, tracks, missed, rough.jacobian, cost_of(missed), fresh=False)
 
 
-def best_end_cost(fitted: Fitted, swims: Sequence[Swim]) -> float:
+def best_end_cost(fitted: Fitted, swims: Sequence[Segments]) -> float:
     """The lowest ``end_cost`` of a model, at its own noise or at those that relatives are tried and end at.
 
     What a model is held against must not gain by its noise alone: that of a robot at a wall, as few strong
@@ -166,12 +166,12 @@ def best_end_cost(fitted: Fitted, swims: Sequence[Swim]) -> float:
     return min(end_cost(tracks, swims) for tracks in [fitted.tracks, *tracks_of(models, swims)])
 
 
-def end_cost(tracks: Sequence[Track], swims: Sequence[Swim]) -> float:
+def end_cost(tracks: Sequence[Track], swims: Sequence[Segments]) -> float:
     """Minus twice the log likelihood of what predictions miss at periods' ends; see ``steps.cost_of``."""
     return cost_of(ends_missed(tracks, swims))
 
 
-def ends_missed(tracks: Sequence[Track], swims: Sequence[Swim]) -> FloatArray:
+def ends_missed(tracks: Sequence[Track], swims: Sequence[Segments]) -> FloatArray:
     """(n, 3) measured minus predicted pose at the ends of all periods: forward, left (m), heading (rad).
 
     Periods that nobody saw end, or that cannot be predicted by any model, are left out; those of a run that
@@ -184,7 +184,7 @@ def ends_missed(tracks: Sequence[Track], swims: Sequence[Swim]) -> FloatArray:
     return np.concatenate(rows)
 
 
-def end_gaps(track: Track, swim: Swim) -> FloatArray:
+def end_gaps(track: Track, swim: Segments) -> FloatArray:
     """(m, 3) the same of one run's every period, by the pose at its start; NaN where one is not known."""
     gap = swim.measured - track.predicted
     c, s = np.cos(track.start[:, 2]), np.sin(track.start[:, 2])
@@ -202,7 +202,7 @@ class _Descent:
     """Damped Gauss-Newton on the ends of periods; factors are stepped by their logarithms."""
 
     model: Model
-    swims: Sequence[Swim]
+    swims: Sequence[Segments]
 
     def __post_init__(self) -> None:
         parameters = [p for term in self.model.terms for p in term.parameters]

@@ -25,7 +25,7 @@ from frogkick.core.poses import PredictionError
 from frogkick.effects import Effect
 from frogkick.identification.horizons import Horizon
 from frogkick.identification.outcome import Outcome, identify, write_robot
-from frogkick.identification.swim import Swim
+from frogkick.identification.segments import Segments
 from frogkick.identification.tables import PERIOD_OFF, Stage, Tools, Tracked, table_error, table_horizons
 from frogkick.identification.verdict import NOTHING, TOO_LITTLE
 from frogkick.robot import Robot, load_robot
@@ -101,7 +101,7 @@ class Retuned:
 
 
 def retune(
-    swims: Sequence[Swim], robot: Robot, out: Path, tools: Tools, stage: Stage, old: bytes | None = None
+    swims: Sequence[Segments], robot: Robot, out: Path, tools: Tools, stage: Stage, old: bytes | None = None
 ) -> Retuned:
     """Find what a robot lacks, make tables that know it, keep them if they predict held-out periods better.
 
@@ -167,7 +167,7 @@ def require_new(out: Path) -> None:
         raise InputError(f"--out {str(out)!r} is not empty: name a new folder")
 
 
-def split(swims: Sequence[Swim]) -> tuple[list[Swim], list[Swim], str]:
+def split(swims: Sequence[Segments]) -> tuple[list[Segments], list[Segments], str]:
     """Runs to learn from, runs to judge by, and in words which.
 
     Of a single run the last third is judged. It is followed from its first fix, for what a robot did earlier
@@ -191,19 +191,19 @@ def split(swims: Sequence[Swim]) -> tuple[list[Swim], list[Swim], str]:
         action=swim.action[:first],
         end_s=swim.end_s[:first],
     )
-    kept = _Later(**{name: getattr(swim, name) for name in Swim.__dataclass_fields__}, judged_from=first)
+    kept = _Later(**{name: getattr(swim, name) for name in Segments.__dataclass_fields__}, judged_from=first)
     return [learned], [kept], f"periods {first + 1} to {len(swim.start_s)} of the only run {swim.name!r}"
 
 
 @dataclass(frozen=True, eq=False)
-class _Later(Swim):
+class _Later(Segments):
     """A run of which only later periods are judged."""
 
     judged_from: int = 0
 
     @cached_property
     def measured(self) -> FloatArray:
-        """(m, 3) as Swim has it; NaN for the periods before."""
+        """(m, 3) as Segments has it; NaN for the periods before."""
         ends = [self.pose_at(float(end)) for end in self.end_s]
         return np.array([np.full(3, np.nan)] * self.judged_from + ends[self.judged_from :]).reshape(-1, 3)
 
@@ -250,7 +250,7 @@ def _no_better(before: PredictionError, after: PredictionError) -> str:
     return f"the new tables are no better on held-out periods: {after} after {before}; the old ones stay"
 
 
-def _check_periods(swims: Sequence[Swim], robot: Robot) -> None:
+def _check_periods(swims: Sequence[Segments], robot: Robot) -> None:
     """Refuse runs with another period than the tables will have.
 
     Raises:

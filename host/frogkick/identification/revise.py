@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from frogkick.identification.bootstrap import drawn_periods, mean_interval
 from frogkick.identification.fit import Fitted, Model, begun_at, fit_many, fit_on, room_of
 from frogkick.identification.polish import ROUNDS, Polisher, fine_leg_s
+from frogkick.identification.segments import Segments, replicate_count
 from frogkick.identification.steps import cross_fitted, promised
-from frogkick.identification.swim import Swim, copies
 from frogkick.identification.terms import Term
 from frogkick.identification.worth import ALIKE, BASE_GAIN, GAIN_EACH, SAME, SAME_ALIKE, free_count, price
 
@@ -80,7 +80,7 @@ def _pair(
         # Alone, a limb that is worn takes up with its delay what comes from the other.
         starts += [both] if (plain := _undelayed(both)) is both else [both, plain]
     fits = fit_many(starts, polisher.swims, polisher.rows, ROUNDS) if starts else []
-    bound = min((price(each) for each in fits), default=0.0) + ALIKE * polisher.copies  # all of one noise
+    bound = min((price(each) for each in fits), default=0.0) + ALIKE * polisher.replicates  # all of one noise
     equal = [each for each in fits if price(each) < bound and each.cost < current.cost + FAR_OFF]
     if not equal:
         return None
@@ -119,7 +119,7 @@ def _undelayed(model: Model) -> Model:
 def _whole_price(polisher: Polisher, fitted: Fitted) -> float:
     """Cost, and what effects and their free parameters cost together."""
     effects = BASE_GAIN * len(fitted.model.terms)
-    return fitted.cost + polisher.copies * (effects + GAIN_EACH * free_count(fitted))
+    return fitted.cost + polisher.replicates * (effects + GAIN_EACH * free_count(fitted))
 
 
 def same_named(
@@ -164,7 +164,7 @@ def _exchanged(
     starts = [in_place(current.model, place, term) for term in others.values()]
     fits = fit_many(starts, polisher.swims, polisher.rows, ROUNDS)
     every = [current, *fits]  # of one noise
-    bound = min(price(each) for each in every) + alike * polisher.copies
+    bound = min(price(each) for each in every) + alike * polisher.replicates
     equal = [each for each in every if price(each) < bound]
     first, *rest = sorted(equal, key=lambda each: (len(each.model.values), price(each)))
     return (
@@ -204,7 +204,7 @@ def _fewer(polisher: Polisher, fitted: Fitted) -> tuple[Fitted, list[int]]:
         dearer = [
             each.cost
             - fitted.cost
-            - polisher.copies * (BASE_GAIN + GAIN_EACH * (free_count(fitted) - free_count(each)))
+            - polisher.replicates * (BASE_GAIN + GAIN_EACH * (free_count(fitted) - free_count(each)))
             for each in fits
         ]
         if min(dearer, default=0.0) >= 0.0:
@@ -215,7 +215,7 @@ def _fewer(polisher: Polisher, fitted: Fitted) -> tuple[Fitted, list[int]]:
     return fitted, kept
 
 
-def needless(fitted: Fitted, folds: NDArray[np.int64], swims: Sequence[Swim]) -> int | None:
+def needless(fitted: Fitted, folds: NDArray[np.int64], swims: Sequence[Segments]) -> int | None:
     """Which of several terms costs nothing on held-out parts of the training runs when it is left out.
 
     At the ends of periods, by the log density that ``steps.cross_fitted`` gives with and without it: the one
@@ -232,7 +232,7 @@ def needless(fitted: Fitted, folds: NDArray[np.int64], swims: Sequence[Swim]) ->
     missed, jacobian = fitted.missed[:, -3:], fitted.jacobian[:, -3:, :]
     shy = 1e-6 * missed.size / model.range**2
     whole = cross_fitted(missed, jacobian, *room_of(model), shy, folds)
-    wider, gains = np.sqrt(copies(swims)), list[tuple[float, float]]()
+    wider, gains = np.sqrt(replicate_count(swims)), list[tuple[float, float]]()
     for place in range(len(model.terms)):
         back, less = _put_back(model, place)
         scores = cross_fitted(missed + jacobian @ back, jacobian, *room_of(less), shy, folds)
@@ -244,7 +244,9 @@ def needless(fitted: Fitted, folds: NDArray[np.int64], swims: Sequence[Swim]) ->
     return place if gains[place][1] <= 0.0 else None
 
 
-def stability(fitted: Fitted, rows: NDArray[np.bool_], swims: Sequence[Swim], searched: bool) -> list[float]:
+def stability(
+    fitted: Fitted, rows: NDArray[np.bool_], swims: Sequence[Segments], searched: bool
+) -> list[float]:
     """In what share of other draws of the same runs each term would have been taken beside the others.
 
     Blocks of periods are drawn anew from each run, with replacement, and the model is fitted to each draw
@@ -274,7 +276,7 @@ def stability(fitted: Fitted, rows: NDArray[np.bool_], swims: Sequence[Swim], se
         for place in range(len(model.terms)):
             back, less = _put_back(model, place)
             _, cost = promised(missed + jacobian @ back, jacobian, *room_of(less), shy)
-            taken[place] += cost - whole > copies(swims) * owed[place]
+            taken[place] += cost - whole > replicate_count(swims) * owed[place]
     return [float(share) for share in taken / DRAWS]
 
 

@@ -33,8 +33,8 @@ from frogkick.identification.polish import (
     fine_leg_s,
 )
 from frogkick.identification.revise import in_place, revised, same_named
+from frogkick.identification.segments import Segments, replicate_count
 from frogkick.identification.steps import cross_fitted, promised
-from frogkick.identification.swim import Swim, copies
 from frogkick.identification.terms import Term
 from frogkick.identification.worth import ALIKE, BASE_GAIN, GAIN_EACH, price
 from frogkick.robot import Robot
@@ -116,7 +116,7 @@ Begun = tuple[Model, NDArray[np.bool_], Fitted]
 """What ``countable`` gives."""
 
 
-def countable(swims: Sequence[Swim], robot: Robot) -> Begun:
+def countable(swims: Sequence[Segments], robot: Robot) -> Begun:
     """The nominal model with its noise fitted, the periods that can be judged, and how it fits.
 
     Raises:
@@ -133,7 +133,7 @@ def countable(swims: Sequence[Swim], robot: Robot) -> Begun:
     return fitted.model, rows, fitted
 
 
-def folds_of(swims: Sequence[Swim], rows: NDArray[np.bool_]) -> NDArray[np.int64]:
+def folds_of(swims: Sequence[Segments], rows: NDArray[np.bool_]) -> NDArray[np.int64]:
     """(n,) which part each counted period is held out with: a run, or a stretch of one where runs are few."""
     parts = -(-FOLDS_LEAST // max(len(swims), 1))
     labels: list[int] = []
@@ -144,7 +144,7 @@ def folds_of(swims: Sequence[Swim], rows: NDArray[np.bool_]) -> NDArray[np.int64
 
 
 def search(
-    swims: Sequence[Swim],
+    swims: Sequence[Segments],
     robot: Robot,
     candidates: Sequence[Term],
     progress: Callable[[str, int, int], None] = lambda _what, _done, _whole: None,
@@ -166,8 +166,8 @@ def search(
     """
     model, rows, nominal = begun or countable(swims, robot)
     columns = sensitivities(model, candidates, swims, rows, lambda d, n: progress("candidates", d, n))
-    hunt = _Hunt(swims, rows, folds_of(swims, rows), columns, copies(swims))
-    polisher = Polisher(swims, rows, hunt.copies)
+    hunt = _Hunt(swims, rows, folds_of(swims, rows), columns, replicate_count(swims))
+    polisher = Polisher(swims, rows, hunt.replicates)
     current, turns = nominal, list[list[Tried]]()
     equals, passed_over, alone = list[list[Term]](), list[list[Fitted]](), list[Fitted]()
     for turn in range(most):
@@ -221,11 +221,11 @@ class _Offer:
 
 @dataclass(frozen=True, eq=False)
 class _Hunt:
-    swims: Sequence[Swim]
+    swims: Sequence[Segments]
     rows: NDArray[np.bool_]
     folds: NDArray[np.int64]
     columns: Sequence[Column]
-    copies: int
+    replicates: int
     """Of the same noise: a gain counts once."""
 
     def turn(self, current: Fitted) -> tuple[Fitted | None, list[Tried], list[Fitted], list[Fitted]]:
@@ -256,7 +256,7 @@ class _Hunt:
         for offer, fitted in zip(picked, fits, strict=True):
             gain = current.cost - fitted.cost
             fall = _fall(current, fitted, self.folds, known)
-            score = gain / self.copies - GAIN_EACH * (len(offer.values) - len(offer.held))
+            score = gain / self.replicates - GAIN_EACH * (len(offer.values) - len(offer.held))
             # What shows in few periods varies much from period to period: a limb that seldom fires.
             sure = 1.0 if score > PLAIN_GAIN else 2.0
             good = score > least and fall[0] > max(SEEN_LEAST, sure * fall[1])
@@ -300,7 +300,7 @@ class _Hunt:
         near = fit_many(beside, self.swims, self.rows, ROUNDS)
         every = [taken, *(min(pair, key=price) for pair in zip(own, near, strict=True))]
         every.sort(key=price)
-        equals = [each for each in every if price(each) < price(every[0]) + ALIKE * self.copies]
+        equals = [each for each in every if price(each) < price(every[0]) + ALIKE * self.replicates]
         equals.sort(key=lambda each: len(each.model.values))
         return equals[0], [each.model.terms[-1] for each in equals[1:]]
 
@@ -341,7 +341,7 @@ class _Hunt:
                 break
             step, cost, held = lighter, dearer, chosen
         gain = current.cost - cost
-        score = gain / self.copies - GAIN_EACH * (len(start) - len(held))
+        score = gain / self.replicates - GAIN_EACH * (len(start) - len(held))
         return _Offer(column, gain, score, start + step[known:], held)
 
 

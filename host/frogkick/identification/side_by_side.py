@@ -20,7 +20,7 @@ from frogkick.identification.columns import COARSE_STEP_S
 from frogkick.identification.fit import Model
 from frogkick.identification.gentle import Amid, gentle
 from frogkick.identification.predict import PARTS, WILD
-from frogkick.identification.swim import Swim
+from frogkick.identification.segments import Segments
 from frogkick.robot import Robot
 
 FloatArray = NDArray[np.float64]
@@ -201,7 +201,7 @@ def _miss(gap: FloatArray, share: FloatArray, heading_rad: float) -> FloatArray:
     return np.array(found)
 
 
-def swim_of_row(robot: Robot, row: Row, start: FloatArray) -> Swim:
+def segments_of_row(robot: Robot, row: Row, start: FloatArray) -> Segments:
     """The first model's way along a row, as a run of fixes without noise."""
     start_s = np.asarray(robot.period_s * np.arange(len(row.actions)), dtype=np.float64)
     before_s = -CAMERA_S * np.arange(15, 0, -1)
@@ -212,7 +212,7 @@ def swim_of_row(robot: Robot, row: Row, start: FloatArray) -> Swim:
         for at_s, action in zip(start_s.tolist(), row.actions, strict=True)
         for each in strokes_of(robot, action, at_s)
     ]
-    return Swim(
+    return Segments(
         name="planned",
         robot_id=robot.id,
         action_names=tuple(action.name for action in robot.actions),

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from frogkick.identification.fit import Fitted
-from frogkick.identification.swim import Swim
+from frogkick.identification.segments import Segments
 
 FloatArray = NDArray[np.float64]
 
@@ -18,7 +18,7 @@ RHYTHMS, RHYTHM_LEAST = 24, 16
 """Periods of time that are tried on what is left, and misses that this needs."""
 
 
-def signature(fitted: Fitted, rows: NDArray[np.bool_], swims: Sequence[Swim]) -> dict[str, Any]:
+def signature(fitted: Fitted, rows: NDArray[np.bool_], swims: Sequence[Segments]) -> dict[str, Any]:
     """Where the misses at the end of periods come from: shares of their squares that each view explains.
 
     Returns:

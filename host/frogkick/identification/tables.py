@@ -16,7 +16,7 @@ from frogkick.effects import Effect, Fix
 from frogkick.identification.horizons import HORIZONS, Horizon
 from frogkick.identification.outcome import Outcome
 from frogkick.identification.predict import Track
-from frogkick.identification.swim import Swim
+from frogkick.identification.segments import Segments
 from frogkick.paths import wrap_angle
 from frogkick.robot import Robot
 
@@ -109,7 +109,7 @@ def table_horizons(tools: Tools, old: bytes, new: bytes, outcome: Outcome) -> li
 
 
 def _gaps(
-    tools: Tools, image: bytes, swim: Swim, track: Track, effects: Sequence[Effect], periods: int
+    tools: Tools, image: bytes, swim: Segments, track: Track, effects: Sequence[Effect], periods: int
 ) -> FloatArray:
     """(m, 3) measured minus looked-up pose so many periods after each start; NaN where one is not known."""
     gap = np.full((len(swim.start_s), 3), np.nan)
@@ -151,7 +151,7 @@ def _shown(effects: Sequence[Effect], time_s: float, pose: FloatArray) -> tuple[
     return seen.x_m, seen.y_m, seen.heading_rad
 
 
-def earlier_actions(swim: Swim) -> IntArray:
+def earlier_actions(swim: Segments) -> IntArray:
     """(m, EARLIER) actions of the periods before each one, newest first, RESTED beyond a gap or the start."""
     previous = np.full((len(swim.start_s), EARLIER), RESTED, dtype=np.int64)
     for period in range(1, len(previous)):

@@ -27,8 +27,8 @@ from frogkick.identification.fit import LOST, Fitted, misses, tracks_of
 from frogkick.identification.predict import Track
 from frogkick.identification.relatives import end_gaps, ends_missed
 from frogkick.identification.search import Found
+from frogkick.identification.segments import KICK_S, Segments, replicate_count
 from frogkick.identification.steps import log_density, scale_of
-from frogkick.identification.swim import KICK_S, Swim, copies
 from frogkick.paths import wrap_angle
 
 FloatArray = NDArray[np.float64]
@@ -58,7 +58,7 @@ FAR = 2.0
 """Times its interval's half width: a true value farther off is no chance, one in 10,000."""
 
 
-def gaps(tracks: Sequence[Track], swims: Sequence[Swim]) -> FloatArray:
+def gaps(tracks: Sequence[Track], swims: Sequence[Segments]) -> FloatArray:
     """(n, 3) measured minus predicted pose at the ends of all periods; NaN rows where one is not known."""
     every = [swim.measured - track.predicted for track, swim in zip(tracks, swims, strict=True)]
     gap = np.concatenate(every) if every else np.empty((0, 3))
@@ -66,7 +66,7 @@ def gaps(tracks: Sequence[Track], swims: Sequence[Swim]) -> FloatArray:
     return gap
 
 
-def fix_noise(swims: Sequence[Swim]) -> tuple[float, float] | None:
+def fix_noise(swims: Sequence[Segments]) -> tuple[float, float] | None:
     """Standard deviation of a fix (m, rad) by fixes alone: their scatter about glides, where no limb moves.
 
     Four fixes in a row are held against the parabola nearest to them, so what is smooth in a glide, and with
@@ -105,7 +105,7 @@ def _scatter(values: FloatArray) -> float:
     return float(np.sqrt((kept**2).mean() / inside))
 
 
-def noise_floor(swims: Sequence[Swim], fix: tuple[float, float]) -> PredictionError:
+def noise_floor(swims: Sequence[Segments], fix: tuple[float, float]) -> PredictionError:
     """What a perfect model would miss: the pose and rate at the start as fixes tell them, and the end's pose.
 
     A perfect model needs no process noise. What limbs do differently from stroke to stroke is no fault of the
@@ -118,7 +118,7 @@ def noise_floor(swims: Sequence[Swim], fix: tuple[float, float]) -> PredictionEr
     noise = Noise(fix, (0.0, 0.0), (0.0, 0.0))
     sums, count = np.zeros(3), 0
     for swim in swims:
-        state = Filter(noise, swim.busy_s, swim.begin_s, first_rate_std(swim.rest_rate))
+        state = Filter(noise, swim.actuated_s, swim.begin_s, first_rate_std(swim.rest_rate))
         variances = noise.per_axis()[0]
         order, next_fix = np.argsort(swim.arrival_s, kind="stable"), 0
         for start_s, end_s, share in zip(swim.start_s, swim.end_s, swim.end_noise, strict=True):
@@ -135,7 +135,9 @@ def noise_floor(swims: Sequence[Swim], fix: tuple[float, float]) -> PredictionEr
     return PredictionError(float(np.sqrt(variance[0] + variance[1])), float(np.sqrt(variance[2])))
 
 
-def repeatability(tracks: Sequence[Track], swims: Sequence[Swim], floor: PredictionError) -> PredictionError:
+def repeatability(
+    tracks: Sequence[Track], swims: Sequence[Segments], floor: PredictionError
+) -> PredictionError:
     """What strokes do differently from one another at like states, root mean square; ``count`` pairs.
 
     Of each period the one of the same action whose start is most like it, in velocity and in the action
@@ -192,7 +194,7 @@ def log_score_gain(
     scales: tuple[FloatArray, FloatArray],
     before: Sequence[Track],
     after: Sequence[Track],
-    swims: Sequence[Swim],
+    swims: Sequence[Segments],
 ) -> Gain:
     """How much likelier effects make the measured ends of periods, paired by period.
 
@@ -213,7 +215,7 @@ def log_score_gain(
         return Gain(math.nan, math.nan, math.nan)
     value = float(np.concatenate(runs).mean())
     low, high = mean_interval(runs, np.random.default_rng(0))
-    wider = math.sqrt(copies(swims))  # what runs of one noise agree in counts once
+    wider = math.sqrt(replicate_count(swims))  # what runs of one noise agree in counts once
     return Gain(value, value - wider * (value - low), value + wider * (high - value))
 
 
@@ -238,7 +240,7 @@ class Interval:
         return self.low - more <= value <= self.high + more
 
 
-def left_by_steps(fitted: Fitted, swims: Sequence[Swim], rows: NDArray[np.bool_]) -> FloatArray:
+def left_by_steps(fitted: Fitted, swims: Sequence[Segments], rows: NDArray[np.bool_]) -> FloatArray:
     """(p,) how far parameters would move, were the runs followed with steps as short as a simulated pool's.
 
     Args:
@@ -356,8 +358,8 @@ class Scored:
 
 def scored(
     found: Found,
-    train: Sequence[Swim],
-    swims: Sequence[Swim],
+    train: Sequence[Segments],
+    swims: Sequence[Segments],
     before: Sequence[Track],
     after: Sequence[Track],
 ) -> Scored:
@@ -370,7 +372,7 @@ def scored(
         before, after: of these, by the models without and with effects.
     """
     errors = [PredictionError.of(gaps(tracks, swims)) for tracks in (before, after)]
-    one_noise = copies(swims)
+    one_noise = replicate_count(swims)
     first, second = (replace(error, count=error.count // one_noise) for error in errors)
     floor = noise_floor(swims, fix_noise([*train]) or fix_noise(swims) or found.fitted.model.noise.fix)
     gain = None

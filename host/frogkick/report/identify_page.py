@@ -12,7 +12,7 @@ from frogkick.identification.choice import STABLE
 from frogkick.identification.outcome import Outcome
 from frogkick.identification.polish import HOLD
 from frogkick.identification.search import PLAIN_GAIN, SEEN_LEAST
-from frogkick.identification.swim import Swim
+from frogkick.identification.segments import Segments
 from frogkick.identification.verdict import FOUND, NEAR_FLOOR, NOTHING, PARTLY, UNEXPLAINED, Gain
 from frogkick.identification.worth import BASE_GAIN, GAIN_EACH
 from frogkick.report.identify_figures import (
@@ -317,7 +317,7 @@ def _rest(outcome: Outcome) -> Section:
 def _terms(outcome: Outcome) -> Section:
     """The runs, and what the words mean."""
 
-    def told(which: str, swims: list[Swim]) -> list[tuple[str, ...]]:
+    def told(which: str, swims: list[Segments]) -> list[tuple[str, ...]]:
         return [
             (
                 which,

@@ -18,7 +18,7 @@ from frogkick.core.chunks import Job, run_chunks
 from frogkick.core.errors import InputError
 from frogkick.core.poses import PredictionError
 from frogkick.identification.outcome import identify
-from frogkick.identification.swim import Swim, read_swim, reliable
+from frogkick.identification.segments import Segments, read_segments, reliable
 from frogkick.identification.together import all_at_once
 from frogkick.robot import Robot
 
@@ -63,7 +63,7 @@ def held_out(
 
     Raises:
         InputError: too few runs, one twice, one that cannot be read or judged, or one whose strokes' times
-            cannot be relied on (``frogkick.identification.swim.reliable`` tells these first).
+            cannot be relied on (``frogkick.identification.segments.reliable`` tells these first).
     """
     if len(runs) < LEAST_RUNS:
         raise InputError(f"give {LEAST_RUNS} runs or more, not {len(runs)}: one is kept back, others teach")
@@ -72,7 +72,7 @@ def held_out(
         if places.count(place) > 1:
             raise InputError(f"{place.name} is given twice: it would be learned from where it is kept back")
     groups = [group for k in range(workers) if (group := list(range(len(runs)))[k::workers])]
-    swims = tuple(read_swim(run, robot) for run in runs)
+    swims = tuple(read_segments(run, robot) for run in runs)
     for swim in swims:
         reliable([swim])
     job = Job(_Ready, (robot, tuple(runs), swims, effects), _run, lambda _ready: None)
@@ -102,7 +102,7 @@ def pooled(errors: Sequence[PredictionError], periods: Sequence[int]) -> Predict
 class _Ready:
     robot: Robot
     runs: tuple[Path, ...]
-    swims: tuple[Swim, ...]
+    swims: tuple[Segments, ...]
     effects: Path | None
 
 

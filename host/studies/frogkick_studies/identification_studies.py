@@ -20,7 +20,7 @@ from frogkick.core.progress import Progress, shown
 from frogkick.front.identifying import LeftOut
 from frogkick.front.places import robot_of_table, table_image
 from frogkick.identification.outcome import robot_of_runs
-from frogkick.identification.swim import read_swim, reliable
+from frogkick.identification.segments import read_segments, reliable
 from frogkick.robot import Robot, load_robot
 from frogkick.robot.toml_text import to_toml
 from frogkick.validation.validate import authors_rmse_mps, speed_rmse_mps
@@ -147,7 +147,7 @@ def study_held_out(
     Raises:
         InputError: too few runs, one twice, or one that cannot be read or judged.
     """
-    swims = [read_swim(run) for run in runs]
+    swims = [read_segments(run) for run in runs]
     _, unused = reliable(swims)
     left_out(unused)
     used = [run for run, swim in zip(runs, swims, strict=True) if not swim.problem]

@@ -21,7 +21,7 @@ from frogkick.core.files import write_text
 from frogkick.effects import Parameter, World
 from frogkick.effects.registry import make_effects
 from frogkick.identification.outcome import Outcome, identify
-from frogkick.identification.swim import Swim, swim_of
+from frogkick.identification.segments import Segments, segments_of
 from frogkick.identification.together import all_at_once, cpu_s
 from frogkick.identification.verdict import FAR, FOUND, NOTHING, PARTLY, UNEXPLAINED, Interval
 from frogkick.paths import shape
@@ -144,7 +144,7 @@ def _start(robot: Robot, tables: Path, library: Path, folder: Path) -> _Ready:
     return _Ready(robot, read_image(tables), library, folder)
 
 
-def swims_of(ready: _Ready, planted: Sequence[Table], seed: int, paths: Sequence[str]) -> list[Swim]:
+def swims_of(ready: _Ready, planted: Sequence[Table], seed: int, paths: Sequence[str]) -> list[Segments]:
     """Runs of the simulated robot along paths in a world, as identification reads them from logs."""
     swims = []
     for index, name in enumerate(paths):
@@ -160,7 +160,7 @@ def swims_of(ready: _Ready, planted: Sequence[Table], seed: int, paths: Sequence
         port = NativeRobot(ready.library, len(ready.robot.limbs))
         recording = run_in_pool(port, pool, ready.tables, path, options)
         log = run_log(recording, pool, ready.robot, ready.tables, path, options, seed, "study verdicts")
-        swims.append(swim_of(dataclasses.replace(log, truth=None), f"{name}-{index}", ready.robot))
+        swims.append(segments_of(dataclasses.replace(log, truth=None), f"{name}-{index}", ready.robot))
     return swims
 
 

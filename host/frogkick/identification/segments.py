@@ -43,8 +43,8 @@ _SPOILED = _UNTOLD | int(FixFlag.MISDETECTION | FixFlag.JUMP)
 
 
 @dataclass(frozen=True, eq=False)
-class Swim:
-    """One run.
+class Segments:
+    """The segments of one run, a period each, with the fixes and strokes that they are told by.
 
     Attributes:
         name: of its file.
@@ -86,7 +86,7 @@ class Swim:
         return float(self.time_s[min(np.searchsorted(self.time_s, first - LEAD_S), len(self.time_s) - 1)])
 
     @cached_property
-    def busy_s(self) -> FloatArray:
+    def actuated_s(self) -> FloatArray:
         """(2, k) knots: time, and for how long limbs had been straightening by then."""
         knots, total, until = [(self.begin_s - 1e3, 0.0)], 0.0, -math.inf
         for time_s, _ in self.strokes:
@@ -100,7 +100,7 @@ class Swim:
         return np.array([*knots, (knots[-1][0] + 1e6, total)]).T
 
     @cached_property
-    def corners_s(self) -> FloatArray:
+    def segment_times_s(self) -> FloatArray:
         """When what is known is taken in: every period's start, and ends that are no start."""
         times = [float(time) for time in self.start_s if time > self.begin_s]
         times += [float(end) for end in self.end_s if end > self.begin_s]
@@ -143,16 +143,16 @@ class Swim:
         return None
 
 
-def read_swim(path: Path | str, robot: Robot | None = None) -> Swim:
+def read_segments(path: Path | str, robot: Robot | None = None) -> Segments:
     """Read a run: a log of ours or a recorded run of the paper.
 
     Raises:
         InputError: it cannot be read, or is another robot's.
     """
-    return swim_of(load_run(path), Path(path).name, robot)
+    return segments_of(load_run(path), Path(path).name, robot)
 
 
-def swim_of(run: RunLog, name: str, robot: Robot | None = None) -> Swim:
+def segments_of(run: RunLog, name: str, robot: Robot | None = None) -> Segments:
     """A run's fixes, strokes and periods on one clock.
 
     The delay between a command and its motion is part of the clock only where the log cannot know when a
@@ -198,7 +198,7 @@ def swim_of(run: RunLog, name: str, robot: Robot | None = None) -> Swim:
     end_s = np.where(np.abs(ends - start_s - run.period_s) < 0.2 * run.period_s, ends, start_s + run.period_s)
     # Where a clock slipped, the period before may be cut short: another stroke falls into it.
     whole = (end_s <= last_s + _END_AFTER_S) & (ends > end_s - 1e-9)
-    return Swim(
+    return Segments(
         name=name,
         robot_id=run.robot_id,
         action_names=run.action_names,
@@ -216,7 +216,7 @@ def swim_of(run: RunLog, name: str, robot: Robot | None = None) -> Swim:
     )
 
 
-def reliable(swims: Sequence[Swim]) -> tuple[list[Swim], list[dict[str, str]]]:
+def reliable(swims: Sequence[Segments]) -> tuple[list[Segments], list[dict[str, str]]]:
     """Runs whose strokes' times can be relied on, and what is left out: ``run`` and ``reason`` of each.
 
     Raises:
@@ -228,7 +228,7 @@ def reliable(swims: Sequence[Swim]) -> tuple[list[Swim], list[dict[str, str]]]:
     return kept, [{"run": swim.name, "reason": swim.problem} for swim in swims if swim.problem]
 
 
-def part_of(swims: Sequence[Swim], periods: int) -> list[Swim]:
+def part_of(swims: Sequence[Segments], periods: int) -> list[Segments]:
     """The first periods of each run, the same share of all, so many in sum."""
     share = min(1.0, periods / max(sum(len(swim.start_s) for swim in swims), 1))
     some = []
@@ -240,7 +240,7 @@ def part_of(swims: Sequence[Swim], periods: int) -> list[Swim]:
 
 
 def _rest_rate(run: RunLog, time_s: FloatArray) -> tuple[float, float, float] | None:
-    """See Swim.rest_rate; frames are taken to be as far apart as those whose times are known."""
+    """See Segments.rest_rate; frames are taken to be as far apart as those whose times are known."""
     fixes = run.fixes
     rest = (fixes.flags & _UNTIMED) == _UNTIMED
     rest &= (fixes.flags & _SPOILED) == 0
@@ -259,7 +259,7 @@ def _rest_rate(run: RunLog, time_s: FloatArray) -> tuple[float, float, float] | 
     return along, along, math.sqrt(turn)
 
 
-def copies(swims: Sequence[Swim]) -> int:
+def replicate_count(swims: Sequence[Segments]) -> int:
     """How many of the runs, at most, have one and the same camera noise: simulated with one seed.
 
     Told by the fixes before anything moved. What such runs agree in may be that noise.

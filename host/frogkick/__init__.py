@@ -1,6 +1,9 @@
 """frogkick: plan for small robots that move by strokes, on the robot itself.
 
 ``import frogkick as fk`` gives the names below; each is loaded when it is first used.
+
+What goes wrong by what was given is a ``FrogkickError`` of one line. It may name an option of a command:
+``--budget-kib`` is the argument ``budget_kib``, ``--tables`` the argument ``table``.
 """
 
 from __future__ import annotations

@@ -45,6 +45,16 @@ def test_one_line_names_the_file(tmp_path: Path, arguments: tuple[str, ...], nam
     assert list(tmp_path.iterdir()) == []
 
 
+def test_an_export_leaves_no_file_and_no_folder(tmp_path: Path) -> None:
+    fk.run(robot="pool", time_limit_s=6.0, out=tmp_path / "run.h5")
+    done = subprocess.run(
+        [sys.executable, "-c", WITHOUT_ROOM, "export", "run.h5", "--csv", "--out", "some/where"],
+        cwd=tmp_path, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert "frogkick: cannot write 'some/where/" in done.stderr and "Traceback" not in done.stderr
+    assert done.returncode == 2 and [each.name for each in tmp_path.iterdir()] == ["run.h5"]
+
+
 def test_a_module_that_a_full_disk_cut_short_is_named(tmp_path: Path) -> None:
     """By a Python that kept it so: once "interrupted", for ever."""
     from frogkick.cli import camera

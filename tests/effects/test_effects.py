@@ -64,7 +64,7 @@ def test_wrong_parameters_are_refused_by_name() -> None:
     for table, words in (
         ({"name": "limb_ware"}, "did you mean 'limb_wear'"),
         ({"name": "limb_wear", "gane": 1.0}, "no parameter 'gane'"),
-        ({"name": "limb_wear", "gain": 9.0}, "gain is 9, allowed is 0.3 to 1.5 1"),
+        ({"name": "limb_wear", "gain": 9.0}, "gain is 9, allowed is 0.3 to 1.5$"),
         ({"name": "limb_wear", "gain": math.nan}, "gain is nan"),
         ({"name": "limb_wear", "gain": "half"}, "needed is a number"),
         ({"file": "none.py"}, "none.py"),

@@ -238,6 +238,37 @@ def test_places_and_planners_that_there_are_not(table: fk.Table, robot: fk.Robot
         pass
 
 
+def test_files_and_names_are_taken_wherever_objects_are(
+    runs: list[fk.Run], table: fk.Table, tmp_path: Path
+) -> None:
+    table.save(tmp_path / "t.fkt")
+    runs[0].save(tmp_path / "run.h5")
+    assert repr(fk.simulate("frog2022", "B")) == repr(fk.simulate(fk.load_robot("frog2022"), "B"))
+    library = fk.build_library("frog2022", states=3, workers=1, out=tmp_path / "lib.h5")
+    assert fk.fit_table(tmp_path / "lib.h5").image == fk.fit_table(library).image
+    assert fk.Planner(tmp_path / "t.fkt").plan([0.0] * 6, "line").actions
+    assert fk.build_firmware(tmp_path / "t.fkt", "native").files
+    (tmp_path / "line.csv").write_text("x,y\n0,0\n0.3,0\n", encoding="utf-8")
+    assert fk.run(tmp_path / "t.fkt", tmp_path / "line.csv", time_limit_s=2.0).path is not None
+    assert repr(fk.identify(runs[0], test=str(tmp_path / "run.h5"))) == repr(
+        fk.identify(runs[:1], test=[tmp_path / "run.h5"])
+    )
+
+
+def test_what_is_no_object_of_ours_is_named(table: fk.Table) -> None:
+    planner = fk.Planner(table)
+    for call, text in (
+        (lambda: planner.plan("line", [0.0] * 6), "path is a list: give a shape's name"),  # type: ignore[arg-type]
+        (lambda: planner.plan(["x"] * 6, "line"), "is no array of numbers"),
+        (lambda: fk.run(table, np.zeros((9, 2))), "path is a ndarray: .*fk.paths.from_waypoints"),  # type: ignore[arg-type]
+        (lambda: fk.run(table, "line", world=[1]), r"world is a list: give fk.World\(\[...\]\)"),  # type: ignore[arg-type]
+    ):
+        with pytest.raises(fk.InputError, match=text):
+            call()
+    with pytest.raises(fk.InputError, match=r"gain is -3, allowed is 0.3 to 1.5$"):
+        fk.effects.LimbWear(limb="rear_left", gain=-3.0)
+
+
 def test_a_worn_limb_is_found_and_given_back_as_a_robot(
     readme: dict[str, Any], runs: list[fk.Run], robot: fk.Robot, tmp_path: Path
 ) -> None:

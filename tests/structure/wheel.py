@@ -56,6 +56,9 @@ def build_wheel(folder: Path) -> Path:
     for name in repository_files():
         (folder / "tree" / name).parent.mkdir(parents=True, exist_ok=True)
         shutil.copyfile(REPOSITORY / name, folder / "tree" / name)
+    earlier = folder / "tree/build/lib/frogkick"  # what an earlier build left is none of this one's
+    earlier.mkdir(parents=True)
+    (earlier / "gone.py").write_text("", encoding="utf-8")
     _pip("wheel", "--no-deps", "--no-build-isolation", "--wheel-dir", folder / "dist", folder / "tree")
     shutil.rmtree(folder / "tree")
     (made,) = (folder / "dist").glob("*.whl")

@@ -100,10 +100,13 @@ _FULL = (errno.ENOSPC, errno.EFBIG, getattr(errno, "EDQUOT", errno.ENOSPC))
 def atomic_path(target: Path | str) -> Iterator[Path]:
     """Yield a temporary path beside ``target``; rename it there on success, remove it on any error.
 
+    Folders that are made for it go with it.
+
     Raises:
         InputError: the folder of ``target`` cannot be made or written to, or its disk is full.
     """
     final = Path(target)
+    made = [place for place in final.parents if not place.exists()]
     try:
         final.parent.mkdir(parents=True, exist_ok=True)
         handle, name = tempfile.mkstemp(prefix=f".{final.name}.", suffix=final.suffix, dir=final.parent)
@@ -125,6 +128,9 @@ def atomic_path(target: Path | str) -> Iterator[Path]:
         ) from error
     finally:
         temporary.unlink(missing_ok=True)
+        for place in () if final.exists() else made:
+            with suppress(OSError):  # something else is in it
+                place.rmdir()
 
 
 def write_bytes(target: Path | str, content: bytes) -> None:

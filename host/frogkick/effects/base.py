@@ -147,7 +147,7 @@ class Effect:
             if not parameter.low <= value <= parameter.high:  # false for NaN
                 raise InputError(
                     f"effect {self.title!r}: {parameter.name} is {value:g}, allowed is {parameter.low:g} to "
-                    f"{parameter.high:g} {parameter.unit}"
+                    + f"{parameter.high:g} {parameter.unit}".removesuffix(" 1")
                 )
             setattr(self, parameter.name, float(value))
         for option, default in self.options.items():

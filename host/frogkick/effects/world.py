@@ -27,12 +27,16 @@ class World:
         object.__setattr__(self, "effects", tuple(self.effects))
 
 
-def read_world(path: Path | str) -> World:
-    """Read a world's TOML.
+def read_world(path: World | Path | str) -> World:
+    """Read a world's TOML; one that is read already comes back.
 
     Raises:
         InputError: no such file, not TOML, a key that is not ``effect``, or a wrong effect.
     """
+    if isinstance(path, World):
+        return path
+    if not isinstance(path, Path | str):
+        raise InputError(f"world is a {type(path).__name__}: give fk.World([...]) of effects, or a TOML file")
     file = existing_file(path, "world file")
     try:
         content = tomllib.loads(file.read_text(encoding="utf-8"))

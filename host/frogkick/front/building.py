@@ -64,11 +64,13 @@ class Firmware:
         return f"Firmware({self.build.target}, flash {self.flash_bytes} bytes, RAM {self.ram_bytes} bytes)"
 
 
-def build_firmware(table: Table, target: str = "bench", out: Path | str | None = None) -> Firmware:
+def build_firmware(
+    table: Table | Path | str, target: str = "bench", out: Path | str | None = None
+) -> Firmware:
     """Build the firmware around a table.
 
     Args:
-        table: of the robot; its guard's limits and planner's settings go into the image, too.
+        table: of the robot, or its file; its guard's limits and planner's settings go into the image, too.
         target: "bench" (bare metal, nRF52832) or "native" (the same core as a library for this computer).
         out: folder for the files; None: a temporary one that lives as long as the object.
 
@@ -76,6 +78,7 @@ def build_firmware(table: Table, target: str = "bench", out: Path | str | None =
         InputError: an unknown target, a guard whose limits are none, or an image that does not fit.
         ToolchainError: no compiler here; the text says what to install.
     """
+    table = table if isinstance(table, Table) else load_table(table)
     place = Path(tempfile.mkdtemp(prefix="frogkick-firmware-")) if out is None else Path(out)
     with table.file() as image:
         made = Firmware(build(target, image, table.robot, place))

@@ -219,6 +219,7 @@ class CameraCheck:
         turns = np.array([p.heading_error_deg for p in self.found if np.isfinite(p.heading_error_deg)])
         if len(turns) > 1:
             mean = float(np.degrees(np.angle(np.exp(1j * np.radians(turns)).mean())))
+            mean = -mean if round(mean) == -180 else mean
             apart = np.abs((turns - mean + 180.0) % 360.0 - 180.0).max()
             if abs(mean) > max(10.0 * apart, self.limit_deg):
                 said.append(

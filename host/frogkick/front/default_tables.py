@@ -30,7 +30,7 @@ def default_tables(robot: Robot | str, states: int | None = None, progress: Prog
     Raises:
         InputError: no such robot.
     """
-    robot = robot if isinstance(robot, Robot) else load_robot(robot)
+    robot = load_robot(robot)
     states = STATES if states is None else states
     made_of = f"{_source_sha256()} {states} {SEED} {SAMPLING}".encode()
     key = hashlib.sha256(robot.sha256 + made_of).hexdigest()[:24]

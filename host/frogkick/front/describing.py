@@ -110,7 +110,7 @@ def describe(robot: Robot | str) -> Description:
     Raises:
         InputError: no such robot, or one that cannot be simulated.
     """
-    described = robot if isinstance(robot, Robot) else load_robot(robot)
+    described = load_robot(robot)
     return Description(described, prepare(described), tuple(robot_warnings(described)))
 
 
@@ -128,7 +128,7 @@ def write_new_robot(file: Path, base: Robot | str = "frog2022", limbs: int | Non
     require_writable(file)
     if file.exists():
         raise InputError(f"{str(file)!r} is there already: name a new file, or take that one away")
-    text = new_robot_text(base if isinstance(base, Robot) else load_robot(base), file.stem, limbs)
+    text = new_robot_text(load_robot(base), file.stem, limbs)
     robot = parse_robot(text, str(file), file.parent)
     write_text(file, text)
     return robot

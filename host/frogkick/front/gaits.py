@@ -151,7 +151,7 @@ def validate(
         InputError: no such folder or robot, or nothing in the folder; with ``left_out`` fewer than two
             fractions.
     """
-    described = robot if isinstance(robot, Robot) else load_robot(robot)
+    described = load_robot(robot)
     processes = workers or os.cpu_count() or 1
     with shown(progress, "validate: gaits") as tell:
         found = swim_and_compare(described, Path(data_dir), processes, tell)
@@ -363,7 +363,7 @@ def sweep(
         else:
             folder = Path(out)
             require_writable(folder, folder=True)
-        described = robot if isinstance(robot, Robot) else load_robot(robot)
+        described = load_robot(robot)
         plan = plan_sweep(described, frequencies_hz, phases, egain_percent)
         processes = 1 if cluster else workers or os.cpu_count() or 1
         with shown(progress, "sweep: gaits") as tell:

@@ -152,9 +152,9 @@ LeftOut = Callable[[Sequence[Mapping[str, str]]], None]
 
 
 def identify(
-    runs: Sequence[Given],
+    runs: Given | Sequence[Given],
     *,
-    test: Sequence[Given],
+    test: Given | Sequence[Given],
     robot: Robot | str | None = None,
     effects: Path | str | None = None,
     measured: bool = True,
@@ -163,8 +163,8 @@ def identify(
     """Trace what a robot's model lacks to physical effects, and predict other runs with and without them.
 
     Args:
-        runs: to learn from.
-        test: to predict; nothing is learned from them.
+        runs: to learn from, or one alone, in memory or their files.
+        test: to predict, the same; nothing is learned from them.
         robot: the nominal one, or its name or TOML file; None: the runs' own.
         effects: a Python file of effects of your own, tried as well.
         measured: fits of many effects may start from the values of built-in robots that were measured before.
@@ -173,6 +173,7 @@ def identify(
     Raises:
         InputError: no test run, runs of several robots, or runs that cannot be used.
     """
+    runs, test = ([some] if isinstance(some, Given) else some for some in (runs, test))
     if not test:
         raise InputError("test is empty: give at least one run that is kept out of learning")
     described = robot

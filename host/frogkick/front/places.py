@@ -58,7 +58,7 @@ def robot_of_image(tables: Tables, robot: Robot | str | None, file: Path) -> Rob
             f"table {name!r} is for robot {tables.robot_id!r}, which is no built-in one: give its TOML file "
             f"with --model, or lay it beside the table as {tables.robot_id}.toml"
         )
-    described = robot if isinstance(robot, Robot) else load_robot(tables.robot_id if robot is None else robot)
+    described = load_robot(tables.robot_id if robot is None else robot)
     tables.require_robot(described.id)
     if not strokes_alike(tables, described):
         raise InputError(
@@ -174,12 +174,20 @@ def plan_config(
     return dataclasses.replace(config, depth=chosen)
 
 
-def swim_path(name: str) -> SwimPath:
+def swim_path(name: SwimPath | Path | str) -> SwimPath:
     """A path by its shape's name or from a file; of a file with too many points a line on stderr tells.
 
     Raises:
         InputError: neither.
     """
+    if isinstance(name, SwimPath):
+        return name
+    if not isinstance(name, str | Path):
+        raise InputError(
+            f"path is a {type(name).__name__}: give a shape's name, a CSV file, or a path, as of "
+            "fk.paths.from_waypoints"
+        )
+    name = str(name)
     if name in SHAPES | OTHER_SHAPES:
         return shape(name)
     if not name:

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from frogkick.front.places import plan_config, swim_path
-from frogkick.front.tables import Table
+from frogkick.front.tables import Table, load_table
 from frogkick.paths import Path as SwimPath
 from frogkick.planner.plan import PlanError, plan
 
@@ -44,19 +45,19 @@ class Planner:
     Source: Huang et al. 2022, Algorithm 1.
     """
 
-    def __init__(self, table: Table, depth: int | None = None, planner: str = "robot") -> None:
+    def __init__(self, table: Table | Path | str, depth: int | None = None, planner: str = "robot") -> None:
         """Prepare to plan.
 
         Args:
-            table: the robot's.
+            table: the robot's, or its file.
             depth: periods to look ahead, 1 to 4; None: the planner's own.
             planner: whose weights: "robot" (its TOML's) or "paper".
 
         Raises:
             InputError: the depth is not 1 to 4.
         """
-        self.table = table
-        self.config = plan_config(table.robot, planner, depth)
+        self.table = table if isinstance(table, Table) else load_table(table)
+        self.config = plan_config(self.table.robot, planner, depth)
 
     def plan(
         self,
@@ -78,7 +79,7 @@ class Planner:
         Raises:
             PlanError: the state allows no decision.
         """
-        course = swim_path(path) if isinstance(path, str) else path
+        course = swim_path(path)
         tables = self.table.tables
         first = plan(tables, course, self.config, state, limb_use, along_points)
         names, poses = [tables.actions[first.action].name], [first.predicted[:3]]

@@ -165,7 +165,7 @@ def retune(
     folder = Path(out)
     require_writable(folder, folder=True)
     require_new(folder)
-    described = robot if isinstance(robot, Robot) else load_robot(robot)
+    described = load_robot(robot)
     swims, unused = reliable([segments_of_given(each, described) for each in runs])
     left_out(unused)
     old = None if table is None else _carried(table, described)

@@ -90,7 +90,7 @@ def demonstrate(
         InputError: no such robot, a folder that cannot be written to, or an extra that is not installed.
         FrogkickError: any stage's own.
     """
-    described = robot if isinstance(robot, Robot) else load_robot(robot)
+    described = load_robot(robot)
     folder = Path(out)
     require_writable(folder, folder=True)
     require_tools("bench")

@@ -300,11 +300,11 @@ def run(
     if plan not in PLANS:
         raise InputError(f"plan is {plan!r}{nearest_name(plan, PLANS)}: choose {', '.join(PLANS)}")
     require_writable(target)
-    desired = swim_path(path) if isinstance(path, str) else path
+    desired = swim_path(path)
     eye = SimulatedCamera(rate_hz=fix_rate_hz)
     require_time(time_limit_s)
     # A copy: an effect may remember what happened in a run, and the next one begins anew.
-    true = read_world(world) if isinstance(world, Path | str) else copy.deepcopy(world or World())
+    true = World() if world is None else copy.deepcopy(read_world(world))
     used = table if isinstance(table, Table) else load_table(table, model)
     described = used.robot
     check = LiveCheck() if plan == "both" else None

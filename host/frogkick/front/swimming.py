@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 from frogkick.core.errors import ConvergenceError, InputError
 from frogkick.der import Failure, Gait, Trajectory, simulate_actions, simulate_gaits
 from frogkick.effects import rods_of
 from frogkick.library.transitions import lane_effects
-from frogkick.robot import Action, Robot
+from frogkick.robot import Action, Robot, load_robot
 
 
 def simulate(
-    robot: Robot,
+    robot: Robot | Path | str,
     actions: str | Sequence[str] | None = None,
     *,
     velocity_body: Sequence[float] = (0.0, 0.0, 0.0),
@@ -28,7 +29,7 @@ def simulate(
     and its body, as in a library; flows of the water do not, as nobody knows where in them it is.
 
     Args:
-        robot: what to simulate.
+        robot: what to simulate, or its name or TOML file.
         actions: names, as ``"BBC"``, ``"B,B,C"`` or a sequence; None: the gait.
         velocity_body: forward, left (m/s), turn rate (rad/s) at the start of a row of actions.
         egain_percent, frequency_hz: of a gait's profile; None: the robot's own.
@@ -39,6 +40,7 @@ def simulate(
         InputError: an unknown action, or a profile outside of what was measured.
         ConvergenceError: the simulation failed; the text gives the state.
     """
+    robot = load_robot(robot)
     if actions is None:
         gait = Gait(
             robot.egain_percent if egain_percent is None else egain_percent,

@@ -18,7 +18,7 @@ from frogkick.front.default_tables import default_tables
 from frogkick.front.html import page_of
 from frogkick.front.places import DEFAULT_ROBOT, called_by, robot_of_image
 from frogkick.library import RECORD_S, Library, library_info
-from frogkick.robot import Robot
+from frogkick.robot import Robot, load_robot
 from frogkick.tables.image import Tables, open_image, read_image
 
 __all__ = ["RECORD_S", "Table", "build_library", "fit_table", "library_info", "load_library", "load_table"]
@@ -154,7 +154,7 @@ def load_table(file: Path | str | None = None, robot: Robot | str | None = None)
 
 
 def build_library(
-    robot: Robot,
+    robot: Robot | Path | str,
     states: int = 300,
     seed: int = 0,
     *,
@@ -170,7 +170,7 @@ def build_library(
     The numbers depend on robot, states, seed and sampling, not on who simulates.
 
     Args:
-        robot: what to simulate.
+        robot: what to simulate, or its name or TOML file.
         states: initial velocities, 1 to 65535.
         seed: of their sampling.
         sampling: "box" (uniform in the robot's velocity box, the paper's), "visited" (at random strokes) or
@@ -187,6 +187,7 @@ def build_library(
         InputError: a value out of range, a file that cannot be written, or no cluster there.
         ConvergenceError: every simulation failed.
     """
+    robot = load_robot(robot)
     with ExitStack() as stack:
         if out is None:
             folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="frogkick-library-"))
@@ -226,7 +227,7 @@ def load_library(file: Path | str) -> Library:
 
 
 def fit_table(
-    library: Library,
+    library: Library | Path | str,
     kind: str | None = None,
     budget_kib: float | None = None,
     *,
@@ -235,7 +236,7 @@ def fit_table(
     """Make the robot's table of a library.
 
     Args:
-        library: of ``build_library``.
+        library: of ``build_library``, or its file.
         kind: "nearest" (the paper's: one row for each state), "affine" (fewer states, a local linear
             correction, how much limbs were used lately); None: nearest with all states, or with a budget the
             one that errs less.
@@ -245,6 +246,8 @@ def fit_table(
     Raises:
         InputError: an unknown kind, too few states, or a budget that holds no state.
     """
+    if not isinstance(library, Library):
+        library = load_library(library)
     if budget_kib is None and kind in (None, "nearest"):
         image = libraries.quantise(library)
     else:

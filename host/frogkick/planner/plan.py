@@ -341,5 +341,10 @@ def along_rows(along_points: npt.ArrayLike, count: int) -> Float32:
 
 
 def _float32(values: npt.ArrayLike) -> Float32:
-    with np.errstate(over="ignore"):  # a value beyond float32 becomes infinite, and that has its own status
-        return np.ascontiguousarray(values, dtype=np.float32)
+    try:
+        with np.errstate(over="ignore"):  # a value beyond float32 becomes infinite, which has its own status
+            return np.ascontiguousarray(values, dtype=np.float32)
+    except (TypeError, ValueError):
+        raise InputError(
+            f"{str(values)[:60]!r} is no array of numbers: give a state as x, y, heading and velocities"
+        ) from None

@@ -67,13 +67,15 @@ def built_in_robots() -> tuple[str, ...]:
     return tuple(sorted(p.stem for p in BUILT_IN.glob("*.toml") if not p.stem.endswith(".profiles")))
 
 
-def load_robot(name_or_path: str | Path) -> Robot:
-    """Read a robot by built-in name ("frog2022") or from a TOML file.
+def load_robot(name_or_path: Robot | str | Path) -> Robot:
+    """Read a robot by built-in name ("frog2022") or from a TOML file; one that is read already comes back.
 
     Raises:
         InputError: no such robot, not TOML, an unknown key (the nearest right one is named), a value out
             of its range, or parts that do not fit together.
     """
+    if isinstance(name_or_path, Robot):
+        return name_or_path
     text = str(name_or_path)
     if text in built_in_robots():
         path = BUILT_IN / f"{text}.toml"

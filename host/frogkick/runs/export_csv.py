@@ -12,12 +12,13 @@ import json
 import math
 import pathlib
 from collections.abc import Iterator
+from contextlib import ExitStack
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from frogkick.core.files import write_bytes
+from frogkick.core.files import atomic_path
 from frogkick.runs.runlog import RunLog
 
 
@@ -37,15 +38,14 @@ def export_csv(run: RunLog, folder: pathlib.Path) -> list[str]:
     Raises:
         InputError: the folder cannot be written to.
     """
-    made = []
+    files = {}
     for name, columns in columns_of(run):
         text = io.StringIO()
         writer = csv.writer(text, lineterminator="\n")
         writer.writerow(columns)
         for row in zip(*columns.values(), strict=True):
             writer.writerow([_cell(value) for value in row])
-        write_bytes(folder / f"{name}.csv", text.getvalue().encode())
-        made.append(f"{name}.csv")
+        files[f"{name}.csv"] = text.getvalue()
     about = {
         "robot_id": run.robot_id,
         "source": run.source,
@@ -60,8 +60,11 @@ def export_csv(run: RunLog, folder: pathlib.Path) -> list[str]:
         "planner": dict(run.planner),
         "made": dict(run.made),
     }
-    write_bytes(folder / "run.json", (json.dumps(about, indent=2) + "\n").encode())
-    return [*made, "run.json"]
+    files["run.json"] = json.dumps(about, indent=2) + "\n"
+    with ExitStack() as stack:  # all of them or none
+        for name, content in files.items():
+            stack.enter_context(atomic_path(folder / name)).write_bytes(content.encode())
+    return list(files)
 
 
 _STATE = ("x_m", "y_m", "heading_rad", "vx_mps", "vy_mps", "omega_radps")

@@ -431,7 +431,7 @@ def study_open_loop(
     Raises:
         InputError: no data, a fraction without swims, too few to fit to, or none left to test on.
     """
-    nominal = robot if isinstance(robot, Robot) else load_robot(robot)
+    nominal = load_robot(robot)
     other = None if test_dir is None else Path(test_dir)
     with shown(progress, "openloop: rounds of fits") as tell:
         cores = workers or os.cpu_count() or 1

@@ -322,7 +322,7 @@ def study_foresight(
     """
     if at_least_mps is not None and not (math.isfinite(at_least_mps) and at_least_mps >= 0.0):
         raise InputError(f"--at-least {at_least_mps} m/s: give a speed from 0 on")
-    course = swim_path(path) if isinstance(path, str) else path
+    course = swim_path(path)
     opened = read_image(table_image(tables, None))
     with shown(progress, "decisions ahead") as tell:
         plans = foresee(opened, course, start_pose(course), breadth, tell)

@@ -119,7 +119,7 @@ def compare_planners(
         InputError: an unknown path or world, or a library of another robot.
         ToolchainError: no compiler for the core.
     """
-    described = robot if isinstance(robot, Robot) else load_robot(robot)
+    described = load_robot(robot)
     settings = planners_in_loop.settings_of(list(worlds or (NOMINAL.name, HIDDEN.name)), described)
     names = _shape_names(paths)
     folder = Path(out)
@@ -330,7 +330,7 @@ def compare_in_twin(
         InputError: a robot without effects, a model that cannot be its own, or recorded runs of no use.
         ToolchainError: no compiler for the core.
     """
-    described, nominal = (each if isinstance(each, Robot) else load_robot(each) for each in (robot, model))
+    described, nominal = (load_robot(each) for each in (robot, model))
     setting = twin.world_of(described)
     twin.require_related(described, nominal)
     shapes = _shape_names(paths)

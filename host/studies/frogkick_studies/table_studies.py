@@ -97,7 +97,7 @@ def study_convergence(
         InputError: no such robot.
         ConvergenceError: a simulation failed.
     """
-    described = robot if isinstance(robot, Robot) else load_robot(robot)
+    described = load_robot(robot)
     with shown(progress, "convergence") as tell:
         return ConvergenceStudy(convergence(described, tell, every))
 
@@ -329,6 +329,6 @@ def study_history(
     Raises:
         InputError: no such robot.
     """
-    described = robot if isinstance(robot, Robot) else load_robot(robot)
+    described = load_robot(robot)
     with shown(progress, "limb history") as tell:
         return HistoryStudy(history_worth(described, states, test_states, seed, tell), seed)

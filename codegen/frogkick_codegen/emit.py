@@ -15,6 +15,7 @@ import numpy as np
 
 import frogkick
 from frogkick.core.errors import InputError
+from frogkick.core.weights import WEIGHTS
 from frogkick.planner import kernel
 from frogkick.planner.plan import PlanConfig
 from frogkick.tables.image import Tables, open_image, read_image
@@ -100,7 +101,7 @@ def render(
         "banner": banner,
         "tables": tables,
         "config": config,
-        "weights": weights,
+        "config_weights": dict(zip(WEIGHTS, weights, strict=True)),
         "format_version": FORMAT_VERSION,
         "build_command": BUILD_COMMAND,
         "figures": figures,

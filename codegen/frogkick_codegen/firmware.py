@@ -18,6 +18,7 @@ from typing import Any
 from frogkick.core.errors import InputError
 from frogkick.core.extras import require
 from frogkick.core.files import write_bytes, write_text
+from frogkick.core.weights import WEIGHTS
 from frogkick.robot import Robot
 from frogkick.tables.image import read_image
 from frogkick_codegen import declared
@@ -134,14 +135,7 @@ def robot_config(robot: Robot) -> str:
         f"#define FK_BATTERY_LEAST_MV {least_mv}",
         "",
         "/* Defaults of the planner; PARAM changes them. Hexadecimal floats lose no bit. */",
-        f"#define FK_DISTANCE_WEIGHT_PER_M {_c_float(planner.distance_weight_per_m)}",
-        f"#define FK_ANGLE_WEIGHT_PER_RAD {_c_float(planner.angle_weight_per_rad)}",
-        f"#define FK_PROGRESS_WEIGHT {_c_float(planner.progress_weight)}",
-        f"#define FK_LEVEL_WEIGHT {_c_float(planner.level_weight)}",
-        f"#define FK_PROGRESS_WEIGHT_PER_M {_c_float(planner.progress_weight_per_m)}",
-        f"#define FK_LOOK_AHEAD_M {_c_float(planner.look_ahead_m)}",
-        f"#define FK_SOFT_DISTANCE_M {_c_float(planner.soft_distance_m)}",
-        f"#define FK_TURN_LEAD {_c_float(planner.turn_lead)}",
+        *(f"#define FK_{name.upper()} {_c_float(getattr(planner, name))}" for name in WEIGHTS),
         f"#define FK_COST FK_COST_{planner.cost.upper()}",
         f"#define FK_DEPTH {planner.depth}u",
         f"#define FK_PLAN_TIME_US {round(planner.plan_time_s * 1e6)}u",

@@ -1,14 +1,18 @@
-"""Makes the firmware's view of the link and of its supervisor: C headers, and tables for the documentation.
+"""Makes the C's view of link, supervisor and planner's weights: C headers, tables for the documentation.
 
-Run ``python -m frogkick_codegen.frames`` after a change of ``frames.toml`` or ``supervisor.toml``; a test
-fails until it was run.
+Run ``python -m frogkick_codegen.frames`` after a change of ``frames.toml``, ``supervisor.toml`` or
+``core/weights.py``; a test fails until it was run.
 """
 
 from __future__ import annotations
 
+import textwrap
+from pathlib import Path
+
 import jinja2
 
 from frogkick.core.files import write_text
+from frogkick.core.weights import WEIGHTS
 from frogkick.link.layout import Field, Payload, link_layout
 from frogkick.link.supervisor import supervisor
 from frogkick_codegen.sources import firmware_sources
@@ -16,6 +20,7 @@ from frogkick_codegen.sources import firmware_sources
 _FIRMWARE = firmware_sources()
 HEADER = _FIRMWARE / "core" / "fk_frames_layout.h"
 SUPERVISOR_HEADER = _FIRMWARE / "core" / "fk_supervisor_table.h"
+PLANNER_HEADER = Path(__file__).parent / "planner" / "fk_planner.h"
 
 
 def _render(template: str) -> str:
@@ -87,10 +92,32 @@ def supervisor_table() -> str:
     return "\n".join(lines)
 
 
+def plan_weights() -> str:
+    """The planner's weights in C: a list to go through, and how ``fk_plan_config_t`` begins."""
+    limits = {name: f"{weight.most:.1f}f" for name, weight in WEIGHTS.items()}
+    rows = [f"    WEIGHT({name}, {name.upper()}, {limits[name]})" for name in WEIGHTS]
+    lines = ["/* Weights and lengths of the costs, each 0 to its largest: WEIGHT(name, NAME, largest). */"]
+    lines += [" \\\n".join(["#define FK_PLAN_WEIGHTS(WEIGHT)", *rows]), ""]
+    lines += ["/* What to plan for. Weights of the other cost are only checked. */", "typedef struct {"]
+    for name, weight in WEIGHTS.items():
+        begin = f"    float {name + ';':{max(map(len, WEIGHTS)) + 1}} /* "
+        words = textwrap.wrap(f"{weight.meaning} */", 118 - len(begin))
+        lines.append(begin + f"\n{' ' * (len(begin) - 2)}* ".join(words))
+    return "\n".join(lines)
+
+
+def planner_header(text: str) -> str:
+    """``text`` of fk_planner.h with today's weights."""
+    begin, end = "/* weights: made by python -m frogkick_codegen.frames */", "/* weights end */"
+    head, _, rest = text.partition(begin)
+    return f"{head}{begin}\n{plan_weights()}\n{end}{rest.partition(end)[2]}"
+
+
 def main() -> None:
     """Write the headers."""
     write_text(HEADER, layout_header())
     write_text(SUPERVISOR_HEADER, supervisor_header())
+    write_text(PLANNER_HEADER, planner_header(PLANNER_HEADER.read_text(encoding="utf-8")))
 
 
 if __name__ == "__main__":

@@ -190,28 +190,27 @@ static int32_t on_status(const fk_robot_t *robot, uint64_t now_us, uint8_t *answ
     return (int32_t)FK_STATUS_ANSWER_BYTES;
 }
 
+#define ID(name, NAME, most) FK_PARAMETER_##NAME,
+#define PLACE(name, NAME, most) &plan->name,
+#define MOST(name, NAME, most) most,
+
 /* A table instead of a choice: compilers make a jump of such a choice, whose targets no analysis can bound. */
-static float *weight_of(fk_plan_config_t *plan, uint8_t parameter)
+static int8_t set_weight(fk_plan_config_t *plan, uint8_t parameter, float value)
 {
-    static const uint8_t ids[] = {FK_PARAMETER_DISTANCE_WEIGHT_PER_M, FK_PARAMETER_ANGLE_WEIGHT_PER_RAD,
-                                  FK_PARAMETER_PROGRESS_WEIGHT,       FK_PARAMETER_LEVEL_WEIGHT,
-                                  FK_PARAMETER_PROGRESS_WEIGHT_PER_M, FK_PARAMETER_LOOK_AHEAD_M,
-                                  FK_PARAMETER_SOFT_DISTANCE_M,       FK_PARAMETER_TURN_LEAD};
-    float *const weights[sizeof(ids)] = {&plan->distance_weight_per_m, &plan->angle_weight_per_rad,
-                                         &plan->progress_weight,       &plan->level_weight,
-                                         &plan->progress_weight_per_m, &plan->look_ahead_m,
-                                         &plan->soft_distance_m,       &plan->turn_lead};
+    static const uint8_t ids[] = {FK_PLAN_WEIGHTS(ID)};
+    static const float most[sizeof(ids)] = {FK_PLAN_WEIGHTS(MOST)};
+    float *const weights[sizeof(ids)] = {FK_PLAN_WEIGHTS(PLACE)};
     for (uint32_t i = 0u; i < sizeof(ids); ++i) {
-        if (ids[i] == parameter) {
-            return weights[i];
+        if (ids[i] == parameter && is_finite_within(value, 0.0f, most[i])) {
+            *weights[i] = value + 0.0f; /* -0.0, which fk_plan() refuses, becomes 0 */
+            return FK_STATUS_OK;
         }
     }
-    return 0;
+    return FK_STATUS_VALUE;
 }
 
 static int8_t set_parameter(fk_robot_t *robot, uint8_t parameter, float value)
 {
-    float *weight = 0;
     int8_t refusal = fk_robot_may(robot, FK_EVENT_PARAM);
     if (refusal != FK_STATUS_OK) {
         return refusal;
@@ -255,15 +254,7 @@ static int8_t set_parameter(fk_robot_t *robot, uint8_t parameter, float value)
         }
         return FK_STATUS_OK;
     }
-    if (parameter == FK_PARAMETER_TURN_LEAD && !is_finite_within(value, 0.0f, FK_TURN_LEAD_MAX)) {
-        return FK_STATUS_VALUE;
-    }
-    weight = weight_of(&robot->plan, parameter);
-    if (weight == 0 || !is_finite_within(value, 0.0f, FK_WEIGHT_MAX)) {
-        return FK_STATUS_VALUE;
-    }
-    *weight = value + 0.0f; /* -0.0, which fk_plan() refuses, becomes 0 */
-    return FK_STATUS_OK;
+    return set_weight(&robot->plan, parameter, value);
 }
 
 static int32_t on_param(fk_robot_t *robot, const uint8_t *payload, uint8_t *answer)

@@ -17,14 +17,8 @@ static void begin_with_tables(fk_robot_t *robot)
 
 int32_t fk_robot_init(fk_robot_t *robot, const uint8_t *image, uint32_t image_bytes)
 {
-    robot->plan.distance_weight_per_m = FK_DISTANCE_WEIGHT_PER_M;
-    robot->plan.angle_weight_per_rad = FK_ANGLE_WEIGHT_PER_RAD;
-    robot->plan.progress_weight = FK_PROGRESS_WEIGHT;
-    robot->plan.level_weight = FK_LEVEL_WEIGHT;
-    robot->plan.progress_weight_per_m = FK_PROGRESS_WEIGHT_PER_M;
-    robot->plan.look_ahead_m = FK_LOOK_AHEAD_M;
-    robot->plan.soft_distance_m = FK_SOFT_DISTANCE_M;
-    robot->plan.turn_lead = FK_TURN_LEAD;
+#define DEFAULT(name, NAME, most) robot->plan.name = FK_##NAME;
+    FK_PLAN_WEIGHTS(DEFAULT)
     robot->plan.transitions_max = fk_robot_transitions_within(FK_PLAN_TIME_US);
     robot->plan.cost = FK_COST;
     robot->plan.depth = FK_DEPTH;

@@ -93,14 +93,8 @@ static void f32(fk_walk_t *walk, float *values, uint32_t count)
 
 static void plan(fk_walk_t *walk, fk_plan_config_t *config)
 {
-    f32(walk, &config->distance_weight_per_m, 1u);
-    f32(walk, &config->angle_weight_per_rad, 1u);
-    f32(walk, &config->progress_weight, 1u);
-    f32(walk, &config->level_weight, 1u);
-    f32(walk, &config->progress_weight_per_m, 1u);
-    f32(walk, &config->look_ahead_m, 1u);
-    f32(walk, &config->soft_distance_m, 1u);
-    f32(walk, &config->turn_lead, 1u);
+#define WALK(name, NAME, most) f32(walk, &config->name, 1u);
+    FK_PLAN_WEIGHTS(WALK)
     u32(walk, &config->transitions_max);
     u8(walk, &config->cost, FK_COST_ROUTE);
     u8(walk, &config->depth, FK_DEPTH_MAX);

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from frogkick.core.shared_library import ffi_of, load
+from frogkick.core.weights import WEIGHTS
 from frogkick.planner.plan import PathLike, PlanConfig
 from frogkick_codegen import declared
 from frogkick_codegen.native import build_shared, planner_files
@@ -19,10 +20,6 @@ from frogkick_codegen.toolchain import FLAGS, other
 
 COVERAGE_DIR = os.environ.get("FK_PLANNER_COVERAGE_DIR")
 """Set by test_planner_coverage for its own runs: build with gcov's counters, into that folder."""
-
-_FIELDS = ("distance_weight_per_m", "angle_weight_per_rad", "progress_weight", "level_weight",
-           "progress_weight_per_m", "look_ahead_m", "soft_distance_m", "turn_lead",
-           "transitions_max", "cost", "depth")  # fmt: skip
 
 
 def source_files() -> dict[str, bytes]:
@@ -95,7 +92,7 @@ def config_of(config: PlanConfig | None = None, **changes: float) -> Any:
     """An ``fk_plan_config_t`` with some fields changed."""
     given = config or PlanConfig()
     made = FFI.new("fk_plan_config_t *")
-    for name in _FIELDS:
+    for name in (*WEIGHTS, "transitions_max", "cost", "depth"):
         setattr(made, name, changes.get(name, getattr(given, name)))
     return made
 

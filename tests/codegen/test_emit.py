@@ -207,7 +207,7 @@ def test_a_configuration_that_the_planner_would_refuse_is_not_emitted(
 
 
 def test_the_configuration_is_written_to_the_last_bit(tmp_path: Path) -> None:
-    config = PlanConfig(1e-40, 123.456789, 1e6, 1 / 3, 3, 1, 2 / 3, 1e-9, 1e5 / 7, 2.0, 12345)
+    config = PlanConfig(1e-40, 123.456789, 1e6, 1 / 3, 2 / 3, 1e-9, 1e5 / 7, 2.0, 3, 1, 12345)
     emit(IMAGE, tmp_path / "out", COMMAND, config)
     text = (tmp_path / "out" / "fk_config.h").read_text()
     values = re.findall(r"#define FK_CONFIG_\w+ (\S+)f$", text, flags=re.MULTILINE)

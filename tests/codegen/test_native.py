@@ -73,8 +73,6 @@ def test_the_twin_has_the_header_s_error_codes_and_limits() -> None:
     assert int(limits["FK_DEPTH_MAX"].rstrip("U")) == kernel.DEPTH_MAX
     assert np.float32(limits["FK_SCALE_MIN"].rstrip("f")) == np.float32(layout.SCALE_MIN)
     assert np.float32(limits["FK_SCALE_MAX"].rstrip("f")) == np.float32(layout.SCALE_MAX)
-    assert np.float32(limits["FK_WEIGHT_MAX"].rstrip("f")) == kernel.WEIGHT_MAX
-    assert np.float32(limits["FK_TURN_LEAD_MAX"].rstrip("f")) == kernel.TURN_LEAD_MAX
 
 
 def test_the_c_refuses_a_damaged_image_with_its_code(library: NativeLibrary) -> None:

@@ -12,6 +12,7 @@ from tests.codegen.planner_c import FFI, config_of, library, path_of, state_of
 from tests.conftest import count
 from tests.planner import synthetic
 
+from frogkick.core.weights import WEIGHTS
 from frogkick.planner.plan import Cost, PlanConfig, plan_batch
 from frogkick.tables.image import open_image
 
@@ -130,6 +131,7 @@ def test_every_null_pointer_is_refused_and_nothing_is_written(missing: int) -> N
     assert set(bytes(FFI.buffer(made))) == {0xA5}
 
 
+LIMITS = dict.fromkeys(WEIGHTS, 1e6) | {"turn_lead": 2.0}
 REFUSED_CONFIGS = [
     ({"depth": 0}, "DEPTH"),
     ({"depth": 5}, "DEPTH"),
@@ -137,11 +139,9 @@ REFUSED_CONFIGS = [
     ({"cost": 255}, "COST"),
     *(
         ({name: value}, "WEIGHT")
-        for name in ("distance_weight_per_m", "angle_weight_per_rad", "progress_weight", "level_weight",
-                     "progress_weight_per_m", "look_ahead_m", "soft_distance_m", "turn_lead")
-        for value in (NAN, INFINITY, -1.0, -0.0, float(np.nextafter(np.float32(1e6), np.float32(2e6))))
+        for name, most in LIMITS.items()
+        for value in (NAN, INFINITY, -1.0, -0.0, float(np.nextafter(np.float32(most), np.float32(2e6))))
     ),
-    ({"turn_lead": float(np.nextafter(np.float32(2), np.float32(3)))}, "WEIGHT"),
 ]  # fmt: skip
 REFUSED_STATES = [
     *(
@@ -229,11 +229,9 @@ def test_the_first_thing_that_is_wrong_is_named() -> None:
 @pytest.mark.parametrize("image", [NEAREST, AFFINE])
 @pytest.mark.parametrize("cost", [Cost.PAPER, Cost.ROUTE])
 def test_everything_at_its_limit_is_planned(image: bytes, cost: Cost) -> None:
-    names = ("distance_weight_per_m", "angle_weight_per_rad", "progress_weight", "level_weight",
-             "progress_weight_per_m", "look_ahead_m", "soft_distance_m")  # fmt: skip
     corners = [(-1000.0, -1000.0, -1000.0), (1000.0, 1000.0, 1000.0), (1000.0, -1000.0, 0.0)]
-    for weight in (0.0, 1e6):
-        config = PlanConfig(**dict.fromkeys(names, weight), cost=cost, depth=2, turn_lead=weight / 5e5)
+    for weights in (dict.fromkeys(LIMITS, 0.0), LIMITS):
+        config = PlanConfig(**weights, cost=cost, depth=2)
         values = np.array(
             [[1e3, 1e3, 1e3, 3e38, -3e38, 3e38], [-1e3, 1e3, -1e3, -3e38, 1e-45, 0.0]], dtype=np.float32
         )

@@ -7,6 +7,7 @@ import re
 import pytest
 from tests.conftest import REPOSITORY
 
+from frogkick.core.weights import WEIGHTS
 from frogkick.link.layout import link_layout
 from frogkick_codegen import frames
 from frogkick_codegen.native import planner_files
@@ -16,6 +17,12 @@ RUN = "run: python -m frogkick_codegen.frames"
 
 def test_the_header_is_up_to_date() -> None:
     assert frames.HEADER.read_text(encoding="utf-8") == frames.layout_header(), RUN
+
+
+def test_the_planner_s_weights_are_up_to_date() -> None:
+    text = frames.PLANNER_HEADER.read_text(encoding="utf-8")
+    assert frames.planner_header(text) == text, RUN
+    assert {name.upper() for name in WEIGHTS} <= link_layout().parameter.keys()
 
 
 def test_the_documentation_has_every_frame() -> None:

@@ -353,7 +353,7 @@ def test_plan_gives_the_planner_s_bits(depth: int, cost: int) -> None:
         [np.linspace(0, 1, 18), 0.1 * np.sin(np.arange(18)), rng.uniform(-3, 3, 18)]
     ).astype(np.float32)
     assert robot.status("PATH", {"first": 0, "total": 18, "count": 18}, rows.tolist()) == "OK"
-    config = PlanConfig(400.0, 33.0, 250.0, 0.7, depth, cost, 310.0, 0.12, 0.02, 0.5, transitions_max=70)
+    config = PlanConfig(400.0, 33.0, 250.0, 0.7, 310.0, 0.12, 0.02, 0.5, depth, cost, transitions_max=70)
     for name, value in asdict(config).items():
         if name != "depth":
             assert robot.status("PARAM", {"parameter": PARAMETERS[name.upper()], "value": value}) == "OK"

@@ -25,8 +25,6 @@ extern "C" {
 #define FK_POSITION_MAX_M 1000.0f  /* |x|, |y| of a state or a path point */
 #define FK_HEADING_MAX_RAD 1000.0f /* |heading| of a state, |tangent| of a path point */
 #define FK_ANGLE_MAX_RAD 2100.0f   /* |angle| that fk_wrap_angle and fk_sincos accept */
-#define FK_WEIGHT_MAX 1e6f         /* weights and lengths of the cost: 0 to 1e6 */
-#define FK_TURN_LEAD_MAX 2.0f      /* turn_lead: 0 to 2 */
 #define FK_PI 3.14159274f          /* pi rounded to float32 (a little above pi) */
 
 /* The robot's state. All floats finite; pose in the world frame, velocity in the BODY frame. */
@@ -56,7 +54,19 @@ typedef enum {
     FK_COST_ROUTE = 1  /* progress along the path as stage cost, heading as terminal cost: route.c */
 } fk_cost_t;
 
-/* What to plan for. Weights and lengths are 0 to FK_WEIGHT_MAX; those of the other cost are only checked. */
+/* weights: made by python -m frogkick_codegen.frames */
+/* Weights and lengths of the costs, each 0 to its largest: WEIGHT(name, NAME, largest). */
+#define FK_PLAN_WEIGHTS(WEIGHT) \
+    WEIGHT(distance_weight_per_m, DISTANCE_WEIGHT_PER_M, 1000000.0f) \
+    WEIGHT(angle_weight_per_rad, ANGLE_WEIGHT_PER_RAD, 1000000.0f) \
+    WEIGHT(progress_weight, PROGRESS_WEIGHT, 1000000.0f) \
+    WEIGHT(level_weight, LEVEL_WEIGHT, 1000000.0f) \
+    WEIGHT(progress_weight_per_m, PROGRESS_WEIGHT_PER_M, 1000000.0f) \
+    WEIGHT(look_ahead_m, LOOK_AHEAD_M, 1000000.0f) \
+    WEIGHT(soft_distance_m, SOFT_DISTANCE_M, 1000000.0f) \
+    WEIGHT(turn_lead, TURN_LEAD, 2.0f)
+
+/* What to plan for. Weights of the other cost are only checked. */
 typedef struct {
     float distance_weight_per_m; /* x distance to the nearest path point (paper: 500), or to the path (route) */
     float angle_weight_per_rad;  /* x angle between heading and path: its tangent there (paper: 50); route: the
@@ -66,7 +76,8 @@ typedef struct {
     float progress_weight_per_m; /* route: x how much less a motion advances than the table's longest stroke */
     float look_ahead_m;          /* route: how far along the path a branch's end points */
     float soft_distance_m;       /* route: below it, distance counts by its square */
-    float turn_lead;             /* route: x the last turn, by which the robot turns on; 0 to FK_TURN_LEAD_MAX */
+    float turn_lead;             /* route: x the last turn, by which the robot turns on */
+/* weights end */
     uint32_t transitions_max;    /* transitions to evaluate before the search answers, 0 = as many as it takes;
                                   * the first level is always finished */
     uint8_t cost;                /* fk_cost_t */

@@ -36,7 +36,7 @@ typedef enum {
     FK_ERROR_NOT_FINITE = -2,      /* a state holds NaN or infinity */
     FK_ERROR_RANGE = -3,           /* a state beyond FK_POSITION_MAX_M or FK_HEADING_MAX_RAD */
     FK_ERROR_DEPTH = -4,           /* depth is not 1 to FK_DEPTH_MAX */
-    FK_ERROR_WEIGHT = -5,          /* a weight is NaN or not 0 to FK_WEIGHT_MAX */
+    FK_ERROR_WEIGHT = -5,          /* a weight is NaN or not 0 to its largest value */
     FK_ERROR_PATH_COUNT = -6,      /* a path has fewer than 2 or more than FK_PATH_POINTS_MAX points */
     FK_ERROR_PATH_POINT = -7,      /* a point or tangent is not finite or beyond the limits of a state */
     FK_ERROR_ACTION = -8,          /* an action index is not below the table's number of actions */

@@ -34,10 +34,10 @@ typedef struct {
     uint32_t levels;                    /* of the search under way */
 } fk_search_t;
 
-static int32_t fk_is_weight(float value)
+static int32_t fk_is_weight(float value, float most)
 {
     /* -0.0 has the sign bit and is refused like every negative weight; NaN lies above the limit. */
-    return (fk_bits_of_float(value) <= fk_bits_of_float(FK_WEIGHT_MAX)) ? 1 : 0;
+    return (fk_bits_of_float(value) <= fk_bits_of_float(most)) ? 1 : 0;
 }
 
 static int32_t fk_config_check(const fk_plan_config_t *config)
@@ -48,13 +48,12 @@ static int32_t fk_config_check(const fk_plan_config_t *config)
     if ((config->cost != (uint8_t)FK_COST_PAPER) && (config->cost != (uint8_t)FK_COST_ROUTE)) {
         return FK_ERROR_COST;
     }
-    if ((fk_is_weight(config->distance_weight_per_m) == 0) || (fk_is_weight(config->angle_weight_per_rad) == 0)
-        || (fk_is_weight(config->progress_weight) == 0) || (fk_is_weight(config->level_weight) == 0)
-        || (fk_is_weight(config->progress_weight_per_m) == 0) || (fk_is_weight(config->look_ahead_m) == 0)
-        || (fk_is_weight(config->soft_distance_m) == 0) || (fk_is_weight(config->turn_lead) == 0)
-        || (config->turn_lead > FK_TURN_LEAD_MAX)) {
-        return FK_ERROR_WEIGHT;
+#define FK_CHECK(name, NAME, most) \
+    if (fk_is_weight(config->name, most) == 0) { \
+        return FK_ERROR_WEIGHT; \
     }
+    FK_PLAN_WEIGHTS(FK_CHECK)
+#undef FK_CHECK
     return FK_OK;
 }
 

@@ -33,14 +33,9 @@ static inline void fk_native_path(const float *path, uint32_t points, fk_path_t 
 static inline void fk_native_config(const float *weights, uint32_t cost, uint32_t transitions_max,
                                     fk_plan_config_t *config)
 {
-    config->distance_weight_per_m = weights[0];
-    config->angle_weight_per_rad = weights[1];
-    config->progress_weight = weights[2];
-    config->level_weight = weights[3];
-    config->progress_weight_per_m = weights[4];
-    config->look_ahead_m = weights[5];
-    config->soft_distance_m = weights[6];
-    config->turn_lead = weights[7];
+#define FK_TAKE(name, NAME, most) config->name = *weights++;
+    FK_PLAN_WEIGHTS(FK_TAKE)
+#undef FK_TAKE
     config->transitions_max = transitions_max;
     config->cost = fk_native_u8(cost);
 }

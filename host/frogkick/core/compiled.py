@@ -24,9 +24,9 @@ KEPT: dict[str, Any] = {**BARE, "cache": True}
 """As BARE, and kept on disk."""
 
 
-def stamp_of(package: str) -> int:
-    """Stands for the text of a package's Python files: other text, another number."""
-    digest = hashlib.sha256()
+def stamp_of(package: str, also: str = "") -> int:
+    """Stands for the text of a package's Python files and another text: where one differs, another number."""
+    digest = hashlib.sha256(also.encode())
     for file in sorted(resources.files(package).iterdir(), key=lambda f: f.name):
         if file.name.endswith(".py"):
             digest.update(file.read_bytes())

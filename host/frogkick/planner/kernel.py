@@ -26,6 +26,7 @@ a helper changed in another file.
 
 from __future__ import annotations
 
+from collections import namedtuple
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -33,6 +34,7 @@ import numpy.typing as npt
 from numba import njit
 
 from frogkick.core.compiled import ALLOCATING, BARE, INNER, stamp_of
+from frogkick.core.weights import WEIGHTS
 from frogkick.planner import route
 from frogkick.planner.floats import sincos, wrap_angle
 from frogkick.planner.lookup import (
@@ -64,8 +66,6 @@ PATH_POINTS_MAX = 100
 POSITION_MAX_M = np.float32(1000)
 HEADING_MAX_RAD = np.float32(1000)
 LIMB_USE_MAX = 32767
-WEIGHT_MAX = np.float32(1e6)
-TURN_LEAD_MAX = np.float32(2)
 
 NUMBERS = 6
 """Integers of a decision: status, action, nearest state, path index, depth, transitions; then limb uses."""
@@ -76,20 +76,11 @@ _F0 = np.float32(0)
 _F1 = np.float32(1)
 _PER_STEP = np.float32(0.125)  # 1 / route.STEPS_PER_REACH
 
-
-class Settings(NamedTuple):
-    """The configuration of a search; for the fields see frogkick.planner.plan.PlanConfig."""
-
-    cost: int
-    transitions_max: int
-    distance_weight_per_m: np.float32
-    angle_weight_per_rad: np.float32
-    progress_weight: np.float32
-    level_weight: np.float32
-    progress_weight_per_m: np.float32
-    look_ahead_m: np.float32
-    soft_distance_m: np.float32
-    turn_lead: np.float32
+_typed_by_name: Any = namedtuple
+Settings = _typed_by_name("Settings", ("cost", "transitions_max", *WEIGHTS))
+"""The configuration of a search, integers and float32; the fields are those of plan.PlanConfig."""
+_WEIGHTS_FROM = 2
+_MOST = tuple(np.float32(weight.most) for weight in WEIGHTS.values())
 
 
 class _Search(NamedTuple):
@@ -97,7 +88,7 @@ class _Search(NamedTuple):
 
     table: TableArrays
     path: Array
-    settings: Settings
+    settings: Any
     knots: Array
     step: np.float32
     held: bool  # the robot is far off, and its projection is the last one
@@ -112,34 +103,24 @@ class _Search(NamedTuple):
     motion: Array  # (3,) float32, of the action under way
 
 
-@njit(**INNER)
-def is_weight(value: Any) -> bool:
-    """Whether a value is 0 to the largest weight; -0.0 is not."""
-    return bool(_F0 <= value <= WEIGHT_MAX) and not (value == _F0 and np.signbit(value))
-
-
 @njit(**BARE)
-def check_settings(settings: Settings, depth: int) -> int:
+def check_settings(settings: Any, depth: int) -> int:
     """Return OK or the code of the first thing that is wrong, in the C's order."""
     if not 1 <= depth <= DEPTH_MAX:
         return ERROR_DEPTH
     if settings.cost not in (COST_PAPER, COST_ROUTE):
         return ERROR_COST
-    weights_fit = (
-        is_weight(settings.distance_weight_per_m)
-        and is_weight(settings.angle_weight_per_rad)
-        and is_weight(settings.progress_weight)
-        and is_weight(settings.level_weight)
-        and is_weight(settings.progress_weight_per_m)
-        and is_weight(settings.look_ahead_m)
-        and is_weight(settings.soft_distance_m)
-        and is_weight(settings.turn_lead)
-    )
-    return OK if weights_fit and settings.turn_lead <= TURN_LEAD_MAX else ERROR_WEIGHT
+    weights = settings[_WEIGHTS_FROM:]
+    for index in range(len(weights)):
+        value = weights[index]
+        # -0.0 is none: in C its bits are beyond the largest one's.
+        if not _F0 <= value <= _MOST[index] or (value == _F0 and np.signbit(value)):
+            return ERROR_WEIGHT
+    return OK
 
 
 @njit(**INNER)
-def check(path: Array, settings: Settings, depth: int, state: Array, limb_use: Array, along: Any) -> int:
+def check(path: Array, settings: Any, depth: int, state: Array, limb_use: Array, along: Any) -> int:
     """Return OK or the code of the first thing that is wrong, in the C's order."""
     status: int = check_settings(settings, depth)
     if status != OK:
@@ -353,7 +334,7 @@ def search_levels(search: _Search, depth: int, moves: bool) -> Any:
 def plan_one(
     table: TableArrays,
     path: Array,
-    settings: Settings,
+    settings: Any,
     depth: int,
     state: Array,
     limb_use: Array,
@@ -441,6 +422,6 @@ def _compiled(stamp: int) -> Any:
     return plan_many
 
 
-plan_many = _compiled(stamp_of("frogkick.planner"))
+plan_many = _compiled(stamp_of("frogkick.planner", repr(WEIGHTS)))
 """Plan from each row of ``states`` (k, 6) float32 with its own depth (k,), limb use (k, 8) uint16 and place
 along the path (k,) float32; see ``plan_one`` for the rest."""

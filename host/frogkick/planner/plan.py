@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from frogkick.core.errors import FrogkickError, InputError
+from frogkick.core.weights import WEIGHTS, Weights
 from frogkick.planner import kernel
 from frogkick.planner.lookup import arrays_of
 from frogkick.tables.image import Tables
@@ -80,70 +81,34 @@ class Cost(enum.IntEnum):
 
 
 @dataclass(frozen=True)
-class PlanConfig:
-    """Cost, weights and depth; the defaults are the paper's.
-
-    Weights and lengths are 0 to 1e6. Those of the other cost are ignored.
+class PlanConfig(Weights):
+    """Cost, weights and depth; the defaults are the paper's. The other cost's weights are only checked.
 
     Attributes:
-        distance_weight_per_m: times the distance to the path (route: its Huber loss).
-        angle_weight_per_rad: times the angle between heading and path: its tangent there (paper), the
-            direction to its place a look-ahead further on (route, at a branch's end only).
-        progress_weight: paper: times the part of the path that remains.
-        level_weight: paper: a level's cost is multiplied by 1 + level_weight * levels below it.
         depth: levels to look ahead, 1 to 4.
         cost: which cost.
-        progress_weight_per_m: route: times how much less a motion advances than the table's longest stroke.
-        look_ahead_m: route: how far along the path a branch's end points.
-        soft_distance_m: route: threshold of the Huber loss, below which distance counts by its square.
-        turn_lead: route: the robot is expected to turn on by this many times the last turn; 0 to 2.
         transitions_max: transitions to evaluate before the search has to answer; 0 = as many as it takes.
             The first level is always finished.
     """
 
-    distance_weight_per_m: float = 500.0
-    angle_weight_per_rad: float = 50.0
-    progress_weight: float = 300.0
-    level_weight: float = 0.3
     depth: int = 1
     cost: int = Cost.PAPER
-    progress_weight_per_m: float = 0.0
-    look_ahead_m: float = 0.0
-    soft_distance_m: float = 0.0
-    turn_lead: float = 0.0
     transitions_max: int = 0
 
     def weights(self) -> Float32:
         """Return weights and lengths as (8,) float32, in the order of ``fk_plan_config_t``."""
-        fields = kernel.Settings._fields[2:]
-        return _float32([getattr(self, name) for name in fields])
+        return _float32([getattr(self, name) for name in WEIGHTS])
 
-    def settings(self) -> kernel.Settings:
+    def settings(self) -> Any:
         """Return what the kernels read, floats as float32."""
         return kernel.Settings(int(self.cost), int(self.transitions_max), *self.weights())
 
 
 class PlannerSettings(Protocol):
-    """What a robot's file says of its planner (frogkick.robot.PlannerDefaults is one)."""
+    """What a robot's file says of its planner (frogkick.robot.PlannerDefaults is one); the weights beside."""
 
     @property
     def cost(self) -> str: ...
-    @property
-    def distance_weight_per_m(self) -> float: ...
-    @property
-    def angle_weight_per_rad(self) -> float: ...
-    @property
-    def progress_weight(self) -> float: ...
-    @property
-    def level_weight(self) -> float: ...
-    @property
-    def progress_weight_per_m(self) -> float: ...
-    @property
-    def look_ahead_m(self) -> float: ...
-    @property
-    def soft_distance_m(self) -> float: ...
-    @property
-    def turn_lead(self) -> float: ...
     @property
     def depth(self) -> int: ...
     @property
@@ -152,7 +117,7 @@ class PlannerSettings(Protocol):
 
 def config_of(planner: PlannerSettings) -> PlanConfig:
     """The configuration that a robot's file asks for, as the robot itself has it after booting."""
-    weights = {name: getattr(planner, name) for name in kernel.Settings._fields[2:]}
+    weights = {name: getattr(planner, name) for name in WEIGHTS}
     return PlanConfig(
         **weights,
         depth=planner.depth,

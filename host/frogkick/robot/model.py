@@ -13,6 +13,7 @@ from typing import Any
 
 from frogkick.core.errors import InputError
 from frogkick.core.files import write_text
+from frogkick.core.weights import Weights
 from frogkick.robot.profile import Actuation, Profile, actuation
 from frogkick.robot.toml_text import to_toml
 
@@ -151,28 +152,17 @@ class Battery:
     divider: float = 1.0
 
 
-@dataclass(frozen=True)
-class PlannerDefaults:
+@dataclass(frozen=True, kw_only=True)
+class PlannerDefaults(Weights):
     """Cost and weights of the planner, its depth and its time.
 
     Attributes:
         cost: "route" or "paper" (Huang 2022, Eq. 19).
-        distance_weight_per_m, angle_weight_per_rad: of both costs.
-        progress_weight, level_weight: of the paper's cost.
-        progress_weight_per_m, look_ahead_m, soft_distance_m, turn_lead: of the route cost.
         depth: levels to look ahead.
         plan_time_s: time for a decision on the robot; 0 = no limit.
     """
 
     cost: str
-    distance_weight_per_m: float
-    angle_weight_per_rad: float
-    progress_weight: float
-    level_weight: float
-    progress_weight_per_m: float
-    look_ahead_m: float
-    soft_distance_m: float
-    turn_lead: float
     depth: int
     plan_time_s: float
 

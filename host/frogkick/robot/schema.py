@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, create_model
+
+from frogkick.core.weights import WEIGHTS, Weights
 
 Positive = Annotated[float, Field(gt=0.0)]
 NotNegative = Annotated[float, Field(ge=0.0)]
-Weight = Annotated[float, Field(ge=0.0, le=1e6)]
 Pair = tuple[float, float]
 ACTION_NAME_MAX = 20
 ACTIONS_MAX = 32
@@ -86,18 +87,23 @@ class GuardTable(_Table):
     fix_lost_s: Positive = 2.0
 
 
-class PlannerTable(_Table):
-    cost: Literal["paper", "route"] = "paper"
-    distance_weight_per_m: Weight
-    angle_weight_per_rad: Weight
-    progress_weight: Weight = 300.0
-    level_weight: Weight = 0.3
-    progress_weight_per_m: Weight = 0.0
-    look_ahead_m: Weight = 0.0
-    soft_distance_m: Weight = 0.0
-    turn_lead: Annotated[float, Field(ge=0.0, le=2.0)] = 0.0
-    plan_time_s: Annotated[float, Field(ge=0.0, le=1.0)] = 0.0
-    depth: Annotated[int, Field(ge=1, le=4)]
+if TYPE_CHECKING:
+    PlannerTable = _Table
+else:
+    PlannerTable = create_model(
+        "PlannerTable",
+        __base__=_Table,
+        cost=(Literal["paper", "route"], "paper"),
+        **{
+            name: (
+                Annotated[float, Field(ge=0.0, le=weight.most)],
+                ... if weight.required else getattr(Weights, name),
+            )
+            for name, weight in WEIGHTS.items()
+        },
+        plan_time_s=(Annotated[float, Field(ge=0.0, le=1.0)], 0.0),
+        depth=(Annotated[int, Field(ge=1, le=4)], ...),
+    )
 
 
 class BatteryTable(_Table):

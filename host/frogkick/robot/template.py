@@ -7,6 +7,7 @@ import tomllib
 from typing import Any
 
 from frogkick.core.errors import InputError
+from frogkick.core.weights import WEIGHTS
 from frogkick.robot.model import Robot
 from frogkick.robot.schema import RobotFile
 from frogkick.robot.toml_text import to_toml
@@ -65,14 +66,7 @@ ABOUT = {
     "guard.fix_fresh_s": "s that a position fix is used for decisions",
     "guard.fix_lost_s": "s without a fix after which a run ends, disarmed",
     "planner.cost": "route: progress along the path; paper: the published cost",
-    "planner.distance_weight_per_m": "cost of each m beside the path",
-    "planner.angle_weight_per_rad": "cost of each rad off its direction",
-    "planner.progress_weight": "of the published cost alone",
-    "planner.level_weight": "of the published cost alone",
-    "planner.progress_weight_per_m": "worth of each m along the path",
-    "planner.look_ahead_m": "m ahead on the path where its direction is taken",
-    "planner.soft_distance_m": "m beside the path within which a distance costs less",
-    "planner.turn_lead": "how much farther than it turned a robot is taken to turn on, 0 to 2 times",
+    **{f"planner.{name}": weight.about for name, weight in WEIGHTS.items()},
     "planner.depth": "levels to look ahead, 1 to 4",
     "planner.plan_time_s": "s that a decision may take on the robot; 0: no limit",
     "battery.count": "how many",

@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from frogkick.core.errors import FrogkickError
+from frogkick.core.weights import WEIGHTS
 from frogkick.estimator.estimator import MARKS, Estimator, _Fix
 from frogkick.estimator.follow import Follow
 from frogkick.estimator.track import INSTANTS, _Instant
@@ -21,10 +22,6 @@ from frogkick.planner.plan import PlanConfig
 from frogkick.tables.image import Tables
 from frogkick.tables.layout import LIMBS_MAX
 
-_WEIGHTS = (
-    "distance_weight_per_m", "angle_weight_per_rad", "progress_weight", "level_weight",
-    "progress_weight_per_m", "look_ahead_m", "soft_distance_m", "turn_lead",
-)  # fmt: skip
 Float32 = npt.NDArray[np.float32]
 
 
@@ -133,7 +130,7 @@ def read_state(content: bytes, tables: Tables) -> ChipState:
     reader = _Reader(content)
     time_us, state, period_us, decisions, next_decision_us = reader.take("QBIIQ")
     reader.take("BQBQQBB")  # the stroke under way, whether all is to be off, and the supply
-    weights = dict(zip(_WEIGHTS, map(float, reader.floats(8)), strict=True))
+    weights = dict(zip(WEIGHTS, map(float, reader.floats(len(WEIGHTS))), strict=True))
     transitions_max, cost, depth = reader.take("IBB")
     config = PlanConfig(**weights, transitions_max=transitions_max, cost=cost, depth=depth)
     total, count = reader.take("BB")

@@ -10,12 +10,12 @@ from typing import Protocol
 
 from frogkick.core.errors import InputError
 from frogkick.core.poses import Fix
+from frogkick.core.weights import WEIGHTS
 from frogkick.estimator.follow import End
 from frogkick.link.frames import Frame
 from frogkick.link.layout import link_layout
 from frogkick.link.wire import Edge, RobotPort
 from frogkick.paths import Path
-from frogkick.planner import kernel
 from frogkick.planner.plan import PlanConfig, config_of
 from frogkick.pool.pool import Pool
 from frogkick.robot import Robot
@@ -123,8 +123,7 @@ def robot_plan_config(robot: Robot) -> PlanConfig:
 
 def parameters(config: PlanConfig) -> dict[str, float]:
     """The robot's PARAM values for a planner configuration."""
-    names = [name for name in kernel.Settings._fields if name not in ("cost", "transitions_max")]
-    weights = {name.upper(): float(getattr(config, name)) for name in names}
+    weights = {name.upper(): float(getattr(config, name)) for name in WEIGHTS}
     return {
         **weights,
         "DEPTH": config.depth,

@@ -16,6 +16,7 @@ import numpy as np
 import frogkick
 from frogkick.core.errors import InputError
 from frogkick.core.poses import wrap_angle
+from frogkick.core.weights import WEIGHTS
 from frogkick.paths import Path
 from frogkick.planner.plan import PlanConfig
 from frogkick.pool.monitor import pulses_of, violations
@@ -29,9 +30,8 @@ from frogkick.tables.image import Tables
 BATTERY_V = "battery_v"
 """In a log's ``measured``: what a person measured before the run."""
 
-WEIGHT_MAX = 1e6  # as for fk_plan
 _FIELDS = tuple(entry.name for entry in fields(PlanConfig))
-_FIRST_FIELDS = _FIELDS[: _FIELDS.index("cost")]  # older logs know no others: those keep their defaults
+_FIRST_FIELDS = (*list(WEIGHTS)[:4], "depth")  # older logs know no others: those keep their defaults
 _WHOLE = {"depth": (1, 4), "cost": (0, 1), "transitions_max": (0, 1e7)}
 
 
@@ -231,7 +231,7 @@ def config_of_log(run: RunLog) -> PlanConfig:
         )
     values = {name: run.planner[name] for name in _FIELDS if name in run.planner}
     for name, value in values.items():
-        limits = _WHOLE.get(name, (0.0, 2.0 if name == "turn_lead" else WEIGHT_MAX))
+        limits = _WHOLE[name] if name in _WHOLE else (0.0, WEIGHTS[name].most)
         if not limits[0] <= value <= limits[1] or (name in _WHOLE and value != int(value)):
             raise InputError(
                 f"run {run.source!r}: planner {name} is {value:g}, allowed is {limits[0]:g} to "

@@ -74,20 +74,15 @@ int main(void)
     static fk_tables_t tables;
     static fk_path_t path;
     fk_plan_config_t config = {
-        .distance_weight_per_m = float_of(fk_case_weights[0]),
-        .angle_weight_per_rad = float_of(fk_case_weights[1]),
-        .progress_weight = float_of(fk_case_weights[2]),
-        .level_weight = float_of(fk_case_weights[3]),
-        .progress_weight_per_m = float_of(fk_case_weights[4]),
-        .look_ahead_m = float_of(fk_case_weights[5]),
-        .soft_distance_m = float_of(fk_case_weights[6]),
-        .turn_lead = float_of(fk_case_weights[7]),
         .transitions_max = FK_CASE_TRANSITIONS_MAX,
         .cost = FK_CASE_COST,
         .depth = 1u,
     };
+    const uint32_t *weight = fk_case_weights;
     const int32_t error = fk_tables_open(fk_table_image, fk_table_image_bytes, &tables);
 
+#define TAKE(name, NAME, most) config.name = float_of(*weight++);
+    FK_PLAN_WEIGHTS(TAKE)
     if (error != FK_OK) {
         fk_put_text("refused ");
         fk_put_word((uint32_t)error, '\n');

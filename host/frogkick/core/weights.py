@@ -1,0 +1,74 @@
+"""What the planner's costs weigh, declared once.
+
+From here come the keys of a robot's file, the planner's configuration and its twin's settings. The C's
+``fk_plan_config_t`` and the firmware's list of them come by ``python -m frogkick_codegen.frames``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Annotated, NamedTuple, get_type_hints
+
+
+class Weight(NamedTuple):
+    """One of them: a finite number from 0 on.
+
+    Attributes:
+        about: what it is, with its unit, for who writes a robot's file.
+        meaning: what the planner does with it.
+        most: the largest value.
+        required: a robot's file must have it; else it has the paper's there.
+    """
+
+    about: str
+    meaning: str
+    most: float = 1e6
+    required: bool = False
+
+
+@dataclass(frozen=True)
+class Weights:
+    """Weights and lengths of the costs, the paper's by default; ``WEIGHTS`` says what each means."""
+
+    distance_weight_per_m: Annotated[float, Weight(
+        "cost of each m beside the path",
+        "x distance to the nearest path point (paper: 500), or to the path (route)",
+        required=True,
+    )] = 500.0  # fmt: skip
+    angle_weight_per_rad: Annotated[float, Weight(
+        "cost of each rad off its direction",
+        "x angle between heading and path: its tangent there (paper: 50); route: the direction to its place "
+        "look_ahead_m further on, at a branch's end only",
+        required=True,
+    )] = 50.0  # fmt: skip
+    progress_weight: Annotated[float, Weight(
+        "of the published cost alone", "paper: x (1 - index / (count - 1)); paper: 300"
+    )] = 300.0  # fmt: skip
+    level_weight: Annotated[float, Weight(
+        "of the published cost alone",
+        "paper: a level's cost x (1 + level_weight * levels below it); paper: 0.3",
+    )] = 0.3  # fmt: skip
+    progress_weight_per_m: Annotated[float, Weight(
+        "worth of each m along the path",
+        "route: x how much less a motion advances than the table's longest stroke",
+    )] = 0.0  # fmt: skip
+    look_ahead_m: Annotated[float, Weight(
+        "m ahead on the path where its direction is taken",
+        "route: how far along the path a branch's end points",
+    )] = 0.0  # fmt: skip
+    soft_distance_m: Annotated[float, Weight(
+        "m beside the path within which a distance costs less",
+        "route: below it, distance counts by its square",
+    )] = 0.0  # fmt: skip
+    turn_lead: Annotated[float, Weight(
+        "how much farther than it turned a robot is taken to turn on, 0 to 2 times",
+        "route: x the last turn, by which the robot turns on",
+        most=2.0,
+    )] = 0.0  # fmt: skip
+
+
+WEIGHTS: Mapping[str, Weight] = {
+    name: hint.__metadata__[0] for name, hint in get_type_hints(Weights, include_extras=True).items()
+}
+"""By name, in the order of ``fk_plan_config_t``."""

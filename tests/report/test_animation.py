@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import sys
 import types
@@ -15,10 +16,14 @@ from PIL import Image
 
 from frogkick.cli.main import run_command
 from frogkick.core.errors import InputError
+from frogkick.core.poses import wrap_angle
 from frogkick.der import simulate_actions, simulate_gait
+from frogkick.paths import Path as SwimPath
 from frogkick.report import animation, style
-from frogkick.report.animation import actions_swim, film, gait_swim, write_animation
+from frogkick.report.animation import actions_swim, film, gait_swim, run_swim, write_animation
 from frogkick.robot import load_robot
+from frogkick.runs.runlog import Decisions, Fixes, RunLog, Strokes
+from frogkick.runs.runlog_file import write_run
 
 FROG = load_robot("frog2022")
 HEX = load_robot("hexapod")
@@ -52,6 +57,35 @@ def test_the_film_is_the_simulated_swim() -> None:
     assert shot.heated[29] == 0b0010
     assert shot.heated[31] == 0b1100
     assert shot.heated[10] == 0
+
+
+def test_a_run_s_film_is_where_its_fixes_were(tmp_path: Path) -> None:
+    time_s = np.linspace(0.5, 2.5, 21)
+    x_m, y_m, heading_rad = 0.1 * time_s, 0.05 * time_s, 2.6 + 0.4 * time_s
+
+    def seen(count: int) -> Fixes:
+        columns = (time_s, time_s, x_m, y_m, wrap_angle(heading_rad), np.ones(21), np.zeros(21))
+        return Fixes(*(column[:count] for column in columns))
+
+    log = RunLog(
+        "frog2022", "a.h5", 1.425, 0.08, ("A", "B"), seen(21),
+        Decisions(np.array([0.6]), np.array([1]), np.array([1]), np.zeros(1)),
+        Strokes(np.array([0.6]), np.array([0b0011]), np.array([0.08])),
+        SwimPath.from_arrays(np.array([0.0, 0.5]), np.zeros(2), np.zeros(2), "here"),
+    )  # fmt: skip
+    swim = run_swim(log)
+    assert swim.title == "frog2022 along here"
+    assert swim.pulses == ((pytest.approx(0.1), 0b0011),)
+    shot = film(swim)
+    assert shot.time_s == pytest.approx(np.arange(41) / 20)
+    assert shot.pose_world[::2] == pytest.approx(np.column_stack([x_m, y_m, heading_rad]))
+    assert np.hypot(*(shot.nodes_m - shot.pose_world[:, None, :2]).T).max() < 0.12, "the robot is there"
+    assert list(shot.heated[:5]) == [0, 0, 3, 3, 0]
+    write_run(tmp_path / "run.h5", log)
+    assert run_command(["log", "show", str(tmp_path / "run.h5"), "--out", str(tmp_path / "run.gif")]) == 0
+    assert len(pictures_of(tmp_path / "run.gif")) == 41
+    with pytest.raises(InputError, match="nobody saw the robot"):
+        run_swim(dataclasses.replace(log, fixes=seen(1), decisions=Decisions(*np.zeros((4, 0)))))
 
 
 def test_a_gait_s_film_is_the_simulated_gait() -> None:

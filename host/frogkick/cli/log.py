@@ -13,6 +13,7 @@ import frogkick as fk
 from frogkick.cli.common import JsonOption, short, show, text_lines, write_picture
 from frogkick.core.errors import InputError
 from frogkick.core.files import require_writable
+from frogkick.core.progress import progress_bar
 
 RunArgument = Annotated[
     Path, typer.Argument(help="Log of ours (.h5) or a recorded run of the paper (line1.csv).")
@@ -21,16 +22,25 @@ RunArgument = Annotated[
 
 def show_(
     run: RunArgument,
-    out: Annotated[Path | None, typer.Option(help="Picture (.png) to write.")] = None,
+    out: Annotated[Path | None, typer.Option(help="Picture (.png, moving: .gif, .mp4) to write.")] = None,
     view: Annotated[bool, typer.Option("--view", help="Play it in the browser.")] = False,
     speed: Annotated[float, typer.Option(help="Of --view: 2 is twice as fast as it was swum.")] = 1.0,
     json: JsonOption = False,
 ) -> None:
     """A run in numbers and in one picture: track, distance, actions, what the prediction missed."""
-    _require_picture(out)
+    moving = out is not None and out.suffix.lower() in (".gif", ".mp4")
+    if moving:
+        require_writable(out)
+    else:
+        _require_picture(out)
     log = fk.load_run(run)
     found = log.summary()
-    if out is not None:
+    if moving and out is not None:
+        from frogkick.report.animation import run_swim, write_animation
+
+        with progress_bar("animation") as progress:
+            write_animation(run_swim(log.log), out, progress)
+    elif out is not None:
         from frogkick.report.run_figure import run_figure
 
         write_picture(run_figure(log.log, f"{run.name}: {found.decisions} decisions"), out)

@@ -1,4 +1,4 @@
-"""A simulated swim as a moving picture: frame, limbs, the trail of the centre, time."""
+"""A swim or a run as a moving picture: frame, limbs, the trail of the centre, time, the path."""
 
 from __future__ import annotations
 
@@ -19,9 +19,11 @@ from PIL import Image
 
 from frogkick.core.errors import FrogkickError, InputError
 from frogkick.core.files import atomic_path
+from frogkick.core.poses import world_from_body
 from frogkick.der import Rods, Swimmer, prepare
 from frogkick.report import style
-from frogkick.robot import Action, Robot, in_a_row
+from frogkick.robot import Action, Robot, in_a_row, load_robot, parse_robot
+from frogkick.runs.runlog import RunLog
 
 FloatArray = npt.NDArray[np.float64]
 Pixels = npt.NDArray[np.uint8]
@@ -48,6 +50,8 @@ class Swim:
         duration_s: how long to swim.
         velocity_body: forward, left (m/s), turn rate (rad/s) at the start.
         title: one line.
+        track: (k,) s and (k, 3) m, m, rad where the body was instead, as of a run; None: where it swims.
+        path_m: (p, 2) what it was to follow; None: nothing.
     """
 
     rods: Rods
@@ -55,6 +59,8 @@ class Swim:
     duration_s: float
     velocity_body: tuple[float, float, float]
     title: str
+    track: tuple[FloatArray, FloatArray] | None = None
+    path_m: FloatArray | None = None
 
 
 @dataclass(frozen=True)
@@ -110,6 +116,33 @@ def actions_swim(
     )
 
 
+def run_swim(log: RunLog) -> Swim:
+    """A run: where the body is comes from its fixes, how frame and limbs bend is simulated from its strokes.
+
+    Raises:
+        InputError: nobody saw the robot, or it is not known which one it was.
+    """
+    text = log.made.get("robot_toml")
+    robot = load_robot(log.robot_id) if text is None else parse_robot(text, log.source)
+    seen = log.fixes.usable
+    if np.count_nonzero(seen) < 2:
+        raise InputError("nobody saw the robot of this run: there is nothing to show")
+    begin_s = float(log.fixes.capture_time_s[seen][0])
+    time_s = log.fixes.capture_time_s[seen] - begin_s
+    x_m, y_m, heading_rad = log.fixes.x_m[seen], log.fixes.y_m[seen], np.unwrap(log.fixes.heading_rad[seen])
+    pulses = zip(log.strokes.time_s - begin_s, log.strokes.limb_mask, strict=True)
+    path = log.path
+    return Swim(
+        prepare(robot),
+        tuple((float(start_s), int(mask)) for start_s, mask in pulses if start_s >= 0.0),
+        float(time_s[-1]),
+        (0.0, 0.0, 0.0),
+        robot.id if path is None else f"{robot.id} along {path.name}",
+        (time_s, np.column_stack([x_m, y_m, heading_rad])),
+        None if path is None else np.column_stack([path.x_m, path.y_m]),
+    )
+
+
 def film(swim: Swim) -> Film:
     """Simulate a swim and keep what each picture shows, at RATE_HZ or faster than real time if it is long.
 
@@ -126,8 +159,10 @@ def film(swim: Swim) -> Film:
     nodes, poses, heated = [], [], []
     for now_s in time_s:
         swimmer.advance(float(now_s))
-        nodes.append(swimmer.nodes_world())
-        poses.append(swimmer.pose_world())
+        pose = swimmer.pose_world()
+        moved = pose if swim.track is None else _pose_at(swim.track, float(now_s))
+        nodes.append(moved[:2] + world_from_body(moved[2] - pose[2], swimmer.nodes_world() - pose[:2]))
+        poses.append(moved)
         on = 0
         for start_s, mask in swim.pulses:
             # Shown at the picture after it began, too: at high speed a pulse may lie between two pictures.
@@ -135,6 +170,10 @@ def film(swim: Swim) -> Film:
                 on |= mask
         heated.append(on)
     return Film(np.asarray(time_s), np.array(nodes), np.array(poses), np.array(heated), spacing_s * RATE_HZ)
+
+
+def _pose_at(track: tuple[FloatArray, FloatArray], now_s: float) -> FloatArray:
+    return np.array([np.interp(now_s, track[0], track[1][:, axis]) for axis in range(3)])
 
 
 def require_animation_name(target: Path) -> None:
@@ -195,8 +234,10 @@ def write_animation(
 
 def _stage(swim: Swim, shot: Film) -> Figure:
     """A figure that shows everywhere the swim goes, at equal scales."""
-    low = 100.0 * shot.nodes_m.min(axis=(0, 1)) - 1.5
-    high = 100.0 * shot.nodes_m.max(axis=(0, 1)) + 1.5
+    shown_m = shot.nodes_m.reshape(-1, 2)
+    if swim.path_m is not None:
+        shown_m = np.concatenate([shown_m, swim.path_m])
+    low, high = 100.0 * shown_m.min(axis=0) - 1.5, 100.0 * shown_m.max(axis=0) + 1.5
     wide, tall = (float(side) for side in high - low)
     room_px = 80  # what labels take on each axis
     wanted_px = (WIDTH_PX - room_px) * tall / wide + room_px
@@ -210,6 +251,8 @@ def _stage(swim: Swim, shot: Film) -> Figure:
     axes.set_xlim(low[0], high[0])
     axes.set_ylim(low[1], high[1])
     axes.set_aspect("equal", adjustable="box")
+    if swim.path_m is not None:
+        axes.plot(*(100.0 * swim.path_m.T), color=style.DESIRED, linewidth=1.2)
     axes.set_xlabel("x (cm)")
     axes.set_ylabel("y (cm)")
     speed = "real time" if abs(shot.speed - 1.0) < 1e-9 else f"{shot.speed:.2g} x real time"

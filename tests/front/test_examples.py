@@ -49,7 +49,7 @@ def quick(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
         monkeypatch.setattr(fk, "load_robot", lambda name: few_pieces() if name == "frog2022" else load(name))
         monkeypatch.setattr(fk, "build_library", fewer)
         monkeypatch.setattr(outcome_module, "catalogue", lambda *_: some)
-        monkeypatch.setattr(choice_module, "relatives", lambda _robot: {})
+        monkeypatch.setattr(choice_module, "calibrated_starts", lambda _robot: {})
     return tmp_path
 
 

@@ -50,7 +50,7 @@ def readme(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
                 lines = lines.replace(old, new)
             some = [term for term in catalogue(few_pieces()) if "limb_wear rear" in term.title]
             patch.setattr(outcome_module, "catalogue", lambda *_: some)
-            patch.setattr(choice_module, "relatives", lambda _robot: {})
+            patch.setattr(choice_module, "calibrated_starts", lambda _robot: {})
         exec(compile(lines, "README.md", "exec"), names)
     return {**names, "folder": folder}
 

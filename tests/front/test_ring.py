@@ -87,7 +87,7 @@ def test_the_ring_closes(
         return identify(train, test, *more, **options)
 
     monkeypatch.setattr(outcome_module, "catalogue", lambda *_: few)
-    monkeypatch.setattr(choice_module, "relatives", lambda _robot: {})
+    monkeypatch.setattr(choice_module, "calibrated_starts", lambda _robot: {})
     monkeypatch.setattr(outcome_module, "PERIODS_LEAST", count(20, 20, 16))
     monkeypatch.setattr(closing_module, "identify", watched)
     ring = replace(round_once[0])

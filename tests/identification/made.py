@@ -13,12 +13,12 @@ import numpy as np
 from tests.conftest import count
 
 from frogkick.effects import World, make_effects
+from frogkick.identification.diagnostics import residual_diagnostics
 from frogkick.identification.filter import Noise
-from frogkick.identification.fit import derivatives, tracks_of
+from frogkick.identification.fit import derivatives, rollouts_of
 from frogkick.identification.outcome import Outcome
-from frogkick.identification.search import Found, countable
+from frogkick.identification.search import Found, nominal_fit
 from frogkick.identification.segments import Segments, segments_of
-from frogkick.identification.signature import signature
 from frogkick.identification.terms import Term, catalogue
 from frogkick.identification.verdict import FOUND, intervals, scored
 from frogkick.paths import wrap_angle
@@ -133,11 +133,13 @@ def known_outcome(
 ) -> Outcome:
     """What identification would end with, were these the right values of the right effect: no search."""
     plain = next(each for each in catalogue(robot()) if each.title == title)
-    model, rows, nominal = countable(train, robot())
+    model, rows, nominal = nominal_fit(train, robot())
     known = replace(model, terms=(plain.at(values),), noise=Noise((2e-4, 3.5e-3), (1e-4, 1e-3), (1e-4, 1e-3)))
-    free = replace(known, held=frozenset(k for k, p in enumerate(plain.parameters) if values[k] == p.nominal))
+    free = replace(
+        known, fixed=frozenset(k for k, p in enumerate(plain.parameters) if values[k] == p.nominal)
+    )
     (fitted,) = derivatives([free], train, rows)
-    tracks = tracks_of([nominal.model, known], test)
+    rollouts = rollouts_of([nominal.model, known], test)
     found = Found(nominal, fitted, [], rows, [[]], stability=[1.0])
     return Outcome(
         verdict=FOUND,
@@ -146,9 +148,9 @@ def known_outcome(
         test=test,
         found=found,
         parameters=intervals(fitted, rows),
-        trained=scored(found, train, train, nominal.tracks, fitted.tracks),
-        tested=scored(found, train, test, *tracks),
-        nominal_tracks=tracks[0],
-        tracks=tracks[1],
-        signature=signature(fitted, rows, train),
+        trained=scored(found, train, train, nominal.rollouts, fitted.rollouts),
+        tested=scored(found, train, test, *rollouts),
+        nominal_rollouts=rollouts[0],
+        rollouts=rollouts[1],
+        diagnostics=residual_diagnostics(fitted, rows, train),
     )

@@ -9,8 +9,8 @@ import pytest
 from made import robot
 from numpy.typing import NDArray
 
-from frogkick.identification.drift import Drift, drift_of, firing_of, follow_offsets
-from frogkick.identification.predict import Track
+from frogkick.identification.drift import Drift, drift_of, filter_offsets, firing_of
+from frogkick.identification.predict import Rollout
 from frogkick.identification.segments import Segments
 
 PERIOD_S = 1.4
@@ -18,14 +18,14 @@ SIZE = np.array([2e-3, 2e-3, 0.04])
 
 
 def made_run(
-    seed: int, wander: float, periods: int = 40, heading_rad: float = 0.0
-) -> tuple[Segments, Track, NDArray[np.float64]]:
+    seed: int, random_walk: float, periods: int = 40, heading_rad: float = 0.0
+) -> tuple[Segments, Rollout, NDArray[np.float64]]:
     """A run of random strokes, the model's predictions all zero, and what each period misses by its limbs."""
     rng = np.random.default_rng(seed)
     start_s = PERIOD_S * np.arange(periods)
     fires = rng.random((periods, 4)) < 0.5
     strokes = [(start_s[k] + 0.2 * limb, limb) for k, limb in zip(*np.nonzero(fires), strict=True)]
-    offsets = np.cumsum(rng.normal(0.0, np.sqrt(wander), (periods, 4, 3)), axis=0)
+    offsets = np.cumsum(rng.normal(0.0, np.sqrt(random_walk), (periods, 4, 3)), axis=0)
     body = SIZE * (np.einsum("kl,kla->ka", fires, offsets) + rng.normal(0.0, 1.0, (periods, 3)))
     c, s = np.cos(heading_rad), np.sin(heading_rad)
     world = np.column_stack([c * body[:, 0] - s * body[:, 1], s * body[:, 0] + c * body[:, 1], body[:, 2]])
@@ -37,24 +37,24 @@ def made_run(
     )  # fmt: skip
     swim.__dict__["measured"] = world  # as the fixes around each end would tell it
     nothing = np.zeros((periods, 3))
-    missed = np.column_stack([np.zeros((periods, 6)), body])
-    track = Track(start_s, nothing, nothing, nothing, nothing, nothing, start, missed, False)
-    return swim, track, body
+    residuals = np.column_stack([np.zeros((periods, 6)), body])
+    rollout = Rollout(start_s, nothing, nothing, nothing, nothing, nothing, start, residuals, False)
+    return swim, rollout, body
 
 
-def rms(track: Track, swim: Segments) -> NDArray[np.float64]:
-    gap = swim.measured - track.predicted
+def rms(rollout: Rollout, swim: Segments) -> NDArray[np.float64]:
+    gap = swim.measured - rollout.predicted
     return np.sqrt((gap**2).mean(axis=0) / SIZE**2)
 
 
 def test_what_limbs_lately_did_is_followed() -> None:
     train = [made_run(seed, 0.1) for seed in range(5)]
-    swims, tracks = [run[0] for run in train], [run[1] for run in train]
-    drift = drift_of(tracks, swims, robot())
-    assert drift is not None and min(drift.wander) > 0.0
-    swim, track, _ = made_run(99, 0.1, 200, heading_rad=2.0)
-    followed = drift.followed([track], [swim], robot())[0]
-    assert (rms(followed, swim) < 0.75 * rms(track, swim)).all()
+    swims, rollouts = [run[0] for run in train], [run[1] for run in train]
+    drift = drift_of(rollouts, swims, robot())
+    assert drift is not None and min(drift.random_walk) > 0.0
+    swim, rollout, _ = made_run(99, 0.1, 200, heading_rad=2.0)
+    followed = drift.followed([rollout], [swim], robot())[0]
+    assert (rms(followed, swim) < 0.75 * rms(rollout, swim)).all()
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -66,21 +66,21 @@ def test_chance_is_no_drift(seed: int) -> None:
 def test_an_offset_is_the_limb_s_own() -> None:
     """One limb does more; where it rests nothing is expected of it."""
     fires = np.array([[1.0, 0.0], [1.0, 0.0], [0.0, 1.0], [1.0, 0.0]] * 10)
-    shown = 3.0 * fires[:, 0]
-    expected = follow_offsets(shown, fires, 0.1, 99.0)
+    observed = 3.0 * fires[:, 0]
+    expected = filter_offsets(observed, fires, 0.1, 99.0)
     assert expected[-1] == pytest.approx(3.0, abs=0.3)
     assert np.abs(expected[fires[:, 0] == 0.0]).max() < 1e-12
 
 
 def test_nothing_is_known_before_it_was_seen() -> None:
-    swim, track, body = made_run(3, 0.1)
+    swim, rollout, body = made_run(3, 0.1)
     drift = Drift((2e-3, 2e-3, 0.04), (0.1, 0.1, 0.1), (4.0, 4.0, 4.0))
-    before = drift.followed([track], [swim], robot())[0].predicted
+    before = drift.followed([rollout], [swim], robot())[0].predicted
     assert not before[0].any()
     for period in (5, 20):
-        missed = track.missed.copy()
-        missed[period:] = 7.0
-        other = drift.followed([replace(track, missed=missed)], [swim], robot())[0].predicted
+        residuals = rollout.residuals.copy()
+        residuals[period:] = 7.0
+        other = drift.followed([replace(rollout, residuals=residuals)], [swim], robot())[0].predicted
         assert np.array_equal(other[: period + 1], before[: period + 1])
         assert not np.array_equal(other[period + 1 :], before[period + 1 :])
     assert np.isfinite(body).all()
@@ -88,14 +88,14 @@ def test_nothing_is_known_before_it_was_seen() -> None:
 
 def test_a_period_that_nobody_saw_teaches_nothing() -> None:
     fires = np.ones((6, 1))
-    shown = np.array([1.0, np.nan, np.nan, np.nan, np.nan, np.nan])
-    expected = follow_offsets(shown, fires, 0.1, 4.0)
+    observed = np.array([1.0, np.nan, np.nan, np.nan, np.nan, np.nan])
+    expected = filter_offsets(observed, fires, 0.1, 4.0)
     assert expected[0] == 0.0 and (expected[1:] == expected[1]).all() and 0.0 < expected[1] < 1.0
 
 
 def test_one_wild_period_counts_only_so_much() -> None:
-    fires, shown = np.ones((3, 1)), np.array([1e6, 0.0, 0.0])
-    assert follow_offsets(shown, fires, 0.1, 2.0)[1] < 2.0
+    fires, observed = np.ones((3, 1)), np.array([1e6, 0.0, 0.0])
+    assert filter_offsets(observed, fires, 0.1, 2.0)[1] < 2.0
 
 
 def test_strokes_count_where_they_fire() -> None:

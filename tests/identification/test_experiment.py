@@ -9,22 +9,22 @@ import pytest
 from made import make_swim, robot, term
 
 from frogkick.identification.experiment import (
+    DECISIVE_SIGMA,
     POOL_M,
-    TELLS_SIGMA,
     WIDE,
     Experiment,
-    Question,
+    ModelPair,
     experiment_of,
+    open_pairs,
     plan,
     pool_of,
-    questions,
     separation,
 )
 from frogkick.identification.filter import Noise
-from frogkick.identification.fit import Fitted, Model, fit, misses, tracks_of
+from frogkick.identification.fit import Fitted, Model, fit, residuals_of, rollouts_of
+from frogkick.identification.paired import ActionSequence, Side, extend, segments_of_sequence
 from frogkick.identification.search import Found
 from frogkick.identification.segments import Segments
-from frogkick.identification.side_by_side import Row, Side, grow, segments_of_row
 from frogkick.identification.steps import whitener
 from frogkick.identification.terms import Term
 from frogkick.identification.verdict import Interval, intervals
@@ -41,15 +41,15 @@ def model(*terms: Term) -> Model:
     return Model(robot(), terms, NOISE, leg_s=0.06)
 
 
-def question(one: Term, other: Term) -> Question:
-    return Question((one.title, other.title), (model(one), model(other)))
+def pair(one: Term, other: Term) -> ModelPair:
+    return ModelPair((one.title, other.title), (model(one), model(other)))
 
 
 @cache
 def white() -> np.ndarray:
     """What makes the misses of a right model of size one."""
     swims = [make_swim([], 3, 14), make_swim([], 4, 14)]
-    return whitener(misses(tracks_of([model()], swims)[0]))
+    return whitener(residuals_of(rollouts_of([model()], swims)[0]))
 
 
 def indices(row: str) -> list[int]:
@@ -58,18 +58,18 @@ def indices(row: str) -> list[int]:
 
 def test_a_planned_row_tells_a_planted_pair_apart_and_a_bad_one_does_not() -> None:
     """In the simulated pool, with its noise: whichever is true is likelier by far after the planned row."""
-    asked = question(term("limb_wear rear_left", 0.75), term("group_gain rear", 0.87))
+    asked = pair(term("limb_wear rear_left", 0.75), term("group_gain rear", 0.87))
     planned = plan(asked, white(), START, POOL, periods=5)
-    assert planned.tells and planned.separation_sigma > 10.0
+    assert planned.decisive and planned.separation_sigma > 10.0
     assert planned.text.startswith("to tell limb_wear rear_left from group_gain rear, record from rest: ")
     bad = "A" * 5  # fires front limbs only
     assert separation(asked, white(), START, indices(bad)) < 1.0
-    for row, told in ((planned.row, True), (bad, False)):
+    for row, told in ((planned.sequence, True), (bad, False)):
         for seed, (planted, which) in enumerate(((ONE_LIMB, 0), (BOTH, 1))):
             swims = [make_swim([planted], 20 + seed, 0, row)]
             squares = [
-                float((np.clip(misses(tracks) @ white(), -8.0, 8.0) ** 2).sum())
-                for tracks in tracks_of(asked.models, swims)
+                float((np.clip(residuals_of(rollouts) @ white(), -8.0, 8.0) ** 2).sum())
+                for rollouts in rollouts_of(asked.models, swims)
             ]
             gain = squares[1 - which] - squares[which]
             assert gain > 0.3 * planned.separation_sigma**2 if told else abs(gain) < 8.0
@@ -87,25 +87,25 @@ def test_what_no_row_from_rest_tells_apart_is_said(one: Term, other: Term) -> No
     after_s = robot().second_delay_s
     if one.name == "group_loss":
         other = other.at((1.0 - 0.4 * np.exp(-after_s / 0.2), 1.0))
-    planned = plan(question(one, other), white(), START, POOL, periods=4)
-    assert planned.separation_sigma < 1.0 and not planned.tells
+    planned = plan(pair(one, other), white(), START, POOL, periods=4)
+    assert planned.separation_sigma < 1.0 and not planned.decisive
     assert planned.text.startswith(f"no row of these actions from rest tells {one.title} from {other.title}")
     assert planned.as_json()["tells"] is False
 
 
 def test_a_row_stays_in_its_pool_and_beats_one_action_all_the_time() -> None:
-    asked = question(term("limb_memory", 0.4, 1.5), term("limb_wear all", 0.84))
+    asked = pair(term("limb_memory", 0.4, 1.5), term("limb_wear all", 0.84))
     planned = plan(asked, white(), START, POOL, periods=7)
     assert 4 <= len(planned.actions) <= 7
     assert len(set(planned.actions)) > 1  # the same limbs all the time are worn or warm alike
     steady = separation(asked, white(), START, indices("A" * len(planned.actions)))
     assert planned.separation_sigma > 1.5 * steady > 0.0
     side = [Side(each) for each in asked.models]
-    row = Row((), 0.0, tuple(each.at_rest(START) for each in side), ())
-    for action in indices(planned.row):
-        (row,) = grow([row], side, white(), robot(), [action])
-        assert (row.told[-1][:, :2] >= POOL[0]).all() and (row.told[-1][:, :2] <= POOL[1]).all()
-    swim = segments_of_row(robot(), row, START)
+    row = ActionSequence((), 0.0, tuple(each.at_rest(START) for each in side), ())
+    for action in indices(planned.sequence):
+        (row,) = extend([row], side, white(), robot(), [action])
+        assert (row.shown[-1][:, :2] >= POOL[0]).all() and (row.shown[-1][:, :2] <= POOL[1]).all()
+    swim = segments_of_sequence(robot(), row, START)
     assert swim.pose[0] == pytest.approx(START) and len(swim.start_s) == len(planned.actions)
 
 
@@ -122,14 +122,14 @@ def test_a_robot_s_way_is_the_one_of_the_pool() -> None:
     at = pooled.pose_at(float(pooled.start_s[0]) - 0.05)
     robots = [side.at_rest(at)]
     for action in indices("BEG"):
-        ((robots[0], shown),) = side.swum([(robots[0], action)])
+        ((robots[0], shown),) = side.advanced([(robots[0], action)])
     gap = shown[-1] - pooled.pose_at(float(pooled.end_s[-1]) - 0.03)
     assert np.hypot(*gap[:2]) < 1.5e-3
     assert abs(gap[2]) < 0.02
 
 
 def found_of(fitted: Fitted, rivals: list[list[Term]]) -> Found:
-    rows = np.ones(len(fitted.missed), dtype=bool)
+    rows = np.ones(len(fitted.residuals), dtype=bool)
     return Found(fitted, fitted, [], rows, [[each.title for each in row] for row in rivals], [], rivals)
 
 
@@ -140,22 +140,22 @@ def interval(name: str, low: float, high: float) -> Interval:
 def test_what_is_open_is_asked_effects_first_then_the_widest() -> None:
     memory, yaw = term("limb_memory", 0.4, 1.5), term("yaw_drag", 0.0, 5e-4)
     swims = [make_swim([], 3, 5)]
-    (tracks,) = tracks_of([model(memory, yaw)], swims)
-    missed = misses(tracks)
+    (rollouts,) = rollouts_of([model(memory, yaw)], swims)
+    residuals = residuals_of(rollouts)
     rng = np.random.default_rng(0)
-    jacobian = rng.normal(size=(len(missed), 9, 4))
-    fitted = Fitted(model(memory, yaw), tracks, missed, jacobian, 0.0)
+    jacobian = rng.normal(size=(len(residuals), 9, 4))
+    fitted = Fitted(model(memory, yaw), rollouts, residuals, jacobian, 0.0)
     narrow = [
         [interval("loss", 0.35, 0.45), interval("fade_s", 1.0, 2.0)],
         [interval("quadratic_nms2", 0.0, 1e-3), interval("linear_nms", 4e-4, 6e-4)],
     ]
-    assert not questions(found_of(fitted, [[], []]), narrow)
+    assert not open_pairs(found_of(fitted, [[], []]), narrow)
     assert experiment_of(found_of(fitted, [[], []]), narrow, swims) is None
     wide = [
         [interval("loss", 0.0, 0.8), interval("fade_s", 0.3, 9.9)],
         narrow[1],
     ]
-    asked = questions(found_of(fitted, [[], [term("centre_mass", 0.3)]]), wide)
+    asked = open_pairs(found_of(fitted, [[], [term("centre_mass", 0.3)]]), wide)
     assert [each.between for each in asked] == [
         ("yaw_drag", "centre_mass"),
         ("limb_memory fade_s 0.3", "limb_memory fade_s 9.9"),
@@ -178,7 +178,7 @@ def test_a_planned_row_narrows_what_runs_left_wide(monkeypatch: pytest.MonkeyPat
 
     def fitted_to(runs: list[Segments]) -> Fitted:
         rows = np.ones(sum(len(swim.start_s) for swim in runs), dtype=bool)
-        return fit(model(term("limb_memory", 0.34, 2.7)), runs, rows, rounds=3)
+        return fit(model(term("limb_memory", 0.34, 2.7)), runs, rows, steps_max=3)
 
     before = fitted_to(swims)
     ((_, fade),) = intervals(before)
@@ -186,7 +186,7 @@ def test_a_planned_row_narrows_what_runs_left_wide(monkeypatch: pytest.MonkeyPat
     planned = experiment_of(found_of(before, [[]]), intervals(before), swims, periods=6)
     assert planned is not None and planned.between[0].startswith("limb_memory ")
     after = fitted_to(
-        [*swims, make_swim(planted, 33, 0, planned.row), make_swim(planted, 34, 0, planned.row)]
+        [*swims, make_swim(planted, 33, 0, planned.sequence), make_swim(planted, 34, 0, planned.sequence)]
     )
     ((_, narrower),) = intervals(after)
     assert narrower.high - narrower.low < 0.5 * (fade.high - fade.low)
@@ -197,8 +197,8 @@ def test_what_to_do_is_said_by_how_far_apart_models_are() -> None:
     def told(sigma: float, names: tuple[str, ...] = ("A", "B")) -> Experiment:
         return Experiment(("x", "y"), names, (0.0, 0.0, 0.0), sigma)
 
-    assert told(TELLS_SIGMA).text.startswith("to tell x from y, record from rest: AB (2 periods")
-    assert told(TELLS_SIGMA / 1.9).text.startswith("to tell x from y, record 4 times from rest: AB")
+    assert told(DECISIVE_SIGMA).text.startswith("to tell x from y, record from rest: AB (2 periods")
+    assert told(DECISIVE_SIGMA / 1.9).text.startswith("to tell x from y, record 4 times from rest: AB")
     assert told(0.1).text.startswith("no row of these actions from rest tells x from y")
     assert told(9.0, ("left", "right")).as_json()["actions"] == "left right"
     assert told(9.0).as_json()["periods"] == 2

@@ -9,8 +9,8 @@ import pytest
 from made import make_run, make_swim, robot
 
 from frogkick.identification.filter import Noise
-from frogkick.identification.fit import Model, tracks_of
-from frogkick.identification.horizons import follow_ahead, horizons_of
+from frogkick.identification.fit import Model, rollouts_of
+from frogkick.identification.horizons import horizons_of, roll_out_ahead
 from frogkick.identification.segments import Segments
 from frogkick.identification.terms import catalogue
 
@@ -38,9 +38,9 @@ PLAIN = model()
 def test_one_period_ahead_is_the_prediction_of_that_period(swim: Segments) -> None:
     other = make_swim([WORN, SLOW], 22, 5)
     swims = [swim, other]
-    found = follow_ahead([RIGHT.lane(each) for each in swims], (1, 3))
-    for (one, three), track, each in zip(found, tracks_of([RIGHT], swims)[0], swims, strict=True):
-        assert np.array_equal(one, track.predicted)
+    found = roll_out_ahead([RIGHT.lane(each) for each in swims], (1, 3))
+    for (one, three), rollout, each in zip(found, rollouts_of([RIGHT], swims)[0], swims, strict=True):
+        assert np.array_equal(one, rollout.predicted)
         assert np.isfinite(three).all(axis=1).tolist() == [
             k < len(each.start_s) - 2 for k in range(len(three))
         ]
@@ -49,7 +49,7 @@ def test_one_period_ahead_is_the_prediction_of_that_period(swim: Segments) -> No
 def test_a_right_model_meets_the_truth_far_ahead(swim: Segments) -> None:
     truth = make_run([WORN, SLOW], 21, PERIODS).truth
     assert truth is not None
-    ((five,),) = follow_ahead([replace(RIGHT, noise=NOISE).lane(swim)], (5,))
+    ((five,),) = roll_out_ahead([replace(RIGHT, noise=NOISE).lane(swim)], (5,))
     for start in range(1, PERIODS - 4):
         at_s = swim.end_s[start + 4] - 0.1  # a fix that is late by a delay that it does not tell of
         true = [np.interp(at_s, truth.time_s, truth.pose_world[:, k]) for k in (0, 1)]
@@ -64,7 +64,7 @@ def test_no_fix_after_the_start_is_looked_at(swim: Segments) -> None:
     pose = swim.pose.copy()
     pose[swim.arrival_s > swim.start_s[3]] += 0.5
     (true,), (false,) = (
-        follow_ahead([RIGHT.lane(each)], (3,))[0] for each in (swim, replace(swim, pose=pose))
+        roll_out_ahead([RIGHT.lane(each)], (3,))[0] for each in (swim, replace(swim, pose=pose))
     )
     assert np.array_equal(true[:4], false[:4])
     assert not np.allclose(true[5], false[5], atol=0.1)
@@ -73,9 +73,9 @@ def test_no_fix_after_the_start_is_looked_at(swim: Segments) -> None:
 def test_nothing_is_predicted_across_a_pause_or_from_starts_left_out(swim: Segments) -> None:
     late = np.where(np.arange(PERIODS) >= 4, 0.3 * swim.period_s, 0.0)
     paused = replace(swim, start_s=swim.start_s + late, end_s=swim.end_s + late)
-    ((two,),) = follow_ahead([PLAIN.lane(paused)], (2,))
+    ((two,),) = roll_out_ahead([PLAIN.lane(paused)], (2,))
     assert np.isfinite(two).all(axis=1).tolist() == [True, True, True, False, True, True, True, False]
-    ((one,),) = follow_ahead([PLAIN.lane(swim)], (1,), every=3)
+    ((one,),) = roll_out_ahead([PLAIN.lane(swim)], (1,), every=3)
     assert np.flatnonzero(np.isfinite(one).all(axis=1)).tolist() == [0, 3, 6]
 
 

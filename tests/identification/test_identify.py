@@ -17,10 +17,10 @@ from frogkick.cli.main import run_command
 from frogkick.core.errors import InputError
 from frogkick.core.poses import PredictionError
 from frogkick.effects.acting import LEG_S
-from frogkick.identification.filter import Filter, Noise, Series, likeliest, surprise
-from frogkick.identification.fit import Model, fit_many, tracks_of
+from frogkick.identification.filter import Filter, Noise, Series, deviances, maximum_likelihood_noise
+from frogkick.identification.fit import Model, fit_many, rollouts_of
 from frogkick.identification.outcome import identify, too_little
-from frogkick.identification.search import countable, search
+from frogkick.identification.search import nominal_fit, search
 from frogkick.identification.segments import Segments, replicate_count, segments_of
 from frogkick.identification.steps import bounded_step
 from frogkick.identification.terms import catalogue
@@ -28,11 +28,11 @@ from frogkick.identification.verdict import (
     FOUND,
     NOTHING,
     TOO_LITTLE,
+    discretisation_shift,
     fix_noise,
-    gaps,
     intervals,
-    left_by_steps,
     noise_floor,
+    prediction_errors,
     scored,
     verdict_of,
 )
@@ -47,11 +47,11 @@ def test_filter_is_bayes_rule() -> None:
     time_s = np.cumsum(rng.uniform(0.02, 0.2, 12))
     value = rng.normal(0.0, 1e-3, 12)
     noise = Noise((3e-4, 5e-3), (2e-3, 0.1), (1e-12, 1e-12))
-    busy = np.array([[-1e3, 1e6], [0.0, 0.0]])
-    state = Filter(noise, busy, float(time_s[0]))
+    actuation = np.array([[-1e3, 1e6], [0.0, 0.0]])
+    state = Filter(noise, actuation, float(time_s[0]))
     total = 0.0
     for at_s, here in zip(time_s, value, strict=True):
-        innovation, variance = state.take(float(at_s), np.array([here, 0.0, 0.0]))
+        innovation, variance = state.update(float(at_s), np.array([here, 0.0, 0.0]))
         total += innovation[0] ** 2 / variance[0] + np.log(variance[0])
     t = time_s - time_s[0]
     first = np.minimum.outer(t, t)
@@ -60,7 +60,7 @@ def test_filter_is_bayes_rule() -> None:
     joint = value @ np.linalg.solve(covariance, value) + np.linalg.slogdet(covariance)[1]
     assert total == pytest.approx(joint, abs=1e-6)
     series = Series(time_s, np.zeros(12), value, 0.02)
-    alone = surprise(series, np.array([3e-4]), np.array([2e-3]), np.array([1e-12]))
+    alone = deviances(series, np.array([3e-4]), np.array([2e-3]), np.array([1e-12]))
     assert alone[0] == pytest.approx(joint, abs=1e-6)
 
 
@@ -68,19 +68,19 @@ def test_likeliest_noise_is_the_one_that_made_the_series() -> None:
     rng = np.random.default_rng(1)
     time_s = np.arange(400) / 15.0
 
-    def walk(fix: float, calm: float) -> Series:
-        rate = np.cumsum(rng.normal(0.0, calm * np.sqrt(1.0 / 15.0), 400))
+    def walk(fix: float, idle: float) -> Series:
+        rate = np.cumsum(rng.normal(0.0, idle * np.sqrt(1.0 / 15.0), 400))
         value = np.cumsum(rate) / 15.0 + rng.normal(0.0, fix, 400)
         return Series(time_s, np.zeros(400), value, 0.02)
 
-    noise = likeliest([(walk(4e-4, 3e-3), walk(4e-4, 3e-3), walk(4e-3, 0.1))])
+    noise = maximum_likelihood_noise([(walk(4e-4, 3e-3), walk(4e-4, 3e-3), walk(4e-3, 0.1))])
     assert noise.fix == pytest.approx((4e-4, 4e-3), rel=0.3)
-    assert noise.calm == pytest.approx((3e-3, 0.1), rel=0.5)
+    assert noise.idle == pytest.approx((3e-3, 0.1), rel=0.5)
 
 
 def test_predictions_meet_the_truth(whole: list[Segments]) -> None:
-    _, _, fitted = countable(whole, robot())
-    before = PredictionError.of(gaps(fitted.tracks, whole))
+    _, _, fitted = nominal_fit(whole, robot())
+    before = PredictionError.of(prediction_errors(fitted.rollouts, whole))
     fix = fix_noise(whole)
     assert fix is not None
     floor = noise_floor(whole, fix)
@@ -88,10 +88,10 @@ def test_predictions_meet_the_truth(whole: list[Segments]) -> None:
     assert 0.6 < before.position_rmse_m / floor.position_rmse_m < 1.35
     truth = make_run([], 3, 14).truth
     assert truth is not None
-    swim, track = whole[0], fitted.tracks[0]
+    swim, rollout = whole[0], fitted.rollouts[0]
     for period in range(2, 14):
         true = np.array([np.interp(swim.end_s[period], truth.time_s, truth.pose_world[:, k]) for k in (0, 1)])
-        assert np.hypot(*(track.predicted[period, :2] - true)) < 1.2e-3
+        assert np.hypot(*(rollout.predicted[period, :2] - true)) < 1.2e-3
 
 
 def test_predictions_look_at_no_later_fix(whole: list[Segments]) -> None:
@@ -102,7 +102,7 @@ def test_predictions_look_at_no_later_fix(whole: list[Segments]) -> None:
     pose = swim.pose.copy()
     pose[swim.arrival_s > cut_s] += 0.5
     spoiled = replace(swim, pose=pose)
-    (true,), (false,) = tracks_of([model], [swim])[0], tracks_of([model], [spoiled])[0]
+    (true,), (false,) = rollouts_of([model], [swim])[0], rollouts_of([model], [spoiled])[0]
     assert np.array_equal(true.predicted[:7], false.predicted[:7])
     assert not np.allclose(true.predicted[8], false.predicted[8])
 
@@ -125,7 +125,7 @@ def test_planted_wear_is_found_among_others(worn: list[Segments]) -> None:
     rivals = [term(name) for name in ("limb_wear rear_left", "limb_wear rear_right", "mass_scale", "warm_up")]
     found = search(worn, robot(), rivals)
     assert [each.title for each in found.fitted.model.terms] == ["limb_wear rear_left"]
-    left = left_by_steps(found.fitted, worn, found.rows)
+    left = discretisation_shift(found.fitted, worn, found.rows)
     (fine,) = fit_many([replace(found.fitted.model, step_s=8e-4, leg_s=LEG_S)], worn, found.rows, 8)
     assert fine.model.values[0] - found.fitted.model.values[0] == pytest.approx(left[0], rel=0.4)
     assert 0.0 < np.abs(left).max() < 0.02
@@ -135,7 +135,7 @@ def test_planted_wear_is_found_among_others(worn: list[Segments]) -> None:
         assert abs(true - each.value) <= each.high - each.low
     assert row[0].low <= 0.7 <= row[0].high
     assert row[0].high - row[0].low < 0.1
-    judged = scored(found, worn, worn, found.nominal.tracks, found.fitted.tracks)
+    judged = scored(found, worn, worn, found.nominal.rollouts, found.fitted.rollouts)
     assert judged.after.position_rmse_m < 0.3 * judged.before.position_rmse_m
     assert judged.gain is not None and judged.gain.low > 1.0
     assert verdict_of(found, judged, judged) == FOUND
@@ -143,7 +143,7 @@ def test_planted_wear_is_found_among_others(worn: list[Segments]) -> None:
 
 def test_nothing_is_found_where_nothing_is_missing(whole: list[Segments]) -> None:
     found = search(whole, robot(), [term("limb_wear rear_left"), term("drag_scale"), term("tag_offset")])
-    judged = scored(found, whole, whole, found.nominal.tracks, found.fitted.tracks)
+    judged = scored(found, whole, whole, found.nominal.rollouts, found.fitted.rollouts)
     assert not found.fitted.model.terms and judged.gain is None
     assert verdict_of(found, judged, judged) == NOTHING
 
@@ -154,18 +154,18 @@ def test_effects_of_the_camera_act_on_what_is_shown() -> None:
     swims = [make_swim(planted, 5, 10)]
     terms = (term("fix_latency").at((0.1,)), term("camera_scale").at((1.1,)))
     noise = Noise((2e-4, 3.5e-3), (1e-4, 1e-3), (1e-4, 1e-3))
-    with_both, without = tracks_of([Model(robot(), terms, noise), Model(robot(), (), noise)], swims)
-    assert PredictionError.of(gaps(with_both, swims)).position_rmse_m < 0.6e-3
-    assert PredictionError.of(gaps(without, swims)).position_rmse_m > count(20, 20, 18) * 1e-4
+    with_both, without = rollouts_of([Model(robot(), terms, noise), Model(robot(), (), noise)], swims)
+    assert PredictionError.of(prediction_errors(with_both, swims)).position_rmse_m < 0.6e-3
+    assert PredictionError.of(prediction_errors(without, swims)).position_rmse_m > count(20, 20, 18) * 1e-4
 
 
 def test_fit_needs_no_luck_with_its_start(worn: list[Segments]) -> None:
     noise = Noise((2e-4, 3.5e-3), (1e-4, 1e-3), (1e-4, 1e-3))
-    (tracks,) = tracks_of([Model(robot(), (), noise)], worn)
-    rows = np.isfinite(np.concatenate([track.missed for track in tracks])).all(axis=1)
+    (rollouts,) = rollouts_of([Model(robot(), (), noise)], worn)
+    rows = np.isfinite(np.concatenate([rollout.residuals for rollout in rollouts])).all(axis=1)
     starts = [term("limb_wear rear_left").at(values) for values in ((1.0, 0.0, 1.0), (0.5, 0.05, 1.3))]
     models = [Model(robot(), (start,), noise) for start in starts]
-    for fitted in fit_many(models, worn, rows, rounds=8):
+    for fitted in fit_many(models, worn, rows, steps_max=8):
         assert fitted.model.values[0] == pytest.approx(0.7, abs=0.05)
 
 

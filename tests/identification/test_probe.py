@@ -5,18 +5,18 @@ from __future__ import annotations
 import numpy as np
 from made import make_swim, robot, term
 
-from frogkick.identification.columns import sensitivities
 from frogkick.identification.filter import Noise
-from frogkick.identification.fit import Model, misses, steps_of, tracks_of
-from frogkick.identification.probe import Sums, changes, probes_of
-from frogkick.identification.steps import promised
+from frogkick.identification.fit import Model, difference_steps, residuals_of, rollouts_of
+from frogkick.identification.probe import LinearSpan, changes, probes_of
+from frogkick.identification.screening import sensitivities
+from frogkick.identification.steps import linearised_optimum
 
 NOISE = Noise((2e-4, 3.5e-3), (1e-4, 1e-3), (1e-4, 1e-3))
 
 
 def change(title: str) -> list[np.ndarray | None]:
     model = Model(robot(), (term(title),), NOISE)
-    return changes(probes_of(robot()), term(title), steps_of(model))
+    return changes(probes_of(robot()), term(title), difference_steps(model))
 
 
 def test_parameters_that_do_nothing_are_told_from_those_that_do() -> None:
@@ -27,21 +27,21 @@ def test_parameters_that_do_nothing_are_told_from_those_that_do() -> None:
 
 
 def test_limbs_add_up_to_their_group_and_delays_do_not() -> None:
-    sums = Sums()
+    span = LinearSpan()
     singles = [change(f"limb_wear {limb.name}") for limb in robot().limbs]
     for gain, _, _ in singles:
-        assert gain is not None and sums.weights(gain) is None
-        sums.add(gain)
+        assert gain is not None and span.weights(gain) is None
+        span.add(gain)
     left, _ = change("group_gain left")
     assert left is not None
-    weights = sums.weights(left)
+    weights = span.weights(left)
     assert weights is not None
     fires = ["left" in limb.name for limb in robot().limbs]
     np.testing.assert_allclose(weights, fires, atol=1e-6)
     delay = change("limb_wear all")[1]
-    assert delay is not None and sums.weights(delay) is None
+    assert delay is not None and span.weights(delay) is None
     memory = change("limb_memory")[0]
-    assert memory is not None and sums.weights(memory) is None
+    assert memory is not None and span.weights(memory) is None
 
 
 def test_a_sum_is_what_its_own_simulation_gives() -> None:
@@ -52,7 +52,7 @@ def test_a_sum_is_what_its_own_simulation_gives() -> None:
     (rear,) = [column for column in columns if column.term.title == "group_gain rear"]
     bare = Model(robot(), (), NOISE)
     moved = Model(robot(), (term("group_gain rear").at((1.02, 1.0)),), NOISE)
-    base, there = (misses(tracks, rows) for tracks in tracks_of([bare, moved], swims))
+    base, there = (residuals_of(rollouts, rows) for rollouts in rollouts_of([bare, moved], swims))
     own = (there - base) / 0.02
     assert np.linalg.norm(rear.jacobian[:, :, 0] - own) < 0.1 * np.linalg.norm(own)
 
@@ -60,9 +60,11 @@ def test_a_sum_is_what_its_own_simulation_gives() -> None:
 def test_a_promise_lowers_the_cost_within_bounds() -> None:
     rng = np.random.default_rng(2)
     jacobian = rng.normal(size=(40, 9, 2))
-    missed = rng.normal(0.0, 0.1, (40, 9)) - jacobian @ np.array([0.5, -2.0])
-    shy = np.full(2, 1e-9)
-    step, cost = promised(missed, jacobian, np.full(2, -9.0), np.full(2, 9.0), shy)
+    residuals = rng.normal(0.0, 0.1, (40, 9)) - jacobian @ np.array([0.5, -2.0])
+    damping = np.full(2, 1e-9)
+    step, deviance = linearised_optimum(residuals, jacobian, np.full(2, -9.0), np.full(2, 9.0), damping)
     np.testing.assert_allclose(step, [0.5, -2.0], atol=0.05)
-    held, dearer = promised(missed, jacobian, np.array([-9.0, -1.0]), np.array([9.0, 0.0]), shy)
-    assert held[1] == -1.0 and dearer > cost
+    fixed, dearer = linearised_optimum(
+        residuals, jacobian, np.array([-9.0, -1.0]), np.array([9.0, 0.0]), damping
+    )
+    assert fixed[1] == -1.0 and dearer > deviance

@@ -102,15 +102,15 @@ def silent(_title: str) -> Iterator[Any]:
 
 def right_answers(outcome: Outcome, off_m: float = 0.0) -> np.ndarray:
     """(n, a, 6) what tables would say that miss each measured end of the test run by so much, forward."""
-    (swim,), (track,) = outcome.test, outcome.tracks
-    gap = swim.measured - track.start[:, :3]
-    c, s = np.cos(track.start[:, 2]), np.sin(track.start[:, 2])
+    (swim,), (rollout,) = outcome.test, outcome.rollouts
+    gap = swim.measured - rollout.start[:, :3]
+    c, s = np.cos(rollout.start[:, 2]), np.sin(rollout.start[:, 2])
     answers = np.full((len(gap), len(robot().actions), 6), np.nan)
     rows = np.arange(len(gap))
     answers[rows, swim.action, 0] = c * gap[:, 0] + s * gap[:, 1] + off_m
     answers[rows, swim.action, 1] = c * gap[:, 1] - s * gap[:, 0]
     answers[rows, swim.action, 2] = gap[:, 2]
-    answers[rows, swim.action, 3:] = np.roll(track.start[:, 3:], -1, axis=0)
+    answers[rows, swim.action, 3:] = np.roll(rollout.start[:, 3:], -1, axis=0)
     return answers
 
 
@@ -118,7 +118,7 @@ def tools_of(outcome: Outcome, worn_m: float, nominal_m: float) -> Tools:
     return Tools(
         {b"worn": right_answers(outcome, worn_m), b"nominal": right_answers(outcome, nominal_m),
          b"old": right_answers(outcome, nominal_m)},
-        outcome.tracks[0].start[:, 3:],
+        outcome.rollouts[0].start[:, 3:],
     )  # fmt: skip
 
 
@@ -146,13 +146,13 @@ def test_several_periods_ahead_one_look_up_follows_the_other(found: Outcome) -> 
     horizons = table_horizons(tools, b"nominal", b"worn", found)
     assert [(each.periods, each.before.count) for each in horizons] == [(1, 10), (2, 9), (3, 8), (5, 6)]
     assert horizons[2].before == off and horizons[2].after == exact
-    (swim,), (track,) = found.test, found.tracks
+    (swim,), (rollout,) = found.test, found.rollouts
     late = np.where(np.arange(10) >= 4, 0.3 * swim.period_s, 0.0)
     paused = replace(swim, start_s=swim.start_s + late, end_s=swim.end_s + late)
     assert table_error(tools, b"worn", replace(found, test=[paused]), 3).count == 8 - 2
     short = replace(swim, start_s=swim.start_s[:2], end_s=swim.end_s[:2], action=swim.action[:2])
-    begun = replace(track, start=track.start[:2])
-    few = replace(found, test=[short], tracks=[begun])
+    begun = replace(rollout, start=rollout.start[:2])
+    few = replace(found, test=[short], rollouts=[begun])
     assert [each.periods for each in table_horizons(tools, b"nominal", b"worn", few)] == [1, 2]
 
 
@@ -163,9 +163,9 @@ def test_starts_are_taken_as_the_camera_shows_them(found: Outcome) -> None:
     fitted = found.found.fitted
     both = replace(fitted, model=replace(fitted.model, terms=(*fitted.model.terms, scale)))
     shown = replace(found, found=replace(found.found, fitted=both))
-    (track,) = found.tracks
+    (rollout,) = found.rollouts
     error = table_error(tools_of(found, 0.0, 0.0), b"worn", shown)
-    apart = 0.25 * np.hypot(*track.start[:, :2].T)
+    apart = 0.25 * np.hypot(*rollout.start[:, :2].T)
     assert error.position_rmse_m == pytest.approx(np.sqrt(np.mean(apart**2)), rel=1e-6)
 
 
@@ -283,7 +283,7 @@ def test_what_tables_cannot_know_is_said_before_they_are_made(
         module,
         "identify",
         lambda *_args, **_more: replace(
-            known, found=replace(known.found, fitted=other, alike=[[], []]), parameters=[[], []]
+            known, found=replace(known.found, fitted=other, confounded_with=[[], []]), parameters=[[], []]
         ),
     )
     tools = tools_of(known, 0.0, 0.0)

@@ -13,13 +13,28 @@ from tests.conftest import count, some
 from frogkick.core.poses import PredictionError
 from frogkick.der import WIDTH
 from frogkick.identification import choice
+from frogkick.identification.backward import resolve_equivalent
 from frogkick.identification.filter import Noise
-from frogkick.identification.fit import Model, derivatives, fit_many, fit_on, misses, told, tracks_of
-from frogkick.identification.polish import Polisher
-from frogkick.identification.revise import same_named
-from frogkick.identification.search import Found, _fall, _Hunt, countable, folds_of, search
+from frogkick.identification.fit import (
+    Model,
+    derivatives,
+    fit_many,
+    fit_on,
+    refresh_jacobian,
+    residuals_of,
+    rollouts_of,
+)
+from frogkick.identification.refine import Refiner
+from frogkick.identification.search import (
+    Found,
+    _ForwardSelection,
+    _held_out_gain,
+    folds_of,
+    nominal_fit,
+    search,
+)
 from frogkick.identification.segments import Segments
-from frogkick.identification.steps import _shrunk, cost_of, log_density, promised, scale_of
+from frogkick.identification.steps import _shrunk, deviance_of, linearised_optimum, log_density, scale_of
 from frogkick.identification.verdict import FOUND, NOTHING, PARTLY, UNEXPLAINED, Scored, intervals
 
 NOISE = Noise((2e-4, 3.5e-3), (1e-4, 1e-3), (1e-4, 1e-3))
@@ -31,10 +46,10 @@ def worn() -> list[Segments]:
     return [make_swim([planted], seed, 14) for seed in (1, 2)]
 
 
-def polisher(swims: list[Segments]) -> Polisher:
-    (tracks,) = tracks_of([Model(robot(), (), NOISE)], swims)
-    rows = np.isfinite(np.concatenate([track.missed for track in tracks])).all(axis=1)
-    return Polisher(swims, rows, 1)
+def refiner(swims: list[Segments]) -> Refiner:
+    (rollouts,) = rollouts_of([Model(robot(), (), NOISE)], swims)
+    rows = np.isfinite(np.concatenate([rollout.residuals for rollout in rollouts])).all(axis=1)
+    return Refiner(swims, rows, 1)
 
 
 def test_lanes_that_wait_for_a_place_swim_as_they_would_at_once(worn: list[Segments]) -> None:
@@ -45,28 +60,28 @@ def test_lanes_that_wait_for_a_place_swim_as_they_would_at_once(worn: list[Segme
     cut = replace(worn[1], **{k: getattr(worn[1], k)[:3] for k in ("start_s", "end_s", "action")})
     swims = [worn[0], cut]
     assert len(models) * len(swims) > WIDTH
-    for model, together in zip(models, tracks_of(models, swims), strict=True):
-        for track, swim in zip(together, swims, strict=True):
-            ((alone,),) = tracks_of([model], [swim])
-            assert np.array_equal(track.missed, alone.missed, equal_nan=True)
-            assert np.array_equal(track.difference, alone.difference)
+    for model, together in zip(models, rollouts_of(models, swims), strict=True):
+        for rollout, swim in zip(together, swims, strict=True):
+            ((alone,),) = rollouts_of([model], [swim])
+            assert np.array_equal(rollout.residuals, alone.residuals, equal_nan=True)
+            assert np.array_equal(rollout.difference, alone.difference)
 
 
 def test_a_step_explains_what_few_periods_show() -> None:
     """A limb that seldom fires: its periods are wild at first and count little until the step is right."""
     rng = np.random.default_rng(7)
-    missed, jacobian = rng.normal(0.0, 1e-3, (60, 9)), np.zeros((60, 9, 1))
+    residuals, jacobian = rng.normal(0.0, 1e-3, (60, 9)), np.zeros((60, 9, 1))
     jacobian[:6, :, 0] = rng.normal(0.0, 0.1, (6, 9))
-    missed -= 0.4 * jacobian[:, :, 0]
+    residuals -= 0.4 * jacobian[:, :, 0]
     ends = np.array([1.0])
-    step, cost = promised(missed, jacobian, -ends, ends, np.full(1, 1e-9))
+    step, deviance = linearised_optimum(residuals, jacobian, -ends, ends, np.full(1, 1e-9))
     assert step[0] == pytest.approx(0.4, abs=0.01)
-    assert cost == pytest.approx(cost_of(missed + jacobian[:, :, 0] * step[0]))
+    assert deviance == pytest.approx(deviance_of(residuals + jacobian[:, :, 0] * step[0]))
 
 
 def test_what_is_held_is_not_simulated_in_a_fit(worn: list[Segments]) -> None:
-    model = Model(robot(), (term("limb_wear rear_left"),), NOISE, held=frozenset({1, 2}))
-    rows = polisher(worn).rows
+    model = Model(robot(), (term("limb_wear rear_left"),), NOISE, fixed=frozenset({1, 2}))
+    rows = refiner(worn).rows
     (fitted,) = fit_many([model], worn, rows, 4)
     assert fitted.model.values[0] == pytest.approx(0.7, abs=0.02)
     assert not fitted.jacobian[:, :, 1:].any()
@@ -76,28 +91,28 @@ def test_what_is_held_is_not_simulated_in_a_fit(worn: list[Segments]) -> None:
 
 def test_derivatives_that_mislead_are_simulated_anew(worn: list[Segments]) -> None:
     """Of another place a third as steep: the first step goes three times too far, and the fit notices."""
-    model = Model(robot(), (term("limb_wear rear_left").at((0.9, 0.0, 1.0)),), NOISE, held=frozenset({1, 2}))
-    rows = polisher(worn).rows
-    (right,) = derivatives([model], worn, rows, held=False)
-    misled = replace(right, jacobian=right.jacobian / 3.0, fresh=False)
-    (fitted,) = fit_on([misled], worn, rows, 6)
+    model = Model(robot(), (term("limb_wear rear_left").at((0.9, 0.0, 1.0)),), NOISE, fixed=frozenset({1, 2}))
+    rows = refiner(worn).rows
+    (right,) = derivatives([model], worn, rows, fixed=False)
+    stale = replace(right, jacobian=right.jacobian / 3.0, fresh=False)
+    (fitted,) = fit_on([stale], worn, rows, 6)
     (straight,) = fit_on([right], worn, rows, 6)
     assert fitted.model.values[0] == pytest.approx(straight.model.values[0], abs=2e-3)
-    assert abs(fitted.cost - straight.cost) < 0.5
-    (whole,) = told([fitted], worn, rows)
+    assert abs(fitted.deviance - straight.deviance) < 0.5
+    (whole,) = refresh_jacobian([fitted], worn, rows)
     (exact,) = derivatives([fitted.model], worn, rows)
-    assert np.array_equal(whole.missed, exact.missed)
+    assert np.array_equal(whole.residuals, exact.residuals)
     assert whole.fresh and np.allclose(whole.jacobian[:, :, 1:], exact.jacobian[:, :, 1:], rtol=0.0)
 
 
 def test_a_delay_that_settled_in_a_dip_is_put_back(worn: list[Segments]) -> None:
     """Frames swing at 40 Hz: half a swing late fits as well as derivatives can tell."""
-    searching = polisher(worn)
-    dip = Model(robot(), (term("limb_wear rear_left").at((0.71, 0.0125, 1.0)),), NOISE, held=frozenset({2}))
+    searching = refiner(worn)
+    dip = Model(robot(), (term("limb_wear rear_left").at((0.71, 0.0125, 1.0)),), NOISE, fixed=frozenset({2}))
     (taken,) = fit_many([dip], worn, searching.rows, 1)
-    polished = searching.polished(taken)
-    assert polished.model.values[1] == 0.0
-    (row,) = intervals(polished, searching.rows)
+    refined = searching.refined(taken)
+    assert refined.model.values[1] == 0.0
+    (row,) = intervals(refined, searching.rows)
     assert row[0].low <= 0.7 <= row[0].high and row[0].high - row[0].low < 0.05
 
 
@@ -121,7 +136,7 @@ def test_effects_that_do_the_same_are_named_together() -> None:
     ]
     rivals = [term("group_loss"), term("group_gain rear")]
     found = search(swims, robot(), rivals)
-    named = [found.fitted.model.terms[0].title, *found.alike[0]]
+    named = [found.fitted.model.terms[0].title, *found.confounded_with[0]]
     assert sorted(named) == ["group_gain rear", "group_loss"]
 
 
@@ -154,10 +169,10 @@ def test_a_relative_that_does_not_explain_all_is_held_against_a_search(
     def named(name: str) -> Any:
         return lambda *_args, **_more: name
 
-    monkeypatch.setattr(choice, "relatives", lambda _robot: {"measured": ()})
-    monkeypatch.setattr(choice, "countable", lambda *_args: (None, rows, None))
+    monkeypatch.setattr(choice, "calibrated_starts", lambda _robot: {"measured": ()})
+    monkeypatch.setattr(choice, "nominal_fit", lambda *_args: (None, rows, None))
     monkeypatch.setattr(choice, "search", named("search"))
-    monkeypatch.setattr(choice, "_searched_in_part", named("part"))
+    monkeypatch.setattr(choice, "_search_in_part", named("part"))
     monkeypatch.setattr(choice, "_relative", named("relative"))
     monkeypatch.setattr(choice, "_verdict", lambda found, _swims: verdicts[found])
     monkeypatch.setattr(choice, "_scored", lambda _found, _swims: Scored(off, near, near))
@@ -169,7 +184,7 @@ def test_a_search_in_part_is_fitted_to_all_runs(
     worn: list[Segments], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(choice, "PART", 20)
-    begun = countable(worn, robot())
+    begun = nominal_fit(worn, robot())
     seen: list[int] = []
 
     def searched(swims: list[Segments], *_args: Any, most: int) -> Found:
@@ -177,8 +192,8 @@ def test_a_search_in_part_is_fitted_to_all_runs(
         return search(swims, robot(), [term("limb_wear rear_left")], most=most)
 
     monkeypatch.setattr(choice, "search", searched)
-    found = choice._searched_in_part(begun, worn, robot(), [], lambda *_args: None)
-    assert seen == [10, 10] and len(found.fitted.missed) == len(begun[1]) == 28
+    found = choice._search_in_part(begun, worn, robot(), [], lambda *_args: None)
+    assert seen == [10, 10] and len(found.fitted.residuals) == len(begun[1]) == 28
     assert found.fitted.model.values[0] == pytest.approx(0.7, abs=0.02)
 
 
@@ -188,21 +203,21 @@ def test_held_out_gains_are_those_of_fits_that_never_saw_the_fold(worn: list[Seg
 
     By the right effect and by a wrong one: a search that flattered itself would do so with it.
     """
-    rows = polisher(worn).rows
+    rows = refiner(worn).rows
     folds = folds_of(worn, rows)
     start = Model(robot(), (term(title),), NOISE)
     (current,) = derivatives([replace(start, terms=())], worn, rows)
     (fitted,) = fit_many([start], worn, rows, 4)
-    shown = _fall(current, fitted, folds, 0)[0]
+    shown = _held_out_gain(current, fitted, folds, 0)[0]
     places, falls = np.flatnonzero(rows), []
     for label in np.unique(folds):
         seen, left = np.zeros_like(rows), np.zeros_like(rows)
         seen[places[folds != label]], left[places[folds == label]] = True, True
         (alone,) = fit_many([start], worn, seen, 4)
-        (kept,) = tracks_of([alone.model], worn)
+        (kept,) = rollouts_of([alone.model], worn)
         scores = []
-        for tracks in (current.tracks, kept):
-            train, test = misses(tracks, seen), misses(tracks, left)
+        for rollouts in (current.rollouts, kept):
+            train, test = residuals_of(rollouts, seen), residuals_of(rollouts, left)
             scores.append(log_density(test, _shrunk(scale_of(train), len(train))))
         falls.append(2.0 * (scores[1] - scores[0]))
     refitted = float(np.concatenate(falls).mean())
@@ -218,22 +233,24 @@ def test_a_rival_is_not_judged_in_a_dip() -> None:
     worn = {"name": "limb_wear", "limb": "front_left", "gain": 0.88}
     swims = [make_swim([worn, {"name": "fix_latency", "delay_s": 0.062}], seed, 14) for seed in (1, 2)]
     limb, every, fixes = (term(name) for name in ("limb_wear front_left", "limb_wear all", "fix_latency"))
-    begun = polisher(swims)
+    begun = refiner(swims)
     late = (limb.at((0.882, 0.003, 1.0)), every.at((1.0, 0.0625, 1.0)))
     dip = (limb.at((0.8817, 0.0457, 1.0)), fixes.at((0.0562,)))
-    held = frozenset({2, 3, 5})
-    (taken,) = fit_many([Model(robot(), late, NOISE, held=held)], swims, begun.rows, 6)
-    (rival,) = derivatives([Model(robot(), dip, NOISE, held=frozenset({2}))], swims, begun.rows)
-    hunt = _Hunt(swims, begun.rows, folds_of(swims, begun.rows), [], 1)
-    settled, alike = hunt.settled(begun.quietened(taken), [rival])
+    fixed = frozenset({2, 3, 5})
+    (taken,) = fit_many([Model(robot(), late, NOISE, fixed=fixed)], swims, begun.rows, 6)
+    (rival,) = derivatives([Model(robot(), dip, NOISE, fixed=frozenset({2}))], swims, begun.rows)
+    selection = _ForwardSelection(swims, begun.rows, folds_of(swims, begun.rows), [], 1)
+    settled, alike = selection.simplest_of(begun.noise_reestimated(taken), [rival])
     assert [each.title for each in settled.model.terms] == ["limb_wear front_left", "fix_latency"]
     assert [each.title for each in alike] == ["limb_wear all"]
     assert settled.model.values[-1] == pytest.approx(0.062, abs=0.006)
     # And where the rival was never tried; not where the limbs are weaker as well.
-    named, alike = same_named(begun, begun.quietened(taken), [[], []], [limb, every, fixes])
+    named, alike = resolve_equivalent(begun, begun.noise_reestimated(taken), [[], []], [limb, every, fixes])
     assert [each.title for each in named.model.terms] == ["limb_wear front_left", "fix_latency"]
     assert [[each.title for each in others] for others in alike] == [[], ["limb_wear all"]]
-    assert same_named(begun, taken, [[], []], [limb, every])[0] is taken, "nobody looks for late fixes"
+    assert resolve_equivalent(begun, taken, [[], []], [limb, every])[0] is taken, (
+        "nobody looks for late fixes"
+    )
 
 
 def test_a_delay_that_is_none_does_not_stay_in_a_dip() -> None:
@@ -245,23 +262,23 @@ def test_a_delay_that_is_none_does_not_stay_in_a_dip() -> None:
     """
     worn = {"name": "limb_wear", "limb": "front_left", "gain": 0.76}
     swims = [make_swim([worn, {"name": "fix_latency", "delay_s": 0.091}], seed, 14) for seed in (1, 2)]
-    begun = polisher(swims)
+    begun = refiner(swims)
     dip = (term("limb_wear front_left").at((0.76, 0.06, 1.0)), term("fix_latency").at((0.083,)))
     quiet = Noise(NOISE.fix, (8e-6, 2e-4), (8e-6, 2e-4))
     # Whether a fit stops in a dip hangs on last digits, so the delay is held there while the others settle.
-    (settled,) = fit_many([Model(robot(), dip, quiet, held=frozenset({1, 2}))], swims, begun.rows, 6)
-    (taken,) = derivatives([replace(settled.model, held=frozenset({2}))], swims, begun.rows)
+    (settled,) = fit_many([Model(robot(), dip, quiet, fixed=frozenset({1, 2}))], swims, begun.rows, 6)
+    (taken,) = derivatives([replace(settled.model, fixed=frozenset({2}))], swims, begun.rows)
     steep = replace(taken, jacobian=taken.jacobian * np.array([1.0, 8.0, 1.0, 1.0]))
-    spared = begun.sparer(steep)
-    assert spared.model.values[1] == 0.0 and spared.cost < taken.cost
+    spared = begun.pruned(steep)
+    assert spared.model.values[1] == 0.0 and spared.deviance < taken.deviance
 
 
 def test_limbs_that_are_late_and_weak_are_no_late_fixes() -> None:
     weak = {"name": "limb_wear", "limb": "all", "gain": 0.8, "delay_s": 0.06}
     swims = [make_swim([weak], seed, 14) for seed in (1, 2)]
     every, fixes = term("limb_wear all"), term("fix_latency")
-    begun = polisher(swims)
-    model = Model(robot(), (every.at((0.8, 0.06, 1.0)),), NOISE, held=frozenset({2}))
+    begun = refiner(swims)
+    model = Model(robot(), (every.at((0.8, 0.06, 1.0)),), NOISE, fixed=frozenset({2}))
     (taken,) = fit_many([model], swims, begun.rows, 6)
-    named, alike = same_named(begun, taken, [[]], [every, fixes])
+    named, alike = resolve_equivalent(begun, taken, [[]], [every, fixes])
     assert named is taken and alike == [[]]

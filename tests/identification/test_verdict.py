@@ -18,13 +18,13 @@ from tests.conftest import count
 from frogkick.core.poses import PredictionError
 from frogkick.identification import choice as choice_module
 from frogkick.identification import outcome as outcome_module
-from frogkick.identification.bootstrap import deviations, gain_by_chance, mean_interval, moved_by
+from frogkick.identification.bootstrap import gain_by_chance, mean_interval, moved_by, standard_errors
 from frogkick.identification.filter import Noise
-from frogkick.identification.fit import Model, tracks_of
+from frogkick.identification.fit import Model, rollouts_of
 from frogkick.identification.outcome import identify
-from frogkick.identification.search import Found, countable
+from frogkick.identification.search import Found, nominal_fit
 from frogkick.identification.segments import Segments, read_segments, segments_of
-from frogkick.identification.steps import DOF, cost_of, promised
+from frogkick.identification.steps import DOF, deviance_of, linearised_optimum
 from frogkick.identification.terms import catalogue
 from frogkick.identification.verdict import (
     FOUND,
@@ -74,8 +74,8 @@ def test_what_strokes_do_differently_is_no_noise_of_the_fixes(whole: list[Segmen
     table = {"file": str(tmp_path / "mine.py"), "class": "Misfire", "limb": "front_left", "share": 0.4}
     judged = []
     for swims in (whole, [make_swim([table], seed, 14) for seed in (3, 4)]):
-        _, rows, fitted = countable(swims, robot())
-        both = scored(Found(fitted, fitted, [], rows, []), swims, swims, fitted.tracks, fitted.tracks)
+        _, rows, fitted = nominal_fit(swims, robot())
+        both = scored(Found(fitted, fitted, [], rows, []), swims, swims, fitted.rollouts, fitted.rollouts)
         judged.append(both)
     alike, apart = judged
     assert apart.noise_floor.position_rmse_m == pytest.approx(alike.noise_floor.position_rmse_m, rel=0.15)
@@ -96,10 +96,17 @@ def test_effects_that_make_predictions_worse_are_never_found(
     low: float,
     quiet: bool,
 ) -> None:
-    first, last, least = PredictionError(*before, 40), PredictionError(*after, 40), PredictionError(*floor)
-    tested = Scored(first, last, least, Gain(low + 1.0, low, low + 2.0))
-    left = PredictionError(*floor, 40) if quiet else PredictionError(1.0, 1.0, 40)
-    trained = Scored(first, left, least)
+    tested = Scored(
+        PredictionError(*before, 40),
+        PredictionError(*after, 40),
+        PredictionError(*floor),
+        Gain(low + 1.0, low, low + 2.0),
+    )
+    trained = Scored(
+        PredictionError(*before, 40),
+        PredictionError(*floor, 40) if quiet else PredictionError(1.0, 1.0, 40),
+        PredictionError(*floor),
+    )
     found: Any = SimpleNamespace(fitted=SimpleNamespace(model=SimpleNamespace(terms=("one",))))
     verdict = verdict_of(found, trained, tested)
     worse = any(
@@ -134,16 +141,16 @@ def test_intervals_of_parameters_hold_as_often_as_they_say(periods: int) -> None
 
     def inside(shared: bool) -> float:
         """The share of values within their intervals; ``shared``: neighbours have half a miss in common."""
-        held = 0
+        fixed = 0
         for _ in range(draws):
             wild = np.sqrt(DOF / rng.chisquare(DOF, (2, periods + 1, 1)))
             alone = wild * rng.standard_normal((2, periods + 1, 9))
-            missed = (alone[:, 1:] + (alone[:, :-1] if shared else 0.0)).reshape(2 * periods, 9)
+            residuals = (alone[:, 1:] + (alone[:, :-1] if shared else 0.0)).reshape(2 * periods, 9)
             jacobian = 0.5 * rng.standard_normal((1, 9, 2)) + 0.3 * rng.standard_normal((2 * periods, 9, 2))
-            step, _ = promised(missed, jacobian, -far, far, np.full(2, 1e-9))
-            deviation = deviations(missed + jacobian @ step, jacobian, np.ones(2), runs)
-            held += int((np.abs(step) < student.ppf(0.975, 2 * periods - 2) * deviation).sum())
-        return held / (2 * draws)
+            step, _ = linearised_optimum(residuals, jacobian, -far, far, np.full(2, 1e-9))
+            deviation = standard_errors(residuals + jacobian @ step, jacobian, np.ones(2), runs)
+            fixed += int((np.abs(step) < student.ppf(0.975, 2 * periods - 2) * deviation).sum())
+        return fixed / (2 * draws)
 
     assert 0.9 <= inside(False) <= 0.98
     assert 0.8 <= inside(True) <= 0.98
@@ -157,21 +164,23 @@ def test_what_chance_gains_is_known_from_the_signs_of_blocks() -> None:
     rng, runs, price = np.random.default_rng(5), np.repeat([0, 1], 24), 4.0
     draws = count(120, 120, 40)
 
-    def best(missed: np.ndarray, candidates: list[np.ndarray]) -> float:
+    def best(residuals: np.ndarray, candidates: list[np.ndarray]) -> float:
         far = np.full(2, 10.0)
-        plain = cost_of(missed)
-        costs = [promised(missed, each, -far, far, np.full(2, 1e-9))[1] for each in candidates]
-        return plain - min(costs) - 2.0 * price
+        plain = deviance_of(residuals)
+        deviances = [
+            linearised_optimum(residuals, each, -far, far, np.full(2, 1e-9))[1] for each in candidates
+        ]
+        return plain - min(deviances) - 2.0 * price
 
     for shared in (False, True):
         above = 0
         for _ in range(draws):
             wild = np.sqrt(DOF / rng.chisquare(DOF, (2, 25, 1)))
             alone = wild * rng.standard_normal((2, 25, 9))
-            missed = (alone[:, 1:] + (alone[:, :-1] if shared else 0.0)).reshape(48, 9)
+            residuals = (alone[:, 1:] + (alone[:, :-1] if shared else 0.0)).reshape(48, 9)
             candidates = [rng.standard_normal((1, 9, 2)) * np.ones((48, 1, 1)) for _ in range(20)]
-            bound = gain_by_chance(missed, np.zeros((48, 9, 0)), candidates, runs, price)
-            above += best(missed, candidates) > max(bound, 0.0)
+            bound = gain_by_chance(residuals, np.zeros((48, 9, 0)), candidates, runs, price)
+            above += best(residuals, candidates) > max(bound, 0.0)
         assert above <= (0.25 if shared else 0.1) * draws
 
 
@@ -180,7 +189,7 @@ def test_what_does_not_help_on_runs_kept_out_is_left_out(
 ) -> None:
     """A limb worn in the training runs, whole in the test run: the nominal model is given back."""
     monkeypatch.setattr(outcome_module, "catalogue", lambda *_args: [term("limb_wear rear_left")])
-    monkeypatch.setattr(choice_module, "relatives", lambda _robot: {})
+    monkeypatch.setattr(choice_module, "calibrated_starts", lambda _robot: {})
     outcome = identify(worn, whole[:1], robot())
     assert outcome.verdict == UNEXPLAINED and outcome.dropped == ("limb_wear rear_left",)
     assert not outcome.terms and outcome.tested.after == outcome.tested.before
@@ -222,8 +231,8 @@ def test_a_robot_seen_at_rest_is_known_to_rest() -> None:
     floor, blind = (noise_floor([swim], (2e-4, 3.5e-3)).position_rmse_m for swim in (known, unknown))
     assert floor < 0.5e-3 and blind > 5e-3
     model = Model(robot(), (), Noise((2e-4, 3.5e-3), (1e-4, 1e-3), (1e-4, 1e-3)))
-    (sure,), (unsure,) = tracks_of([model], [known])[0], tracks_of([model], [unknown])[0]
-    assert np.hypot(*sure.spread[0, :2]) < 1e-3 < 5e-3 < np.hypot(*unsure.spread[0, :2])
+    (sure,), (unsure,) = rollouts_of([model], [known])[0], rollouts_of([model], [unknown])[0]
+    assert np.hypot(*sure.predicted_std[0, :2]) < 1e-3 < 5e-3 < np.hypot(*unsure.predicted_std[0, :2])
     assert np.hypot(*(known.measured[0] - sure.predicted[0])[:2]) < 1.5e-3
     assert rested(3, 20).rest_rate is None, "a second of it is needed twice"
 
@@ -242,7 +251,7 @@ def test_a_limb_that_misfires_at_random_is_not_found_elsewhere(
     if few := count(0, 0, 2):  # of all candidates, and no robots of the same body
         some = [each for each in catalogue(robot()) if each.name in ("hull", "limb_wear", "warm_up")][:few]
         monkeypatch.setattr(outcome_module, "catalogue", lambda *_: some)
-        monkeypatch.setattr(choice_module, "relatives", lambda _robot: {})
+        monkeypatch.setattr(choice_module, "calibrated_starts", lambda _robot: {})
     folder = frog2022_dir.parent / "misfire"
     if not folder.is_dir():
         pytest.skip("no logs of misfires beside the recorded runs")
@@ -260,10 +269,10 @@ def test_what_moves_the_misses_moves_the_parameters() -> None:
     """Misses that a parameter explains move it by as much, whatever the others; what none explains, none."""
     rng = np.random.default_rng(4)
     jacobian = rng.normal(size=(200, 9, 2))
-    missed = 1e-3 * rng.normal(size=(200, 9))
+    residuals = 1e-3 * rng.normal(size=(200, 9))
     scale = np.array([1.0, 10.0])
     for change in ((0.0, 3e-4), (2e-4, -1e-4)):
-        moved = moved_by(jacobian @ np.array(change), missed, jacobian, scale)
+        moved = moved_by(jacobian @ np.array(change), residuals, jacobian, scale)
         assert moved == pytest.approx(-np.array(change), rel=0.1, abs=2e-6)
     aside = 1e-4 * rng.normal(size=(200, 9))
-    assert np.abs(moved_by(aside, missed, jacobian, scale)).max() < 1.5e-5
+    assert np.abs(moved_by(aside, residuals, jacobian, scale)).max() < 1.5e-5

@@ -12,11 +12,11 @@ from matplotlib.figure import Figure
 from tests.identification.made import known_outcome, make_swim, robot
 from tests.report.test_report import self_contained
 
-from frogkick.identification.columns import Column
 from frogkick.identification.experiment import Experiment
 from frogkick.identification.fit import derivatives
 from frogkick.identification.outcome import Outcome, identify
-from frogkick.identification.search import Tried
+from frogkick.identification.screening import Column
+from frogkick.identification.search import CandidateScore
 from frogkick.identification.terms import catalogue
 from frogkick.identification.verdict import UNEXPLAINED
 from frogkick.report.identify_figures import (
@@ -34,9 +34,9 @@ from frogkick.report.identify_page import write_identify_page
 WORN = {"name": "limb_wear", "limb": "rear_left", "gain": 0.7}
 TITLE = "limb_wear rear_left"
 TURNS = [
-    [Tried(TITLE, 210.0, 65.36, True, True), Tried("steady_wrench", 22.0, 3.21, True),
-     Tried("warm_up", 7.0, float("nan"), False), Tried("warm_up", 6.0, float("nan"), False)],
-    [Tried("warm_up", 9.0, float("nan"), False)],
+    [CandidateScore(TITLE, 210.0, 65.36, True, True), CandidateScore("steady_wrench", 22.0, 3.21, True),
+     *(CandidateScore("warm_up", gain, float("nan"), False) for gain in (7.0, 6.0))],
+    [CandidateScore("warm_up", 9.0, float("nan"), False)],
 ]  # fmt: skip
 
 
@@ -50,18 +50,20 @@ def outcome() -> Outcome:
     at_start = replace(known.found.nominal.model, terms=(plain,))
     (started,) = derivatives([at_start], train, known.found.rows)
     columns = [Column(plain, started.jacobian)]
-    found = replace(known.found, turns=TURNS, alike=[["group_gain rear"]], sensitivities=columns)
+    found = replace(
+        known.found, iterations=TURNS, confounded_with=[["group_gain rear"]], sensitivities=columns
+    )
     return replace(known, found=found)
 
 
 def figures(outcome: Outcome) -> dict[str, Figure]:
-    misses = misses_of(outcome)
+    residuals = misses_of(outcome)
     return {
-        "track": track_figure(outcome, misses),
+        "track": track_figure(outcome, residuals),
         "error": error_figure(outcome),
-        "time": time_figure(outcome, misses),
-        "cause": cause_figure(outcome, misses),
-        "place": place_figure(misses),
+        "time": time_figure(outcome, residuals),
+        "cause": cause_figure(outcome, residuals),
+        "place": place_figure(residuals),
         "tried": tried_figure(TURNS),
         "rest": rest_figure(outcome),
     }
@@ -113,8 +115,10 @@ def test_the_page_tells_all(outcome: Outcome, tmp_path: Path) -> None:
 
 def test_a_page_without_effects_or_without_data_is_one_too(outcome: Outcome, tmp_path: Path) -> None:
     assert outcome.found is not None
-    found = replace(outcome.found, fitted=outcome.found.nominal, turns=TURNS[1:], alike=[])
-    nothing = replace(outcome, verdict=UNEXPLAINED, found=found, parameters=[], tracks=outcome.nominal_tracks)
+    found = replace(outcome.found, fitted=outcome.found.nominal, iterations=TURNS[1:], confounded_with=[])
+    nothing = replace(
+        outcome, verdict=UNEXPLAINED, found=found, parameters=[], rollouts=outcome.nominal_rollouts
+    )
     write_identify_page(tmp_path / "nothing.html", nothing)
     links = self_contained((tmp_path / "nothing.html").read_text(encoding="utf-8"))
     assert "No effect was taken" in links.text and "Verdict: unexplained (no effect)" in links.text
@@ -125,12 +129,12 @@ def test_a_page_without_effects_or_without_data_is_one_too(outcome: Outcome, tmp
 
 
 def test_rows_are_the_periods_with_what_was_done_in_them(outcome: Outcome) -> None:
-    misses = misses_of(outcome)
-    assert misses.run.tolist() == [0] * 7 + [1] * 6 and misses.period[7:].tolist() == list(range(6))
+    residuals = misses_of(outcome)
+    assert residuals.run.tolist() == [0] * 7 + [1] * 6 and residuals.period[7:].tolist() == list(range(6))
     swim = outcome.test[0]
     bits = [robot().actions[a].first_mask | robot().actions[a].second_mask for a in swim.action]
-    assert misses.limbs[:7].tolist() == [[mask >> limb & 1 for limb in range(4)] for mask in bits]
-    world, body = misses.missed_world("nominal"), misses.missed_body("nominal")
+    assert residuals.limbs[:7].tolist() == [[mask >> limb & 1 for limb in range(4)] for mask in bits]
+    world, body = residuals.missed_world("nominal"), residuals.missed_body("nominal")
     assert np.hypot(*world[:, :2].T) == pytest.approx(np.hypot(*body[:, :2].T))
     assert np.sqrt((world[:, :2] ** 2).sum(axis=1).mean()) == pytest.approx(
         outcome.tested.before.position_rmse_m

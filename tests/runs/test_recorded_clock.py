@@ -156,7 +156,7 @@ def test_a_run_without_a_clock_changes_nothing_among_good_ones(
     """``identify`` end to end, with few candidates: told and written is what the good runs give."""
     few = [term for term in catalogue(load_robot("frog2022")) if term.title == "steady_current"]
     monkeypatch.setattr(outcome_module, "catalogue", lambda *_: few)
-    monkeypatch.setattr(choice_module, "relatives", lambda _robot: {})
+    monkeypatch.setattr(choice_module, "calibrated_starts", lambda _robot: {})
     good = [frog2022_dir / "control" / f"{name}.csv" for name in ("line1", "sin1")]
     test, bad = (
         frog2022_dir / "control" / "ellipse5.csv",

@@ -47,7 +47,7 @@ def candidates(monkeypatch: pytest.MonkeyPatch) -> None:
         some = [term for term in catalogue(robot()) if term.name == "steady_current"]
         some += [term for term in catalogue(robot()) if "limb_wear rear" in term.title][: few - 1]
         monkeypatch.setattr(outcome_module, "catalogue", lambda *_: some)
-        monkeypatch.setattr(choice_module, "relatives", lambda _robot: {})
+        monkeypatch.setattr(choice_module, "calibrated_starts", lambda _robot: {})
 
 
 @pytest.mark.usefixtures("candidates")

@@ -60,7 +60,7 @@ def outcome(verdict: str, *found: tuple[str, dict[str, tuple[float, float]]]) ->
         verdict=verdict,
         terms=terms,
         parameters=rows,
-        found=SimpleNamespace(alike=[[] for _ in terms]),
+        found=SimpleNamespace(confounded_with=[[] for _ in terms]),
         tested=scored,
         train=[],
     )
@@ -132,7 +132,7 @@ def test_a_stopped_study_goes_on_where_it_was(tmp_path: Path, monkeypatch: pytes
     if few := count(0, 0, 2):
         monkeypatch.setattr(verdicts, "TRAIN", ("sine",))
         monkeypatch.setattr(outcome_module, "catalogue", lambda *_: catalogue(robot())[:few])
-        monkeypatch.setattr(choice_module, "relatives", lambda _robot: {})
+        monkeypatch.setattr(choice_module, "calibrated_starts", lambda _robot: {})
     case = Case("null", 0)
     asked: list[int] = []
 

@@ -37,7 +37,7 @@ def _text(outcome: Outcome) -> str:
             lines.append(f"{name}: {error} RMS a period ahead")
         lines += _beside(outcome)
         lines += [horizon_line(each) for each in outcome.horizons if each.periods > 1]
-        lines.append(str(outcome.signature["text"]))
+        lines.append(str(outcome.diagnostics["text"]))
         lines += [] if outcome.experiment is None else [outcome.experiment.text]
     return "\n".join(lines)
 

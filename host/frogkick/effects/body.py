@@ -2,7 +2,7 @@
 
 They belong together: how much water a body takes along, how it resists and how strongly its limbs push can
 only be told from one another by many runs. A search does not try them one by one; they are fitted to runs
-from the values of a robot that was measured (see frogkick.identification.relatives).
+from the values of a robot that was measured (see frogkick.identification.calibrated).
 """
 
 from __future__ import annotations

@@ -72,7 +72,7 @@ class Identification:
                 term.name,
                 {key: value for key, value in term.table if key not in ("name", "class")},
                 {each.name: each for each in row},
-                tuple(found.alike[index]),
+                tuple(found.confounded_with[index]),
                 found.stability[index],
             )
             for index, (term, row) in enumerate(zip(self.outcome.terms, self.outcome.parameters, strict=True))

@@ -1,4 +1,4 @@
-"""How sure a mean over periods is, and a parameter: bootstrap over runs, or over blocks of periods."""
+"""Block bootstrap: how certain a mean over periods is, and a parameter; and what a search gains by chance."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ FloatArray = NDArray[np.float64]
 CONFIDENCE = 0.95
 
 BLOCK, RESAMPLES, RUNS_ENOUGH = 4, 2000, 8
-"""Bootstrap: periods in a row that stay together, resamples; of so many runs whole ones are drawn instead."""
+"""Consecutive periods in a block, resamples; from RUNS_ENOUGH runs on, whole runs are drawn instead."""
 
 FLIPS = 400
-"""How often the signs of blocks are drawn anew."""
+"""Random sign changes of blocks."""
 
 
 def mean_interval(runs: Sequence[FloatArray], rng: np.random.Generator) -> tuple[float, float]:
-    """Interval of the mean of all values of runs, by bootstrap over runs or over blocks of each.
+    """Interval of the mean of all values of runs, by bootstrap over runs or over blocks of each run.
 
-    A bootstrap of few blocks is too narrow by the bias of a variance and by the tails of Student's t; its
+    A bootstrap of few blocks is too narrow: its variance is biased and it lacks the tails of Student's t. Its
     distances from the mean are widened by both.
     """
     from scipy import stats
@@ -41,7 +41,7 @@ def mean_interval(runs: Sequence[FloatArray], rng: np.random.Generator) -> tuple
 
 
 def _resampled(runs: Sequence[FloatArray], rng: np.random.Generator) -> FloatArray:
-    """(RESAMPLES,) means of values of runs by bootstrap: over runs where these are many, else over blocks.
+    """(RESAMPLES,) bootstrap means: over runs where these are many, else over circular blocks.
 
     Source: Kuensch 1989; Politis, Romano 1992 (circular blocks).
     """
@@ -54,18 +54,18 @@ def _resampled(runs: Sequence[FloatArray], rng: np.random.Generator) -> FloatArr
         size = min(BLOCK, len(run))
         blocks = np.convolve(np.concatenate([run, run[: size - 1]]), np.ones(size), mode="valid")
         count = -(-len(run) // size)
-        # As many values as the run has: the last block counts in part.
+        # As many values as the run has: the last block counts partly.
         totals += blocks[rng.integers(len(run), size=(RESAMPLES, count))].mean(axis=1) * len(run) / size
         whole += len(run)
     return totals / whole
 
 
 def drawn_periods(runs: NDArray[np.int64], rng: np.random.Generator) -> NDArray[np.int64]:
-    """(n,) rows of as many periods, drawn anew with replacement as circular blocks of BLOCK of each run.
+    """(n,) rows of a resample of periods: circular blocks of BLOCK of each run, drawn with replacement.
 
     Args:
-        runs: (n,) the run that each period is of; the periods of one are in their order.
-        rng: draws.
+        runs: (n,) the run that each period belongs to; the periods of a run are in order.
+        rng: generator.
 
     Source: Politis, Romano 1992.
     """
@@ -77,33 +77,33 @@ def drawn_periods(runs: NDArray[np.int64], rng: np.random.Generator) -> NDArray[
     return np.concatenate(drawn)
 
 
-def deviations(
-    missed: FloatArray, jacobian: FloatArray, scale: FloatArray, runs: NDArray[np.int64]
+def standard_errors(
+    residuals: FloatArray, jacobian: FloatArray, scale: FloatArray, runs: NDArray[np.int64]
 ) -> FloatArray:
-    """(p,) standard deviations of parameters at the maximum of the Student-t likelihood.
+    """(p,) standard errors of parameters at the maximum of the Student-t likelihood.
 
-    Each is the larger of two: by the curvature of the log likelihood, and by the bootstrap over BLOCK periods
-    in a row of a run, in closed form for misses that are linear in the parameters: what neighbours share, as
-    a fix that ends one period and begins the next, is counted.
+    Each is the larger of two estimates: by the curvature of the log likelihood, and by the block bootstrap
+    over BLOCK consecutive periods, in closed form (sandwich estimator) for residuals that are linear in the
+    parameters. The latter counts what neighbours share, as a fix that ends one period and begins the next.
 
-    Both are told by a scale matrix that the same periods gave: with n of them and d misses each, its inverse
+    Both use a scale matrix estimated from the same periods: with n of them and d residuals each, its inverse
     is too large by n / (n - d - 1), and what is weighted by it scatters more by (n - 1) / (n - d).
 
     Args:
-        missed: (n, d) what periods missed.
-        jacobian: (n, d, p) of these by the parameters.
+        residuals: (n, d) residuals of periods.
+        jacobian: (n, d, p) derivatives of these by the parameters.
         scale: (p,) typical sizes of the parameters.
-        runs: (n,) the run that each period is of; the periods of one are in their order.
+        runs: (n,) the run that each period belongs to; the periods of a run are in order.
 
     Source: Kuensch 1989 (block bootstrap); Lange, Little, Taylor 1989 (Student-t likelihood); Rao 1967 (least
     squares with an estimated dispersion matrix).
     """
-    count, wide, width = jacobian.shape
+    count, dimensions, width = jacobian.shape
     size = np.maximum(scale, 1e-12)
-    white = whitener(missed)
-    misses, columns = missed @ white, np.einsum("nip,ij->njp", jacobian, white) * size
-    weight, inverse = _at_best(misses, columns)
-    slope = np.einsum("njp,nj->np", columns, misses)
+    white = whitener(residuals)
+    whitened, columns = residuals @ white, np.einsum("nip,ij->njp", jacobian, white) * size
+    weight, inverse = _at_best(whitened, columns)
+    slope = np.einsum("njp,nj->np", columns, whitened)
     score, scatter = weight[:, None] * slope, np.zeros((width, width))
     for run in np.unique(runs):
         own = score[runs == run]
@@ -113,71 +113,73 @@ def deviations(
             beside = own.T @ np.roll(own, -ahead, axis=0)
             scatter += (1.0 - ahead / block) * (beside + beside.T)
     variance = np.maximum(np.diag(inverse), np.diag(inverse @ scatter @ inverse))
-    estimated = count / max(count - wide - 1, 1) * (count - 1) / max(count - wide, 1)
+    estimated = count / max(count - dimensions - 1, 1) * (count - 1) / max(count - dimensions, 1)
     return np.asarray(np.sqrt(variance * estimated) * size)
 
 
-def _at_best(misses: FloatArray, columns: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """(n,) weights of whitened misses, and (p, p) the inverse of the log likelihood's curvature.
+def _at_best(whitened: FloatArray, columns: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """(n,) weights of whitened residuals, and (p, p) the inverse of the log likelihood's curvature.
 
     Args:
-        misses: (n, d) whitened.
-        columns: (n, d, p) of these by the parameters, in typical sizes.
+        whitened: (n, d) whitened.
+        columns: (n, d, p) derivatives of these by the parameters, in typical sizes.
     """
-    wide, width = columns.shape[1:]
-    weight = (DOF + wide) / (DOF + (misses**2).sum(axis=1))
-    slope = np.einsum("njp,nj->np", columns, misses)
+    dimensions, width = columns.shape[1:]
+    weight = (DOF + dimensions) / (DOF + (whitened**2).sum(axis=1))
+    slope = np.einsum("njp,nj->np", columns, whitened)
     squares = np.einsum("njp,njq->npq", columns, columns)
-    bent = np.einsum("n,np,nq->pq", 2.0 * weight**2 / (DOF + wide), slope, slope)
+    bent = np.einsum("n,np,nq->pq", 2.0 * weight**2 / (DOF + dimensions), slope, slope)
     curvature = np.einsum("n,npq->pq", weight, squares) - bent
     values = np.linalg.eigvalsh(curvature)
-    if values[0] < 1e-6 * values[-1]:  # of few periods: the one that is expected
-        curvature = squares.sum(axis=0) * (DOF + wide) / (DOF + wide + 2.0)
-    return weight, np.linalg.pinv(curvature + 1e-9 * misses.size * np.eye(width))
+    if values[0] < 1e-6 * values[-1]:  # of few periods: the expected information
+        curvature = squares.sum(axis=0) * (DOF + dimensions) / (DOF + dimensions + 2.0)
+    return weight, np.linalg.pinv(curvature + 1e-9 * whitened.size * np.eye(width))
 
 
-def moved_by(change: FloatArray, missed: FloatArray, jacobian: FloatArray, scale: FloatArray) -> FloatArray:
-    """(p,) how far a change of what periods missed moves the parameters that fit best, to first order.
+def moved_by(
+    change: FloatArray, residuals: FloatArray, jacobian: FloatArray, scale: FloatArray
+) -> FloatArray:
+    """(p,) shift of the fitted parameters by a change of the residuals, to first order (influence function).
 
     Args:
-        change: (n, d) of ``missed``.
-        missed, jacobian, scale: see ``deviations``.
+        change: (n, d) of ``residuals``.
+        residuals, jacobian, scale: see ``standard_errors``.
     """
     size = np.maximum(scale, 1e-12)
-    white = whitener(missed)
+    white = whitener(residuals)
     columns = np.einsum("nip,ij->njp", jacobian, white) * size
-    misses, moved = missed @ white, change @ white
-    weight, inverse = _at_best(misses, columns)
-    along = np.einsum("n,nj,nj->n", 2.0 * weight**2 / (DOF + missed.shape[1]), misses, moved)
-    pull = weight[:, None] * moved - along[:, None] * misses  # periods that get wilder count less
+    whitened, moved = residuals @ white, change @ white
+    weight, inverse = _at_best(whitened, columns)
+    along = np.einsum("n,nj,nj->n", 2.0 * weight**2 / (DOF + residuals.shape[1]), whitened, moved)
+    pull = weight[:, None] * moved - along[:, None] * whitened  # weights fall as residuals grow
     return np.asarray(-inverse @ np.einsum("njp,nj->p", columns, pull) * size)
 
 
 def gain_by_chance(
-    missed: FloatArray,
+    residuals: FloatArray,
     jacobian: FloatArray,
     candidates: Sequence[FloatArray],
     runs: NDArray[np.int64],
-    price: float,
+    penalty: float,
 ) -> float:
-    """What the best of many effects promises where none is true, in 1 - CONFIDENCE of all cases.
+    """Predicted gain of the best of many candidates if none is true: the CONFIDENCE quantile.
 
-    The signs of what BLOCK periods in a row missed are drawn anew, and each candidate promises the fall of
-    minus twice the log likelihood by its derivatives, less its price: dependence between neighbours, wild
-    periods and the number of candidates are those of the runs themselves.
+    The signs of the residuals of BLOCK consecutive periods are drawn at random, and each candidate's gain is
+    predicted by its derivatives, less its penalty (wild bootstrap). Dependence between neighbours, outliers
+    and the number of candidates are those of the runs themselves.
 
     Args:
-        missed: (n, d) what a model left that explains what there is.
-        jacobian: (n, d, q) of these by its own parameters, which stay free.
-        candidates: (n, d, p) of these by each candidate's parameters.
-        runs: (n,) the run that each period is of; the periods of one are in their order.
-        price: of each parameter.
+        residuals: (n, d) residuals of the model that is compared with.
+        jacobian: (n, d, q) derivatives of these by its own parameters, which stay free.
+        candidates: (n, d, p) derivatives of these by each candidate's parameters.
+        runs: (n,) the run that each period belongs to; the periods of a run are in order.
+        penalty: penalty of each parameter.
 
-    Source: Freedman, Lane 1983 (residuals under the model that is held against); Wu 1986 (drawn signs);
-    Bartlett 1938 (the likelihood of few rows).
+    Source: Freedman, Lane 1983 (residuals under the reduced model); Wu 1986 (wild bootstrap); Bartlett 1938
+    (correction for few rows).
     """
-    white = whitener(missed)
-    rows = missed @ white
+    white = whitener(residuals)
+    rows = residuals @ white
     weight = np.sqrt((DOF + rows.shape[1]) / (DOF + (rows**2).sum(axis=1)))
     first = np.searchsorted(runs, runs)  # of each period's run
     block = np.unique(np.stack([runs, (np.arange(len(runs)) - first) // BLOCK]), axis=1, return_inverse=True)[
@@ -186,15 +188,18 @@ def gain_by_chance(
 
     def weighed(columns: FloatArray) -> FloatArray:
         whole = np.einsum("nip,ij->njp", columns, white) * weight[:, None, None]
-        return np.asarray(whole.reshape(missed.size, -1))
+        return np.asarray(whole.reshape(residuals.size, -1))
 
-    # A likelihood whose weights and scale are fitted as well falls further than its quadratic form.
-    count, wide = missed.shape
+    # The deviance falls further than its quadratic form where weights and scale are fitted as well.
+    count, dimensions = residuals.shape
     further = (
-        (DOF + wide + 2.0) / (DOF + wide) * count / max(count - 0.5 * (wide + 1) - jacobian.shape[2], 1.0)
+        (DOF + dimensions + 2.0)
+        / (DOF + dimensions)
+        * count
+        / max(count - 0.5 * (dimensions + 1) - jacobian.shape[2], 1.0)
     )
     own = np.linalg.qr(weighed(jacobian))[0]
-    left, label = (rows * weight[:, None]).ravel(), np.repeat(block.ravel(), missed.shape[1])
+    left, label = (rows * weight[:, None]).ravel(), np.repeat(block.ravel(), residuals.shape[1])
     signs = np.random.default_rng(0).choice([-1.0, 1.0], (FLIPS, int(label.max()) + 1))
     best = np.zeros(FLIPS)
     for candidate in candidates:
@@ -203,5 +208,5 @@ def gain_by_chance(
         basis, sizes, _ = np.linalg.svd(columns, full_matrices=False)
         basis = basis[:, sizes > 1e-6 * max(sizes[0], 1e-300)]
         slopes = np.stack([np.bincount(label, basis[:, k] * left) for k in range(basis.shape[1])], axis=1)
-        best = np.maximum(best, further * ((signs @ slopes) ** 2).sum(axis=1) - price * basis.shape[1])
+        best = np.maximum(best, further * ((signs @ slopes) ** 2).sum(axis=1) - penalty * basis.shape[1])
     return float(np.quantile(best, CONFIDENCE))

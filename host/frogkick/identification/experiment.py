@@ -1,11 +1,12 @@
-"""What to record next: a short row of actions after which two models that do as well so far no longer do.
+"""What to record next: optimal experiment design for the discrimination of two models.
 
-Two models answer the runs at hand alike: the one found with another effect in its place, or with a parameter
-at either end of its interval, all others as the runs then have them. From rest both swim side by side, every
-action is tried after every row kept, and the rows are kept whose periods the two predict most apart, in units
-of what periods are missed by anyway. As with runs, the second one is put where the first one is when a period
-begins, so that each period counts by itself. What is told of the best row is then measured as identification
-would see it: the first model's fixes, followed by both.
+Two models explain the runs equally well: the one found, and the one with a confounded effect in its place, or
+with a parameter at either end of its interval and all others refitted. From rest both are simulated side by
+side. A beam search over sequences of actions keeps the sequences whose periods the two models predict
+farthest apart, in units of the residuals' scale (the T-optimality of Atkinson, Fedorov 1975). As with runs,
+the second robot is put to the first one's pose when a period begins, so that each period counts by itself.
+The separation that is reported for the best sequence is then computed as identification would see it: both
+models are rolled out on the first one's fixes.
 """
 
 from __future__ import annotations
@@ -18,42 +19,42 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from frogkick.identification.fit import Model, misses, tracks_of
-from frogkick.identification.polish import held_at
-from frogkick.identification.predict import WILD
+from frogkick.identification.fit import Model, residuals_of, rollouts_of
+from frogkick.identification.paired import ActionSequence, Side, extend, segments_of_sequence
+from frogkick.identification.penalty import CONFOUNDED_MARGIN
+from frogkick.identification.predict import CLIP_SIGMA
+from frogkick.identification.refine import fixed_at
 from frogkick.identification.search import Found
 from frogkick.identification.segments import Segments
-from frogkick.identification.side_by_side import Row, Side, grow, segments_of_row
 from frogkick.identification.steps import whitener
 from frogkick.identification.terms import Term
 from frogkick.identification.verdict import Interval
-from frogkick.identification.worth import ALIKE
 from frogkick.robot import in_a_row
 
 FloatArray = NDArray[np.float64]
 
 PERIODS = 10
-"""Of a planned row."""
+"""Periods of a planned sequence."""
 
-KEPT = 3
-"""Rows that are gone on with."""
+BEAM_WIDTH = 3
+"""Width of the beam: sequences that are extended."""
 
 WIDE = 0.5
-"""An interval that covers so much of a parameter's bounds asks for an experiment."""
+"""An interval that covers this share of a parameter's bounds calls for an experiment."""
 
-QUESTIONS = 2
-"""That are planned for at most, of those that there are: each costs some seconds."""
+PAIRS_MAX = 2
+"""Pairs that are planned for at most: each costs some seconds."""
 
-TELLS_SIGMA = math.sqrt(ALIKE) + 1.0
-"""From so far apart, one row decides: a search takes models for alike up to ALIKE."""
+DECISIVE_SIGMA = math.sqrt(CONFOUNDED_MARGIN) + 1.0
+"""From this separation on, one recording is decisive: models are confounded up to CONFOUNDED_MARGIN."""
 
 POOL_M = 0.6
-"""Side of the square that a row stays in, about the middle of the runs, where these went no further."""
+"""Side of the square that a sequence stays in, about the middle of the runs, unless these went further."""
 
 
 @dataclass(frozen=True, eq=False)
-class Question:
-    """Two models that the runs do not tell apart, and what to call them."""
+class ModelPair:
+    """Two models that the runs do not discriminate, and their names."""
 
     between: tuple[str, str]
     models: tuple[Model, Model]
@@ -61,13 +62,13 @@ class Question:
 
 @dataclass(frozen=True, eq=False)
 class Experiment:
-    """A row of actions from rest.
+    """A sequence of actions from rest.
 
     Attributes:
-        between: what it tells apart.
+        between: names of the two models.
         actions: their names.
-        start: pose (world: m, m, rad) that it was planned from.
-        separation_sigma: how far apart both predict its periods, whitened: root of the sum of squares.
+        start: pose (world: m, m, rad) that it starts from.
+        separation_sigma: distance between both predictions of its periods: norm of the whitened difference.
     """
 
     between: tuple[str, str]
@@ -76,35 +77,39 @@ class Experiment:
     separation_sigma: float
 
     @property
-    def tells(self) -> bool:
-        """Recorded once, it decides."""
-        return self.separation_sigma >= TELLS_SIGMA
+    def decisive(self) -> bool:
+        """Whether one recording discriminates the two models."""
+        return self.separation_sigma >= DECISIVE_SIGMA
 
     @property
-    def row(self) -> str:
-        """Its actions in a row."""
+    def sequence(self) -> str:
+        """Its actions as text."""
         return in_a_row(self.actions)
 
     @property
     def text(self) -> str:
-        """What to do, in words."""
+        """What to record, in words."""
         one, other = self.between
         apart = f"{len(self.actions)} periods, {self.separation_sigma:.1f} sigma apart"
-        if self.tells:
-            return f"to tell {one} from {other}, record from rest: {self.row} ({apart})"
-        times = math.ceil((TELLS_SIGMA / max(self.separation_sigma, 1e-3)) ** 2)
+        if self.decisive:
+            return f"to tell {one} from {other}, record from rest: {self.sequence} ({apart})"
+        times = math.ceil((DECISIVE_SIGMA / max(self.separation_sigma, 1e-3)) ** 2)
         if times <= PERIODS:
-            return f"to tell {one} from {other}, record {times} times from rest: {self.row} ({apart} each)"
-        return f"no row of these actions from rest tells {one} from {other} (at best {self.row}: {apart})"
+            return (
+                f"to tell {one} from {other}, record {times} times from rest: {self.sequence} ({apart} each)"
+            )
+        return (
+            f"no row of these actions from rest tells {one} from {other} (at best {self.sequence}: {apart})"
+        )
 
     def as_json(self) -> dict[str, Any]:
         """The key of the command."""
         return {
             "between": list(self.between),
-            "actions": self.row,
+            "actions": self.sequence,
             "periods": len(self.actions),
             "separation_sigma": self.separation_sigma,
-            "tells": self.tells,
+            "tells": self.decisive,
             "text": self.text,
         }
 
@@ -112,57 +117,57 @@ class Experiment:
 def experiment_of(
     found: Found, parameters: Sequence[Sequence[Interval]], swims: Sequence[Segments], periods: int = PERIODS
 ) -> Experiment | None:
-    """The experiment that settles most of what a search left open; None where nothing is open.
+    """The experiment that discriminates best what a search left open; None where nothing is open.
 
     Args:
-        found: by the search.
+        found: result of the search.
         parameters: intervals of its effects' parameters.
-        swims: the runs; a row starts where the first of them did and stays where they went.
+        swims: the runs; a sequence starts where the first of them did and stays where they went.
         periods: see ``plan``.
     """
-    white = whitener(found.fitted.missed)
+    white = whitener(found.fitted.residuals)
     first = swims[0]
     start = first.pose[np.searchsorted(first.time_s, first.begin_s)]
     pool = pool_of(swims)
     best: Experiment | None = None
-    for question in questions(found, parameters)[:QUESTIONS]:
-        told = plan(question, white, start, pool, periods)
-        if best is None or told.separation_sigma > best.separation_sigma:
-            best = told
-        if best.tells:
+    for pair in open_pairs(found, parameters)[:PAIRS_MAX]:
+        planned = plan(pair, white, start, pool, periods)
+        if best is None or planned.separation_sigma > best.separation_sigma:
+            best = planned
+        if best.decisive:
             break
     return best
 
 
-def questions(found: Found, parameters: Sequence[Sequence[Interval]]) -> list[Question]:
-    """What is open: effects that others do as well as, then parameters, the least known first."""
-    model, open_ones = found.fitted.model, list[Question]()
+def open_pairs(found: Found, parameters: Sequence[Sequence[Interval]]) -> list[ModelPair]:
+    """Pairs of models to discriminate: confounded effects, then parameters, the widest interval first."""
+    model, pairs = found.fitted.model, list[ModelPair]()
     for place, others in enumerate(found.rivals):
         for other in others:
             terms = (*model.terms[:place], other, *model.terms[place + 1 :])
             names = (model.terms[place].title, other.title)
-            open_ones.append(Question(names, (model, replace(model, terms=terms, held=frozenset()))))
-    wide: list[tuple[float, Question]] = []
+            pairs.append(ModelPair(names, (model, replace(model, terms=terms, fixed=frozenset()))))
+    wide: list[tuple[float, ModelPair]] = []
     first = 0
-    for term, row in zip(model.terms, parameters, strict=True):
-        for k, (parameter, interval) in enumerate(zip(term.parameters, row, strict=True)):
+    for term, sequence in zip(model.terms, parameters, strict=True):
+        for k, (parameter, interval) in enumerate(zip(term.parameters, sequence, strict=True)):
             share = (interval.high - interval.low) / (parameter.high - parameter.low)
             if share >= WIDE:
                 wide.append((share, _ends(found, term, first + k, interval)))
         first += len(term.values)
     wide.sort(key=lambda each: -each[0])
-    return open_ones + [question for _, question in wide]
+    return pairs + [pair for _, pair in wide]
 
 
-def _ends(found: Found, term: Term, k: int, interval: Interval) -> Question:
-    """A parameter at either end of its interval, the others as the runs then have them."""
-    low, high = (held_at(found.fitted, k, end) for end in (interval.low, interval.high))
+def _ends(found: Found, term: Term, k: int, interval: Interval) -> ModelPair:
+    """A parameter at either end of its interval, the others refitted."""
+    low, high = (fixed_at(found.fitted, k, end) for end in (interval.low, interval.high))
     names = [f"{term.title} {interval.name} {end:.3g}" for end in (interval.low, interval.high)]
-    return Question((names[0], names[1]), (low, high))
+    return ModelPair((names[0], names[1]), (low, high))
 
 
 def pool_of(swims: Sequence[Segments]) -> FloatArray:
-    """(2, 2) low and high corner of where a row may go: a square about where runs went."""
+    """(2, 2) low and high corner of the square that a sequence must stay in."""
     every = np.concatenate([swim.pose[:, :2] for swim in swims])
     low, high = every.min(axis=0), every.max(axis=0)
     half = max(POOL_M, float((high - low).max())) / 2.0
@@ -170,53 +175,57 @@ def pool_of(swims: Sequence[Segments]) -> FloatArray:
 
 
 def plan(
-    question: Question, white: FloatArray, start: FloatArray, pool: FloatArray, periods: int = PERIODS
+    pair: ModelPair, white: FloatArray, start: FloatArray, pool: FloatArray, periods: int = PERIODS
 ) -> Experiment:
-    """The row of actions that tells two models apart best, as far as a search that keeps KEPT rows sees.
+    """The sequence of actions that discriminates two models best, by beam search.
 
     Args:
-        question: the models.
-        white: (9, 9) that makes what a period is missed by (Track.missed) of size one.
-        start: (3,) pose, as a camera shows it, at which the robot rests.
+        pair: the models.
+        white: (9, 9) whitening matrix of residuals (Rollout.residuals).
+        start: (3,) pose of the robot at rest, as the camera shows it.
         pool: (2, 2) see ``pool_of``.
-        periods: how many actions at most; fewer where all others leave the pool.
+        periods: actions at most; fewer where all further ones leave the pool.
     """
-    robot = question.models[0].robot
-    sides = [Side(model) for model in question.models]
-    rows = [Row((), 0.0, tuple(side.at_rest(start) for side in sides), ())]
+    robot = pair.models[0].robot
+    sides = [Side(model) for model in pair.models]
+    sequences = [ActionSequence((), 0.0, tuple(side.at_rest(start) for side in sides), ())]
     for _ in range(periods):
-        reached = [row for row in grow(rows, sides, white, robot) if _is_inside(row.told[-1], pool)]
+        reached = [
+            sequence
+            for sequence in extend(sequences, sides, white, robot)
+            if _is_inside(sequence.shown[-1], pool)
+        ]
         if not reached:
             break
-        rows = sorted(reached, key=lambda row: -row.square)[:KEPT]
-    best = rows[0]
+        sequences = sorted(reached, key=lambda sequence: -sequence.distance2)[:BEAM_WIDTH]
+    best = sequences[0]
     names = tuple(robot.actions[index].name for index in best.actions)
     at = (float(start[0]), float(start[1]), float(start[2]))
     return Experiment(
-        question.between, names, at, _separation(question, white, segments_of_row(robot, best, start))
+        pair.between, names, at, _separation(pair, white, segments_of_sequence(robot, best, start))
     )
 
 
-def separation(question: Question, white: FloatArray, start: FloatArray, actions: Sequence[int]) -> float:
-    """How far apart two models predict the periods of a given row; see Experiment.separation_sigma."""
-    robot = question.models[0].robot
-    sides = [Side(model) for model in question.models]
-    row = Row((), 0.0, tuple(side.at_rest(start) for side in sides), ())
+def separation(pair: ModelPair, white: FloatArray, start: FloatArray, actions: Sequence[int]) -> float:
+    """Separation of two models on a given sequence; see Experiment.separation_sigma."""
+    robot = pair.models[0].robot
+    sides = [Side(model) for model in pair.models]
+    sequence = ActionSequence((), 0.0, tuple(side.at_rest(start) for side in sides), ())
     for action in actions:
-        (row,) = grow([row], sides, white, robot, [action])
-    return _separation(question, white, segments_of_row(robot, row, start))
+        (sequence,) = extend([sequence], sides, white, robot, [action])
+    return _separation(pair, white, segments_of_sequence(robot, sequence, start))
 
 
 def _is_inside(shown: FloatArray, pool: FloatArray) -> bool:
     return bool(((shown[:, :2] >= pool[0]) & (shown[:, :2] <= pool[1])).all())
 
 
-def _separation(question: Question, white: FloatArray, swim: Segments) -> float:
+def _separation(pair: ModelPair, white: FloatArray, swim: Segments) -> float:
     if not len(swim.start_s):
         return 0.0
     one, other = (
-        misses(tracks, np.ones(len(swim.start_s), dtype=bool))
-        for tracks in tracks_of(question.models, [swim])
+        residuals_of(rollouts, np.ones(len(swim.start_s), dtype=bool))
+        for rollouts in rollouts_of(pair.models, [swim])
     )
-    apart = np.clip((other - one) @ white, -WILD, WILD)
+    apart = np.clip((other - one) @ white, -CLIP_SIGMA, CLIP_SIGMA)
     return float(np.sqrt((apart**2).sum()))

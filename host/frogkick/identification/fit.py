@@ -1,4 +1,9 @@
-"""Fit effects' parameters to runs: damped Gauss-Newton on whitened innovations, derivatives by batches."""
+"""Fit effects' parameters to runs: damped Gauss-Newton (Levenberg 1944, Marquardt 1963) on whitened
+residuals.
+
+Derivatives are finite differences, simulated in batches. Only steps are simulated each time; a Jacobian is
+refreshed where its prediction was wrong.
+"""
 
 from __future__ import annotations
 
@@ -10,35 +15,35 @@ from numpy.typing import NDArray
 
 from frogkick.effects.acting import LEG_S
 from frogkick.effects.registry import effects_of
-from frogkick.identification.filter import Noise, likeliest
-from frogkick.identification.predict import PARTS, STEP_S, Lane, Track
+from frogkick.identification.batching import roll_out
+from frogkick.identification.filter import Noise, maximum_likelihood_noise
+from frogkick.identification.predict import PHASES, STEP_S, Lane, Rollout
 from frogkick.identification.segments import Segments
-from frogkick.identification.steps import CLOSE, cost_of, promised
+from frogkick.identification.steps import CONVERGED, deviance_of, linearised_optimum
 from frogkick.identification.terms import Term
-from frogkick.identification.together import follow
 from frogkick.robot import Robot
 
 FloatArray = NDArray[np.float64]
 
 STEP_SHARE = 0.05
-"""Of a parameter's range: the step of its finite difference, where it names none."""
+"""Share of a parameter's range: the step of its finite difference, where it names none."""
 
 
 SEGMENTS = 6
-"""Of a frame's edge where it is coarse: its robot turns 0.2 degrees off, at twice the speed."""
+"""Segments of a coarsened frame's edge: turns are off by 0.2 degrees, at twice the speed."""
 
 
 @dataclass(frozen=True, eq=False)
 class Model:
-    """A robot with effects, and what else moves it.
+    """A robot with effects and noise.
 
     Attributes:
-        robot: nominal; effects of its own file act too.
-        terms: what it lacks.
-        noise: of the fixes and of what is not modelled.
-        leg_s: how often flows and wrenches are asked.
+        robot: nominal; the effects in its own file act too.
+        terms: the effects added to it.
+        noise: measurement and process noise.
+        leg_s: how often flows and wrenches are evaluated.
         step_s: finest time step.
-        held: which of the values, counted in a row, a fit leaves as they are.
+        fixed: indices into ``values``: parameters that a fit does not change.
     """
 
     robot: Robot
@@ -46,15 +51,15 @@ class Model:
     noise: Noise
     leg_s: float = LEG_S
     step_s: float = STEP_S
-    held: frozenset[int] = frozenset()
+    fixed: frozenset[int] = frozenset()
 
     def lane(self, swim: Segments) -> Lane:
-        """This model on a run, its limbs' strokes as they are at the run's own period."""
+        """This model on a run, with the strokes that its limbs have at the run's own period."""
         effects = (*effects_of(self.robot), *(term.effect() for term in self.terms))
         return Lane(swim, self.robot.at_period(swim.period_s), effects, self.noise, self.leg_s, self.step_s)
 
     def with_values(self, values: FloatArray) -> Model:
-        """The same with other values of all terms, in a row."""
+        """The same with other values of all terms, concatenated."""
         terms, first = [], 0
         for term in self.terms:
             terms.append(term.at(values[first : first + len(term.values)]))
@@ -63,12 +68,12 @@ class Model:
 
     @property
     def values(self) -> FloatArray:
-        """Of all terms, in a row."""
+        """Parameters of all terms, concatenated."""
         return np.array([value for term in self.terms for value in term.values], dtype=np.float64)
 
     @property
     def bounds(self) -> tuple[FloatArray, FloatArray]:
-        """Of these."""
+        """Lower and upper bounds of the values."""
         parameters = [p for term in self.terms for p in term.parameters]
         return np.array([p.low for p in parameters]), np.array([p.high for p in parameters])
 
@@ -79,42 +84,47 @@ class Model:
         return np.asarray(high - low, dtype=np.float64)
 
 
-def coarse(robot: Robot) -> Robot:
-    """The robot with a frame of fewer pieces: for what changes with parameters, not for how well it fits."""
+def coarsened(robot: Robot) -> Robot:
+    """The robot with a frame of fewer segments: for derivatives, not for residuals."""
     frame = robot.frame
     segments = tuple(min(count, SEGMENTS) for count in frame.segments)
     return replace(robot, frame=replace(frame, segments=segments))
 
 
-def tracks_of(models: Sequence[Model], swims: Sequence[Segments]) -> list[list[Track]]:
-    """Follow all runs with all models: a list of tracks for each model."""
-    tracks = follow([model.lane(swim) for model in models for swim in swims])
-    return [tracks[i : i + len(swims)] for i in range(0, len(tracks), max(len(swims), 1))]
+def rollouts_of(models: Sequence[Model], swims: Sequence[Segments]) -> list[list[Rollout]]:
+    """Roll out all models on all runs: a list of rollouts for each model."""
+    rollouts = roll_out([model.lane(swim) for model in models for swim in swims])
+    return [rollouts[i : i + len(swims)] for i in range(0, len(rollouts), max(len(swims), 1))]
 
 
-def misses(tracks: Sequence[Track], rows: NDArray[np.bool_] | None = None) -> FloatArray:
-    """(n, 9) what the predictions of all periods missed; see Track.missed.
+def residuals_of(rollouts: Sequence[Rollout], rows: NDArray[np.bool_] | None = None) -> FloatArray:
+    """(n, 9) residuals of all periods; see Rollout.residuals.
 
     Args:
-        tracks: of all runs.
-        rows: which of all their periods; by default those whose parts all have fixes.
+        rollouts: of all runs.
+        rows: which of all their periods; by default those with fixes in every phase.
     """
     every = np.concatenate(
-        [np.full_like(track.missed, np.nan) if track.failed else track.missed for track in tracks]
+        [
+            np.full_like(rollout.residuals, np.nan) if rollout.failed else rollout.residuals
+            for rollout in rollouts
+        ]
     )
     if rows is None:
         return np.asarray(every[np.isfinite(every).all(axis=1)])
-    return np.where(np.isfinite(every[rows]), every[rows], LOST[None, :])
+    return np.where(np.isfinite(every[rows]), every[rows], DIVERGED[None, :])
 
 
-LOST = np.tile([0.1, 0.1, 1.0], len(PARTS))
-"""Counted as missed where a simulation failed: m, m, rad."""
+DIVERGED = np.tile([0.1, 0.1, 1.0], len(PHASES))
+"""Residual of a simulation that diverged: m, m, rad."""
 
 
-def renoised(model: Model, tracks: Sequence[Track], swims: Sequence[Segments]) -> Model:
-    """The same with the noise under which these tracks are likeliest."""
-    series = [track.series(swim) for track, swim in zip(tracks, swims, strict=True) if not track.failed]
-    return replace(model, noise=likeliest(series)) if series else model
+def reestimated_noise(model: Model, rollouts: Sequence[Rollout], swims: Sequence[Segments]) -> Model:
+    """The same with the maximum-likelihood noise of these rollouts."""
+    series = [
+        rollout.series(swim) for rollout, swim in zip(rollouts, swims, strict=True) if not rollout.failed
+    ]
+    return replace(model, noise=maximum_likelihood_noise(series)) if series else model
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,27 +132,27 @@ class Fitted:
     """A model fitted to runs.
 
     Attributes:
-        model: with the values found.
-        tracks: of the runs.
-        missed: (n, 9) of the periods that count.
-        jacobian: (n, 9, p) of these by the parameters.
-        cost: minus twice the log likelihood.
-        fresh: the derivatives are of these values and this noise; else of some that are not far.
+        model: at the fitted values.
+        rollouts: of the runs.
+        residuals: (n, 9) of the periods that are used.
+        jacobian: (n, 9, p) derivatives of the residuals by the parameters.
+        deviance: minus twice the log likelihood of the residuals.
+        fresh: the Jacobian is of these values and this noise; else it is of an earlier point.
     """
 
     model: Model
-    tracks: list[Track]
-    missed: FloatArray
+    rollouts: list[Rollout]
+    residuals: FloatArray
     jacobian: FloatArray
-    cost: float
+    deviance: float
     fresh: bool = True
 
 
-def steps_of(model: Model) -> FloatArray:
-    """(p,) steps for finite differences, turned around where they would leave the bounds.
+def difference_steps(model: Model) -> FloatArray:
+    """(p,) steps of finite differences, reversed where they would leave the bounds.
 
-    The long step that a parameter may ask for is for where its effect vanishes; elsewhere it would pass over
-    what a fit is about to find.
+    A parameter may declare a long step. It is for the point where its effect vanishes; elsewhere it would
+    step over what a fit is about to find.
     """
     low, high = model.bounds
     flat = [p for term in model.terms for p in term.parameters]
@@ -158,91 +168,92 @@ def derivatives(
     swims: Sequence[Segments],
     rows: NDArray[np.bool_],
     known: FloatArray | None = None,
-    held: bool = True,
+    fixed: bool = True,
 ) -> list[Fitted]:
-    """Models as they are, with derivatives by their parameters; all are simulated side by side.
+    """Evaluate models with their Jacobians, all simulated in one batch.
 
     Args:
-        models: at their values.
+        models: at the values to evaluate.
         swims, rows: see ``fit``.
-        known: (n, 9, q) derivatives by the first q parameters of every model, which are taken as they are.
-        held: also by those that are held: a fit has no need of these, and they are nought without.
+        known: (n, 9, q) derivatives by the first q parameters of every model, which are not simulated again.
+        fixed: also differentiate by fixed parameters; a fit does not need these, and they are zero without.
     """
     skipped = 0 if known is None else known.shape[2]
     lanes, steps = [], []
     for model in models:
-        step = steps_of(model)
+        step = difference_steps(model)
         steps.append(step)
         lanes.append(model)
-        for k in _told(model, skipped, held):
+        for k in _differentiated(model, skipped, fixed):
             moved = model.values
             moved[k] += step[k]
             lanes.append(model.with_values(moved))
-    every = iter(tracks_of(lanes, swims))
+    every = iter(rollouts_of(lanes, swims))
     found = []
     for model, step in zip(models, steps, strict=True):
-        tracks = next(every)
-        base = misses(tracks, rows)
+        rollouts = next(every)
+        base = residuals_of(rollouts, rows)
         new = np.zeros((*base.shape, len(step) - skipped))
-        for k in _told(model, skipped, held):
-            new[:, :, k - skipped] = (misses(next(every), rows) - base) / step[k]
+        for k in _differentiated(model, skipped, fixed):
+            new[:, :, k - skipped] = (residuals_of(next(every), rows) - base) / step[k]
         jacobian = new if known is None else np.concatenate([known, new], axis=2)
-        found.append(Fitted(model, tracks, base, jacobian, cost_of(base)))
+        found.append(Fitted(model, rollouts, base, jacobian, deviance_of(base)))
     return found
 
 
-def _told(model: Model, skipped: int, held: bool) -> list[int]:
-    """Parameters of a model whose derivatives are simulated."""
-    return [k for k in range(skipped, len(model.values)) if held or k not in model.held]
+def _differentiated(model: Model, skipped: int, fixed: bool) -> list[int]:
+    """Indices of the parameters whose derivatives are simulated."""
+    return [k for k in range(skipped, len(model.values)) if fixed or k not in model.fixed]
 
 
-DAMPINGS, SHARES = (1e-6, 1e-1, 30.0), (1.0, 0.4, 0.1)
-"""Of a step that has failed so many times: damping in units of a parameter's range, for what the runs hardly
-show; and a part of the step, for what they show sharply and unevenly, such as the push of a wall."""
+DAMPINGS, STEP_SHARES = (1e-6, 1e-1, 30.0), (1.0, 0.4, 0.1)
+"""For a step that failed k times: damping in units of a parameter's range, for what the runs hardly
+determine; and the share of the step that is taken, for what acts strongly and unevenly, such as the push of a
+wall."""
 
-SURPRISE = 0.2
-"""Derivatives are simulated anew where a step gains another share more or less than they promised."""
+MISPREDICTION_MAX = 0.2
+"""The Jacobian is refreshed where a step's gain differs by more than this share from the predicted one."""
 
 STALE_GAIN = 4.0
-"""Or where a step by those of an earlier point still gains as much: had they held, the step before had been
-the last."""
+"""Or where a step by the Jacobian of an earlier point still gains this much: with a good one the step before
+had been the last."""
 
 
-def begun_at(
+def evaluate(
     models: Sequence[Model],
     jacobians: Sequence[FloatArray],
     swims: Sequence[Segments],
     rows: NDArray[np.bool_],
 ) -> list[Fitted]:
-    """Models simulated as they are; derivatives are taken from where those of others are near."""
+    """Evaluate models by simulation; their Jacobians are those of a nearby point."""
     found = []
-    for model, jacobian, tracks in zip(models, jacobians, tracks_of(models, swims), strict=True):
-        missed = misses(tracks, rows)
-        found.append(Fitted(model, tracks, missed, jacobian, cost_of(missed), fresh=False))
+    for model, jacobian, rollouts in zip(models, jacobians, rollouts_of(models, swims), strict=True):
+        residuals = residuals_of(rollouts, rows)
+        found.append(Fitted(model, rollouts, residuals, jacobian, deviance_of(residuals), fresh=False))
     return found
 
 
-def told(
+def refresh_jacobian(
     fits: Sequence[Fitted],
     swims: Sequence[Segments],
     rows: NDArray[np.bool_],
     skipped: int = 0,
-    held: bool = True,
+    fixed: bool = True,
 ) -> list[Fitted]:
-    """The same with derivatives of their values, where they are simulated already only those that lack.
+    """Refresh Jacobians at the present values; columns that are up to date are not simulated again.
 
     Args:
-        fits: as they are.
+        fits: the fits to refresh.
         swims, rows: see ``fit``.
-        skipped: so many first parameters keep their derivatives.
-        held: see ``derivatives``.
+        skipped: the first so many parameters keep their derivatives.
+        fixed: see ``derivatives``.
     """
     lanes, wanted = [], []
     for fitted in fits:
-        step = steps_of(fitted.model)
+        step = difference_steps(fitted.model)
         some = [
             k
-            for k in _told(fitted.model, skipped, held)
+            for k in _differentiated(fitted.model, skipped, fixed)
             if not fitted.fresh or not fitted.jacobian[:, :, k].any()
         ]
         wanted.append([(k, float(step[k])) for k in some])
@@ -250,103 +261,107 @@ def told(
             moved = fitted.model.values
             moved[k] += step[k]
             lanes.append(fitted.model.with_values(moved))
-    every, found = iter(tracks_of(lanes, swims)), []
+    every, found = iter(rollouts_of(lanes, swims)), []
     for fitted, columns in zip(fits, wanted, strict=True):
         jacobian = fitted.jacobian.copy()
         for k, step_k in columns:
-            jacobian[:, :, k] = (misses(next(every), rows) - fitted.missed) / step_k
+            jacobian[:, :, k] = (residuals_of(next(every), rows) - fitted.residuals) / step_k
         found.append(replace(fitted, jacobian=jacobian, fresh=True))
     return found
 
 
-def fit(model: Model, swims: Sequence[Segments], rows: NDArray[np.bool_], rounds: int = 6) -> Fitted:
-    """Fit all parameters of a model's terms to runs, at its noise.
+def fit(model: Model, swims: Sequence[Segments], rows: NDArray[np.bool_], steps_max: int = 6) -> Fitted:
+    """Fit all free parameters of a model's terms to runs, at its noise.
 
     Args:
         model: where to start.
         swims: the runs.
-        rows: periods that count.
-        rounds: steps tried at most.
+        rows: periods that are used.
+        steps_max: steps at most.
     """
-    return fit_many([model], swims, rows, rounds)[0]
+    return fit_many([model], swims, rows, steps_max)[0]
 
 
 def fit_many(
     models: Sequence[Model],
     swims: Sequence[Segments],
     rows: NDArray[np.bool_],
-    rounds: int,
+    steps_max: int,
     known: FloatArray | None = None,
-    close: float = CLOSE,
+    tolerance: float = CONVERGED,
 ) -> list[Fitted]:
-    """Fit several models side by side; see ``fit`` and ``derivatives``, here without those held."""
-    begun = derivatives(models, swims, rows, known, held=False)
-    return fit_on(begun, swims, rows, rounds, 0 if known is None else known.shape[2], close)
+    """Fit several models in one batch; see ``fit`` and ``derivatives``, here without fixed parameters."""
+    start_fits = derivatives(models, swims, rows, known, fixed=False)
+    return fit_on(start_fits, swims, rows, steps_max, 0 if known is None else known.shape[2], tolerance)
 
 
 def fit_on(
-    begun: Sequence[Fitted],
+    start_fits: Sequence[Fitted],
     swims: Sequence[Segments],
     rows: NDArray[np.bool_],
-    rounds: int,
+    steps_max: int,
     skipped: int = 0,
-    close: float = CLOSE,
+    tolerance: float = CONVERGED,
 ) -> list[Fitted]:
-    """Fit several models side by side from where they stand with the derivatives that they have.
+    """Fit several models in one batch from evaluated starts with the Jacobians that they have.
 
-    Only steps are simulated, side by side; derivatives are again where they have misled: a step gained much
-    less or more than they promised, or lost; or they were of an earlier point and it still gained much.
+    Only steps are simulated. A Jacobian is refreshed where it mispredicted: a step gained much less or more
+    than the linearised optimum, or lost; or it was of an earlier point and the step still gained much.
 
     Args:
-        begun: where to start.
-        swims, rows, rounds: see ``fit``.
-        skipped: so many first parameters keep their derivatives.
-        close: a fall of the cost that ends a fit.
+        start_fits: where to start.
+        swims, rows, steps_max: see ``fit``.
+        skipped: the first so many parameters keep their derivatives.
+        tolerance: a fall of the deviance that ends a fit.
     """
-    best = list(begun)
+    best = list(start_fits)
     failed = [0 if len(each.model.values) else len(DAMPINGS) for each in best]
-    for turn in range(rounds):
+    for turn in range(steps_max):
         going = [k for k in range(len(best)) if failed[k] < len(DAMPINGS)]
         if not going:
             break
-        tries = [_stepped(best[k], failed[k]) for k in going]
+        tries = [_damped_step(best[k], failed[k]) for k in going]
         jacobians = [best[k].jacobian for k in going]
-        misled = []
-        ends = begun_at([model for model, _ in tries], jacobians, swims, rows)
-        for k, (_, cost), tried in zip(going, tries, ends, strict=True):
-            gain, promise, fresh = best[k].cost - tried.cost, best[k].cost - cost, best[k].fresh
-            let_down = abs(gain - promise) > max(SURPRISE * promise, close)
+        stale = []
+        ends = evaluate([model for model, _ in tries], jacobians, swims, rows)
+        for k, (_, deviance), tried in zip(going, tries, ends, strict=True):
+            gain, predicted, fresh = (
+                best[k].deviance - tried.deviance,
+                best[k].deviance - deviance,
+                best[k].fresh,
+            )
+            mispredicted = abs(gain - predicted) > max(MISPREDICTION_MAX * predicted, tolerance)
             if gain > 0.0:
                 best[k] = tried
-            if not fresh and (let_down or gain > STALE_GAIN):
-                misled.append(k)
-            elif abs(gain) < close:
-                failed[k] = len(DAMPINGS)  # a step that changes next to nothing has arrived
+            if not fresh and (mispredicted or gain > STALE_GAIN):
+                stale.append(k)
+            elif abs(gain) < tolerance:
+                failed[k] = len(DAMPINGS)  # converged
             elif gain > 0.0:
                 failed[k] = 0
-                if let_down:
-                    misled.append(k)
+                if mispredicted:
+                    stale.append(k)
             else:
-                failed[k] += 1  # it was too long
-        if misled and turn + 1 < rounds:
-            fits = told([best[k] for k in misled], swims, rows, skipped, held=False)
-            best = [dict(zip(misled, fits, strict=True)).get(k, each) for k, each in enumerate(best)]
+                failed[k] += 1  # the step was too long
+        if stale and turn + 1 < steps_max:
+            fits = refresh_jacobian([best[k] for k in stale], swims, rows, skipped, fixed=False)
+            best = [dict(zip(stale, fits, strict=True)).get(k, each) for k, each in enumerate(best)]
     return best
 
 
-def _stepped(fitted: Fitted, failed: int) -> tuple[Model, float]:
-    """The model one Gauss-Newton step further, a shyer one after failures, and the cost that is promised."""
+def _damped_step(fitted: Fitted, failed: int) -> tuple[Model, float]:
+    """The model one damped Gauss-Newton step further, and the deviance that is predicted for it."""
     model = fitted.model
-    shy = DAMPINGS[failed] * fitted.missed.size / model.range**2
-    step, cost = promised(fitted.missed, fitted.jacobian, *room_of(model), shy)
-    if SHARES[failed] < 1.0:
-        step = SHARES[failed] * step
-        cost = cost_of(fitted.missed + fitted.jacobian @ step)
-    return model.with_values(model.values + step), cost
+    damping = DAMPINGS[failed] * fitted.residuals.size / model.range**2
+    step, deviance = linearised_optimum(fitted.residuals, fitted.jacobian, *step_bounds(model), damping)
+    if STEP_SHARES[failed] < 1.0:
+        step = STEP_SHARES[failed] * step
+        deviance = deviance_of(fitted.residuals + fitted.jacobian @ step)
+    return model.with_values(model.values + step), deviance
 
 
-def room_of(model: Model) -> tuple[FloatArray, FloatArray]:
-    """(p,) how far values may move down and up: not at all where they are held."""
+def step_bounds(model: Model) -> tuple[FloatArray, FloatArray]:
+    """(p,) bounds of a step, down and up: zero for fixed parameters."""
     low, high = model.bounds
-    free = np.array([k not in model.held for k in range(len(low))], dtype=np.float64)
+    free = np.array([k not in model.fixed for k in range(len(low))], dtype=np.float64)
     return (low - model.values) * free, (high - model.values) * free

@@ -1,4 +1,4 @@
-"""Several periods ahead: from where a period began, the actions really done, no further look at the fixes."""
+"""Multi-step prediction: several periods ahead from a period's start, without any further fix."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from frogkick.core.poses import PredictionError
 from frogkick.der import WIDTH
 from frogkick.identification.fit import Model
-from frogkick.identification.gentle import Amid, gentle
-from frogkick.identification.predict import Course, Lane, Party, parties
+from frogkick.identification.predict import Lane, LaneState, RolloutBatch, lanes_by_body
+from frogkick.identification.replay_batch import Checkpoint, gentle
 from frogkick.identification.segments import Segments
 from frogkick.paths import wrap_angle
 from frogkick.robot import Robot
@@ -24,12 +24,12 @@ HORIZONS = (1, 2, 3, 5)
 """Periods ahead."""
 
 STARTS_MOST = 60
-"""Starts in all runs together; of more, evenly spread ones are taken: each costs as much as its periods."""
+"""Starts in all runs together; of more, evenly spaced ones are taken: each costs as much as its periods."""
 
 
 @dataclass(frozen=True)
 class Horizon:
-    """Errors so many periods ahead, over the same starts without and with what was found."""
+    """Errors so many periods ahead, over the same starts, without and with effects."""
 
     periods: int
     before: PredictionError
@@ -48,7 +48,7 @@ class Horizon:
 def horizons_of(
     nominal: Model, fitted: Model, swims: Sequence[Segments], ahead: Sequence[int] = HORIZONS
 ) -> list[Horizon]:
-    """How far both models are off by horizon, without those that no run is long enough for.
+    """Errors of both models by horizon, without horizons that no run is long enough for.
 
     Args:
         nominal, fitted: models.
@@ -57,7 +57,7 @@ def horizons_of(
     """
     every = -(-sum(len(swim.start_s) for swim in swims) // STARTS_MOST)
     models = (nominal, fitted)
-    ends = follow_ahead([model.lane(swim) for model in models for swim in swims], ahead, every)
+    ends = roll_out_ahead([model.lane(swim) for model in models for swim in swims], ahead, every)
     found = []
     for row, periods in enumerate(ahead):
         gaps = []
@@ -71,7 +71,7 @@ def horizons_of(
 
 
 def _gap(swim: Segments, predicted: FloatArray, periods: int) -> FloatArray:
-    """(m, 3) measured minus predicted pose so many periods after each start; NaN where one is not known."""
+    """(m, 3) prediction errors so many periods after each start; NaN where unknown."""
     gap = np.full((len(swim.start_s), 3), np.nan)
     whole = len(gap) - periods + 1
     if whole > 0:
@@ -80,28 +80,28 @@ def _gap(swim: Segments, predicted: FloatArray, periods: int) -> FloatArray:
     return gap
 
 
-def follow_ahead(lanes: Sequence[Lane], ahead: Sequence[int], every: int = 1) -> list[FloatArray]:
-    """Predict runs several periods ahead from the starts of their periods.
+def roll_out_ahead(lanes: Sequence[Lane], ahead: Sequence[int], every: int = 1) -> list[FloatArray]:
+    """Predict runs several periods ahead from the starts of their periods (open loop).
 
     Args:
         lanes: runs, by robots with effects.
         ahead: periods, increasing.
-        every: only each so manieth start of a run.
+        every: use every so manieth start of a run.
 
     Returns:
         For each lane (len(ahead), m, 3): the pose that the camera would show so many periods after each
-        start; NaN where the run has not so many in a row, or the start was left out.
+        start; NaN where the run has not so many consecutive periods, or the start was left out.
     """
     found = [np.full((len(ahead), len(lane.swim.start_s), 3), np.nan) for lane in lanes]
-    for indices, robot in parties(lanes):
-        party = _Leaving([lanes[index] for index in indices], robot, ahead[-1], every)
-        party.go()
-        # Longest first: a batch goes on as long as its longest.
-        departures = sorted(party.departures, key=lambda each: -len(each.ends_s))
-        for first in range(0, len(departures), WIDTH):
-            some = departures[first : first + WIDTH]
-            flight = _Flight(some, robot)
-            for step, poses in enumerate(flight.poses(), 1):
+    for indices, robot in lanes_by_body(lanes):
+        recorder = _StartRecorder([lanes[index] for index in indices], robot, ahead[-1], every)
+        recorder.run()
+        # Longest first: a batch takes as long as its longest lane.
+        starts = sorted(recorder.starts, key=lambda each: -len(each.ends_s))
+        for first in range(0, len(starts), WIDTH):
+            some = starts[first : first + WIDTH]
+            batch = _OpenLoopBatch(some, robot)
+            for step, poses in enumerate(batch.poses(), 1):
                 if step in ahead:
                     for each, pose in zip(some, poses, strict=True):
                         found[indices[each.index]][ahead.index(step), each.period] = pose
@@ -109,69 +109,71 @@ def follow_ahead(lanes: Sequence[Lane], ahead: Sequence[int], every: int = 1) ->
 
 
 @dataclass(frozen=True, eq=False)
-class _Departure:
-    """Where a lane stood when a period began.
+class _Start:
+    """State of a lane when a period began.
 
     Attributes:
-        index: of the lane in its party.
+        index: index of the lane in its batch.
         period: which.
-        amid: its robot.
-        course: its way, with an effect's history of its own.
-        ends_s: of this period and of those that follow on it.
+        checkpoint: its robot's.
+        lane_state: its state, with a history of strokes of its own.
+        ends_s: ends of this period and of those that follow it directly.
     """
 
     index: int
     period: int
-    amid: Amid
-    course: Course
+    checkpoint: Checkpoint
+    lane_state: LaneState
     ends_s: FloatArray
 
 
-class _Leaving(Party):
-    """Notes where lanes stand when periods begin."""
+class _StartRecorder(RolloutBatch):
+    """Rolls out runs and records the states at which periods begin."""
 
     def __init__(self, lanes: Sequence[Lane], robot: Robot, longest: int, every: int) -> None:
         super().__init__(lanes, robot)
-        self.departures: list[_Departure] = []
+        self.starts: list[_Start] = []
         self._longest, self._every = longest, every
 
-    def began(self, seat: int, period: int) -> None:
+    def began(self, slot: int, period: int) -> None:
         if period % self._every:
             return
-        index = self.seats[seat]
-        course, swim = self.courses[index], self.lanes[index].swim
+        index = self.slots[slot]
+        lane_state, swim = self.lane_states[index], self.lanes[index].swim
         last = period
         while (
             last + 1 < min(len(swim.start_s), period + self._longest)
             and abs(swim.start_s[last + 1] - swim.end_s[last]) < 1e-6
         ):
             last += 1
-        apart = replace(course, acting=course.acting.copy())
-        self.departures.append(
-            _Departure(index, period, self.batch.leave(seat), apart, swim.end_s[period : last + 1])
+        own_state = replace(lane_state, acting=lane_state.acting.copy())
+        self.starts.append(
+            _Start(index, period, self.batch.save(slot), own_state, swim.end_s[period : last + 1])
         )
 
 
-class _Flight(Party):
-    """Lanes that go on from their departures without any fix."""
+class _OpenLoopBatch(RolloutBatch):
+    """Lanes that continue from recorded starts without fixes."""
 
-    def __init__(self, departures: Sequence[_Departure], robot: Robot) -> None:
-        self.lanes = [each.course.lane for each in departures]
-        self.courses = [each.course for each in departures]
-        self.seats = list(range(len(departures)))
-        self.batch = gentle(robot, np.zeros((len(departures), 3)), self.lanes[0].step_s)
-        for lane, each in enumerate(departures):
-            self.batch.enter(lane, each.amid)
-        self.leg_s = min(course.acting.leg_s for course in self.courses)
-        self._departures = departures
+    def __init__(self, starts: Sequence[_Start], robot: Robot) -> None:
+        self.lanes = [each.lane_state.lane for each in starts]
+        self.lane_states = [each.lane_state for each in starts]
+        self.slots = list(range(len(starts)))
+        self.batch = gentle(robot, np.zeros((len(starts), 3)), self.lanes[0].step_s)
+        for lane, each in enumerate(starts):
+            self.batch.restore(lane, each.checkpoint)
+        self.leg_s = min(lane_state.acting.leg_s for lane_state in self.lane_states)
+        self._starts = starts
 
     def poses(self) -> Iterator[list[FloatArray]]:
-        """Period by period each lane's pose as the camera would show it; NaN where it has ended or failed."""
-        for step in range(max(len(each.ends_s) for each in self._departures)):
-            ends_s = [float(each.ends_s[min(step, len(each.ends_s) - 1)]) for each in self._departures]
+        """Poses of the lanes as the camera would show them, period by period; NaN after an end or failure."""
+        for step in range(max(len(each.ends_s) for each in self._starts)):
+            ends_s = [float(each.ends_s[min(step, len(each.ends_s) - 1)]) for each in self._starts]
             self.advance(np.array(ends_s))
-            told = []
-            for lane, (each, end_s) in enumerate(zip(self._departures, ends_s, strict=True)):
-                lost = step >= len(each.ends_s) or each.amid.failed or lane in self.batch.failures
-                told.append(np.full(3, np.nan) if lost else self.shown_at(self.courses[lane], end_s)[1])
-            yield told
+            shown = []
+            for lane, (each, end_s) in enumerate(zip(self._starts, ends_s, strict=True)):
+                lost = step >= len(each.ends_s) or each.checkpoint.failed or lane in self.batch.failures
+                shown.append(
+                    np.full(3, np.nan) if lost else self.camera_fix_at(self.lane_states[lane], end_s)[1]
+                )
+            yield shown

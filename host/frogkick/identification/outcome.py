@@ -1,4 +1,4 @@
-"""Identification as a whole: runs in, what was found and how well it predicts other runs out."""
+"""Identification as a whole: runs in; the effects found, and how well they predict other runs, out."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ from frogkick.core.errors import InputError
 from frogkick.core.files import write_text
 from frogkick.core.poses import PredictionError
 from frogkick.identification.choice import Progress, found_in, pruned
+from frogkick.identification.diagnostics import residual_diagnostics
 from frogkick.identification.drift import Drift, drift_of
 from frogkick.identification.experiment import Experiment, experiment_of
 from frogkick.identification.filter import Noise
-from frogkick.identification.fit import Model, tracks_of
+from frogkick.identification.fit import Model, rollouts_of
 from frogkick.identification.horizons import Horizon, horizons_of
-from frogkick.identification.predict import Track
+from frogkick.identification.predict import Rollout
 from frogkick.identification.search import Found
 from frogkick.identification.segments import Segments, reliable
-from frogkick.identification.signature import signature
 from frogkick.identification.terms import Term, catalogue
 from frogkick.identification.verdict import (
     FOUND,
@@ -34,11 +34,11 @@ from frogkick.identification.verdict import (
     TOO_LITTLE,
     Interval,
     Scored,
+    discretisation_shift,
     fix_noise,
-    gaps,
     intervals,
-    left_by_steps,
     noise_floor,
+    prediction_errors,
     scored,
     verdict_of,
 )
@@ -53,17 +53,17 @@ MOTION_LEAST_M = 0.01
 
 @dataclass(frozen=True, eq=False)
 class Followed:
-    """Predictions of the test runs that follow drift within each run, both models alike.
+    """Predictions of the test runs with the drift tracked within each run, for both models.
 
     Attributes:
         before, after: errors without and with effects.
-        nominal_tracks, tracks: of the runs.
+        nominal_rollouts, rollouts: of the runs.
     """
 
     before: PredictionError
     after: PredictionError
-    nominal_tracks: list[Track]
-    tracks: list[Track]
+    nominal_rollouts: list[Rollout]
+    rollouts: list[Rollout]
 
     def as_json(self) -> dict[str, Any]:
         """The key ``test.followed`` of the command."""
@@ -72,23 +72,24 @@ class Followed:
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
-    """What identification ended with.
+    """Result of identification.
 
     Attributes:
         verdict: see frogkick.identification.verdict.
         robot: nominal.
         train, test: the runs.
-        found: the search; None where there was not enough data.
-        parameters: of each term found.
-        trained, tested: errors, of the models alone.
-        nominal_tracks, tracks: of the test runs, by the models alone.
-        drift: of limbs beside the fitted model, by the training runs; None where following it gains nothing.
-        followed: the test runs once more, now with both models following drift; None where neither gains.
-        dropped: effects that explain the training runs and did not make the test runs likelier, so that the
-            nominal model is given back. The test runs decide this and nothing else.
-        signature: of what is left, or for "nothing missing" of the nominal model's misses.
+        found: result of the search; None where there was not enough data.
+        parameters: intervals of the parameters of each term.
+        trained, tested: evaluation of the models alone.
+        nominal_rollouts, rollouts: rollouts of the test runs, by the models alone.
+        drift: drift of limbs beside the fitted model, from the training runs; None where tracking it gains
+            nothing.
+        followed: the test runs with drift tracked beside both models; None where neither gains.
+        dropped: effects that explain the training runs but did not raise the log score of the test runs, so
+            that the nominal model is returned. The test runs decide this and nothing else.
+        diagnostics: residual diagnostics of the fitted model, or for "nothing missing" of the nominal one.
         reason: what to record where there was not enough data.
-        left_out: runs whose strokes' times cannot be relied on: ``run`` and ``reason`` of each.
+        left_out: runs whose stroke times are unreliable: ``run`` and ``reason`` of each.
     """
 
     verdict: str
@@ -99,9 +100,9 @@ class Outcome:
     parameters: list[list[Interval]]
     trained: Scored
     tested: Scored
-    nominal_tracks: list[Track]
-    tracks: list[Track]
-    signature: dict[str, Any]
+    nominal_rollouts: list[Rollout]
+    rollouts: list[Rollout]
+    diagnostics: dict[str, Any]
     reason: str = ""
     drift: Drift | None = None
     left_out: Sequence[dict[str, str]] = ()
@@ -115,14 +116,14 @@ class Outcome:
 
     @cached_property
     def horizons(self) -> list[Horizon]:
-        """Errors on the test runs by how many periods ahead; none where nothing was learned."""
+        """Multi-step prediction errors on the test runs; none where there was not enough data."""
         if self.found is None:
             return []
         return horizons_of(self.found.nominal.model, self.found.fitted.model, self.test)
 
     @cached_property
     def experiment(self) -> Experiment | None:
-        """What to record to settle what was found but is still open; None where nothing is."""
+        """What to record to discriminate models that are still confounded; None where none are."""
         if self.found is None or self.verdict not in (FOUND, PARTLY):
             return None
         return experiment_of(self.found, self.parameters, self.train)
@@ -144,14 +145,14 @@ class Outcome:
                         }
                         for each in row
                     },
-                    "not_told_from": self.found.alike[index],
+                    "not_told_from": self.found.confounded_with[index],
                     "stability": self.found.stability[index],
                 }
             )
         return effects
 
     def tested_as_json(self) -> dict[str, Any]:
-        """Errors on the test runs, several periods ahead and with drift followed too."""
+        """Errors on the test runs, also several periods ahead and with drift tracked."""
         return {
             **self.tested.as_json(),
             "followed": None if self.followed is None else self.followed.as_json(),
@@ -167,7 +168,7 @@ class Outcome:
             "train": self.trained.as_json(),
             "test": self.tested_as_json(),
             "drift": None if self.drift is None else self.drift.as_json(),
-            "signature": self.signature,
+            "signature": self.diagnostics,
             "experiment": None if self.experiment is None else self.experiment.as_json(),
             "runs": [
                 {"run": swim.name, "use": use, "period_s": swim.period_s}
@@ -187,15 +188,15 @@ def identify(
     progress: Progress = lambda _what, _done, _whole: None,
     measured: bool = True,
 ) -> Outcome:
-    """Find what a robot's model lacks from some runs, and predict others with and without it.
+    """Find the effects that a robot's model lacks from some runs, and predict others with and without them.
 
     Args:
         train, test: runs to learn from, runs to predict.
         robot: nominal.
         own: a file of the user's own effects.
         progress: called with a stage, steps done and to do.
-        measured: a fit may start from the values of built-in robots that were measured before; without,
-            only from which effects they have, at nominal values. See frogkick.identification.relatives.
+        measured: a fit may start from the values of calibrated built-in robots; without, only from their
+            choice of effects, at nominal values. See frogkick.identification.calibrated.
 
     Raises:
         InputError: the user's effects cannot be used, no period of the runs can be judged, no test run has
@@ -213,29 +214,29 @@ def identify(
     if reason:
         return replace(_only_predicted(train, test, robot, reason), left_out=left_out)
     found = pruned(found_in(train, robot, candidates, progress, measured), train, progress)
-    trained = scored(found, train, train, found.nominal.tracks, found.fitted.tracks)
-    nominal_tracks, tracks = tracks_of([found.nominal.model, found.fitted.model], test)
-    tested = scored(found, train, test, nominal_tracks, tracks)
+    trained = scored(found, train, train, found.nominal.rollouts, found.fitted.rollouts)
+    nominal_rollouts, rollouts = rollouts_of([found.nominal.model, found.fitted.model], test)
+    tested = scored(found, train, test, nominal_rollouts, rollouts)
     dropped = tuple(term.title for term in found.fitted.model.terms) if not tested.helped else ()
     if dropped:
-        # What does not help where it was not learned is no part of the model that is given back.
-        found = replace(found, fitted=found.nominal, alike=[], rivals=[], stability=[])
-        trained = scored(found, train, train, found.nominal.tracks, found.nominal.tracks)
-        tracks = nominal_tracks
-        tested = scored(found, train, test, tracks, tracks)
-    drift, followed = _followed(found, train, test, nominal_tracks, tracks, robot)
+        # Effects that do not help on other runs are no part of the model that is returned.
+        found = replace(found, fitted=found.nominal, confounded_with=[], rivals=[], stability=[])
+        trained = scored(found, train, train, found.nominal.rollouts, found.nominal.rollouts)
+        rollouts = nominal_rollouts
+        tested = scored(found, train, test, rollouts, rollouts)
+    drift, followed = _followed(found, train, test, nominal_rollouts, rollouts, robot)
     return Outcome(
         verdict=verdict_of(found, trained, tested),
         robot=robot,
         train=train,
         test=test,
         found=found,
-        parameters=intervals(found.fitted, found.rows, left_by_steps(found.fitted, train, found.rows)),
+        parameters=intervals(found.fitted, found.rows, discretisation_shift(found.fitted, train, found.rows)),
         trained=trained,
         tested=tested,
-        nominal_tracks=nominal_tracks,
-        tracks=tracks,
-        signature=signature(found.fitted, found.rows, train),
+        nominal_rollouts=nominal_rollouts,
+        rollouts=rollouts,
+        diagnostics=residual_diagnostics(found.fitted, found.rows, train),
         drift=drift,
         followed=followed,
         dropped=dropped,
@@ -247,38 +248,40 @@ def _followed(
     found: Found,
     train: Sequence[Segments],
     test: Sequence[Segments],
-    nominal_tracks: Sequence[Track],
-    tracks: Sequence[Track],
+    nominal_rollouts: Sequence[Rollout],
+    rollouts: Sequence[Rollout],
     robot: Robot,
 ) -> tuple[Drift | None, Followed | None]:
-    """Drift beside the fitted model, and the test runs where each model follows its own."""
-    drifts = [drift_of(each.tracks, train, robot) for each in (found.nominal, found.fitted)]
+    """Drift beside the fitted model, and the test runs with each model's own drift tracked."""
+    drifts = [drift_of(each.rollouts, train, robot) for each in (found.nominal, found.fitted)]
     if drifts == [None, None]:
         return None, None
     moved = [
         list(some) if drift is None else drift.followed(some, test, robot)
-        for drift, some in zip(drifts, (nominal_tracks, tracks), strict=True)
+        for drift, some in zip(drifts, (nominal_rollouts, rollouts), strict=True)
     ]
-    before, after = (PredictionError.of(gaps(each, test)) for each in moved)
+    before, after = (PredictionError.of(prediction_errors(each, test)) for each in moved)
     return drifts[1], Followed(before, after, moved[0], moved[1])
 
 
 def _only_predicted(
     train: Sequence[Segments], test: Sequence[Segments], robot: Robot, reason: str
 ) -> Outcome:
-    """Too little to learn from: the test runs by the nominal model, at their usual noise."""
+    """Too little data: the test runs by the nominal model, at the default noise."""
     model = Model(robot, (), Noise())
-    tracks = tracks_of([model], test)[0]
-    error = PredictionError.of(gaps(tracks, test))
+    rollouts = rollouts_of([model], test)[0]
+    error = PredictionError.of(prediction_errors(rollouts, test))
     tested = Scored(error, error, noise_floor(test, fix_noise(test) or model.noise.fix))
     unknown = PredictionError()
     trained = Scored(unknown, unknown, unknown)
     signed = {"text": f"not looked for: {reason}"}
-    return Outcome(TOO_LITTLE, robot, train, test, None, [], trained, tested, tracks, tracks, signed, reason)
+    return Outcome(
+        TOO_LITTLE, robot, train, test, None, [], trained, tested, rollouts, rollouts, signed, reason
+    )
 
 
 def too_little(swims: Sequence[Segments]) -> str:
-    """Why runs cannot be judged, and what to record; "" where they can."""
+    """Why runs are too little data, and what to record; "" where they suffice."""
     periods = sum(len(swim.start_s) for swim in swims)
     if periods < PERIODS_LEAST:
         return (
@@ -295,9 +298,9 @@ def too_little(swims: Sequence[Segments]) -> str:
 
 
 def write_predictions(target: Path, outcome: Outcome) -> None:
-    """Write one row for each period of each test run, in the run's own frame, by the models alone.
+    """Write one row for each period of each test run, in the run's own frame, predicted by the models alone.
 
-    Where following drift gains something, columns ``_followed`` and ``_nominal_followed`` stand beside these.
+    Where tracking drift gains something, the columns ``_followed`` and ``_nominal_followed`` are added.
 
     Raises:
         InputError: the file cannot be written.
@@ -307,15 +310,15 @@ def write_predictions(target: Path, outcome: Outcome) -> None:
     poses = ("x_m", "y_m", "heading_rad")
     predicted = ("x_pred_m", "y_pred_m", "heading_pred_rad")
     header = ["run", "time_s", "horizon_s", *poses]
-    models = [outcome.tracks, outcome.nominal_tracks]
+    models = [outcome.rollouts, outcome.nominal_rollouts]
     kinds = ["", "_nominal"]
     if outcome.followed is not None:
-        models += [outcome.followed.tracks, outcome.followed.nominal_tracks]
+        models += [outcome.followed.rollouts, outcome.followed.nominal_rollouts]
         kinds += ["_followed", "_nominal_followed"]
     writer.writerow([*header, *(f"{name}{kind}" for kind in kinds for name in predicted)])
     for index, swim in enumerate(outcome.test):
         for k, start_s in enumerate(swim.start_s):
-            row = np.concatenate([swim.measured[k], *(tracks[index].predicted[k] for tracks in models)])
+            row = np.concatenate([swim.measured[k], *(rollouts[index].predicted[k] for rollouts in models)])
             if not np.isfinite(row).all():
                 continue
             row[2::3] = wrap_angle(row[2::3])
@@ -338,7 +341,7 @@ def found_toml(outcome: Outcome, folder: Path | None = None) -> str:
 
     Args:
         outcome: of identification.
-        folder: where the text will be, for files of the user's own; None: where the nominal robot is.
+        folder: folder that paths of the user's effect files are relative to; None: the nominal robot's.
     """
     table = tomllib.loads(outcome.robot.toml)
     place = folder or outcome.robot.folder or Path()

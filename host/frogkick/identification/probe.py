@@ -1,8 +1,9 @@
-"""What a candidate effect touches, asked without a swim: which of its parameters do something, which repeat.
+"""Linear dependence of candidate effects, without simulation: which parameters act, which repeat others.
 
-To first order a robot answers in proportion to what is done to its strokes, its water, its body and its
-fixes. A parameter that changes none of these where the effect vanishes needs no simulation there, and one
-whose change is a sum of others' changes needs none of its own: its derivative is the same sum.
+To first order a robot responds linearly to what is done to its strokes, its water, its body and its fixes. A
+parameter that changes none of these where the effect vanishes is insensitive there and needs no simulation.
+One whose change is a linear combination of others' changes needs none of its own: its derivative is the same
+combination.
 """
 
 from __future__ import annotations
@@ -21,42 +22,42 @@ FloatArray = NDArray[np.float64]
 
 _PROBES = 60
 _SUM_ERROR = 1e-6
-"""Share of a change that a sum of others may leave."""
+"""Share of a change that a linear combination of others may leave."""
 
 
 @dataclass(frozen=True, eq=False)
 class Probes:
-    """Situations that effects are asked about, the same for all."""
+    """Situations in which effects are evaluated, the same for all."""
 
     robot: Robot
     strokes: tuple[tuple[int, float, tuple[tuple[float, int], ...]], ...]
     bodies: tuple[Body, ...]
 
     def answers(self, effect: Effect) -> FloatArray:
-        """(k,) all that an effect says, in one row."""
+        """(k,) all that an effect does, concatenated."""
         names = [limb.name for limb in self.robot.limbs]
-        told: list[float] = []
+        answers: list[float] = []
         for limb, time_s, before in self.strokes:
             given = Stroke(names[limb], limb, time_s)
             stroke = effect.stroke(given, History(list(before)), np.random.default_rng(0)) or given
-            told += [stroke.gain, stroke.delay_s, stroke.duration_scale]
+            answers += [stroke.gain, stroke.delay_s, stroke.duration_scale]
         for body in self.bodies:
-            told += np.ravel(effect.flow(body.time_s, np.array(body.pose_world[:2]))).tolist()
-            told += _flat(effect.wrench(body.time_s, body))
+            answers += np.ravel(effect.flow(body.time_s, np.array(body.pose_world[:2]))).tolist()
+            answers += _flat(effect.wrench(body.time_s, body))
             given_fix = Fix(body.time_s, 0.08, *body.pose_world)
             fix = effect.fix(given_fix, np.random.default_rng(0)) or given_fix
-            told += [fix.capture_s, fix.x_m, fix.y_m, fix.heading_rad]
-        return np.array(told, dtype=np.float64)
+            answers += [fix.capture_s, fix.x_m, fix.y_m, fix.heading_rad]
+        return np.array(answers, dtype=np.float64)
 
 
 def _flat(given: object) -> list[float]:
-    """A wrench, given as three numbers or as a pair and one."""
+    """A wrench, given as three numbers or as a pair and a number."""
     parts = [np.ravel(np.asarray(part, dtype=np.float64)) for part in given]  # type: ignore[attr-defined]
     return [float(value) for value in np.concatenate(parts)]
 
 
 def probes_of(robot: Robot) -> Probes:
-    """Situations for a robot's effects: strokes after other strokes, bodies here and there."""
+    """Situations for a robot's effects: strokes after other strokes, bodies at random poses."""
     rng = np.random.default_rng(0)
     strokes, bodies = [], []
     for _ in range(_PROBES):
@@ -76,7 +77,7 @@ def probes_of(robot: Robot) -> Probes:
 
 
 def changes(probes: Probes, term: Term, step: FloatArray) -> list[FloatArray | None]:
-    """What a step of each parameter changes in the answers; None where it makes another body."""
+    """Derivative of the answers by each parameter; None where the parameter changes the body."""
     base_effect = term.effect()
     base, base_robot = probes.answers(base_effect), base_effect.robot(probes.robot)
     found: list[FloatArray | None] = []
@@ -91,16 +92,16 @@ def changes(probes: Probes, term: Term, step: FloatArray) -> list[FloatArray | N
     return found
 
 
-class Sums:
-    """Changes that are simulated, and which further ones are sums of them."""
+class LinearSpan:
+    """Span of the changes that are simulated."""
 
     def __init__(self) -> None:
         self._rows: list[FloatArray] = []
 
     def weights(self, change: FloatArray) -> FloatArray | None:
-        """(rows,) whose sum a change is; None where it is none.
+        """(rows,) weights of the linear combination that a change is; None where it is none.
 
-        Delays are no sums: a stroke beside another that was moved is not one that was moved with it.
+        Delays are excluded: moving one stroke beside another is not the same as moving both.
         """
         if not self._rows or change[1 : 3 * _PROBES : 3].any():
             return None
@@ -113,11 +114,11 @@ class Sums:
         return np.asarray(weights / sizes)
 
     def add(self, change: FloatArray) -> None:
-        """Take one in that is no sum."""
+        """Add a change that is not in the span."""
         self._rows.append(change)
 
 
 def spread_first(items: Sequence[tuple[FloatArray | None, object]]) -> list[int]:
-    """Order in which to simulate: what touches few situations first, so that sums are of simple ones."""
+    """Order of simulation: changes in few situations first, so that combinations are of simple ones."""
     counts = [0 if change is None else int(np.count_nonzero(change)) for change, _ in items]
     return sorted(range(len(items)), key=lambda index: counts[index])

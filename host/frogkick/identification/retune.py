@@ -1,7 +1,7 @@
-"""A worn robot's last logs in, tables that know its wear out; or its old ones, where these are as good.
+"""Retune a worn robot: last logs in; new tables out, or the old ones where these are as good.
 
-What makes tables, looks them up and builds firmware is handed in: identification knows runs and robots, no
-libraries.
+What makes tables, looks them up and builds firmware is passed in: identification knows runs and robots, but
+no libraries.
 """
 
 from __future__ import annotations
@@ -33,13 +33,13 @@ from frogkick.robot import Robot, load_robot
 FloatArray = NDArray[np.float64]
 
 BETTER = 0.98
-"""New tables must err at most so many times as much as the old ones, in position or in heading."""
+"""The error of new tables must be at most this share of the old ones', in position or in heading."""
 
-HELD_LEAST = 5
-"""Held-out periods with a measured end, to judge by."""
+HELD_OUT_MIN = 5
+"""Minimum of held-out periods with a measured end."""
 
 HELD_SHARE = 1.0 / 3.0
-"""Of a single run's periods, its last: held out."""
+"""Share of a single run's periods, its last ones, that is held out."""
 
 ROBOT, LIBRARY, TABLES = "robot.toml", "library.h5", "tables.fkt"
 BEFORE, REFUSED, FIRMWARE = "before.fkt", "refused.fkt", "firmware"
@@ -47,20 +47,20 @@ BEFORE, REFUSED, FIRMWARE = "before.fkt", "refused.fkt", "firmware"
 
 @dataclass(frozen=True, eq=False)
 class Retuned:
-    """What came of it.
+    """Result of a retune.
 
     Attributes:
         outcome: of the identification.
-        before, after: of the old and the new tables, a period ahead on held-out periods; NaN where none were
-            made.
-        better: the new tables are; else the old ones stay.
-        reason: why they stay; "" where they do not.
+        before, after: errors of the old and the new tables, a period ahead on held-out periods; NaN where
+            none were made.
+        better: the new tables are better; else the old ones stay.
+        reason: why the old tables stay; "" where they do not.
         held_out: what was held out, in words.
         tables: path, bytes and states of the new tables, refused ones too; None where none were made.
         firmware: sizes of the image; None where none was made.
         loop: the old and the new tables in closed loop, in a pool with what was found; None where none were
             made.
-        horizons: of the old and the new tables by how many periods ahead.
+        horizons: errors of the old and the new tables by horizon.
     """
 
     outcome: Outcome
@@ -76,7 +76,7 @@ class Retuned:
 
     @property
     def done(self) -> bool:
-        """Whether the robot swims with the right tables now: new ones, or old ones that lack nothing."""
+        """Whether the robot now has the right tables: new ones, or old ones that lack nothing."""
         return self.better or self.outcome.verdict == NOTHING
 
     def as_json(self) -> dict[str, Any]:
@@ -103,12 +103,12 @@ class Retuned:
 def retune(
     swims: Sequence[Segments], robot: Robot, out: Path, tools: Tools, stage: Stage, old: bytes | None = None
 ) -> Retuned:
-    """Find what a robot lacks, make tables that know it, keep them if they predict held-out periods better.
+    """Find a robot's effects, make tables with them, and keep these if they predict held-out periods better.
 
     Args:
         swims: runs of the robot, in the order they were swum; the last one is held out, of a single one its
             last third.
-        robot: as its tables know it so far.
+        robot: the robot of its present tables.
         out: folder for the results, new or empty: ``robot.toml``, ``library.h5``, ``before.fkt`` (the old
             tables), and ``tables.fkt`` with ``firmware``, or ``refused.fkt`` where these are no better. It is
             not made where no tables are, and is there with all that belongs in it or not at all.
@@ -125,7 +125,7 @@ def retune(
     with steps(stage) as tell:
         outcome = identify(train, test, robot, progress=tell)
     unknown = PredictionError()
-    reason = _needless(outcome, len(swims) == 1)
+    reason = _why_no_tables(outcome, len(swims) == 1)
     if reason:
         return Retuned(outcome, unknown, unknown, False, reason, held_out)
     with _folder(out) as made:
@@ -168,10 +168,10 @@ def require_new(out: Path) -> None:
 
 
 def split(swims: Sequence[Segments]) -> tuple[list[Segments], list[Segments], str]:
-    """Runs to learn from, runs to judge by, and in words which.
+    """Training runs, test runs, and the test runs in words.
 
-    Of a single run the last third is judged. It is followed from its first fix, for what a robot did earlier
-    acts on; only its ends count from there on. Nothing learned from has seen a fix of it.
+    Of a single run the last third is the test. It is simulated from its first fix, because earlier actions
+    still act, but only the last third is judged. The training part holds none of its fixes.
     """
     if len(swims) > 1:
         return list(swims[:-1]), [swims[-1]], f"run {swims[-1].name!r}"
@@ -203,25 +203,25 @@ class _Later(Segments):
 
     @cached_property
     def measured(self) -> FloatArray:
-        """(m, 3) as Segments has it; NaN for the periods before."""
+        """(m, 3) as in Segments; NaN for the earlier periods."""
         ends = [self.pose_at(float(end)) for end in self.end_s]
         return np.array([np.full(3, np.nan)] * self.judged_from + ends[self.judged_from :]).reshape(-1, 3)
 
 
 def is_better(before: PredictionError, after: PredictionError) -> bool:
-    """Neither position nor heading is worse, and one of them is better by more than chance would have it."""
+    """Whether neither position nor heading is worse and one of them is clearly better."""
     pairs = (
         (before.position_rmse_m, after.position_rmse_m),
         (before.heading_rmse_rad, after.heading_rmse_rad),
     )
     return (
-        after.count >= HELD_LEAST
+        after.count >= HELD_OUT_MIN
         and all(now <= then for then, now in pairs)
         and any(now < BETTER * then for then, now in pairs)
     )
 
 
-def _needless(outcome: Outcome, single: bool) -> str:
+def _why_no_tables(outcome: Outcome, single: bool) -> str:
     """Why no tables are to be made; "" where they are."""
     if outcome.verdict == TOO_LITTLE:
         return outcome.reason + (", a third of a single run is held out" if single else "")
@@ -230,23 +230,23 @@ def _needless(outcome: Outcome, single: bool) -> str:
     if not outcome.terms:
         return "no known effect explains what these runs show: the old tables stay (see identify --report)"
     judged = sum(int(np.isfinite(swim.measured).all(axis=1).sum()) for swim in outcome.test)
-    if judged < HELD_LEAST:
-        return f"{judged} held-out periods with fixes, needed are {HELD_LEAST}: record a longer last run"
-    if not any(_swims(term.effect()) for term in outcome.terms):
+    if judged < HELD_OUT_MIN:
+        return f"{judged} held-out periods with fixes, needed are {HELD_OUT_MIN}: record a longer last run"
+    if not any(_is_in_the_body(term.effect()) for term in outcome.terms):
         names = ", ".join(term.title for term in outcome.terms)
         return f"what was found ({names}) is in the camera or the water, tables cannot know it: the old stay"
     return ""
 
 
-def _swims(effect: Effect) -> bool:
-    """Whether an effect goes with the robot's body, as tables do."""
+def _is_in_the_body(effect: Effect) -> bool:
+    """Whether an effect belongs to the robot's body, so that tables can hold it."""
     hooks = ("robot", "stroke", "wrench")
     return any(getattr(type(effect), hook) is not getattr(Effect, hook) for hook in hooks)
 
 
 def _no_better(before: PredictionError, after: PredictionError) -> str:
-    if after.count < HELD_LEAST:
-        return f"the tables could be judged on {after.count} held-out periods, needed are {HELD_LEAST}"
+    if after.count < HELD_OUT_MIN:
+        return f"the tables could be judged on {after.count} held-out periods, needed are {HELD_OUT_MIN}"
     return f"the new tables are no better on held-out periods: {after} after {before}; the old ones stay"
 
 

@@ -1,4 +1,10 @@
-"""Which effects a model lacks: forward selection by likelihood, checked on held-out parts of the runs."""
+"""Which effects a model lacks: forward selection by penalised likelihood, cross-validated on parts of the
+runs.
+
+Each iteration screens all candidates by their derivatives, fits the best few by simulation, and takes the one
+that gains most, if its gain exceeds its penalty, what the best candidate would gain by chance, and its
+standard error on held-out parts (Efroymson 1960, forward selection).
+"""
 
 from __future__ import annotations
 
@@ -9,76 +15,81 @@ import numpy as np
 from numpy.typing import NDArray
 
 from frogkick.core.errors import InputError
+from frogkick.identification.backward import resolve_equivalent, revise, with_term_at
 from frogkick.identification.bootstrap import gain_by_chance
-from frogkick.identification.columns import Column, sensitivities
 from frogkick.identification.filter import Noise
 from frogkick.identification.fit import (
     Fitted,
     Model,
-    begun_at,
+    evaluate,
     fit_many,
     fit_on,
-    renoised,
-    room_of,
-    told,
-    tracks_of,
+    reestimated_noise,
+    refresh_jacobian,
+    rollouts_of,
+    step_bounds,
 )
-from frogkick.identification.polish import (
-    HOLD,
-    NEAR,
+from frogkick.identification.penalty import (
+    CONFOUNDED_MARGIN,
+    EFFECT_PENALTY,
+    PARAMETER_PENALTY,
+    penalised_deviance,
+)
+from frogkick.identification.refine import (
     REFINING_LEG_S,
-    ROUNDS,
-    Polisher,
+    REFIT_MARGIN,
+    RELEASE_PENALTY,
+    STEPS_MAX,
+    Refiner,
     best_noise,
     fine_leg_s,
 )
-from frogkick.identification.revise import in_place, revised, same_named
+from frogkick.identification.screening import Column, sensitivities
 from frogkick.identification.segments import Segments, replicate_count
-from frogkick.identification.steps import cross_fitted, promised
+from frogkick.identification.steps import cross_fitted, linearised_optimum
 from frogkick.identification.terms import Term
-from frogkick.identification.worth import ALIKE, BASE_GAIN, GAIN_EACH, price
 from frogkick.robot import Robot
 
 FloatArray = NDArray[np.float64]
 
 REFINED = 3
-"""Candidates that are fitted by simulation at each turn; the others are judged by their derivatives."""
+"""Candidates that are fitted by simulation in each iteration; the others are judged by their derivatives."""
 
-RIVAL = 0.25
-"""A candidate whose promise is less than the best one's by this share is not fitted."""
+RIVAL_SHARE = 0.25
+"""A candidate whose predicted gain is less than the best one's by this share is not fitted."""
 
 MOST = 4
-"""Effects taken at most."""
+"""Effects at most."""
 
-HOPELESS = 0.7
-"""Share of the misses that the first of few effects may leave."""
+UNEXPLAINED_MAX = 0.7
+"""Maximum share of the error that the first effect of a short search may leave unexplained."""
 
-PLAIN_GAIN = 60.0
-"""A gain beyond doubt: held-out periods need not agree in it as well."""
+DECISIVE_GAIN = 60.0
+"""A decisive gain: held-out periods need not agree in it as well."""
 
-SEEN_LEAST = 1.0
-"""By how much twice the log density of a held-out period (9 numbers) must rise: less is below the noise."""
+HELD_OUT_GAIN_MIN = 1.0
+"""Minimum rise of twice the log density of a held-out period (9 numbers): less is below the noise."""
 
-FOLDS_LEAST = 4
+FOLDS_MIN = 4
 
-HELD_SHARE = 0.05
-"""Or less than this share of what all of its effect's parameters gain, as long as that is only promised."""
+FIXED_SHARE = 0.05
+"""A parameter is fixed if it gains less than this share of its effect's predicted gain."""
 
-REFINING_ROUNDS, REFINED_CLOSE = 5, 4.0
-"""Steps of the fits of the best candidates at most, and the fall of the cost that ends them: after two steps
-a rival that fits as well may seem much worse."""
+REFINING_STEPS_MAX, REFINING_CONVERGED = 5, 4.0
+"""Steps of the fits of the best candidates at most, and the fall of the deviance that ends them: after two
+steps a rival that fits as well may seem much worse."""
 
 
 @dataclass(frozen=True)
-class Tried:
-    """A candidate at one turn of the search.
+class CandidateScore:
+    """Score of a candidate in one iteration of the search.
 
     Attributes:
         title: of the effect.
-        gain: by how much minus twice the log likelihood fell.
-        held_out: by how much twice the log density of held-out periods rose, for each period.
-        refined: by simulation, not by derivatives alone.
-        chosen: it was taken.
+        gain: fall of the deviance.
+        held_out: mean rise of twice the log density of a held-out period.
+        refined: fitted by simulation, not only screened.
+        chosen: it was taken into the model.
     """
 
     title: str
@@ -90,52 +101,52 @@ class Tried:
 
 @dataclass(frozen=True, eq=False)
 class Found:
-    """What a search ended with.
+    """Result of a search.
 
     Attributes:
         nominal: the model without effects, its noise fitted.
         fitted: with the effects chosen.
-        turns: what was tried at each turn.
-        rows: periods that counted.
-        alike: for each effect chosen, others that did as well within what the data can tell.
-        rivals: these others themselves, fitted.
-        stability: of each effect; see ``revise.stability``.
+        iterations: scores of the candidates in each iteration.
+        rows: periods that were used.
+        confounded_with: for each effect chosen, the titles of others that the data cannot tell from it.
+        rivals: these others, fitted.
+        stability: of each effect; see ``backward.stability``.
     """
 
     nominal: Fitted
     fitted: Fitted
-    turns: list[list[Tried]]
+    iterations: list[list[CandidateScore]]
     rows: NDArray[np.bool_]
-    alike: list[list[str]]
+    confounded_with: list[list[str]]
     sensitivities: list[Column] = field(default_factory=list)
     rivals: list[list[Term]] = field(default_factory=list)
     stability: list[float] = field(default_factory=list)
 
 
-Begun = tuple[Model, NDArray[np.bool_], Fitted]
-"""What ``countable`` gives."""
+Baseline = tuple[Model, NDArray[np.bool_], Fitted]
+"""Result of ``nominal_fit``."""
 
 
-def countable(swims: Sequence[Segments], robot: Robot) -> Begun:
-    """The nominal model with its noise fitted, the periods that can be judged, and how it fits.
+def nominal_fit(swims: Sequence[Segments], robot: Robot) -> Baseline:
+    """The nominal model with its noise fitted, the periods that can be used, and its fit.
 
     Raises:
-        InputError: nothing can be judged.
+        InputError: no period can be used.
     """
     model = Model(robot, (), Noise())
-    (tracks,) = tracks_of([model], swims)
-    rows = np.isfinite(np.concatenate([track.missed for track in tracks])).all(axis=1)
+    (rollouts,) = rollouts_of([model], swims)
+    rows = np.isfinite(np.concatenate([rollout.residuals for rollout in rollouts])).all(axis=1)
     if not rows.any():
         raise InputError(
             "no period of the runs has fixes all along: record runs with position fixes, times in seconds"
         )
-    fitted = best_noise(renoised(model, tracks, swims), swims, rows)
+    fitted = best_noise(reestimated_noise(model, rollouts, swims), swims, rows)
     return fitted.model, rows, fitted
 
 
 def folds_of(swims: Sequence[Segments], rows: NDArray[np.bool_]) -> NDArray[np.int64]:
-    """(n,) which part each counted period is held out with: a run, or a stretch of one where runs are few."""
-    parts = -(-FOLDS_LEAST // max(len(swims), 1))
+    """(n,) cross-validation fold of each used period: a run, or a stretch of one where runs are few."""
+    parts = -(-FOLDS_MIN // max(len(swims), 1))
     labels: list[int] = []
     for index, swim in enumerate(swims):
         count = len(swim.start_s)
@@ -148,211 +159,226 @@ def search(
     robot: Robot,
     candidates: Sequence[Term],
     progress: Callable[[str, int, int], None] = lambda _what, _done, _whole: None,
-    begun: Begun | None = None,
+    baseline: Baseline | None = None,
     most: int = MOST,
 ) -> Found:
-    """Find what a robot's model lacks.
+    """Find the effects that a robot's model lacks.
 
     Args:
         swims: the runs.
         robot: nominal.
-        candidates: what is tried.
-        progress: told of each stage.
-        begun: what ``countable`` gave for these runs, where that is known.
-        most: effects; where fewer than MOST the search ends as well when the first leaves most of the error.
+        candidates: the catalogue.
+        progress: called with each stage, steps done and to do.
+        baseline: ``nominal_fit`` of these runs, where it is known.
+        most: effects at most; a search for fewer than MOST also ends when the first leaves most of the error.
 
     Raises:
-        InputError: the runs hold nothing to judge by.
+        InputError: no period can be used.
     """
-    model, rows, nominal = begun or countable(swims, robot)
+    model, rows, nominal = baseline or nominal_fit(swims, robot)
     columns = sensitivities(model, candidates, swims, rows, lambda d, n: progress("candidates", d, n))
-    hunt = _Hunt(swims, rows, folds_of(swims, rows), columns, replicate_count(swims))
-    polisher = Polisher(swims, rows, hunt.replicates)
-    current, turns = nominal, list[list[Tried]]()
-    equals, passed_over, alone = list[list[Term]](), list[list[Fitted]](), list[Fitted]()
-    for turn in range(most):
-        progress("effects", turn, most)
-        taken, tried, rivals, fits = hunt.turn(current)
-        alone = alone or fits
+    selection = _ForwardSelection(swims, rows, folds_of(swims, rows), columns, replicate_count(swims))
+    refiner = Refiner(swims, rows, selection.replicate_count)
+    current, iterations = nominal, list[list[CandidateScore]]()
+    confounded, runners_up, single_effect_fits = list[list[Term]](), list[list[Fitted]](), list[Fitted]()
+    for iteration in range(most):
+        progress("effects", iteration, most)
+        taken, tried, rivals, fits = selection.iterate(current)
+        single_effect_fits = single_effect_fits or fits
         if taken is not None:
-            polished = polisher.polished(taken)
-            current, others = hunt.settled(polished, rivals)
-            if current is not polished:
-                current = polisher.polished(current)
+            refined = refiner.refined(taken)
+            current, others = selection.simplest_of(refined, rivals)
+            if current is not refined:
+                current = refiner.refined(current)
             title = current.model.terms[-1].title
             tried = [replace(each, chosen=each.title == title) for each in tried]
-            equals.append(others)
-            passed_over.append([taken, *rivals])
-        turns.append(tried)
-        if taken is None or (most < MOST and _left(nominal, current) > HOPELESS):
+            confounded.append(others)
+            runners_up.append([taken, *rivals])
+        iterations.append(tried)
+        if taken is None or (most < MOST and _left(nominal, current) > UNEXPLAINED_MAX):
             break
     if len(current.model.terms) > 1:
-        current, equals = revised(polisher, current, equals, passed_over, alone)
-    current, equals = same_named(polisher, current, equals, candidates)
-    (current,) = told([current], swims, rows)  # what is held has an interval as well
+        current, confounded = revise(refiner, current, confounded, runners_up, single_effect_fits)
+    current, confounded = resolve_equivalent(refiner, current, confounded, candidates)
+    (current,) = refresh_jacobian([current], swims, rows)  # fixed parameters have an interval as well
     progress("effects", most, most)
-    alike = [[term.title for term in others] for others in equals]
-    return Found(nominal, current, turns, rows, alike, columns, equals)
+    confounded_with = [[term.title for term in others] for others in confounded]
+    return Found(nominal, current, iterations, rows, confounded_with, columns, confounded)
 
 
 def _left(nominal: Fitted, fitted: Fitted) -> float:
-    """Share of the misses at periods' ends that a model leaves: the lesser of place's and heading's."""
-    after, before = (np.sqrt((each.missed[:, -3:] ** 2).mean(axis=0)) for each in (fitted, nominal))
+    """Share of the error at periods' ends that a model leaves: the lesser of position's and heading's."""
+    after, before = (np.sqrt((each.residuals[:, -3:] ** 2).mean(axis=0)) for each in (fitted, nominal))
     return float(min(np.hypot(*after[:2]) / np.hypot(*before[:2]), after[2] / before[2]))
 
 
 @dataclass(frozen=True, eq=False)
-class _Offer:
-    """A candidate about one start: what its derivatives promise.
+class _Screened:
+    """A screened candidate at one start: the gain that its derivatives predict.
 
     Attributes:
-        gain: by how much minus twice the log likelihood would fall.
-        score: the same less what its free parameters cost.
+        gain: predicted fall of the deviance.
+        score: gain minus the penalty of the free parameters.
         values: of all its parameters.
-        held: which of them stay where the effect vanishes.
+        fixed: which of them stay at the values where the effect vanishes.
     """
 
     column: Column
     gain: float
     score: float
     values: FloatArray
-    held: frozenset[int]
+    fixed: frozenset[int]
 
 
 @dataclass(frozen=True, eq=False)
-class _Hunt:
+class _ForwardSelection:
     swims: Sequence[Segments]
     rows: NDArray[np.bool_]
     folds: NDArray[np.int64]
     columns: Sequence[Column]
-    replicates: int
-    """Of the same noise: a gain counts once."""
+    replicate_count: int
+    """Runs that are replicates with the same noise: their gain counts once."""
 
-    def turn(self, current: Fitted) -> tuple[Fitted | None, list[Tried], list[Fitted], list[Fitted]]:
-        """One more effect, or none; all that were tried; others that do nearly as well; all fitted ones."""
-        offers = self.offers(current)
-        least = max(BASE_GAIN, self.by_chance(current))
-        picked: list[_Offer] = []
-        for offer in offers:
-            if len(picked) == REFINED or offer.score < BASE_GAIN / 2.0:
+    def iterate(
+        self, current: Fitted
+    ) -> tuple[Fitted | None, list[CandidateScore], list[Fitted], list[Fitted]]:
+        """The model with one more effect, or None; all scores; models nearly as good; all fitted models."""
+        screened = self.screen_all(current)
+        least = max(EFFECT_PENALTY, self.chance_gain(current))
+        picked: list[_Screened] = []
+        for candidate in screened:
+            if len(picked) == REFINED or candidate.score < EFFECT_PENALTY / 2.0:
                 break
-            if picked and offer.score < (1.0 - RIVAL) * picked[0].score - BASE_GAIN:
+            if picked and candidate.score < (1.0 - RIVAL_SHARE) * picked[0].score - EFFECT_PENALTY:
                 break
-            if all(offer.column.term.title != other.column.term.title for other in picked):
-                picked.append(offer)
+            if all(candidate.column.term.title != other.column.term.title for other in picked):
+                picked.append(candidate)
         known = len(current.model.values)
         starts = []
-        for offer in picked:
-            held = current.model.held | {known + k for k in offer.held}
-            terms = (*current.model.terms, offer.column.term.at(offer.values))
-            starts.append(replace(current.model, terms=terms, leg_s=REFINING_LEG_S, held=held))
+        for candidate in picked:
+            fixed = current.model.fixed | {known + k for k in candidate.fixed}
+            terms = (*current.model.terms, candidate.column.term.at(candidate.values))
+            starts.append(replace(current.model, terms=terms, leg_s=REFINING_LEG_S, fixed=fixed))
         fits = (
-            fit_many(starts, self.swims, self.rows, REFINING_ROUNDS, current.jacobian, REFINED_CLOSE)
+            fit_many(starts, self.swims, self.rows, REFINING_STEPS_MAX, current.jacobian, REFINING_CONVERGED)
             if starts
             else []
         )
-        tried: list[Tried] = []
+        tried: list[CandidateScore] = []
         scored: list[tuple[float, Fitted]] = []
-        for offer, fitted in zip(picked, fits, strict=True):
-            gain = current.cost - fitted.cost
-            fall = _fall(current, fitted, self.folds, known)
-            score = gain / self.replicates - GAIN_EACH * (len(offer.values) - len(offer.held))
-            # What shows in few periods varies much from period to period: a limb that seldom fires.
-            sure = 1.0 if score > PLAIN_GAIN else 2.0
-            good = score > least and fall[0] > max(SEEN_LEAST, sure * fall[1])
-            tried.append(Tried(offer.column.term.title, gain, fall[0], True))
+        for candidate, fitted in zip(picked, fits, strict=True):
+            gain = current.deviance - fitted.deviance
+            fall = _held_out_gain(current, fitted, self.folds, known)
+            score = gain / self.replicate_count - PARAMETER_PENALTY * (
+                len(candidate.values) - len(candidate.fixed)
+            )
+            # The gain of what acts in few periods varies from period to period, as of a limb that seldom
+            # fires.
+            sure = 1.0 if score > DECISIVE_GAIN else 2.0
+            good = score > least and fall[0] > max(HELD_OUT_GAIN_MIN, sure * fall[1])
+            tried.append(CandidateScore(candidate.column.term.title, gain, fall[0], True))
             if good:
                 scored.append((score, fitted))
         scored.sort(key=lambda row: -row[0])
         names = {each.title for each in tried}
         tried += [
-            Tried(offer.column.term.title, offer.gain, float("nan"), False)
-            for offer in offers
-            if offer.column.term.title not in names
+            CandidateScore(candidate.column.term.title, candidate.gain, float("nan"), False)
+            for candidate in screened
+            if candidate.column.term.title not in names
         ]
         if not scored:
             return None, tried, [], fits
         best = scored[0][0]
-        rivals = [fitted for score, fitted in scored[1:] if score > best - max(NEAR, RIVAL * best)]
+        rivals = [
+            fitted for score, fitted in scored[1:] if score > best - max(REFIT_MARGIN, RIVAL_SHARE * best)
+        ]
         return scored[0][1], tried, rivals, fits
 
-    def by_chance(self, current: Fitted) -> float:
-        """What the best candidate would gain if none were true."""
+    def chance_gain(self, current: Fitted) -> float:
+        """What the best candidate would gain by chance, if none were true."""
         runs = np.repeat(np.arange(len(self.swims)), [len(swim.start_s) for swim in self.swims])[self.rows]
         candidates = [column.jacobian for column in self.columns]
-        return gain_by_chance(current.missed, current.jacobian, candidates, runs, GAIN_EACH)
+        return gain_by_chance(current.residuals, current.jacobian, candidates, runs, PARAMETER_PENALTY)
 
-    def settled(self, taken: Fitted, rivals: Sequence[Fitted]) -> tuple[Fitted, list[Term]]:
-        """The best of a polished model and its rivals at its noise, and what cannot be told from that.
+    def simplest_of(self, taken: Fitted, rivals: Sequence[Fitted]) -> tuple[Fitted, list[Term]]:
+        """The simplest of a refined model and the rivals confounded with it, and the others of these.
 
-        Of those that cannot be told apart it is the one with the fewest parameters.
+        The simplest is the one with the fewest parameters.
         """
         if not rivals:
             return taken, []
         starts = [
             replace(each.model, noise=taken.model.noise, leg_s=fine_leg_s(each.model)) for each in rivals
         ]
-        begun = begun_at(starts, [each.jacobian for each in rivals], self.swims, self.rows)
-        # As many steps as a polish has: after two a rival that does as well may seem 20 worse. And from the
-        # other terms as they are polished, too: its own may have settled in a dip.
-        beside = [in_place(taken.model, -1, each.model.terms[-1]) for each in rivals]
-        own = fit_on(begun, self.swims, self.rows, ROUNDS)
-        near = fit_many(beside, self.swims, self.rows, ROUNDS)
-        every = [taken, *(min(pair, key=price) for pair in zip(own, near, strict=True))]
-        every.sort(key=price)
-        equals = [each for each in every if price(each) < price(every[0]) + ALIKE * self.replicates]
-        equals.sort(key=lambda each: len(each.model.values))
-        return equals[0], [each.model.terms[-1] for each in equals[1:]]
+        baseline = evaluate(starts, [each.jacobian for each in rivals], self.swims, self.rows)
+        # As many steps as a refinement has: after two a rival that does as well may seem 20 worse. A second
+        # start has the other terms as they are refined: the rival's own may be in a local minimum.
+        beside = [with_term_at(taken.model, -1, each.model.terms[-1]) for each in rivals]
+        own = fit_on(baseline, self.swims, self.rows, STEPS_MAX)
+        near = fit_many(beside, self.swims, self.rows, STEPS_MAX)
+        every = [taken, *(min(pair, key=penalised_deviance) for pair in zip(own, near, strict=True))]
+        every.sort(key=penalised_deviance)
+        confounded = [
+            each
+            for each in every
+            if penalised_deviance(each)
+            < penalised_deviance(every[0]) + CONFOUNDED_MARGIN * self.replicate_count
+        ]
+        confounded.sort(key=lambda each: len(each.model.values))
+        return confounded[0], [each.model.terms[-1] for each in confounded[1:]]
 
-    def offers(self, current: Fitted) -> list[_Offer]:
-        """Candidates by what their derivatives promise, best first."""
+    def screen_all(self, current: Fitted) -> list[_Screened]:
+        """Screen all candidates, best first."""
         taken = {term.title for term in current.model.terms}
-        found = [self.offer(current, each) for each in self.columns if each.term.title not in taken]
-        found.sort(key=lambda offer: offer.column.term.title)
-        found.sort(key=lambda offer: -offer.score)
+        found = [self.screen(current, each) for each in self.columns if each.term.title not in taken]
+        found.sort(key=lambda candidate: candidate.column.term.title)
+        found.sort(key=lambda candidate: -candidate.score)
         return found
 
-    def offer(self, current: Fitted, column: Column) -> _Offer:
-        """What one promises, with as few of its parameters as do nearly as well."""
+    def screen(self, current: Fitted, column: Column) -> _Screened:
+        """Screen one candidate, with as few free parameters as do nearly as well."""
         term, known = column.term, current.jacobian.shape[2]
         start = np.array(term.values)
         low = np.array([p.low for p in term.parameters]) - start
         high = np.array([p.high for p in term.parameters]) - start
-        down, up = room_of(current.model)
+        down, up = step_bounds(current.model)
         both = np.concatenate([current.jacobian, column.jacobian], axis=2)
-        damping = np.append(np.full(known, 1e-12), 1e-6 * current.missed.size / (high - low) ** 2)
+        damping = np.append(np.full(known, 1e-12), 1e-6 * current.residuals.size / (high - low) ** 2)
 
-        def solve(held: frozenset[int]) -> tuple[FloatArray, float]:
-            free = np.array([k not in held for k in range(len(start))])
+        def solve(fixed: frozenset[int]) -> tuple[FloatArray, float]:
+            free = np.array([k not in fixed for k in range(len(start))])
             lows, highs = np.append(down, low * free), np.append(up, high * free)
-            return promised(current.missed, both, lows, highs, damping)
+            return linearised_optimum(current.residuals, both, lows, highs, damping)
 
-        dead = [k for k in range(len(start)) if not column.jacobian[:, :, k].any()]
-        held = frozenset(k for k in dead if start[k] == term.parameters[k].nominal)
-        step, cost = solve(held)
-        for _ in range(len(start) - len(held) - 1):
-            fewer = [held | {k} for k in range(len(start)) if k not in held and k not in dead]
+        insensitive = [k for k in range(len(start)) if not column.jacobian[:, :, k].any()]
+        fixed = frozenset(k for k in insensitive if start[k] == term.parameters[k].nominal)
+        step, deviance = solve(fixed)
+        for _ in range(len(start) - len(fixed) - 1):
+            fewer = [fixed | {k} for k in range(len(start)) if k not in fixed and k not in insensitive]
             if len(fewer) < 2:
                 break
             solved = [(*solve(each), each) for each in fewer]
             lighter, dearer, chosen = min(solved, key=lambda row: row[1])
-            # Where much is gained derivatives err by more than HOLD; what is held too soon is freed later.
-            if dearer > cost + max(HOLD, HELD_SHARE * (current.cost - cost)):
+            # Where much is gained, derivatives err by more than RELEASE_PENALTY; what is fixed too soon is
+            # released later.
+            if dearer > deviance + max(RELEASE_PENALTY, FIXED_SHARE * (current.deviance - deviance)):
                 break
-            step, cost, held = lighter, dearer, chosen
-        gain = current.cost - cost
-        score = gain / self.replicates - GAIN_EACH * (len(start) - len(held))
-        return _Offer(column, gain, score, start + step[known:], held)
+            step, deviance, fixed = lighter, dearer, chosen
+        gain = current.deviance - deviance
+        score = gain / self.replicate_count - PARAMETER_PENALTY * (len(start) - len(fixed))
+        return _Screened(column, gain, score, start + step[known:], fixed)
 
 
-def _fall(current: Fitted, fitted: Fitted, folds: NDArray[np.int64], known: int) -> tuple[float, float]:
-    """Gain of a fitted candidate over the model before it on a held-out period, and its standard error.
+def _held_out_gain(
+    current: Fitted, fitted: Fitted, folds: NDArray[np.int64], known: int
+) -> tuple[float, float]:
+    """Mean gain of a fitted candidate on a held-out period over the model before it, and its standard error.
 
-    By twice the log density, each model cross-fitted: neither its parameters nor its scale saw the fold.
+    In twice the log density, cross-validated: the fold had no part in parameters and scale.
     """
-    low, high = room_of(fitted.model)
+    low, high = step_bounds(fitted.model)
     scores = [
-        cross_fitted(one.missed, one.jacobian, lows, highs, np.full(len(lows), 1e-9), folds)
+        cross_fitted(one.residuals, one.jacobian, lows, highs, np.full(len(lows), 1e-9), folds)
         for one, lows, highs in ((current, low[:known], high[:known]), (fitted, low, high))
     ]
     falls = 2.0 * (scores[1] - scores[0])

@@ -21,7 +21,7 @@ FloatArray = NDArray[np.float64]
 LEAD_S = 1.0
 """How long before the first stroke the simulation starts."""
 
-KICK_S = 0.3
+ACTUATION_S = 0.3
 """How long after a pulse's start its limb pushes hardest."""
 
 _END_BEFORE_S, _END_AFTER_S = 0.24, 0.03
@@ -93,9 +93,9 @@ class Segments:
             start = max(time_s, until)
             if start > until:
                 knots.append((start, total))
-            if time_s + KICK_S > start:
-                total += time_s + KICK_S - start
-                until = time_s + KICK_S
+            if time_s + ACTUATION_S > start:
+                total += time_s + ACTUATION_S - start
+                until = time_s + ACTUATION_S
                 knots.append((until, total))
         return np.array([*knots, (knots[-1][0] + 1e6, total)]).T
 

@@ -1,9 +1,10 @@
-"""The likelihood of misses, one for all of identification, and steps of a fit where they are linear.
+"""The likelihood of residuals, one for all of identification, and Gauss-Newton steps on it.
 
-Misses are taken as Student-t distributed with DOF degrees of freedom and the scale matrix under which they
-are likeliest. The gate of a relative, its descent, the search, every refit and the score on runs that were
-kept out all use this one density. Its scale is always the likeliest one, so a miss that grows in its own
-direction never makes the whole likelier, however small the core of good predictions is.
+Residuals are Student-t distributed with DOF degrees of freedom; the scale matrix is the one of maximum
+likelihood. The gate of a calibrated start, its descent, the search, every refit and the score on held-out
+runs all use this one density. Its scale is always the one of maximum likelihood, so a residual that grows in
+its own direction never raises the likelihood, however small the core of good predictions is. "Deviance" is
+minus twice the log likelihood throughout.
 
 Source: Lange, Little, Taylor 1989, Robust statistical modeling using the t distribution; the scale is
 iterated by Liu, Rubin, Wu 1998, Parameter expansion to accelerate EM.
@@ -20,39 +21,39 @@ from numpy.typing import NDArray
 FloatArray = NDArray[np.float64]
 
 DOF = 4.0
-"""Degrees of freedom of the density of misses: now and then strokes differ more than normal ones would."""
+"""Degrees of freedom of the density of residuals: strokes have heavier tails than a normal density."""
 
-CLOSE = 0.2
-"""A fall of the cost that ends a fit."""
+CONVERGED = 0.2
+"""A fit has converged where the deviance falls by less."""
 
-WEIGHED = 20
-"""Times that misses are weighed anew at most, for one step."""
+REWEIGHTINGS_MAX = 20
+"""Reweightings of the residuals (iteratively reweighted least squares) at most, for one step."""
 
-_LEAST = (2e-5, 2e-5, 2e-4)
-"""Scales (m, m, rad) below which misses are inexact simulation: no scale matrix becomes singular."""
+_SCALE_MIN = (2e-5, 2e-5, 2e-4)
+"""Scales (m, m, rad) below which residuals are discretisation error: no scale matrix becomes singular."""
 
-_EXACT = 1e-7
-"""A change of the cost that ends the iteration of the scale."""
-
-
-def scale_of(missed: FloatArray) -> FloatArray:
-    """(d, d) scale matrix of the Student-t density by which (n, d) misses are likeliest, never singular."""
-    return _maximised(missed)[0]
+_EM_TOLERANCE = 1e-7
+"""A change of the deviance that ends the iteration of the scale."""
 
 
-def cost_of(missed: FloatArray) -> float:
-    """Minus twice the log likelihood of (n, d) misses, Student-t distributed with their likeliest scale."""
-    return _maximised(missed)[1]
+def scale_of(residuals: FloatArray) -> FloatArray:
+    """(d, d) maximum-likelihood scale matrix of the Student-t density of (n, d) residuals, never singular."""
+    return _maximum_likelihood_scale(residuals)[0]
 
 
-def log_density(missed: FloatArray, scale: FloatArray) -> FloatArray:
-    """(n,) log density of (n, d) misses under the Student-t density of a (d, d) scale matrix.
+def deviance_of(residuals: FloatArray) -> float:
+    """Deviance of (n, d) residuals, Student-t distributed with their maximum-likelihood scale."""
+    return _maximum_likelihood_scale(residuals)[1]
+
+
+def log_density(residuals: FloatArray, scale: FloatArray) -> FloatArray:
+    """(n,) log density of (n, d) residuals under the Student-t density of a (d, d) scale matrix.
 
     Source: Lange, Little, Taylor 1989, equation 1.
     """
-    width = missed.shape[1]
+    width = residuals.shape[1]
     root = np.linalg.cholesky(scale)
-    distance = (np.linalg.solve(root, missed.T) ** 2).sum(axis=0)
+    distance = (np.linalg.solve(root, residuals.T) ** 2).sum(axis=0)
     log_det = 2.0 * float(np.log(np.diag(root)).sum())
     return np.asarray(
         -0.5 * (log_det + (DOF + width) * np.log1p(distance / DOF) + _constant(width)), dtype=np.float64
@@ -60,36 +61,36 @@ def log_density(missed: FloatArray, scale: FloatArray) -> FloatArray:
 
 
 def _constant(width: int) -> float:
-    """Minus twice the log of what makes the density's integral one, but for its scale."""
+    """Minus twice the log of the density's normalisation, without its scale."""
     return 2.0 * (math.lgamma(0.5 * DOF) - math.lgamma(0.5 * (DOF + width))) + width * math.log(DOF * math.pi)
 
 
-def _maximised(missed: FloatArray) -> tuple[FloatArray, float]:
-    """The likeliest scale matrix, and minus twice the log likelihood with it."""
-    count, width = missed.shape
-    least = np.square(np.resize(np.array(_LEAST), width))
+def _maximum_likelihood_scale(residuals: FloatArray) -> tuple[FloatArray, float]:
+    """The maximum-likelihood scale matrix, and the deviance with it."""
+    count, width = residuals.shape
+    least = np.square(np.resize(np.array(_SCALE_MIN), width))
     if not count:
         return np.diag(least), 0.0
-    rows = np.ascontiguousarray(missed, dtype=np.float64)
-    scale, cost = _iterated(rows, least, DOF, _EXACT)
-    return scale, float(cost + count * _constant(width))
+    rows = np.ascontiguousarray(residuals, dtype=np.float64)
+    scale, deviance = _em_scale(rows, least, DOF, _EM_TOLERANCE)
+    return scale, float(deviance + count * _constant(width))
 
 
 @njit(cache=True)
-def _iterated(missed: FloatArray, least: FloatArray, dof: float, exact: float) -> tuple[FloatArray, float]:
-    """The scale matrix of least cost, with a penalty of n tr(scale^-1 diag(least)), and that cost."""
-    count, width = missed.shape
+def _em_scale(residuals: FloatArray, least: FloatArray, dof: float, exact: float) -> tuple[FloatArray, float]:
+    """Scale matrix of least deviance by parameter-expanded EM, regularised, and that deviance."""
+    count, width = residuals.shape
     scale = np.diag(least)
     for row in range(count):
         for i in range(width):
             for j in range(width):
-                scale[i, j] += missed[row, i] * missed[row, j] / count
+                scale[i, j] += residuals[row, i] * residuals[row, j] / count
     before, best, best_scale = np.inf, np.inf, scale
     for _ in range(200):
         inverse = np.linalg.inv(np.linalg.cholesky(scale))
-        cost, penalty = 0.0, 0.0
+        deviance, penalty = 0.0, 0.0
         for i in range(width):
-            cost -= 2.0 * count * np.log(inverse[i, i])
+            deviance -= 2.0 * count * np.log(inverse[i, i])
             for j in range(i + 1):
                 penalty += inverse[i, j] ** 2 * least[j]
         total, moment = 0.0, np.diag(count * least)
@@ -98,107 +99,108 @@ def _iterated(missed: FloatArray, least: FloatArray, dof: float, exact: float) -
             for i in range(width):
                 part = 0.0
                 for j in range(i + 1):
-                    part += inverse[i, j] * missed[row, j]
+                    part += inverse[i, j] * residuals[row, j]
                 distance += part * part
-            cost += (dof + width) * np.log1p(distance / dof)
+            deviance += (dof + width) * np.log1p(distance / dof)
             weight = (dof + width) / (dof + distance)
             total += weight
             for i in range(width):
                 for j in range(width):
-                    moment[i, j] += weight * missed[row, i] * missed[row, j]
-        cost += count * penalty
-        if cost < best:
-            best, best_scale = cost, scale
-        if abs(before - cost) < exact:
+                    moment[i, j] += weight * residuals[row, i] * residuals[row, j]
+        deviance += count * penalty
+        if deviance < best:
+            best, best_scale = deviance, scale
+        if abs(before - deviance) < exact:
             break
-        before = cost
+        before = deviance
         scale = moment * ((1.0 + penalty / dof) / total)
     return best_scale, best
 
 
-def promised(
-    missed: FloatArray, jacobian: FloatArray, low: FloatArray, high: FloatArray, damping: FloatArray
+def linearised_optimum(
+    residuals: FloatArray, jacobian: FloatArray, low: FloatArray, high: FloatArray, damping: FloatArray
 ) -> tuple[FloatArray, float]:
-    """(p,) step within bounds that makes misses likeliest if they were linear, and the cost they would have.
+    """(p,) optimum within bounds if residuals were linear in the parameters, and the deviance there.
 
-    What is left decides how misses weigh, so the step is made over and over: what few periods show counts
-    little until the step explains it.
+    Iteratively reweighted least squares: the remaining residuals set the weights, so the step is repeated.
+    What few periods show has little weight until the step explains it.
     """
     found = np.zeros(jacobian.shape[2])
-    after, best = missed, cost_of(missed)
-    for _ in range(WEIGHED):
-        # From where it stands: what was wild at first and is explained by now counts in full.
+    after, best = residuals, deviance_of(residuals)
+    for _ in range(REWEIGHTINGS_MAX):
+        # From the present point: an outlier that the step explains has full weight again.
         flat, columns = whiten(whitener(after), after, jacobian)
         flat = np.concatenate([flat, np.sqrt(damping) * found])
         columns = np.concatenate([columns, np.diag(np.sqrt(damping))])
         move = bounded_step(columns, flat, np.zeros(len(found)), low - found, high - found)
         gain, step = 0.0, found + move
-        while (cost := cost_of(missed + jacobian @ step)) < best:
-            gain, best, found = gain + best - cost, cost, step
-            # Each weighing goes the same way a little farther: twice as far saves some.
+        while (deviance := deviance_of(residuals + jacobian @ step)) < best:
+            gain, best, found = gain + best - deviance, deviance, step
+            # Each reweighting goes a little farther in the same direction: doubling the step saves some.
             move = 2.0 * move
             step = np.clip(found + move, low, high)
-        if gain < CLOSE / 4.0:
+        if gain < CONVERGED / 4.0:
             break
-        after = missed + jacobian @ found
+        after = residuals + jacobian @ found
     return found, best
 
 
 def cross_fitted(
-    missed: FloatArray,
+    residuals: FloatArray,
     jacobian: FloatArray,
     low: FloatArray,
     high: FloatArray,
     damping: FloatArray,
     folds: NDArray[np.int64],
 ) -> FloatArray:
-    """(n,) log density of each period by parameters and a scale matrix that its own fold had no part in.
+    """(n,) cross-validated log density of each period: its own fold had no part in parameters and scale.
 
-    Misses are taken as linear in the parameters; from where they were linearised all parameters are free to
-    go back within their bounds, so what the fold itself taught them is given up. NaN where one fold is all.
+    Residuals are taken as linear in the parameters. From the point of linearisation all parameters may move
+    within their bounds, so what they learned from the fold itself is lost. NaN where there is a single fold.
 
     Args:
-        missed, jacobian, low, high, damping: see ``promised``.
-        folds: (n,) the part that each period is held out with.
+        residuals, jacobian, low, high, damping: see ``linearised_optimum``.
+        folds: (n,) the fold of each period.
     """
-    scores = np.zeros(len(missed))
+    scores = np.zeros(len(residuals))
     for label in np.unique(folds):
         test = folds == label
         if test.all():
-            return np.full(len(missed), np.nan)
-        step, _ = promised(missed[~test], jacobian[~test], low, high, damping)
-        scale = _shrunk(scale_of(missed[~test] + jacobian[~test] @ step), int((~test).sum()))
-        scores[test] = log_density(missed[test] + jacobian[test] @ step, scale)
+            return np.full(len(residuals), np.nan)
+        step, _ = linearised_optimum(residuals[~test], jacobian[~test], low, high, damping)
+        scale = _shrunk(scale_of(residuals[~test] + jacobian[~test] @ step), int((~test).sum()))
+        scores[test] = log_density(residuals[test] + jacobian[test] @ step, scale)
     return scores
 
 
 def _shrunk(scale: FloatArray, count: int) -> FloatArray:
-    """A scale matrix of few periods, its correlations less sure: as if the width's worth showed none."""
+    """A scale matrix of few periods with its correlations shrunk, as if d more periods had shown none."""
     width = len(scale)
     return np.asarray((count * scale + width * np.diag(np.diag(scale))) / (count + width))
 
 
-def whitener(missed: FloatArray) -> FloatArray:
-    """(d, d) that makes (n, d) misses uncorrelated and of scale one: rows times it."""
-    return np.asarray(np.linalg.inv(np.linalg.cholesky(scale_of(missed))).T)
+def whitener(residuals: FloatArray) -> FloatArray:
+    """(d, d) whitening matrix: (n, d) residuals times it are uncorrelated and of scale one."""
+    return np.asarray(np.linalg.inv(np.linalg.cholesky(scale_of(residuals))).T)
 
 
-def whiten(white: FloatArray, missed: FloatArray, jacobian: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """(d n,) misses and (d n, p) derivatives, whitened; each period by the root of its Student-t weight.
+def whiten(white: FloatArray, residuals: FloatArray, jacobian: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """(d n,) residuals and (d n, p) derivatives, whitened and times the root of each period's Student-t
+    weight.
 
-    Half the gradient of ``cost_of`` by the parameters is the second transposed times the first: a step of
-    least squares on them is one of expectation maximisation, and stays where the cost is least.
+    Half the gradient of ``deviance_of`` is the second transposed times the first: a least-squares step on
+    them is a step of expectation maximisation, whose fixed point is the least deviance.
     """
-    rows, width = missed @ white, missed.shape[1]
+    rows, width = residuals @ white, residuals.shape[1]
     weight = np.sqrt((DOF + width) / (DOF + (rows**2).sum(axis=1)))
     columns = np.einsum("nip,ij->njp", jacobian, white) * weight[:, None, None]
-    return (rows * weight[:, None]).ravel(), columns.reshape(missed.size, jacobian.shape[2])
+    return (rows * weight[:, None]).ravel(), columns.reshape(residuals.size, jacobian.shape[2])
 
 
 def bounded_step(
     jacobian: FloatArray, residual: FloatArray, damping: FloatArray, low: FloatArray, high: FloatArray
 ) -> FloatArray:
-    """(p,) step that makes residual + jacobian step smallest within bounds, by fixing what hits them."""
+    """(p,) damped least-squares step within bounds (active set): what reaches a bound is fixed there."""
     normal = jacobian.T @ jacobian + np.diag(damping)
     right = -jacobian.T @ residual
     step = np.zeros(len(right))
@@ -206,8 +208,8 @@ def bounded_step(
     for _ in range(len(right) + 1):
         if not free.any():
             break
-        held = right[free] - normal[np.ix_(free, ~free)] @ step[~free]
-        step[free] = np.linalg.lstsq(normal[np.ix_(free, free)], held, rcond=1e-12)[0]
+        rhs = right[free] - normal[np.ix_(free, ~free)] @ step[~free]
+        step[free] = np.linalg.lstsq(normal[np.ix_(free, free)], rhs, rcond=1e-12)[0]
         out = free & ((step < low) | (step > high))
         step = np.clip(step, low, high)
         if not out.any():

@@ -1,4 +1,4 @@
-"""What tables are to a retune: who makes them, and how far they err on periods that were held out."""
+"""Tables in a retune: the interface that makes them, and their error on held-out periods."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from frogkick.core.poses import PredictionError
 from frogkick.effects import Effect, Fix
 from frogkick.identification.horizons import HORIZONS, Horizon
 from frogkick.identification.outcome import Outcome
-from frogkick.identification.predict import Track
+from frogkick.identification.predict import Rollout
 from frogkick.identification.segments import Segments
 from frogkick.paths import wrap_angle
 from frogkick.robot import Robot
@@ -24,23 +24,23 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 EARLIER = 8
-"""How many earlier actions a look-up is told."""
+"""Number of earlier actions that a look-up takes."""
 
 RESTED = -1
-"""In place of an earlier action: there was none, as libraries have it."""
+"""In place of an earlier action: there was none (as in libraries)."""
 
 PERIOD_OFF = 0.1
-"""A run's period may differ by such a share from the one that tables are made for."""
+"""A run's period may differ by this share from the one that tables are made for."""
 
-_CHANCE = np.random.default_rng(0)
+_RNG = np.random.default_rng(0)
 
 Stage = Callable[[str], AbstractContextManager[Callable[[int, int], None]]]
-"""Begins a stage of the work by its title; what it yields is called with (done, all)."""
+"""Begins a stage of the work by its title; yields a function of (done, all)."""
 
 
 @dataclass(frozen=True)
 class Tracked:
-    """How a table's robot kept to its paths in a pool: means over the runs.
+    """Closed-loop performance of a table in a simulated pool: means over the runs.
 
     Attributes:
         mean_distance_m: to the path.
@@ -60,7 +60,7 @@ class Tracked:
 
 
 class Tools(Protocol):
-    """What is done with robots and tables that is no identification."""
+    """What a retune needs besides identification: library, tables, simulated pool and firmware."""
 
     def tables(self, robot: Robot, library: Path, stage: Stage) -> bytes:
         """Simulate a robot's library into a file, and make the table image of it."""
@@ -72,35 +72,35 @@ class Tools(Protocol):
         """(n, a, 6) transitions in a table image from (n, 3) velocities after (n, EARLIER) actions."""
 
     def tracked(self, tables: Path, robot: Robot, progress: Callable[[int, int], None]) -> Tracked:
-        """Always the same paths followed by a table file, in a pool where the robot's effects are true."""
+        """Follow a fixed set of paths with a table file, in a pool with the robot's effects."""
 
     def firmware(self, tables: Path, robot: Robot, out: Path) -> Mapping[str, Any]:
         """Build the robot's image around a table file into a folder; its sizes."""
 
 
 def table_error(tools: Tools, image: bytes, outcome: Outcome, periods: int = 1) -> PredictionError:
-    """How far a table errs some periods ahead on the test runs, looked up from where each period began.
+    """Error of a table some periods ahead on the test runs, from the start of each period.
 
-    Old and new tables begin from the same states, the best that are known of the robot: those of the rods
-    with what was found. Their poses are taken as the camera shows them, as the robot will be told them.
-    Further periods begin from where the table says that the one before ended.
+    Old and new tables start from the same states, the best that are known: those of the fitted rods. Their
+    poses are those that the camera shows, as the robot will receive them. Further periods start from the
+    table's own prediction.
 
     Args:
-        tools: look it up.
+        tools: for the look-ups.
         image: of the table.
-        outcome: knows runs, starts and effects.
+        outcome: runs, starts and effects.
         periods: ahead.
     """
     effects = [term.effect() for term in outcome.terms]
     gaps = [
         _gaps(tools, image, *pair, effects, periods)
-        for pair in zip(outcome.test, outcome.tracks, strict=True)
+        for pair in zip(outcome.test, outcome.rollouts, strict=True)
     ]
     return PredictionError.of(np.concatenate(gaps))
 
 
 def table_horizons(tools: Tools, old: bytes, new: bytes, outcome: Outcome) -> list[Horizon]:
-    """Errors of two tables by how many periods ahead, without those that no run is long enough for."""
+    """Errors of two tables by horizon, without horizons that no run is long enough for."""
     every = [
         Horizon(periods, *(table_error(tools, image, outcome, periods) for image in (old, new)))
         for periods in HORIZONS
@@ -109,14 +109,14 @@ def table_horizons(tools: Tools, old: bytes, new: bytes, outcome: Outcome) -> li
 
 
 def _gaps(
-    tools: Tools, image: bytes, swim: Segments, track: Track, effects: Sequence[Effect], periods: int
+    tools: Tools, image: bytes, swim: Segments, rollout: Rollout, effects: Sequence[Effect], periods: int
 ) -> FloatArray:
-    """(m, 3) measured minus looked-up pose so many periods after each start; NaN where one is not known."""
+    """(m, 3) measured minus looked-up pose so many periods after each start; NaN where unknown."""
     gap = np.full((len(swim.start_s), 3), np.nan)
-    # What a table does not know of is not held against it: a period that was cut short or lengthened.
+    # Periods that were cut short or lengthened are excluded: tables do not know of them.
     whole = (swim.action >= 0) & (np.abs((swim.end_s - swim.start_s) / swim.period_s - 1.0) < PERIOD_OFF)
     follows = np.append(np.abs(swim.start_s[1:] - swim.end_s[:-1]) < 1e-6, False)
-    known = np.isfinite(track.start).all(axis=1) & whole
+    known = np.isfinite(rollout.start).all(axis=1) & whole
     for step in range(1, periods):
         known &= np.append(whole[step:], np.zeros(min(step, len(whole)), dtype=bool))
         known &= np.append(follows[step - 1 :], np.zeros(min(step - 1, len(whole)), dtype=bool))
@@ -126,10 +126,10 @@ def _gaps(
     pose = np.array(
         [
             _shown(effects, float(at_s), start)
-            for at_s, start in zip(swim.start_s[rows], track.start[rows, :3], strict=True)
+            for at_s, start in zip(swim.start_s[rows], rollout.start[rows, :3], strict=True)
         ]
     )
-    velocity, previous = track.start[rows, 3:], earlier_actions(swim)
+    velocity, previous = rollout.start[rows, 3:], earlier_actions(swim)
     for step in range(periods):
         found = tools.looked_up(image, velocity, previous[rows + step])
         moved = found[np.arange(len(rows)), swim.action[rows + step]]
@@ -147,7 +147,7 @@ def _shown(effects: Sequence[Effect], time_s: float, pose: FloatArray) -> tuple[
     """A pose as the camera shows it."""
     seen = Fix(time_s, 0.0, *(float(value) for value in pose))
     for effect in effects:
-        seen = effect.fix(seen, _CHANCE) or seen
+        seen = effect.fix(seen, _RNG) or seen
     return seen.x_m, seen.y_m, seen.heading_rad
 
 

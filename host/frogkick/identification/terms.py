@@ -1,4 +1,4 @@
-"""Candidate effects: which there are, with free parameters, and where a search may start."""
+"""Candidate effects: the catalogue, with free parameters and the values that a search starts from."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ class Term:
     """An effect with values for its parameters.
 
     Attributes:
-        table: what a TOML would say of it but its parameters: name, or file and class; options.
-        folder: where its file is looked up.
+        table: its TOML table without parameters: name, or file and class; options.
+        folder: folder of its file.
         parameters: as the effect declares them.
         values: one for each.
     """
@@ -45,7 +45,7 @@ class Term:
 
     @property
     def name(self) -> str:
-        """Of the effect alone."""
+        """Name of the effect, without options."""
         keys = dict(self.table)
         return str(keys.get("name") or keys.get("class"))
 
@@ -55,7 +55,7 @@ class Term:
         return make_effect({**dict(self.table), **given}, self.folder)
 
     def at(self, values: Sequence[float] | FloatArray) -> Term:
-        """The same with other values, moved into their bounds."""
+        """The same with other values, clipped to their bounds."""
         inside = [
             min(max(float(value), p.low), p.high) for value, p in zip(values, self.parameters, strict=True)
         ]
@@ -71,7 +71,7 @@ def catalogue(robot: Robot, own: Path | None = None) -> list[Term]:
     terms = []
     for name, kind in BUILT_IN.items():
         if kind.together or not kind.parameters:
-            continue  # see frogkick.identification.relatives; a law has what its formulas name
+            continue  # see frogkick.identification.calibrated; a law has what its formulas name
         for options in _options(kind, robot):
             terms.append(_term({"name": name, **options}, Path(), kind))
     if own is not None:
@@ -93,7 +93,7 @@ def _term(table: Mapping[str, Any], folder: Path, kind: type) -> Term:
 
 
 def _options(kind: type, robot: Robot) -> list[dict[str, Any]]:
-    """Option values to try: each limb, and what the effect has by default; each word; each side of a pool."""
+    """Option values to try: each limb and the default; each word of limb names; each side of a pool."""
     options: Mapping[str, Any] = getattr(kind, "options", {})
     if "limb" in options:
         names = [limb.name for limb in robot.limbs]

@@ -1,11 +1,11 @@
 """What a search means: errors beside the noise floor, a verdict, intervals.
 
-Three measures stand beside each other and none takes another's place. The *noise floor* is what a perfect
-model would miss because fixes are noisy: the scatter of fixes about glides, carried through the filter. The
-*repeatability* is what strokes do differently from one another at like states; it is told from pairs of like
-periods, in whose difference a misfit of the model cancels, and it never raises the floor. The *log score
-gain* is by how much the effects make runs likelier that were kept out of learning. A robot whose strokes vary
-cannot reach the floor with any effect: it is partly explained at best.
+Three measures stand side by side. The *noise floor* is the error of a perfect model, due to noisy fixes: the
+scatter of fixes in glides, propagated through the Kalman filter. The *repeatability* is the variation between
+strokes in like states. It is estimated from pairs of like periods, in whose difference a misfit of the model
+cancels, and it never raises the floor. The *log score gain* is the rise of the log predictive density of
+held-out runs. A robot whose strokes vary cannot reach the floor with any effect: it is partly explained at
+best.
 """
 
 from __future__ import annotations
@@ -21,13 +21,13 @@ from numpy.typing import NDArray
 from frogkick import der
 from frogkick.core.poses import PredictionError
 from frogkick.effects.acting import LEG_S
-from frogkick.identification.bootstrap import CONFIDENCE, deviations, mean_interval, moved_by
-from frogkick.identification.filter import Filter, Noise, first_rate_std
-from frogkick.identification.fit import LOST, Fitted, misses, tracks_of
-from frogkick.identification.predict import Track
-from frogkick.identification.relatives import end_gaps, ends_missed
+from frogkick.identification.bootstrap import CONFIDENCE, mean_interval, moved_by, standard_errors
+from frogkick.identification.calibrated import end_errors, end_residuals
+from frogkick.identification.filter import Filter, Noise, initial_rate_std
+from frogkick.identification.fit import DIVERGED, Fitted, residuals_of, rollouts_of
+from frogkick.identification.predict import Rollout
 from frogkick.identification.search import Found
-from frogkick.identification.segments import KICK_S, Segments, replicate_count
+from frogkick.identification.segments import ACTUATION_S, Segments, replicate_count
 from frogkick.identification.steps import log_density, scale_of
 from frogkick.paths import wrap_angle
 
@@ -37,40 +37,41 @@ NOTHING, FOUND, PARTLY = "nothing missing", "found", "partly explained"
 UNEXPLAINED, TOO_LITTLE = "unexplained", "not enough data"
 
 NEAR_FLOOR = 1.35
-"""Errors up to so many times the noise floor are noise."""
+"""Errors up to this multiple of the noise floor are noise."""
 
-STILL_S = 1.5 * KICK_S
-"""No limb moves where none has been fired for so long."""
+STILL_S = 1.5 * ACTUATION_S
+"""No limb moves if none has fired for so long."""
 
 WINDOW_S, WINDOWS_LEAST = 0.45, 12
-"""Four fixes of a glide within so long are held against a parabola; so many such windows tell the noise."""
+"""Four fixes of a glide within this time are compared with a parabola; the noise is estimated from at least
+so many such windows."""
 
-BEYOND = 3.0
-"""Fixes off by more standard deviations are misdetections and no noise; of a normal one they are 0.3 %."""
+OUTLIER_SIGMA = 3.0
+"""Residuals of fixes beyond so many standard deviations are outliers; in a normal density they are 0.3 %."""
 
 CHANCE = 5.0
-"""The same by how many standard deviations a mean square of few periods may lie above its expectation."""
+"""A mean square of few periods may lie above its expectation by so many standard deviations."""
 
 INEXACT = 0.03
-"""Of the error before, what an effect leaves that is the right one: simulations are as coarse as that."""
+"""Share of the error before that the right effect may leave: the discretisation error of the simulation."""
 
 FAR = 2.0
-"""Times its interval's half width: a true value farther off is no chance, one in 10,000."""
+"""Multiple of an interval's half width: a true value beyond that is no chance (one in 10,000)."""
 
 
-def gaps(tracks: Sequence[Track], swims: Sequence[Segments]) -> FloatArray:
-    """(n, 3) measured minus predicted pose at the ends of all periods; NaN rows where one is not known."""
-    every = [swim.measured - track.predicted for track, swim in zip(tracks, swims, strict=True)]
+def prediction_errors(rollouts: Sequence[Rollout], swims: Sequence[Segments]) -> FloatArray:
+    """(n, 3) measured minus predicted pose at the ends of all periods; NaN where unknown."""
+    every = [swim.measured - rollout.predicted for rollout, swim in zip(rollouts, swims, strict=True)]
     gap = np.concatenate(every) if every else np.empty((0, 3))
     gap[:, 2] = wrap_angle(gap[:, 2])
     return gap
 
 
 def fix_noise(swims: Sequence[Segments]) -> tuple[float, float] | None:
-    """Standard deviation of a fix (m, rad) by fixes alone: their scatter about glides, where no limb moves.
+    """Standard deviation of a fix (m, rad) from fixes alone: their scatter in glides, where no limb moves.
 
-    Four fixes in a row are held against the parabola nearest to them, so what is smooth in a glide, and with
-    it every model, falls out; noise is taken as white. None where too few glides were seen.
+    Four consecutive fixes are compared with the parabola that fits them best, so whatever is smooth in a
+    glide cancels, and no model is needed; noise is taken as white. None where there are too few glides.
     """
     parts: list[FloatArray] = []
     for swim in swims:
@@ -96,20 +97,22 @@ def fix_noise(swims: Sequence[Segments]) -> tuple[float, float] | None:
 
 
 def _scatter(values: FloatArray) -> float:
-    """Standard deviation of normal values about zero, without those that are wild."""
+    """Standard deviation of normal values about zero, outliers excluded (a truncated estimate)."""
     from scipy import stats
 
-    bound = BEYOND * 1.4826 * float(np.median(np.abs(values)))
+    bound = OUTLIER_SIGMA * 1.4826 * float(np.median(np.abs(values)))
     kept = values[np.abs(values) <= bound] if bound else values
-    inside = 1.0 - 2.0 * BEYOND * stats.norm.pdf(BEYOND) / (1.0 - 2.0 * stats.norm.sf(BEYOND))
+    inside = 1.0 - 2.0 * OUTLIER_SIGMA * stats.norm.pdf(OUTLIER_SIGMA) / (
+        1.0 - 2.0 * stats.norm.sf(OUTLIER_SIGMA)
+    )
     return float(np.sqrt((kept**2).mean() / inside))
 
 
 def noise_floor(swims: Sequence[Segments], fix: tuple[float, float]) -> PredictionError:
-    """What a perfect model would miss: the pose and rate at the start as fixes tell them, and the end's pose.
+    """Error of a perfect model: the uncertainty of the start's pose and rate, and of the end's pose.
 
-    A perfect model needs no process noise. What limbs do differently from stroke to stroke is no fault of the
-    fixes and does not count; see ``repeatability``.
+    A perfect model needs no process noise. The variation from stroke to stroke is no fault of the fixes and
+    does not count; see ``repeatability``.
 
     Args:
         swims: the runs.
@@ -118,12 +121,12 @@ def noise_floor(swims: Sequence[Segments], fix: tuple[float, float]) -> Predicti
     noise = Noise(fix, (0.0, 0.0), (0.0, 0.0))
     sums, count = np.zeros(3), 0
     for swim in swims:
-        state = Filter(noise, swim.actuated_s, swim.begin_s, first_rate_std(swim.rest_rate))
+        state = Filter(noise, swim.actuated_s, swim.begin_s, initial_rate_std(swim.rest_rate))
         variances = noise.per_axis()[0]
         order, next_fix = np.argsort(swim.arrival_s, kind="stable"), 0
         for start_s, end_s, share in zip(swim.start_s, swim.end_s, swim.end_noise, strict=True):
             while next_fix < len(order) and swim.arrival_s[order[next_fix]] <= start_s:
-                state.take(float(swim.time_s[order[next_fix]]), np.zeros(3))
+                state.update(float(swim.time_s[order[next_fix]]), np.zeros(3))
                 next_fix += 1
             if not np.isfinite(share):
                 continue
@@ -136,20 +139,20 @@ def noise_floor(swims: Sequence[Segments], fix: tuple[float, float]) -> Predicti
 
 
 def repeatability(
-    tracks: Sequence[Track], swims: Sequence[Segments], floor: PredictionError
+    rollouts: Sequence[Rollout], swims: Sequence[Segments], floor: PredictionError
 ) -> PredictionError:
-    """What strokes do differently from one another at like states, root mean square; ``count`` pairs.
+    """Variation between strokes in like states, root mean square; ``count`` pairs.
 
-    Of each period the one of the same action whose start is most like it, in velocity and in the action
-    before, is its replicate. Half the squared difference of what two replicates miss is variance: a misfit of
-    the model at their state is in both and cancels. What noise of the fixes makes is taken off.
+    The replicate of a period is the one of the same action with the most similar start, in velocity and in
+    the action before. Half the squared difference of the residuals of two replicates is variance: a misfit of
+    the model at their state is in both and cancels. The noise floor is subtracted.
 
     Source: Rice 1984, Bandwidth choice for nonparametric regression (variance by differences of neighbours).
     """
-    gap = np.concatenate([end_gaps(track, swim) for track, swim in zip(tracks, swims, strict=True)])
+    gap = np.concatenate([end_errors(rollout, swim) for rollout, swim in zip(rollouts, swims, strict=True)])
     action = np.concatenate([swim.action for swim in swims])
     previous = np.concatenate([np.append([-1], swim.action[:-1]) for swim in swims])
-    start = np.concatenate([track.start[:, 3:6] for track in tracks])
+    start = np.concatenate([rollout.start[:, 3:6] for rollout in rollouts])
     known = np.isfinite(gap).all(axis=1) & np.isfinite(start).all(axis=1) & (action >= 0)
     gap, action, previous, start = gap[known], action[known], previous[known], start[known]
     if len(gap) < 2:
@@ -174,7 +177,7 @@ def repeatability(
 
 @dataclass(frozen=True)
 class Gain:
-    """By how much effects raise the log score of runs, the mean log predictive density of a period.
+    """Gain of the log score by effects: the mean log predictive density of a period.
 
     Attributes:
         value: with minus without the effects, nats a period.
@@ -192,21 +195,21 @@ class Gain:
 
 def log_score_gain(
     scales: tuple[FloatArray, FloatArray],
-    before: Sequence[Track],
-    after: Sequence[Track],
+    before: Sequence[Rollout],
+    after: Sequence[Rollout],
     swims: Sequence[Segments],
 ) -> Gain:
-    """How much likelier effects make the measured ends of periods, paired by period.
+    """Log score gain of the measured ends of periods, paired by period.
 
     Args:
-        scales: (3, 3) of the Student-t densities without and with effects, by the training runs: a model is
-            judged by the spread that it claims as well.
+        scales: (3, 3) scales of the Student-t densities without and with effects, from the training runs: a
+            model is also judged by the spread that it predicts.
         before, after: of the runs, without and with effects.
         swims: the runs.
     """
     runs = []
     for one, other, swim in zip(before, after, swims, strict=True):
-        ends = [end_gaps(track, swim) for track in (one, other)]
+        ends = [end_errors(rollout, swim) for rollout in (one, other)]
         rows = np.isfinite(ends[0]).all(axis=1) & np.isfinite(ends[1]).all(axis=1)
         if rows.any():
             scores = [log_density(each[rows], scale) for each, scale in zip(ends, scales, strict=True)]
@@ -215,7 +218,7 @@ def log_score_gain(
         return Gain(math.nan, math.nan, math.nan)
     value = float(np.concatenate(runs).mean())
     low, high = mean_interval(runs, np.random.default_rng(0))
-    wider = math.sqrt(replicate_count(swims))  # what runs of one noise agree in counts once
+    wider = math.sqrt(replicate_count(swims))  # replicates with the same noise count once
     return Gain(value, value - wider * (value - low), value + wider * (high - value))
 
 
@@ -234,58 +237,58 @@ class Interval:
         """Low and high."""
         return self.low, self.high
 
-    def holds(self, value: float, times: float = 1.0) -> bool:
-        """Whether a value is inside, or inside of an interval so many times as wide."""
+    def contains(self, value: float, times: float = 1.0) -> bool:
+        """Whether the interval contains a value, or one ``times`` as wide does."""
         more = 0.5 * (times - 1.0) * (self.high - self.low)
         return self.low - more <= value <= self.high + more
 
 
-def left_by_steps(fitted: Fitted, swims: Sequence[Segments], rows: NDArray[np.bool_]) -> FloatArray:
-    """(p,) how far parameters would move, were the runs followed with steps as short as a simulated pool's.
+def discretisation_shift(fitted: Fitted, swims: Sequence[Segments], rows: NDArray[np.bool_]) -> FloatArray:
+    """(p,) shift of the parameters due to discretisation: with steps as short as the simulated pool's.
 
     Args:
         fitted: a model at its best, with derivatives by all its parameters.
-        swims: what it was fitted to.
-        rows: which of all their periods ``fitted.missed`` has.
+        swims: the runs that it was fitted to.
+        rows: which of all their periods ``fitted.residuals`` has.
     """
     if not fitted.jacobian.shape[2]:
         return np.empty(0)
     fine = replace(fitted.model, step_s=der.STEP_S, leg_s=LEG_S)
-    change = misses(tracks_of([fine], swims)[0], rows) - fitted.missed
-    change[(np.abs(change) > 0.5 * LOST).any(axis=1)] = 0.0  # it failed with one of both
-    return moved_by(change, fitted.missed, fitted.jacobian, fitted.model.range)
+    change = residuals_of(rollouts_of([fine], swims)[0], rows) - fitted.residuals
+    change[(np.abs(change) > 0.5 * DIVERGED).any(axis=1)] = 0.0  # one of both simulations failed
+    return moved_by(change, fitted.residuals, fitted.jacobian, fitted.model.range)
 
 
 def intervals(
-    fitted: Fitted, rows: NDArray[np.bool_] | None = None, left_open: FloatArray | None = None
+    fitted: Fitted, rows: NDArray[np.bool_] | None = None, bias: FloatArray | None = None
 ) -> list[list[Interval]]:
-    """Of each term's parameters: together they hold the true values with CONFIDENCE.
+    """Intervals of each term's parameters: jointly they contain the true values with CONFIDENCE (Bonferroni).
 
     Args:
         fitted: a model at its best, with derivatives by all its parameters.
-        rows: which periods of all runs ``fitted.missed`` has; None: all of them.
-        left_open: (p,) what is open besides chance, see ``left_by_steps``; None: nothing.
+        rows: which periods of all runs ``fitted.residuals`` has; None: all of them.
+        bias: (p,) bias besides chance, see ``discretisation_shift``; None: none.
     """
     from scipy import stats
 
     width = fitted.jacobian.shape[2]
     if not width:
         return []
-    deviation = deviations(fitted.missed, fitted.jacobian, fitted.model.range, _runs_of(fitted, rows))
-    freedom = max(len(fitted.missed) - width, 1)
+    deviation = standard_errors(fitted.residuals, fitted.jacobian, fitted.model.range, _runs_of(fitted, rows))
+    freedom = max(len(fitted.residuals) - width, 1)
     found, first = [], 0
     for term in fitted.model.terms:
         wide = stats.t.ppf(0.5 + 0.5 * (1.0 - (1.0 - CONFIDENCE) / len(term.values)), freedom)
         row = []
         for k, (parameter, value) in enumerate(zip(term.parameters, term.values, strict=True)):
-            steps = 0.0 if left_open is None else left_open[first + k]
-            reach = math.hypot(wide * deviation[first + k], steps, parameter.open)
+            steps = 0.0 if bias is None else bias[first + k]
+            half_width = math.hypot(wide * deviation[first + k], steps, parameter.open)
             row.append(
                 Interval(
                     parameter.name,
                     value,
-                    max(parameter.low, value - reach),
-                    min(parameter.high, value + reach),
+                    max(parameter.low, value - half_width),
+                    min(parameter.high, value + half_width),
                     parameter.unit,
                 )
             )
@@ -295,13 +298,13 @@ def intervals(
 
 
 def _runs_of(fitted: Fitted, rows: NDArray[np.bool_] | None) -> NDArray[np.int64]:
-    """(n,) the run that each period of ``fitted.missed`` is of."""
-    labels = np.repeat(np.arange(len(fitted.tracks)), [len(track.start) for track in fitted.tracks])
+    """(n,) the run that each period of ``fitted.residuals`` belongs to."""
+    labels = np.repeat(np.arange(len(fitted.rollouts)), [len(rollout.start) for rollout in fitted.rollouts])
     return labels if rows is None else labels[rows]
 
 
-def near(error: PredictionError, floor: PredictionError, before: PredictionError) -> bool:
-    """An error is no more than noise, and what is inexact where a large one was explained."""
+def within_noise(error: PredictionError, floor: PredictionError, before: PredictionError) -> bool:
+    """Whether an error is within noise and discretisation error."""
     over = max(NEAR_FLOOR, math.sqrt(1.0 + CHANCE * math.sqrt(2.0 / max(error.count, 1))))
     return error.position_rmse_m <= math.hypot(
         over * floor.position_rmse_m, INEXACT * before.position_rmse_m
@@ -312,12 +315,12 @@ def near(error: PredictionError, floor: PredictionError, before: PredictionError
 
 @dataclass(frozen=True, eq=False)
 class Scored:
-    """Errors of some runs by two models.
+    """Evaluation of two models on some runs.
 
     Attributes:
-        before, after: without and with effects, by the models alone.
+        before, after: without and with effects, predicted by the models alone.
         noise_floor: see ``noise_floor``.
-        gain: of the log score; None where nothing was learned.
+        gain: gain of the log score; None without effects.
         repeatability: see ``repeatability``.
     """
 
@@ -329,12 +332,12 @@ class Scored:
 
     @property
     def quiet(self) -> bool:
-        """What is left is no more than noise of the fixes."""
-        return not self.after.count or near(self.after, self.noise_floor, self.before)
+        """Whether the remaining error is within the noise of the fixes."""
+        return not self.after.count or within_noise(self.after, self.noise_floor, self.before)
 
     @property
     def helped(self) -> bool:
-        """Effects make the runs likelier beyond chance, and no error grows but within noise of the fixes."""
+        """Whether the log score gain is beyond chance and no error grows beyond the noise of the fixes."""
         if self.gain is None or not self.gain.low > 0.0:
             return False
         pairs = (
@@ -360,34 +363,34 @@ def scored(
     found: Found,
     train: Sequence[Segments],
     swims: Sequence[Segments],
-    before: Sequence[Track],
-    after: Sequence[Track],
+    before: Sequence[Rollout],
+    after: Sequence[Rollout],
 ) -> Scored:
-    """Errors of runs without and with what was found; runs of one noise count once.
+    """Evaluate both models on runs; replicates with the same noise count once.
 
     Args:
         found: by the search.
-        train: what it was found in: noise of fixes and spread of predictions are told from there.
+        train: the training runs: noise of fixes and spread of predictions are estimated from them.
         swims: the runs to judge.
-        before, after: of these, by the models without and with effects.
+        before, after: their rollouts without and with effects.
     """
-    errors = [PredictionError.of(gaps(tracks, swims)) for tracks in (before, after)]
+    errors = [PredictionError.of(prediction_errors(rollouts, swims)) for rollouts in (before, after)]
     one_noise = replicate_count(swims)
     first, second = (replace(error, count=error.count // one_noise) for error in errors)
     floor = noise_floor(swims, fix_noise([*train]) or fix_noise(swims) or found.fitted.model.noise.fix)
     gain = None
     if found.fitted.model.terms:
         models = (found.nominal, found.fitted)
-        one, other = (scale_of(ends_missed(each.tracks, train)) for each in models)
+        one, other = (scale_of(end_residuals(each.rollouts, train)) for each in models)
         gain = log_score_gain((one, other), before, after, swims)
     return Scored(first, second, floor, gain, repeatability(after, swims, floor))
 
 
 def verdict_of(found: Found, trained: Scored, tested: Scored) -> str:
-    """One of the verdicts: effects must help on runs that were kept out, and what is left decides the rest.
+    """The verdict: effects must help on held-out runs; the remaining error decides the rest.
 
-    ``found``: the log score gain has an interval above zero on the runs kept out, and what is left there and
-    on the training runs is noise of the fixes. ``partly explained``: that gain, and more than noise is left.
+    ``found``: the interval of the log score gain is above zero on the held-out runs, and the remaining error
+    is noise there and on the training runs. ``partly explained``: the same gain, but more than noise remains.
     ``nothing missing``: no effects, and no more than noise. ``unexplained``: else.
     """
     quiet = trained.quiet and tested.quiet

@@ -11,8 +11,8 @@ from matplotlib.figure import Figure
 
 from frogkick.core.poses import PredictionError
 from frogkick.identification.outcome import Outcome
-from frogkick.identification.search import Tried
-from frogkick.identification.worth import BASE_GAIN
+from frogkick.identification.penalty import EFFECT_PENALTY
+from frogkick.identification.search import CandidateScore
 from frogkick.report import style
 from frogkick.report.identify_misses import Misses, by_limb
 
@@ -24,14 +24,14 @@ TRIED_MOST = 10
 AXES = (("forward", "mm", 1e3), ("left", "mm", 1e3), ("heading", "deg", 180.0 / np.pi))
 
 
-def position_mm(missed: FloatArray) -> FloatArray:
+def position_mm(residuals: FloatArray) -> FloatArray:
     """(n,) size of the position's part of (n, 3) misses."""
-    return np.asarray(1e3 * np.hypot(missed[:, 0], missed[:, 1]))
+    return np.asarray(1e3 * np.hypot(residuals[:, 0], residuals[:, 1]))
 
 
-def heading_deg(missed: FloatArray) -> FloatArray:
+def heading_deg(residuals: FloatArray) -> FloatArray:
     """(n,) size of the heading's part of (n, 3) misses."""
-    return np.asarray(np.rad2deg(np.abs(missed[:, 2])))
+    return np.asarray(np.rad2deg(np.abs(residuals[:, 2])))
 
 
 Size = Callable[[FloatArray], FloatArray]
@@ -44,57 +44,61 @@ def _sizes(floor: PredictionError) -> tuple[tuple[str, str, Size, float], ...]:
     )
 
 
-def track_figure(outcome: Outcome, misses: Misses) -> Figure:
+def track_figure(outcome: Outcome, residuals_of: Misses) -> Figure:
     """The test run with the most periods: where it went, and close by its worst predicted stretch."""
-    run = int(np.bincount(misses.run).argmax())
-    rows = np.flatnonzero(misses.run == run)
+    run = int(np.bincount(residuals_of.run).argmax())
+    rows = np.flatnonzero(residuals_of.run == run)
     swim = outcome.test[run]
-    worst = rows[np.argmax(position_mm(misses.missed_world("nominal")[rows]))]
-    near = rows[np.abs(misses.period[rows] - misses.period[worst]) <= 2]
+    worst = rows[np.argmax(position_mm(residuals_of.missed_world("nominal")[rows]))]
+    near = rows[np.abs(residuals_of.period[rows] - residuals_of.period[worst]) <= 2]
     with style.styled():
         figure = Figure(figsize=(11.0, 5.0), layout="constrained")
         for axes, some in zip(figure.subplots(1, 2), (rows, near), strict=True):
-            close = some is near
-            shown = (swim.time_s >= swim.start_s[misses.period[some[0]]] - 0.1) & (
-                swim.time_s <= swim.end_s[misses.period[some[-1]]] + 0.1
+            tolerance = some is near
+            shown = (swim.time_s >= swim.start_s[residuals_of.period[some[0]]] - 0.1) & (
+                swim.time_s <= swim.end_s[residuals_of.period[some[-1]]] + 0.1
             )
             axes.plot(
                 *(100.0 * swim.pose[shown, :2].T),
-                ".-" if close else "-",
+                ".-" if tolerance else "-",
                 color=style.MEASURED,
                 linewidth=1.0,
                 markersize=4,
                 label="position fixes",
             )
             axes.plot(
-                *(100.0 * misses.measured[some, :2].T),
+                *(100.0 * residuals_of.measured[some, :2].T),
                 "o",
                 color=style.MEASURED,
-                markersize=7 if close else 4,
+                markersize=7 if tolerance else 4,
                 label="measured end of a period",
             )
             for which, colour, label, _ in BOTH:
-                ends = getattr(misses, which)[some]
-                ways = np.stack([misses.pose[some, :2], ends[:, :2], np.full((len(some), 2), np.nan)], axis=1)
+                ends = getattr(residuals_of, which)[some]
+                ways = np.stack(
+                    [residuals_of.pose[some, :2], ends[:, :2], np.full((len(some), 2), np.nan)], axis=1
+                )
                 axes.plot(*(100.0 * ways.reshape(-1, 2).T), "--", color=colour, linewidth=1.0)
                 axes.plot(
                     *(100.0 * ends[:, :2].T),
                     "x" if which == "nominal" else "+",
                     color=colour,
-                    markersize=9 if close else 6,
+                    markersize=9 if tolerance else 6,
                     markeredgewidth=1.8,
                     label=f"its prediction, {label}",
                 )
-            if close:
+            if tolerance:
                 for row in some:
-                    name = swim.action_names[misses.action[row]] if misses.action[row] >= 0 else "?"
-                    middle = 50.0 * (misses.pose[row, :2] + misses.measured[row, :2])
+                    name = (
+                        swim.action_names[residuals_of.action[row]] if residuals_of.action[row] >= 0 else "?"
+                    )
+                    middle = 50.0 * (residuals_of.pose[row, :2] + residuals_of.measured[row, :2])
                     axes.annotate(name, middle, fontsize=9, fontweight="bold")
             axes.set_aspect("equal", adjustable="datalim")
             axes.set_xlabel(style.POOL_X)
             axes.set_ylabel(style.POOL_Y)
-            first, last = misses.period[some[0]] + 1, misses.period[some[-1]] + 1
-            what = "Close by, with actions" if close else f"Run {swim.name}"
+            first, last = residuals_of.period[some[0]] + 1, residuals_of.period[some[-1]] + 1
+            what = "Close by, with actions" if tolerance else f"Run {swim.name}"
             axes.set_title(f"{what}: periods {first} to {last}")
         _legend(figure, figure.axes[0])
     return figure
@@ -152,27 +156,27 @@ def _few(value: float, _place: int | None = None) -> str:
     return f"{value:g}" if f"{value:e}"[0] in "25" else ""
 
 
-def time_figure(outcome: Outcome, misses: Misses) -> Figure:
+def time_figure(outcome: Outcome, residuals_of: Misses) -> Figure:
     """Each period of the test runs, in order of time."""
     with style.styled():
         figure = Figure(figsize=(11.0, 4.8), layout="constrained")
         panels = figure.subplots(2, 1, sharex=True)
         lengths = [swim.end_s[-1] - swim.start_s[0] for swim in outcome.test]
         begins = np.concatenate([[0.0], np.cumsum(np.array(lengths) + 3.0)])
-        at_s = begins[misses.run] + misses.time_s
+        at_s = begins[residuals_of.run] + residuals_of.time_s
         for axes, (what, unit, size, level) in zip(panels, _sizes(outcome.tested.noise_floor), strict=True):
             for which, colour, label, _ in BOTH:
-                missed = size(misses.missed_world(which))
-                for run in np.unique(misses.run):
-                    rows = misses.run == run
+                residuals = size(residuals_of.missed_world(which))
+                for run in np.unique(residuals_of.run):
+                    rows = residuals_of.run == run
                     axes.plot(
                         at_s[rows],
-                        missed[rows],
+                        residuals[rows],
                         "o-",
                         color=colour,
                         markersize=3,
                         linewidth=0.8,
-                        label=label if run == misses.run[0] else None,
+                        label=label if run == residuals_of.run[0] else None,
                     )
             axes.axhline(level, color=style.FLOOR, linestyle="--", label=f"{FLOOR_LABEL} (RMS)")
             axes.set_ylim(0.0, None)
@@ -187,22 +191,23 @@ def time_figure(outcome: Outcome, misses: Misses) -> Figure:
     return figure
 
 
-def cause_figure(outcome: Outcome, misses: Misses) -> Figure:
+def cause_figure(outcome: Outcome, residuals_of: Misses) -> Figure:
     """Above by action: how much is missed. Below by limb: which way each of its strokes is off."""
     names = outcome.test[0].action_names
-    labels = np.unique(misses.action)
+    labels = np.unique(residuals_of.action)
     with style.styled():
         figure = Figure(figsize=(11.0, 6.2), layout="constrained")
         halves = figure.add_gridspec(2, 1)
         panels = figure.add_subfigure(halves[0]).subplots(1, 2)
         for axes, (what, unit, size, level) in zip(panels, _sizes(outcome.tested.noise_floor), strict=True):
             for which, colour, label, shift in BOTH:
-                missed = size(misses.missed_world(which))
-                heights = [np.sqrt((missed[misses.action == each] ** 2).mean()) for each in labels]
+                residuals = size(residuals_of.missed_world(which))
+                heights = [np.sqrt((residuals[residuals_of.action == each] ** 2).mean()) for each in labels]
                 axes.bar(np.arange(len(labels)) + shift, heights, 0.36, color=colour, label=label)
             axes.axhline(level, color=style.FLOOR, linestyle="--", label=FLOOR_LABEL)
             told = [
-                f"{names[each] if each >= 0 else '?'}\n{(misses.action == each).sum()}" for each in labels
+                f"{names[each] if each >= 0 else '?'}\n{(residuals_of.action == each).sum()}"
+                for each in labels
             ]
             axes.set_xticks(np.arange(len(labels)), told)
             axes.set_xlabel("action, and how many periods of it")
@@ -210,7 +215,7 @@ def cause_figure(outcome: Outcome, misses: Misses) -> Figure:
             axes.set_title(f"{what.capitalize()} missed, by action")
         limbs = [limb.name.replace("_", "\n") for limb in outcome.robot.limbs]
         lower = figure.add_subfigure(halves[1]).subplots(1, 3)
-        told_by = {which: by_limb(misses.missed_body(which), misses.limbs) for which, *_ in BOTH}
+        told_by = {which: by_limb(residuals_of.missed_body(which), residuals_of.limbs) for which, *_ in BOTH}
         for axes, (axis, (what, unit, scale)) in zip(lower, enumerate(AXES), strict=True):
             for which, colour, _, shift in BOTH:
                 each, error = told_by[which]
@@ -232,21 +237,21 @@ def cause_figure(outcome: Outcome, misses: Misses) -> Figure:
     return figure
 
 
-def place_figure(misses: Misses) -> Figure:
+def place_figure(residuals_of: Misses) -> Figure:
     """Where in the pool what is missed, as arrows; the same scale for both models."""
     with style.styled():
         figure = Figure(figsize=(11.0, 4.8), layout="constrained")
-        missed = {which: misses.missed_world(which) for which, *_ in BOTH}
-        reach = 100.0 * float(np.ptp(misses.pose[:, :2], axis=0).max()) + 1.0
-        largest = 0.1 * float(np.percentile(position_mm(missed["nominal"]), 90))  # cm
+        residuals = {which: residuals_of.missed_world(which) for which, *_ in BOTH}
+        reach = 100.0 * float(np.ptp(residuals_of.pose[:, :2], axis=0).max()) + 1.0
+        largest = 0.1 * float(np.percentile(position_mm(residuals["nominal"]), 90))  # cm
         magnified = 0.12 * reach / max(largest, 1e-6)
         factor = 10.0 ** np.floor(np.log10(magnified))
         factor *= 5.0 if magnified > 5.0 * factor else 2.0 if magnified > 2.0 * factor else 1.0
         for axes, (which, colour, label, _) in zip(figure.subplots(1, 2), BOTH, strict=True):
-            axes.plot(*(100.0 * misses.measured[:, :2].T), ".", color=style.MEASURED, markersize=4)
+            axes.plot(*(100.0 * residuals_of.measured[:, :2].T), ".", color=style.MEASURED, markersize=4)
             axes.quiver(
-                *(100.0 * misses.measured[:, :2].T),
-                *(100.0 * factor * missed[which][:, :2].T),
+                *(100.0 * residuals_of.measured[:, :2].T),
+                *(100.0 * factor * residuals[which][:, :2].T),
                 angles="xy",
                 scale_units="xy",
                 scale=1.0,
@@ -261,46 +266,50 @@ def place_figure(misses: Misses) -> Figure:
     return figure
 
 
-def tried_figure(turns: Sequence[Sequence[Tried]]) -> Figure:
+def tried_figure(iterations: Sequence[Sequence[CandidateScore]]) -> Figure:
     """What candidates gain at each turn of the search; the line is what one must gain to be taken."""
-    turns = [_best_each(tried) for tried in turns]
-    most = [min(len(tried), TRIED_MOST) for tried in turns]
+    iterations = [_best_each(tried) for tried in iterations]
+    most = [min(len(tried), TRIED_MOST) for tried in iterations]
     with style.styled():
         figure = Figure(figsize=(11.0, 0.9 + 0.27 * sum(most) + 0.75 * len(most)), layout="constrained")
-        panels = figure.subplots(len(turns), 1, squeeze=False, height_ratios=[count + 1 for count in most])
-        for turn, (axes, tried) in enumerate(zip(panels[:, 0], turns, strict=True), 1):
+        panels = figure.subplots(
+            len(iterations), 1, squeeze=False, height_ratios=[count + 1 for count in most]
+        )
+        for turn, (axes, tried) in enumerate(zip(panels[:, 0], iterations, strict=True), 1):
             _turn(axes, tried)
             axes.set_title(f"Turn {turn}")
         panels[-1, 0].set_xlabel("fall of -2 log likelihood on the training runs (1)")
         for axes in panels[:, 0]:
             axes.set_xscale("symlog", linthresh=10.0)
-            axes.set_xlim(0.0, 3.0 * max([BASE_GAIN, *(each.gain for tried in turns for each in tried)]))
+            axes.set_xlim(
+                0.0, 3.0 * max([EFFECT_PENALTY, *(each.gain for tried in iterations for each in tried)])
+            )
     return figure
 
 
-def _best_each(tried: Sequence[Tried]) -> list[Tried]:
+def _best_each(tried: Sequence[CandidateScore]) -> list[CandidateScore]:
     """Of each effect its best start; those that were simulated first."""
-    best: dict[str, Tried] = {}
+    best: dict[str, CandidateScore] = {}
     for each in sorted(tried, key=lambda each: (not each.chosen, not each.refined, -each.gain)):
         best.setdefault(each.title, each)
     return list(best.values())
 
 
-def _turn(axes: Axes, tried: Sequence[Tried]) -> None:
+def _turn(axes: Axes, tried: Sequence[CandidateScore]) -> None:
     shown = list(tried)[:TRIED_MOST][::-1]
     for place, each in enumerate(shown):
         colour = style.PREDICTED if each.chosen else style.DESIRED
         axes.barh(place, max(each.gain, 0.0), 0.7, color=colour, alpha=1.0 if each.refined else 0.4)
-        held = f"held out {each.held_out:+.2f} a period" if each.refined else "by derivatives alone"
-        axes.text(max(each.gain, 0.0), place, f" {held}{', taken' if each.chosen else ''}", va="center")
-    axes.axvline(BASE_GAIN, color=style.FLOOR, linestyle="--")
+        fixed = f"held out {each.held_out:+.2f} a period" if each.refined else "by derivatives alone"
+        axes.text(max(each.gain, 0.0), place, f" {fixed}{', taken' if each.chosen else ''}", va="center")
+    axes.axvline(EFFECT_PENALTY, color=style.FLOOR, linestyle="--")
     axes.set_yticks(range(len(shown)), [each.title for each in shown])
     axes.grid(axis="y", visible=False)
 
 
 def rest_figure(outcome: Outcome) -> Figure:
     """What share of the rest each view of it tells."""
-    shares = sorted(outcome.signature["shares"].items(), key=lambda row: row[1])
+    shares = sorted(outcome.diagnostics["shares"].items(), key=lambda row: row[1])
     with style.styled():
         figure = Figure(figsize=(7.5, 0.7 + 0.27 * len(shares)), layout="constrained")
         axes = figure.subplots()

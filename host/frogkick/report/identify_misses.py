@@ -11,7 +11,7 @@ from frogkick.core.poses import body_from_world, wrap_angle
 from frogkick.identification.fit import Fitted
 from frogkick.identification.outcome import Outcome
 from frogkick.identification.steps import whitener
-from frogkick.identification.verdict import gaps
+from frogkick.identification.verdict import prediction_errors
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
@@ -56,8 +56,8 @@ def misses_of(outcome: Outcome) -> Misses:
     """The rows of an outcome."""
     swims = outcome.test
     known = [
-        np.isfinite(gaps([tracks[k]], [swim])).all(axis=1)
-        for tracks in (outcome.nominal_tracks, outcome.tracks)
+        np.isfinite(prediction_errors([rollouts[k]], [swim])).all(axis=1)
+        for rollouts in (outcome.nominal_rollouts, outcome.rollouts)
         for k, swim in enumerate(swims)
     ]
     both = [known[k] & known[k + len(swims)] for k in range(len(swims))]
@@ -79,18 +79,18 @@ def misses_of(outcome: Outcome) -> Misses:
         action=np.concatenate([swim.action[kept] for swim, kept in zip(swims, rows, strict=True)]),
         limbs=np.concatenate([counts[kept] for counts, kept in zip(limbs, rows, strict=True)]),
         # The nominal model's: what was found may have the centre of mass beside the tag that a camera sees.
-        pose=joined([track.start[:, :3] for track in outcome.nominal_tracks]),
+        pose=joined([rollout.start[:, :3] for rollout in outcome.nominal_rollouts]),
         measured=joined([swim.measured for swim in swims]),
-        nominal=joined([track.predicted for track in outcome.nominal_tracks]),
-        found=joined([track.predicted for track in outcome.tracks]),
+        nominal=joined([rollout.predicted for rollout in outcome.nominal_rollouts]),
+        found=joined([rollout.predicted for rollout in outcome.rollouts]),
     )
 
 
-def by_limb(missed: FloatArray, limbs: IntArray) -> tuple[FloatArray, FloatArray]:
+def by_limb(residuals: FloatArray, limbs: IntArray) -> tuple[FloatArray, FloatArray]:
     """What is missed for each stroke of a limb, and its standard error, by least squares.
 
     Args:
-        missed: (n, 3).
+        residuals: (n, 3).
         limbs: (n, limbs) strokes of each limb; limbs that never fired get NaN.
     """
     fired = limbs.any(axis=0)
@@ -101,9 +101,9 @@ def by_limb(missed: FloatArray, limbs: IntArray) -> tuple[FloatArray, FloatArray
     each = np.full((limbs.shape[1], 3), np.nan)
     error = np.full((limbs.shape[1], 3), np.nan)
     inverse = np.linalg.pinv(design.T @ design)
-    found = inverse @ design.T @ missed
-    left = missed - design @ found
-    freedom = max(len(missed) - design.shape[1], 1)
+    found = inverse @ design.T @ residuals
+    left = residuals - design @ found
+    freedom = max(len(residuals) - design.shape[1], 1)
     each[fired] = found[first:]
     error[fired] = np.sqrt(np.outer(np.diag(inverse)[first:], (left**2).sum(axis=0) / freedom))
     return each, error
@@ -121,7 +121,7 @@ def mimics(outcome: Outcome) -> list[tuple[str, float]]:
     if found is None or not outcome.terms or not found.sensitivities:
         return []
     nominal, fitted = found.nominal, found.fitted
-    change = fitted.missed - nominal.missed
+    change = fitted.residuals - nominal.residuals
     best: dict[str, float] = {}
     for column in found.sensitivities:
         share = _share(fitted, change, column.jacobian)
@@ -130,7 +130,7 @@ def mimics(outcome: Outcome) -> list[tuple[str, float]]:
 
 
 def _share(fitted: Fitted, change: FloatArray, jacobian: FloatArray) -> float:
-    white = whitener(fitted.missed)
+    white = whitener(fitted.residuals)
     flat = (change @ white).ravel()
     columns = np.einsum("nip,ij->njp", jacobian, white).reshape(flat.size, -1)
     left = flat - columns @ np.linalg.lstsq(columns, flat, rcond=1e-9)[0]

@@ -10,11 +10,11 @@ from matplotlib.figure import Figure
 from frogkick.core.poses import PredictionError
 from frogkick.identification.choice import STABLE
 from frogkick.identification.outcome import Outcome
-from frogkick.identification.polish import HOLD
-from frogkick.identification.search import PLAIN_GAIN, SEEN_LEAST
+from frogkick.identification.penalty import EFFECT_PENALTY, PARAMETER_PENALTY
+from frogkick.identification.refine import RELEASE_PENALTY
+from frogkick.identification.search import DECISIVE_GAIN, HELD_OUT_GAIN_MIN
 from frogkick.identification.segments import Segments
 from frogkick.identification.verdict import FOUND, NEAR_FLOOR, NOTHING, PARTLY, UNEXPLAINED, Gain
-from frogkick.identification.worth import BASE_GAIN, GAIN_EACH
 from frogkick.report.identify_figures import (
     cause_figure,
     error_figure,
@@ -58,10 +58,10 @@ def write_identify_page(target: Path, outcome: Outcome) -> None:
         f"what was found by {tested.after}; noise of the fixes alone makes "
         f"{tested.noise_floor}.{_gain_words(tested.gain)}"
     )
-    misses = misses_of(outcome)
+    residuals_of = misses_of(outcome)
     sections = [_errors(outcome)]
-    if len(misses.run):
-        sections += [_tracks(outcome, misses), _residual(outcome, misses)]
+    if len(residuals_of.run):
+        sections += [_tracks(outcome, residuals_of), _residual(outcome, residuals_of)]
     sections += [_effects(outcome), _tried(outcome), _apart(outcome), _rest(outcome), _terms(outcome)]
     write_page(target, TITLE, lead, sections)
 
@@ -135,18 +135,18 @@ def _errors(outcome: Outcome) -> Section:
     return Section("Error before and after", text, table, [_picture(error_figure(outcome), caption)])
 
 
-def _tracks(outcome: Outcome, misses: Misses) -> Section:
+def _tracks(outcome: Outcome, residuals_of: Misses) -> Section:
     caption = (
         "Left: a whole test run. Right: the periods around the one that the nominal model missed most, with "
         "the names of the actions. Dashed lines lead from where each period began to where it was "
         "predicted "
         "to end."
     )
-    picture = _picture(track_figure(outcome, misses), caption)
+    picture = _picture(track_figure(outcome, residuals_of), caption)
     return Section("What was predicted, and what happened", images=[picture])
 
 
-def _residual(outcome: Outcome, misses: Misses) -> Section:
+def _residual(outcome: Outcome, residuals_of: Misses) -> Section:
     text = (
         "What is missed is measured minus predicted. A fault of one limb shows at the actions that fire it "
         "and "
@@ -155,14 +155,14 @@ def _residual(outcome: Outcome, misses: Misses) -> Section:
     )
     pictures = [
         _picture(
-            cause_figure(outcome, misses),
+            cause_figure(outcome, residuals_of),
             "Above: what is missed by action. Below: what is missed for each stroke of a limb, by least "
             "squares "
             "over all test periods, forward and left as the robot stood; bars are two standard errors.",
         ),
-        _picture(time_figure(outcome, misses), "What is missed in each period of the test runs."),
+        _picture(time_figure(outcome, residuals_of), "What is missed in each period of the test runs."),
         _picture(
-            place_figure(misses),
+            place_figure(residuals_of),
             "Where it is missed: dots are measured ends of periods, arrows what is missed there, drawn "
             "longer "
             "than it is, by the same factor on both sides.",
@@ -175,15 +175,16 @@ def _effects(outcome: Outcome) -> Section:
     if not outcome.terms:
         return Section("What was found", ["No effect was taken into the model."])
     assert outcome.found is not None
-    held, rows, index = outcome.found.fitted.model.held, [], 0
+    fixed, rows, index = outcome.found.fitted.model.fixed, [], 0
     why = (
-        f"held at the plain model's value: free, it would gain less than {HOLD:g}, no more than noise"
-        if outcome.found.turns
+        f"held at the plain model's value: free, it would gain less than {RELEASE_PENALTY:g}, no more "
+        "than noise"
+        if outcome.found.iterations
         else "held: it is plain in the measured robot that the fit began with"
     )
     for term, parameters in zip(outcome.terms, outcome.parameters, strict=True):
         for declared, each in zip(term.parameters, parameters, strict=True):
-            is_held = index in held
+            is_held = index in fixed
             rows.append(
                 (
                     term.title,
@@ -214,8 +215,8 @@ def _effects(outcome: Outcome) -> Section:
 
 def _tried(outcome: Outcome) -> Section:
     assert outcome.found is not None
-    turns = outcome.found.turns
-    if not turns:
+    iterations = outcome.found.iterations
+    if not iterations:
         text = (
             "The effects of a robot of the same body that was measured before were fitted to these runs, all "
             "at once: they explain so much of so large a miss that no search for single effects was made."
@@ -225,14 +226,13 @@ def _tried(outcome: Outcome) -> Section:
         "At each turn every effect of the catalogue was ranked by how much likelier it would make what is "
         "missed (its gain, pale bars: by derivatives). The best were fitted by simulation (full bars) and "
         "judged on parts of the training runs that were held out of that fit. An effect is taken where it "
-        "gains "
-        f"more than {BASE_GAIN:g} (dashed), after {GAIN_EACH:g} off for each free parameter, and on each "
-        f"held-out period more than {SEEN_LEAST:g} and, up to a gain of {PLAIN_GAIN:g}, more than twice what "
-        "chance would make of it.",
-        *(_turn_words(turn, outcome) for turn in range(len(turns))),
+        f"gains more than {EFFECT_PENALTY:g} (dashed), after {PARAMETER_PENALTY:g} off for each free "
+        f"parameter, and on each held-out period more than {HELD_OUT_GAIN_MIN:g} and, up to a gain of "
+        f"{DECISIVE_GAIN:g}, more than twice what chance would make of it.",
+        *(_turn_words(turn, outcome) for turn in range(len(iterations))),
     ]
     rows = []
-    for turn, tried in enumerate(turns, 1):
+    for turn, tried in enumerate(iterations, 1):
         seen: set[str] = set()
         for each in sorted(tried, key=lambda each: (not each.chosen, not each.refined, -each.gain)):
             if each.title not in seen and (each.refined or len(seen) < 6):
@@ -242,13 +242,13 @@ def _tried(outcome: Outcome) -> Section:
                 )
             seen.add(each.title)
     header = ("turn", "candidate", "gain", "held-out gain for each period", "")
-    images = [_picture(tried_figure(turns), "Gains of the candidates at each turn; magenta was taken.")]
+    images = [_picture(tried_figure(iterations), "Gains of the candidates at each turn; magenta was taken.")]
     return Section("Which effects were tried, and why this one", text_of, Table(header, rows), images)
 
 
 def _turn_words(turn: int, outcome: Outcome) -> str:
     assert outcome.found is not None
-    tried = outcome.found.turns[turn]
+    tried = outcome.found.iterations[turn]
     taken = next((each for each in tried if each.chosen), None)
     others = sorted((each for each in tried if each is not taken), key=lambda each: -each.gain)
     if taken is None:
@@ -272,13 +272,15 @@ def _apart(outcome: Outcome) -> Section:
     text = [
         f"These runs cannot tell {term.title} from {', '.join(others)}: each explains them as well as the "
         "other."
-        for term, others in zip(outcome.terms, outcome.found.alike, strict=True)
+        for term, others in zip(outcome.terms, outcome.found.confounded_with, strict=True)
         if others
     ] or ["Every effect found explains these runs clearly better than all others that were tried."]
     if outcome.experiment is not None:
         said = outcome.experiment.text
         text.append(
-            f"What would settle it: {said}." if outcome.experiment.tells else f"{said[:1].upper()}{said[1:]}."
+            f"What would settle it: {said}."
+            if outcome.experiment.decisive
+            else f"{said[:1].upper()}{said[1:]}."
         )
     rows = [(title, f"{100.0 * share:.0f}") for title, share in mimics(outcome)[:MIMICS_MOST]]
     if not rows:
@@ -292,7 +294,7 @@ def _apart(outcome: Outcome) -> Section:
 
 
 def _rest(outcome: Outcome) -> Section:
-    sentence = str(outcome.signature["text"])
+    sentence = str(outcome.diagnostics["text"])
     text = [
         sentence[:1].upper() + sentence[1:] + ".",
         "Each bar is a way to tell the rest: what share of its squares is explained by knowing, say, only "
@@ -307,7 +309,7 @@ def _rest(outcome: Outcome) -> Section:
             f"{1e3 * row['left_m']:+.2f}",
             f"{math.degrees(row['heading_rad']):+.2f}",
         )
-        for name, row in outcome.signature["by_action"].items()
+        for name, row in outcome.diagnostics["by_action"].items()
     ]
     table = Table(("action", "periods", "mean forward, mm", "mean left, mm", "mean heading, deg"), rows)
     caption = "What is left after the effects found, on the training runs."

@@ -17,9 +17,9 @@ from pathlib import Path
 from frogkick.core.chunks import Job, run_chunks
 from frogkick.core.errors import InputError
 from frogkick.core.poses import PredictionError
+from frogkick.identification.batching import run_concurrently
 from frogkick.identification.outcome import identify
 from frogkick.identification.segments import Segments, read_segments, reliable
-from frogkick.identification.together import all_at_once
 from frogkick.robot import Robot
 
 LEAST_RUNS = 3
@@ -108,7 +108,7 @@ class _Ready:
 
 def _run(ready: _Ready, group: Sequence[int]) -> list[HeldOut]:
     """Several runs, their simulations in shared batches: each comes out as it would alone."""
-    done = dict(all_at_once([partial(_keep_back, ready, index) for index in group]))
+    done = dict(run_concurrently([partial(_keep_back, ready, index) for index in group]))
     return [done[k] for k in range(len(group))]
 
 

@@ -20,9 +20,9 @@ from frogkick.core.chunks import Job, code_stamp, run_chunks
 from frogkick.core.files import write_text
 from frogkick.effects import Parameter, World
 from frogkick.effects.registry import make_effects
+from frogkick.identification.batching import cpu_s, run_concurrently
 from frogkick.identification.outcome import Outcome, identify
 from frogkick.identification.segments import Segments, segments_of
-from frogkick.identification.together import all_at_once, cpu_s
 from frogkick.identification.verdict import FAR, FOUND, NOTHING, PARTLY, UNEXPLAINED, Interval
 from frogkick.paths import shape
 from frogkick.pool.camera import Camera
@@ -167,7 +167,7 @@ def swims_of(ready: _Ready, planted: Sequence[Table], seed: int, paths: Sequence
 def _run(ready: _Ready, cases: Sequence[Case]) -> list[Result]:
     """Several cases, their simulations in shared batches: each comes out as it would alone."""
     found: list[Result | None] = [None] * len(cases)
-    for index, result in all_at_once([partial(_run_one, ready, case) for case in cases]):
+    for index, result in run_concurrently([partial(_run_one, ready, case) for case in cases]):
         found[index] = result
     return [result for result in found if result is not None]
 
@@ -186,7 +186,7 @@ def judged(kind: Kind, planted: Sequence[Table], outcome: Outcome, cpu_s: float)
     """Hold an outcome against what was planted."""
     named = [recovered(table, outcome) for table in planted]
     held = [
-        p.holds(float(table[p.name]))
+        p.contains(float(table[p.name]))
         for table in planted
         for _, p in _named(table, outcome)
         if p.name in table and outcome.verdict == FOUND
@@ -217,7 +217,10 @@ def judged(kind: Kind, planted: Sequence[Table], outcome: Outcome, cpu_s: float)
             + ", ".join(f"{p.name} {p.value:.4g} [{p.low:.4g}, {p.high:.4g}]" for p in row)
             + (f" (or {', '.join(others)})" if others else "")
             for term, row, others in zip(
-                outcome.terms, outcome.parameters, outcome.found.alike if outcome.found else [], strict=True
+                outcome.terms,
+                outcome.parameters,
+                outcome.found.confounded_with if outcome.found else [],
+                strict=True,
             )
         ],
         before,
@@ -244,7 +247,7 @@ def recovered(table: Table, outcome: Outcome) -> bool:
     """
     row = _named(table, outcome)
     return bool(row) and all(
-        p.holds(float(table.get(p.name, parameter.nominal)), FAR) for parameter, p in row
+        p.contains(float(table.get(p.name, parameter.nominal)), FAR) for parameter, p in row
     )
 
 

@@ -1,4 +1,8 @@
-"""What each candidate would change in the misses: derivatives by its parameters, simulated side by side."""
+"""Score-test screening of candidate effects: how each would change the residuals, to first order.
+
+A candidate is not fitted to be ranked. The derivatives of the residuals by its parameters, at values where
+the effect vanishes, predict the gain of its optimum (an analogue of the score test, Rao 1948).
+"""
 
 from __future__ import annotations
 
@@ -8,8 +12,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from frogkick.identification.fit import Model, coarse, misses, steps_of, tracks_of
-from frogkick.identification.probe import Probes, Sums, changes, probes_of, spread_first
+from frogkick.identification.fit import Model, coarsened, difference_steps, residuals_of, rollouts_of
+from frogkick.identification.probe import LinearSpan, Probes, changes, probes_of, spread_first
 from frogkick.identification.segments import Segments
 from frogkick.identification.terms import Term
 from frogkick.robot import Robot
@@ -17,12 +21,12 @@ from frogkick.robot import Robot
 FloatArray = NDArray[np.float64]
 
 COARSE_LEG_S, COARSE_STEP_S = 0.18, 2.4e-3
-"""How often flows and wrenches are asked while candidates are only ranked, and the finest step then."""
+"""How often flows and wrenches are evaluated while candidates are only ranked, and the finest step then."""
 
 
 @dataclass(frozen=True, eq=False)
 class Column:
-    """What a candidate's parameters do to the misses, about one start.
+    """Jacobian of the residuals by a candidate's parameters, at one start.
 
     Attributes:
         term: at the start.
@@ -40,12 +44,13 @@ def sensitivities(
     rows: NDArray[np.bool_],
     progress: Callable[[int, int], None],
 ) -> list[Column]:
-    """Derivatives by each candidate's parameters; one that does nothing at first is tried where it does.
+    """Jacobians of all candidates; where a parameter has no influence at the start, further starts are tried.
 
-    Coarser in time and in the frame than a fit, all side by side so that lanes are full, and none simulated
-    that is a sum of others. A start differs from the bare model only by values that do nothing alone.
+    Simulations are coarser in time and in the frame than those of a fit. They share batches, and a parameter
+    whose influence is a linear combination of others is not simulated. A start differs from the bare model
+    only by values that have no influence alone.
     """
-    bare = replace(model, robot=coarse(model.robot), terms=(), leg_s=COARSE_LEG_S, step_s=COARSE_STEP_S)
+    bare = replace(model, robot=coarsened(model.robot), terms=(), leg_s=COARSE_LEG_S, step_s=COARSE_STEP_S)
     probes = probes_of(model.robot)
     starts: list[Term] = []
     wanted: list[tuple[FloatArray | None, tuple[int, int]]] = []
@@ -58,17 +63,17 @@ def sensitivities(
             starts.append(start)
         if own:
             continue
-        told = _changes(probes, bare, term)
-        dead = np.array([change is not None and not change.any() for change in told])
-        if dead.all():
+        responses = _changes(probes, bare, term)
+        insensitive = np.array([change is not None and not change.any() for change in responses])
+        if insensitive.all():
             continue
-        for start in _starts(term, dead, swims) if dead.any() else [term]:
-            for k, change in enumerate(told if start is term else _changes(probes, bare, start)):
-                if not dead[k]:
+        for start in _starts(term, insensitive, swims) if insensitive.any() else [term]:
+            for k, change in enumerate(responses if start is term else _changes(probes, bare, start)):
+                if not insensitive[k]:
                     wanted.append((change, (len(starts), k)))
             starts.append(start)
-    sums, simulated = Sums(), []
-    made: dict[tuple[int, int], FloatArray] = {}
+    span, simulated = LinearSpan(), []
+    combined: dict[tuple[int, int], FloatArray] = {}
     places: list[tuple[int, int]] = []
     bodies: list[tuple[int, int]] = []
     for index in spread_first(wanted):
@@ -76,46 +81,46 @@ def sensitivities(
         if change is None:
             bodies.append(place)
             continue
-        weights = sums.weights(change)
+        weights = span.weights(change)
         if weights is None:
-            sums.add(change)
+            span.add(change)
             places.append(place)
         else:
-            made[place] = weights
+            combined[place] = weights
     for index, k in [*places, *bodies]:
         at = replace(bare, terms=(starts[index],))
         moved = at.values
         moved[k] += _steps(at)[k]
         simulated.append(at.with_values(moved))
     progress(0, 1)
-    every = tracks_of([bare, *simulated], swims)
+    every = rollouts_of([bare, *simulated], swims)
     progress(1, 1)
-    base = misses(every[0], rows)
+    base = residuals_of(every[0], rows)
     jacobians = [np.zeros((*base.shape, len(start.values))) for start in starts]
     columns = []
-    for (index, k), tracks in zip([*places, *bodies], every[1:], strict=True):
+    for (index, k), rollouts in zip([*places, *bodies], every[1:], strict=True):
         step = _steps(replace(bare, terms=(starts[index],)))[k]
-        jacobians[index][:, :, k] = (misses(tracks, rows) - base) / step
+        jacobians[index][:, :, k] = (residuals_of(rollouts, rows) - base) / step
         columns.append(jacobians[index][:, :, k])
-    for (index, k), weights in made.items():
+    for (index, k), weights in combined.items():
         jacobians[index][:, :, k] = np.tensordot(weights, np.array(columns[: len(weights)]), axes=1)
     return [Column(term, jacobian) for term, jacobian in zip(starts, jacobians, strict=True)]
 
 
 def _steps(model: Model) -> FloatArray:
-    """As a fit takes them; a long one where small ones tell little of what is farther off."""
+    """The steps of a fit; a long one where a parameter's influence far off is not that of a small step."""
     given = [p.tried[len(p.tried) // 4] if p.tried else 0.0 for term in model.terms for p in term.parameters]
-    return np.where(given, given, steps_of(model))
+    return np.where(given, given, difference_steps(model))
 
 
 def _changes(probes: Probes, bare: Model, term: Term) -> list[FloatArray | None]:
-    return changes(probes, term, steps_of(replace(bare, terms=(term,))))
+    return changes(probes, term, difference_steps(replace(bare, terms=(term,))))
 
 
 def _own_starts(term: Term, robot: Robot, swims: Sequence[Segments]) -> list[tuple[Term, set[str]]]:
-    """Starts that an effect asks for by itself, and which parameters say where it is there.
+    """Starts that an effect declares, and which parameters place it there.
 
-    Probes are here and there, such an effect is in one place: all its other parameters are simulated.
+    Probes are spread out and such an effect is in one place, so all its other parameters are simulated.
     """
     effect = term.effect()
     effect.check(robot)
@@ -127,20 +132,20 @@ def _own_starts(term: Term, robot: Robot, swims: Sequence[Segments]) -> list[tup
     return found
 
 
-def _starts(term: Term, dead: NDArray[np.bool_], swims: Sequence[Segments]) -> list[Term]:
-    """Starts spread over parameters that say nothing where the effect vanishes; places where runs went."""
+def _starts(term: Term, insensitive: NDArray[np.bool_], swims: Sequence[Segments]) -> list[Term]:
+    """Starts spread over the insensitive parameters (Halton sequence), within the area of the runs."""
     starts = [term]
     primes = (2, 3, 5, 7)
     reached = np.concatenate([swim.pose[:, :2] for swim in swims])
     ends = zip(reached.min(axis=0), reached.max(axis=0), strict=True)
     ranges = dict(zip(("x_m", "y_m"), ends, strict=True))
-    for n in range(1, 2 + int(dead.sum())):
+    for n in range(1, 2 + int(insensitive.sum())):
         values = list(term.values)
-        for order, k in enumerate(np.flatnonzero(dead)):
+        for order, k in enumerate(np.flatnonzero(insensitive)):
             p = term.parameters[k]
             low, high = ranges.get(p.name, (p.low, p.high))
             share = _halton(n, primes[order % len(primes)])
-            # Times and sizes are spread by factors.
+            # Times and sizes are spread evenly in their logarithm.
             even = p.low <= 0.0 or p.name in ranges
             values[k] = low + share * (high - low) if even else low * (high / low) ** share
         starts.append(term.at(values))

@@ -9,14 +9,22 @@ import pytest
 from made import make_swim, robot, term
 
 from frogkick.effects.acting import LEG_S
+from frogkick.identification.backward import revise, stability, superfluous_term, without
 from frogkick.identification.choice import STABLE, pruned
 from frogkick.identification.filter import Noise
-from frogkick.identification.fit import SHARES, Fitted, Model, _stepped, derivatives, fit, steps_of
-from frogkick.identification.polish import REFINING_LEG_S, WRENCH_LEG_S, Polisher, fine_leg_s
-from frogkick.identification.revise import needless, revised, stability, without
-from frogkick.identification.search import Found, countable, folds_of
+from frogkick.identification.fit import (
+    STEP_SHARES,
+    Fitted,
+    Model,
+    _damped_step,
+    derivatives,
+    difference_steps,
+    fit,
+)
+from frogkick.identification.refine import REFINING_LEG_S, WRENCH_LEG_S, Refiner, fine_leg_s
+from frogkick.identification.search import Found, folds_of, nominal_fit
 from frogkick.identification.segments import Segments
-from frogkick.identification.steps import cost_of
+from frogkick.identification.steps import deviance_of
 from frogkick.identification.terms import Term
 
 QUIET = Noise((2e-4, 3.5e-3), (2e-5, 5e-4), (2e-5, 5e-4))
@@ -24,7 +32,7 @@ WEAR = {"name": "limb_wear", "limb": "rear_left", "gain": 0.7}
 
 
 def held_but(model: Model, *free: int) -> Model:
-    return replace(model, held=frozenset(range(len(model.values))) - set(free))
+    return replace(model, fixed=frozenset(range(len(model.values))) - set(free))
 
 
 def fitted_to(swims: list[Segments], rows: np.ndarray, terms: tuple[Term, ...], *free: int) -> Fitted:
@@ -39,70 +47,70 @@ def late() -> list[Segments]:
 
 
 def test_an_effect_that_others_make_needless_is_dropped(late: list[Segments]) -> None:
-    rows = countable(late, robot())[1]
+    rows = nominal_fit(late, robot())[1]
     terms = (term("steady_wrench", 1e-4, 0.0, 0.0), term("limb_wear rear_left"), term("fix_latency", 0.1))
     current = fitted_to(late, rows, terms, 0, 3, 6)
-    found, equals = revised(Polisher(late, rows, 1), current, [[term("fix_latency")], [], []], [[], [], []])
+    found, confounded = revise(Refiner(late, rows, 1), current, [[term("fix_latency")], [], []], [[], [], []])
     assert [each.title for each in found.model.terms] == ["limb_wear rear_left", "fix_latency"]
-    assert len(equals) == 2
+    assert len(confounded) == 2
     assert found.model.terms[0].values[0] == pytest.approx(0.7, abs=0.01)
     assert found.model.terms[1].values[0] == pytest.approx(0.12, abs=0.01)
 
 
 def test_another_effect_takes_the_place_of_one_that_stood_in_for_it(late: list[Segments]) -> None:
     """Every stroke late is nearly the same as every fix late, and not quite where the worn limb is known."""
-    rows = countable(late, robot())[1]
+    rows = nominal_fit(late, robot())[1]
     taken = fitted_to(late, rows, (term("limb_wear all", 1.0, 0.12, 1.0),), 1)
     rival = fitted_to(late, rows, (term("fix_latency", 0.1),), 0)
     terms = (*taken.model.terms, term("limb_wear rear_left", 0.8, 0.0, 1.0))
     current = fitted_to(late, rows, terms, 1, 3)
-    found, equals = revised(Polisher(late, rows, 1), current, [[], []], [[taken, rival], []])
+    found, confounded = revise(Refiner(late, rows, 1), current, [[], []], [[taken, rival], []])
     assert [each.title for each in found.model.terms] == ["fix_latency", "limb_wear rear_left"]
     assert found.model.terms[0].values[0] == pytest.approx(0.12, abs=0.01)
-    assert all(each.title == "limb_wear all" for each in equals[0])
+    assert all(each.title == "limb_wear all" for each in confounded[0])
 
 
 def test_delays_of_all_limbs_are_no_substitute_for_late_fixes(late: list[Segments]) -> None:
     """Four effects that each gained something imitate one that did not seem best after the first of them."""
-    rows = countable(late, robot())[1]
+    rows = nominal_fit(late, robot())[1]
     wear = fitted_to(late, rows, (term("limb_wear rear_left", 0.8, 0.0, 1.0),), 0)
     latency = fitted_to(late, rows, (term("fix_latency", 0.1),), 0)
     limbs = ("rear_left", "rear_right", "front_left", "front_right")
     terms = tuple(term(f"limb_wear {limb}", 0.7 if limb == "rear_left" else 1.0, 0.1, 1.0) for limb in limbs)
     current = fitted_to(late, rows, terms, 0, 1, 4, 7, 10)
-    polisher, none = Polisher(late, rows, 1), [list[Fitted]()] * 4
+    refiner, none = Refiner(late, rows, 1), [list[Fitted]()] * 4
     every = fitted_to(late, rows, (term("limb_wear all", 1.0, 0.12, 1.0),), 1)
-    found, equals = revised(polisher, current, [[], [], [], []], none, [every, wear, latency])
+    found, confounded = revise(refiner, current, [[], [], [], []], none, [every, wear, latency])
     assert [each.title for each in found.model.terms] == ["limb_wear rear_left", "fix_latency"]
-    assert equals[0] == [] and [each.title for each in equals[1]] in ([], ["limb_wear all"])
+    assert confounded[0] == [] and [each.title for each in confounded[1]] in ([], ["limb_wear all"])
     assert found.model.terms[0].values == pytest.approx((0.7, 0.0, 1.0), abs=0.01)
     assert found.model.terms[1].values[0] == pytest.approx(0.12, abs=0.01)
-    alone = revised(polisher, current, [[], [], [], []], none)[0]
+    alone = revise(refiner, current, [[], [], [], []], none)[0]
     assert len(alone.model.terms) > 2
 
 
 def test_a_step_that_failed_is_cut_short() -> None:
     rng = np.random.default_rng(5)
-    missed, jacobian = rng.normal(0.0, 1e-3, (40, 9)), rng.normal(0.0, 1e-3, (40, 9, 1))
+    residuals, jacobian = rng.normal(0.0, 1e-3, (40, 9)), rng.normal(0.0, 1e-3, (40, 9, 1))
     model = Model(robot(), (term("fix_latency", 0.2),), QUIET)
-    fitted = Fitted(model, [], missed + 0.1 * jacobian[:, :, 0], jacobian, 0.0)
-    whole, promise = _stepped(fitted, 0)
+    fitted = Fitted(model, [], residuals + 0.1 * jacobian[:, :, 0], jacobian, 0.0)
+    whole, promise = _damped_step(fitted, 0)
     for failed in (1, 2):
-        part, less = _stepped(fitted, failed)
+        part, less = _damped_step(fitted, failed)
         share = (part.values - model.values) / (whole.values - model.values)
-        assert 0.0 < share[0] < 1.5 * SHARES[failed]
+        assert 0.0 < share[0] < 1.5 * STEP_SHARES[failed]
         step = part.values - model.values
-        assert less == pytest.approx(cost_of(fitted.missed + fitted.jacobian @ step))
+        assert less == pytest.approx(deviance_of(fitted.residuals + fitted.jacobian @ step))
         assert less > promise
 
 
 def test_long_steps_are_for_where_an_effect_vanishes() -> None:
     soft, hard = (Model(robot(), (term("wall x_high", 0.4, 0.5, h),), QUIET) for h in (0.0, 0.5))
-    assert steps_of(soft)[2] == pytest.approx(0.5)
-    assert steps_of(hard)[2] == pytest.approx(0.04)
-    assert steps_of(hard)[0] == pytest.approx(0.002)
+    assert difference_steps(soft)[2] == pytest.approx(0.5)
+    assert difference_steps(hard)[2] == pytest.approx(0.04)
+    assert difference_steps(hard)[0] == pytest.approx(0.002)
     top = Model(robot(), (term("wall x_high", 0.4, 0.5, 0.79),), QUIET)
-    assert steps_of(top)[2] == pytest.approx(-0.04)
+    assert difference_steps(top)[2] == pytest.approx(-0.04)
 
 
 def test_a_wall_is_followed_as_finely_as_in_the_pool() -> None:
@@ -117,27 +125,30 @@ def test_a_wall_is_followed_as_finely_as_in_the_pool() -> None:
 def test_an_effect_that_held_out_parts_do_not_ask_for_goes(late: list[Segments]) -> None:
     """Of a right effect and an idle one beside it, the idle one costs nothing when it is left out."""
     terms = (term("limb_wear rear_left", 0.7, 0.0, 1.0), term("fix_latency", 0.12), term("yaw_drag"))
-    rows, held = countable(late, robot())[1], frozenset({1, 2})
-    (whole,) = derivatives([Model(robot(), terms, QUIET, REFINING_LEG_S, held=held)], late, rows)
+    rows, fixed = nominal_fit(late, robot())[1], frozenset({1, 2})
+    (whole,) = derivatives([Model(robot(), terms, QUIET, REFINING_LEG_S, fixed=fixed)], late, rows)
     folds = folds_of(late, rows)
-    place = needless(whole, folds, late)
+    place = superfluous_term(whole, folds, late)
     assert place == 2
     less = without(whole.model, place)
-    assert [each.title for each in less.terms] == ["limb_wear rear_left", "fix_latency"] and less.held == held
+    assert [each.title for each in less.terms] == [
+        "limb_wear rear_left",
+        "fix_latency",
+    ] and less.fixed == fixed
     (fitted,) = derivatives([less], late, rows)
-    assert needless(fitted, folds, late) is None
+    assert superfluous_term(fitted, folds, late) is None
 
 
 def test_what_few_draws_of_the_runs_would_take_is_unstable(
     late: list[Segments], whole: list[Segments]
 ) -> None:
     """Effects that are there would be taken in every draw; one that is not in few, though it was fitted."""
-    rows = countable(late, robot())[1]
+    rows = nominal_fit(late, robot())[1]
     terms = (term("limb_wear rear_left", 0.7, 0.0, 1.0), term("fix_latency", 0.12), term("yaw_drag"))
     fitted = fitted_to(late, rows, terms, 0, 3, 4)
     shares = stability(fitted, rows, late, True)
     assert min(shares[:2]) > 0.95 and shares[2] < STABLE
-    begun = countable(whole, robot())
+    begun = nominal_fit(whole, robot())
     alone = fitted_to(whole, begun[1], (term("limb_wear front_left", 0.99, 0.0, 1.0),), 0)
     kept = pruned(Found(begun[2], alone, [[]], begun[1], [[]]), whole, lambda *_: None)
-    assert not kept.fitted.model.terms and not kept.stability and not kept.alike
+    assert not kept.fitted.model.terms and not kept.stability and not kept.confounded_with

@@ -1,7 +1,7 @@
-"""Times, lengths and strokes of the steps of all lanes of a batch, laid out for the rods in one go.
+"""Layout of the time steps of all lanes of a batch: times, lengths and activations for the rods, in one call.
 
-The same numbers as ``frogkick.der.batch`` lays out lane by lane, to the last bit; most of the time between
-two calls of the rods went there.
+The numbers are bit for bit those that ``frogkick.der.batch`` lays out lane by lane; most of the time between
+two calls of the rods was spent there.
 """
 
 from __future__ import annotations
@@ -34,13 +34,14 @@ def _lane_times(
 
     Args:
         now_s, until_s: (lanes,).
-        going: (lanes,) which of them take steps.
+        going: (lanes,) which of them step.
         starts_s, scales: (lanes, m) of strokes, in order, then infinity and 1.
         pace: coarseness, every_s, over_s, peak_s of frogkick.der.schedule.Pace.
         step_s: the finest step; longest_s: steps longer than this are cut evenly.
 
     Returns:
-        (lanes, k) times, now first, and (lanes,) how many of these count; none where a lane stands still.
+        (lanes, k) times, the present one first, and (lanes,) how many of these are used; none where a lane
+        does not step.
     """
     coarseness, every_s, over_s, peak_s = pace
     most = 0.0

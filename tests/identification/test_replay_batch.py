@@ -7,7 +7,7 @@ import pytest
 from made import robot
 
 from frogkick.der import WIDTH, Batch, prepare
-from frogkick.identification.gentle import LONGEST_S, Gentle, gentle
+from frogkick.identification.replay_batch import LONGEST_S, Gentle, gentle
 
 POSES = np.array([[0.0, 0.0, 0.3], [0.4, -0.2, -2.0], [-0.1, 0.1, 1.0]])
 UNTIL_S = ((0.05, 0.2, 0.05), (0.9, 0.9, 0.05), (1.3, 1.4, 1.2))

@@ -1,4 +1,4 @@
-"""Rods that follow a run: no step gets too long, and a robot amid its strokes can go on elsewhere."""
+"""Rods that replay runs: bounded steps, and checkpoints of a robot between its strokes."""
 
 from __future__ import annotations
 
@@ -16,18 +16,19 @@ from frogkick.der.compiled import run_steps
 from frogkick.der.lanes import Numbers, lane_floats, lane_zeros
 from frogkick.der.schedule import RINGS_S, Stroke
 from frogkick.der.stepping import EVALUATION_SHARE, FACTOR_EVERY
-from frogkick.identification.pacing import lane_times, lay_out
+from frogkick.identification.step_layout import lane_times, lay_out
 from frogkick.robot import Robot
 
 FloatArray = NDArray[np.float64]
 
 LONGEST_S = 8e-3
-"""No longer steps: some beyond fail to converge, and then their lane goes on alone at the price of eight."""
+"""Longest step. Some longer ones fail to converge, and then their lane goes on alone at the cost of eight
+lanes."""
 
 
 @dataclass(frozen=True, eq=False)
-class Amid:
-    """A lane's robot amid its strokes, taken out of a batch.
+class Checkpoint:
+    """A lane's robot between its strokes, saved from a batch.
 
     Attributes:
         nodes: (n, 2) positions about the origin, velocities, accelerations.
@@ -35,7 +36,7 @@ class Amid:
         strokes: of each limb.
         origin_m: (2,) world frame.
         time_s: its clock.
-        failed: it did not get here.
+        failed: its simulation failed before.
     """
 
     nodes: tuple[FloatArray, ...]
@@ -47,7 +48,7 @@ class Amid:
 
 
 class Gentle(Batch):
-    """Lanes whose steps never get too long, and that can go on elsewhere."""
+    """A batch of bounded steps whose lanes can be saved and restored."""
 
     def __init__(self, rods: Rods, pose_world: FloatArray, limbs: int, step_s: float) -> None:
         super().__init__(
@@ -61,29 +62,29 @@ class Gentle(Batch):
             step_s=step_s,
             width=WIDTH,
         )
-        self._fired: dict[int, list[list[Stroke]]] = {}
-        self._laid: tuple[FloatArray, FloatArray, FloatArray] | None = None
+        self._active_strokes: dict[int, list[list[Stroke]]] = {}
+        self._stroke_arrays: tuple[FloatArray, FloatArray, FloatArray] | None = None
 
     def fire(
         self, lane: int, limb: int, time_s: float, *, gain: float = 1.0, duration_scale: float = 1.0
     ) -> None:
         super().fire(lane, limb, time_s, gain=gain, duration_scale=duration_scale)
-        self._fired.pop(lane, None)
+        self._active_strokes.pop(lane, None)
 
     def advance(
         self, until_s: float | FloatArray, trace: bool = False
     ) -> list[tuple[FloatArray, FloatArray]]:
-        """As Batch has it, with all lanes' steps laid out in one go."""
+        """As in Batch, with the steps of all lanes laid out at once."""
         until = np.array(np.broadcast_to(np.asarray(until_s, dtype=np.float64), (self.lanes,)))
-        going = until > self.time_s
-        going[list(self.failures)] = False
-        if not going.any():
+        moving = until > self.time_s
+        moving[list(self.failures)] = False
+        if not moving.any():
             return [(np.empty(0), np.empty((0, MOTION))) for _ in range(self.lanes)]
         starts_s, scales, strokes = self._strokes_now()
         actuation, pace, state = self._actuations[0], self._paces[0], self._state
         shape = (pace.coarseness, pace.every_s, pace.over_s, pace.peak_s)
         times, counts = lane_times(
-            self.time_s, until, going, starts_s, scales, shape, self._step_s, LONGEST_S
+            self.time_s, until, moving, starts_s, scales, shape, self._step_s, LONGEST_S
         )
         longest = int(counts.max()) - 1
         lengths = lane_zeros((longest, 1), state.width)
@@ -102,7 +103,7 @@ class Gentle(Batch):
         report, rows = self._run(lengths, active, steps, trace)
         self.corrections += report[2, : self.lanes]
         ends = [times[lane, 1 : count + 1] for lane, count in enumerate(steps)]
-        some = np.flatnonzero(going).tolist()
+        some = np.flatnonzero(moving).tolist()
         for lane in some:
             self.time_s[lane] = until[lane]
             if report[0, lane] >= 0.0:
@@ -118,7 +119,7 @@ class Gentle(Batch):
     def _run(
         self, lengths: Numbers, active: Numbers, steps: Sequence[int], trace: bool
     ) -> tuple[FloatArray, list[FloatArray]]:
-        """What ``run`` of the state gives for steps that are laid out already."""
+        """Run steps that are laid out already; see ``run`` of the state."""
         state = self._state
         report = lane_zeros((3, 1), state.width)
         sums = lane_zeros((len(lengths) if trace else 0, SUMS), state.width)
@@ -144,13 +145,13 @@ class Gentle(Batch):
         return lane_floats(report)[:, 0, :].copy(), traces
 
     def _strokes_now(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """(lanes, m) starts and scales of each lane's strokes, in order, and (lanes, limbs, m, 3) all."""
+        """(lanes, m) starts and duration scales of strokes in order, and (lanes, limbs, m, 3) all fields."""
         for lane in range(self.lanes):
-            if lane not in self._fired:
-                self._fired[lane] = self._lasting(lane)
-                self._laid = None
-        if self._laid is None:
-            every = [self._fired[lane] for lane in range(self.lanes)]
+            if lane not in self._active_strokes:
+                self._active_strokes[lane] = self._active_strokes_of(lane)
+                self._stroke_arrays = None
+        if self._stroke_arrays is None:
+            every = [self._active_strokes[lane] for lane in range(self.lanes)]
             most = max([1, *(len(of_limb) for lane in every for of_limb in lane)])
             limbs = self._state.limbs
             starts_s = np.full((self.lanes, limbs * most), np.inf)
@@ -163,11 +164,11 @@ class Gentle(Batch):
                 for limb, of_limb in enumerate(of_lane):
                     for place, stroke in enumerate(of_limb):
                         strokes[lane, limb, place] = stroke
-            self._laid = starts_s, scales, strokes
-        return self._laid
+            self._stroke_arrays = starts_s, scales, strokes
+        return self._stroke_arrays
 
-    def _lasting(self, lane: int) -> list[list[Stroke]]:
-        """A lane's strokes that are not over: those that are make no difference."""
+    def _active_strokes_of(self, lane: int) -> list[list[Stroke]]:
+        """A lane's strokes that still act."""
         now, duration_s = float(self.time_s[lane]), self._actuations[lane].duration_s
         for of_limb in self._strokes[lane]:
             of_limb[:] = [
@@ -176,7 +177,7 @@ class Gentle(Batch):
         return self._strokes[lane]
 
     def shift_some(self, moves: Mapping[int, tuple[FloatArray, FloatArray]]) -> None:
-        """``shift`` lanes at once, each by a pose and a velocity: (3,) each, world frame."""
+        """``shift`` several lanes, each by a pose and a velocity: (3,) each, world frame."""
         centres = self._state.motion()[:, :2]
         x, v, a = (lane_floats(each) for each in (self._state.x_m, self._state.v_mps, self._state.a_mps2))
         for lane, (pose, velocity) in moves.items():
@@ -189,10 +190,10 @@ class Gentle(Batch):
             a[..., lane] = a[..., lane] @ turn.T
             self._origin[lane] += pose[:2]
 
-    def leave(self, lane: int) -> Amid:
-        """A lane's robot as it is now."""
+    def save(self, lane: int) -> Checkpoint:
+        """Save a lane's robot as it is now."""
         nodes = (self._state.x_m, self._state.v_mps, self._state.a_mps2)
-        return Amid(
+        return Checkpoint(
             tuple(lane_floats(each)[..., lane].copy() for each in nodes),
             self._state.water[lane],
             tuple(tuple(of_limb) for of_limb in self._strokes[lane]),
@@ -201,15 +202,15 @@ class Gentle(Batch):
             lane in self.failures,
         )
 
-    def enter(self, lane: int, amid: Amid) -> None:
-        """Let a robot of the same body go on in a lane."""
+    def restore(self, lane: int, checkpoint: Checkpoint) -> None:
+        """Restore a robot of the same body in a lane."""
         nodes = (self._state.x_m, self._state.v_mps, self._state.a_mps2)
-        for mine, theirs in zip(nodes, amid.nodes, strict=True):
+        for mine, theirs in zip(nodes, checkpoint.nodes, strict=True):
             lane_floats(mine)[..., lane] = theirs
-        self._state.water[lane] = amid.water
-        self._strokes[lane] = [list(of_limb) for of_limb in amid.strokes]
-        self._fired.pop(lane, None)
-        self._origin[lane], self.time_s[lane] = amid.origin_m, amid.time_s
+        self._state.water[lane] = checkpoint.water
+        self._strokes[lane] = [list(of_limb) for of_limb in checkpoint.strokes]
+        self._active_strokes.pop(lane, None)
+        self._origin[lane], self.time_s[lane] = checkpoint.origin_m, checkpoint.time_s
         self.corrections[lane] = 1.0  # it has moved already: its accelerations stay as they are
 
 

@@ -15,15 +15,15 @@ from made import make_swim, robot
 from tests.conftest import count
 
 from frogkick.core.poses import PredictionError
-from frogkick.identification import relatives as module
+from frogkick.identification import calibrated as module
+from frogkick.identification.calibrated import best_end_deviance, calibrated_starts, end_deviance, refitted
 from frogkick.identification.filter import Noise
-from frogkick.identification.fit import Model, derivatives, tracks_of
-from frogkick.identification.relatives import best_end_cost, end_cost, refitted, relatives
-from frogkick.identification.search import countable
+from frogkick.identification.fit import Model, derivatives, rollouts_of
+from frogkick.identification.penalty import EFFECT_PENALTY
+from frogkick.identification.search import nominal_fit
 from frogkick.identification.segments import read_segments
 from frogkick.identification.terms import catalogue
-from frogkick.identification.verdict import gaps
-from frogkick.identification.worth import BASE_GAIN
+from frogkick.identification.verdict import prediction_errors
 from frogkick.robot import load_robot
 
 GENERIC = {
@@ -38,63 +38,65 @@ GENERIC = {
 
 
 def test_a_robot_measured_before_is_a_relative_of_its_own_body_alone() -> None:
-    found = relatives(load_robot("frog2022"))
+    found = calibrated_starts(load_robot("frog2022"))
     assert set(found) == {"frog2022-measured"}
     assert {"hull", "munk_moment"} <= {term.name for term in found["frog2022-measured"]}
-    assert relatives(load_robot("hexapod")) == {}
+    assert calibrated_starts(load_robot("hexapod")) == {}
     alone = {term.name for term in catalogue(load_robot("frog2022"))}
     assert not {"hull", "limb_mount", "limb_fatigue", "munk_moment"} & alone, "told together only"
 
 
 def test_a_robot_that_swims_as_drawn_is_no_relative() -> None:
     swims = [make_swim([], seed, 14) for seed in (3, 4)]
-    _, rows, nominal = countable(swims, robot())
-    assert refitted(nominal, relatives(load_robot("frog2022"))["frog2022-measured"], swims, rows) is None
+    _, rows, nominal = nominal_fit(swims, robot())
+    assert (
+        refitted(nominal, calibrated_starts(load_robot("frog2022"))["frog2022-measured"], swims, rows) is None
+    )
 
 
 def test_a_fit_without_measured_values_starts_from_nominal_ones(monkeypatch: pytest.MonkeyPatch) -> None:
     """Which effects and parameters a relative has is kept, but none of its values."""
     swims = [make_swim([], seed, 5) for seed in (3, 4)]
-    _, rows, nominal = countable(swims, robot())
+    _, rows, nominal = nominal_fit(swims, robot())
     begun: list[tuple[list[float], frozenset[int], int]] = []
 
-    def run(self: module._Descent, _rounds: int) -> Model:
+    def run(self: module._GaussNewton, _steps_max: int) -> Model:
         periods = sum(len(swim.start_s) for swim in self.swims)
-        begun.append((self.model.values.tolist(), self.model.held, periods))
+        begun.append((self.model.values.tolist(), self.model.fixed, periods))
         return self.model
 
-    monkeypatch.setattr(module._Descent, "run", run)
+    monkeypatch.setattr(module._GaussNewton, "run", run)
     monkeypatch.setattr(module, "PART", 4)
-    terms = relatives(load_robot("frog2022"))["frog2022-measured"]
+    terms = calibrated_starts(load_robot("frog2022"))["frog2022-measured"]
     measured = [value for term in terms for value in term.values]
     plain = [p.nominal for term in terms for p in term.parameters]
     refitted(nominal, terms, swims, rows, measured=False)
     assert [values for values, *_ in begun] == [plain, plain]
     assert [periods for *_, periods in begun] == [4, 10] or begun[0][2] < begun[1][2]
-    held = {k for k, pair in enumerate(zip(measured, plain, strict=True)) if pair[0] == pair[1]}
-    assert begun[0][1] == held and len(held) < len(plain) - 10
+    fixed = {k for k, pair in enumerate(zip(measured, plain, strict=True)) if pair[0] == pair[1]}
+    assert begun[0][1] == fixed and len(fixed) < len(plain) - 10
 
 
 def test_a_model_is_held_against_at_its_best_noise() -> None:
     """A noise that trusts a wrong model makes its ends worse than they need be."""
     swims = [make_swim([{"name": "limb_wear", "limb": "front_left", "gain": 0.4}], 3, 8)]
-    _, rows, nominal = countable(swims, robot())
+    _, rows, nominal = nominal_fit(swims, robot())
     sure = replace(nominal.model, noise=Noise((5e-3, 5e-2), (2e-5, 5e-4), (2e-5, 5e-4)))
     (fitted,) = derivatives([sure], swims, rows)
-    assert best_end_cost(fitted, swims) < end_cost(fitted.tracks, swims) - 5.0
-    assert best_end_cost(nominal, swims) <= end_cost(nominal.tracks, swims)
+    assert best_end_deviance(fitted, swims) < end_deviance(fitted.rollouts, swims) - 5.0
+    assert best_end_deviance(nominal, swims) <= end_deviance(nominal.rollouts, swims)
 
 
 def test_a_relative_must_beat_nominal_at_its_best_noise(monkeypatch: pytest.MonkeyPatch) -> None:
     """An effect that does nothing, tried at better noises than the nominal model's, explains nothing."""
     swims = [make_swim([{"name": "limb_wear", "limb": "front_left", "gain": 0.4}], 3, 20)]
-    _, rows, nominal = countable(swims, robot())
+    _, rows, nominal = nominal_fit(swims, robot())
     sure = replace(nominal.model, noise=Noise((5e-3, 5e-2), (2e-5, 5e-4), (2e-5, 5e-4)))
     (fitted,) = derivatives([sure], swims, rows)
     idle = next(each for each in catalogue(robot()) if each.title == "steady_wrench")
     monkeypatch.setattr(module, "START_GAIN", -1e6)  # only what comes after the descent is asked
-    monkeypatch.setattr(module._Descent, "run", lambda descent, *_rounds: descent.model)
-    assert end_cost(fitted.tracks, swims) - best_end_cost(fitted, swims) > BASE_GAIN
+    monkeypatch.setattr(module._GaussNewton, "run", lambda descent, *_steps_max: descent.model)
+    assert end_deviance(fitted.rollouts, swims) - best_end_deviance(fitted, swims) > EFFECT_PENALTY
     assert refitted(fitted, [idle], swims, rows) is None
 
 
@@ -103,45 +105,49 @@ def test_a_relative_must_beat_nominal_at_its_best_noise(monkeypatch: pytest.Monk
 def test_worse_predictions_are_never_likelier(seed: int, count: int, wild: float, worse: float) -> None:
     """Every miss grows in its own direction, each by a factor of its own; some are wild from the start."""
     rng = np.random.default_rng(seed)
-    missed = rng.standard_normal((count, 3)) * (3e-4, 3e-4, 4e-3)
-    missed[rng.random(count) < wild] *= rng.uniform(2.0, 40.0)
+    residuals = rng.standard_normal((count, 3)) * (3e-4, 3e-4, 4e-3)
+    residuals[rng.random(count) < wild] *= rng.uniform(2.0, 40.0)
     factor = 1.0 + worse * rng.random((count, 1))
-    here, there = ends_of(missed), ends_of(factor * missed)
-    assert end_cost(*there) >= end_cost(*here) - 1e-4
+    here, there = ends_of(residuals), ends_of(factor * residuals)
+    assert end_deviance(*there) >= end_deviance(*here) - 1e-4
     if worse > 1e-3:
-        assert end_cost(*ends_of((1.0 + worse) * missed)) > end_cost(*here)
+        assert end_deviance(*ends_of((1.0 + worse) * residuals)) > end_deviance(*here)
 
 
 def test_a_core_with_strays_is_no_worse_than_predictions_that_are_all_bad() -> None:
     """The misfire of 30 %: 2.4 mm of few strong misses cost more than 8.2 mm of misses alike, once."""
     rng = np.random.default_rng(5)
-    missed = rng.standard_normal((100, 3)) * (3e-4, 3e-4, 4e-3)
-    missed[:25] += rng.standard_normal((25, 3)) * (3.5e-3, 3.5e-3, 0.1)
-    bad = missed + rng.standard_normal((100, 3)) * (5.5e-3, 5.5e-3, 0.06)
-    assert end_cost(*ends_of(missed)) < end_cost(*ends_of(bad)) - 100.0
+    residuals = rng.standard_normal((100, 3)) * (3e-4, 3e-4, 4e-3)
+    residuals[:25] += rng.standard_normal((25, 3)) * (3.5e-3, 3.5e-3, 0.1)
+    bad = residuals + rng.standard_normal((100, 3)) * (5.5e-3, 5.5e-3, 0.06)
+    assert end_deviance(*ends_of(residuals)) < end_deviance(*ends_of(bad)) - 100.0
 
 
-def ends_of(missed: np.ndarray) -> Any:
+def ends_of(residuals: np.ndarray) -> Any:
     """A track and a run that differ by so much at the ends of periods, seen along the world's axes."""
-    nothing = np.zeros((len(missed), 6))
-    track = SimpleNamespace(predicted=nothing[:, :3], start=nothing, failed=False)
-    return [track], [SimpleNamespace(measured=missed)]
+    nothing = np.zeros((len(residuals), 6))
+    rollout = SimpleNamespace(predicted=nothing[:, :3], start=nothing, failed=False)
+    return [rollout], [SimpleNamespace(measured=residuals)]
 
 
 def test_effects_fitted_to_recorded_runs_predict_another_one(
     frog2022_dir: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Short runs to learn from, two steps from rough values (one in make test); one run kept out."""
-    monkeypatch.setattr(module, "ROUNDS", count(2, 2, 1))
+    monkeypatch.setattr(module, "STEPS_MAX", count(2, 2, 1))
     model, names = load_robot("frog2022"), ("line1", "sin3", "sin1")[: count(3, 3, 2)]
     train = [read_segments(frog2022_dir / "control" / f"{name}.csv", model) for name in names]
     test = [read_segments(frog2022_dir / "control" / "ellipse5.csv", model)]
-    _, rows, nominal = countable(train, model)
-    start = [term.at(GENERIC.get(term.title, term.values)) for term in relatives(model)["frog2022-measured"]]
+    _, rows, nominal = nominal_fit(train, model)
+    start = [
+        term.at(GENERIC.get(term.title, term.values))
+        for term in calibrated_starts(model)["frog2022-measured"]
+    ]
     fitted = refitted(nominal, start, train, rows)
     assert fitted is not None
     after, before = (
-        PredictionError.of(gaps(tracks, test)) for tracks in tracks_of([fitted.model, nominal.model], test)
+        PredictionError.of(prediction_errors(rollouts, test))
+        for rollouts in rollouts_of([fitted.model, nominal.model], test)
     )
     assert before.heading_rmse_rad > np.radians(6.0) and before.position_rmse_m > 0.007
     assert after.heading_rmse_rad < np.radians(4.5) and after.position_rmse_m < 0.006

@@ -1,4 +1,4 @@
-"""Residual diagnostics: which view of a run tells what predictions miss at the end of a period."""
+"""Residual diagnostics: which explanatory variable accounts for the residuals at the ends of periods."""
 
 from __future__ import annotations
 
@@ -14,60 +14,66 @@ from frogkick.identification.segments import Segments
 
 FloatArray = NDArray[np.float64]
 
-RHYTHMS, RHYTHM_LEAST = 24, 16
-"""Periods of time that are tried on what is left, and misses that this needs."""
+PERIODOGRAM_PERIODS, PERIODOGRAM_COUNT_MIN = 24, 16
+"""Periods of the periodogram of the residuals, and the residuals that it needs at least."""
 
 
-def signature(fitted: Fitted, rows: NDArray[np.bool_], swims: Sequence[Segments]) -> dict[str, Any]:
-    """Where the misses at the end of periods come from: shares of their squares that each view explains.
+def residual_diagnostics(
+    fitted: Fitted, rows: NDArray[np.bool_], swims: Sequence[Segments]
+) -> dict[str, Any]:
+    """Shares of the squared residuals at the ends of periods that each explanatory variable accounts for.
 
     Returns:
-        ``shares``: view -> share (adjusted for its freedom); ``strongest``: the view with the most;
+        ``shares``: variable -> share (adjusted for degrees of freedom); ``strongest``: the one with the most;
         ``by_action``: mean forward, left (m), heading (rad) of each action; ``text``: in words.
     """
-    missed = fitted.missed[:, -3:]
+    residuals = fitted.residuals[:, -3:]
     names = swims[0].action_names
     action = np.concatenate([swim.action for swim in swims])[rows]
     previous = np.concatenate([np.append([-1], swim.action[:-1]) for swim in swims])[rows]
     run = np.concatenate([np.full(len(swim.action), k) for k, swim in enumerate(swims)])[rows]
     order = np.concatenate([np.arange(len(swim.action)) for swim in swims])[rows]
-    start = np.concatenate([track.start for track in fitted.tracks])[rows]
+    start = np.concatenate([rollout.start for rollout in fitted.rollouts])[rows]
     clock = np.concatenate([swim.start_s for swim in swims])[rows]
     c, s = np.cos(start[:, 2]), np.sin(start[:, 2])
     world = np.column_stack(
-        [c * missed[:, 0] - s * missed[:, 1], s * missed[:, 0] + c * missed[:, 1], missed[:, 2]]
+        [
+            c * residuals[:, 0] - s * residuals[:, 1],
+            s * residuals[:, 0] + c * residuals[:, 1],
+            residuals[:, 2],
+        ]
     )
-    one = np.ones((len(missed), 1))
+    one = np.ones((len(residuals), 1))
     views = {
-        "constant, body frame": (missed, one),
+        "constant, body frame": (residuals, one),
         "constant, world frame": (world, one),
-        "action": (missed, _dummies(action)),
-        "previous action": (missed, np.column_stack([one, _dummies(previous)[:, 1:]])),
-        "heading": (missed, np.column_stack([one, np.cos(start[:, 2]), np.sin(start[:, 2])])),
-        "velocity at the start": (missed, np.column_stack([one, start[:, 3:6]])),
+        "action": (residuals, _dummies(action)),
+        "previous action": (residuals, np.column_stack([one, _dummies(previous)[:, 1:]])),
+        "heading": (residuals, np.column_stack([one, np.cos(start[:, 2]), np.sin(start[:, 2])])),
+        "velocity at the start": (residuals, np.column_stack([one, start[:, 3:6]])),
         "place": (world, _place(start[:, :2])),
-        "time in the run": (missed, np.column_stack([one, order, np.exp(-order / 2.0)])),
+        "time in the run": (residuals, np.column_stack([one, order, np.exp(-order / 2.0)])),
         "clock": (world, np.column_stack([one, clock - clock.mean()])),
-        "run": (missed, _dummies(run)),
+        "run": (residuals, _dummies(run)),
     }
     shares = {name: _share(values, design) for name, (values, design) in views.items()}
-    shares["rhythm"], rhythm_s = _rhythm(missed, clock)
+    shares["rhythm"], cycle_s = _periodogram(residuals, clock)
     by_action = {
         str(names[a]) if a >= 0 else "unknown": {
             "periods": int((action == a).sum()),
-            "forward_m": float(missed[action == a, 0].mean()),
-            "left_m": float(missed[action == a, 1].mean()),
-            "heading_rad": float(missed[action == a, 2].mean()),
+            "forward_m": float(residuals[action == a, 0].mean()),
+            "left_m": float(residuals[action == a, 1].mean()),
+            "heading_rad": float(residuals[action == a, 2].mean()),
         }
         for a in np.unique(action)
     }
     strongest = max(shares, key=lambda name: shares[name])
-    size = np.sqrt((missed**2).mean(axis=0))
+    size = np.sqrt((residuals**2).mean(axis=0))
     text = (
         f"what is left at the end of a period: {1e3 * float(size[0]):.2f} mm forward, "
         f"{1e3 * float(size[1]):.2f} mm left, {np.degrees(float(size[2])):.2f} deg RMS; "
         f"best told by {strongest} ({100 * shares[strongest]:.0f} % of its squares)"
-        + (f", of {rhythm_s:.0f} s" if strongest == "rhythm" else "")
+        + (f", of {cycle_s:.0f} s" if strongest == "rhythm" else "")
         if shares[strongest] > 0.05
         else f"what is left at the end of a period: {1e3 * float(size[0]):.2f} mm forward, "
         f"{1e3 * float(size[1]):.2f} mm left, {np.degrees(float(size[2])):.2f} deg RMS, without a pattern"
@@ -76,22 +82,22 @@ def signature(fitted: Fitted, rows: NDArray[np.bool_], swims: Sequence[Segments]
 
 
 def _place(xy_m: FloatArray) -> FloatArray:
-    """(n, 6) polynomial of second degree in a place."""
+    """(n, 6) polynomial of second degree in the position."""
     x, y = (xy_m - xy_m.mean(axis=0)).T
     return np.column_stack([np.ones(len(x)), x, y, x * x, x * y, y * y])
 
 
-def _rhythm(values: FloatArray, clock_s: FloatArray) -> tuple[float, float]:
-    """Share of what a swing of one period in time explains, and that period in s; the best of many."""
-    if len(values) < RHYTHM_LEAST:
+def _periodogram(values: FloatArray, clock_s: FloatArray) -> tuple[float, float]:
+    """Largest share of a periodogram, less what it explains by chance; and its period, s."""
+    if len(values) < PERIODOGRAM_COUNT_MIN:
         return 0.0, 0.0
     beat_s = float(np.median(np.diff(np.unique(clock_s))))
     found = []
-    for period_s in np.geomspace(3.0 * beat_s, max(np.ptp(clock_s), 4.0 * beat_s), RHYTHMS):
+    for period_s in np.geomspace(3.0 * beat_s, max(np.ptp(clock_s), 4.0 * beat_s), PERIODOGRAM_PERIODS):
         angle = math.tau * clock_s / period_s
         design = np.column_stack([np.ones(len(angle)), np.cos(angle), np.sin(angle)])
-        # The best of many explains something of pure noise: what that is, is taken off.
-        share = _share(values, design) - 2.0 * math.log(RHYTHMS) / len(values)
+        # The best of many periods explains some of pure noise: that much is subtracted.
+        share = _share(values, design) - 2.0 * math.log(PERIODOGRAM_PERIODS) / len(values)
         found.append((max(share, 0.0), float(period_s)))
     return max(found)
 
@@ -101,7 +107,7 @@ def _dummies(labels: NDArray[np.int64]) -> FloatArray:
 
 
 def _share(values: FloatArray, design: FloatArray) -> float:
-    """Of the squares of three columns, each by its own size, that a design explains; adjusted."""
+    """Share of the squares of three columns, each by its own size, that a design explains; adjusted R^2."""
     count, freedom = len(values), int(np.linalg.matrix_rank(design))
     if count <= freedom + 1:
         return 0.0

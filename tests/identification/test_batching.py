@@ -15,12 +15,12 @@ from made import make_swim, robot
 from frogkick.core.errors import InputError
 from frogkick.effects import make_effects
 from frogkick.identification import predict
+from frogkick.identification.batching import cpu_s, run_concurrently
 from frogkick.identification.filter import Noise
-from frogkick.identification.fit import LEG_S, Model, tracks_of
-from frogkick.identification.predict import Lane, Track
+from frogkick.identification.fit import LEG_S, Model, rollouts_of
+from frogkick.identification.predict import Lane, Rollout
 from frogkick.identification.segments import Segments
 from frogkick.identification.terms import catalogue
-from frogkick.identification.together import all_at_once, cpu_s
 
 NOISE = Noise((2e-4, 3.5e-3), (1e-4, 1e-3), (1e-4, 1e-3))
 
@@ -35,29 +35,29 @@ def worn(gain: float) -> Model:
     return Model(robot(), (term.at((gain, 0.0, 1.0)),), NOISE)
 
 
-def twice(swim: Segments, gain: float) -> list[Track]:
+def twice(swim: Segments, gain: float) -> list[Rollout]:
     """Two rounds of simulations, the second by what the first gave."""
-    ((first,),) = tracks_of([worn(gain)], [swim])
-    lag = 0.01 * float(np.nanmean(np.abs(first.missed[:, 0])))
-    ((second,),) = tracks_of([worn(gain + lag)], [swim])
+    ((first,),) = rollouts_of([worn(gain)], [swim])
+    lag = 0.01 * float(np.nanmean(np.abs(first.residuals[:, 0])))
+    ((second,),) = rollouts_of([worn(gain + lag)], [swim])
     return [first, second]
 
 
 def test_what_goes_at_once_is_what_would_go_alone(swim: Segments, monkeypatch: pytest.MonkeyPatch) -> None:
-    gains, asked = (0.6, 0.7, 0.8), list[int]()
+    gains, request = (0.6, 0.7, 0.8), list[int]()
 
-    def counted(lanes: list[Lane]) -> list[Track]:
-        asked.append(len(lanes))
-        return follow(lanes)
+    def counted(lanes: list[Lane]) -> list[Rollout]:
+        request.append(len(lanes))
+        return roll_out(lanes)
 
-    follow = predict.follow
-    monkeypatch.setattr(predict, "follow", counted)
-    found = dict(all_at_once([partial(twice, swim, gain) for gain in gains]))
-    assert asked == [3, 3], "all that wait are followed together"
+    roll_out = predict.roll_out
+    monkeypatch.setattr(predict, "roll_out", counted)
+    found = dict(run_concurrently([partial(twice, swim, gain) for gain in gains]))
+    assert request == [3, 3], "all that wait are followed together"
     monkeypatch.undo()
     for index, gain in enumerate(gains):
         for together, alone in zip(found[index], twice(swim, gain), strict=True):
-            assert np.array_equal(together.missed, alone.missed, equal_nan=True)
+            assert np.array_equal(together.residuals, alone.residuals, equal_nan=True)
             assert np.array_equal(together.difference, alone.difference)
 
 
@@ -79,8 +79,8 @@ def test_who_swims_beside_a_lane_makes_no_difference(
     monkeypatch.setattr("made.robot", lambda: swimmer)
     swims = [make_swim([effect], seed, 3 + seed) for seed in range(3)]
     lanes = [Lane(swim, swimmer, true, NOISE, LEG_S) for swim in swims]
-    for lane, together in zip(lanes * 4, predict.follow(lanes * 4), strict=True):
-        (alone,) = predict.follow([lane])
+    for lane, together in zip(lanes * 4, predict.roll_out(lanes * 4), strict=True):
+        (alone,) = predict.roll_out([lane])
         assert np.isfinite(alone.predicted).any()
         assert np.array_equal(together.predicted, alone.predicted, equal_nan=True)
         assert np.array_equal(together.difference, alone.difference)
@@ -88,13 +88,13 @@ def test_who_swims_beside_a_lane_makes_no_difference(
 
 def test_work_that_waits_for_a_thread_is_done_too(swim: Segments) -> None:
     def once(gain: float) -> float:
-        ((track,),) = tracks_of([worn(gain)], [swim])
-        return float(np.nansum(track.missed))
+        ((rollout,),) = rollouts_of([worn(gain)], [swim])
+        return float(np.nansum(rollout.residuals))
 
     gains = (0.5, 0.6, 0.7, 0.8, 0.9)
-    found = sorted(all_at_once([partial(once, gain) for gain in gains], at_once=2))
+    found = sorted(run_concurrently([partial(once, gain) for gain in gains], threads_max=2))
     assert [index for index, _ in found] == [0, 1, 2, 3, 4]
-    assert len({missed for _, missed in found}) == len(gains)
+    assert len({residuals for _, residuals in found}) == len(gains)
 
 
 def test_what_a_piece_raises_is_raised_and_ends_the_others(swim: Segments) -> None:
@@ -103,18 +103,20 @@ def test_what_a_piece_raises_is_raised_and_ends_the_others(swim: Segments) -> No
 
     def goes_on() -> None:
         while True:
-            tracks_of([worn(0.7)], [replace(swim, **{k: getattr(swim, k)[:1] for k in ("start_s", "end_s")})])
+            rollouts_of(
+                [worn(0.7)], [replace(swim, **{k: getattr(swim, k)[:1] for k in ("start_s", "end_s")})]
+            )
 
     work: list[Callable[[], None]] = [goes_on, fails]
     with pytest.raises(InputError, match="no such run"):
-        list(all_at_once(work))
+        list(run_concurrently(work))
 
 
 def test_simulations_for_several_are_shared_out(swim: Segments) -> None:
     def measured(models: list[Model]) -> float:
         begun_s = cpu_s()
-        tracks_of(models, [swim])
+        rollouts_of(models, [swim])
         return cpu_s() - begun_s
 
-    found = dict(all_at_once([partial(measured, [worn(0.7)]), partial(measured, [worn(0.7)] * 3)]))
+    found = dict(run_concurrently([partial(measured, [worn(0.7)]), partial(measured, [worn(0.7)] * 3)]))
     assert found[1] > 2.0 * found[0] > 0.0

@@ -1,7 +1,7 @@
-"""Two models side by side: rows of actions from rest, a period at a time, each tried after the same start.
+"""Paired simulation of two models: sequences of actions from rest, one period at a time.
 
-The second model's robot is put where the first one's is shown to be whenever a period begins, with its limbs
-amid their own strokes, as identification does with fixes: so each period is told apart by itself.
+The second model's robot is put to the pose that the first one's camera shows whenever a period begins, with
+its limbs amid their own strokes, as identification does with fixes. So each period discriminates by itself.
 """
 
 from __future__ import annotations
@@ -16,85 +16,85 @@ from numpy.typing import NDArray
 from frogkick.der import WIDTH
 from frogkick.effects import ActingLanes, Effect, Fix, body_at, changed_robot
 from frogkick.effects.registry import effects_of
-from frogkick.identification.columns import COARSE_STEP_S
 from frogkick.identification.fit import Model
-from frogkick.identification.gentle import Amid, gentle
-from frogkick.identification.predict import PARTS, WILD
+from frogkick.identification.predict import CLIP_SIGMA, PHASES
+from frogkick.identification.replay_batch import Checkpoint, gentle
+from frogkick.identification.screening import COARSE_STEP_S
 from frogkick.identification.segments import Segments
 from frogkick.robot import Robot
 
 FloatArray = NDArray[np.float64]
 
 CAMERA_S, LATE_S = 1.0 / 15.0, 0.08
-"""From fix to fix, and from a picture to its fix."""
+"""Time between fixes, and from a picture to its fix."""
 
-_BACK_S = 0.7  # of the way behind, for fixes that are older than they say
-_GLIDE_S = 0.4  # at a period's end, that tells where the next one begins
+_BACK_S = 0.7  # of trajectory before the present, for fixes that are older than stated
+_GLIDE_S = 0.4  # at a period's end, that the start of the next one is estimated from
 
 
 @dataclass(frozen=True, eq=False)
-class Swimming:
+class RobotState:
     """A simulated robot when a period begins.
 
     Attributes:
-        amid: its rods.
-        acting: its effects, with the strokes so far.
-        times_s, poses: (n,) and (n, 3) its way just before.
+        checkpoint: its rods.
+        acting: its effects, with the history of strokes.
+        times_s, poses: (n,) and (n, 3) its trajectory just before.
     """
 
-    amid: Amid
+    checkpoint: Checkpoint
     acting: ActingLanes
     times_s: FloatArray
     poses: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
-class Row:
-    """Actions so far.
+class ActionSequence:
+    """A sequence of actions and the robots after it.
 
     Attributes:
         actions: by index.
-        square: of how far both models are apart by now.
-        robots: of both.
-        told: of each period (n, 3) poses that the first one's camera shows, at ``_instants``.
+        distance2: squared separation of both models so far.
+        robots: robots of both models.
+        shown: for each period the (n, 3) poses that the first one's camera shows at ``_instants``.
     """
 
     actions: tuple[int, ...]
-    square: float
-    robots: tuple[Swimming, ...]
-    told: tuple[FloatArray, ...]
+    distance2: float
+    robots: tuple[RobotState, ...]
+    shown: tuple[FloatArray, ...]
 
 
 class Side:
-    """One of the models, as robots to simulate."""
+    """One of the two models, as robots to simulate."""
 
     def __init__(self, model: Model) -> None:
         effects = (*effects_of(model.robot), *(term.effect() for term in model.terms))
         self.effects = effects
         self.robot = changed_robot(model.robot, effects)
-        self.seeing = [effect for effect in effects if type(effect).fix is not Effect.fix]
+        self.camera_effects = [effect for effect in effects if type(effect).fix is not Effect.fix]
         self._leg_s = model.leg_s
 
-    def at_rest(self, shown: FloatArray) -> Swimming:
-        """A robot at rest that a camera shows at a pose."""
+    def at_rest(self, shown: FloatArray) -> RobotState:
+        """A robot at rest whose camera shows a pose."""
         pose = np.array(shown, dtype=np.float64)
         for _ in range(4):
-            pose = pose + shown - self._seen(0.0, pose)[1:]
+            pose = pose + shown - self._camera_fix(0.0, pose)[1:]
         acting = ActingLanes(self.effects, self.robot, [np.random.default_rng(0)], self._leg_s)
         batch = gentle(self.robot, pose[None, :], COARSE_STEP_S)
-        return Swimming(batch.leave(0), acting, np.array([-_BACK_S, 0.0]), np.array([pose, pose]))
+        return RobotState(batch.save(0), acting, np.array([-_BACK_S, 0.0]), np.array([pose, pose]))
 
-    def swum(self, given: Sequence[tuple[Swimming, int]]) -> Iterator[tuple[Swimming, FloatArray]]:
-        """Robots after one period with an action each, and what a camera shows in it (n, 3)."""
+    def advanced(self, given: Sequence[tuple[RobotState, int]]) -> Iterator[tuple[RobotState, FloatArray]]:
+        """Robots after one period with an action each, and (n, 3) what the camera shows of it."""
         for first in range(0, len(given), WIDTH):
-            yield from self._swum(given[first : first + WIDTH])
+            yield from self._advanced(given[first : first + WIDTH])
 
-    def _swum(self, given: Sequence[tuple[Swimming, int]]) -> Iterator[tuple[Swimming, FloatArray]]:
-        start_s, period_s = given[0][0].amid.time_s, self.robot.period_s
+    def _advanced(self, given: Sequence[tuple[RobotState, int]]) -> Iterator[tuple[RobotState, FloatArray]]:
+        start_s, period_s = given[0][0].checkpoint.time_s, self.robot.period_s
         batch = gentle(self.robot, np.zeros((len(given), 3)), COARSE_STEP_S)
         actings = []
         for lane, (robot, action) in enumerate(given):
-            batch.enter(lane, robot.amid)
+            batch.restore(lane, robot.checkpoint)
             actings.append(robot.acting.copy())
             for at_s, limb in strokes_of(self.robot, action, start_s):
                 row = batch.motion_world()[lane]
@@ -110,40 +110,43 @@ class Side:
                 for lane, acting in enumerate(actings):
                     row = motion[lane]
                     batch.set_water(lane, acting.water(batch, now_s, row[:3], row[3:6]))
-            told = batch.advance(start_s + period_s * leg / legs, trace=True)
-            for part, (times_s, rows) in zip(parts, told, strict=True):
+            traces = batch.advance(start_s + period_s * leg / legs, trace=True)
+            for part, (times_s, rows) in zip(parts, traces, strict=True):
                 part.append((times_s, rows[:, :3]))
         for lane, ((robot, _), part) in enumerate(zip(given, parts, strict=True)):
             times_s = np.concatenate([robot.times_s, *(at_s for at_s, _ in part)])
             poses = np.concatenate([robot.poses, *(rows for _, rows in part)])
             poses[:, 2] = np.unwrap(poses[:, 2])
-            swum = Swimming(batch.leave(lane), actings[lane], times_s, poses)
-            yield swum, self._shown(swum, _instants(start_s, period_s))
+            advanced = RobotState(batch.save(lane), actings[lane], times_s, poses)
+            yield advanced, self._camera_fixes(advanced, _instants(start_s, period_s))
 
-    def put(self, robot: Swimming, offset: FloatArray, rate: FloatArray) -> Swimming:
-        """A robot moved and sped up as a whole, and its way with it, of which only the last is kept."""
+    def put(self, robot: RobotState, offset: FloatArray, rate: FloatArray) -> RobotState:
+        """A robot at another pose and velocity, and the last of its trajectory moved likewise."""
         batch = gentle(self.robot, np.zeros((1, 3)), COARSE_STEP_S)
-        batch.enter(0, robot.amid)
+        batch.restore(0, robot.checkpoint)
         batch.shift(0, offset.tolist(), rate.tolist())
-        now_s = robot.amid.time_s
+        now_s = robot.checkpoint.time_s
         kept = robot.times_s >= now_s - _BACK_S
         poses = robot.poses + offset + (robot.times_s - now_s)[:, None] * rate
-        return Swimming(batch.leave(0), robot.acting, robot.times_s[kept], poses[kept])
+        return RobotState(batch.save(0), robot.acting, robot.times_s[kept], poses[kept])
 
-    def _shown(self, robot: Swimming, claims_s: FloatArray) -> FloatArray:
-        """(n, 3) what fixes that claim these times show."""
+    def _camera_fixes(self, robot: RobotState, corrected_s: FloatArray) -> FloatArray:
+        """(n, 3) poses that fixes with these stated times show."""
         times_s, poses = robot.times_s, robot.poses
-        if self.seeing:
-            some = np.linspace(max(times_s[0], claims_s[0] - _BACK_S), times_s[-1], 60)
-            seen = [self._seen(at_s, _at(times_s, poses, np.array([at_s]))[0]) for at_s in some.tolist()]
-            times_s, poses = np.array(seen)[:, 0], np.array(seen)[:, 1:]
-        return _at(times_s, poses, claims_s)
+        if self.camera_effects:
+            some = np.linspace(max(times_s[0], corrected_s[0] - _BACK_S), times_s[-1], 60)
+            captured = [
+                self._camera_fix(at_s, _interpolated(times_s, poses, np.array([at_s]))[0])
+                for at_s in some.tolist()
+            ]
+            times_s, poses = np.array(captured)[:, 0], np.array(captured)[:, 1:]
+        return _interpolated(times_s, poses, corrected_s)
 
-    def _seen(self, time_s: float, pose: FloatArray) -> FloatArray:
-        """(4,) the time that a fix of a pose claims, and what it shows."""
+    def _camera_fix(self, time_s: float, pose: FloatArray) -> FloatArray:
+        """(4,) the stated time of a fix of a pose, and the pose that it shows."""
         x, y, heading = (float(value) for value in pose)
         fix = Fix(time_s, LATE_S, x, y, heading)
-        for effect in self.seeing:
+        for effect in self.camera_effects:
             fix = effect.fix(fix, np.random.default_rng(0)) or fix
         turned = math.remainder(fix.heading_rad - heading, math.tau)
         return np.array([fix.capture_s, fix.x_m, fix.y_m, heading + turned])
@@ -157,59 +160,66 @@ def strokes_of(robot: Robot, action: int, start_s: float) -> list[tuple[float, i
 
 
 def _instants(start_s: float, period_s: float) -> FloatArray:
-    """When a camera looks in a period."""
-    count = max(len(PARTS), round(period_s / CAMERA_S))
+    """Capture times in a period."""
+    count = max(len(PHASES), round(period_s / CAMERA_S))
     return start_s + period_s * (np.arange(count) + 0.5) / count
 
 
-def _at(times_s: FloatArray, poses: FloatArray, at_s: FloatArray) -> FloatArray:
+def _interpolated(times_s: FloatArray, poses: FloatArray, at_s: FloatArray) -> FloatArray:
     return np.column_stack([np.interp(at_s, times_s, poses[:, axis]) for axis in range(3)])
 
 
-def grow(
-    rows: Sequence[Row],
+def extend(
+    sequences: Sequence[ActionSequence],
     sides: Sequence[Side],
     white: FloatArray,
     robot: Robot,
     actions: Sequence[int] | None = None,
-) -> Iterator[Row]:
-    """Every row with every action after it."""
-    pairs = [(row, a) for row in rows for a in (range(len(robot.actions)) if actions is None else actions)]
-    swum = [list(side.swum([(row.robots[k], a) for row, a in pairs])) for k, side in enumerate(sides)]
-    for (row, action), (one, shown), (other, beside) in zip(pairs, *swum, strict=True):
-        start_s = row.robots[0].amid.time_s
+) -> Iterator[ActionSequence]:
+    """Extend every sequence by every action."""
+    pairs = [
+        (sequence, a)
+        for sequence in sequences
+        for a in (range(len(robot.actions)) if actions is None else actions)
+    ]
+    advanced = [
+        list(side.advanced([(sequence.robots[k], a) for sequence, a in pairs]))
+        for k, side in enumerate(sides)
+    ]
+    for (sequence, action), (one, shown), (other, beside) in zip(pairs, *advanced, strict=True):
+        start_s = sequence.robots[0].checkpoint.time_s
         instants = _instants(start_s, robot.period_s)
         gap = shown - beside
-        ahead = _miss(gap, (instants - start_s) / robot.period_s, float(shown[0, 2]))
-        square = row.square + float((np.clip(ahead @ white, -WILD, WILD) ** 2).sum())
-        if one.amid.failed or other.amid.failed:
+        ahead = _residuals(gap, (instants - start_s) / robot.period_s, float(shown[0, 2]))
+        distance2 = sequence.distance2 + float((np.clip(ahead @ white, -CLIP_SIGMA, CLIP_SIGMA) ** 2).sum())
+        if one.checkpoint.failed or other.checkpoint.failed:
             continue
         late = instants >= start_s + robot.period_s - _GLIDE_S
         design = np.column_stack([np.ones(late.sum()), instants[late] - start_s - robot.period_s])
         offset, rate = np.linalg.lstsq(design, gap[late], rcond=None)[0]
         robots = (sides[0].put(one, np.zeros(3), np.zeros(3)), sides[1].put(other, offset, rate))
-        yield Row((*row.actions, action), square, robots, (*row.told, shown))
+        yield ActionSequence((*sequence.actions, action), distance2, robots, (*sequence.shown, shown))
 
 
-def _miss(gap: FloatArray, share: FloatArray, heading_rad: float) -> FloatArray:
-    """(9,) what Track.missed has of a period."""
+def _residuals(gap: FloatArray, share: FloatArray, heading_rad: float) -> FloatArray:
+    """(9,) residuals of a period; see Rollout.residuals."""
     c, s = math.cos(heading_rad), math.sin(heading_rad)
     found: list[float] = []
-    for low, high in PARTS:
+    for low, high in PHASES:
         x, y, turn = gap[(low <= share) & (share < high)].mean(axis=0).tolist()
         found += [c * x + s * y, c * y - s * x, turn]
     return np.array(found)
 
 
-def segments_of_row(robot: Robot, row: Row, start: FloatArray) -> Segments:
-    """The first model's way along a row, as a run of fixes without noise."""
-    start_s = np.asarray(robot.period_s * np.arange(len(row.actions)), dtype=np.float64)
+def segments_of_sequence(robot: Robot, sequence: ActionSequence, start: FloatArray) -> Segments:
+    """The first model's trajectory along a sequence, as a run of fixes without noise."""
+    start_s = np.asarray(robot.period_s * np.arange(len(sequence.actions)), dtype=np.float64)
     before_s = -CAMERA_S * np.arange(15, 0, -1)
     time_s = np.concatenate([before_s, *(_instants(float(at_s), robot.period_s) for at_s in start_s)])
-    pose = np.concatenate([np.tile(start, (len(before_s), 1)), *row.told])
+    pose = np.concatenate([np.tile(start, (len(before_s), 1)), *sequence.shown])
     strokes = [
         each
-        for at_s, action in zip(start_s.tolist(), row.actions, strict=True)
+        for at_s, action in zip(start_s.tolist(), sequence.actions, strict=True)
         for each in strokes_of(robot, action, at_s)
     ]
     return Segments(
@@ -221,7 +231,7 @@ def segments_of_row(robot: Robot, row: Row, start: FloatArray) -> Segments:
         pose=np.column_stack([pose[:, :2], np.unwrap(pose[:, 2])]),
         strokes=tuple(strokes),
         start_s=start_s,
-        action=np.array(row.actions, dtype=np.int64),
+        action=np.array(sequence.actions, dtype=np.int64),
         end_s=np.asarray(start_s + robot.period_s),
         period_s=robot.period_s,
         lag_s=0.0,

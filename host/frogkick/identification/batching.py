@@ -1,0 +1,183 @@
+"""Several identifications in one process, whose simulations share batches.
+
+An identification mostly simulates a few runs at a time, and idle lanes of a batch cost as much as busy ones.
+So several identifications run concurrently, each in its own thread. When all of them wait for a simulation,
+their requests are rolled out together. A lane's result depends on no other lane, to the last bit, so each
+identification ends with what it would end with alone.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextvars import ContextVar
+from dataclasses import dataclass, field
+from typing import TypeVar, cast
+
+from frogkick.identification import predict
+from frogkick.identification.predict import Lane, Rollout
+
+Result = TypeVar("Result")
+
+THREADS_MAX = 8
+"""Threads: with more, batches are hardly fuller."""
+
+
+def roll_out(lanes: Sequence[Lane]) -> list[Rollout]:
+    """Roll out runs as ``predict.roll_out`` does, together with those of other threads."""
+    rendezvous = _RENDEZVOUS.get()
+    return predict.roll_out(lanes) if rendezvous is None else rendezvous.roll_out(lanes)
+
+
+def cpu_s() -> float:
+    """Processor time of the calling thread, with its share of joint simulations."""
+    request = _REQUEST.get()
+    return time.thread_time() + (0.0 if request is None else request.shared_s)
+
+
+def run_concurrently(
+    work: Sequence[Callable[[], Result]], threads_max: int = THREADS_MAX
+) -> Iterator[tuple[int, Result]]:
+    """Run pieces of work concurrently; yield (index, result) as they end.
+
+    An exception in one of them is raised here; the others are then abandoned.
+
+    Args:
+        work: each calls ``roll_out`` as often as it likes.
+        threads_max: number of threads.
+    """
+    rendezvous = _Rendezvous(list(enumerate(work)))
+    threads = [
+        threading.Thread(target=rendezvous.run, daemon=True) for _ in range(min(threads_max, len(work)))
+    ]
+    rendezvous.busy = len(threads)
+    for thread in threads:
+        thread.start()
+    try:
+        yield from cast(Iterator[tuple[int, Result]], rendezvous.serve())
+    finally:
+        rendezvous.end()
+        for thread in threads:
+            thread.join()
+
+
+class _Ended(BaseException):
+    """Raised in threads whose work was abandoned."""
+
+
+@dataclass(eq=False)
+class _Request:
+    """Request of one thread."""
+
+    lanes: Sequence[Lane] = ()
+    rollouts: list[Rollout] | None = None
+    error: BaseException | None = None
+    shared_s: float = 0.0
+
+
+@dataclass(eq=False)
+class _Rendezvous:
+    """Where threads wait until all of them have a request.
+
+    Attributes:
+        work: pieces that are not begun.
+        busy: number of threads that neither wait nor have ended.
+    """
+
+    work: list[tuple[int, Callable[[], object]]]
+    busy: int = 0
+    _waiting: list[_Request] = field(default_factory=list)
+    _done: list[tuple[int, object]] = field(default_factory=list)
+    _error: BaseException | None = None
+    _ended: bool = False
+    _change: threading.Condition = field(default_factory=threading.Condition)
+
+    def run(self) -> None:
+        """In a thread: run piece after piece."""
+        _RENDEZVOUS.set(self)
+        _REQUEST.set(_Request())
+        try:
+            while True:
+                with self._change:
+                    if not self.work or self._ended:
+                        return
+                    index, piece = self.work.pop(0)
+                result = piece()
+                with self._change:
+                    self._done.append((index, result))
+                    self._change.notify_all()
+        except _Ended:
+            pass
+        except BaseException as error:  # raised again by ``serve``
+            self._error = error
+        finally:
+            with self._change:
+                self.busy -= 1
+                self._change.notify_all()
+
+    def roll_out(self, lanes: Sequence[Lane]) -> list[Rollout]:
+        """In a thread: wait until its lanes are rolled out."""
+        request = _REQUEST.get()
+        assert request is not None
+        request.lanes, request.rollouts, request.error = lanes, None, None
+        with self._change:
+            self._waiting.append(request)
+            self.busy -= 1
+            self._change.notify_all()
+            while request.rollouts is None and request.error is None and not self._ended:
+                self._change.wait()
+        if request.error is not None:
+            raise request.error
+        if request.rollouts is None:
+            raise _Ended
+        return request.rollouts
+
+    def serve(self) -> Iterator[tuple[int, object]]:
+        """Roll out the requests whenever all threads wait, until all work is done."""
+        while True:
+            with self._change:
+                while self.busy and not self._done and self._error is None:
+                    self._change.wait()
+                done, self._done = self._done, []
+                waiting = self._waiting if not self.busy else []
+            yield from done
+            if self._error is not None:
+                raise self._error
+            if waiting:
+                self._follow_all(waiting)
+            elif not done and not self.busy:
+                return
+
+    def _follow_all(self, waiting: Sequence[_Request]) -> None:
+        lanes = [lane for request in waiting for lane in request.lanes]
+        begun_s = time.thread_time()
+        try:
+            rollouts = predict.roll_out(lanes)
+            first = 0
+            for request in waiting:
+                request.rollouts = rollouts[first : first + len(request.lanes)]
+                first += len(request.lanes)
+        except Exception:  # rolling out each request alone shows whose fault it was
+            for request in waiting:
+                try:
+                    request.rollouts = predict.roll_out(request.lanes)
+                except Exception as error:
+                    request.error = error
+        spent_s = time.thread_time() - begun_s
+        for request in waiting:
+            request.shared_s += spent_s * len(request.lanes) / max(len(lanes), 1)
+        with self._change:
+            self._waiting = []
+            self.busy += len(waiting)
+            self._change.notify_all()
+
+    def end(self) -> None:
+        """End the threads that still wait."""
+        with self._change:
+            self._ended = True
+            self._change.notify_all()
+
+
+_RENDEZVOUS: ContextVar[_Rendezvous | None] = ContextVar("meeting", default=None)
+_REQUEST: ContextVar[_Request | None] = ContextVar("asked", default=None)

@@ -1,0 +1,255 @@
+"""Calibrated starting models: robots of the same body that were measured before.
+
+The added mass and drag of a hull, how limbs stand and how they tire can only be told apart together, and a
+forward selection from a plain drawing does not get there. A robot's file of the same id and body with
+``[[effect]]`` tables gives starting values; all its effects are fitted jointly to the runs at hand, by the
+poses at the ends of periods.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from frogkick.effects import Effect
+from frogkick.effects.registry import effects_of
+from frogkick.identification.filter import Noise
+from frogkick.identification.fit import (
+    DIVERGED,
+    Fitted,
+    Model,
+    coarsened,
+    derivatives,
+    reestimated_noise,
+    residuals_of,
+    rollouts_of,
+)
+from frogkick.identification.penalty import EFFECT_PENALTY, PARAMETER_PENALTY
+from frogkick.identification.predict import Rollout
+from frogkick.identification.segments import Segments, part_of
+from frogkick.identification.steps import bounded_step, deviance_of, whiten, whitener
+from frogkick.identification.terms import Term
+from frogkick.paths import wrap_angle
+from frogkick.robot import Robot, built_in_robots, load_robot
+
+FloatArray = NDArray[np.float64]
+
+STEPS_MAX = 5
+"""Steps of the fit at most."""
+
+PART, PART_STEPS_MAX, WHOLE_STEPS_MAX = 60, 12, 2
+"""From nominal values: the first so many periods are fitted in so many steps, then all periods."""
+
+LEG_S = 0.05
+"""How often wrenches are evaluated: a glide changes slowly."""
+
+START_GAIN = 10.0
+"""Gain that each effect of a calibrated start must have at its file's values, before anything is fitted.
+
+In units of the deviance, each model at its best noise. Ten effects must gain 100: on the recorded robot they
+gain 218 in three short runs and 196 from rough values, on a simulated one whose limb misfires -1090.
+"""
+
+DAMPINGS = (1e-5, 1e-3, 1e-2, 0.1, 1.0, 10.0)
+"""Dampings of a step, all tried in one batch."""
+
+NOISES = tuple(
+    Noise((fix, 14.0 * fix), (idle, 30.0 * idle), (0.02, 0.6))
+    for fix, idle in ((2e-4, 1e-3), (3e-4, 1e-3), (4e-4, 2e-3), (8e-4, 3e-3))
+)
+"""Noise levels that are tried, (m, rad): of fixes, and of the white acceleration."""
+
+
+def calibrated_starts(robot: Robot) -> dict[str, tuple[Term, ...]]:
+    """Built-in robots that are this one with effects: name -> the effects, with their values.
+
+    Their planners may differ.
+    """
+    found = {}
+    for name in built_in_robots():
+        other = load_robot(name)
+        plain = replace(
+            other,
+            title=robot.title,
+            planner=robot.planner,
+            effects=robot.effects,
+            toml=robot.toml,
+            sha256=robot.sha256,
+            folder=robot.folder,
+        )
+        if other.effects != robot.effects and plain == robot:
+            found[name] = tuple(
+                _term(dict(table), effect)
+                for table, effect in zip(other.effects, effects_of(other), strict=True)
+            )
+    return found
+
+
+def _term(table: dict[str, object], effect: Effect) -> Term:
+    names = {parameter.name for parameter in effect.parameters}
+    kept = tuple((key, value) for key, value in table.items() if key not in names)
+    values = tuple(effect.value(parameter.name) for parameter in effect.parameters)
+    return Term(kept, Path(), tuple(effect.parameters), values)
+
+
+def refitted(
+    nominal: Fitted,
+    terms: Sequence[Term],
+    swims: Sequence[Segments],
+    rows: NDArray[np.bool_],
+    measured: bool = True,
+) -> Fitted | None:
+    """Fit all effects of a calibrated start jointly; None where they explain too little for their number.
+
+    Parameters that are nominal in its file stay so.
+
+    Args:
+        nominal: the model without them.
+        terms: where the fit starts.
+        swims: the runs.
+        rows: periods that the derivatives of the result are of.
+        measured: start from its calibrated values; else from nominal ones, so that only the choice of effects
+            and of their free parameters comes from the runs it was calibrated with.
+    """
+    flat = [
+        (value, p.nominal) for term in terms for value, p in zip(term.values, term.parameters, strict=True)
+    ]
+    fixed = frozenset(k for k, (value, plain) in enumerate(flat) if value == plain)
+    if not measured:
+        terms = [term.at([p.nominal for p in term.parameters]) for term in terms]
+    start = Model(coarsened(nominal.model.robot), tuple(terms), NOISES[0], LEG_S, fixed=fixed)
+    free = len(flat) - len(fixed)
+    # All effects come jointly: that is one choice, however many they are.
+    plain, dear = best_end_deviance(nominal, swims), PARAMETER_PENALTY * free + EFFECT_PENALTY
+    models = [replace(start, noise=noise) for noise in NOISES]
+    deviances = [end_deviance(rollouts, swims) for rollouts in rollouts_of(models, swims)]
+    if measured and min(deviances) > plain - START_GAIN * len(terms):
+        return None  # a different robot
+    model, steps_max = models[int(np.argmin(deviances))], STEPS_MAX
+    if not measured:
+        model, steps_max = _GaussNewton(model, part_of(swims, PART)).run(PART_STEPS_MAX), WHOLE_STEPS_MAX
+    fitted = fitted_to_ends(model, swims, rows, nominal.model.robot, steps_max)
+    return fitted if end_deviance(fitted.rollouts, swims) < plain - dear else None
+
+
+def fitted_to_ends(
+    begin: Model,
+    swims: Sequence[Segments],
+    rows: NDArray[np.bool_],
+    robot: Robot,
+    steps_max: int = WHOLE_STEPS_MAX,
+) -> Fitted:
+    """Fit a model to the ends of periods, with a coarsened frame and then with the robot's own."""
+    model = _GaussNewton(replace(begin, robot=coarsened(begin.robot)), swims).run(steps_max)
+    rough = derivatives([model], swims, rows)[0]
+    fine = replace(model, robot=robot)
+    (rollouts,) = rollouts_of([fine], swims)
+    # Once more at its re-estimated noise: the first one is a round number.
+    again = replace(reestimated_noise(fine, rollouts, swims), fixed=fine.fixed)
+    (other,) = rollouts_of([again], swims)
+    if end_deviance(other, swims) < end_deviance(rollouts, swims):
+        fine, rollouts = again, other
+    residuals = residuals_of(rollouts, rows)
+    return Fitted(fine, rollouts, residuals, rough.jacobian, deviance_of(residuals), fresh=False)
+
+
+def best_end_deviance(fitted: Fitted, swims: Sequence[Segments]) -> float:
+    """The lowest ``end_deviance`` of a model, at its own noise or at those that calibrated starts are tried
+    with.
+
+    A calibrated start must not win by its noise alone: the noise of a robot at a wall, estimated from a few
+    large residuals, makes its ends worse than any of NOISES does, by four times what a calibrated start must
+    gain.
+    """
+    models = [replace(fitted.model, noise=noise) for noise in NOISES]
+    models.append(reestimated_noise(fitted.model, fitted.rollouts, swims))
+    return min(end_deviance(rollouts, swims) for rollouts in [fitted.rollouts, *rollouts_of(models, swims)])
+
+
+def end_deviance(rollouts: Sequence[Rollout], swims: Sequence[Segments]) -> float:
+    """Deviance of the residuals at periods' ends; see ``steps.deviance_of``."""
+    return deviance_of(end_residuals(rollouts, swims))
+
+
+def end_residuals(rollouts: Sequence[Rollout], swims: Sequence[Segments]) -> FloatArray:
+    """(n, 3) residuals at the ends of all periods: forward, left (m), heading (rad).
+
+    Periods without a measured end, or that no model can predict, are left out; those of a run whose
+    simulation failed count as DIVERGED.
+    """
+    rows = []
+    for rollout, swim in zip(rollouts, swims, strict=True):
+        ends = end_errors(rollout, swim)
+        rows.append(ends[np.isfinite(ends).all(axis=1)])
+    return np.concatenate(rows)
+
+
+def end_errors(rollout: Rollout, swim: Segments) -> FloatArray:
+    """(m, 3) residuals at the ends of a run's periods, by the pose at their starts; NaN where unknown."""
+    gap = swim.measured - rollout.predicted
+    c, s = np.cos(rollout.start[:, 2]), np.sin(rollout.start[:, 2])
+    ends = np.column_stack(
+        [c * gap[:, 0] + s * gap[:, 1], c * gap[:, 1] - s * gap[:, 0], wrap_angle(gap[:, 2])]
+    )
+    if rollout.failed:
+        seen = np.asarray(np.isfinite(swim.measured).all(axis=1))
+        ends[:] = np.where(seen[:, None], DIVERGED[:3], np.nan)
+    return ends
+
+
+@dataclass(eq=False)
+class _GaussNewton:
+    """Damped Gauss-Newton on the ends of periods; factors are stepped in their logarithm."""
+
+    model: Model
+    swims: Sequence[Segments]
+
+    def __post_init__(self) -> None:
+        parameters = [p for term in self.model.terms for p in term.parameters]
+        self.low, self.high = self.model.bounds
+        self.is_factor = np.array([p.low > 0.0 and p.nominal == 1.0 for p in parameters])
+        self.reach = np.where(self.is_factor, 0.5, 0.25 * (self.high - self.low))
+        self.free = np.array([k not in self.model.fixed for k in range(len(parameters))], dtype=np.float64)
+
+    def _scaled(self, values: FloatArray) -> FloatArray:
+        logs = np.log(np.where(self.is_factor, values, 1.0))
+        return np.where(self.is_factor, logs, values) / self.reach
+
+    def _values(self, scaled: FloatArray) -> FloatArray:
+        plain = scaled * self.reach
+        return np.where(self.is_factor, np.exp(np.where(self.is_factor, plain, 0.0)), plain)
+
+    def run(self, steps_max: int) -> Model:
+        """The fitted model, after so many steps at most."""
+        deviance = math.inf
+        for _ in range(steps_max):
+            at = self._scaled(self.model.values)
+            low, high = self._scaled(np.maximum(self.low, -1e9)), self._scaled(self.high)
+            step = np.where(at + 0.16 > high, -0.16, 0.16)
+            chosen = [k for k in range(len(at)) if self.free[k]]
+            moved = [at, *(at + step[k] * np.eye(len(at))[k] for k in chosen)]
+            every = rollouts_of([self.model.with_values(self._values(each)) for each in moved], self.swims)
+            base = end_residuals(every[0], self.swims)
+            deviance = min(deviance, end_deviance(every[0], self.swims))
+            columns = np.zeros((*base.shape, len(at)))
+            for k, rollouts in zip(chosen, every[1:], strict=True):
+                columns[:, :, k] = (end_residuals(rollouts, self.swims) - base) / step[k]
+            left, rows = whiten(whitener(base), base, columns)
+            tries = []
+            for share in DAMPINGS:
+                damping = np.full(len(at), share * 0.05 * len(left))
+                down = np.maximum(low - at, -2.0) * self.free
+                up = np.minimum(high - at, 2.0) * self.free
+                tries.append(self._values(at + bounded_step(rows, left, damping, down, up)))
+            models = [self.model.with_values(values) for values in tries]
+            deviances = [end_deviance(rollouts, self.swims) for rollouts in rollouts_of(models, self.swims)]
+            best = int(np.argmin(deviances))
+            if deviances[best] >= deviance - 0.5:
+                break
+            self.model, deviance = models[best], deviances[best]
+        return self.model

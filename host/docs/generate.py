@@ -30,6 +30,8 @@ from frogkick.tables import layout
 from frogkick_codegen import frames
 
 HOST = Path(__file__).parents[1]
+IN_DETAIL = {"effects": ("Effect", "Parameter", "read_world")}
+"""What the Python reference has of a module that is a name of the front door; else all of it."""
 GAP = re.compile(r"^\{\{ (\w+) \}\}$", re.MULTILINE)
 
 
@@ -64,9 +66,9 @@ def python() -> Iterator[str]:
             yield f"::: {module}.{found.__qualname__}"
         elif name != "__version__":
             yield f"### {name}\n\n{(found.__doc__ or '').strip()}"
-            for each in found.__all__:
+            for each in IN_DETAIL.get(name, found.__all__):
                 inner = getattr(found, each)
-                if name == "paths" and hasattr(inner, "__qualname__"):
+                if each not in frogkick.__all__ and hasattr(inner, "__qualname__"):
                     yield f"::: {inner.__module__}.{inner.__qualname__}\n    options: {{heading_level: 4}}"
 
 

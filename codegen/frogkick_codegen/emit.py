@@ -13,8 +13,8 @@ from pathlib import Path
 import jinja2
 import numpy as np
 
-import frogkick
 from frogkick.core.errors import InputError
+from frogkick.core.version import VERSION
 from frogkick.core.weights import WEIGHTS
 from frogkick.planner import kernel
 from frogkick.planner.plan import PlanConfig
@@ -161,7 +161,7 @@ def _banner(
     settings = ",".join([*weights, *map(str, numbers)])
     robot = f"SHA-256 {robot_sha256.hex()}" if robot_sha256 else "its hash is part of the library's"
     return [
-        f"{_MARK} {frogkick.__version__}, table image format {FORMAT_VERSION}, kind {tables.kind}.",
+        f"{_MARK} {VERSION}, table image format {FORMAT_VERSION}, kind {tables.kind}.",
         f"library SHA-256 {tables.provenance.hex()}",
         f"robot {tables.robot_id}, {robot}",
         f"configuration SHA-256 {hashlib.sha256(settings.encode()).hexdigest()} ({settings})",

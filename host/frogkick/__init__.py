@@ -12,7 +12,7 @@ import importlib
 import os
 from typing import TYPE_CHECKING, Any
 
-__version__ = "0.1.0"
+from frogkick.core.version import VERSION as __version__
 
 _FROM = {
     "der": ("Trajectory",),

@@ -7,6 +7,7 @@ import re
 import sys
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 CODEGEN, STUDIES = "codegen", "studies"
@@ -19,8 +20,8 @@ PACKAGES = {
 }
 """Folder of each package -> its row; of frogkick each room has its own."""
 
-EVERYBODY = frozenset({"core", "__init__"})
-"""Rooms of frogkick that all may import; ``__init__`` is the version."""
+EVERYBODY = frozenset({"core"})
+"""Rooms of frogkick that all may import."""
 
 _LOWER = ("robot", "der", "effects", "library", "tables", "planner", "estimator", "paths")
 _MOST = (*_LOWER, "pool", "runs", "identification", CODEGEN)
@@ -46,9 +47,9 @@ ARROWS: Mapping[str, frozenset[str]] = {
     "ring": frozenset(_MOST),
     "report": frozenset({*_MOST, "validation", "ring"}),
     "front": frozenset({*_MOST, "vision", "link", "validation", "ring", "report"}),
-    "cli": frozenset({"front", "report", STUDIES}),  # arguments in, one call, printing out
+    "cli": frozenset({"__init__", "front", "report", STUDIES}),  # arguments in, one call, printing out
     # A study asks what no front door answers: rods step by step, bytes of tables, cycles of the chip.
-    STUDIES: frozenset({*_MOST, "validation", "report", "front"}),
+    STUDIES: frozenset({"__init__", *_MOST, "validation", "report", "front"}),
     CODEGEN: frozenset({"robot", "tables", "planner", "estimator", "link"}),
     "__init__": frozenset({"front", "robot", "der", "effects", "library", "paths"}),
 }
@@ -134,6 +135,32 @@ def violations(root: Path) -> list[str]:
     return sorted(set(found))
 
 
+def circle(root: Path) -> list[str]:
+    """Return modules below ``root`` that import each other in a circle, in its order; [] where none do.
+
+    Imports in functions or for types alone count. A name of a package is the package.
+    """
+    files = {}
+    for top in (root / folder for folder in PACKAGES):
+        for file in top.rglob("*.py"):
+            parts = [top.name, *file.relative_to(top).with_suffix("").parts]
+            files[".".join(parts).removesuffix(".__init__")] = file
+    graph: dict[str, set[str]] = {}
+    for name, file in files.items():
+        package = name if file.name == "__init__.py" else name.rpartition(".")[0]
+        graph[name] = set()
+        for one in imports_of(file, package, name):
+            module = one.module
+            while module and module not in files:
+                module = module.rpartition(".")[0]
+            graph[name] |= {module} - {"", name}
+    try:
+        TopologicalSorter(graph).prepare()
+    except CycleError as error:
+        return list(error.args[1])
+    return []
+
+
 def _reason(room: str, module: str, ours: set[str]) -> str:
     """Return why ``room`` must not import ``module``, or ""."""
     parts = module.split(".")
@@ -142,7 +169,7 @@ def _reason(room: str, module: str, ours: set[str]) -> str:
         if target not in ARROWS:
             # A name out of frogkick/__init__.py, unless there is such a folder without a row.
             target = target if target in ours else "__init__"
-            if target == "__init__" and room not in ("cli", STUDIES) and parts[1] != "__version__":
+            if target == "__init__" and target not in ARROWS[room]:
                 return f"{room} imports {parts[1]} of the front door, which stands above it"
     elif parts[0] in ("frogkick_codegen", "frogkick_studies"):
         target = parts[0].removeprefix("frogkick_")

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 from tests.conftest import REPOSITORY
-from tests.structure.arrows import ARROWS, CODEGEN, c_arrows, violations
+from tests.structure.arrows import ARROWS, CODEGEN, c_arrows, circle, violations
 
 
 def plant(root: Path, files: dict[str, str]) -> list[str]:
@@ -17,10 +17,10 @@ def plant(root: Path, files: dict[str, str]) -> list[str]:
         "host/frogkick/__init__.py": '__version__ = "0"\n',
         "host/frogkick/core/errors.py": "",
         "host/frogkick/planner/kernel.py": "import numba\nfrom frogkick.core.errors import InputError\n",
-        "host/frogkick/library/build.py": "import frogkick\nfrom ..tables import image\n",
+        "host/frogkick/library/build.py": "from ..tables import image\n",
         "host/frogkick/front/running.py": "from frogkick.planner import kernel\n",
         "host/frogkick/cli/run.py": "import frogkick as fk\nfrom frogkick.front.running import run\n",
-        "codegen/frogkick_codegen/emit.py": "from frogkick import __version__, planner\n",
+        "codegen/frogkick_codegen/emit.py": "from frogkick import planner\n",
         "host/studies/frogkick_studies/loop.py": "import frogkick\nfrom frogkick.der import rods\n",
     }
     for name, text in {**sound, **files}.items():
@@ -83,6 +83,12 @@ def test_a_sound_tree_has_no_violation(tmp_path: Path) -> None:
         ),
         ("host/frogkick/cli/run.py", "if x:\n    from ..robot import Robot\n", ":2 cli imports robot"),
         ("host/frogkick/cli/run.py", "import frogkick_codegen.emit\n", f":1 cli imports {CODEGEN}"),
+        ("host/frogkick/der/mesh.py", "import frogkick\n", ":1 der imports __init__"),
+        (
+            "codegen/frogkick_codegen/emit.py",
+            "from frogkick import __version__\n",
+            f":1 {CODEGEN} imports __version__ of the front door",
+        ),
         ("host/frogkick/radio/tag.py", "import numpy\n", ":1 'radio' has no row"),
         ("host/studies/frogkick_studies/loop.py", "import frogkick.cli.app\n", ":1 studies imports cli"),
         ("host/frogkick/front/gaits.py", "import frogkick_studies.loop\n", ":1 front imports studies"),
@@ -92,6 +98,28 @@ def test_a_wrong_import_is_found(tmp_path: Path, name: str, text: str, found: st
     lines = plant(tmp_path, {name: text})
     assert len(lines) == 1, lines
     assert lines[0].startswith(name + found), lines
+
+
+def test_files_import_each_other_in_no_circle() -> None:
+    assert circle(REPOSITORY) == []
+
+
+@pytest.mark.parametrize(
+    "back",
+    ["from frogkick.der.mesh import Mesh\n", "def f():\n    from .mesh import Mesh\n",
+     "if TYPE_CHECKING:\n    import frogkick.der.mesh\n", "from frogkick.der import mesh\n"],
+)  # fmt: skip
+def test_a_circle_of_files_is_found(tmp_path: Path, back: str) -> None:
+    files = {
+        "host/frogkick/der/mesh.py": "from frogkick.der import rods\n",
+        "host/frogkick/der/rods.py": "from frogkick.der.water import drag\n",
+        "host/frogkick/der/water.py": "import math\n",
+    }
+    assert plant(tmp_path, files) == [] and circle(tmp_path) == []
+    (tmp_path / "host/frogkick/der/water.py").write_text(back)
+    found = circle(tmp_path)
+    assert found[0] == found[-1]
+    assert set(found) == {f"frogkick.der.{name}" for name in ("mesh", "rods", "water")}
 
 
 C_FOLDERS = ("firmware/core", "codegen/frogkick_codegen/planner")

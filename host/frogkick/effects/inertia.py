@@ -17,7 +17,7 @@ import numpy as np
 from frogkick.core.poses import Fix, rotate
 from frogkick.effects.base import Effect, Parameter
 from frogkick.robot import Robot
-from frogkick.robot.model import Frame, Limb
+from frogkick.robot.shape import Frame, Limb
 
 _LEAST_INERTIA = 0.02
 """Share of the outline's moment of inertia, about the centre of mass, that no combination goes below."""

@@ -9,7 +9,7 @@ from typing import TypeVar
 
 from frogkick.effects.base import Body, Effect, FloatArray, Parameter
 from frogkick.robot import Limb, Robot
-from frogkick.robot.model import Frame
+from frogkick.robot.shape import Frame
 
 Part = TypeVar("Part", Frame, Limb)
 

@@ -6,7 +6,6 @@ import hashlib
 import os
 from pathlib import Path
 
-import frogkick
 from frogkick.core.errors import InputError
 from frogkick.core.files import cache_folder, one_at_a_time, write_bytes
 from frogkick.core.progress import Progress, shown
@@ -59,7 +58,7 @@ def default_tables(robot: Robot | str, states: int | None = None, progress: Prog
 def _source_sha256() -> str:
     """Of the code that simulates and quantises: with other physics a kept table would be a wrong one."""
     digest = hashlib.sha256()
-    package = Path(frogkick.__file__).parent
+    package = Path(__file__).parents[1]
     for folder in ("robot", "der", "library", "tables", "planner"):
         for file in sorted((package / folder).glob("*.py")):
             digest.update(file.read_bytes())

@@ -11,9 +11,9 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from frogkick import __version__
 from frogkick.core.errors import FrogkickError
 from frogkick.core.extras import EXTRAS, install_command, installed
+from frogkick.core.version import VERSION
 from frogkick.link.serial import ports
 
 
@@ -81,7 +81,7 @@ class Readiness:
     def as_json(self) -> dict[str, Any]:
         """The keys of the command ``doctor``."""
         return {
-            "frogkick": __version__,
+            "frogkick": VERSION,
             "python": platform.python_version(),
             "cores": os.cpu_count(),
             "ready_without_robot": self.ready,

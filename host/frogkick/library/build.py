@@ -12,9 +12,9 @@ from pathlib import Path
 
 import numpy as np
 
-from frogkick import __version__ as VERSION
 from frogkick.core.chunks import WORKERS_MAX, Job, run_chunks
 from frogkick.core.errors import ConvergenceError, InputError
+from frogkick.core.version import VERSION
 from frogkick.der import Rods
 from frogkick.der.compiled import SOURCES
 from frogkick.effects import rods_of

@@ -12,9 +12,9 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-import frogkick
 from frogkick.core.errors import InputError
 from frogkick.core.files import atomic_path, existing_file, require_room
+from frogkick.core.version import VERSION
 from frogkick.library.starts import Starts
 from frogkick.library.transitions import HISTORY, RESTED, Failed, IntArray, SampleArray, Transitions
 from frogkick.robot import Robot, parse_robot
@@ -311,7 +311,7 @@ def library_of(
         robot_sha256=robot.sha256,
         sampling=sampling,
         seed=seed,
-        frogkick_version=frogkick.__version__,
+        frogkick_version=VERSION,
         period_s=robot.period_s,
         initial_velocity_body=initial,
         displacement_body=np.ascontiguousarray(rows[:, :, :3]),

@@ -1,66 +1,18 @@
-"""A robot's outline as lines, and what is wrong with it: for checks and pictures, not for the simulation."""
+"""What is wrong with a robot, or may not be meant: its shape, its actions, its limits."""
 
 from __future__ import annotations
 
-import html
 import math
 
 import numpy as np
 from numpy.typing import NDArray
 
 from frogkick.core.errors import InputError
-from frogkick.robot.model import Frame, Limb, Robot
-
-FloatArray = NDArray[np.float64]
+from frogkick.robot.model import Robot
+from frogkick.robot.shape import FloatArray, Frame, Limb, limb_points, outline_of
 
 SEGMENT_MIN_M = 1e-4  # a robot of this family has segments of millimetres; shorter ones are slips of a unit
 TURN_MAX_DEG = 170.0  # discrete curvature grows as tan(turn / 2): a frame that folds back has none
-
-
-def limb_points(frame: Frame, limb: Limb, fall_per_m: float = 0.0) -> FloatArray:
-    """(segments + 1, 2) nodes of a limb from root to tip, m, in the robot file's own body coordinates.
-
-    Args:
-        frame: where its root is.
-        limb: which.
-        fall_per_m: how much a stroke has taken off the size of its curvature, 1/m; 0 is rest.
-    """
-    curvature = limb.rest_curvature_per_m - math.copysign(fall_per_m, limb.rest_curvature_per_m)
-    step = limb.length_m / limb.segments
-    turn = 2.0 * math.atan(
-        0.5 * curvature * step
-    )  # between two chords: discrete curvature 2 tan(turn / 2) / step
-    angle = limb.direction_rad + (np.arange(limb.segments) + 0.5) * turn
-    chords = step * np.column_stack([np.cos(angle), np.sin(angle)])
-    root = np.array([frame.corners_m[limb.corner]])
-    return np.concatenate([root, root + np.cumsum(chords, axis=0)])
-
-
-def svg_of(robot: Robot, width_px: int = 320) -> str:
-    """The robot at rest as an SVG picture seen from above, swimming up the page, limbs with their names."""
-    limbs = {limb.name: limb_points(robot.frame, limb) for limb in robot.limbs}
-    outline = _outline(robot.frame)
-    every = np.concatenate([outline, *limbs.values()])
-    low, high = every.min(axis=0), every.max(axis=0)
-    margin = 0.12 * float((high - low).max())
-    wide, tall = (float(size) + 2.0 * margin for size in (high - low)[::-1])
-
-    def line(points: FloatArray) -> str:
-        return " ".join(f"{high[1] + margin - y:.5f},{high[0] + margin - x:.5f}" for x, y in points)
-
-    stroke = f"fill='none' stroke-width='{0.012 * wide:.5f}' stroke-linejoin='round'"
-    drawn = [f"<polyline points='{line(outline)}' {stroke} stroke='#333'/>"]
-    for name, points in limbs.items():
-        x, y = line(points[-1:]).split(",")
-        drawn.append(f"<polyline points='{line(points)}' {stroke} stroke='#1f77b4'/>")
-        drawn.append(
-            f"<text x='{x}' y='{y}' font-size='{0.045 * wide:.5f}' text-anchor='middle'>"
-            f"{html.escape(name)}</text>"
-        )
-    return (
-        f"<svg xmlns='http://www.w3.org/2000/svg' width='{width_px}' viewBox='0 0 {wide:.5f} {tall:.5f}'>"
-        f"{''.join(drawn)}</svg>"
-    )
 
 
 def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
@@ -79,12 +31,8 @@ def crossings(one: FloatArray, other: FloatArray) -> NDArray[np.bool_]:
     return np.asarray(apart_cd & apart_ab)
 
 
-def _outline(frame: Frame) -> FloatArray:
-    return np.array([*frame.corners_m, frame.corners_m[0]])
-
-
 def _edge(frame: Frame, index: int) -> FloatArray:
-    return _outline(frame)[index : index + 2]
+    return outline_of(frame)[index : index + 2]
 
 
 def require_geometry(frame: Frame, limbs: tuple[Limb, ...], source: str) -> None:

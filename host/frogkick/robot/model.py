@@ -15,81 +15,13 @@ from frogkick.core.errors import InputError
 from frogkick.core.files import write_text
 from frogkick.core.weights import Weights
 from frogkick.robot.profile import Actuation, Profile, actuation
+from frogkick.robot.shape import Frame, Limb, svg_of
 from frogkick.robot.toml_text import to_toml
 
 STANDARD_GRAVITY_MPS2 = 9.80665
 
 PERIOD_SAME = 0.02
 """Share of its period by which a robot may be off and counts as firing at its own."""
-
-
-@dataclass(frozen=True)
-class Frame:
-    """The stiff body: a closed polygon of rods, corners counter-clockwise in the body frame.
-
-    Attributes:
-        corners_m: (n)(2) x forward, y left, m.
-        segments: (n) segments of edge i, from corner i to corner i + 1.
-        mass_per_length_kg_per_m: what it weighs, spread over the polygon.
-        added_mass_per_length_kg_per_m: water that moves along (inertia only).
-        stretching_stiffness_n: EA.
-        bending_stiffness_n_m2: EI.
-        drag_width_m: D of the drag law.
-        drag_normal: C_n across the edge, dimensionless.
-        drag_tangential: C_t along the edge, dimensionless.
-        centre_mass_share: of that mass, what sits at the centre of the corners instead: it resists no turn.
-        centre_mass_at_m: (x, y) of that share, from the centre of the corners: an effect moves it, no file.
-    """
-
-    corners_m: tuple[tuple[float, float], ...]
-    segments: tuple[int, ...]
-    mass_per_length_kg_per_m: float
-    added_mass_per_length_kg_per_m: float
-    stretching_stiffness_n: float
-    bending_stiffness_n_m2: float
-    drag_width_m: float
-    drag_normal: float
-    drag_tangential: float
-    centre_mass_share: float = 0.0
-    centre_mass_at_m: tuple[float, float] = (0.0, 0.0)
-
-
-@dataclass(frozen=True)
-class Limb:
-    """One actuated rod, rooted at a corner of the frame.
-
-    Attributes:
-        name: in the TOML's order, which is the bit order of every limb mask.
-        corner: index of its root in Frame.corners_m.
-        clamp: the frame edge at that corner which the root bends against: "previous" or "next".
-        direction_rad: tangent of the limb at its root, body frame, counter-clockwise from forward.
-        length_m, segments: its discretisation.
-        rest_curvature_per_m: at rest, positive for a limb that curls counter-clockwise towards its tip.
-        modulus_rest_pa, modulus_active_pa: Young's modulus E at activation 0 and 1; linear in between.
-        second_moment_m4: I, so that EI = modulus * second_moment.
-        section_m2: A, so that EA = modulus_rest * section.
-        root_stiffness_ratio: bending stiffness at the root over the limb's own at rest.
-        mass_per_length_kg_per_m, added_mass_per_length_kg_per_m: as for the frame.
-        drag_width_m, drag_normal, drag_tangential: as for the frame.
-    """
-
-    name: str
-    corner: int
-    clamp: str
-    direction_rad: float
-    length_m: float
-    segments: int
-    rest_curvature_per_m: float
-    modulus_rest_pa: float
-    modulus_active_pa: float
-    second_moment_m4: float
-    section_m2: float
-    root_stiffness_ratio: float
-    mass_per_length_kg_per_m: float
-    added_mass_per_length_kg_per_m: float
-    drag_width_m: float
-    drag_normal: float
-    drag_tangential: float
 
 
 @dataclass(frozen=True)
@@ -230,9 +162,8 @@ class Robot:
         )
 
     def _repr_html_(self) -> str:
-        from frogkick.robot.geometry import svg_of
-
-        return f"<div><b>{html.escape(self.title)}</b><br>{html.escape(repr(self))}<br>{svg_of(self)}</div>"
+        picture = svg_of(self.frame, self.limbs)
+        return f"<div><b>{html.escape(self.title)}</b><br>{html.escape(repr(self))}<br>{picture}</div>"
 
     def save(self, file: Path | str) -> None:
         """Write its TOML, which ``load_robot`` reads back to the same robot.

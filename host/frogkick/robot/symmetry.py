@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from frogkick.robot.model import Frame, Limb, Robot
+from frogkick.robot.model import Robot
+from frogkick.robot.shape import Frame, Limb
 
 _CLOSE = 1e-12  # relative to the frame, and in radians: what writing decimal numbers to a file may leave
 

@@ -13,7 +13,7 @@ import pathlib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +21,9 @@ from numpy.typing import NDArray
 from frogkick.core.extras import EXTRAS, require
 from frogkick.core.files import atomic_path, write_text
 from frogkick.runs.runlog import RunLog
+
+if TYPE_CHECKING:
+    from frogkick.runs.foxglove import Schema
 
 POOL, ROBOT = "pool", "robot"
 """Frames' names."""
@@ -123,19 +126,6 @@ def export_mcap(run: RunLog, target: pathlib.Path) -> dict[str, int]:
         writer.finish()  # type: ignore[no-untyped-call]
     write_text(target.with_suffix(".layout.json"), json.dumps(LAYOUT, indent=2) + "\n")
     return {topic: counts[topic] for topic in CHANNELS if topic in counts}
-
-
-@dataclass(frozen=True)
-class Schema:
-    """How a channel's messages are written.
-
-    Attributes:
-        name: as Foxglove knows it.
-        data: the schema.
-    """
-
-    name: str
-    data: bytes
 
 
 @dataclass(frozen=True)

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import cache
 from typing import Any
 
@@ -29,7 +30,19 @@ from google.protobuf.duration_pb2 import Duration
 from google.protobuf.timestamp_pb2 import Timestamp
 from mcap_protobuf.schema import build_file_descriptor_set
 
-from frogkick.runs.export_mcap import Schema
+
+@dataclass(frozen=True)
+class Schema:
+    """How a channel's messages are written.
+
+    Attributes:
+        name: as Foxglove knows it.
+        data: the schema.
+    """
+
+    name: str
+    data: bytes
+
 
 Said = tuple[Schema, bytes]
 

@@ -13,9 +13,9 @@ from typing import Any
 
 import numpy as np
 
-import frogkick
 from frogkick.core.errors import InputError
 from frogkick.core.poses import wrap_angle
+from frogkick.core.version import VERSION
 from frogkick.core.weights import WEIGHTS
 from frogkick.paths import Path
 from frogkick.planner.plan import PlanConfig
@@ -202,7 +202,7 @@ def made_of(robot: Robot, tables: Tables, began_unix_s: float) -> dict[str, str]
     is_ours = program.stem == "frogkick" or program.parts[-3:] == ("frogkick", "cli", "main.py")
     return {
         "began_at": datetime.fromtimestamp(began_unix_s, UTC).isoformat(timespec="microseconds"),
-        "frogkick": frogkick.__version__,
+        "frogkick": VERSION,
         "robot_toml": robot.toml,
         "robot_sha256": robot.sha256.hex(),
         "table_sha256": hashlib.sha256(tables.image).hexdigest(),

@@ -1,0 +1,3 @@
+"""Which frogkick this is."""
+
+VERSION = "0.1.0"

@@ -1,0 +1,132 @@
+"""The shape of a robot: frame and limbs, as lines for checks and pictures, not for the simulation."""
+
+from __future__ import annotations
+
+import html
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Frame:
+    """The stiff body: a closed polygon of rods, corners counter-clockwise in the body frame.
+
+    Attributes:
+        corners_m: (n)(2) x forward, y left, m.
+        segments: (n) segments of edge i, from corner i to corner i + 1.
+        mass_per_length_kg_per_m: what it weighs, spread over the polygon.
+        added_mass_per_length_kg_per_m: water that moves along (inertia only).
+        stretching_stiffness_n: EA.
+        bending_stiffness_n_m2: EI.
+        drag_width_m: D of the drag law.
+        drag_normal: C_n across the edge, dimensionless.
+        drag_tangential: C_t along the edge, dimensionless.
+        centre_mass_share: of that mass, what sits at the centre of the corners instead: it resists no turn.
+        centre_mass_at_m: (x, y) of that share, from the centre of the corners: an effect moves it, no file.
+    """
+
+    corners_m: tuple[tuple[float, float], ...]
+    segments: tuple[int, ...]
+    mass_per_length_kg_per_m: float
+    added_mass_per_length_kg_per_m: float
+    stretching_stiffness_n: float
+    bending_stiffness_n_m2: float
+    drag_width_m: float
+    drag_normal: float
+    drag_tangential: float
+    centre_mass_share: float = 0.0
+    centre_mass_at_m: tuple[float, float] = (0.0, 0.0)
+
+
+@dataclass(frozen=True)
+class Limb:
+    """One actuated rod, rooted at a corner of the frame.
+
+    Attributes:
+        name: in the TOML's order, which is the bit order of every limb mask.
+        corner: index of its root in Frame.corners_m.
+        clamp: the frame edge at that corner which the root bends against: "previous" or "next".
+        direction_rad: tangent of the limb at its root, body frame, counter-clockwise from forward.
+        length_m, segments: its discretisation.
+        rest_curvature_per_m: at rest, positive for a limb that curls counter-clockwise towards its tip.
+        modulus_rest_pa, modulus_active_pa: Young's modulus E at activation 0 and 1; linear in between.
+        second_moment_m4: I, so that EI = modulus * second_moment.
+        section_m2: A, so that EA = modulus_rest * section.
+        root_stiffness_ratio: bending stiffness at the root over the limb's own at rest.
+        mass_per_length_kg_per_m, added_mass_per_length_kg_per_m: as for the frame.
+        drag_width_m, drag_normal, drag_tangential: as for the frame.
+    """
+
+    name: str
+    corner: int
+    clamp: str
+    direction_rad: float
+    length_m: float
+    segments: int
+    rest_curvature_per_m: float
+    modulus_rest_pa: float
+    modulus_active_pa: float
+    second_moment_m4: float
+    section_m2: float
+    root_stiffness_ratio: float
+    mass_per_length_kg_per_m: float
+    added_mass_per_length_kg_per_m: float
+    drag_width_m: float
+    drag_normal: float
+    drag_tangential: float
+
+
+def outline_of(frame: Frame) -> FloatArray:
+    """(corners + 1, 2) the frame as a closed line, m."""
+    return np.array([*frame.corners_m, frame.corners_m[0]])
+
+
+def limb_points(frame: Frame, limb: Limb, fall_per_m: float = 0.0) -> FloatArray:
+    """(segments + 1, 2) nodes of a limb from root to tip, m, in the robot file's own body coordinates.
+
+    Args:
+        frame: where its root is.
+        limb: which.
+        fall_per_m: how much a stroke has taken off the size of its curvature, 1/m; 0 is rest.
+    """
+    curvature = limb.rest_curvature_per_m - math.copysign(fall_per_m, limb.rest_curvature_per_m)
+    step = limb.length_m / limb.segments
+    turn = 2.0 * math.atan(
+        0.5 * curvature * step
+    )  # between two chords: discrete curvature 2 tan(turn / 2) / step
+    angle = limb.direction_rad + (np.arange(limb.segments) + 0.5) * turn
+    chords = step * np.column_stack([np.cos(angle), np.sin(angle)])
+    root = np.array([frame.corners_m[limb.corner]])
+    return np.concatenate([root, root + np.cumsum(chords, axis=0)])
+
+
+def svg_of(frame: Frame, limbs: tuple[Limb, ...], width_px: int = 320) -> str:
+    """A robot at rest as an SVG picture seen from above, swimming up the page, limbs with their names."""
+    lines = {limb.name: limb_points(frame, limb) for limb in limbs}
+    outline = outline_of(frame)
+    every = np.concatenate([outline, *lines.values()])
+    low, high = every.min(axis=0), every.max(axis=0)
+    margin = 0.12 * float((high - low).max())
+    wide, tall = (float(size) + 2.0 * margin for size in (high - low)[::-1])
+
+    def line(points: FloatArray) -> str:
+        return " ".join(f"{high[1] + margin - y:.5f},{high[0] + margin - x:.5f}" for x, y in points)
+
+    stroke = f"fill='none' stroke-width='{0.012 * wide:.5f}' stroke-linejoin='round'"
+    drawn = [f"<polyline points='{line(outline)}' {stroke} stroke='#333'/>"]
+    for name, points in lines.items():
+        x, y = line(points[-1:]).split(",")
+        drawn.append(f"<polyline points='{line(points)}' {stroke} stroke='#1f77b4'/>")
+        drawn.append(
+            f"<text x='{x}' y='{y}' font-size='{0.045 * wide:.5f}' text-anchor='middle'>"
+            f"{html.escape(name)}</text>"
+        )
+    return (
+        f"<svg xmlns='http://www.w3.org/2000/svg' width='{width_px}' viewBox='0 0 {wide:.5f} {tall:.5f}'>"
+        f"{''.join(drawn)}</svg>"
+    )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import os
 import subprocess
 import sys
@@ -102,20 +103,28 @@ def test_no_command_loads_what_it_does_before_it_is_asked_to() -> None:
     places = [place for table in (COMMANDS, LOG_COMMANDS, STUDY_COMMANDS) for place, _ in table.values()]
     modules = ", ".join(sorted({f"frogkick.cli.{place}" for place in places if isinstance(place, str)}))
     later = "{'numpy', 'numba', 'scipy', 'h5py', 'matplotlib', 'cv2', 'frogkick_codegen'}"
-    script = f"import sys, {modules}\nassert not {later} & set(sys.modules)"
+    configured = "frogkick.cli.study.register(frogkick.cli.study.typer.Typer())"
+    script = f"import sys, {modules}\n{configured}\nassert not {later} & set(sys.modules)"
     subprocess.run([sys.executable, "-c", script], check=True)
+
+
+def test_every_study_has_its_line_its_configuration_and_its_module() -> None:
+    from frogkick_studies import configs
+
+    assert configs.STUDIES.keys() == STUDY_COMMANDS.keys()
+    for name in configs.STUDIES:
+        assert callable(importlib.import_module(f"frogkick_studies.{name}").run)
 
 
 def test_numbers_that_stand_twice_are_the_same() -> None:
     """In a command's file once more, so that its help loads nothing else."""
-    from frogkick.cli import library, parity, retune, study_ceiling
+    from frogkick.cli import library, parity, retune
     from frogkick.front import parity as parity_of_places
     from frogkick.front import retuning
     from frogkick.library import RECORD_S
     from frogkick.library.fitting import WHOLE_MIN
-    from frogkick_studies.ceiling import TIME_LIMIT_S
 
-    assert library.RECORD_S == RECORD_S and study_ceiling.TIME_LIMIT_S == TIME_LIMIT_S
+    assert library.RECORD_S == RECORD_S
     assert parity.LOOP_DECISIONS == parity_of_places.LOOP_DECISIONS
     assert retune.STATES_LEAST == WHOLE_MIN and retune.STATES == retuning.STATES
 

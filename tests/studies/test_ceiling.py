@@ -23,7 +23,8 @@ from frogkick.planner.lookup import arrays_of
 from frogkick.planner.plan import Cost, PlanConfig, config_of, plan
 from frogkick.robot import parse_robot
 from frogkick.tables.image import open_image
-from frogkick_studies.ceiling import (
+from frogkick_studies.ceiling import ceiling_figure, mean_of, more_than, over_seeds, rms_error
+from frogkick_studies.rods_in_loop import (
     AFFINE,
     NEAREST,
     RODS,
@@ -31,15 +32,11 @@ from frogkick_studies.ceiling import (
     SOURCES,
     TIME,
     Run,
+    ask_rods,
     follow_paths,
-    mean_of,
-    more_than,
-    over_seeds,
-    rms_error,
+    table_of_motions,
 )
-from frogkick_studies.ceiling_figure import ceiling_figure
-from frogkick_studies.rod_tree import ask_rods, table_of_motions
-from frogkick_studies.table_size import first_states
+from frogkick_studies.tables import first_states
 
 ROBOT = made.robot()
 ACTIONS = len(ROBOT.actions)

@@ -14,10 +14,17 @@ from frogkick.cli.main import run_command
 from frogkick.estimator.estimator import STALE_US
 from frogkick.paths import shape
 from frogkick.planner.plan import PlanConfig
-from frogkick_studies import estimator as study
-from frogkick_studies.estimator import METHODS, Condition, Outcome, compare_estimators, conditions
-from frogkick_studies.estimator_figure import estimator_figure
-from frogkick_studies.fix_baselines import DifferenceEstimator, LineEstimator
+from frogkick_studies import bad_fixes as study
+from frogkick_studies.bad_fixes import (
+    METHODS,
+    Condition,
+    DifferenceEstimator,
+    LineEstimator,
+    Outcome,
+    compare_estimators,
+    conditions,
+)
+from frogkick_studies.estimator import estimator_figure
 
 Outcomes = dict[Condition, dict[str, Outcome]]
 

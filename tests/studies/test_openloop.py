@@ -20,8 +20,8 @@ from frogkick.der import Gait
 from frogkick.effects import BUILT_IN, changed_robot, make_effect, rods_of
 from frogkick.robot import load_robot
 from frogkick.validation.gaits import GaitSwim, swim_gaits
-from frogkick_studies import openloop
-from frogkick_studies.openloop import open_loop
+from frogkick_studies import fits
+from frogkick_studies.fits import open_loop
 from frogkick_studies.steady import Free, Table, tables_of, with_effects
 
 ROBOT = robot()
@@ -57,12 +57,10 @@ def write_data(folder: Path, tables: Sequence[Table], seed: int) -> Path:
 @pytest.fixture
 def few(monkeypatch: pytest.MonkeyPatch) -> None:
     """A small catalogue and one round: the search as it is, in seconds."""
-    rows = [
-        row for row in openloop.CANDIDATES if row[0].name in {"hull.limb_drag", "limb_wear.duration_scale"}
-    ]
+    rows = [row for row in fits.CANDIDATES if row[0].name in {"hull.limb_drag", "limb_wear.duration_scale"}]
     assert len(rows) == 2
-    monkeypatch.setattr(openloop, "CANDIDATES", tuple(rows))
-    monkeypatch.setattr(openloop, "MOST_EFFECTS", 1)
+    monkeypatch.setattr(fits, "CANDIDATES", tuple(rows))
+    monkeypatch.setattr(fits, "MOST_EFFECTS", 1)
 
 
 @pytest.mark.parametrize("seed", range(count(1, 5)))
@@ -108,11 +106,11 @@ def test_without_an_effect_the_plain_model_stays(few: None, tmp_path: Path, seed
 def test_a_gain_within_its_sampling_error_is_none() -> None:
     rng = np.random.default_rng(2)
     before = rng.normal(0.0, 1.0, 30)
-    gain, low, high = openloop.gain_of(before, 0.97 * before + rng.normal(0.0, 0.3, 30))
+    gain, low, high = fits.gain_of(before, 0.97 * before + rng.normal(0.0, 0.3, 30))
     assert low < 0.0 < high and low < gain < high
-    gain, low, high = openloop.gain_of(before, 0.4 * before)
+    gain, low, high = fits.gain_of(before, 0.4 * before)
     assert 0.0 < low < gain < high
-    assert openloop.gain_of(before, before) == (0.0, 0.0, 0.0)
+    assert fits.gain_of(before, before) == (0.0, 0.0, 0.0)
 
 
 def test_one_folder_is_fitted_to_and_another_predicted(few: None, tmp_path: Path) -> None:
@@ -154,7 +152,7 @@ def test_limbs_take_along_what_a_plate_of_their_height_does() -> None:
 
 
 def test_values_stay_within_their_bounds() -> None:
-    for row in openloop.CANDIDATES:
+    for row in fits.CANDIDATES:
         for free in row:
             low, high = free.bounds
             starts = [free.expected + start for start in free.starts]

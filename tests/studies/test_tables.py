@@ -15,18 +15,19 @@ from tests.library.synthetic import Known
 from frogkick.cli.main import run_command
 from frogkick.library import Library, error_on, fit_table, quantise, sample_library, write_library
 from frogkick.tables.image import open_image
-from frogkick_studies import history, table_size
-from frogkick_studies.history_figure import history_figure
-from frogkick_studies.table_size import (
+from frogkick_studies import history
+from frogkick_studies import tables as tables_study
+from frogkick_studies.history import history_figure
+from frogkick_studies.tables import (
     TablePoint,
     TableSizes,
     first_states,
     least_bytes_as_good,
     over_full_nearest,
     slope,
+    table_size_figure,
     table_sizes,
 )
-from frogkick_studies.table_size_figure import table_size_figure
 
 
 @pytest.fixture(scope="module")
@@ -38,9 +39,9 @@ def library() -> Library:
 
 @pytest.fixture
 def few_sizes(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(table_size, "NEAREST_STATES", (30,))
-    monkeypatch.setattr(table_size, "AFFINE_KIB", (3, 6))
-    monkeypatch.setattr(table_size, "LIBRARY_STATES", (60,))
+    monkeypatch.setattr(tables_study, "NEAREST_STATES", (30,))
+    monkeypatch.setattr(tables_study, "AFFINE_KIB", (3, 6))
+    monkeypatch.setattr(tables_study, "LIBRARY_STATES", (60,))
 
 
 @pytest.mark.usefixtures("few_sizes")

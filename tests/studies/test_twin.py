@@ -26,13 +26,10 @@ from frogkick.planner.plan import PlanConfig, path_rows, plan
 from frogkick.robot import Robot, load_robot, parse_robot
 from frogkick.runs.recorded import read_recorded
 from frogkick.tables.image import open_image
-from frogkick_studies import believed as believed_module
-from frogkick_studies import loop as loop_module
-from frogkick_studies import planner_studies
+from frogkick_studies import in_pool
 from frogkick_studies import twin as twin_module
 from frogkick_studies.believed import Choices, believed_motions, choices_of, image_of_motions
-from frogkick_studies.kept import Case, Outcome
-from frogkick_studies.loop import PAPER, ROBOT, Course, course_of
+from frogkick_studies.in_pool import PAPER, ROBOT, Case, Course, Outcome, course_of
 from frogkick_studies.twin import (
     BELIEVED,
     FULL,
@@ -246,7 +243,7 @@ def test_the_command_swims_shapes_in_the_twins_pool(
 @pytest.fixture(scope="module")
 def shared() -> Iterator[None]:
     """The recorded runs are read once, and of each library one table is fitted."""
-    read, fit = functools.cache(twin_module.read_runs), planner_studies.fit_table
+    read, fit = functools.cache(twin_module.read_runs), in_pool.fit_table
     fitted: dict[bytes, Any] = {}
 
     def once(library: Library, *how: Any) -> Any:
@@ -257,7 +254,7 @@ def shared() -> Iterator[None]:
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(twin_module, "read_runs", read)
-        patch.setattr(planner_studies, "fit_table", once)
+        patch.setattr(in_pool, "fit_table", once)
         yield
 
 
@@ -286,12 +283,12 @@ def test_the_exit_code_is_the_verdict(
         }
 
     begun = MOTION * 1.2
-    monkeypatch.setattr(loop_module, "run_cases", made_up)
+    monkeypatch.setattr(twin_module, "run_cases", made_up)
     monkeypatch.setattr(
-        believed_module,
+        twin_module,
         "believed_motions",
         lambda runs, robot, _nominal: dataclasses.replace(
-            believed_module.Believed(begun, 0.7, 0.6, 0.2, sum(len(run.actions) for run in runs))
+            twin_module.Believed(begun, 0.7, 0.6, 0.2, sum(len(run.actions) for run in runs))
         ),
     )
     words = [*words_of(tmp_path, libraries), "--runs", str(frog2022_dir / "control")]

@@ -23,10 +23,17 @@ from frogkick.identification.terms import Term, catalogue
 from frogkick.identification.verdict import FOUND, NOTHING, PARTLY, UNEXPLAINED, Interval
 from frogkick.robot import load_robot
 from frogkick_studies import verdicts
-from frogkick_studies.identification_studies import VerdictStudy, cases_of
 from frogkick_studies.planted import NULL, OUTSIDE, OUTSIDE_FILE, OUTSIDE_TEXT, kinds
-from frogkick_studies.verdicts import Case, Result, judged, recovered, run_cases
-from frogkick_studies.verdicts_figure import verdicts_figure
+from frogkick_studies.verdicts import (
+    Case,
+    Result,
+    VerdictStudy,
+    cases_of,
+    judged,
+    recovered,
+    run_cases,
+    verdicts_figure,
+)
 
 ROBOT = load_robot("frog2022")
 

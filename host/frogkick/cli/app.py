@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import importlib
-import sys
-from pathlib import Path
 from typing import Annotated, Any, ClassVar
 
 import typer
@@ -12,7 +10,6 @@ import typer.main
 from typer.core import TyperGroup
 
 import frogkick
-from frogkick.core.errors import InputError
 from frogkick.core.interrupts import ctrl_c_waits
 
 LOG_COMMANDS = {
@@ -22,16 +19,16 @@ LOG_COMMANDS = {
     "replay": ("chip_log", "Decide again, from a fetched log, what the robot decided."),
 }
 STUDY_COMMANDS = {
-    "tables": ("study_tables", "Error of tables of both kinds against their size."),
-    "history": ("study_tables", "Error of tables with and without limb use as an input."),
-    "estimator": ("study_estimator", "States from late, lost, doubled and wrong fixes."),
-    "loop": ("study_loop", "Distance and progress: the paper's planner and the robot's."),
-    "twin": ("study_twin", "The paper's planner and the robot's, in a worn twin's pool."),
-    "ceiling": ("study_ceiling", "One planner told by tables, by rods, by the pool itself."),
-    "foresight": ("study_foresight", "How near to a path any plan could stay, and how fast."),
-    "verdicts": ("study_verdicts", "Plant effects in pools, identify them from the logs."),
-    "openloop": ("study_openloop", "Fit effects to some measured swims, predict the others."),
-    "heldout": ("study_heldout", "Predict each run with what all other runs show."),
+    "tables": ("study", "Error of tables of both kinds against their size."),
+    "history": ("study", "Error of tables with and without limb use as an input."),
+    "estimator": ("study", "States from late, lost, doubled and wrong fixes."),
+    "loop": ("study", "Distance and progress: the paper's planner and the robot's."),
+    "twin": ("study", "The paper's planner and the robot's, in a worn twin's pool."),
+    "ceiling": ("study", "One planner told by tables, by rods, by the pool itself."),
+    "foresight": ("study", "How near to a path any plan could stay, and how fast."),
+    "verdicts": ("study", "Plant effects in pools, identify them from the logs."),
+    "openloop": ("study", "Fit effects to some measured swims, predict the others."),
+    "heldout": ("study", "Predict each run with what all other runs show."),
     "convergence": ("study", "Error of the rods against their time step."),
     "chip": ("study", "How long the chip plans, in cycles of the image."),
 }
@@ -88,8 +85,6 @@ class LazyGroup(TyperGroup):
         place, text = self.table[cmd_name]
         if isinstance(place, dict):
             return typer.main.get_command(_group(cmd_name, text, place))
-        if self.table is STUDY_COMMANDS:
-            _find_studies()
         with ctrl_c_waits():
             module = importlib.import_module(f"frogkick.cli.{place}")
         parent = typer.Typer(rich_markup_mode=None, add_completion=False)
@@ -107,19 +102,6 @@ class LazyGroup(TyperGroup):
         for section in dict.fromkeys(places[name] for name in names):
             with formatter.section(section):
                 formatter.write_dl([(name, self.table[name][1]) for name in names if places[name] == section])
-
-
-def _find_studies() -> None:
-    """Let Python find the studies, which come with a clone of the project and not with the wheel.
-
-    Raises:
-        InputError: they are not there.
-    """
-    folder = Path(frogkick.__file__).parents[1] / "studies"
-    if not (folder / "frogkick_studies").is_dir():
-        raise InputError("studies come with a clone of the project, not with the wheel: run them in a clone")
-    if str(folder) not in sys.path:
-        sys.path.append(str(folder))
 
 
 def _group(name: str, text: str, table: dict[str, Any]) -> typer.Typer:

@@ -1,65 +1,101 @@
-"""``frogkick study``: questions about the method, answered with figures."""
+"""``frogkick study``: runs a study, told by its configuration, and shows what it found.
+
+Studies come with a clone of the project, beside the package, and not with the wheel.
+"""
 
 from __future__ import annotations
 
+import importlib
+import sys
+from collections.abc import Callable
+from dataclasses import MISSING, fields
+from inspect import Parameter, Signature
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any, get_origin, get_type_hints
 
 import typer
 
 from frogkick.cli.common import JsonOption, SeedOption, show, write_picture
-from frogkick.cli.options import ModelOption, PlannerName, PlannerOption, TablesOption
+from frogkick.cli.library import Sampling
+from frogkick.cli.options import (
+    DepthOption,
+    ModelOption,
+    NominalOption,
+    PlannerOption,
+    RobotFileOption,
+    TablesOption,
+)
+from frogkick.core.errors import InputError
+from frogkick.core.files import require_writable
 
-
-def convergence(
-    robot: Annotated[str, typer.Argument(help="TOML file or built-in name.")] = "frog2022",
-    out: Annotated[Path | None, typer.Option(help="Picture to write (PNG).")] = None,
-    every: Annotated[int, typer.Option(min=1, max=100, help="Take every so many-th gait.")] = 1,
-    json: JsonOption = False,
-) -> None:
-    """Error of the rod simulation against its time step. Exit 1 if the default step errs too much."""
-    from frogkick_studies.table_studies import study_convergence
-
-    found = study_convergence(robot, every=every, progress=True)
-    if out is not None:
-        write_picture(found.plot(), out)
-    show(found.as_json(), json)
-    if not found.passed:
-        raise typer.Exit(1)
-
-
-def chip(
-    tables: TablesOption = None,
-    model: ModelOption = None,
-    states: Annotated[int, typer.Option(min=12, max=1_000_000, help="Decisions at each depth.")] = 300,
-    planner: PlannerOption = PlannerName.robot,
-    workers: Annotated[int, typer.Option(min=0, max=256, help="Processes; 0: one for each core.")] = 1,
-    seed: SeedOption = 0,
-    json: JsonOption = False,
-) -> None:
-    """How long the chip plans: cycles of the flashed image over many states. Exit 1 over a limit.
-
-    Of very many states the dearest are run on the virtual chip, which a model of the planner's blocks finds
-    among all of them: "run" is how many, "model_error" its largest error, "unrun_ms" its bound of the rest.
-    "band_ms": the worst decision by the least and by the most that the manuals allow an instruction.
-    """
-    from frogkick_studies.table_studies import study_chip
-
-    found = study_chip(
-        tables,
-        robot=model,
-        states=states,
-        planner=planner.value,
-        workers=workers or None,
-        seed=seed,
-        progress=True,
-    )
-    show(found.as_json(), json)
-    if not found.passed:
-        raise typer.Exit(1)
+SHARED: dict[tuple[str, str], Any] = {
+    ("seed", "int"): SeedOption,
+    ("depth", "int | None"): DepthOption,
+    ("model", "str | None"): ModelOption,
+    ("robot", "str | None"): NominalOption,
+    ("robot", "str"): RobotFileOption,
+    ("planner", "str"): PlannerOption,
+    ("tables", "Path | None"): TablesOption,
+    ("workers", "int"): Annotated[int, typer.Option(min=0, max=256, help="Processes; 0: one for each core.")],
+    ("swims", "str"): Annotated[
+        Sampling, typer.Option(help="How unseen states of swims are drawn, as for 'library build'.")
+    ],
+}
+"""Name and type of an option that a configuration leaves to this place."""
 
 
 def register(app: typer.Typer) -> None:
-    """Add the commands."""
-    app.command()(convergence)
-    app.command()(chip)
+    """Add the commands.
+
+    Raises:
+        InputError: frogkick was installed without the studies.
+    """
+    folder = Path(__file__).parents[2] / "studies"
+    if not (folder / "frogkick_studies").is_dir():
+        raise InputError("studies come with a clone of the project, not with the wheel: run them in a clone")
+    if str(folder) not in sys.path:
+        sys.path.append(str(folder))
+    for name, config in importlib.import_module("frogkick_studies.configs").STUDIES.items():
+        app.command(name)(_command(name, config))
+
+
+def _command(name: str, config: Any) -> Callable[..., None]:
+    """A command whose options are the fields of a configuration."""
+    hints = get_type_hints(config, include_extras=True)
+    options = {
+        field.name: hints[field.name]
+        if get_origin(hints[field.name]) is Annotated
+        else SHARED[field.name, str(field.type)]
+        for field in fields(config)
+    } | {"json": JsonOption}
+    defaults = {
+        field.name: Parameter.empty if field.default is MISSING else field.default for field in fields(config)
+    }
+
+    def command(**given: Any) -> None:
+        as_json = given.pop("json")
+        _run(name, config(**given), as_json)
+
+    command.__doc__ = config.__doc__
+    command.__annotations__ = options
+    command.__signature__ = Signature(  # type: ignore[attr-defined]
+        [
+            Parameter(each, Parameter.KEYWORD_ONLY, default=defaults.get(each, False), annotation=option)
+            for each, option in options.items()
+        ]
+    )
+    return command
+
+
+def _run(name: str, config: Any, as_json: bool) -> None:
+    out: Path | None = getattr(config, "out", None)
+    require_writable(out, folder=config.folder)
+    found = importlib.import_module(f"frogkick_studies.{name}").run(config)
+    values = found.as_json()
+    if out is not None:
+        figure = out / f"{name}.png" if config.folder else out
+        write_picture(found.plot(), figure)
+        values["figure"] = str(figure)
+    show(values, as_json, found.text(values))
+    if not found.passed:
+        raise typer.Exit(1)

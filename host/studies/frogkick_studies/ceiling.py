@@ -1,92 +1,45 @@
-"""How good a table can be at all: planners whose transitions come from tables, and from the rods themselves.
-
-The paper asks what its planner would do with the rod simulation in the loop instead of a table. Here one
-planner, with one cost and one depth, follows paths in the simulated pool, where nothing is hidden, and what
-each action does is told by one of three: the full nearest table, the robot's affine table, or the rods, which
-are copied as they swim, body and limbs, and try every sequence of actions. No table can tell more than that.
-
-All three start alike, a seed's distance off the path, get the same late, noisy fixes and have the robot's own
-estimator, so that they differ in the transitions alone. The rods need no measured velocity; a table has to be
-asked with the estimated one.
-"""
+"""The ceiling of tables: one planner told by tables, and by the rods themselves (``rods_in_loop.py``)."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+import dataclasses
+import math
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
-from frogkick.core.chunks import Job, run_chunks
-from frogkick.core.errors import FrogkickError
-from frogkick.core.poses import Fix, body_from_world, wrap_angle
-from frogkick.der import STEP_S, WIDTH
-from frogkick.der.strokes import between
-from frogkick.der.swimmer import batch_of
-from frogkick.effects import rods_of
-from frogkick.estimator.estimator import Estimator
-from frogkick.estimator.follow import End, Follow
-from frogkick.library.error import looked_up
-from frogkick.library.transitions import lane_effects, previous_actions
-from frogkick.paths import Path, shape
-from frogkick.planner.plan import PlanConfig, config_of, plan
-from frogkick.pool.camera import Camera, measure
-from frogkick.robot import Robot
-from frogkick.tables.image import Tables, open_image
-from frogkick_studies.rod_tree import ask_rods, motion_of, swim_a_period, table_of_motions
+from frogkick.core.errors import InputError
+from frogkick.core.progress import shown
+from frogkick.library import fit_table, quantise, read_library
+from frogkick.library.fitting import BUDGET_BYTES, require_enough
+from frogkick.paths import SHAPES
+from frogkick.report import style
+from frogkick.runs.closed_loop import require_time
+from frogkick.tables.image import read_image
+from frogkick_studies import Found
+from frogkick_studies.configs import Ceiling
+from frogkick_studies.rods_in_loop import AFFINE, NEAREST, RODS, SOURCES, Run, follow_paths
 
-FloatArray = NDArray[np.float64]
-
-NEAREST, AFFINE, RODS = "nearest", "affine", "rods"
-SOURCES = (NEAREST, AFFINE, RODS)
-SETTLE_S = 1.0
-"""Fixes before the first decision: the estimator knows that the robot rests."""
-
-TIME_LIMIT_S = 120.0
-TIME = "time limit"
-_START = np.array([0.005, 0.005, np.deg2rad(5.0)])  # how far off a hand puts it into the water: m, m, rad
 _CONFIDENCE = 0.95
-
-
-@dataclass(frozen=True)
-class Task:
-    """Runs side by side: of one source at one depth along one path, a lane for each seed."""
-
-    path: str
-    source: str
-    depth: int
-    seeds: tuple[int, ...]
-
-
-@dataclass(frozen=True, eq=False)
-class Run:
-    """One run.
-
-    Attributes:
-        path, source, depth, seed: of it.
-        mean_distance_m: of the true poses to the path, from the first decision on.
-        progress_mps: along it, from the first decision to the end of the run.
-        ended: why, a value of ``End`` or TIME.
-        planned: (n, 3) forward, left (m), turn (rad): the motion that the planner expected of its action,
-            from the estimated state, less the motion that came of it; a row for each decision.
-        told: (n, 3) the same of what its source says of the true state.
-    """
-
-    path: str
-    source: str
-    depth: int
-    seed: int
-    mean_distance_m: float
-    progress_mps: float
-    ended: str
-    planned: FloatArray
-    told: FloatArray
-
-    @property
-    def completed(self) -> bool:
-        """The path's end was reached."""
-        return self.ended == End.COMPLETED.value
+_COLOUR = {NEAREST: style.MEASURED, AFFINE: style.TRUE, RODS: style.ESTIMATED}
+_LABEL = {
+    NEAREST: "full nearest table (the paper's)",
+    AFFINE: "the robot's affine table",
+    RODS: "the rods themselves: the ceiling",
+}
+_MEASURES = (
+    ("mean_distance_m", "mean distance to the path (mm)"),
+    ("progress_mps", "progress (mm/s)"),
+)
+_ERRORS = (
+    ("position_m", 1e3, "position error (mm)"),
+    ("heading_rad", 180.0 / np.pi, "heading error (degrees)"),
+)
 
 
 @dataclass(frozen=True)
@@ -95,51 +48,6 @@ class Mean:
 
     value: float
     half_width: float
-
-
-Progress = Callable[[int, int], None]
-
-
-def follow_paths(
-    robot: Robot,
-    images: Mapping[str, bytes],
-    paths: Sequence[str],
-    depths: Sequence[int],
-    seeds: int,
-    limit_s: float = TIME_LIMIT_S,
-    workers: int = 1,
-    progress: Progress = lambda _done, _all: None,
-) -> list[Run]:
-    """Follow every path with every source at every depth.
-
-    Args:
-        robot: the swimmer, with its planner's cost and weights.
-        images: NEAREST and AFFINE -> table image of it. The estimator has the affine one.
-        paths: names of shapes.
-        depths: levels to look ahead, 1 to 3; with the rods each level takes 9 times as long.
-        seeds: of the camera's noise and of where the robot is put into the water.
-        limit_s: pool time of a run.
-        workers: processes.
-        progress: called with runs done and to do.
-
-    Returns:
-        The runs, by path, source, depth and seed; the same whoever simulates.
-
-    Raises:
-        ConvergenceError: the rods failed.
-    """
-    lanes = [tuple(range(first, min(first + WIDTH, seeds))) for first in range(0, seeds, WIDTH)]
-    tasks = [Task(p, s, d, some) for p in paths for s in SOURCES for d in depths for some in lanes]
-    # The longest first, so that no process is left with one at the end.
-    tasks.sort(key=lambda task: (-task.depth, task.source != RODS))
-    job = Job(_start, (robot, dict(images), limit_s), _run, _warm)
-    found: list[Run] = []
-    whole = sum(len(task.seeds) for task in tasks)
-    progress(0, whole)
-    for _, runs in run_chunks(job, tasks, workers):
-        found += runs
-        progress(len(found), whole)
-    return sorted(found, key=lambda r: (paths.index(r.path), SOURCES.index(r.source), r.depth, r.seed))
 
 
 def mean_of(values: Sequence[float]) -> Mean:
@@ -178,169 +86,191 @@ def rms_error(runs: Sequence[Run], name: str) -> dict[str, float]:
     }
 
 
-@dataclass(frozen=True)
-class _Ready:
-    robot: Robot
-    tables: dict[str, Tables]
-    limit_s: float
+@dataclass(frozen=True, eq=False)
+class CeilingStudy(Found):
+    """One planner in the pool, told by a full nearest table, by the robot's, or by the rods themselves.
 
+    Attributes:
+        runs: each of them.
+        depths: strokes that were looked ahead.
+        seeds: runs of each.
+        table_bytes: sizes of both tables.
+    """
 
-def _start(robot: Robot, images: dict[str, bytes], limit_s: float) -> _Ready:
-    return _Ready(robot, {name: open_image(image) for name, image in images.items()}, limit_s)
+    runs: Sequence[Run]
+    depths: Sequence[int]
+    seeds: int
+    table_bytes: Mapping[str, int]
 
+    def plot(self) -> Figure:
+        """A matplotlib figure: distance and progress by source and depth."""
+        return ceiling_figure(self.runs)
 
-def _warm(ready: _Ready) -> None:
-    """One decision compiles all that a run calls."""
-    for source in SOURCES:
-        _run(replace(ready, limit_s=SETTLE_S), Task("line", source, 1, (0,)))
+    def as_json(self) -> dict[str, Any]:
+        """The keys of the command."""
+        ahead = {
+            source: {
+                of: rms_error([run for run in self.runs if run.source == source], of)
+                for of in ("told", "planned")
+            }
+            for source in SOURCES
+        }
+        return {
+            "rows": [
+                self._row(path, source, depth)
+                for depth in self.depths
+                for path in (*SHAPES, None)
+                for source in SOURCES
+            ],
+            "further_than_rods_m": [
+                self._beside_rods(source, depth) for depth in self.depths for source in (NEAREST, AFFINE)
+            ],
+            "one_stroke_ahead": ahead,
+            "table_bytes": dict(self.table_bytes),
+            "seeds": self.seeds,
+        }
 
+    def _of(self, source: str, depth: int) -> list[Run]:
+        return [run for run in self.runs if (run.source, run.depth) == (source, depth)]
 
-class _Lane:
-    """What one run's planner knows: fixes, its place along the path, what it did and expected."""
+    def _row(self, path: str | None, source: str, depth: int) -> dict[str, Any]:
+        """One path's runs; without a path those of all, a mean for each seed."""
+        mine = [run for run in self._of(source, depth) if path in (None, run.path)]
+        means = {
+            name: over_seeds(mine, name) if path is None else mean_of([getattr(run, name) for run in mine])
+            for name, _ in _MEASURES
+        }
+        return {
+            "path": path or "all",
+            "source": source,
+            "depth": depth,
+            **{name: dataclasses.asdict(mean) for name, mean in means.items()},
+            "completed": sum(run.completed for run in mine) / len(mine),
+            "decisions": sum(len(run.planned) for run in mine),
+        }
 
-    def __init__(self, reference: Tables, path: Path, config: PlanConfig, seed: int) -> None:
-        self.seed = seed
-        self.ended = ""
-        self.end_s = np.inf
-        self.actions: list[int] = []
-        self.velocity_body: list[FloatArray] = []
-        self.expected: list[FloatArray] = []
-        self.made: list[FloatArray] = []
-        self.seen: list[tuple[float, FloatArray]] = []
-        self._path, self._config = path, config
-        self._camera = Camera()
-        self._rng = np.random.default_rng(seed)
-        self._estimator, self._follow = Estimator(reference), Follow(reference, path, config)
-        self._captured = 0
-        self._under_way: list[Fix] = []
+    def _beside_rods(self, source: str, depth: int) -> dict[str, Any]:
+        """How much further from the paths a source's runs are than those of the rods, seed by seed."""
+        mine, rods = self._of(source, depth), self._of(RODS, depth)
+        mean = more_than(mine, rods, "mean_distance_m")
+        return {"source": source, "depth": depth, **dataclasses.asdict(mean)}
 
-    def look(self, times_s: FloatArray, rows: FloatArray) -> None:
-        """The camera takes its pictures of a part of the swim."""
-        captures = []
-        while (capture_s := (self._captured + 1) / self._camera.rate_hz) <= times_s[-1]:
-            captures.append(capture_s)
-            self._captured += 1
-        first = self._captured - len(captures)
-        poses = between(times_s, rows, np.array(captures))[0]
-        for number, (capture_s, pose) in enumerate(zip(captures, poses, strict=True), start=first):
-            self._under_way.append(measure(self._camera, number, capture_s, pose, self._rng))
-            self.seen.append((capture_s, pose))
-
-    def hear(self, until_s: float) -> None:
-        """Fixes arrive; one may end the run."""
-        while self._under_way and self._under_way[0].arrival_s <= until_s and not self.ended:
-            fix = self._under_way.pop(0)
-            if self._estimator.add(round(fix.capture_s * 1e6), fix.pose_world, fix.sequence) == 0:
-                end = self._follow.fixed(fix.pose_world[0], fix.pose_world[1])
-                if end is not None:
-                    self.ended, self.end_s = end.value, fix.arrival_s
-
-    def decide(self, at_s: float, tables: Tables, is_tree: bool) -> int | None:
-        """The next action, None where the run is over. A tree begins at the velocity 0."""
-        at_us = round(at_s * 1e6)
-        estimate = self._estimator.at(at_us)
-        if estimate is None:
-            raise FrogkickError(f"no state is known at {at_s} s of a run whose camera loses nothing")
-        state = estimate.state.copy()
-        if is_tree:
-            state[3:] = 0.0
-        made = plan(
-            tables, self._path, self._config, state, estimate.limb_use, float(self._follow.along_points)
-        )
-        end = self._follow.decided(made)
-        if end is not None:
-            self.ended, self.end_s = end.value, at_s
-            return None
-        self._estimator.act(at_us, made.action)
-        apart = made.predicted[:3].astype(np.float64) - state[:3]
-        apart[2] = wrap_angle(apart[2])
-        self.expected.append(body_from_world(np.float64(state[2]), apart))
-        self.actions.append(made.action)
-        return made.action
-
-    def progress_mps(self) -> float:
-        """Along the path, by the place that is carried along: where a path closes, its ends are one place."""
-        points = self._path.points_m
-        arc_m = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(points, axis=0).T))])
-        reached = len(points) - 1 if self.ended == End.COMPLETED.value else float(self._follow.along_points)
-        return float(np.interp(reached, np.arange(len(points)), arc_m)) / (self.end_s - SETTLE_S)
-
-
-def _run(ready: _Ready, task: Task) -> list[Run]:
-    """Runs side by side until all are over."""
-    robot, path, reference = ready.robot, shape(task.path), ready.tables[AFFINE]
-    # Never cut short: a search within the robot's time would make the sources differ in more than they say.
-    config = replace(config_of(robot.planner), depth=task.depth, transitions_max=0)
-    lanes = [_Lane(reference, path, config, seed) for seed in task.seeds]
-    first = np.array([path.x_m[0], path.y_m[0], path.tangent_rad[0]], dtype=np.float64)
-    begin = np.array([first + np.random.default_rng([seed, 1]).normal(0.0, _START) for seed in task.seeds])
-    batch = batch_of([rods_of(robot)] * len(lanes), begin, np.zeros_like(begin), 0.0, STEP_S, WIDTH)
-    acting = lane_effects(robot, len(lanes))
-    still = batch.motion_world()
-    for (times_s, rows), lane, row in zip(
-        acting.advance(batch, SETTLE_S, trace=True), lanes, still, strict=True
-    ):
-        lane.look(np.concatenate([[0.0], times_s]), np.concatenate([row[None], rows]))
-    asked: list[list[FloatArray]] = [[] for _ in lanes]
-    at_s = SETTLE_S
-    while True:
-        for lane in lanes:
-            lane.hear(at_s)
-        going = [k for k, lane in enumerate(lanes) if not lane.ended]
-        if not going:
-            break
-        motions = ask_rods(robot, batch, acting, task.depth) if task.source == RODS else None
-        velocity = batch.velocity_body()
-        chosen: dict[int, int] = {}
-        for k in going:
-            tree = None if motions is None else table_of_motions(motions[k], reference)
-            action = lanes[k].decide(
-                at_s, ready.tables[task.source] if tree is None else tree, tree is not None
+    def text(self, values: dict[str, Any]) -> str:
+        """A line for each row."""
+        lines = []
+        for row in values["rows"]:
+            far, fast = row["mean_distance_m"], row["progress_mps"]
+            lines.append(
+                f"depth {row['depth']} {row['path']:8s} {row['source']:8s} "
+                f"{1e3 * far['value']:6.2f} +- {1e3 * far['half_width']:4.2f} mm, "
+                f"{1e3 * fast['value']:5.1f} +- {1e3 * fast['half_width']:3.1f} mm/s, "
+                f"{100 * row['completed']:3.0f} % completed"
             )
-            if action is not None:
-                chosen[k] = action
-                lanes[k].velocity_body.append(velocity[k])
-                if motions is not None:
-                    asked[k].append(motions[k, 0, action])
-        if chosen:
-            for k, (times_s, rows) in swim_a_period(robot, batch, acting, chosen).items():
-                lanes[k].made.append(motion_of(times_s, rows))
-                lanes[k].look(times_s, rows)
-        at_s += robot.period_s
-        if at_s > ready.limit_s:
-            for lane in lanes:
-                lane.ended, lane.end_s = (lane.ended, lane.end_s) if lane.ended else (TIME, at_s)
-    return [
-        _told(ready, task, path, lane, np.array(said).reshape(-1, 3))
-        for lane, said in zip(lanes, asked, strict=True)
-    ]
+        for more in values["further_than_rods_m"]:
+            lines.append(
+                f"depth {more['depth']} {more['source']:8s} further from the paths than the rods by "
+                f"{1e3 * more['value']:.2f} +- {1e3 * more['half_width']:.2f} mm"
+            )
+        for source, errors in values["one_stroke_ahead"].items():
+            told, planned = (
+                f"{1e3 * error['position_m']:.3f} mm, {math.degrees(error['heading_rad']):.3f} degrees"
+                for error in (errors["told"], errors["planned"])
+            )
+            lines.append(f"one stroke ahead {source:8s} of the true state {told}; as planned {planned}")
+        return "\n".join(lines)
 
 
-def _told(ready: _Ready, task: Task, path: Path, lane: _Lane, asked: FloatArray) -> Run:
-    """A run that is over."""
-    made = np.array(lane.made).reshape(-1, 3)
-    done = np.array(lane.actions, dtype=np.int64)
-    if task.source != RODS and len(done):
-        earlier = np.array([previous_actions(done, stroke) for stroke in range(len(done))])
-        found = looked_up(ready.tables[task.source], np.array(lane.velocity_body), earlier)
-        asked = found[np.arange(len(done)), done, :3]
-    during = [(time_s, pose) for time_s, pose in lane.seen if SETTLE_S <= time_s <= lane.end_s]
-    poses = np.array([pose for _, pose in during]).reshape(-1, 3)
-    planned = np.array(lane.expected).reshape(-1, 3) - made
-    return Run(
-        task.path,
-        task.source,
-        task.depth,
-        lane.seed,
-        float(path.distance_m(poses[:, :2]).mean()),
-        lane.progress_mps(),
-        lane.ended,
-        _wrapped(planned),
-        _wrapped(asked - made),
-    )
+def run(config: Ceiling) -> CeilingStudy:
+    """Follow paths with one planner, told by a full nearest table, by the robot's, or by the rods themselves.
+
+    Raises:
+        InputError: no such library, or a table of another robot.
+    """
+    require_time(config.simulated_time)
+    content = read_library(config.library)
+    robot = content.robot()
+    if config.tables is None:
+        require_enough(content)
+        with shown(True, "robot's table") as tell:
+            own = fit_table(content, "affine", BUDGET_BYTES, tell).image
+    else:
+        opened = read_image(config.tables)
+        opened.require_robot(robot.id)
+        if opened.period_us != round(robot.period_s * 1e6) or len(opened.actions) != len(robot.actions):
+            raise InputError(
+                f"table {config.tables.name!r} has another period or other actions than the robot of library "
+                f"{config.library.name!r}: build it from a library of this robot"
+            )
+        own = opened.image
+    images = {NEAREST: quantise(content), AFFINE: own}
+    depths = sorted(set(config.depth or (1, 2)))
+    limit_s, processes = config.simulated_time, config.workers or os.cpu_count() or 1
+    with shown(True, "runs") as tell:
+        runs = follow_paths(robot, images, list(SHAPES), depths, config.seeds, limit_s, processes, tell)
+    return CeilingStudy(runs, depths, config.seeds, {name: len(image) for name, image in images.items()})
 
 
-def _wrapped(errors: FloatArray) -> FloatArray:
-    found = errors.copy()
-    found[:, 2] = wrap_angle(found[:, 2])
-    return found
+def ceiling_figure(runs: Sequence[Run]) -> Figure:
+    """Draw ``follow_paths``: distance and progress by path and depth, and errors one period ahead."""
+    paths = list(dict.fromkeys(run.path for run in runs))
+    depths = sorted({run.depth for run in runs})
+    with style.styled():
+        figure = Figure(figsize=(4.6 * (len(depths) + 1), 6.4), layout="constrained")
+        panels = figure.subplots(2, len(depths) + 1, squeeze=False)
+        for column, depth in enumerate(depths):
+            here = [run for run in runs if run.depth == depth]
+            for row, (name, label) in enumerate(_MEASURES):
+                axes = panels[row, column]
+                _by_path(axes, here, paths, name)
+                axes.set_ylabel(label)
+                axes.set_ylim(0.0, 1.06e3 * max(getattr(run, name) for run in runs))
+            panels[0, column].set_title(f"Looking {depth} {'stroke' if depth == 1 else 'strokes'} ahead")
+        for axes, (name, factor, label) in zip(panels[:, -1], _ERRORS, strict=True):
+            _ahead(axes, runs, name, factor)
+            axes.set_ylabel(label)
+        panels[0, -1].set_title("Error one stroke ahead, RMS of all decisions")
+        handles = [panels[0, 0].plot([], [], "s", color=_COLOUR[s], label=_LABEL[s])[0] for s in SOURCES]
+        figure.legend(handles=handles, loc="outside lower center", ncols=len(SOURCES))
+    return figure
+
+
+def _by_path(axes: Axes, runs: Sequence[Run], paths: Sequence[str], name: str) -> None:
+    """Bars of means with their 95 % intervals; a point for each seed. The last group is over all paths."""
+    for offset, source in zip((-0.27, 0.0, 0.27), SOURCES, strict=True):
+        for place, path in enumerate([*paths, None]):
+            mine = [run for run in runs if run.source == source and path in (None, run.path)]
+            mean = over_seeds(mine, name) if path is None else mean_of([getattr(r, name) for r in mine])
+            axes.bar(place + offset, 1e3 * mean.value, 0.25, color=_COLOUR[source], alpha=0.45)
+            axes.errorbar(
+                place + offset,
+                1e3 * mean.value,
+                1e3 * np.nan_to_num(mean.half_width),
+                color=_COLOUR[source],
+                capsize=3,
+            )
+            over = sum(not run.completed for run in mine)
+            if over:  # a run that stops early can stay near its path: its distance is not to be compared
+                axes.annotate(
+                    f"{over} of {len(mine)}\nnot to\nthe end", (place + offset, 0.0), ha="center",
+                    va="bottom", fontsize=6, xytext=(0, 2), textcoords="offset points",
+                )  # fmt: skip
+            if path is not None:
+                spread = place + offset + np.linspace(-0.08, 0.08, len(mine))
+                axes.plot(spread, [1e3 * getattr(r, name) for r in mine], ".", color=_COLOUR[source], ms=3)
+    axes.set_xticks(range(len(paths) + 1), [*paths, "all, by seed"])
+    axes.grid(axis="x", visible=False)
+
+
+def _ahead(axes: Axes, runs: Sequence[Run], name: str, factor: float) -> None:
+    for offset, source in zip((-0.27, 0.0, 0.27), SOURCES, strict=True):
+        mine = [run for run in runs if run.source == source]
+        for place, of in enumerate(("told", "planned")):
+            error = factor * rms_error(mine, of)[name]
+            axes.bar(place + offset, error, 0.25, color=_COLOUR[source], alpha=0.45)
+            axes.annotate(
+                f"{error:.2g}", (place + offset, error), ha="center", va="bottom", fontsize=8,
+                xytext=(0, 2), textcoords="offset points",
+            )  # fmt: skip
+    axes.margins(y=0.12)
+    axes.set_xticks([0, 1], ["asked of the true state", "as planned, from fixes"])
+    axes.grid(axis="x", visible=False)

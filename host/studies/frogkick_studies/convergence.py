@@ -4,13 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from matplotlib.figure import Figure
 
 from frogkick.core.errors import ConvergenceError
+from frogkick.core.progress import shown
 from frogkick.der import STEP_S, Gait, Trajectory, prepare, program_of, simulate_gaits, simulate_many
-from frogkick.robot import Robot
+from frogkick.report import style
+from frogkick.robot import Robot, load_robot
+from frogkick_studies import Found
+from frogkick_studies.configs import Convergence
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -111,3 +117,89 @@ def _gaits(robot: Robot) -> Sequence[Gait]:
     """Each measured profile at four phases; equally long ones side by side."""
     profiles = sorted(robot.profiles, key=lambda profile: profile.frequency_hz)
     return [Gait(p.egain_percent, p.frequency_hz, phase) for p in profiles for phase in PHASES]
+
+
+@dataclass(frozen=True, eq=False)
+class ConvergenceStudy(Found):
+    """Error of the rod simulation against its time step.
+
+    Attributes:
+        curves: of strokes and of gaits.
+    """
+
+    curves: Sequence[Curve]
+
+    @property
+    def passed(self) -> bool:
+        """Whether the default step errs little enough."""
+        return not any(curve.worst[curve.step_s == STEP_S].max() > ERROR_LIMIT for curve in self.curves)
+
+    def plot(self) -> Figure:
+        """A matplotlib figure: error over the time step."""
+        return convergence_figure(self.curves, STEP_S)
+
+    def as_json(self) -> dict[str, Any]:
+        """The keys of the command."""
+        return {
+            "default_step_s": STEP_S,
+            "limit": ERROR_LIMIT,
+            "order": {curve.name: round(curve.order, 3) for curve in self.curves},
+            "error_at_default": {curve.name: curve.at_default for curve in self.curves},
+            "worst": {
+                curve.name: dict(zip(curve.step_s.tolist(), curve.worst.tolist(), strict=True))
+                for curve in self.curves
+            },
+            "rms": {
+                curve.name: dict(zip(curve.step_s.tolist(), curve.error.tolist(), strict=True))
+                for curve in self.curves
+            },
+        }
+
+
+def run(config: Convergence) -> ConvergenceStudy:
+    """Simulate strokes and gaits at several time steps, and compare them with a fine one.
+
+    Raises:
+        InputError: no such robot.
+        ConvergenceError: a simulation failed.
+    """
+    with shown(True, "convergence") as tell:
+        return ConvergenceStudy(convergence(load_robot(config.robot), tell, config.every))
+
+
+def convergence_figure(curves: Sequence[Curve], default_step_s: float) -> Figure:
+    """Draw the curves of ``convergence`` with a second-order slope, the default step and the limit."""
+    with style.styled():
+        figure = Figure(figsize=(6.4, 4.6), layout="constrained")
+        axes = figure.subplots()
+        for curve, colour, marker in zip(curves, (style.TRUE, style.MEASURED), "os", strict=False):
+            step_ms = 1e3 * curve.step_s
+            axes.loglog(
+                step_ms,
+                100 * curve.error,
+                marker + "-",
+                color=colour,
+                label=f"{curve.name}: RMS, order {curve.order:.2f}",
+            )
+            axes.loglog(step_ms, 100 * curve.worst, marker + ":", color=colour, label=f"{curve.name}: worst")
+        first = curves[0]
+        guide = first.error[-1] * (first.step_s / first.step_s[-1]) ** 2
+        axes.loglog(1e3 * first.step_s, 50 * guide, "--", color=style.DESIRED, label="slope 2")
+        axes.axvline(1e3 * default_step_s, color=style.ESTIMATED, linewidth=1)
+        axes.axhline(100 * ERROR_LIMIT, color=style.ALARM, linewidth=1)
+        axes.text(1e3 * default_step_s, axes.get_ylim()[0] * 1.3, " default", color=style.ESTIMATED)
+        axes.text(
+            1e3 * first.step_s.max(),
+            85 * ERROR_LIMIT,
+            "limit at the default step",
+            color=style.ALARM,
+            ha="right",
+            va="top",
+        )
+        axes.set_xticks(1e3 * np.sort(first.step_s), [f"{ms:g}" for ms in 1e3 * np.sort(first.step_s)])
+        axes.minorticks_off()
+        axes.set_xlabel("finest time step (ms)")
+        axes.set_ylabel("error of distance or speed (%)")
+        axes.set_title("Error of the rod simulation against its time step")
+        axes.legend(loc="upper left")
+    return figure

@@ -1,276 +1,193 @@
-"""States from fixes, three ways: how far off at decision time, and what that costs in closed loop."""
+"""States from bad fixes, by the robot's estimator and by two simple ways: errors, and what they cost."""
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
-from pathlib import Path as Folder
+import math
+import os
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any, Literal
 
 import numpy as np
-import numpy.typing as npt
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter, NullLocator
 
-from frogkick.core.chunks import Job, run_chunks
-from frogkick.effects import World, make_effects
-from frogkick.estimator.estimator import Estimates, Estimator
-from frogkick.paths import Path
-from frogkick.planner.plan import PlanConfig
-from frogkick.pool.camera import Camera
-from frogkick.pool.pool import Pool
-from frogkick.robot import Robot
-from frogkick.runs.decision import DecisionTwin
-from frogkick.runs.record import along_path
-from frogkick.tables.image import Tables, open_image
-from frogkick_studies.fix_baselines import DifferenceEstimator, LineEstimator
+from frogkick.core.progress import shown
+from frogkick.front.places import plan_config, robot_of_table, swim_path, table_image
+from frogkick.report import style
+from frogkick.runs.closed_loop import require_time
+from frogkick_studies import Found
+from frogkick_studies.bad_fixes import METHODS, RATES_HZ, Condition, Outcome, compare_estimators
+from frogkick_studies.configs import Estimator
 
-FloatArray = npt.NDArray[np.float64]
-
-METHODS: Mapping[str, Callable[[Tables], Estimates]] = {
-    "difference": lambda _tables: DifferenceEstimator(),
-    "line": lambda _tables: LineEstimator(),
-    "track": Estimator,
+_COLOUR = {"difference": style.MEASURED, "line": style.PREDICTED, "track": style.ESTIMATED}
+_MARKER = {"difference": "o", "line": "^", "track": "s"}
+_LABEL = {
+    "difference": "difference of two fixes (the paper's)",
+    "line": "line through the last fixes",
+    "track": "the robot's own",
 }
-"""The paper's way, a line through the last fixes, and the robot's own."""
-RATES_HZ = (2.0, 5.0, 10.0, 15.0, 30.0, 60.0)
-EACH_RATE_HZ = 15.0
-"""The rate at which each fault is looked at by itself."""
-FAULTS: Mapping[str, Mapping[str, float]] = {
-    "none": {},
-    "late": {"delay_s": 0.3},
-    "jitter": {"jitter_s": 0.3},
-    "lost": {"lost": 0.2},
-    "doubled": {"doubled": 0.2},
-    "held": {"held": 0.2},
-    "outliers": {"outliers": 0.05},
-    "world": {},
-    "all": {"jitter_s": 0.2, "lost": 0.2, "doubled": 0.1, "held": 0.1, "outliers": 0.05},
+_FAULT = {
+    "late": "0.3 s\nlate",
+    "jitter": "0-0.3 s\nlater",
+    "lost": "20 %\nlost",
+    "doubled": "20 %\ntwice",
+    "held": "20 %\nout of\norder",
+    "outliers": "5 %\nwrong",
+    "world": "other\nworld",
 }
-"""What is worse than the recorded runs' camera; "world": the robot is not the model's."""
-OTHER_WORLD: tuple[dict[str, object], ...] = (
-    {"name": "drag_scale", "frame": 2.5},
-    {"name": "limb_wear", "limb": "rear_left", "gain": 0.7},
-    {"name": "steady_current", "x_mps": 0.004, "y_mps": -0.003},
+_QUANTITIES = (
+    ("position_m", 1e3, "Position at decision time", "RMS error (mm)"),
+    ("heading_rad", 180.0 / np.pi, "Heading at decision time", "RMS error (degrees)"),
+    ("velocity_mps", 1e3, "Velocity at decision time", "RMS error (mm/s)"),
 )
-SETTLE_US = 2_000_000  # fixes before the first decision: some at every rate
-_FIRST = 2  # decisions that do not count: the robot has just begun to move
-_SECOND_GAP_S = 0.001  # FK_STROKE_GAP_US
+_STYLES: tuple[tuple[str, Literal["-", "--"], str], ...] = (
+    ("none", "-", "as the recorded runs' camera"),
+    ("all", "--", "all faults together"),
+)
 
 
-@dataclass(frozen=True)
-class Condition:
-    """Fixes of one kind: their rate and one of FAULTS."""
-
-    rate_hz: float
-    fault: str
-
-    def camera(self) -> Camera:
-        """The camera that gives them."""
-        return Camera(rate_hz=self.rate_hz, **FAULTS[self.fault])
-
-    def world(self) -> World:
-        """The pool that they are of."""
-        return World(make_effects(OTHER_WORLD, Folder())) if self.fault == "world" else World()
-
-
-@dataclass(frozen=True)
-class Outcome:
-    """What became of a method under a condition.
+@dataclass(frozen=True, eq=False)
+class EstimatorStudy(Found):
+    """States from late, lost, doubled and wrong fixes, by several methods.
 
     Attributes:
-        position_m, heading_rad, velocity_mps, omega_rad_s: root mean square errors at decision time while the
-            robot's own estimator steered; the same fixes and decisions for all methods.
-        median_position_m: of the position's error: what a few wrong fixes cannot spoil.
-        decisions, unknown: decisions looked at; those of them without an estimate.
-        distance_m: mean distance to each path, m, by its name, where this method steered; from the first
-            decision on, NaN where it never knew enough for one.
+        outcomes: condition of the camera -> method -> errors of its states.
+        seeds: runs along each path.
     """
 
-    position_m: float
-    heading_rad: float
-    velocity_mps: float
-    omega_rad_s: float
-    median_position_m: float
-    decisions: int
-    unknown: int
-    distance_m: Mapping[str, float]
+    outcomes: Mapping[Condition, Mapping[str, Outcome]]
+    seeds: int
+
+    def plot(self) -> Figure:
+        """A matplotlib figure: errors of each method by rate and by fault."""
+        return estimator_figure(self.outcomes)
+
+    def as_json(self) -> dict[str, Any]:
+        """The keys of the command."""
+        rows = [
+            {
+                "rate_hz": condition.rate_hz,
+                "fault": condition.fault,
+                "method": method,
+                **dataclasses.asdict(one),
+            }
+            for condition, methods in self.outcomes.items()
+            for method, one in methods.items()
+        ]
+        return {"outcomes": rows, "seeds": self.seeds}
+
+    def text(self, values: dict[str, Any]) -> str:
+        """A line for each method and condition."""
+        lines = ["fixes/s fault    method        mm  degrees     mm/s  unknown  mm from each path"]
+        for condition, methods in self.outcomes.items():
+            for method, one in methods.items():
+                numbers = (one.position_m * 1e3, math.degrees(one.heading_rad), one.velocity_mps * 1e3)
+                away = " ".join(f"{name} {1e3 * far:.1f}" for name, far in one.distance_m.items())
+                lines.append(
+                    f"{condition.rate_hz:7g} {condition.fault:8} {method:10}"
+                    + "".join(f"{number:9.2f}" for number in numbers)
+                    + f"{one.unknown:5d}/{one.decisions}  {away}"
+                )
+        return "\n".join(lines)
 
 
-@dataclass
-class Swim:
-    """One run: errors (n, 6) of each method at each decision, NaN where it had none; and how it tracked."""
-
-    errors: dict[str, list[FloatArray]] = field(default_factory=dict)
-    distance_m: float = np.nan
-
-
-@dataclass(frozen=True)
-class _Setting:
-    robot: Robot
-    tables: Tables
-    paths: Sequence[Path]
-    config: PlanConfig
-    limit_s: float
-
-
-@dataclass(frozen=True)
-class _Task:
-    condition: Condition
-    steered_by: str
-    path: int
-    seed: int
-
-
-def conditions(rates_hz: Sequence[float] = RATES_HZ) -> list[Condition]:
-    """Every rate with no fault and with all of them; each fault at one rate."""
-    each = EACH_RATE_HZ if EACH_RATE_HZ in rates_hz else rates_hz[0]
-    found = [Condition(rate, fault) for fault in ("none", "all") for rate in rates_hz]
-    return found + [Condition(each, fault) for fault in FAULTS if fault not in ("none", "all")]
-
-
-def compare_estimators(
-    robot: Robot,
-    image: bytes,
-    paths: Sequence[Path],
-    config: PlanConfig,
-    seeds: int,
-    limit_s: float,
-    rates_hz: Sequence[float] = RATES_HZ,
-    workers: int = 1,
-    progress: Callable[[int, int], None] = lambda _done, _all: None,
-) -> dict[Condition, dict[str, Outcome]]:
-    """Swim along paths in the pool with every method under every condition.
-
-    Args:
-        robot, image: the swimmer and its table.
-        paths, config: what it follows, and how it plans.
-        seeds: runs along each path.
-        limit_s: pool time of a run.
-        rates_hz: fixes per second to look at.
-        workers: processes.
-        progress: called with runs done and to do.
+def run(config: Estimator) -> EstimatorStudy:
+    """Estimate states from bad fixes in the pool: the robot's way, by a line, the paper's.
 
     Raises:
-        ConvergenceError: the pool's physics failed.
+        InputError: an unknown path, or a table of another robot.
     """
-    wanted = conditions(rates_hz)
-    runs = [(path, seed) for path in range(len(paths)) for seed in range(seeds)]
-    tasks = [_Task(c, method, *run) for c in wanted for method in METHODS for run in runs]
-    job = Job(_start, (robot, image, tuple(paths), config, limit_s), _run, _warm)
-    swims: dict[_Task, Swim] = {}
-    for done, (index, swim) in enumerate(run_chunks(job, tasks, workers), start=1):
-        swims[tasks[index]] = swim
-        progress(done, len(tasks))
-    return {
-        condition: {
-            method: _outcome(
-                [swims[_Task(condition, "track", *run)].errors[method] for run in runs],
-                {
-                    path.name: [swims[_Task(condition, method, index, seed)] for seed in range(seeds)]
-                    for index, path in enumerate(paths)
-                },
-            )
-            for method in METHODS
-        }
-        for condition in wanted
-    }
+    require_time(config.simulated_time)
+    image = table_image(config.tables, config.model)
+    robot = robot_of_table(image, config.model)
+    paths = [swim_path(name) for name in config.path or ("line", "ellipse")]
+    settings = plan_config(robot, config.planner, config.depth)
+    with shown(True, "runs") as tell:
+        outcomes = compare_estimators(
+            robot, image.read_bytes(), paths, settings, config.seeds, config.simulated_time,
+            config.rate or RATES_HZ, config.workers or os.cpu_count() or 1, tell,
+        )  # fmt: skip
+    return EstimatorStudy(outcomes, config.seeds)
 
 
-def _outcome(errors: list[list[FloatArray]], steered: Mapping[str, list[Swim]]) -> Outcome:
-    every = np.concatenate([np.array(rows[_FIRST:]).reshape(-1, 6) for rows in errors])
-    known = every[np.isfinite(every[:, 0])]
-    position_m = np.hypot(known[:, 0], known[:, 1])
-
-    def rms(values: FloatArray) -> float:
-        return float(np.sqrt(np.mean(values**2))) if len(values) else float("nan")
-
-    return Outcome(
-        position_m=rms(position_m),
-        heading_rad=rms(known[:, 2]),
-        velocity_mps=rms(np.hypot(known[:, 3], known[:, 4])),
-        omega_rad_s=rms(known[:, 5]),
-        median_position_m=float(np.median(position_m)) if len(known) else float("nan"),
-        decisions=len(every),
-        unknown=len(every) - len(known),
-        distance_m={
-            name: _mean_of_begun([swim.distance_m for swim in swims]) for name, swims in steered.items()
-        },
-    )
-
-
-def _mean_of_begun(distances_m: Sequence[float]) -> float:
-    """NaN where no run began."""
-    begun = [one for one in distances_m if np.isfinite(one)]
-    return float(np.mean(begun)) if begun else float("nan")
-
-
-def _start(
-    robot: Robot, image: bytes, paths: tuple[Path, ...], config: PlanConfig, limit_s: float
-) -> _Setting:
-    return _Setting(robot, open_image(image), paths, config, limit_s)
+def estimator_figure(outcomes: Mapping[Condition, Mapping[str, Outcome]]) -> Figure:
+    """Draw ``compare_estimators``: three errors by rate, one by fault, and the distance to each path."""
+    names = next(iter(outcomes.values()))["track"].distance_m
+    with style.styled():
+        figure = Figure(figsize=(12.5, 7.6), layout="constrained")
+        panels = figure.subplots(2, 3)
+        for axes, (name, factor, title, label) in zip(panels[0], _QUANTITIES, strict=True):
+            for fault, line, _ in _STYLES:
+                _by_rate(axes, outcomes, fault, line, lambda o, n=name, f=factor: getattr(o, n) * f)
+            _finish(axes, label)
+            _plain_decades(axes)
+            axes.set_title(title)
+        _by_fault(panels[1, 0], outcomes)
+        for axes, path in zip(panels[1, 1:], names, strict=False):
+            for fault, line, _ in _STYLES:
+                _by_rate(axes, outcomes, fault, line, lambda o, p=path: o.distance_m[p] * 1e3)
+            _finish(axes, "mean distance to the path (mm)")
+            axes.set_ylim(bottom=0.0)
+            axes.set_title(f"Closed loop: {path}")
+        for axes in panels[1, 1 + len(names) :]:
+            axes.set_axis_off()
+        handles, labels = panels[0, 0].get_legend_handles_labels()
+        for _, line, label in _STYLES:
+            handles.append(Line2D([], [], color="0.3", linestyle=line))
+            labels.append(label)
+        figure.legend(handles, labels, loc="outside lower center", ncols=5)
+    return figure
 
 
-def _warm(setting: _Setting) -> None:
-    """Two decisions compile all that a run calls."""
-    short = dataclasses.replace(setting, limit_s=SETTLE_US * 1e-6 + 2.0)
-    _run(short, _Task(Condition(10.0, "none"), "track", 0, 0))
+def _by_rate(
+    axes: Axes,
+    outcomes: Mapping[Condition, Mapping[str, Outcome]],
+    fault: str,
+    line: str,
+    value: Callable[..., float],  # of an outcome
+) -> None:
+    rows = sorted(((c.rate_hz, o) for c, o in outcomes.items() if c.fault == fault), key=lambda row: row[0])
+    for method in METHODS:
+        axes.plot(
+            [rate for rate, _ in rows],
+            [value(outcome[method]) for _, outcome in rows],
+            _MARKER[method] + line,
+            color=_COLOUR[method],
+            markersize=4,
+            label=_LABEL[method] if line == "-" else None,
+        )
 
 
-def _run(setting: _Setting, task: _Task) -> Swim:
-    """One run: the twins decide, the rods swim, the other methods look on."""
-    tables, path = setting.tables, setting.paths[task.path]
-    begin = (float(path.x_m[0]), float(path.y_m[0]), float(path.tangent_rad[0]))
-    camera, world = task.condition.camera(), task.condition.world()
-    pool = Pool(setting.robot, begin, camera, np.random.default_rng(task.seed), world)
-    methods = {name: make(tables) for name, make in METHODS.items()}
-    twin = DecisionTwin(tables, path, setting.config, methods[task.steered_by])
-    swim = Swim({name: [] for name in METHODS})
-    at_us = SETTLE_US
-    begun_s = np.inf
-    while at_us * 1e-6 < setting.limit_s and twin.ended is None:
-        for fix in pool.advance(at_us * 1e-6):
-            capture_us = round(fix.capture_s * 1e6)
-            for name, method in methods.items():
-                add = twin.add_fix if name == task.steered_by else method.add
-                add(capture_us, fix.pose_world, fix.sequence)
-        if twin.ended is not None:
-            break
-        if twin.is_lost(at_us):
-            if np.isfinite(begun_s):
-                break
-            at_us += tables.period_us  # a robot that does not know yet where it is does not start
-            continue
-        begun_s = min(begun_s, at_us * 1e-6)
-        truth = np.concatenate(pool.state())
-        for name, method in methods.items():
-            swim.errors[name].append(_error(method, at_us, truth))
-        action = twin.decide(at_us).action
-        for name, method in methods.items():
-            if name != task.steered_by:
-                method.act(at_us, action)
-        if twin.ended is None and action < len(tables.actions):
-            _heat(pool, tables, action, at_us * 1e-6)
-        at_us += tables.period_us
-    time_s = np.array(pool.truth.time_s)
-    during = time_s >= begun_s
-    if during.any():
-        poses = np.array(pool.truth.pose_world).reshape(-1, 3)[during]
-        swim.distance_m = along_path(path, time_s[during], poses)[0]
-    return swim
+def _finish(axes: Axes, label: str) -> None:
+    axes.set_xscale("log")
+    rates = sorted({float(x) for line in axes.get_lines() for x in np.asarray(line.get_xdata())})
+    axes.set_xticks(rates, [f"{rate:g}" for rate in rates])
+    axes.xaxis.set_minor_locator(NullLocator())
+    axes.set_xlabel("fixes per second")
+    axes.set_ylabel(label)
 
 
-def _error(method: Estimates, at_us: int, truth: FloatArray) -> FloatArray:
-    estimate = method.at(at_us)
-    if estimate is None:
-        return np.full(6, np.nan)
-    error = estimate.state.astype(np.float64) - truth
-    error[2] = np.angle(np.exp(1j * error[2]))
-    return np.asarray(error)
+def _plain_decades(axes: Axes) -> None:
+    """1, 2, 5, 10 instead of powers of ten."""
+    axes.set_yscale("log")
+    axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axes.yaxis.set_major_formatter(FuncFormatter(lambda y, _at: f"{y:g}"))
+    axes.yaxis.set_minor_formatter(NullFormatter())
 
 
-def _heat(pool: Pool, tables: Tables, action: int, at_s: float) -> None:
-    row = tables.actions[action]
-    second_s = at_s + tables.second_delay_us * 1e-6 + _SECOND_GAP_S
-    for mask, start_s in ((row.first_mask, at_s), (row.second_mask, second_s)):
-        for limb in range(tables.limbs):
-            if mask >> limb & 1:
-                pool.heat(limb, start_s)
+def _by_fault(axes: Axes, outcomes: Mapping[Condition, Mapping[str, Outcome]]) -> None:
+    alone = {c.fault: (c.rate_hz, o) for c, o in outcomes.items() if c.fault in _FAULT}
+    shown = [fault for fault in _FAULT if fault in alone]
+    for offset, method in zip((-0.2, 0.0, 0.2), METHODS, strict=True):
+        heights = [alone[fault][1][method].position_m * 1e3 for fault in shown]
+        axes.bar(np.arange(len(shown)) + offset, heights, 0.19, color=_COLOUR[method])
+    _plain_decades(axes)
+    axes.set_xticks(range(len(shown)), [_FAULT[fault] for fault in shown], fontsize=7)
+    axes.grid(axis="x", visible=False)
+    axes.set_ylabel("position error (mm)")
+    rate = next(iter(alone.values()))[0] if alone else 0.0
+    axes.set_title(f"One fault at a time, {rate:g} fixes per second")

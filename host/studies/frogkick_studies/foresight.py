@@ -9,21 +9,28 @@ larger breadth shows whether there is.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from matplotlib.figure import Figure
 from numba import njit
 
 from frogkick.core.compiled import stamp_of
 from frogkick.core.errors import InputError
 from frogkick.core.poses import world_from_body
+from frogkick.core.progress import shown
+from frogkick.front.places import start_pose, swim_path, table_image
 from frogkick.paths import Path
 from frogkick.planner.lookup import DYNAMICS, TableArrays, arrays_of, dynamics_after, find_row, motion_of
+from frogkick.report import style
 from frogkick.runs.record import along_path
-from frogkick.tables.image import Tables
+from frogkick.tables.image import Tables, read_image
+from frogkick_studies import Found
+from frogkick_studies.configs import Foresight
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
@@ -220,3 +227,106 @@ def _compiled(stamp: int) -> Any:
 
 
 _expand = _compiled(stamp_of("frogkick.planner"))
+
+
+@dataclass(frozen=True, eq=False)
+class ForesightStudy(Found):
+    """How near to a path any plan could stay, and how fast.
+
+    Attributes:
+        path: that is followed.
+        name: as it was given.
+        tables: that tell what each action does.
+        plans: the best ones, from fast to near.
+        at_least_mps: progress that was asked for; None: none was.
+    """
+
+    path: Path
+    name: str
+    tables: Tables
+    plans: Sequence[Foreseen]
+    at_least_mps: float | None = None
+
+    @property
+    def nearest_m(self) -> float | None:
+        """Mean distance of the nearest plan of ``at_least_mps``; None where none is so fast."""
+        return nearest_at(self.plans, self.at_least_mps or 0.0)
+
+    def plot(self) -> Figure:
+        """A matplotlib figure: distance against progress, and the tracks."""
+        return foresight_figure(self.path, self.plans)
+
+    def as_json(self) -> dict[str, Any]:
+        """The keys of the command."""
+        rows = [
+            {
+                "decisions": len(plan.actions),
+                "mean_distance_m": plan.mean_distance_m,
+                "progress_mps": plan.progress_mps,
+                "actions": [self.tables.actions[action].name for action in plan.actions],
+            }
+            for plan in self.plans
+        ]
+        values: dict[str, Any] = {"path": self.name, "plans": rows}
+        if self.at_least_mps is not None:
+            values |= {"at_least_mps": self.at_least_mps, "nearest_m": self.nearest_m}
+        return values
+
+    def text(self, values: dict[str, Any]) -> str:
+        """A line for each row."""
+        lines = [
+            f"{row['decisions']:3d} decisions: {1e3 * row['mean_distance_m']:6.2f} mm, "
+            f"{1e3 * row['progress_mps']:5.1f} mm/s, {' '.join(row['actions'])}"
+            for row in values["plans"]
+        ]
+        if "nearest_m" in values:
+            nearest_m, speed = values["nearest_m"], 1e3 * values["at_least_mps"]
+            told = f"{1e3 * nearest_m:.2f} mm" if nearest_m is not None else "no plan is so fast"
+            lines.append(f"at {speed:.1f} mm/s or more: {told}")
+        return "\n".join(lines)
+
+
+def run(config: Foresight) -> ForesightStudy:
+    """Plan a whole run at once, by the table.
+
+    Raises:
+        InputError: no such path or table, or a speed below 0.
+    """
+    least = config.at_least
+    if least is not None and not (math.isfinite(least) and least >= 0.0):
+        raise InputError(f"--at-least {least} m/s: give a speed from 0 on")
+    path = swim_path(config.path)
+    tables = read_image(table_image(config.tables, None))
+    with shown(True, "decisions ahead") as tell:
+        plans = foresee(tables, path, start_pose(path), config.breadth, tell)
+    return ForesightStudy(path, config.path, tables, plans, least)
+
+
+def foresight_figure(path: Path, plans: Sequence[Foreseen]) -> Figure:
+    """Draw ``foresee``: ways of the fastest and the nearest plan, and distance against progress of all."""
+    with style.styled():
+        figure = Figure(figsize=(10.0, 4.2), layout="constrained")
+        way, trade = figure.subplots(1, 2, width_ratios=(3, 2))
+        way.plot(*(1e3 * path.points_m.T), color=style.DESIRED, lw=2.5, label="path")
+        for plan, colour, name in (
+            (plans[0], style.ALARM, "fastest"),
+            (plans[-1], style.PREDICTED, "nearest"),
+        ):
+            label = f"{name}: {1e3 * plan.mean_distance_m:.1f} mm off, {1e3 * plan.progress_mps:.1f} mm/s"
+            way.plot(*(1e3 * plan.poses_world[:, :2].T), ".-", ms=3, color=colour, label=label)
+        way.set_aspect("equal", adjustable="datalim")
+        way.set_xlabel("x (mm), pool")
+        way.set_ylabel("y (mm), pool")
+        way.set_title("The way of two plans, by the table")
+        way.legend(loc="best")
+        trade.plot(
+            [1e3 * plan.progress_mps for plan in plans],
+            [1e3 * plan.mean_distance_m for plan in plans],
+            "o-",
+            color=style.PREDICTED,
+        )
+        trade.set_ylim(bottom=0.0)
+        trade.set_xlabel("progress along the path (mm/s)")
+        trade.set_ylabel("mean distance to the path (mm)")
+        trade.set_title("No plan found is below the line")
+    return figure

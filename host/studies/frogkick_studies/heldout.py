@@ -9,18 +9,28 @@ start from nominal values. What remains of such robots is the list of their effe
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+import os
+import sys
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
 
 from frogkick.core.chunks import Job, run_chunks
 from frogkick.core.errors import InputError
 from frogkick.core.poses import PredictionError
+from frogkick.core.progress import shown
 from frogkick.identification.batching import run_concurrently
-from frogkick.identification.outcome import identify
+from frogkick.identification.outcome import identify, robot_of_runs
 from frogkick.identification.segments import Segments, read_segments, reliable
-from frogkick.robot import Robot
+from frogkick.report import style
+from frogkick.robot import Robot, load_robot
+from frogkick_studies import Found
+from frogkick_studies.configs import Heldout
 
 LEAST_RUNS = 3
 
@@ -126,3 +136,126 @@ def _keep_back(ready: _Ready, index: int) -> HeldOut:
     return HeldOut(
         ready.runs[index], outcome.verdict, titles, tested.before, tested.after, tested.noise_floor
     )
+
+
+@dataclass(frozen=True, eq=False)
+class HeldOutStudy(Found):
+    """Each run predicted by what all others show.
+
+    Attributes:
+        rows: what came of each run.
+        left_out: runs that were not used: ``run`` and ``reason`` of each.
+    """
+
+    rows: Sequence[HeldOut]
+    left_out: Sequence[Mapping[str, str]]
+
+    @property
+    def before(self) -> PredictionError:
+        """PredictionError of the nominal model a period ahead, over all periods of all runs."""
+        return self._pooled([row.before for row in self.rows])
+
+    @property
+    def after(self) -> PredictionError:
+        """The same with the effects found in the other runs."""
+        return self._pooled([row.after for row in self.rows])
+
+    @property
+    def noise_floor(self) -> PredictionError:
+        """What noise of the fixes alone makes."""
+        return self._pooled([row.floor for row in self.rows])
+
+    def _pooled(self, errors: Sequence[PredictionError]) -> PredictionError:
+        return pooled(errors, [row.before.count for row in self.rows])
+
+    @property
+    def passed(self) -> bool:
+        """Whether what was found predicts positions no worse than the nominal model."""
+        return not self.after.position_rmse_m > self.before.position_rmse_m
+
+    def plot(self) -> Figure:
+        """A matplotlib figure: errors of each run, before, after, and of noise alone."""
+        return heldout_figure(self.rows)
+
+    def as_json(self) -> dict[str, Any]:
+        """The keys of the command, without its picture."""
+        return {
+            "before": self.before.as_json(),
+            "after": self.after.as_json(),
+            "noise_floor": self.noise_floor.as_json(),
+            "periods": sum(row.before.count for row in self.rows),
+            "runs": [
+                {
+                    "run": str(row.run),
+                    "verdict": row.verdict,
+                    "effects": list(row.effects),
+                    "before": row.before.as_json(),
+                    "after": row.after.as_json(),
+                    "noise_floor": row.floor.as_json(),
+                    "periods": row.before.count,
+                }
+                for row in self.rows
+            ],
+            "left_out": list(self.left_out),
+        }
+
+    def text(self, values: dict[str, Any]) -> str:
+        """A line for each row."""
+        lines = []
+        for name, of in [*((Path(row["run"]).name, row) for row in values["runs"]), ("all", values)]:
+            titles = (("nominal", "before"), ("after", "after"), ("noise floor", "noise_floor"))
+            errors = ", ".join(f"{title} {PredictionError(**of[key])}" for title, key in titles)
+            found = f"; {of['verdict']}: {', '.join(of['effects']) or 'no effect'}" if "verdict" in of else ""
+            lines.append(f"{name}: {errors} over {of['periods']} periods{found}")
+        return "\n".join(lines)
+
+
+def run(config: Heldout) -> HeldOutStudy:
+    """Keep each run back in turn, learn from all others what the model lacks, and predict it with that.
+
+    Raises:
+        InputError: too few runs, one twice, or one that cannot be read or judged.
+    """
+    swims = [read_segments(run) for run in config.runs]
+    _, unused = reliable(swims)
+    for row in unused:
+        print(f"frogkick: run {row['run']!r} is LEFT OUT: {row['reason']}", file=sys.stderr)
+    used = [run for run, swim in zip(config.runs, swims, strict=True) if not swim.problem]
+    robot = load_robot(config.robot or robot_of_runs(swims))
+    with shown(True, "runs kept back") as tell:
+        rows = held_out(robot, used, config.effects, config.workers or os.cpu_count() or 1, tell)
+    return HeldOutStudy(rows, unused)
+
+
+def heldout_figure(rows: Sequence[HeldOut]) -> Figure:
+    """Left: position, right: heading, a period ahead; nominal, with what the others show, noise floor."""
+    place = np.arange(len(rows))[::-1]
+    with style.styled():
+        figure = Figure(figsize=(11.0, 1.9 + 0.42 * len(rows)), layout="constrained")
+        panels = figure.subplots(1, 2, sharey=True)
+        for axes, field, scale, what in (
+            (panels[0], "position_rmse_m", 1e3, "position missed, mm RMS"),
+            (panels[1], "heading_rmse_rad", math.degrees(1.0), "heading missed, degrees RMS"),
+        ):
+            before, after, floor = (
+                [scale * getattr(getattr(row, name), field) for row in rows]
+                for name in ("before", "after", "floor")
+            )
+            axes.barh(place + 0.19, before, 0.36, color=style.NOMINAL, label="nominal model")
+            axes.barh(place - 0.19, after, 0.36, color=style.PREDICTED, label="with what the other runs show")
+            axes.vlines(
+                floor,
+                place - 0.4,
+                place + 0.4,
+                color=style.FLOOR,
+                linewidth=1.5,
+                label="noise of the fixes alone",
+            )
+            axes.set_xlim(0.0, None)
+            axes.set_xlabel(f"{what}, a period ahead")
+        panels[0].set_yticks(place, [row.run.stem for row in rows])
+        panels[0].set_ylabel("run kept back")
+        panels[0].set_title("Position")
+        panels[1].set_title("Heading")
+        panels[0].legend(loc="upper left", bbox_to_anchor=(0.0, -0.75 / figure.get_figheight()), ncols=3)
+    return figure

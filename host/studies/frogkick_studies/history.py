@@ -2,18 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import dataclasses
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure
 
+from frogkick.core.progress import shown
 from frogkick.effects import rods_of
 from frogkick.library import Library, error_on, fit_table, sample_library
 from frogkick.library.starts import gliding
 from frogkick.library.store import make_library
 from frogkick.library.transitions import RESTED, simulate_task
-from frogkick.robot import Robot, parse_robot
+from frogkick.report import style
+from frogkick.robot import Robot, load_robot, parse_robot
 from frogkick.tables.image import open_image
+from frogkick_studies import Found
+from frogkick_studies.configs import History
 
 VARIANTS = {
     "as described": "",
@@ -106,3 +113,72 @@ def _restarted(robot: Robot, library: Library) -> Library:
     starts, rods = gliding(robot, library.initial_velocity_body), rods_of(robot)
     done = [simulate_task(rods, task) for task in starts.tasks]
     return make_library(robot, library.sampling, library.seed, starts, done)
+
+
+@dataclass(frozen=True, eq=False)
+class HistoryStudy(Found):
+    """Error of affine tables with and without limb use as an input.
+
+    Attributes:
+        results: for this robot and tiring ones.
+        seed: of the states.
+    """
+
+    results: Sequence[HistoryResult]
+    seed: int
+
+    def plot(self) -> Figure:
+        """A matplotlib figure: errors with and without, for each robot."""
+        return history_figure(self.results)
+
+    def as_json(self) -> dict[str, Any]:
+        """The keys of the command."""
+        return {"robots": [dataclasses.asdict(result) for result in self.results], "seed": self.seed}
+
+
+def run(config: History) -> HistoryStudy:
+    """Simulate libraries of a robot and of tiring ones, and fit tables with and without limb use.
+
+    Raises:
+        InputError: no such robot.
+    """
+    with shown(True, "limb history") as tell:
+        robot = load_robot(config.robot)
+        return HistoryStudy(
+            history_worth(robot, config.states, config.test_states, config.seed, tell), config.seed
+        )
+
+
+_BARS = (
+    ("restarted", "limbs at rest in the library", style.DESIRED),
+    ("without", "limbs amid strokes, use no input", style.MEASURED),
+    ("with_use", "limb use as an input", style.TRUE),
+)
+_PANELS = (
+    ("position_m", 1e3, "position error (mm)"),
+    ("heading_rad", 180.0 / np.pi, "heading error (degrees)"),
+)
+
+
+def history_figure(results: Sequence[HistoryResult]) -> Figure:
+    """Draw ``history_worth``: errors one period ahead of three tables for each robot."""
+    with style.styled():
+        figure = Figure(figsize=(9.0, 3.8), layout="constrained")
+        places = np.arange(len(results))
+        for axes, (name, factor, label) in zip(figure.subplots(1, 2), _PANELS, strict=True):
+            for offset, (table, text, colour) in zip((-0.27, 0.0, 0.27), _BARS, strict=True):
+                heights = [factor * getattr(result, table)[name] for result in results]
+                bars = axes.bar(places + offset, heights, 0.25, color=colour, label=text)
+                axes.bar_label(bars, [f"{height:.2g}" for height in heights], fontsize=7.5, padding=1)
+            axes.set_yscale("log")
+            axes.set_xticks(places, [_wrapped(result.variant) for result in results])
+            axes.set_ylabel(label)
+            axes.set_title(f"Affine tables of 64 KiB: {label.split(' (')[0]}")
+        figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=3)
+    return figure
+
+
+def _wrapped(text: str) -> str:
+    words = text.split(" ")
+    half = (len(words) + 1) // 2
+    return " ".join(words[:half]) + "\n" + " ".join(words[half:])

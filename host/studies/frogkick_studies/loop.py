@@ -3,36 +3,45 @@
 from __future__ import annotations
 
 import dataclasses
-import hashlib
-import json
+import os
 import tomllib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
+from math import isnan, nan
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
+from matplotlib.figure import Figure
 
-from frogkick.core.chunks import Job, code_stamp, run_chunks
 from frogkick.core.errors import InputError
-from frogkick.core.files import existing_file
-from frogkick.effects import World, changed_robot, read_world
-from frogkick.effects.registry import make_effects
-from frogkick.paths import Path as SwimPath
-from frogkick.paths import shape
+from frogkick.core.files import existing_file, write_bytes
+from frogkick.core.progress import shown
+from frogkick.effects import changed_robot, read_world
+from frogkick.library import quantise
 from frogkick.planner.plan import PlanConfig, config_of
-from frogkick.pool.camera import Camera
-from frogkick.pool.native_robot import NativeRobot
-from frogkick.pool.pool import Pool
-from frogkick.robot import Robot
-from frogkick.runs.closed_loop import RunOptions, run_in_pool
-from frogkick.runs.record import tracking_of_recording
-from frogkick.tables.image import Tables, read_image
-from frogkick_codegen.firmware import build
-from frogkick_studies.kept import Case, Kept, Outcome
+from frogkick.report.style import ALARM, ESTIMATED, MEASURED, PREDICTED, TRUE, styled
+from frogkick.robot import Robot, load_robot
+from frogkick_codegen.firmware import require_tools
+from frogkick_studies import Found
+from frogkick_studies.configs import Loop
+from frogkick_studies.in_pool import (
+    PAPER,
+    PAPER_STATES,
+    ROBOT,
+    Case,
+    Outcome,
+    Planner,
+    Setting,
+    Summary,
+    fit_own_table,
+    library_of,
+    run_cases,
+    setting_from,
+    shape_names,
+    summaries,
+)
 
-TIME_LIMIT_S = 120.0
-PAPER, ROBOT = "paper", "robot"
 RATIO_MOST = 0.5
 """What part of the paper's planner's distance the robot's own may have."""
 _HIDDEN = (
@@ -41,110 +50,13 @@ _HIDDEN = (
     {"name": "warm_up", "loss": 0.3, "fade_strokes": 2.0},
     {"name": "steady_current", "x_mps": 0.002, "y_mps": 0.003},
 )
-
-
-@dataclass(frozen=True)
-class Setting:
-    """A world by name, which can be made again for every run: effects may keep things to themselves.
-
-    Attributes:
-        name: for reports and results.
-        tables: of its effects, as in a world's TOML.
-        folder: where files of its effects are.
-        sha256: of all that it is made of, hex.
-    """
-
-    name: str
-    tables: tuple[Mapping[str, Any], ...] = ()
-    folder: Path = Path()
-    sha256: str = ""
-
-    def world(self) -> World:
-        """Make it."""
-        return World(make_effects(self.tables, self.folder))
-
-
-def setting_from(name: str, tables: Sequence[Mapping[str, Any]], folder: Path = Path()) -> Setting:
-    """The world of some ``[[effect]]`` tables, with a hash of these and of the files that they name."""
-    digest = hashlib.sha256(json.dumps(list(tables), sort_keys=True).encode())
-    for file in sorted({str(table["file"]) for table in tables if "file" in table}):
-        digest.update(b"\0" + (folder / file).read_bytes())
-    return Setting(name, tuple(tables), folder, digest.hexdigest())
-
-
 NOMINAL = setting_from("nominal", ())
 HIDDEN = setting_from("hidden", _HIDDEN)
 """Effects that are in no table, of a size that recorded runs show."""
-
-
-@dataclass(frozen=True)
-class Planner:
-    """One of the planners that are compared.
-
-    Attributes:
-        name: for reports.
-        table: how ``run_cases`` is told its table: PAPER (every state of the paper's, nearest), ROBOT.
-        config: cost, weights, depth.
-        own: the cost is the robot's own.
-    """
-
-    name: str
-    table: str
-    config: PlanConfig
-    own: bool = False
-
-
-@dataclass(frozen=True, eq=False)
-class Course:
-    """A path, and where the robot lies at rest when its run begins.
-
-    Attributes:
-        name: for reports and results.
-        path: to follow, world frame.
-        start_world: x_m, y_m, heading_rad of the robot.
-    """
-
-    name: str
-    path: SwimPath
-    start_world: tuple[float, float, float]
-
-    @property
-    def sha256(self) -> str:
-        """Of path and start, hex."""
-        columns = (self.path.x_m, self.path.y_m, self.path.tangent_rad)
-        digest = hashlib.sha256(b"".join(column.tobytes() for column in columns))
-        digest.update(repr(self.start_world).encode())
-        return digest.hexdigest()
-
-
-def course_of(name: str) -> Course:
-    """A shape by name, from its first point along its tangent.
-
-    Raises:
-        InputError: no such shape.
-    """
-    path = shape(name)
-    return Course(name, path, (float(path.x_m[0]), float(path.y_m[0]), float(path.tangent_rad[0])))
-
-
-@dataclass(frozen=True)
-class Summary:
-    """Runs of one planner over the seeds, of one path in one world.
-
-    Attributes:
-        world, path, planner: of the runs.
-        mean_distance_m, progress_mps: means over the seeds.
-        deviation_m: standard deviation of the mean distance over the seeds.
-        completed: part of the runs.
-    """
-
-    world: str
-    path: str
-    planner: str
-    mean_distance_m: float
-    deviation_m: float
-    progress_mps: float
-    completed: float
+_COLOURS = (MEASURED, ALARM, PREDICTED, ESTIMATED, TRUE)
+_SWUM_MMPS = 50  # no faster does it swim
+_PROGRESS_TICKS_MMPS = (0, 10, 20, 30, 40, 50, 500)
+_DISTANCE_TICKS_MM = (0, 1, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000)
 
 
 def planners_of(robot: Robot) -> tuple[Planner, ...]:
@@ -187,75 +99,6 @@ def settings_of(words: Sequence[str], robot: Robot) -> tuple[Setting, ...]:
     if twice:
         raise InputError(f"two worlds are named {twice[0]!r}: give each once, and files other names")
     return settings
-
-
-def run_cases(
-    robot: Robot,
-    tables: Mapping[str, Path],
-    planners: Sequence[Planner],
-    settings: Sequence[Setting],
-    cases: Sequence[Case],
-    out: Path,
-    workers: int = 1,
-    progress: Callable[[int, int], None] = lambda _done, _all: None,
-    courses: Sequence[Course] = (),
-) -> dict[Case, Outcome]:
-    """Run every case; not again those that ``out`` holds of the same code, tables, world and course.
-
-    Args:
-        robot: the swimmer, as the pool and the firmware have it without the effects of its file.
-        tables: what planners call their table -> table image.
-        planners, settings: by which the cases name theirs.
-        cases: what to run.
-        out: folder for results and firmware.
-        workers: processes.
-        progress: called with cases done and to do.
-        courses: that cases name besides shapes.
-
-    Raises:
-        FrogkickError: of the robot, the pool or the tables.
-    """
-    libraries = {
-        name: build("native", path, robot, out / f"firmware-{name}").image for name, path in tables.items()
-    }
-    worlds = {setting.name: setting.sha256 for setting in settings}
-    ways = {course.name: course.sha256 for course in courses}
-
-    def conditions(case: Case) -> str | None:
-        return f"{worlds[case.world]} {ways.get(case.path, '')}" if case.world in worlds else None
-
-    stamp = _stamp(robot, tables, libraries, planners)
-    kept = Kept(out / "runs.jsonl", stamp, conditions)
-    waiting = [case for case in cases if case not in kept.outcomes]
-    given = (robot, dict(tables), libraries, tuple(planners), tuple(settings), tuple(courses))
-    job = Job(_start, given, _run, _warm)
-    progress(len(cases) - len(waiting), len(cases))
-    for index, outcome in run_chunks(job, waiting, workers):
-        kept.add(waiting[index], outcome)
-        progress(sum(case in kept.outcomes for case in cases), len(cases))
-    return {case: kept.outcomes[case] for case in cases}
-
-
-def summaries(outcomes: Mapping[Case, Outcome]) -> list[Summary]:
-    """Means over the seeds, in the order of the cases."""
-    groups: dict[tuple[str, str, str], list[Outcome]] = {}
-    for case, outcome in outcomes.items():
-        groups.setdefault((case.world, case.path, case.planner), []).append(outcome)
-    found = []
-    for (world, path, planner), runs in groups.items():
-        distance = np.array([run.mean_distance_m for run in runs])
-        found.append(
-            Summary(
-                world,
-                path,
-                planner,
-                float(distance.mean()),
-                float(distance.std()),
-                float(np.mean([run.progress_mps for run in runs])),
-                float(np.mean([run.completed for run in runs])),
-            )
-        )
-    return found
 
 
 @dataclass(frozen=True)
@@ -314,66 +157,220 @@ def judge(rows: Sequence[Summary], world: str, planners: Sequence[Planner], dept
     return Verdict(world, distance_m, progress_mps, ratios, tuple(missed))
 
 
-def _stamp(
-    robot: Robot, tables: Mapping[str, Path], libraries: Mapping[str, Path], planners: Sequence[Planner]
-) -> str:
-    digest = hashlib.sha256(code_stamp("frogkick_studies").encode() + robot.sha256)
-    for name in sorted(tables):
-        # A native library is named after all of its sources.
-        digest.update(f"{name} {libraries[name].name}\n".encode() + tables[name].read_bytes())
-    digest.update(repr(planners).encode())
-    return digest.hexdigest()
+@dataclass(frozen=True, eq=False)
+class PlannersCompared(Found):
+    """The paper's planner and the robot's on the same paths, in the same worlds.
+
+    Attributes:
+        outcomes: each run.
+        rows: means over the seeds, of each planner along each path in each world.
+        verdicts: for each world whether the robot's planner does what is asked of it.
+        planners: their names.
+        seeds: runs of each.
+        table_bytes: sizes of both tables.
+    """
+
+    outcomes: Mapping[Case, Outcome]
+    rows: Sequence[Summary]
+    verdicts: Sequence[Verdict]
+    planners: Sequence[str]
+    seeds: int
+    table_bytes: Mapping[str, int]
+
+    @property
+    def passed(self) -> bool:
+        """Whether in every world all that is asked is so."""
+        return all(verdict.passed for verdict in self.verdicts)
+
+    def plot(self) -> Figure:
+        """A matplotlib figure: distance and progress of each planner."""
+        worlds = [verdict.world for verdict in self.verdicts]
+        paths = list(dict.fromkeys(row.path for row in self.rows))
+        return loop_figure(self.outcomes, worlds, paths, list(self.planners))
+
+    def as_json(self) -> dict[str, Any]:
+        """The keys of the command, without its picture."""
+        return {
+            "rows": [dataclasses.asdict(row) for row in self.rows],
+            "over_paths": {
+                verdict.world: {**dataclasses.asdict(verdict), "passed": verdict.passed}
+                for verdict in self.verdicts
+            },
+            "seeds": self.seeds,
+            "table_bytes": dict(self.table_bytes),
+        }
+
+    def text(self, values: dict[str, Any]) -> str:
+        """A line for each planner."""
+        lines = table_of_rows(self.rows)
+        wide = max(len(row.planner) for row in self.rows)
+        for verdict in self.verdicts:
+            lines.append(f"{verdict.world}, over all paths:")
+            lines += [
+                f"  {name:{wide}s}  {1e3 * distance_m:6.2f} mm ({verdict.ratio_to_paper[name]:.2f} of the "
+                f"paper's), {1e3 * verdict.progress_mps[name]:5.1f} mm/s"
+                for name, distance_m in verdict.mean_distance_m.items()
+            ]
+            lines += [f"  missed: {text}" for text in verdict.missed] or ["  all that was asked is so"]
+        return "\n".join(lines)
 
 
-@dataclass(frozen=True)
-class _Ready:
-    robot: Robot
-    tables: dict[str, Tables]
-    libraries: dict[str, Path]
-    planners: dict[str, Planner]
-    settings: dict[str, Setting]
-    courses: dict[str, Course]
+def run(config: Loop) -> PlannersCompared:
+    """Distance to the path and progress: the paper's planner against the robot's, depth 1 to 3.
 
-
-def _start(
-    robot: Robot,
-    tables: dict[str, Path],
-    libraries: dict[str, Path],
-    planners: tuple[Planner, ...],
-    settings: tuple[Setting, ...],
-    courses: tuple[Course, ...],
-) -> _Ready:
-    return _Ready(
-        robot,
-        {name: read_image(path) for name, path in tables.items()},
-        libraries,
-        {planner.name: planner for planner in planners},
-        {setting.name: setting for setting in settings},
-        {course.name: course for course in courses},
+    Raises:
+        InputError: an unknown path or world, or a library of another robot.
+        ToolchainError: no compiler for the core.
+    """
+    robot = load_robot(config.robot)
+    settings = settings_of(list(config.world or (NOMINAL.name, HIDDEN.name)), robot)
+    names = shape_names(config.path)
+    require_tools("native")
+    out, processes = config.out, config.workers or os.cpu_count() or 1
+    images = {PAPER: out / "paper.fkt", ROBOT: config.tables or out / "robot.fkt"}
+    read = library_of(robot, config.library, out / "library.h5", processes, PAPER_STATES, "box")
+    write_bytes(images[PAPER], quantise(read))
+    if config.tables is None:
+        fit_own_table(read, images[ROBOT])
+    planners = planners_of(robot)
+    cases = [
+        Case(setting.name, name, planner.name, seed)
+        for setting in settings
+        for name in names
+        for planner in planners
+        for seed in range(config.seeds)
+    ]
+    with shown(True, "runs") as tell:
+        outcomes = run_cases(robot, images, planners, settings, cases, out, processes, tell)
+    rows = summaries(outcomes)
+    return PlannersCompared(
+        outcomes,
+        rows,
+        [judge(rows, each.name, planners, robot.planner.depth) for each in settings],
+        [planner.name for planner in planners],
+        config.seeds,
+        {name: image.stat().st_size for name, image in images.items()},
     )
 
 
-def _warm(ready: _Ready) -> None:
-    Pool(ready.robot, (0.0, 0.0, 0.0), Camera(), np.random.default_rng(0)).advance(0.01)
+def table_of_rows(rows: Sequence[Summary]) -> list[str]:
+    """A line of text for each."""
+    wide = [max(len(getattr(row, name)) for row in rows) for name in ("world", "path", "planner")]
+    return [
+        f"{row.world:{wide[0]}s}  {row.path:{wide[1]}s}  {row.planner:{wide[2]}s}  "
+        f"{1e3 * row.mean_distance_m:6.2f} +- {1e3 * row.deviation_m:5.2f} mm, "
+        f"{1e3 * row.progress_mps:5.1f} mm/s, {100 * row.completed:3.0f} % completed"
+        for row in rows
+    ]
 
 
-def _run(ready: _Ready, case: Case) -> Outcome:
-    planner = ready.planners[case.planner]
-    course = ready.courses.get(case.path) or course_of(case.path)
-    world, rng = ready.settings[case.world].world(), np.random.default_rng(case.seed)
-    pool = Pool(ready.robot, course.start_world, Camera(), rng, world)
-    recording = run_in_pool(
-        NativeRobot(ready.libraries[planner.table], len(ready.robot.limbs)),
-        pool,
-        ready.tables[planner.table],
-        course.path,
-        RunOptions(planner.config, time_limit_s=TIME_LIMIT_S),
+def loop_figure(
+    outcomes: Mapping[Case, Outcome],
+    worlds: Sequence[str],
+    paths: Sequence[str],
+    planners: Sequence[str],
+    recorded: Mapping[str, tuple[float, float]] | None = None,
+) -> Figure:
+    """A column for each world; each run a point, a bar the middle half of the seeds, a line their median.
+
+    Args:
+        outcomes: the study's.
+        worlds, paths, planners: names, in the order to draw them; the first planner is the paper's, half of
+            whose mean distance is drawn beside the others' where nothing is recorded.
+        recorded: path -> mean distance (m) and progress (m/s) of a recorded run, drawn across.
+    """
+    with styled():
+        wide = max(5.2, 1.2 * len(paths))
+        figure = Figure(figsize=(1.6 + wide * len(worlds), 7.0), layout="constrained")
+        axes = figure.subplots(2, len(worlds), squeeze=False, sharey="row", sharex=True)
+        for column, world in enumerate(worlds):
+            _draw(axes[0, column], outcomes, "mean_distance_m", (world, paths, planners))
+            _draw(axes[1, column], outcomes, "progress_mps", (world, paths, planners))
+            if recorded is None:
+                _draw_half(axes[0, column], outcomes, (world, paths, planners))
+            else:
+                _draw_across(axes[0, column], [recorded.get(path, (nan, nan))[0] for path in paths])
+                _draw_across(axes[1, column], [recorded.get(path, (nan, nan))[1] for path in paths])
+            axes[0, column].set_title(f"world: {world}")
+            axes[1, column].set_xticks(range(len(paths)), paths)
+            axes[1, column].set_xlim(-0.5, len(paths) - 0.5)
+            for edge in range(1, len(paths)):
+                for row in (0, 1):
+                    axes[row, column].axvline(edge - 0.5, color="black", alpha=0.15, linewidth=0.8)
+        for row in (0, 1):
+            for one in axes[row]:
+                one.grid(axis="x", visible=False)
+        axes[0, 0].set_ylabel("mean distance to the path (mm)")
+        axes[1, 0].set_ylabel("progress along the path (mm/s)")
+        drawn = list((recorded or {}).values())
+        drawn += [(outcome.mean_distance_m, outcome.progress_mps) for outcome in outcomes.values()]
+        farthest_mm, fastest_mmps = (1e3 * max(one[which] for one in drawn) for which in (0, 1))
+        slowest_mmps = min(1e3 * outcome.progress_mps for outcome in outcomes.values())
+        axes[0, 0].set_yscale("symlog", linthresh=1.0, linscale=0.4)
+        axes[0, 0].set_yticks(_DISTANCE_TICKS_MM, [str(tick) for tick in _DISTANCE_TICKS_MM])
+        axes[0, 0].set_ylim(-0.1, 1.4 * max(farthest_mm, 1.0))
+        axes[0, 0].minorticks_off()
+        if fastest_mmps > _SWUM_MMPS:  # a run that took the path's end for its start
+            axes[1, 0].set_yscale("symlog", linthresh=_SWUM_MMPS, linscale=4.0)
+            axes[1, 0].set_yticks(_PROGRESS_TICKS_MMPS, [str(tick) for tick in _PROGRESS_TICKS_MMPS])
+            axes[1, 0].minorticks_off()
+        axes[1, 0].set_ylim(min(0.0, 1.08 * slowest_mmps), max(1.08 * fastest_mmps, 1.0))
+        handles: list[Any] = [
+            axes[0, 0].plot([], [], "s", color=_COLOURS[index % len(_COLOURS)], label=planner)[0]
+            for index, planner in enumerate(planners)
+        ]
+        dashed = f"half of {planners[0]}'s" if recorded is None else "recorded run"
+        if recorded != {}:
+            handles += axes[0, 0].plot([], [], "--", color="black", linewidth=1, label=dashed)
+        figure.legend(handles=handles, loc="outside upper center", ncols=min(3, len(handles)))
+    return figure
+
+
+def _values(
+    outcomes: Mapping[Case, Outcome], name: str, world: str, path: str, planner: str
+) -> npt.NDArray[np.float64]:
+    """Of each seed, in mm or mm/s."""
+    return np.array(
+        [
+            1e3 * getattr(outcome, name)
+            for case, outcome in outcomes.items()
+            if (case.world, case.path, case.planner) == (world, path, planner)
+        ]
     )
-    tracked = tracking_of_recording(recording, pool, ready.robot, course.path)
-    return Outcome(
-        tracked.mean_distance_m,
-        tracked.progress_mps,
-        recording.completed,
-        recording.ended,
-        tracked.decisions,
-    )
+
+
+def _draw_half(
+    axes: Any, outcomes: Mapping[Case, Outcome], which: tuple[str, Sequence[str], Sequence[str]]
+) -> None:
+    world, paths, planners = which
+    values = [_values(outcomes, "mean_distance_m", world, path, planners[0]) for path in paths]
+    _draw_across(axes, [0.5e-3 * one.mean() if one.size else nan for one in values])
+
+
+def _draw_across(axes: Any, values: Sequence[float]) -> None:
+    """Draw a dashed line for each path, of a value in SI units; NaN: none."""
+    for place, value in enumerate(values):
+        if not isnan(value):
+            axes.plot([place - 0.45, place + 0.45], [1e3 * value] * 2, "--", color="black", linewidth=1)
+
+
+def _draw(
+    axes: Any,
+    outcomes: Mapping[Case, Outcome],
+    name: str,
+    which: tuple[str, Sequence[str], Sequence[str]],
+) -> None:
+    world, paths, planners = which
+    width = 0.8 / len(planners)
+    for place, path in enumerate(paths):
+        for index, planner in enumerate(planners):
+            values = _values(outcomes, name, world, path, planner)
+            if not values.size:
+                continue
+            at = place + (index - 0.5 * (len(planners) - 1)) * width
+            colour = _COLOURS[index % len(_COLOURS)]
+            low, middle, high = np.percentile(values, [25, 50, 75])
+            axes.bar(at, high - low, width * 0.85, low, color=colour, alpha=0.35, linewidth=0)
+            axes.plot([at - 0.42 * width, at + 0.42 * width], [middle, middle], color=colour, linewidth=2)
+            spread = np.linspace(-0.3, 0.3, values.size) * width if values.size > 1 else 0.0
+            axes.plot(at + spread, values, ".", color=colour, markersize=3)

@@ -1,370 +1,323 @@
-"""Effects fitted to some groups of measured open-loop swims, tested on the groups left out.
-
-A measured swim is one number here: its steady speed. A fraction has some ten to thirty of them, each known to
-some 4 mm/s, so few parameters can be told from them, and most effects of the catalogue not at all: what turns
-the robot, what fades after the first strokes, what one limb alone does. The candidates are what is left, all
-of them the same for every alloy; what differs between alloys is the measured limb profile and nothing else.
-
-A parameter is sought near what physics expects, by how much such a thing may well be off: its distance
-counts as one more miss. Effects are taken up one after another, while predicting swims that were left out of
-the fit gets better by it beyond its sampling error. Whole groups are left out, as swims of one alloy or of
-neighbouring frequencies share what is wrong with them: each EGaIn fraction (where there are several), and
-each of three bands of frequency. An effect must win in both ways; where none does the nominal model stays.
-The swims of the test are not looked at.
-"""
+"""Effects fitted to some groups of measured open-loop swims, tested on the groups left out (``fits.py``)."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+import os
+import re
+import tomllib
+from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import product
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
-from frogkick.robot import Robot
-from frogkick.validation.noise import Noise, noise_of
-from frogkick.validation.validate import ExperimentResult, Validation, root_mean_square
-from frogkick.validation.validate import validate as run_validation
-from frogkick_studies.openloop_groups import gain_of, groupings, plans_of
-from frogkick_studies.steady import CANDIDATES, Free, Simulation, Table, expected, tables_of
+from frogkick.core.errors import InputError
+from frogkick.core.files import write_text
+from frogkick.core.progress import shown
+from frogkick.report import style
+from frogkick.robot import Robot, load_robot
+from frogkick.robot.toml_text import to_toml
+from frogkick.validation.validate import authors_rmse_mps, speed_rmse_mps
+from frogkick_studies import Found
+from frogkick_studies.configs import Openloop
+from frogkick_studies.fits import OpenLoop, Predicted, Split, open_loop, rmse_by_group
+from frogkick_studies.steady import gain_of, with_effects
 
-FloatArray = NDArray[np.float64]
-
-MOST_EFFECTS = 2
-TRIED = 1
-"""Candidates of a round that are fitted; the others fall behind already where all is taken as linear."""
-
-_SD_MPS = 0.004  # of a measured speed, where the fraction itself does not tell it
-_LEAST_SD_MPS = 0.002
-_STEP = 0.15  # of a finite difference, in widths: limbs that ring make speeds rough over less
-_EDGE = 1e-3  # from a bound, in widths, where a fit may start
-_Z95 = 1.96
+_MARKS = "os^Dv<>P"
 
 
-@dataclass(frozen=True)
-class Estimate:
-    """A fitted parameter: its value, and between what it lies with 95 %."""
-
-    free: Free
-    value: float
-    low: float
-    high: float
-
-
-@dataclass(frozen=True)
-class Turn:
-    """Effects that were tried on left-out groups.
+@dataclass(frozen=True, eq=False)
+class OpenLoopStudy(Found):
+    """Effects fitted to some groups of measured swims, and what they predict of the others.
 
     Attributes:
-        parameters: names of all of them.
-        gains: way of grouping -> by how much the mean square error on left-out swims fell, m^2/s^2, and
-            between what that lies with 95 %.
-        taken: they predict better in every way of grouping.
+        nominal: the robot without them.
+        found: each split of the swims.
+        robots: file of the nominal robot with the effects fitted, of each split; empty: not written.
     """
 
-    parameters: tuple[str, ...]
-    gains: Mapping[str, tuple[float, float, float]]
-    taken: bool
+    nominal: Robot
+    found: OpenLoop
+    robots: Sequence[Path]
+
+    def plot(self) -> Figure:
+        """A matplotlib figure: measured and predicted speeds of each split."""
+        return openloop_figure(self.found)
+
+    def as_json(self) -> dict[str, Any]:
+        """The keys of the command, without its files."""
+        validation, splits = self.found.validation, self.found.splits
+        group = "experiments"
+        kinds = dict.fromkeys(split.kind for split in splits)
+        pooled = {kind: [row for s in splits if s.kind == kind for row in s.test] for kind in kinds}
+        return {
+            "robot": validation.robot.id,
+            "nominal": {
+                "rmse_mps": {g: v for g, v in speed_rmse_mps(validation).items() if g.startswith(group)},
+                "authors_rmse_mps": authors_rmse_mps(validation),
+            },
+            "noise_floor_mps": self.found.noise.neighbours,
+            "test": _errors(pooled[next(iter(kinds))]),
+            "test_by_kind": {kind: _errors(rows) for kind, rows in pooled.items()},
+            "splits": [
+                _split_row(split) | ({"robot": str(self.robots[place])} if self.robots else {})
+                for place, split in enumerate(splits)
+            ],
+            "skipped": [
+                {"case": skipped.case, "reason": skipped.reason}
+                for skipped in validation.skipped
+                if skipped.case.startswith(("exp", "profile"))
+            ],
+        }
+
+    def text(self, values: dict[str, Any]) -> str:
+        """A line for each row."""
+        nominal, floor = values["nominal"], values["noise_floor_mps"]
+        lines = []
+        for group, rmse in nominal["rmse_mps"].items():
+            line = f"nominal {group}: speed RMSE {_mm(rmse)} mm/s"
+            if group in nominal["authors_rmse_mps"]:
+                line += f"; the authors' simulation {_mm(nominal['authors_rmse_mps'][group])}"
+            lines.append(line + (f", noise floor {_mm(floor[group])}" if group in floor else ""))
+        for split in values["splits"]:
+            lines.append(f"fitted to {split['fitted_to']}:")
+            for p in split["parameters"]:
+                unit = "" if p["unit"] == "1" else f" {p['unit']}"
+                lines.append(
+                    f"  {p['name']} {p['value']:.3g}{unit} ({p['low']:.3g} to {p['high']:.3g}; "
+                    f"plain model {p['nominal']:g})"
+                )
+            if not split["parameters"]:
+                lines.append(
+                    "  no effect predicts left-out groups better beyond sampling error: the plain model stays"
+                )
+            for turn in split["tried"]:
+                gains = ", ".join(f"by {way} {_gain(g)}" for way, g in turn["mse_gain_m2_per_s2"].items())
+                lines.append(
+                    f"  tried {' '.join(turn['parameters'])}: mean square error of left-out groups falls "
+                    f"{gains} mm^2/s^2: {'taken' if turn['taken'] else 'not taken'}"
+                )
+            left = split["left_out_rmse_mps"]
+            lines.append(
+                f"  left-out swims: nominal {_mm(left['nominal'])}, with effects {_mm(left['effects'])}"
+            )
+            for use in ("train", "test"):
+                rows = {"all": split[use], **split[use]["by_group"]}
+                for group, row in rows.items():
+                    lines.append(
+                        f"  {use} {group}: nominal {_mm(row['nominal_rmse_mps'])}, with effects "
+                        f"{_mm(row['rmse_mps'])} mm/s"
+                    )
+        for kind, test in values["test_by_kind"].items():
+            lines.append(
+                f"all tests by {kind}: nominal {_mm(test['nominal_rmse_mps'])}, with effects "
+                f"{_mm(test['rmse_mps'])} mm/s over {test['swims']} swims not fitted to"
+            )
+        lines += [f"skipped {skipped['case']}: {skipped['reason']}" for skipped in values["skipped"]]
+        return "\n".join(lines)
 
 
-@dataclass(frozen=True)
-class Fitted:
-    """Effects fitted to some swims.
-
-    Attributes:
-        estimates: of all parameters; none where nothing predicts left-out groups better than the plain model.
-        left_out_mps: RMSE on swims left out of the fit, without effects and after each that was taken up.
-        sd_mps: what a measured speed was taken to be known to.
-        turns: what was tried, in order.
-    """
-
-    estimates: tuple[Estimate, ...]
-    left_out_mps: tuple[float, ...]
-    sd_mps: float
-    turns: tuple[Turn, ...] = ()
-
-    @property
-    def tables(self) -> tuple[Table, ...]:
-        """As a robot's TOML has them."""
-        return tables_of({estimate.free: estimate.value for estimate in self.estimates})
-
-
-@dataclass(frozen=True)
-class Predicted:
-    """A measured swim and its prediction: NaN where the simulation failed."""
-
-    experiment: ExperimentResult
-    speed_mps: float
-
-    @property
-    def error_mps(self) -> float:
-        """Prediction less measurement."""
-        return self.speed_mps - self.experiment.reference.speed_mps
-
-
-@dataclass(frozen=True)
-class Split:
-    """Fitted on some groups: predictions of their own swims and of those left out.
-
-    Attributes:
-        kind: what tells the groups apart: ``egain``, ``frequency`` or ``folder``.
-        name: of what it was fitted to, in words.
-    """
-
-    kind: str
-    name: str
-    fitted: Fitted
-    train: tuple[Predicted, ...]
-    test: tuple[Predicted, ...]
+def _split_row(split: Split) -> dict[str, Any]:
+    scores = split.fitted.left_out_mps
+    return {
+        "kind": split.kind,
+        "fitted_to": split.name,
+        "train_egain_percent": sorted({row.experiment.case.gait.egain_percent for row in split.train}),
+        "test_egain_percent": sorted({row.experiment.case.gait.egain_percent for row in split.test}),
+        "parameters": [
+            {
+                "name": estimate.free.name,
+                "value": estimate.value,
+                "low": estimate.low,
+                "high": estimate.high,
+                "nominal": estimate.free.declared.nominal,
+                "unit": estimate.free.declared.unit,
+            }
+            for estimate in split.fitted.estimates
+        ],
+        "effects": list(split.fitted.tables),
+        "left_out_rmse_mps": {"nominal": scores[0], "effects": scores[-1]},
+        "tried": [
+            {
+                "parameters": list(turn.parameters),
+                "taken": turn.taken,
+                "mse_gain_m2_per_s2": {
+                    way: {"value": gain, "interval": [low, high]}
+                    for way, (gain, low, high) in turn.gains.items()
+                },
+            }
+            for turn in split.fitted.turns
+        ],
+        "assumed_sd_mps": split.fitted.sd_mps,
+        "train": _errors(split.train),
+        "test": _errors(split.test),
+        "cases": [_case(row, name) for name in ("train", "test") for row in getattr(split, name)],
+    }
 
 
-@dataclass(frozen=True)
-class OpenLoop:
-    """All splits of measured swims, and what the plain model makes of the (training) folder's."""
+def _errors(rows: Sequence[Predicted]) -> dict[str, Any]:
+    nominal, effects = rmse_by_group(rows, nominal=True), rmse_by_group(rows)
+    mean = [row.error_mps for row in rows if math.isfinite(row.error_mps)]
+    swum = [row for row in rows if math.isfinite(row.error_mps)]
+    gain = gain_of(
+        np.array([row.experiment.error_mps for row in swum]), np.array([row.error_mps for row in swum])
+    )
+    return {
+        "swims": len(rows),
+        "failed": sum(not math.isfinite(row.speed_mps) for row in rows),
+        "nominal_rmse_mps": nominal["all"],
+        "rmse_mps": effects["all"],
+        "mse_gain_m2_per_s2": {"value": gain[0], "interval": list(gain[1:])},
+        "nominal_mean_error_mps": sum(row.experiment.error_mps for row in rows) / max(len(rows), 1),
+        "mean_error_mps": sum(mean) / len(mean) if mean else math.nan,
+        "by_group": {
+            group: {"nominal_rmse_mps": nominal[group], "rmse_mps": effects.get(group, math.nan)}
+            for group in nominal
+            if group != "all"
+        },
+    }
 
-    validation: Validation
-    noise: Noise
-    splits: tuple[Split, ...]
+
+def _case(row: Predicted, use: str) -> dict[str, Any]:
+    experiment, gait = row.experiment, row.experiment.case.gait
+    return {
+        "case": experiment.case.name,
+        "use": use,
+        "egain_percent": gait.egain_percent,
+        "frequency_hz": gait.frequency_hz,
+        "phase": gait.phase,
+        "measured_mps": experiment.reference.speed_mps,
+        "nominal_mps": experiment.model_mps,
+        "predicted_mps": row.speed_mps,
+        "profile": experiment.profile,
+    }
 
 
-def open_loop(
-    robot: Robot,
-    folder: Path,
-    train: Sequence[float] = (),
-    test: Sequence[float] = (),
-    workers: int = 1,
-    progress: Callable[[int, int], None] | None = None,
-    test_folder: Path | None = None,
-) -> OpenLoop:
-    """Fit effects to some groups of measured swims, predict the others.
+def _mm(value: float) -> str:
+    return f"{1e3 * value:.2f}"
 
-    Without ``train``, ``test`` and ``test_folder`` each EGaIn fraction and each band of frequency is left out
-    in turn, where enough swims remain.
 
-    Args:
-        robot: nominal.
-        folder: laid out as ``frogkick.validation.measured`` says.
-        train: EGaIn fractions, per cent, that are fitted to one at a time; with ``test_folder`` together.
-        test: fractions to predict; by default all but that of the fit, with ``test_folder`` all.
-        workers: processes.
-        progress: called with (rounds done, at most).
-        test_folder: another folder of the kind; then all is fitted to ``folder`` and tested on this one, each
-            with its own limb profiles.
+def _gain(gain: dict[str, Any]) -> str:
+    value, low, high = (1e6 * each for each in (gain["value"], *gain["interval"]))
+    return f"{value:.2f} [{low:.2f}, {high:.2f}]"
+
+
+def run(config: Openloop) -> OpenLoopStudy:
+    """Fit effects to some groups of measured swims, and predict the speeds of those left out.
 
     Raises:
         InputError: no data, a fraction without swims, too few to fit to, or none left to test on.
     """
-    validation = run_validation(robot, folder, workers)
-    other = validation if test_folder is None else run_validation(robot, test_folder, workers)
-    plans = plans_of(validation.experiments, other.experiments, train, test, test_folder is not None)
-    splits = []
-    for place, (kind, name, own, tested) in enumerate(plans):
-        simulation = Simulation(robot, validation.profiles.profiles, workers)
-        fitted = fit_rows(simulation, own, _told(progress, place, len(plans)))
-        there = simulation
-        if test_folder is not None:
-            there = Simulation(robot, other.profiles.profiles, workers)
-        splits.append(
-            Split(kind, name, fitted, _predicted(simulation, fitted, own), _predicted(there, fitted, tested))
-        )
-    return OpenLoop(validation, noise_of(other.experiments), tuple(splits))
+    data, train, test = config.data_dir, config.train, config.test
+    if (train is None) != (test is None) or (train is None) == (data is None):
+        raise InputError("give DATA_DIR, or both --train DIR and --test DIR")
+    folder = data if train is None else train
+    assert folder is not None
+    nominal, cores = load_robot(config.robot), config.workers or os.cpu_count() or 1
+    fractions = config.train_egain or (), config.test_egain or ()
+    with shown(True, "openloop: rounds of fits") as tell:
+        found = open_loop(nominal, folder, *fractions, cores, tell, test)
+    return OpenLoopStudy(
+        nominal, found, [] if config.out is None else save_robots(nominal, found, config.out)
+    )
 
 
-def _predicted(
-    simulation: Simulation, fitted: Fitted, rows: Sequence[ExperimentResult]
-) -> tuple[Predicted, ...]:
-    speeds = simulation.speeds([fitted.tables], [row.case.gait for row in rows])[0]
-    return tuple(Predicted(row, float(speed)) for row, speed in zip(rows, speeds, strict=True))
+def save_robots(nominal: Robot, found: OpenLoop, folder: Path) -> list[Path]:
+    """Write for each split the nominal robot with the effects fitted (TOML); the files.
 
-
-def _told(
-    progress: Callable[[int, int], None] | None, before: int, splits: int
-) -> Callable[[int], None] | None:
-    if progress is None:
-        return None
-    return lambda done: progress(before * MOST_EFFECTS + done, splits * MOST_EFFECTS)
-
-
-class _Fit:
-    """Fits of some parameters to some swims."""
-
-    def __init__(
-        self, simulation: Simulation, rows: Sequence[ExperimentResult], sd_mps: float | None = None
-    ) -> None:
-        self.simulation = simulation
-        distinct = {(row.case.gait, round(row.reference.speed_mps, 9)): row for row in rows}
-        self.rows = sorted(
-            distinct.values(), key=lambda row: (row.case.gait.frequency_hz, row.case.gait.phase)
-        )
-        self.gaits = [row.case.gait for row in self.rows]
-        self.measured = np.array([row.reference.speed_mps for row in self.rows])
-        told = noise_of(self.rows).neighbours.get("experiments", _SD_MPS) if sd_mps is None else sd_mps
-        self.sd_mps = max(told, _LEAST_SD_MPS)
-        self.groupings = groupings(self.rows)
-
-    def missed(self, frees: Sequence[Free], points: Sequence[FloatArray]) -> FloatArray:
-        """(len(points), n) prediction less measurement in standard deviations; a failed one stands still."""
-        tables = [
-            tables_of({f: f.value(float(z)) for f, z in zip(frees, point, strict=True)}) for point in points
-        ]
-        speeds = np.nan_to_num(self.simulation.speeds(tables, self.gaits), nan=0.0)
-        return np.asarray((speeds - self.measured) / self.sd_mps)
-
-    def jacobian(self, frees: Sequence[Free], point: FloatArray, first: int = 0) -> FloatArray:
-        """(n, p - first) of these, by finite differences that stay within the bounds."""
-        high = np.array([free.bounds[1] for free in frees])
-        steps = np.where(point + _STEP > high, -_STEP, _STEP)[first:]
-        moves = np.eye(len(frees))[first:] * steps[:, None]
-        base, *moved = self.missed(frees, [point, *(point + moves)])
-        return np.stack([(there - base) / step for there, step in zip(moved, steps, strict=True)], axis=1)
-
-    def fit(self, frees: Sequence[Free], start: FloatArray) -> FloatArray:
-        """(p,) likeliest distances from the plain model, in widths."""
-        from scipy.optimize import least_squares
-
-        low, high = np.array([free.bounds for free in frees]).T
-        found = least_squares(
-            lambda z: np.concatenate([self.missed(frees, [z])[0], z - expected(frees)]),
-            np.clip(start, low + _EDGE, high - _EDGE),
-            jac=lambda z: np.vstack([self.jacobian(frees, z), np.eye(len(frees))]),
-            bounds=(low, high),
-            ftol=2e-3,
-            xtol=1e-2,
-            max_nfev=25,
-        )
-        return np.asarray(found.x)
-
-    def folds(self, way: str) -> Iterator[NDArray[np.bool_]]:
-        """Which swims are kept, for each group of a way that is left out."""
-        label = np.array(self.groupings[way])
-        for group in sorted(set(self.groupings[way])):
-            yield label != group
-
-    def roughly_left_out(self, frees: Sequence[Free], point: FloatArray, jacobian: FloatArray) -> float:
-        """RMSE, m/s, of groups left out, the worse way of grouping, all taken as linear about a point."""
-        from scipy.optimize import lsq_linear
-
-        missed = self.missed(frees, [point])[0]
-        low, high = np.array([free.bounds for free in frees]).reshape(-1, 2).T
-        room = (np.minimum(low - point, -1e-9), np.maximum(high - point, 1e-9))
-        errors = []
-        for way in self.groupings:
-            after = missed.copy()
-            for kept in self.folds(way):
-                matrix = np.vstack([jacobian[kept], np.eye(len(frees))])
-                wanted = -np.concatenate([missed[kept], point - expected(frees)])
-                after[~kept] = missed[~kept] + jacobian[~kept] @ lsq_linear(matrix, wanted, room).x
-            errors.append(root_mean_square(after.tolist()))
-        return self.sd_mps * max(errors)
-
-    def left_out(self, frees: Sequence[Free]) -> dict[str, FloatArray]:
-        """Way of grouping -> (n,) misses, m/s, of swims left out of fits that never saw their group."""
-        if not len(frees):
-            plain = self.sd_mps * self.missed((), [np.empty(0)])[0]
-            return dict.fromkeys(self.groupings, plain)
-        found = {}
-        for way in self.groupings:
-            errors = np.empty(len(self.rows))
-            for kept in self.folds(way):
-                rows = [row for row, its in zip(self.rows, kept, strict=True) if its]
-                part = _Fit(self.simulation, rows, self.sd_mps)
-                point = part.fit(frees, _begin(part, frees, (), np.empty(0)))
-                errors[~kept] = self.sd_mps * self.missed(frees, [point])[0][~kept]
-            found[way] = errors
-        return found
-
-
-def fit_rows(
-    simulation: Simulation, rows: Sequence[ExperimentResult], told: Callable[[int], None] | None = None
-) -> Fitted:
-    """Choose and fit effects by some swims alone.
-
-    Args:
-        rows: measured swims; one that stands in two sweeps counts once.
-        told: called with the rounds done.
+    Raises:
+        InputError: the folder cannot be written to.
     """
-    fit = _Fit(simulation, rows)
-    frees: tuple[Free, ...] = ()
-    point, errors = np.empty(0), fit.left_out(())
-    scores, turns = [_worst(errors)], []
-    for taken in range(MOST_EFFECTS):
-        best: tuple[float, tuple[Free, ...], dict[str, FloatArray]] | None = None
-        for more in _promising(fit, frees, point):
-            tried = (*frees, *more)
-            if len(tried) > len(fit.rows) // 3:
-                continue
-            after = fit.left_out(tried)
-            if best is None or _worst(after) < best[0]:
-                best = (_worst(after), tried, after)
-        if told is not None:
-            told(taken + 1)
-        if best is None:
-            break
-        gains = {way: gain_of(errors[way], best[2][way]) for way in errors}
-        wins = bool(gains) and all(low > 0.0 for _, low, _ in gains.values())
-        turns.append(Turn(tuple(free.name for free in best[1]), gains, wins))
-        if not wins:
-            break
-        _, frees, errors = best
-        scores.append(_worst(errors))
-        point = fit.fit(frees, _begin(fit, frees, (), np.empty(0)))
-    if told is not None:
-        told(MOST_EFFECTS)
-    return Fitted(tuple(_estimates(fit, frees, point)), tuple(scores), fit.sd_mps, tuple(turns))
+    files = []
+    for split in found.splits:
+        name = re.sub(r"[^a-z0-9.]+", "-", split.name.lower()).strip("-")
+        files.append(folder / f"{nominal.id}-{name}.toml")
+        table = tomllib.loads(nominal.toml)
+        effects = with_effects(nominal, split.fitted.tables).effects
+        if effects:
+            table["effect"] = [dict(effect) for effect in effects]
+        write_text(files[-1], to_toml(table))
+    return files
 
 
-def _worst(errors: Mapping[str, FloatArray]) -> float:
-    """RMSE of the way of grouping in which it is largest; NaN where the swims are all of one group."""
-    return max((root_mean_square(each.tolist()) for each in errors.values()), default=math.nan)
+def openloop_figure(found: OpenLoop) -> Figure:
+    """Draw ``open_loop``: a row for each fit; its test swims, its training swims, and both over frequency."""
+    with style.styled():
+        rows = len(found.splits)
+        figure = Figure(figsize=(13.0, 4.4 * rows + 0.5), layout="constrained")
+        panels = figure.subplots(rows, 3, squeeze=False)
+        every = [row for split in found.splits for row in (*split.train, *split.test)]
+        speeds = [1e3 * r.experiment.reference.speed_mps for r in every]
+        speeds += [1e3 * r.experiment.model_mps for r in every] + [1e3 * r.speed_mps for r in every]
+        low, high = min(0.0, float(np.nanmin(speeds))), 1.05 * float(np.nanmax(speeds))
+        fractions = sorted({row.experiment.case.gait.egain_percent for row in every})
+        marks = {percent: _MARKS[place % len(_MARKS)] for place, percent in enumerate(fractions)}
+        floor = found.noise.neighbours.get("experiments")
+        for (test, train, over), split in zip(panels, found.splits, strict=True):
+            _against(test, split.test, marks, (low, high), floor)
+            test.set_title(f"Fitted to {split.name}: predicted for others")
+            _against(train, split.train, marks, (low, high), floor)
+            train.set_title(f"The swims fitted to ({split.name})")
+            _over_frequency(over, split.test, marks, floor)
+            over.set_title("Error of the predictions over frequency")
+    return figure
 
 
-def _begin(fit: _Fit, tried: Sequence[Free], frees: Sequence[Free], point: FloatArray) -> FloatArray:
-    """Where a fit begins: what was found so far, and new ones at the best of their starts."""
-    known = dict(zip(frees, point.tolist(), strict=True))
-    places = [
-        (known[free],) if free in known else tuple(free.expected + start for start in free.starts)
-        for free in tried
-    ]
-    points = [np.array(place) for place in product(*places)]
-    costs = [float(missed @ missed) for missed in fit.missed(tried, points)]
-    away = [float(np.sum((each - expected(tried)) ** 2)) for each in points]
-    return points[int(np.argmin(np.add(costs, away)))]
+def _against(
+    axes: Axes,
+    rows: Sequence[Predicted],
+    marks: dict[float, str],
+    limits: tuple[float, float],
+    floor_mps: float | None,
+) -> None:
+    axes.plot(limits, limits, color=style.DESIRED, linewidth=0.9)
+    if floor_mps is not None:
+        wide = 1e3 * floor_mps
+        axes.fill_between(
+            limits, [limits[0] - wide, limits[1] - wide], [limits[0] + wide, limits[1] + wide],
+            color=style.DESIRED, alpha=0.15, linewidth=0.0, label=f"noise floor, {wide:.1f} mm/s",
+        )  # fmt: skip
+    nominal, effects = (1e3 * rmse_by_group(rows, nominal=plain)["all"] for plain in (True, False))
+    for percent, mark in marks.items():
+        some = [row for row in rows if row.experiment.case.gait.egain_percent == percent]
+        if not some:
+            continue
+        measured = [1e3 * row.experiment.reference.speed_mps for row in some]
+        axes.plot(
+            measured, [1e3 * row.experiment.model_mps for row in some], mark, color=style.DESIRED, ms=5,
+            fillstyle="none", label=f"nominal, {percent:g} %",
+        )  # fmt: skip
+        axes.plot(
+            measured, [1e3 * row.speed_mps for row in some], mark, color=style.TRUE, ms=5, alpha=0.8,
+            label=f"with effects, {percent:g} %",
+        )  # fmt: skip
+    axes.annotate(
+        f"RMSE {nominal:.2f} mm/s nominal,\n{effects:.2f} with effects", (0.03, 0.97),
+        xycoords="axes fraction", va="top",
+    )  # fmt: skip
+    axes.set_xlim(*limits)
+    axes.set_ylim(*limits)
+    axes.set_aspect("equal")
+    axes.set_xlabel("measured speed (mm/s)")
+    axes.set_ylabel("speed of the model (mm/s)")
+    axes.legend(loc="lower right")
 
 
-def _promising(fit: _Fit, frees: tuple[Free, ...], point: FloatArray) -> list[tuple[Free, ...]]:
-    """Parameters to add that predict left-out swims best where all is taken as linear about their start."""
-    rows = [tuple(free for free in row if free not in frees) for row in CANDIDATES if row[0] not in frees]
-    known = fit.jacobian(frees, point) if frees else np.empty((len(fit.rows), 0))
-    scored = []
-    for more in dict.fromkeys(rows):
-        tried = (*frees, *more)
-        start = _begin(fit, tried, frees, point)
-        new = fit.jacobian(tried, start, len(frees))
-        scored.append((fit.roughly_left_out(tried, start, np.hstack([known, new])), more))
-    return [more for _, more in sorted(scored, key=lambda pair: pair[0])[:TRIED]]
-
-
-def _estimates(fit: _Fit, frees: tuple[Free, ...], point: FloatArray) -> Iterator[Estimate]:
-    """Values with intervals: of the misses' curvature, where these scatter by more than noise by that."""
-    if not frees:
-        return
-    jacobian = fit.jacobian(frees, point)
-    missed = fit.missed(frees, [point])[0]
-    scatter = max(1.0, float(missed @ missed) / max(len(missed) - len(frees), 1))
-    covariance = np.linalg.inv(jacobian.T @ jacobian / scatter + np.eye(len(frees)))
-    for free, z, sd in zip(frees, point.tolist(), np.sqrt(np.diag(covariance)).tolist(), strict=True):
-        yield Estimate(free, free.value(z), free.value(z - _Z95 * sd), free.value(z + _Z95 * sd))
-
-
-def rmse_by_group(rows: Sequence[Predicted], nominal: bool = False) -> dict[str, float]:
-    """RMS error, m/s, over ``all`` and each group of swims that could be simulated."""
-    errors: dict[str, list[float]] = {"all": []}
+def _over_frequency(
+    axes: Axes, rows: Sequence[Predicted], marks: dict[float, str], floor_mps: float | None
+) -> None:
+    axes.axhline(0.0, color=style.DESIRED, linewidth=0.9)
+    if floor_mps is not None:
+        axes.axhspan(-1e3 * floor_mps, 1e3 * floor_mps, color=style.DESIRED, alpha=0.15, linewidth=0.0)
     for row in rows:
-        error = row.experiment.error_mps if nominal else row.error_mps
-        if math.isfinite(error):
-            errors["all"].append(error)
-            errors.setdefault(row.experiment.case.group, []).append(error)
-    return {group: root_mean_square(values) for group, values in errors.items()}
+        gait, nominal, effects = row.experiment.case.gait, row.experiment.error_mps, row.error_mps
+        at, mark = gait.frequency_hz, marks[gait.egain_percent]
+        axes.plot([at, at], [1e3 * nominal, 1e3 * effects], color=style.DESIRED, linewidth=0.5, alpha=0.6)
+        axes.plot(at, 1e3 * nominal, mark, color=style.DESIRED, fillstyle="none", ms=5)
+        axes.plot(at, 1e3 * effects, mark, color=style.TRUE, ms=5, alpha=0.8)
+    axes.set_xlabel("frequency (Hz)")
+    axes.set_ylabel("model less measured (mm/s)")

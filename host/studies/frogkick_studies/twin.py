@@ -7,24 +7,55 @@ badly as in these runs, and the robot's own planner, whose table knows the effec
 from __future__ import annotations
 
 import dataclasses
+import math
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from frogkick.core.errors import InputError
+from frogkick.core.files import write_bytes
 from frogkick.core.poses import wrap_angle
+from frogkick.core.progress import shown
+from frogkick.library import quantise
 from frogkick.planner.plan import PlanConfig, config_of
-from frogkick.robot import Robot
+from frogkick.robot import Robot, load_robot
 from frogkick.runs.record import along_path
 from frogkick.runs.recorded import clock_problem, read_recorded
 from frogkick.runs.recorded.importer import RUN_NAME, path_file
 from frogkick.runs.runlog import RunLog
-from frogkick_studies.believed import Choices, choices_of
-from frogkick_studies.kept import Case, Outcome
-from frogkick_studies.loop import PAPER, ROBOT, Course, Planner, Setting, setting_from, summaries
+from frogkick_codegen.firmware import require_tools
+from frogkick_studies import Found
+from frogkick_studies.believed import Believed, Choices, believed_motions, choices_of, image_of_motions
+from frogkick_studies.configs import Twin
+from frogkick_studies.in_pool import (
+    PAPER,
+    PAPER_STATES,
+    ROBOT,
+    Case,
+    Course,
+    Outcome,
+    Planner,
+    Setting,
+    Summary,
+    fit_own_table,
+    library_of,
+    run_cases,
+    setting_from,
+    shape_names,
+    summaries,
+)
+from frogkick_studies.loop import loop_figure, table_of_rows
 
+TWIN_STATES, TWIN_SAMPLING = 1000, "planned"
+"""Of the library that is made of the fitted robot: in it limbs have a history, which its effects act by. A
+table of as many rested ones is ten times further off where runs go."""
+_MEASURES = ("mean_distance_m", "progress_mps")
+_MOTION = ("forward_m", "left_m", "turn_rad")
 FULL, BELIEVED = "full", "believed"
 """How ``run_cases`` is told the tables of every state of the library that ROBOT's is fitted to, and of the
 motions that the authors' planner believed in."""
@@ -165,7 +196,7 @@ def mean_over(outcomes: Mapping[Case, Outcome], planner: str, paths: Sequence[st
     """A planner over paths, which weigh alike.
 
     Args:
-        outcomes: of ``frogkick_studies.loop.run_cases``, of one world.
+        outcomes: of ``frogkick_studies.in_pool.run_cases``, of one world.
         planner: its name.
         paths: names, at least one.
     """
@@ -177,4 +208,176 @@ def mean_over(outcomes: Mapping[Case, Outcome], planner: str, paths: Sequence[st
         float(np.mean([row.progress_mps for row in rows])),
         float(np.mean([row.completed for row in rows])),
         float(np.mean([one.progress_mps > SKIPPED_MPS for one in own.values()])),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class TwinStudy(Found):
+    """The paper's planner and the robot's in the pool of a robot as its recorded runs show it.
+
+    Attributes:
+        nominal: what the paper's planner takes the robot for.
+        outcomes: each run.
+        rows: means over the seeds, of each planner along each path.
+        over: "shapes" and "recorded_paths" -> each planner over these paths, which weigh alike.
+        recorded: the recorded runs.
+        believed: the motions that the paper's planner believed in; None without recorded runs.
+        planners: their names, the robot's own last.
+        seeds: runs of each.
+        table_bytes: sizes of the tables.
+    """
+
+    nominal: Robot
+    outcomes: Mapping[Case, Outcome]
+    rows: Sequence[Summary]
+    over: Mapping[str, Sequence[Mean]]
+    recorded: Sequence[Recorded]
+    believed: Believed | None
+    planners: Sequence[str]
+    seeds: int
+    table_bytes: Mapping[str, int]
+
+    @property
+    def limit_m(self) -> float:
+        """Mean distance to the paths that the robot's own planner may have."""
+        return DISTANCE_MOST_M
+
+    @property
+    def mean_distance_m(self) -> dict[str, float]:
+        """Of the robot's own planner, over the shapes and over the recorded runs' paths."""
+        return {group: means[-1].mean_distance_m for group, means in self.over.items()}
+
+    @property
+    def passed(self) -> bool:
+        """Whether it is within ``limit_m`` over both."""
+        return all(one <= self.limit_m for one in self.mean_distance_m.values())
+
+    @property
+    def recorded_mean_distance_m(self) -> float | None:
+        """Mean over the recorded runs; None where there are none."""
+        return float(np.mean([one.mean_distance_m for one in self.recorded])) if self.recorded else None
+
+    @property
+    def _marks(self) -> dict[str, tuple[float, float]]:
+        return {one.course.name: (one.mean_distance_m, one.progress_mps) for one in self.recorded}
+
+    def plot(self) -> Figure:
+        """A matplotlib figure: distance and progress of each planner, and of the recorded runs."""
+        paths = list(dict.fromkeys(row.path for row in self.rows))
+        return loop_figure(self.outcomes, [TWIN], paths, list(self.planners), self._marks)
+
+    def as_json(self) -> dict[str, Any]:
+        """The keys of the command, without its picture."""
+        return {
+            "rows": [dataclasses.asdict(row) for row in self.rows],
+            "over_paths": {
+                group: [dataclasses.asdict(mean) for mean in means] for group, means in self.over.items()
+            },
+            "recorded": {name: dict(zip(_MEASURES, mark, strict=True)) for name, mark in self._marks.items()},
+            "recorded_mean_distance_m": self.recorded_mean_distance_m,
+            "believed": None if self.believed is None else self._told(self.believed),
+            "mean_distance_m": self.mean_distance_m["shapes"],
+            "limit_m": self.limit_m,
+            "passed": self.passed,
+            "seeds": self.seeds,
+            "table_bytes": dict(self.table_bytes),
+        }
+
+    def _told(self, believed: Believed) -> dict[str, Any]:
+        motions = zip(self.nominal.actions, believed.motion.tolist(), strict=True)
+        return {
+            "motion": {action.name: dict(zip(_MOTION, motion, strict=True)) for action, motion in motions},
+            **{name: value for name, value in dataclasses.asdict(believed).items() if name != "motion"},
+        }
+
+    def text(self, values: dict[str, Any]) -> str:
+        """A line for each planner, then what the paper's believed."""
+        passed = f"the robot's planner {'is within' if self.passed else 'misses'} {1e3 * self.limit_m:g} mm"
+        return "\n".join([*self._tracking(), *self._believing(), passed])
+
+    def _tracking(self) -> list[str]:
+        lines = table_of_rows(self.rows)
+        lines += [
+            f"{one.course.name}: recorded {1e3 * one.mean_distance_m:.1f} mm, "
+            f"{1e3 * one.progress_mps:.1f} mm/s"
+            for one in self.recorded
+        ]
+        wide = max(len(row.planner) for row in self.rows)
+        for group, means in self.over.items():
+            lines.append(f"{group.replace('_', ' ')}, which weigh alike:")
+            lines += [
+                f"  {mean.planner:{wide}s}  {1e3 * mean.mean_distance_m:6.2f} mm, "
+                f"{1e3 * mean.progress_mps:5.1f} mm/s, {100 * mean.completed:3.0f} % completed"
+                + (f", {100 * mean.skipped:.0f} % from start to end at once" if mean.skipped else "")
+                for mean in means
+            ]
+        mean_m = self.recorded_mean_distance_m
+        return lines if mean_m is None else [*lines, f"  {'recorded':{wide}s}  {1e3 * mean_m:6.2f} mm"]
+
+    def _believing(self) -> list[str]:
+        believed = self.believed
+        if believed is None:
+            return []
+        return [
+            f"of {believed.decisions} recorded decisions the paper's planner makes "
+            f"{100 * believed.agreement:.0f} % ({100 * believed.held_out_agreement:.0f} % in runs left out; "
+            f"{100 * believed.nominal_agreement:.0f} % with the model's mean motions) where it believes:",
+            *(
+                f"  {action.name}: {100 * forward:5.2f} cm forward, {100 * left:5.2f} cm left, "
+                f"{math.degrees(turn):6.1f} deg"
+                for action, (forward, left, turn) in zip(self.nominal.actions, believed.motion, strict=True)
+            ),
+        ]
+
+
+def run(config: Twin) -> TwinStudy:
+    """The paper's planner and the robot's in the pool of a robot as its recorded runs show it.
+
+    Raises:
+        InputError: a robot without effects, a model that cannot be its own, or recorded runs of no use.
+        ToolchainError: no compiler for the core.
+    """
+    robot, nominal = load_robot(config.robot), load_robot(config.model)
+    setting = world_of(robot)
+    require_related(robot, nominal)
+    shapes = shape_names(config.path)
+    recorded = [] if config.runs is None else read_runs(config.runs)
+    require_tools("native")
+    out, processes = config.out, config.workers or os.cpu_count() or 1
+    images = {name: out / f"{name}.fkt" for name in (PAPER, FULL, ROBOT)}
+    told = library_of(nominal, config.model_library, out / "model.h5", processes, PAPER_STATES, "box")
+    write_bytes(images[PAPER], quantise(told))
+    own = library_of(robot, config.library, out / "robot.h5", processes, TWIN_STATES, TWIN_SAMPLING)
+    write_bytes(images[FULL], quantise(own))
+    fit_own_table(own, images[ROBOT])
+    believed = None
+    if recorded:
+        begin = told.displacement_body[told.whole_states()].mean(axis=0)
+        believed = believed_motions([one.choices for one in recorded], nominal, begin)
+        images[BELIEVED] = out / f"{BELIEVED}.fkt"
+        write_bytes(images[BELIEVED], image_of_motions(nominal, believed.motion))
+    planners = planners_of_twin(robot, believed is not None)
+    names = [planner.name for planner in planners]
+    courses = [one.course for one in recorded]
+    ways = [*shapes, *(course.name for course in courses)]
+    cases = [Case(TWIN, one, name, seed) for one in ways for name in names for seed in range(config.seeds)]
+    with shown(True, "runs") as tell:
+        outcomes = run_cases(
+            body_of(robot), images, planners, [setting], cases, out, processes, tell, courses
+        )
+    groups = {"shapes": shapes, "recorded_paths": [course.name for course in courses]}
+    return TwinStudy(
+        nominal,
+        outcomes,
+        summaries(outcomes),
+        {
+            group: [mean_over(outcomes, name, some) for name in names]
+            for group, some in groups.items()
+            if some
+        },
+        recorded,
+        believed,
+        names,
+        config.seeds,
+        {name: image.stat().st_size for name, image in images.items()},
     )

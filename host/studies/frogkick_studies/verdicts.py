@@ -8,18 +8,23 @@ user's own file that the catalogue does not have.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Sequence
+import os
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from frogkick.core.chunks import Job, code_stamp, run_chunks
+from frogkick.core.errors import InputError
 from frogkick.core.files import write_text
+from frogkick.core.progress import shown
 from frogkick.effects import Parameter, World
 from frogkick.effects.registry import make_effects
+from frogkick.front.places import robot_of_table, table_image
 from frogkick.identification.batching import cpu_s, run_concurrently
 from frogkick.identification.outcome import Outcome, identify
 from frogkick.identification.segments import Segments, segments_of
@@ -28,14 +33,22 @@ from frogkick.paths import shape
 from frogkick.pool.camera import Camera
 from frogkick.pool.native_robot import NativeRobot
 from frogkick.pool.pool import Pool
+from frogkick.report import style
 from frogkick.robot import Robot
 from frogkick.runs.closed_loop import RunOptions, robot_plan_config, run_in_pool
 from frogkick.runs.record import run_log
 from frogkick.tables.image import Tables, read_image
-from frogkick_codegen.firmware import build
+from frogkick_codegen.firmware import build, require_tools
+from frogkick_studies import Found
+from frogkick_studies.configs import Verdicts
 from frogkick_studies.kept import Lines
-from frogkick_studies.planted import NULL, OUTSIDE, OUTSIDE_FILE, OUTSIDE_TEXT, Kind, Table, kinds
+from frogkick_studies.planted import NULL, ONE, OUTSIDE, OUTSIDE_FILE, OUTSIDE_TEXT, TWO, Kind, Table, kinds
 
+LEAST = {NULL: 0.95, ONE: 0.95, TWO: 0.90, OUTSIDE: 0.95}
+"""Share of the cases of a group that must be right."""
+
+MOST_WRONG = 0.02
+"""Share that may be wrongly found."""
 TRAIN, TEST = ("sine", "ellipse", "line"), ("bends",)
 
 HURRY = 0.5
@@ -259,3 +272,146 @@ def _named(table: Table, outcome: Outcome) -> list[tuple[Parameter, Interval]]:
         if term.name == table.get("name") and same:
             return list(zip(term.parameters, row, strict=True))
     return []
+
+
+@dataclass(frozen=True, eq=False)
+class VerdictStudy(Found):
+    """Effects planted in simulated pools, and what identification made of the runs.
+
+    Attributes:
+        results: each case.
+    """
+
+    results: Mapping[Case, Result]
+
+    @property
+    def groups(self) -> dict[str, dict[str, Any]]:
+        """Group of kinds -> cases, right ones, wrongly found ones, planted parameters of effects that were
+        found, how many of these are inside their intervals, and whether all is as good as asked."""
+        known, found = kinds(), {}
+        for group, least in LEAST.items():
+            some = [result for case, result in self.results.items() if known[case.kind].group == group]
+            if some:
+                right, wrong = sum(result.right for result in some), sum(result.wrong for result in some)
+                found[group] = {
+                    "cases": len(some),
+                    "right": right,
+                    "wrongly_found": wrong,
+                    "parameters": sum(result.parameters for result in some),
+                    "inside": sum(result.inside for result in some),
+                    "passed": right >= least * len(some) and wrong <= MOST_WRONG * len(some),
+                }
+        return found
+
+    @property
+    def passed(self) -> bool:
+        """Whether in every group enough are right."""
+        return all(group["passed"] for group in self.groups.values())
+
+    def plot(self) -> Figure:
+        """A matplotlib figure: verdicts and errors by kind."""
+        return verdicts_figure(self.results)
+
+    def as_json(self) -> dict[str, Any]:
+        """The keys of the command, without its picture."""
+        return {
+            "groups": self.groups,
+            "cases": [
+                {"kind": case.kind, "seed": case.seed, **result.as_json()}
+                for case, result in self.results.items()
+            ],
+        }
+
+    def text(self, values: dict[str, Any]) -> str:
+        """A line for each planner."""
+        lines = []
+        for case, result in self.results.items():
+            errors = " / ".join(
+                f"{1e3 * position:.2f} mm {57.29578 * heading:.2f} deg"
+                for position, heading in (result.before, result.after, result.floor)
+            )
+            lines.append(
+                f"{'ok' if result.right else 'NO'} {case.key}: "
+                f"planted {'; '.join(result.planted) or 'nothing'}; {result.verdict}: "
+                f"{'; '.join(result.found) or 'no effect'}; {errors}; {result.cpu_s:.0f} s"
+            )
+        lines += [
+            f"{name}: {group['right']} of {group['cases']} right, {group['wrongly_found']} wrongly found, "
+            f"{group['inside']} of {group['parameters']} parameters inside their intervals"
+            for name, group in self.groups.items()
+        ]
+        return "\n".join(lines)
+
+
+def run(config: Verdicts) -> VerdictStudy:
+    """Plant effects in simulated pools, identify them from the runs, and count what comes out.
+
+    Raises:
+        InputError: an unknown kind, or a folder that cannot be written to.
+        ToolchainError: no compiler for the core.
+    """
+    known = kinds()
+    for name in config.kind or ():
+        if name not in known:
+            raise InputError(f"--kind is {name!r}: choose from {', '.join(known)}")
+    require_tools("native")
+    image = table_image(config.tables, None)
+    robot = robot_of_table(image, None)
+    wanted = cases_of(config.kind or list(known), config.first, config.seeds, config.cases)
+    with shown(True, "cases") as tell:
+        return VerdictStudy(
+            run_cases(robot, image, wanted, config.out, config.workers or os.cpu_count() or 1, tell)
+        )
+
+
+def cases_of(names: Sequence[str], first: int, seeds: int, each: int | None) -> list[Case]:
+    """Cases of some kinds: so many seeds of each kind, or so many of each group, its kinds in turn."""
+    if each is None:
+        return [Case(name, seed) for seed in range(first, first + seeds) for name in names]
+    found = []
+    for group in LEAST:
+        some = [name for name in names if kinds()[name].group == group]
+        found += [Case(some[k % len(some)], first + k // len(some)) for k in range(each if some else 0)]
+    return found
+
+
+def verdicts_figure(results: Mapping[Case, Result]) -> Figure:
+    """Left: share of right verdicts for each kind. Right: errors over the noise floor, before and after."""
+    names = list(dict.fromkeys(case.kind for case in results))
+    place = np.arange(len(names))[::-1]
+    with style.styled():
+        figure = Figure(figsize=(11.0, 2.2 + 0.28 * len(names)), layout="constrained")
+        left, right = figure.subplots(1, 2, sharey=True)
+        for at, name in zip(place, names, strict=True):
+            some = [result for case, result in results.items() if case.kind == name]
+            share = 100.0 * float(np.mean([result.right for result in some]))
+            wrong = 100.0 * float(np.mean([result.wrong for result in some]))
+            left.barh(at, share, 0.7, color=style.TRUE, label="right" if at == place[0] else None)
+            left.barh(at, wrong, 0.3, color=style.ALARM, label="wrongly found" if at == place[0] else None)
+            left.text(2.0, at, str(len(some)), va="center", color="white", fontsize=7)
+            for errors, colour, label in (
+                ("before", style.DESIRED, "nominal"),
+                ("after", style.TRUE, "with what was found"),
+            ):
+                over = [getattr(result, errors)[0] / result.floor[0] for result in some]
+                right.plot(
+                    over,
+                    np.full(len(over), at),
+                    "|",
+                    color=colour,
+                    markersize=9,
+                    label=label if at == place[0] else None,
+                )
+        left.axvline(95.0, color=style.DESIRED, linestyle="--", linewidth=0.8)
+        left.set_xlim(0.0, 100.0)
+        left.set_yticks(place, names)
+        left.set_xlabel("of the cases, % (white: how many)")
+        left.set_title("Verdicts")
+        left.legend(loc="upper center", bbox_to_anchor=(0.5, -0.6 / figure.get_figheight()), ncols=2)
+        right.axvline(1.0, color=style.ALARM, linestyle="--", linewidth=0.8)
+        right.set_xscale("log")
+        right.set_xlabel("position missed a period ahead, over the noise floor (test runs)")
+        right.set_title("Errors before and after")
+        right.set_xlim(0.5, None)
+        right.legend(loc="upper center", bbox_to_anchor=(0.5, -0.6 / figure.get_figheight()), ncols=2)
+    return figure

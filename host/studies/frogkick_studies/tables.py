@@ -2,14 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import dataclasses
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
-from frogkick.library import Library, error_on, fit_table, quantise, sample_library
+from frogkick.core.progress import shown
+from frogkick.library import Library, error_on, fit_table, quantise, read_library, sample_library
 from frogkick.library.fitting import require_enough
+from frogkick.report import style
 from frogkick.tables.image import open_image
+from frogkick_studies import Found
+from frogkick_studies.configs import Tables
 
 KIB = 1024
 NEAREST_STATES = (100, 300, 1000, 3000)
@@ -151,3 +160,114 @@ def slope(points: tuple[TablePoint, ...], name: str) -> float:
     """Exponent of an error's fall with bytes, by least squares of the logarithms."""
     logs = np.log([[p.bytes, p.box[name]] for p in points])
     return float(np.polyfit(logs[:, 0], logs[:, 1], 1)[0])
+
+
+@dataclass(frozen=True, eq=False)
+class TableStudy(Found):
+    """Error of tables of both kinds against their size, and against their library's.
+
+    Attributes:
+        sizes: each table that was tried.
+        seed: of the unseen states.
+    """
+
+    sizes: TableSizes
+    seed: int
+
+    def plot(self) -> Figure:
+        """A matplotlib figure: error over bytes and over the library's states."""
+        return table_size_figure(self.sizes)
+
+    def as_json(self) -> dict[str, Any]:
+        """The keys of the command."""
+        affine = tuple(point for point in self.sizes.by_size if point.kind == "affine")
+        return {
+            "by_size": [dataclasses.asdict(point) for point in self.sizes.by_size],
+            "by_library": [dataclasses.asdict(point) for point in self.sizes.by_library],
+            "affine_bytes_as_good_as_nearest": least_bytes_as_good(self.sizes),
+            "affine_64_kib_over_full_nearest": over_full_nearest(self.sizes),
+            "affine_exponent": {
+                name: round(slope(affine, name), 3) for name in ("position_m", "heading_rad")
+            },
+            "seed": self.seed,
+        }
+
+
+def run(config: Tables) -> TableStudy:
+    """Make tables of many sizes of a library, and measure each on unseen states.
+
+    Raises:
+        InputError: no such library, or one of too few states.
+    """
+    content = read_library(config.library)
+    with shown(True, "tables") as tell:
+        sizes = table_sizes(content, config.test_states, config.seed, tell, config.swims)
+    return TableStudy(sizes, config.seed)
+
+
+_COLOUR = {"nearest": style.MEASURED, "affine": style.TRUE}
+_MARKER = {"nearest": "o", "affine": "s"}
+_NOISE = {"position_m": (0.2e-3, "0.2 mm"), "heading_rad": (np.deg2rad(0.2), "0.2°")}
+_UNIT = {
+    "position_m": (1e3, "position error (mm)"),
+    "heading_rad": (180.0 / np.pi, "heading error (degrees)"),
+}
+
+
+def table_size_figure(sizes: TableSizes) -> Figure:
+    """Draw ``table_sizes``: two errors against bytes, and the position error against library states."""
+    with style.styled():
+        figure = Figure(figsize=(11.0, 4.4), layout="constrained")
+        panels = figure.subplots(1, 3)
+        for axes, name in zip(panels, _UNIT, strict=False):
+            for kind in _COLOUR:
+                points = [p for p in sizes.by_size if p.kind == kind]
+                _curve(axes, points, [p.bytes / KIB for p in points], name)
+            axes.axvline(64, color=style.DESIRED, linewidth=0.8, linestyle=":")
+            axes.text(
+                66, 0.99, "64 KiB", color=style.DESIRED, va="top", fontsize=7.5,
+                transform=axes.get_xaxis_transform(),
+            )  # fmt: skip
+            axes.set_xlabel("table image (KiB)")
+            _finish(axes, name)
+        panels[0].set_title("Error one period ahead, by table size")
+        panels[1].set_title("The same for the heading")
+        nearest = [p for p in sizes.by_size if p.kind == "nearest"]
+        for points in (nearest, list(sizes.by_library)):
+            _curve(panels[2], points, [p.library_states for p in points], "position_m")
+        panels[2].set_xlabel("states of the library (each times all actions)")
+        panels[2].set_title("By library size (affine: 64 KiB)")
+        _finish(panels[2], "position_m")
+        figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=4)
+    return figure
+
+
+def _curve(axes: Axes, points: Sequence[TablePoint], along: Sequence[float], name: str) -> None:
+    factor = _UNIT[name][0]
+    for tested, line, fill in (("box", "-", "full"), ("visited", "--", "none")):
+        kind = points[0].kind
+        axes.loglog(
+            along,
+            [factor * getattr(p, tested)[name] for p in points],
+            _MARKER[kind] + line,
+            color=_COLOUR[kind],
+            fillstyle=fill,
+            markersize=4.5,
+            linewidth=1.2,
+            label=f"{kind}, unseen states {'of the box' if tested == 'box' else 'of swims'}",
+        )
+
+
+def _finish(axes: Axes, name: str) -> None:
+    factor, label = _UNIT[name]
+    noise, text = _NOISE[name]
+    axes.axhline(factor * noise, color=style.ALARM, linewidth=1)
+    axes.text(
+        0.99, factor * noise * 1.06, f"measurement's noise, {text}", color=style.ALARM, ha="right",
+        va="bottom", fontsize=7.5, transform=axes.get_yaxis_transform(),
+    )  # fmt: skip
+    axes.set_ylabel(label)
+    axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    for axis in (axes.xaxis, axes.yaxis):
+        axis.set_major_formatter(FuncFormatter(lambda value, _place: f"{value:g}"))
+        axis.set_minor_formatter(NullFormatter())

@@ -16,24 +16,10 @@ from frogkick.cli.main import run_command
 from frogkick.core.errors import InputError
 from frogkick.library import build_library
 from frogkick.planner.plan import Cost, PlanConfig
+from frogkick_studies import in_pool as study
 from frogkick_studies import loop as loop_module
-from frogkick_studies import loop as study
-from frogkick_studies.kept import Case, Outcome
-from frogkick_studies.loop import (
-    HIDDEN,
-    NOMINAL,
-    PAPER,
-    ROBOT,
-    Setting,
-    Summary,
-    judge,
-    planners_of,
-    run_cases,
-    setting_of,
-    settings_of,
-    summaries,
-)
-from frogkick_studies.loop_figure import loop_figure
+from frogkick_studies.in_pool import PAPER, ROBOT, Case, Outcome, Setting, Summary, run_cases, summaries
+from frogkick_studies.loop import HIDDEN, NOMINAL, judge, loop_figure, planners_of, setting_of, settings_of
 
 PLANNERS = planners_of(rig.robot())
 NAMES = [planner.name for planner in PLANNERS]

@@ -18,20 +18,11 @@ from frogkick.core.files import write_bytes
 from frogkick.paths import SHAPES, shape
 from frogkick.pool.chip.cost import CostModel
 from frogkick.robot import load_robot
-from frogkick.runs.chip_planner import ChipPlanner
+from frogkick.runs.chip_planner import CYCLES_PER_MS, ChipPlanner, states_for_timing
 from frogkick.runs.closed_loop import robot_plan_config
 from frogkick.tables.image import open_image
 from frogkick_codegen import firmware
-from frogkick_studies.chip_speed import (
-    CYCLES_PER_MS,
-    LIMIT_MS,
-    NODE,
-    RUN,
-    DepthSpeed,
-    chip_speed,
-    open_ms,
-    states_for_timing,
-)
+from frogkick_studies.chip import LIMIT_MS, NODE, RUN, DepthSpeed, chip_speed, open_ms
 from frogkick_studies.chip_worst import dearest, fit_cycles
 
 PATHS = {name: shape(name) for name in SHAPES}

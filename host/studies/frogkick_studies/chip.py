@@ -7,21 +7,29 @@ random, then those that a model of the planner's blocks finds dearest; frogkick_
 from __future__ import annotations
 
 import dataclasses
+import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from frogkick.core.chunks import Job, run_chunks
+from frogkick.core.progress import shown
+from frogkick.front.places import built_firmware, plan_config, robot_of_table, table_image
+from frogkick.paths import SHAPES, shape
 from frogkick.paths import Path as SwimPath
 from frogkick.planner.plan import PlanConfig
-from frogkick.pool.chip.cost import LEAST_COST
+from frogkick.pool.chip.cost import LEAST_COST, CostModel
 from frogkick.runs.chip_planner import CYCLES_PER_MS, ChipPlanner, TimedStates, states_for_timing
 from frogkick.tables.image import Tables, read_image
+from frogkick_codegen.firmware import require_tools
+from frogkick_studies import Found
 from frogkick_studies.chip_worst import CycleModel, dearest, fit_cycles
+from frogkick_studies.configs import Chip
 
 LIMIT_MS: Mapping[int, float] = {1: 0.45, 2: 4.5, 3: 20.0}
 """What a decision may take at each depth, worst case."""
@@ -311,3 +319,102 @@ def _summary(parts: Sequence[_Counted], states: int, error: float, unrun_ms: flo
             Share(name, 100.0 * totals[name][2] / spent_all, totals[name][0] / number) for name in ordered
         ),
     )
+
+
+_DEAREST = 12
+"""Functions that are listed with their share of the cycles."""
+
+
+@dataclass(frozen=True, eq=False)
+class ChipStudy(Found):
+    """How long the chip plans, in cycles of the flashed image.
+
+    Attributes:
+        speeds: depth -> times over many states.
+        open_ms: checking the table once, ms.
+        limit_ms: depth -> the longest that is allowed.
+        cycle_model: cycles of an instruction of each kind on the virtual chip.
+        seed: of the states.
+    """
+
+    speeds: Mapping[int, DepthSpeed]
+    open_ms: float
+    limit_ms: Mapping[int, float]
+    cycle_model: Mapping[str, Any]
+    seed: int
+
+    @property
+    def passed(self) -> bool:
+        """Whether no plan takes longer than its limit, run or not."""
+        return not any(
+            max(self.speeds[depth].worst_ms, self.speeds[depth].unrun_ms) > limit
+            for depth, limit in self.limit_ms.items()
+        )
+
+    def as_json(self) -> dict[str, Any]:
+        """The keys of the command."""
+        speeds = {str(depth): speed for depth, speed in self.speeds.items()}
+        return {
+            "plan_ms": {
+                depth: {"mean": round(speed.mean_ms, 4), "worst": round(speed.worst_ms, 4)}
+                for depth, speed in speeds.items()
+            },
+            "band_ms": {
+                depth: [round(speed.least_ms, 4), round(speed.worst_ms, 4)] for depth, speed in speeds.items()
+            },
+            "limit_ms": {str(depth): limit for depth, limit in self.limit_ms.items()},
+            "states": {depth: speed.states for depth, speed in speeds.items()},
+            "run": {depth: speed.run for depth, speed in speeds.items()},
+            "model_error": {depth: round(speed.model_error, 5) for depth, speed in speeds.items()},
+            "unrun_ms": {depth: round(speed.unrun_ms, 4) for depth, speed in speeds.items()},
+            "worst_ms_by_reach": {
+                depth: {str(reach): round(one, 4) for reach, one in speed.worst_ms_by_reach.items()}
+                for depth, speed in speeds.items()
+            },
+            "nodes": {depth: round(speed.nodes, 1) for depth, speed in speeds.items()},
+            "instructions_per_node": {
+                depth: round(speed.instructions_per_node, 1) for depth, speed in speeds.items()
+            },
+            "open_ms": round(self.open_ms, 2),
+            "worst": {
+                depth: {
+                    "path": speed.worst_path,
+                    "state": speed.worst_state,
+                    "limb_use": speed.worst_limb_use,
+                    "along_points": speed.worst_along_points,
+                }
+                for depth, speed in speeds.items()
+            },
+            "share_percent": {
+                depth: {share.function: round(share.percent, 1) for share in speed.shares[:_DEAREST]}
+                for depth, speed in speeds.items()
+            },
+            "calls": {
+                depth: {share.function: round(share.calls, 1) for share in speed.shares[:_DEAREST]}
+                for depth, speed in speeds.items()
+            },
+            "cycle_model": dict(self.cycle_model),
+            "seed": self.seed,
+        }
+
+
+def run(config: Chip) -> ChipStudy:
+    """Time the planner of the bench image on the virtual chip over many states.
+
+    Of very many states the dearest are run, which a model of the planner's blocks finds among all of them.
+
+    Raises:
+        InputError: a table of another robot, or an extra that is not installed.
+        ToolchainError: no compiler for the chip.
+    """
+    require_tools("bench")
+    image = table_image(config.tables, config.model)
+    robot = robot_of_table(image, config.model)
+    counts = {depth: config.states if depth in LIMIT_MS else max(3, config.states // 50) for depth in DEPTHS}
+    paths = {name: shape(name) for name in SHAPES}
+    settings = plan_config(robot, config.planner, None)
+    processes = config.workers or os.cpu_count() or 1
+    with built_firmware("bench", image, robot) as built, shown(True, "decisions") as tell:
+        opened_ms = open_ms(built.image)
+        speeds = chip_speed(built.image, image, paths, settings, counts, config.seed, processes, tell)
+    return ChipStudy(speeds, opened_ms, LIMIT_MS, dataclasses.asdict(CostModel()), config.seed)

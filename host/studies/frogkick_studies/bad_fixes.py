@@ -1,0 +1,363 @@
+"""States from fixes, three ways: how far off at decision time, and what that costs in closed loop."""
+
+from __future__ import annotations
+
+import dataclasses
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path as Folder
+
+import numpy as np
+import numpy.typing as npt
+
+from frogkick.core.chunks import Job, run_chunks
+from frogkick.core.poses import body_from_world, wrap_angle
+from frogkick.effects import World, make_effects
+from frogkick.estimator.estimator import (
+    FIELD_M,
+    FUTURE_US,
+    OK,
+    OLD,
+    RANGE,
+    STALE_US,
+    Estimate,
+    Estimates,
+    Estimator,
+)
+from frogkick.paths import Path
+from frogkick.planner.plan import PlanConfig
+from frogkick.pool.camera import Camera
+from frogkick.pool.pool import Pool
+from frogkick.robot import Robot
+from frogkick.runs.decision import DecisionTwin
+from frogkick.runs.record import along_path
+from frogkick.tables.image import Tables, open_image
+
+FloatArray = npt.NDArray[np.float64]
+
+LINE_FIXES_MAX = 8
+LINE_WINDOW_S = 0.25
+
+
+class _FromLastFixes(ABC):
+    """Keeps the last fixes in order of capture; knows nothing of strokes."""
+
+    def __init__(self) -> None:
+        self._fixes: list[tuple[int, FloatArray, int]] = []
+
+    @property
+    def newest_capture_us(self) -> int | None:
+        """Capture time of the newest fix, None before the first."""
+        return self._fixes[-1][0] if self._fixes else None
+
+    def add(self, capture_us: int, pose_world: npt.NDArray[np.float32], sequence: int) -> int:
+        """Take a fix that is newer than the newest."""
+        if not (np.abs(pose_world) <= FIELD_M).all():
+            return RANGE
+        if self._fixes and capture_us <= self._fixes[-1][0]:
+            return OLD
+        self._fixes = [*self._fixes[1 - LINE_FIXES_MAX :], (capture_us, pose_world.astype(float), sequence)]
+        return OK
+
+    def act(self, at_us: int, action: int) -> None:
+        """Strokes do not matter here."""
+        del at_us, action
+
+    def at(self, at_us: int) -> Estimate | None:
+        """The state at a time; None where no fix is near enough to it."""
+        if not self._fixes or not -FUTURE_US <= at_us - self._fixes[-1][0] <= STALE_US:
+            return None
+        pose, speed = self._state((at_us - self._fixes[-1][0]) * 1e-6)
+        heading = wrap_angle(pose[2])
+        state = [*pose[:2], heading, *body_from_world(heading, np.asarray(speed))]
+        use = np.zeros(8, dtype=np.uint16)
+        return Estimate(np.array(state, dtype=np.float32), use, self._fixes[-1][2], len(self._fixes))
+
+    @abstractmethod
+    def _state(self, lead_s: float) -> tuple[FloatArray, FloatArray]:
+        """Pose and speed (3,), world, a time after the newest fix."""
+
+    def _before_newest(self) -> tuple[FloatArray, FloatArray]:
+        """Times (n,) s and poses (n, 3) relative to the newest fix, the short way round."""
+        newest_us, newest, _ = self._fixes[-1]
+        time_s = np.array([(time_us - newest_us) * 1e-6 for time_us, _, _ in self._fixes])
+        poses = np.array([pose - newest for _, pose, _ in self._fixes])
+        poses[:, 2] = np.angle(np.exp(1j * poses[:, 2]))
+        return time_s, poses
+
+
+class DifferenceEstimator(_FromLastFixes):
+    """The paper's way: the pose is the newest fix, the velocity the difference of the last two.
+
+    Source: Huang et al. 2022, section on closed-loop control; their logger's xdot, ydot, thetadot.
+    """
+
+    def _state(self, lead_s: float) -> tuple[FloatArray, FloatArray]:
+        time_s, poses = self._before_newest()
+        speed = -poses[-2] / -time_s[-2] if len(time_s) > 1 else np.zeros(3)
+        return self._fixes[-1][1], speed
+
+
+class LineEstimator(_FromLastFixes):
+    """A straight line by least squares through the fixes of the last quarter second, to the asked time."""
+
+    def _state(self, lead_s: float) -> tuple[FloatArray, FloatArray]:
+        time_s, poses = self._before_newest()
+        recent = time_s >= -LINE_WINDOW_S
+        time_s, poses = time_s[recent], poses[recent]
+        off_s = time_s - time_s.mean()
+        spread = (off_s**2).sum()
+        speed = (off_s[:, None] * poses).sum(axis=0) / spread if spread > 0.0 else np.zeros(3)
+        return self._fixes[-1][1] + poses.mean(axis=0) + speed * (lead_s - time_s.mean()), speed
+
+
+METHODS: Mapping[str, Callable[[Tables], Estimates]] = {
+    "difference": lambda _tables: DifferenceEstimator(),
+    "line": lambda _tables: LineEstimator(),
+    "track": Estimator,
+}
+"""The paper's way, a line through the last fixes, and the robot's own."""
+RATES_HZ = (2.0, 5.0, 10.0, 15.0, 30.0, 60.0)
+EACH_RATE_HZ = 15.0
+"""The rate at which each fault is looked at by itself."""
+FAULTS: Mapping[str, Mapping[str, float]] = {
+    "none": {},
+    "late": {"delay_s": 0.3},
+    "jitter": {"jitter_s": 0.3},
+    "lost": {"lost": 0.2},
+    "doubled": {"doubled": 0.2},
+    "held": {"held": 0.2},
+    "outliers": {"outliers": 0.05},
+    "world": {},
+    "all": {"jitter_s": 0.2, "lost": 0.2, "doubled": 0.1, "held": 0.1, "outliers": 0.05},
+}
+"""What is worse than the recorded runs' camera; "world": the robot is not the model's."""
+OTHER_WORLD: tuple[dict[str, object], ...] = (
+    {"name": "drag_scale", "frame": 2.5},
+    {"name": "limb_wear", "limb": "rear_left", "gain": 0.7},
+    {"name": "steady_current", "x_mps": 0.004, "y_mps": -0.003},
+)
+SETTLE_US = 2_000_000  # fixes before the first decision: some at every rate
+_FIRST = 2  # decisions that do not count: the robot has just begun to move
+_SECOND_GAP_S = 0.001  # FK_STROKE_GAP_US
+
+
+@dataclass(frozen=True)
+class Condition:
+    """Fixes of one kind: their rate and one of FAULTS."""
+
+    rate_hz: float
+    fault: str
+
+    def camera(self) -> Camera:
+        """The camera that gives them."""
+        return Camera(rate_hz=self.rate_hz, **FAULTS[self.fault])
+
+    def world(self) -> World:
+        """The pool that they are of."""
+        return World(make_effects(OTHER_WORLD, Folder())) if self.fault == "world" else World()
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What became of a method under a condition.
+
+    Attributes:
+        position_m, heading_rad, velocity_mps, omega_rad_s: root mean square errors at decision time while the
+            robot's own estimator steered; the same fixes and decisions for all methods.
+        median_position_m: of the position's error: what a few wrong fixes cannot spoil.
+        decisions, unknown: decisions looked at; those of them without an estimate.
+        distance_m: mean distance to each path, m, by its name, where this method steered; from the first
+            decision on, NaN where it never knew enough for one.
+    """
+
+    position_m: float
+    heading_rad: float
+    velocity_mps: float
+    omega_rad_s: float
+    median_position_m: float
+    decisions: int
+    unknown: int
+    distance_m: Mapping[str, float]
+
+
+@dataclass
+class Swim:
+    """One run: errors (n, 6) of each method at each decision, NaN where it had none; and how it tracked."""
+
+    errors: dict[str, list[FloatArray]] = field(default_factory=dict)
+    distance_m: float = np.nan
+
+
+@dataclass(frozen=True)
+class _Setting:
+    robot: Robot
+    tables: Tables
+    paths: Sequence[Path]
+    config: PlanConfig
+    limit_s: float
+
+
+@dataclass(frozen=True)
+class _Task:
+    condition: Condition
+    steered_by: str
+    path: int
+    seed: int
+
+
+def conditions(rates_hz: Sequence[float] = RATES_HZ) -> list[Condition]:
+    """Every rate with no fault and with all of them; each fault at one rate."""
+    each = EACH_RATE_HZ if EACH_RATE_HZ in rates_hz else rates_hz[0]
+    found = [Condition(rate, fault) for fault in ("none", "all") for rate in rates_hz]
+    return found + [Condition(each, fault) for fault in FAULTS if fault not in ("none", "all")]
+
+
+def compare_estimators(
+    robot: Robot,
+    image: bytes,
+    paths: Sequence[Path],
+    config: PlanConfig,
+    seeds: int,
+    limit_s: float,
+    rates_hz: Sequence[float] = RATES_HZ,
+    workers: int = 1,
+    progress: Callable[[int, int], None] = lambda _done, _all: None,
+) -> dict[Condition, dict[str, Outcome]]:
+    """Swim along paths in the pool with every method under every condition.
+
+    Args:
+        robot, image: the swimmer and its table.
+        paths, config: what it follows, and how it plans.
+        seeds: runs along each path.
+        limit_s: pool time of a run.
+        rates_hz: fixes per second to look at.
+        workers: processes.
+        progress: called with runs done and to do.
+
+    Raises:
+        ConvergenceError: the pool's physics failed.
+    """
+    wanted = conditions(rates_hz)
+    runs = [(path, seed) for path in range(len(paths)) for seed in range(seeds)]
+    tasks = [_Task(c, method, *run) for c in wanted for method in METHODS for run in runs]
+    job = Job(_start, (robot, image, tuple(paths), config, limit_s), _run, _warm)
+    swims: dict[_Task, Swim] = {}
+    for done, (index, swim) in enumerate(run_chunks(job, tasks, workers), start=1):
+        swims[tasks[index]] = swim
+        progress(done, len(tasks))
+    return {
+        condition: {
+            method: _outcome(
+                [swims[_Task(condition, "track", *run)].errors[method] for run in runs],
+                {
+                    path.name: [swims[_Task(condition, method, index, seed)] for seed in range(seeds)]
+                    for index, path in enumerate(paths)
+                },
+            )
+            for method in METHODS
+        }
+        for condition in wanted
+    }
+
+
+def _outcome(errors: list[list[FloatArray]], steered: Mapping[str, list[Swim]]) -> Outcome:
+    every = np.concatenate([np.array(rows[_FIRST:]).reshape(-1, 6) for rows in errors])
+    known = every[np.isfinite(every[:, 0])]
+    position_m = np.hypot(known[:, 0], known[:, 1])
+
+    def rms(values: FloatArray) -> float:
+        return float(np.sqrt(np.mean(values**2))) if len(values) else float("nan")
+
+    return Outcome(
+        position_m=rms(position_m),
+        heading_rad=rms(known[:, 2]),
+        velocity_mps=rms(np.hypot(known[:, 3], known[:, 4])),
+        omega_rad_s=rms(known[:, 5]),
+        median_position_m=float(np.median(position_m)) if len(known) else float("nan"),
+        decisions=len(every),
+        unknown=len(every) - len(known),
+        distance_m={
+            name: _mean_of_begun([swim.distance_m for swim in swims]) for name, swims in steered.items()
+        },
+    )
+
+
+def _mean_of_begun(distances_m: Sequence[float]) -> float:
+    """NaN where no run began."""
+    begun = [one for one in distances_m if np.isfinite(one)]
+    return float(np.mean(begun)) if begun else float("nan")
+
+
+def _start(
+    robot: Robot, image: bytes, paths: tuple[Path, ...], config: PlanConfig, limit_s: float
+) -> _Setting:
+    return _Setting(robot, open_image(image), paths, config, limit_s)
+
+
+def _warm(setting: _Setting) -> None:
+    """Two decisions compile all that a run calls."""
+    short = dataclasses.replace(setting, limit_s=SETTLE_US * 1e-6 + 2.0)
+    _run(short, _Task(Condition(10.0, "none"), "track", 0, 0))
+
+
+def _run(setting: _Setting, task: _Task) -> Swim:
+    """One run: the twins decide, the rods swim, the other methods look on."""
+    tables, path = setting.tables, setting.paths[task.path]
+    begin = (float(path.x_m[0]), float(path.y_m[0]), float(path.tangent_rad[0]))
+    camera, world = task.condition.camera(), task.condition.world()
+    pool = Pool(setting.robot, begin, camera, np.random.default_rng(task.seed), world)
+    methods = {name: make(tables) for name, make in METHODS.items()}
+    twin = DecisionTwin(tables, path, setting.config, methods[task.steered_by])
+    swim = Swim({name: [] for name in METHODS})
+    at_us = SETTLE_US
+    begun_s = np.inf
+    while at_us * 1e-6 < setting.limit_s and twin.ended is None:
+        for fix in pool.advance(at_us * 1e-6):
+            capture_us = round(fix.capture_s * 1e6)
+            for name, method in methods.items():
+                add = twin.add_fix if name == task.steered_by else method.add
+                add(capture_us, fix.pose_world, fix.sequence)
+        if twin.ended is not None:
+            break
+        if twin.is_lost(at_us):
+            if np.isfinite(begun_s):
+                break
+            at_us += tables.period_us  # a robot that does not know yet where it is does not start
+            continue
+        begun_s = min(begun_s, at_us * 1e-6)
+        truth = np.concatenate(pool.state())
+        for name, method in methods.items():
+            swim.errors[name].append(_error(method, at_us, truth))
+        action = twin.decide(at_us).action
+        for name, method in methods.items():
+            if name != task.steered_by:
+                method.act(at_us, action)
+        if twin.ended is None and action < len(tables.actions):
+            _heat(pool, tables, action, at_us * 1e-6)
+        at_us += tables.period_us
+    time_s = np.array(pool.truth.time_s)
+    during = time_s >= begun_s
+    if during.any():
+        poses = np.array(pool.truth.pose_world).reshape(-1, 3)[during]
+        swim.distance_m = along_path(path, time_s[during], poses)[0]
+    return swim
+
+
+def _error(method: Estimates, at_us: int, truth: FloatArray) -> FloatArray:
+    estimate = method.at(at_us)
+    if estimate is None:
+        return np.full(6, np.nan)
+    error = estimate.state.astype(np.float64) - truth
+    error[2] = np.angle(np.exp(1j * error[2]))
+    return np.asarray(error)
+
+
+def _heat(pool: Pool, tables: Tables, action: int, at_s: float) -> None:
+    row = tables.actions[action]
+    second_s = at_s + tables.second_delay_us * 1e-6 + _SECOND_GAP_S
+    for mask, start_s in ((row.first_mask, at_s), (row.second_mask, second_s)):
+        for limb in range(tables.limbs):
+            if mask >> limb & 1:
+                pool.heat(limb, start_s)

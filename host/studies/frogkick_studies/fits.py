@@ -1,0 +1,379 @@
+"""Effects fitted to some groups of measured open-loop swims, tested on the groups left out.
+
+A measured swim is one number here: its steady speed. A fraction has some ten to thirty of them, each known to
+some 4 mm/s, so few parameters can be told from them, and most effects of the catalogue not at all: what turns
+the robot, what fades after the first strokes, what one limb alone does. The candidates are what is left, all
+of them the same for every alloy; what differs between alloys is the measured limb profile and nothing else.
+
+A parameter is sought near what physics expects, by how much such a thing may well be off: its distance
+counts as one more miss. Effects are taken up one after another, while predicting swims that were left out of
+the fit gets better by it beyond its sampling error. Whole groups are left out, as swims of one alloy or of
+neighbouring frequencies share what is wrong with them: each EGaIn fraction (where there are several), and
+each of three bands of frequency. An effect must win in both ways; where none does the nominal model stays.
+The swims of the test are not looked at.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import product
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from frogkick.robot import Robot
+from frogkick.validation.noise import Noise, noise_of
+from frogkick.validation.validate import ExperimentResult, Validation, root_mean_square
+from frogkick.validation.validate import validate as run_validation
+from frogkick_studies.steady import (
+    CANDIDATES,
+    Free,
+    Simulation,
+    Table,
+    expected,
+    gain_of,
+    groupings,
+    plans_of,
+    tables_of,
+)
+
+FloatArray = NDArray[np.float64]
+
+MOST_EFFECTS = 2
+TRIED = 1
+"""Candidates of a round that are fitted; the others fall behind already where all is taken as linear."""
+
+_SD_MPS = 0.004  # of a measured speed, where the fraction itself does not tell it
+_LEAST_SD_MPS = 0.002
+_STEP = 0.15  # of a finite difference, in widths: limbs that ring make speeds rough over less
+_EDGE = 1e-3  # from a bound, in widths, where a fit may start
+_Z95 = 1.96
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A fitted parameter: its value, and between what it lies with 95 %."""
+
+    free: Free
+    value: float
+    low: float
+    high: float
+
+
+@dataclass(frozen=True)
+class Turn:
+    """Effects that were tried on left-out groups.
+
+    Attributes:
+        parameters: names of all of them.
+        gains: way of grouping -> by how much the mean square error on left-out swims fell, m^2/s^2, and
+            between what that lies with 95 %.
+        taken: they predict better in every way of grouping.
+    """
+
+    parameters: tuple[str, ...]
+    gains: Mapping[str, tuple[float, float, float]]
+    taken: bool
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """Effects fitted to some swims.
+
+    Attributes:
+        estimates: of all parameters; none where nothing predicts left-out groups better than the plain model.
+        left_out_mps: RMSE on swims left out of the fit, without effects and after each that was taken up.
+        sd_mps: what a measured speed was taken to be known to.
+        turns: what was tried, in order.
+    """
+
+    estimates: tuple[Estimate, ...]
+    left_out_mps: tuple[float, ...]
+    sd_mps: float
+    turns: tuple[Turn, ...] = ()
+
+    @property
+    def tables(self) -> tuple[Table, ...]:
+        """As a robot's TOML has them."""
+        return tables_of({estimate.free: estimate.value for estimate in self.estimates})
+
+
+@dataclass(frozen=True)
+class Predicted:
+    """A measured swim and its prediction: NaN where the simulation failed."""
+
+    experiment: ExperimentResult
+    speed_mps: float
+
+    @property
+    def error_mps(self) -> float:
+        """Prediction less measurement."""
+        return self.speed_mps - self.experiment.reference.speed_mps
+
+
+@dataclass(frozen=True)
+class Split:
+    """Fitted on some groups: predictions of their own swims and of those left out.
+
+    Attributes:
+        kind: what tells the groups apart: ``egain``, ``frequency`` or ``folder``.
+        name: of what it was fitted to, in words.
+    """
+
+    kind: str
+    name: str
+    fitted: Fitted
+    train: tuple[Predicted, ...]
+    test: tuple[Predicted, ...]
+
+
+@dataclass(frozen=True)
+class OpenLoop:
+    """All splits of measured swims, and what the plain model makes of the (training) folder's."""
+
+    validation: Validation
+    noise: Noise
+    splits: tuple[Split, ...]
+
+
+def open_loop(
+    robot: Robot,
+    folder: Path,
+    train: Sequence[float] = (),
+    test: Sequence[float] = (),
+    workers: int = 1,
+    progress: Callable[[int, int], None] | None = None,
+    test_folder: Path | None = None,
+) -> OpenLoop:
+    """Fit effects to some groups of measured swims, predict the others.
+
+    Without ``train``, ``test`` and ``test_folder`` each EGaIn fraction and each band of frequency is left out
+    in turn, where enough swims remain.
+
+    Args:
+        robot: nominal.
+        folder: laid out as ``frogkick.validation.measured`` says.
+        train: EGaIn fractions, per cent, that are fitted to one at a time; with ``test_folder`` together.
+        test: fractions to predict; by default all but that of the fit, with ``test_folder`` all.
+        workers: processes.
+        progress: called with (rounds done, at most).
+        test_folder: another folder of the kind; then all is fitted to ``folder`` and tested on this one, each
+            with its own limb profiles.
+
+    Raises:
+        InputError: no data, a fraction without swims, too few to fit to, or none left to test on.
+    """
+    validation = run_validation(robot, folder, workers)
+    other = validation if test_folder is None else run_validation(robot, test_folder, workers)
+    plans = plans_of(validation.experiments, other.experiments, train, test, test_folder is not None)
+    splits = []
+    for place, (kind, name, own, tested) in enumerate(plans):
+        simulation = Simulation(robot, validation.profiles.profiles, workers)
+        fitted = fit_rows(simulation, own, _told(progress, place, len(plans)))
+        there = simulation
+        if test_folder is not None:
+            there = Simulation(robot, other.profiles.profiles, workers)
+        splits.append(
+            Split(kind, name, fitted, _predicted(simulation, fitted, own), _predicted(there, fitted, tested))
+        )
+    return OpenLoop(validation, noise_of(other.experiments), tuple(splits))
+
+
+def _predicted(
+    simulation: Simulation, fitted: Fitted, rows: Sequence[ExperimentResult]
+) -> tuple[Predicted, ...]:
+    speeds = simulation.speeds([fitted.tables], [row.case.gait for row in rows])[0]
+    return tuple(Predicted(row, float(speed)) for row, speed in zip(rows, speeds, strict=True))
+
+
+def _told(
+    progress: Callable[[int, int], None] | None, before: int, splits: int
+) -> Callable[[int], None] | None:
+    if progress is None:
+        return None
+    return lambda done: progress(before * MOST_EFFECTS + done, splits * MOST_EFFECTS)
+
+
+class _Fit:
+    """Fits of some parameters to some swims."""
+
+    def __init__(
+        self, simulation: Simulation, rows: Sequence[ExperimentResult], sd_mps: float | None = None
+    ) -> None:
+        self.simulation = simulation
+        distinct = {(row.case.gait, round(row.reference.speed_mps, 9)): row for row in rows}
+        self.rows = sorted(
+            distinct.values(), key=lambda row: (row.case.gait.frequency_hz, row.case.gait.phase)
+        )
+        self.gaits = [row.case.gait for row in self.rows]
+        self.measured = np.array([row.reference.speed_mps for row in self.rows])
+        told = noise_of(self.rows).neighbours.get("experiments", _SD_MPS) if sd_mps is None else sd_mps
+        self.sd_mps = max(told, _LEAST_SD_MPS)
+        self.groupings = groupings(self.rows)
+
+    def missed(self, frees: Sequence[Free], points: Sequence[FloatArray]) -> FloatArray:
+        """(len(points), n) prediction less measurement in standard deviations; a failed one stands still."""
+        tables = [
+            tables_of({f: f.value(float(z)) for f, z in zip(frees, point, strict=True)}) for point in points
+        ]
+        speeds = np.nan_to_num(self.simulation.speeds(tables, self.gaits), nan=0.0)
+        return np.asarray((speeds - self.measured) / self.sd_mps)
+
+    def jacobian(self, frees: Sequence[Free], point: FloatArray, first: int = 0) -> FloatArray:
+        """(n, p - first) of these, by finite differences that stay within the bounds."""
+        high = np.array([free.bounds[1] for free in frees])
+        steps = np.where(point + _STEP > high, -_STEP, _STEP)[first:]
+        moves = np.eye(len(frees))[first:] * steps[:, None]
+        base, *moved = self.missed(frees, [point, *(point + moves)])
+        return np.stack([(there - base) / step for there, step in zip(moved, steps, strict=True)], axis=1)
+
+    def fit(self, frees: Sequence[Free], start: FloatArray) -> FloatArray:
+        """(p,) likeliest distances from the plain model, in widths."""
+        from scipy.optimize import least_squares
+
+        low, high = np.array([free.bounds for free in frees]).T
+        found = least_squares(
+            lambda z: np.concatenate([self.missed(frees, [z])[0], z - expected(frees)]),
+            np.clip(start, low + _EDGE, high - _EDGE),
+            jac=lambda z: np.vstack([self.jacobian(frees, z), np.eye(len(frees))]),
+            bounds=(low, high),
+            ftol=2e-3,
+            xtol=1e-2,
+            max_nfev=25,
+        )
+        return np.asarray(found.x)
+
+    def folds(self, way: str) -> Iterator[NDArray[np.bool_]]:
+        """Which swims are kept, for each group of a way that is left out."""
+        label = np.array(self.groupings[way])
+        for group in sorted(set(self.groupings[way])):
+            yield label != group
+
+    def roughly_left_out(self, frees: Sequence[Free], point: FloatArray, jacobian: FloatArray) -> float:
+        """RMSE, m/s, of groups left out, the worse way of grouping, all taken as linear about a point."""
+        from scipy.optimize import lsq_linear
+
+        missed = self.missed(frees, [point])[0]
+        low, high = np.array([free.bounds for free in frees]).reshape(-1, 2).T
+        room = (np.minimum(low - point, -1e-9), np.maximum(high - point, 1e-9))
+        errors = []
+        for way in self.groupings:
+            after = missed.copy()
+            for kept in self.folds(way):
+                matrix = np.vstack([jacobian[kept], np.eye(len(frees))])
+                wanted = -np.concatenate([missed[kept], point - expected(frees)])
+                after[~kept] = missed[~kept] + jacobian[~kept] @ lsq_linear(matrix, wanted, room).x
+            errors.append(root_mean_square(after.tolist()))
+        return self.sd_mps * max(errors)
+
+    def left_out(self, frees: Sequence[Free]) -> dict[str, FloatArray]:
+        """Way of grouping -> (n,) misses, m/s, of swims left out of fits that never saw their group."""
+        if not len(frees):
+            plain = self.sd_mps * self.missed((), [np.empty(0)])[0]
+            return dict.fromkeys(self.groupings, plain)
+        found = {}
+        for way in self.groupings:
+            errors = np.empty(len(self.rows))
+            for kept in self.folds(way):
+                rows = [row for row, its in zip(self.rows, kept, strict=True) if its]
+                part = _Fit(self.simulation, rows, self.sd_mps)
+                point = part.fit(frees, _begin(part, frees, (), np.empty(0)))
+                errors[~kept] = self.sd_mps * self.missed(frees, [point])[0][~kept]
+            found[way] = errors
+        return found
+
+
+def fit_rows(
+    simulation: Simulation, rows: Sequence[ExperimentResult], told: Callable[[int], None] | None = None
+) -> Fitted:
+    """Choose and fit effects by some swims alone.
+
+    Args:
+        rows: measured swims; one that stands in two sweeps counts once.
+        told: called with the rounds done.
+    """
+    fit = _Fit(simulation, rows)
+    frees: tuple[Free, ...] = ()
+    point, errors = np.empty(0), fit.left_out(())
+    scores, turns = [_worst(errors)], []
+    for taken in range(MOST_EFFECTS):
+        best: tuple[float, tuple[Free, ...], dict[str, FloatArray]] | None = None
+        for more in _promising(fit, frees, point):
+            tried = (*frees, *more)
+            if len(tried) > len(fit.rows) // 3:
+                continue
+            after = fit.left_out(tried)
+            if best is None or _worst(after) < best[0]:
+                best = (_worst(after), tried, after)
+        if told is not None:
+            told(taken + 1)
+        if best is None:
+            break
+        gains = {way: gain_of(errors[way], best[2][way]) for way in errors}
+        wins = bool(gains) and all(low > 0.0 for _, low, _ in gains.values())
+        turns.append(Turn(tuple(free.name for free in best[1]), gains, wins))
+        if not wins:
+            break
+        _, frees, errors = best
+        scores.append(_worst(errors))
+        point = fit.fit(frees, _begin(fit, frees, (), np.empty(0)))
+    if told is not None:
+        told(MOST_EFFECTS)
+    return Fitted(tuple(_estimates(fit, frees, point)), tuple(scores), fit.sd_mps, tuple(turns))
+
+
+def _worst(errors: Mapping[str, FloatArray]) -> float:
+    """RMSE of the way of grouping in which it is largest; NaN where the swims are all of one group."""
+    return max((root_mean_square(each.tolist()) for each in errors.values()), default=math.nan)
+
+
+def _begin(fit: _Fit, tried: Sequence[Free], frees: Sequence[Free], point: FloatArray) -> FloatArray:
+    """Where a fit begins: what was found so far, and new ones at the best of their starts."""
+    known = dict(zip(frees, point.tolist(), strict=True))
+    places = [
+        (known[free],) if free in known else tuple(free.expected + start for start in free.starts)
+        for free in tried
+    ]
+    points = [np.array(place) for place in product(*places)]
+    costs = [float(missed @ missed) for missed in fit.missed(tried, points)]
+    away = [float(np.sum((each - expected(tried)) ** 2)) for each in points]
+    return points[int(np.argmin(np.add(costs, away)))]
+
+
+def _promising(fit: _Fit, frees: tuple[Free, ...], point: FloatArray) -> list[tuple[Free, ...]]:
+    """Parameters to add that predict left-out swims best where all is taken as linear about their start."""
+    rows = [tuple(free for free in row if free not in frees) for row in CANDIDATES if row[0] not in frees]
+    known = fit.jacobian(frees, point) if frees else np.empty((len(fit.rows), 0))
+    scored = []
+    for more in dict.fromkeys(rows):
+        tried = (*frees, *more)
+        start = _begin(fit, tried, frees, point)
+        new = fit.jacobian(tried, start, len(frees))
+        scored.append((fit.roughly_left_out(tried, start, np.hstack([known, new])), more))
+    return [more for _, more in sorted(scored, key=lambda pair: pair[0])[:TRIED]]
+
+
+def _estimates(fit: _Fit, frees: tuple[Free, ...], point: FloatArray) -> Iterator[Estimate]:
+    """Values with intervals: of the misses' curvature, where these scatter by more than noise by that."""
+    if not frees:
+        return
+    jacobian = fit.jacobian(frees, point)
+    missed = fit.missed(frees, [point])[0]
+    scatter = max(1.0, float(missed @ missed) / max(len(missed) - len(frees), 1))
+    covariance = np.linalg.inv(jacobian.T @ jacobian / scatter + np.eye(len(frees)))
+    for free, z, sd in zip(frees, point.tolist(), np.sqrt(np.diag(covariance)).tolist(), strict=True):
+        yield Estimate(free, free.value(z), free.value(z - _Z95 * sd), free.value(z + _Z95 * sd))
+
+
+def rmse_by_group(rows: Sequence[Predicted], nominal: bool = False) -> dict[str, float]:
+    """RMS error, m/s, over ``all`` and each group of swims that could be simulated."""
+    errors: dict[str, list[float]] = {"all": []}
+    for row in rows:
+        error = row.experiment.error_mps if nominal else row.error_mps
+        if math.isfinite(error):
+            errors["all"].append(error)
+            errors.setdefault(row.experiment.case.group, []).append(error)
+    return {group: root_mean_square(values) for group, values in errors.items()}

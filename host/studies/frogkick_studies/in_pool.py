@@ -1,0 +1,383 @@
+"""Planners in the simulated pool, over paths, seeds and worlds; ``loop`` and ``twin`` compare them so."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import json
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from frogkick.core.chunks import Job, code_stamp, run_chunks
+from frogkick.core.errors import InputError
+from frogkick.core.files import write_bytes
+from frogkick.core.progress import shown
+from frogkick.effects import World
+from frogkick.effects.registry import make_effects
+from frogkick.library import Library, build_library, fit_table, read_library
+from frogkick.library.fitting import BUDGET_BYTES
+from frogkick.paths import SHAPES, shape
+from frogkick.paths import Path as SwimPath
+from frogkick.planner.plan import PlanConfig
+from frogkick.pool.camera import Camera
+from frogkick.pool.native_robot import NativeRobot
+from frogkick.pool.pool import Pool
+from frogkick.robot import Robot
+from frogkick.runs.closed_loop import RunOptions, run_in_pool
+from frogkick.runs.record import tracking_of_recording
+from frogkick.tables.image import Tables, read_image
+from frogkick_codegen.firmware import build
+from frogkick_studies.kept import Lines
+
+TIME_LIMIT_S = 120.0
+PAPER_STATES = 8503
+PAPER, ROBOT = "paper", "robot"
+
+
+@dataclass(frozen=True)
+class Case:
+    """One run: names of its world, path and planner, and the seed of the camera's noise."""
+
+    world: str
+    path: str
+    planner: str
+    seed: int
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What a run gave; see ``frogkick.runs.record.Tracking``."""
+
+    mean_distance_m: float
+    progress_mps: float
+    completed: bool
+    ended: str
+    decisions: int
+
+
+class Kept:
+    """Outcomes of runs in a file, each with the conditions it was made under.
+
+    Attributes:
+        outcomes: what the file holds of these conditions, by case.
+    """
+
+    def __init__(self, file: Path, stamp: str, conditions_of: Callable[[Case], str | None]) -> None:
+        """Read what is there.
+
+        Args:
+            file: see ``Lines``.
+            stamp: of all that every result depends on.
+            conditions_of: hash of what else a case depends on; None where that is unknown here.
+        """
+        self.outcomes: dict[Case, Outcome] = {}
+        self._conditions_of = conditions_of
+        self._lines = Lines(file, {"stamp": stamp})
+        for values in self._lines.values:
+            case = Case(**values["case"])
+            if conditions_of(case) == values["conditions_sha256"]:
+                self.outcomes[case] = Outcome(**values["outcome"])
+
+    def add(self, case: Case, outcome: Outcome) -> None:
+        """Keep a result."""
+        self.outcomes[case] = outcome
+        self._lines.add(
+            {
+                "case": dataclasses.asdict(case),
+                "conditions_sha256": self._conditions_of(case),
+                "outcome": dataclasses.asdict(outcome),
+            }
+        )
+
+
+@dataclass(frozen=True)
+class Setting:
+    """A world by name, which can be made again for every run: effects may keep things to themselves.
+
+    Attributes:
+        name: for reports and results.
+        tables: of its effects, as in a world's TOML.
+        folder: where files of its effects are.
+        sha256: of all that it is made of, hex.
+    """
+
+    name: str
+    tables: tuple[Mapping[str, Any], ...] = ()
+    folder: Path = Path()
+    sha256: str = ""
+
+    def world(self) -> World:
+        """Make it."""
+        return World(make_effects(self.tables, self.folder))
+
+
+def setting_from(name: str, tables: Sequence[Mapping[str, Any]], folder: Path = Path()) -> Setting:
+    """The world of some ``[[effect]]`` tables, with a hash of these and of the files that they name."""
+    digest = hashlib.sha256(json.dumps(list(tables), sort_keys=True).encode())
+    for file in sorted({str(table["file"]) for table in tables if "file" in table}):
+        digest.update(b"\0" + (folder / file).read_bytes())
+    return Setting(name, tuple(tables), folder, digest.hexdigest())
+
+
+@dataclass(frozen=True)
+class Planner:
+    """One of the planners that are compared.
+
+    Attributes:
+        name: for reports.
+        table: how ``run_cases`` is told its table: PAPER (every state of the paper's, nearest), ROBOT.
+        config: cost, weights, depth.
+        own: the cost is the robot's own.
+    """
+
+    name: str
+    table: str
+    config: PlanConfig
+    own: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class Course:
+    """A path, and where the robot lies at rest when its run begins.
+
+    Attributes:
+        name: for reports and results.
+        path: to follow, world frame.
+        start_world: x_m, y_m, heading_rad of the robot.
+    """
+
+    name: str
+    path: SwimPath
+    start_world: tuple[float, float, float]
+
+    @property
+    def sha256(self) -> str:
+        """Of path and start, hex."""
+        columns = (self.path.x_m, self.path.y_m, self.path.tangent_rad)
+        digest = hashlib.sha256(b"".join(column.tobytes() for column in columns))
+        digest.update(repr(self.start_world).encode())
+        return digest.hexdigest()
+
+
+def course_of(name: str) -> Course:
+    """A shape by name, from its first point along its tangent.
+
+    Raises:
+        InputError: no such shape.
+    """
+    path = shape(name)
+    return Course(name, path, (float(path.x_m[0]), float(path.y_m[0]), float(path.tangent_rad[0])))
+
+
+@dataclass(frozen=True)
+class Summary:
+    """Runs of one planner over the seeds, of one path in one world.
+
+    Attributes:
+        world, path, planner: of the runs.
+        mean_distance_m, progress_mps: means over the seeds.
+        deviation_m: standard deviation of the mean distance over the seeds.
+        completed: part of the runs.
+    """
+
+    world: str
+    path: str
+    planner: str
+    mean_distance_m: float
+    deviation_m: float
+    progress_mps: float
+    completed: float
+
+
+def run_cases(
+    robot: Robot,
+    tables: Mapping[str, Path],
+    planners: Sequence[Planner],
+    settings: Sequence[Setting],
+    cases: Sequence[Case],
+    out: Path,
+    workers: int = 1,
+    progress: Callable[[int, int], None] = lambda _done, _all: None,
+    courses: Sequence[Course] = (),
+) -> dict[Case, Outcome]:
+    """Run every case; not again those that ``out`` holds of the same code, tables, world and course.
+
+    Args:
+        robot: the swimmer, as the pool and the firmware have it without the effects of its file.
+        tables: what planners call their table -> table image.
+        planners, settings: by which the cases name theirs.
+        cases: what to run.
+        out: folder for results and firmware.
+        workers: processes.
+        progress: called with cases done and to do.
+        courses: that cases name besides shapes.
+
+    Raises:
+        FrogkickError: of the robot, the pool or the tables.
+    """
+    libraries = {
+        name: build("native", path, robot, out / f"firmware-{name}").image for name, path in tables.items()
+    }
+    worlds = {setting.name: setting.sha256 for setting in settings}
+    ways = {course.name: course.sha256 for course in courses}
+
+    def conditions(case: Case) -> str | None:
+        return f"{worlds[case.world]} {ways.get(case.path, '')}" if case.world in worlds else None
+
+    stamp = _stamp(robot, tables, libraries, planners)
+    kept = Kept(out / "runs.jsonl", stamp, conditions)
+    waiting = [case for case in cases if case not in kept.outcomes]
+    given = (robot, dict(tables), libraries, tuple(planners), tuple(settings), tuple(courses))
+    job = Job(_start, given, _run, _warm)
+    progress(len(cases) - len(waiting), len(cases))
+    for index, outcome in run_chunks(job, waiting, workers):
+        kept.add(waiting[index], outcome)
+        progress(sum(case in kept.outcomes for case in cases), len(cases))
+    return {case: kept.outcomes[case] for case in cases}
+
+
+def summaries(outcomes: Mapping[Case, Outcome]) -> list[Summary]:
+    """Means over the seeds, in the order of the cases."""
+    groups: dict[tuple[str, str, str], list[Outcome]] = {}
+    for case, outcome in outcomes.items():
+        groups.setdefault((case.world, case.path, case.planner), []).append(outcome)
+    found = []
+    for (world, path, planner), runs in groups.items():
+        distance = np.array([run.mean_distance_m for run in runs])
+        found.append(
+            Summary(
+                world,
+                path,
+                planner,
+                float(distance.mean()),
+                float(distance.std()),
+                float(np.mean([run.progress_mps for run in runs])),
+                float(np.mean([run.completed for run in runs])),
+            )
+        )
+    return found
+
+
+def _stamp(
+    robot: Robot, tables: Mapping[str, Path], libraries: Mapping[str, Path], planners: Sequence[Planner]
+) -> str:
+    digest = hashlib.sha256(code_stamp("frogkick_studies").encode() + robot.sha256)
+    for name in sorted(tables):
+        # A native library is named after all of its sources.
+        digest.update(f"{name} {libraries[name].name}\n".encode() + tables[name].read_bytes())
+    digest.update(repr(planners).encode())
+    return digest.hexdigest()
+
+
+@dataclass(frozen=True)
+class _Ready:
+    robot: Robot
+    tables: dict[str, Tables]
+    libraries: dict[str, Path]
+    planners: dict[str, Planner]
+    settings: dict[str, Setting]
+    courses: dict[str, Course]
+
+
+def _start(
+    robot: Robot,
+    tables: dict[str, Path],
+    libraries: dict[str, Path],
+    planners: tuple[Planner, ...],
+    settings: tuple[Setting, ...],
+    courses: tuple[Course, ...],
+) -> _Ready:
+    return _Ready(
+        robot,
+        {name: read_image(path) for name, path in tables.items()},
+        libraries,
+        {planner.name: planner for planner in planners},
+        {setting.name: setting for setting in settings},
+        {course.name: course for course in courses},
+    )
+
+
+def _warm(ready: _Ready) -> None:
+    Pool(ready.robot, (0.0, 0.0, 0.0), Camera(), np.random.default_rng(0)).advance(0.01)
+
+
+def _run(ready: _Ready, case: Case) -> Outcome:
+    planner = ready.planners[case.planner]
+    course = ready.courses.get(case.path) or course_of(case.path)
+    world, rng = ready.settings[case.world].world(), np.random.default_rng(case.seed)
+    pool = Pool(ready.robot, course.start_world, Camera(), rng, world)
+    recording = run_in_pool(
+        NativeRobot(ready.libraries[planner.table], len(ready.robot.limbs)),
+        pool,
+        ready.tables[planner.table],
+        course.path,
+        RunOptions(planner.config, time_limit_s=TIME_LIMIT_S),
+    )
+    tracked = tracking_of_recording(recording, pool, ready.robot, course.path)
+    return Outcome(
+        tracked.mean_distance_m,
+        tracked.progress_mps,
+        recording.completed,
+        recording.ended,
+        tracked.decisions,
+    )
+
+
+def shape_names(given: Sequence[str] | None) -> list[str]:
+    """Names of shapes, each once, the paper's where none is given.
+
+    Raises:
+        InputError: no such shape.
+    """
+    names = list(given or SHAPES)
+    for name in names:
+        shape(name)
+    return list(dict.fromkeys(names))
+
+
+def library_of(
+    robot: Robot,
+    given: Path | None,
+    made: Path,
+    workers: int,
+    states: int,
+    sampling: str,
+) -> Library:
+    """Read a library of a robot, or one made once.
+
+    Args:
+        robot: whose it has to be.
+        given: its file, None for ``made``.
+        made: written where it is not there yet, of ``states`` and ``sampling`` as for ``build_library``.
+        workers: processes.
+
+    Raises:
+        InputError: it is of another robot, or of another version of it.
+    """
+    source = made if given is None else given
+    if given is None and not made.exists():
+        with shown(True, f"library {made.name}") as tell:
+            build_library(robot, states, 0, workers, made, tell, sampling, record_s=0.0)
+    read = read_library(source)
+    if _with_planner_of(robot, read.robot()) != _with_planner_of(robot, robot):
+        raise InputError(f"library {source.name!r} is not of {robot.title!r} as it is now: build it again")
+    return read
+
+
+def fit_own_table(library: Library, image: Path) -> None:
+    """Write the affine table of 64 KiB of a library.
+
+    Raises:
+        InputError: it has too few states.
+    """
+    with shown(True, "robot's table") as tell:
+        write_bytes(image, fit_table(library, "affine", BUDGET_BYTES, tell).image)
+
+
+def _with_planner_of(other: Robot, robot: Robot) -> Robot:
+    """A robot with the planner of another one, which changes nothing in a library, and without its text."""
+    return dataclasses.replace(robot, planner=other.planner, toml="", sha256=b"")

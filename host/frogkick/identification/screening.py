@@ -134,28 +134,20 @@ def _own_starts(term: Term, robot: Robot, swims: Sequence[Segments]) -> list[tup
 
 def _starts(term: Term, insensitive: NDArray[np.bool_], swims: Sequence[Segments]) -> list[Term]:
     """Starts spread over the insensitive parameters (Halton sequence), within the area of the runs."""
+    from scipy.stats import qmc
+
     starts = [term]
-    primes = (2, 3, 5, 7)
     reached = np.concatenate([swim.pose[:, :2] for swim in swims])
     ends = zip(reached.min(axis=0), reached.max(axis=0), strict=True)
     ranges = dict(zip(("x_m", "y_m"), ends, strict=True))
-    for n in range(1, 2 + int(insensitive.sum())):
+    free = np.flatnonzero(insensitive)
+    for shares in qmc.Halton(max(1, len(free)), scramble=False).random(2 + len(free))[1:].tolist():
         values = list(term.values)
-        for order, k in enumerate(np.flatnonzero(insensitive)):
+        for k, share in zip(free, shares, strict=False):
             p = term.parameters[k]
             low, high = ranges.get(p.name, (p.low, p.high))
-            share = _halton(n, primes[order % len(primes)])
             # Times and sizes are spread evenly in their logarithm.
             even = p.low <= 0.0 or p.name in ranges
             values[k] = low + share * (high - low) if even else low * (high / low) ** share
         starts.append(term.at(values))
     return starts
-
-
-def _halton(index: int, base: int) -> float:
-    share, digit = 0.0, 1.0
-    while index:
-        digit /= base
-        share += digit * (index % base)
-        index //= base
-    return share

@@ -43,7 +43,7 @@ extra: $(STAMP)
 # The documentation, into build/docs: a broken link or a code block that does not run is an error.
 docs: $(DOCS_STAMP)
 	$(BIN)/python host/docs/run_blocks.py
-	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet -f host/docs/mkdocs.yml
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict -f host/docs/mkdocs.yml
 	@echo "open build/docs/index.html"
 
 check: test extra docs lint types

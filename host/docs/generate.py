@@ -176,7 +176,8 @@ def image_layout() -> Iterator[str]:
     ]
     yield before.strip()
     yield "\n".join(["| offset | type | meaning |", "|---|---|---|", *rows])
-    yield after.strip().replace("``", "`")
+    parts = after.strip().split("``")  # every other one is code
+    yield "".join(f"`{part}`" if k % 2 else re.sub(r"([][*])", r"\\\1", part) for k, part in enumerate(parts))
 
 
 def link_frames() -> Iterator[str]:

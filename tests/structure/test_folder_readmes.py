@@ -6,6 +6,7 @@ import re
 from pathlib import Path
 
 import pytest
+from tests.structure.test_repository import tracked
 
 REPOSITORY = Path(__file__).parents[2]
 FOLDERS = sorted(
@@ -15,11 +16,20 @@ FOLDERS = sorted(
         *(path for path in (REPOSITORY / "firmware").iterdir() if path.is_dir()),
     ]
 )
+LINKS = re.compile(r"\]\((?!https?://)([^)#\s]+)")
 KINDS = re.compile(r"`([\w./-]+\.(?:py|c|h|toml|md|ld))`")
 OTHERS = {
     "robot.toml", "camera.toml", "corners.toml", "world.toml", "mine.py", "fk_table.c", "fk_robot_config.h",
 }  # fmt: skip
 """What users write, or a build makes."""
+
+
+def test_links_lead_to_files_that_are_there() -> None:
+    """Of every page but the documentation's own, whose links ``make docs`` checks."""
+    pages = [REPOSITORY / name for name in tracked() if name.endswith(".md") and "docs/pages" not in name]
+    links = [(page, link) for page in pages for link in LINKS.findall(page.read_text(encoding="utf-8"))]
+    assert len(links) > 10
+    assert [f"{page}: {link}" for page, link in links if not (page.parent / link).is_file()] == []
 
 
 def test_each_test_that_the_hazards_name_is_there() -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
@@ -13,11 +15,16 @@ from frogkick.der.schedule import (
     COARSEST_WHILE_IT_RINGS,
     RINGS_S,
     SLIVER,
+    Pace,
     Stroke,
+    lane_times,
+    lay_out,
     pace_of,
+    profiles_of,
     step_times,
     stroke_activation,
 )
+from frogkick.der.stepping import EVALUATION_SHARE
 from frogkick.robot import load_robot
 
 ROBOT = load_robot("frog2022")
@@ -27,12 +34,22 @@ ROOM = 1.0 + 1e-6
 times = st.floats(0.0, 3.0)
 
 
+def ends_of(now: float, until: float, strokes: Sequence[Stroke], pace: Pace = PACE) -> np.ndarray:
+    known = sorted(strokes)
+    starts, scales = (
+        np.array([each.start_s for each in known]),
+        np.array([each.duration_scale for each in known]),
+    )
+    shape = (pace.coarseness, pace.every_s, pace.over_s, pace.peak_s)
+    return np.asarray(step_times(now, until, starts, scales, *shape, STEP_S))
+
+
 @example(now=0.8, length=1.0, starts=[1e-05])
 @settings(max_examples=300, deadline=None)
 @given(now=times, length=st.floats(1e-6, 3.0), starts=st.lists(times, max_size=6))
 def test_steps_fill_the_time_and_land_on_strokes(now: float, length: float, starts: list[float]) -> None:
     until = now + length
-    ends = step_times(now, until, [Stroke(start) for start in starts], PACE, STEP_S)
+    ends = ends_of(now, until, [Stroke(start) for start in starts])
     steps = np.diff(ends)
     assert ends[0] == now
     assert ends[-1] == until
@@ -55,7 +72,7 @@ def test_steps_fill_the_time_and_land_on_strokes(now: float, length: float, star
 
 def test_no_sliver_is_left_behind_a_stroke_that_begins_where_steps_end() -> None:
     for start in (np.nextafter(0.1, 0.0), 0.1 - 0.5 * SLIVER * STEP_S):
-        steps = np.diff(step_times(0.0, 0.1, [Stroke(float(start))], PACE, STEP_S))
+        steps = np.diff(ends_of(0.0, 0.1, [Stroke(float(start))]))
         assert steps.min() > 0.4 * SLIVER * STEP_S
 
 
@@ -64,15 +81,14 @@ def test_no_sliver_is_left_behind_a_stroke_that_begins_where_steps_end() -> None
 def test_a_stroke_s_own_time_chooses_no_other_steps(late: float, second_ms: int, length_ms: int) -> None:
     """The rounding of its time must not, however late it begins."""
     first, ends = (
-        step_times(at, at + 1e-3 * length_ms, [Stroke(at), Stroke(at + 1e-3 * second_ms)], PACE, STEP_S)
-        for at in (0.0, late)
+        ends_of(at, at + 1e-3 * length_ms, [Stroke(at), Stroke(at + 1e-3 * second_ms)]) for at in (0.0, late)
     )
     assert len(ends) == len(first)
     assert np.abs(ends - late - first).max() < 1e-11
 
 
 def test_steps_are_coarse_long_after_a_stroke_and_shared_out_before_the_next() -> None:
-    ends = step_times(0.0, 3.0, [Stroke(0.0), Stroke(2.5005)], PACE, STEP_S)
+    ends = ends_of(0.0, 3.0, [Stroke(0.0), Stroke(2.5005)])
     steps = np.diff(ends)
     assert np.allclose(steps[:50], STEP_S)
     assert np.isclose(steps.max(), COARSEST_AT_REST * STEP_S)
@@ -83,7 +99,7 @@ def test_steps_are_coarse_long_after_a_stroke_and_shared_out_before_the_next() -
 
 def test_no_stroke_is_coarse_at_once() -> None:
     for coming in ([], [Stroke(5.0)]):
-        ends = step_times(0.0, 0.84, coming, PACE, STEP_S)
+        ends = ends_of(0.0, 0.84, coming)
         assert np.allclose(np.diff(ends), COARSEST_AT_REST * STEP_S)
 
 
@@ -120,7 +136,35 @@ def test_a_weak_slow_stroke_is_the_measured_one_with_less_height_and_a_longer_ta
     then = np.where(at <= peak_s, at, peak_s + (at - peak_s) / 2.0)
     table_s = np.arange(len(stroke.activation)) * stroke.step_s
     assert np.allclose(active, 0.7 * np.interp(then, table_s, stroke.activation, 0.0, 0.0), atol=1e-12)
-    ends = step_times(0.0, 3.0, [Stroke(0.0, 0.7, 2.0)], PACE, STEP_S)
+    ends = ends_of(0.0, 3.0, [Stroke(0.0, 0.7, 2.0)])
     over_s = peak_s + 2.0 * (PACE.over_s - peak_s)
     assert over_s < 3.0
     assert np.abs(ends - over_s).min() < 1e-12
+
+
+def test_lanes_laid_out_in_one_go_are_those_laid_out_one_by_one() -> None:
+    """To the last bit, whatever the strokes of other lanes are like and however many they have."""
+    actuations = [ROBOT.actuation(each.egain_percent, each.frequency_hz) for each in ROBOT.profiles[:3]]
+    fired = [[Stroke(0.02, 0.8), Stroke(0.42, 1.0, 1.7)], [], [Stroke(0.1)]]
+    starts, scales = np.full((3, 2), np.inf), np.ones((3, 2))
+    strokes = np.full((3, 1, 2, 3), np.nan)
+    for lane, known in enumerate(fired):
+        for place, stroke in enumerate(known):
+            starts[lane, place], scales[lane, place] = stroke.start_s, stroke.duration_scale
+            strokes[lane, 0, place] = stroke
+    now, until = np.array([0.0, 0.1, 0.05]), np.array([0.9, 0.2, 0.05])
+    found, counts = lane_times(
+        now, until, until > now, starts, scales, profiles_of(actuations), STEP_S, np.inf
+    )
+    lengths, active = np.zeros((counts.max() - 1, 1, 4)), np.zeros((counts.max() - 1, 4, 4))
+    lay_out(found, counts, strokes, profiles_of(actuations), EVALUATION_SHARE, lengths, active)
+    assert counts[2] == 0 and not lengths[:, :, 2:].any() and not active[:, :, 2:].any()
+    for lane, actuation in enumerate(actuations[:2]):
+        ends, pace, steps = found[lane, : counts[lane]], pace_of(actuation), counts[lane] - 1
+        assert np.array_equal(ends, ends_of(now[lane], until[lane], fired[lane], pace))
+        assert np.array_equal(lengths[:steps, 0, lane], np.diff(ends)) and not lengths[steps:, 0, lane].any()
+        at = ends[:-1] + EVALUATION_SHARE * np.diff(ends)
+        table = (actuation.activation, actuation.step_s, pace.peak_s)
+        one = stroke_activation(at, strokes[lane], *table)[:, 0]
+        assert np.array_equal(active[:steps, 0, lane], one)
+        assert np.array_equal(active[:steps, 1, lane], actuation.drop_per_m * one)

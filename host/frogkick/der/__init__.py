@@ -1,6 +1,6 @@
 """Planar discrete elastic rods in water: mesh, forces, solver, integrator, swimmers."""
 
-from frogkick.der.batch import WIDTH, Batch, Failure
+from frogkick.der.batch import WIDTH, Batch, Checkpoint, Failure
 from frogkick.der.gaits import Gait, Track, simulate_gait, simulate_gaits, swim_tracks
 from frogkick.der.strokes import Motions, program_of, simulate_action, simulate_many
 from frogkick.der.swimmer import STEP_S, Rods, Swimmer, prepare
@@ -12,6 +12,7 @@ __all__ = [
     "STILL",
     "WIDTH",
     "Batch",
+    "Checkpoint",
     "Failure",
     "Gait",
     "Motions",

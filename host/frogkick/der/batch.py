@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Sequence
+import math
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,12 +16,13 @@ from frogkick.der.compiled import run_steps, set_accelerations, set_sums
 from frogkick.der.lanes import Numbers, lane_floats, lane_zeros
 from frogkick.der.mesh import Mesh
 from frogkick.der.plan import Plan
-from frogkick.der.schedule import RINGS_S, Stroke, pace_of, step_times, stroke_activation
-from frogkick.der.stepping import EVALUATION_SHARE, FACTOR_EVERY, MAX_ITERATIONS, space_of
+from frogkick.der.schedule import Schedule, Stroke
+from frogkick.der.stepping import FACTOR_EVERY, MAX_ITERATIONS, space_of
 from frogkick.der.water import STILL, WATER, Water
 from frogkick.robot import Actuation
 
 FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
 
 WIDTH = 8  # lanes: the widest vectors of today's processors; with 16 the work space outgrows the cache
 MAX_HALVINGS = 8
@@ -56,6 +58,11 @@ class _State:
         self.water = [STILL] * width
         self._space = space_of(mesh, plan, width)
 
+    @property
+    def nodes(self) -> tuple[Numbers, Numbers, Numbers]:
+        """Positions, velocities, accelerations."""
+        return self.x_m, self.v_mps, self.a_mps2
+
     def pick(self, lanes: Sequence[int]) -> _State:
         """``width`` of its lanes, some of them more than once, in space of their own."""
         twin = _State(self.mesh, self.plan, self.limbs, self.width)
@@ -79,27 +86,21 @@ class _State:
         return numbers
 
     def run(
-        self, step_s: Sequence[FloatArray], active: Sequence[FloatArray], factor_every: int, trace: bool
+        self, lengths: Numbers, active: Numbers, steps: Sequence[int], factor_every: int, trace: bool
     ) -> tuple[FloatArray, list[FloatArray]]:
         """Take each lane's own steps.
 
         Args:
-            step_s: for each lane (k,) lengths.
-            active: for each lane (k, 2 * limbs).
+            lengths, active: see frogkick.der.schedule.lay_out.
+            steps: of each lane.
             factor_every: see frogkick.der.stepping.run_steps.
             trace: whether to return the motion after each step.
 
         Returns:
             The (3, width) report of run_steps, and for each lane (k, MOTION) rows about its origin, or none.
         """
-        longest = max(len(steps) for steps in step_s)
-        lengths = lane_zeros((longest, 1), self.width)
-        strokes = lane_zeros((longest, 2 * self.limbs + 2), self.width)
-        for lane, (steps, rows) in enumerate(zip(step_s, active, strict=True)):
-            lane_floats(lengths)[: len(steps), 0, lane] = steps
-            lane_floats(strokes)[: len(steps), : rows.shape[1], lane] = rows
         report = lane_zeros((3, 1), self.width)
-        sums = lane_zeros((longest if trace else 0, SUMS), self.width)
+        sums = lane_zeros((len(lengths) if trace else 0, SUMS), self.width)
         run_steps(
             self.mesh,
             self.plan,
@@ -108,7 +109,7 @@ class _State:
             self.v_mps,
             self.a_mps2,
             lengths,
-            strokes,
+            active,
             self._water(),
             factor_every,
             report,
@@ -116,8 +117,8 @@ class _State:
         )
         rows = lane_floats(sums)
         traces = [
-            body_motion(np.ascontiguousarray(rows[: len(steps), :, lane])) if trace else np.empty((0, MOTION))
-            for lane, steps in enumerate(step_s)
+            body_motion(np.ascontiguousarray(rows[:count, :, lane])) if trace else np.empty((0, MOTION))
+            for lane, count in enumerate(steps)
         ]
         return lane_floats(report)[:, 0, :].copy(), traces
 
@@ -129,7 +130,7 @@ class _State:
 
     def copy_lane(self, lane: int, other: _State, to: int) -> None:
         """Copy one lane of this state into a lane of another."""
-        for mine, theirs in ((self.x_m, other.x_m), (self.v_mps, other.v_mps), (self.a_mps2, other.a_mps2)):
+        for mine, theirs in zip(self.nodes, other.nodes, strict=True):
             lane_floats(theirs)[..., to] = lane_floats(mine)[..., lane]
         other.water[to] = self.water[lane]
 
@@ -138,9 +139,13 @@ class _Walk:
     """One lane on its own through hard steps."""
 
     def __init__(
-        self, state: _State, active: Callable[[FloatArray], FloatArray], trace: bool, residual: float
+        self,
+        state: _State,
+        laid: Callable[[FloatArray], tuple[Numbers, Numbers]],
+        trace: bool,
+        residual: float,
     ) -> None:
-        self._state, self._active, self._trace = state, active, trace
+        self._state, self._laid, self._trace = state, laid, trace
         self.residual = residual  # of the last step that failed
         self.corrections = 0.0
         self.ends: list[FloatArray] = []
@@ -148,11 +153,9 @@ class _Walk:
 
     def take(self, times_s: FloatArray, factor_every: int) -> int:
         """Take steps; return how many succeeded."""
-        report, (rows,) = self._state.run(
-            [np.diff(times_s)], [self._active(times_s)], factor_every, self._trace
-        )
-        self.corrections += float(report[2, 0])
         taken = len(times_s) - 1
+        report, (rows,) = self._state.run(*self._laid(times_s), [taken], factor_every, self._trace)
+        self.corrections += float(report[2, 0])
         if report[0, 0] >= 0.0:
             taken, self.residual = int(report[0, 0]), float(report[1, 0])
         self.ends.append(times_s[1 : taken + 1])
@@ -167,6 +170,27 @@ class _Walk:
             if time_s == until_s:
                 break
         return time_s
+
+
+@dataclass(frozen=True, eq=False)
+class Checkpoint:
+    """A lane's robot amid its strokes, taken out of a batch.
+
+    Attributes:
+        nodes: (n, 2) positions about the origin, velocities, accelerations.
+        water: around it.
+        strokes: of each limb.
+        origin_m: (2,) world frame.
+        time_s: its clock.
+        failed: it did not get here.
+    """
+
+    nodes: tuple[FloatArray, ...]
+    water: Water
+    strokes: tuple[tuple[Stroke, ...], ...]
+    origin_m: FloatArray
+    time_s: float
+    failed: bool
 
 
 class Batch:
@@ -188,6 +212,7 @@ class Batch:
         time_s: float,
         step_s: float,
         width: int = WIDTH,
+        longest_s: float = math.inf,
     ) -> None:
         """Place rigidly moving robots with all limbs at rest.
 
@@ -200,15 +225,13 @@ class Batch:
             time_s: what all clocks show now.
             step_s: finest time step, s, positive.
             width: numbers side by side, at least as many as robots; the rest idle.
+            longest_s: no step is longer, even where a longer one would be accurate enough.
         """
         self.lanes = len(actuations)
         self.time_s = np.full(self.lanes, float(time_s))
         self.failures: dict[int, Failure] = {}
         self.corrections = np.zeros(self.lanes)
-        self._actuations = tuple(actuations)
-        self._paces = [pace_of(actuation) for actuation in actuations]
-        self._step_s = float(step_s)
-        self._strokes: list[list[list[Stroke]]] = [[[] for _ in range(limbs)] for _ in actuations]
+        self._schedule = Schedule(actuations, limbs, step_s, longest_s)
         self._state = _State(mesh, plan, limbs, width)
         self._alone: _State | None = None
         # Nodes are kept relative to a moving origin: far out, rounding would spoil strains of 1e-9.
@@ -228,7 +251,7 @@ class Batch:
             gain: share of the measured stroke.
             duration_scale: how much longer than measured the limb takes to curl back once it is straight.
         """
-        self._strokes[lane][limb].append(Stroke(float(time_s), float(gain), float(duration_scale)))
+        self._schedule.fire(lane, limb, Stroke(float(time_s), float(gain), float(duration_scale)))
 
     def set_water(self, lane: int, water: Water) -> None:
         """Let the water around a lane's robot move, and push the robot, from now on."""
@@ -236,17 +259,38 @@ class Batch:
         if not self.corrections.any():  # nothing has moved yet: it starts in this water
             self._state.start()
 
-    def shift(self, lane: int, pose_world: Sequence[float], velocity_world: Sequence[float]) -> None:
-        """Move a lane's robot as a whole: by (m, m, rad about its centre), and its velocity likewise."""
-        turn = rotation(pose_world[2])
-        x, v, a = (lane_floats(each) for each in (self._state.x_m, self._state.v_mps, self._state.a_mps2))
-        centre = self._state.motion()[lane, :2]
-        arms = (x[..., lane] - centre) @ turn.T
-        x[..., lane] = centre + arms
-        v[..., lane] = v[..., lane] @ turn.T + np.asarray(velocity_world[:2])
-        v[..., lane] += velocity_world[2] * np.column_stack([-arms[:, 1], arms[:, 0]])
-        a[..., lane] = a[..., lane] @ turn.T
-        self._origin[lane] += pose_world[:2]
+    def shift(self, moves: Mapping[int, tuple[FloatArray, FloatArray]]) -> None:
+        """Move lanes' robots as a whole: (3,) by m, m, rad about its centre, and its velocity likewise."""
+        centres = self._state.motion()[:, :2]
+        x, v, a = (lane_floats(each) for each in self._state.nodes)
+        for lane, (pose, velocity) in moves.items():
+            turn = rotation(pose[2])
+            arms = (x[..., lane] - centres[lane]) @ turn.T
+            x[..., lane] = centres[lane] + arms
+            v[..., lane] = v[..., lane] @ turn.T + velocity[:2]
+            v[..., lane] += velocity[2] * np.column_stack([-arms[:, 1], arms[:, 0]])
+            a[..., lane] = a[..., lane] @ turn.T
+            self._origin[lane] += pose[:2]
+
+    def save(self, lane: int) -> Checkpoint:
+        """A lane's robot as it is now."""
+        return Checkpoint(
+            tuple(lane_floats(each)[..., lane].copy() for each in self._state.nodes),
+            self._state.water[lane],
+            self._schedule.strokes(lane),
+            self._origin[lane].copy(),
+            float(self.time_s[lane]),
+            lane in self.failures,
+        )
+
+    def restore(self, lane: int, saved: Checkpoint) -> None:
+        """Let a robot of the same body go on in a lane."""
+        for mine, theirs in zip(self._state.nodes, saved.nodes, strict=True):
+            lane_floats(mine)[..., lane] = theirs
+        self._state.water[lane] = saved.water
+        self._schedule.put(lane, saved.strokes)
+        self._origin[lane], self.time_s[lane] = saved.origin_m, saved.time_s
+        self.corrections[lane] = 1.0  # it has moved already: its accelerations stay as they are
 
     def pick(self, lanes: Sequence[int]) -> Batch:
         """Some lanes' robots again, 1 to the width, amid their strokes, to go on from here by themselves."""
@@ -254,9 +298,7 @@ class Batch:
         twin.lanes = len(chosen)
         twin.time_s, twin.corrections = self.time_s[chosen], self.corrections[chosen]
         twin.failures = {to: self.failures[k] for to, k in enumerate(chosen) if k in self.failures}
-        twin._actuations = tuple(self._actuations[k] for k in chosen)
-        twin._paces = [self._paces[k] for k in chosen]
-        twin._strokes = [[list(starts) for starts in self._strokes[k]] for k in chosen]
+        twin._schedule = self._schedule.pick(chosen)
         idle = [chosen[0]] * (width - len(chosen))  # a valid state, as in __init__
         twin._state, twin._alone = self._state.pick([*chosen, *idle]), None
         twin._origin = self._origin[chosen]
@@ -275,54 +317,29 @@ class Batch:
             For each lane the times (k,) after each step that it took, and (k, MOTION) rows of
             frogkick.der.body.body_motion in the world frame; no rows without ``trace``.
         """
-        until = np.broadcast_to(np.asarray(until_s, dtype=np.float64), (self.lanes,))
-        times = [np.empty(0)] * self.lanes
-        for lane in range(self.lanes):
-            if lane not in self.failures and until[lane] > self.time_s[lane]:
-                times[lane] = self._times(lane, float(until[lane]))
-        going = [lane for lane in range(self.lanes) if len(times[lane])]
-        if not going:
+        until = np.array(np.broadcast_to(np.asarray(until_s, dtype=np.float64), (self.lanes,)))
+        going = until > self.time_s
+        going[list(self.failures)] = False
+        if not going.any():
             return [(np.empty(0), np.empty((0, MOTION))) for _ in range(self.lanes)]
-        active = [self._active(lane, times[lane]) for lane in range(self.lanes)]
-        report, rows = self._state.run([np.diff(t) for t in times], active, FACTOR_EVERY, trace)
+        times, counts = self._schedule.times(self.time_s, until, going)
+        laid = self._schedule.laid(times, counts, self._state.width)
+        steps = np.maximum(counts - 1, 0).tolist()
+        report, rows = self._state.run(*laid, steps, FACTOR_EVERY, trace)
         self.corrections += report[2, : self.lanes]
-        ends = [t[1:] for t in times]
-        for lane in going:
+        ends = [times[lane, 1 : count + 1] for lane, count in enumerate(steps)]
+        some = np.flatnonzero(going).tolist()
+        for lane in some:
             self.time_s[lane] = until[lane]
             if report[0, lane] >= 0.0:
+                mine = times[lane, : counts[lane]]
                 ends[lane], rows[lane] = self._go_alone(
-                    lane, times[lane], int(report[0, lane]), float(report[1, lane]), rows[lane]
+                    lane, mine, int(report[0, lane]), float(report[1, lane]), rows[lane]
                 )
             rows[lane][:, 0:2] += self._origin[lane]
             rows[lane][:, 6:8] += self._origin[lane]
-        self._recentre(going)
+        self._recentre(some)
         return [(ends[lane], rows[lane]) for lane in range(self.lanes)]
-
-    def _times(self, lane: int, until_s: float) -> FloatArray:
-        now, duration_s = float(self.time_s[lane]), self._actuations[lane].duration_s
-        strokes = self._strokes[lane]
-        for of_limb in strokes:
-            of_limb[:] = [
-                each for each in of_limb if each.start_s + max(RINGS_S, duration_s * each.longest) > now
-            ]
-        every = [each for of_limb in strokes for each in of_limb]
-        return step_times(now, until_s, every, self._paces[lane], self._step_s)
-
-    def _active(self, lane: int, times_s: FloatArray) -> FloatArray:
-        """(steps, 2 * limbs) activation and fall of the natural curvature of each limb in these steps."""
-        strokes = self._strokes[lane]
-        table = np.full((len(strokes), max([1, *map(len, strokes)]), 3), np.nan)
-        for row, of_limb in zip(table, strokes, strict=True):
-            for place, stroke in enumerate(of_limb):
-                row[place] = stroke
-        actuation = self._actuations[lane]
-        at = times_s[:-1] + EVALUATION_SHARE * np.diff(times_s)
-        peak_s = self._paces[lane].peak_s
-        active = stroke_activation(at, table, actuation.activation, actuation.step_s, peak_s)
-        rows = np.empty((len(at), 2 * len(strokes)))
-        rows[:, 0::2] = active
-        rows[:, 1::2] = actuation.drop_per_m * active
-        return rows
 
     def _go_alone(
         self, lane: int, times_s: FloatArray, step: int, residual: float, before: FloatArray
@@ -336,7 +353,11 @@ class Batch:
             self._alone = _State(self._state.mesh, self._state.plan, self._state.limbs, 1)
         alone = self._alone
         self._state.copy_lane(lane, alone, 0)
-        walk = _Walk(alone, lambda times: self._active(lane, times), len(before) > 0, residual)
+
+        def laid(times: FloatArray) -> tuple[Numbers, Numbers]:
+            return self._schedule.laid(times[None], np.array([len(times)]), 1, lane)
+
+        walk = _Walk(alone, laid, len(before) > 0, residual)
         walk.ends, walk.rows = [times_s[1 : step + 1]], [before[:step]]
         reached, now, last = float(times_s[step]), step, len(times_s) - 1
         while now < last:

@@ -10,6 +10,7 @@ and the ends of strokes, where the activation has kinks that would cost the orde
 
 from __future__ import annotations
 
+import copy
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -19,9 +20,12 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from frogkick.der.lanes import Numbers, lane_floats, lane_zeros
+from frogkick.der.stepping import EVALUATION_SHARE
 from frogkick.robot import Actuation
 
 FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
 
 COARSEST = 8.0  # longest step over the finest; limbs that curl back need more corrections beyond, not fewer
 COARSEST_AT_REST = 12.0  # the same while no stroke lasts
@@ -83,31 +87,241 @@ def pace_of(actuation: Actuation) -> Pace:
     return Pace(np.maximum(coarseness, 1.0), every_s, last * every_s, int(np.argmax(active)) * every_s)
 
 
-def step_times(
-    time_s: float,
-    until_s: float,
-    strokes: Sequence[Stroke],
-    pace: Pace,
-    step_s: float,
-) -> FloatArray:
-    """Times (k,) from ``time_s`` to ``until_s``, both included: the ends of all steps.
+class Profiles(NamedTuple):
+    """What strokes of several lanes are like: fields of ``Pace`` and ``Actuation``, a row for each lane.
+
+    Attributes:
+        coarseness, activation: (lanes, n) as long as the longest; the first ``coarse`` and ``active`` count.
+    """
+
+    coarseness: FloatArray
+    coarse: IntArray
+    every_s: FloatArray
+    over_s: FloatArray
+    peak_s: FloatArray
+    duration_s: FloatArray
+    activation: FloatArray
+    active: IntArray
+    step_s: FloatArray
+    drop_per_m: FloatArray
+
+    def of(self, lanes: Sequence[int]) -> Profiles:
+        """Of some lanes."""
+        return Profiles(*(each[lanes] for each in self))  # type: ignore[arg-type]
+
+
+class Schedule:
+    """Strokes of several lanes, and the steps that follow from them.
 
     Args:
-        time_s: now.
-        until_s: where the last step ends; after ``time_s``.
-        strokes: that last or are to come, in any order.
-        pace: of these strokes.
+        actuations: one for each lane: what its strokes do to a limb.
+        limbs: how many each robot has.
         step_s: the finest step.
+        longest_s: no step is longer, even where a longer one would be accurate enough.
     """
-    known = sorted(strokes)
-    starts = np.array([stroke.start_s for stroke in known], dtype=np.float64)
-    scales = np.array([stroke.duration_scale for stroke in known], dtype=np.float64)
-    shape = (pace.coarseness, pace.every_s, pace.over_s, pace.peak_s)
-    return np.asarray(_step_times(time_s, until_s, starts, scales, *shape, step_s))
+
+    def __init__(self, actuations: Sequence[Actuation], limbs: int, step_s: float, longest_s: float) -> None:
+        self._profiles = profiles_of(actuations)
+        self._step_s, self._longest_s = float(step_s), float(longest_s)
+        self._strokes: list[list[list[Stroke]]] = [[[] for _ in range(limbs)] for _ in actuations]
+        self._changed = set(range(len(actuations)))
+        self._tables = np.empty((0, 0)), np.empty((0, 0)), np.empty((0, limbs, 0, 3))
+
+    def fire(self, lane: int, limb: int, stroke: Stroke) -> None:
+        """A lane's limb has one more stroke."""
+        self._strokes[lane][limb].append(stroke)
+        self._changed.add(lane)
+
+    def strokes(self, lane: int) -> tuple[tuple[Stroke, ...], ...]:
+        """Those of each limb of a lane that may still last."""
+        return tuple(tuple(of_limb) for of_limb in self._strokes[lane])
+
+    def put(self, lane: int, strokes: Sequence[Sequence[Stroke]]) -> None:
+        """A lane has these instead."""
+        self._strokes[lane] = [list(of_limb) for of_limb in strokes]
+        self._changed.add(lane)
+
+    def pick(self, lanes: Sequence[int]) -> Schedule:
+        """Of some lanes, on their own."""
+        twin = copy.copy(self)
+        twin._profiles = self._profiles.of(lanes)
+        twin._strokes = [[list(of_limb) for of_limb in self._strokes[lane]] for lane in lanes]
+        twin._changed = set(range(len(twin._strokes)))
+        return twin
+
+    def times(
+        self, now_s: FloatArray, until_s: FloatArray, going: NDArray[np.bool_]
+    ) -> tuple[FloatArray, IntArray]:
+        """When the steps of each lane end; see ``lane_times``."""
+        for lane in self._changed:
+            self._prune(lane, float(now_s[lane]))
+        if self._changed:
+            self._set_tables()
+            self._changed.clear()
+        starts_s, scales, _ = self._tables
+        steps = lane_times(
+            now_s, until_s, going, starts_s, scales, self._profiles, self._step_s, self._longest_s
+        )
+        return steps[0], steps[1]
+
+    def laid(
+        self, times: FloatArray, counts: IntArray, width: int, lane: int | None = None
+    ) -> tuple[Numbers, Numbers]:
+        """Lengths of all lanes' steps or of one, and what limbs do in them; see ``lay_out``."""
+        strokes, profiles, longest = self._tables[2], self._profiles, int(counts.max()) - 1
+        if lane is not None:
+            strokes, profiles = strokes[[lane]], profiles.of([lane])
+        lengths = lane_zeros((longest, 1), width)
+        active = lane_zeros((longest, 2 * strokes.shape[1] + 2), width)
+        share = EVALUATION_SHARE  # handed over: a compiled function that is kept holds on to what it knew
+        lay_out(times, counts, strokes, profiles, share, lane_floats(lengths), lane_floats(active))
+        return lengths, active
+
+    def _prune(self, lane: int, now_s: float) -> None:
+        """Forget strokes that are over: they make no difference."""
+        duration_s = float(self._profiles.duration_s[lane])
+        for of_limb in self._strokes[lane]:
+            of_limb[:] = [
+                each for each in of_limb if each.start_s + max(RINGS_S, duration_s * each.longest) > now_s
+            ]
+
+    def _set_tables(self) -> None:
+        """(lanes, m) starts and scales of each lane's strokes, in order, and (lanes, limbs, m, 3) all."""
+        lanes, limbs = len(self._strokes), len(self._strokes[0])
+        most = max([1, *(len(of_limb) for of_lane in self._strokes for of_limb in of_lane)])
+        starts_s, scales = np.full((lanes, limbs * most), np.inf), np.ones((lanes, limbs * most))
+        strokes = np.full((lanes, limbs, most, 3), np.nan)
+        for lane, of_lane in enumerate(self._strokes):
+            for place, stroke in enumerate(sorted(stroke for of_limb in of_lane for stroke in of_limb)):
+                starts_s[lane, place], scales[lane, place] = stroke.start_s, stroke.duration_scale
+            for limb, of_limb in enumerate(of_lane):
+                for place, stroke in enumerate(of_limb):
+                    strokes[lane, limb, place] = stroke
+        self._tables = starts_s, scales, strokes
+
+
+def profiles_of(actuations: Sequence[Actuation]) -> Profiles:
+    """Of lanes with these strokes."""
+    known = {key: pace_of(each) for key, each in {id(each): each for each in actuations}.items()}
+    paces = [known[id(each)] for each in actuations]
+    coarseness, coarse = _side_by_side([pace.coarseness for pace in paces])
+    activation, active = _side_by_side([each.activation for each in actuations])
+    return Profiles(
+        coarseness,
+        coarse,
+        np.array([pace.every_s for pace in paces]),
+        np.array([pace.over_s for pace in paces]),
+        np.array([pace.peak_s for pace in paces]),
+        np.array([each.duration_s for each in actuations]),
+        activation,
+        active,
+        np.array([each.step_s for each in actuations]),
+        np.array([each.drop_per_m for each in actuations]),
+    )
+
+
+def _side_by_side(rows: Sequence[FloatArray]) -> tuple[FloatArray, IntArray]:
+    sizes = np.array([len(row) for row in rows], dtype=np.int64)
+    every = np.zeros((len(rows), int(sizes.max())))
+    for lane, row in enumerate(rows):
+        every[lane, : len(row)] = row
+    return every, sizes
 
 
 @njit(cache=True, error_model="numpy")
-def _step_times(
+def lane_times(
+    now_s: FloatArray,
+    until_s: FloatArray,
+    going: NDArray[np.bool_],
+    starts_s: FloatArray,
+    scales: FloatArray,
+    profiles: Profiles,
+    step_s: float,
+    longest_s: float,
+) -> tuple[FloatArray, IntArray]:
+    """When the steps of each lane end.
+
+    Args:
+        now_s, until_s: (lanes,).
+        going: (lanes,) which of them take steps.
+        starts_s, scales: (lanes, m) of strokes that last or are to come, in order, then infinity and 1.
+        profiles: of the lanes.
+        step_s: the finest step.
+        longest_s: steps longer than this are cut evenly.
+
+    Returns:
+        (lanes, k) times, now first, and (lanes,) how many of these count; none where a lane stands still.
+    """
+    most = 0.0
+    for lane in range(len(now_s)):
+        if going[lane]:
+            most = max(most, until_s[lane] - now_s[lane])
+    room = 4 + 4 * starts_s.shape[1] + int(most / step_s) + int(2.0 * most / longest_s)
+    times, counts = np.zeros((len(now_s), room)), np.zeros(len(now_s), dtype=np.int64)
+    for lane in range(len(now_s)):
+        if not going[lane]:
+            continue
+        ends = step_times(
+            now_s[lane],
+            until_s[lane],
+            starts_s[lane],
+            scales[lane],
+            profiles.coarseness[lane, : profiles.coarse[lane]],
+            profiles.every_s[lane],
+            profiles.over_s[lane],
+            profiles.peak_s[lane],
+            step_s,
+        )
+        count = 0
+        for k in range(len(ends) - 1):
+            length = ends[k + 1] - ends[k]
+            parts = max(int(np.ceil(length / longest_s - 1e-9)), 1)
+            for place in range(parts):
+                times[lane, count] = ends[k] + length / parts * place
+                count += 1
+        times[lane, count] = ends[-1]
+        counts[lane] = count + 1
+    return times, counts
+
+
+@njit(cache=True, error_model="numpy")
+def lay_out(
+    times: FloatArray,
+    counts: IntArray,
+    strokes: FloatArray,
+    profiles: Profiles,
+    share: float,
+    lengths: FloatArray,
+    active: FloatArray,
+) -> None:
+    """Set the steps' lengths, and each limb's activation and fall of its natural curvature in them.
+
+    Args:
+        times, counts: see ``lane_times``.
+        strokes: (lanes, limbs, m, 3) fields of ``Stroke``; NaN where there is none.
+        profiles: of the lanes.
+        share: of a step, where forces are taken.
+        lengths: (k, 1, width), zeros; active: (k, 2 * limbs + 2, width), zeros: set where steps are.
+    """
+    for lane in range(len(counts)):
+        steps = counts[lane] - 1
+        if steps < 1:
+            continue
+        at = np.empty(steps)
+        for k in range(steps):
+            length = times[lane, k + 1] - times[lane, k]
+            lengths[k, 0, lane] = length
+            at[k] = times[lane, k] + share * length
+        table = profiles.activation[lane, : profiles.active[lane]]
+        found = stroke_activation(at, strokes[lane], table, profiles.step_s[lane], profiles.peak_s[lane])
+        for k in range(steps):
+            for limb in range(strokes.shape[1]):
+                active[k, 2 * limb, lane] = found[k, limb]
+                active[k, 2 * limb + 1, lane] = profiles.drop_per_m[lane] * found[k, limb]
+
+
+@njit(cache=True, error_model="numpy")
+def step_times(
     time_s: float,
     until_s: float,
     starts_s: FloatArray,
@@ -118,6 +332,7 @@ def _step_times(
     peak_s: float,
     step_s: float,
 ) -> FloatArray:
+    """Times (k,) from ``time_s`` to ``until_s``, both included: the ends of all steps of one lane."""
     ends = np.empty(3 + 4 * len(starts_s) + int((until_s - time_s) / step_s))
     ends[0] = time_s
     count, now = 1, time_s

@@ -49,6 +49,7 @@ def batch_of(
     time_s: float,
     step_s: float,
     width: int,
+    longest_s: float = math.inf,
 ) -> Batch:
     """Robots of one mesh side by side; see Batch for the arguments. Only their strokes may differ."""
     return Batch(
@@ -61,6 +62,7 @@ def batch_of(
         time_s=time_s,
         step_s=step_s,
         width=width,
+        longest_s=longest_s,
     )
 
 

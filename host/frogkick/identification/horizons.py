@@ -10,10 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from frogkick.core.poses import PredictionError
-from frogkick.der import WIDTH
+from frogkick.der import WIDTH, Checkpoint
 from frogkick.identification.fit import Model
-from frogkick.identification.predict import Lane, LaneState, RolloutBatch, lanes_by_body
-from frogkick.identification.replay_batch import Checkpoint, gentle
+from frogkick.identification.predict import Lane, LaneState, RolloutBatch, lanes_by_body, replay_batch
 from frogkick.identification.segments import Segments
 from frogkick.paths import wrap_angle
 from frogkick.robot import Robot
@@ -159,7 +158,7 @@ class _OpenLoopBatch(RolloutBatch):
         self.lanes = [each.lane_state.lane for each in starts]
         self.lane_states = [each.lane_state for each in starts]
         self.slots = list(range(len(starts)))
-        self.batch = gentle(robot, np.zeros((len(starts), 3)), self.lanes[0].step_s)
+        self.batch = replay_batch(robot, np.zeros((len(starts), 3)), self.lanes[0].step_s)
         for lane, each in enumerate(starts):
             self.batch.restore(lane, each.checkpoint)
         self.leg_s = min(lane_state.acting.leg_s for lane_state in self.lane_states)

@@ -13,12 +13,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from frogkick.der import WIDTH
+from frogkick.der import WIDTH, Checkpoint
 from frogkick.effects import ActingLanes, Effect, Fix, body_at, changed_robot
 from frogkick.effects.registry import effects_of
 from frogkick.identification.fit import Model
-from frogkick.identification.predict import CLIP_SIGMA, PHASES
-from frogkick.identification.replay_batch import Checkpoint, gentle
+from frogkick.identification.predict import CLIP_SIGMA, PHASES, replay_batch
 from frogkick.identification.screening import COARSE_STEP_S
 from frogkick.identification.segments import Segments
 from frogkick.robot import Robot
@@ -81,7 +80,7 @@ class Side:
         for _ in range(4):
             pose = pose + shown - self._camera_fix(0.0, pose)[1:]
         acting = ActingLanes(self.effects, self.robot, [np.random.default_rng(0)], self._leg_s)
-        batch = gentle(self.robot, pose[None, :], COARSE_STEP_S)
+        batch = replay_batch(self.robot, pose[None, :], COARSE_STEP_S)
         return RobotState(batch.save(0), acting, np.array([-_BACK_S, 0.0]), np.array([pose, pose]))
 
     def advanced(self, given: Sequence[tuple[RobotState, int]]) -> Iterator[tuple[RobotState, FloatArray]]:
@@ -91,7 +90,7 @@ class Side:
 
     def _advanced(self, given: Sequence[tuple[RobotState, int]]) -> Iterator[tuple[RobotState, FloatArray]]:
         start_s, period_s = given[0][0].checkpoint.time_s, self.robot.period_s
-        batch = gentle(self.robot, np.zeros((len(given), 3)), COARSE_STEP_S)
+        batch = replay_batch(self.robot, np.zeros((len(given), 3)), COARSE_STEP_S)
         actings = []
         for lane, (robot, action) in enumerate(given):
             batch.restore(lane, robot.checkpoint)
@@ -122,9 +121,9 @@ class Side:
 
     def put(self, robot: RobotState, offset: FloatArray, rate: FloatArray) -> RobotState:
         """A robot at another pose and velocity, and the last of its trajectory moved likewise."""
-        batch = gentle(self.robot, np.zeros((1, 3)), COARSE_STEP_S)
+        batch = replay_batch(self.robot, np.zeros((1, 3)), COARSE_STEP_S)
         batch.restore(0, robot.checkpoint)
-        batch.shift(0, offset.tolist(), rate.tolist())
+        batch.shift({0: (offset, rate)})
         now_s = robot.checkpoint.time_s
         kept = robot.times_s >= now_s - _BACK_S
         poses = robot.poses + offset + (robot.times_s - now_s)[:, None] * rate

@@ -12,14 +12,15 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
-from frogkick.der import WIDTH
+from frogkick.der import WIDTH, Batch, Checkpoint, Rods, prepare
+from frogkick.der.swimmer import batch_of
 from frogkick.effects import ActingLanes, Effect, Fix, body_at, changed_robot
 from frogkick.identification.filter import Filter, Noise, Series, initial_rate_std
-from frogkick.identification.replay_batch import Checkpoint, Gentle, gentle
 from frogkick.identification.segments import Segments
 from frogkick.robot import Robot
 
@@ -36,6 +37,11 @@ PHASES = ((0.12, 0.35), (0.35, 0.65), (0.65, 1.0))
 
 _RNG = np.random.default_rng(0)
 _HISTORY_S = 1.0  # of the trajectory before a correction that are stored, for late fixes
+
+
+LONGEST_S = 8e-3
+"""Longest step. Some longer ones fail to converge, and then their lane goes on alone at the cost of eight
+lanes."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,7 +154,7 @@ class RolloutBatch:
         )
         self.slots = [self.waiting.pop() for _ in range(min(WIDTH, len(lanes)))]
         first = np.array([self._first_pose(self.lane_states[index]) for index in self.slots])
-        self.batch = gentle(robot, first, lanes[0].step_s)
+        self.batch = replay_batch(robot, first, lanes[0].step_s)
         self.batch.time_s[:] = [lanes[index].swim.begin_s for index in self.slots]
         self.leg_s = min(lane_state.acting.leg_s for lane_state in self.lane_states)
         self._prepared: dict[int, Checkpoint] = {}
@@ -185,7 +191,7 @@ class RolloutBatch:
             self.advance(until)
             there = [row for row in occupied if row[1].next_segment < len(row[1].segment_times_s)]
             moves = {slot: self._correct(lane_state, outcome[self.slots[slot]]) for slot, lane_state in there}
-            self.batch.shift_some(moves)
+            self.batch.shift(moves)
             motion = self.batch.motion_world()
             for slot, lane_state in there:
                 self._begin(slot, lane_state, motion[slot, :6], outcome[self.slots[slot]][2])
@@ -206,7 +212,7 @@ class RolloutBatch:
         if index not in self._prepared:
             some = [index, *self.waiting[:-WIDTH:-1]]
             poses = np.array([self._first_pose(self.lane_states[each]) for each in some])
-            batch = gentle(self.robot, poses, self.lanes[index].step_s)
+            batch = replay_batch(self.robot, poses, self.lanes[index].step_s)
             batch.time_s[:] = [self.lanes[each].swim.begin_s for each in some]
             # They start from rest in the same water as the first lanes.
             _set_waters(batch, [(lane, self.lane_states[each]) for lane, each in enumerate(some)])
@@ -366,7 +372,7 @@ def _interpolated(times: FloatArray, poses: FloatArray, at_s: FloatArray) -> Flo
     return np.column_stack([np.interp(at_s, times, poses[:, axis]) for axis in range(3)])
 
 
-def _set_waters(batch: Gentle, going: Sequence[tuple[int, LaneState]]) -> None:
+def _set_waters(batch: Batch, going: Sequence[tuple[int, LaneState]]) -> None:
     """Evaluate the effects on water and wrenches where lanes are now."""
     active = [(lane, lane_state) for lane, lane_state in going if not math.isinf(lane_state.acting.leg_s)]
     motion = batch.motion_world() if active else np.empty((0, 6))
@@ -385,3 +391,14 @@ def _camera_fix(effects: Sequence[Effect], time_s: float, pose: FloatArray) -> t
         seen = effect.fix(seen, _RNG) or seen  # an effect that drops fixes did not drop this one
     turned = math.remainder(seen.heading_rad - heading, math.tau)
     return 2.0 * time_s - seen.capture_s, np.array([seen.x_m, seen.y_m, heading + turned])
+
+
+def replay_batch(robot: Robot, pose_world: FloatArray, step_s: float) -> Batch:
+    """Robots at rest at (lanes, 3) poses, to replay runs: with bounded steps."""
+    still = np.zeros((len(pose_world), 3))
+    return batch_of([_rods(robot)] * len(pose_world), pose_world, still, 0.0, step_s, WIDTH, LONGEST_S)
+
+
+@lru_cache(maxsize=64)
+def _rods(robot: Robot) -> Rods:
+    return prepare(robot)

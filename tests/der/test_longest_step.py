@@ -1,34 +1,24 @@
-"""Lanes laid out in one go swim as those that are laid out one by one."""
+"""Where no step may be long, lanes swim as they would, in more steps."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
-from made import robot
 
 from frogkick.der import WIDTH, Batch, prepare
-from frogkick.identification.replay_batch import LONGEST_S, Gentle, gentle
+from frogkick.der.swimmer import batch_of
+from frogkick.robot import load_robot
 
+LONGEST_S = 8e-3
 POSES = np.array([[0.0, 0.0, 0.3], [0.4, -0.2, -2.0], [-0.1, 0.1, 1.0]])
 UNTIL_S = ((0.05, 0.2, 0.05), (0.9, 0.9, 0.05), (1.3, 1.4, 1.2))
 """Of each lane; one stands still for a while."""
 
 
-def both(step_s: float) -> tuple[Gentle, Batch]:
-    rods = prepare(robot())
-    lanes = len(POSES)
-    batch = Batch(
-        rods.mesh,
-        rods.plan,
-        [rods.actuation] * lanes,
-        POSES,
-        np.zeros((lanes, 3)),
-        limbs=len(robot().limbs),
-        time_s=0.0,
-        step_s=step_s,
-        width=WIDTH,
-    )
-    return gentle(robot(), POSES, step_s), batch
+def both(step_s: float) -> list[Batch]:
+    rods, still = prepare(load_robot("frog2022")), np.zeros_like(POSES)
+    longest = (LONGEST_S, np.inf)
+    return [batch_of([rods] * len(POSES), POSES, still, 0.0, step_s, WIDTH, each) for each in longest]
 
 
 def fire(batch: Batch, number: int) -> None:

@@ -108,7 +108,7 @@ def test_a_robot_gets_an_owner_and_loses_him(
 
 @pytest.mark.parametrize(
     ("content", "words"),
-    [("", "64 hexadecimal digits"), ("17" * 31, "64 hexadecimal digits"), ("x" * 64, "cannot be read"),
+    [("", "64 hexadecimal digits"), ("17" * 31, "64 hexadecimal digits"), ("x" * 64, "is no owner's key"),
      ("00" * 32, "not all zero")],
 )  # fmt: skip
 def test_a_file_that_holds_no_key(

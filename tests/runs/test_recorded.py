@@ -299,7 +299,7 @@ def test_bad_files(tmp_path: pathlib.Path) -> None:
     with pytest.raises(InputError, match="is empty"):
         load_run(file)
     file.write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(InputError, match="not text"):
+    with pytest.raises(InputError, match="is no run: give a log"):
         load_run(file)
     with pytest.raises(InputError, match="does not exist"):
         load_run(tmp_path / "line99.csv")

@@ -76,6 +76,7 @@ def test_the_file_gives_back_what_was_written(tmp_path: Path) -> None:
     ("change", "says"),
     [
         (("format = 1", "format = 9"), "has format 9"),
+        (("format = 1", "# format"), "is no calibration of a camera: name the file"),
         (("width_px = 640", "width_px = 4"), "image width is 4 px"),
         (("[image]", "[imago]"), "unknown table 'imago' \\(did you mean 'image'"),
         (("size_m = ", "sise_m = "), "lacks tag.size_m"),

@@ -166,6 +166,9 @@ def test_a_board_laid_down_gives_the_plane(tmp_path: Path, capsys: pytest.Captur
     assert np.allclose(made.pool(USUAL.view.pixels(np.c_[truth, np.zeros(2)])), truth, atol=1e-3)
 
 
+SEEN = ("--image", "640x480", "--camera-height-m", "1.35")
+
+
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
@@ -204,6 +207,32 @@ def test_a_board_laid_down_gives_the_plane(tmp_path: Path, capsys: pytest.Captur
             "say which with --board",
         ),
         (
+            ["--pool", "0.9x1.2", *SEEN, "--corners", "c.toml", "--out", "o.toml"],
+            "length is seen 1.78 times as long as its width says: give --pool as length x width",
+        ),
+        (
+            ["--pool", "1.2x0.9", *SEEN, "--corners", "quarter.toml", "--out", "o.toml"],
+            "the corners along the length first, (0, 0), (length, 0)",
+        ),
+        (
+            ["--pool", "1200x900", *SEEN, "--corners", "c.toml", "--out", "o.toml"],
+            "--pool is 1200 x 900 m, allowed is 0.05 to 100 m: give length x width in m",
+        ),
+        (
+            [
+                "--pool",
+                "1.2x0.9",
+                *SEEN,
+                "--tag-height-mm",
+                "0.012",
+                "--corners",
+                "c.toml",
+                "--out",
+                "o.toml",
+            ],
+            "--tag-height-mm is 0.012 mm: give mm",
+        ),
+        (
             ["--pool", "1.2x0.9", "--board", "circles", "--plane-picture", "grey.png", "--out", "o.toml"],
             "board 'circles' is not known",
         ),
@@ -215,6 +244,8 @@ def test_wrong_input_is_one_line(
 ) -> None:  # fmt: skip
     monkeypatch.chdir(tmp_path)
     corners_file(tmp_path).rename(tmp_path / "c.toml")
+    rows = np.roll(USUAL.corners_px(), -1, axis=0).tolist()
+    (tmp_path / "quarter.toml").write_text(f"corners_px = {rows}\n")
     (tmp_path / "line.toml").write_text("corners_px = [[10, 400], [300, 400], [600, 400], [30, 30]]\n")
     cv2.imwrite("grey.png", np.full((480, 640), 128, np.uint8))
     done = frogkick(capsys, "camera", "calibrate", *arguments)

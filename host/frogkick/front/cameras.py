@@ -126,6 +126,13 @@ def calibrate_camera(
         raise InputError(
             "give the pool's corners (--corners) or a picture of the board (--plane-picture), one"
         )
+    if not 0.05 <= min(pool_m) <= max(pool_m) <= 100.0:
+        raise InputError(
+            f"--pool is {pool_m[0]:g} x {pool_m[1]:g} m, allowed is 0.05 to 100 m: give length x width in m, "
+            "as 1.2x0.9"
+        )
+    if 0.0 < abs(tag.height_m) < 1e-4:
+        raise InputError(f"--tag-height-mm is {1e3 * tag.height_m:g} mm: give mm over the water, as 12")
     tag = replace(tag, refraction_offset_m=refraction_offset_m(tag.height_m))
     lens, lens_rms_px = None, float("nan")
     if pictures is not None:

@@ -251,7 +251,7 @@ def require_target(target: str, others: tuple[str, ...] = ()) -> None:
         return
     if not is_target(target):
         raise InputError(
-            f"robot {target!r}{nearest_name(target, ('ble', 'serial', *others))} takes no tables: "
+            f"robot {target!r}{nearest_name(target, ('ble', 'serial', *others))} is no robot to talk to: "
             f"choose {', '.join(('ble:NAME', 'serial:PORT', *others))}"
         )
     require_wire(parse_target(target))

@@ -88,11 +88,14 @@ def read_key(file: Path) -> bytes:
         key = bytes.fromhex(text)
     except FileNotFoundError:
         raise InputError(f"no owner's key in {str(file)!r}: make one with 'frogkick own'") from None
-    except (OSError, ValueError) as error:
+    except OSError as error:
         raise InputError(f"owner's key {str(file)!r} cannot be read: {error}") from error
+    except ValueError:
+        key = b""
     if len(key) != KEY_BYTES or not any(key):
         raise InputError(
-            f"owner's key {str(file)!r} has {len(key)} bytes: a key is 64 hexadecimal digits, not all zero"
+            f"{str(file)!r} is no owner's key: that is 64 hexadecimal digits, not all zero; name the file "
+            "that 'frogkick own' wrote"
         )
     return key
 

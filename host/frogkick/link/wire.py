@@ -172,8 +172,9 @@ def parse_target(text: str) -> Target:
     """
     kind, _, place = text.partition(":")
     if kind not in KINDS or not place:
+        hint = "" if kind in KINDS else nearest_name(kind, KINDS)
         raise InputError(
-            f"robot {text!r}{nearest_name(kind, KINDS)} is neither ble:NAME nor serial:PORT[:BAUD]: give one "
+            f"robot {text!r}{hint} is neither ble:NAME nor serial:PORT[:BAUD]: give one "
             "of them, as ble:frogkick or serial:/dev/ttyACM0"
         )
     if kind == "ble":

@@ -89,9 +89,14 @@ def read_calibration(path: Path | str) -> Calibration:
         raise InputError(f"calibration {str(path)!r} is no TOML: {error}") from error
     except UnicodeError as error:
         raise InputError(f"calibration {str(path)!r} is no text: name the .toml file") from error
-    if whole.get("format") != FORMAT:
+    if "format" not in whole:
         raise InputError(
-            f"calibration {str(path)!r} has format {whole.get('format')!r}, this version reads {FORMAT}: "
+            f"{str(path)!r} is no calibration of a camera: name the file that 'frogkick camera calibrate' "
+            "wrote"
+        )
+    if whole["format"] != FORMAT:
+        raise InputError(
+            f"calibration {str(path)!r} has format {whole['format']!r}, this version reads {FORMAT}: "
             "make it again with 'frogkick camera calibrate'"
         )
     for name in whole:

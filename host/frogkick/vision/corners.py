@@ -22,6 +22,8 @@ from frogkick.vision.calibration import (
 from frogkick.vision.plane import from_four
 
 Array = npt.NDArray[np.float64]
+SIDES_MOST = 1.25
+"""How much longer one side of the pool may be seen than the other says: corners marked by hand are within."""
 ORDER = "(0, 0), (length, 0), (length, width), (0, width)"
 
 
@@ -113,11 +115,23 @@ def calibrate_corners(
         seen = Calibration(image_px, pool_m, np.eye(3), lens=lens, tag=Tag()).undistort(corners_px)
     homography = from_four(homes, seen)
     camera: Array | None = None
-    if lens is not None:
-        camera = camera_pose(homography, lens.matrix_px, plane)[1]
-    elif camera_height_m is not None:
+    matrix = None if lens is None else lens.matrix_px
+    if matrix is None and camera_height_m is not None:
         matrix = lens_from_height(homography, image_px, camera_height_m, plane)
+    if matrix is not None:
+        _require_sides(homography, matrix)
         camera = camera_pose(homography, matrix, plane)[1]
     return Calibration(
         image_px, pool_m, homography, corner_height_m, offset, camera, lens, tag, "corners", 4, 0.0
     )
+
+
+def _require_sides(homography: Array, matrix: Array) -> None:
+    """Refuse a pool whose length and width are seen at scales that no camera has: sides were mixed up."""
+    along, across = np.linalg.norm(np.linalg.solve(matrix, homography)[:, :2], axis=0)
+    stretch = float(along / across)
+    if not 1.0 / SIDES_MOST < stretch < SIDES_MOST:
+        raise InputError(
+            f"the pool's length is seen {stretch:.2f} times as long as its width says: give --pool as length "
+            f"x width, and the corners along the length first, {ORDER}"
+        )

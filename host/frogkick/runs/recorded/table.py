@@ -65,7 +65,9 @@ def read_table(file: pathlib.Path | str) -> Table:
     try:
         text = source.read_text(encoding="utf-8-sig")
     except UnicodeDecodeError as error:
-        raise InputError(f"{name!r} is not a recorded run (not text): give a run like line1.csv") from error
+        raise InputError(
+            f"{name!r} is no run: give a log (.h5) of 'frogkick run', or a recorded one like line1.csv"
+        ) from error
     try:
         lines = list(csv.reader(text.replace("\0", "?").splitlines()))
     except csv.Error as error:

@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from frogkick.core.poses import body_from_world, wrap_angle
 from frogkick.effects import Effect
 from frogkick.effects.registry import effects_of
 from frogkick.identification.filter import Noise
@@ -34,7 +35,6 @@ from frogkick.identification.predict import Rollout
 from frogkick.identification.segments import Segments, part_of
 from frogkick.identification.steps import bounded_step, deviance_of, whiten, whitener
 from frogkick.identification.terms import Term
-from frogkick.paths import wrap_angle
 from frogkick.robot import Robot, built_in_robots, load_robot
 
 FloatArray = NDArray[np.float64]
@@ -192,10 +192,8 @@ def end_residuals(rollouts: Sequence[Rollout], swims: Sequence[Segments]) -> Flo
 def end_errors(rollout: Rollout, swim: Segments) -> FloatArray:
     """(m, 3) residuals at the ends of a run's periods, by the pose at their starts; NaN where unknown."""
     gap = swim.measured - rollout.predicted
-    c, s = np.cos(rollout.start[:, 2]), np.sin(rollout.start[:, 2])
-    ends = np.column_stack(
-        [c * gap[:, 0] + s * gap[:, 1], c * gap[:, 1] - s * gap[:, 0], wrap_angle(gap[:, 2])]
-    )
+    gap[:, 2] = wrap_angle(gap[:, 2])
+    ends = body_from_world(rollout.start[:, 2], gap)
     if rollout.failed:
         seen = np.asarray(np.isfinite(swim.measured).all(axis=1))
         ends[:] = np.where(seen[:, None], DIVERGED[:3], np.nan)

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from frogkick.core.poses import world_from_body
 from frogkick.identification.fit import Fitted
 from frogkick.identification.segments import Segments
 
@@ -35,14 +36,7 @@ def residual_diagnostics(
     order = np.concatenate([np.arange(len(swim.action)) for swim in swims])[rows]
     start = np.concatenate([rollout.start for rollout in fitted.rollouts])[rows]
     clock = np.concatenate([swim.start_s for swim in swims])[rows]
-    c, s = np.cos(start[:, 2]), np.sin(start[:, 2])
-    world = np.column_stack(
-        [
-            c * residuals[:, 0] - s * residuals[:, 1],
-            s * residuals[:, 0] + c * residuals[:, 1],
-            residuals[:, 2],
-        ]
-    )
+    world = world_from_body(start[:, 2], residuals)
     one = np.ones((len(residuals), 1))
     views = {
         "constant, body frame": (residuals, one),

@@ -17,6 +17,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from frogkick.core.poses import body_from_world, world_from_body, wrap_angle
 from frogkick.identification.predict import Rollout
 from frogkick.identification.segments import Segments
 from frogkick.robot import Robot
@@ -115,10 +116,7 @@ def filter_offsets(
 
 def _moved(rollout: Rollout, offsets: FloatArray) -> FloatArray:
     """(m, 3) predictions plus offsets that are given by the pose at each period's start."""
-    c, s = np.cos(rollout.start[:, 2]), np.sin(rollout.start[:, 2])
-    forward, left, turn = offsets.T
-    moved = np.column_stack([c * forward - s * left, s * forward + c * left, turn])
-    return np.asarray(rollout.predicted + moved)
+    return rollout.predicted + world_from_body(rollout.start[:, 2], offsets)
 
 
 def drift_of(rollouts: Sequence[Rollout], swims: Sequence[Segments], robot: Robot) -> Drift | None:
@@ -162,7 +160,5 @@ def _square(residuals: Sequence[FloatArray], axis: int, expected: Sequence[Float
 def _end_residuals(rollout: Rollout, swim: Segments) -> FloatArray:
     """(m, 3) measured minus predicted pose at each period's end: forward, left (m), heading (rad)."""
     gap = swim.measured - rollout.predicted
-    c, s = np.cos(rollout.start[:, 2]), np.sin(rollout.start[:, 2])
-    turn = np.arctan2(np.sin(gap[:, 2]), np.cos(gap[:, 2]))
-    ends = [c * gap[:, 0] + s * gap[:, 1], c * gap[:, 1] - s * gap[:, 0], turn]
-    return np.asarray(np.column_stack(ends), dtype=np.float64)
+    gap[:, 2] = wrap_angle(gap[:, 2])
+    return body_from_world(rollout.start[:, 2], gap)

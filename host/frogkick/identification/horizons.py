@@ -9,12 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from frogkick.core.poses import PredictionError
+from frogkick.core.poses import PredictionError, wrap_angle
 from frogkick.der import WIDTH, Checkpoint
 from frogkick.identification.fit import Model
 from frogkick.identification.predict import Lane, LaneState, RolloutBatch, lanes_by_body, replay_batch
 from frogkick.identification.segments import Segments
-from frogkick.paths import wrap_angle
 from frogkick.robot import Robot
 
 FloatArray = NDArray[np.float64]

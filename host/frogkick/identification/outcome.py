@@ -16,7 +16,7 @@ import numpy as np
 
 from frogkick.core.errors import InputError
 from frogkick.core.files import write_text
-from frogkick.core.poses import PredictionError
+from frogkick.core.poses import PredictionError, wrap_angle
 from frogkick.identification.choice import Progress, found_in, pruned
 from frogkick.identification.diagnostics import residual_diagnostics
 from frogkick.identification.drift import Drift, drift_of
@@ -42,7 +42,6 @@ from frogkick.identification.verdict import (
     scored,
     verdict_of,
 )
-from frogkick.paths import wrap_angle
 from frogkick.robot import Robot
 from frogkick.robot.toml_text import to_toml
 

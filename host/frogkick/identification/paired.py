@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from frogkick.core.poses import rotate
 from frogkick.der import WIDTH, Checkpoint
 from frogkick.effects import ActingLanes, Effect, Fix, body_at, changed_robot
 from frogkick.effects.registry import effects_of
@@ -202,11 +203,10 @@ def extend(
 
 def _residuals(gap: FloatArray, share: FloatArray, heading_rad: float) -> FloatArray:
     """(9,) residuals of a period; see Rollout.residuals."""
-    c, s = math.cos(heading_rad), math.sin(heading_rad)
     found: list[float] = []
     for low, high in PHASES:
         x, y, turn = gap[(low <= share) & (share < high)].mean(axis=0).tolist()
-        found += [c * x + s * y, c * y - s * x, turn]
+        found += [*rotate(-heading_rad, x, y), turn]
     return np.array(found)
 
 

@@ -17,6 +17,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from frogkick.core.poses import rotate
 from frogkick.der import WIDTH, Batch, Checkpoint, Rods, prepare
 from frogkick.der.swimmer import batch_of
 from frogkick.effects import ActingLanes, Effect, Fix, body_at, changed_robot
@@ -352,7 +353,6 @@ def _phase_residuals(
     swim: Segments, period: int, times_s: FloatArray, gaps: FloatArray, heading_rad: float
 ) -> FloatArray:
     """(9,) residuals of a period; see Rollout.residuals."""
-    c, s = math.cos(heading_rad), math.sin(heading_rad)
     start_s, length_s = float(swim.start_s[period]), float(swim.end_s[period] - swim.start_s[period])
     share = (times_s - start_s) / length_s
     found: list[float] = []
@@ -361,7 +361,7 @@ def _phase_residuals(
         if not len(rows):
             return np.full(3 * len(PHASES), np.nan)
         x, y, turn = rows.mean(axis=0).tolist()
-        found += [c * x + s * y, c * y - s * x, turn]
+        found += [*rotate(-heading_rad, x, y), turn]
     return np.array(found)
 
 

@@ -11,13 +11,12 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from frogkick.core.poses import PredictionError
+from frogkick.core.poses import PredictionError, compose, wrap_angle
 from frogkick.effects import Effect, Fix
 from frogkick.identification.horizons import HORIZONS, Horizon
 from frogkick.identification.outcome import Outcome
 from frogkick.identification.predict import Rollout
 from frogkick.identification.segments import Segments
-from frogkick.paths import wrap_angle
 from frogkick.robot import Robot
 
 FloatArray = NDArray[np.float64]
@@ -133,10 +132,7 @@ def _gaps(
     for step in range(periods):
         found = tools.looked_up(image, velocity, previous[rows + step])
         moved = found[np.arange(len(rows)), swim.action[rows + step]]
-        c, s = np.cos(pose[:, 2]), np.sin(pose[:, 2])
-        pose = pose + np.column_stack(
-            [c * moved[:, 0] - s * moved[:, 1], s * moved[:, 0] + c * moved[:, 1], moved[:, 2]]
-        )
+        pose = compose(pose, moved[:, :3])
         velocity = moved[:, 3:]
     gap[rows] = swim.measured[rows + periods - 1] - pose
     gap[:, 2] = wrap_angle(gap[:, 2])

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from frogkick import der
-from frogkick.core.poses import PredictionError
+from frogkick.core.poses import PredictionError, wrap_angle
 from frogkick.effects.acting import LEG_S
 from frogkick.identification.bootstrap import CONFIDENCE, mean_interval, moved_by, standard_errors
 from frogkick.identification.calibrated import end_errors, end_residuals
@@ -29,7 +29,6 @@ from frogkick.identification.predict import Rollout
 from frogkick.identification.search import Found
 from frogkick.identification.segments import ACTUATION_S, Segments, replicate_count
 from frogkick.identification.steps import log_density, scale_of
-from frogkick.paths import wrap_angle
 
 FloatArray = NDArray[np.float64]
 

@@ -59,17 +59,13 @@ def declarations(files: Mapping[str, bytes]) -> dict[str, str]:
 def source(files: Mapping[str, bytes]) -> bytes:
     """Return the C file that carries the declarations, and the size that the compiler gives each type."""
     found = declarations(files)
-    export = "native_inputs.h" in files  # else a library for Windows exports everything by itself
-    headers = dict.fromkeys([*(["native_inputs.h"] if export else []), *filter(None, found.values())])
+    # A library for Windows exports everything by itself, but where something is marked.
+    marked = any(b"dllexport" in content for content in files.values())
+    headers = dict.fromkeys(filter(None, found.values()))
     lines = ["#include <stdint.h>", *(f'#include "{header}"' for header in headers), ""]
-    table = f"{'FK_EXPORT ' if export else ''}extern const fk_declared_t fk_declared[]"
-    lines += [
-        "typedef struct {",
-        "    const char *text;",
-        "    uint32_t bytes;",
-        "} fk_declared_t;",
-        f"{table};",
-    ]
+    lines += ["typedef struct {", "    const char *text;", "    uint32_t bytes;", "} fk_declared_t;"]
+    lines += ["#if defined(_WIN32)", "__declspec(dllexport)", "#endif"] if marked else []
+    lines += ["extern const fk_declared_t fk_declared[];"]
     lines += ["const fk_declared_t fk_declared[] = {"]
     for text, header in found.items():
         named = _TYPE.match(text)

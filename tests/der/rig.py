@@ -6,8 +6,8 @@ import numpy as np
 
 from frogkick.der.lanes import lane_floats, lane_zeros
 from frogkick.der.mesh import Mesh, build_mesh
-from frogkick.der.plan import Plan, plan_elimination
 from frogkick.der.rods import add_forces, add_stiffness, edges_of
+from frogkick.der.symbolic import SymbolicFactorisation, factorise_symbolically
 from frogkick.robot import Actuation, load_robot
 
 ROBOT = load_robot("frog2022")
@@ -24,7 +24,7 @@ def straight_rod(
     stretching_n: float = 1e4,
     drag_normal: float = 0.0,
     natural_per_m: float = 0.0,
-) -> tuple[Mesh, Plan]:
+) -> tuple[Mesh, SymbolicFactorisation]:
     """A free rod along x about the origin; drag_normal in N / (m/s)^2 per metre across it."""
     dl = length_m / (nodes - 1)
     x = np.linspace(-0.5 * length_m, 0.5 * length_m, nodes)
@@ -56,7 +56,7 @@ def straight_rod(
         bend_column=np.zeros(b, dtype=np.int32),
         force_scale_n=bending_n_m2 / length_m**2,
     )
-    return mesh, plan_elimination(nodes, edges, bends, list(range(nodes)))
+    return mesh, factorise_symbolically(nodes, edges, bends, list(range(nodes)))
 
 
 def numbers(values: np.ndarray, width: int = 1) -> np.ndarray:
@@ -83,27 +83,34 @@ def forces_and_edges(mesh: Mesh, x: np.ndarray, v: np.ndarray, activation: np.nd
 
 
 def stiffness(
-    mesh: Mesh, plan: Plan, x, v, activation, drop_per_m: float, position_gain: float, velocity_gain: float
+    mesh: Mesh,
+    symbolic: SymbolicFactorisation,
+    x,
+    v,
+    activation,
+    drop_per_m: float,
+    position_gain: float,
+    velocity_gain: float,
 ) -> np.ndarray:
     """Minus the derivative of the forces as one dense (2n, 2n) matrix, as the solver sees it."""
     _, edges = forces_and_edges(mesh, x, v, activation, drop_per_m)
-    diagonal, pair = lane_zeros((len(x), 3), 1), lane_zeros((len(plan.neighbour), 4), 1)
+    diagonal, pair = lane_zeros((len(x), 3), 1), lane_zeros((len(symbolic.neighbour), 4), 1)
     still = lane_zeros((0, 1), 1)
     add_stiffness(
-        mesh, plan, edges, numbers(x), numbers(v), still, position_gain, velocity_gain, diagonal, pair
+        mesh, symbolic, edges, numbers(x), numbers(v), still, position_gain, velocity_gain, diagonal, pair
     )
-    return dense(plan, diagonal, pair)
+    return dense(symbolic, diagonal, pair)
 
 
-def dense(plan: Plan, diagonal: np.ndarray, pair: np.ndarray) -> np.ndarray:
+def dense(symbolic: SymbolicFactorisation, diagonal: np.ndarray, pair: np.ndarray) -> np.ndarray:
     """A matrix of the solver, before it is factored, as one array."""
     n = len(diagonal)
     full = np.zeros((2 * n, 2 * n))
     for i, (xx, xy, yy) in enumerate(diagonal):
         full[2 * i : 2 * i + 2, 2 * i : 2 * i + 2] = [[xx, xy], [xy, yy]]
-    for k, node in enumerate(plan.order):
-        for p in range(plan.start[k], plan.start[k + 1]):
-            other, block = plan.neighbour[p], pair[p].reshape(2, 2)
+    for k, node in enumerate(symbolic.order):
+        for p in range(symbolic.start[k], symbolic.start[k + 1]):
+            other, block = symbolic.neighbour[p], pair[p].reshape(2, 2)
             full[2 * node : 2 * node + 2, 2 * other : 2 * other + 2] = block
             full[2 * other : 2 * other + 2, 2 * node : 2 * node + 2] = block.T
     return full

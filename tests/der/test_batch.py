@@ -105,7 +105,7 @@ def test_a_failed_lane_stands_still_and_its_batch_can_go_on() -> None:
     velocity = np.array([[0.02, 0.0, 0.0], [0.0, 0.0, 1e160]])
     batch = Batch(
         RODS.mesh,
-        RODS.plan,
+        RODS.symbolic,
         [RODS.actuation] * 2,
         np.zeros((2, 3)),
         velocity,

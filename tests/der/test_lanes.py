@@ -8,16 +8,16 @@ from numba import njit
 from tests.der.rig import numbers
 
 from frogkick.der.lanes import (
+    absolute,
     add,
     any_above,
-    choose_above,
     get,
     lane_dtype,
     lane_floats,
     lane_zeros,
     put,
-    root,
-    size,
+    sqrt,
+    where_above,
 )
 
 WIDTHS = (1, 2, 4, 8, 16)
@@ -28,12 +28,12 @@ def _formula(a, out):
     total = 0.0 * get(a, 0, 0)
     for i in range(a.shape[0]):
         x, y = get(a, i, 0), get(a, i, 1)
-        length = root(x * x + y * y)
+        length = sqrt(x * x + y * y)
         z = -(x / length) + 2.0 * y - 1.0 / x
         total += z
         z *= 3.0
         z -= x
-        put(out, i, 0, choose_above(z, 0.5, z, size(z) - 7.0))
+        put(out, i, 0, where_above(z, 0.5, z, absolute(z) - 7.0))
         add(out, i, 1, 1.5)
         add(out, i, 1, z)
     return any_above(total, 1e9)

@@ -14,9 +14,9 @@ from tests.der.rig import STILL, straight_rod
 from frogkick.der import Batch, Gait, Swimmer, Trajectory, prepare, simulate_action, simulate_gaits
 from frogkick.der.energy import bending_energy, drag_power, kinetic_energy, stretching_energy
 from frogkick.der.mesh import Mesh
-from frogkick.der.plan import Plan
 from frogkick.der.schedule import COARSEST_AT_REST
 from frogkick.der.swimmer import STEP_S
+from frogkick.der.symbolic import SymbolicFactorisation
 from frogkick.robot import Robot, load_robot
 
 ROBOT = load_robot("frog2022")
@@ -24,13 +24,17 @@ RODS = prepare(ROBOT)
 
 
 def alone(
-    mesh: Mesh, plan: Plan, velocity_body: tuple[float, float, float], step_s: float, heading: float = 0.0
+    mesh: Mesh,
+    symbolic: SymbolicFactorisation,
+    velocity_body: tuple[float, float, float],
+    step_s: float,
+    heading: float = 0.0,
 ) -> Batch:
     """One rod without limbs, in equal steps."""
     pose = np.array([[0.0, 0.0, heading]])
     return Batch(
         mesh,
-        plan,
+        symbolic,
         [STILL],
         pose,
         np.array([velocity_body]),
@@ -44,12 +48,12 @@ def alone(
 def test_a_free_rod_vibrates_at_its_textbook_frequency() -> None:
     """First bending mode of a free rod, 4.730^2 / (2 pi L^2) sqrt(EI / mu); drag keeps still."""
     length, stiff, mu, nodes = 0.1, 1e-3, 0.05, 41
-    mesh, plan = straight_rod(
+    mesh, symbolic = straight_rod(
         nodes, length, mass_per_length=mu, bending_n_m2=stiff, stretching_n=1e3, natural_per_m=0.05
     )  # it is let go from straight, a little off its natural arc
     textbook = 4.730041**2 / (2.0 * math.pi * length**2) * math.sqrt(stiff / mu)
     step = 1.0 / textbook / 100.0
-    batch = alone(mesh, plan, (0.0, 0.0, 0.0), step)
+    batch = alone(mesh, symbolic, (0.0, 0.0, 0.0), step)
     bulge = []
     for k in range(1, 1200):
         batch.advance(k * step)
@@ -68,8 +72,8 @@ def test_a_free_rod_vibrates_at_its_textbook_frequency() -> None:
 def test_a_coasting_rod_slows_as_it_should(added: float) -> None:
     """dv/dt = -c v^2 / m gives v = v0 / (1 + k t), x = v0 log(1 + k t) / k with k = c v0 / m."""
     drag, mu, start = 10.0, 0.5 + added, 0.05
-    mesh, plan = straight_rod(21, 0.1, mass_per_length=mu, drag_normal=drag, bending_n_m2=1e-2)
-    batch = alone(mesh, plan, (0.0, start, 0.0), 0.008, heading=0.7)
+    mesh, symbolic = straight_rod(21, 0.1, mass_per_length=mu, drag_normal=drag, bending_n_m2=1e-2)
+    batch = alone(mesh, symbolic, (0.0, start, 0.0), 0.008, heading=0.7)
     batch.advance(2.0)
     rate = drag * start / mu
     forward, left, turn = batch.velocity_body()[0]

@@ -15,7 +15,7 @@ from frogkick.robot import load_robot
 
 ROBOTS = ("frog2022", "streamlined", "hexapod")
 RODS = prepare(load_robot("frog2022"))
-MESH, PLAN = RODS.mesh, RODS.plan
+MESH, PLAN = RODS.mesh, RODS.symbolic
 DROP = 80.0
 
 
@@ -101,7 +101,7 @@ def test_stiffness_is_minus_the_derivative_of_the_elastic_forces(which: str) -> 
         if weak:
             mesh = mesh._replace(edge_stiffness_n=np.zeros_like(mesh.edge_stiffness_n))
         state = bent(mesh, len(robot.limbs))
-        matrix = stiffness(mesh, rods.plan, state.x, state.v, state.activation, DROP, 0.7, 0.0)
+        matrix = stiffness(mesh, rods.symbolic, state.x, state.v, state.activation, DROP, 0.7, 0.0)
         expected = -0.7 * central(
             lambda x, m=mesh, s=state: forces(m, x, s.v, s.activation, DROP), state.x, 1e-8
         )
@@ -155,7 +155,7 @@ def test_a_cantilever_bends_by_the_textbook() -> None:
     """Tip deflection F L^3 / (3 EI) of a rod held at one end, bent by 1 % of its length."""
     length, stiff = 0.2, 1e-3
     nodes = 41
-    mesh, plan = straight_rod(nodes, length, bending_n_m2=stiff)
+    mesh, symbolic = straight_rod(nodes, length, bending_n_m2=stiff)
     still, none = np.zeros((nodes, 2)), np.zeros(0)
     load = 0.01 * length * 3.0 * stiff / length**3
     x = mesh.rest_m.copy()
@@ -163,7 +163,7 @@ def test_a_cantilever_bends_by_the_textbook() -> None:
     for _ in range(20):
         unbalanced = forces(mesh, x, still, none, 0.0)
         unbalanced[-1, 1] += load
-        matrix = stiffness(mesh, plan, x, still, none, 0.0, 1.0, 0.0)
+        matrix = stiffness(mesh, symbolic, x, still, none, 0.0, 1.0, 0.0)
         x.ravel()[free] += np.linalg.solve(matrix[free, free], unbalanced.ravel()[free])
     assert np.abs(unbalanced.ravel()[free]).max() < 1e-6 * load
     span = length - 0.5 * length / (nodes - 1)  # it is held between its first two nodes

@@ -15,12 +15,12 @@ from frogkick.der.schedule import (
     COARSEST_WHILE_IT_RINGS,
     RINGS_S,
     SLIVER,
-    Pace,
+    StepProfile,
     Stroke,
     lane_times,
     lay_out,
-    pace_of,
     profiles_of,
+    step_profile_of,
     step_times,
     stroke_activation,
 )
@@ -28,19 +28,21 @@ from frogkick.der.stepping import EVALUATION_SHARE
 from frogkick.robot import load_robot
 
 ROBOT = load_robot("frog2022")
-PACE, STEP_S = pace_of(ROBOT.actuation()), 0.001
+STEP_PROFILE, STEP_S = step_profile_of(ROBOT.actuation()), 0.001
 ROOM = 1.0 + 1e-6
 
 times = st.floats(0.0, 3.0)
 
 
-def ends_of(now: float, until: float, strokes: Sequence[Stroke], pace: Pace = PACE) -> np.ndarray:
+def ends_of(
+    now: float, until: float, strokes: Sequence[Stroke], step_profile: StepProfile = STEP_PROFILE
+) -> np.ndarray:
     known = sorted(strokes)
     starts, scales = (
         np.array([each.start_s for each in known]),
         np.array([each.duration_scale for each in known]),
     )
-    shape = (pace.coarseness, pace.every_s, pace.over_s, pace.peak_s)
+    shape = (step_profile.coarseness, step_profile.every_s, step_profile.over_s, step_profile.peak_s)
     return np.asarray(step_times(now, until, starts, scales, *shape, STEP_S))
 
 
@@ -56,7 +58,7 @@ def test_steps_fill_the_time_and_land_on_strokes(now: float, length: float, star
     assert np.all(steps > 0.0)
     assert np.all(steps <= COARSEST_AT_REST * STEP_S * ROOM)
     for start in starts:
-        for kink in (start, start + PACE.over_s):
+        for kink in (start, start + STEP_PROFILE.over_s):
             if now < kink < until:
                 assert np.abs(ends - kink).min() <= SLIVER * STEP_S * ROOM
     if length > SLIVER * STEP_S:
@@ -66,7 +68,7 @@ def test_steps_fill_the_time_and_land_on_strokes(now: float, length: float, star
             assert step <= STEP_S * ROOM
         if any(SLIVER * STEP_S <= begin - start < RINGS_S - 1e-9 for start in starts):
             assert step <= COARSEST_WHILE_IT_RINGS * STEP_S * ROOM
-        if any(SLIVER * STEP_S <= begin - start < PACE.over_s - 1e-9 for start in starts):
+        if any(SLIVER * STEP_S <= begin - start < STEP_PROFILE.over_s - 1e-9 for start in starts):
             assert step <= COARSEST * STEP_S * ROOM
 
 
@@ -106,12 +108,12 @@ def test_no_stroke_is_coarse_at_once() -> None:
 def test_steps_are_finest_where_each_stroke_bends_and_lengthen_where_it_does_not() -> None:
     for profile in ROBOT.profiles:
         stroke = ROBOT.actuation(profile.egain_percent, profile.frequency_hz)
-        pace = pace_of(stroke)
-        assert np.all((pace.coarseness >= 1.0) & (pace.coarseness <= COARSEST))
+        step_profile = step_profile_of(stroke)
+        assert np.all((step_profile.coarseness >= 1.0) & (step_profile.coarseness <= COARSEST))
         half = int(np.argmax(stroke.activation > 0.5))
-        assert np.all(pace.coarseness[: half + int(BEHIND_S / pace.every_s)] < 1.5)
-        assert np.all(stroke.activation[round(pace.over_s / pace.every_s) :] <= 1e-12)
-        assert pace.coarseness.max() >= COARSEST_WHILE_IT_RINGS
+        assert np.all(step_profile.coarseness[: half + int(BEHIND_S / step_profile.every_s)] < 1.5)
+        assert np.all(stroke.activation[round(step_profile.over_s / step_profile.every_s) :] <= 1e-12)
+        assert step_profile.coarseness.max() >= COARSEST_WHILE_IT_RINGS
 
 
 def test_activation_is_the_largest_of_a_limb_s_strokes() -> None:
@@ -119,7 +121,7 @@ def test_activation_is_the_largest_of_a_limb_s_strokes() -> None:
     at = np.linspace(-0.1, 2.5, 400)
     strokes = np.full((3, 2, 3), np.nan)
     strokes[0], strokes[1, 0] = [Stroke(0.0), Stroke(0.3)], Stroke(0.5)
-    active = stroke_activation(at, strokes, stroke.activation, stroke.step_s, PACE.peak_s)
+    active = stroke_activation(at, strokes, stroke.activation, stroke.step_s, STEP_PROFILE.peak_s)
     table_s = np.arange(len(stroke.activation)) * stroke.step_s
     one, two, three = (np.interp(at - s, table_s, stroke.activation, 0.0, 0.0) for s in (0.0, 0.3, 0.5))
     assert np.allclose(active[:, 0], np.maximum(one, two), atol=1e-12)
@@ -130,14 +132,14 @@ def test_activation_is_the_largest_of_a_limb_s_strokes() -> None:
 def test_a_weak_slow_stroke_is_the_measured_one_with_less_height_and_a_longer_tail() -> None:
     stroke = ROBOT.actuation()
     at = np.linspace(0.0, 4.0, 900)
-    peak_s = PACE.peak_s
+    peak_s = STEP_PROFILE.peak_s
     strokes = np.array([[Stroke(0.0, 0.7, 2.0)]])
     active = stroke_activation(at, strokes, stroke.activation, stroke.step_s, peak_s)[:, 0]
     then = np.where(at <= peak_s, at, peak_s + (at - peak_s) / 2.0)
     table_s = np.arange(len(stroke.activation)) * stroke.step_s
     assert np.allclose(active, 0.7 * np.interp(then, table_s, stroke.activation, 0.0, 0.0), atol=1e-12)
     ends = ends_of(0.0, 3.0, [Stroke(0.0, 0.7, 2.0)])
-    over_s = peak_s + 2.0 * (PACE.over_s - peak_s)
+    over_s = peak_s + 2.0 * (STEP_PROFILE.over_s - peak_s)
     assert over_s < 3.0
     assert np.abs(ends - over_s).min() < 1e-12
 
@@ -160,11 +162,11 @@ def test_lanes_laid_out_in_one_go_are_those_laid_out_one_by_one() -> None:
     lay_out(found, counts, strokes, profiles_of(actuations), EVALUATION_SHARE, lengths, active)
     assert counts[2] == 0 and not lengths[:, :, 2:].any() and not active[:, :, 2:].any()
     for lane, actuation in enumerate(actuations[:2]):
-        ends, pace, steps = found[lane, : counts[lane]], pace_of(actuation), counts[lane] - 1
-        assert np.array_equal(ends, ends_of(now[lane], until[lane], fired[lane], pace))
+        ends, step_profile, steps = found[lane, : counts[lane]], step_profile_of(actuation), counts[lane] - 1
+        assert np.array_equal(ends, ends_of(now[lane], until[lane], fired[lane], step_profile))
         assert np.array_equal(lengths[:steps, 0, lane], np.diff(ends)) and not lengths[steps:, 0, lane].any()
         at = ends[:-1] + EVALUATION_SHARE * np.diff(ends)
-        table = (actuation.activation, actuation.step_s, pace.peak_s)
+        table = (actuation.activation, actuation.step_s, step_profile.peak_s)
         one = stroke_activation(at, strokes[lane], *table)[:, 0]
         assert np.array_equal(active[:steps, 0, lane], one)
         assert np.array_equal(active[:steps, 1, lane], actuation.drop_per_m * one)

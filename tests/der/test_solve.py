@@ -8,27 +8,27 @@ from tests.der.rig import dense, numbers
 
 from frogkick.der import prepare
 from frogkick.der.lanes import lane_floats, lane_zeros
-from frogkick.der.plan import plan_elimination
 from frogkick.der.solve import factor, solve
+from frogkick.der.symbolic import factorise_symbolically
 from frogkick.robot import load_robot
 
 
 @pytest.mark.parametrize("which", ["frog2022", "hexapod"])
 @pytest.mark.parametrize("width", [1, 8])
 def test_the_direct_solver_agrees_with_numpy(which: str, width: int) -> None:
-    plan = prepare(load_robot(which)).plan
-    n, rng = len(plan.order), np.random.default_rng(5)
+    symbolic = prepare(load_robot(which)).symbolic
+    n, rng = len(symbolic.order), np.random.default_rng(5)
     shape = (lambda *s: s) if width == 1 else (lambda *s: (*s, width))
     diagonal = rng.normal(size=shape(n, 3)) + np.array([40.0, 0.0, 40.0]).reshape(
         (1, 3) if width == 1 else (1, 3, 1)
     )
-    pair, right = rng.normal(size=shape(len(plan.neighbour), 4)), rng.normal(size=shape(n, 2))
+    pair, right = rng.normal(size=shape(len(symbolic.neighbour), 4)), rng.normal(size=shape(n, 2))
     d, p, r = (numbers(values, width) for values in (diagonal, pair, right))
-    factor(plan, d, p, lane_zeros((plan.widest, 4), width))
-    solve(plan, d, p, r)
+    factor(symbolic, d, p, lane_zeros((symbolic.widest, 4), width))
+    solve(symbolic, d, p, r)
     for lane in range(width):
         one = [values if width == 1 else values[..., lane] for values in (diagonal, pair, right)]
-        expected = np.linalg.solve(dense(plan, one[0], one[1]), one[2].ravel())
+        expected = np.linalg.solve(dense(symbolic, one[0], one[1]), one[2].ravel())
         assert lane_floats(r)[..., lane].ravel() == pytest.approx(expected, rel=1e-9, abs=1e-12)
 
 
@@ -44,28 +44,28 @@ def test_the_order_decides_the_fill_but_not_the_solution() -> None:
                 full[2 * i : 2 * i + 2, 2 * j : 2 * j + 2] = 0.0
     expected = np.linalg.solve(full, np.arange(14.0)).reshape(7, 2)
     for order in (list(range(7)), [3, 0, 6, 1, 5, 2, 4]):
-        plan = plan_elimination(7, edges, bends, order)
-        diagonal, pair = np.zeros((7, 3)), np.zeros((len(plan.neighbour), 4))
+        symbolic = factorise_symbolically(7, edges, bends, order)
+        diagonal, pair = np.zeros((7, 3)), np.zeros((len(symbolic.neighbour), 4))
         for i in range(7):
             diagonal[i] = full[2 * i, 2 * i], full[2 * i, 2 * i + 1], full[2 * i + 1, 2 * i + 1]
         for k, node in enumerate(order):
-            for p in range(plan.start[k], plan.start[k + 1]):
-                other = plan.neighbour[p]
+            for p in range(symbolic.start[k], symbolic.start[k + 1]):
+                other = symbolic.neighbour[p]
                 pair[p] = full[2 * node : 2 * node + 2, 2 * other : 2 * other + 2].ravel()
         right = np.arange(14.0).reshape(7, 2)
-        factor(plan, diagonal, pair, np.zeros((plan.widest, 4)))
-        solve(plan, diagonal, pair, right)
+        factor(symbolic, diagonal, pair, np.zeros((symbolic.widest, 4)))
+        solve(symbolic, diagonal, pair, right)
         assert right == pytest.approx(expected, rel=1e-11)
 
 
 def test_a_singular_pivot_shows_in_its_lane_only() -> None:
-    plan = prepare(load_robot("frog2022")).plan
-    n = len(plan.order)
+    symbolic = prepare(load_robot("frog2022")).symbolic
+    n = len(symbolic.order)
     diagonal = np.tile(np.array([2.0, 0.0, 3.0])[:, None], (n, 1, 8))
     diagonal[17, :, 3] = 0.0
     right = np.ones((n, 2, 8))
-    d, p, r = numbers(diagonal, 8), lane_zeros((len(plan.neighbour), 4), 8), numbers(right, 8)
-    factor(plan, d, p, lane_zeros((plan.widest, 4), 8))
-    solve(plan, d, p, r)
+    d, p, r = numbers(diagonal, 8), lane_zeros((len(symbolic.neighbour), 4), 8), numbers(right, 8)
+    factor(symbolic, d, p, lane_zeros((symbolic.widest, 4), 8))
+    solve(symbolic, d, p, r)
     finite = np.isfinite(lane_floats(r)).all(axis=(0, 1))
     assert finite.tolist() == [True, True, True, False, True, True, True, True]

@@ -66,7 +66,7 @@ def test_a_lane_in_still_water_does_not_notice_that_its_neighbour_s_moves() -> N
     for neighbour in (STILL, Water(flow_mps=(0.05, 0.02), turn_rad_s2=0.1)):
         batch = Batch(
             RODS.mesh,
-            RODS.plan,
+            RODS.symbolic,
             [RODS.actuation] * 2,
             rest,
             rest,

@@ -12,7 +12,7 @@ from tests.conftest import count
 from frogkick.core.errors import InputError
 from frogkick.effects import effects_of, rods_of
 from frogkick.library import build_library, read_library
-from frogkick.library.starts import gliding
+from frogkick.library.starts import rigid_starts
 from frogkick.library.transitions import simulate_task
 from frogkick.robot import Robot, load_robot, mirror_of
 from frogkick.robot.load import BUILT_IN, parse_robot
@@ -28,7 +28,7 @@ def robot_with(effects: str, folder: Path) -> Robot:
 
 def moved(robot: Robot, action: str) -> np.ndarray:
     """(6,) transition of an action from rest."""
-    (task,) = gliding(robot, np.zeros((1, 3))).tasks
+    (task,) = rigid_starts(robot, np.zeros((1, 3))).tasks
     return simulate_task(rods_of(robot), task).rows[0, [a.name for a in robot.actions].index(action)]
 
 

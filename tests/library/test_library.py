@@ -21,16 +21,16 @@ from frogkick.library import (
     Failed,
     build,
     build_library,
-    cut_library,
     library_info,
     quantise,
     read_library,
     read_recorded,
     sample_library,
+    truncate_library,
     write_library,
 )
 from frogkick.library.sampling import box_velocities
-from frogkick.library.starts import gliding
+from frogkick.library.starts import rigid_starts
 from frogkick.robot import load_robot, mirror_of, parse_robot
 from frogkick.tables.image import open_image
 
@@ -109,22 +109,22 @@ def test_another_period_is_cut_from_what_was_recorded(built: Path, tmp_path: Pat
         toml = ROBOT.toml.replace(f"period_s = {ROBOT.period_s}", f"period_s = {period}")
         other = parse_robot(toml, source="test")
         assert other.period_s == period
-        cut = cut_library(built, other)
+        truncated = truncate_library(built, other)
         build_library(other, STATES, SEED, 1, tmp_path / "other.h5", record_s=0.0)
         whole = read_library(tmp_path / "other.h5")
-        assert np.array_equal(cut.initial_velocity_body, whole.initial_velocity_body)
-        gap = np.abs(cut.displacement_body - whole.displacement_body).reshape(-1, 3).max(axis=0)
+        assert np.array_equal(truncated.initial_velocity_body, whole.initial_velocity_body)
+        gap = np.abs(truncated.displacement_body - whole.displacement_body).reshape(-1, 3).max(axis=0)
         assert np.all(gap < [5e-5, 5e-5, 5e-4])
-        gap = np.abs(cut.velocity_body_end - whole.velocity_body_end).reshape(-1, 3).max(axis=0)
+        gap = np.abs(truncated.velocity_body_end - whole.velocity_body_end).reshape(-1, 3).max(axis=0)
         assert np.all(gap < [2e-4, 2e-4, 5e-3])
-        write_library(cut, tmp_path / "cut.h5")
+        write_library(truncated, tmp_path / "cut.h5")
         assert read_library(tmp_path / "cut.h5").period_s == period
     with pytest.raises(InputError, match=r"0\.05-5 s are recorded"):
-        cut_library(built, replace(ROBOT, period_s=5.01))
+        truncate_library(built, replace(ROBOT, period_s=5.01))
     with pytest.raises(InputError, match="nothing is recorded"):
-        cut_library(tmp_path / "other.h5", other)
+        truncate_library(tmp_path / "other.h5", other)
     with pytest.raises(InputError, match="another period only"):
-        cut_library(built, replace(ROBOT, egain_percent=20.0))
+        truncate_library(built, replace(ROBOT, egain_percent=20.0))
 
 
 def test_info_says_what_is_inside(built: Path) -> None:
@@ -216,7 +216,7 @@ def test_failures_are_listed_and_the_rest_survives(tmp_path: Path, monkeypatch: 
     bad = good.copy()
     bad[2] = (0.01, -1e160, 0.0)
     for name, velocities in (("good", good), ("bad", bad)):
-        monkeypatch.setattr(build, "sample_starts", lambda *_, v=velocities: gliding(ROBOT, v))
+        monkeypatch.setattr(build, "sample_starts", lambda *_, v=velocities: rigid_starts(ROBOT, v))
         report = build_library(ROBOT, 6, SEED, 2, tmp_path / f"{name}.h5", record_s=0.0)
     assert len(report.failures) == 9
     assert report.failures[0].startswith("state 2 action A: its mirror image did not converge at 0.000000 s")
@@ -365,7 +365,7 @@ def test_libraries_of_swims_are_built_alike_whoever_simulates(tmp_path: Path) ->
     assert info["with_history"] == (library.previous_actions[:, 0] >= 0).sum() == SWUM - 1
     other = replace(ROBOT, period_s=2.0)
     with pytest.raises(InputError, match=r"1\.425 s apart: build one for 2 s"):
-        cut_library(tmp_path / "13.0.h5", other)
+        truncate_library(tmp_path / "13.0.h5", other)
 
 
 def test_the_older_format_is_read_as_rested_limbs(built: Path, tmp_path: Path) -> None:

@@ -12,7 +12,7 @@ from tests.identification.made import robot
 from frogkick.der import prepare
 from frogkick.library import Library, error_on, planned, quantise, sample_library
 from frogkick.library.planned import planned_swims
-from frogkick.library.starts import Met, gliding
+from frogkick.library.starts import VisitedStates, rigid_starts
 from frogkick.library.store import make_library
 from frogkick.library.transitions import RESTED, simulate_task
 from frogkick.tables.image import open_image
@@ -41,9 +41,9 @@ def test_a_table_of_planned_states_errs_less_where_a_planned_run_goes() -> None:
 
     With limbs at rest, since a nearest table knows no history: only where the states lie is compared.
     """
-    met, rods = Met(ROBOT), prepare(ROBOT)
-    met.add(next(planned_swims(ROBOT, 77)), STATES)
-    starts = met.starts()
+    visited, rods = VisitedStates(ROBOT), prepare(ROBOT)
+    visited.add(next(planned_swims(ROBOT, 77)), STATES)
+    starts = visited.starts()
     met_there = make_library(ROBOT, "planned", 77, starts, [simulate_task(rods, t) for t in starts.tasks])
     velocity = met_there.initial_velocity_body
     assert velocity[:, 0].max() > 0.02  # forward, m/s
@@ -51,7 +51,7 @@ def test_a_table_of_planned_states_errs_less_where_a_planned_run_goes() -> None:
     assert (met_there.previous_actions[:, 0] != RESTED).sum() > STATES // 2
 
     def at_rest(velocity: np.ndarray) -> Library:
-        starts = gliding(ROBOT, velocity)
+        starts = rigid_starts(ROBOT, velocity)
         return make_library(ROBOT, "box", 0, starts, [simulate_task(rods, task) for task in starts.tasks])
 
     unseen = at_rest(velocity)

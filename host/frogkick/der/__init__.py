@@ -1,7 +1,7 @@
 """Planar discrete elastic rods in water: mesh, forces, solver, integrator, swimmers."""
 
 from frogkick.der.batch import WIDTH, Batch, Checkpoint, Failure
-from frogkick.der.gaits import Gait, Track, simulate_gait, simulate_gaits, swim_tracks
+from frogkick.der.gaits import Gait, GaitTrack, simulate_gait, simulate_gait_tracks, simulate_gaits
 from frogkick.der.strokes import Motions, program_of, simulate_action, simulate_many
 from frogkick.der.swimmer import STEP_S, Rods, Swimmer, prepare
 from frogkick.der.trajectory import Trajectory, simulate_actions
@@ -15,10 +15,10 @@ __all__ = [
     "Checkpoint",
     "Failure",
     "Gait",
+    "GaitTrack",
     "Motions",
     "Rods",
     "Swimmer",
-    "Track",
     "Trajectory",
     "Water",
     "prepare",
@@ -26,7 +26,7 @@ __all__ = [
     "simulate_action",
     "simulate_actions",
     "simulate_gait",
+    "simulate_gait_tracks",
     "simulate_gaits",
     "simulate_many",
-    "swim_tracks",
 ]

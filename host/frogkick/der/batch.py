@@ -1,4 +1,4 @@
-"""Several swimmers of one robot simulated side by side."""
+"""Several swimmers of one robot simulated in the lanes of one batch."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 from frogkick.core.poses import rotation
 from frogkick.der.body import MOTION, SUMS, body_motion, place_nodes
 from frogkick.der.compiled import run_steps, set_accelerations, set_sums
-from frogkick.der.lanes import Numbers, lane_floats, lane_zeros
+from frogkick.der.lanes import SimdArray, lane_floats, lane_zeros
 from frogkick.der.mesh import Mesh
-from frogkick.der.plan import Plan
 from frogkick.der.schedule import Schedule, Stroke
-from frogkick.der.stepping import FACTOR_EVERY, MAX_ITERATIONS, space_of
+from frogkick.der.stepping import FACTOR_EVERY, MAX_ITERATIONS, workspace_of
+from frogkick.der.symbolic import SymbolicFactorisation
 from frogkick.der.water import STILL, WATER, Water
 from frogkick.robot import Actuation
 
@@ -30,7 +30,8 @@ MAX_HALVINGS = 8
 
 @dataclass(frozen=True)
 class Failure:
-    """A lane that could not go on: its clock, its state then, and the last residual over the force scale."""
+    """A lane whose simulation failed: its time, its state then, and the last residual over the force
+    scale."""
 
     time_s: float
     residual: float
@@ -49,36 +50,36 @@ class Failure:
 class _State:
     """Positions about each lane's moving origin, velocities, accelerations, and the space to step them."""
 
-    def __init__(self, mesh: Mesh, plan: Plan, limbs: int, width: int) -> None:
-        self.mesh, self.plan, self.limbs, self.width = mesh, plan, limbs, width
+    def __init__(self, mesh: Mesh, symbolic: SymbolicFactorisation, limbs: int, width: int) -> None:
+        self.mesh, self.symbolic, self.limbs, self.width = mesh, symbolic, limbs, width
         n = len(mesh.mass_kg)
-        self.x_m: Numbers = lane_zeros((n, 2), width)
-        self.v_mps: Numbers = lane_zeros((n, 2), width)
-        self.a_mps2: Numbers = lane_zeros((n, 2), width)
+        self.x_m: SimdArray = lane_zeros((n, 2), width)
+        self.v_mps: SimdArray = lane_zeros((n, 2), width)
+        self.a_mps2: SimdArray = lane_zeros((n, 2), width)
         self.water = [STILL] * width
-        self._space = space_of(mesh, plan, width)
+        self._workspace = workspace_of(mesh, symbolic, width)
 
     @property
-    def nodes(self) -> tuple[Numbers, Numbers, Numbers]:
+    def nodes(self) -> tuple[SimdArray, SimdArray, SimdArray]:
         """Positions, velocities, accelerations."""
         return self.x_m, self.v_mps, self.a_mps2
 
     def pick(self, lanes: Sequence[int]) -> _State:
         """``width`` of its lanes, some of them more than once, in space of their own."""
-        twin = _State(self.mesh, self.plan, self.limbs, self.width)
+        picked = _State(self.mesh, self.symbolic, self.limbs, self.width)
         for to, lane in enumerate(lanes):
-            self.copy_lane(lane, twin, to)
-        return twin
+            self.copy_lane(lane, picked, to)
+        return picked
 
     def start(self) -> None:
         """Set the accelerations to what acts on limbs at rest."""
         active = lane_zeros((1, 2 * self.limbs + 2), self.width)
         set_accelerations(
-            self.mesh, self._space.edges, self.x_m, self.v_mps, active, self._water(), self.a_mps2
+            self.mesh, self._workspace.edges, self.x_m, self.v_mps, active, self._water(), self.a_mps2
         )
 
-    def _water(self) -> Numbers:
-        """Nothing where all water is still, which costs nothing."""
+    def _water(self) -> SimdArray:
+        """The water of all lanes; of length 0 where all of it is still, which costs nothing."""
         moves = any(water != STILL for water in self.water)
         numbers = lane_zeros((WATER if moves else 0, 1), self.width)
         if moves:
@@ -86,7 +87,7 @@ class _State:
         return numbers
 
     def run(
-        self, lengths: Numbers, active: Numbers, steps: Sequence[int], factor_every: int, trace: bool
+        self, lengths: SimdArray, active: SimdArray, steps: Sequence[int], factor_every: int, trace: bool
     ) -> tuple[FloatArray, list[FloatArray]]:
         """Take each lane's own steps.
 
@@ -103,8 +104,8 @@ class _State:
         sums = lane_zeros((len(lengths) if trace else 0, SUMS), self.width)
         run_steps(
             self.mesh,
-            self.plan,
-            self._space,
+            self.symbolic,
+            self._workspace,
             self.x_m,
             self.v_mps,
             self.a_mps2,
@@ -135,13 +136,13 @@ class _State:
         other.water[to] = self.water[lane]
 
 
-class _Walk:
-    """One lane on its own through hard steps."""
+class _SingleLane:
+    """One lane alone, through steps that failed in the batch."""
 
     def __init__(
         self,
         state: _State,
-        laid: Callable[[FloatArray], tuple[Numbers, Numbers]],
+        laid: Callable[[FloatArray], tuple[SimdArray, SimdArray]],
         trace: bool,
         residual: float,
     ) -> None:
@@ -151,7 +152,7 @@ class _Walk:
         self.ends: list[FloatArray] = []
         self.rows: list[FloatArray] = []
 
-    def take(self, times_s: FloatArray, factor_every: int) -> int:
+    def take_steps(self, times_s: FloatArray, factor_every: int) -> int:
         """Take steps; return how many succeeded."""
         taken = len(times_s) - 1
         report, (rows,) = self._state.run(*self._laid(times_s), [taken], factor_every, self._trace)
@@ -162,11 +163,11 @@ class _Walk:
         self.rows.append(rows[:taken])
         return taken
 
-    def cut(self, time_s: float, until_s: float) -> float:
-        """Take one step in 2, 4, 8 ... pieces, by Newton's own method; return the time reached."""
+    def bisect_step(self, time_s: float, until_s: float) -> float:
+        """Bisect one step into 2, 4, 8 ... pieces, by the full Newton method; return the time reached."""
         for halving in range(1, MAX_HALVINGS + 1):
             pieces = np.linspace(time_s, until_s, (1 << halving) + 1)
-            time_s = float(pieces[self.take(pieces, 1)])
+            time_s = float(pieces[self.take_steps(pieces, 1)])
             if time_s == until_s:
                 break
         return time_s
@@ -194,16 +195,16 @@ class Checkpoint:
 
 
 class Batch:
-    """Robots of one mesh, each in a lane and in water of its own, with its own clock, strokes and steps.
+    """Robots of one mesh, each in a lane with its own water, clock, strokes and steps.
 
-    What a lane does depends neither on the width nor on the other lanes, to the last bit. A lane that fails
-    stops where it is and is listed in ``failures``; the others go on.
+    A lane's result depends neither on the width nor on the other lanes, to the last bit. A lane that fails
+    stops and is listed in ``failures``; the others continue.
     """
 
     def __init__(
         self,
         mesh: Mesh,
-        plan: Plan,
+        symbolic: SymbolicFactorisation,
         actuations: Sequence[Actuation],
         pose_world: FloatArray,
         velocity_body: FloatArray,
@@ -217,7 +218,7 @@ class Batch:
         """Place rigidly moving robots with all limbs at rest.
 
         Args:
-            mesh, plan: of the robot.
+            mesh, symbolic: of the robot.
             actuations: one for each lane: what its strokes do to a limb.
             pose_world: (lanes, 3) x, y (m), heading (rad), world frame, finite.
             velocity_body: (lanes, 3) forward, left (m/s), turn rate (rad/s), body frame, finite.
@@ -232,7 +233,7 @@ class Batch:
         self.failures: dict[int, Failure] = {}
         self.corrections = np.zeros(self.lanes)
         self._schedule = Schedule(actuations, limbs, step_s, longest_s)
-        self._state = _State(mesh, plan, limbs, width)
+        self._state = _State(mesh, symbolic, limbs, width)
         self._alone: _State | None = None
         # Nodes are kept relative to a moving origin: far out, rounding would spoil strains of 1e-9.
         self._origin = np.array(pose_world[:, :2], dtype=np.float64)
@@ -293,16 +294,16 @@ class Batch:
         self.corrections[lane] = 1.0  # it has moved already: its accelerations stay as they are
 
     def pick(self, lanes: Sequence[int]) -> Batch:
-        """Some lanes' robots again, 1 to the width, amid their strokes, to go on from here by themselves."""
-        twin, chosen, width = copy.copy(self), list(lanes), self._state.width
-        twin.lanes = len(chosen)
-        twin.time_s, twin.corrections = self.time_s[chosen], self.corrections[chosen]
-        twin.failures = {to: self.failures[k] for to, k in enumerate(chosen) if k in self.failures}
-        twin._schedule = self._schedule.pick(chosen)
+        """A copy of some lanes, 1 to the width, with the strokes under way."""
+        picked, chosen, width = copy.copy(self), list(lanes), self._state.width
+        picked.lanes = len(chosen)
+        picked.time_s, picked.corrections = self.time_s[chosen], self.corrections[chosen]
+        picked.failures = {to: self.failures[k] for to, k in enumerate(chosen) if k in self.failures}
+        picked._schedule = self._schedule.pick(chosen)
         idle = [chosen[0]] * (width - len(chosen))  # a valid state, as in __init__
-        twin._state, twin._alone = self._state.pick([*chosen, *idle]), None
-        twin._origin = self._origin[chosen]
-        return twin
+        picked._state, picked._alone = self._state.pick([*chosen, *idle]), None
+        picked._origin = self._origin[chosen]
+        return picked
 
     def advance(
         self, until_s: float | FloatArray, trace: bool = False
@@ -333,7 +334,7 @@ class Batch:
             self.time_s[lane] = until[lane]
             if report[0, lane] >= 0.0:
                 mine = times[lane, : counts[lane]]
-                ends[lane], rows[lane] = self._go_alone(
+                ends[lane], rows[lane] = self._continue_alone(
                     lane, mine, int(report[0, lane]), float(report[1, lane]), rows[lane]
                 )
             rows[lane][:, 0:2] += self._origin[lane]
@@ -341,40 +342,40 @@ class Batch:
         self._recentre(some)
         return [(ends[lane], rows[lane]) for lane in range(self.lanes)]
 
-    def _go_alone(
+    def _continue_alone(
         self, lane: int, times_s: FloatArray, step: int, residual: float, before: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """Take the steps from a failed one on alone, cutting each that fails in halves again and again.
+        """Continue a lane alone from a failed step on, bisecting each step that fails.
 
         Returns:
             Times and rows, as ``advance`` does, about the lane's origin.
         """
         if self._alone is None:
-            self._alone = _State(self._state.mesh, self._state.plan, self._state.limbs, 1)
+            self._alone = _State(self._state.mesh, self._state.symbolic, self._state.limbs, 1)
         alone = self._alone
         self._state.copy_lane(lane, alone, 0)
 
-        def laid(times: FloatArray) -> tuple[Numbers, Numbers]:
+        def laid(times: FloatArray) -> tuple[SimdArray, SimdArray]:
             return self._schedule.laid(times[None], np.array([len(times)]), 1, lane)
 
-        walk = _Walk(alone, laid, len(before) > 0, residual)
-        walk.ends, walk.rows = [times_s[1 : step + 1]], [before[:step]]
+        single = _SingleLane(alone, laid, len(before) > 0, residual)
+        single.ends, single.rows = [times_s[1 : step + 1]], [before[:step]]
         reached, now, last = float(times_s[step]), step, len(times_s) - 1
         while now < last:
-            reached = walk.cut(float(times_s[now]), float(times_s[now + 1]))
+            reached = single.bisect_step(float(times_s[now]), float(times_s[now + 1]))
             if reached < times_s[now + 1]:
                 break
             now += 1
             if now < last:
-                now += walk.take(times_s[now:], FACTOR_EVERY)
+                now += single.take_steps(times_s[now:], FACTOR_EVERY)
                 reached = float(times_s[now])
-        self.corrections[lane] += walk.corrections
+        self.corrections[lane] += single.corrections
         alone.copy_lane(0, self._state, lane)
         self.time_s[lane] = reached
         if now < last:
             pose, velocity = self.pose_world()[lane].tolist(), self.velocity_body()[lane].tolist()
-            self.failures[lane] = Failure(reached, walk.residual, tuple(pose), tuple(velocity))
-        return np.concatenate(walk.ends), np.concatenate(walk.rows)
+            self.failures[lane] = Failure(reached, single.residual, tuple(pose), tuple(velocity))
+        return np.concatenate(single.ends), np.concatenate(single.rows)
 
     def _recentre(self, lanes: Sequence[int]) -> None:
         motion = self._state.motion()
@@ -384,12 +385,12 @@ class Batch:
 
     @property
     def mass_kg(self) -> float:
-        """What it takes to accelerate a robot, with the water that it takes along."""
+        """Mass of a robot, added mass included."""
         return float(self._state.mesh.mass_kg.sum())
 
     @property
     def inertia_kg_m2(self) -> float:
-        """Moment of inertia about its centre of mass with all limbs at rest, likewise."""
+        """Moment of inertia about its centre of mass with all limbs at rest, added mass included."""
         mesh = self._state.mesh
         return float(mesh.mass_kg @ (mesh.rest_m**2).sum(axis=1))
 

@@ -13,7 +13,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from frogkick.core.compiled import INNER
-from frogkick.der.lanes import Numbers, get, put
+from frogkick.der.lanes import SimdArray, get, put
 from frogkick.der.mesh import Mesh
 
 FloatArray = NDArray[np.float64]
@@ -23,7 +23,7 @@ MOTION = 8
 
 
 @njit(**INNER)
-def set_sums(mesh: Mesh, x_m: Numbers, v_mps: Numbers, row: int, sums: Numbers) -> None:
+def set_sums(mesh: Mesh, x_m: SimdArray, v_mps: SimdArray, row: int, sums: SimdArray) -> None:
     """Set a row of (rows, SUMS): what ``body_motion`` needs.
 
     Centre x, y (m), its velocity (m/s), cross and dot product of the frame's arms at rest with those now, the

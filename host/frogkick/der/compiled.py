@@ -16,10 +16,10 @@ from frogkick.der import body, stepping
 def _compiled(stamp: int) -> tuple[Any, Any, Any]:
     @njit(**KEPT)
     def run_steps(  # type: ignore[no-untyped-def]
-        mesh, plan, space, x_m, v_mps, a_mps2, step_s, active, water, factor_every, report, sums
+        mesh, symbolic, workspace, x_m, v_mps, a_mps2, step_s, active, water, factor_every, report, sums
     ):
         return stamp * 0 + stepping.run_steps(
-            mesh, plan, space, x_m, v_mps, a_mps2, step_s, active, water, factor_every, report, sums
+            mesh, symbolic, workspace, x_m, v_mps, a_mps2, step_s, active, water, factor_every, report, sums
         )
 
     @njit(**KEPT)

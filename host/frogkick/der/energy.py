@@ -1,7 +1,7 @@
-"""The rods' energies and the powers that change them, as plainly as they can be written.
+"""The rods' energies and the power of drag, in their plainest form, for tests.
 
-Nothing here is used to simulate: it states what ``frogkick.der.rods`` must be the derivative of, and lets a
-simulation's balance be drawn up.
+Nothing here is used to simulate. ``frogkick.der.rods`` must be the derivative of it, and an energy balance of
+a simulation can be computed with it.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ def kinetic_energy(mesh: Mesh, v_mps: FloatArray) -> float:
 
 
 def drag_power(mesh: Mesh, x_m: FloatArray, v_mps: FloatArray) -> float:
-    """What drag takes out, W, positive."""
+    """Power dissipated by drag, W, positive."""
     edges = x_m[mesh.edge_nodes[:, 1]] - x_m[mesh.edge_nodes[:, 0]]
     tangent = edges / np.hypot(edges[:, 0], edges[:, 1])[:, None]
     power = 0.0

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from frogkick.core.errors import ConvergenceError, InputError
 from frogkick.der.batch import WIDTH, Failure
-from frogkick.der.strokes import Acts, Plainly, between
+from frogkick.der.strokes import LaneEffects, NoEffects, interpolate
 from frogkick.der.swimmer import STEP_S, Rods, batch_of, prepare
 from frogkick.der.trajectory import Trajectory, sample_times, trajectory_of
 from frogkick.robot import Robot
@@ -65,7 +65,7 @@ def simulate_gaits(
     step_s: float = STEP_S,
     width: int = WIDTH,
     rods: Rods | None = None,
-    acts: Callable[[int], Acts] | None = None,
+    acts: Callable[[int], LaneEffects] | None = None,
 ) -> list[Trajectory | Failure]:
     """Simulate gaits side by side, each as ``simulate_gait`` does and to the same bits.
 
@@ -76,7 +76,7 @@ def simulate_gaits(
         step_s: finest time step.
         width: how many swim side by side.
         rods: its rods where effects change the body; None: prepare(robot).
-        acts: see ``swim_tracks``.
+        acts: see ``simulate_gait_tracks``.
 
     Returns:
         For each gait its trajectory, or why and where it stopped.
@@ -91,14 +91,14 @@ def simulate_gaits(
         raise InputError(f"cycles is {cycles}: give 1 to {CYCLES_MAX}")
     body = prepare(robot) if rods is None else rods
     some = [replace(body, actuation=robot.actuation(gait.egain_percent, gait.frequency_hz)) for gait in gaits]
-    tracks = swim_tracks(some, gaits, cycles, step_s=step_s, width=width, acts=acts)
+    tracks = simulate_gait_tracks(some, gaits, cycles, step_s=step_s, width=width, acts=acts)
     return [
         track if isinstance(track, Failure) else _trajectory(robot, gait, track, cycles)
         for gait, track in zip(gaits, tracks, strict=True)
     ]
 
 
-def _trajectory(robot: Robot, gait: Gait, track: Track, cycles: int) -> Trajectory:
+def _trajectory(robot: Robot, gait: Gait, track: GaitTrack, cycles: int) -> Trajectory:
     period_s = 1.0 / gait.frequency_hz
     last = min(cycles, 8)
     counted = min(last, 3)
@@ -106,12 +106,12 @@ def _trajectory(robot: Robot, gait: Gait, track: Track, cycles: int) -> Trajecto
     speed = float(mean_m[last] - mean_m[last - counted]) / (counted * period_s)
     pulses = cycles * (robot.gait_lead_mask.bit_count() + robot.gait_lag_mask.bit_count())
     time_s = sample_times(period_s, cycles)
-    pose, velocity = between(track.time_s, track.motion, time_s)
+    pose, velocity = interpolate(track.time_s, track.motion, time_s)
     return trajectory_of(time_s, pose, velocity, speed, pulses * robot.pulse_energy_j, robot)
 
 
 @dataclass(frozen=True, eq=False)
-class Track:
+class GaitTrack:
     """How a gait swam, step by step.
 
     Attributes:
@@ -130,15 +130,15 @@ class Track:
         return np.asarray(self.motion[:, 6])
 
 
-def swim_tracks(
+def simulate_gait_tracks(
     rods: Sequence[Rods],
     gaits: Sequence[Gait],
     cycles: int,
     *,
     step_s: float = STEP_S,
     width: int = WIDTH,
-    acts: Callable[[int], Acts] | None = None,
-) -> list[Track | Failure]:
+    acts: Callable[[int], LaneEffects] | None = None,
+) -> list[GaitTrack | Failure]:
     """Swim gaits from rest, heading along world x, ``width`` of them side by side.
 
     Args:
@@ -147,17 +147,17 @@ def swim_tracks(
         cycles: to swim.
         acts: makes, of a number of lanes, what acts on them; by default nothing does.
     """
-    tracks: list[Track | Failure] = []
+    tracks: list[GaitTrack | Failure] = []
     for first in range(0, len(gaits), width):
         some = slice(first, first + width)
-        lanes = acts(len(gaits[some])) if acts else Plainly()
+        lanes = acts(len(gaits[some])) if acts else NoEffects()
         tracks += _side_by_side(rods[some], gaits[some], cycles, step_s, width, lanes)
     return tracks
 
 
 def _side_by_side(
-    rods: Sequence[Rods], gaits: Sequence[Gait], cycles: int, step_s: float, width: int, acts: Acts
-) -> Iterator[Track | Failure]:
+    rods: Sequence[Rods], gaits: Sequence[Gait], cycles: int, step_s: float, width: int, acts: LaneEffects
+) -> Iterator[GaitTrack | Failure]:
     robot, still = rods[0].robot, np.zeros((len(gaits), 3))
     batch = batch_of(rods, still, still, 0.0, step_s, width)
     period_s = np.array([1.0 / gait.frequency_hz for gait in gaits])
@@ -177,4 +177,4 @@ def _side_by_side(
             yield batch.failures[lane]
             continue
         cycle_end = np.cumsum([len(times) for times in ends[lane]]) - 1
-        yield Track(np.concatenate(ends[lane]), np.concatenate(rows[lane]), cycle_end)
+        yield GaitTrack(np.concatenate(ends[lane]), np.concatenate(rows[lane]), cycle_end)

@@ -1,12 +1,12 @@
-"""Numbers side by side: one value of W simulations at once, so that the same code runs for one or for many.
+"""SIMD lanes: one value of W simulations in one vector, so that the same code runs for one or for many.
 
-numba compiles a function for the types that it is called with. Handed arrays of float64, the rods' functions
-work on one simulation; handed arrays of ``lane_dtype(8)``, every ``get`` yields eight float64 side by side
-and every + - * / is one vector instruction where the processor has one that wide, or several narrower ones.
+numba compiles a function for the types that it is called with. With arrays of float64 the rods' functions
+work on one simulation. With arrays of ``lane_dtype(8)`` every ``get`` yields a vector of eight float64, and
+every + - * / is one vector instruction where the processor has one that wide, or several narrower ones.
 No operation mixes lanes and none is reassociated or contracted, so a simulation's bits depend neither on
 the width nor on its neighbours nor on the processor.
 
-LLVM does not find this by itself in loops over lanes: it cannot prove that the arrays do not overlap.
+LLVM does not vectorise loops over lanes by itself: it cannot prove that the arrays do not overlap.
 """
 
 # numba's own interfaces for extending it carry no types.
@@ -30,8 +30,8 @@ from numba.extending import intrinsic, lower_builtin
 from numba.np.arrayobj import make_array
 from numpy.typing import DTypeLike, NDArray
 
-Numbers = NDArray[Any]
-"""An array of lane_dtype(W); inside of a compiled function also one number of it."""
+SimdArray = NDArray[Any]
+"""An array of lane_dtype(W); inside a compiled function also one vector of it."""
 
 _FIELD = "lane"
 _CACHE_LINE = 64
@@ -57,17 +57,17 @@ def lane_floats(array: NDArray[Any]) -> NDArray[np.float64]:
     return np.asarray(array[_FIELD] if array.dtype.names else array[..., None])
 
 
-class Lanes(types.Type):
-    """``width`` float64 side by side, as numba sees them inside of a function."""
+class SimdVector(types.Type):
+    """A SIMD vector of ``width`` float64, as numba sees it inside a function."""
 
     def __init__(self, width: int) -> None:
         self.width = width
         super().__init__(name=f"Lanes({width})")
 
 
-@register_default(Lanes)
-class _LanesModel(models.PrimitiveModel):
-    def __init__(self, manager: Any, lanes: Lanes) -> None:
+@register_default(SimdVector)
+class _SimdVectorModel(models.PrimitiveModel):
+    def __init__(self, manager: Any, lanes: SimdVector) -> None:
         super().__init__(manager, lanes, ir.VectorType(ir.DoubleType(), lanes.width))
 
 
@@ -76,23 +76,23 @@ def _number(element: Any) -> types.Type | None:
     if element == types.float64:
         return types.float64
     if isinstance(element, types.Record) and list(element.fields) == [_FIELD]:
-        return Lanes(element.typeof(_FIELD).shape[0])
+        return SimdVector(element.typeof(_FIELD).shape[0])
     return None
 
 
 def _widest(*arguments: Any) -> Any:
     """The type that an operation on these works in; None where they are no numbers or of two widths."""
-    lanes = {a for a in arguments if isinstance(a, Lanes)}
-    if len(lanes) > 1 or not all(isinstance(a, Lanes | types.Float) for a in arguments):
+    lanes = {a for a in arguments if isinstance(a, SimdVector)}
+    if len(lanes) > 1 or not all(isinstance(a, SimdVector | types.Float) for a in arguments):
         return None
     return next(iter(lanes)) if lanes else types.float64
 
 
-def _spread(context: Any, builder: Any, value: Any, given: Any, wanted: Any) -> Any:
-    """A float64 in every lane."""
+def _broadcast(context: Any, builder: Any, value: Any, given: Any, wanted: Any) -> Any:
+    """Broadcast a float64 to every lane."""
     if given == wanted:
         return value
-    if not isinstance(wanted, Lanes):
+    if not isinstance(wanted, SimdVector):
         return context.cast(builder, value, given, wanted)
     vector = context.get_value_type(wanted)
     value = context.cast(builder, value, given, types.float64)
@@ -102,22 +102,22 @@ def _spread(context: Any, builder: Any, value: Any, given: Any, wanted: Any) -> 
 
 
 def _define_operator(symbol: Callable[..., Any], instruction: str) -> None:
-    """Let numba type and lower a binary operator on lanes, a float64 standing for the same in every lane."""
+    """Let numba type and lower a binary operator on SIMD vectors; a float64 is broadcast."""
 
     class Typed(AbstractTemplate):
         def generic(self, args: Any, kws: Any) -> Any:
             wanted = _widest(*args) if len(args) == 2 else None
-            return typing.signature(wanted, *args) if isinstance(wanted, Lanes) else None
+            return typing.signature(wanted, *args) if isinstance(wanted, SimdVector) else None
 
     def lowered(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         left, right = (
-            _spread(context, builder, value, given, sig.return_type)
+            _broadcast(context, builder, value, given, sig.return_type)
             for value, given in zip(args, sig.args, strict=True)
         )
         return getattr(builder, instruction)(left, right)
 
     infer_global(symbol)(Typed)
-    for pair in ((Lanes, Lanes), (Lanes, types.Float), (types.Float, Lanes)):
+    for pair in ((SimdVector, SimdVector), (SimdVector, types.Float), (types.Float, SimdVector)):
         lower_builtin(symbol, *pair)(lowered)
 
 
@@ -134,10 +134,10 @@ for _symbol, _in_place, _instruction in (
 @infer_global(operator.neg)
 class _Negated(AbstractTemplate):
     def generic(self, args: Any, kws: Any) -> Any:
-        return typing.signature(args[0], *args) if isinstance(args[0], Lanes) else None
+        return typing.signature(args[0], *args) if isinstance(args[0], SimdVector) else None
 
 
-@lower_builtin(operator.neg, Lanes)
+@lower_builtin(operator.neg, SimdVector)
 def _lower_negated(context: Any, builder: Any, sig: Any, args: Any) -> Any:
     return builder.fneg(args[0])
 
@@ -156,7 +156,7 @@ def _function(make: Callable[..., Any], given: tuple[Any, ...]) -> Any:
     def code(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         return make(
             builder,
-            *(_spread(context, builder, a, t, wanted) for a, t in zip(args, sig.args, strict=True)),
+            *(_broadcast(context, builder, a, t, wanted) for a, t in zip(args, sig.args, strict=True)),
         )
 
     return typing.signature(wanted, *given), code
@@ -174,19 +174,19 @@ def _llvm(builder: Any, name: str, value: Any) -> Any:
 
 
 @_inlined
-def root(typing_context: Any, x: Any) -> Any:
+def sqrt(typing_context: Any, x: Any) -> Any:
     """Square root of a number; NaN in the lanes where it is negative."""
     return _function(lambda builder, value: _llvm(builder, "sqrt", value), (x,))
 
 
 @_inlined
-def size(typing_context: Any, x: Any) -> Any:
+def absolute(typing_context: Any, x: Any) -> Any:
     """Absolute value of a number."""
     return _function(lambda builder, value: _llvm(builder, "fabs", value), (x,))
 
 
 @_inlined
-def choose_above(typing_context: Any, x: Any, limit: Any, yes: Any, no: Any) -> Any:
+def where_above(typing_context: Any, x: Any, limit: Any, yes: Any, no: Any) -> Any:
     """``yes`` in the lanes where x > limit or either is NaN, ``no`` in the others."""
 
     def make(builder: Any, a: Any, b: Any, c: Any, d: Any) -> Any:
@@ -203,9 +203,9 @@ def any_above(typing_context: Any, x: Any, limit: Any) -> Any:
         return None
 
     def code(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        a, b = (_spread(context, builder, v, t, wanted) for v, t in zip(args, sig.args, strict=True))
+        a, b = (_broadcast(context, builder, v, t, wanted) for v, t in zip(args, sig.args, strict=True))
         above = builder.fcmp_unordered(">", a, b)
-        if isinstance(wanted, Lanes):
+        if isinstance(wanted, SimdVector):
             bits = builder.bitcast(above, ir.IntType(wanted.width))
             above = builder.icmp_unsigned("!=", bits, ir.Constant(bits.type, 0))
         return context.cast(builder, above, types.boolean, sig.return_type)
@@ -213,7 +213,7 @@ def any_above(typing_context: Any, x: Any, limit: Any) -> Any:
     return typing.signature(types.boolean, x, limit), code
 
 
-def _place(context: Any, builder: Any, kind: Any, array: Any, indices: Any) -> Any:
+def _pointer(context: Any, builder: Any, kind: Any, array: Any, indices: Any) -> Any:
     """Pointer to an element, as one to a number."""
     view = make_array(kind)(context, builder, array)
     pointer = cgutils.get_item_pointer(context, builder, kind, view, indices, wraparound=False)
@@ -231,7 +231,7 @@ def get(typing_context: Any, array: Any, i: Any, j: Any) -> Any:
         return None
 
     def code(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        return builder.load(_place(context, builder, sig.args[0], args[0], args[1:]), align=_ALIGN)
+        return builder.load(_pointer(context, builder, sig.args[0], args[0], args[1:]), align=_ALIGN)
 
     return number(array, types.intp, types.intp), code
 
@@ -244,8 +244,8 @@ def put(typing_context: Any, array: Any, i: Any, j: Any, x: Any) -> Any:
         return None
 
     def code(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        value = _spread(context, builder, args[3], sig.args[3], number)
-        builder.store(value, _place(context, builder, sig.args[0], args[0], args[1:3]), align=_ALIGN)
+        value = _broadcast(context, builder, args[3], sig.args[3], number)
+        builder.store(value, _pointer(context, builder, sig.args[0], args[0], args[1:3]), align=_ALIGN)
         return context.get_dummy_value()
 
     return types.void(array, types.intp, types.intp, x), code
@@ -259,8 +259,8 @@ def add(typing_context: Any, array: Any, i: Any, j: Any, x: Any) -> Any:
         return None
 
     def code(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        value = _spread(context, builder, args[3], sig.args[3], number)
-        place = _place(context, builder, sig.args[0], args[0], args[1:3])
+        value = _broadcast(context, builder, args[3], sig.args[3], number)
+        place = _pointer(context, builder, sig.args[0], args[0], args[1:3])
         builder.store(builder.fadd(builder.load(place, align=_ALIGN), value), place, align=_ALIGN)
         return context.get_dummy_value()
 

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from frogkick.der.plan import Plan, plan_elimination
+from frogkick.der.symbolic import SymbolicFactorisation, factorise_symbolically
 from frogkick.robot import Robot
 
 FloatArray = NDArray[np.float64]
@@ -88,7 +88,7 @@ def turning_curvature(rest_m: FloatArray, nodes: tuple[int, int, int]) -> tuple[
     return 2.0 * math.tan(0.5 * phi) / dl, dl
 
 
-def build_mesh(robot: Robot) -> tuple[Mesh, Plan]:
+def build_mesh(robot: Robot) -> tuple[Mesh, SymbolicFactorisation]:
     """Discretise a robot and plan the elimination of its linear systems.
 
     Returns:
@@ -193,4 +193,4 @@ def build_mesh(robot: Robot) -> tuple[Mesh, Plan]:
         bend_column=2 * np.where(limb_of >= 0, limb_of, len(robot.limbs)).astype(np.int32),
         force_scale_n=float(weakest),
     )
-    return mesh, plan_elimination(len(points), mesh.edge_nodes, mesh.bend_nodes, order)
+    return mesh, factorise_symbolically(len(points), mesh.edge_nodes, mesh.bend_nodes, order)

@@ -11,9 +11,9 @@ from typing import Any, NamedTuple
 from numba import njit
 
 from frogkick.core.compiled import BARE
-from frogkick.der.lanes import Numbers, add, get, lane_zeros, put, root, size
+from frogkick.der.lanes import SimdArray, absolute, add, get, lane_zeros, put, sqrt
 from frogkick.der.mesh import Mesh
-from frogkick.der.plan import Plan
+from frogkick.der.symbolic import SymbolicFactorisation
 from frogkick.der.water import flow_x, flow_y, push_x, push_y
 
 
@@ -29,12 +29,12 @@ class Edges(NamedTuple):
         slope_nm: (b, 1) d2E / dphi2, N m.
     """
 
-    tangent: Numbers
-    inverse_m: Numbers
-    pull_n: Numbers
-    stiffness: Numbers
-    moment_nm: Numbers
-    slope_nm: Numbers
+    tangent: SimdArray
+    inverse_m: SimdArray
+    pull_n: SimdArray
+    stiffness: SimdArray
+    moment_nm: SimdArray
+    slope_nm: SimdArray
 
 
 def edges_of(mesh: Mesh, width: int) -> Edges:
@@ -48,12 +48,12 @@ def edges_of(mesh: Mesh, width: int) -> Edges:
 def add_forces(
     mesh: Mesh,
     edges: Edges,
-    x_m: Numbers,
-    v_mps: Numbers,
-    active: Numbers,
+    x_m: SimdArray,
+    v_mps: SimdArray,
+    active: SimdArray,
     step: int,
-    water: Numbers,
-    force_n: Numbers,
+    water: SimdArray,
+    force_n: SimdArray,
 ) -> None:
     """Add all forces on a state to ``force_n``, and keep in ``edges`` what their stiffness needs.
 
@@ -76,7 +76,7 @@ def add_forces(
     for edge in range(mesh.edge_nodes.shape[0]):
         i, j = mesh.edge_nodes[edge, 0], mesh.edge_nodes[edge, 1]
         ex, ey = get(x_m, j, 0) - get(x_m, i, 0), get(x_m, j, 1) - get(x_m, i, 1)
-        length = root(ex * ex + ey * ey)
+        length = sqrt(ex * ex + ey * ey)
         inverse = 1.0 / length
         tx, ty = ex * inverse, ey * inverse
         tension = mesh.edge_stiffness_n[edge] * (length * mesh.edge_inverse_per_m[edge] - 1.0)
@@ -119,7 +119,7 @@ def add_forces(
                 vx = vx - flow_x(water, px, py)
                 vy = vy - flow_y(water, px, py)
             vt, vn = vx * tx + vy * ty, vy * tx - vx * ty
-            along, across = ct * size(vt) * vt, cn * size(vn) * vn
+            along, across = ct * absolute(vt) * vt, cn * absolute(vn) * vn
             fx = side * get(edges.pull_n, edge, 0) - along * tx + across * ty
             fy = side * get(edges.pull_n, edge, 1) - along * ty - across * tx
             add(force_n, node, 0, fx)
@@ -134,15 +134,15 @@ def add_forces(
 @njit(**BARE)
 def add_stiffness(
     mesh: Mesh,
-    plan: Plan,
+    symbolic: SymbolicFactorisation,
     edges: Edges,
-    x_m: Numbers,
-    v_mps: Numbers,
-    water: Numbers,
+    x_m: SimdArray,
+    v_mps: SimdArray,
+    water: SimdArray,
     position_gain: float,
     velocity_gain: Any,
-    diagonal: Numbers,
-    pair: Numbers,
+    diagonal: SimdArray,
+    pair: SimdArray,
 ) -> None:
     """Add minus the forces' derivative to a symmetric matrix.
 
@@ -187,7 +187,7 @@ def add_stiffness(
         add(diagonal, middle, 1, -(xy + yx))
         add(diagonal, middle, 2, -2.0 * yy)
         for corner in range(3):  # nodes a b, a c, b c
-            block, flip = plan.bend_pair[bend, corner], plan.bend_flip[bend, corner]
+            block, flip = symbolic.bend_pair[bend, corner], symbolic.bend_flip[bend, corner]
             sign = 1.0 - 2.0 * (corner == 1)
             add(pair, block, 0, sign * xx)
             add(pair, block, 1 + flip, sign * xy)
@@ -198,7 +198,7 @@ def add_stiffness(
         xx = position_gain * get(edges.stiffness, edge, 0)
         xy = position_gain * get(edges.stiffness, edge, 1)
         yy = position_gain * get(edges.stiffness, edge, 2)
-        block = plan.edge_pair[edge]
+        block = symbolic.edge_pair[edge]
         add(pair, block, 0, -xx)
         add(pair, block, 1, -xy)
         add(pair, block, 2, -xy)
@@ -211,8 +211,8 @@ def add_stiffness(
                 px, py = get(x_m, node, 0), get(x_m, node, 1)
                 vx = vx - flow_x(water, px, py)
                 vy = vy - flow_y(water, px, py)
-            dt = velocity_gain * ct * size(vx * tx + vy * ty)
-            dn = velocity_gain * cn * size(vy * tx - vx * ty)
+            dt = velocity_gain * ct * absolute(vx * tx + vy * ty)
+            dn = velocity_gain * cn * absolute(vy * tx - vx * ty)
             add(diagonal, node, 0, xx + dt * (tx * tx) + dn * (ty * ty))
             add(diagonal, node, 1, xy + (dt - dn) * (tx * ty))
             add(diagonal, node, 2, yy + dt * (ty * ty) + dn * (tx * tx))

@@ -1,11 +1,14 @@
-"""When the steps are, and how active the limbs are in them: fine where a stroke turns sharply, coarse after.
+"""Step sizes and the activation of limbs in the steps: fine where a stroke's activation bends, coarse
+elsewhere.
 
-Most of a stroke's error is made where its activation bends: the error of a step grows with its square and
-with the second derivative of what drives it. Steps therefore take the default length while a limb straightens
-and lengthen as the square root of that derivative falls, up to COARSEST times, or COARSEST_AT_REST times
-when all strokes are over. Until a stroke's ringing has died they stay short enough to follow the frame, which
-bends at some 40 Hz: a next stroke's thrust depends on where in that swing it falls. They land on the starts
-and the ends of strokes, where the activation has kinks that would cost the order otherwise.
+Most of a stroke's error is made where its activation bends: the local error of a step grows with its square
+and with the second derivative of the forcing. Steps therefore take the default length while a limb
+straightens and lengthen as the square root of that derivative falls, up to COARSEST times, or
+COARSEST_AT_REST times when all strokes are over. As long as the frame rings after a stroke (at some 40 Hz),
+steps stay short enough to resolve
+it: the thrust of the next stroke depends on its phase. Steps end at the starts and ends of strokes, where
+    kinks
+of the activation would otherwise cost the order of convergence.
 """
 
 from __future__ import annotations
@@ -20,7 +23,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from frogkick.der.lanes import Numbers, lane_floats, lane_zeros
+from frogkick.der.lanes import SimdArray, lane_floats, lane_zeros
 from frogkick.der.stepping import EVALUATION_SHARE
 from frogkick.robot import Actuation
 
@@ -37,7 +40,7 @@ AHEAD_S, BEHIND_S = 0.008, 0.016  # how long before and after a bend its steps a
 
 
 class Stroke(NamedTuple):
-    """A limb's stroke: when it starts, its share of the measured one, and how slowly it is over.
+    """A limb's stroke: its start, its gain over the measured one, and the scale of its duration.
 
     The time until the limb is straight is the measured one, the rest takes ``duration_scale`` times as long.
     """
@@ -53,8 +56,8 @@ class Stroke(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Pace:
-    """How long steps may be during a stroke.
+class StepProfile:
+    """Step-size profile: the longest steps during a stroke.
 
     Attributes:
         coarseness: (n,) longest step over the finest, every ``every_s`` since the stroke's start.
@@ -69,8 +72,8 @@ class Pace:
     peak_s: float
 
 
-def pace_of(actuation: Actuation) -> Pace:
-    """How long steps may be during this stroke."""
+def step_profile_of(actuation: Actuation) -> StepProfile:
+    """Step-size profile of a stroke."""
     from scipy.ndimage import maximum_filter1d
 
     active, every_s = actuation.activation, actuation.step_s
@@ -84,11 +87,12 @@ def pace_of(actuation: Actuation) -> Pace:
     coarseness = np.sqrt(SHARP_PER_S2 / np.maximum(sharpest, SHARP_PER_S2 / COARSEST**2))
     coarseness = np.concatenate([coarseness, np.full(max(0, rings - last), COARSEST)])
     coarseness[:rings] = np.minimum(coarseness[:rings], COARSEST_WHILE_IT_RINGS)
-    return Pace(np.maximum(coarseness, 1.0), every_s, last * every_s, int(np.argmax(active)) * every_s)
+    return StepProfile(np.maximum(coarseness, 1.0), every_s, last * every_s, int(np.argmax(active)) * every_s)
 
 
 class Profiles(NamedTuple):
-    """What strokes of several lanes are like: fields of ``Pace`` and ``Actuation``, a row for each lane.
+    """What strokes of several lanes are like: fields of ``StepProfile`` and ``Actuation``, a row for each
+    lane.
 
     Attributes:
         coarseness, activation: (lanes, n) as long as the longest; the first ``coarse`` and ``active`` count.
@@ -166,7 +170,7 @@ class Schedule:
 
     def laid(
         self, times: FloatArray, counts: IntArray, width: int, lane: int | None = None
-    ) -> tuple[Numbers, Numbers]:
+    ) -> tuple[SimdArray, SimdArray]:
         """Lengths of all lanes' steps or of one, and what limbs do in them; see ``lay_out``."""
         strokes, profiles, longest = self._tables[2], self._profiles, int(counts.max()) - 1
         if lane is not None:
@@ -202,16 +206,16 @@ class Schedule:
 
 def profiles_of(actuations: Sequence[Actuation]) -> Profiles:
     """Of lanes with these strokes."""
-    known = {key: pace_of(each) for key, each in {id(each): each for each in actuations}.items()}
-    paces = [known[id(each)] for each in actuations]
-    coarseness, coarse = _side_by_side([pace.coarseness for pace in paces])
+    known = {key: step_profile_of(each) for key, each in {id(each): each for each in actuations}.items()}
+    step_profiles = [known[id(each)] for each in actuations]
+    coarseness, coarse = _side_by_side([step_profile.coarseness for step_profile in step_profiles])
     activation, active = _side_by_side([each.activation for each in actuations])
     return Profiles(
         coarseness,
         coarse,
-        np.array([pace.every_s for pace in paces]),
-        np.array([pace.over_s for pace in paces]),
-        np.array([pace.peak_s for pace in paces]),
+        np.array([step_profile.every_s for step_profile in step_profiles]),
+        np.array([step_profile.over_s for step_profile in step_profiles]),
+        np.array([step_profile.peak_s for step_profile in step_profiles]),
         np.array([each.duration_s for each in actuations]),
         activation,
         active,
@@ -366,7 +370,7 @@ def step_times(
 
 @njit(cache=True, error_model="numpy")
 def _measured_s(since_s: float, scale: float, peak_s: float) -> float:
-    """When the measured stroke was where one that is over more slowly is at a time since its start."""
+    """Time of the measured stroke that corresponds to a time since the start of one with another duration."""
     if scale == 1.0 or since_s <= peak_s:
         return since_s
     return peak_s + (since_s - peak_s) / scale

@@ -1,13 +1,14 @@
-"""Implicit steps in time, second order: generalised-alpha, for one simulation or many side by side.
+"""Implicit time steps of second order: generalised-alpha, for one simulation or for many in SIMD lanes.
 
-Each step factors once and then corrects with that factor (a chord method): after a first correction the
-residual shrinks a thousandfold with each further one, which costs a quarter of a new factor.
+Each step factorises its matrix once and then corrects with that factor (a chord or modified Newton method):
+after a first correction the residual shrinks a thousandfold with each further one, which costs a quarter of a
+new factor.
 
-Every lane stops correcting when it has converged itself, and a lane that does not is left as it was before
-that step, so no lane notices its neighbours.
+Every lane stops correcting when it has converged itself, and a lane that fails is left as it was before that
+step, so no lane affects its neighbours.
 
 Source: Chung and Hulbert 1993, J. Appl. Mech. 60(2), generalised-alpha; here with forces taken at the
-interpolated point. It steps alone from one state to the next, so steps may differ in length.
+interpolated point. It is a one-step method, so steps may differ in length.
 """
 
 from __future__ import annotations
@@ -19,11 +20,11 @@ from numba import njit
 
 from frogkick.core.compiled import INNER
 from frogkick.der.body import set_sums
-from frogkick.der.lanes import Numbers, add, any_above, choose_above, get, lane_zeros, put
+from frogkick.der.lanes import SimdArray, add, any_above, get, lane_zeros, put, where_above
 from frogkick.der.mesh import Mesh
-from frogkick.der.plan import Plan
 from frogkick.der.rods import Edges, add_forces, add_stiffness, edges_of
 from frogkick.der.solve import factor, solve
+from frogkick.der.symbolic import SymbolicFactorisation
 
 SPECTRAL_RADIUS = 0.9  # damping of frequencies above the step's reach: 1 none, 0 all in one step
 ALPHA_M = (2.0 * SPECTRAL_RADIUS - 1.0) / (SPECTRAL_RADIUS + 1.0)
@@ -38,38 +39,40 @@ MAX_ITERATIONS = 16
 FACTOR_EVERY = 5  # corrections with one factor; a step that needs a sixth has moved too far from its factor
 
 
-class Space(NamedTuple):
-    """Work space of ``advance_lanes``; nothing in it lasts from one call to the next."""
+class Workspace(NamedTuple):
+    """Work space of ``advance_lanes``; its content does not outlive a call."""
 
     edges: Edges
-    x_m: Numbers
-    v_mps: Numbers
-    v_start: Numbers
-    force_start: Numbers
-    move_m: Numbers
-    force_n: Numbers
-    diagonal: Numbers
-    pair: Numbers
-    held: Numbers
+    x_m: SimdArray
+    v_mps: SimdArray
+    v_start: SimdArray
+    force_start: SimdArray
+    move_m: SimdArray
+    force_n: SimdArray
+    diagonal: SimdArray
+    pair: SimdArray
+    scaled: SimdArray
 
 
-def space_of(mesh: Mesh, plan: Plan, width: int) -> Space:
+def workspace_of(mesh: Mesh, symbolic: SymbolicFactorisation, width: int) -> Workspace:
     """Work space for ``width`` simulations side by side."""
     n = len(mesh.mass_kg)
     nodal = [lane_zeros((n, 2), width) for _ in range(6)]
-    blocks = [lane_zeros(shape, width) for shape in ((n, 3), (len(plan.neighbour), 4), (plan.widest, 4))]
-    return Space(edges_of(mesh, width), *nodal, *blocks)
+    blocks = [
+        lane_zeros(shape, width) for shape in ((n, 3), (len(symbolic.neighbour), 4), (symbolic.widest, 4))
+    ]
+    return Workspace(edges_of(mesh, width), *nodal, *blocks)
 
 
 @njit(**INNER)
 def set_accelerations(
     mesh: Mesh,
     edges: Edges,
-    x_m: Numbers,
-    v_mps: Numbers,
-    active: Numbers,
-    water: Numbers,
-    a_mps2: Numbers,
+    x_m: SimdArray,
+    v_mps: SimdArray,
+    active: SimdArray,
+    water: SimdArray,
+    a_mps2: SimdArray,
 ) -> None:
     """Set (n, 2) accelerations, m/s^2, to what the forces on a state cause: the integrator's start.
 
@@ -88,71 +91,78 @@ def set_accelerations(
 @njit(**INNER)
 def set_residual(
     mesh: Mesh,
-    space: Space,
-    x_m: Numbers,
-    active: Numbers,
+    workspace: Workspace,
+    x_m: SimdArray,
+    active: SimdArray,
     step: int,
-    water: Numbers,
+    water: SimdArray,
     velocity_gain: Any,
     mass_gain: Any,
 ) -> Any:
     """Set space.force_n to what is unbalanced after moving by space.move_m; return the sum of squares."""
     for i in range(x_m.shape[0]):
         for d in range(2):
-            move = get(space.move_m, i, d)
-            put(space.x_m, i, d, get(x_m, i, d) + EVALUATION_SHARE * move)
-            put(space.v_mps, i, d, velocity_gain * move + get(space.v_start, i, d))
-            put(space.force_n, i, d, get(space.force_start, i, d) - mass_gain * mesh.mass_kg[i] * move)
-    add_forces(mesh, space.edges, space.x_m, space.v_mps, active, step, water, space.force_n)
-    total = 0.0 * get(space.force_n, 0, 0)
+            move = get(workspace.move_m, i, d)
+            put(workspace.x_m, i, d, get(x_m, i, d) + EVALUATION_SHARE * move)
+            put(workspace.v_mps, i, d, velocity_gain * move + get(workspace.v_start, i, d))
+            put(
+                workspace.force_n, i, d, get(workspace.force_start, i, d) - mass_gain * mesh.mass_kg[i] * move
+            )
+    add_forces(mesh, workspace.edges, workspace.x_m, workspace.v_mps, active, step, water, workspace.force_n)
+    total = 0.0 * get(workspace.force_n, 0, 0)
     for i in range(x_m.shape[0]):
-        fx, fy = get(space.force_n, i, 0), get(space.force_n, i, 1)
+        fx, fy = get(workspace.force_n, i, 0), get(workspace.force_n, i, 1)
         total += fx * fx + fy * fy
     return total
 
 
 @njit(**INNER)
 def set_factor(
-    mesh: Mesh, plan: Plan, space: Space, water: Numbers, velocity_gain: Any, mass_gain: Any
+    mesh: Mesh,
+    symbolic: SymbolicFactorisation,
+    workspace: Workspace,
+    water: SimdArray,
+    velocity_gain: Any,
+    mass_gain: Any,
 ) -> None:
     """Factor the derivative of ``set_residual`` at the state that it last saw."""
     for i in range(mesh.mass_kg.shape[0]):
         inertia = mass_gain * mesh.mass_kg[i]
-        put(space.diagonal, i, 0, inertia)
-        put(space.diagonal, i, 1, 0.0)
-        put(space.diagonal, i, 2, inertia)
-    for p in range(plan.neighbour.shape[0]):
+        put(workspace.diagonal, i, 0, inertia)
+        put(workspace.diagonal, i, 1, 0.0)
+        put(workspace.diagonal, i, 2, inertia)
+    for p in range(symbolic.neighbour.shape[0]):
         for c in range(4):
-            put(space.pair, p, c, 0.0)
+            put(workspace.pair, p, c, 0.0)
     add_stiffness(
         mesh,
-        plan,
-        space.edges,
-        space.x_m,
-        space.v_mps,
+        symbolic,
+        workspace.edges,
+        workspace.x_m,
+        workspace.v_mps,
         water,
         EVALUATION_SHARE,
         velocity_gain,
-        space.diagonal,
-        space.pair,
+        workspace.diagonal,
+        workspace.pair,
     )
-    factor(plan, space.diagonal, space.pair, space.held)
+    factor(symbolic, workspace.diagonal, workspace.pair, workspace.scaled)
 
 
 @njit(**INNER)
 def run_steps(
     mesh: Mesh,
-    plan: Plan,
-    space: Space,
-    x_m: Numbers,
-    v_mps: Numbers,
-    a_mps2: Numbers,
-    step_s: Numbers,
-    active: Numbers,
-    water: Numbers,
+    symbolic: SymbolicFactorisation,
+    workspace: Workspace,
+    x_m: SimdArray,
+    v_mps: SimdArray,
+    a_mps2: SimdArray,
+    step_s: SimdArray,
+    active: SimdArray,
+    water: SimdArray,
     factor_every: int,
-    report: Numbers,
-    sums: Numbers,
+    report: SimdArray,
+    sums: SimdArray,
 ) -> int:
     """Advance states in place by a row of steps.
 
@@ -179,58 +189,58 @@ def run_steps(
     put(report, 0, 0, -1.0)
     for step in range(step_s.shape[0]):
         given = get(step_s, step, 0)
-        going = choose_above(given, 0.0, alive, 0.0)
+        going = where_above(given, 0.0, alive, 0.0)
         if not any_above(going, 0.5):
             continue
-        h = choose_above(given, 0.0, given, 1.0)
+        h = where_above(given, 0.0, given, 1.0)
         velocity_gain = (EVALUATION_SHARE * GAMMA / BETA) / h
         mass_gain = ((1.0 - ALPHA_M) / BETA) / (h * h)
         for i in range(n):
             for d in range(2):
                 v, a = get(v_mps, i, d), get(a_mps2, i, d)
                 # Guess: the acceleration stays.
-                put(space.move_m, i, d, h * v + (0.5 * (h * h)) * a)
+                put(workspace.move_m, i, d, h * v + (0.5 * (h * h)) * a)
                 put(
-                    space.v_start,
+                    workspace.v_start,
                     i,
                     d,
                     (1.0 - EVALUATION_SHARE * GAMMA / BETA) * v
                     + (EVALUATION_SHARE * (1.0 - 0.5 * GAMMA / BETA)) * (h * a),
                 )
                 inertia = mass_gain * (h * v) - (1.0 - (1.0 - ALPHA_M) * 0.5 / BETA) * a
-                put(space.force_start, i, d, mesh.mass_kg[i] * inertia)
+                put(workspace.force_start, i, d, mesh.mass_kg[i] * inertia)
         open_ = going
         for iteration in range(MAX_ITERATIONS + 1):
-            total = set_residual(mesh, space, x_m, active, step, water, velocity_gain, mass_gain)
+            total = set_residual(mesh, workspace, x_m, active, step, water, velocity_gain, mass_gain)
             evaluations += 1
-            open_ = choose_above(total, limit, open_, 0.0)
+            open_ = where_above(total, limit, open_, 0.0)
             if iteration == MAX_ITERATIONS or not any_above(open_, 0.5):
                 break
             if iteration % factor_every == 0:
-                set_factor(mesh, plan, space, water, velocity_gain, mass_gain)
-            solve(plan, space.diagonal, space.pair, space.force_n)
+                set_factor(mesh, symbolic, workspace, water, velocity_gain, mass_gain)
+            solve(symbolic, workspace.diagonal, workspace.pair, workspace.force_n)
             add(report, 2, 0, open_)
             for i in range(n):
                 for d in range(2):
-                    correction = choose_above(open_, 0.5, get(space.force_n, i, d), 0.0)
-                    add(space.move_m, i, d, correction)
+                    correction = where_above(open_, 0.5, get(workspace.force_n, i, d), 0.0)
+                    add(workspace.move_m, i, d, correction)
         if any_above(open_, 0.5):
-            put(report, 0, 0, choose_above(open_, 0.5, 1.0 * step, get(report, 0, 0)))
-            put(report, 1, 0, choose_above(open_, 0.5, total / limit, get(report, 1, 0)))
-            alive = choose_above(open_, 0.5, 0.0, alive)
+            put(report, 0, 0, where_above(open_, 0.5, 1.0 * step, get(report, 0, 0)))
+            put(report, 1, 0, where_above(open_, 0.5, total / limit, get(report, 1, 0)))
+            alive = where_above(open_, 0.5, 0.0, alive)
         moving = going - open_
         for i in range(n):
             for d in range(2):
-                move, v, a = get(space.move_m, i, d), get(v_mps, i, d), get(a_mps2, i, d)
+                move, v, a = get(workspace.move_m, i, d), get(v_mps, i, d), get(a_mps2, i, d)
                 new = (move - h * v) / (BETA * (h * h)) + (1.0 - 0.5 / BETA) * a
-                add(x_m, i, d, choose_above(moving, 0.5, move, 0.0))
+                add(x_m, i, d, where_above(moving, 0.5, move, 0.0))
                 put(
                     v_mps,
                     i,
                     d,
-                    choose_above(moving, 0.5, v + h * ((1.0 - GAMMA) * a + GAMMA * new), v),
+                    where_above(moving, 0.5, v + h * ((1.0 - GAMMA) * a + GAMMA * new), v),
                 )
-                put(a_mps2, i, d, choose_above(moving, 0.5, new, a))
+                put(a_mps2, i, d, where_above(moving, 0.5, new, a))
         if step < sums.shape[0]:
             set_sums(mesh, x_m, v_mps, step, sums)
     return evaluations

@@ -1,4 +1,4 @@
-"""What strokes do: many simulations side by side, or one action."""
+"""Simulations of strokes: many in batches, or one action."""
 
 from __future__ import annotations
 
@@ -38,8 +38,8 @@ class Motions:
     failures: dict[int, Failure]
 
 
-class Acts(Protocol):
-    """What stands between a gait and the rods of several lanes: see frogkick.effects.ActingLanes."""
+class LaneEffects(Protocol):
+    """Effects that act on several lanes; see frogkick.effects.ActingLanes."""
 
     def fire(self, batch: Batch, lane: int, limb: int, time_s: float) -> None:
         """Fire a limb of a lane's robot."""
@@ -50,8 +50,8 @@ class Acts(Protocol):
         """Let time pass for all lanes; see Batch.advance."""
 
 
-class Plainly:
-    """A limb does what it is told to, and nothing else acts."""
+class NoEffects:
+    """No effects: limbs fire as commanded, and nothing else acts."""
 
     def fire(self, batch: Batch, lane: int, limb: int, time_s: float) -> None:
         """Fire a limb of a lane's robot."""
@@ -79,7 +79,7 @@ def simulate_many(
     landing_s: Sequence[float] = (),
     step_s: float = STEP_S,
     width: int = WIDTH,
-    acts: Callable[[int], Acts] | None = None,
+    acts: Callable[[int], LaneEffects] | None = None,
 ) -> Motions:
     """Simulate robots of one mesh from rest poses, limbs at rest, ``width`` at a time.
 
@@ -90,12 +90,12 @@ def simulate_many(
         rods: of all simulations, or one for each; these may differ in actuation only.
         velocity_body: (k, 3) forward, left (m/s), turn rate (rad/s) at the start.
         programs: (k) strokes of each.
-        time_s: (s,) increasing, after 0: when to tell pose and velocity. A step ends at the last of them; the
-            others are interpolated between steps (cubic Hermite), which changes no step.
+        time_s: (s,) increasing, after 0: when to report pose and velocity. A step ends at the last of them;
+            the others are interpolated between steps (cubic Hermite), which changes no step.
         landing_s: increasing times before the last of these where a step is to end as well.
         step_s: finest time step.
-        width: how many swim side by side.
-        acts: makes, of a number of lanes, what acts on them; None: nothing does.
+        width: lanes of a batch.
+        acts: makes the effects of a number of lanes; None: no effects.
 
     Raises:
         InputError: shapes that do not fit, values that are not finite, or times that do not increase.
@@ -121,7 +121,7 @@ def simulate_many(
         batch = batch_of(
             [each[k] for k in chosen], np.zeros((len(chosen), 3)), velocity[chosen], 0.0, step_s, width
         )
-        lanes = acts(len(chosen)) if acts else Plainly()
+        lanes = acts(len(chosen)) if acts else NoEffects()
         for lane, k in enumerate(chosen):
             for start, mask in programs[k]:
                 for limb in range(len(each[k].robot.limbs)):
@@ -135,7 +135,7 @@ def simulate_many(
                 continue
             ends = np.concatenate([np.zeros(1), *(leg[lane][0] for leg in legs)])
             rows = np.concatenate([before[lane : lane + 1], *(leg[lane][1] for leg in legs)])
-            pose[first + lane], speed[first + lane] = between(ends, rows, times)
+            pose[first + lane], speed[first + lane] = interpolate(ends, rows, times)
     return Motions(times, pose, speed, failures)
 
 
@@ -149,7 +149,7 @@ def cubic(
     return value, v + share * (2.0 * bend + share * (3.0 * twist)) / length_s
 
 
-def between(ends_s: FloatArray, rows: FloatArray, time_s: FloatArray) -> tuple[FloatArray, FloatArray]:
+def interpolate(ends_s: FloatArray, rows: FloatArray, time_s: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Poses and body velocities at any times between the ends of steps.
 
     Args:

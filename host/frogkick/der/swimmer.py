@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from frogkick.core.errors import ConvergenceError, InputError
 from frogkick.der.batch import Batch
 from frogkick.der.mesh import Mesh, build_mesh
-from frogkick.der.plan import Plan
+from frogkick.der.symbolic import SymbolicFactorisation
 from frogkick.der.water import Water
 from frogkick.robot import Actuation, Robot
 
@@ -24,11 +24,11 @@ STEP_S = 0.0008
 
 @dataclass(frozen=True)
 class Rods:
-    """What all swimmers of one robot share: its mesh, its solver's plan, its stroke."""
+    """What all swimmers of one robot share: mesh, symbolic factorisation, stroke."""
 
     robot: Robot
     mesh: Mesh
-    plan: Plan
+    symbolic: SymbolicFactorisation
     actuation: Actuation
 
 
@@ -38,8 +38,8 @@ def prepare(robot: Robot, egain_percent: float | None = None, frequency_hz: floa
     Raises:
         InputError: the profile is outside of what was measured.
     """
-    mesh, plan = build_mesh(robot)
-    return Rods(robot, mesh, plan, robot.actuation(egain_percent, frequency_hz))
+    mesh, symbolic = build_mesh(robot)
+    return Rods(robot, mesh, symbolic, robot.actuation(egain_percent, frequency_hz))
 
 
 def batch_of(
@@ -54,7 +54,7 @@ def batch_of(
     """Robots of one mesh side by side; see Batch for the arguments. Only their strokes may differ."""
     return Batch(
         rods[0].mesh,
-        rods[0].plan,
+        rods[0].symbolic,
         [each.actuation for each in rods],
         pose_world,
         velocity_body,
@@ -116,12 +116,12 @@ class Swimmer:
 
     @property
     def mass_kg(self) -> float:
-        """What it takes to accelerate it, with the water that it takes along."""
+        """Its mass, added mass included."""
         return self._batch.mass_kg
 
     @property
     def inertia_kg_m2(self) -> float:
-        """Moment of inertia about its centre of mass with all limbs at rest, likewise."""
+        """Moment of inertia about its centre of mass with all limbs at rest, added mass included."""
         return self._batch.inertia_kg_m2
 
     @property

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from frogkick.core.errors import ConvergenceError, InputError
 from frogkick.core.poses import wrap_angle
-from frogkick.der.strokes import Acts, program_of, simulate_many
+from frogkick.der.strokes import LaneEffects, program_of, simulate_many
 from frogkick.der.swimmer import STEP_S, Rods, prepare
 from frogkick.robot import Action, Robot
 from frogkick.robot.model import STANDARD_GRAVITY_MPS2
@@ -88,7 +88,7 @@ def simulate_actions(
     *,
     step_s: float = STEP_S,
     rods: Rods | None = None,
-    acts: Callable[[int], Acts] | None = None,
+    acts: Callable[[int], LaneEffects] | None = None,
 ) -> Trajectory:
     """Simulate actions one after another, one each Robot.period_s, heading along world x at the start.
 

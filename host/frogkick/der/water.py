@@ -1,4 +1,4 @@
-"""Moving water and outer pushes, as the compiled rods take them: linear around the body.
+"""Flow and external accelerations, as the compiled rods take them: linearised around the body.
 
 Around the lane's origin, which is the body's centre of mass when time starts to pass, the water moves at
 u = u0 + G x, and every node is pushed with the acceleration a = a0 + alpha (-y, x): a force on the body's
@@ -15,7 +15,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from frogkick.core.compiled import INNER
-from frogkick.der.lanes import Numbers, get
+from frogkick.der.lanes import SimdArray, get
 
 FloatArray = NDArray[np.float64]
 
@@ -56,24 +56,24 @@ STILL = Water()
 
 
 @njit(**INNER)
-def flow_x(water: Numbers, x: Any, y: Any) -> Any:
+def flow_x(water: SimdArray, x: Any, y: Any) -> Any:
     """World x velocity of the water at a place about the origin."""
     return get(water, 0, 0) + (get(water, 2, 0) * x + get(water, 3, 0) * y)
 
 
 @njit(**INNER)
-def flow_y(water: Numbers, x: Any, y: Any) -> Any:
+def flow_y(water: SimdArray, x: Any, y: Any) -> Any:
     """World y velocity likewise."""
     return get(water, 1, 0) + (get(water, 4, 0) * x + get(water, 5, 0) * y)
 
 
 @njit(**INNER)
-def push_x(water: Numbers, x: Any, y: Any) -> Any:
+def push_x(water: SimdArray, x: Any, y: Any) -> Any:
     """World x acceleration of a node at a place about the origin."""
     return get(water, 6, 0) - get(water, 8, 0) * y
 
 
 @njit(**INNER)
-def push_y(water: Numbers, x: Any, y: Any) -> Any:
+def push_y(water: SimdArray, x: Any, y: Any) -> Any:
     """World y acceleration likewise."""
     return get(water, 7, 0) + get(water, 8, 0) * x

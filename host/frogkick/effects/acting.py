@@ -17,13 +17,13 @@ from frogkick.effects.registry import effects_of
 from frogkick.robot import Robot
 
 LEG_S = 0.02
-"""How long a flow or a wrench is taken as it was around the body at the start of that time."""
+"""Time for which flows and wrenches are constant (zero-order hold) before they are evaluated again."""
 
-_APART_M = 0.01  # where the flow is asked, about the body's centre, for its change with place
+_APART_M = 0.01  # spacing of the finite difference of the flow about the body's centre
 
 
 def changed_robot(robot: Robot, effects: Sequence[Effect]) -> Robot:
-    """The robot with the effects that make it another body.
+    """The robot changed by the effects that change its body.
 
     Raises:
         InputError: an effect does not fit the robot, or makes something that is none.
@@ -35,7 +35,7 @@ def changed_robot(robot: Robot, effects: Sequence[Effect]) -> Robot:
 
 
 def rods_of(robot: Robot) -> Rods:
-    """The rods of a robot with the effects of its file that make it another body.
+    """The rods of a robot changed by the effects of its file that change its body.
 
     Raises:
         InputError: an effect of it cannot be made, or does not fit it.
@@ -44,12 +44,12 @@ def rods_of(robot: Robot) -> Rods:
 
 
 def body_effects(robot: Robot) -> tuple[Effect, ...]:
-    """The effects of a robot's file that go with its body wherever it is: all but flows of the water."""
+    """The effects of a robot's file that belong to its body: all but flows of the water."""
     return tuple(effect for effect in effects_of(robot) if not _overrides(effect, "flow"))
 
 
 class ActingLanes:
-    """Effects that act on robots side by side, each with its own history and its own chance."""
+    """Effects on the robots of several lanes, each with its own history and random generator."""
 
     def __init__(
         self,
@@ -75,11 +75,11 @@ class ActingLanes:
         self.asks_body = any(effect.asks_body for effect in effects)
 
     def copy(self) -> ActingLanes:
-        """The same effects and histories, to go on from here by themselves."""
+        """An independent copy: effects and histories."""
         return self.pick(range(len(self.histories)))
 
     def pick(self, lanes: Sequence[int]) -> ActingLanes:
-        """Those of some lanes, each as often as it is named, likewise; as Batch.pick."""
+        """An independent copy of some lanes; see Batch.pick."""
         twin = copy.copy(self)
         twin.histories = [History(list(self.histories[lane].strokes)) for lane in lanes]
         twin._rngs = [copy.deepcopy(self._rngs[lane]) for lane in lanes]
@@ -106,7 +106,7 @@ class ActingLanes:
         return stroke
 
     def fire(self, batch: Batch, lane: int, limb: int, time_s: float) -> None:
-        """Fire a limb of a lane's robot, as the effects have it."""
+        """Fire a limb of a lane's robot, with the effects."""
         if not self.effects:
             batch.fire(lane, limb, time_s)
             return
@@ -120,7 +120,7 @@ class ActingLanes:
     def advance(
         self, batch: Batch, until_s: float | FloatArray, trace: bool = False
     ) -> list[tuple[FloatArray, FloatArray]]:
-        """Let time pass for all lanes, asking the effects again every leg where they need it.
+        """Advance all lanes; effects that need it are evaluated again every leg.
 
         Returns:
             What Batch.advance does.
@@ -190,7 +190,7 @@ class ActingLanes:
 
 
 class Acting:
-    """Effects that act on one swimmer and on the fixes of its camera."""
+    """Effects on one swimmer and on the fixes of its camera."""
 
     def __init__(self, effects: Sequence[Effect], robot: Robot, rng: np.random.Generator) -> None:
         """Take effects that fit ``robot``; ``rng`` is for those that are random."""
@@ -203,7 +203,7 @@ class Acting:
         return self._lane.effects
 
     def fire(self, swimmer: Swimmer, limb: int, time_s: float) -> None:
-        """Fire a limb of the swimmer, as the effects have it.
+        """Fire a limb of the swimmer, with the effects.
 
         Raises:
             InputError: see Swimmer.fire and ActingLanes.stroke.
@@ -216,7 +216,7 @@ class Acting:
         swimmer.fire(limb, start_s, gain=stroke.gain, duration_scale=stroke.duration_scale)
 
     def advance(self, swimmer: Swimmer, until_s: float) -> None:
-        """Let time pass for the swimmer, asking the effects again every leg where they need it.
+        """Advance the swimmer; effects that need it are evaluated again every leg.
 
         Raises:
             ConvergenceError: the rod simulation failed.
@@ -229,7 +229,7 @@ class Acting:
             swimmer.advance(until_s if left_s <= 1.5 * leg_s else now_s + leg_s)
 
     def fix(self, fix: Fix) -> Fix | None:
-        """A fix as the effects have it; None where one drops it."""
+        """A fix changed by the effects; None where one drops it."""
         seen: Fix | None = fix
         for effect in self.effects:
             if seen is None:

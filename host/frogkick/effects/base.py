@@ -1,8 +1,7 @@
-"""What an effect is: a term that the plain model lacks, with named, bounded, united parameters.
+"""What an effect is: a term that the nominal model lacks, with parameters that have names, bounds and units.
 
-The same class serves three uses: as what a robot's file says the model knows, as what a world's file says is
-true in the simulated pool, and as a candidate that a log is searched for. A user writes one by overriding
-what it acts on:
+The same class serves three uses: a robot's file adds it to the model, a world's file adds it to the simulated
+pool, and identification takes it as a candidate. A user writes one by overriding what it acts on:
 
     class Whirl(Effect):
         parameters = (Parameter("turns_per_s", "1/s", 0.0, 0.2, 0.0),)
@@ -31,19 +30,18 @@ FloatArray = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Parameter:
-    """A number of an effect.
+    """A parameter of an effect.
 
     Attributes:
         name: as in the TOML, with its unit as suffix where it has one.
         unit: SI; "1" for a share.
         low, high: bounds, inclusive.
-        nominal: where the effect vanishes, or is as in the plain model.
+        nominal: value at which the effect vanishes, or is as in the nominal model.
         about: what it means, in half a line.
-        step: by which it changes little enough that what it does is in proportion; 0: a twentieth of its
-            bounds' distance.
-        tried: values that a search tries as well, increasing: small steps may lead to a near dip and not to
-            the deepest.
-        open: half the width of what simulations leave open that agree in all that is seen; most have none.
+        step: finite-difference step, within which its influence is linear; 0: a twentieth of its range.
+        grid: increasing values that a fit starts from as well: descent may end in a local minimum.
+        tolerance: discretisation tolerance, half the width within which simulations cannot tell values apart;
+            most have none.
     """
 
     name: str
@@ -53,8 +51,8 @@ class Parameter:
     nominal: float
     about: str = ""
     step: float = 0.0
-    tried: tuple[float, ...] = ()
-    open: float = 0.0
+    grid: tuple[float, ...] = ()
+    tolerance: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -106,7 +104,7 @@ class History:
 
 
 class Effect:
-    """A term that the plain model lacks; override what it acts on.
+    """A term that the nominal model lacks; override what it acts on.
 
     Attributes:
         name: what a TOML calls it.
@@ -114,7 +112,7 @@ class Effect:
         options: other keys that a TOML may or must give, with their default (None: must be given).
         about: the physics, in a line.
         shown_by: which data could show it, in a line.
-        together: it is told from others of this kind only by fitting all of them to many runs at once.
+        joint_only: it can only be identified jointly with others of its kind, from many runs.
     """
 
     name: ClassVar[str] = ""
@@ -122,7 +120,7 @@ class Effect:
     options: ClassVar[dict[str, Any]] = {}
     about: ClassVar[str] = ""
     shown_by: ClassVar[str] = ""
-    together: ClassVar[bool] = False
+    joint_only: ClassVar[bool] = False
 
     def __init__(self, **values: Any) -> None:
         """Set parameters and options as attributes.
@@ -158,12 +156,13 @@ class Effect:
 
     @property
     def asks_body(self) -> bool:
-        """What it does to a stroke hangs on where the robot is and how it moves: ``Stroke.body`` is given."""
+        """Whether strokes depend on the robot's pose and velocity: ``Stroke.body`` is then
+        given."""
         return False
 
     @property
     def stiff(self) -> bool:
-        """Its wrench changes much within tens of milliseconds."""
+        """Whether its wrench changes much within tens of milliseconds."""
         return False
 
     @property
@@ -183,19 +182,19 @@ class Effect:
         """
 
     def starts(self, low_m: FloatArray, high_m: FloatArray) -> Sequence[Mapping[str, float]]:
-        """Values at which a search for this effect begins, instead of ones that it spreads by itself.
+        """Values at which a search for this effect starts, instead of ones spread by the search.
 
         Args:
-            low_m, high_m: (2,) ends of the places where runs went, world frame.
+            low_m, high_m: (2,) corners of the area of the runs, world frame.
 
         Returns:
-            For each start values of some parameters, which say where the effect is and not how strong; none
+            For each start the values of the parameters that place the effect (not of its strength); empty
             where any values do.
         """
         return ()
 
     def robot(self, robot: Robot) -> Robot:
-        """The robot as this effect makes it: what is another body, not another force."""
+        """The robot changed by this effect: another body, not another force."""
         return robot
 
     def stroke(self, stroke: Stroke, history: History, rng: np.random.Generator) -> Stroke | None:

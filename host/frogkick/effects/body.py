@@ -27,7 +27,7 @@ class Hull(Effect):
     name = "hull"
     about = "mass with the water taken along and where it sits, drag of frame and limbs, times factors"
     shown_by = "surge, turn and glide of all strokes together"
-    together = True
+    joint_only = True
     parameters = (
         Parameter("mass", "1", 0.2, 6.0, 1.0, "factor on the frame's mass in motion"),
         Parameter("centre_share", "1", 0.0, 0.97, 0.0, "share of that mass at the centre"),
@@ -71,7 +71,7 @@ class LimbWater(Effect):
     name = "limb_water"
     about = "water that the limbs take along, times a factor: strokes push by it, fast curling back brakes"
     shown_by = "steady speeds over frequencies and alloys, which differ by how fast limbs curl back"
-    together = True
+    joint_only = True
     parameters = (Parameter("added", "1", 0.0, 40.0, 1.0, "factor on the limbs' added mass"),)
 
     added: float
@@ -90,7 +90,7 @@ class LimbMount(Effect):
     name = "limb_mount"
     about = "limbs whose name has a word in it are turned at their roots, away from straight back"
     shown_by = "how far strokes push aside and turn, against how far they push forward"
-    together = True
+    joint_only = True
     parameters = (Parameter("outward_deg", "deg", -45.0, 45.0, 0.0, "turn of the root's tangent"),)
     options = {"group": None}
 
@@ -117,7 +117,7 @@ class LimbFatigue(Effect):
     name = "limb_fatigue"
     about = "a stroke loses a share for each earlier one of the same limb, fading with the time since"
     shown_by = "the same action after strokes of the same limbs, against after strokes of others"
-    together = True
+    joint_only = True
     parameters = (
         Parameter("loss", "1", -0.3, 0.5, 0.0, "share lost for each stroke of just before"),
         Parameter("fade_s", "s", 0.3, 10.0, 2.5, "time in which that falls to 37 %"),
@@ -145,7 +145,7 @@ class MunkMoment(Effect):
     name = "munk_moment"
     about = "a torque in proportion to forward times sideways speed"
     shown_by = "turns while gliding sideways, whatever the limbs do"
-    together = True
+    joint_only = True
     parameters = (
         Parameter("mass_gap_kg", "kg", -0.4, 0.4, 0.0, "mass in motion forward less that to the side"),
     )

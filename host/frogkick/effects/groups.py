@@ -24,7 +24,7 @@ def require_group(effect: Effect, group: str, robot: Robot) -> None:
 
 
 class GroupGain(Effect):
-    """Limbs of one place work otherwise than the model has it: in another's wake, or made otherwise."""
+    """Limbs of one group differ from the model: in another limb's wake, or built differently."""
 
     name = "group_gain"
     about = "limbs whose name has a word in it (front, rear, left, right) straighten by a share of the stroke"

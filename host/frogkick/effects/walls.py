@@ -50,7 +50,14 @@ class Wall(Effect):
     shown_by = "misses against one direction of the world, only at that end of the pool; turns along it"
     parameters = (
         Parameter(
-            "at_m", "m", -2.5, 2.5, 2.5, "where it stands, from the origin towards it", step=0.002, open=0.002
+            "at_m",
+            "m",
+            -2.5,
+            2.5,
+            2.5,
+            "where it stands, from the origin towards it",
+            step=0.002,
+            tolerance=0.002,
         ),
         Parameter("drag_ns_per_m", "N s/m", 0.0, 2.0, 0.0, "resistance to a body that lies at the wall"),
         Parameter(
@@ -61,8 +68,8 @@ class Wall(Effect):
             0.0,
             "h of a push over depth of SOFT_N_PER_M h / (1 - h)",
             step=0.5,
-            tried=HARDNESSES,
-            open=0.05,  # what it does hangs on tenths of a millimetre
+            grid=HARDNESSES,
+            tolerance=0.05,  # what it does hangs on tenths of a millimetre
         ),
     )
     options = {"side": "x_high"}

@@ -1,4 +1,4 @@
-"""A world: what is true in the simulated pool and no model is told. One TOML of ``[[effect]]`` tables."""
+"""A world: the effects in the simulated pool, which no model knows. One TOML of ``[[effect]]`` tables."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from frogkick.effects.registry import make_effects
 
 @dataclass(frozen=True)
 class World:
-    """What is true in the simulated pool and no model is told.
+    """The effects in the simulated pool, which no model knows.
 
     Attributes:
         effects: of these, in order; any sequence is taken.

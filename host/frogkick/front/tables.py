@@ -209,9 +209,9 @@ def _tells_that_it_goes_on(out: Path) -> Iterator[None]:
     try:
         yield
     except KeyboardInterrupt:
-        if libraries.parts_of(out).exists():
+        if libraries.checkpoint_folder(out).exists():
             tell_line(
-                f"frogkick: finished parts are in {str(libraries.parts_of(out))!r}: "
+                f"frogkick: finished parts are in {str(libraries.checkpoint_folder(out))!r}: "
                 "the same command goes on from there"
             )
         raise

@@ -123,7 +123,7 @@ def _with_grid_at_nominal(model: Model) -> Model:
     values, back, first = model.values, set[int](), 0
     for term in model.terms:
         free = {first + k for k in range(len(term.values))} - model.fixed
-        tried = {first + k for k, parameter in enumerate(term.parameters) if parameter.tried} & free
+        tried = {first + k for k, parameter in enumerate(term.parameters) if parameter.grid} & free
         if tried < free:
             back |= tried
             for k in tried:

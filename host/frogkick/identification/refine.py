@@ -103,7 +103,7 @@ class Refiner:
         quiet = best_noise(reestimated_noise(model, fitted.rollouts, self.swims), self.swims, self.rows)
         quiet = replace(quiet, jacobian=fitted.jacobian, fresh=False)
         flat = [parameter for term in quiet.model.terms for parameter in term.parameters]
-        if any(each.tried for k, each in enumerate(flat) if k not in quiet.model.fixed):
+        if any(each.grid for k, each in enumerate(flat) if k not in quiet.model.fixed):
             (quiet,) = refresh_jacobian([quiet], self.swims, self.rows, fixed=False)  # minima are narrow
         return fit_on([quiet], self.swims, self.rows, STEPS_MAX)[0]
 
@@ -139,7 +139,7 @@ class Refiner:
         count, known = fitted.residuals.shape
         few = count / max(count - known - len(fitted.model.values), 1)
         parameter = [p for term in fitted.model.terms for p in term.parameters][k]
-        hold = RELEASE_PENALTY + (GRID_PENALTY if parameter.tried else 0.0)
+        hold = RELEASE_PENALTY + (GRID_PENALTY if parameter.grid else 0.0)
         return float(self.replicate_count * min(few, FEW_PERIODS_MAX) * hold)
 
     def far(self, fitted: Fitted) -> list[tuple[float, Model]]:
@@ -152,7 +152,7 @@ class Refiner:
         for term in model.terms:
             for k, parameter in enumerate(term.parameters, first):
                 with_free_parameter = replace(model, fixed=model.fixed - {k})
-                for value in parameter.tried:
+                for value in parameter.grid:
                     there = model.values
                     there[k] = value
                     tries.append(with_free_parameter.with_values(there))
@@ -178,7 +178,7 @@ class Refiner:
                 free = [k for k in range(len(term.values)) if first + k not in model.fixed]
                 if len(free) > 1:
                     every_one = whole or number == len(model.terms)
-                    back = [k for k in free if every_one or term.parameters[k].tried]
+                    back = [k for k in free if every_one or term.parameters[k].grid]
                     tries += [with_nominal(fitted, first + k) for k in back]
                     release_penalty += [self.release_penalty(fitted, first + k) for k in back]
                 first += len(term.values)
@@ -223,7 +223,7 @@ def with_nominal(fitted: Fitted, k: int) -> Model:
     """
     model = fitted.model
     parameter = [p for term in model.terms for p in term.parameters][k]
-    if not parameter.tried:
+    if not parameter.grid:
         return fixed_at(fitted, k, parameter.nominal)
     values = model.values
     values[k] = parameter.nominal

@@ -109,7 +109,7 @@ def sensitivities(
 
 def _steps(model: Model) -> FloatArray:
     """The steps of a fit; a long one where a parameter's influence far off is not that of a small step."""
-    given = [p.tried[len(p.tried) // 4] if p.tried else 0.0 for term in model.terms for p in term.parameters]
+    given = [p.grid[len(p.grid) // 4] if p.grid else 0.0 for term in model.terms for p in term.parameters]
     return np.where(given, given, difference_steps(model))
 
 

@@ -70,7 +70,7 @@ def catalogue(robot: Robot, own: Path | None = None) -> list[Term]:
     """
     terms = []
     for name, kind in BUILT_IN.items():
-        if kind.together or not kind.parameters:
+        if kind.joint_only or not kind.parameters:
             continue  # see frogkick.identification.calibrated; a law has what its formulas name
         for options in _options(kind, robot):
             terms.append(_term({"name": name, **options}, Path(), kind))

@@ -281,7 +281,7 @@ def intervals(
         row = []
         for k, (parameter, value) in enumerate(zip(term.parameters, term.values, strict=True)):
             steps = 0.0 if bias is None else bias[first + k]
-            half_width = math.hypot(wide * deviation[first + k], steps, parameter.open)
+            half_width = math.hypot(wide * deviation[first + k], steps, parameter.tolerance)
             row.append(
                 Interval(
                     parameter.name,

@@ -1,10 +1,9 @@
 """Sample states, simulate actions, keep the transitions, quantise them to tables."""
 
 from frogkick.library.build import RECORD_S, BuildReport, build_library, sample_library
-from frogkick.library.cut import cut_library
+from frogkick.library.checkpoints import checkpoint_folder
 from frogkick.library.error import error_on, table_error
 from frogkick.library.fitting import BUDGET_BYTES, KINDS, Fitted, fit_table
-from frogkick.library.parts import parts_of
 from frogkick.library.quantise import quantise
 from frogkick.library.sampling import SAMPLINGS, sample_starts
 from frogkick.library.store import (
@@ -16,6 +15,7 @@ from frogkick.library.store import (
     write_library,
 )
 from frogkick.library.transitions import Failed
+from frogkick.library.truncate import truncate_library
 
 __all__ = [
     "BUDGET_BYTES",
@@ -28,16 +28,16 @@ __all__ = [
     "Library",
     "Recorded",
     "build_library",
-    "cut_library",
+    "checkpoint_folder",
     "error_on",
     "fit_table",
     "library_info",
-    "parts_of",
     "quantise",
     "read_library",
     "read_recorded",
     "sample_library",
     "sample_starts",
     "table_error",
+    "truncate_library",
     "write_library",
 ]

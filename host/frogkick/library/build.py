@@ -18,9 +18,9 @@ from frogkick.core.version import VERSION
 from frogkick.der import Rods
 from frogkick.der.compiled import SOURCES
 from frogkick.effects import rods_of
-from frogkick.library.parts import Parts
+from frogkick.library.checkpoints import Checkpoints
 from frogkick.library.sampling import sample_starts
-from frogkick.library.starts import Starts, gliding
+from frogkick.library.starts import Starts, rigid_starts
 from frogkick.library.store import Library, make_library, write_library
 from frogkick.library.transitions import (
     SAMPLE_S,
@@ -64,7 +64,7 @@ def _run(ready: _Ready, task: Task) -> Transitions:
 
 
 def _warm(ready: _Ready) -> None:
-    simulate_task(ready[0], gliding(ready[0].robot, np.zeros((1, 3))).tasks[0])
+    simulate_task(ready[0], rigid_starts(ready[0].robot, np.zeros((1, 3))).tasks[0])
 
 
 def build_library(
@@ -111,7 +111,7 @@ def build_library(
     began = time.monotonic()
     starts = sample_starts(robot, states, seed, sampling, workers, cluster)
     name = f"{robot.id} {robot.sha256.hex()[:8]}, {states} states, seed {seed}, {sampling}, {record_s:g} s"
-    parts = Parts(Path(out), _job(robot, starts, record_s), name, keep_others)
+    parts = Checkpoints(Path(out), _job(robot, starts, record_s), name, keep_others)
     done = _simulate_parts(robot, starts, record_s, parts, progress, workers, cluster)
     library = make_library(robot, sampling, seed, starts, done)
     failed = library.failed
@@ -165,7 +165,7 @@ def _simulate_parts(
     robot: Robot,
     starts: Starts,
     record_s: float,
-    parts: Parts,
+    parts: Checkpoints,
     progress: Progress,
     workers: int,
     cluster: str | None,
@@ -174,7 +174,7 @@ def _simulate_parts(
     shared = np.bincount(starts.part, minlength=len(starts.tasks)) * len(robot.actions)
     done: dict[int, Transitions] = {}
 
-    def take(index: int, part: Transitions) -> None:
+    def note(index: int, part: Transitions) -> None:
         done[index] = replace(part, recorded=part.recorded[:, :, :0].copy())
 
     def tell() -> None:
@@ -183,18 +183,18 @@ def _simulate_parts(
     for index in range(len(starts.tasks)):
         part = parts.load(index)
         if part is not None:
-            take(index, part)
+            note(index, part)
     tell()
     missing = [index for index in range(len(starts.tasks)) if index not in done]
     job = Job(_start, (robot, record_s), _run, _warm)
     for place, part in run_chunks(job, [starts.tasks[index] for index in missing], workers, cluster):
-        parts.keep(missing[place], part)
-        take(missing[place], part)
+        parts.save(missing[place], part)
+        note(missing[place], part)
         tell()
     return [done[index] for index in range(len(starts.tasks))]
 
 
-def _recorded(robot: Robot, starts: Starts, record_s: float, parts: Parts) -> Iterator[SampleArray]:
+def _recorded(robot: Robot, starts: Starts, record_s: float, parts: Checkpoints) -> Iterator[SampleArray]:
     """Recorded motions (a, t, 6) of one state after another."""
     rods = rods_of(robot)
 

@@ -1,4 +1,4 @@
-"""How far a table errs on states that are not in it: one look-up against one simulation."""
+"""Error of a table on states that are not in it: look-ups against simulations."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The best table of a kind, or of any kind, that a number of bytes can hold."""
+"""The table of least error within a budget of bytes, of one kind or of any."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 
 from frogkick.core.errors import InputError, nearest_name
 from frogkick.core.poses import wrap_angle
-from frogkick.library.cells import Cells, Division
 from frogkick.library.error import looked_up, rms_gap
 from frogkick.library.quantise import quantise, table_fields
 from frogkick.library.store import Library
 from frogkick.library.surface import STATES_MIN, Surface, fit_surface, noise_of
 from frogkick.library.transitions import IntArray
+from frogkick.library.voronoi import VoronoiCells, VoronoiRegression
 from frogkick.tables.image import open_image
 from frogkick.tables.packing import pack_affine, pack_nearest
 from frogkick.tables.sealing import ERROR_MAX
@@ -73,7 +73,7 @@ def fit_table(
     """The table with the least error on held-out states of a library.
 
     A table of kind "nearest" within whose budget the whole library fits has every state of it, as in the
-    paper. Otherwise states are chosen where the error is (see frogkick.library.cells), and how coarsely
+    paper. Otherwise states are chosen where the error is (see frogkick.library.voronoi), and how coarsely
     values are rounded is chosen against how many states that leaves room for.
 
     Args:
@@ -133,7 +133,7 @@ class _Fit:
         self._fields = table_fields(self._robot, library.content_sha256())
         self._whole = np.flatnonzero(library.whole_states())
         self._held = self._whole[_HELD_OUT_EVERY - 1 :: _HELD_OUT_EVERY]
-        self._divisions: dict[tuple[str, int], Division] = {}
+        self._regressions: dict[tuple[str, int], VoronoiRegression] = {}
 
     @cached_property
     def _seen(self) -> IntArray:
@@ -172,25 +172,25 @@ class _Fit:
         if kind == "nearest" and (budget_bytes is None or len(self._whole_table.image) <= budget_bytes):
             return self._whole_table
         budget = BUDGET_BYTES if budget_bytes is None else budget_bytes
-        division = self._division(kind, budget)
+        regression = self._regression(kind, budget)
 
         def packed(states: int) -> bytes:
-            return self._packed(kind, division.cells(states), coarseness)
+            return self._packed(kind, regression.cells(states), coarseness)
 
         return self._scored(kind, _fill(packed, budget, len(self._whole), _ROW_BYTES[kind]))
 
-    def _division(self, kind: str, budget: int) -> Division:
+    def _regression(self, kind: str, budget: int) -> VoronoiRegression:
         """Samples between the library's states, as dense as these are, for as many cells as may be needed."""
         wanted = _SAMPLES_A_CELL * min(budget // _ROW_BYTES[kind], len(self._whole))
         count = min(max(wanted, _SAMPLES[0]), _SAMPLES[1])
-        if (kind, count) not in self._divisions:
+        if (kind, count) not in self._regressions:
             codes = _between(self._surface.codes, count)
             values = self._surface.at(codes).reshape(count, -1)
             weight = np.tile(noise_of(self._robot), len(self._robot.actions))
-            self._divisions[kind, count] = Division(codes, values, weight, linear=kind == "affine")
-        return self._divisions[kind, count]
+            self._regressions[kind, count] = VoronoiRegression(codes, values, weight, linear=kind == "affine")
+        return self._regressions[kind, count]
 
-    def _packed(self, kind: str, cells: Cells, coarseness: float) -> bytes:
+    def _packed(self, kind: str, cells: VoronoiCells, coarseness: float) -> bytes:
         resolution = np.array(self._robot.velocity_resolution)
         error_max = [coarseness * error for error in ERROR_MAX]
         base = cells.base.reshape(len(cells.codes), -1, 6)

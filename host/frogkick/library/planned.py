@@ -1,7 +1,7 @@
-"""The swims of a robot that plans: what the planner itself chooses while it follows random paths.
+"""Planned swims: the actions that the planner chooses while it follows random paths.
 
-A first, small table from randomly steered swims is enough for the planner to choose as it will later; the
-rods then swim what it chooses, and where its strokes begin is where a better table should have states.
+A first, small table from random swims is enough for the planner to choose as it will later. The rods simulate
+what it chooses, and the states in which its strokes begin are those that a better table should have.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ from frogkick.der import STEP_S, WIDTH, Rods
 from frogkick.der.swimmer import batch_of
 from frogkick.effects import rods_of
 from frogkick.library.quantise import quantise
-from frogkick.library.starts import Met
+from frogkick.library.random_swims import random_swims
+from frogkick.library.starts import VisitedStates
 from frogkick.library.store import make_library
-from frogkick.library.swims import steered_swims
 from frogkick.library.transitions import fire_action, lane_effects, simulate_task
 from frogkick.planner.plan import config_of, plan_batch
 from frogkick.robot import Robot
@@ -68,18 +68,18 @@ def planned_swims(
         ConvergenceError: a swim could not be simulated.
     """
     job = Job(_start, (robot, seed, first_table(robot, seed)), _run, _warm)
-    at_once = _CLUSTER_BATCHES if cluster is not None else workers
-    for first in itertools.count(0, at_once):
-        numbers = list(range(first, first + at_once))
+    swims_per_round = _CLUSTER_BATCHES if cluster is not None else workers
+    for first in itertools.count(0, swims_per_round):
+        numbers = list(range(first, first + swims_per_round))
         done = dict(run_chunks(job, numbers, workers, cluster))
-        yield from (done[place] for place in range(at_once))
+        yield from (done[place] for place in range(swims_per_round))
 
 
 def first_table(robot: Robot, seed: int) -> bytes:
     """The image that planned swims are planned with: of a few states of randomly steered ones."""
-    rods, met = rods_of(robot), Met(robot)
-    met.add(steered_swims(robot, seed), _FIRST_TABLE_STATES)
-    starts = met.starts()
+    rods, visited = rods_of(robot), VisitedStates(robot)
+    visited.add(random_swims(robot, seed), _FIRST_TABLE_STATES)
+    starts = visited.starts()
     return quantise(
         make_library(robot, "visited", seed, starts, [simulate_task(rods, t) for t in starts.tasks])
     )

@@ -1,4 +1,4 @@
-"""Which states a library's transitions begin in: drawn from a box, or met by swimming."""
+"""Sampling of the states in which a library's transitions begin: from a box, or visited by swims."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from numpy.typing import NDArray
 
 from frogkick.core.errors import InputError, nearest_name
 from frogkick.library.planned import planned_swims
-from frogkick.library.starts import Met, Starts, gliding
-from frogkick.library.swims import steered_swims
+from frogkick.library.random_swims import random_swims
+from frogkick.library.starts import Starts, VisitedStates, rigid_starts
 from frogkick.robot import Robot, mirror_of
 
 FloatArray = NDArray[np.float64]
@@ -51,21 +51,21 @@ def sample_starts(
     if seed < 0:
         raise InputError(f"seed is {seed}: give 0 or more")
     if sampling == "box":
-        return gliding(robot, box_velocities(robot, states, seed))
-    met = Met(robot)
+        return rigid_starts(robot, box_velocities(robot, states, seed))
+    visited = VisitedStates(robot)
     if sampling == "visited":
-        met.add(steered_swims(robot, seed), states)
-        return met.starts()
+        visited.add(random_swims(robot, seed), states)
+        return visited.starts()
     if sampling == "planned":
-        met.add(steered_swims(robot, seed), max(1, states // 4))
+        visited.add(random_swims(robot, seed), max(1, states // 4))
         for number, swims in enumerate(planned_swims(robot, seed, workers, cluster)):
-            met.add(swims, states)
-            if len(met) == states:
-                return met.starts()
+            visited.add(swims, states)
+            if len(visited) == states:
+                return visited.starts()
             if number == _PLANNED_BATCHES_MAX:
                 raise InputError(
-                    f"planned swims of {robot.id!r} met {len(met)} different states, asked for are {states}: "
-                    "give fewer --states, or --sampling visited"
+                    f"planned swims of {robot.id!r} met {len(visited)} different states, asked for are "
+                    f"{states}: give fewer --states, or --sampling visited"
                 )
     raise InputError(
         f"sampling is {sampling!r}{nearest_name(sampling, SAMPLINGS)}: give {', '.join(SAMPLINGS)}"

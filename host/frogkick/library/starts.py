@@ -1,4 +1,4 @@
-"""Which states a library's transitions begin in, and which simulation stands for which of them."""
+"""States in which a library's transitions begin, and the simulation of each."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _LEFT = np.array([1.0, -1.0, -1.0, 1.0, -1.0, -1.0])  # what mirroring does to (
 
 @dataclass(frozen=True, eq=False)
 class Starts:
-    """n states and the simulations that they take; of mirror images only one is simulated.
+    """n states and their simulations; of mirror images only one is simulated.
 
     Attributes:
         tasks: what to simulate.
@@ -87,8 +87,8 @@ class Starts:
         return tuple(sorted(found, key=lambda f: (f.state, f.action)))
 
 
-def gliding(robot: Robot, velocities: FloatArray) -> Starts:
-    """States with all limbs at rest, (n, 3) body velocities.
+def rigid_starts(robot: Robot, velocities: FloatArray) -> Starts:
+    """Rigid starts: states with all limbs at rest and (n, 3) body velocities.
 
     They are folded to those that drift left, or straight on and turn left, each simulated once.
     """
@@ -115,8 +115,8 @@ Swims = Iterable[Sequence[int]]
 """Actions of one swim after another, each from rest, one action a period."""
 
 
-class Met:
-    """The states at the decisions of swims from rest, each once; those of their mirror images too."""
+class VisitedStates:
+    """States visited at the decisions of swims from rest, each once, with their mirror images."""
 
     def __init__(self, robot: Robot) -> None:
         self._robot = robot
@@ -153,7 +153,7 @@ class Met:
         return actions if self._mirror is None else tuple(self._mirror.actions[a] for a in actions)
 
     def starts(self) -> Starts:
-        """All of them, in the order of meeting."""
+        """All visited states, in the order of the first visit."""
         tasks: list[Task] = []
         part, row = np.empty(len(self), np.int64), np.empty(len(self), np.int64)
         order = np.array(self._states, dtype=np.int64).reshape(-1, 3)

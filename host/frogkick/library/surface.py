@@ -1,4 +1,4 @@
-"""A library as smooth functions of velocity: what any action does from any state, with local regression."""
+"""A library as smooth functions of velocity, by local quadratic regression (LOESS)."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from frogkick.robot import Robot
 FloatArray = NDArray[np.float64]
 
 NEIGHBOURS = 40
-"""States that a value is fitted to: four for each coefficient of a quadratic."""
+"""Neighbours in a local regression: four for each coefficient of a quadratic."""
 
 STATES_MIN = NEIGHBOURS + 1
 
@@ -30,7 +30,7 @@ _WORSE_MOST = 1.1  # factor on squared errors at states left out, at which the l
 
 
 def noise_of(robot: Robot) -> FloatArray:
-    """(6,) what errors of a transition's values are counted in: the position measurement's noise.
+    """(6,) units of the errors of a transition's values: the noise of the position measurement.
 
     0.2 mm and 0.2 degrees at the period's end, and for velocities what moves the robot as far in a period.
     """

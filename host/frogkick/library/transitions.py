@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from frogkick.core.errors import ConvergenceError
 from frogkick.core.poses import relative
 from frogkick.der import STEP_S, WIDTH, Batch, Rods, program_of
-from frogkick.der.strokes import between
+from frogkick.der.strokes import interpolate
 from frogkick.der.swimmer import batch_of
 from frogkick.effects import ActingLanes, body_effects
 from frogkick.robot import Robot
@@ -196,7 +196,7 @@ def _branch(
         steps = np.concatenate([np.zeros(1), *(leg[lane][0] - began_s for leg in legs)])
         steps[np.cumsum([len(leg[lane][0]) for leg in legs])] = ends  # to the last bit
         traced = np.concatenate([before[lane : lane + 1], *(leg[lane][1] for leg in legs)])
-        pose, speed = between(steps, traced, times)
+        pose, speed = interpolate(steps, traced, times)
         moved = relative(origin[source], pose)
         motion = np.concatenate([moved, speed], axis=1)
         found.append((motion[at_period], motion[kept]))

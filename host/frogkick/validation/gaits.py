@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from frogkick.core.chunks import Job, run_chunks
 from frogkick.core.errors import InputError
-from frogkick.der import Failure, Gait, Rods, Swimmer, Track, swim_tracks
+from frogkick.der import Failure, Gait, GaitTrack, Rods, Swimmer, simulate_gait_tracks
 from frogkick.effects import rods_of
 from frogkick.library.transitions import lane_effects
 from frogkick.robot import Actuation, Profile, Robot
@@ -89,13 +89,13 @@ def swim_gaits(rods: Rods, profiles: Sequence[Profile], gaits: Sequence[Gait], c
     some = [replace(rods, actuation=stroke) for _, _, stroke in ready]
     robot = rods.robot
     acts = (lambda lanes: lane_effects(robot, lanes)) if robot.effects else None
-    tracks = swim_tracks(some, [gait for _, gait, _ in ready], cycles, acts=acts)
+    tracks = simulate_gait_tracks(some, [gait for _, gait, _ in ready], cycles, acts=acts)
     for (place, gait, _), track in zip(ready, tracks, strict=True):
         swum[place] = _swim(rods.robot, gait, track)
     return swum
 
 
-def _swim(robot: Robot, gait: Gait, track: Track | Failure) -> GaitSwim | str:
+def _swim(robot: Robot, gait: Gait, track: GaitTrack | Failure) -> GaitSwim | str:
     if isinstance(track, Failure):
         return f"rods of {robot.id!r} {track}"
     speed_mps = speed_over_cycles(track.time_s, track.node_mean_m, gait.frequency_hz)

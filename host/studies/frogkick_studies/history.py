@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from frogkick.core.progress import shown
 from frogkick.effects import rods_of
 from frogkick.library import Library, error_on, fit_table, sample_library
-from frogkick.library.starts import gliding
+from frogkick.library.starts import rigid_starts
 from frogkick.library.store import make_library
 from frogkick.library.transitions import RESTED, simulate_task
 from frogkick.report import style
@@ -110,7 +110,7 @@ def history_worth(
 
 def _restarted(robot: Robot, library: Library) -> Library:
     """The same velocities, each a rigid robot's with all limbs at rest."""
-    starts, rods = gliding(robot, library.initial_velocity_body), rods_of(robot)
+    starts, rods = rigid_starts(robot, library.initial_velocity_body), rods_of(robot)
     done = [simulate_task(rods, task) for task in starts.tasks]
     return make_library(robot, library.sampling, library.seed, starts, done)
 

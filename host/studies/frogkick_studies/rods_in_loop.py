@@ -22,7 +22,7 @@ from frogkick.core.chunks import Job, run_chunks
 from frogkick.core.errors import ConvergenceError, FrogkickError
 from frogkick.core.poses import Fix, body_from_world, relative, wrap_angle
 from frogkick.der import STEP_S, WIDTH, Batch
-from frogkick.der.strokes import between
+from frogkick.der.strokes import interpolate
 from frogkick.der.swimmer import batch_of
 from frogkick.effects import ActingLanes, rods_of
 from frogkick.estimator.estimator import Estimator
@@ -175,7 +175,7 @@ class _Lane:
             captures.append(capture_s)
             self._captured += 1
         first = self._captured - len(captures)
-        poses = between(times_s, rows, np.array(captures))[0]
+        poses = interpolate(times_s, rows, np.array(captures))[0]
         for number, (capture_s, pose) in enumerate(zip(captures, poses, strict=True), start=first):
             self._under_way.append(measure(self._camera, number, capture_s, pose, self._rng))
             self.seen.append((capture_s, pose))
@@ -329,7 +329,7 @@ def swim_a_period(
 
 def motion_of(times_s: FloatArray, rows: FloatArray) -> FloatArray:
     """(3,) from the first row to the last one, in the body frame of the first."""
-    pose = between(times_s, rows, times_s[[0, -1]])[0]
+    pose = interpolate(times_s, rows, times_s[[0, -1]])[0]
     return relative(pose[0], pose[1])
 
 

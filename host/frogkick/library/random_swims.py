@@ -1,4 +1,4 @@
-"""Swims from rest whose strokes are drawn at random."""
+"""Swims from rest with random actions."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ SWIM_STROKES = 12  # from rest to cruising takes about six
 _HOLD_STROKES_MAX = 4  # an action is held for 1 to this many strokes: turns build up over several
 
 
-def steered_swims(robot: Robot, seed: int) -> Iterator[list[int]]:
+def random_swims(robot: Robot, seed: int) -> Iterator[list[int]]:
     """The actions of one swim after another, without end; each action is held for a few strokes."""
     swim = 0
     while True:

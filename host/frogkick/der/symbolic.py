@@ -1,8 +1,8 @@
-"""In which order the rods' linear systems are solved: planned once from the mesh, numbers flow through later.
+"""Symbolic factorisation of the rods' linear systems: the elimination order and fill-in, once for each mesh.
 
 The matrix has one 2 x 2 block for each pair of nodes that share an edge or a bend, and is symmetric, so only
-its diagonal and one block of each pair are kept: the row is the node that is eliminated first. Which pairs
-fill in while eliminating node after node depends on the mesh alone.
+its diagonal and one block of each pair are stored: the row is the node that is eliminated first. Which pairs
+fill in during the elimination depends on the mesh alone; the numbers follow in ``frogkick.der.solve``.
 """
 
 from __future__ import annotations
@@ -17,8 +17,9 @@ from numpy.typing import NDArray
 IntArray = NDArray[np.int32]
 
 
-class Plan(NamedTuple):
-    """Static index lists. Pair p couples the node order[k], start[k] <= p < start[k + 1], to neighbour[p].
+class SymbolicFactorisation(NamedTuple):
+    """Index lists of a symbolic factorisation. Pair p couples the node order[k], start[k] <= p < start[k +
+    1], to neighbour[p].
 
     Attributes:
         order: (n,) nodes in the order of their elimination.
@@ -43,13 +44,15 @@ class Plan(NamedTuple):
     widest: int
 
 
-def plan_elimination(nodes: int, edge_nodes: IntArray, bend_nodes: IntArray, order: Sequence[int]) -> Plan:
-    """Plan the elimination of all nodes.
+def factorise_symbolically(
+    nodes: int, edge_nodes: IntArray, bend_nodes: IntArray, order: Sequence[int]
+) -> SymbolicFactorisation:
+    """Factorise symbolically: the elimination of all nodes, with fill-in.
 
     Args:
         nodes: number of nodes n.
         edge_nodes: (e, 2); bend_nodes: (b, 3): what couples.
-        order: (n,) a permutation of the nodes; it decides how much fills in, not what comes out.
+        order: (n,) a permutation of the nodes; it decides the fill-in, not the solution.
 
     Source: George, Liu 1981, Computer Solution of Large Sparse Positive Definite Systems (symbolic and
     numeric phases apart).
@@ -83,7 +86,7 @@ def plan_elimination(nodes: int, edge_nodes: IntArray, bend_nodes: IntArray, ord
         return pair[i, j] if (i, j) in pair else pair[j, i]
 
     bend_sides = [list(combinations(bend, 2)) for bend in bend_nodes.tolist()]
-    return Plan(
+    return SymbolicFactorisation(
         order=of(order),
         start=of(start),
         neighbour=of([i for others in later for i in others]),

@@ -1,4 +1,4 @@
-"""Finished parts of a library that is being built, kept beside it until it is whole."""
+"""Checkpoints of a library build: finished parts, stored beside the library until it is complete."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ from frogkick.library.transitions import Failed, Transitions
 _FORMAT = "frogkick library parts"
 
 
-def parts_of(out: Path) -> Path:
-    """The folder where the parts of a library are kept until it is whole."""
+def checkpoint_folder(out: Path) -> Path:
+    """Folder of the checkpoints of a library."""
     return out.with_name(out.name + ".parts")
 
 
-class Parts:
-    """A folder ``OUT.parts`` of one job: a start after a stop finds there what the first one finished."""
+class Checkpoints:
+    """Folder ``OUT.parts`` of one build: a build that is started again resumes from the finished parts."""
 
     def __init__(self, out: Path, job: bytes, name: str = "", keep_others: bool = False) -> None:
         """Open the folder, or make it when the first part is kept.
@@ -39,7 +39,7 @@ class Parts:
         Raises:
             InputError: the folder's name is taken by something else, or parts of another job are to be kept.
         """
-        self.folder = parts_of(out)
+        self.folder = checkpoint_folder(out)
         self._name = name
         self._key = hashlib.sha256(job).hexdigest()
         if not self.folder.exists():
@@ -72,8 +72,8 @@ class Parts:
     def _file(self, index: int) -> Path:
         return self.folder / f"{index:06d}.npz"
 
-    def keep(self, index: int, part: Transitions) -> None:
-        """Write a part, wholly or not at all."""
+    def save(self, index: int, part: Transitions) -> None:
+        """Write a part atomically."""
         if not self.folder.exists():
             told = {"format": _FORMAT, "key": self._key, "name": self._name}
             write_text(self.folder / "job.json", json.dumps(told) + "\n")
@@ -90,7 +90,7 @@ class Parts:
         write_bytes(self._file(index), content.getvalue())
 
     def load(self, index: int) -> Transitions | None:
-        """A part, or None where there is none that is whole."""
+        """A part, or None where there is none or it is damaged."""
         try:
             content = io.BytesIO(self._file(index).read_bytes())
             with np.load(content, allow_pickle=False) as part:

@@ -1,4 +1,4 @@
-"""A library for another period, cut from recorded motions instead of simulated again."""
+"""Truncate a library to another period: from its recorded motions, without simulating again."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from frogkick.library.store import Library, library_of, read_library, read_recor
 from frogkick.robot import Robot
 
 
-def cut_library(path: Path | str, robot: Robot) -> Library:
-    """The library that a robot with another period would have, from one that recorded beyond that period.
+def truncate_library(path: Path | str, robot: Robot) -> Library:
+    """The library of a robot with another period, from one that recorded beyond that period.
 
     Args:
         path: a library.
-        robot: the library's robot but for its period and whatever else does not move it.
+        robot: the library's robot with another period; what does not move it may differ too.
 
     Returns:
         Its library: the initial velocities of the old one, displacements and velocities at the new period,
@@ -58,7 +58,7 @@ def cut_library(path: Path | str, robot: Robot) -> Library:
 
 
 def _moves_like(robot: Robot) -> tuple[object, ...]:
-    """All of a robot that decides how it moves in water when it is told an action."""
+    """Everything that decides how a robot moves in water after an action."""
     return (
         robot.frame,
         robot.limbs,

@@ -1,9 +1,11 @@
-"""Choose a table's states where its error is, and fit what each says of the velocities nearest to it.
+"""Piecewise regression on Voronoi cells: choose a table's states where its error is, and fit values in each
+cell.
 
-A table's states divide velocities into cells, each of the velocities nearest to its state. Beginning with one
-cell, those with the largest sum of squared errors are split again and again, and each state moves to the mean
-of its cell: where transitions bend and where robots are, cells become small. At the best division every cell
-has the same sum (Gersho 1979, IEEE Trans. Inf. Theory 25, 373-380).
+The states of a table divide velocity space into Voronoi cells, each of the velocities nearest to its state.
+Beginning with one cell, those with the largest sum of squared errors are split again and again, and each
+state moves to the mean of its cell (Lloyd 1982): where transitions are curved and where robots often are,
+cells become small. At the optimum every cell has the same error (Gersho 1979, IEEE Trans. Inf. Theory 25,
+373-380).
 """
 
 from __future__ import annotations
@@ -22,16 +24,16 @@ _RIDGE = 1e-3  # of a cell's variance: where its velocities lie on a line, slope
 
 
 @dataclass(frozen=True, eq=False)
-class Cells:
-    """States of a table and what they say.
+class VoronoiCells:
+    """Voronoi cells with the regression in each.
 
     Attributes:
-        codes: (n, 3) velocities of the states, whole codes.
+        codes: (n, 3) velocities of the states, in whole codes.
         base: (n, c) values at these.
         slope: (n, 3, c) derivatives by the velocity, per code; zeros where no slope is fitted.
         error: (m,) sum of squared errors of each sample, weighted.
         label: (m,) the cell of each sample.
-        reach: (3,) furthest that a sample is from its state, codes.
+        reach: (3,) largest distance of a sample from its state, in codes.
     """
 
     codes: FloatArray
@@ -42,16 +44,16 @@ class Cells:
     reach: FloatArray
 
 
-class Division:
-    """Samples of some values over velocity, divided into as many cells as asked for."""
+class VoronoiRegression:
+    """Regression of some values over velocity, on a given number of Voronoi cells."""
 
     def __init__(self, codes: FloatArray, values: FloatArray, weight: FloatArray, linear: bool) -> None:
         """Take samples.
 
         Args:
-            codes: (m, 3) velocities in codes, as often where robots are often.
+            codes: (m, 3) velocities in codes, as dense as robots are there.
             values: (m, c) there.
-            weight: (c,) what to divide errors of the values by.
+            weight: (c,) scale of the errors of the values.
             linear: fit a linear correction in each cell; else the mean.
         """
         self._codes = codes
@@ -71,7 +73,7 @@ class Division:
     def _trend_at(self, codes: FloatArray) -> FloatArray:
         return np.asarray(self._trend[0] + (codes - self._middle) @ self._trend[1:])
 
-    def cells(self, count: int) -> Cells:
+    def cells(self, count: int) -> VoronoiCells:
         """Divide into ``count`` cells, or as many as the samples allow."""
         states = max((grown for grown in self._grown if len(grown) <= count), key=len)
         while len(states) < count:
@@ -111,8 +113,8 @@ class Division:
             divided = np.where(count[:, None] > 0, means, divided)
         return divided
 
-    def _fitted(self, states: FloatArray) -> Cells:
-        """Least squares in each cell; empty ones have the trend of the whole."""
+    def _fitted(self, states: FloatArray) -> VoronoiCells:
+        """Least squares in each cell; empty cells have the global trend."""
         from scipy.spatial import cKDTree
 
         label = cKDTree(states).query(self._codes)[1]
@@ -137,9 +139,9 @@ class Division:
             normal[:, slopes, slopes] += _RIDGE * (normal[:, slopes, slopes].mean(axis=1) + least)[:, None]
         solved = np.zeros((len(states), 4, self._rest.shape[1]))
         solved[filled, :size] = np.linalg.solve(normal, right)
-        told = np.einsum("mi,mic->mc", sorted_terms, solved[label[order], :size])
+        fitted = np.einsum("mi,mic->mc", sorted_terms, solved[label[order], :size])
         errors = np.empty(len(label))
-        errors[order] = (((told - sorted_rest) / self._weight) ** 2).sum(axis=1)
+        errors[order] = (((fitted - sorted_rest) / self._weight) ** 2).sum(axis=1)
         base = solved[:, 0] + self._trend_at(states)
         slope = solved[:, 1:] + self._trend[1:]
-        return Cells(states, base, slope, errors, label, reach)
+        return VoronoiCells(states, base, slope, errors, label, reach)

@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 from tests.conftest import count as cases
 
-from frogkick.library.cells import Cells, Division
+from frogkick.library.voronoi import VoronoiCells, VoronoiRegression
 
 RNG = np.random.default_rng(7)
 CODES = RNG.uniform(-2000.0, 2000.0, (cases(16_000, 16_000, 9000), 3))
 WEIGHT = np.array([1.0, 2.0])
 
 
-def told(cells: Cells, codes: np.ndarray) -> np.ndarray:
+def told(cells: VoronoiCells, codes: np.ndarray) -> np.ndarray:
     """What the nearest state says, by brute force."""
     label = ((codes[:, None, :] - cells.codes[None]) ** 2).sum(axis=2).argmin(axis=1)
     offset = codes - cells.codes[label]
@@ -22,9 +22,9 @@ def told(cells: Cells, codes: np.ndarray) -> np.ndarray:
 
 def test_a_linear_system_is_exact_in_any_number_of_cells() -> None:
     values = np.array([3.0, -1.0]) + CODES @ RNG.uniform(-1e-3, 1e-3, (3, 2))
-    division = Division(CODES, values, WEIGHT, linear=True)
+    regression = VoronoiRegression(CODES, values, WEIGHT, linear=True)
     for count in (1, 2, 17):
-        assert told(division.cells(count), CODES[:500]) == pytest.approx(values[:500], abs=1e-9)
+        assert told(regression.cells(count), CODES[:500]) == pytest.approx(values[:500], abs=1e-9)
 
 
 def bent(codes: np.ndarray) -> np.ndarray:
@@ -36,10 +36,10 @@ def bent(codes: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize(("linear", "least"), [(True, 2.5), (False, 1.4)])
 def test_more_cells_err_less_and_their_errors_are_what_they_say(linear: bool, least: float) -> None:
     values = bent(CODES)
-    division = Division(CODES, values, WEIGHT, linear=linear)
+    regression = VoronoiRegression(CODES, values, WEIGHT, linear=linear)
     sums = []
     for count in (8, 64, 300):
-        cells = division.cells(count)
+        cells = regression.cells(count)
         assert len(cells.codes) == count
         assert np.array_equal(cells.codes, np.round(cells.codes))
         again = (((told(cells, CODES) - values) / WEIGHT) ** 2).sum(axis=1)
@@ -56,7 +56,7 @@ def test_more_cells_err_less_and_their_errors_are_what_they_say(linear: bool, le
 
 def test_states_are_where_the_system_bends() -> None:
     """Their share is half as large again as that of the velocities there."""
-    cells = Division(CODES, bent(CODES), WEIGHT, linear=True).cells(60)
+    cells = VoronoiRegression(CODES, bent(CODES), WEIGHT, linear=True).cells(60)
     share = (CODES[:, 0] > 900.0).mean()
     assert (cells.codes[:, 0] > 900.0).mean() > 1.5 * share > 0.3
 
@@ -64,14 +64,14 @@ def test_states_are_where_the_system_bends() -> None:
 def test_states_are_where_samples_are() -> None:
     """Nine tenths of the samples in an eighth of the box: the rest is not left without a state."""
     crowd = np.concatenate([CODES[:1600], np.abs(CODES[1600:])])
-    cells = Division(crowd, bent(crowd), WEIGHT, linear=True).cells(60)
+    cells = VoronoiRegression(crowd, bent(crowd), WEIGHT, linear=True).cells(60)
     inside = (cells.codes > 0.0).all(axis=1)
     assert 0.4 < inside.mean() < 1.0
 
 
 def test_a_count_gives_the_same_cells_whatever_was_asked_before() -> None:
     values = bent(CODES)
-    one, other = (Division(CODES, values, WEIGHT, linear=True) for _ in range(2))
+    one, other = (VoronoiRegression(CODES, values, WEIGHT, linear=True) for _ in range(2))
     for count in (100, 9, 31):
         one.cells(count)
     assert np.array_equal(one.cells(40).codes, other.cells(40).codes)
@@ -80,6 +80,6 @@ def test_a_count_gives_the_same_cells_whatever_was_asked_before() -> None:
 
 def test_no_more_cells_than_different_samples() -> None:
     few = np.repeat(CODES[:5], 20, axis=0)
-    cells = Division(few, bent(few), WEIGHT, linear=True).cells(50)
+    cells = VoronoiRegression(few, bent(few), WEIGHT, linear=True).cells(50)
     assert len(cells.codes) <= 5
     assert told(cells, few) == pytest.approx(bent(few), abs=1e-2)

@@ -22,7 +22,7 @@ from frogkick.runs.session import Session
 def fetched() -> FetchedLog:
     """Of a robot that a camera tells all the while where it should be."""
     session, path = Session(rig.port("virtual")), shape("line")
-    session.greet(rig.tables())
+    session.handshake(rig.tables())
     session.send_path(path)
     session.request("ARM")
     for number in range(60):

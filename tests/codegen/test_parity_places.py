@@ -20,12 +20,12 @@ from frogkick.planner.plan import PlanConfig
 from frogkick.robot import load_robot
 from frogkick.runs.chip_planner import ChipPlanner
 from frogkick.runs.closed_loop import robot_plan_config
-from frogkick.runs.rehearsal import (
-    Rehearsal,
+from frogkick.runs.parity_scenario import (
+    ParityScenario,
     call_mismatches,
     live_natively,
     live_on_chip,
-    rehearse,
+    record_scenario,
     twin_mismatches,
 )
 from frogkick.tables.image import Tables, open_image
@@ -125,14 +125,14 @@ def test_so_it_does_over_very_many_states(built: Built, config: str) -> None:
     assert counted.tobytes() == again.tobytes()
 
 
-_LOOPS: dict[tuple[object, ...], Rehearsal] = {}
+_LOOPS: dict[tuple[object, ...], ParityScenario] = {}
 
 
-def loop_of(built: Built, config: PlanConfig, decisions: int = DECISIONS, seed: int = SEED) -> Rehearsal:
+def loop_of(built: Built, config: PlanConfig, decisions: int = DECISIONS, seed: int = SEED) -> ParityScenario:
     """The loop that a library lives through; its file is named for its content."""
     asked = (built.native["native"].name, config, decisions, seed)
     if asked not in _LOOPS:
-        _LOOPS[asked] = rehearse(built.native["native"], built.tables, PATH, config, decisions, seed)
+        _LOOPS[asked] = record_scenario(built.native["native"], built.tables, PATH, config, decisions, seed)
     return _LOOPS[asked]
 
 
@@ -200,7 +200,7 @@ def test_a_changed_core_is_found_by_the_loop(
     settings = PlanConfig()
     loop = loop_of(built, settings)
     assert call_mismatches(loop, live_natively(mutant, built.tables, loop.calls))
-    other = rehearse(mutant, built.tables, PATH, settings, DECISIONS, SEED)
+    other = record_scenario(mutant, built.tables, PATH, settings, DECISIONS, SEED)
     assert twin_mismatches(other, built.tables, PATH, settings)
 
 

@@ -15,7 +15,7 @@ from frogkick.paths import shape
 from frogkick.planner.plan import PlanConfig
 from frogkick.pool.native_robot import COLD_LIMBS, CoreCall
 from frogkick.robot import load_robot
-from frogkick.runs.rehearsal import Rehearsal, call_mismatches, rehearse
+from frogkick.runs.parity_scenario import ParityScenario, call_mismatches, record_scenario
 from frogkick.tables.image import open_image
 from frogkick_codegen import firmware
 from frogkick_codegen.emit import SOURCES
@@ -28,7 +28,7 @@ SEED = 11
 PORT = Path(firmware.__file__).parent / "templates" / "native_port.c"
 
 
-def calls_header(loop: Rehearsal) -> str:
+def calls_header(loop: ParityScenario) -> str:
     """Return calls.h: the turns' times and frames."""
     offsets, frames = [], b""
     for call in loop.calls:
@@ -50,7 +50,7 @@ def calls_header(loop: Rehearsal) -> str:
     )
 
 
-def lived(lines: list[str], loop: Rehearsal) -> list[CoreCall]:
+def lived(lines: list[str], loop: ParityScenario) -> list[CoreCall]:
     """Turn the UART's lines into calls."""
     assert lines[-1:] == ["done"], lines[-3:]
     found = []
@@ -76,7 +76,7 @@ def test_qemu_lives_through_the_same_loop(name: str, kind: str, tmp_path: Path) 
     file.write_bytes(image)
     native = firmware.build("native", file, robot, tmp_path / "native").image
     config = PlanConfig(depth=2)
-    loop = rehearse(native, open_image(image), shape("ellipse"), config, count(200, 1000), SEED)
+    loop = record_scenario(native, open_image(image), shape("ellipse"), config, count(200, 1000), SEED)
     emitted, settings = emitted_firmware(image, tmp_path)
     (tmp_path / "calls.h").write_text(calls_header(loop))
     core = firmware_sources() / "core"

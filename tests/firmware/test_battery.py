@@ -43,7 +43,7 @@ def robot(*volts: float) -> tuple[VirtualRobot, Session]:
     port = VirtualRobot(image(), 4)
     set_batteries(port, *volts)
     session = Session(port)
-    session.greet(rig.tables())
+    session.handshake(rig.tables())
     session.step(DECIDED_S)
     return port, session
 
@@ -122,7 +122,7 @@ def test_a_converter_that_stops_disarms() -> None:
 def test_a_robot_that_sees_no_battery_never_asks() -> None:
     port = VirtualRobot(rig.firmware("bench").image, 4)
     session = Session(port)
-    session.greet(rig.tables())
+    session.handshake(rig.tables())
     session.step(2.0)
     (converter,) = (each for each in port.chip.peripherals if isinstance(each, Saadc))
     assert not any(converter.values.values())

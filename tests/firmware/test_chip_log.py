@@ -36,7 +36,7 @@ def swum() -> tuple[VirtualRobot, Session, Recording]:
         RunOptions(PlanConfig(depth=2), True, seconds),
     )
     session = Session(port, time_s=recording.end_s + 1.0, conversation=2)
-    session.greet(rig.tables())
+    session.handshake(rig.tables())
     return port, session, recording
 
 
@@ -118,7 +118,7 @@ def test_a_wrong_bit_is_a_mismatch(name: str) -> None:
 def test_fetching_in_a_run_changes_nothing_and_goes_on_where_it_ended() -> None:
     port = rig.port("virtual")
     session, path = Session(port), shape("line")
-    session.greet(rig.tables())
+    session.handshake(rig.tables())
     session.send_path(path)
     session.request("ARM")
     log: ChipLog | None = None
@@ -153,7 +153,7 @@ def test_what_led_to_a_hang_is_fetched_after_the_reset() -> None:
     port = rig.port("virtual")
     assert isinstance(port, VirtualRobot)
     session = Session(port)
-    session.greet(rig.tables())
+    session.handshake(rig.tables())
     session.request("ARM")
     session.step(max(session.time_s, 0.6))
     action = next(i for i, row in enumerate(rig.tables().actions) if row.first_mask and row.second_mask)
@@ -163,7 +163,7 @@ def test_what_led_to_a_hang_is_fetched_after_the_reset() -> None:
     port.chip.hang()
     session.step(session.time_s + 1.1)
     again = Session(port, time_s=session.time_s, conversation=2)
-    again.greet(rig.tables())
+    again.handshake(rig.tables())
     log = fetch_log(again)
     assert log.stretches[0].content.startswith(before.stretches[0].content)
     names = [record.command or record.name for record in flat(log)]

@@ -55,7 +55,7 @@ def test_a_pin_reset_is_told_as_one_whatever_else_stands_there(others: int) -> N
     port = robot()
     power_of(port.chip).values["RESETREAS"] = PIN | others
     session = Session(port)
-    session.greet(rig.tables())
+    session.handshake(rig.tables())
     assert session.request("STATUS")["reset"] == RESET["PIN"]
     assert power_of(port.chip).values["RESETREAS"] == 0
 
@@ -85,7 +85,7 @@ def test_no_flag_of_the_fpu_stands_in_sleep() -> None:
     """Erratum 87: after decisions, which round, no flag keeps the FPU's interrupt pending."""
     port = robot()
     session = Session(port)
-    session.greet(rig.tables())
+    session.handshake(rig.tables())
     session.send_path(shape("line"))
     state = {"x_m": 0.0, "y_m": 0.02, "heading_rad": 0.1, "vx_mps": 0.02, "vy_mps": 0.0, "omega_rad_s": 0.0}
     rested = {f"limb_use_{limb}": 0 for limb in range(8)}

@@ -32,7 +32,7 @@ def armed() -> tuple[VirtualRobot, Session]:
     port = rig.port("virtual")
     assert isinstance(port, VirtualRobot)
     session = Session(port)
-    session.greet(rig.tables())
+    session.handshake(rig.tables())
     session.request("ARM")
     session.step(max(session.time_s, 0.6))  # limbs rest after the start
     return port, session
@@ -66,7 +66,7 @@ def test_a_hang_in_the_middle_of_a_pulse(into_pulse_s: float) -> None:
     assert hung_s < reset_us * 1e-6 <= hung_s + WATCHDOG_S
     # Disarmed, and it says why it began anew.
     session.conversation = 2
-    session.greet(rig.tables())
+    session.handshake(rig.tables())
     told = session.request("STATUS")
     assert (told["state"], told["reset"], told["fault"]) == (
         STATE["DISARMED"], RESET["WATCHDOG"], FAULT["NONE"]
@@ -161,7 +161,7 @@ def test_two_reasons_are_not_mixed_up() -> None:
     port.chip.hang()
     session.step(session.time_s + WATCHDOG_S + 0.1)
     session.conversation = 2
-    session.greet(rig.tables())
+    session.handshake(rig.tables())
     assert session.request("STATUS")["reset"] == RESET["WATCHDOG"]
     (power,) = (block for block in port.chip.peripherals if block.name == "POWER")
     assert power.values["RESETREAS"] == 0
@@ -172,7 +172,7 @@ def test_a_robot_without_a_crystal_does_not_arm() -> None:
     port = VirtualRobot(rig.firmware("bench").image, len(rig.robot().limbs))
     power_of(port.chip).crystal_works = False
     session = Session(port)
-    session.greet(rig.tables())
+    session.handshake(rig.tables())
     with pytest.raises(LinkError, match=r"^the robot refuses ARM: FAULT, internal error CLOCK \(0\)$"):
         session.request("ARM")
     assert session.request("STATUS")["state"] == STATE["FAULT"]
@@ -226,7 +226,7 @@ def what_breaks(elf: Path) -> set[str]:
         return {"refused"}
     if port.chip.resets:
         return {"unasked"}
-    session.greet(rig.tables())
+    session.handshake(rig.tables())
     session.request("ARM")
     session.post("STROKE", {"action": firing()})
     session.step(session.time_s + 0.02)

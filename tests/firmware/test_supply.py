@@ -88,7 +88,7 @@ def test_a_robot_that_starts_with_a_low_supply_is_not_armed() -> None:
     port = VirtualRobot(rig.firmware("bench").image, len(rig.robot().limbs))
     port.chip.power.set_supply(2.4)
     session = Session(port)
-    session.greet(rig.tables())
+    session.handshake(rig.tables())
     assert told(session) == (STATE["DISARMED"], SUPPLY["LOW"])
     assert status_of(session, "ARM") == "SUPPLY"
 
@@ -100,7 +100,7 @@ def test_a_reset_with_a_low_supply() -> None:
     session.step(session.time_s + 1.2)
     assert len(port.chip.resets) == 1
     session.conversation = 2
-    session.greet(rig.tables())
+    session.handshake(rig.tables())
     assert told(session) == (STATE["DISARMED"], SUPPLY["LOW"])
 
 
@@ -122,7 +122,7 @@ def test_a_run_ends_where_the_supply_falls(onboard: bool) -> None:
     assert recording.end_s < made[2] + 3.0
     assert all(edge.time_s < made[2] + 0.002 for edge in recording.edges if edge.level)
     session = Session(port, time_s=recording.end_s + 1.0, conversation=2)
-    session.greet(rig.tables())
+    session.handshake(rig.tables())
     log = fetch_log(session)
     found = replay_log(log, rig.firmware("native").image, [rig.tables()])
     assert found.mismatches == [] and found.replayed > 20

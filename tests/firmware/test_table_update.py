@@ -45,22 +45,22 @@ def power_on(bench: Build, flash: bytes | None = None) -> Session:
 
 def test_one_update(bench: Build) -> None:
     session = power_on(bench)
-    told = session.greet(open_image(OLD))
+    told = session.handshake(open_image(OLD))
     assert told["table_crc"] == open_image(OLD).crc32
     done = upload(session, NEW)
     assert (done.bytes_sent, done.resumed_at, done.table_crc) == (len(NEW), 0, open_image(NEW).crc32)
-    session.greet(open_image(NEW))
+    session.handshake(open_image(NEW))
     flash = chip_of(session).flash
     assert flash.words_written == len(NEW) // 4 + 3 * 28  # and the records BEGIN, PAGE, COMMIT
     assert sorted(flash.erases.values()) == [1, 1, 1]  # two pages of the slot, one of the journal
     assert upload(session, NEW).bytes_sent == 0
     again = power_on(bench, flash.content())
-    again.greet(open_image(NEW))
+    again.handshake(open_image(NEW))
     status = again.request("TABLE_STATUS")
     assert (status["running"], status["active"], status["slots"], status["erases_1"]) == (1, 1, 2, 1)
     # And back.
     again.request("TABLE_ROLLBACK", {"table_crc": status["built_in_crc"]})
-    again.greet(open_image(OLD))
+    again.handshake(open_image(OLD))
 
 
 def test_plans_by_the_new_table_as_the_twin_does(bench: Build) -> None:
@@ -105,9 +105,9 @@ def test_power_lost_in_the_middle(bench: Build) -> None:
     with pytest.raises(Lost):
         upload(session, NEW, stop)
     again = power_on(bench, chip.flash.content())
-    again.greet(open_image(OLD))
+    again.handshake(open_image(OLD))
     assert upload(again, NEW).resumed_at == 4096
-    again.greet(open_image(NEW))
+    again.handshake(open_image(NEW))
 
 
 def test_only_at_rest(bench: Build) -> None:
@@ -143,7 +143,7 @@ def test_what_the_robot_refuses(bench: Build) -> None:
         UploadError, match=re.escape("TABLE_COMMIT with TABLE (fk_error_t -9): make the table")
     ):
         upload(session, other)
-    session.greet(open_image(OLD))
+    session.handshake(open_image(OLD))
 
 
 @pytest.mark.parametrize(

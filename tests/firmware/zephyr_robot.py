@@ -170,7 +170,7 @@ class Life:
         self.session = Session(self.robot)
         self.session.step(RESTED_S)
         self.robot.connect(mtu)
-        self.session.greet(self.tables)
+        self.session.handshake(self.tables)
 
     @property
     def firing(self) -> int:

@@ -279,7 +279,7 @@ def test_a_robot_that_speaks_another_protocol(tmp_path: Path, monkeypatch: pytes
         with pytest.raises(
             LinkError, match=f"the robot speaks protocol {ours}, this host {ours + 1}: flash it again"
         ):
-            now.session.greet(rig.tables())
+            now.session.handshake(rig.tables())
         assert "ARM" not in now.robot.names()
 
 
@@ -291,5 +291,5 @@ def test_a_robot_with_a_table_for_another_period(tmp_path: Path, monkeypatch: py
         day(tmp_path, monkeypatch) as now,
         pytest.raises(LinkError, match=r"a period of 1\.425 s, ours 2\.000 s: build the firmware") as said,
     ):
-        now.session.greet(slower)
+        now.session.handshake(slower)
     assert "\n" not in str(said.value) and "ARM" not in now.robot.names()

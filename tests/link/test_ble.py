@@ -47,7 +47,7 @@ def test_by_name_and_by_address(monkeypatch: pytest.MonkeyPatch) -> None:
     breathe(monkeypatch, first, second)
     with connected("frog2") as wire:
         assert wire.address == second.address
-        lab_session(wire).greet(rig.tables())
+        lab_session(wire).handshake(rig.tables())
     assert (first.connections, second.connections) == (0, 1)
     breathe(monkeypatch, first, second)
     with connected(first.address.lower()) as wire:
@@ -74,7 +74,7 @@ def test_a_robot_that_came_back_is_the_same_one(monkeypatch: pytest.MonkeyPatch)
     air = breathe(monkeypatch, robot, other)
     with connected("frogkick") as wire:
         session = lab_session(wire)
-        session.greet(rig.tables())
+        session.handshake(rig.tables())
         air.call(other.advertise)
         air.call(robot.drop)
         session.request("STATUS")
@@ -103,7 +103,7 @@ def test_a_robot_that_wants_pairing(monkeypatch: pytest.MonkeyPatch) -> None:
     robot = Peripheral(LiveRobot(), wants_pairing=True)
     breathe(monkeypatch, robot)
     with pytest.raises(WireError, match="wants pairing"), connected("frogkick") as wire:
-        lab_session(wire).greet(rig.tables())
+        lab_session(wire).handshake(rig.tables())
     assert robot.written == []
 
 
@@ -114,7 +114,7 @@ def test_frames_are_cut_to_the_size_negotiated(monkeypatch: pytest.MonkeyPatch, 
     breathe(monkeypatch, robot)
     with connected("frogkick") as wire:
         session = lab_session(wire)
-        session.greet(rig.tables())
+        session.handshake(rig.tables())
         session.send_path(shape("sine"))
         for number in range(30):  # fixes, in parts too, beside commands
             session.post_fix(Fix(session.time_s, 0.0, 0.0, 0.0, 0.0, sequence=number), session.port.now_s)
@@ -133,7 +133,7 @@ def test_how_frames_are_written(monkeypatch: pytest.MonkeyPatch) -> None:
     air = breathe(monkeypatch, Peripheral(LiveRobot()))
     with connected("frogkick") as wire:
         session = lab_session(wire)
-        session.greet(rig.tables())
+        session.handshake(rig.tables())
         session.post_fix(Fix(0.0, 0.0, 0.0, 0.0, 0.0), session.port.now_s)
         upload(session, new)
     with_response: dict[str, set[bool]] = {}
@@ -151,7 +151,7 @@ def test_fixes_that_wait_are_the_newest(monkeypatch: pytest.MonkeyPatch) -> None
     breathe(monkeypatch, Peripheral(live))
     with connected("frogkick") as wire:
         session = lab_session(wire)
-        session.greet(rig.tables())
+        session.handshake(rig.tables())
 
         async def burst() -> None:  # nothing of it can be written before its end
             for number in range(10):

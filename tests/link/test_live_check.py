@@ -53,12 +53,12 @@ def image_with_one_entry_changed() -> bytes:
 def past_the_hash(monkeypatch: pytest.MonkeyPatch) -> None:
     """The hash of the robot's table is not asked: a fault that lies behind it, as one in its memory would."""
 
-    def greet(self: Session, tables: Tables) -> dict[str, object]:
+    def handshake(self: Session, tables: Tables) -> dict[str, object]:
         told = self.meet()
         tables.require_robot(str(told["robot_id"]))
         return dict(told)
 
-    monkeypatch.setattr(Session, "greet", greet)
+    monkeypatch.setattr(Session, "handshake", handshake)
 
 
 @pytest.mark.parametrize("transport", some(TRANSPORTS, 1))

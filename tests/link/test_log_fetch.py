@@ -36,7 +36,7 @@ def test_fetched_by_command_and_decided_again(
     file = tmp_path / "log.h5"
     with rigged(transport, robot, tmp_path, monkeypatch) as there:
         session, path = lab_session(there.wire), shape("line")
-        session.greet(rig.tables())
+        session.handshake(rig.tables())
         session.send_path(path)
         session.request("ARM")
         pose = {"x_m": float(path.x_m[0]), "y_m": float(path.y_m[0]), "heading_rad": 0.0}

@@ -82,7 +82,7 @@ def test_noise_on_the_line_costs_nothing(tmp_path: Path) -> None:
     with PtyLine(tmp_path, robot) as line:
         wire = SerialWire(str(line.path))
         session = lab_session(wire)
-        session.greet(rig.tables())
+        session.handshake(rig.tables())
         for _ in range(20):
             session.request("STATUS")
         assert session.port.bad >= 40

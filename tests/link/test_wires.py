@@ -51,7 +51,7 @@ def there(robot_there: tuple[LiveRobot, Rigged]) -> Rigged:
 
 def test_a_conversation(robot: LiveRobot, there: Rigged) -> None:
     session = lab_session(there.wire)
-    told = session.greet(rig.tables())
+    told = session.handshake(rig.tables())
     assert told["table_crc"] == rig.tables().crc32
     trips = []
     for _ in range(count(100, 2000, 30)):
@@ -73,7 +73,7 @@ def test_what_is_lost_on_the_way_is_sent_again_and_done_once(robot: LiveRobot, t
     numbers = itertools.count()
     robot.deaf_to = lambda _frame: next(numbers) % 3 != 2  # two of three
     session = lab_session(there.wire)
-    session.greet(rig.tables())
+    session.handshake(rig.tables())
     session.send_path(shape("line"))
     session.request("ARM")
     session.request("DISARM")
@@ -84,7 +84,7 @@ def test_what_is_lost_on_the_way_is_sent_again_and_done_once(robot: LiveRobot, t
 def test_forced_reconnects(robot: LiveRobot, there: Rigged) -> None:
     """50, full 1,000: after each the conversation goes on; every ARM that was told is one."""
     session = lab_session(there.wire)
-    session.greet(rig.tables())
+    session.handshake(rig.tables())
     begin_s = time.monotonic()
     times = count(50, 1000, 12)
     for time_of in range(times):
@@ -98,7 +98,7 @@ def test_forced_reconnects(robot: LiveRobot, there: Rigged) -> None:
     assert there.wire.connections == times + 1
     took_s = time.monotonic() - begin_s
     print(f"\n{times} reconnects, {1e3 * took_s / times:.0f} ms each, {session.port.resent} sent again")
-    session.greet(rig.tables())
+    session.handshake(rig.tables())
     assert int(session.request("STATUS")["restarts"]) == 0
 
 
@@ -142,7 +142,7 @@ def test_a_table_cut_at_every_tenth_chunk(robot: LiveRobot, there: Rigged) -> No
         assert drops == chunks // 10
     session.on_step = lambda _time_s, _edges: None
     robot.deaf_to = lambda _frame: False
-    session.greet(open_image(NEW))
+    session.handshake(open_image(NEW))
     print(f"\n{len(NEW)} bytes with {drops} drops in {took_s:.2f} s")
     # Another, without a drop: how fast it is.
     begin_s = time.monotonic()
@@ -164,14 +164,14 @@ def test_an_upload_that_was_given_up_is_resumed(robot: LiveRobot, there: Rigged)
         upload(lab_session(there.wire), NEW, stop)
     robot.restart()  # power lost
     session = lab_session(there.wire)
-    session.greet(rig.tables())
+    session.handshake(rig.tables())
     assert upload(session, NEW).resumed_at == 4096
-    session.greet(open_image(NEW))
+    session.handshake(open_image(NEW))
 
 
 def test_fixes_need_no_answer_and_are_not_sent_again(robot: LiveRobot, there: Rigged) -> None:
     session = lab_session(there.wire)
-    session.greet(rig.tables())
+    session.handshake(rig.tables())
     robot.deaf_to = lambda frame: frame.name == "FIX"
     resent = session.port.resent
     for number in range(20):
@@ -184,20 +184,20 @@ def test_fixes_need_no_answer_and_are_not_sent_again(robot: LiveRobot, there: Ri
 
 def test_another_table_is_refused(robot: LiveRobot, there: Rigged) -> None:
     with pytest.raises(LinkError, match=r"CRC-32 .*build the firmware with this table"):
-        lab_session(there.wire).greet(open_image(NEW))
+        lab_session(there.wire).handshake(open_image(NEW))
 
 
 def test_other_firmware_does_not_answer(robot: LiveRobot, there: Rigged) -> None:
     robot.mute = True
     with pytest.raises(LinkError, match="does not answer HELLO: it runs other firmware or at another speed"):
-        lab_session(there.wire).greet(rig.tables())
+        lab_session(there.wire).handshake(rig.tables())
 
 
 def test_a_robot_that_stays_away_is_told_of(
     robot: LiveRobot, there: Rigged, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     session = lab_session(there.wire)
-    session.greet(rig.tables())
+    session.handshake(rig.tables())
     for name, value in (("_reconnect_s", 0.3), ("_scan_s", 0.2)):
         monkeypatch.setattr(there.wire, name, value, raising=False)
     there.away()
@@ -208,7 +208,7 @@ def test_a_robot_that_stays_away_is_told_of(
 
 def test_a_robot_that_was_switched_off_and_on_is_another(robot: LiveRobot, there: Rigged) -> None:
     session = lab_session(there.wire)
-    session.greet(rig.tables())
+    session.handshake(rig.tables())
     session.request("ARM")
     robot.restart()
     assert int(session.request("STATUS")["state"]) == link_layout().state["DISARMED"]

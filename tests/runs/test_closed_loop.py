@@ -131,7 +131,7 @@ def test_a_lost_robot_is_disarmed() -> None:
     from frogkick.runs.session import Session
 
     session = Session(rig.port("pool"))
-    session.greet(rig.tables())
+    session.handshake(rig.tables())
     session.send_path(shape("line"))
     session.request("ARM")
     for number in range(5):

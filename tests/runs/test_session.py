@@ -42,13 +42,13 @@ def test_no_answer_is_an_error_after_the_timeout_and_says_what_was_asked() -> No
     assert ANSWER_TIMEOUT_S <= off.now_s < ANSWER_TIMEOUT_S + 0.1
     assert off.sent == 1
     with pytest.raises(LinkError, match="no answer to HELLO"):
-        session.greet(rig.tables())
+        session.handshake(rig.tables())
     assert off.sent > 2  # a robot that is starting up gets HELLO several times
 
 
 def test_a_refusal_names_command_and_reason() -> None:
     session = Session(rig.port("pool"))
-    session.greet(rig.tables())
+    session.handshake(rig.tables())
     with pytest.raises(LinkError, match=r"refuses STROKE .*STATE"):
         session.request("STROKE", {"action": 0})
     assert int(session.ask("STROKE", {"action": 0})["status"]) < 0
@@ -62,12 +62,12 @@ def test_a_refusal_names_command_and_reason() -> None:
 def test_greet_refuses_another_table_and_another_robot() -> None:
     session = Session(rig.port("pool"))
     ours = rig.tables()
-    told = session.greet(ours)
+    told = session.handshake(ours)
     assert told["table_crc"] == ours.crc32
     with pytest.raises(LinkError, match="build the firmware with this table"):
-        session.greet(open_image(rig.changed_image(32, b"another library")))
+        session.handshake(open_image(rig.changed_image(32, b"another library")))
     with pytest.raises(TableError, match="newt"):
-        session.greet(open_image(rig.changed_image(16, b"newt".ljust(16, b"\0"))))
+        session.handshake(open_image(rig.changed_image(16, b"newt".ljust(16, b"\0"))))
 
 
 def test_answers_find_their_own_request() -> None:

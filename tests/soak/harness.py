@@ -280,7 +280,7 @@ class Life:
         running = int(session.request("HELLO", hello(session.conversation))["table_crc"])
         if running != self._running and running != self._wanted:
             self.watch.faults.append(f"at {self.time_s:.1f} s the robot uses table {running:08x}")
-        session.greet(self._tables[running])
+        session.handshake(self._tables[running])
         session.request("STOP")
         session.request("STATUS")  # for the witness: what does it count since it started, and why did it?
         session.set_parameters(self._settings)
@@ -303,7 +303,7 @@ class Life:
             self.counts["updates resumed"] += 0 < done.resumed_at < len(self._tables[wanted].image)
         self._running = wanted
         self._wanted = None
-        session.greet(self._tables[wanted])
+        session.handshake(self._tables[wanted])
         self.watch.still_disturbed(self._way, self.time_s)
 
     def _is_here(self, crc: int) -> bool:

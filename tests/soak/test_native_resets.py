@@ -41,19 +41,19 @@ def fire(session: Session) -> float:
 def test_a_table_by_radio_outlives_power_and_watchdog(robot: NativeRobot) -> None:
     old, new = rig.tables()
     session = rested(robot)
-    session.greet(old)
+    session.handshake(old)
     assert upload(session, new.image).bytes_sent == len(new.image)
-    session.greet(new)
+    session.handshake(new)
     robot.cut_power(0.5)
     session = rested(robot, 2)
-    session.greet(new)
+    session.handshake(new)
     robot.hang()
     session = rested(robot, 3)
-    session.greet(new)
+    session.handshake(new)
     told = session.request("TABLE_STATUS")
     assert (told["running"], told["slots"], told["erases_1"], told["erases_journal"]) == (1, 2, 1, 1)
     session.request("TABLE_ROLLBACK", {"table_crc": old.crc32})
-    session.greet(old)
+    session.handshake(old)
 
 
 def test_the_same_flash_as_the_chips() -> None:
@@ -64,9 +64,9 @@ def test_the_same_flash_as_the_chips() -> None:
     for port in (native, chip):
         session = Session(port)
         session.step(0.8)
-        session.greet(loop_rig.tables())
+        session.handshake(loop_rig.tables())
         upload(session, new.image)
-        session.greet(new)
+        session.handshake(new)
     written = bytes(native.flash).rstrip(b"\xff")
     assert len(written) > len(new.image) and written in bytes(chip.chip.flash.content())
 
@@ -86,9 +86,9 @@ def test_an_update_cut_by_a_reset_goes_on_behind_its_last_whole_page(robot: Nati
         upload(session, new.image, stop)
     robot.cut_power(0.1)
     session = rested(robot, 2)
-    session.greet(old)
+    session.handshake(old)
     assert upload(session, new.image).resumed_at == 4096
-    session.greet(new)
+    session.handshake(new)
 
 
 def test_a_power_cut_ends_pulses_at_once_and_a_hang_leaves_them_to_their_timer(robot: NativeRobot) -> None:

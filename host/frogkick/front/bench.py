@@ -302,7 +302,7 @@ def run_on_bench(
         checked = check_start(seen, path, pool_m)
         wire = bench.wire or stack.enter_context(opened(target, greeting))
         session = stack.enter_context(session_with(wire, bench.dialect, image, robot, bench.key))
-        session.greet(tables)
+        session.handshake(tables)
         for line in (*checked, f"table: {tables.crc32:08x}, the robot's own", battery):
             _tell(line)
         session.rest(_tell)

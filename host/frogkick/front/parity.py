@@ -169,17 +169,17 @@ def _loops(
     seed: int,
 ) -> dict[str, int]:
     """Compare a whole loop: the twin by decisions, other builds by all that their core puts out."""
-    from frogkick.runs.rehearsal import (
+    from frogkick.runs.parity_scenario import (
         call_mismatches,
         live_natively,
         live_on_chip,
-        rehearse,
+        record_scenario,
         twin_mismatches,
     )
 
     path = shape("ellipse")
     first, *more = libraries
-    loop = rehearse(libraries[first], tables, path, config, decisions, seed)
+    loop = record_scenario(libraries[first], tables, path, config, decisions, seed)
     found = {f"python-{first}": len(twin_mismatches(loop, tables, path, config))}
     for name in more:
         lived = live_natively(libraries[name], tables, loop.calls)

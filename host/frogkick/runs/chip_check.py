@@ -99,7 +99,7 @@ class _Trial:
         self.session.step(self.session.time_s + seconds)
 
     def hello(self) -> None:
-        told = self.session.greet(self.tables)
+        told = self.session.handshake(self.tables)
         self._check("says who it is", told["limbs"] == len(self.robot.limbs))
 
     def disarmed(self) -> None:

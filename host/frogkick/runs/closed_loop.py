@@ -237,7 +237,7 @@ class _Run:
 
     def go(self) -> Recording:
         session, options = self.session, self.options
-        session.greet(self.tables)
+        session.handshake(self.tables)
         self.recording.clock_offset_us = session.robot_clock_offset_us()
         session.set_parameters(parameters(options.config))
         if options.check is not None:
@@ -339,7 +339,7 @@ class _Run:
             recording.fix_status[row] = int(values["status"])
             if values["status"] == 0:
                 recording.capture_us[row] = int(values["capture_us"])
-                self.session.mind_clock(recording.fixes[row].capture_s, int(values["capture_us"]))
+                self.session.check_clock_sync(recording.fixes[row].capture_s, int(values["capture_us"]))
             elif values["status"] == link_layout().status["FAULT"]:
                 self._fail()
         elif frame.name == "STROKE" and values["status"] == link_layout().status["STATE"]:

@@ -107,8 +107,8 @@ class LabSession(Session):
             )
         return now_s
 
-    def mind_clock(self, capture_s: float, capture_us: int) -> None:
-        """Look whether a fix was taken at the same time by both clocks, this computer's and the robot's.
+    def check_clock_sync(self, capture_s: float, capture_us: int) -> None:
+        """Check that this computer's clock and the robot's give a fix the same capture time.
 
         Raises:
             LinkError: this computer's clock went ahead, or the robot was switched off and on.
@@ -178,9 +178,9 @@ class LabSession(Session):
                 self.port.forget(sequence)
         raise LinkError(f"no answer to {name} within {timeout_s:g} s: bring the robot nearer, charge it")
 
-    def greet(self, tables: Tables) -> dict[str, Value]:
+    def handshake(self, tables: Tables) -> dict[str, Value]:
         """HELLO, and refuse a robot with other tables than ours, or whose owner this host is not."""
-        told = super().greet(tables)
+        told = super().handshake(tables)
         self.authenticate()
         return told
 

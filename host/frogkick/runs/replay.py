@@ -205,7 +205,7 @@ def replay_onboard(
         LinkError: the robot refuses or does not answer.
     """
     session = Session(port)
-    session.greet(tables)
+    session.handshake(tables)
     session.set_parameters({**parameters(config), "PERIOD_US": schedule.period_us})
     session.send_path(path)
     waiting = list(schedule.fixes)

@@ -225,8 +225,8 @@ class Session:
         """Robot time minus this session's: 0 in simulated time."""
         return 0
 
-    def mind_clock(self, capture_s: float, capture_us: int) -> None:
-        """Look whether a fix was taken at the same time by the session's clock (s) and the robot's (us).
+    def check_clock_sync(self, capture_s: float, capture_us: int) -> None:
+        """Check that the session's clock (s) and the robot's (us) give a fix the same capture time.
 
         In simulated time there is one clock.
         """
@@ -271,8 +271,8 @@ class Session:
                 f"the owner's key in {name!r} is not this robot's: give the file of its own (--key)"
             )
 
-    def greet(self, tables: Tables) -> dict[str, Value]:
-        """HELLO, and refuse a robot with other tables than ours.
+    def handshake(self, tables: Tables) -> dict[str, Value]:
+        """Handshake: HELLO, and refuse a robot with other tables than ours.
 
         Raises:
             LinkError: another protocol, robot or table.

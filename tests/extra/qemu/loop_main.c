@@ -1,4 +1,4 @@
-/* Lives through a rehearsal's turns of the core and prints what comes of each: outputs as words, the number of bytes
+/* Lives through a parity scenario's turns of the core and prints what comes of each: outputs as words, the number of bytes
  * sent, and these bytes, four to a word. */
 #include <stdint.h>
 
@@ -36,7 +36,7 @@ int main(void)
         fk_put_word((uint32_t)error, '\n');
         return 1;
     }
-    kept = cold; /* as the rehearsal's robot begins */
+    kept = cold; /* as the scenario's robot begins */
     fk_robot_note_reset(&robot, FK_RESET_POWER, &kept);
     for (uint32_t index = 0u; index < FK_CALLS; ++index) {
         const uint64_t now_us = fk_call_times_us[index];

@@ -1,4 +1,4 @@
-"""A whole loop from fixes to decisions that every build of the robot's core can live through, bit for bit."""
+"""Parity scenario: a closed loop from fixes to decisions that all builds of the core repeat bit for bit."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ _SILENCE_S = 1.2
 
 
 @dataclass(frozen=True, eq=False)
-class Rehearsal:
-    """A loop as one build of the core lived through it.
+class ParityScenario:
+    """A closed loop as one build of the core ran it.
 
     Attributes:
         calls: every turn of the core with all that came out.
@@ -80,9 +80,9 @@ def schedule_fixes(
     return Schedule(arrivals, round(FIRST_S * 1e6), tables.period_us, decisions)
 
 
-def rehearse(
+def record_scenario(
     library: Path, tables: Tables, path: SwimPath, config: PlanConfig, decisions: int, seed: int
-) -> Rehearsal:
+) -> ParityScenario:
     """Let the native core decide on such fixes.
 
     Args:
@@ -98,20 +98,20 @@ def rehearse(
     schedule = schedule_fixes(tables, path, config, decisions, np.random.default_rng(seed))
     robot = NativeRobot(library, tables.limbs, keep_calls=True)
     found, events = replay_onboard(schedule, path, tables, config, robot)
-    return Rehearsal(robot.calls, found, events)
+    return ParityScenario(robot.calls, found, events)
 
 
 def twin_mismatches(
-    rehearsal: Rehearsal, tables: Tables, path: SwimPath, config: PlanConfig
+    scenario: ParityScenario, tables: Tables, path: SwimPath, config: PlanConfig
 ) -> list[tuple[int, list[str]]]:
-    """Decisions in which the host's twins differ from the rehearsal's in any bit, with the fields."""
+    """Decisions in which the host's twins differ from the scenario's in any bit, with the fields."""
     twin = DecisionTwin(tables, path, config)
-    return compare(rehearsal.decisions, replay_on_host(rehearsal.events, twin))
+    return compare(scenario.decisions, replay_on_host(scenario.events, twin))
 
 
-def call_mismatches(rehearsal: Rehearsal, others: Sequence[CoreCall]) -> list[int]:
+def call_mismatches(scenario: ParityScenario, others: Sequence[CoreCall]) -> list[int]:
     """Turns of the core in which another build gave other outputs or sent other bytes."""
-    pairs = zip(rehearsal.calls, others, strict=True)
+    pairs = zip(scenario.calls, others, strict=True)
     return [index for index, (one, other) in enumerate(pairs) if one != other]
 
 

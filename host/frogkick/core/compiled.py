@@ -7,6 +7,7 @@ into does. So only outermost functions are kept, and each encloses a stamp of it
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Callable
 from importlib import resources
 from typing import Any
 
@@ -20,8 +21,32 @@ INNER: dict[str, Any] = {**BARE, "no_cpython_wrapper": True, "no_cfunc_wrapper":
 ALLOCATING: dict[str, Any] = {**INNER, "_nrt": True}
 """As INNER, for a function that makes arrays."""
 
-KEPT: dict[str, Any] = {**BARE, "cache": True}
-"""As BARE, and kept on disk."""
+
+def kept(**options: Any) -> Callable[[Callable[..., Any]], Any]:
+    """numba's njit for a function that is kept on disk: ``@kept(**BARE)``.
+
+    What was kept names the types of its arguments by their modules. Where an earlier frogkick had these
+    elsewhere, numba ends with an error instead of compiling anew; here it compiles.
+    """
+
+    def keep(function: Callable[..., Any]) -> Any:
+        from numba import njit
+
+        dispatcher = njit(cache=True, **options)(function)
+        file = getattr(dispatcher._cache, "_cache_file", None)
+        if file is not None:  # with NUMBA_DISABLE_JIT there is none
+            load = file._load_index
+
+            def load_index() -> Any:
+                try:
+                    return load()
+                except (ImportError, AttributeError):
+                    return {}
+
+            file._load_index = load_index
+        return dispatcher
+
+    return keep
 
 
 def stamp_of(package: str, also: str = "") -> int:

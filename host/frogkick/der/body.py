@@ -12,7 +12,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from frogkick.core.compiled import INNER
+from frogkick.core.compiled import INNER, kept
 from frogkick.der.lanes import SimdArray, get, put
 from frogkick.der.mesh import Mesh
 
@@ -73,7 +73,7 @@ def set_sums(mesh: Mesh, x_m: SimdArray, v_mps: SimdArray, row: int, sums: SimdA
     put(sums, row, 9, mean_y / (1.0 * nodes))
 
 
-@njit(cache=True, error_model="numpy")
+@kept(error_model="numpy")
 def body_motion(sums: FloatArray) -> FloatArray:
     """Poses and velocities from rows of ``set_sums``.
 

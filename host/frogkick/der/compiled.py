@@ -7,14 +7,12 @@ from __future__ import annotations
 
 from typing import Any
 
-from numba import njit
-
-from frogkick.core.compiled import KEPT, stamp_of
+from frogkick.core.compiled import BARE, kept, stamp_of
 from frogkick.der import body, stepping
 
 
 def _compiled(stamp: int) -> tuple[Any, Any, Any]:
-    @njit(**KEPT)
+    @kept(**BARE)
     def run_steps(  # type: ignore[no-untyped-def]
         mesh, symbolic, workspace, x_m, v_mps, a_mps2, step_s, active, water, factor_every, report, sums
     ):
@@ -22,12 +20,12 @@ def _compiled(stamp: int) -> tuple[Any, Any, Any]:
             mesh, symbolic, workspace, x_m, v_mps, a_mps2, step_s, active, water, factor_every, report, sums
         )
 
-    @njit(**KEPT)
+    @kept(**BARE)
     def set_accelerations(mesh, edges, x_m, v_mps, active, water, a_mps2):  # type: ignore[no-untyped-def]
         stepping.set_accelerations(mesh, edges, x_m, v_mps, active, water, a_mps2)
         return stamp
 
-    @njit(**KEPT)
+    @kept(**BARE)
     def set_sums(mesh, x_m, v_mps, row, sums):  # type: ignore[no-untyped-def]
         body.set_sums(mesh, x_m, v_mps, row, sums)
         return stamp

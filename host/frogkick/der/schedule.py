@@ -20,9 +20,9 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from frogkick.core.compiled import kept
 from frogkick.der.lanes import SimdArray, lane_floats, lane_zeros
 from frogkick.der.stepping import EVALUATION_SHARE
 from frogkick.robot import Actuation
@@ -232,7 +232,7 @@ def _side_by_side(rows: Sequence[FloatArray]) -> tuple[FloatArray, IntArray]:
     return every, sizes
 
 
-@njit(cache=True, error_model="numpy")
+@kept(error_model="numpy")
 def lane_times(
     now_s: FloatArray,
     until_s: FloatArray,
@@ -288,7 +288,7 @@ def lane_times(
     return times, counts
 
 
-@njit(cache=True, error_model="numpy")
+@kept(error_model="numpy")
 def lay_out(
     times: FloatArray,
     counts: IntArray,
@@ -324,7 +324,7 @@ def lay_out(
                 active[k, 2 * limb + 1, lane] = profiles.drop_per_m[lane] * found[k, limb]
 
 
-@njit(cache=True, error_model="numpy")
+@kept(error_model="numpy")
 def step_times(
     time_s: float,
     until_s: float,
@@ -368,7 +368,7 @@ def step_times(
     return ends[:count].copy()
 
 
-@njit(cache=True, error_model="numpy")
+@kept(error_model="numpy")
 def _measured_s(since_s: float, scale: float, peak_s: float) -> float:
     """Time of the measured stroke that corresponds to a time since the start of one with another duration."""
     if scale == 1.0 or since_s <= peak_s:
@@ -376,7 +376,7 @@ def _measured_s(since_s: float, scale: float, peak_s: float) -> float:
     return peak_s + (since_s - peak_s) / scale
 
 
-@njit(cache=True, error_model="numpy")
+@kept(error_model="numpy")
 def stroke_activation(
     times_s: FloatArray, strokes: FloatArray, table: FloatArray, table_step_s: float, peak_s: float
 ) -> FloatArray:

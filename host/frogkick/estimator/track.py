@@ -11,9 +11,8 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
-from frogkick.core.compiled import stamp_of
+from frogkick.core.compiled import kept, stamp_of
 from frogkick.planner import floats
 from frogkick.planner.lookup import DYNAMICS, arrays_of, dynamics_after, find_row, motion_of, velocity_code
 from frogkick.tables.image import Tables
@@ -392,7 +391,7 @@ class Track:
 
 
 def _compiled(stamp: int) -> Any:
-    @njit(cache=True)
+    @kept()
     def transition(table, velocity, per_velocity, limb_use, action, motion, after):  # type: ignore[no-untyped-def]
         dynamics = np.zeros(DYNAMICS, dtype=np.int64)
         for axis in range(3):

@@ -18,8 +18,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from frogkick.core.compiled import kept
 
 FloatArray = NDArray[np.float64]
 
@@ -128,7 +129,7 @@ class Filter:
         return offset, rate
 
 
-@njit(cache=True)
+@kept()
 def _predict_to(
     error: FloatArray,
     covariance: FloatArray,
@@ -154,7 +155,7 @@ def _predict_to(
     return time_s
 
 
-@njit(cache=True)
+@kept()
 def _update_all(
     error: FloatArray,
     covariance: FloatArray,
@@ -210,7 +211,7 @@ def deviances(
     return np.asarray(_deviances(dts, actuation, series.difference, series.rate_std**2, noises))
 
 
-@njit(cache=True)
+@kept()
 def _deviances(
     dts: FloatArray, actuation: FloatArray, differences: FloatArray, rate: float, noises: FloatArray
 ) -> FloatArray:

@@ -15,8 +15,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from frogkick.core.compiled import kept
 
 FloatArray = NDArray[np.float64]
 
@@ -76,7 +77,7 @@ def _maximum_likelihood_scale(residuals: FloatArray) -> tuple[FloatArray, float]
     return scale, float(deviance + count * _constant(width))
 
 
-@njit(cache=True)
+@kept()
 def _em_scale(residuals: FloatArray, least: FloatArray, dof: float, exact: float) -> tuple[FloatArray, float]:
     """Scale matrix of least deviance by parameter-expanded EM, regularised, and that deviance."""
     count, width = residuals.shape

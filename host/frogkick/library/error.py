@@ -6,10 +6,9 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
-from frogkick.core.compiled import stamp_of
+from frogkick.core.compiled import kept, stamp_of
 from frogkick.core.poses import wrap_angle
 from frogkick.library.build import sample_library
 from frogkick.library.store import Library
@@ -91,7 +90,7 @@ def looked_up(tables: Tables, velocities: FloatArray, previous: IntArray) -> Flo
 
 
 def _compiled(stamp: int) -> Any:
-    @njit(cache=True)
+    @kept()
     def look_up_many(table, velocities, previous, found):  # type: ignore[no-untyped-def]
         one = np.float32(1)
         now, after = np.zeros(DYNAMICS, dtype=np.int64), np.zeros(DYNAMICS, dtype=np.int64)

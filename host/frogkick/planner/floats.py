@@ -6,9 +6,8 @@ numba would turn ``int * float32`` into float64, so every constant is a float32.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
-from frogkick.core.compiled import KEPT
+from frogkick.core.compiled import BARE, kept
 
 ANGLE_MAX_RAD = np.float32(2100)
 
@@ -33,7 +32,7 @@ _C1 = np.float32(-0.00138873595)
 _C2 = np.float32(2.44375333e-05)
 
 
-@njit(**KEPT)
+@kept(**BARE)
 def wrap_angle(angle: np.float32) -> np.float32:
     """Wrap an angle to (-pi, pi]; NaN beyond +-2100 rad."""
     if not (abs(angle) <= ANGLE_MAX_RAD):
@@ -49,7 +48,7 @@ def wrap_angle(angle: np.float32) -> np.float32:
     return min(wrapped, _PI)
 
 
-@njit(**KEPT)
+@kept(**BARE)
 def sincos(angle: np.float32) -> tuple[np.float32, np.float32]:
     """Return (sine, cosine) of an angle in rad; NaN beyond +-2100 rad."""
     if not (abs(angle) <= ANGLE_MAX_RAD):

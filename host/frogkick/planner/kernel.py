@@ -33,7 +33,7 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
-from frogkick.core.compiled import ALLOCATING, BARE, INNER, stamp_of
+from frogkick.core.compiled import ALLOCATING, BARE, INNER, kept, stamp_of
 from frogkick.core.weights import WEIGHTS
 from frogkick.planner import route
 from frogkick.planner.floats import sincos, wrap_angle
@@ -411,7 +411,7 @@ def plan_one(
 
 
 def _compiled(stamp: int) -> Any:
-    @njit(cache=True)
+    @kept()
     def plan_many(table, path, settings, depths, states, limb_use, along, numbers, values):  # type: ignore[no-untyped-def]
         for k in range(len(states)):
             plan_one(

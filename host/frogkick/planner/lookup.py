@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
-from frogkick.core.compiled import INNER, KEPT
+from frogkick.core.compiled import BARE, INNER, kept
 from frogkick.tables.image import Tables
 from frogkick.tables.layout import LIMBS_MAX, VELOCITY_CODE_MAX
 
@@ -74,7 +74,7 @@ def arrays_of(tables: Tables) -> TableArrays:
     )
 
 
-@njit(**KEPT)
+@kept(**BARE)
 def velocity_code(velocity: np.float32, codes_per_velocity: np.float32) -> Any:
     """Return a velocity as a code, rounded half away from zero, clamped to +-16383."""
     code = velocity * codes_per_velocity
@@ -107,7 +107,7 @@ def action_count(table: TableArrays) -> int:
     return int(table.transitions.shape[1])
 
 
-@njit(**KEPT)
+@kept(**BARE)
 def find_row(table: TableArrays, dynamics: Array) -> int:
     """The row that a state with these dynamics is looked up in: the nearest to its velocity, clamped."""
     code_0 = min(max(dynamics[0], table.least[0]), table.most[0])
@@ -139,7 +139,7 @@ def _value(table: TableArrays, row: int, dynamics: Array, action: int, value: in
     return -limit if code < -limit else code
 
 
-@njit(**KEPT)
+@kept(**BARE)
 def motion_of(table: TableArrays, row: int, dynamics: Array, action: int, motion: Array) -> None:
     """Write the motion (3,) float32 m, m, rad over one period, in the body frame at its start."""
     for axis in range(3):
@@ -147,7 +147,7 @@ def motion_of(table: TableArrays, row: int, dynamics: Array, action: int, motion
         motion[axis] = np.float32(code) * table.motion_scale[axis]
 
 
-@njit(**KEPT)
+@kept(**BARE)
 def limb_use_after(table: TableArrays, use: Array, action: int, after: Array) -> None:
     """Write how much each limb was used lately, (LIMBS_MAX,), after an action: 0 for limbs not there."""
     after[:] = 0
@@ -156,7 +156,7 @@ def limb_use_after(table: TableArrays, use: Array, action: int, after: Array) ->
         after[limb] = min(left + table.fires[action, limb] * table.use[1], 32767)
 
 
-@njit(**KEPT)
+@kept(**BARE)
 def dynamics_after(table: TableArrays, row: int, dynamics: Array, action: int, after: Array) -> None:
     """Write the dynamics (DYNAMICS,) at the period's end."""
     for axis in range(3):

@@ -17,9 +17,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 from matplotlib.figure import Figure
-from numba import njit
 
-from frogkick.core.compiled import stamp_of
+from frogkick.core.compiled import kept, stamp_of
 from frogkick.core.errors import InputError
 from frogkick.core.poses import world_from_body
 from frogkick.core.progress import shown
@@ -194,7 +193,7 @@ def _traced(levels: Sequence[_Plans], plans: _Plans, at: int) -> tuple[int, ...]
 
 
 def _compiled(stamp: int) -> Any:
-    @njit(cache=True)
+    @kept()
     def expand(table, poses, states, at, places_m, pose, dynamics, place, distance_m):  # type: ignore[no-untyped-def]
         motion = np.zeros(3, dtype=np.float32)
         actions = table.transitions.shape[1]

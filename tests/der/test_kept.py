@@ -1,0 +1,47 @@
+"""What numba keeps of an earlier frogkick, whose modules had other names, is compiled anew."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+MAIN = """
+from frogkick.core.compiled import kept
+from pack.{module} import Pair
+
+@{decorator}
+def total(pair):
+    return pair.one + pair.two
+
+print(total(Pair(1.0, 2.0)))
+"""
+
+
+@pytest.mark.parametrize(
+    ("decorator", "returncode"), [("kept()", 0), ("__import__('numba').njit(cache=True)", 1)]
+)
+def test_types_that_have_moved(tmp_path: Path, decorator: str, returncode: int) -> None:
+    """The second case shows what numba does by itself: this test goes with it."""
+    folder = tmp_path / "pack"
+    folder.mkdir()
+    (folder / "__init__.py").write_text("")
+    environment = {**os.environ, "PYTHONPATH": str(tmp_path), "NUMBA_CACHE_DIR": str(tmp_path / "kept")}
+    for module, expected in (("before", 0), ("after", returncode)):
+        for old in folder.glob("*.py"):
+            if old.stem in ("before", "after"):
+                old.unlink()
+        (folder / f"{module}.py").write_text(
+            "from typing import NamedTuple\nclass Pair(NamedTuple):\n    one: float\n    two: float\n"
+        )
+        (folder / "main.py").write_text(MAIN.format(module=module, decorator=decorator))
+        done = subprocess.run(
+            [sys.executable, "-B", "-m", "pack.main"],
+            env=environment, cwd=tmp_path, capture_output=True, text=True, check=False,
+        )  # fmt: skip
+        assert done.returncode == expected, done.stderr
+        if not expected:
+            assert done.stdout.strip() == "3.0"

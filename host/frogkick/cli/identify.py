@@ -78,12 +78,21 @@ def command(
             "their list of effects at nominal values."
         ),
     ] = True,
+    laws: Annotated[
+        bool,
+        typer.Option(
+            help="Where the catalogue leaves more than noise, search formulas as well: springs, sloshing, "
+            "limbs that break or hang on the heading. Takes minutes more."
+        ),
+    ] = False,
     json: JsonOption = False,
 ) -> None:
     """Trace what a robot's model lacks to physical effects. Exit 0 whatever the verdict."""
     for target in (out, predictions, report):
         require_writable(target)
-    found = fk.identify(train, test=test, robot=robot, effects=effects, measured=measured, progress=True)
+    found = fk.identify(
+        train, test=test, robot=robot, effects=effects, measured=measured, laws=laws, progress=True
+    )
     say_left_out(found.outcome.left_out)
     found.robot.save(out)
     if predictions is not None:

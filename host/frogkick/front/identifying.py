@@ -60,7 +60,8 @@ class Identification:
 
     @property
     def verdict(self) -> str:
-        """``nothing missing``, ``found``, ``partly explained``, ``unexplained`` or ``not enough data``."""
+        """``nothing missing``, ``found``, ``found: law``, ``partly explained``, ``unexplained`` or
+        ``not enough data``."""
         return self.outcome.verdict
 
     @cached_property
@@ -70,7 +71,7 @@ class Identification:
         return tuple(
             FoundEffect(
                 term.name,
-                {key: value for key, value in term.table if key not in ("name", "class")},
+                term.options,
                 {each.name: each for each in row},
                 tuple(found.confounded_with[index]),
                 found.stability[index],
@@ -158,6 +159,7 @@ def identify(
     robot: Robot | str | None = None,
     effects: Path | str | None = None,
     measured: bool = True,
+    laws: bool = False,
     progress: bool = False,
 ) -> Identification:
     """Trace what a robot's model lacks to physical effects, and predict other runs with and without them.
@@ -168,6 +170,8 @@ def identify(
         robot: the nominal one, or its name or TOML file; None: the runs' own.
         effects: a Python file of effects of your own, tried as well.
         measured: fits of many effects may start from the values of built-in robots that were measured before.
+        laws: where the catalogue leaves more than noise, search formulas as well (minutes more). What was
+            found has ``options["law"]`` then, and the verdict may be ``found: law``.
         progress: True for bars on stderr.
 
     Raises:
@@ -184,9 +188,9 @@ def identify(
     train, kept = ([segments_of_given(each, described) for each in some] for some in (runs, test))
     own = None if effects is None else Path(effects)
     if not progress:
-        return Identification(find(train, kept, described, own, measured=measured))
+        return Identification(find(train, kept, described, own, measured=measured, laws=laws))
     with steps(progress_bar) as tell:
-        found = find(train, kept, described, own, tell, measured)
+        found = find(train, kept, described, own, tell, measured, laws)
     with progress_bar("several periods ahead, what to record next") as last:
         _ = found.horizons, found.experiment
         last(1, 1)

@@ -17,10 +17,12 @@ from frogkick.identification.calibrated import (
     refitted,
 )
 from frogkick.identification.fit import derivatives, fit
+from frogkick.identification.laws import screened
 from frogkick.identification.penalty import PARAMETER_PENALTY
+from frogkick.identification.screening import sensitivities
 from frogkick.identification.search import Baseline, Found, folds_of, nominal_fit, search
 from frogkick.identification.segments import Segments, part_of
-from frogkick.identification.terms import Term
+from frogkick.identification.terms import Term, catalogue
 from frogkick.identification.verdict import FOUND, NOTHING, Scored, scored, verdict_of
 from frogkick.robot import Robot
 
@@ -82,6 +84,30 @@ def found_in(
     dear = PARAMETER_PENALTY * (len(model.values) - len(model.fixed))
     searched = best_end_deviance(found.fitted, train)
     return relative if end_deviance(relative.fitted.rollouts, train) + dear < searched else found
+
+
+def discovered(found: Found, train: Sequence[Segments], robot: Robot, progress: Progress) -> Found:
+    """Search laws as well as the catalogue, where the catalogue leaves more than noise.
+
+    The result with laws is taken where its deviance at the ends of periods is less, penalised by its number
+    of free parameters.
+    """
+    if _verdict(found, train) in (FOUND, NOTHING):
+        return found
+    nominal, rows = found.nominal, found.rows
+    laws, every = screened(nominal, train, rows, robot, progress)
+    known = found.sensitivities
+    if not known:
+        known = sensitivities(nominal.model, catalogue(robot), train, rows, lambda _done, _whole: None)
+    candidates = [column.term for column in (*known, *laws)]
+    baseline = nominal.model, rows, nominal
+    other = search(train, robot, candidates, progress, baseline, columns=[*known, *laws], screened=every)
+    deviances = [
+        end_deviance(each.fitted.rollouts, train)
+        + PARAMETER_PENALTY * (len(each.fitted.model.values) - len(each.fitted.model.fixed))
+        for each in (found, other)
+    ]
+    return other if deviances[1] < deviances[0] else found
 
 
 def _relative(

@@ -17,7 +17,7 @@ import numpy as np
 from frogkick.core.errors import InputError
 from frogkick.core.files import write_text
 from frogkick.core.poses import PredictionError, wrap_angle
-from frogkick.identification.choice import Progress, found_in, pruned
+from frogkick.identification.choice import Progress, discovered, found_in, pruned
 from frogkick.identification.diagnostics import residual_diagnostics
 from frogkick.identification.drift import Drift, drift_of
 from frogkick.identification.experiment import Experiment, experiment_of
@@ -30,6 +30,7 @@ from frogkick.identification.segments import Segments, reliable
 from frogkick.identification.terms import Term, catalogue
 from frogkick.identification.verdict import (
     FOUND,
+    FOUND_LAW,
     PARTLY,
     TOO_LITTLE,
     Interval,
@@ -123,7 +124,7 @@ class Outcome:
     @cached_property
     def experiment(self) -> Experiment | None:
         """What to record to discriminate models that are still confounded; None where none are."""
-        if self.found is None or self.verdict not in (FOUND, PARTLY):
+        if self.found is None or self.verdict not in (FOUND, FOUND_LAW, PARTLY):
             return None
         return experiment_of(self.found, self.parameters, self.train)
 
@@ -135,7 +136,7 @@ class Outcome:
             effects.append(
                 {
                     "name": term.name,
-                    **{key: value for key, value in term.table if key not in ("name", "class")},
+                    **term.options,
                     "parameters": {
                         each.name: {
                             "value": each.value,
@@ -186,6 +187,7 @@ def identify(
     own: Path | None = None,
     progress: Progress = lambda _what, _done, _whole: None,
     measured: bool = True,
+    laws: bool = False,
 ) -> Outcome:
     """Find the effects that a robot's model lacks from some runs, and predict others with and without them.
 
@@ -196,6 +198,8 @@ def identify(
         progress: called with a stage, steps done and to do.
         measured: a fit may start from the values of calibrated built-in robots; without, only from their
             choice of effects, at nominal values. See frogkick.identification.calibrated.
+        laws: search formulas as well where the catalogue leaves more than noise. See
+            frogkick.identification.laws.
 
     Raises:
         InputError: the user's effects cannot be used, no period of the runs can be judged, no test run has
@@ -212,7 +216,10 @@ def identify(
     reason = too_little(train)
     if reason:
         return replace(_only_predicted(train, test, robot, reason), left_out=left_out)
-    found = pruned(found_in(train, robot, candidates, progress, measured), train, progress)
+    found = found_in(train, robot, candidates, progress, measured)
+    if laws:
+        found = discovered(found, train, robot, progress)
+    found = pruned(found, train, progress)
     trained = scored(found, train, train, found.nominal.rollouts, found.fitted.rollouts)
     nominal_rollouts, rollouts = rollouts_of([found.nominal.model, found.fitted.model], test)
     tested = scored(found, train, test, nominal_rollouts, rollouts)

@@ -161,6 +161,8 @@ def search(
     progress: Callable[[str, int, int], None] = lambda _what, _done, _whole: None,
     baseline: Baseline | None = None,
     most: int = MOST,
+    columns: Sequence[Column] | None = None,
+    screened: Sequence[FloatArray] = (),
 ) -> Found:
     """Find the effects that a robot's model lacks.
 
@@ -170,14 +172,18 @@ def search(
         candidates: the catalogue.
         progress: called with each stage, steps done and to do.
         baseline: ``nominal_fit`` of these runs, where it is known.
+        columns: sensitivities of the candidates, where they are known.
+        screened: (n, 9, p) sensitivities of everything that the candidates were picked from.
         most: effects at most; a search for fewer than MOST also ends when the first leaves most of the error.
 
     Raises:
         InputError: no period can be used.
     """
     model, rows, nominal = baseline or nominal_fit(swims, robot)
-    columns = sensitivities(model, candidates, swims, rows, lambda d, n: progress("candidates", d, n))
-    selection = _ForwardSelection(swims, rows, folds_of(swims, rows), columns, replicate_count(swims))
+    if columns is None:
+        columns = sensitivities(model, candidates, swims, rows, lambda d, n: progress("candidates", d, n))
+    folds, replicates = folds_of(swims, rows), replicate_count(swims)
+    selection = _ForwardSelection(swims, rows, folds, columns, replicates, screened)
     refiner = Refiner(swims, rows, selection.replicate_count)
     current, iterations = nominal, list[list[CandidateScore]]()
     confounded, runners_up, single_effect_fits = list[list[Term]](), list[list[Fitted]](), list[Fitted]()
@@ -203,7 +209,7 @@ def search(
     (current,) = refresh_jacobian([current], swims, rows)  # fixed parameters have an interval as well
     progress("effects", most, most)
     confounded_with = [[term.title for term in others] for others in confounded]
-    return Found(nominal, current, iterations, rows, confounded_with, columns, confounded)
+    return Found(nominal, current, iterations, rows, confounded_with, list(columns), confounded)
 
 
 def _left(nominal: Fitted, fitted: Fitted) -> float:
@@ -238,6 +244,8 @@ class _ForwardSelection:
     columns: Sequence[Column]
     replicate_count: int
     """Runs that are replicates with the same noise: their gain counts once."""
+    screened: Sequence[FloatArray] = ()
+    """Sensitivities that the candidates were picked from: they count in what the best gains by chance."""
 
     def iterate(
         self, current: Fitted
@@ -297,7 +305,7 @@ class _ForwardSelection:
     def chance_gain(self, current: Fitted) -> float:
         """What the best candidate would gain by chance, if none were true."""
         runs = np.repeat(np.arange(len(self.swims)), [len(swim.start_s) for swim in self.swims])[self.rows]
-        candidates = [column.jacobian for column in self.columns]
+        candidates = [*(column.jacobian for column in self.columns), *self.screened]
         return gain_by_chance(current.residuals, current.jacobian, candidates, runs, PARAMETER_PENALTY)
 
     def simplest_of(self, taken: Fitted, rivals: Sequence[Fitted]) -> tuple[Fitted, list[Term]]:

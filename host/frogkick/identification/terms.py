@@ -39,6 +39,8 @@ class Term:
     def title(self) -> str:
         """Its name with its options: ``limb_wear rear_left``."""
         keys = dict(self.table)
+        if keys.get("name") == "law":
+            return " ".join(str(keys[key]) for key in ("title", "limb") if key in keys)
         name = keys.pop("name", None) or keys.get("class")
         keys.pop("file", None), keys.pop("class", None)
         return " ".join([str(name), *(str(value) for value in keys.values())])
@@ -48,6 +50,15 @@ class Term:
         """Name of the effect, without options."""
         keys = dict(self.table)
         return str(keys.get("name") or keys.get("class"))
+
+    @property
+    def options(self) -> dict[str, Any]:
+        """What it acts on, as ``{"limb": "rear_left"}``; of a law its formulas as well, under ``law``."""
+        if self.name != "law":
+            return {key: value for key, value in self.table if key not in ("name", "class")}
+        keys = {key: value for key, value in self.table if key not in ("name", "title", "limb", "parameters")}
+        limb = {key: value for key, value in self.table if key == "limb"}
+        return {"title": self.title, **limb, "law": keys}
 
     def effect(self) -> Effect:
         """The effect itself."""

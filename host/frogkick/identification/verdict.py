@@ -33,6 +33,7 @@ from frogkick.identification.steps import log_density, scale_of
 FloatArray = NDArray[np.float64]
 
 NOTHING, FOUND, PARTLY = "nothing missing", "found", "partly explained"
+FOUND_LAW = "found: law"
 UNEXPLAINED, TOO_LITTLE = "unexplained", "not enough data"
 
 NEAR_FLOOR = 1.35
@@ -390,11 +391,14 @@ def verdict_of(found: Found, trained: Scored, tested: Scored) -> str:
 
     ``found``: the interval of the log score gain is above zero on the held-out runs, and the remaining error
     is noise there and on the training runs. ``partly explained``: the same gain, but more than noise remains.
-    ``nothing missing``: no effects, and no more than noise. ``unexplained``: else.
+    ``found: law``: as ``found``, with a formula that is not in the catalogue. ``nothing missing``: no
+    effects, and no more than noise. ``unexplained``: else.
     """
     quiet = trained.quiet and tested.quiet
     if not found.fitted.model.terms:
         return NOTHING if quiet else UNEXPLAINED
     if not tested.helped:
         return UNEXPLAINED
-    return FOUND if quiet else PARTLY
+    if not quiet:
+        return PARTLY
+    return FOUND_LAW if any(term.name == "law" for term in found.fitted.model.terms) else FOUND

@@ -14,7 +14,7 @@ from frogkick.identification.penalty import EFFECT_PENALTY, PARAMETER_PENALTY
 from frogkick.identification.refine import RELEASE_PENALTY
 from frogkick.identification.search import DECISIVE_GAIN, HELD_OUT_GAIN_MIN
 from frogkick.identification.segments import Segments
-from frogkick.identification.verdict import FOUND, NEAR_FLOOR, NOTHING, PARTLY, UNEXPLAINED, Gain
+from frogkick.identification.verdict import FOUND, FOUND_LAW, NEAR_FLOOR, NOTHING, PARTLY, UNEXPLAINED, Gain
 from frogkick.report.identify_figures import (
     cause_figure,
     error_figure,
@@ -33,6 +33,7 @@ MIMICS_MOST = 8
 
 MEANS = {
     NOTHING: "the nominal model predicts these runs as well as their fixes allow",
+    FOUND_LAW: "with the formula below, predictions are as good as the fixes allow",
     FOUND: "with the effects below, predictions are as good as the fixes allow",
     PARTLY: "the effects below make runs likelier that were kept out, and more than noise is left",
     UNEXPLAINED: "something is missing that the effects tried do not explain",

@@ -1,0 +1,156 @@
+"""Laws that the catalogue does not have are screened by what runs answer, and named by the right kind."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from made import make_swim, robot
+from tests.conftest import LEVEL, count
+
+from frogkick.effects.registry import make_effects
+from frogkick.identification.law_kinds import kinds_of
+from frogkick.identification.laws import answers_of, screened
+from frogkick.identification.outcome import found_toml, identify
+from frogkick.identification.search import nominal_fit
+from frogkick.identification.verdict import FOUND_LAW
+from frogkick.robot.load import parse_robot
+
+OWN = """
+import math
+
+
+class Cable:
+    def __init__(self, stiffness, x, y, slack):
+        self.stiffness, self.x, self.y, self.slack = stiffness, x, y, slack
+
+    def wrench(self, time_s, body):
+        px, py, heading = body.pose_world
+        dx, dy = px - self.x, py - self.y
+        away = math.hypot(dx, dy)
+        pull = -self.stiffness * max(0.0, away - self.slack) / max(away, 1e-9)
+        c, s = math.cos(heading), math.sin(heading)
+        return pull * (c * dx + s * dy), pull * (c * dy - s * dx), 0.0
+
+
+class Sloshing:
+    def __init__(self, speed, cycle, way):
+        self.speed, self.cycle, self.way = speed, cycle, way
+
+    def flow(self, time_s, position_world_m):
+        speed = self.speed * math.sin(math.tau * time_s / self.cycle + 1.0)
+        return speed * math.cos(self.way), speed * math.sin(self.way)
+
+
+class Breaks:
+    def __init__(self, limb, at, gain):
+        self.limb, self.at, self.gain = limb, at, gain
+
+    def stroke(self, stroke, history, rng):
+        if stroke.limb == self.limb and stroke.time_s > self.at:
+            stroke.gain *= self.gain
+
+
+class ByHeading:
+    def __init__(self, depth):
+        self.depth, self.heading = depth, 0.0
+
+    def wrench(self, time_s, body):
+        self.heading = body.pose_world[2]
+        return 0.0, 0.0, 0.0
+
+    def stroke(self, stroke, history, rng):
+        stroke.gain *= 1.0 - self.depth * 0.5 * (1.0 + math.cos(self.heading - 0.7))
+"""
+
+WORLDS: list[tuple[str, dict[str, Any]]] = [
+    ("spring", {"class": "Cable", "stiffness": 0.1, "x": 0.1, "y": 0.2, "slack": 0.15}),
+    ("sloshing", {"class": "Sloshing", "speed": 0.012, "cycle": 7.3, "way": 0.6}),
+    ("stroke from a moment on rear_left", {"class": "Breaks", "limb": "rear_left", "at": 12.0, "gain": 0.3}),
+    ("stroke by heading all", {"class": "ByHeading", "depth": 0.5}),
+]
+PERIODS = 18
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    place = tmp_path_factory.mktemp("laws")
+    (place / "own.py").write_text(OWN)
+    return place
+
+
+def planted(folder: Path, table: dict[str, Any]) -> list[dict[str, Any]]:
+    return [{"file": str(folder / "own.py"), **table}]
+
+
+@pytest.mark.parametrize(("title", "table"), WORLDS, ids=["spring", "sloshing", "breaks", "heading"])
+def test_the_right_kind_promises_most(folder: Path, title: str, table: dict[str, Any]) -> None:
+    swims = [make_swim(planted(folder, table), seed, PERIODS) for seed in (1, 2, 3)]
+    _, rows, nominal = nominal_fit(swims, robot())
+    columns, every = screened(nominal, swims, rows, robot())
+    assert columns[0].term.title == title, [column.term.title for column in columns[:4]]
+    assert len(every) > 300
+    values = dict(zip((p.name for p in columns[0].term.parameters), columns[0].term.values, strict=True))
+    if "cycle" in values:
+        assert values["cycle"] == pytest.approx(7.3, abs=0.5)
+    if "at" in values:
+        assert values["at"] == pytest.approx(12.0, abs=3.0)
+
+
+def test_answers_add_up_to_what_a_simulation_says(folder: Path) -> None:
+    """A steady push, by pulses in thirds of periods; a worn limb, by one that is worn more."""
+    from frogkick.identification.fit import Model, residuals_of, rollouts_of
+    from frogkick.identification.terms import catalogue
+
+    swims = [make_swim([], seed, 12) for seed in (1, 2)]
+    model, rows, nominal = nominal_fit(swims, robot())
+    answers = answers_of(model, swims, rows)
+    terms = {term.title: term for term in catalogue(robot())}
+    push = terms["steady_wrench"].at([1e-3, 0.0, 0.0])
+    weak = terms["limb_wear rear_left"].at([0.9, 0.0, 1.0])
+    limb = [each.name for each in robot().limbs].index("rear_left")
+    for term, told in (
+        (push, 1e-3 * answers.wrench[:, :, :, 0].sum(axis=2)),
+        (weak, -0.1 * answers.gain[:, :, limb]),
+    ):
+        moved = Model(robot(), (term,), model.noise)
+        true = residuals_of(rollouts_of([moved], swims)[0], rows) - nominal.residuals
+        assert np.linalg.norm(told - true) < 0.25 * np.linalg.norm(true), term.title
+
+
+def test_every_kind_is_a_law_that_a_robot_s_file_can_have() -> None:
+    swims = [make_swim([], 1, 8)]
+    kinds = kinds_of(robot(), swims)
+    assert len({(kind.title, kind.table.get("limb")) for kind in kinds}) == len(kinds) > 40
+    for kind in kinds:
+        term = kind.term(kind.grid[0])
+        term.effect().check(robot())
+        assert all(p.unit and p.low < p.high for p in term.parameters)
+        strengths = [p for p in term.parameters if p.name in kind.strengths]
+        assert all(
+            value == 0.0 for p, value in zip(term.parameters, term.values, strict=True) if p in strengths
+        )
+
+
+@pytest.mark.skipif(LEVEL == "quick", reason="a whole search takes a minute: FK_LEVEL=ci")
+def test_a_cable_is_found_and_swims_from_the_file_that_is_written(folder: Path) -> None:
+    table = planted(folder, WORLDS[0][1])
+    swims = [make_swim(table, seed, count(20, 30)) for seed in (1, 2, 3, 4)]
+    outcome = identify(swims[:3], swims[3:], robot(), laws=True)
+    assert outcome.verdict == FOUND_LAW
+    (effect,) = outcome.as_json()["effects"]
+    assert effect["title"] == "spring" and effect["law"]["on"] == "wrench" and "hypot" in effect["law"]["x_n"]
+    given = {"stiffness": 0.1, "at_x": 0.1, "at_y": 0.2, "slack": 0.15}
+    for name, value in given.items():
+        assert effect["parameters"][name]["value"] == pytest.approx(value, abs=0.03), effect
+    assert outcome.tested.after.position_rmse_m < 0.3 * outcome.tested.before.position_rmse_m
+    again = parse_robot(found_toml(outcome), "found")
+    assert values_of(again.effects) == pytest.approx(values_of([outcome.terms[0].effect().table]))  # type: ignore[attr-defined]
+
+
+def values_of(tables: Sequence[Any]) -> list[float]:
+    (law,) = make_effects(tables, Path())
+    return [law.value(p.name) for p in law.parameters]

@@ -309,7 +309,7 @@ def test_a_run_that_gets_nowhere_says_so(here: Path, capsys: Capture) -> None:
         "--tables", rig.small_table(), "--simulated-time", "17", "--out", "run.h5", "--json",
     )  # fmt: skip
     assert done.code == 1 and done.json["decisions"] >= 10
-    assert "no farther along the path" in done.stderr.splitlines()[-1]
+    assert "no progress along the path" in done.stderr.splitlines()[-1]
     assert Path("run.h5").is_file(), "its log is kept all the same"
 
 

@@ -128,7 +128,7 @@ def test_the_ring_closes(
     monkeypatch.setattr(ring_page, "write_ring_report", lambda *_: None)
     assert run_command(["demo", "--out", str(tmp_path)]) == 0
     said = capsys.readouterr().out
-    assert f"hidden: limb_wear, {planted['limb']}" in said and "mm with the new" in said
+    assert f"hidden effect: limb_wear, {planted['limb']}" in said and "mm with the new" in said
 
 
 def test_what_wears_goes_by_the_seed() -> None:

@@ -1,4 +1,4 @@
-"""All commands in one place: what each is for, and the module that is loaded when it is called."""
+"""The list of all commands: the purpose of each, and the module that is loaded when it is called."""
 
 from __future__ import annotations
 
@@ -13,24 +13,24 @@ import frogkick
 from frogkick.core.interrupts import ctrl_c_waits
 
 LOG_COMMANDS = {
-    "show": ("log", "A run in numbers and in one picture."),
-    "compare": ("log", "Two runs side by side."),
-    "fetch": ("chip_log", "Get from a robot what it wrote down."),
-    "replay": ("chip_log", "Decide again, from a fetched log, what the robot decided."),
+    "show": ("log", "Show a run in numbers and in one picture."),
+    "compare": ("log", "Compare two runs side by side."),
+    "fetch": ("chip_log", "Fetch the log that a robot keeps in its RAM."),
+    "replay": ("chip_log", "Repeat the decisions of a fetched log and compare them."),
 }
 STUDY_COMMANDS = {
-    "tables": ("study", "Error of tables of both kinds against their size."),
-    "history": ("study", "Error of tables with and without limb use as an input."),
-    "estimator": ("study", "States from late, lost, doubled and wrong fixes."),
-    "loop": ("study", "Distance and progress: the paper's planner and the robot's."),
-    "twin": ("study", "The paper's planner and the robot's, in a worn twin's pool."),
-    "ceiling": ("study", "One planner told by tables, by rods, by the pool itself."),
-    "foresight": ("study", "How near to a path any plan could stay, and how fast."),
-    "verdicts": ("study", "Plant effects in pools, identify them from the logs."),
-    "openloop": ("study", "Fit effects to some measured swims, predict the others."),
-    "heldout": ("study", "Predict each run with what all other runs show."),
-    "convergence": ("study", "Error of the rods against their time step."),
-    "chip": ("study", "How long the chip plans, in cycles of the image."),
+    "tables": ("study", "Compare the error of both kinds of table with their size."),
+    "history": ("study", "Measure what limb use as an input does for a table's error."),
+    "estimator": ("study", "Estimate states from late, lost, doubled and wrong fixes."),
+    "loop": ("study", "Compare the paper's planner with the robot's in the pool."),
+    "twin": ("study", "Compare both planners on the twin of a worn robot."),
+    "ceiling": ("study", "Compare one planner with tables, rods or the pool as model."),
+    "foresight": ("study", "Compute the offline bound: how near a path any plan stays."),
+    "verdicts": ("study", "Put synthetic effects in pools and identify them from logs."),
+    "openloop": ("study", "Fit effects to some measured swims and predict the others."),
+    "heldout": ("study", "Cross-validate: predict each run from all other runs."),
+    "convergence": ("study", "Measure the error of the rods against their time step."),
+    "chip": ("study", "Measure how many cycles a decision takes on the chip."),
 }
 START, MAKE, RUN, LEARN, RESEARCH = "Start", "Make", "Run", "Learn", "Research"
 SECTIONS = {
@@ -40,46 +40,46 @@ SECTIONS = {
     "import": LEARN, "replay": LEARN, "identify": LEARN, "retune": LEARN,
     "parity": RESEARCH, "validate": RESEARCH, "sweep": RESEARCH, "study": RESEARCH,
 }  # fmt: skip
-"""Command -> where the help lists it, in this order."""
+"""The section of the help that lists each command, in this order."""
 COMMANDS = {
-    "demo": ("demo", "The whole ring once, on the virtual chip, and its report."),
-    "doctor": ("doctor", "What this machine has, and what to install for more."),
+    "demo": ("demo", "Run the whole loop once on the virtual chip and write a report."),
+    "doctor": ("doctor", "Show what this machine has, and what to install for more."),
     "simulate": ("simulate", "Simulate a gait, or a sequence of actions."),
     "sweep": ("sweep", "Simulate every EGaIn fraction, frequency and phase."),
     "validate": ("validate", "Compare the model with simulated and measured swims."),
-    "codegen": ("codegen", "Emit a table and the planner as C99."),
-    "run": ("run", "Follow a path: position fixes in, strokes out."),
-    "replay": ("replay", "Plan a run's states again and compare each decision."),
-    "parity": ("parity", "Decide in every place and count differing bits."),
-    "import": ("importing", "Read recorded runs, repair or mark what is wrong."),
-    "identify": ("identify", "Trace what a robot's model lacks to physical effects."),
-    "retune": ("retune", "Make a worn robot new tables."),
-    "scan": ("push", "Robots in range by Bluetooth: signal, table, state."),
-    "push": ("push", "Give a robot another table, by radio or line."),
-    "own": ("push", "Let a robot take commands from its owner alone."),
-    "export": ("log", "Write a run as CSV or as MCAP."),
-    "robot": ("robot", "Which robots there are, what one looks like, and a file for a new one."),
-    "camera": ("camera", "Calibrate the camera over the pool, check it, track the tag, print it."),
-    "log": (LOG_COMMANDS, "Look at runs; fetch what a robot wrote down."),
+    "codegen": ("codegen", "Generate C99 from a table and the planner."),
+    "run": ("run", "Follow a path in closed loop, from position fixes to strokes."),
+    "replay": ("replay", "Replay a run's fixes and compare each decision."),
+    "parity": ("parity", "Check that Python, native C and the chip decide the same bits."),
+    "import": ("importing", "Import recorded runs and repair or mark their faults."),
+    "identify": ("identify", "Identify the physical effects that a robot's model lacks."),
+    "retune": ("retune", "Make new tables for a worn robot."),
+    "scan": ("push", "List the robots in Bluetooth range: signal, table and state."),
+    "push": ("push", "Send a robot another table by Bluetooth or serial line."),
+    "own": ("push", "Restrict a robot to the commands of its owner."),
+    "export": ("log", "Export a run as CSV or as MCAP."),
+    "robot": ("robot", "List and show robots, and write the file of a new one."),
+    "camera": ("camera", "Calibrate and check the camera, and track or print the tag."),
+    "log": (LOG_COMMANDS, "Show and compare runs, and fetch a robot's own log."),
     "library": ("library", "Simulate transitions for many initial velocities."),
-    "tables": ("tables", "Make of a library the robot's table image."),
-    "firmware": ("firmware", "Build, measure, flash and test the robot's image."),
-    "study": (STUDY_COMMANDS, "Questions about the method, answered with figures."),
+    "tables": ("tables", "Make the robot's table image from a library."),
+    "firmware": ("firmware", "Build, measure, flash and test the robot's firmware."),
+    "study": (STUDY_COMMANDS, "Run a study of the method and draw its figure."),
 }
-"""Name -> (module of this package, or a group's own commands; one line of help)."""
+"""For each name: its module of this package (or a group's own commands), and one line of help."""
 
 
 class LazyGroup(TyperGroup):
-    """Commands of which one is loaded when it is called: ``--help`` and a typo wait for none of them."""
+    """A group that loads a command only when it is called, so that ``--help`` and a typo load nothing."""
 
     table: ClassVar[dict[str, Any]] = {}
 
     def __init__(self, **settings: Any) -> None:
         super().__init__(**settings)
-        self.commands: Any = dict.fromkeys(self.table)  # their names: what a typo may have meant
+        self.commands: Any = dict.fromkeys(self.table)  # the names that a typo is compared with
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
-        """Load a command, None where there is none of that name."""
+        """Load a command and return it, or None if no command has that name."""
         if cmd_name not in self.table:
             return None
         place, text = self.table[cmd_name]
@@ -96,7 +96,7 @@ class LazyGroup(TyperGroup):
         return typer.main.get_group(parent).commands[cmd_name]
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
-        """Write names and lines of help, from the table; those of the root by what they are for."""
+        """Write the names and the lines of help from the table; the root's are grouped by section."""
         places = {name: SECTIONS[name] if self.table is COMMANDS else "Commands" for name in self.table}
         names = list(SECTIONS) if self.table is COMMANDS else list(self.table)
         for section in dict.fromkeys(places[name] for name in names):
@@ -120,12 +120,12 @@ def _group(name: str, text: str, table: dict[str, Any]) -> typer.Typer:
 
 app = _group(
     "frogkick",
-    "Plan for small robots that move by strokes: simulate, tabulate, emit C, flash, run, replay.",
+    "Simulate, plan for, flash, run and identify small robots that swim by strokes.",
     COMMANDS,
 )
 
 
-def _tell_version(asked: bool) -> None:
+def _print_version(asked: bool) -> None:
     if asked:
         print(f"frogkick {frogkick.__version__}")
         raise typer.Exit
@@ -135,7 +135,7 @@ def _tell_version(asked: bool) -> None:
 def _root(
     _version: Annotated[
         bool,
-        typer.Option("--version", help="Print the version and exit.", is_eager=True, callback=_tell_version),
+        typer.Option("--version", help="Print the version and exit.", is_eager=True, callback=_print_version),
     ] = False,
 ) -> None:
     return None

@@ -1,4 +1,4 @@
-"""``frogkick camera``: calibrate the camera over the pool, check it, track the tag, print it."""
+"""``frogkick camera``: calibrate and check the camera over the pool, and track or print the tag."""
 
 from __future__ import annotations
 
@@ -16,14 +16,17 @@ from frogkick.core.files import require_writable, write_text
 
 app = typer.Typer(
     cls=WholeLines,
-    help="Calibrate the camera over the pool, check how far off it is, track the tag, print it.",
+    help="Calibrate and check the camera over the pool, and track or print the robot's tag.",
     no_args_is_help=True,
 )
 
-FamilyOption = Annotated[str, typer.Option(help="tag36h11, or tagStandard41h12 (with the extra 'apriltag').")]
+FamilyOption = Annotated[
+    str, typer.Option(help="Tag family: tag36h11, or tagStandard41h12 (needs the extra 'apriltag').")
+]
 TagIdOption = Annotated[int, typer.Option(help="Number of the tag in its family.")]
 TagSizeOption = Annotated[
-    float, typer.Option(help="Side of tag36h11's black, of tagStandard41h12's white square.")
+    float,
+    typer.Option(help="Side of the black square of tag36h11, or of the white square of tagStandard41h12."),
 ]
 
 
@@ -34,56 +37,81 @@ def _pair(text: str, option: str) -> tuple[float, float]:
             return float(parts[1]), float(parts[2])
     except ValueError:
         pass
-    raise InputError(f"{option} {text!r} is not two numbers: write as 1.2x0.9")
+    raise InputError(f"{option} {text!r} is not two numbers: write it like 1.2x0.9")
 
 
 def _whole_pair(text: str, option: str) -> tuple[int, int]:
     first, second = _pair(text, option)
     if first != int(first) or second != int(second):
-        raise InputError(f"{option} {text!r} is not two whole numbers")
+        raise InputError(f"{option} {text!r} is not two whole numbers: write it like 9x6")
     return int(first), int(second)
 
 
 @app.command()
 def calibrate(
-    pool: Annotated[str, typer.Option(help="Length x width of the pool, m.", metavar="LxW")],
-    out: Annotated[Path, typer.Option(help="Calibration to write (.toml).")],
+    pool: Annotated[str, typer.Option(help="Length and width of the pool, m.", metavar="LxW")],
+    out: Annotated[Path, typer.Option(help="Calibration file to write (.toml).")],
     corners: Annotated[
-        Path | None, typer.Option(help="Pool corners in pixels (.toml, .csv): (0,0), (L,0), (L,W), (0,W).")
+        Path | None,
+        typer.Option(
+            help="File of the pool's corners in pixels (.toml, .csv), ordered (0,0), (L,0), (L,W), (0,W)."
+        ),
     ] = None,
     corner_height_mm: Annotated[
-        float, typer.Option(help="Corners or board over the water; negative: under it.")
+        float, typer.Option(help="Height of the corners or of the board above the water; negative if below.")
     ] = 0.0,
-    image: Annotated[str | None, typer.Option(help="Size of the pictures, px.", metavar="WxH")] = None,
-    camera_height_m: Annotated[
-        float | None, typer.Option(help="Camera over the water, measured; not needed with a board.")
+    image: Annotated[
+        str | None, typer.Option(help="Size of the camera's pictures, px.", metavar="WxH")
     ] = None,
-    board: Annotated[str | None, typer.Option(help="Find the lens: chessboard or charuco.")] = None,
-    squares: Annotated[str, typer.Option(help="Squares of the board.", metavar="CxR")] = "9x6",
-    square_mm: Annotated[float, typer.Option(help="Side of a square.")] = 25.0,
+    camera_height_m: Annotated[
+        float | None,
+        typer.Option(help="Measured height of the camera above the water; not needed with a board."),
+    ] = None,
+    board: Annotated[
+        str | None, typer.Option(help="Calibrate the lens from pictures of a board: chessboard or charuco.")
+    ] = None,
+    squares: Annotated[
+        str, typer.Option(help="Number of squares of the board, columns and rows.", metavar="CxR")
+    ] = "9x6",
+    square_mm: Annotated[float, typer.Option(help="Side of a square of the board.")] = 25.0,
     pictures: Annotated[Path | None, typer.Option(help="Folder of pictures of the board.")] = None,
     plane_picture: Annotated[
-        Path | None, typer.Option(help="Instead of corners: the board laid on the water's plane.")
+        Path | None, typer.Option(help="Picture of the board lying on the water's plane; replaces --corners.")
     ] = None,
     board_at: Annotated[
         str,
-        typer.Option(help="Its first inner corner in the pool, m; its rows along the pool.", metavar="X,Y"),
+        typer.Option(
+            help="Position of the board's first inner corner in the pool, m. Its rows run along the pool.",
+            metavar="X,Y",
+        ),
     ] = "0,0",
     tag_family: FamilyOption = "tag36h11",
     tag_id: TagIdOption = 0,
     tag_size_mm: TagSizeOption = 47.0,
-    tag_height_mm: Annotated[float, typer.Option(help="Over the water; negative: under it.")] = 0.0,
-    tag_height_sd_mm: Annotated[float, typer.Option(help="By how much waves move it.")] = 0.5,
-    tag_tilt_sd_deg: Annotated[float, typer.Option(help="By how much waves and swimming tilt it.")] = 1.15,
+    tag_height_mm: Annotated[
+        float, typer.Option(help="Height of the tag above the water; negative if below.")
+    ] = 0.0,
+    tag_height_sd_mm: Annotated[
+        float, typer.Option(help="Standard deviation of the tag's height in waves.")
+    ] = 0.5,
+    tag_tilt_sd_deg: Annotated[
+        float, typer.Option(help="Standard deviation of the tag's tilt in waves and while the robot swims.")
+    ] = 1.15,
     tag_heading_deg: Annotated[
-        float, typer.Option(help="Its picture's top, counter-clockwise from the robot's forward.")
+        float,
+        typer.Option(
+            help="Direction of the tag's top edge, counter-clockwise from the robot's forward axis."
+        ),
     ] = 0.0,
     tag_at_mm: Annotated[
-        str, typer.Option(help="Its centre on the robot: forward, left.", metavar="X,Y")
+        str, typer.Option(help="Position of the tag's centre on the robot: forward, left.", metavar="X,Y")
     ] = "0,0",
     json: JsonOption = False,
 ) -> None:
-    """Calibrate from the pool's four corners or from a board laid on the water's plane; lens from a board."""
+    """Calibrate the camera from the pool's four corners, or from a board that lies on the water's plane.
+
+    With --board and --pictures the lens is calibrated as well.
+    """
     from frogkick.front.cameras import Board, Tag, calibrate_camera
 
     require_writable(out)
@@ -117,33 +145,41 @@ def _signed_pair(text: str, option: str, unit: float) -> tuple[float, float]:
     try:
         first, second = (unit * float(part) for part in text.split(","))
     except ValueError as error:
-        raise InputError(f"{option} {text!r} is not two numbers: write as 10,-5") from error
+        raise InputError(f"{option} {text!r} is not two numbers: write it like 10,-5") from error
     if not (abs(first) < 100 and abs(second) < 100):
-        raise InputError(f"{option} {text!r} is beyond 100 m")
+        raise InputError(f"{option} {text!r} is beyond the limit of 100 m: check the unit")
     return first, second
 
 
 @app.command()
 def check(
     calibration: Annotated[Path, typer.Argument(help="What 'camera calibrate' wrote.")],
-    points: Annotated[Path | None, typer.Option(help="Marked points: CSV with x_px, y_px, x_m, y_m.")] = None,
-    places: Annotated[
-        Path | None, typer.Option(help="The tag laid down: CSV with image, x_m, y_m, heading_deg.")
+    points: Annotated[
+        Path | None, typer.Option(help="CSV of marked points with the columns x_px, y_px, x_m, y_m.")
     ] = None,
-    grid: Annotated[str, typer.Option(help="Without either: rendered tags, so many.", metavar="NxM")] = "9x7",
+    places: Annotated[
+        Path | None,
+        typer.Option(
+            help="CSV of pictures of the tag at known poses, with the columns image, x_m, y_m, heading_deg."
+        ),
+    ] = None,
+    grid: Annotated[
+        str, typer.Option(help="Number of rendered tags, used without --points and --places.", metavar="NxM")
+    ] = "9x7",
     blur_px: Annotated[float, typer.Option(help="Blur of the rendered pictures.")] = 0.6,
-    noise: Annotated[float, typer.Option(help="Noise of the rendered pictures, grey levels.")] = 2.0,
-    wave_mm: Annotated[float, typer.Option(help="Heave of the rendered tag, standard deviation.")] = 0.0,
-    limit_mm: Annotated[float, typer.Option(help="Largest error allowed.", min=0.0)] = 1.0,
+    noise: Annotated[float, typer.Option(help="Noise of the rendered pictures, in grey levels.")] = 2.0,
+    wave_mm: Annotated[float, typer.Option(help="Standard deviation of the rendered tag's heave.")] = 0.0,
+    limit_mm: Annotated[float, typer.Option(help="Largest position error allowed.", min=0.0)] = 1.0,
     limit_deg: Annotated[float, typer.Option(help="Largest heading error allowed.", min=0.0)] = 0.5,
     out: Annotated[Path | None, typer.Option(help="Folder for error_map.json and error_map.png.")] = None,
     seed: SeedOption = 0,
     json: JsonOption = False,
 ) -> None:
-    """Map the errors over the pool, in mm. Exit 1 if one is above its limit or a place was not found.
+    """Map the position errors over the pool, in mm.
 
-    Rendered pictures (neither --points nor --places) show what camera, pool and tag can give at best, the
-    calibration taken as true; marked points and tags laid down show what it is off by.
+    Without --points and --places the pictures are rendered, with the calibration taken as true. They show
+    the best that camera, pool and tag can reach. Marked points and tags at known poses show the error of the
+    calibration itself. The exit code is 1 if an error is above its limit or a tag was not found.
     """
     from frogkick.front.cameras import Rendering, check_camera
 
@@ -159,14 +195,14 @@ def check(
         limit_mm=limit_mm,
         limit_deg=limit_deg,
     )
-    facts, told = checked.summary(), checked.as_json()
+    facts, values = checked.summary(), checked.as_json()
     if out is not None:
         checked.draw(out / "error_map.png")
-        write_text(out / "error_map.json", json_text(told) + "\n")
-    show(told if json else facts, json)
+        write_text(out / "error_map.json", json_text(values) + "\n")
+    show(values if json else facts, json)
     if not facts["within"]:
         print(
-            f"frogkick: camera check: {facts['found']} of {facts['places']} places found, largest error "
+            f"frogkick: camera check: {facts['found']} of {facts['places']} tags found, largest error "
             f"{facts['max_mm']:.3f} mm (limit {limit_mm:g}), {facts['heading_max_deg']:.3f} degrees "
             f"(limit {limit_deg:g})",
             file=sys.stderr,
@@ -180,34 +216,36 @@ def check(
 def track(
     calibration: Annotated[Path, typer.Argument(help="What 'camera calibrate' wrote.")],
     source: Annotated[str, typer.Option(help="Camera number, video, or folder of pictures.")] = "0",
-    seconds: Annotated[float | None, typer.Option(help="How long; default: to the end, or Ctrl-C.")] = None,
+    seconds: Annotated[
+        float | None, typer.Option(help="Time to track; default: to the end of the source, or until Ctrl-C.")
+    ] = None,
     view: Annotated[
-        bool, typer.Option("--view", help="Draw pictures, tag and fixes in the browser.")
+        bool, typer.Option("--view", help="Draw the pictures, the tag and the fixes in the browser.")
     ] = False,
     json: JsonOption = False,
 ) -> None:
-    """Print the tag's place in each picture, without a robot. Exit 1 if none told one.
+    """Print the tag's pose in each picture. No robot is needed.
 
-    A line for each is x_m y_m heading_rad age_s: pose in the pool's frame, and how old its picture is. So the
-    lines may be piped into 'frogkick run --fixes stdin'.
+    Each line is x_m y_m heading_rad age_s: the pose in the pool's frame and the age of its picture. The
+    lines may be piped into 'frogkick run --fixes stdin'. The exit code is 1 if no picture shows the tag.
     """
     from frogkick.front.cameras import track_camera
 
-    def tell(fix: Any) -> None:
+    def print_fix(fix: Any) -> None:
         x_m, y_m, heading_rad = fix.pose_world
         print(f"{x_m:.5f} {y_m:.5f} {heading_rad:.5f} {fix.delay_s:.4f}", flush=True)
 
     found = track_camera(
-        calibration, source, seconds=seconds, view=view, each=(lambda _fix: None) if json else tell
+        calibration, source, seconds=seconds, view=view, each=(lambda _fix: None) if json else print_fix
     )
-    told = found.as_json()
+    values = found.as_json()
     if json:
-        show(told, json)
+        show(values, json)
     without = {reason: count for reason, count in found.reasons.items() if reason != "found"}
     why = ", ".join(f"{count} x {reason}" for reason, count in without.items())
     say(
-        f"{found.fixes} places of {told['pictures']} pictures, {told['rate_hz']:.1f} a second"
-        f"{f'; without one: {why}' if why else ''}"
+        f"{found.fixes} fixes from {values['pictures']} pictures, {values['rate_hz']:.1f} a second"
+        f"{f'; pictures without a fix: {why}' if why else ''}"
     )
     if not found.fixes:
         raise typer.Exit(1)
@@ -221,7 +259,7 @@ def tag_page(
     tag_size_mm: TagSizeOption = 47.0,
     json: JsonOption = False,
 ) -> None:
-    """Write a tag to print at true scale, with an arrow that points forward, and a ruler."""
+    """Write a page with the tag at true scale, an arrow that points forward, and a ruler."""
     from frogkick.front.cameras import write_tag
 
     require_writable(out)

@@ -1,4 +1,4 @@
-"""``frogkick log fetch`` and ``log replay``: what a robot wrote down in its RAM, and decided again."""
+"""``frogkick log fetch`` and ``log replay``: a robot's own log, and its decisions repeated."""
 
 from __future__ import annotations
 
@@ -15,22 +15,29 @@ def fetch(
     robot: Annotated[
         str, typer.Option(metavar="TARGET", help="ble:NAME, ble:ADDRESS or serial:PORT[:BAUD].")
     ],
-    out: Annotated[Path, typer.Option(help="File (.h5) to write.")],
+    out: Annotated[Path, typer.Option(help="Log file to write (.h5).")],
     json: JsonOption = False,
 ) -> None:
-    """Fetch what a robot wrote down in its RAM; in a run or after it, also after a reset. Changes nothing."""
+    """Fetch the log that a robot keeps in its RAM.
+
+    It can be fetched during a run, after it, and after a reset of the robot. Fetching changes nothing on the
+    robot.
+    """
     from frogkick.front.replaying import fetch_log
 
     show({**fetch_log(robot, out, progress=True).summary(), "out": str(out)}, json)
 
 
 def replay(
-    file: Annotated[Path, typer.Argument(help="File that 'log fetch' wrote.")],
+    file: Annotated[Path, typer.Argument(help="Log file that 'log fetch' wrote.")],
     tables: TablesOption = None,
     model: ModelOption = None,
     json: JsonOption = False,
 ) -> None:
-    """Decide a robot's log again, by the C core and the Python twin, bit by bit. Exit 1 on a mismatch."""
+    """Repeat the decisions of a robot's log by the C core and by the Python twin, bit by bit.
+
+    The exit code is 1 if a decision differs.
+    """
     from frogkick.front.replaying import replay_log
 
     found = replay_log(file, tables=tables, model=model, progress=True)

@@ -1,4 +1,4 @@
-"""``frogkick codegen``: tables to C that builds alone."""
+"""``frogkick codegen``: a table image as C code that builds on its own."""
 
 from __future__ import annotations
 
@@ -14,14 +14,17 @@ from frogkick.core.files import require_writable
 
 def codegen(
     tables: Annotated[Path, typer.Argument(help="Table image (.fkt).")],
-    out: Annotated[Path, typer.Option(help="Directory to write.")],
+    out: Annotated[Path, typer.Option(help="Folder to write.")],
     measured: Annotated[
         bool,
-        typer.Option("--measure/--no-measure", help="Sizes and times on the virtual chip into the README."),
+        typer.Option(
+            "--measure/--no-measure",
+            help="Measure sizes and times on the virtual chip and write them into the README.",
+        ),
     ] = True,
     json: JsonOption = False,
 ) -> None:
-    """Emit a table and the planner as C99, with a README of what they cost on the chip."""
+    """Generate C99 from a table and the planner, with a README of their sizes and times on the chip."""
     require_writable(out, folder=True)
     files = fk.emit_c(tables, out, measure=measured, progress=True)
     show(

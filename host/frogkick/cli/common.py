@@ -1,4 +1,4 @@
-"""What commands share: options, one JSON object on stdout."""
+"""Options and printing that the commands share."""
 
 from __future__ import annotations
 
@@ -18,11 +18,16 @@ from frogkick.core.errors import InputError
 from frogkick.core.files import atomic_path
 
 JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else.")]
-SeedOption = Annotated[int, typer.Option("--seed", min=0, help="Makes the run repeatable.")]
+SeedOption = Annotated[
+    int,
+    typer.Option("--seed", min=0, help="Seed of all random numbers; the same seed gives the same result."),
+]
 ClusterOption = Annotated[
     str | None,
     typer.Option(
-        "--cluster", metavar="ADDRESS", help="Run on the Dask scheduler there, as tcp://host:8786, not here."
+        "--cluster",
+        metavar="ADDRESS",
+        help="Compute on this Dask scheduler, such as tcp://host:8786, instead of on this computer.",
     ),
 ]
 
@@ -30,7 +35,7 @@ stderr = Console(stderr=True)
 
 
 class WholeLines(TyperGroup):
-    """A group whose help has the first sentence of each command, whole."""
+    """A group whose help shows the whole first sentence of each command."""
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
         """Write names and sentences."""
@@ -41,7 +46,7 @@ class WholeLines(TyperGroup):
 
 
 def _plain(value: Any) -> Any:
-    """What JSON can say: NaN and infinity, which it cannot, become null."""
+    """Return the value as JSON can hold it: NaN and infinity become null."""
     if hasattr(value, "tolist"):  # of numpy
         value = value.tolist()
     if isinstance(value, Mapping):
@@ -59,7 +64,7 @@ def json_text(values: Mapping[str, Any]) -> str:
 
 
 def short(value: Any) -> str:
-    """A value as people read it: four digits, yes and no, "-" where nothing is known."""
+    """Return a value as text for people: four digits, yes or no, and "-" for an unknown value."""
     value = _plain(value)
     if value is None:
         return "-"
@@ -75,7 +80,7 @@ def short(value: Any) -> str:
 
 
 def text_lines(values: Mapping[str, Any], indent: str = "") -> list[str]:
-    """Values as people read them, one a line; tables below their name, a row of a list on one line."""
+    """Return values as lines for people: a table below its name, a row of a list on one line."""
     lines = []
     for key, value in values.items():
         rows = isinstance(value, list | tuple) and any(isinstance(each, Mapping) for each in value)
@@ -89,12 +94,12 @@ def text_lines(values: Mapping[str, Any], indent: str = "") -> list[str]:
 
 
 def say(text: str) -> None:
-    """Print one line to stderr, where it does not disturb what is piped on."""
+    """Print one line to stderr, so that stdout can be piped."""
     stderr.print(f"frogkick: {text}", markup=False, highlight=False, soft_wrap=True)
 
 
 def say_left_out(rows: Sequence[Mapping[str, str]]) -> None:
-    """Tell of runs that are not used, a line each."""
+    """Report each run that is not used, on one line."""
     for row in rows:
         say(f"run {row['run']!r} is LEFT OUT: {row['reason']}")
 
@@ -117,12 +122,13 @@ def share_out(workers: int, cluster: str | None) -> int:
     """Return how many processes to start here, from --workers (0: one for each core) and --cluster.
 
     Raises:
-        InputError: both are given, or the cluster's address can be none.
+        InputError: both are given, or the cluster's address is not valid.
     """
     if cluster is not None:
         if workers:
             raise InputError(
-                f"--workers {workers} counts processes here, --cluster has its own: give one of them"
+                f"--workers {workers} counts processes on this computer, but --cluster has its own workers: "
+                "give only one of the two"
             )
         check_cluster(cluster)
         return 1

@@ -1,4 +1,4 @@
-"""``frogkick demo``: the whole ring once, on the virtual chip."""
+"""``frogkick demo``: the whole loop once, on the virtual chip."""
 
 from __future__ import annotations
 
@@ -15,14 +15,17 @@ if TYPE_CHECKING:
 
 
 def demo(
-    out: Annotated[Path, typer.Option(help="Folder for everything that is made.")] = Path("demo"),
+    out: Annotated[Path, typer.Option(help="Folder for all results.")] = Path("demo"),
     robot: RobotFileOption = "frog2022",
     states: Annotated[int, typer.Option(min=10, max=2000, help="Initial velocities of the library.")] = 300,
     depth: DepthOption = None,
     seed: SeedOption = 0,
     json: JsonOption = False,
 ) -> None:
-    """Simulate, tabulate, build firmware, swim on the virtual chip; wear a limb, find and learn it, again."""
+    """Simulate, make tables, build the firmware and swim on the virtual chip.
+
+    Then a limb is worn, the wear is identified from the runs, and new tables are made and tried.
+    """
     from frogkick.front.ring import demonstrate
 
     done = demonstrate(out, robot, states=states, depth=depth, seed=seed, progress=True)
@@ -42,9 +45,11 @@ def _closing_lines(done: Demonstration) -> list[str]:
     closing = done.closing
     tested, found = closing.outcome.tested, [term.title for term in closing.outcome.terms]
     hidden = ", ".join(str(value) for value in closing.planted.values())
-    lines = [f"hidden: {hidden}; verdict: {closing.outcome.verdict} ({', '.join(found) or 'no effect'})"]
+    lines = [
+        f"hidden effect: {hidden}; verdict: {closing.outcome.verdict} ({', '.join(found) or 'no effect'})"
+    ]
     lines += [
-        f"{name:8s} {error} RMS a period ahead on the run kept out of learning"
+        f"{name:8s} {error} RMS one period ahead on the test run"
         for name, error in (("before", tested.before), ("after", tested.after), ("noise", tested.noise_floor))
     ]
     if closing.new:

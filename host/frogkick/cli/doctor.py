@@ -1,4 +1,4 @@
-"""``frogkick doctor``: what is installed, what works, what to install for more."""
+"""``frogkick doctor``: which tools are installed and work, and what to install for more."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ if TYPE_CHECKING:
 
 
 def _hint(finding: Finding) -> str:
-    """What to do, where the error itself does not say it."""
+    """Return what to do, unless the error itself says it."""
     return f" -> {finding.install}" if finding.install and finding.install not in finding.detail else ""
 
 
 def doctor(json: JsonOption = False) -> None:
-    """Look at this machine. Exit 1 if the ring without a robot cannot run here."""
+    """Check which tools this machine has. The exit code is 1 if the simulation loop cannot run here."""
     from frogkick.front.readiness import look_around
 
     found = look_around()

@@ -1,4 +1,4 @@
-"""``frogkick firmware``: build, measure, flash and test the robot's image."""
+"""``frogkick firmware``: build, measure, flash and test the robot's firmware."""
 
 from __future__ import annotations
 
@@ -14,19 +14,20 @@ from frogkick.cli.options import TablesOption
 from frogkick.core.files import require_writable
 
 app = typer.Typer(
-    cls=WholeLines, help="Build, measure, flash and test the robot's image.", no_args_is_help=True
+    cls=WholeLines, help="Build, measure, flash and test the robot's firmware.", no_args_is_help=True
 )
 
 
 class Target(enum.StrEnum):
-    """What the firmware is built for."""
+    """The machine that the firmware is built for."""
 
     bench = "bench"
     native = "native"
 
 
 RobotOption = Annotated[
-    str | None, typer.Option("--robot", "--model", help="TOML or name; by default the table's own robot.")
+    str | None,
+    typer.Option("--robot", "--model", help="Robot TOML file or built-in name; default: the table's robot."),
 ]
 
 
@@ -38,7 +39,7 @@ def build(
     out: Annotated[Path, typer.Option(help="Folder for the results.")] = Path("firmware-build"),
     json: JsonOption = False,
 ) -> None:
-    """Build the firmware around a table image; stack_bytes is what the image reserves."""
+    """Build the firmware around a table image. The value stack_bytes is the stack that the image reserves."""
     require_writable(out, folder=True)
     built = fk.build_firmware(fk.load_table(tables, robot), target.value, out)
     show(built.as_json(), json)
@@ -50,7 +51,10 @@ def size(
     robot: RobotOption = None,
     json: JsonOption = False,
 ) -> None:
-    """Flash, RAM and stack of the bench image; the stack as seen on the virtual chip, and its bound."""
+    """Measure flash, RAM and stack of the bench image.
+
+    The stack is measured on the virtual chip; its proved bound stands beside it.
+    """
     from frogkick.front.building import try_firmware
 
     show(try_firmware(tables, robot).sizes(), json)
@@ -60,16 +64,16 @@ def size(
 def flash(
     image: Annotated[
         Path | None,
-        typer.Option(help="Intel HEX (bench.hex of firmware build); default: built from --tables."),
+        typer.Option(help="Intel HEX file (bench.hex of 'firmware build'); default: built from --tables."),
     ] = None,
     tables: TablesOption = None,
     robot: RobotOption = None,
     probe: Annotated[
-        str | None, typer.Option(help="Number of the debug probe, where there are several.")
+        str | None, typer.Option(help="Serial number of the debug probe, if several are plugged in.")
     ] = None,
     json: JsonOption = False,
 ) -> None:
-    """Write the bench image into a development kit, through its debug probe."""
+    """Flash the bench image into a development kit through its debug probe."""
     from frogkick.front.building import flash_firmware
 
     done = flash_firmware(image, table=tables, robot=robot, probe=probe, progress=True)
@@ -82,7 +86,7 @@ def try_out(
     robot: RobotOption = None,
     json: JsonOption = False,
 ) -> None:
-    """Boot the image on the virtual chip and go through every command, stroke and limit."""
+    """Boot the image on the virtual chip and test every command, stroke and limit."""
     from frogkick.front.building import try_firmware
 
     trial = try_firmware(tables, robot, progress=True)

@@ -1,4 +1,4 @@
-"""``frogkick identify``: what the model lacks, from runs."""
+"""``frogkick identify``: the effects that the model lacks, identified from runs."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 def horizon_line(horizon: Horizon) -> str:
-    """Errors some periods ahead, in words."""
+    """Return the multi-step prediction errors as a line of text."""
     before, after = horizon.before, horizon.after
     return f"{horizon.periods} periods ahead: {before} before, {after} after ({before.count} starts)"
 
@@ -34,7 +34,7 @@ def _text(outcome: Outcome) -> str:
             ("after", outcome.tested.after),
             ("noise floor", outcome.tested.noise_floor),
         ):
-            lines.append(f"{name}: {error} RMS a period ahead")
+            lines.append(f"{name}: {error} RMS one period ahead")
         lines += _beside(outcome)
         lines += [horizon_line(each) for each in outcome.horizons if each.periods > 1]
         lines.append(str(outcome.diagnostics["text"]))
@@ -43,51 +43,56 @@ def _text(outcome: Outcome) -> str:
 
 
 def _beside(outcome: Outcome) -> list[str]:
-    """What stands beside the errors: log score, repeatability, drift, effects that did not help."""
+    """Return the lines about log score, repeatability, drift and dropped effects."""
     tested, lines = outcome.tested, []
     if tested.gain is not None:
         gain = tested.gain
-        lines.append(f"log score gain: {gain.value:.2f} [{gain.low:.2f}, {gain.high:.2f}] nats a period")
+        lines.append(f"log score gain: {gain.value:.2f} [{gain.low:.2f}, {gain.high:.2f}] nats per period")
     if tested.repeatability.count:
-        lines.append(f"repeatability: {tested.repeatability} RMS between strokes at like states")
+        lines.append(f"repeatability: {tested.repeatability} RMS between strokes from similar states")
     if outcome.followed is not None:
         followed = outcome.followed
         both = f"{followed.before} before, {followed.after} after"
-        lines.append(f"with drift followed in each run: {both}")
+        lines.append(f"with the drift of each run estimated: {both}")
     if outcome.dropped:
-        lines.append(f"dropped, as the test runs are no likelier with it: {', '.join(outcome.dropped)}")
+        lines.append(
+            f"dropped, because the test runs are no likelier with them: {', '.join(outcome.dropped)}"
+        )
     return lines
 
 
 def command(
-    train: Annotated[list[Path], typer.Option(help="Runs to learn from: logs, or recorded runs (.csv).")],
-    test: Annotated[list[Path], typer.Option(help="Runs to predict, kept out of learning.")],
-    out: Annotated[Path, typer.Option(help="Robot TOML to write: the nominal one with what was found.")],
+    train: Annotated[list[Path], typer.Option(help="Runs to fit to: logs, or recorded runs (.csv).")],
+    test: Annotated[list[Path], typer.Option(help="Runs to predict; nothing is fitted to them.")],
+    out: Annotated[
+        Path, typer.Option(help="Robot TOML file to write: the nominal robot with the identified effects.")
+    ],
     effects: Annotated[
-        Path | None, typer.Option(help="Python file with effects of your own, tried as well.")
+        Path | None, typer.Option(help="Python file with your own effects, which are tried as well.")
     ] = None,
     robot: NominalOption = None,
     predictions: Annotated[
-        Path | None, typer.Option(help="CSV to write: each period of the test runs, predicted.")
+        Path | None,
+        typer.Option(help="CSV file to write, with the prediction of each period of the test runs."),
     ] = None,
-    report: Annotated[Path | None, typer.Option(help="HTML page to write.")] = None,
+    report: Annotated[Path | None, typer.Option(help="HTML report to write.")] = None,
     measured: Annotated[
         bool,
         typer.Option(
-            help="Start fits of many effects from built-in robots that were measured before; without: from "
-            "their list of effects at nominal values."
+            help="Start fits of many effects from built-in robots that were calibrated before. With "
+            "--no-measured the fits start from the same effects at nominal values."
         ),
     ] = True,
     laws: Annotated[
         bool,
         typer.Option(
-            help="Where the catalogue leaves more than noise, search formulas as well: springs, sloshing, "
-            "limbs that break or hang on the heading. Takes minutes more."
+            help="If the catalogue leaves more than noise, search formulas as well: springs, sloshing, "
+            "limbs that break or depend on the heading. This takes some minutes more."
         ),
     ] = False,
     json: JsonOption = False,
 ) -> None:
-    """Trace what a robot's model lacks to physical effects. Exit 0 whatever the verdict."""
+    """Identify the physical effects that a robot's model lacks. The exit code is 0 for any verdict."""
     for target in (out, predictions, report):
         require_writable(target)
     found = fk.identify(
@@ -103,7 +108,7 @@ def command(
 
 
 class _ManyRuns(TyperCommand):
-    """Lets --train and --test take several runs at once: ``--train a b`` is ``--train a --train b``."""
+    """A command whose --train and --test take several runs: ``--train a b`` is ``--train a --train b``."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         return super().parse_args(ctx, spread(args))

@@ -1,4 +1,4 @@
-"""``frogkick import``: the paper's recorded runs into our logs."""
+"""``frogkick import``: the paper's recorded runs as logs of frogkick."""
 
 from __future__ import annotations
 
@@ -11,11 +11,14 @@ from frogkick.cli.common import JsonOption, say, short, show
 
 
 def import_(
-    data_dir: Annotated[Path, typer.Argument(help="Folder with line1.csv, linep1.csv and the like.")],
+    data_dir: Annotated[
+        Path,
+        typer.Argument(help="Folder of recorded runs and their paths, such as line1.csv and linep1.csv."),
+    ],
     out: Annotated[Path, typer.Option(help="Folder for the logs.")],
     json: JsonOption = False,
 ) -> None:
-    """Read recorded runs, repair or mark what is wrong in them, write logs. Invents nothing."""
+    """Read recorded runs, repair or mark their faults, and write logs. No data is invented."""
     from frogkick.front.running import import_runs
 
     runs = import_runs(data_dir, out, progress=True)

@@ -1,4 +1,4 @@
-"""Keys of the terminal while a real robot swims: Enter arms, any key stops."""
+"""Keys of the terminal while a real robot swims: Enter arms it, and any key stops the run."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ from frogkick.cli.common import stderr
 
 @contextmanager
 def terminal(stdin_is_taken: bool) -> Iterator[TextIO | None]:
-    """Where keys are pressed: standard input, or where that brings something else the terminal itself.
+    """Yield the stream that keys come from: standard input, or the terminal itself if input is piped.
 
-    None: there is none, or this program is in its background, where it may not read.
+    The stream is None if there is no terminal, or if this program runs in its background and may not read.
     """
     if not stdin_is_taken:
         yield sys.stdin
         return
     if sys.platform == "win32":
-        yield sys.stdin  # no terminal: nothing is asked
+        yield sys.stdin  # it is no terminal, so nothing is asked
         return
     try:
         number = os.open("/dev/tty", os.O_RDWR | os.O_NOCTTY)
@@ -41,13 +41,13 @@ def terminal(stdin_is_taken: bool) -> Iterator[TextIO | None]:
 
 
 class Keys:
-    """What is pressed, without waiting and without Enter, while this is entered; Ctrl-C stays what it is.
+    """A context in which single keys are read without waiting and without Enter; Ctrl-C still interrupts.
 
-    Where ``stream`` is no terminal nothing is asked, and nothing is ever pressed.
+    If ``stream`` is no terminal, nothing is asked and no key is ever pressed.
     """
 
     def __init__(self, stream: TextIO | None, ask: bool = True) -> None:
-        """``stream``: where keys come from; None: nowhere. ``ask``: for Enter, before a robot is armed."""
+        """``stream`` is where keys come from, or None. ``ask``: ask for Enter before a robot is armed."""
         self._stream = stream
         self._ask = ask
         self.is_terminal = stream is not None and stream.isatty()
@@ -66,21 +66,23 @@ class Keys:
             termios.tcsetattr(self._number, termios.TCSADRAIN, self._before)
 
     def wait_to_arm(self) -> None:
-        """Ask for Enter, and wait for it; what was pressed before does not count."""
+        """Ask for Enter and wait for it; keys that were pressed before do not count."""
         if not (self.is_terminal and self._ask):
             return
         while self._read():
             pass
-        stderr.print("press Enter to arm, Ctrl-C to leave; any key stops the run", highlight=False)
+        stderr.print(
+            "press Enter to arm the robot or Ctrl-C to leave; any key stops the run", highlight=False
+        )
         while not {b"\r", b"\n"} & set(self._read(wait=True)):
             pass
 
     def pressed(self) -> bool:
-        """Whether a key has been pressed since this was asked last."""
+        """Return whether a key has been pressed since the last call."""
         return self.is_terminal and bool(self._read())
 
     def _read(self, wait: bool = False) -> list[bytes]:
-        """The bytes that are there; at least one where it is waited for."""
+        """Return the bytes that are waiting; with ``wait``, at least one."""
         if sys.platform == "win32":
             found = [msvcrt.getch()] if wait else []
             while msvcrt.kbhit():
@@ -96,11 +98,11 @@ class Keys:
 
 @contextmanager
 def keys_of(stdin_is_taken: bool, ask: bool) -> Iterator[Keys]:
-    """The keys beside a real robot.
+    """Yield the keys of the operator of a real robot.
 
     Args:
-        stdin_is_taken: standard input brings fixes.
-        ask: for Enter, before the robot is armed.
+        stdin_is_taken: standard input carries the fixes.
+        ask: ask for Enter before the robot is armed.
     """
     with terminal(stdin_is_taken) as stream, Keys(stream, ask) as keys:
         yield keys

@@ -14,7 +14,7 @@ from frogkick.cli.common import ClusterOption, JsonOption, SeedOption, WholeLine
 from frogkick.core.files import require_writable
 
 RECORD_S = 5.0
-"""That of frogkick.library: a command's help loads nothing of it."""
+"""The value of frogkick.library, repeated so that a command's help does not load that package."""
 
 app = typer.Typer(
     cls=WholeLines, help="Simulate transitions for many initial velocities.", no_args_is_help=True
@@ -32,24 +32,31 @@ class Sampling(enum.StrEnum):
 @app.command()
 def build(
     robot: Annotated[str, typer.Argument(help="TOML file or built-in name.")] = "frog2022",
-    states: Annotated[int, typer.Option(min=1, max=65535, help="Initial velocities.")] = 300,
+    states: Annotated[int, typer.Option(min=1, max=65535, help="Number of initial velocities.")] = 300,
     out: Annotated[Path, typer.Option(help="HDF5 file to write.")] = Path("lib.h5"),
-    workers: Annotated[int, typer.Option(min=0, max=256, help="Processes; 0 = one for each core.")] = 0,
+    workers: Annotated[
+        int, typer.Option(min=0, max=256, help="Number of processes; 0: one for each core.")
+    ] = 0,
     sampling: Annotated[
         Sampling,
         typer.Option(
-            help="box: uniform (the paper's); visited: at random strokes; planned: at the planner's."
+            help="How initial velocities are drawn. box: uniformly, as in the paper; visited: from swims "
+            "with random strokes; planned: from swims that the planner steers."
         ),
     ] = Sampling.box,
     record_s: Annotated[
         float,
-        typer.Option(min=0.0, max=60.0, help="Follow and record each transition so long, s; 0: one period."),
+        typer.Option(
+            min=0.0,
+            max=60.0,
+            help="Time to simulate and record after each transition's start, s; 0: one period.",
+        ),
     ] = RECORD_S,
     cluster: ClusterOption = None,
     seed: SeedOption = 0,
     json: JsonOption = False,
 ) -> None:
-    """Simulate every action from each of many initial velocities. Stopped and started again, it goes on."""
+    """Simulate every action from each of many initial velocities. An interrupted build can be resumed."""
     described = fk.load_robot(robot)
     require_writable(out)
     processes = share_out(workers, cluster)
@@ -67,7 +74,7 @@ def build(
     )
     for failure in made.failed:
         name = described.actions[failure.action].name
-        say(f"left out of tables, state {failure.state} action {name}: {failure.reason}")
+        say(f"state {failure.state}, action {name} is left out of the tables: {failure.reason}")
     transitions = states * len(described.actions)
     show(
         {
@@ -83,9 +90,10 @@ def build(
 
 @app.command()
 def info(
-    library: Annotated[Path, typer.Argument(help="HDF5 file of 'library build'.")], json: JsonOption = False
+    library: Annotated[Path, typer.Argument(help="HDF5 file that 'library build' wrote.")],
+    json: JsonOption = False,
 ) -> None:
-    """Say what a library holds."""
+    """Show what a library holds."""
     from frogkick.front.tables import library_info
 
     # How long it took is not in the file, whose bytes do not depend on the machine.

@@ -1,4 +1,4 @@
-"""``frogkick log``: look at runs; and ``frogkick export``: give them to other programs."""
+"""``frogkick log``: show and compare runs; ``frogkick export``: write them for other programs."""
 
 from __future__ import annotations
 
@@ -16,18 +16,20 @@ from frogkick.core.files import require_writable
 from frogkick.core.progress import progress_bar
 
 RunArgument = Annotated[
-    Path, typer.Argument(help="Log of ours (.h5) or a recorded run of the paper (line1.csv).")
+    Path, typer.Argument(help="Log of frogkick (.h5), or a recorded run of the paper (such as line1.csv).")
 ]
 
 
 def show_(
     run: RunArgument,
-    out: Annotated[Path | None, typer.Option(help="Picture (.png, moving: .gif, .mp4) to write.")] = None,
-    view: Annotated[bool, typer.Option("--view", help="Play it in the browser.")] = False,
-    speed: Annotated[float, typer.Option(help="Of --view: 2 is twice as fast as it was swum.")] = 1.0,
+    out: Annotated[
+        Path | None, typer.Option(help="Picture (.png) or animation (.gif, .mp4) to write.")
+    ] = None,
+    view: Annotated[bool, typer.Option("--view", help="Play the run in the browser.")] = False,
+    speed: Annotated[float, typer.Option(help="Speed of --view; 2 is twice real time.")] = 1.0,
     json: JsonOption = False,
 ) -> None:
-    """A run in numbers and in one picture: track, distance, actions, what the prediction missed."""
+    """Show a run in numbers and in one picture: track, distance, actions and prediction errors."""
     moving = out is not None and out.suffix.lower() in (".gif", ".mp4")
     if moving:
         require_writable(out)
@@ -56,7 +58,7 @@ def compare(
     out: Annotated[Path | None, typer.Option(help="Picture (.png) to write.")] = None,
     json: JsonOption = False,
 ) -> None:
-    """Two runs side by side: which kept nearer to its path, where decisions part, how far apart they swam."""
+    """Compare two runs: their distances to the path, their first different decision, and their separation."""
     _require_picture(out)
     one, two = fk.load_run(a), fk.load_run(b)
     found = one.compare(two)
@@ -65,26 +67,30 @@ def compare(
 
         names = (a.name, b.name) if a.name != b.name else (str(a), str(b))
         write_picture(compare_figure((one.log, two.log), names), out)
-    told = found.as_json()
+    values = found.as_json()
     rows = [
-        f"{key:18s}  {short(told['a'][key]):>22s}  {short(told['b'][key]):>22s}"
-        for key in told["a"]
+        f"{key:18s}  {short(values['a'][key]):>22s}  {short(values['b'][key]):>22s}"
+        for key in values["a"]
         if key not in ("actions", "clock", "notes", "made")
     ]
-    more = {key: told[key] for key in ("same_robot", "same_table", "same_path", "same_decisions", "apart_m")}
-    show({**told, "picture": out and str(out)}, json, "\n".join([*rows, _lines(more)]))
+    more = {
+        key: values[key] for key in ("same_robot", "same_table", "same_path", "same_decisions", "apart_m")
+    }
+    show({**values, "picture": out and str(out)}, json, "\n".join([*rows, _lines(more)]))
 
 
 def export(
     run: RunArgument,
-    out: Annotated[Path, typer.Option(help="File (.mcap), or folder for CSV.")],
-    csv: Annotated[bool, typer.Option("--csv", help="One CSV for each group of columns.")] = False,
-    mcap: Annotated[bool, typer.Option("--mcap", help="One MCAP for Foxglove, and a layout.")] = False,
+    out: Annotated[Path, typer.Option(help="File to write (.mcap), or folder for CSV.")],
+    csv: Annotated[bool, typer.Option("--csv", help="Write one CSV file for each group of columns.")] = False,
+    mcap: Annotated[
+        bool, typer.Option("--mcap", help="Write one MCAP file for Foxglove, and a layout.")
+    ] = False,
     json: JsonOption = False,
 ) -> None:
-    """Write a run as CSV (a folder of files) or as MCAP (poses, path and plan in Foxglove's schemas)."""
+    """Export a run as CSV (a folder of files) or as MCAP (poses, path and plan in Foxglove's schemas)."""
     if csv == mcap:
-        raise InputError("give one of --csv and --mcap: CSV is a folder of files, MCAP one file")
+        raise InputError("give either --csv (a folder of files) or --mcap (one file)")
     require_writable(out, folder=csv)
     log = fk.load_run(run)
     if csv:
@@ -104,15 +110,15 @@ def _require_picture(out: Path | None) -> None:
     """Raises InputError: the picture cannot be written there, or is no PNG."""
     require_writable(out)
     if out is not None and out.suffix.lower() != ".png":
-        raise InputError(f"--out {str(out)!r} is no .png: pictures are PNG here")
+        raise InputError(f"--out {str(out)!r} does not end in .png: this command writes PNG pictures")
 
 
 def _lines(values: Mapping[str, Any]) -> str:
-    told = {key: value for key, value in values.items() if key not in ("actions", "clock", "made")}
-    told |= values.get("clock", {}) | values.get("made", {})
+    facts = {key: value for key, value in values.items() if key not in ("actions", "clock", "made")}
+    facts |= values.get("clock", {}) | values.get("made", {})
     if "actions" in values:
-        told["actions"] = ", ".join(f"{name} {count}" for name, count in values["actions"].items())
-    return "\n".join(text_lines(told))
+        facts["actions"] = ", ".join(f"{name} {count}" for name, count in values["actions"].items())
+    return "\n".join(text_lines(facts))
 
 
 def register(app: typer.Typer) -> None:

@@ -1,4 +1,4 @@
-"""``frogkick COMMAND``: finds the command; turns every error into one line and an exit code.
+"""``frogkick COMMAND``: calls the command, and turns every error into one line and an exit code.
 
 Exit codes: 0 done, 1 a check failed, 2 bad input, 130 interrupted.
 """
@@ -18,9 +18,9 @@ CHECK_FAILED = 1
 BAD_INPUT = 2
 INTERRUPTED = 130
 
-_INTERRUPTED = "interrupted: nothing half-written was left"
+_INTERRUPTED = "interrupted; no partly written file is left"
 _AGAIN_S = 0.01
-"""How long after a Ctrl-C that could not be handed on the next try comes."""
+"""Delay before a Ctrl-C that could not be delivered is raised again."""
 
 
 def _complain(text: str) -> None:
@@ -44,7 +44,7 @@ def run_command(arguments: list[str] | None = None) -> int:
     except FrogkickError as error:
         _complain(str(error))
     except UnicodeError as error:
-        _complain(f"a text in the input is not UTF-8 ({error}): make the file again")
+        _complain(f"a text in the input is not UTF-8 ({error}): write the file again as UTF-8")
     except EOFError as error:
         _complain(_cut_short(error.__traceback__))
     except OSError as error:
@@ -59,33 +59,33 @@ def run_command(arguments: list[str] | None = None) -> int:
 
 
 def _cut_short(trace: TracebackType | None) -> str:
-    """What to do about a file that ended before what is loaded from it did.
+    """Return what to do about a file that ends too early.
 
-    Until 3.12.8 Python kept a compiled module as it was where the disk was full in the middle of it.
+    Until 3.12.8 Python kept a partly written compiled module when the disk became full.
     """
     file = None
     while trace is not None:
         file = trace.tb_frame.f_locals.get("bytecode_path", file)
         trace = trace.tb_next
     named = "a file of a cache" if file is None else f"{file!r}"
-    return f"{named} is cut short, as by a disk that was full: delete it, it is made again"
+    return f"{named} is cut short, for example because the disk was full: delete it, and it is made again"
 
 
 def _came_of_ctrl_c(error: BaseException | None) -> bool:
-    """Whether it was raised while a Ctrl-C was on its way up, as by a lock that was just being taken."""
+    """Return whether the error was raised while a Ctrl-C was being handled, for example by a lock."""
     while error is not None and not isinstance(error, KeyboardInterrupt):
         error = error.__context__
     return error is not None
 
 
 def _asked(error: Any) -> str:
-    """The command that an error of usage is about, as it is called."""
+    """Return the full name of the command that a usage error is about."""
     context = getattr(error, "ctx", None)
     return context.command_path if context is not None else "frogkick"
 
 
 def _run(arguments: list[str] | None) -> int:
-    with ctrl_c_waits():  # here and not at the top, so that Ctrl-C meanwhile is no traceback
+    with ctrl_c_waits():  # imported here, so that a Ctrl-C meanwhile prints no traceback
         import typer
 
         from frogkick.cli.app import app
@@ -104,12 +104,12 @@ def _run(arguments: list[str] | None) -> int:
         message = getattr(error, "format_message", None)
         if message is None:
             raise
-        if type(error).__name__ == "NoArgsIsHelpError":  # nothing was asked for: what there is
+        if type(error).__name__ == "NoArgsIsHelpError":  # no command was given: list them
             print(message(), file=sys.stderr)
         else:
             _complain(f"{message()} (see '{_asked(error)} --help')")
         return BAD_INPUT
-    if result == INTERRUPTED:  # what typer makes of Ctrl-C, without a word
+    if result == INTERRUPTED:  # typer returns this after a Ctrl-C and prints nothing
         raise KeyboardInterrupt
     return result if isinstance(result, int) else 0
 
@@ -133,10 +133,10 @@ def main() -> None:
 
 
 def _raise_again(unraisable: Any) -> None:
-    """Interrupt again a moment later, where the interpreter cannot hand a Ctrl-C on.
+    """Interrupt again a moment later if the interpreter could not deliver a Ctrl-C.
 
-    That is so in a destructor, a callback of a compiler, a weak reference's callback and a function called
-    around a fork: the interpreter would print a traceback and go on as if nobody had pressed a key.
+    This happens in a destructor, a callback of a compiler, a weak reference's callback and a function called
+    around a fork. There the interpreter would print a traceback and continue.
     """
     if not issubclass(unraisable.exc_type, KeyboardInterrupt) or not hasattr(signal, "setitimer"):
         sys.__unraisablehook__(unraisable)

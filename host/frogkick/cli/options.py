@@ -1,4 +1,4 @@
-"""Options that several commands share, of tables and planners."""
+"""Options of tables and planners that several commands share."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import typer
 
 
 class PlannerName(enum.StrEnum):
-    """Whose weights and depth."""
+    """The planner whose weights and depth are used."""
 
     robot = "robot"
     paper = "paper"
@@ -18,24 +18,34 @@ class PlannerName(enum.StrEnum):
 
 TablesOption = Annotated[
     Path | None,
-    typer.Option(help="Table image (.fkt); default: one made from a small library, on first use."),
+    typer.Option(help="Table image (.fkt); default: one that is made from a small library on first use."),
 ]
 PlannerOption = Annotated[
     PlannerName,
-    typer.Option(help="robot: its TOML's weights and depth; paper: 500, 50, 300, 0.3 and depth 1."),
+    typer.Option(
+        help="Weights and depth of the planner. robot: those of its TOML file; paper: 500, 50, 300, 0.3 and "
+        "depth 1."
+    ),
 ]
 DepthOption = Annotated[
-    int | None, typer.Option(min=1, max=4, help="Levels to look ahead; default: the planner's own.")
+    int | None, typer.Option(min=1, max=4, help="Search depth in strokes; default: the planner's own.")
 ]
 KeyOption = Annotated[
     Path | None,
-    typer.Option(help="Owner's key of a real robot that has one; default: the user's, see 'frogkick own'."),
+    typer.Option(
+        help="Key file of a real robot that has an owner; default: the user's own, see 'frogkick own'."
+    ),
 ]
 RobotFileOption = Annotated[str, typer.Option("--robot", "--model", help="TOML file or built-in name.")]
 ModelOption = Annotated[
-    str | None, typer.Option("--model", "--robot", help="Robot TOML or name; default: the table's robot.")
+    str | None,
+    typer.Option("--model", "--robot", help="Robot TOML file or built-in name; default: the table's robot."),
 ]
 NominalOption = Annotated[
     str | None,
-    typer.Option("--robot", "--model", help="Robot TOML or name that is nominal; default: the runs' own."),
+    typer.Option(
+        "--robot",
+        "--model",
+        help="Nominal robot, as TOML file or built-in name; default: the robot of the runs.",
+    ),
 ]

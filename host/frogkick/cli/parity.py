@@ -1,4 +1,4 @@
-"""``frogkick parity``: the same bits from Python, native C and the chip."""
+"""``frogkick parity``: checks that Python, native C and the chip decide the same bits."""
 
 from __future__ import annotations
 
@@ -10,19 +10,24 @@ from frogkick.cli.common import JsonOption, SeedOption, show
 from frogkick.cli.options import DepthOption, ModelOption, PlannerName, PlannerOption, TablesOption
 
 LOOP_DECISIONS = 200
-"""That of frogkick.front.parity: a command's help loads nothing of it."""
+"""The value of frogkick.front.parity, repeated so that a command's help does not load that module."""
 
 
 def parity(
     states: Annotated[
-        int, typer.Option(min=10, max=10_000_000, help="States for Python and native C.")
+        int, typer.Option(min=10, max=10_000_000, help="Number of states for Python and native C.")
     ] = 100_000,
     chip_states: Annotated[
         int | None,
-        typer.Option(min=0, max=10_000_000, help="States of them for the virtual chip.  [default: all]"),
+        typer.Option(
+            min=0, max=10_000_000, help="How many of the states the virtual chip decides too.  [default: all]"
+        ),
     ] = None,
     loop_decisions: Annotated[
-        int, typer.Option(min=0, max=100_000, help="Decisions of a whole loop, fixes in, decisions out.")
+        int,
+        typer.Option(
+            min=0, max=100_000, help="Number of decisions of the closed-loop run, from fixes to decisions."
+        ),
     ] = LOOP_DECISIONS,
     tables: TablesOption = None,
     model: ModelOption = None,
@@ -31,10 +36,11 @@ def parity(
     seed: SeedOption = 0,
     json: JsonOption = False,
 ) -> None:
-    """Decide in every place and count differing bits. Exit 1 if there are any.
+    """Make the same decisions in Python, in native C and on the virtual chip, and count differing bits.
 
-    Single decisions from states of every kind, at depth 1 to 4, and a whole loop at --depth. Places: Python,
-    native C by zig's clang (native), by gcc where this machine has it, and the virtual chip.
+    Single decisions start from states of every kind, at depth 1 to 4. A closed-loop run follows at --depth.
+    Native C is compiled by zig's clang (native), and by gcc if this machine has it. The exit code is 1 if a
+    bit differs.
     """
     from frogkick.front.parity import compare_places
 

@@ -1,4 +1,4 @@
-"""``frogkick scan``: robots in range; ``push``: a table to one, and back; ``own``: who may command it."""
+"""``frogkick scan``: lists robots; ``push``: sends one a table; ``own``: sets who may command it."""
 
 from __future__ import annotations
 
@@ -17,13 +17,16 @@ if TYPE_CHECKING:
 
 
 def text_of(pushed: Pushed, target: str) -> str:
-    """For people."""
+    """Return the result as text for people."""
     if not pushed.bytes_sent:
-        return f"{target} uses table {pushed.table_crc:08x}, which it had; keeps {pushed.kept_crc:08x}"
+        return (
+            f"{target} uses table {pushed.table_crc:08x}, which it already had, and keeps "
+            f"{pushed.kept_crc:08x}"
+        )
     return (
-        f"{target} took {pushed.bytes_sent} bytes in {pushed.took_s:.1f} s and uses table "
-        f"{pushed.table_crc:08x}; it keeps {pushed.kept_crc:08x}, to go back to: 'frogkick push --rollback "
-        f"--robot {target}'"
+        f"{target} received {pushed.bytes_sent} bytes in {pushed.took_s:.1f} s and uses table "
+        f"{pushed.table_crc:08x}; it keeps the previous table {pushed.kept_crc:08x}; to return to it: "
+        f"'frogkick push --rollback --robot {target}'"
     )
 
 
@@ -32,16 +35,18 @@ def command(
         str, typer.Option(metavar="TARGET", help="ble:NAME, ble:ADDRESS or serial:PORT[:BAUD].")
     ],
     tables: Annotated[Path | None, typer.Argument(help="Table image (.fkt).")] = None,
-    rollback: Annotated[bool, typer.Option("--rollback", help="Back to the table before, instead.")] = False,
+    rollback: Annotated[
+        bool, typer.Option("--rollback", help="Return to the previous table instead.")
+    ] = False,
     key: KeyOption = None,
     json: JsonOption = False,
 ) -> None:
-    """Give a robot another table, by radio or line. It is disarmed for it, and keeps the table before."""
+    """Send a robot another table by Bluetooth or serial line. It is disarmed and keeps the previous table."""
     from frogkick.front.robots import connect, push_table, require_target
 
     require_target(robot)
     if rollback is (tables is not None):
-        raise InputError("push takes a table image or --rollback: give one of them")
+        raise InputError("push takes either a table image or --rollback: give one of the two")
     if tables is not None:
         pushed = push_table(robot, tables, progress=True, key=key)
     else:
@@ -56,17 +61,15 @@ def own(
     ],
     key: Annotated[
         Path | None,
-        typer.Option(help="File of the key, made where it is not there; default: owner.key of the user."),
+        typer.Option(help="Key file, which is made if it does not exist; default: the user's owner.key."),
     ] = None,
-    release: Annotated[
-        bool, typer.Option("--release", help="Instead, let anybody command the robot again.")
-    ] = False,
+    release: Annotated[bool, typer.Option("--release", help="Let anybody command the robot again.")] = False,
     json: JsonOption = False,
 ) -> None:
-    """Let a robot take commands from its owner alone: from who has a key. DISARM and STOP never need it.
+    """Restrict a robot to the commands of its owner, who has a key. DISARM and STOP never need the key.
 
-    The key is made on this computer. Keep a copy: without it the chip is to be erased and flashed. It goes
-    to the robot as it is, so give it over a line, or a radio link that is paired.
+    The key is made on this computer. Keep a copy of it: without the key the chip must be erased and flashed.
+    The key is sent unencrypted, so use a serial line or a paired radio link.
     """
     from frogkick.front.robots import connect, default_key_file, require_target
 
@@ -75,28 +78,29 @@ def own(
         bot.own(release)
     file = key or default_key_file()
     text = (
-        f"{robot} takes commands from anybody"
+        f"{robot} accepts commands from anybody"
         if release
-        else f"{robot} takes commands from who has the key in {file}: keep a copy of it"
+        else f"{robot} accepts commands only with the key in {file}: keep a copy of it"
     )
     show({"robot": robot, "owned": not release, "key": None if release else str(file)}, json, text)
 
 
 def scan(
-    seconds: Annotated[float, typer.Option(help="How long to listen, 0.5 to 60.")] = 4.0,
+    seconds: Annotated[float, typer.Option(help="Time to listen, 0.5 to 60.")] = 4.0,
     json: JsonOption = False,
 ) -> None:
-    """Robots in range by Bluetooth, the strongest first: signal, table, state. Exit 1 where there is none.
+    """List the robots in Bluetooth range with signal, table and state, the strongest signal first.
 
-    Each is connected to for a moment, and none is armed, disarmed or moved.
+    Each robot is connected to for a moment. None is armed, disarmed or moved. The exit code is 1 if no robot
+    is found.
     """
     found = fk.scan(seconds)
     lines = []
     for one in found:
-        told = one.error or (
+        state = one.error or (
             f"{one.robot}, table {one.table_crc:08x}, {one.state}{', has an owner' if one.owned else ''}"
         )
-        lines.append(f"{one.target}  {one.signal_dbm} dBm  {told}")
+        lines.append(f"{one.target}  {one.signal_dbm} dBm  {state}")
     if found or json:
         show({"robots": [one.as_json() for one in found]}, json, "\n".join(lines))
     if not found:

@@ -1,4 +1,4 @@
-"""``frogkick replay``: recorded fixes once more through the planner."""
+"""``frogkick replay``: the recorded fixes of a run, given to the planner again."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from frogkick.cli.options import DepthOption, PlannerName, TablesOption
 
 
 class PlanWhere(enum.StrEnum):
-    """Who decides."""
+    """The place where decisions are made."""
 
     onboard = "onboard"
     host = "host"
@@ -22,26 +22,33 @@ class PlanWhere(enum.StrEnum):
 
 def replay(
     run: Annotated[
-        Path, typer.Argument(help="Log of ours (.h5) or a recorded run of the paper (line1.csv).")
+        Path,
+        typer.Argument(help="Log of frogkick (.h5), or a recorded run of the paper (such as line1.csv)."),
     ],
     plan: Annotated[
-        PlanWhere, typer.Option(help="The virtual chip, the twin on the host, or both.")
+        PlanWhere, typer.Option(help="Who decides: the virtual chip, its twin on the host, or both.")
     ] = PlanWhere.both,
     tables: TablesOption = None,
     planner: Annotated[
         PlannerName | None,
         typer.Option(
-            help="Whose weights and depth; default: the run's own where its log has them, else paper."
+            help="Planner whose weights and depth are used; default: the run's own if its log has them, "
+            "else paper."
         ),
     ] = None,
     depth: DepthOption = None,
     robot: Annotated[
         str, typer.Option(help="virtual: the chip; pool: the C core on this computer.")
     ] = "virtual",
-    model: Annotated[str | None, typer.Option(help="Robot TOML or name; default: the run's robot.")] = None,
+    model: Annotated[
+        str | None, typer.Option(help="Robot TOML file or built-in name; default: the run's robot.")
+    ] = None,
     json: JsonOption = False,
 ) -> None:
-    """Give a run's fixes to the planner again and compare every decision. Exit 1 on a mismatch."""
+    """Give a run's fixes to the planner again and compare every decision.
+
+    The exit code is 1 if a decision differs.
+    """
     from frogkick.front.replaying import replay as replay_run
 
     replayed = replay_run(

@@ -1,4 +1,4 @@
-"""``frogkick retune``: tables that know what has changed in a robot, from its last runs."""
+"""``frogkick retune``: new tables for a robot that has changed, made from its last runs."""
 
 from __future__ import annotations
 
@@ -17,39 +17,57 @@ if TYPE_CHECKING:
     from frogkick.front.retuning import Retuning
 
 STATES = 800
-"""That of frogkick.front.retuning: a command's help loads nothing of it."""
+"""The value of frogkick.front.retuning, repeated so that a command's help does not load that module."""
 STATES_LEAST = 46
-"""WHOLE_MIN of frogkick.library.fitting, likewise."""
+"""The value of WHOLE_MIN of frogkick.library.fitting, repeated for the same reason."""
 
 
 def command(
     runs: Annotated[
         list[Path],
-        typer.Argument(help="The robot's last runs: logs, or recorded runs (.csv). Last: to judge."),
+        typer.Argument(
+            help="The robot's last runs: logs, or recorded runs (.csv). The last one judges the result."
+        ),
     ],
     robot: Annotated[
-        str, typer.Option("--robot", "--model", help="Robot TOML or name that its tables were made from.")
+        str,
+        typer.Option(
+            "--robot",
+            "--model",
+            help="Robot TOML file or built-in name that the robot's tables were made from.",
+        ),
     ],
-    out: Annotated[Path, typer.Option(help="New folder for robot, library, tables and firmware.")],
+    out: Annotated[
+        Path, typer.Option(help="New folder for the robot's TOML file, library, tables and firmware.")
+    ],
     tables: Annotated[
         Path | None,
-        typer.Option(help="Table image that it carries (.fkt), to compare with; default: made from --robot."),
+        typer.Option(
+            help="Table image that the robot carries (.fkt), to compare with; default: made from --robot."
+        ),
     ] = None,
     states: Annotated[
-        int, typer.Option(min=STATES_LEAST, max=65535, help="States of the libraries that are simulated.")
+        int, typer.Option(min=STATES_LEAST, max=65535, help="Number of states of the simulated libraries.")
     ] = STATES,
-    workers: Annotated[int, typer.Option(min=0, max=256, help="Processes; 0 = one for each core.")] = 0,
+    workers: Annotated[
+        int, typer.Option(min=0, max=256, help="Number of processes; 0: one for each core.")
+    ] = 0,
     push: Annotated[
         str | None,
         typer.Option(
-            metavar="TARGET", help="Send better tables to ble:NAME, serial:PORT or virtual; it keeps the old."
+            metavar="TARGET",
+            help="Send the new tables, if they are better, to ble:NAME, serial:PORT or virtual. The robot "
+            "keeps the old ones.",
         ),
     ] = None,
     key: KeyOption = None,
     seed: SeedOption = 0,
     json: JsonOption = False,
 ) -> None:
-    """Make a worn robot new tables. Exit 1 where they are no better on held-out periods or runs too short."""
+    """Make new tables for a worn robot.
+
+    The exit code is 1 if they are no better on held-out periods, or if the runs are too short.
+    """
     from frogkick.front.retuning import TABLES, retune
 
     made = retune(
@@ -68,7 +86,7 @@ def command(
     show(made.as_json(), json, printed(made, push))
     if made.not_pushed is not None:
         raise InputError(
-            f"the new tables are made, and not sent: {made.not_pushed}; then send them by 'frogkick push "
+            f"the new tables are made but were not sent: {made.not_pushed}; then send them by 'frogkick push "
             f"{out / TABLES} --robot {push}'"
         ) from made.not_pushed
     if made.reason and not made.done:
@@ -78,7 +96,7 @@ def command(
 
 
 def printed(made: Retuning, push: str | None = None) -> str:
-    """For people; ``push`` is where better tables were sent."""
+    """Return the result as text for people; ``push`` is the robot that the tables were sent to."""
     result, out = made.found, made.out
     lines = [f"verdict: {result.outcome.verdict}", f"held out: {result.held_out}"]
     for term, row in zip(result.outcome.terms, result.outcome.parameters, strict=True):
@@ -86,11 +104,11 @@ def printed(made: Retuning, push: str | None = None) -> str:
         lines.append(f"effect {term.title}: {values}")
     for name, error in (("old", result.before), ("new", result.after)):
         if error.count:
-            lines.append(f"{name} tables: {error} RMS a period ahead ({error.count} periods)")
+            lines.append(f"{name} tables: {error} RMS one period ahead ({error.count} periods)")
     if result.loop is not None:
         for name, tracked in zip(("old", "new"), result.loop, strict=True):
             lines.append(
-                f"{name} tables in closed loop, in a simulated pool with what was found: "
+                f"{name} tables in closed loop, in a simulated pool with the identified effects: "
                 f"{1e3 * tracked.mean_distance_m:.1f} mm from the path, "
                 f"{1e3 * tracked.progress_mps:.1f} mm/s along it, "
                 f"{tracked.completed} of {tracked.runs} runs completed"
@@ -100,7 +118,7 @@ def printed(made: Retuning, push: str | None = None) -> str:
         lines.append(result.reason)
     if result.better and result.tables is not None:
         lines.append(f"new tables: {result.tables['file']}, firmware: {out / 'firmware'}")
-        lines.append(f"old tables, to go back to: {out / 'before.fkt'}")
+        lines.append(f"old tables, to return to: {out / 'before.fkt'}")
     if push is not None and made.pushed is not None:
         lines.append(text_of(made.pushed, push))
     return "\n".join(lines)

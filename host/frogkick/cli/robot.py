@@ -1,4 +1,4 @@
-"""``frogkick robot``: which robots there are, what one looks like, and a file for a new one."""
+"""``frogkick robot``: lists and shows robots, and writes the file of a new one."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from frogkick.core.files import require_writable
 
 app = typer.Typer(
     cls=WholeLines,
-    help="Which robots there are, what one looks like, and a file for a new one.",
+    help="List and show robots, and write the file of a new one.",
     no_args_is_help=True,
 )
 
@@ -43,19 +43,21 @@ def list_robots(json: JsonOption = False) -> None:
 
 @app.command("new")
 def new(
-    out: Annotated[Path, typer.Argument(help="TOML file to write; its name is the robot's id.")],
+    out: Annotated[Path, typer.Argument(help="TOML file to write; its file name becomes the robot's id.")],
     base: Annotated[
-        str, typer.Option("--from", help="Built-in name or TOML file to begin from.")
+        str, typer.Option("--from", help="Built-in name or TOML file to start from.")
     ] = "frog2022",
-    limbs: Annotated[int | None, typer.Option(help="The first so many of its limbs; default: all.")] = None,
+    limbs: Annotated[
+        int | None, typer.Option(help="Number of limbs to keep, from the first; default: all.")
+    ] = None,
     json: JsonOption = False,
 ) -> None:
-    """Write a robot file to begin with: complete, with a comment on every key."""
+    """Write a complete robot file to start from, with a comment on every key."""
     from frogkick.front.describing import write_new_robot
 
     robot = write_new_robot(out, base, limbs)
-    told = {"id": robot.id, "limbs": len(robot.limbs), "actions": len(robot.actions), "out": str(out)}
-    show(told, json)
+    facts = {"id": robot.id, "limbs": len(robot.limbs), "actions": len(robot.actions), "out": str(out)}
+    show(facts, json)
 
 
 @app.command("fit-stroke")
@@ -63,20 +65,26 @@ def fit_stroke(
     strokes: Annotated[
         list[Path],
         typer.Argument(
-            help="CSV of one cycle each, from the pulse on: time_s,curvature_per_m or time_s,tip_x_m,tip_y_m "
-            "(the tip seen from the root, x along the limb there)."
+            help="CSV files, each of one cycle that starts with the pulse. Columns: time_s,curvature_per_m "
+            "or time_s,tip_x_m,tip_y_m (position of the tip from the root, x along the limb at the root)."
         ),
     ],
-    out: Annotated[Path, typer.Option(help="TOML to write; a robot's profiles_file names it.")],
-    egain_percent: Annotated[float, typer.Option(min=0.0, max=100.0, help="Of the limb's alloy.")] = 0.0,
+    out: Annotated[Path, typer.Option(help="TOML file to write, for the key profiles_file of a robot.")],
+    egain_percent: Annotated[
+        float, typer.Option(min=0.0, max=100.0, help="EGaIn fraction of the limb's alloy, %.")
+    ] = 0.0,
     frequency_hz: Annotated[
-        float | None, typer.Option(help="Strokes a second; default: one over each file's last time.")
+        float | None, typer.Option(help="Strokes per second; default: one over the last time of each file.")
     ] = None,
-    length_m: Annotated[float | None, typer.Option(help="Of the limb, where its tip was tracked.")] = None,
-    picture: Annotated[Path | None, typer.Option(help="PNG to write: strokes as measured, and fits.")] = None,
+    length_m: Annotated[
+        float | None, typer.Option(help="Length of the limb, needed if its tip was tracked.")
+    ] = None,
+    picture: Annotated[
+        Path | None, typer.Option(help="PNG to write, of the measured strokes and the fits.")
+    ] = None,
     json: JsonOption = False,
 ) -> None:
-    """Fit limb profiles to measured strokes: how the curvature falls and comes back."""
+    """Fit limb profiles to measured strokes: how the curvature falls and recovers."""
     from frogkick.front.describing import fit_strokes
 
     require_writable(out)
@@ -94,9 +102,9 @@ def show_robot(
     out: Annotated[Path | None, typer.Option(help="Picture to write (.png, .svg or .pdf).")] = None,
     json: JsonOption = False,
 ) -> None:
-    """Say what a robot is and draw it as it is simulated: nodes, frame, limbs at rest and active.
+    """Show a robot in numbers, and draw it as it is simulated: nodes, frame, limbs at rest and active.
 
-    Lengths are those at rest. Doubts about its geometry or its limits are warnings.
+    All lengths are those at rest. Doubtful geometry and doubtful limits are reported as warnings.
     """
     from frogkick.front.describing import describe
 
@@ -109,8 +117,8 @@ def show_robot(
     for warning in described.warnings:
         print(f"frogkick: warning: {warning}", file=sys.stderr)
     facts, picture = described.as_json(), None if out is None else str(out)
-    told = {**facts, "warnings": list(described.warnings), "out": picture}
-    show(told, json, _text(described.robot, facts))
+    values = {**facts, "warnings": list(described.warnings), "out": picture}
+    show(values, json, _text(described.robot, facts))
 
 
 @app.command("frames")
@@ -118,7 +126,7 @@ def draw_frames(
     out: Annotated[Path, typer.Option(help="Picture to write (.png, .svg or .pdf).")],
     json: JsonOption = False,
 ) -> None:
-    """Draw the frames and units that files, options and logs speak in: pool, robot, tag, heights."""
+    """Draw the frames and units that files, options and logs use: pool, robot, tag and heights."""
     require_writable(out)
     from frogkick.report.frames_figure import UNITS, write_frames_figure
 
@@ -134,7 +142,7 @@ def _text(robot: fk.Robot, facts: dict[str, Any]) -> str:
         f"{1e3 * sizes['segment_max_m']:.2f} mm",
         f"{1e3 * robot.mass_kg:.0f} g; {1e3 * sizes['length_m']:.0f} mm long, "
         f"{1e3 * sizes['width_m']:.0f} mm wide at rest",
-        f"a stroke each {robot.period_s:g} s, pulses of {1e3 * robot.pulse_s:g} ms",
+        f"one stroke every {robot.period_s:g} s, pulses of {1e3 * robot.pulse_s:g} ms",
         f"guard: pulses up to {1e3 * guard.pulse_max_s:g} ms, then {guard.rest_min_s:g} s of rest; "
         f"on for up to {100 * guard.duty_max:g} % of {guard.duty_window_s:g} s; "
         f"{guard.limbs_at_once_max} limbs at once",

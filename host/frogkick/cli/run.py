@@ -15,12 +15,12 @@ from frogkick.cli.keys import keys_of
 from frogkick.cli.options import DepthOption, KeyOption, PlannerName, PlannerOption, TablesOption
 
 WorldOption = Annotated[
-    Path | None, typer.Option(help="TOML of effects that are true in the pool and no model knows.")
+    Path | None, typer.Option(help="TOML file of effects that act in the pool but are in no model.")
 ]
 
 
 class PlanWhere(enum.StrEnum):
-    """Who decides."""
+    """The place where decisions are made."""
 
     onboard = "onboard"
     host = "host"
@@ -31,70 +31,85 @@ def run(
     robot: Annotated[
         str,
         typer.Option(
-            help="virtual: firmware on the virtual chip; pool: the core here; real: ble:NAME, serial:PORT."
+            help="virtual: firmware on the virtual chip; pool: C core on this computer; ble:NAME or "
+            "serial:PORT: a real robot."
         ),
     ] = "virtual",
     plan: Annotated[
         PlanWhere,
-        typer.Option(help="Who decides: the robot, the host, or the robot checked live by the host."),
+        typer.Option(
+            help="Who decides: the robot (onboard), the host, or the robot while the host checks it (both)."
+        ),
     ] = PlanWhere.onboard,
     path: Annotated[
         str,
         typer.Option(
-            help="line, sine, ellipse, circle, bends, eight, or a CSV file: columns x, y in m (and dx, dy or "
-            "tangent_rad), 100 points (more are resampled), 50 m at most."
+            help="line, sine, ellipse, circle, bends, eight, or a CSV file with the columns x, y in m (and "
+            "dx, dy or tangent_rad), 100 points (more are resampled) and at most 50 m of length."
         ),
     ] = "line",
     planner: PlannerOption = PlannerName.robot,
     depth: DepthOption = None,
     tables: TablesOption = None,
-    model: Annotated[str | None, typer.Option(help="Robot TOML or name; default: the table's robot.")] = None,
+    model: Annotated[
+        str | None, typer.Option(help="Robot TOML file or built-in name; default: the table's robot.")
+    ] = None,
     simulated_time: Annotated[
-        float, typer.Option(help="Longest pool time, s; real for a real robot.")
+        float, typer.Option(help="Time limit of the run in pool time, s; for a real robot in real time.")
     ] = 120.0,
-    fix_rate: Annotated[float, typer.Option(help="Position fixes per second, simulated.")] = 15.0,
+    fix_rate: Annotated[
+        float, typer.Option(help="Position fixes per second of the simulated camera.")
+    ] = 15.0,
     fixes: Annotated[
         str | None,
         typer.Option(
-            help="A real robot's: camera.toml of 'camera calibrate', or stdin = a tracker's lines "
-            "'x_m y_m heading_rad [age_s]'; pool = simulated, for a kit without limbs."
+            help="Source of a real robot's fixes. camera.toml of 'camera calibrate'; stdin: a tracker's "
+            "lines 'x_m y_m heading_rad [age_s]'; pool: simulated, for a kit without limbs."
         ),
     ] = None,
     source: Annotated[
-        str, typer.Option(help="The camera of --fixes camera.toml: number, video, folder of pictures.")
+        str, typer.Option(help="Camera of --fixes camera.toml: a number, a video or a folder of pictures.")
     ] = "0",
     begin: Annotated[
-        str | None, typer.Option(help="A real robot's path begins at X,Y,DEG (m, degrees), or here.")
+        str | None, typer.Option(help="Where a real robot's path begins: X,Y,DEG (m, degrees), or 'here'.")
     ] = None,
     dialect: Annotated[
-        str, typer.Option(help="A real robot's: frogkick, or frog2022 = the authors' firmware, as text.")
+        str,
+        typer.Option(
+            help="Protocol of a real robot: frogkick, or frog2022 (the text of the authors' firmware)."
+        ),
     ] = "frogkick",
     world: WorldOption = None,
     seed: SeedOption = 0,
-    out: Annotated[Path | None, typer.Option(help="Log to write (HDF5).")] = None,
+    out: Annotated[Path | None, typer.Option(help="Log file to write (HDF5).")] = None,
     view: Annotated[
         bool,
         typer.Option(
             "--view",
-            help="Draw the run in the browser, over a camera's picture; simulated ones in real time.",
+            help="Draw the run in the browser, over the camera's picture if there is one. A simulated run is "
+            "drawn in real time.",
         ),
     ] = False,
     video: Annotated[
-        bool, typer.Option("--video", help="Keep the camera's pictures beside --out: .avi, .frames.csv.")
+        bool,
+        typer.Option("--video", help="Record the camera's pictures beside --out, as .avi and .frames.csv."),
     ] = False,
     battery_v: Annotated[
         float | None,
-        typer.Option(help="Of a real robot's lowest battery, measured by hand at rest; too low is refused."),
+        typer.Option(
+            help="Voltage of a real robot's lowest battery, measured at rest with a meter. A voltage that is "
+            "too low is refused."
+        ),
     ] = None,
     key: KeyOption = None,
     yes: Annotated[bool, typer.Option("--yes", help="Arm a real robot without asking for Enter.")] = False,
     json: JsonOption = False,
 ) -> None:
-    """Follow a path: position fixes in, strokes out. Exit 1 if the guard's limits were broken, robot and
-    host decide differently (--plan both), or the robot gets nowhere along its path.
+    """Follow a path in closed loop: position fixes come in, and strokes go out.
 
-    At a terminal a real robot is armed by Enter, and any key stops the run. However it ends, the robot is
-    disarmed first.
+    At a terminal, Enter arms a real robot and any key stops the run. The robot is disarmed however the run
+    ends. The exit code is 1 if a limit of the guard was broken, if robot and host decided differently (--plan
+    both), or if the robot made no progress along its path.
     """
     found = fk.run(
         tables,
@@ -123,9 +138,9 @@ def run(
     show(found.as_json(), json)
     if found.tracking.stood:
         say(
-            f"after {found.tracking.decisions} decisions the robot is no farther along the path, "
-            f"{1e3 * found.tracking.mean_distance_m:.0f} mm beside it on average: "
-            "does the path begin where the robot is, and point where it can go?"
+            f"the robot made no progress along the path in {found.tracking.decisions} decisions, and was "
+            f"{1e3 * found.tracking.mean_distance_m:.0f} mm from it on average: check that the path begins "
+            "where the robot is, and that it leads where the robot can go"
         )
     if found.tracking.limit_violations or found.tracking.stood:
         raise typer.Exit(1)

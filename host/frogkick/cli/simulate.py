@@ -1,4 +1,4 @@
-"""``frogkick simulate``: swim in the rod simulation."""
+"""``frogkick simulate``: a robot's swim in the rod simulation."""
 
 from __future__ import annotations
 
@@ -41,20 +41,24 @@ def _write_csv(target: Path, swum: fk.Trajectory) -> None:
 def simulate(
     robot: Annotated[str, typer.Argument(help="TOML file or built-in name.")] = "frog2022",
     egain_percent: Annotated[
-        float | None, typer.Option(help="EGaIn fraction of the limbs, % (a gait).")
+        float | None, typer.Option(help="EGaIn fraction of the limbs in a gait, %.")
     ] = None,
     frequency_hz: Annotated[float | None, typer.Option(help="Strokes per second of a gait.")] = None,
-    phase: Annotated[float, typer.Option(help="Rear limbs' lag as a part of the period, 0 to 1.")] = 0.5,
-    cycles: Annotated[int, typer.Option(min=1, max=200, help="Cycles of the gait.")] = 8,
+    phase: Annotated[
+        float, typer.Option(help="Lag of the rear limbs as a fraction of the period, 0 to 1.")
+    ] = 0.5,
+    cycles: Annotated[int, typer.Option(min=1, max=200, help="Number of cycles of the gait.")] = 8,
     actions: Annotated[
-        str | None, typer.Option(help="Names of actions, one after another, as B,B,C or kick,glide.")
+        str | None, typer.Option(help="Names of the actions in their order, such as B,B,C or kick,glide.")
     ] = None,
     initial_velocity: Annotated[str, typer.Option(help="VX,VY,OMEGA: forward, left m/s, rad/s.")] = "0,0,0",
-    out: Annotated[Path | None, typer.Option(help="CSV with time_s, x_m, y_m, heading_rad.")] = None,
-    animation: Annotated[Path | None, typer.Option(help="Moving picture to write (.gif or .mp4).")] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="CSV file to write, with time_s, x_m, y_m, heading_rad.")
+    ] = None,
+    animation: Annotated[Path | None, typer.Option(help="Animation to write (.gif or .mp4).")] = None,
     json: JsonOption = False,
 ) -> None:
-    """Simulate a gait, or a sequence of actions, of a robot."""
+    """Simulate a gait or a sequence of actions of a robot."""
     described = fk.load_robot(robot)
     require_writable(out)
     if animation is not None:
@@ -66,7 +70,7 @@ def simulate(
     frequency = described.profile_frequency_hz if frequency_hz is None else frequency_hz
     if actions is not None and (egain_percent is not None or frequency_hz is not None):
         raise InputError(
-            "--actions uses the robot's own profile: leave --egain-percent and --frequency-hz out"
+            "--actions uses the robot's own profile: leave out --egain-percent and --frequency-hz"
         )
     begin = (0.0, 0.0, 0.0) if actions is None else _velocity(initial_velocity)
     result = fk.simulate(
@@ -96,7 +100,7 @@ def simulate(
         {
             "speed_mps": result.speed_mps,
             "distance_m": result.distance_m,
-            # Without forward motion it is infinite, which JSON cannot say.
+            # Without forward motion it is infinite, which JSON cannot hold.
             "cost_of_transport": result.cost_of_transport
             if math.isfinite(result.cost_of_transport)
             else None,

@@ -1,4 +1,4 @@
-"""``frogkick study``: runs a study, told by its configuration, and shows what it found.
+"""``frogkick study``: runs a study by its configuration and shows its result.
 
 Studies come with a clone of the project, beside the package, and not with the wheel.
 """
@@ -36,12 +36,14 @@ SHARED: dict[tuple[str, str], Any] = {
     ("robot", "str"): RobotFileOption,
     ("planner", "str"): PlannerOption,
     ("tables", "Path | None"): TablesOption,
-    ("workers", "int"): Annotated[int, typer.Option(min=0, max=256, help="Processes; 0: one for each core.")],
+    ("workers", "int"): Annotated[
+        int, typer.Option(min=0, max=256, help="Number of processes; 0: one for each core.")
+    ],
     ("swims", "str"): Annotated[
-        Sampling, typer.Option(help="How unseen states of swims are drawn, as for 'library build'.")
+        Sampling, typer.Option(help="How the unseen states are drawn, as for 'library build'.")
     ],
 }
-"""Name and type of an option that a configuration leaves to this place."""
+"""The shared options, by the name and type of a configuration's field."""
 
 
 def register(app: typer.Typer) -> None:
@@ -52,7 +54,9 @@ def register(app: typer.Typer) -> None:
     """
     folder = Path(__file__).parents[2] / "studies"
     if not (folder / "frogkick_studies").is_dir():
-        raise InputError("studies come with a clone of the project, not with the wheel: run them in a clone")
+        raise InputError(
+            "the studies are part of a clone of the project, not of the wheel: run them in a clone"
+        )
     if str(folder) not in sys.path:
         sys.path.append(str(folder))
     for name, config in importlib.import_module("frogkick_studies.configs").STUDIES.items():
@@ -60,7 +64,7 @@ def register(app: typer.Typer) -> None:
 
 
 def _command(name: str, config: Any) -> Callable[..., None]:
-    """A command whose options are the fields of a configuration."""
+    """Return a command whose options are the fields of a configuration."""
     hints = get_type_hints(config, include_extras=True)
     options = {
         field.name: hints[field.name]

@@ -25,7 +25,9 @@ def _numbers(text: str | None, option: str) -> list[float] | None:
     try:
         return [float(part) for part in text.split(",")]
     except ValueError:
-        raise InputError(f"{option} is {text!r}: give numbers with commas between, as 0.4,0.5,0.6") from None
+        raise InputError(
+            f"{option} is {text!r}: give numbers separated by commas, such as 0.4,0.5,0.6"
+        ) from None
 
 
 def _lines(title: str, points: Sequence[Point]) -> list[str]:
@@ -55,39 +57,45 @@ def _text(swept: Swept, out: Path) -> str:
 
 
 def _with_rate(bar: Callable[[int, int], None]) -> Callable[[int, int], None]:
-    """Tell a bar, and where there is no terminal for it also the rate and the time left."""
+    """Update a progress bar; without a terminal, also print the rate and the time left."""
     began, first = time.monotonic(), -1
 
-    def tell(done: int, whole: int) -> None:
+    def update(done: int, whole: int) -> None:
         nonlocal first
         bar(done, whole)
         if first < 0:
-            first = done  # what an earlier start left was not done at this rate
+            first = done  # results of an earlier start do not count for the rate
         passed = time.monotonic() - began
         if done > first and passed > 0.0 and not sys.stderr.isatty():
             rate = (done - first) / passed
             tell_line(f"  {rate:.1f} gaits/s, {(whole - done) / rate:.0f} s left")
 
-    return tell
+    return update
 
 
 def sweep(
-    out: Annotated[Path, typer.Option(help="Folder for results; a second start goes on in it.")],
+    out: Annotated[Path, typer.Option(help="Folder for the results; an interrupted sweep resumes there.")],
     robot: Annotated[str, typer.Argument(help="TOML file or built-in name.")] = "frog2022",
     frequencies: Annotated[
-        str | None, typer.Option(help="Hz, as 0.4,0.5; default: those measured for each fraction.")
+        str | None,
+        typer.Option(help="Frequencies in Hz, such as 0.4,0.5; default: those measured for each fraction."),
     ] = None,
-    phases: Annotated[int, typer.Option(min=1, max=1000, help="Phase offsets, evenly from 0.")] = 10,
+    phases: Annotated[
+        int, typer.Option(min=1, max=1000, help="Number of phase offsets, evenly spaced from 0.")
+    ] = 10,
     egain: Annotated[
-        str | None, typer.Option(help="EGaIn fractions in %, as 10,30; default: the measured ones.")
+        str | None, typer.Option(help="EGaIn fractions in %, such as 10,30; default: the measured ones.")
     ] = None,
-    workers: Annotated[int, typer.Option(min=0, max=256, help="Processes; 0 = one for each core.")] = 0,
+    workers: Annotated[
+        int, typer.Option(min=0, max=256, help="Number of processes; 0: one for each core.")
+    ] = 0,
     cluster: ClusterOption = None,
     json: JsonOption = False,
 ) -> None:
-    """Simulate every EGaIn fraction, frequency and phase offset; rank by speed and by cost of transport.
+    """Simulate every EGaIn fraction, frequency and phase offset, and rank by speed and cost of transport.
 
-    Limb profiles between measured ones are interpolated; designs outside of them are left out and listed.
+    Limb profiles between the measured ones are interpolated. Designs outside their range are left out and
+    listed.
     """
     from frogkick.front.gaits import sweep as run
 

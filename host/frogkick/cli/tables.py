@@ -1,4 +1,4 @@
-"""``frogkick tables``: make of a library the image that the robot carries."""
+"""``frogkick tables``: makes the table image that the robot carries from a library."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from frogkick.cli.common import JsonOption, SeedOption, WholeLines, show
 from frogkick.cli.library import Sampling
 from frogkick.core.files import require_writable
 
-app = typer.Typer(cls=WholeLines, help="Make of a library the robot's table image.", no_args_is_help=True)
+app = typer.Typer(cls=WholeLines, help="Make the robot's table image from a library.", no_args_is_help=True)
 
 
 class Kind(enum.StrEnum):
@@ -25,12 +25,12 @@ class Kind(enum.StrEnum):
 
 @app.command()
 def build(
-    library: Annotated[Path, typer.Argument(help="HDF5 file of 'library build'.")],
+    library: Annotated[Path, typer.Argument(help="HDF5 file that 'library build' wrote.")],
     kind: Annotated[
         Kind | None,
         typer.Option(
-            help="nearest: the paper's table; affine: fewer states, local linear correction, limb history. "
-            "Default: nearest with all states; with --budget-kib the one that errs less.",
+            help="nearest: the paper's table; affine: fewer states, with local linear corrections and limb "
+            "history. Default: nearest with all states; with --budget-kib the kind with the smaller error.",
             show_default=False,
         ),
     ] = None,
@@ -39,14 +39,14 @@ def build(
         typer.Option(
             min=0.5,
             max=16384,
-            help="Most KiB of the image; states are chosen where the error is. Default: affine 64, nearest "
-            "as many as it takes.",
+            help="Largest size of the image, KiB; states are placed where the error is largest. Default: "
+            "64 for affine, no limit for nearest.",
             show_default=False,
         ),
     ] = None,
     out: Annotated[Path, typer.Option(help="Table image to write (.fkt).")] = Path("tables.fkt"),
     test_states: Annotated[
-        int, typer.Option(min=4, max=10000, help="Unseen states to measure the error on.")
+        int, typer.Option(min=4, max=10000, help="Number of unseen states to measure the error on.")
     ] = 64,
     seed: SeedOption = 1,
     json: JsonOption = False,
@@ -64,10 +64,14 @@ def build(
 def info(
     tables: Annotated[Path, typer.Argument(help="Table image (.fkt).")],
     robot: Annotated[
-        str | None, typer.Option("--robot", "--model", help="Refuse a table that is not for this robot.")
+        str | None,
+        typer.Option("--robot", "--model", help="Refuse a table that was not made for this robot."),
     ] = None,
     test_states: Annotated[
-        int, typer.Option(min=0, max=10000, help="Unseen states to measure the error on; 0: do not.")
+        int,
+        typer.Option(
+            min=0, max=10000, help="Number of unseen states to measure the error on; 0: do not measure it."
+        ),
     ] = 64,
     sampling: Annotated[
         Sampling, typer.Option(help="How the unseen states are drawn, as for 'library build'.")
@@ -75,7 +79,7 @@ def info(
     seed: SeedOption = 1,
     json: JsonOption = False,
 ) -> None:
-    """Say what a table image holds, after checking all of it, and how far it errs on unseen states."""
+    """Check a table image, show what it holds, and measure its error on unseen states."""
     from frogkick.front.tables import read_facts
 
     facts = read_facts(tables)
@@ -84,7 +88,7 @@ def info(
         table = fk.load_table(tables, robot)
     except fk.InputError:
         if robot is not None:
-            raise  # else no built-in robot fits, and the image alone tells what it can
+            raise  # otherwise no built-in robot fits, and only the image's own facts are shown
     else:
         if test_states:
             error = table.error(test_states, seed, sampling.value, progress=True)

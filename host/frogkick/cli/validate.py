@@ -1,4 +1,4 @@
-"""``frogkick validate``: the model against the paper's simulations and measured swims."""
+"""``frogkick validate``: compares the model with the paper's simulations and measured swims."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def _text(result: dict[str, Any]) -> str:
         )
     if result["left_out"]:
         lines += [
-            f"{part['egain_percent']:g} % EGaIn, constants matched to the others alone: speed RMSE "
+            f"{part['egain_percent']:g} % EGaIn, with constants matched only to the others: speed RMSE "
             f"{1e3 * part['left_out_rmse_mps']:.2f} mm/s, on the others {1e3 * part['matched_rmse_mps']:.2f}"
             for part in result["left_out"]["parts"]
         ]
@@ -50,24 +50,27 @@ def _text(result: dict[str, Any]) -> str:
 
 
 def validate(
-    data_dir: Annotated[Path, typer.Argument(help="The paper's data: sim/, exp/, profile/.")],
+    data_dir: Annotated[Path, typer.Argument(help="Folder of the paper's data: sim/, exp/, profile/.")],
     robot: RobotFileOption = "frog2022",
     report: Annotated[Path | None, typer.Option(help="HTML report to write.")] = None,
     left_out: Annotated[
         bool,
         typer.Option(
-            "--left-out", help="Match the robot's constants anew without each EGaIn fraction; minutes."
+            "--left-out",
+            help="Match the robot's constants again without each EGaIn fraction; this takes minutes.",
         ),
     ] = False,
-    workers: Annotated[int, typer.Option(min=0, max=256, help="Processes; 0 = one for each core.")] = 0,
-    check: Annotated[bool, typer.Option(help="Exit 1 where a limit is missed.")] = False,
+    workers: Annotated[
+        int, typer.Option(min=0, max=256, help="Number of processes; 0: one for each core.")
+    ] = 0,
+    check: Annotated[bool, typer.Option(help="Exit with code 1 if a limit is missed.")] = False,
     json: JsonOption = False,
 ) -> None:
     """Compare the model with every simulation and measured swim of a data folder.
 
-    One parameter set for all; limb profiles come from the folder's own files where it has them. Constants
-    that no paper gives were matched to these simulations: --left-out tells errors on fractions that had no
-    part in that.
+    All are compared with one parameter set. Limb profiles come from the folder's own files if it has them.
+    Constants that no paper gives were matched to these simulations. --left-out shows the errors on fractions
+    that the constants were not matched to.
     """
     from frogkick.front.gaits import validate as compare
 

@@ -1,7 +1,7 @@
-"""What each study is told: a configuration is the command's options, and its text is the command's help.
+"""The configuration of each study. Its fields are the command's options, its docstring the command's help.
 
-Nothing that computes is loaded here, so that help is there at once. An option that several commands have
-stands without its help: the runner (``frogkick/cli/study.py``) knows it by its name and type.
+This module loads nothing that computes, so that help is printed at once. An option that several commands
+share stands without its help: the runner (``frogkick/cli/study.py``) knows it by its name and type.
 """
 
 from __future__ import annotations
@@ -31,29 +31,34 @@ class Config:
 
 @dataclass(frozen=True)
 class Tables(Config):
-    """Error of tables of both kinds against their size, and against the library's."""
+    """Measure the error of both kinds of table against their size, and compare it with the library's."""
 
     library: LibraryArgument
     out: PictureOption = None
-    test_states: Annotated[int, Option(min=4, max=10000, help="Unseen states of each sampling.")] = 200
+    test_states: Annotated[
+        int, Option(min=4, max=10000, help="Number of unseen states of each sampling.")
+    ] = 200
     swims: str = "planned"
     seed: int = 1
 
 
 @dataclass(frozen=True)
 class History(Config):
-    """Error of affine tables with and without limb use as an input, for this robot and tiring ones."""
+    """Measure the error of affine tables with and without limb use as an input, also for tiring robots."""
 
     robot: RobotArgument = "frog2022"
     out: PictureOption = None
-    states: Annotated[int, Option(min=50, max=65535, help="States of each library.")] = 400
-    test_states: Annotated[int, Option(min=4, max=10000, help="Unseen states.")] = 100
+    states: Annotated[int, Option(min=50, max=65535, help="Number of states of each library.")] = 400
+    test_states: Annotated[int, Option(min=4, max=10000, help="Number of unseen states.")] = 100
     seed: int = 1
 
 
 @dataclass(frozen=True)
 class Estimator(Config):
-    """States from late, lost, doubled and wrong fixes in the pool: the robot's way, a line, the paper's."""
+    """Estimate states from late, lost, doubled and wrong fixes by three methods.
+
+    The methods are the robot's estimator, a fitted line and the paper's estimate.
+    """
 
     tables: Path | None = None
     model: str | None = None
@@ -69,24 +74,26 @@ class Estimator(Config):
 
 @dataclass(frozen=True)
 class Loop(Config):
-    """Distance to the path and progress: the paper's planner against the robot's, depth 1 to 3.
+    """Compare the paper's planner with the robot's at depth 1 to 3: distance to the path and progress.
 
-    Exit 1 where, in a world and over all paths, the robot's planner is not at most half as far off as the
-    paper's at no less progress, or depth 2 and 3 are both further off than depth 1.
+    The exit code is 1 if, in one of the worlds, the robot's planner is more than half as far off as the
+    paper's or makes less progress, or if depth 2 and depth 3 are both farther off than depth 1.
     """
 
     folder: ClassVar[bool] = True
-    out: Annotated[Path, Option(help="Folder for tables, results and figure; resumes there.")]
+    out: Annotated[
+        Path, Option(help="Folder for tables, results and figure; an interrupted study resumes there.")
+    ]
     seeds: Annotated[int, Option(min=1, max=1000, help="Runs of each, by the camera's noise.")] = 20
     path: Annotated[
         list[str] | None,
-        Option(help="line, sine, ellipse, circle, bends or eight; again for more. Default: the first 3."),
+        Option(help="line, sine, ellipse, circle, bends or eight; may be repeated. Default: the first 3."),
     ] = None
     world: Annotated[
         list[str] | None,
         Option(
-            help="nominal: the plain pool; hidden: with a few effects that no model knows; or a TOML of such "
-            "effects, as for 'run'. Again for more. Default: nominal and hidden."
+            help="nominal: the plain pool; hidden: a pool with a few effects that are in no model; or a TOML "
+            "file of such effects, as for 'run'. May be repeated. Default: nominal and hidden."
         ),
     ] = None
     robot: str = "frog2022"
@@ -101,27 +108,30 @@ class Loop(Config):
 
 @dataclass(frozen=True)
 class Twin(Config):
-    """The paper's planner and the robot's in the pool of a robot as its recorded runs show it.
+    """Compare the paper's planner with the robot's on the twin of a robot, which was fitted to recorded runs.
 
-    Exit 1 where the robot's planner, with its own table, is more than 10 mm off on average: over the shapes,
-    or over the recorded runs' paths. With --runs the paper's planner also swims with what it believed of
-    each action, as its recorded decisions show.
+    With --runs the paper's planner also swims with the motion that it assumed of each action, as inverse
+    planning recovers it from its recorded decisions. The exit code is 1 if the robot's planner, with its own
+    table, is more than 10 mm off on average over the shapes or over the recorded runs' paths.
     """
 
     folder: ClassVar[bool] = True
-    out: Annotated[Path, Option(help="Folder for libraries, tables, results, figure; resumes there.")]
+    out: Annotated[
+        Path,
+        Option(help="Folder for libraries, tables, results, figure; an interrupted study resumes there."),
+    ]
     seeds: Annotated[int, Option(min=1, max=1000, help="Runs of each, by the camera's noise.")] = 6
     path: Annotated[
-        list[str] | None, Option(help="line, sine, ellipse, ...; again for more. Default: these 3.")
+        list[str] | None, Option(help="line, sine, ellipse, ...; may be repeated. Default: these 3.")
     ] = None
     runs: Annotated[
         Path | None,
-        Option(help="Folder of the paper's recorded runs: their paths too, from where they began."),
+        Option(help="Folder of the paper's recorded runs, whose paths are followed too."),
     ] = None
-    robot: Annotated[str, Option(help="TOML file or built-in name; its effects are true in the pool.")] = (
+    robot: Annotated[str, Option(help="TOML file or built-in name; its effects act in the pool.")] = (
         "frog2022-measured"
     )
-    model: Annotated[str, Option(help="What the paper's planner takes it for.")] = "frog2022"
+    model: Annotated[str, Option(help="Robot that the paper's planner has as its model.")] = "frog2022"
     library: Annotated[
         Path | None, Option(help="Library of the robot; default: one of 1000 planned states, made once.")
     ] = None
@@ -133,9 +143,9 @@ class Twin(Config):
 
 @dataclass(frozen=True)
 class Ceiling(Config):
-    """One planner in the pool, told by a full nearest table, by the robot's, or by the rods themselves.
+    """Compare one planner in the pool with three models: full nearest table, the robot's table and the rods.
 
-    Each --depth that the rods look further takes as many times longer as the robot has actions.
+    Each further level of --depth multiplies the time that the rods take by the number of actions.
     """
 
     library: LibraryArgument
@@ -153,61 +163,67 @@ class Ceiling(Config):
 
 @dataclass(frozen=True)
 class Foresight(Config):
-    """How near to a path any plan could stay, and how fast: the whole run planned at once, by the table.
+    """Compute the offline bound of a path: plan the whole run at once by the table.
 
-    No noise, no delay, no limit of time or memory. A planner on the robot stays further off; by how much
-    more tells what it misses, and the rest is what the path asks of the robot.
+    The plan has no noise, no delay and no limit of time or memory. A planner on the robot stays farther from
+    the path. The difference is the loss of the planner; the bound itself is the demand of the path.
     """
 
     path: Annotated[str, Option(help="A shape's name or a path file.")] = "sine"
     tables: Path | None = None
     at_least: Annotated[
-        float | None, Option(help="Progress that a plan has to make, m/s: tells the nearest such one.")
+        float | None, Option(help="Least progress of a plan, m/s; the nearest such plan is shown.")
     ] = None
-    breadth: Annotated[int, Option(min=1, max=5000, help="Plans kept for each part of it.")] = 300
+    breadth: Annotated[
+        int, Option(min=1, max=5000, help="Number of plans kept for each part of the path.")
+    ] = 300
     out: PictureOption = None
 
 
 @dataclass(frozen=True)
 class Verdicts(Config):
-    """Plant effects in simulated pools, identify them from the runs, and count what comes out.
+    """Put synthetic effects in simulated pools, identify them from the runs, and count the verdicts.
 
-    Exit 1 where a group has fewer right verdicts than asked: 95 % with nothing planted, with one effect of
-    the catalogue and with one from outside; 90 % with two at once; or where more than 2 % are wrongly found.
-    An effect with a parameter farther off than twice its interval is wrong. How many parameters are inside
-    their intervals of 95 % is counted beside it.
+    The exit code is 1 if a group has too few right verdicts, or if more than 2 % are wrong effects. The least
+    shares are 95 % without an effect, with one effect of the catalogue and with one from outside, and 90 %
+    with two effects at once. An effect is wrong if a parameter is farther off than twice its interval. The
+    study also counts how many parameters are inside their 95 % intervals.
     """
 
     folder: ClassVar[bool] = True
     out: Annotated[Path, Option(help="Folder for results and figure; resumes there.")]
-    seeds: Annotated[int, Option(min=1, max=1000, help="Cases of each kind.")] = 5
+    seeds: Annotated[int, Option(min=1, max=1000, help="Number of cases of each kind.")] = 5
     cases: Annotated[
         int | None,
-        Option(min=1, max=10000, help="Cases of each group, its kinds in turn, instead of --seeds."),
+        Option(
+            min=1, max=10000, help="Number of cases of each group, spread over its kinds; replaces --seeds."
+        ),
     ] = None
     first: Annotated[int, Option(min=0, help="First seed.")] = 0
-    kind: Annotated[list[str] | None, Option(help="Kinds to plant; may be given again; default: all.")] = None
+    kind: Annotated[
+        list[str] | None, Option(help="Kinds of effect to put in; may be repeated; default: all.")
+    ] = None
     tables: Path | None = None
     workers: int = 1
 
 
 @dataclass(frozen=True)
 class Openloop(Config):
-    """Fit effects to some groups of measured swims and predict the speeds of those left out.
+    """Fit effects to some groups of measured swims and predict the speeds of the groups left out.
 
-    Without further options each EGaIn fraction and each band of frequency is left out in turn; --train-egain
-    fits to one fraction at a time; --train and --test fit to one folder and predict another. Effects are the
-    same for every alloy: alloys differ by their measured limb profiles alone. Effects are taken up only where
-    groups of the training swims that are left out of the fit are predicted better by more than the sampling
-    error (paired bootstrap over cases); else the nominal model stays.
+    Without further options each EGaIn fraction and each frequency band is left out once. --train-egain fits
+    to one fraction at a time. --train and --test fit to one folder and predict another. Effects are the same
+    for every alloy: alloys differ only by their measured limb profiles. Effects are accepted only if groups of
+    training swims that the fit leaves out are predicted better by more than the sampling error (paired
+    bootstrap over cases). Otherwise the nominal model stays.
     """
 
     folder: ClassVar[bool] = True
     data_dir: Annotated[
-        Path | None, Argument(help="The paper's data: exp/, profile/; or give --train and --test.")
+        Path | None, Argument(help="Folder of the paper's data: exp/, profile/; or give --train and --test.")
     ] = None
-    train: Annotated[Path | None, Option(help="Folder to fit to, all of it, laid out as DATA_DIR.")] = None
-    test: Annotated[Path | None, Option(help="Folder to predict, laid out as DATA_DIR.")] = None
+    train: Annotated[Path | None, Option(help="Folder to fit to, with the layout of DATA_DIR.")] = None
+    test: Annotated[Path | None, Option(help="Folder to predict, with the layout of DATA_DIR.")] = None
     train_egain: Annotated[
         list[float] | None, Option(help="EGaIn fraction to fit to, per cent; may be repeated.")
     ] = None
@@ -223,38 +239,43 @@ class Openloop(Config):
 
 @dataclass(frozen=True)
 class Heldout(Config):
-    """Keep each run back in turn, learn from all others what the model lacks, and predict it with that.
+    """Cross-validate identification: predict each run by the effects that all other runs show.
 
-    How far identification may be trusted on this robot: every period is predicted once, by effects that were
-    found without it. Fits of many effects start from nominal values, never from a built-in robot that was
-    measured before. Exit 1 where what was found predicts worse than the nominal model.
+    The result shows how far identification may be trusted on this robot: every period is predicted once, by
+    effects that were identified without it. Fits of many effects start from nominal values, never from a
+    built-in robot that was calibrated before. The exit code is 1 if the effects predict worse than the
+    nominal model.
     """
 
     runs: Annotated[list[Path], Argument(help="Three runs or more: logs, or recorded runs (.csv).")]
     robot: str | None = None
-    effects: Annotated[Path | None, Option(help="Python file with effects of your own, tried as well.")] = (
-        None
-    )
+    effects: Annotated[
+        Path | None, Option(help="Python file with your own effects, which are tried as well.")
+    ] = None
     out: PictureOption = None
     workers: int = 0
 
 
 @dataclass(frozen=True)
 class Convergence(Config):
-    """Error of the rod simulation against its time step. Exit 1 if the default step errs too much."""
+    """Measure the error of the rod simulation against its time step.
+
+    The exit code is 1 if the error of the default step is too large.
+    """
 
     robot: RobotArgument = "frog2022"
     out: PictureOption = None
-    every: Annotated[int, Option(min=1, max=100, help="Take every so many-th gait.")] = 1
+    every: Annotated[int, Option(min=1, max=100, help="Use only every n-th gait.")] = 1
 
 
 @dataclass(frozen=True)
 class Chip(Config):
-    """How long the chip plans: cycles of the flashed image over many states. Exit 1 over a limit.
+    """Measure how long the chip takes to plan: cycles of the flashed image over many states.
 
-    Of very many states the dearest are run on the virtual chip, which a model of the planner's blocks finds
-    among all of them: "run" is how many, "model_error" its largest error, "unrun_ms" its bound of the rest.
-    "band_ms": the worst decision by the least and by the most that the manuals allow an instruction.
+    A model of the planner's blocks finds the most expensive states, and only these are run on the virtual
+    chip. "run" is their number, "model_error" the largest error of the model, and "unrun_ms" its bound for
+    all other states. "band_ms" is the worst decision by the least and by the most cycles that the manuals
+    allow an instruction. The exit code is 1 if a limit is exceeded.
     """
 
     tables: Path | None = None

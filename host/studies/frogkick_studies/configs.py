@@ -213,8 +213,8 @@ class Openloop(Config):
 
     Without further options each EGaIn fraction and each frequency band is left out once. --train-egain fits
     to one fraction at a time. --train and --test fit to one folder and predict another. Effects are the same
-    for every alloy: alloys differ only by their measured limb profiles. Effects are accepted only if groups of
-    training swims that the fit leaves out are predicted better by more than the sampling error (paired
+    for every alloy: alloys differ only by their measured limb profiles. Effects are accepted only if groups
+    of training swims that the fit leaves out are predicted better by more than the sampling error (paired
     bootstrap over cases). Otherwise the nominal model stays.
     """
 

@@ -28,8 +28,8 @@ from frogkick.validation.validate import (
     requirements,
     single_groups_above,
     speed_rmse_mps,
-    validate,
     within_cycle_rms_m,
+    validate,
 )
 
 ROBOT = load_robot("frog2022")
@@ -112,6 +112,8 @@ def test_constants_are_matched_without_the_fraction_that_is_left_out(
         assert part.factors["frame mass"] == pytest.approx(1.25, abs=0.03)
         assert part.left_out_mps < 0.1e-3
     assert found.rmse_mps["simulations"] < 0.1e-3 < 0.3e-3 < speed_rmse_mps(result)["simulations"]
+    waves = found.within_cycle_rms_m["simulations"]
+    assert 10.0 * waves < within_cycle_rms_m(result)["simulations"]
     alone = replace(result, simulations=result.simulations[:1])
     with pytest.raises(InputError, match="1 EGaIn fractions, needed are 2"):
         matched.matched_without(alone)

@@ -40,7 +40,8 @@ def _text(result: dict[str, Any]) -> str:
             for part in result["left_out"]["parts"]
         ]
         lines += [
-            f"{group}, each fraction left out: speed RMSE {1e3 * rmse:.2f} mm/s"
+            f"{group}, each fraction left out: speed RMSE {1e3 * rmse:.2f} mm/s, within a cycle "
+            f"{result['left_out']['within_cycle_rms_mm'][group]:.2f} mm RMS"
             for group, rmse in result["left_out"]["rmse_mps"].items()
         ]
     if any(group.startswith("experiments") for group in floor):

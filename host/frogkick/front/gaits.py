@@ -165,6 +165,7 @@ def validate(
 def _matched_row(matched: Matched) -> dict[str, Any]:
     return {
         "rmse_mps": dict(matched.rmse_mps),
+        "within_cycle_rms_mm": {group: 1e3 * rms for group, rms in matched.within_cycle_rms_m.items()},
         "parts": [
             {
                 "egain_percent": part.egain_percent,

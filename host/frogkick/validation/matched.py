@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 
 from frogkick.core.errors import InputError
 from frogkick.robot import Limb, Robot
-from frogkick.validation.validate import Validation, by_group, root_mean_square, swum_of
+from frogkick.validation.gaits import GaitSwim
+from frogkick.validation.validate import Validation, by_group, root_mean_square, swum_of, wave_rms_m
 
 FloatArray = NDArray[np.float64]
 
@@ -83,10 +84,12 @@ class Matched:
     Attributes:
         parts: of each fraction.
         rmse_mps: group of simulations -> RMSE of its speeds, each when its fraction was left out.
+        within_cycle_rms_m: group -> RMS of the forward position within a cycle, likewise.
     """
 
     parts: tuple[LeftOut, ...]
     rmse_mps: Mapping[str, float]
+    within_cycle_rms_m: Mapping[str, float]
 
 
 def matched_without(
@@ -115,7 +118,7 @@ def matched_without(
             f"simulations of {len(every)} EGaIn fractions, needed are 2 to leave one out: give sim/ with more"
         )
 
-    def missed(factors: FloatArray, rows: NDArray[np.bool_]) -> FloatArray:
+    def swum_with(factors: FloatArray, rows: NDArray[np.bool_]) -> list[GaitSwim]:
         robot = validation.robot
         for change, factor in zip(CONSTANTS.values(), factors.tolist(), strict=True):
             robot = change(robot, factor)
@@ -123,12 +126,15 @@ def matched_without(
         swum, failed = swum_of(robot, validation.profiles, set(gaits), workers, None)
         if failed:
             raise InputError(next(iter(failed.values())))
-        return np.asarray(np.array([swum[gait].speed_mps for gait in gaits]) - known[rows])
+        return [swum[gait] for gait in gaits]
+
+    def missed(factors: FloatArray, rows: NDArray[np.bool_]) -> FloatArray:
+        return np.asarray([swim.speed_mps for swim in swum_with(factors, rows)] - known[rows])
 
     def residual(factors: FloatArray, rows: NDArray[np.bool_]) -> FloatArray:
         return np.asarray(np.append(missed(factors, rows) / SPEED_SD_MPS, np.log(factors) / WIDTH))
 
-    parts, errors_mps = list[LeftOut](), np.zeros(len(cases))
+    parts, errors_mps, waves_m = list[LeftOut](), np.zeros(len(cases)), np.zeros(len(cases))
     for percent in every:
         progress(len(parts), len(every))
         rows = fraction != percent
@@ -141,7 +147,9 @@ def matched_without(
             ftol=1e-3,
             args=(rows,),
         )
-        errors_mps[~rows] = missed(fit.x, ~rows)
+        for k, swim in zip(np.flatnonzero(~rows), swum_with(fit.x, ~rows), strict=True):
+            errors_mps[k] = swim.speed_mps - known[k]
+            waves_m[k] = wave_rms_m(validation.simulations[k], swim)
         parts.append(
             LeftOut(
                 float(percent),
@@ -152,4 +160,5 @@ def matched_without(
         )
     progress(len(every), len(every))
     groups = [case.group for case in cases]
-    return Matched(tuple(parts), by_group(zip(groups, errors_mps.tolist(), strict=True)))
+    speeds, waves = (by_group(zip(groups, each.tolist(), strict=True)) for each in (errors_mps, waves_m))
+    return Matched(tuple(parts), speeds, waves)

@@ -225,6 +225,16 @@ def _wave(time_s: FloatArray, forward_m: FloatArray, speed_mps: float) -> FloatA
     return np.asarray(wave - wave.mean())
 
 
+def _model_wave(time_s: FloatArray, swum: GaitSwim) -> FloatArray:
+    return _wave(time_s, np.interp(time_s, swum.time_s, swum.forward_m), swum.speed_mps)
+
+
+def wave_rms_m(result: SimulationResult, swum: GaitSwim) -> float:
+    """``within_cycle_rms_m`` of another swim of the same gait."""
+    gap = _model_wave(result.time_s, swum) - result.reference_wave_m
+    return float(np.sqrt(np.mean(gap**2)))
+
+
 def _against_simulation(
     case: Case, track: tuple[FloatArray, FloatArray], swum: GaitSwim, profiles: Profiles
 ) -> SimulationResult:
@@ -233,7 +243,7 @@ def _against_simulation(
     time_s = np.linspace(FIRST_CYCLE, CYCLES, _SAMPLES_PER_CYCLE * cycles + 1) / frequency_hz
     reference_mps = speed_over_cycles(*track, frequency_hz)
     reference_wave = _wave(time_s, np.interp(time_s, *track), reference_mps)
-    model_wave = _wave(time_s, np.interp(time_s, swum.time_s, swum.forward_m), swum.speed_mps)
+    model_wave = _model_wave(time_s, swum)
     rms = float(np.sqrt(np.mean((model_wave - reference_wave) ** 2)))
     source = profiles.source(case.gait)
     return SimulationResult(

@@ -28,8 +28,8 @@ from frogkick.validation.validate import (
     requirements,
     single_groups_above,
     speed_rmse_mps,
-    within_cycle_rms_m,
     validate,
+    within_cycle_rms_m,
 )
 
 ROBOT = load_robot("frog2022")

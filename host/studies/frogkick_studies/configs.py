@@ -184,10 +184,10 @@ class Foresight(Config):
 class Verdicts(Config):
     """Put synthetic effects in simulated pools, identify them from the runs, and count the verdicts.
 
-    The exit code is 1 if a group has fewer than 95 % right verdicts, or if more than 2 % are wrong effects. The
-    groups are: no effect, one effect of the catalogue, two effects at once, and one from outside the catalogue.
-    An effect is wrong if a parameter is farther off than twice its interval. The study also counts how many
-    parameters are inside their 95 % intervals.
+    The exit code is 1 if a group has fewer than 95 % right verdicts, or if more than 2 % are wrong effects.
+    The groups are: no effect, one effect of the catalogue, two effects at once, and one from outside the
+    catalogue. An effect is wrong if a parameter is farther off than twice its interval. The study also counts
+    how many parameters are inside their 95 % intervals.
     """
 
     folder: ClassVar[bool] = True

@@ -112,7 +112,9 @@ def __getattr__(name: str) -> Any:
     if name in _MODULES:
         return importlib.import_module(f"frogkick.{name}")
     if name not in _MODULE_OF:
-        raise AttributeError(f"module 'frogkick' has no attribute {name!r}")
+        from frogkick.core.errors import nearest_name
+
+        raise AttributeError(f"module 'frogkick' has no attribute {name!r}{nearest_name(name, __all__)}")
     found = getattr(importlib.import_module(f"frogkick.{_MODULE_OF[name]}"), name)
     globals()[name] = found
     return found

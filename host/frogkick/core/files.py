@@ -24,8 +24,10 @@ def existing_file(path: Path | str, what: str) -> Path:
         what: what it should be, for the error text ("table image").
 
     Raises:
-        InputError: the file is missing, a directory, or empty.
+        InputError: no path, or the file is missing, a directory, or empty.
     """
+    if not isinstance(path, str | os.PathLike):
+        raise InputError(f"{what} is given as {type(path).__name__}: give a file's name")
     file = Path(path)
     if not file.exists():
         raise InputError(f"{what} {str(path)!r} does not exist: check the path")

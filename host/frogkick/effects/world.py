@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -19,12 +19,20 @@ class World:
 
     Attributes:
         effects: of these, in order; any sequence is taken.
+
+    Raises:
+        InputError: what is given is no sequence of effects.
     """
 
     effects: Sequence[Effect] = ()
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "effects", tuple(self.effects))
+        given = self.effects
+        if not isinstance(given, Iterable) or not all(isinstance(effect, Effect) for effect in given):
+            raise InputError(
+                f"effects of a world are {given!r}: give a list, as [fk.effects.LimbWear(limb='rear_left')]"
+            )
+        object.__setattr__(self, "effects", tuple(given))
 
 
 def read_world(path: World | Path | str) -> World:

@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from frogkick.core.errors import ConvergenceError, InputError
 from frogkick.der import Failure, Gait, Trajectory, simulate_actions, simulate_gaits
 from frogkick.effects import rods_of
 from frogkick.library.transitions import lane_effects
 from frogkick.robot import Action, Robot, load_robot
+
+SPEED_MAX_MPS = 10.0
+"""No small swimmer is faster: a greater number is of another unit."""
 
 
 def simulate(
@@ -37,10 +43,15 @@ def simulate(
         cycles: of a gait.
 
     Raises:
-        InputError: an unknown action, or a profile outside of what was measured.
+        InputError: an unknown action, a profile outside of what was measured, or what is no number.
         ConvergenceError: the simulation failed; the text gives the state.
     """
     robot = load_robot(robot)
+    for name, value in (("egain_percent", egain_percent), ("frequency_hz", frequency_hz), ("phase", phase)):
+        if not isinstance(value, int | float | np.number | None):
+            raise InputError(f"{name} is {value!r}: give a number")
+    if not isinstance(cycles, int | np.integer) or cycles < 1:
+        raise InputError(f"cycles is {cycles!r}: give 1 or more, a whole number")
     if actions is None:
         gait = Gait(
             robot.egain_percent if egain_percent is None else egain_percent,
@@ -55,7 +66,26 @@ def simulate(
         raise InputError(
             "actions use the robot's own profile: leave egain_percent and frequency_hz out, or the actions"
         )
-    return simulate_actions(robot, actions_of(robot, actions), velocity_body, **_acting(robot))
+    start = _velocity(velocity_body)
+    return simulate_actions(robot, actions_of(robot, actions), start, **_acting(robot))
+
+
+def _velocity(given: Sequence[float]) -> list[float]:
+    """Velocity at the start.
+
+    Raises:
+        InputError: not three numbers, or more than any small swimmer has: in mm/s or degrees/s, most likely.
+    """
+    try:
+        forward, left, turn = (float(number) for number in given)
+    except (TypeError, ValueError):
+        forward = left = turn = math.nan
+    if not (max(abs(forward), abs(left)) <= SPEED_MAX_MPS and math.isfinite(turn)):
+        raise InputError(
+            f"velocity at the start is {given!r}: give forward and left in m/s, up to {SPEED_MAX_MPS:g}, "
+            "and the turn rate in rad/s"
+        )
+    return [forward, left, turn]
 
 
 def _acting(robot: Robot) -> dict[str, Any]:
@@ -85,8 +115,10 @@ def actions_of(robot: Robot, actions: str | Sequence[str]) -> list[Action]:
             and (letters == known or letters.issuperset(names[0].upper()))
         ):
             names = list(names[0])
-    else:
+    elif isinstance(actions, Iterable):
         names = list(actions)
+    else:
+        raise InputError(f"actions is {actions!r}: give names, as 'B,B,C' or ['B', 'B', 'C']")
     names = [name for name in names if name]
     if not names:
         raise InputError("actions is empty: name at least one action, as B,B,C")

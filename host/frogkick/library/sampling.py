@@ -46,10 +46,10 @@ def sample_starts(
             meet too few states.
         ConvergenceError: a planned swim could not be simulated.
     """
-    if not 1 <= states <= STATES_MAX:
-        raise InputError(f"states is {states}: give 1 to {STATES_MAX}")
-    if seed < 0:
-        raise InputError(f"seed is {seed}: give 0 or more")
+    if not isinstance(states, int | np.integer) or not 1 <= states <= STATES_MAX:
+        raise InputError(f"states is {states!r}: give 1 to {STATES_MAX}, a whole number")
+    if not isinstance(seed, int | np.integer) or seed < 0:
+        raise InputError(f"seed is {seed!r}: give 0 or more, a whole number")
     if sampling == "box":
         return rigid_starts(robot, box_velocities(robot, states, seed))
     visited = VisitedStates(robot)

@@ -51,7 +51,12 @@ class Path:
     def __post_init__(self) -> None:
         columns = {}
         for column in ("x_m", "y_m", "tangent_rad"):
-            values = np.array(getattr(self, column), dtype=np.float64)
+            try:
+                values = np.array(getattr(self, column), dtype=np.float64)
+            except (TypeError, ValueError):
+                raise InputError(
+                    f"path {self.name!r}: {column} is no row of numbers: give x_m, y_m, tangent_rad, name"
+                ) from None
             if values.ndim != 1:
                 raise InputError(
                     f"path {self.name!r}: {column} has {values.ndim} dimensions: give one row of numbers"

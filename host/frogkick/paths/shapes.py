@@ -193,7 +193,10 @@ def from_waypoints(
         InputError: not (k,2), fewer than two distinct points, or a non-finite one (row and column named).
     """
     count = _check_points(points, name)
-    given = np.asarray(waypoints_m, dtype=np.float64)
+    try:
+        given = np.asarray(waypoints_m, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise InputError(f"path {name!r}: waypoints are no numbers: give (k, 2), x and y in metres") from None
     if given.size == 0:
         raise InputError(f"path {name!r} is empty (0 points): give at least 2 points")
     if given.ndim != 2 or given.shape[1] != 2:

@@ -234,7 +234,7 @@ class Robot:
             InputError: no such action; the text lists those there are.
         """
         for action in self.actions:
-            if action.name.upper() == name.upper():
+            if action.name.upper() == str(name).upper():
                 return action
         known = ", ".join(action.name for action in self.actions)
         raise InputError(f"robot {self.id!r} has no action {name!r}: choose from {known}")

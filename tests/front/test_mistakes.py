@@ -1,0 +1,64 @@
+"""Plausible mistakes in Python: each is refused in one line that names what was given and what to give."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+
+import frogkick as fk
+
+MISTAKES: dict[str, tuple[Callable[[Any], object], str]] = {
+    "an action's number": (lambda _: fk.simulate("frog2022", [1]), "no action 1: choose from A, B"),
+    "a number of actions": (lambda _: fk.simulate("frog2022", 3), "actions is 3: give names"),
+    "mm/s": (lambda _: fk.simulate("frog2022", "B", velocity_body=(20, 0, 0)), "(20, 0, 0): give forward"),
+    "two velocities": (
+        lambda _: fk.simulate("frog2022", "B", velocity_body=(0.01, 0)),
+        "(0.01, 0): give forward",
+    ),
+    "one velocity": (lambda _: fk.simulate("frog2022", "B", velocity_body=0.02), "0.02: give forward"),
+    "a velocity as text": (lambda _: fk.simulate("frog2022", "B", velocity_body="0,0,0"), "'0,0,0': give"),
+    "a frequency as text": (lambda _: fk.simulate("frog2022", frequency_hz="0.7"), "frequency_hz is '0.7'"),
+    "half a cycle": (lambda _: fk.simulate("frog2022", cycles=2.5), "cycles is 2.5: give 1 or more"),
+    "states as a float": (lambda _: fk.build_library("frog2022", 100.0), "states is 100.0: give 1 to 65535"),
+    "states as text": (lambda _: fk.build_library("frog2022", "100"), "states is '100': give 1 to 65535"),
+    "a seed as text": (lambda _: fk.build_library("frog2022", 10, "a"), "seed is 'a': give 0 or more"),
+    "a robot as library": (lambda robot: fk.fit_table(robot), "library is given as Robot: give a file"),
+    "a robot as table": (lambda robot: fk.load_table(robot), "table image is given as Robot: give a file"),
+    "an effect's name as world": (
+        lambda _: fk.World("limb_wear"),
+        "effects of a world are 'limb_wear': give a list",
+    ),
+    "an effect without a list": (
+        lambda _: fk.World(fk.effects.LimbWear(limb="rear_left")),
+        "effects of a world are limb_wear(",
+    ),
+    "a shape as waypoints": (
+        lambda _: fk.paths.from_waypoints("line"),
+        "waypoints are no numbers: give (k, 2)",
+    ),
+    "a path's name first": (
+        lambda _: fk.Path("p", [0, 0.1], [0, 0], [0, 0]),
+        "x_m is no row of numbers: give x_m",
+    ),
+}
+
+
+@pytest.fixture(scope="module")
+def robot() -> fk.Robot:
+    return fk.load_robot("frog2022")
+
+
+@pytest.mark.parametrize("mistake", MISTAKES)
+def test_a_mistake_is_told_in_one_line(mistake: str, robot: fk.Robot) -> None:
+    do, told = MISTAKES[mistake]
+    with pytest.raises(fk.InputError) as refused:
+        do(robot)
+    assert told in str(refused.value)
+    assert "\n" not in str(refused.value)
+
+
+def test_a_mistyped_name_of_the_front_door_gets_the_nearest() -> None:
+    with pytest.raises(AttributeError, match=r"no attribute 'identfy' \(did you mean 'identify'\?\)"):
+        _ = fk.identfy

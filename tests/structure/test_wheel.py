@@ -144,7 +144,7 @@ def test_without_an_extra_commands_work_or_say_which_they_need(bare: Environment
     for (extra, line), said in zip(LACKING, every[len(working) :], strict=True):
         assert said.code == 2, (line, said)
         assert said.stderr.count("\n") == 1 and said.stdout == "", (line, said)
-        needed = "studies come with a clone" if extra == CLONE else f"pip install 'frogkick[{extra}]'"
+        needed = "the studies are part of a clone" if extra == CLONE else f"pip install 'frogkick[{extra}]'"
         assert needed in said.stderr, (line, said)
     assert sorted(file.name for file in bare.here.iterdir()) == ["emitted", "t.fkt"]
     assert not list(bare.root.glob("cache/tables/*"))  # nothing was simulated for it

@@ -123,7 +123,8 @@ def test_the_ring_closes(
     assert values["table_missed"] == {**ring.missed.as_json(), "periods": ring.missed.count}
     assert values["mean_distance_m"] == ring.mean_distance_m
     page = Path(values["report"]).read_text(encoding="utf-8")
-    assert f"limb_wear {planted['limb']}, gain {planted['gain']:g}" in page and "kept out of learning" in page
+    assert f"limb_wear {planted['limb']}, gain {planted['gain']:g}" in page
+    assert "ahead on the test run" in page
     assert pages == [tmp_path / "identify.html"]
     monkeypatch.setattr(ring_page, "write_ring_report", lambda *_: None)
     assert run_command(["demo", "--out", str(tmp_path)]) == 0

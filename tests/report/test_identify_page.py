@@ -28,8 +28,8 @@ from frogkick.report.identify_figures import (
     track_figure,
     tried_figure,
 )
-from frogkick.report.identify_misses import by_limb, mimics, misses_of
 from frogkick.report.identify_page import write_identify_page
+from frogkick.report.identify_residuals import by_limb, explained_shares, residuals_of
 
 WORN = {"name": "limb_wear", "limb": "rear_left", "gain": 0.7}
 TITLE = "limb_wear rear_left"
@@ -57,7 +57,7 @@ def outcome() -> Outcome:
 
 
 def figures(outcome: Outcome) -> dict[str, Figure]:
-    residuals = misses_of(outcome)
+    residuals = residuals_of(outcome)
     return {
         "track": track_figure(outcome, residuals),
         "error": error_figure(outcome),
@@ -99,12 +99,12 @@ def test_the_page_tells_all(outcome: Outcome, tmp_path: Path) -> None:
     for told in (
         "Verdict: found (limb_wear rear_left)", "noise floor", "5 periods ahead", "by action, limb, time "
         "and place",
-        "held at the plain model's value", "cannot tell limb_wear rear_left from group_gain rear",
-        "limb_wear rear_left was taken: it gains 210, and 65.36 for each held-out period; next is "
-        "steady_wrench",
-        "no effect was taken; the best, warm_up, gains 9", "What would settle it: to tell limb_wear "
+        "fixed at the nominal value", "cannot distinguish limb_wear rear_left from group_gain rear",
+        "limb_wear rear_left was accepted with a gain of 210, and of 65.36 for each held-out period; the "
+        "next best was steady_wrench",
+        "no effect was accepted; the best, warm_up, gains 9", "A decisive experiment: to tell limb_wear "
         "rear_left from",
-        "record from rest: GBE (3 periods, 12.0 sigma apart)", "What stays unexplained", "made31", "made33",
+        "record from rest: GBE (3 periods, 12.0 sigma apart)", "Unexplained residuals", "made31", "made33",
     ):  # fmt: skip
         assert told in links.text, told
     before, after = outcome.tested.before, outcome.tested.after
@@ -121,7 +121,7 @@ def test_a_page_without_effects_or_without_data_is_one_too(outcome: Outcome, tmp
     )
     write_identify_page(tmp_path / "nothing.html", nothing)
     links = self_contained((tmp_path / "nothing.html").read_text(encoding="utf-8"))
-    assert "No effect was taken" in links.text and "Verdict: unexplained (no effect)" in links.text
+    assert "No effect was accepted" in links.text and "Verdict: unexplained (no effect)" in links.text
     few = identify(outcome.train, outcome.test, robot())
     write_identify_page(tmp_path / "few.html", few)
     links = self_contained((tmp_path / "few.html").read_text(encoding="utf-8"))
@@ -129,12 +129,12 @@ def test_a_page_without_effects_or_without_data_is_one_too(outcome: Outcome, tmp
 
 
 def test_rows_are_the_periods_with_what_was_done_in_them(outcome: Outcome) -> None:
-    residuals = misses_of(outcome)
+    residuals = residuals_of(outcome)
     assert residuals.run.tolist() == [0] * 7 + [1] * 6 and residuals.period[7:].tolist() == list(range(6))
     swim = outcome.test[0]
     bits = [robot().actions[a].first_mask | robot().actions[a].second_mask for a in swim.action]
     assert residuals.limbs[:7].tolist() == [[mask >> limb & 1 for limb in range(4)] for mask in bits]
-    world, body = residuals.missed_world("nominal"), residuals.missed_body("nominal")
+    world, body = residuals.residual_world("nominal"), residuals.residual_body("nominal")
     assert np.hypot(*world[:, :2].T) == pytest.approx(np.hypot(*body[:, :2].T))
     assert np.sqrt((world[:, :2] ** 2).sum(axis=1).mean()) == pytest.approx(
         outcome.tested.before.position_rmse_m
@@ -154,11 +154,11 @@ def test_what_a_limbs_stroke_misses_is_told_from_the_others(outcome: Outcome) ->
 
 
 def test_what_was_found_can_make_its_own_change(outcome: Outcome) -> None:
-    ((title, share),) = mimics(outcome)
+    ((title, share),) = explained_shares(outcome)
     assert title == TITLE and 0.8 < share <= 1.0
     assert outcome.found is not None
     blind = replace(
         outcome.found.sensitivities[0], jacobian=np.zeros_like(outcome.found.sensitivities[0].jacobian)
     )
     other = replace(outcome, found=replace(outcome.found, sensitivities=[blind]))
-    assert mimics(other)[0][1] == pytest.approx(0.0)
+    assert explained_shares(other)[0][1] == pytest.approx(0.0)

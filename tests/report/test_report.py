@@ -137,7 +137,7 @@ def test_the_rings_report(tmp_path: Path) -> None:
     for told in (
         "distance", "actions", "estimate", "mismatches", "limits broken", "flash", "RAM", "stack",
         "one plan at depth 1", "one plan at depth 4", "cycles at 64 MHz", "Line", "Sine", "15 Hz",
-        "library, tables", "actions: which limbs to heat", "is followed least well", "turned in any period",
+        "library, tables", "actions: which limbs to heat", "is followed least well", "robot in any period",
     ):  # fmt: skip
         assert told in links.text, told
     assert "nan" not in links.text.lower().split()

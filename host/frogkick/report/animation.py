@@ -1,4 +1,4 @@
-"""A swim or a run as a moving picture: frame, limbs, the trail of the centre, time, the path."""
+"""An animation of a swim or a run: frame, limbs, the trail of the centre, time and the path."""
 
 from __future__ import annotations
 
@@ -42,16 +42,16 @@ _SHADES = (
 
 @dataclass(frozen=True)
 class Swim:
-    """What to simulate and show.
+    """A swim to simulate and show.
 
     Attributes:
         rods: of the robot, with the profile of its limbs.
         pulses: (time_s, limb mask) of every group of limbs that fires, in order of time.
-        duration_s: how long to swim.
+        duration_s: duration of the swim.
         velocity_body: forward, left (m/s), turn rate (rad/s) at the start.
         title: one line.
-        track: (k,) s and (k, 3) m, m, rad where the body was instead, as of a run; None: where it swims.
-        path_m: (p, 2) what it was to follow; None: nothing.
+        track: (k,) s and (k, 3) m, m, rad of the recorded body poses of a run; None: as simulated.
+        path_m: (p, 2) the desired path, or None.
     """
 
     rods: Rods
@@ -72,7 +72,7 @@ class Film:
         nodes_m: (k, n, 2) as Swimmer.nodes_world.
         pose_world: (k, 3) x, y (m), heading (rad).
         heated: (k,) mask of the limbs whose pulse is on.
-        speed: swum seconds for a shown one; 1 is real time.
+        speed: simulated seconds for each second shown; 1 is real time.
     """
 
     time_s: FloatArray
@@ -117,16 +117,18 @@ def actions_swim(
 
 
 def run_swim(log: RunLog) -> Swim:
-    """A run: where the body is comes from its fixes, how frame and limbs bend is simulated from its strokes.
+    """Return the swim of a run: the body's poses are its fixes, the limbs bend as simulated by its strokes.
 
     Raises:
-        InputError: nobody saw the robot, or it is not known which one it was.
+        InputError: the run has too few fixes, or its robot is not known.
     """
     text = log.made.get("robot_toml")
     robot = load_robot(log.robot_id) if text is None else parse_robot(text, log.source)
     seen = log.fixes.usable
     if np.count_nonzero(seen) < 2:
-        raise InputError("nobody saw the robot of this run: there is nothing to show")
+        raise InputError(
+            "this run has fewer than 2 usable position fixes, so there is nothing to show: choose another run"
+        )
     begin_s = float(log.fixes.capture_time_s[seen][0])
     time_s = log.fixes.capture_time_s[seen] - begin_s
     x_m, y_m, heading_rad = log.fixes.x_m[seen], log.fixes.y_m[seen], np.unwrap(log.fixes.heading_rad[seen])
@@ -165,7 +167,7 @@ def film(swim: Swim) -> Film:
         poses.append(moved)
         on = 0
         for start_s, mask in swim.pulses:
-            # Shown at the picture after it began, too: at high speed a pulse may lie between two pictures.
+            # At high speed a pulse may lie between two pictures, so the picture after its start shows it too.
             if start_s - 1e-9 <= now_s < start_s + max(swim.rods.robot.pulse_s, spacing_s) - 1e-9:
                 on |= mask
         heated.append(on)
@@ -177,10 +179,10 @@ def _pose_at(track: tuple[FloatArray, FloatArray], now_s: float) -> FloatArray:
 
 
 def require_animation_name(target: Path) -> None:
-    """Refuse what cannot be written, before anything is simulated.
+    """Refuse a file name that cannot be written, before anything is simulated.
 
     Raises:
-        InputError: a name that ends on none of ``ANIMATIONS``, or .mp4 without OpenCV.
+        InputError: a name that ends in none of ``ANIMATIONS``, or .mp4 without OpenCV.
     """
     kind = target.suffix.lower()
     if kind not in ANIMATIONS:
@@ -233,7 +235,7 @@ def write_animation(
 
 
 def _stage(swim: Swim, shot: Film) -> Figure:
-    """A figure that shows everywhere the swim goes, at equal scales."""
+    """Return a figure that covers the whole swim at equal scales."""
     shown_m = shot.nodes_m.reshape(-1, 2)
     if swim.path_m is not None:
         shown_m = np.concatenate([shown_m, swim.path_m])

@@ -1,4 +1,4 @@
-"""The error map of a calibrated camera: how far off each place of the pool is seen."""
+"""The error map of a calibrated camera: the position error at each place of the pool."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from frogkick.report import style
 def write_error_map(
     pool_m: tuple[float, float], places: npt.NDArray[np.float64], title: str, target: Path
 ) -> None:
-    """Draw an arrow at each place, long enough to be seen, its length in mm told by colour and key.
+    """Draw an arrow at each place, long enough to be visible; colour and key give its length in mm.
 
     Args:
         pool_m: length, width.

@@ -18,11 +18,11 @@ def compare_figure(runs: tuple[RunLog, RunLog], names: tuple[str, str]) -> Figur
     """Draw two runs, each from its first decision on.
 
     Args:
-        runs: with decisions, and seen.
-        names: of each, for the legend.
+        runs: runs with decisions and poses.
+        names: name of each run for the legend.
 
     Raises:
-        InputError: nobody saw one of the robots, or nothing was decided.
+        InputError: a run has no fixes, or no decisions.
     """
     tracks = [track_of(run) for run in runs]
     with style.styled():
@@ -76,5 +76,5 @@ def _tracks(axes: Axes, runs: tuple[RunLog, RunLog], names: tuple[str, str], eve
     axes.set_aspect("equal", adjustable="datalim")
     axes.set_xlabel(style.POOL_X)
     axes.set_ylabel(style.POOL_Y)
-    axes.set_title("Tracks; marks are where they begin")
+    axes.set_title("Tracks; marks show their starts")
     axes.legend(loc="best")

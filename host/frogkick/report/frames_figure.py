@@ -1,4 +1,4 @@
-"""One picture of the frames and units that every file, option and log of this project speaks in."""
+"""One picture of the frames and units that every file, option and log of this project uses."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from frogkick.report.robot_figure import require_picture_name
 
 POOL_M = (1.2, 0.9)
 POSE = (0.62, 0.42, math.radians(35.0))
-"""Of the robot that is drawn: x, y in m, heading in rad."""
+"""Pose of the robot in the picture: x, y in m, heading in rad."""
 SIDE_M, LIMB_M, TAG_M = 0.16, 0.075, 0.085
-"""Drawn twice as large as it is, to be seen."""
+"""Size of the robot in the picture, twice its real size."""
 CAMERA_M, TAG_HEIGHT_M = 1.35, 0.012
 UNITS = (
-    ("length", "m", "_m; _mm and _cm on the command line and in pictures alone"),
+    ("length", "m", "_m; _mm and _cm only on the command line and in pictures"),
     ("angle", "rad", "_rad, in (-pi, pi]; degrees only where a name says _deg"),
     ("time", "s", "_s from the log's start; the robot's own clock in _us"),
     ("speed, turning", "m/s, rad/s", "_mps, _rad_s, in the robot's frame"),
@@ -32,7 +32,7 @@ UNITS = (
 
 
 def frames_figure() -> Figure:
-    """Pool from above with its frame, the robot's and the tag's; the heights from the side; the units."""
+    """Draw the frames of pool, robot and tag from above, the heights from the side, and the units."""
     with style.styled():
         figure = Figure(figsize=(10.5, 7.4), layout="constrained")
         grid = figure.add_gridspec(2, 2, width_ratios=(1.75, 1.0), height_ratios=(1.0, 0.28))
@@ -43,7 +43,7 @@ def frames_figure() -> Figure:
 
 
 def write_frames_figure(target: Path) -> None:
-    """Draw it into a picture file, by the kind that its name says; the same bytes each time.
+    """Draw it into a picture file of the kind that its ending names, with the same bytes each time.
 
     Raises:
         InputError: an unknown kind, or a place that cannot be written to.
@@ -166,7 +166,7 @@ def _beside(axes: Axes) -> None:
 def _units(axes: Axes) -> None:
     axes.axis("off")
     rows = [list(row) for row in UNITS]
-    heads = ["what", "unit inside and in files", "how a name says it"]
+    heads = ["what", "unit inside and in files", "in a name"]
     table = axes.table(
         rows, colLabels=heads, cellLoc="left", loc="center", colWidths=[0.18, 0.22, 0.6], edges="horizontal"
     )

@@ -1,4 +1,4 @@
-"""Pictures of an identification: what was predicted, what happened, what is missed where, what was tried."""
+"""Pictures of an identification: predictions, residuals by cause, time and place, and the candidates."""
 
 from __future__ import annotations
 
@@ -14,23 +14,23 @@ from frogkick.identification.outcome import Outcome
 from frogkick.identification.penalty import EFFECT_PENALTY
 from frogkick.identification.search import CandidateScore
 from frogkick.report import style
-from frogkick.report.identify_misses import Misses, by_limb
+from frogkick.report.identify_residuals import Residuals, by_limb
 
 FloatArray = npt.NDArray[np.float64]
 
-NOMINAL_LABEL, FOUND_LABEL, FLOOR_LABEL = "nominal model", "with what was found", "noise floor"
+NOMINAL_LABEL, FOUND_LABEL, FLOOR_LABEL = "nominal model", "with identified effects", "noise floor"
 BOTH = (("nominal", style.NOMINAL, NOMINAL_LABEL, -0.19), ("found", style.PREDICTED, FOUND_LABEL, 0.19))
 TRIED_MOST = 10
 AXES = (("forward", "mm", 1e3), ("left", "mm", 1e3), ("heading", "deg", 180.0 / np.pi))
 
 
 def position_mm(residuals: FloatArray) -> FloatArray:
-    """(n,) size of the position's part of (n, 3) misses."""
+    """(n,) size of the position part of (n, 3) residuals."""
     return np.asarray(1e3 * np.hypot(residuals[:, 0], residuals[:, 1]))
 
 
 def heading_deg(residuals: FloatArray) -> FloatArray:
-    """(n,) size of the heading's part of (n, 3) misses."""
+    """(n,) size of the heading part of (n, 3) residuals."""
     return np.asarray(np.rad2deg(np.abs(residuals[:, 2])))
 
 
@@ -44,19 +44,19 @@ def _sizes(floor: PredictionError) -> tuple[tuple[str, str, Size, float], ...]:
     )
 
 
-def track_figure(outcome: Outcome, residuals_of: Misses) -> Figure:
-    """The test run with the most periods: where it went, and close by its worst predicted stretch."""
-    run = int(np.bincount(residuals_of.run).argmax())
-    rows = np.flatnonzero(residuals_of.run == run)
+def track_figure(outcome: Outcome, periods: Residuals) -> Figure:
+    """Draw the test run with the most periods, and enlarged the periods around its largest error."""
+    run = int(np.bincount(periods.run).argmax())
+    rows = np.flatnonzero(periods.run == run)
     swim = outcome.test[run]
-    worst = rows[np.argmax(position_mm(residuals_of.missed_world("nominal")[rows]))]
-    near = rows[np.abs(residuals_of.period[rows] - residuals_of.period[worst]) <= 2]
+    worst = rows[np.argmax(position_mm(periods.residual_world("nominal")[rows]))]
+    near = rows[np.abs(periods.period[rows] - periods.period[worst]) <= 2]
     with style.styled():
         figure = Figure(figsize=(11.0, 5.0), layout="constrained")
         for axes, some in zip(figure.subplots(1, 2), (rows, near), strict=True):
             tolerance = some is near
-            shown = (swim.time_s >= swim.start_s[residuals_of.period[some[0]]] - 0.1) & (
-                swim.time_s <= swim.end_s[residuals_of.period[some[-1]]] + 0.1
+            shown = (swim.time_s >= swim.start_s[periods.period[some[0]]] - 0.1) & (
+                swim.time_s <= swim.end_s[periods.period[some[-1]]] + 0.1
             )
             axes.plot(
                 *(100.0 * swim.pose[shown, :2].T),
@@ -67,16 +67,16 @@ def track_figure(outcome: Outcome, residuals_of: Misses) -> Figure:
                 label="position fixes",
             )
             axes.plot(
-                *(100.0 * residuals_of.measured[some, :2].T),
+                *(100.0 * periods.measured[some, :2].T),
                 "o",
                 color=style.MEASURED,
                 markersize=7 if tolerance else 4,
                 label="measured end of a period",
             )
             for which, colour, label, _ in BOTH:
-                ends = getattr(residuals_of, which)[some]
+                ends = getattr(periods, which)[some]
                 ways = np.stack(
-                    [residuals_of.pose[some, :2], ends[:, :2], np.full((len(some), 2), np.nan)], axis=1
+                    [periods.pose[some, :2], ends[:, :2], np.full((len(some), 2), np.nan)], axis=1
                 )
                 axes.plot(*(100.0 * ways.reshape(-1, 2).T), "--", color=colour, linewidth=1.0)
                 axes.plot(
@@ -85,27 +85,25 @@ def track_figure(outcome: Outcome, residuals_of: Misses) -> Figure:
                     color=colour,
                     markersize=9 if tolerance else 6,
                     markeredgewidth=1.8,
-                    label=f"its prediction, {label}",
+                    label=f"predicted end, {label}",
                 )
             if tolerance:
                 for row in some:
-                    name = (
-                        swim.action_names[residuals_of.action[row]] if residuals_of.action[row] >= 0 else "?"
-                    )
-                    middle = 50.0 * (residuals_of.pose[row, :2] + residuals_of.measured[row, :2])
+                    name = swim.action_names[periods.action[row]] if periods.action[row] >= 0 else "?"
+                    middle = 50.0 * (periods.pose[row, :2] + periods.measured[row, :2])
                     axes.annotate(name, middle, fontsize=9, fontweight="bold")
             axes.set_aspect("equal", adjustable="datalim")
             axes.set_xlabel(style.POOL_X)
             axes.set_ylabel(style.POOL_Y)
-            first, last = residuals_of.period[some[0]] + 1, residuals_of.period[some[-1]] + 1
-            what = "Close by, with actions" if tolerance else f"Run {swim.name}"
+            first, last = periods.period[some[0]] + 1, periods.period[some[-1]] + 1
+            what = "Enlarged, with actions" if tolerance else f"Run {swim.name}"
             axes.set_title(f"{what}: periods {first} to {last}")
         _legend(figure, figure.axes[0])
     return figure
 
 
 def error_figure(outcome: Outcome) -> Figure:
-    """Before and after a period ahead, with the noise floor; and several periods ahead."""
+    """Draw errors before and after, one period and several periods ahead, with the noise floor."""
     tested = outcome.tested
     horizons = outcome.horizons
     with style.styled():
@@ -123,7 +121,7 @@ def error_figure(outcome: Outcome) -> Figure:
             now.text(2.2, level, f"{level:.2f}", ha="right", va="bottom")
             now.set_xlim(-0.6, 2.2)
             now.set_xticks((0, 1), ("before", "after"))
-            now.set_ylabel(f"{what} missed, RMS ({unit})")
+            now.set_ylabel(f"{what} error, RMS ({unit})")
             now.set_title(f"{what.capitalize()}, one period ahead")
             now.margins(y=0.12)
             for name, colour, label, _ in BOTH:
@@ -135,14 +133,14 @@ def error_figure(outcome: Outcome) -> Figure:
                     color=colour,
                     label=label,
                 )
-            ahead.axhline(level, color=style.FLOOR, linestyle="--", label=f"{FLOOR_LABEL}, a period ahead")
+            ahead.axhline(level, color=style.FLOOR, linestyle="--", label=f"{FLOOR_LABEL}, one period ahead")
             ahead.set_yscale("log")
             ahead.yaxis.set_major_formatter("{x:g}")
             ahead.yaxis.set_minor_formatter(_few)
             ahead.set_xticks([each.periods for each in horizons])
             ahead.set_xlabel("periods ahead")
-            ahead.set_ylabel(f"{what} missed, RMS ({unit})")
-            ahead.set_title(f"{what.capitalize()}, several ahead")
+            ahead.set_ylabel(f"{what} error, RMS ({unit})")
+            ahead.set_title(f"{what.capitalize()}, several periods")
         _legend(figure, panels[2])
     return figure
 
@@ -156,19 +154,19 @@ def _few(value: float, _place: int | None = None) -> str:
     return f"{value:g}" if f"{value:e}"[0] in "25" else ""
 
 
-def time_figure(outcome: Outcome, residuals_of: Misses) -> Figure:
-    """Each period of the test runs, in order of time."""
+def time_figure(outcome: Outcome, periods: Residuals) -> Figure:
+    """Draw the residual of each period of the test runs over time."""
     with style.styled():
         figure = Figure(figsize=(11.0, 4.8), layout="constrained")
         panels = figure.subplots(2, 1, sharex=True)
         lengths = [swim.end_s[-1] - swim.start_s[0] for swim in outcome.test]
         begins = np.concatenate([[0.0], np.cumsum(np.array(lengths) + 3.0)])
-        at_s = begins[residuals_of.run] + residuals_of.time_s
+        at_s = begins[periods.run] + periods.time_s
         for axes, (what, unit, size, level) in zip(panels, _sizes(outcome.tested.noise_floor), strict=True):
             for which, colour, label, _ in BOTH:
-                residuals = size(residuals_of.missed_world(which))
-                for run in np.unique(residuals_of.run):
-                    rows = residuals_of.run == run
+                residuals = size(periods.residual_world(which))
+                for run in np.unique(periods.run):
+                    rows = periods.run == run
                     axes.plot(
                         at_s[rows],
                         residuals[rows],
@@ -176,49 +174,48 @@ def time_figure(outcome: Outcome, residuals_of: Misses) -> Figure:
                         color=colour,
                         markersize=3,
                         linewidth=0.8,
-                        label=label if run == residuals_of.run[0] else None,
+                        label=label if run == periods.run[0] else None,
                     )
             axes.axhline(level, color=style.FLOOR, linestyle="--", label=f"{FLOOR_LABEL} (RMS)")
             axes.set_ylim(0.0, None)
-            axes.set_ylabel(f"{what} missed ({unit})")
-            axes.set_title(f"{what.capitalize()} missed a period ahead, over time")
+            axes.set_ylabel(f"{what} error ({unit})")
+            axes.set_title(f"{what.capitalize()} error one period ahead, over time")
         for run, swim in enumerate(outcome.test):
             panels[0].annotate(
                 swim.name, (begins[run], 1.0), xycoords=("data", "axes fraction"), fontsize=8, va="top"
             )
-        panels[-1].set_xlabel("time in the run, runs side by side (s)")
+        panels[-1].set_xlabel("time in the run, one run after the other (s)")
         _legend(figure, panels[0])
     return figure
 
 
-def cause_figure(outcome: Outcome, residuals_of: Misses) -> Figure:
-    """Above by action: how much is missed. Below by limb: which way each of its strokes is off."""
+def cause_figure(outcome: Outcome, periods: Residuals) -> Figure:
+    """Draw the size of the residuals by action, and below the residual of each limb's strokes."""
     names = outcome.test[0].action_names
-    labels = np.unique(residuals_of.action)
+    labels = np.unique(periods.action)
     with style.styled():
         figure = Figure(figsize=(11.0, 6.2), layout="constrained")
         halves = figure.add_gridspec(2, 1)
         panels = figure.add_subfigure(halves[0]).subplots(1, 2)
         for axes, (what, unit, size, level) in zip(panels, _sizes(outcome.tested.noise_floor), strict=True):
             for which, colour, label, shift in BOTH:
-                residuals = size(residuals_of.missed_world(which))
-                heights = [np.sqrt((residuals[residuals_of.action == each] ** 2).mean()) for each in labels]
+                residuals = size(periods.residual_world(which))
+                heights = [np.sqrt((residuals[periods.action == each] ** 2).mean()) for each in labels]
                 axes.bar(np.arange(len(labels)) + shift, heights, 0.36, color=colour, label=label)
             axes.axhline(level, color=style.FLOOR, linestyle="--", label=FLOOR_LABEL)
-            told = [
-                f"{names[each] if each >= 0 else '?'}\n{(residuals_of.action == each).sum()}"
-                for each in labels
+            ticks = [
+                f"{names[each] if each >= 0 else '?'}\n{(periods.action == each).sum()}" for each in labels
             ]
-            axes.set_xticks(np.arange(len(labels)), told)
-            axes.set_xlabel("action, and how many periods of it")
-            axes.set_ylabel(f"{what} missed, RMS ({unit})")
-            axes.set_title(f"{what.capitalize()} missed, by action")
+            axes.set_xticks(np.arange(len(labels)), ticks)
+            axes.set_xlabel("action and its number of periods")
+            axes.set_ylabel(f"{what} error, RMS ({unit})")
+            axes.set_title(f"{what.capitalize()} error by action")
         limbs = [limb.name.replace("_", "\n") for limb in outcome.robot.limbs]
         lower = figure.add_subfigure(halves[1]).subplots(1, 3)
-        told_by = {which: by_limb(residuals_of.missed_body(which), residuals_of.limbs) for which, *_ in BOTH}
+        of_limbs = {which: by_limb(periods.residual_body(which), periods.limbs) for which, *_ in BOTH}
         for axes, (axis, (what, unit, scale)) in zip(lower, enumerate(AXES), strict=True):
             for which, colour, _, shift in BOTH:
-                each, error = told_by[which]
+                each, error = of_limbs[which]
                 axes.errorbar(
                     np.arange(len(limbs)) + shift,
                     scale * each[:, axis],
@@ -231,26 +228,26 @@ def cause_figure(outcome: Outcome, residuals_of: Misses) -> Figure:
             axes.set_xticks(np.arange(len(limbs)), limbs)
             axes.set_xlim(-0.6, len(limbs) - 0.4)
             axes.set_xlabel("limb")
-            axes.set_ylabel(f"missed for a stroke ({unit})")
+            axes.set_ylabel(f"residual per stroke ({unit})")
             axes.set_title(f"By limb: {what}")
         _legend(figure, panels[0])
     return figure
 
 
-def place_figure(residuals_of: Misses) -> Figure:
-    """Where in the pool what is missed, as arrows; the same scale for both models."""
+def place_figure(periods: Residuals) -> Figure:
+    """Draw the residuals in the pool as arrows, at the same scale for both models."""
     with style.styled():
         figure = Figure(figsize=(11.0, 4.8), layout="constrained")
-        residuals = {which: residuals_of.missed_world(which) for which, *_ in BOTH}
-        reach = 100.0 * float(np.ptp(residuals_of.pose[:, :2], axis=0).max()) + 1.0
+        residuals = {which: periods.residual_world(which) for which, *_ in BOTH}
+        reach = 100.0 * float(np.ptp(periods.pose[:, :2], axis=0).max()) + 1.0
         largest = 0.1 * float(np.percentile(position_mm(residuals["nominal"]), 90))  # cm
         magnified = 0.12 * reach / max(largest, 1e-6)
         factor = 10.0 ** np.floor(np.log10(magnified))
         factor *= 5.0 if magnified > 5.0 * factor else 2.0 if magnified > 2.0 * factor else 1.0
         for axes, (which, colour, label, _) in zip(figure.subplots(1, 2), BOTH, strict=True):
-            axes.plot(*(100.0 * residuals_of.measured[:, :2].T), ".", color=style.MEASURED, markersize=4)
+            axes.plot(*(100.0 * periods.measured[:, :2].T), ".", color=style.MEASURED, markersize=4)
             axes.quiver(
-                *(100.0 * residuals_of.measured[:, :2].T),
+                *(100.0 * periods.measured[:, :2].T),
                 *(100.0 * factor * residuals[which][:, :2].T),
                 angles="xy",
                 scale_units="xy",
@@ -262,12 +259,12 @@ def place_figure(residuals_of: Misses) -> Figure:
             axes.margins(0.15)
             axes.set_xlabel(style.POOL_X)
             axes.set_ylabel(style.POOL_Y)
-            axes.set_title(f"{label.capitalize()}: measured - predicted, {factor:g} times as long")
+            axes.set_title(f"{label.capitalize()}: measured - predicted, magnified {factor:g} times")
     return figure
 
 
 def tried_figure(iterations: Sequence[Sequence[CandidateScore]]) -> Figure:
-    """What candidates gain at each turn of the search; the line is what one must gain to be taken."""
+    """Draw the gains of the candidates in each iteration; the dashed line is the least accepted gain."""
     iterations = [_best_each(tried) for tried in iterations]
     most = [min(len(tried), TRIED_MOST) for tried in iterations]
     with style.styled():
@@ -275,9 +272,9 @@ def tried_figure(iterations: Sequence[Sequence[CandidateScore]]) -> Figure:
         panels = figure.subplots(
             len(iterations), 1, squeeze=False, height_ratios=[count + 1 for count in most]
         )
-        for turn, (axes, tried) in enumerate(zip(panels[:, 0], iterations, strict=True), 1):
-            _turn(axes, tried)
-            axes.set_title(f"Turn {turn}")
+        for index, (axes, tried) in enumerate(zip(panels[:, 0], iterations, strict=True), 1):
+            _iteration(axes, tried)
+            axes.set_title(f"Iteration {index}")
         panels[-1, 0].set_xlabel("fall of -2 log likelihood on the training runs (1)")
         for axes in panels[:, 0]:
             axes.set_xscale("symlog", linthresh=10.0)
@@ -288,27 +285,27 @@ def tried_figure(iterations: Sequence[Sequence[CandidateScore]]) -> Figure:
 
 
 def _best_each(tried: Sequence[CandidateScore]) -> list[CandidateScore]:
-    """Of each effect its best start; those that were simulated first."""
+    """Return the best start of each effect, the simulated ones first."""
     best: dict[str, CandidateScore] = {}
     for each in sorted(tried, key=lambda each: (not each.chosen, not each.refined, -each.gain)):
         best.setdefault(each.title, each)
     return list(best.values())
 
 
-def _turn(axes: Axes, tried: Sequence[CandidateScore]) -> None:
+def _iteration(axes: Axes, tried: Sequence[CandidateScore]) -> None:
     shown = list(tried)[:TRIED_MOST][::-1]
     for place, each in enumerate(shown):
         colour = style.PREDICTED if each.chosen else style.DESIRED
         axes.barh(place, max(each.gain, 0.0), 0.7, color=colour, alpha=1.0 if each.refined else 0.4)
-        fixed = f"held out {each.held_out:+.2f} a period" if each.refined else "by derivatives alone"
-        axes.text(max(each.gain, 0.0), place, f" {fixed}{', taken' if each.chosen else ''}", va="center")
+        fixed = f"held out {each.held_out:+.2f} per period" if each.refined else "by derivatives only"
+        axes.text(max(each.gain, 0.0), place, f" {fixed}{', accepted' if each.chosen else ''}", va="center")
     axes.axvline(EFFECT_PENALTY, color=style.FLOOR, linestyle="--")
     axes.set_yticks(range(len(shown)), [each.title for each in shown])
     axes.grid(axis="y", visible=False)
 
 
 def rest_figure(outcome: Outcome) -> Figure:
-    """What share of the rest each view of it tells."""
+    """Draw the share of the residuals that each variable explains."""
     shares = sorted(outcome.diagnostics["shares"].items(), key=lambda row: row[1])
     with style.styled():
         figure = Figure(figsize=(7.5, 0.7 + 0.27 * len(shares)), layout="constrained")
@@ -317,8 +314,8 @@ def rest_figure(outcome: Outcome) -> Figure:
             [name for name, _ in shares], [100.0 * share for _, share in shares], 0.7, color=style.PREDICTED
         )
         axes.set_xlim(0.0, 100.0)
-        axes.set_xlabel("of the squares of what is left (%)")
-        axes.set_title("What is left on the training runs, told by")
+        axes.set_xlabel("share of the residuals' sum of squares (%)")
+        axes.set_title("Residuals on the training runs, explained by")
         axes.grid(axis="y", visible=False)
     return figure
 

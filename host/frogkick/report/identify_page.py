@@ -1,4 +1,4 @@
-"""The report of ``frogkick identify``: what was predicted, what happened, what was tried, taken, and why."""
+"""The report of ``frogkick identify``: predictions, residuals, candidates and the effects accepted."""
 
 from __future__ import annotations
 
@@ -24,19 +24,19 @@ from frogkick.report.identify_figures import (
     track_figure,
     tried_figure,
 )
-from frogkick.report.identify_misses import Misses, mimics, misses_of
+from frogkick.report.identify_residuals import Residuals, explained_shares, residuals_of
 from frogkick.report.page import Section, Table, write_page
 from frogkick.report.style import figure_uri
 
 TITLE = "What the model lacks"
-MIMICS_MOST = 8
+SHARES_MOST = 8
 
 MEANS = {
     NOTHING: "the nominal model predicts these runs as well as their fixes allow",
     FOUND_LAW: "with the formula below, predictions are as good as the fixes allow",
     FOUND: "with the effects below, predictions are as good as the fixes allow",
-    PARTLY: "the effects below make runs likelier that were kept out, and more than noise is left",
-    UNEXPLAINED: "something is missing that the effects tried do not explain",
+    PARTLY: "the effects below make the test runs likelier, but the residuals still exceed the noise",
+    UNEXPLAINED: "the model lacks something that none of the candidate effects explains",
 }
 
 
@@ -53,16 +53,15 @@ def write_identify_page(target: Path, outcome: Outcome) -> None:
     tested = outcome.tested
     names = ", ".join(term.title for term in outcome.terms) or "no effect"
     lead = (
-        f"Verdict: {outcome.verdict} ({names}): {MEANS[outcome.verdict]}. A period ahead, on runs kept out "
-        "of "
-        f"learning, the nominal model of {outcome.robot.title} is off by {tested.before} (RMS), with "
-        f"what was found by {tested.after}; noise of the fixes alone makes "
+        f"Verdict: {outcome.verdict} ({names}): {MEANS[outcome.verdict]}. One period ahead on the test runs, "
+        f"the nominal model of {outcome.robot.title} has an error of {tested.before} (RMS). With the "
+        f"identified effects the error is {tested.after}. Noise of the fixes alone causes "
         f"{tested.noise_floor}.{_gain_words(tested.gain)}"
     )
-    residuals_of = misses_of(outcome)
+    residuals = residuals_of(outcome)
     sections = [_errors(outcome)]
-    if len(residuals_of.run):
-        sections += [_tracks(outcome, residuals_of), _residual(outcome, residuals_of)]
+    if len(residuals.run):
+        sections += [_tracks(outcome, residuals), _residual(outcome, residuals)]
     sections += [_effects(outcome), _tried(outcome), _apart(outcome), _rest(outcome), _terms(outcome)]
     write_page(target, TITLE, lead, sections)
 
@@ -71,7 +70,7 @@ def _gain_words(gain: Gain | None) -> str:
     if gain is None:
         return ""
     return (
-        f" The log score of a period gains {gain.value:.2f} (95 percent interval {gain.low:.2f} to "
+        f" The log score of a period rises by {gain.value:.2f} (95 percent interval {gain.low:.2f} to "
         f"{gain.high:.2f})."
     )
 
@@ -92,96 +91,95 @@ def _errors(outcome: Outcome) -> Section:
     tested = outcome.tested
     rows = [
         row("1 period ahead, nominal model", tested.before, str(tested.before.count)),
-        row("1 period ahead, with what was found", tested.after, str(tested.after.count)),
+        row("1 period ahead, with identified effects", tested.after, str(tested.after.count)),
         row("1 period ahead, noise floor", tested.noise_floor, ""),
     ]
     if tested.repeatability.count:
         pairs = f"{tested.repeatability.count} pairs"
-        rows.append(row("repeatability of strokes at like states", tested.repeatability, pairs))
+        rows.append(row("repeatability of strokes from similar states", tested.repeatability, pairs))
     if outcome.followed is not None:
         followed, count = outcome.followed, str(outcome.followed.after.count)
-        rows.append(row("1 period ahead, nominal model, drift followed", followed.before, count))
-        rows.append(row("1 period ahead, with what was found, drift followed", followed.after, count))
+        rows.append(row("1 period ahead, nominal model, drift estimated", followed.before, count))
+        rows.append(row("1 period ahead, with identified effects, drift estimated", followed.after, count))
     for each in outcome.horizons:
         if each.periods > 1:
             rows.append(
                 row(f"{each.periods} periods ahead, nominal model", each.before, str(each.before.count))
             )
             rows.append(
-                row(f"{each.periods} periods ahead, with what was found", each.after, str(each.after.count))
+                row(
+                    f"{each.periods} periods ahead, with identified effects",
+                    each.after,
+                    str(each.after.count),
+                )
             )
     text = [
         "Each period of the test runs was predicted by the rod simulation from the fixes known at its start "
-        "and the action that was done, and compared with the fixes at its end. Several periods ahead, the "
-        "simulation went on from that same start with the actions that were really done and saw no further "
-        "fix: an error of the model adds up there.",
-        "The noise floor is what a perfect model would miss, because fixes tell the pose and speed at the "
-        f"start and the pose at the end only so well. Errors up to {NEAR_FLOOR:g} times the floor count as "
-        "noise. Repeatability is what strokes did differently from one another at like states; no model that "
-        "knows the state alone can predict that, and it does not raise the floor.",
+        "and the recorded action, and compared with the fixes at its end. A multi-step prediction "
+        "continues from the same start with the recorded actions and uses no further fix, so model errors "
+        "accumulate.",
+        "The noise floor is the error of a perfect model. It is not zero because the fixes are noisy: they "
+        "give the pose and speed at the start and the pose at the end with limited accuracy. Errors up to "
+        f"{NEAR_FLOOR:g} times the floor count as noise. Repeatability is the difference between strokes "
+        "from similar states. No model of the state alone can predict it. It does not raise the floor.",
     ]
     if outcome.followed is not None:
         text.append(
-            "Limbs drifted in the training runs: what a stroke did beside the model the next one of that "
-            "limb mostly did as well. Rows with drift followed add what the run had shown of each limb by "
-            "then, to both models alike; all other rows, and the verdict, are of the models alone."
+            "Limbs drifted in the training runs: the residual of a stroke mostly recurred in the next "
+            "stroke of the same limb. The rows with drift estimated add each limb's offset, estimated from "
+            "the run so far, to both models. All other rows and the verdict use the models alone."
         )
     if outcome.dropped:
         text.append(
-            f"The training runs were explained better with {', '.join(outcome.dropped)}, the runs kept out "
-            "were not, so nothing of it was taken into the model."
+            f"{', '.join(outcome.dropped)} explained the training runs better, but not the test runs. So it "
+            "was not accepted into the model."
         )
-    caption = "Errors on the test runs before and after; the dashed line is the noise floor a period ahead."
+    caption = "Errors on the test runs before and after. The dashed line is the noise floor one period ahead."
     table = Table(("prediction", "position, mm RMS", "heading, deg RMS", "predictions"), rows)
     return Section("Error before and after", text, table, [_picture(error_figure(outcome), caption)])
 
 
-def _tracks(outcome: Outcome, residuals_of: Misses) -> Section:
+def _tracks(outcome: Outcome, residuals: Residuals) -> Section:
     caption = (
-        "Left: a whole test run. Right: the periods around the one that the nominal model missed most, with "
-        "the names of the actions. Dashed lines lead from where each period began to where it was "
-        "predicted "
-        "to end."
+        "Left: a whole test run. Right: the periods around the largest error of the nominal model, with the "
+        "names of the actions. A dashed line leads from the start of each period to its predicted end."
     )
-    picture = _picture(track_figure(outcome, residuals_of), caption)
-    return Section("What was predicted, and what happened", images=[picture])
+    picture = _picture(track_figure(outcome, residuals), caption)
+    return Section("Predictions and measurements", images=[picture])
 
 
-def _residual(outcome: Outcome, residuals_of: Misses) -> Section:
+def _residual(outcome: Outcome, residuals: Residuals) -> Section:
     text = (
-        "What is missed is measured minus predicted. A fault of one limb shows at the actions that fire it "
-        "and "
-        "at its strokes; a current points the same way all over the pool; a wall or a vortex shows in one "
-        "place; a battery or a warm-up shows over time.",
+        "A residual is the measured minus the predicted pose. A fault of one limb appears at its strokes and "
+        "at the actions that fire it. A current has the same direction all over the pool. A wall or a vortex "
+        "appears in one place. A battery or a warm-up appears over time.",
     )
     pictures = [
         _picture(
-            cause_figure(outcome, residuals_of),
-            "Above: what is missed by action. Below: what is missed for each stroke of a limb, by least "
-            "squares "
-            "over all test periods, forward and left as the robot stood; bars are two standard errors.",
+            cause_figure(outcome, residuals),
+            "Above: residuals by action. Below: the residual of each limb's strokes by least squares over "
+            "all test periods, forward and left in the robot's frame. Bars are two standard errors.",
         ),
-        _picture(time_figure(outcome, residuals_of), "What is missed in each period of the test runs."),
+        _picture(time_figure(outcome, residuals), "The residual of each period of the test runs."),
         _picture(
-            place_figure(residuals_of),
-            "Where it is missed: dots are measured ends of periods, arrows what is missed there, drawn "
-            "longer "
-            "than it is, by the same factor on both sides.",
+            place_figure(residuals),
+            "Residuals by place: dots are the measured ends of periods, arrows the residuals there. The "
+            "arrows are magnified by the same factor on both sides.",
         ),
     ]
-    return Section("What is missed: by action, limb, time and place", text, images=pictures)
+    return Section("Residuals by action, limb, time and place", text, images=pictures)
 
 
 def _effects(outcome: Outcome) -> Section:
     if not outcome.terms:
-        return Section("What was found", ["No effect was taken into the model."])
+        return Section("Identified effects", ["No effect was accepted into the model."])
     assert outcome.found is not None
     fixed, rows, index = outcome.found.fitted.model.fixed, [], 0
     why = (
-        f"held at the plain model's value: free, it would gain less than {RELEASE_PENALTY:g}, no more "
-        "than noise"
+        f"fixed at the nominal value: as a free parameter it would gain less than {RELEASE_PENALTY:g}, "
+        "which is no more than noise"
         if outcome.found.iterations
-        else "held: it is plain in the measured robot that the fit began with"
+        else "fixed: the calibrated robot that the fit started from has the nominal value"
     )
     for term, parameters in zip(outcome.terms, outcome.parameters, strict=True):
         for declared, each in zip(term.parameters, parameters, strict=True):
@@ -199,19 +197,19 @@ def _effects(outcome: Outcome) -> Section:
             )
             index += 1
     text = [
-        "These are terms of the simulator with physical parameters; they go into the robot's file, from "
-        "which "
-        "library and tables are made anew. Intervals hold all fitted parameters of an effect together with "
-        "95 percent.",
-        "Taken in so many of other draws of the training runs (blocks of periods with replacement): "
+        "These effects are terms of the simulator with physical parameters. They are written into the "
+        "robot's file, from which a new library and new tables are made. The intervals hold all fitted "
+        "parameters of an effect jointly with 95 percent.",
+        "Share of bootstrap samples of the training runs (blocks of periods with replacement) in which each "
+        "effect was accepted: "
         + ", ".join(
             f"{term.title} {100.0 * share:.0f} percent"
             for term, share in zip(outcome.terms, outcome.found.stability, strict=True)
         )
         + f". An effect below {100.0 * STABLE:.0f} percent is not named.",
     ]
-    header = ("effect", "parameter", "value", "interval", "unit", "plain model", "how")
-    return Section("What was found", text, Table(header, rows))
+    header = ("effect", "parameter", "value", "interval", "unit", "nominal value", "how")
+    return Section("Identified effects", text, Table(header, rows))
 
 
 def _tried(outcome: Outcome) -> Section:
@@ -219,88 +217,95 @@ def _tried(outcome: Outcome) -> Section:
     iterations = outcome.found.iterations
     if not iterations:
         text = (
-            "The effects of a robot of the same body that was measured before were fitted to these runs, all "
-            "at once: they explain so much of so large a miss that no search for single effects was made."
+            "All effects of a calibrated robot with the same body were fitted to these runs at once. They "
+            "explain so large a share of large residuals that single effects were not searched for."
         )
-        return Section("Which effects were tried, and why this one", [text])
+        return Section("Candidate effects and their selection", [text])
     text_of = [
-        "At each turn every effect of the catalogue was ranked by how much likelier it would make what is "
-        "missed (its gain, pale bars: by derivatives). The best were fitted by simulation (full bars) and "
-        "judged on parts of the training runs that were held out of that fit. An effect is taken where it "
-        f"gains more than {EFFECT_PENALTY:g} (dashed), after {PARAMETER_PENALTY:g} off for each free "
-        f"parameter, and on each held-out period more than {HELD_OUT_GAIN_MIN:g} and, up to a gain of "
-        f"{DECISIVE_GAIN:g}, more than twice what chance would make of it.",
-        *(_turn_words(turn, outcome) for turn in range(len(iterations))),
+        "Effects were found by forward selection. In each iteration every effect of the catalogue was "
+        "ranked by its gain, which is the fall of -2 log likelihood (pale bars: by derivatives). The best "
+        "were fitted by simulation (full bars) and judged on parts of the training runs that were held out "
+        f"of that fit. An effect is accepted under two conditions. Its gain, less {PARAMETER_PENALTY:g} for "
+        f"each free parameter, is more than {EFFECT_PENALTY:g} (dashed). Its gain for each held-out period "
+        f"is more than {HELD_OUT_GAIN_MIN:g} and, up to a gain of {DECISIVE_GAIN:g}, more than twice its "
+        "value by chance.",
+        *(_iteration_words(index, outcome) for index in range(len(iterations))),
     ]
     rows = []
-    for turn, tried in enumerate(iterations, 1):
+    for iteration, tried in enumerate(iterations, 1):
         seen: set[str] = set()
         for each in sorted(tried, key=lambda each: (not each.chosen, not each.refined, -each.gain)):
             if each.title not in seen and (each.refined or len(seen) < 6):
                 held_out = f"{each.held_out:.2f}" if each.refined else "not simulated"
                 rows.append(
-                    (str(turn), each.title, f"{each.gain:.0f}", held_out, "taken" if each.chosen else "")
+                    (
+                        str(iteration),
+                        each.title,
+                        f"{each.gain:.0f}",
+                        held_out,
+                        "accepted" if each.chosen else "",
+                    )
                 )
             seen.add(each.title)
-    header = ("turn", "candidate", "gain", "held-out gain for each period", "")
-    images = [_picture(tried_figure(iterations), "Gains of the candidates at each turn; magenta was taken.")]
-    return Section("Which effects were tried, and why this one", text_of, Table(header, rows), images)
+    header = ("iteration", "candidate", "gain", "held-out gain for each period", "")
+    images = [
+        _picture(
+            tried_figure(iterations),
+            "Gains of the candidates in each iteration; the accepted one is magenta.",
+        )
+    ]
+    return Section("Candidate effects and their selection", text_of, Table(header, rows), images)
 
 
-def _turn_words(turn: int, outcome: Outcome) -> str:
+def _iteration_words(index: int, outcome: Outcome) -> str:
     assert outcome.found is not None
-    tried = outcome.found.iterations[turn]
+    tried = outcome.found.iterations[index]
     taken = next((each for each in tried if each.chosen), None)
     others = sorted((each for each in tried if each is not taken), key=lambda each: -each.gain)
     if taken is None:
         best = f"the best, {others[0].title}, gains {others[0].gain:.0f}" if others else "none was left"
-        return f"Turn {turn + 1}: no effect was taken; {best}."
-    after = f"; next is {others[0].title} with {others[0].gain:.0f}" if others else ""
+        return f"Iteration {index + 1}: no effect was accepted; {best}."
+    after = f"; the next best was {others[0].title} with {others[0].gain:.0f}" if others else ""
     return (
-        f"Turn {turn + 1}: {taken.title} was taken: it gains {taken.gain:.0f}, and {taken.held_out:.2f} for "
-        "each "
-        f"held-out period{after}."
+        f"Iteration {index + 1}: {taken.title} was accepted with a gain of {taken.gain:.0f}, and of "
+        f"{taken.held_out:.2f} for each held-out period{after}."
     )
 
 
 def _apart(outcome: Outcome) -> Section:
-    """Which effects this data cannot tell apart, and how alike others look."""
+    """Which effects are confounded in these runs, and how similar the others look."""
     assert outcome.found is not None
     if not outcome.terms:
-        return Section(
-            "Which effects look alike here", ["Nothing was found, so nothing can be mistaken for it."]
-        )
+        return Section("Confounded effects", ["No effect was found, so none can be confounded with it."])
     text = [
-        f"These runs cannot tell {term.title} from {', '.join(others)}: each explains them as well as the "
-        "other."
+        f"These runs cannot distinguish {term.title} from {', '.join(others)}: both explain them well."
         for term, others in zip(outcome.terms, outcome.found.confounded_with, strict=True)
         if others
-    ] or ["Every effect found explains these runs clearly better than all others that were tried."]
+    ] or ["Every identified effect explains these runs clearly better than all other candidates."]
     if outcome.experiment is not None:
         said = outcome.experiment.text
         text.append(
-            f"What would settle it: {said}."
+            f"A decisive experiment: {said}."
             if outcome.experiment.decisive
             else f"{said[:1].upper()}{said[1:]}."
         )
-    rows = [(title, f"{100.0 * share:.0f}") for title, share in mimics(outcome)[:MIMICS_MOST]]
+    rows = [(title, f"{100.0 * share:.0f}") for title, share in explained_shares(outcome)[:SHARES_MOST]]
     if not rows:
-        return Section("Which effects look alike here", text)
+        return Section("Confounded effects", text)
     text.append(
-        "How much of the change that was found each candidate could make by itself, from its derivatives on "
-        "the "
-        "training runs: one near 100 percent that was not taken would look the same."
+        "The table shows how much of the change by the identified effects each candidate could explain by "
+        "itself, from its derivatives on the training runs. A candidate near 100 percent that was not "
+        "accepted is confounded with them."
     )
-    return Section("Which effects look alike here", text, Table(("candidate", "of the change, %"), rows))
+    return Section("Confounded effects", text, Table(("candidate", "share of the change, %"), rows))
 
 
 def _rest(outcome: Outcome) -> Section:
     sentence = str(outcome.diagnostics["text"])
     text = [
         sentence[:1].upper() + sentence[1:] + ".",
-        "Each bar is a way to tell the rest: what share of its squares is explained by knowing, say, only "
-        "the "
-        "action. Where all are small, the rest is noise or something that no such view knows.",
+        "Each bar shows how much of the residuals' sum of squares one variable explains, such as the action "
+        "alone. If all bars are small, the residuals are noise or depend on none of these variables.",
     ]
     rows = [
         (
@@ -313,14 +318,14 @@ def _rest(outcome: Outcome) -> Section:
         for name, row in outcome.diagnostics["by_action"].items()
     ]
     table = Table(("action", "periods", "mean forward, mm", "mean left, mm", "mean heading, deg"), rows)
-    caption = "What is left after the effects found, on the training runs."
-    return Section("What stays unexplained", text, table, [_picture(rest_figure(outcome), caption)])
+    caption = "Residuals on the training runs with the identified effects."
+    return Section("Unexplained residuals", text, table, [_picture(rest_figure(outcome), caption)])
 
 
 def _terms(outcome: Outcome) -> Section:
-    """The runs, and what the words mean."""
+    """The runs, and the terms of this page."""
 
-    def told(which: str, swims: list[Segments]) -> list[tuple[str, ...]]:
+    def rows_of(which: str, swims: list[Segments]) -> list[tuple[str, ...]]:
         return [
             (
                 which,
@@ -332,13 +337,11 @@ def _terms(outcome: Outcome) -> Section:
             for swim in swims
         ]
 
-    rows = told("learned from", list(outcome.train)) + told("kept out, to judge", list(outcome.test))
+    rows = rows_of("training", list(outcome.train)) + rows_of("test", list(outcome.test))
     text = [
-        f"Nominal model: {outcome.robot.title} ({outcome.robot.id}) as its file describes it. A period is "
-        "the time "
-        "of one action, which fires some limbs. The period and the delay from command to motion are taken "
-        "from "
-        "each run first, so that a clock does not pass for physics.",
+        f"The nominal model is {outcome.robot.title} ({outcome.robot.id}) as its file describes it. A period "
+        "is the time of one action, which fires some limbs. The period and the delay from command to motion "
+        "are estimated from each run first, so that a clock error is not taken for physics.",
     ]
     header = ("used", "run", "periods", "period, s", "delay to motion, ms")
-    return Section("Runs and words", text, Table(header, rows))
+    return Section("Runs and terms", text, Table(header, rows))

@@ -14,13 +14,13 @@ from frogkick.report import style
 
 HOST = "127.0.0.1"
 ASKS = "X-Frogkick"
-"""Header of what asks for something to be done: pages from elsewhere cannot send it here."""
+"""Header of a request to act; pages of other sites cannot send it here."""
 
 
 def page(stops: bool = False) -> str:
-    """The page: one HTML file that needs no other, and asks for ``state.json`` ten times a second.
+    """Return the page: one self-contained HTML file that reads ``state.json`` ten times a second.
 
-    With ``stops`` it has a button that ends the run.
+    With ``stops`` the page has a button that ends the run.
     """
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("frogkick.report"), autoescape=True, undefined=jinja2.StrictUndefined
@@ -42,14 +42,14 @@ def served(
     """Serve the page as long as the context lives.
 
     Args:
-        state: gives the newest state as JSON; called from other threads.
-        picture: gives the camera's newest picture as JPEG with headers, None where there is none yet; called
-            from other threads, when a page asks for it. None: there is no camera.
-        stop: wants the run to end; called from another thread when the button is pressed. None: no button.
-        port: 0 = a free one.
+        state: returns the newest state as JSON; it is called from other threads.
+        picture: returns the camera's newest picture as JPEG with headers, or None if there is none yet. It is
+            called from other threads when a page reads it. None: there is no camera.
+        stop: ends the run; it is called from another thread when the button is pressed. None: no button.
+        port: 0: a free port.
 
     Returns:
-        Its address.
+        The page's address.
     """
     text = page(stop is not None).encode()
 
@@ -83,13 +83,13 @@ def served(
             self.end_headers()
 
         def log_message(self, format: str, *args: object) -> None:
-            """Nobody wants to read of every look."""
+            """Do not print every request."""
 
     class Server(ThreadingHTTPServer):
         daemon_threads = True
 
         def handle_error(self, request: object, client_address: object) -> None:
-            """A page that is closed while it is answered is nobody's error; others are told as usual."""
+            """Ignore a page that is closed while it is answered; report other errors as usual."""
             if not isinstance(sys.exception(), ConnectionError):
                 super().handle_error(request, client_address)  # type: ignore[arg-type]
 

@@ -26,9 +26,9 @@ class Section:
     Attributes:
         title: heading.
         text: paragraphs.
-        table: or None.
-        images: (data URI, what it shows) of each picture.
-        links: (file beside the page, what it is) of each.
+        table: a table or None.
+        images: (data URI, caption) of each picture.
+        links: (file beside the page, its description) of each link.
     """
 
     title: str
@@ -43,9 +43,9 @@ def write_page(target: Path, title: str, lead: str, sections: Sequence[Section])
 
     Args:
         target: the file.
-        title: of the page.
-        lead: its first paragraph: what a reader should take along.
-        sections: in order.
+        title: title of the page.
+        lead: the first paragraph, which summarises the page.
+        sections: sections in order.
     """
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("frogkick.report"), autoescape=True, undefined=jinja2.StrictUndefined

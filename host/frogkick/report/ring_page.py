@@ -1,4 +1,4 @@
-"""The demo's report: what the ring gave, path by path."""
+"""The demo's report: the results of the loop, path by path."""
 
 from __future__ import annotations
 
@@ -25,20 +25,21 @@ def write_ring_report(target: Path, ring: Ring) -> None:
     lead = (
         f"A simulated robot, {ring.robot.title}, followed three paths with the planner running on a virtual "
         f"nRF52832. Mean distance to the path {1e3 * ring.mean_distance_m:.1f} mm. The pool's physics is the "
-        "rod simulation, not the table: the table's prediction one period ahead missed by "
-        f"{missed:.1f} (RMSE, {missed.count} periods)."
+        "rod simulation, not the table: the table's prediction one period ahead has an error "
+        f"of {missed:.1f} (RMSE, {missed.count} periods)."
     )
     sections = [_robot(ring), _paths(ring), *(_one_path(run) for run in ring.runs), _chip(ring)]
     if ring.closing is not None:
         tested = ring.closing.outcome.tested
         lead += (
-            " Then a limb wore, which the model was not told. From logs of four runs identification says: "
-            f"{ring.closing.outcome.verdict} ({_found(ring.closing)}). A period ahead on the run kept out of "
-            f"learning, the model was off by {tested.before}, with what was found it is off by "
-            f"{tested.after}; noise of the fixes alone makes {tested.noise_floor}."
+            " Then a limb was worn, and the model did not contain the wear. The verdict of identification "
+            f"from the logs of four runs is: {ring.closing.outcome.verdict} ({_found(ring.closing)}). One "
+            f"period ahead on the test run, the nominal model has an error of {tested.before}. With the "
+            f"identified effects the error is {tested.after}. Noise of the fixes alone causes "
+            f"{tested.noise_floor}."
         )
         sections.append(_closing(ring.closing))
-    write_page(target, "frogkick: once round the ring", lead, [*sections, _how(ring)])
+    write_page(target, "frogkick: once around the loop", lead, [*sections, _how(ring)])
 
 
 def _found(closing: Closing) -> str:
@@ -46,7 +47,7 @@ def _found(closing: Closing) -> str:
 
 
 def _closing(closing: Closing) -> Section:
-    """What was hidden, what was found, and what it is worth."""
+    """The hidden wear, the identified effects, and the benefit of the new tables."""
     outcome, planted = closing.outcome, closing.planted
     hidden = {key: value for key, value in planted.items() if key not in ("name", "limb")}
     true = f"{planted['name']} {planted['limb']}"
@@ -63,21 +64,26 @@ def _closing(closing: Closing) -> Section:
     ]
     text = [
         f"Hidden in the pool: {true}, {', '.join(f'{key} {value:g}' for key, value in hidden.items())}. The "
-        "firmware swam four paths with it. Identification saw the logs of these runs (fixes, strokes, "
-        "decisions) and no truth; it learned from all but the last, which it then predicted.",
-        f"With library, table and firmware made anew from what was found, the worn robot kept "
-        f"{1e3 * closing.distance_m(closing.new):.1f} mm from its paths on average, with the old ones "
-        f"{1e3 * closing.distance_m(closing.old):.1f} mm."
+        "worn robot followed four paths. Identification used the logs of these runs (fixes, strokes, "
+        "decisions) and no true poses. The last run is the test run; all others are the training runs.",
+        "A new library, table and firmware were made with the identified effects. The worn robot was "
+        f"{1e3 * closing.distance_m(closing.new):.1f} mm from its paths on average with them, and "
+        f"{1e3 * closing.distance_m(closing.old):.1f} mm with the old ones."
         if closing.new
-        else "Nothing was found, so library, table and firmware stayed as they were.",
+        else "No effect was found, so library, table and firmware stayed as they were.",
     ]
     text += _got_worse(closing)
-    images = [(figure_uri(error_figure(outcome)), "Errors before and after on the run kept out of learning.")]
+    images = [(figure_uri(error_figure(outcome)), "Errors on the test run before and after.")]
     if closing.new:
-        images.append((figure_uri(_distances(closing)), "The worn robot on its paths, same noise for both."))
+        images.append(
+            (
+                figure_uri(_distances(closing)),
+                "The worn robot on its paths, with the same noise for both firmwares.",
+            )
+        )
     table = Table(("found", "parameter", "value", "interval", "hidden value"), rows) if rows else None
     links = [("identify.html", "The full report of the identification")]
-    return Section("Then a limb wore: what the logs told", text, table, images, links)
+    return Section("A worn limb, identified from the logs", text, table, images, links)
 
 
 def _got_worse(closing: Closing) -> list[str]:
@@ -91,8 +97,8 @@ def _got_worse(closing: Closing) -> list[str]:
     if not worse:
         return []
     return [
-        f"Not every path gained: {', '.join(worse)}. Each is one swim, on which another decision early on "
-        "leads elsewhere; over many seeds 'frogkick study loop' tells what is chance."
+        f"Not every path improved: {', '.join(worse)}. Each value comes from one swim, in which a different "
+        "early decision changes the rest. 'frogkick study loop' averages over many seeds."
     ]
 
 
@@ -102,8 +108,8 @@ def _distances(closing: Closing) -> Figure:
         figure = Figure(figsize=(6.0, 2.8), layout="constrained")
         axes = figure.subplots()
         for shift, runs, colour, label in (
-            (-0.19, closing.old, NOMINAL, "firmware that knows nothing of it"),
-            (0.19, closing.new, PREDICTED, "firmware that knows what was found"),
+            (-0.19, closing.old, NOMINAL, "old firmware"),
+            (0.19, closing.new, PREDICTED, "firmware with the identified effects"),
         ):
             heights = [1e3 * run.tracking.mean_distance_m for run in runs]
             axes.bar(np.arange(len(runs)) + shift, heights, 0.36, color=colour, label=label)
@@ -123,28 +129,29 @@ def _name(run: RingRun | Trial) -> str:
 
 
 def _robot(ring: Ring) -> Section:
-    """Who swims, and with what."""
+    """The robot and its actions."""
     robot = ring.robot
     ends = fan_of(ring.tables, np.zeros(6, dtype=np.float32), (0,) * LIMBS_MAX)
     text = (
         f"It has {len(robot.limbs)} limbs on a frame. A pulse of {1e3 * robot.pulse_s:.0f} ms heats a limb, "
-        f"which bends and pushes the water. Every {robot.period_s:g} s the robot decides on one of "
-        f"{len(robot.actions)} actions: which limbs to heat at once, and which {robot.second_delay_s:g} s "
-        "later.",
+        f"which bends and pushes the water. Every {robot.period_s:g} s the robot chooses one of "
+        f"{len(robot.actions)} actions: which limbs to heat immediately, and which ones "
+        f"{robot.second_delay_s:g} s later.",
     )
     images = (
         (figure_uri(robot_figure(robot)), "The robot from above, swimming up the page."),
         (
             figure_uri(actions_figure(robot, ends)),
-            "The actions. Orange limbs are heated first, pink ones after them. Arrow and numbers: how far a "
-            "stroke from rest moves the robot in a period, and how far it turns it (positive: to the left).",
+            "The actions. Orange limbs are heated first, pink ones after them. The arrow and the numbers "
+            "show how far a stroke from rest moves the robot in one period, and how far it turns the robot "
+            "(positive: to the left).",
         ),
     )
     return Section("The robot", text, images=images)
 
 
 def _why(ring: Ring) -> list[str]:
-    """What the worst path asks of the robot, and what the robot can."""
+    """Compare the turns of the worst path with those that the robot made."""
     worst = max(ring.runs, key=lambda run: run.tracking.mean_distance_m)
     log = worst.log
     if log.path is None or log.truth is None or len(log.decisions) < 2:
@@ -158,20 +165,21 @@ def _why(ring: Ring) -> list[str]:
     ).max()
     headings_rad = np.interp(log.decisions.time_s, log.truth.time_s, np.unwrap(log.truth.pose_world[:, 2]))
     turned_rad = np.abs(np.diff(headings_rad)).max()
-    told = (
-        f"The {_name(worst)} is followed least well: {1e3 * worst.tracking.mean_distance_m:.1f} mm off on "
-        f"average. In a period the robot went {1e3 * step_m:.0f} mm along it, and where the path bends most, "
-        f"it turns by {np.rad2deg(asked_rad):.0f} degrees within that. The most that the robot turned in any "
-        f"period was {np.rad2deg(turned_rad):.0f} degrees."
+    text = (
+        f"The {_name(worst)} is followed least well, with a mean distance of "
+        f"{1e3 * worst.tracking.mean_distance_m:.1f} mm. In one period the robot moved {1e3 * step_m:.0f} mm "
+        f"along it. Where the path bends most, its direction changes by {np.rad2deg(asked_rad):.0f} degrees "
+        f"over that length. The largest turn of the robot in any period was {np.rad2deg(turned_rad):.0f} "
+        "degrees."
     )
     if asked_rad > 1.1 * turned_rad:
-        told += (
-            " So no choice of actions stays on it there. What would help: a path about "
-            f"{asked_rad / turned_rad:.1f} times as large, or limbs that turn the robot more."
+        text += (
+            " So no choice of actions can stay on the path there. A path about "
+            f"{asked_rad / turned_rad:.1f} times as large would help, or limbs that turn the robot more."
         )
     else:
-        told += " So the path is not too tight: what is left is what the prediction misses (below)."
-    return [told]
+        text += " So the path is not too tight. The distance comes from the prediction error (see below)."
+    return [text]
 
 
 def _paths(ring: Ring) -> Section:
@@ -196,7 +204,7 @@ def _paths(ring: Ring) -> Section:
         "progress, mm/s",
         "completed",
         "decisions",
-        "prediction missed",
+        "prediction error",
         "chip against Python twin, mismatches",
         "limits broken",
     )
@@ -222,12 +230,12 @@ def _chip(ring: Ring) -> Section:
             "flash",
             f"{built.flash_bytes:,} bytes, {100 * built.flash_bytes / FLASH_BYTES:.1f} % of the chip",
         ),
-        ("of it the table", f"{len(ring.tables.image):,} bytes, {len(ring.tables.states)} states"),
+        ("of which the table", f"{len(ring.tables.image):,} bytes, {len(ring.tables.states)} states"),
         (
             "RAM with reserved stack",
             f"{built.ram_bytes:,} bytes, {100 * built.ram_bytes / RAM_BYTES:.1f} %",
         ),
-        ("deepest stack seen", f"{chip.stack_bytes:,} bytes"),
+        ("deepest stack measured", f"{chip.stack_bytes:,} bytes"),
         *(
             (f"one plan at depth {depth}", f"{ms:.2f} ms ({chip.plan_cycles[depth]:,} cycles at 64 MHz)")
             for depth, ms in chip.plan_ms.items()

@@ -1,4 +1,4 @@
-"""The picture of a robot as it is simulated: a wrong corner, sign or mirror image is seen at once."""
+"""The picture of a robot as it is simulated, which shows a wrong corner, sign or mirror image."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def robot_figure(robot: Robot) -> Figure:
 
 
 def actions_figure(robot: Robot, ends: FloatArray) -> Figure:
-    """Draw each action small: the limbs that it heats, and how far it moves and turns the robot.
+    """Draw each action: the limbs that it heats, and how far it moves and turns the robot.
 
     Args:
         robot: whose.
@@ -102,7 +102,7 @@ def _window(axes: Axes) -> None:
 
 
 def require_picture_name(target: Path) -> None:
-    """Refuse a file name whose ending is no kind of picture.
+    """Refuse a file name whose ending is not that of a picture.
 
     Raises:
         InputError: not one of ``PICTURES``.
@@ -112,7 +112,7 @@ def require_picture_name(target: Path) -> None:
 
 
 def write_robot_figure(robot: Robot, target: Path) -> None:
-    """Draw a robot into a picture file, by the kind that its name says.
+    """Draw a robot into a picture file of the kind that its ending names.
 
     Raises:
         InputError: a name that ends on none of ``PICTURES``, or a place that cannot be written to.
@@ -126,7 +126,7 @@ def write_robot_figure(robot: Robot, target: Path) -> None:
 
 
 def _mesh_origin(robot: Robot, mesh: Mesh) -> FloatArray:
-    """What to add to the mesh's nodes, m, to get the robot file's coordinates."""
+    """Return the offset from the mesh's nodes to the robot file's coordinates, m."""
     return np.asarray(np.array(robot.frame.corners_m[0]) - mesh.rest_m[0])
 
 

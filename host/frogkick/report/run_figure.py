@@ -20,14 +20,14 @@ FloatArray = npt.NDArray[np.float64]
 
 
 def run_figure(run: RunLog, title: str) -> Figure:
-    """Draw a run, by its truth where it is simulated, else by its fixes; panels without data are left out.
+    """Draw a run by its true poses if it is simulated, else by its fixes. Panels without data are left out.
 
     Args:
-        run: with two decisions at least.
+        run: a run with at least two decisions.
         title: of the picture.
 
     Raises:
-        InputError: nobody saw the robot, or nothing was decided.
+        InputError: the run has no fixes, or no decisions.
     """
     seen = _Seen.of(run)
     panels: list[Callable[[Axes, RunLog, _Seen], None]] = [_distance] if run.path is not None else []
@@ -50,12 +50,12 @@ def run_figure(run: RunLog, title: str) -> Figure:
 
 @dataclass(frozen=True, eq=False)
 class _Seen:
-    """Where the robot was from the first decision on, by truth or by fixes.
+    """Poses of the robot from the first decision on, by the truth or by fixes.
 
     Attributes:
         time_s: (n,).
         poses: (n, 3).
-        colour: of what it is seen by.
+        colour: colour of the source of the poses.
     """
 
     time_s: FloatArray
@@ -73,7 +73,7 @@ class _Seen:
 
 
 def _beside(points: FloatArray) -> FloatArray:
-    """(n, 2) offsets in points of the screen, to the left of the way: letters off their own track."""
+    """(n, 2) offsets in points of the screen, to the left of the track, so that letters do not cover it."""
     if len(points) < 2:
         return np.full((len(points), 2), 7.0)
     along = np.gradient(points, axis=0)
@@ -111,7 +111,7 @@ def _track(axes: Axes, run: RunLog, seen: _Seen) -> None:
     axes.set_aspect("equal", adjustable="datalim")
     axes.set_xlabel(style.POOL_X)
     axes.set_ylabel(style.POOL_Y)
-    axes.set_title("Track over path; beside it the actions chosen there")
+    axes.set_title("Track over the path, with the actions chosen")
     axes.legend(loc="best")
 
 
@@ -120,7 +120,7 @@ def _distance(axes: Axes, run: RunLog, seen: _Seen) -> None:
     distance_mm = 1e3 * run.path.distance_m(seen.poses[:, :2])
     mean_mm = float(distance_mm.mean())
     axes.plot(seen.time_s, distance_mm, color=seen.colour)
-    # Once the robot has passed the path's end it only goes away from it.
+    # After the path's end the distance only grows.
     before_end = np.flatnonzero(run.path.nearest_index(seen.poses[:, :2]) < len(run.path) - 1)
     if before_end.size:
         axes.set_ylim(0.0, 1.15 * max(1.0, mean_mm, float(distance_mm[: before_end[-1] + 2].max())))
@@ -157,7 +157,7 @@ def _estimate(axes: Axes, run: RunLog, seen: _Seen) -> None:
     position_mm = 1e3 * np.hypot(*(estimate[:, :2] - truth[:, :2]).T)
     heading_deg = np.rad2deg(np.abs(wrap_angle(estimate[:, 2] - truth[:, 2])))
     _errors(axes, time_s, position_mm, heading_deg, style.ESTIMATED)
-    axes.set_title("Error of the robot's estimate, at each decision")
+    axes.set_title("Error of the robot's estimate at each decision")
 
 
 def _prediction(axes: Axes, run: RunLog, seen: _Seen) -> None:
@@ -169,4 +169,4 @@ def _prediction(axes: Axes, run: RunLog, seen: _Seen) -> None:
         np.rad2deg(np.abs(missed.gap_body[:, 2])),
         style.PREDICTED,
     )
-    axes.set_title(f"Prediction missed, a period ahead: {missed.error:.1f} RMS")
+    axes.set_title(f"Prediction error one period ahead: {missed.error:.1f} RMS")

@@ -13,11 +13,11 @@ from frogkick.robot.profile_files import Stroke
 
 
 def stroke_figure(strokes: Sequence[Stroke], profiles: Sequence[Profile]) -> Figure:
-    """Draw each stroke as it was measured, and the curve that was fitted to it.
+    """Draw each measured stroke and the curve that was fitted to it.
 
     Args:
-        strokes: as measured.
-        profiles: of each.
+        strokes: the measured strokes.
+        profiles: the profile fitted to each.
     """
     with style.styled():
         figure = Figure(figsize=(8.0, 1.0 + 2.4 * len(strokes)), layout="constrained")
@@ -27,9 +27,9 @@ def stroke_figure(strokes: Sequence[Stroke], profiles: Sequence[Profile]) -> Fig
             axes.plot(stroke.time_s, stroke.curvature_per_m, ".", color=style.TRUE, label="measured")
             axes.plot(time_s, profile.curvature_per_m(time_s), color=style.ALARM, label="fitted")
             axes.set_title(
-                f"{stroke.name}: {profile.frequency_hz:.3g} Hz, off by {profile.rms_per_m:g} 1/m RMS"
+                f"{stroke.name}: {profile.frequency_hz:.3g} Hz, error {profile.rms_per_m:g} 1/m RMS"
             )
             axes.set_ylabel("curvature (1/m)")
             axes.legend(loc="best")
-        rows[-1].set_xlabel("time since the pulse began (s)")
+        rows[-1].set_xlabel("time since the start of the pulse (s)")
     return figure

@@ -11,15 +11,15 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-# Okabe and Ito's palette: told apart by colour-blind readers too.
+# Okabe and Ito's palette, which colour-blind readers can distinguish.
 DESIRED = "#7f7f7f"
 TRUE = "#0072b2"
 MEASURED = "#e69f00"
 ESTIMATED = "#009e73"
 PREDICTED = "#cc79a7"
 ALARM = "#d55e00"
-NOMINAL = "#56b4e9"  # predicted by the nominal model; by the corrected one: PREDICTED
-FLOOR = "#000000"  # what noise of the fixes alone makes
+NOMINAL = "#56b4e9"  # predictions of the nominal model; those of the corrected model have PREDICTED
+FLOOR = "#000000"  # error that the noise of the fixes alone causes
 
 POOL_X, POOL_Y = "x in the pool (cm)", "y in the pool (cm)"
 

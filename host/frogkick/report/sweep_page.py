@@ -36,7 +36,7 @@ _MISSING = "#ececec"
 
 
 def write_sweep_report(out: Path, sweep: Sweep, verdicts: Sequence[Verdict]) -> list[Path]:
-    """Write ``sweep.png``, ``phases.png`` and ``sweep.html`` into a folder, to the same bytes each time."""
+    """Write ``sweep.png``, ``phases.png`` and ``sweep.html`` into a folder, with the same bytes each time."""
     designs, phases = figure_uri(_designs(sweep, verdicts)), figure_uri(_phases(sweep))
     files = [out / "sweep.png", out / "phases.png", out / "sweep.html"]
     for file, uri in zip(files, (designs, phases), strict=False):
@@ -52,8 +52,8 @@ def write_sweep_report(out: Path, sweep: Sweep, verdicts: Sequence[Verdict]) -> 
             "Designs",
             (
                 "Each design is shown at the phase nearest to half a cycle among those within "
-                f"{1e3 * PHASE_TIE_MPS:g} mm/s of its fastest: smaller differences are below what the model "
-                "is good for. A star marks a limb profile interpolated between measured ones.",
+                f"{1e3 * PHASE_TIE_MPS:g} mm/s of its fastest, because smaller differences are below the "
+                "accuracy of the model. A star marks a limb profile interpolated between measured ones.",
             ),
             images=[(designs, "Speed and cost of transport; boxes mark the designs that the paper names.")],
         ),
@@ -63,8 +63,8 @@ def write_sweep_report(out: Path, sweep: Sweep, verdicts: Sequence[Verdict]) -> 
     if verdicts:
         sections.append(_paper(verdicts))
     caption = (
-        "Every gait, one column of pictures for each EGaIn fraction. The last row shows what the phase alone "
-        "does: speed less the mean over the phases of that design."
+        "Every gait, with one column of pictures for each EGaIn fraction. The last row shows the effect of "
+        "the phase alone: speed minus the mean over the phases of that design."
     )
     sections.append(Section("Phases", images=[(phases, caption)]))
     sections.append(_left_out(sweep))
@@ -108,10 +108,10 @@ def _paper(verdicts: Sequence[Verdict]) -> Section:
         )
     header = (
         "design",
-        "for the paper",
-        "paper",
-        "here",
-        f"rank at phase {PAPER_PHASE:g} / at any",
+        "in the paper",
+        "value in the paper",
+        "value here",
+        f"rank at phase {PAPER_PHASE:g} / at any phase",
         "best phase",
         "why the figures differ",
     )
@@ -131,8 +131,8 @@ def _left_out(sweep: Sweep) -> Section:
         if p.failure
     ]
     if not rows:
-        return Section("Left out", ("Nothing.",))
-    return Section("Left out", table=Table(("what", "why"), rows))
+        return Section("Left out", ("No design was left out.",))
+    return Section("Left out", table=Table(("design", "reason"), rows))
 
 
 def _frequencies(sweep: Sweep) -> list[float]:
@@ -153,7 +153,7 @@ def _draw(axes: Axes, values: FloatArray, colours: str, low: float, high: float)
 
 
 def _ticks(places: Sequence[float], most: int = 12) -> tuple[list[int], list[str]]:
-    """Where to write which values along an axis of cells: all of them while there is room."""
+    """Return the labels along an axis of cells, thinned out if there are too many."""
     step = max(1, math.ceil(len(places) / most))
     return list(range(0, len(places), step)), [f"{value:g}" for value in places[::step]]
 

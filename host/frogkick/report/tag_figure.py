@@ -29,13 +29,13 @@ def tag_figure(cells: npt.NDArray[np.float32], margin: int, size_m: float, name:
         name: of the tag.
 
     Raises:
-        InputError: a size that no page has.
+        InputError: a size that fits no page.
     """
     whole = 1e3 * size_m * len(cells) / (len(cells) - 2 * margin)
     if not 1.0 <= whole <= MOST_MM:
         raise InputError(
             f"a tag of {1e3 * size_m:g} mm is {whole:.4g} mm wide with its margin: "
-            f"give one of 1 to {MOST_MM:g} mm"
+            f"give a size that makes it 1 to {MOST_MM:g} mm"
         )
     width, height = max(whole, RULER_MM) + 2 * MARGIN_MM, whole + ABOVE_MM + BELOW_MM
     with style.styled():
@@ -55,23 +55,23 @@ def tag_figure(cells: npt.NDArray[np.float32], margin: int, size_m: float, name:
             (middle, top + 2.0),
             arrowprops={"arrowstyle": "-|>", "color": "black", "lw": 2},
         )
-        axes.text(middle, top + 14.0, "the robot's forward", ha="center", va="bottom", fontsize=9)
+        axes.text(middle, top + 14.0, "forward on the robot", ha="center", va="bottom", fontsize=9)
         ruler = middle - 0.5 * RULER_MM
         axes.plot([ruler, ruler + RULER_MM], [16.0, 16.0], color="black", lw=1.0, solid_capstyle="butt")
         for step in range(0, int(RULER_MM) + 1, 10):
             axes.plot([ruler + step] * 2, [14.5, 17.5], color="black", lw=0.7)
-        told = f"{RULER_MM:g} mm: if it is not, print at 100 %\n{name}, size {1e3 * size_m:g} mm"
-        axes.text(middle, 12.0, told, ha="center", va="top", fontsize=7)
+        legend = f"{RULER_MM:g} mm: if it is not, print at 100 %\n{name}, size {1e3 * size_m:g} mm"
+        axes.text(middle, 12.0, legend, ha="center", va="top", fontsize=7)
     return figure
 
 
 def write_tag_page(
     cells: npt.NDArray[np.float32], margin: int, size_m: float, name: str, target: Path
 ) -> tuple[float, float]:
-    """Write that page; its width and height in m.
+    """Write that page and return its width and height in m.
 
     Raises:
-        InputError: see ``tag_figure``; another ending.
+        InputError: see ``tag_figure``; or an ending that is not known.
     """
     kind = KINDS.get(target.suffix.lower())
     if kind is None:

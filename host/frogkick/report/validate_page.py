@@ -1,4 +1,4 @@
-"""The report of ``frogkick validate``: measured against simulated against the authors' simulation."""
+"""The report of ``frogkick validate``: measurement, the model and the authors' simulation compared."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from frogkick.validation.validate import (
 )
 
 MODEL = style.PREDICTED
-AUTHORS = "#56b4e9"  # of the same palette: others' simulation
+AUTHORS = "#56b4e9"  # of the same palette, for the authors' simulation
 
 Result = SimulationResult | ExperimentResult
 
@@ -42,7 +42,8 @@ def write_validation_report(target: Path, validation: Validation, noise: Noise) 
         text
         for text in (
             f"{len(validation.simulations)} of the authors' simulations and {len(validation.experiments)} "
-            f"measured swims against the model {validation.robot.title}, one parameter set for all.",
+            f"measured swims are compared with the model {validation.robot.title}, with one parameter set "
+            "for all.",
             _lead(speed, SIMULATIONS, "Against the authors' simulations"),
             _lead(speed, EXPERIMENTS, "Against measurement"),
         )
@@ -82,15 +83,15 @@ def _requirements(validation: Validation) -> Section:
     rows = [_requirement_row(r) for r in requirements(validation)]
     rows += [_requirement_row(r) for r in single_groups_above(validation)]
     text = (
-        "Limits on the agreement with the authors' simulations, over all cases of a kind; below them single "
-        "groups that are above the limit of their kind. Measured swims have no limit here: what the model "
-        "lacks is the business of identification.",
+        "The limits bound the difference from the authors' simulations over all cases of a kind. Below "
+        "them are the single groups that exceed the limit of their kind. Measured swims have no limit "
+        "here, because identification deals with what the model lacks.",
     )
     return Section("Limits", text, Table(("what", "over which cases", "value", "limit", "verdict"), rows))
 
 
 def _sweeps(validation: Validation) -> dict[str, list[Result]]:
-    """Results by sweep (``freq/10``), whichever kind they are of."""
+    """Return the results by sweep (``freq/10``), simulated and measured."""
     found: dict[str, list[Result]] = {}
     everything: Sequence[Result] = (*validation.simulations, *validation.experiments)
     for result in everything:
@@ -125,7 +126,7 @@ def _grid(count: int, height: float) -> tuple[Figure, list[Axes]]:
 
 
 def _legend_outside(figure: Figure, axes: Sequence[Axes]) -> None:
-    """One legend for all panels: what any of them shows."""
+    """Draw one legend for all panels."""
     entries = {
         label: handle
         for panel in axes
@@ -143,8 +144,8 @@ def _speeds(validation: Validation) -> Section:
         _legend_outside(figure, panels)
     caption = (
         f"Speed of every gait. Simulated: mean over cycles {FIRST_CYCLE} to {CYCLES}. Measured: slope of a "
-        "line through distance over time; bars are two standard deviations of the mean over the swim's own "
-        "whole cycles, which does not show what differs between two swims."
+        "line through distance over time; bars are two standard deviations of the mean over the whole cycles "
+        "of one swim. They do not include the difference between two swims."
     )
     return Section("Speeds", images=[(figure_uri(figure), caption)])
 
@@ -208,14 +209,14 @@ def _errors(validation: Validation) -> Section:
             row[1].axhline(1e3 * WITHIN_CYCLE_LIMIT_M, color="black", linestyle=":", linewidth=1.0)
             row[1].set_ylim(bottom=0.0)
             name = "frequency" if kind.endswith("freq") else "phase offset"
-            row[0].set_title(f"Speed over {name}: model less authors")
+            row[0].set_title(f"Speed over {name}: model minus authors")
             row[1].set_title(f"Within a cycle over {name}: RMS difference")
             row[0].set_ylabel("speed difference (mm/s)")
             row[1].set_ylabel("RMS difference (mm)")
             for axes in row:
                 axes.set_xlabel(_axis_label(kind.split("/")[1]))
             row[1].legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
-    text = ("Dotted: the limits, which hold for the RMS over all cases of a row, not for each.",)
+    text = ("Dotted lines are the limits. They hold for the RMS over all cases of a row, not for each case.",)
     caption = "Difference of every simulated case, one marker for each sweep (legend on the right)."
     return Section("Against the authors' simulations", text, images=[(figure_uri(figure), caption)])
 
@@ -239,7 +240,7 @@ def _waves(validation: Validation) -> Section:
                 f"RMS {_mm(result.within_cycle_rms_m)} mm"
             )
             axes.set_xlabel("time (cycles)")
-            axes.set_ylabel("forward, less mean speed (mm)")
+            axes.set_ylabel("forward minus mean speed (mm)")
         _legend_outside(figure, panels)
     caption = (
         f"Forward position over cycles {FIRST_CYCLE} to {CYCLES} without the mean speed of each: best, "
@@ -271,19 +272,19 @@ def _experiments(validation: Validation, noise: Noise) -> Section:
         "within a swim, mm/s",
     )
     repeats = (
-        f"Swims of one gait measured again ({noise.repeated}): {_mm(noise.repeats)} mm/s."
+        f"Swims of a gait that was measured again ({noise.repeated}) differ by {_mm(noise.repeats)} mm/s."
         if noise.repeated
         else "No gait was measured twice."
     )
     text = (
-        "The noise floor is the standard deviation of a measured speed, from second differences of three "
-        f"neighbours along a sweep ({noise.triples.get(EXPERIMENTS, 0)} of them): too high where the true "
-        "speeds bend. Within a swim: scatter between its whole cycles over the root of their number, which "
-        f"misses what differs between swims. {repeats} A model that were exactly right would still show the "
-        "noise floor as its RMSE.",
+        "The noise floor is the standard deviation of a measured speed. It comes from second differences of "
+        f"{noise.triples.get(EXPERIMENTS, 0)} triples of neighbours along a sweep, and is too high where the "
+        "true speeds bend. Within a swim, it is the scatter between whole cycles over the root of their "
+        f"number, without the difference between swims. {repeats} An exact model would still have the noise "
+        "floor as its RMSE.",
     )
     caption = (
-        "Simulated over measured speed; on the diagonal they agree, the band around it is one noise floor."
+        "Simulated over measured speed. They agree on the diagonal; the band around it is one noise floor."
     )
     return Section(
         "Against measurement",
@@ -365,5 +366,5 @@ def _cases(validation: Validation) -> Section:
 def _skipped(validation: Validation) -> Section:
     rows = [(skipped.case, skipped.reason) for skipped in validation.skipped]
     if not rows:
-        return Section("Left out", ("Nothing.",))
-    return Section("Left out", table=Table(("case", "why"), rows))
+        return Section("Left out", ("No case was left out.",))
+    return Section("Left out", table=Table(("case", "reason"), rows))

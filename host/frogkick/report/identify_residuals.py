@@ -1,4 +1,4 @@
-"""What predictions a period ahead missed on the test runs of an identification, in columns, and its views."""
+"""Residuals of one-period predictions on the test runs of an identification, in columns, and their views."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ IntArray = npt.NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False)
-class Misses:
+class Residuals:
     """Rows are the periods of all test runs whose end was measured and predicted by both models.
 
     Attributes:
-        run: (n,) which of the test runs.
-        period: (n,) which of its periods.
-        time_s: (n,) when it began, from its run's first period.
-        action: (n,) what was done; -1 unknown.
-        limbs: (n, limbs) strokes of each limb in it.
-        pose: (n, 3) at its start, world frame, m and rad.
-        measured, nominal, found: (n, 3) pose at its end: by fixes, as predicted without and with effects.
+        run: (n,) index of the test run.
+        period: (n,) index of the period in its run.
+        time_s: (n,) start of the period, from the start of its run's first period.
+        action: (n,) index of the action; -1: unknown.
+        limbs: (n, limbs) strokes of each limb in the period.
+        pose: (n, 3) pose at its start, world frame, m and rad.
+        measured, nominal, found: (n, 3) pose at its end: from fixes, and predicted without and with effects.
     """
 
     run: IntArray
@@ -41,19 +41,19 @@ class Misses:
     nominal: FloatArray
     found: FloatArray
 
-    def missed_world(self, which: str) -> FloatArray:
-        """(n, 3) measured minus predicted by "nominal" or "found": m, m, rad."""
+    def residual_world(self, which: str) -> FloatArray:
+        """(n, 3) measured minus predicted pose, of the model "nominal" or "found": m, m, rad."""
         gap = self.measured - getattr(self, which)
         gap[:, 2] = wrap_angle(gap[:, 2])
         return np.asarray(gap)
 
-    def missed_body(self, which: str) -> FloatArray:
-        """(n, 3) the same forward, left (m) and heading (rad), by the heading at the start."""
-        return body_from_world(self.pose[:, 2], self.missed_world(which))
+    def residual_body(self, which: str) -> FloatArray:
+        """(n, 3) the same as forward, left (m) and heading (rad), by the heading at the start."""
+        return body_from_world(self.pose[:, 2], self.residual_world(which))
 
 
-def misses_of(outcome: Outcome) -> Misses:
-    """The rows of an outcome."""
+def residuals_of(outcome: Outcome) -> Residuals:
+    """Return the residuals of an outcome."""
     swims = outcome.test
     known = [
         np.isfinite(prediction_errors([rollouts[k]], [swim])).all(axis=1)
@@ -72,13 +72,13 @@ def misses_of(outcome: Outcome) -> Misses:
         for time_s, limb in swim.strokes:
             counts[(swim.start_s <= time_s + 1e-6) & (time_s < swim.end_s - 1e-6), limb] += 1
         limbs.append(counts)
-    return Misses(
+    return Residuals(
         run=np.concatenate([np.full(len(kept), k) for k, kept in enumerate(rows)]),
         period=np.concatenate(rows),
         time_s=joined([swim.start_s - swim.start_s[0] for swim in swims]),
         action=np.concatenate([swim.action[kept] for swim, kept in zip(swims, rows, strict=True)]),
         limbs=np.concatenate([counts[kept] for counts, kept in zip(limbs, rows, strict=True)]),
-        # The nominal model's: what was found may have the centre of mass beside the tag that a camera sees.
+        # Of the nominal model, because an effect may move the centre of mass away from the tag.
         pose=joined([rollout.start[:, :3] for rollout in outcome.nominal_rollouts]),
         measured=joined([swim.measured for swim in swims]),
         nominal=joined([rollout.predicted for rollout in outcome.nominal_rollouts]),
@@ -87,7 +87,7 @@ def misses_of(outcome: Outcome) -> Misses:
 
 
 def by_limb(residuals: FloatArray, limbs: IntArray) -> tuple[FloatArray, FloatArray]:
-    """What is missed for each stroke of a limb, and its standard error, by least squares.
+    """Return the residual of each limb's strokes, and its standard error, by least squares.
 
     Args:
         residuals: (n, 3).
@@ -96,7 +96,7 @@ def by_limb(residuals: FloatArray, limbs: IntArray) -> tuple[FloatArray, FloatAr
     fired = limbs.any(axis=0)
     design = np.column_stack([np.ones(len(limbs)), limbs[:, fired]]).astype(np.float64)
     if np.linalg.matrix_rank(design) < design.shape[1]:
-        design = design[:, 1:]  # no rest among the actions: the strokes take all
+        design = design[:, 1:]  # no action rests, so the strokes take the constant too
     first = design.shape[1] - int(fired.sum())
     each = np.full((limbs.shape[1], 3), np.nan)
     error = np.full((limbs.shape[1], 3), np.nan)
@@ -109,13 +109,13 @@ def by_limb(residuals: FloatArray, limbs: IntArray) -> tuple[FloatArray, FloatAr
     return each, error
 
 
-def mimics(outcome: Outcome) -> list[tuple[str, float]]:
-    """Candidates, and what share of the change that the found effects made each could make by itself.
+def explained_shares(outcome: Outcome) -> list[tuple[str, float]]:
+    """Return how much of the change by the found effects each candidate could explain by itself.
 
-    By derivatives about the nominal model, over the training periods, each miss by its own size.
+    The shares come from derivatives at the nominal model over the training periods, with whitened residuals.
 
     Returns:
-        (title, share of the squares), most first; what was found is among them; none without a search.
+        (title, share of the sum of squares), largest first, with the found effects; empty without a search.
     """
     found = outcome.found
     if found is None or not outcome.terms or not found.sensitivities:

@@ -97,7 +97,7 @@ def test_what_is_refused(fetched: FetchedLog, tmp_path: Path, capsys: pytest.Cap
     assert "the log is of robot 'hexapod'" in capsys.readouterr().err
     write_log(tmp_path / "d.h5", FetchedLog("frog2022", 7, ChipLog()))
     assert run_command(words(tmp_path / "d.h5")) == 2
-    assert "can be decided again with table" in capsys.readouterr().err
+    assert "can be repeated with table" in capsys.readouterr().err
     for target in ("virtual", "tcp:1", "serail:x"):
         assert run_command(["log", "fetch", "--robot", target, "--out", str(tmp_path / "e.h5")]) == 2
         assert "keeps no log to fetch" in capsys.readouterr().err

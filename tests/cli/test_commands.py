@@ -151,7 +151,7 @@ def test_a_table_of_another_robot_finds_its_file(here: Path, tmp_path: Path, cap
     options = ("run", "--robot", "pool", "--tables", "x.fkt", "--simulated-time", "2", "--out", "run.h5")
     without = frogkick(capsys, *options)
     assert without.code == 2 and not Path("run.h5").exists()
-    assert "is for robot 'tri', which is no built-in one: give its TOML file with --model" in without.stderr
+    assert "is for robot 'tri', which is not built in: give its TOML file with --model" in without.stderr
     assert frogkick(capsys, *options, "--model", mine).code == 0
     mine.rename("tri.toml")
     assert frogkick(capsys, *options).code == 0

@@ -64,7 +64,7 @@ def test_library_build(tmp_path: Path, whole_group: bool) -> None:
         complaints = [line for line in stderr.splitlines() if not line.startswith("library: ")]
         kept = [entry.name for entry in tmp_path.iterdir()]
         assert kept in ([], ["lib.h5.parts"])  # finished parts stay
-        goes_on = "frogkick: finished parts are in 'lib.h5.parts': the same command goes on from there"
+        goes_on = "frogkick: finished parts are in 'lib.h5.parts': the same command resumes from there"
         interrupted = "frogkick: interrupted: nothing half-written was left"
         assert complaints == [goes_on, interrupted] or (not kept and complaints == [interrupted])
         assert group_members(process.pid) == []
@@ -96,7 +96,7 @@ def test_a_simulated_run_leaves_what_was_recorded(
             os.killpg(process.pid, signal.SIGKILL)
     assert process.returncode == 130
     assert [line for line in stderr.splitlines() if line.startswith("frogkick: ")] == [
-        "frogkick: what was recorded until then is in 'x.h5.part'",
+        "frogkick: the recording so far is in 'x.h5.part'",
         "frogkick: interrupted: nothing half-written was left",
     ]
     assert [entry.name for entry in tmp_path.iterdir()] == ["x.h5.part"]

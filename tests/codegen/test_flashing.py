@@ -109,7 +109,7 @@ def test_what_is_no_image_is_refused(image: Path, tmp_path: Path) -> None:
         (("--image", "IMAGE"), "no debug probe is plugged in: plug in"),
         (("--image", "IMAGE", "--probe", "12"), "no debug probe whose number begins with '12'"),
         (("--image", "none.hex"), "'none.hex' does not exist"),
-        (("--image", "IMAGE", "--tables", "x.fkt"), "give --image or --tables"),
+        (("--image", "IMAGE", "--tables", "x.fkt"), "give either --image or --tables"),
     ],
 )
 def test_the_command(

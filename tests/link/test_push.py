@@ -91,7 +91,7 @@ def test_another_robot_refuses(
     [
         ("push --robot serial:COM3", "push takes a table image or --rollback"),
         ("push x.fkt --rollback --robot serial:COM3", "push takes a table image or --rollback"),
-        ("push x.fkt --robot pool", "'pool' is no robot to talk to: choose ble:NAME, serial:PORT"),
+        ("push x.fkt --robot pool", "'pool' is not the target of a robot: choose ble:NAME, serial:PORT"),
         ("push x.fkt --robot seriel", "did you mean 'serial'"),
         ("own --robot serial", "robot 'serial' is neither ble:NAME nor serial:PORT"),
         ("retune x.h5 --robot frog2022 --out new --push virtuel", "did you mean 'virtual'"),

@@ -276,7 +276,7 @@ def test_a_whole_run_by_the_command(tmp_path: Path, dialect: str) -> None:
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        ("--robot ble:frogkick", "--robot ble:frogkick swims by position fixes, and none are given: pipe"),
+        ("--robot ble:frogkick", "--robot ble:frogkick needs position fixes, and none are given: pipe"),
         ("--robot serial:/dev/none", "--fixes stdin"),
         ("--robot ble:frogkick --fixes camera", "--fixes is 'camera': choose stdin"),
         ("--robot ble:frogkick --fixes stdim", "did you mean 'stdin'"),
@@ -292,11 +292,11 @@ def test_a_whole_run_by_the_command(tmp_path: Path, dialect: str) -> None:
         ),
         (
             "--robot serial:COM3 --fixes pool --begin here",
-            "--begin is for a robot in water, --fixes pool for a",
+            "--begin is for a robot in water, but --fixes pool is for a",
         ),
         (
             "--robot serial:COM3 --fixes pool --battery-v 12",
-            "--battery-v is for a robot in water, --fixes pool",
+            "--battery-v is for a robot in water, but --fixes pool",
         ),
         ("--robot serial:COM3 --fixes pol", "did you mean 'pool'"),
         ("--robot pool --battery-v 12", "--battery-v 12.0 is for a real robot"),

@@ -111,8 +111,8 @@ def test_the_command_keeps_them(filmed: Path, tmp_path: Path, capsys: pytest.Cap
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        ("--robot pool --out run.h5", "none is looked at: give --fixes camera.toml"),
-        ("--robot serial:/dev/none --fixes stdin --out run.h5", "none is looked at"),
+        ("--robot pool --out run.h5", "this run has no camera: give --fixes camera.toml"),
+        ("--robot serial:/dev/none --fixes stdin --out run.h5", "this run has no camera"),
         ("--robot serial:/dev/none --fixes camera.toml", "give --out run.h5"),
     ],
 )

@@ -84,7 +84,7 @@ def test_a_run_s_film_is_where_its_fixes_were(tmp_path: Path) -> None:
     write_run(tmp_path / "run.h5", log)
     assert run_command(["log", "show", str(tmp_path / "run.h5"), "--out", str(tmp_path / "run.gif")]) == 0
     assert len(pictures_of(tmp_path / "run.gif")) == 41
-    with pytest.raises(InputError, match="nobody saw the robot"):
+    with pytest.raises(InputError, match="fewer than 2 usable position fixes"):
         run_swim(dataclasses.replace(log, fixes=seen(1), decisions=Decisions(*np.zeros((4, 0)))))
 
 

@@ -70,7 +70,7 @@ def figures(outcome: Outcome) -> dict[str, Figure]:
 
 
 def test_every_axis_says_what_it_is_and_in_which_unit(outcome: Outcome) -> None:
-    no_unit = {"limb", "action, and how many periods of it", "periods ahead", ""}
+    no_unit = {"limb", "action and its number of periods", "periods ahead", ""}
     for name, figure in figures(outcome).items():
         renderer = FigureCanvasAgg(figure).get_renderer()
         figure.draw_without_rendering()

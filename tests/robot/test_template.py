@@ -66,7 +66,7 @@ def test_the_command_writes_it_once(tmp_path: Path, capsys: pytest.CaptureFixtur
     assert frogkick(capsys, "robot", "show", file).code == 0
     text = file.read_text()
     for arguments, says in (
-        ((file,), "is there already"),
+        ((file,), "exists already"),
         ((tmp_path / "x.toml", "--limbs", "5"), "--limbs is 5, robot 'frog2022' has 4"),
         ((tmp_path / "a b.toml",), "id is 'a b'"),
         ((tmp_path / "x.toml", "--from", "frog2021"), "did you mean 'frog2022'"),

@@ -73,7 +73,7 @@ def test_check_says_what_is_beyond_the_limit(tmp_path: Path, capsys: pytest.Capt
     done = frogkick(capsys, "camera", "check", file, "--points", points, "--json")
     assert done.code == 1
     assert 3.0 < done.json["max_mm"] < 6.0
-    assert "2 of 2 places found, largest error" in done.stderr
+    assert "2 of 2 tags found, largest error" in done.stderr
 
 
 def test_check_with_tags_laid_down(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -90,7 +90,7 @@ def test_check_with_tags_laid_down(tmp_path: Path, capsys: pytest.CaptureFixture
     turned = [row.replace("10.0", "190.0").replace("-120.0", "60.0") for row in rows]
     (tmp_path / "turned.csv").write_text("\n".join(turned) + "\n")
     told = frogkick(capsys, "camera", "check", file, "--places", tmp_path / "turned.csv").stderr.splitlines()
-    assert "all headings are turned by 180 degrees" in told[1], told
+    assert "all headings are off by 180 degrees" in told[1], told
     assert "(0.3, 0.2) m: " in told[2] and "(1, 0.7) m: " in told[2]
     (tmp_path / "1.png").write_bytes(b"none")
     wrong = frogkick(capsys, "camera", "check", file, "--places", tmp_path / "places.csv")
@@ -173,8 +173,8 @@ SEEN = ("--image", "640x480", "--camera-height-m", "1.35")
     ("arguments", "says"),
     [
         (["--pool", "1.2", "--corners", "c.toml", "--out", "o.toml"], "--pool '1.2' is not two numbers"),
-        (["--pool", "1.2x0.9", "--out", "o.toml"], "give the pool's corners"),
-        (["--pool", "1.2x0.9", "--corners", "c.toml", "--out", "o.toml"], "give its size, as --image"),
+        (["--pool", "1.2x0.9", "--out", "o.toml"], "give either the pool's corners"),
+        (["--pool", "1.2x0.9", "--corners", "c.toml", "--out", "o.toml"], "give its size, such as --image"),
         (
             ["--pool", "1.2x0.9", "--corners", "none.toml", "--image", "640x480", "--out", "o.toml"],
             "corners file 'none.toml' does not exist",
@@ -204,7 +204,7 @@ SEEN = ("--image", "640x480", "--camera-height-m", "1.35")
         ),
         (
             ["--pool", "1.2x0.9", "--corners", "c.toml", "--pictures", ".", "--out", "o.toml"],
-            "say which with --board",
+            "give its kind with --board",
         ),
         (
             ["--pool", "0.9x1.2", *SEEN, "--corners", "c.toml", "--out", "o.toml"],
@@ -216,7 +216,7 @@ SEEN = ("--image", "640x480", "--camera-height-m", "1.35")
         ),
         (
             ["--pool", "1200x900", *SEEN, "--corners", "c.toml", "--out", "o.toml"],
-            "--pool is 1200 x 900 m, allowed is 0.05 to 100 m: give length x width in m",
+            "--pool is 1200 x 900 m, but each side must be 0.05 to 100 m: give length x width in m",
         ),
         (
             [
@@ -282,7 +282,8 @@ def test_a_tag_is_tracked_without_a_robot(
         apart = np.abs(poses[begun:] - pose).max(axis=1)
         begun += int(apart.argmin()) + 1
         assert apart.min() < 2e-3 and 0.0 <= age_s < 5.0
-    told = re.match(r"frogkick: (\d+) places of (\d+) pictures, [\d.]+ a second; without one: ", done.stderr)
+    line = r"frogkick: (\d+) fixes from (\d+) pictures, [\d.]+ a second; pictures without a fix: "
+    told = re.match(line, done.stderr)
     assert told is not None and int(told[1]) == len(lines) and int(told[2]) >= len(lines) + 1
     asked = frogkick(capsys, "camera", "track", file, "--source", pictures, "--json", "--seconds", "30")
     assert asked.code == 0 and asked.json["fixes"] == asked.json["reasons"]["found"] > 5
@@ -347,7 +348,7 @@ def test_a_printed_tag_is_to_scale_and_points_forward(
     assert (tmp_path / "a.pdf").read_bytes() == (tmp_path / "b.pdf").read_bytes()
     for more, says in (
         (("--tag-id", "9999"), "has no tag 9999"),
-        (("--tag-size-mm", "900"), "give one of 1 to 250 mm"),
+        (("--tag-size-mm", "900"), "give a size that makes it 1 to 250 mm"),
         (("--tag-family", "tag16h5"), "is not known"),
     ):
         told = frogkick(capsys, "camera", "tag", "--out", tmp_path / "c.pdf", *more)

@@ -1,4 +1,4 @@
-"""Runs with a robot on the bench: where it is, what it speaks, where its position fixes come from."""
+"""Runs with a real robot: its address, its protocol, and the source of its position fixes."""
 
 from __future__ import annotations
 
@@ -44,15 +44,17 @@ POOL = "pool"
 
 
 def require_film(video: bool, fixes: str | None, out: Path | None) -> None:
-    """Refuse a video without pictures, or without a place.
+    """Refuse a video without a camera, or without a log beside which it is kept.
 
     Raises:
         InputError: --video without the camera of a real robot, or without --out.
     """
     if video and (fixes is None or fixes in (STDIN, POOL)):
-        raise InputError("--video keeps a camera's pictures, and none is looked at: give --fixes camera.toml")
+        raise InputError(
+            "--video records a camera's pictures, but this run has no camera: give --fixes camera.toml"
+        )
     if video and out is None:
-        raise InputError("--video is kept beside the log: give --out run.h5")
+        raise InputError("--video is written beside the log: give --out run.h5")
 
 
 def require_bench(
@@ -63,10 +65,10 @@ def require_bench(
     battery_v: float | None = None,
     begin: str | None = None,
 ) -> None:
-    """Refuse what does not go with a real robot, or with a simulated one.
+    """Refuse options that do not fit a real robot, or a simulated one.
 
     Raises:
-        InputError: it does not.
+        InputError: an option does not fit.
     """
     require_dialect(dialect)
     if not is_target(robot):
@@ -77,16 +79,16 @@ def require_bench(
         ):
             if value is not None:
                 raise InputError(
-                    f"{name} {value} is for a real robot, --robot is {robot!r}: leave it out, or give "
+                    f"{name} {value} is for a real robot, but --robot is {robot!r}: leave it out, or give "
                     "--robot ble:NAME or serial:PORT"
                 )
         return
     require_wire(parse_target(robot))
     if world is not None and fixes != POOL:
-        raise InputError(f"--world {world!r} is for a simulated pool, --robot is {robot!r}: leave it out")
+        raise InputError(f"--world {world!r} is for a simulated pool, but --robot is {robot!r}: leave it out")
     if fixes is None:
         raise InputError(
-            f"--robot {robot} swims by position fixes, and none are given: pipe them in from a tracker, "
+            f"--robot {robot} needs position fixes, and none are given: pipe them in from a tracker, "
             "as lines 'x_m y_m heading_rad [age_s]', with --fixes stdin, or give the calibration of the "
             "camera over the pool, as --fixes camera.toml; for a kit without limbs --fixes pool"
         )
@@ -98,19 +100,19 @@ def require_bench(
     if fixes == POOL and (begin is not None or battery_v is not None):
         name = "--battery-v" if begin is None else "--begin"
         raise InputError(
-            f"{name} is for a robot in water, --fixes pool for a kit without limbs: leave it out"
+            f"{name} is for a robot in water, but --fixes pool is for a kit without limbs: leave it out"
         )
 
 
 @dataclass(frozen=True)
 class Sight:
-    """Where position fixes come from, and where the path begins.
+    """The source of position fixes, and the place where the path begins.
 
     Attributes:
         fixes: ``stdin``, ``pool`` (simulated, for a kit), or the file of a camera's calibration.
         source: camera number, video file or folder of pictures.
-        begin: ``x_m,y_m,deg`` where the path is to begin, ``here`` for where the robot is; None = as it is.
-        rate_hz, world, seed: of a simulated pool: fixes a second, what is true in it, its camera's noise.
+        begin: ``x_m,y_m,deg`` where the path begins, ``here`` for the robot's place, None for the path's own.
+        rate_hz, world, seed: of a simulated pool: fixes per second, its true effects, its camera's noise.
     """
 
     fixes: str
@@ -128,10 +130,10 @@ class Sight:
     def opened(
         self, robot: Robot, tables: Tables, path: SwimPath
     ) -> Iterator[tuple[LineFixes | CameraFixes | PoolFixes, tuple[float, float] | None]]:
-        """The source, at work, and the pool's length and width where they are known.
+        """Yield the running source, and the pool's length and width if they are known.
 
         Args:
-            robot, tables, path: what swims in a simulated pool, and from where on.
+            robot, tables, path: of a simulated pool: the robot, its tables, and the path where it starts.
 
         Raises:
             InputError: no such calibration or camera.
@@ -153,7 +155,7 @@ class Sight:
             camera.close()
 
     def placed(self, path: SwimPath, pose_world: Sequence[float]) -> SwimPath:
-        """The path where it is to begin."""
+        """Return the path, moved to its beginning."""
         if self.begin is None:
             return path
         x_m, y_m, heading_rad = pose_world if self.begin == "here" else parse_begin(self.begin)
@@ -164,7 +166,7 @@ class Sight:
 
 
 def parse_begin(text: str) -> tuple[float, float, float]:
-    """x (m), y (m), heading (rad) of ``X,Y,DEG``.
+    """Return x (m), y (m), heading (rad) of the text ``X,Y,DEG``.
 
     Raises:
         InputError: not three numbers.
@@ -174,7 +176,7 @@ def parse_begin(text: str) -> tuple[float, float, float]:
     except ValueError:
         raise InputError(f"--begin is {text!r}: give X,Y,DEG in m and degrees, or here") from None
     if not all(math.isfinite(value) and abs(value) <= COORDINATE_MAX for value in (x_m, y_m, heading_deg)):
-        raise InputError(f"--begin is {text!r}: numbers up to {COORDINATE_MAX:g}")
+        raise InputError(f"--begin is {text!r}: give numbers up to {COORDINATE_MAX:g}")
     return x_m, y_m, math.radians(heading_deg)
 
 
@@ -185,7 +187,7 @@ COORDINATE_MAX = 1000.0
 def session_with(
     wire: Wire, dialect: str, image: Path, robot: Robot, key: Path | None
 ) -> Iterator[LabSession]:
-    """A session over a wire, in a robot's dialect; ``key``: file of its owner's key."""
+    """Return a session over a wire in a robot's protocol; ``key`` is the file of its owner's key."""
     if dialect == "frogkick":
         yield lab_session(wire, key)
         return
@@ -198,47 +200,47 @@ def session_with(
 
 
 class Operator(Protocol):
-    """A person beside a real robot: lets it be armed, and may stop the run."""
+    """A person beside a real robot, who permits arming and may stop the run."""
 
     def wait_to_arm(self) -> None:
         """Return when the robot may be armed."""
 
     def pressed(self) -> bool:
-        """Whether the run is to stop."""
+        """Return whether the run shall stop."""
 
 
 class _NoOperator:
-    """Nobody is asked, and nobody stops the run."""
+    """An operator that permits arming without asking and never stops the run."""
 
     def wait_to_arm(self) -> None:
-        """At once."""
+        """Return immediately."""
 
     def pressed(self) -> bool:
-        """Never."""
+        """Return False."""
         return False
 
 
 Operators = Callable[[bool], AbstractContextManager[Operator]]
-"""Makes the operator; told whether standard input is taken by fixes."""
+"""Makes the operator; its argument is whether standard input carries fixes."""
 
 
 def no_operator(_stdin_is_taken: bool) -> AbstractContextManager[Operator]:
-    """Arm without asking, and let nobody stop the run."""
+    """Yield an operator that arms without asking and never stops the run."""
     return nullcontext(_NoOperator())
 
 
 @dataclass(frozen=True)
 class Bench:
-    """A robot on the bench, and what a person says of it.
+    """A real robot and what a person knows of it.
 
     Attributes:
-        name: where it is: ble:NAME or serial:PORT.
-        dialect: what it speaks.
-        sight: its position fixes, and where its path begins.
-        battery_v: of its lowest battery, measured by hand; None: nobody did.
-        film: the log beside which the camera's pictures are kept; None: they are not.
-        operator: who is asked before it is armed, and may stop the run.
-        wire: to it, open; None: it is opened, and closed after the run.
+        name: its address: ble:NAME or serial:PORT.
+        dialect: its protocol.
+        sight: the source of its position fixes, and where its path begins.
+        battery_v: voltage of its lowest battery, measured with a meter; None: not measured.
+        film: the log beside which the camera's pictures are recorded; None: they are not recorded.
+        operator: the person who is asked before arming and may stop the run.
+        wire: an open link to the robot; None: a link is opened, and closed after the run.
         key: file of its owner's key; None: the user's own.
     """
 
@@ -253,8 +255,8 @@ class Bench:
 
 
 Kept = Callable[[SwimPath, CameraFixes | None, float], AbstractContextManager[Callable[[Recording], None]]]
-"""Makes, from the path as placed, the camera if there is one and the wall clock at the session's time 0
-(s since 1970), what keeps a recording while it grows."""
+"""Makes the log that grows with a recording. Its arguments are the placed path, the camera if there is one,
+and the wall clock at the session's time 0 (s since 1970)."""
 
 
 def _tell(line: str) -> None:
@@ -271,20 +273,20 @@ def run_on_bench(
     kept: Kept,
     progress: Callable[[float, int], None],
 ) -> tuple[Recording, SwimPath]:
-    """A run with a real robot, and the path as it was placed. Stopped in any way, it disarms the robot first.
+    """Run a real robot; return the recording and the placed path. The robot is disarmed however the run ends.
 
-    What was checked before is told on stderr, a line each.
+    The checks before the start are reported on stderr, one line each.
 
     Args:
-        bench: the robot, and what is around it.
+        bench: the robot and its surroundings.
         image: table image of ``tables``.
         robot, tables, path, options, progress: see ``run_session``.
-        kept: keeps the recording while it grows.
+        kept: makes the log that grows with the recording.
 
     Raises:
         WireError: the robot cannot be reached.
-        LinkError: it refuses or does not answer.
-        InputError: its batteries are low, no fixes come, or what ``check_start`` finds.
+        LinkError: the robot refuses or does not answer.
+        InputError: the batteries are low, no fixes arrive, or ``check_start`` finds a fault.
     """
     sight, target = bench.sight, parse_target(bench.name)
     battery = "battery: none, a kit" if sight.fixes == POOL else check_battery(robot, bench.battery_v)

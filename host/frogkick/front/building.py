@@ -1,4 +1,4 @@
-"""C and firmware of a table: emitted, built, tried on the virtual chip, flashed."""
+"""C code and firmware of a table: generate, build, test on the virtual chip, and flash them."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Firmware:
-    """A built image.
+    """A built firmware image.
 
     Attributes:
         build: its files and their sizes.
@@ -38,22 +38,22 @@ class Firmware:
 
     @property
     def flash_bytes(self) -> int:
-        """Of the chip's flash; 0 for the target "native"."""
+        """Bytes of the chip's flash; 0 for the target "native"."""
         return self.build.flash_bytes
 
     @property
     def ram_bytes(self) -> int:
-        """Of the chip's RAM, with the stack; 0 for the target "native"."""
+        """Bytes of the chip's RAM, including the stack; 0 for the target "native"."""
         return self.build.ram_bytes
 
     @property
     def stack_bytes(self) -> int:
-        """Reserved for the stack; 0 for the target "native"."""
+        """Bytes reserved for the stack; 0 for the target "native"."""
         return self.build.stack_bytes
 
     @property
     def files(self) -> dict[str, Path]:
-        """By what they are: elf, hex and map, or library. Without ``out`` they go with this object."""
+        """Files by kind: elf, hex and map, or library. Without ``out`` they are deleted with this object."""
         return self.build.files
 
     def as_json(self) -> dict[str, Any]:
@@ -70,12 +70,12 @@ def build_firmware(
     """Build the firmware around a table.
 
     Args:
-        table: of the robot, or its file; its guard's limits and planner's settings go into the image, too.
+        table: the robot's table or its file. The image also holds the robot's guard limits and planner.
         target: "bench" (bare metal, nRF52832) or "native" (the same core as a library for this computer).
         out: folder for the files; None: a temporary one that lives as long as the object.
 
     Raises:
-        InputError: an unknown target, a guard whose limits are none, or an image that does not fit.
+        InputError: an unknown target, invalid limits of the guard, or an image that does not fit.
         ToolchainError: no compiler here; the text says what to install.
     """
     table = table if isinstance(table, Table) else load_table(table)
@@ -93,17 +93,17 @@ def emit_c(
     """Write table and planner as C99 into a folder, with an example and a README.
 
     Args:
-        table: to emit, or its file.
-        out: the folder to make; one that was emitted before is replaced, any other is refused.
-        measure: build for the chip and run on the virtual one, for sizes and times in the README.
+        table: the table or its file.
+        out: the folder to make; a folder that was generated before is replaced, any other is refused.
+        measure: build for the chip and run on the virtual chip, for sizes and times in the README.
         progress: of measuring: True for a bar, or a function of (done, all).
 
     Returns:
         File name -> SHA-256 of its content, hexadecimal.
 
     Raises:
-        InputError: the folder is another's, or cannot be written.
-        TableError: the file is no usable table image.
+        InputError: the folder holds something else, or cannot be written.
+        TableError: the file is not a valid table image.
     """
     image = table.image if isinstance(table, Table) else read_image(table).image
     name = table.name if isinstance(table, Table) else Path(table).name
@@ -121,11 +121,11 @@ def emit_c(
 
 @dataclass(frozen=True, eq=False, repr=False)
 class FirmwareTrial:
-    """A bench image that was booted on the virtual chip and went through every command, stroke and limit.
+    """The test of a bench image on the virtual chip: every command, stroke and limit.
 
     Attributes:
-        build: sizes of the image; its files are gone.
-        report: what was checked, times of planning, the stack as it was seen and its bound.
+        build: sizes of the image; its files are deleted.
+        report: the checks, the planning times, the measured stack and its bound.
     """
 
     build: Build
@@ -133,7 +133,7 @@ class FirmwareTrial:
 
     @property
     def passed(self) -> bool:
-        """Whether every check held."""
+        """Whether every check passed."""
         return self.report.passed
 
     def sizes(self) -> dict[str, Any]:
@@ -174,18 +174,18 @@ class FirmwareTrial:
 def try_firmware(
     table: Table | Path | str | None = None, robot: Robot | str | None = None, progress: Progress = False
 ) -> FirmwareTrial:
-    """Build the bench image around a table, and try it on the virtual chip.
+    """Build the bench image around a table and test it on the virtual chip.
 
     Args:
-        table: the robot's, or its file; None: the robot's default one.
-        robot: it, or its name or TOML file; None: the table's own.
+        table: the robot's table or its file; None: the robot's default table.
+        robot: the robot, its name or its TOML file; None: the table's own.
         progress: of the checks: True for a bar, or a function of (done, all).
 
     Raises:
         InputError: the table is for another robot, or the firmware's sources are not installed.
         ToolchainError: no compiler here; the text says what to install.
         LinkError: the image does not answer.
-        ChipError: it does what the chip does not allow.
+        ChipError: the image does what the chip does not allow.
     """
     require_tools("bench")
     from frogkick.runs.chip_check import check_on_chip  # it cannot be loaded without the extra
@@ -200,11 +200,11 @@ def try_firmware(
 
 @dataclass(frozen=True)
 class Flashed:
-    """What was written, and by which debug probe.
+    """The result of flashing an image.
 
     Attributes:
-        probe: its name.
-        bytes: of the image.
+        probe: name of the debug probe.
+        bytes: size of the image.
     """
 
     probe: str
@@ -219,20 +219,20 @@ def flash_firmware(
     probe: str | None = None,
     progress: Progress = False,
 ) -> Flashed:
-    """Write the bench image into a development kit, through its debug probe.
+    """Flash the bench image into a development kit through its debug probe.
 
     Args:
         image: Intel HEX, ``bench.hex`` of a build; None: built around ``table``.
         table, robot: as for ``try_firmware``.
-        probe: number of the debug probe, where there are several.
+        probe: serial number of the debug probe, if several are plugged in.
         progress: True for a bar, or a function of (done, all).
 
     Raises:
-        InputError: an image and a table, or an image that is none or does not fit.
-        ProbeError: no probe, or no answer.
+        InputError: both an image and a table, an invalid image, or one that does not fit.
+        ProbeError: no probe is found, or it does not answer.
     """
     if image is not None and table is not None:
-        raise InputError("give --image or --tables: an image has its table in it")
+        raise InputError("give either --image or --tables, not both: an image already contains its table")
     require("flashing", "pyocd")
     if image is None:
         require_tools("bench")

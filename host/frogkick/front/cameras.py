@@ -1,4 +1,4 @@
-"""The camera over the pool: calibrated from corners or a board, and how far off it is."""
+"""The camera over the pool: its calibration from corners or a board, and its errors."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ __all__ = [
 ]
 
 REMARKS = 5
-"""Places that are named where many are beyond the limits."""
+"""How many of the places beyond the limits are named."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -50,15 +50,15 @@ class Calibrated:
     """A calibrated camera.
 
     Attributes:
-        calibration: pixels to places on the water, and back.
-        lens_rms_px: how far the board's corners are from the lens's model; NaN without pictures of a board.
+        calibration: the map from pixels to places on the water, and back.
+        lens_rms_px: error of the board's corners in the lens model; NaN without pictures of a board.
     """
 
     calibration: Calibration
     lens_rms_px: float
 
     def save(self, file: Path | str) -> None:
-        """Write the calibration (.toml), as ``Camera`` and ``run`` take it.
+        """Write the calibration (.toml) for ``Camera`` and ``run``.
 
         Raises:
             InputError: the file cannot be written.
@@ -105,39 +105,41 @@ def calibrate_camera(
     pictures: Path | str | None = None,
     board_at_m: tuple[float, float] = (0.0, 0.0),
 ) -> Calibrated:
-    """Calibrate from the pool's four corners or from a board laid on the water's plane; lens from a board.
+    """Calibrate from the pool's four corners or a board on the water's plane; the lens from a board.
 
     Args:
         pool_m: length and width of the pool.
-        tag: on the robot; how much higher water lets it appear is worked out here.
+        tag: the tag on the robot; the refraction of the water is corrected here.
         corners: file (.toml, .csv) of the pool's corners in pixels: (0, 0), (L, 0), (L, W), (0, W).
-        plane_picture: instead, a picture of the board laid on the water's plane.
-        image_px: width and height of the pictures; needed with ``corners`` where there are no ``pictures``.
-        height_m: of corners or board over the water; negative under it.
-        camera_height_m: over the water, measured; not needed with a board.
+        plane_picture: picture of the board lying on the water's plane, instead of ``corners``.
+        image_px: width and height of the pictures; needed with ``corners`` and without ``pictures``.
+        height_m: height of corners or board above the water; negative if below.
+        camera_height_m: measured height of the camera above the water; not needed with a board.
         board: the printed board of ``pictures`` and ``plane_picture``.
-        pictures: folder of pictures of the board, to find the lens; None: the lens is taken as perfect.
-        board_at_m: its first inner corner in the pool, x and y; its rows along the pool.
+        pictures: folder of pictures of the board, to calibrate the lens; None: the lens is taken as perfect.
+        board_at_m: x and y of the board's first inner corner in the pool; its rows run along the pool.
 
     Raises:
-        InputError: not one of corners and plane picture, or what is given does not determine the camera.
+        InputError: not exactly one of corners and plane picture, or data that do not determine the camera.
     """
     if (corners is None) == (plane_picture is None):
         raise InputError(
-            "give the pool's corners (--corners) or a picture of the board (--plane-picture), one"
+            "give either the pool's corners (--corners) or a picture of the board (--plane-picture)"
         )
     if not 0.05 <= min(pool_m) <= max(pool_m) <= 100.0:
         raise InputError(
-            f"--pool is {pool_m[0]:g} x {pool_m[1]:g} m, allowed is 0.05 to 100 m: give length x width in m, "
-            "as 1.2x0.9"
+            f"--pool is {pool_m[0]:g} x {pool_m[1]:g} m, but each side must be 0.05 to 100 m: give length x "
+            "width in m, such as 1.2x0.9"
         )
     if 0.0 < abs(tag.height_m) < 1e-4:
-        raise InputError(f"--tag-height-mm is {1e3 * tag.height_m:g} mm: give mm over the water, as 12")
+        raise InputError(f"--tag-height-mm is {1e3 * tag.height_m:g} mm: give mm above the water, such as 12")
     tag = replace(tag, refraction_offset_m=refraction_offset_m(tag.height_m))
     lens, lens_rms_px = None, float("nan")
     if pictures is not None:
         if board is None:
-            raise InputError("--pictures shows a board: say which with --board chessboard or --board charuco")
+            raise InputError(
+                "--pictures shows a board: give its kind with --board chessboard or --board charuco"
+            )
         found = read_pictures(pictures)
         lens, lens_rms_px, _ = calibrate_lens(board, found)
         seen = (found[0][1].shape[1], found[0][1].shape[0])
@@ -148,27 +150,29 @@ def calibrate_camera(
         image_px = seen
     if plane_picture is not None:
         if board is None:
-            raise InputError("--plane-picture shows a board: say which with --board chessboard or charuco")
+            raise InputError(
+                "--plane-picture shows a board: give its kind with --board chessboard or --board charuco"
+            )
         laid = read_picture(plane_picture)
         made = calibrate_plane(board, laid, board_at_m, pool_m, tag, height_m, camera_height_m, lens)
         return Calibrated(made, lens_rms_px)
     assert corners is not None
     if image_px is None:
-        raise InputError("the corners are pixels of a picture: give its size, as --image 640x480")
+        raise InputError("the corners are pixels of a picture: give its size, such as --image 640x480")
     made = calibrate_corners(read_corners(corners), pool_m, image_px, tag, height_m, camera_height_m, lens)
     return Calibrated(made, lens_rms_px)
 
 
 @dataclass(frozen=True)
 class Rendering:
-    """Pictures that are drawn to see what a camera can give at best.
+    """Rendered pictures, which show the best accuracy that a camera can reach.
 
     Attributes:
         columns, rows: places of the tag along and across the pool, 1 to 50 each.
         blur_px: standard deviation of the blur.
-        noise: of the pixels, grey levels.
+        noise: standard deviation of the pixels' noise, grey levels.
         wave_m: standard deviation of the tag's heave.
-        seed: of noise and waves.
+        seed: seed of noise and waves.
     """
 
     columns: int = 9
@@ -180,17 +184,17 @@ class Rendering:
 
     def __post_init__(self) -> None:
         if not (1 <= self.columns <= 50 and 1 <= self.rows <= 50):
-            raise InputError(f"--grid {self.columns}x{self.rows}: allowed is 1x1 to 50x50")
+            raise InputError(f"--grid {self.columns}x{self.rows}: give 1x1 to 50x50")
 
 
 @dataclass(frozen=True, repr=False)
 class CameraCheck:
-    """Errors over the pool.
+    """Errors of a camera over the pool.
 
     Attributes:
-        calibration: that was checked.
-        source: of the known places: "points", "places" or "rendered".
-        found: each place, pool frame, and by how much the camera is off there.
+        calibration: the calibration that was checked.
+        source: source of the known places: "points", "places" or "rendered".
+        found: each place in the pool's frame and the camera's error there.
         limit_mm, limit_deg: the largest errors allowed.
     """
 
@@ -221,7 +225,7 @@ class CameraCheck:
 
     @property
     def remarks(self) -> list[str]:
-        """What failed, a line each: a turn that all headings share, the first places beyond the limits."""
+        """Return a line for each fault: a rotation of all headings, the first places beyond the limits."""
         said = []
         turns = np.array([p.heading_error_deg for p in self.found if np.isfinite(p.heading_error_deg)])
         if len(turns) > 1:
@@ -230,8 +234,9 @@ class CameraCheck:
             apart = np.abs((turns - mean + 180.0) % 360.0 - 180.0).max()
             if abs(mean) > max(10.0 * apart, self.limit_deg):
                 said.append(
-                    f"all headings are turned by {mean:.0f} degrees: is the tag mounted or printed that way? "
-                    "--tag-heading-deg of 'camera calibrate' says how, 'camera tag' prints one with an arrow"
+                    f"all headings are off by {mean:.0f} degrees: if the tag is mounted that way, give its "
+                    "direction as --tag-heading-deg of 'camera calibrate'; 'camera tag' prints a tag with "
+                    "an arrow"
                 )
         off = [
             f"({p.x_m:g}, {p.y_m:g}) m: "
@@ -278,22 +283,23 @@ def check_camera(
 ) -> CameraCheck:
     """Map a camera's errors over the pool.
 
-    Rendered pictures (neither points nor places) show what camera, pool and tag can give at best, the
-    calibration taken as true; marked points and tags laid down show what it is off by.
+    Without points and places the pictures are rendered, with the calibration taken as true. They show the
+    best that camera, pool and tag can reach. Marked points and tags at known poses show the error of the
+    calibration itself.
 
     Args:
-        calibration: what ``Calibrated.save`` wrote.
+        calibration: file that ``Calibrated.save`` wrote.
         points: marked points: CSV with x_px, y_px, x_m, y_m.
-        places: the tag laid down: CSV with image, x_m, y_m, heading_deg.
-        rendering: how pictures are drawn, without either; None: as ``Rendering`` has it.
+        places: pictures of the tag at known poses: CSV with image, x_m, y_m, heading_deg.
+        rendering: settings of rendered pictures, without points and places; None: the defaults.
         limit_mm, limit_deg: the largest errors allowed.
 
     Raises:
-        InputError: no calibration, both kinds of places, or a file that cannot be read.
+        InputError: an invalid calibration, both points and places, or a file that cannot be read.
     """
     known = read_calibration(Path(calibration))
     if points is not None and places is not None:
-        raise InputError("--points and --places are two checks: give one of them")
+        raise InputError("--points and --places are two different checks: give only one of the two")
     if points is not None:
         found, source = check_points(known, points), "points"
     elif places is not None:
@@ -309,11 +315,11 @@ def check_camera(
 
 @dataclass(frozen=True)
 class CameraTracked:
-    """What a camera told of the tag under it.
+    """The fixes that a camera gave of the tag under it.
 
     Attributes:
-        fixes: how many places it told.
-        reasons: how many pictures told a place (``found``), or why not.
+        fixes: number of fixes.
+        reasons: number of pictures with a fix (``found``), and by each reason without one.
         seconds: from the first fix's picture to the last one's.
     """
 
@@ -339,20 +345,20 @@ def track_camera(
     view: bool = False,
     each: Callable[[Fix], None] = lambda _fix: None,
 ) -> CameraTracked:
-    """Find the tag in a camera's pictures, without a robot, until they end, the time is over, or Ctrl-C.
+    """Find the tag in a camera's pictures, without a robot, until they end, the time is up, or Ctrl-C.
 
     Args:
         calibration: file of ``frogkick camera calibrate``.
         source: camera number, video file or folder of pictures.
-        seconds: how long, from the first picture on; None: to the end.
+        seconds: duration from the first picture on; None: to the end.
         view: draw pictures, tag and fixes in the browser.
-        each: gets each fix: pose in the pool's frame (m, m, rad), times of its picture and of its coming, s.
+        each: called with each fix: pose in the pool's frame (m, m, rad), times of its picture and arrival, s.
 
     Raises:
         InputError: no such calibration or camera, or a camera that fails.
     """
     if seconds is not None and not 0.0 < seconds < math.inf:
-        raise InputError(f"looking for {seconds} s: give more than 0")
+        raise InputError(f"the duration is {seconds} s: give more than 0")
     known = read_calibration(Path(calibration))
     name = f"camera {source}" if source.isdigit() else source
     camera = CameraFixes(open_source(source, known.image_px), known, name)
@@ -363,7 +369,7 @@ def track_camera(
         while not is_over:
             if seconds is not None and end_s == math.inf and camera.newest is not None:
                 end_s = time.monotonic() + seconds
-            # What came last before the end is taken as well.
+            # The last fixes before the end count as well.
             is_over = camera.ended or time.monotonic() >= end_s
             new = camera.advance(time.monotonic())
             for fix in new:
@@ -380,15 +386,15 @@ def track_camera(
 def write_tag(
     file: Path | str, *, family: str = "tag36h11", tag_id: int = 0, size_m: float = 0.047
 ) -> tuple[float, float]:
-    """Write a tag to print at true scale, with its forward arrow and a ruler; (width, height) of the page, m.
+    """Write a page with a tag at true scale, a forward arrow and a ruler; return its width and height, m.
 
     Args:
         file: .pdf, .svg or .png.
-        family, tag_id: which tag.
-        size_m: side of tag36h11's black square, of tagStandard41h12's white one.
+        family, tag_id: family of the tag and its number there.
+        size_m: side of the black square of tag36h11, or of the white square of tagStandard41h12.
 
     Raises:
-        InputError: no such tag, a size that no page has, another ending, or the file cannot be written.
+        InputError: an unknown tag, a size that fits no page, an unknown ending, or an unwritable file.
     """
     from frogkick.report.tag_figure import write_tag_page
 

@@ -1,4 +1,4 @@
-"""A table for commands that are given none: made once from a small library, kept in the user's cache."""
+"""The default table: made once from a small library and kept in the user's cache."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ SAMPLING = "visited"
 
 
 def default_tables(robot: Robot | str, states: int | None = None, progress: Progress = True) -> Path:
-    """The path of a table image for a robot, built on first use (about a minute).
+    """Return the path of a robot's table image, which is built on first use (about a minute).
 
     Args:
-        robot: it, or its TOML file or built-in name.
-        states: of its library; None = ``STATES``.
+        robot: the robot, its TOML file or its built-in name.
+        states: number of states of its library; None = ``STATES``.
         progress: of building it.
 
     Raises:
@@ -38,7 +38,7 @@ def default_tables(robot: Robot | str, states: int | None = None, progress: Prog
     if _is_whole(target):
         return target
     with one_at_a_time(cache_folder("building"), key) as work:
-        if not _is_whole(target):  # else whoever was waited for has built it
+        if not _is_whole(target):  # otherwise another process has built it meanwhile
             library = work / "library.h5"
             with shown(progress, f"library for {robot.id}") as tell:
                 build_library(
@@ -56,7 +56,7 @@ def default_tables(robot: Robot | str, states: int | None = None, progress: Prog
 
 
 def _source_sha256() -> str:
-    """Of the code that simulates and quantises: with other physics a kept table would be a wrong one."""
+    """Return the hash of the simulating and quantising code, so that new physics gives a new table."""
     digest = hashlib.sha256()
     package = Path(__file__).parents[1]
     for folder in ("robot", "der", "library", "tables", "planner"):
@@ -66,7 +66,7 @@ def _source_sha256() -> str:
 
 
 def _is_whole(target: Path) -> bool:
-    """A table is there and passes every check; a damaged cache is made again, not complained about."""
+    """Return whether a valid table exists; a damaged one is made again without an error."""
     try:
         read_image(target)
     except InputError:

@@ -1,4 +1,4 @@
-"""What a robot is, in numbers, and what is doubtful about it; a file for a new one; its limbs' strokes."""
+"""A robot in numbers with warnings about doubtful values; the file of a new robot; fits of strokes."""
 
 from __future__ import annotations
 
@@ -29,9 +29,9 @@ class Description:
     """A robot as it is simulated.
 
     Attributes:
-        robot: it.
+        robot: the robot.
         rods: its frame and limbs at rest, as nodes and edges.
-        warnings: doubts about its geometry or its limits.
+        warnings: doubtful values of its geometry or its limits.
     """
 
     robot: Robot
@@ -102,32 +102,32 @@ class Description:
 
 
 def describe(robot: Robot | str) -> Description:
-    """Say what a robot is.
+    """Describe a robot.
 
     Args:
-        robot: it, or its name or TOML file.
+        robot: the robot, its name or its TOML file.
 
     Raises:
-        InputError: no such robot, or one that cannot be simulated.
+        InputError: an unknown robot, or one that cannot be simulated.
     """
     described = load_robot(robot)
     return Description(described, prepare(described), tuple(robot_warnings(described)))
 
 
 def write_new_robot(file: Path, base: Robot | str = "frog2022", limbs: int | None = None) -> Robot:
-    """Write a robot file to begin with: all keys of another robot, a comment on each; and read it.
+    """Write a robot file to start from, with all keys of another robot and a comment on each, and read it.
 
     Args:
-        file: TOML file to write, not one that is there; its name without ending is the robot's id.
-        base: the robot to begin from, or its name or TOML file. Its effects do not come along.
-        limbs: the first so many of its limbs, and the actions that these can do; None: all.
+        file: TOML file to write, which must not exist; its name without the ending is the robot's id.
+        base: the robot to start from, its name or its TOML file. Its effects are not copied.
+        limbs: number of limbs to keep, from the first, with the actions that they allow; None: all.
 
     Raises:
-        InputError: no such base, not so many limbs, a name that is no id, or the file cannot be written.
+        InputError: an unknown base, too many limbs, an invalid id, or a file that cannot be written.
     """
     require_writable(file)
     if file.exists():
-        raise InputError(f"{str(file)!r} is there already: name a new file, or take that one away")
+        raise InputError(f"{str(file)!r} exists already: name a new file, or remove that one")
     text = new_robot_text(load_robot(base), file.stem, limbs)
     robot = parse_robot(text, str(file), file.parent)
     write_text(file, text)
@@ -139,15 +139,15 @@ class FittedStrokes:
     """Measured strokes and the profiles that were fitted to them.
 
     Attributes:
-        strokes: as measured.
-        profiles: of each.
+        strokes: the measured strokes.
+        profiles: the profile of each.
     """
 
     strokes: Sequence[Stroke]
     profiles: Sequence[Profile]
 
     def as_json(self) -> dict[str, Any]:
-        """The keys of the command ``robot fit-stroke``: of each stroke its fit and what that misses."""
+        """The keys of the command ``robot fit-stroke``: the fit of each stroke and its error."""
         return {
             "profiles": [
                 {
@@ -164,13 +164,13 @@ class FittedStrokes:
         }
 
     def plot(self) -> Figure:
-        """A matplotlib figure: each stroke as measured, and its fit."""
+        """Return a matplotlib figure of each measured stroke and its fit."""
         from frogkick.report.stroke_figure import stroke_figure
 
         return stroke_figure(self.strokes, self.profiles)
 
     def save(self, file: Path | str) -> None:
-        """Write them as the TOML file that a robot's ``profiles_file`` names.
+        """Write the profiles as a TOML file for the key ``profiles_file`` of a robot.
 
         Raises:
             InputError: the file cannot be written.
@@ -188,14 +188,14 @@ def fit_strokes(
     """Fit limb profiles to measured strokes, a CSV file for each frequency.
 
     Args:
-        files: columns ``time_s,curvature_per_m``, or ``time_s,tip_x_m,tip_y_m`` of the tip seen from the
-            root, x along the limb's tangent there; one cycle from the pulse's beginning on.
-        egain_percent: of the limb's alloy.
-        frequency_hz: strokes a second; None: of each file one over its last time.
-        length_m: of the limb, where the tip was tracked.
+        files: columns ``time_s,curvature_per_m``, or ``time_s,tip_x_m,tip_y_m`` of the tip from the
+            root, x along the limb's tangent there; one cycle that starts with the pulse.
+        egain_percent: EGaIn fraction of the limb's alloy, %.
+        frequency_hz: strokes per second; None: one over the last time of each file.
+        length_m: length of the limb, needed if the tip was tracked.
 
     Raises:
-        InputError: a file that holds no stroke, or two of one frequency.
+        InputError: a file without a stroke, or two files of one frequency.
     """
     strokes = [read_stroke(file, length_m) for file in files]
     profiles = [fit_stroke(stroke, egain_percent, frequency_hz) for stroke in strokes]

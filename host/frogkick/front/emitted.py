@@ -1,4 +1,4 @@
-"""What an emitted planner costs: sizes from its image for the chip, times from the virtual chip."""
+"""The cost of a generated planner: sizes of its image for the chip, times on the virtual chip."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from frogkick_codegen.figures import DepthTime, Figures
 from frogkick_codegen.planner_image import NOT_PLANNER, build_planner, compiler_name
 
 STATES: Mapping[int, int] = {1: 60, 2: 30, 3: 12}
-"""Depth -> states that are timed: seconds, not the minutes of ``frogkick study chip``."""
+"""Depth -> number of timed states; this takes seconds, ``frogkick study chip`` takes minutes."""
 _TYPES = ("fk_tables_t", "fk_path_t", "fk_plan_config_t", "fk_state_t", "fk_plan_t")
 _FUNCTIONS = ("fk_plan", "fk_tables_open")
 
@@ -31,19 +31,19 @@ def measure(
     states: Mapping[int, int] = STATES,
     progress: Callable[[int, int], None] = lambda _done, _all: None,
 ) -> Figures:
-    """Emit a table, build it for the chip, and measure.
+    """Generate the C code of a table, build it for the chip, and measure it.
 
-    The same table gives the same figures: nothing here depends on this machine.
+    The same table gives the same figures on every machine.
 
     Args:
         image: table image.
-        config: weights; the paper's where it is None.
-        states: depth -> how many decisions to time.
-        progress: called with decisions done and to do.
+        config: weights; None: the paper's.
+        states: depth -> number of decisions to time.
+        progress: called with the decisions done and their total.
 
     Raises:
-        InputError: not a table; the chip's start-up code is not installed.
-        ToolchainError: no compiler.
+        InputError: an invalid table, or the chip's start-up code is not installed.
+        ToolchainError: no compiler is found.
         ChipError: the planner does what the chip does not allow.
     """
     settings = config or PlanConfig()
@@ -75,7 +75,7 @@ def _times(
     states: Mapping[int, int],
     progress: Callable[[int, int], None],
 ) -> dict[int, DepthTime]:
-    """Decisions at each depth, a share of them along each path, the dearest depth first."""
+    """Return the decisions at each depth, spread over the paths, with the most expensive depth first."""
     shares = {depth: -(-states[depth] // len(SHAPES)) for depth in sorted(states, reverse=True)}
     tables, found, done = read_image(image), {}, 0
     for depth, share in shares.items():
@@ -94,13 +94,13 @@ def _times(
 
 
 def _code_bytes(elf: Path) -> int:
-    """Flash of all functions and constants but the table and the start-up code."""
+    """Return the flash of all functions and constants except the table and the start-up code."""
     sizes = load_image(elf).sizes
     table = {"fk_table_bytes", "fk_table_image", "fk_table_image_bytes"}
     return sum(size for name, size in sizes.items() if name not in {*NOT_PLANNER, *table})
 
 
 def _static_bytes(elf: Path) -> int:
-    """RAM of variables; the start-up code has none of its own."""
+    """Return the RAM of variables; the start-up code has none."""
     symbols = load_image(elf).symbols
     return sum(symbols[f"fk_{part}_end"] - symbols[f"fk_{part}_begin"] for part in ("data", "bss"))

@@ -1,4 +1,4 @@
-"""Gaits: the model against the paper's simulations and measured swims, and a search over all of them."""
+"""Gaits: the model compared with the paper's simulations and measured swims, and a sweep over gaits."""
 
 from __future__ import annotations
 
@@ -57,12 +57,12 @@ _TOP = 10
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Validated:
-    """The model beside every simulation and measured swim of a data folder.
+    """The model compared with every simulation and measured swim of a data folder.
 
     Attributes:
         validation: all cases, and those left out.
-        noise: of the measured speeds.
-        matched: the robot's constants matched anew without each EGaIn fraction; None where not asked for.
+        noise: noise of the measured speeds.
+        matched: the robot's constants, matched again without each EGaIn fraction; None: not requested.
     """
 
     validation: Validation
@@ -137,18 +137,18 @@ def validate(
 ) -> Validated:
     """Compare the model with every simulation and measured swim of a data folder.
 
-    One parameter set for all; limb profiles come from the folder's own files where it has them.
+    All are compared with one parameter set. Limb profiles come from the folder's own files if it has them.
 
     Args:
-        data_dir: the paper's data, ``sim/``, ``exp/``, ``profile/``.
-        robot: it, or its name or TOML file.
-        left_out: match the robot's constants anew to all EGaIn fractions but one, for each of them, and say
-            how far off the simulations of that one are then; takes minutes.
-        workers: processes; None: one for each core.
-        progress: of the gaits, and of the fractions: True for a bar, or a function of (done, all).
+        data_dir: folder of the paper's data, ``sim/``, ``exp/``, ``profile/``.
+        robot: the robot, its name or its TOML file.
+        left_out: for each EGaIn fraction, match the robot's constants again to all others and measure the
+            error on that fraction; this takes minutes.
+        workers: number of processes; None: one for each core.
+        progress: of the gaits and the fractions: True for a bar, or a function of (done, all).
 
     Raises:
-        InputError: no such folder or robot, or nothing in the folder; with ``left_out`` fewer than two
+        InputError: an unknown folder or robot, or an empty folder; with ``left_out`` fewer than two
             fractions.
     """
     described = load_robot(robot)
@@ -179,7 +179,7 @@ def _matched_row(matched: Matched) -> dict[str, Any]:
 
 
 def _gait_columns(result: SimulationResult | ExperimentResult) -> dict[str, Any]:
-    """Which case, and what was swum."""
+    """Return the case and its gait as JSON values."""
     gait = result.case.gait
     return {
         "case": result.case.name,
@@ -242,7 +242,7 @@ class Swept:
 
     Attributes:
         sweep: the plan and its points.
-        verdicts: the paper's winners beside ours.
+        verdicts: the paper's winners compared with those here.
     """
 
     sweep: Sweep
@@ -250,26 +250,26 @@ class Swept:
 
     @property
     def points(self) -> tuple[Point, ...]:
-        """Of each gait its speed (m/s) and cost of transport, or why it failed."""
+        """Speed (m/s) and cost of transport of each gait, or the reason of its failure."""
         return self.sweep.points
 
     @property
     def fastest(self) -> list[Point]:
-        """The designs, EGaIn fraction and frequency, each at its fastest phase; the fastest first."""
+        """The designs (EGaIn fraction and frequency), each at its fastest phase, fastest first."""
         return rank_designs(self.sweep, by_speed)
 
     @property
     def most_efficient(self) -> list[Point]:
-        """The designs by cost of transport, the least first."""
+        """The designs by cost of transport, lowest first."""
         return rank_designs(self.sweep, by_cost)
 
     @property
     def energy_model(self) -> str:
-        """What the cost of transport counts, in words."""
+        """A sentence on what the cost of transport includes."""
         return energy_model(self.sweep.plan.robot)
 
     def save(self, folder: Path | str) -> list[Path]:
-        """Write ``sweep.csv``, a page and its pictures into a folder; the files.
+        """Write ``sweep.csv``, a page and its pictures into a folder, and return the files.
 
         Raises:
             InputError: the folder cannot be written to.
@@ -342,20 +342,20 @@ def sweep(
 ) -> Swept:
     """Simulate every EGaIn fraction, frequency and phase offset; rank by speed and by cost of transport.
 
-    Limb profiles between measured ones are interpolated; designs outside of them are left out and listed.
+    Limb profiles between measured ones are interpolated. Designs outside their range are left out and listed.
 
     Args:
-        robot: it, or its name or TOML file.
+        robot: the robot, its name or its TOML file.
         egain_percent: fractions, %; None: the measured ones.
-        frequencies_hz: strokes a second; None: those measured for each fraction.
-        phases: offsets of the rear limbs, evenly from 0.
-        out: folder that keeps what is finished: a second start goes on in it. None: nothing is kept.
-        workers: processes; None: one for each core.
+        frequencies_hz: strokes per second; None: those measured for each fraction.
+        phases: number of phase offsets of the rear limbs, evenly spaced from 0.
+        out: folder of the results, where an interrupted sweep resumes. None: nothing is kept.
+        workers: number of processes; None: one for each core.
         cluster: address of a Dask scheduler to simulate on instead.
         progress: of the gaits: True for a bar, or a function of (done, all).
 
     Raises:
-        InputError: a value out of range, no cluster there, or a folder that cannot be written to.
+        InputError: a value out of range, no cluster at the address, or a folder that cannot be written.
         FrogkickError: a worker died, or the cluster failed.
     """
     with ExitStack() as stack:

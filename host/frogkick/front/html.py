@@ -1,4 +1,4 @@
-"""What a notebook draws of an object: a small table, and a picture where there is one."""
+"""HTML of an object in a notebook: a small table, and a picture if there is one."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ from typing import Any
 
 
 def page_of(title: str, rows: Mapping[str, Any], figure: Any = None) -> str:
-    """HTML of an object.
+    """Return the HTML of an object.
 
     Args:
-        title: what it is.
-        rows: name -> value; numbers are shown to four digits.
-        figure: a matplotlib figure to show below; None: there is none.
+        title: name of the object.
+        rows: name -> value; numbers are shown with four digits.
+        figure: a matplotlib figure to show below, or None.
     """
     cells = "".join(
         f"<tr><th style='text-align:left'>{html.escape(name)}</th><td>{html.escape(_text(value))}</td></tr>"

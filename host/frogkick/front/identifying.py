@@ -1,4 +1,4 @@
-"""What a robot's model lacks, from runs: the effects found, the errors with and without them."""
+"""Identification from runs: the effects that a model lacks, and the errors with and without them."""
 
 from __future__ import annotations
 
@@ -34,11 +34,11 @@ class FoundEffect:
     """An effect that explains the runs.
 
     Attributes:
-        name: of the catalogue, or a class of the user's own.
-        options: what it acts on, as ``{"limb": "rear_left"}``.
+        name: name in the catalogue, or of the user's own class.
+        options: the part that it acts on, such as ``{"limb": "rear_left"}``.
         parameters: name -> value, interval (low, high; 95 %) and unit.
-        confounded_with: effects that these runs cannot tell from it.
-        stability: in what share of other draws of the training runs it would have been taken, 0 to 1.
+        confounded_with: effects that these runs cannot distinguish from it.
+        stability: share of bootstrap samples of the training runs in which it was accepted, 0 to 1.
     """
 
     name: str
@@ -50,10 +50,10 @@ class FoundEffect:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Identification:
-    """What identification ended with.
+    """The result of identification.
 
     Attributes:
-        outcome: all of it; the properties here are what most people ask for.
+        outcome: the full result; the properties here are those needed most often.
     """
 
     outcome: Outcome
@@ -66,7 +66,7 @@ class Identification:
 
     @cached_property
     def effects(self) -> tuple[FoundEffect, ...]:
-        """What was found, with intervals and with what it may be confounded."""
+        """The identified effects, with intervals and the effects that they may be confounded with."""
         found = self.outcome.found
         return tuple(
             FoundEffect(
@@ -82,29 +82,29 @@ class Identification:
 
     @property
     def before(self) -> PredictionError:
-        """Error of the nominal model a period ahead on the test runs: ``position_rmse_m``,
+        """Error of the nominal model one period ahead on the test runs: ``position_rmse_m``,
         ``heading_rmse_rad``."""
         return self.outcome.tested.before
 
     @property
     def after(self) -> PredictionError:
-        """The same with the effects found."""
+        """The same error with the identified effects."""
         return self.outcome.tested.after
 
     @property
     def noise_floor(self) -> PredictionError:
-        """What is left for any model, because position fixes scatter."""
+        """The error of a perfect model, which the noise of the position fixes causes."""
         return self.outcome.tested.noise_floor
 
     @cached_property
     def robot(self) -> Robot:
-        """The nominal robot with the effects found."""
+        """The nominal robot with the identified effects."""
         return parse_robot(
             found_toml(self.outcome), source="the robot found", folder=self.outcome.robot.folder
         )
 
     def report(self, file: Path | str) -> None:
-        """Write an HTML page: verdict, errors, tracks, residuals, what was tried."""
+        """Write an HTML page: verdict, errors, tracks, residuals and candidates."""
         from frogkick.report.identify_page import write_identify_page
 
         write_identify_page(Path(file), self.outcome)
@@ -146,10 +146,10 @@ class Identification:
 
 
 Given = Run | Path | str
-"""A run in memory, or its file."""
+"""A run in memory, or the file of one."""
 
 LeftOut = Callable[[Sequence[Mapping[str, str]]], None]
-"""Told of runs that are not used, before the work: rows with ``run`` and ``reason``."""
+"""Called before the work with the runs that are not used: rows with ``run`` and ``reason``."""
 
 
 def identify(
@@ -162,16 +162,16 @@ def identify(
     laws: bool = False,
     progress: bool = False,
 ) -> Identification:
-    """Trace what a robot's model lacks to physical effects, and predict other runs with and without them.
+    """Identify the physical effects that a robot's model lacks, and predict test runs with and without them.
 
     Args:
-        runs: to learn from, or one alone, in memory or their files.
-        test: to predict, the same; nothing is learned from them.
-        robot: the nominal one, or its name or TOML file; None: the runs' own.
-        effects: a Python file of effects of your own, tried as well.
-        measured: fits of many effects may start from the values of built-in robots that were measured before.
-        laws: where the catalogue leaves more than noise, search formulas as well (minutes more). What was
-            found has ``options["law"]`` then, and the verdict may be ``found: law``.
+        runs: training runs, or a single one, in memory or as files.
+        test: test runs, the same; nothing is fitted to them.
+        robot: the nominal robot, its name or its TOML file; None: the robot of the runs.
+        effects: a Python file with your own effects, which are tried as well.
+        measured: fits of many effects may start from built-in robots that were calibrated before.
+        laws: if the catalogue leaves more than noise, search formulas as well (minutes more). A formula that
+            is found has ``options["law"]``, and the verdict may be ``found: law``.
         progress: True for bars on stderr.
 
     Raises:
@@ -179,7 +179,7 @@ def identify(
     """
     runs, test = ([some] if isinstance(some, Given) else some for some in (runs, test))
     if not test:
-        raise InputError("test is empty: give at least one run that is kept out of learning")
+        raise InputError("test is empty: give at least one run that is not a training run")
     described = robot
     if not isinstance(described, Robot):
         described = load_robot(
@@ -191,14 +191,14 @@ def identify(
         return Identification(find(train, kept, described, own, measured=measured, laws=laws))
     with steps(progress_bar) as tell:
         found = find(train, kept, described, own, tell, measured, laws)
-    with progress_bar("several periods ahead, what to record next") as last:
+    with progress_bar("multi-step predictions, next experiment") as last:
         _ = found.horizons, found.experiment
         last(1, 1)
     return Identification(found)
 
 
 def segments_of_given(given: Given, robot: Robot | None) -> Segments:
-    """A run as identification takes it; ``robot`` is whose it is to be, None = the run's own."""
+    """Return a run in the form of identification; ``robot`` is its robot, None: the run's own."""
     if isinstance(given, Run):
         return segments_of(given.log, given.log.source, robot)
     return read_segments(given, robot)

@@ -1,4 +1,4 @@
-"""The same bits from Python, native C and the chip: decisions made in every place, and compared."""
+"""Decisions made by Python, native C and the chip, compared bit by bit."""
 
 from __future__ import annotations
 
@@ -27,16 +27,16 @@ LOOP_DECISIONS = 200
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Parity:
-    """How often places differ.
+    """The differences between the places that decide.
 
     Attributes:
-        states: that Python and native C decided from.
-        chip_states: of them, that the virtual chip decided from.
-        pairs: for each pair of places how many single decisions differ, in which fields, the first of them.
-        loop_decisions: of a whole loop.
-        loop_mismatches: pair of places, as "python-native" -> decisions or outputs of that loop that differ.
+        states: number of states for Python and native C.
+        chip_states: number of these states that the virtual chip decided too.
+        pairs: for each pair of places the number of different decisions, their fields and the first one.
+        loop_decisions: number of decisions of the closed loop.
+        loop_mismatches: pair of places, such as "python-native" -> different decisions or outputs.
         places: name -> the compiler's version, or "twin".
-        seed: of the states and the loop.
+        seed: seed of the states and the loop.
     """
 
     states: int
@@ -49,7 +49,7 @@ class Parity:
 
     @property
     def mismatches(self) -> dict[str, int]:
-        """Pair of places, as "python-native" -> single decisions that differ in any bit."""
+        """Pair of places, such as "python-native" -> single decisions that differ in any bit."""
         return {f"{pair.first}-{pair.second}": pair.mismatches for pair in self.pairs}
 
     @property
@@ -73,8 +73,8 @@ class Parity:
         }
 
     def __repr__(self) -> str:
-        told = ", ".join(f"{pair} {count}" for pair, count in self.mismatches.items())
-        return f"Parity({self.states} states; mismatches {told})"
+        counts = ", ".join(f"{pair} {count}" for pair, count in self.mismatches.items())
+        return f"Parity({self.states} states; mismatches {counts})"
 
 
 def compare_places(
@@ -89,20 +89,21 @@ def compare_places(
     seed: int = 0,
     progress: Progress = False,
 ) -> Parity:
-    """Decide in every place, and count differing bits.
+    """Make the same decisions in every place and count differing bits.
 
-    Single decisions from states of every kind, at depth 1 to 4, and a whole loop, fixes in, decisions out.
-    Places: Python, native C by zig's clang ("native"), by gcc where this machine has it, the virtual chip.
+    Single decisions start from states of every kind, at depth 1 to 4. A closed loop follows, from fixes to
+    decisions. The places are Python, native C by zig's clang ("native"), native C by gcc if this machine has
+    it, and the virtual chip.
 
     Args:
-        table: to decide by, or its file; None: the robot's default one.
-        robot: it, or its name or TOML file; None: the table's own.
-        states: for Python and native C, 10 or more.
-        chip_states: of them for the virtual chip; None: all.
-        loop_decisions: of the whole loop; 0: none.
-        planner: whose weights, and depth of the loop: "robot" or "paper".
-        depth: of the loop, 1 to 4; None: the planner's own.
-        seed: of the states and the loop.
+        table: the table or its file; None: the robot's default table.
+        robot: the robot, its name or its TOML file; None: the table's own.
+        states: number of states for Python and native C, 10 or more.
+        chip_states: number of these states for the virtual chip; None: all.
+        loop_decisions: number of decisions of the closed loop; 0: no loop.
+        planner: planner whose weights and depth are used: "robot" or "paper".
+        depth: depth of the loop, 1 to 4; None: the planner's own.
+        seed: seed of the states and the loop.
         progress: of the virtual chip: True for a bar, or a function of (done, all).
 
     Raises:
@@ -137,7 +138,7 @@ def _single(
     counts: tuple[int, int, int],
     progress: Callable[[int, int], None],
 ) -> list[PairReport]:
-    """Compare single decisions: all places but the chip on all states, the chip on the first of them."""
+    """Compare single decisions: the chip on the first states, all other places on all of them."""
     from frogkick.runs.chip_planner import ChipPlanner  # it cannot be loaded without the extra
 
     states, chip_states, seed = counts
@@ -168,7 +169,7 @@ def _loops(
     decisions: int,
     seed: int,
 ) -> dict[str, int]:
-    """Compare a whole loop: the twin by decisions, other builds by all that their core puts out."""
+    """Compare a closed loop: the twin by its decisions, the C builds by all outputs of their core."""
     from frogkick.runs.parity_scenario import (
         call_mismatches,
         live_natively,

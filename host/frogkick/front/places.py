@@ -26,50 +26,50 @@ from frogkick_codegen.firmware import Build, build, require_tools
 
 DEFAULT_ROBOT = "frog2022"
 SIMULATED = {"virtual": "bench", "pool": "native"}
-"""Robot to talk to that there is none of -> target of the firmware that it runs."""
+"""Simulated robot -> target of the firmware that it runs."""
 
 
 def table_image(tables: Path | None, robot: str | None) -> Path:
-    """The given table image, or a robot's default one.
+    """Return the given table image, or a robot's default one.
 
     Raises:
-        InputError: no such robot.
+        InputError: an unknown robot.
     """
     return default_tables(robot or DEFAULT_ROBOT) if tables is None else tables
 
 
 def robot_of_table(tables: Path, robot: str | None) -> Robot:
-    """The robot by name or file, by default the one that the table names: built-in, or ID.toml beside it.
+    """Return the robot by name or file; by default the table's: built-in, or ID.toml beside the table.
 
     Raises:
-        InputError: no such robot, or the table is for another one, or for another version of it.
+        InputError: an unknown robot, or a table for another robot or another version of it.
     """
     return robot_of_image(read_image(tables), robot, tables)
 
 
 def robot_of_image(tables: Tables, robot: Robot | str | None, file: Path) -> Robot:
-    """The same for an image that was read from ``file``."""
+    """Return the same for an image that was read from ``file``."""
     name, beside = file.name, file.parent / f"{tables.robot_id}.toml"
     built_in = tables.robot_id in built_in_robots()
     if robot is None and not built_in and beside.is_file():
         robot = str(beside)
     if robot is None and not built_in:
         raise InputError(
-            f"table {name!r} is for robot {tables.robot_id!r}, which is no built-in one: give its TOML file "
-            f"with --model, or lay it beside the table as {tables.robot_id}.toml"
+            f"table {name!r} is for robot {tables.robot_id!r}, which is not built in: give its TOML file "
+            f"with --model, or put it beside the table as {tables.robot_id}.toml"
         )
     described = load_robot(tables.robot_id if robot is None else robot)
     tables.require_robot(described.id)
     if not strokes_alike(tables, described):
         raise InputError(
             f"table {name!r} has other limbs or actions than robot {described.id!r}: "
-            "build library and table again from this robot"
+            "build the library and the table again from this robot"
         )
     return described
 
 
 def strokes_alike(tables: Tables, robot: Robot) -> bool:
-    """A table's limbs and actions are the robot's own."""
+    """Return whether a table has the robot's limbs and actions."""
     rows = [(row.name, row.first_mask, row.second_mask) for row in tables.actions]
     return tables.limbs == len(robot.limbs) and rows == [
         (code, action.first_mask, action.second_mask)
@@ -78,12 +78,12 @@ def strokes_alike(tables: Tables, robot: Robot) -> bool:
 
 
 def called_by(robot: Robot, tables: Tables) -> Tables:
-    """A robot's table, its actions by the names that the robot's file gives them."""
+    """Return a robot's table with the action names of the robot's file."""
     return tables.called([action.name for action in robot.actions])
 
 
 def require_simulated(name: str) -> None:
-    """Refuse a robot to talk to that there is not.
+    """Refuse an unknown simulated robot.
 
     Raises:
         InputError: not one of ``SIMULATED``.
@@ -91,7 +91,7 @@ def require_simulated(name: str) -> None:
     if name not in SIMULATED:
         raise InputError(
             f"--robot is {name!r}{nearest_name(name, SIMULATED)}: choose virtual (the firmware on the "
-            "virtual chip), pool (the same core on this computer), or a real one: ble:NAME, serial:PORT"
+            "virtual chip), pool (the same core on this computer), or a real robot: ble:NAME, serial:PORT"
         )
 
 
@@ -100,7 +100,7 @@ def require_simulator(name: str) -> None:
 
     Raises:
         InputError: not one of ``SIMULATED``, or the firmware's sources or a package are not installed.
-        ToolchainError: the compiler is not.
+        ToolchainError: the compiler is not installed.
     """
     require_simulated(name)
     require_tools(SIMULATED[name])
@@ -117,16 +117,16 @@ def built_firmware(target: str, tables: Path, robot: Robot) -> Iterator[Build]:
 def simulated_robot(
     name: str, tables: Path, robot: Robot, meanwhile: Callable[[], None] = lambda: None
 ) -> Iterator[RobotPort]:
-    """A robot to talk to: "virtual" (the image on the virtual chip) or "pool" (the core on this computer).
+    """Return a simulated robot: "virtual" (image on the virtual chip) or "pool" (core on this computer).
 
     Args:
-        name: which.
-        tables: table image in it.
-        robot: that the table is for.
-        meanwhile: called while the compiler runs, which is another process: a second core can work on this.
+        name: "virtual" or "pool".
+        tables: its table image.
+        robot: the robot of the table.
+        meanwhile: called while the compiler runs in another process, so that a second core is used.
 
     Raises:
-        InputError: another name.
+        InputError: an unknown name.
     """
     require_simulator(name)
     target = SIMULATED[name]
@@ -149,16 +149,16 @@ PLANNERS = ("robot", "paper")
 def plan_config(
     robot: Robot, planner: str | None, depth: int | None, run: RunLog | None = None
 ) -> PlanConfig:
-    """A planner's configuration, with another depth if one is given.
+    """Return a planner's configuration, with another depth if one is given.
 
     Args:
-        robot: whose TOML counts for the planner "robot".
-        planner: "robot" or "paper"; None = the run's own, and where it has none the paper's.
-        depth: instead of that configuration's.
-        run: a log that may know its planner.
+        robot: robot whose TOML file configures the planner "robot".
+        planner: "robot" or "paper"; None: that of the run, or the paper's if the run has none.
+        depth: depth that replaces the configured one.
+        run: a log that may hold its planner.
 
     Raises:
-        InputError: no such planner, or the depth is not 1 to 4.
+        InputError: an unknown planner, or a depth that is not 1 to 4.
     """
     if planner not in (None, *PLANNERS):
         raise InputError(f"planner is {planner!r}{nearest_name(planner, PLANNERS)}: choose robot or paper")
@@ -170,22 +170,22 @@ def plan_config(
         config = PlanConfig()
     chosen = config.depth if depth is None else depth
     if not 1 <= chosen <= 4:
-        raise InputError(f"--depth is {chosen}, the planner looks 1 to 4 levels ahead")
+        raise InputError(f"--depth is {chosen}, but the planner looks 1 to 4 levels ahead: give 1 to 4")
     return dataclasses.replace(config, depth=chosen)
 
 
 def swim_path(name: SwimPath | Path | str) -> SwimPath:
-    """A path by its shape's name or from a file; of a file with too many points a line on stderr tells.
+    """Return a path by its shape's name or from a file. A file with too many points is reported on stderr.
 
     Raises:
-        InputError: neither.
+        InputError: neither a shape nor a readable file.
     """
     if isinstance(name, SwimPath):
         return name
     if not isinstance(name, str | Path):
         raise InputError(
-            f"path is a {type(name).__name__}: give a shape's name, a CSV file, or a path, as of "
-            "fk.paths.from_waypoints"
+            f"path is a {type(name).__name__}: give a shape's name, a CSV file, or a path, such as "
+            "that of fk.paths.from_waypoints"
         )
     name = str(name)
     if name in SHAPES | OTHER_SHAPES:
@@ -198,12 +198,12 @@ def swim_path(name: SwimPath | Path | str) -> SwimPath:
 
 
 def start_pose(path: SwimPath) -> tuple[float, float, float]:
-    """The robot at the path's first point, along its tangent."""
+    """Return the pose at the path's first point, along its tangent."""
     return float(path.x_m[0]), float(path.y_m[0]), float(path.tangent_rad[0])
 
 
 def require_period(tables: Tables, run: RunLog) -> None:
-    """Refuse a table whose period is not the run's (more than a tenth apart).
+    """Refuse a table whose period differs from the run's by more than a tenth.
 
     Raises:
         InputError: the periods differ.
@@ -211,6 +211,6 @@ def require_period(tables: Tables, run: RunLog) -> None:
     period_s = tables.period_us * 1e-6
     if abs(period_s / run.period_s - 1.0) > 0.1:
         raise InputError(
-            f"run {run.source!r} has a period of {run.period_s:.3f} s, the table {period_s:.3f} s: "
-            "build a library with the run's period"
+            f"run {run.source!r} has a period of {run.period_s:.3f} s, but the table has {period_s:.3f} s: "
+            "build a library and a table with the run's period"
         )

@@ -1,4 +1,4 @@
-"""The planner on the host: the robot's own, bit for bit, asked for one decision at a time."""
+"""The planner on the host, which decides bit for bit as the robot does, one decision at a time."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ from frogkick.planner.plan import PlanError, plan
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Plan:
-    """A decision, and the whole branch that it was made for.
+    """A decision and its whole branch.
 
     Attributes:
         action: name of the action to do now.
-        cost: of the branch, as the robot has it (float32).
-        actions: names along the branch, the first one is ``action``.
+        cost: cost of the branch, as the robot computes it (float32).
+        actions: names along the branch; the first one is ``action``.
         predicted_pose: (depth, 3) x, y (m), heading (rad), world frame, after each action.
-        distance_m: of the state from the path.
-        along_points: place of the state along the path, in points; give it to the next call.
+        distance_m: distance of the state from the path.
+        along_points: position of the state along the path, in points; give it to the next call.
     """
 
     action: str
@@ -40,7 +40,7 @@ class Plan:
 
 
 class Planner:
-    """Receding-horizon search over a table: the same bits as the C on the robot.
+    """Receding-horizon search over a table, with the same bits as the C code on the robot.
 
     Source: Huang et al. 2022, Algorithm 1.
     """
@@ -49,9 +49,9 @@ class Planner:
         """Prepare to plan.
 
         Args:
-            table: the robot's, or its file.
+            table: the robot's table or its file.
             depth: periods to look ahead, 1 to 4; None: the planner's own.
-            planner: whose weights: "robot" (its TOML's) or "paper".
+            planner: planner whose weights are used: "robot" (its TOML file) or "paper".
 
         Raises:
             InputError: the depth is not 1 to 4.
@@ -72,9 +72,9 @@ class Planner:
         Args:
             state: (6,) x, y (m), heading (rad) in the world frame; forward, left (m/s), turn rate (rad/s) in
                 the body frame.
-            path: where to swim, world frame, or a shape's name or a path file.
-            limb_use: (8,) how much each limb was used lately, 0 = rested to 32767; None: all rested.
-            along_points: where along the path the robot was last, in points; 0 at the start.
+            path: the desired path in the world frame, a shape's name or a path file.
+            limb_use: (8,) recent use of each limb, 0 = rested to 32767; None: all rested.
+            along_points: last position of the robot along the path, in points; 0 at the start.
 
         Raises:
             PlanError: the state allows no decision.
@@ -84,7 +84,7 @@ class Planner:
         first = plan(tables, course, self.config, state, limb_use, along_points)
         names, poses = [tables.actions[first.action].name], [first.predicted[:3]]
         last = first
-        # Each further level is what the planner chooses from there with what is left of its depth.
+        # Each further level is the choice from there with the remaining depth.
         for depth in range(self.config.depth - 1, 0, -1):
             config = dataclasses.replace(self.config, depth=depth)
             try:

@@ -1,4 +1,4 @@
-"""What a machine is ready for: no hardware, a development kit on a cable, a robot under a camera."""
+"""The stages that a machine is ready for: no hardware, a development kit, a robot under a camera."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from frogkick.link.serial import ports
 
 @dataclass(frozen=True)
 class Finding:
-    """One thing looked at: what it is for, whether it works, what to do if not."""
+    """One checked item: its purpose, whether it works, and what to do if not."""
 
     name: str
     works: bool
@@ -30,12 +30,12 @@ class Finding:
 
 @dataclass(frozen=True)
 class Stage:
-    """One of the three ways to begin.
+    """One of the three stages.
 
     Attributes:
-        name: of the stage.
-        begin: the command to begin with.
-        findings: what it needs.
+        name: name of the stage.
+        begin: the commands to start with.
+        findings: the items that it needs.
     """
 
     name: str
@@ -44,7 +44,7 @@ class Stage:
 
     @property
     def ready(self) -> bool:
-        """Nothing is missing."""
+        """Whether nothing is missing."""
         return all(finding.works for finding in self.findings)
 
     def as_json(self) -> dict[str, object]:
@@ -59,13 +59,13 @@ class Stage:
 
 @dataclass(frozen=True)
 class Readiness:
-    """What this machine has.
+    """The tools and devices of this machine.
 
     Attributes:
-        needed: for the ring without a robot.
-        optional: for more.
+        needed: items for the simulation loop.
+        optional: items for more.
         hardware: serial ports, debug probes, Bluetooth adapters and cameras that are plugged in.
-        stages: what it is ready for.
+        stages: the stages, ready or not.
     """
 
     needed: tuple[Finding, ...]
@@ -75,7 +75,7 @@ class Readiness:
 
     @property
     def ready(self) -> bool:
-        """Whether the ring without a robot can run here."""
+        """Whether the simulation loop can run here."""
         return all(finding.works for finding in self.needed)
 
     def as_json(self) -> dict[str, Any]:
@@ -93,7 +93,7 @@ class Readiness:
 
 
 def look_around() -> Readiness:
-    """Look at this machine for what the commands look for."""
+    """Check this machine for everything that the commands need."""
     extra = install_command("ziglang")
     needed = (
         tried("robot frog2022", "everything", "pip install frogkick", _try_robot),
@@ -142,14 +142,14 @@ def _try_chip() -> str:
 
 
 def package(name: str, needed_for: str, *others: str) -> Finding:
-    """A package of Python's, and others that it is no use without; looked for as by the commands."""
+    """Check a Python package, and others that it needs, as the commands do."""
     lacking = [each for each in (name, *others) if not installed(each)]
     hint = install_command(name) if lacking else ""
     return Finding(name, not lacking, "missing" if lacking else "installed", needed_for, hint)
 
 
 def tried(name: str, needed_for: str, install: str, attempt: Callable[[], str]) -> Finding:
-    """Something that a command does, done: what it says of it, or its error."""
+    """Try a step of a command and return its result or its error."""
     try:
         return Finding(name, True, attempt(), needed_for)
     except FrogkickError as error:
@@ -157,7 +157,7 @@ def tried(name: str, needed_for: str, install: str, attempt: Callable[[], str]) 
 
 
 def bench_image() -> Finding:
-    """All that ``firmware build`` needs."""
+    """Check everything that ``firmware build`` needs."""
     return tried("firmware for the chip", "firmware build", install_command("ziglang"), _try_bench_image)
 
 
@@ -170,20 +170,25 @@ def _try_bench_image() -> str:
 
 
 def look_at_hardware() -> tuple[Finding, Finding, Finding, Finding]:
-    """Serial ports, debug probes, Bluetooth adapters, cameras."""
-    kit = "plug the kit's USB cable in"
+    """Check serial ports, debug probes, Bluetooth adapters and cameras."""
+    kit = "plug in the kit's USB cable"
     return (
-        _hardware("serial port", "talking with a kit", f"{kit}; may this user open its port?", serial_ports),
-        _hardware("debug probe", "flashing a kit", f"{kit}; may this user open it?", debug_probes),
-        _hardware("Bluetooth adapter", "talking with a robot", "plug one in, switch it on", adapters),
-        _hardware("camera", "position fixes", "plug one in; may this user open it?", cameras),
+        _hardware(
+            "serial port",
+            "talking with a kit",
+            f"{kit}; check that this user may open its port",
+            serial_ports,
+        ),
+        _hardware("debug probe", "flashing a kit", f"{kit}; check that this user may open it", debug_probes),
+        _hardware("Bluetooth adapter", "talking with a robot", "plug one in and switch it on", adapters),
+        _hardware("camera", "position fixes", "plug one in; check that this user may open it", cameras),
     )
 
 
 def stages(
     without_robot: Sequence[Finding], hardware: tuple[Finding, Finding, Finding, Finding]
 ) -> list[Stage]:
-    """The three, as this machine is now."""
+    """Return the three stages of this machine."""
     port, probe, adapter, camera = hardware
     kit = (
         bench_image(),
@@ -214,35 +219,35 @@ def stages(
 def _hardware(name: str, needed_for: str, hint: str, look: Callable[[], list[str] | None]) -> Finding:
     found = look()
     if found is None:
-        return Finding(name, True, "not looked for on this system", needed_for)
+        return Finding(name, True, "not checked on this system", needed_for)
     return Finding(name, bool(found), ", ".join(found) or "none", needed_for, "" if found else hint)
 
 
 def serial_ports() -> list[str]:
-    """Names of serial ports that this user may open; none without the package that lists them."""
+    """Return the serial ports that this user may open; none without the package that lists them."""
     found = ports() if installed("serial") else []
     return [port for port in found if sys.platform == "win32" or os.access(port, os.R_OK | os.W_OK)]
 
 
 def debug_probes() -> list[str]:
-    """Debug probes by number and name; none without the package that talks with them."""
+    """Return the debug probes by number and name; none without the package that uses them."""
     if not installed("pyocd"):
         return []
     from frogkick_codegen.probe import probes
 
     try:
         return [f"{probe.unique_id} ({probe.description})" for probe in probes()]
-    except Exception:  # whatever a driver of some probe cannot do on this system
+    except Exception:  # a driver of a probe may fail on this system
         return []
 
 
 def adapters(folder: Path = Path("/sys/class/bluetooth")) -> list[str] | None:
-    """Bluetooth adapters that Linux knows; None on another system."""
+    """Return the Bluetooth adapters that Linux lists; None on another system."""
     return _entries(folder, "hci")
 
 
 def cameras(folder: Path = Path("/dev")) -> list[str] | None:
-    """Video devices that Linux knows and this user may open; None on another system."""
+    """Return the video devices that this user may open; None on a system other than Linux."""
     found = _entries(folder, "video")
     return found and [name for name in found if os.access(folder / name, os.R_OK | os.W_OK)]
 

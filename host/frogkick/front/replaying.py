@@ -1,4 +1,4 @@
-"""Decisions made again: of a run by its recorded fixes, of a robot's own log by every record of it."""
+"""Decisions repeated: those of a run from its recorded fixes, those of a robot's own log from its records."""
 
 from __future__ import annotations
 
@@ -44,11 +44,11 @@ __all__ = ["FetchedLog", "LogReplayed", "Replayed", "fetch_from", "fetch_log", "
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Replayed:
-    """A run whose decisions were made again.
+    """A run whose decisions were repeated.
 
     Attributes:
-        result: actions of both sides and of the run, and where the sides differ.
-        depth: periods that were looked ahead.
+        result: actions of both sides and of the run, and the differences.
+        depth: search depth in periods.
     """
 
     result: Replay
@@ -56,7 +56,7 @@ class Replayed:
 
     @property
     def mismatches(self) -> int:
-        """Decisions that robot and host made differently, bit by bit; 0 where only one side decided."""
+        """Number of decisions in which robot and host differ in any bit; 0 if only one side decided."""
         return len(self.result.differences)
 
     def as_json(self) -> dict[str, Any]:
@@ -96,19 +96,19 @@ def replay(
     """Give a run's fixes to the planner again, and compare every decision.
 
     Args:
-        run: in memory, or a log of ours or a recorded run of the paper.
+        run: a run in memory, a log of frogkick, or a recorded run of the paper.
         plan: who decides: "onboard" (the robot), "host" (the Python twin) or "both", compared bit by bit.
-        table: to plan with, or its file; None: the default one of the run's robot.
-        planner: whose weights and depth, "robot" or "paper"; None: the run's own where it has them, else
-            the paper's.
+        table: the table to plan with, or its file; None: the default table of the run's robot.
+        planner: planner whose weights and depth are used, "robot" or "paper"; None: the run's own if its log
+            has them, else the paper's.
         depth: periods to look ahead, 1 to 4; None: the planner's own.
         robot: "virtual" (the firmware on the virtual chip) or "pool" (the C core on this computer).
-        model: the robot, or its name or TOML file; None: the run's.
+        model: the robot, its name or its TOML file; None: the run's.
         progress: of the decisions: True for a bar, or a function of (done, all).
 
     Raises:
-        InputError: the run holds nothing to decide again, or the table is for another robot or period.
-        ToolchainError: no compiler for the firmware.
+        InputError: the run holds no decision to repeat, or the table is for another robot or period.
+        ToolchainError: no compiler for the firmware is found.
     """
     if plan not in PLANS:
         raise InputError(f"plan is {plan!r}{nearest_name(plan, PLANS)}: choose {', '.join(PLANS)}")
@@ -122,7 +122,10 @@ def replay(
         used = load_table(file, recorded.robot_id if model is None else model)
     described = used.robot
     if recorded.robot_id != described.id:
-        raise InputError(f"run {recorded.source!r} is of robot {recorded.robot_id!r}, not {described.id!r}")
+        raise InputError(
+            f"run {recorded.source!r} is of robot {recorded.robot_id!r}, not {described.id!r}: give "
+            "its robot with --model"
+        )
     require_period(used.tables, recorded)
     config = plan_config(described, planner, depth, recorded)
     with ExitStack() as stack:
@@ -136,19 +139,19 @@ def replay(
 
 
 def fetch_from(session: Session, progress: Progress = False) -> FetchedLog:
-    """Fetch the log of the robot at the other end.
+    """Fetch the log of the robot of a session.
 
     Raises:
-        LinkError: no answer.
+        LinkError: the robot does not answer.
     """
-    told = session.meet()
+    hello = session.meet()
     with shown(progress, "bytes fetched") as tell:
         found = fetch_bytes(session, progress=tell)
-    return FetchedLog(str(told["robot_id"]), int(told["table_crc"]), found)
+    return FetchedLog(str(hello["robot_id"]), int(hello["table_crc"]), found)
 
 
 def fetch_log(target: str, out: Path | None = None, progress: Progress = False) -> FetchedLog:
-    """Fetch what a robot wrote down in its RAM; in a run or after it, also after a reset. Changes nothing.
+    """Fetch the log that a robot keeps in its RAM, during a run, after it or after a reset. Changes nothing.
 
     Args:
         target: ``ble:NAME``, ``ble:ADDRESS`` or ``serial:PORT[:BAUD]``.
@@ -156,9 +159,9 @@ def fetch_log(target: str, out: Path | None = None, progress: Progress = False) 
         progress: of the bytes: True for a bar, or a function of (done, all).
 
     Raises:
-        InputError: no such kind of place, or the file cannot be written.
+        InputError: an unknown kind of target, or a file that cannot be written.
         WireError: the robot cannot be reached.
-        LinkError: it does not answer.
+        LinkError: the robot does not answer.
     """
     if not is_target(target):
         raise InputError(
@@ -176,11 +179,11 @@ def fetch_log(target: str, out: Path | None = None, progress: Progress = False) 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class LogReplayed:
-    """A robot's own log, decided again.
+    """A robot's own log whose decisions were repeated.
 
     Attributes:
-        result: what was lived through again, and what came out otherwise.
-        tables: that it was decided with.
+        result: the repeated decisions and the mismatches.
+        tables: the tables of the decisions.
     """
 
     result: LogReplay
@@ -188,7 +191,7 @@ class LogReplayed:
 
     @cached_property
     def actions(self) -> tuple[str, ...]:
-        """The action of each decision, by name; "-" where there was no plan."""
+        """The action of each decision, by name; "-" where there is no plan."""
         names = [row.name for row in self.tables.actions] + ["-"]
         return tuple(names[decision.action] for decision in self.result.decisions)
 
@@ -227,17 +230,17 @@ def replay_log(
     model: str | None = None,
     progress: Progress = False,
 ) -> LogReplayed:
-    """Decide a robot's log again, by the C core on this computer and the Python twin, bit by bit.
+    """Repeat the decisions of a robot's log by the C core on this computer and by the Python twin.
 
     Args:
-        log: of ``fetch_log``, or its file.
-        tables: image that the robot carried; None: the default one of its robot.
+        log: the result of ``fetch_log``, or its file.
+        tables: image that the robot carried; None: the default one of the robot.
         model: name or TOML file of the robot; None: the table's.
         progress: of the records: True for a bar, or a function of (done, all).
 
     Raises:
-        InputError: no such log, the table is another robot's, or nothing in the log was decided by it.
-        ToolchainError: no compiler for the core.
+        InputError: an invalid log, another robot's table, or a log without decisions of this table.
+        ToolchainError: no compiler for the core is found.
     """
     fetched = log if isinstance(log, FetchedLog) else read_log(log)
     name = "the log" if isinstance(log, FetchedLog) else repr(Path(log).name)
@@ -254,7 +257,7 @@ def replay_log(
         found = replay_records(fetched.log, built.image, [opened], tell)
     if not found.segments and not found.mismatches:
         raise InputError(
-            f"nothing in {name} can be decided again with table {opened.crc32:08x}, the robot used "
+            f"no decision in {name} can be repeated with table {opened.crc32:08x}, because the robot used "
             f"{fetched.table_crc:08x}: give its table with --tables, or fetch after an ARM"
         )
     return LogReplayed(found, called_by(described, opened))

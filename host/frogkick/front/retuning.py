@@ -1,4 +1,4 @@
-"""A worn robot's new tables: from its last runs to an image, and to the robot where it is better."""
+"""New tables for a worn robot, made from its last runs and sent to it if they are better."""
 
 from __future__ import annotations
 
@@ -44,14 +44,14 @@ LOOP_PATHS, LOOP_SEEDS = tuple(SHAPES), 2
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Retuning:
-    """What came of retuning a robot.
+    """The result of retuning a robot.
 
     Attributes:
-        found: the effects, the errors of both tables, what was made.
+        found: the effects, the errors of both tables, and the files made.
         out: folder of the results; see ``retune``.
         left_out: runs that were not used: ``run`` and ``reason`` of each.
-        pushed: what the robot carries now, where tables were sent.
-        not_pushed: why they could not be sent; None where they were, or were not to be.
+        pushed: the tables of the robot after sending, if they were sent.
+        not_pushed: the error that prevented sending, or None.
     """
 
     found: Retuned
@@ -62,37 +62,37 @@ class Retuning:
 
     @property
     def outcome(self) -> Outcome:
-        """Of the identification."""
+        """The verdict of the identification."""
         return self.found.outcome
 
     @property
     def better(self) -> bool:
-        """Whether the new tables predict held-out periods better; else the robot keeps its old ones."""
+        """Whether the new tables predict held-out periods better; otherwise the robot keeps its old ones."""
         return self.found.better
 
     @property
     def done(self) -> bool:
-        """Whether the robot swims with the right tables now: new ones, or old ones that lack nothing."""
+        """Whether the tables are right now: better new ones, or old ones that lack nothing."""
         return self.found.done
 
     @property
     def reason(self) -> str:
-        """Why the old tables stay; "" where they do not."""
+        """The reason why the old tables stay; "" if they do not."""
         return self.found.reason
 
     @property
     def before(self) -> PredictionError:
-        """Error of the old tables a period ahead on held-out periods; NaN where no new ones were made."""
+        """Error of the old tables one period ahead on held-out periods; NaN if no new ones were made."""
         return self.found.before
 
     @property
     def after(self) -> PredictionError:
-        """The same of the new tables."""
+        """The same error of the new tables."""
         return self.found.after
 
     @property
     def robot(self) -> Robot:
-        """The robot with the effects found, as ``out`` has it.
+        """The robot with the identified effects, as in ``out``.
 
         Raises:
             InputError: no tables were made.
@@ -101,15 +101,15 @@ class Retuning:
 
     def as_json(self) -> dict[str, Any]:
         """The keys of the command ``retune``."""
-        told = {
+        values = {
             **self.found.as_json(),
             "out": str(self.out) if self.found.tables else None,
             "pushed": None,
             "left_out": list(self.left_out),
         }
         if self.pushed is not None:
-            told |= {"bytes_sent": self.pushed.bytes_sent, "pushed": self.pushed.as_json()}
-        return told
+            values |= {"bytes_sent": self.pushed.bytes_sent, "pushed": self.pushed.as_json()}
+        return values
 
     def __repr__(self) -> str:
         names = ", ".join(term.title for term in self.outcome.terms) or "no effect"
@@ -135,29 +135,29 @@ def retune(
     left_out: LeftOut = lambda _rows: None,
     progress: Progress = False,
 ) -> Retuning:
-    """Find what a robot lacks, make tables that know it, keep them if they predict held-out periods better.
+    """Identify what a model lacks, make tables with it, and keep them if they predict better.
 
     Args:
-        runs: the robot's last ones, in the order they were swum. The last is kept out of learning to judge
-            by, of a single one its last third.
-        robot: as its tables know it so far, or its name or TOML file.
+        runs: the robot's last runs in the order of their dates. The last run is the test run; of a single run
+            the last third is.
+        robot: the robot that its tables were made from, its name or its TOML file.
         out: folder, new or empty, for ``robot.toml``, ``library.h5``, ``before.fkt`` (the old tables), and
-            ``tables.fkt`` with ``firmware``, or ``refused.fkt`` where these are no better. It is not made
-            where no tables are.
-        table: that the robot carries, or its file, to compare with; None: made as the new one, without
-            effects.
-        states: of the libraries that are simulated, 46 to 65535.
-        workers: processes; None: one for each core.
+            ``tables.fkt`` with ``firmware``, or ``refused.fkt`` if these are no better. The folder is made
+            only if tables are made.
+        table: the table that the robot carries, or its file, to compare with; None: made like the new one,
+            without effects.
+        states: number of states of the simulated libraries, 46 to 65535.
+        workers: number of processes; None: one for each core.
         push: ``ble:NAME``, ``serial:PORT`` or ``virtual``, where better tables are sent; None: nowhere.
-        key: file of that robot's owner's key, where it has one; None: the user's own, see ``connect``.
-        seed: of the libraries' sampling.
-        left_out: told of runs that are not used, before the work.
+        key: key file of that robot's owner, if it has one; None: the user's own, see ``connect``.
+        seed: seed of the libraries' sampling.
+        left_out: called before the work with the runs that are not used.
         progress: True for bars on stderr, or a function of (done, all) of each stage.
 
     Raises:
-        InputError: runs of several robots or of another period, ``out`` holds something, the tables are
-            another robot's.
-        ToolchainError: no compiler for the firmware.
+        InputError: runs of several robots or of another period, a folder ``out`` that is not empty, or tables
+            of another robot.
+        ToolchainError: no compiler for the firmware is found.
     """
     if push is not None:
         require_target(push, (VIRTUAL,))
@@ -177,7 +177,7 @@ def retune(
     found = retuning.retune(swims, described, folder, tools, stage, old)
     if push is None or not found.better:
         return Retuning(found, folder, unused)
-    try:  # what was made stays, whatever becomes of sending it
+    try:  # the results stay even if sending fails
         owner = None if key is None else Path(key)
         sent = push_table(push, folder / TABLES, folder / BEFORE, progress, owner)
     except FrogkickError as error:
@@ -186,25 +186,25 @@ def retune(
 
 
 def _carried(table: Table | Path | str, robot: Robot) -> bytes:
-    """The image that a robot carries.
+    """Return the image that a robot carries.
 
     Raises:
-        InputError: it is another robot's, or of another period.
+        InputError: the image is for another robot or another period.
     """
     used = table if isinstance(table, Table) else load_table(table, robot)
     opened = used.tables
     opened.require_robot(robot.id)
     if opened.period_us != round(robot.period_s * 1e6):
         raise InputError(
-            f"table {used.name!r} has a period of {opened.period_us * 1e-6:.3f} s, robot "
-            f"{robot.id!r} {robot.period_s:.3f} s: give the robot's own"
+            f"table {used.name!r} has a period of {opened.period_us * 1e-6:.3f} s, but robot "
+            f"{robot.id!r} has {robot.period_s:.3f} s: give the robot's own table"
         )
     return opened.image
 
 
 @dataclass(frozen=True)
 class _Tools:
-    """Tables of so many states by so many processes; see frogkick.identification.tables.Tools."""
+    """Makes tables with a number of states and processes; see frogkick.identification.tables.Tools."""
 
     count: int
     seed: int

@@ -1,4 +1,4 @@
-"""The whole ring once: library, table, firmware, paths on the virtual chip; then a worn limb, found."""
+"""The whole loop once: library, table, firmware, paths on the virtual chip, and a worn limb identified."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ __all__ = ["Demonstration", "demonstrate"]
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Demonstration:
-    """What going round the ring gave.
+    """The result of one pass through the loop.
 
     Attributes:
-        ring: runs, table, firmware, the trial of it, how long each stage took.
-        closing: what came of the worn limb.
-        report: the page, which shows all of it.
+        ring: runs, table, firmware, its test, and the time of each stage.
+        closing: the result for the worn limb.
+        report: the page that shows everything.
     """
 
     ring: Ring
@@ -36,7 +36,7 @@ class Demonstration:
 
     @property
     def paths(self) -> dict[str, dict[str, Any]]:
-        """Path -> how well it was followed, and decisions that chip and Python twin make differently."""
+        """Path -> its tracking values, and the number of decisions in which chip and Python twin differ."""
         return {
             run.log.path.name: {**run.tracking.as_json(), "mismatches": run.mismatches}
             for run in self.ring.runs
@@ -45,7 +45,7 @@ class Demonstration:
 
     @property
     def passed(self) -> bool:
-        """Whether chip and twin agreed, no limit was broken, and the firmware passed its trial."""
+        """Whether chip and twin agreed, no limit was broken, and the firmware passed its test."""
         broken = any(run.mismatches or run.tracking.limit_violations for run in self.ring.runs)
         return self.ring.chip.passed and not broken
 
@@ -76,25 +76,25 @@ def demonstrate(
     seed: int = 0,
     progress: Progress = False,
 ) -> Demonstration:
-    """Simulate, tabulate, build firmware, swim on the virtual chip; wear a limb, find and learn it, again.
+    """Simulate, make tables, build the firmware and swim on the virtual chip; then identify a worn limb.
 
     Args:
-        out: folder for everything that is made: library, tables, C, firmware, logs and two pages.
-        robot: it, or its name or TOML file.
-        states: initial velocities of the library, 10 to 2000.
+        out: folder for all results: library, tables, C, firmware, logs and two pages.
+        robot: the robot, its name or its TOML file.
+        states: number of initial velocities of the library, 10 to 2000.
         depth: periods to look ahead, 1 to 4; None: the robot's own.
-        seed: of sampling, of the camera's noise, and of which limb wears.
+        seed: seed of the sampling, of the camera's noise, and of the limb that is worn.
         progress: of each stage: True for bars, or a function of (done, all).
 
     Raises:
-        InputError: no such robot, a folder that cannot be written to, or an extra that is not installed.
-        FrogkickError: any stage's own.
+        InputError: an unknown robot, a folder that cannot be written, or an extra that is not installed.
+        FrogkickError: an error of a stage.
     """
     described = load_robot(robot)
     folder = Path(out)
     require_writable(folder, folder=True)
     require_tools("bench")
-    # What follows cannot be loaded without the extra.
+    # The modules below cannot be loaded without the extra.
     from frogkick.report.identify_page import write_identify_page
     from frogkick.report.ring_page import write_ring_report
     from frogkick.ring import close, go_round

@@ -1,4 +1,4 @@
-"""A real robot, or a virtual one, to talk to: its table, its state, a run with it."""
+"""The connection to a real or virtual robot: its table, its state, and a run with it."""
 
 from __future__ import annotations
 
@@ -56,12 +56,12 @@ class Camera:
 
 @dataclass(frozen=True, repr=False)
 class Connection:
-    """A robot at the other end of a radio or a line, see ``connect``.
+    """A robot that is connected by Bluetooth or a serial line, see ``connect``.
 
     Attributes:
         target: ``ble:NAME``, ``ble:ADDRESS`` or ``serial:PORT[:BAUD]``.
-        wire: to it, open.
-        key: file of the owner's key, for a robot that has one; None: the user's own.
+        wire: the open link to it.
+        key: key file of a robot that has an owner; None: the user's own.
     """
 
     target: str
@@ -72,42 +72,42 @@ class Connection:
         return lab_session(self.wire, self.key)
 
     def status(self) -> dict[str, Any]:
-        """What the robot says of itself: the fields of HELLO and STATUS in the link's documentation.
+        """Return the fields of HELLO and STATUS, which the link's documentation describes.
 
         Raises:
-            LinkError: no answer.
+            LinkError: the robot does not answer.
         """
         session = self._session()
         return {**session.meet(), **session.request("STATUS")}
 
     def push(self, table: Table | Path | str, progress: Progress = False) -> Pushed:
-        """Give the robot another table. It is disarmed for it, and keeps the table before.
+        """Send the robot another table. It is disarmed and keeps the previous table.
 
         Raises:
-            TableError: the table is another robot's.
-            LinkError: no answer.
-            UploadError: it does not take the table.
+            TableError: the table is for another robot.
+            LinkError: the robot does not answer.
+            UploadError: the robot does not accept the table.
         """
         image = table.tables if isinstance(table, Table) else read_image(table)
         with shown(progress, "bytes sent") as tell:
             return push(self._session(), image, None, tell)
 
     def roll_back(self) -> Pushed:
-        """Back to the table before.
+        """Return to the previous table.
 
         Raises:
-            LinkError: it keeps none, or does not answer.
+            LinkError: the robot has no previous table, or does not answer.
         """
         return roll_back(self._session())
 
     def own(self, release: bool = False) -> None:
-        """Let the robot take commands from its owner alone: who has the key. It is disarmed for it.
+        """Restrict the robot to the commands of its owner, who has the key. It is disarmed.
 
-        The key is that of ``connect``, or the user's own. Where its file is not there yet, one is made; keep
-        a copy of it. DISARM and STOP never need it.
+        The key is that of ``connect``, or the user's own. A missing key file is made; keep a copy of it.
+        DISARM and STOP never need the key.
 
         Args:
-            release: instead, let anybody command it again.
+            release: let anybody command the robot again.
 
         Raises:
             InputError: the key's file cannot be read or written.
@@ -122,15 +122,15 @@ class Connection:
         table: Table | Path | str | None = None,
         **options: Any,
     ) -> Run:
-        """Follow a path with the robot. It is armed once all checks passed.
+        """Follow a path with the robot, which is armed once all checks have passed.
 
-        However the run ends, the robot is disarmed first.
+        The robot is disarmed however the run ends.
 
         Args:
-            path: where to swim, world frame, or a shape's name or a path file.
+            path: the desired path in the world frame, a shape's name or a path file.
             fixes: a camera, or as for ``run``.
-            table: the robot's own; None: its default one.
-            options: of ``run``: operator, plan, depth, begin, battery_v, time_limit_s, out and others.
+            table: the robot's own table; None: its default table.
+            options: those of ``run``: operator, plan, depth, begin, battery_v, time_limit_s, out and others.
 
         Raises:
             FrogkickError: see ``run``.
@@ -151,11 +151,11 @@ def connect(target: str, key: Path | str | None = None) -> Iterator[Connection]:
 
     Args:
         target: ``ble:NAME``, ``ble:ADDRESS`` or ``serial:PORT[:BAUD]``.
-        key: file of the owner's key, for a robot that has one; None: ``frogkick/owner.key`` among the user's
+        key: key file of a robot that has an owner; None: ``frogkick/owner.key`` among the user's
             settings.
 
     Raises:
-        InputError: no such kind of place.
+        InputError: an unknown kind of target.
         WireError: the robot cannot be reached.
     """
     require_target(target)
@@ -165,17 +165,17 @@ def connect(target: str, key: Path | str | None = None) -> Iterator[Connection]:
 
 @dataclass(frozen=True)
 class RobotHeard:
-    """A robot in range.
+    """A robot in Bluetooth range.
 
     Attributes:
-        target: what ``connect`` and ``run`` take: ``ble:NAME``, or its address where two have one name.
-        address: as this computer's Bluetooth has it.
-        signal_dbm: how strong it is heard.
-        robot: the id of the robot that its firmware is for; None where it did not answer.
+        target: target for ``connect`` and ``run``: ``ble:NAME``, or the address if two robots have one name.
+        address: its address in this computer's Bluetooth.
+        signal_dbm: strength of its signal.
+        robot: the id of the robot that its firmware is for; None if it did not answer.
         table_crc: CRC-32 of its table.
         state: DISARMED, ARMED, RUNNING or FAULT.
-        owned: it takes commands from its owner alone.
-        error: why it did not answer; "" where it did.
+        owned: whether it accepts commands only from its owner.
+        error: the reason why it did not answer; "" if it did.
     """
 
     target: str
@@ -193,20 +193,20 @@ class RobotHeard:
 
 
 def scan(seconds: float = 4.0) -> list[RobotHeard]:
-    """Robots that advertise by Bluetooth, the strongest first, and what each says of itself.
+    """Return the robots in Bluetooth range with their state, the strongest signal first.
 
-    Each is connected to for a moment; none is armed, disarmed or moved. A robot that is connected with
-    another computer is not heard.
+    Each robot is connected to for a moment. None is armed, disarmed or moved. A robot that is connected to
+    another computer is not found.
 
     Args:
-        seconds: how long to listen.
+        seconds: time to listen.
 
     Raises:
-        InputError: not 0.5 to 60 s, or the package for Bluetooth is not installed.
-        WireError: no adapter, or no permission.
+        InputError: a time that is not 0.5 to 60 s, or the package for Bluetooth is not installed.
+        WireError: no adapter is found, or its use is not permitted.
     """
     if not 0.5 <= seconds <= 60.0:
-        raise InputError(f"listening for {seconds:g} s: give 0.5 to 60")
+        raise InputError(f"the time to listen is {seconds:g} s: give 0.5 to 60")
     require_wire(parse_target("ble:any"))
     from frogkick.link.ble import listen
 
@@ -238,36 +238,36 @@ def _with_what_it_says(heard: RobotHeard) -> RobotHeard:
 
 
 def require_target(target: str, others: tuple[str, ...] = ()) -> None:
-    """Refuse a place where no robot takes tables.
+    """Refuse a target that is no robot.
 
     Args:
-        target: where the robot is.
-        others: what is possible besides ``ble:NAME`` and ``serial:PORT``.
+        target: address of the robot.
+        others: further targets besides ``ble:NAME`` and ``serial:PORT``.
 
     Raises:
-        InputError: none of these, or one that needs a package which is not installed.
+        InputError: an unknown target, or one that needs a package which is not installed.
     """
     if target in others:
         return
     if not is_target(target):
         raise InputError(
-            f"robot {target!r}{nearest_name(target, ('ble', 'serial', *others))} is no robot to talk to: "
-            f"choose {', '.join(('ble:NAME', 'serial:PORT', *others))}"
+            f"robot {target!r}{nearest_name(target, ('ble', 'serial', *others))} is not the target of a "
+            f"robot: choose {', '.join(('ble:NAME', 'serial:PORT', *others))}"
         )
     require_wire(parse_target(target))
 
 
 @contextmanager
 def session_at(target: str, carried: Path | None, key: Path | None = None) -> Iterator[Session]:
-    """A session with a robot.
+    """Yield a session with a robot.
 
     Args:
-        target: as of ``require_target``.
-        carried: table that a virtual robot is switched on with; others know their own.
+        target: as for ``require_target``.
+        carried: table that a virtual robot starts with; other robots have their own.
         key: file of the owner's key.
 
     Raises:
-        WireError: it cannot be reached.
+        WireError: the robot cannot be reached.
     """
     if target != VIRTUAL:
         with opened(parse_target(target)) as wire:
@@ -288,9 +288,9 @@ def push_table(
     """Send a table to a robot.
 
     Args:
-        target: where the robot is.
-        table: to send, or its file.
-        carried: what it must carry now, if that matters; a virtual robot is switched on with it.
+        target: address of the robot.
+        table: the table to send, or its file.
+        carried: table that the robot must have now, if given; a virtual robot starts with it.
         progress: of the bytes sent.
         key: file of the owner's key.
 

@@ -1,4 +1,4 @@
-"""What the terminal says of a run while it runs."""
+"""The progress line of a run in the terminal."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ SLOW_S = 2.0
 
 
 class RunProgress:
-    """How far the robot is along its path, what it does, what its plan costs, how far it is off."""
+    """Shows progress along the path, the action, the cost of its plan, and the distance to the path."""
 
     def __init__(self, tell: Tell, points: int, tables: Tables, check: LiveCheck | None) -> None:
         """Begin a run.
 
         Args:
             tell: shows progress, with a note.
-            points: of the path.
-            tables: whose actions have names.
-            check: the live comparison, which has a word to say as well; None: there is none.
+            points: number of points of the path.
+            tables: tables with the names of the actions.
+            check: the live comparison, whose result is shown too; None: there is none.
         """
         self._tell, self._points, self._check = tell, points, check
         self._names = [row.name for row in tables.actions]
@@ -32,7 +32,7 @@ class RunProgress:
 
     @contextmanager
     def preparing(self) -> Iterator[None]:
-        """Say what is being waited for, where it takes long: simulation and core are compiled once."""
+        """Show a note while the simulation and the core are compiled, which is done once and takes long."""
         what = "compiling the simulation and the robot's core, once on this machine"
         slow = threading.Timer(SLOW_S, lambda: self._tell(0, self._points, what))
         slow.daemon = True
@@ -43,11 +43,11 @@ class RunProgress:
             slow.cancel()
 
     def keep(self, recording: Recording) -> None:
-        """Take what is recorded so far: it grows, and is looked at with the next decision."""
+        """Take the recording, which grows and is read at the next decision."""
         self._recording = recording
 
     def progress(self, _time_s: float, index: int) -> None:
-        """After each decision, with the nearest path point."""
+        """Show the state after a decision at the nearest path point."""
         notes = [self._plan(), "" if self._check is None else self._check.said]
         self._tell(index + 1, self._points, ", ".join(note for note in notes if note))
 

@@ -1,4 +1,4 @@
-"""A closed-loop run with any robot: simulated, on the virtual chip, by serial line or by radio."""
+"""A closed-loop run with any robot: simulated, on the virtual chip, by serial line or by Bluetooth."""
 
 from __future__ import annotations
 
@@ -68,12 +68,12 @@ PLANS = ("onboard", "host", "both")
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Run:
-    """One closed-loop run: all that was recorded, and how well the path was followed.
+    """One closed-loop run: its recording, and how well the path was followed.
 
     Attributes:
-        log: fixes, decisions, strokes, path, and the true motion where the pool was simulated.
-        tracked: ``tracking`` as it was measured while the robot swam; None: the log tells it.
-        checked: where robot and host decided side by side: how many decisions agreed.
+        log: fixes, decisions, strokes, path, and the true motion of a simulated pool.
+        tracked: ``tracking`` as measured during the run; None: it is computed from the log.
+        checked: number of decisions that agreed, if robot and host both decided.
     """
 
     log: RunLog
@@ -91,17 +91,17 @@ class Run:
 
     @property
     def ended(self) -> str:
-        """Why it ended, in words."""
+        """The reason why it ended, in words."""
         return self.log.notes
 
     @property
     def path(self) -> SwimPath | None:
-        """Where it was to swim, world frame; None where the log does not say."""
+        """The desired path in the world frame; None if the log has none."""
         return self.log.path
 
     @cached_property
     def actions(self) -> tuple[str, ...]:
-        """The action of each decision, by name; "?" where nothing shows which it was."""
+        """The action of each decision, by name; "?" if it is not known."""
         names = self.log.action_names
         return tuple(names[index] if index >= 0 else "?" for index in self.log.decisions.action)
 
@@ -114,23 +114,23 @@ class Run:
         write_run(file, self.log)
 
     def summary(self) -> Summary:
-        """The run in numbers, whoever recorded it; what nothing shows is None.
+        """Return the run in numbers, for logs of any source; unknown values are None.
 
         Raises:
-            InputError: it has no decision, or nobody saw the robot.
+            InputError: the run has no decision or no fix.
         """
         return summary(self.log)
 
     def compare(self, other: Run) -> Comparison:
-        """This run and another side by side, each from its first decision on.
+        """Compare this run with another, each from its first decision on.
 
         Raises:
-            InputError: one of them has no decision, or nobody saw its robot.
+            InputError: one of the runs has no decision or no fix.
         """
         return compare_runs(self.log, other.log)
 
     def export_csv(self, folder: Path | str) -> list[Path]:
-        """Write a CSV for each group of columns, units in their names, and ``run.json``; the files.
+        """Write a CSV for each group of columns, units in their names, and ``run.json``; return the files.
 
         Raises:
             InputError: the folder cannot be written to.
@@ -138,10 +138,10 @@ class Run:
         return [Path(folder) / name for name in export_csv(self.log, Path(folder))]
 
     def export_mcap(self, file: Path | str) -> dict[str, int]:
-        """Write an MCAP as Foxglove opens it, ``run.mcap``, and a layout for it, ``run.layout.json``.
+        """Write an MCAP file for Foxglove, ``run.mcap``, and its layout, ``run.layout.json``.
 
         Returns:
-            Messages of each topic.
+            The number of messages of each topic.
 
         Raises:
             InputError: the file cannot be written, or the package mcap is not installed.
@@ -149,9 +149,9 @@ class Run:
         return export_mcap(self.log, Path(file))
 
     def to_pandas(self) -> dict[str, DataFrame]:
-        """A pandas table for each group of columns, as ``export_csv`` writes them: fixes, decisions, ...
+        """Return a pandas table for each group of columns of ``export_csv``: fixes, decisions, ...
 
-        Units are in the columns' names; what the log marks as missing is NaN.
+        Units are in the columns' names. Missing values are NaN.
 
         Raises:
             InputError: pandas is not installed.
@@ -162,13 +162,13 @@ class Run:
         return {name: DataFrame(columns) for name, columns in columns_of(self.log)}
 
     def plot(self) -> Figure:
-        """A matplotlib figure: path and track, distance, actions, estimate and prediction errors."""
+        """Return a matplotlib figure: path and track, distance, actions, estimate and prediction errors."""
         from frogkick.report.run_figure import run_figure
 
         return run_figure(self.log, f"{self.log.robot_id}: {self.log.source}")
 
     def play(self, speed: float = 1.0) -> None:
-        """Play the run in the browser, from the page's first look to its end, the page's button or Ctrl-C.
+        """Play the run in the browser until its end, the page's button or Ctrl-C; it starts with the page.
 
         Raises:
             InputError: the speed is not above 0, or the log holds neither a fix nor a decision.
@@ -183,7 +183,7 @@ class Run:
         name = "no path" if self.path is None else self.path.name
         try:
             followed = f"mean distance {1e3 * self.tracking.mean_distance_m:.2f} mm"
-        except InputError:  # a log may be of a robot that never swam
+        except InputError:  # a log may be of a robot without fixes
             followed = "not seen swimming"
         return (
             f"Run({self.log.robot_id!r} along {name}: {len(self.log.decisions)} decisions, {followed}, "
@@ -198,18 +198,18 @@ class Run:
 
 
 def import_runs(data_dir: Path | str, out: Path | str, progress: Progress = False) -> list[dict[str, Any]]:
-    """Write recorded runs of the paper as logs; what is wrong is repaired or marked, nothing invented.
+    """Write recorded runs of the paper as logs. Faults are repaired or marked; no data is invented.
 
     Args:
-        data_dir: folder with ``line1.csv``, its path ``linep1.csv`` and the like, or with ``control`` in it.
+        data_dir: folder of runs and paths, such as ``line1.csv`` and ``linep1.csv``, or one with ``control``.
         out: folder for the logs.
         progress: of the runs: True for a bar, or a function of (done, all).
 
     Returns:
-        A row of numbers for each run, with ``file``; of one without a path ``run`` and ``skipped``.
+        A row of numbers for each run, with ``file``; for a run without a path ``run`` and ``skipped``.
 
     Raises:
-        InputError: no such folder, no run in it, or one that cannot be read: then nothing is written.
+        InputError: an unknown folder, no run in it, or a run that cannot be read. Then nothing is written.
     """
     require_writable(Path(out), folder=True)
     with shown(progress, "import") as tell:
@@ -217,10 +217,10 @@ def import_runs(data_dir: Path | str, out: Path | str, progress: Progress = Fals
 
 
 def load_run(file: Path | str) -> Run:
-    """Read a run: a log of ours (.h5), or a recorded run of the paper (``line1.csv``, its path beside it).
+    """Read a run: a log of frogkick (.h5), or a recorded run of the paper (``line1.csv`` beside its path).
 
     Raises:
-        InputError: missing, not whole, or no run.
+        InputError: the file is missing, incomplete, or not a run.
     """
     return Run(load_log(file))
 
@@ -251,43 +251,43 @@ def run(
     video: bool = False,
     progress: Progress = False,
 ) -> Run:
-    """Follow a path in closed loop: position fixes in, strokes out.
+    """Follow a path in closed loop: position fixes come in, and strokes go out.
 
-    A real robot is armed as soon as all checks passed, unless an ``operator`` is asked before. However the
-    run ends, the robot is disarmed first.
+    A real robot is armed as soon as all checks have passed, unless an ``operator`` is asked before. The robot
+    is disarmed however the run ends.
 
     Args:
-        table: the robot's table, or its file; None: the robot's default one.
-        path: where to swim, world frame, or a shape's name or a path file.
+        table: the robot's table or its file; None: the robot's default table.
+        path: the desired path in the world frame, a shape's name or a path file.
         robot: "pool" (the C core on this computer in a simulated pool), "virtual" (the firmware on the
             virtual chip, in the same pool), "ble:NAME" or "serial:PORT".
-        model: the robot, or its name or TOML file; None: the table's own.
-        world: what is true in the simulated pool and no model is told, or its TOML file.
-        plan: who decides: "onboard" (the robot), "host", or "both" (the robot, checked live by the host).
-        planner: whose weights and depth: "robot" (its TOML's) or "paper".
+        model: the robot, its name or its TOML file; None: the table's own.
+        world: effects that act in the simulated pool but are in no model, or their TOML file.
+        plan: who decides: "onboard" (the robot), "host", or "both" (the robot while the host checks it).
+        planner: planner whose weights and depth are used: "robot" (its TOML file) or "paper".
         depth: periods to look ahead, 1 to 4; None: the planner's own.
-        seed: of the simulated camera's noise.
-        time_limit_s: longest time, s; of the pool where that is simulated.
-        fix_rate_hz: simulated position fixes a second.
-        fixes: a real robot's: a camera's calibration (.toml), "stdin" (lines ``x_m y_m heading_rad [age_s]``)
-            or "pool" (simulated, for a kit without limbs).
-        source: the camera of a calibration: number, video, folder of pictures.
-        begin: where a real robot's path is to begin: "X,Y,DEG" (m, degrees) or "here"; None: as it is.
-        dialect: a real robot's: "frogkick", or "frog2022" for the authors' own firmware.
-        battery_v: of a real robot's lowest battery, measured by hand; too low is refused.
+        seed: seed of the simulated camera's noise.
+        time_limit_s: time limit, s; in pool time if the pool is simulated.
+        fix_rate_hz: simulated position fixes per second.
+        fixes: of a real robot: a camera's calibration (.toml), "stdin" (lines ``x_m y_m heading_rad
+            [age_s]``) or "pool" (simulated, for a kit without limbs).
+        source: camera of a calibration: a number, a video or a folder of pictures.
+        begin: where a real robot's path begins: "X,Y,DEG" (m, degrees) or "here"; None: unchanged.
+        dialect: protocol of a real robot: "frogkick", or "frog2022" for the authors' own firmware.
+        battery_v: voltage of a real robot's lowest battery, measured with a meter; a low one is refused.
         operator: asked before a real robot is armed, and may stop the run.
-        wire: to a real robot, open; None: it is opened for this run and closed after it.
-        key: file of a real robot's owner's key, where it has one; None: the user's own, see ``connect``.
+        wire: an open link to a real robot; None: a link is opened for this run and closed after it.
+        key: key file of a real robot that has an owner; None: the user's own, see ``connect``.
         out: log to write (HDF5); with a real robot it grows while the robot swims.
-        view: draw the run in the browser, with a button that stops it; a simulated one then goes on in real
+        view: draw the run in the browser, with a button that stops it; a simulated run then goes in real
             time.
-        video: keep the camera's pictures beside ``out``.
+        video: record the camera's pictures beside ``out``.
         progress: True for a bar, or a function of (path points passed, all).
 
     Raises:
-        InputError: anything that cannot be used as given, and batteries that are low.
+        InputError: an argument that cannot be used, or low batteries.
         WireError: the robot cannot be reached.
-        LinkError: it refuses or does not answer.
+        LinkError: the robot refuses or does not answer.
         CheckError: robot and host decided differently (``plan="both"``).
     """
     named = str(world) if isinstance(world, Path | str) else None if world is None else "given"
@@ -303,7 +303,7 @@ def run(
     desired = swim_path(path)
     eye = SimulatedCamera(rate_hz=fix_rate_hz)
     require_time(time_limit_s)
-    # A copy: an effect may remember what happened in a run, and the next one begins anew.
+    # A copy, because an effect may keep state during a run.
     true = World() if world is None else copy.deepcopy(read_world(world))
     used = table if isinstance(table, Table) else load_table(table, model)
     described = used.robot
@@ -374,7 +374,7 @@ def run(
 
 
 def compile_rods(robot: Robot) -> None:
-    """Let the simulation be compiled, where it was not yet: a moment of a pool that nobody looks at."""
+    """Compile the simulation if needed, by simulating a moment of a pool."""
     Pool(robot, (0.0, 0.0, 0.0), SimulatedCamera(), np.random.default_rng(0), World()).advance(1e-3)
 
 
@@ -382,10 +382,10 @@ Keep = Callable[[Recording], None]
 
 
 def _now_unix_s() -> float:
-    """The wall clock, or SOURCE_DATE_EPOCH where the environment has it: the same run, the same bytes.
+    """Return the wall clock, or SOURCE_DATE_EPOCH if it is set, so that the same run gives the same bytes.
 
     Raises:
-        InputError: SOURCE_DATE_EPOCH is no time.
+        InputError: SOURCE_DATE_EPOCH is not a time.
     """
     fixed = os.environ.get("SOURCE_DATE_EPOCH")
     try:
@@ -398,7 +398,7 @@ def _now_unix_s() -> float:
 
 @contextmanager
 def _said(progress: Progress, path: SwimPath, table: Table, check: LiveCheck | None) -> Iterator[RunProgress]:
-    """What tells how far the run is."""
+    """Return the functions that show the progress of the run."""
     if progress is True:
         with progress_bar(path.name) as tell:
             yield RunProgress(tell, len(path), table.tables, check)
@@ -412,7 +412,7 @@ def _said(progress: Progress, path: SwimPath, table: Table, check: LiveCheck | N
 
 
 def _all_of(*keepers: Keep) -> Keep:
-    """Give a recording to each, in order."""
+    """Give a recording to each function, in order."""
 
     def keep(recording: Recording) -> None:
         for one in keepers:
@@ -423,7 +423,7 @@ def _all_of(*keepers: Keep) -> Keep:
 
 @contextmanager
 def _names_what_is_left(out: Path | None) -> Iterator[None]:
-    """Where a run breaks off, say where its log is so far."""
+    """If a run breaks off, print where its log is."""
     try:
         yield
     except BaseException:
@@ -434,7 +434,7 @@ def _names_what_is_left(out: Path | None) -> Iterator[None]:
 
 @contextmanager
 def _log_so_far(out: Path | None, log_of: Callable[[Recording], RunLog]) -> Iterator[Keep]:
-    """Where a simulated run breaks off, leave its log so far beside ``out``."""
+    """If a simulated run breaks off, write its log so far beside ``out``."""
     held: dict[str, Recording] = {}
     try:
         yield lambda recording: held.update(begun=recording)
@@ -446,4 +446,4 @@ def _log_so_far(out: Path | None, log_of: Callable[[Recording], RunLog]) -> Iter
 
 
 def _tell_what_is_left(out: Path) -> None:
-    tell_line(f"frogkick: what was recorded until then is in {str(part_of(out))!r}")
+    tell_line(f"frogkick: the recording so far is in {str(part_of(out))!r}")

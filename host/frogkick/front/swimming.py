@@ -1,4 +1,4 @@
-"""A robot simulated alone: a row of actions, or a cyclic gait."""
+"""The simulation of a robot alone: a sequence of actions, or a cyclic gait."""
 
 from __future__ import annotations
 
@@ -29,21 +29,21 @@ def simulate(
     phase: float = 0.5,
     cycles: int = 8,
 ) -> Trajectory:
-    """Simulate a row of actions, one each period, or without actions the cyclic gait.
+    """Simulate a sequence of actions, one each period, or without actions the cyclic gait.
 
-    The robot begins at the world's origin, heading along +x. Effects of the robot's file act on its strokes
-    and its body, as in a library; flows of the water do not, as nobody knows where in them it is.
+    The robot starts at the world's origin, heading along +x. Effects of the robot's file act on its strokes
+    and its body, as in a library. Flows of the water do not act, because the position in them is unknown.
 
     Args:
-        robot: what to simulate, or its name or TOML file.
-        actions: names, as ``"BBC"``, ``"B,B,C"`` or a sequence; None: the gait.
-        velocity_body: forward, left (m/s), turn rate (rad/s) at the start of a row of actions.
-        egain_percent, frequency_hz: of a gait's profile; None: the robot's own.
-        phase: the lagging limbs' share of the cycle, 0 <= phase < 1, of a gait.
-        cycles: of a gait.
+        robot: the robot, its name or its TOML file.
+        actions: names, such as ``"BBC"``, ``"B,B,C"`` or a sequence; None: the gait.
+        velocity_body: forward, left (m/s), turn rate (rad/s) at the start of the actions.
+        egain_percent, frequency_hz: profile of a gait; None: the robot's own.
+        phase: lag of the rear limbs as a fraction of the cycle of a gait, 0 <= phase < 1.
+        cycles: number of cycles of a gait.
 
     Raises:
-        InputError: an unknown action, a profile outside of what was measured, or what is no number.
+        InputError: an unknown action, a profile outside the measured range, or a value that is no number.
         ConvergenceError: the simulation failed; the text gives the state.
     """
     robot = load_robot(robot)
@@ -89,21 +89,21 @@ def _velocity(given: Sequence[float]) -> list[float]:
 
 
 def _acting(robot: Robot) -> dict[str, Any]:
-    """What simulates a robot with the effects of its file: its rods, and what acts on so many lanes."""
+    """Return the rods of a robot, and the effects of its file that act on a number of lanes."""
     if not robot.effects:
         return {}
     return {"rods": rods_of(robot), "acts": lambda lanes: lane_effects(robot, lanes)}
 
 
 def actions_of(robot: Robot, actions: str | Sequence[str]) -> list[Action]:
-    """Actions by name.
+    """Return actions by name.
 
     Args:
-        robot: whose.
-        actions: names in one text, with commas between them (letters need none), or a sequence.
+        robot: the robot of the actions.
+        actions: names in one text, separated by commas (single letters need none), or a sequence.
 
     Raises:
-        InputError: none, or an unknown one.
+        InputError: no action, or an unknown one.
     """
     if isinstance(actions, str):
         names = [name.strip() for name in actions.split(",")]
@@ -121,5 +121,5 @@ def actions_of(robot: Robot, actions: str | Sequence[str]) -> list[Action]:
         raise InputError(f"actions is {actions!r}: give names, as 'B,B,C' or ['B', 'B', 'C']")
     names = [name for name in names if name]
     if not names:
-        raise InputError("actions is empty: name at least one action, as B,B,C")
+        raise InputError("actions is empty: name at least one action, such as B,B,C")
     return [robot.action(name) for name in names]

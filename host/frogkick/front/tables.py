@@ -1,4 +1,4 @@
-"""Libraries and tables in memory, each with the robot that it is of."""
+"""Libraries and tables in memory, each with its robot."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ KIB = 1024
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Table:
-    """A robot's transition table, as it lies in the robot's flash, and the robot that it is for.
+    """A robot's transition table as in the robot's flash, with its robot.
 
     Attributes:
         tables: the image, checked and decoded.
-        robot: whose geometry and planner's settings count.
-        name: of its file, for messages.
+        robot: the robot, with its geometry and its planner.
+        name: name of its file, for messages.
     """
 
     tables: Tables
@@ -52,26 +52,26 @@ class Table:
 
     @property
     def states(self) -> int:
-        """How many initial velocities the table has."""
+        """Number of initial velocities of the table."""
         return len(self.tables.states)
 
     @property
     def crc32(self) -> int:
-        """CRC-32 that the robot says of it, too."""
+        """CRC-32 of the image, which the robot reports too."""
         return self.tables.crc32
 
     def facts(self) -> dict[str, Any]:
-        """What the image says of itself: the keys of ``tables info``, without the error."""
+        """Return the facts of the image: the keys of ``tables info``, without the error."""
         return facts_of(self.tables)
 
     def error(
         self, states: int = 64, seed: int = 1, sampling: str = "box", progress: Progress = False
     ) -> dict[str, float]:
-        """Root-mean-square error of a period's prediction on states that are not in the table.
+        """Return the root-mean-square error of one-period predictions on states that are not in the table.
 
         Args:
-            states: how many unseen initial velocities are simulated.
-            seed: of their sampling.
+            states: number of unseen initial velocities to simulate.
+            seed: seed of their sampling.
             sampling: "box", "visited" or "planned", as for ``build_library``.
             progress: True for a bar, or a function of (done, all).
 
@@ -91,7 +91,7 @@ class Table:
 
     @contextmanager
     def file(self) -> Iterator[Path]:
-        """A file of the image for as long as the context lives."""
+        """Yield a file of the image that exists as long as the context."""
         with tempfile.TemporaryDirectory(prefix="frogkick-table-") as folder:
             file = Path(folder) / self.name
             file.write_bytes(self.image)
@@ -108,7 +108,7 @@ class Table:
 
 
 def facts_of(tables: Tables) -> dict[str, Any]:
-    """What an image says of itself."""
+    """Return the facts of an image."""
     return {
         "bytes": len(tables.image),
         "states": len(tables.states),
@@ -124,11 +124,11 @@ def facts_of(tables: Tables) -> dict[str, Any]:
 
 
 def read_facts(file: Path | str) -> dict[str, Any]:
-    """What the image in a file says of itself, whatever robot it is for.
+    """Return the facts of the image in a file, for any robot.
 
     Raises:
-        InputError: no such file.
-        TableError: the file is no usable table image.
+        InputError: the file does not exist.
+        TableError: the file is not a valid table image.
     """
     return facts_of(read_image(file))
 
@@ -139,12 +139,12 @@ def load_table(file: Path | str | None = None, robot: Robot | str | None = None)
     Args:
         file: the image; None: the robot's default table, which is made on first use and kept in the user's
             cache (about a minute, with a bar on stderr).
-        robot: the robot or its name or TOML file; None: the one that the image names, built-in or ID.toml
+        robot: the robot, its name or its TOML file; None: the robot that the image names, built-in or ID.toml
             beside the file.
 
     Raises:
-        InputError: no such file or robot, or the table is for another robot or another version of it.
-        TableError: the file is no usable table image.
+        InputError: an unknown file or robot, or a table for another robot or another version of it.
+        TableError: the file is not a valid table image.
     """
     if file is None:
         file = default_tables(robot or DEFAULT_ROBOT)
@@ -167,24 +167,24 @@ def build_library(
 ) -> Library:
     """Simulate every action from each of many initial velocities.
 
-    The numbers depend on robot, states, seed and sampling, not on who simulates.
+    The numbers depend on robot, states, seed and sampling, but not on the machine.
 
     Args:
-        robot: what to simulate, or its name or TOML file.
-        states: initial velocities, 1 to 65535.
-        seed: of their sampling.
-        sampling: "box" (uniform in the robot's velocity box, the paper's), "visited" (at random strokes) or
-            "planned" (at the planner's).
-        record_s: follow each transition so long (s), for tables of another period; 0: one period. What is
-            recorded is kept in ``out`` only.
-        workers: processes; None: one for each core.
+        robot: the robot, its name or its TOML file.
+        states: number of initial velocities, 1 to 65535.
+        seed: seed of their sampling.
+        sampling: "box" (uniform in the robot's velocity box, as in the paper), "visited" (from swims with
+            random strokes) or "planned" (from swims that the planner steers).
+        record_s: time to record each transition (s), for tables of another period; 0: one period. The
+            recording is kept in ``out`` only.
+        workers: number of processes; None: one for each core.
         cluster: address of a Dask scheduler whose workers simulate instead.
-        out: HDF5 file to write as well. Stopped and started again with the same arguments, a build goes on
-            from what is finished; parts of another robot, seed or the like are refused.
+        out: HDF5 file to write as well. An interrupted build resumes if it is started again with the same
+            arguments; parts of another robot or seed are refused.
         progress: True for a bar, or a function of (transitions done, all).
 
     Raises:
-        InputError: a value out of range, a file that cannot be written, or no cluster there.
+        InputError: a value out of range, a file that cannot be written, or no cluster at the address.
         ConvergenceError: every simulation failed.
     """
     robot = load_robot(robot)
@@ -205,14 +205,14 @@ def build_library(
 
 @contextmanager
 def _tells_that_it_goes_on(out: Path) -> Iterator[None]:
-    """Where a build is interrupted, say what is finished and how it goes on."""
+    """If a build is interrupted, print where its finished parts are and how to resume."""
     try:
         yield
     except KeyboardInterrupt:
         if libraries.checkpoint_folder(out).exists():
             tell_line(
                 f"frogkick: finished parts are in {str(libraries.checkpoint_folder(out))!r}: "
-                "the same command goes on from there"
+                "the same command resumes from there"
             )
         raise
 
@@ -221,7 +221,7 @@ def load_library(file: Path | str) -> Library:
     """Read a library (HDF5) that ``Library.save`` or ``frogkick library build`` wrote.
 
     Raises:
-        InputError: missing, not whole, or no library.
+        InputError: the file is missing, incomplete, or not a library.
     """
     return libraries.read_library(file)
 
@@ -233,14 +233,14 @@ def fit_table(
     *,
     progress: Progress = False,
 ) -> Table:
-    """Make the robot's table of a library.
+    """Make the robot's table from a library.
 
     Args:
-        library: of ``build_library``, or its file.
-        kind: "nearest" (the paper's: one row for each state), "affine" (fewer states, a local linear
-            correction, how much limbs were used lately); None: nearest with all states, or with a budget the
-            one that errs less.
-        budget_kib: the most KiB of the image; None: 64 for affine, as many as it takes for nearest.
+        library: the result of ``build_library``, or its file.
+        kind: "nearest" (the paper's: one row for each state), "affine" (fewer states, with a local linear
+            correction and limb use as an input); None: nearest with all states, or with a budget the kind
+            with the smaller error.
+        budget_kib: largest size of the image, KiB; None: 64 for affine, no limit for nearest.
         progress: True for a bar, or a function of (done, all).
 
     Raises:

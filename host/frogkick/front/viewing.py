@@ -27,7 +27,7 @@ from frogkick.tables.image import Tables
 
 EVERY_S = 0.1
 LINGER_S = 0.5
-"""After the end, for the page's last look."""
+"""Time after the end, so that the page reads the last state."""
 
 
 @contextmanager
@@ -41,14 +41,14 @@ def viewed(
     camera: CameraFixes | None = None,
     stop: Callable[[], None] | None = None,
 ) -> Iterator[Callable[[Recording], None]]:
-    """What shows the recording while it grows; a simulated pool is kept from running ahead of the clock.
+    """Yield the function that shows a growing recording; a simulated pool is slowed to real time.
 
     Args:
-        wanted: False = there is no page, and nothing is slowed.
+        wanted: False: there is no page, and nothing is slowed.
         robot, tables, path, options: of the run.
         pool: the simulated one; None: a real one.
-        stop: called, from another thread, when the page's button is pressed; None: it has none.
-        camera: over a real one, whose pictures are shown; None: the pool is drawn.
+        stop: called from another thread when the page's button is pressed; None: there is no button.
+        camera: camera over a real pool, whose pictures are shown; None: the pool is drawn.
     """
     if not wanted:
         yield lambda _recording: None
@@ -60,14 +60,14 @@ def viewed(
 
 
 def played(run: RunLog, speed: float = 1.0) -> None:
-    """Play a log in the browser, from the page's first look to the log's end, the page's button or Ctrl-C.
+    """Play a log in the browser until its end, the page's button or Ctrl-C; it starts with the page.
 
     Args:
         run: the log.
-        speed: 2 = twice as fast as it was swum.
+        speed: 2: twice real time.
 
     Raises:
-        InputError: a speed that is none, or a log without a fix or decision.
+        InputError: a speed that is not above 0, or a log without a fix or decision.
     """
     if not 0.0 < speed < math.inf:
         raise InputError(f"a log cannot be played at speed {speed:g}: give more than 0")

@@ -107,7 +107,8 @@ def test_effects_that_make_predictions_worse_are_never_found(
         PredictionError(*floor, 40) if quiet else PredictionError(1.0, 1.0, 40),
         PredictionError(*floor),
     )
-    found: Any = SimpleNamespace(fitted=SimpleNamespace(model=SimpleNamespace(terms=("one",))))
+    model = SimpleNamespace(terms=(SimpleNamespace(name="one"),))
+    found: Any = SimpleNamespace(fitted=SimpleNamespace(model=model))
     verdict = verdict_of(found, trained, tested)
     worse = any(
         now > then and now > NEAR_FLOOR * noise for then, now, noise in zip(before, after, floor, strict=True)

@@ -65,7 +65,7 @@ def test_library_build(tmp_path: Path, whole_group: bool) -> None:
         kept = [entry.name for entry in tmp_path.iterdir()]
         assert kept in ([], ["lib.h5.parts"])  # finished parts stay
         goes_on = "frogkick: finished parts are in 'lib.h5.parts': the same command resumes from there"
-        interrupted = "frogkick: interrupted: nothing half-written was left"
+        interrupted = "frogkick: interrupted"
         assert complaints == [goes_on, interrupted] or (not kept and complaints == [interrupted])
         assert group_members(process.pid) == []
     finally:
@@ -97,7 +97,7 @@ def test_a_simulated_run_leaves_what_was_recorded(
     assert process.returncode == 130
     assert [line for line in stderr.splitlines() if line.startswith("frogkick: ")] == [
         "frogkick: the recording so far is in 'x.h5.part'",
-        "frogkick: interrupted: nothing half-written was left",
+        "frogkick: interrupted",
     ]
     assert [entry.name for entry in tmp_path.iterdir()] == ["x.h5.part"]
     monkeypatch.chdir(tmp_path)
@@ -121,7 +121,7 @@ def test_while_it_is_still_loading(tmp_path: Path) -> None:
         [sys.executable, "-c", program], cwd=tmp_path, capture_output=True, text=True, check=False
     )
     assert (done.returncode, done.stdout) == (130, "")
-    assert done.stderr == "frogkick: interrupted: nothing half-written was left\n"
+    assert done.stderr == "frogkick: interrupted\n"
 
 
 INSTEAD_OF_A_COMMAND = """
@@ -157,7 +157,7 @@ def test_wherever_the_interpreter_is(tmp_path: Path, text: str) -> None:
         cwd=tmp_path, capture_output=True, text=True, check=False, timeout=25.0,
     )  # fmt: skip
     assert (done.returncode, done.stdout) == (130, "")
-    assert done.stderr == "frogkick: interrupted: nothing half-written was left\n"
+    assert done.stderr == "frogkick: interrupted\n"
 
 
 def test_an_inbox_is_open_after_a_ctrl_c_at_any_moment(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -234,4 +234,4 @@ def test_while_processes_are_started(tmp_path: Path, when: str) -> None:
         assert (done.returncode, complaints) == (0, [])
     else:
         assert (done.returncode, done.stdout) == (130, "")
-        assert complaints == ["frogkick: interrupted: nothing half-written was left"]
+        assert complaints == ["frogkick: interrupted"]

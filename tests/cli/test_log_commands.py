@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import os
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -97,15 +99,27 @@ def test_a_difference_of_one_decision_is_counted() -> None:
     assert summary(run).actions != summary(other).actions
 
 
+@pytest.mark.skipif(sys.platform == "win32", reason="makes a pipe with a name")
+def test_a_pipe_is_not_replaced_by_a_picture(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pipe = tmp_path / "pipe.png"
+    os.mkfifo(pipe)
+    assert run_command(["log", "show", str(folder / "sine.h5"), "--out", str(pipe)]) == 2
+    assert "is a device or a pipe, and would be replaced: name a file" in capsys.readouterr().err
+    assert pipe.is_fifo()
+
+
 @pytest.mark.parametrize(
     ("words", "complaint"),
     [
-        (["export", "RUN", "--out", "OUT"], "one of --csv and --mcap"),
-        (["export", "RUN", "--csv", "--mcap", "--out", "OUT"], "one of --csv and --mcap"),
+        (["export", "RUN", "--out", "OUT"], "either --csv"),
+        (["export", "RUN", "--csv", "--mcap", "--out", "OUT"], "either --csv"),
         (["export", "RUN", "--mcap", "--out", "."], "is a folder"),
         (["export", "RUN", "--csv", "--out", "RUN"], "is a file"),
         (["export", "none.h5", "--csv", "--out", "OUT"], "does not exist"),
-        (["log", "show", "RUN", "--out", "OUT.jpg"], "is no .png"),
+        (["log", "show", "RUN", "--out", "OUT.jpg"], "does not end in .png, .gif or .mp4"),
+        (["log", "compare", "RUN", "RUN", "--out", "OUT.gif"], "does not end in .png: name"),
         (["log", "show", "none.h5"], "does not exist"),
         (["log", "compare", "RUN", "none.h5"], "does not exist"),
     ],

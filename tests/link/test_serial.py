@@ -39,6 +39,7 @@ def test_targets(text: str, target: Target) -> None:
         ("serial::115200", "names no port"),
         ("serial:COM3:300", "300 bits/s, allowed is 1200 to 4000000"),
         ("serial:COM3:4000001", "4000001 bits/s"),
+        ("serial:COM3:9600x", "has the speed '9600x': give a whole number, as serial:COM3:115200"),
     ],
 )
 def test_no_targets(text: str, words: str) -> None:

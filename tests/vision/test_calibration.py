@@ -103,6 +103,7 @@ def test_a_wrong_file_is_refused(tmp_path: Path, change: tuple[str, str], says: 
         ([[10, 400], [600, 30], [600, 400], [30, 30]], "cross over"),
         ([[10, 400], [30, 30], [600, 30], [600, 400]], "clockwise as seen from above"),
         ([[10, 400], [5000, 400], [600, 30], [30, 30]], "corner 2 at .* is far outside"),
+        ([[10, 620], [470, 620], [450, 30], [30, 30]], "2 of the corners .* give --image as width x height"),
     ],
 )
 def test_wrong_corners_are_refused(corners: list[list[float]], says: str) -> None:

@@ -34,7 +34,7 @@ def show_(
     if moving:
         require_writable(out)
     else:
-        _require_picture(out)
+        _require_picture(out, ", .gif or .mp4")
     log = fk.load_run(run)
     found = log.summary()
     if moving and out is not None:
@@ -106,11 +106,11 @@ def export(
     )
 
 
-def _require_picture(out: Path | None) -> None:
-    """Raises InputError: the picture cannot be written there, or is no PNG."""
+def _require_picture(out: Path | None, moving: str = "") -> None:
+    """Raises InputError: the picture cannot be written there, or its name ends otherwise than in .png."""
     require_writable(out)
     if out is not None and out.suffix.lower() != ".png":
-        raise InputError(f"--out {str(out)!r} does not end in .png: this command writes PNG pictures")
+        raise InputError(f"--out {str(out)!r} does not end in .png{moving}: name the picture so")
 
 
 def _lines(values: Mapping[str, Any]) -> str:

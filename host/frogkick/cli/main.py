@@ -18,7 +18,7 @@ CHECK_FAILED = 1
 BAD_INPUT = 2
 INTERRUPTED = 130
 
-_INTERRUPTED = "interrupted; no partly written file is left"
+_INTERRUPTED = "interrupted"
 _AGAIN_S = 0.01
 """Delay before a Ctrl-C that could not be delivered is raised again."""
 

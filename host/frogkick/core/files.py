@@ -88,6 +88,8 @@ def require_writable(out: Path | None, folder: bool = False) -> None:
         raise InputError(f"--out {str(out)!r} is a file: name a folder")
     if not folder and out.is_dir():
         raise InputError(f"--out {str(out)!r} is a folder: name a file in it")
+    if not folder and out.exists() and not out.is_file():
+        raise InputError(f"--out {str(out)!r} is a device or a pipe, and would be replaced: name a file")
     place = out if folder else out.parent
     while not place.exists() and place != place.parent:
         place = place.parent

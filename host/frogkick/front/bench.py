@@ -18,6 +18,7 @@ from frogkick.core.poses import rotation
 from frogkick.core.progress import tell_line
 from frogkick.effects import World
 from frogkick.front.places import built_firmware, start_pose
+from frogkick.link.auth import read_key
 from frogkick.link.frames import DELIMITER
 from frogkick.link.opening import opened, require_wire
 from frogkick.link.text_dialect import pulse_line, require_dialect
@@ -64,6 +65,7 @@ def require_bench(
     world: str | None,
     battery_v: float | None = None,
     begin: str | None = None,
+    key: str | None = None,
 ) -> None:
     """Refuse options that do not fit a real robot, or a simulated one.
 
@@ -76,6 +78,8 @@ def require_bench(
             ("--fixes", fixes),
             ("--dialect", None if dialect == "frogkick" else dialect),
             ("--battery-v", battery_v),
+            ("--begin", begin),
+            ("--key", key),
         ):
             if value is not None:
                 raise InputError(
@@ -84,6 +88,8 @@ def require_bench(
                 )
         return
     require_wire(parse_target(robot))
+    if key is not None:
+        read_key(Path(key))
     if world is not None and fixes != POOL:
         raise InputError(f"--world {world!r} is for a simulated pool, but --robot is {robot!r}: leave it out")
     if fixes is None:

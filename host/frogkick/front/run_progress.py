@@ -33,7 +33,7 @@ class RunProgress:
     @contextmanager
     def preparing(self) -> Iterator[None]:
         """Show a note while the simulation and the core are compiled, which is done once and takes long."""
-        what = "compiling the simulation and the robot's core, once on this machine"
+        what = "preparing the simulation and the robot's core (compiled on first use)"
         slow = threading.Timer(SLOW_S, lambda: self._tell(0, self._points, what))
         slow.daemon = True
         slow.start()

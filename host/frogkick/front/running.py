@@ -47,7 +47,7 @@ from frogkick.pool.camera import Camera as SimulatedCamera
 from frogkick.pool.pool import Pool
 from frogkick.robot import Robot
 from frogkick.runs.camera_fixes import CameraFixes
-from frogkick.runs.closed_loop import Recording, RunOptions, require_time, run_in_pool
+from frogkick.runs.closed_loop import ENDED, Recording, RunOptions, require_time, run_in_pool
 from frogkick.runs.export_csv import columns_of, export_csv
 from frogkick.runs.export_mcap import export_mcap
 from frogkick.runs.live_check import LiveCheck
@@ -63,6 +63,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from pandas import DataFrame
 
+FIXES_LOST = ENDED["STALE"]
 PLANS = ("onboard", "host", "both")
 
 
@@ -291,7 +292,7 @@ def run(
         CheckError: robot and host decided differently (``plan="both"``).
     """
     named = str(world) if isinstance(world, Path | str) else None if world is None else "given"
-    require_bench(robot, dialect, fixes, named, battery_v, begin)
+    require_bench(robot, dialect, fixes, named, battery_v, begin, None if key is None else str(key))
     target = None if out is None else Path(out)
     require_film(video, fixes, target)
     is_real = is_target(robot)

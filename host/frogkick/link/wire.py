@@ -7,6 +7,7 @@ import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Protocol
 
 from frogkick.core.errors import FrogkickError, InputError, nearest_name
@@ -180,6 +181,10 @@ def parse_target(text: str) -> Target:
     if kind == "ble":
         return Target(kind, place)
     port, colon, speed = place.rpartition(":")
+    if colon and speed[:1].isdigit() and not speed.isdigit() and ("/" not in port or Path(port).exists()):
+        raise InputError(
+            f"robot {text!r} has the speed {speed!r}: give a whole number, as serial:{port}:115200"
+        )
     if not colon or not speed.isdigit():
         return Target(kind, place)
     if not port:

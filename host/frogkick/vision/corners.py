@@ -84,6 +84,12 @@ def calibrate_corners(
             height that does not fit them.
     """
     width, height = image_px
+    beyond = int(((corners_px < 0) | (corners_px > (width, height))).any(axis=1).sum())
+    if beyond >= 2 and bool(((corners_px >= 0) & (corners_px <= (height, width))).all()):
+        raise InputError(
+            f"{beyond} of the corners lie outside of a picture of {width} x {height} px, and all lie in "
+            f"one of {height} x {width}: give --image as width x height"
+        )
     slack = 0.5 * max(image_px)  # a corner may lie beyond the edge, found by a ruler
     for k, (x, y) in enumerate(corners_px):
         if not (-slack <= x <= width + slack and -slack <= y <= height + slack):

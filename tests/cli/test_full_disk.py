@@ -68,9 +68,9 @@ def test_a_module_that_a_full_disk_cut_short_is_named(tmp_path: Path) -> None:
     kept.write_bytes(kept.read_bytes()[:1000])
     done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
     told = done.stderr.strip()
-    assert (
-        told
-        == f"frogkick: {str(kept)!r} is cut short, as by a disk that was full: delete it, it is made again"
+    assert told == (
+        f"frogkick: {str(kept)!r} is cut short, for example because the disk was full: "
+        "delete it, and it is made again"
     )
     assert done.returncode == 2
     kept.unlink()

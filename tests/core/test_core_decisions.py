@@ -278,7 +278,7 @@ def test_two_hundred_decisions_with_a_bad_camera_are_the_twins() -> None:
             running = running or (frame.name == "START" and frame.values["status"] == 0)
             statuses |= {frame.values["status"]} if frame.name == "FIX" else set()
             for event in events_of_frame(frame, poses):
-                decision = twin.meet(event)
+                decision = twin.apply(event)
                 if decision is not None:
                     decided += 1
                     uses.add(decision.limb_use)

@@ -221,7 +221,7 @@ def test_the_host_makes_the_same_decisions() -> None:
                 assert twin.add_fix(int(told["capture_us"]), poses[number], number) == told["status"]
                 refused += told["status"] != 0
             for event in events_of_frame(frame, {}) if frame.kind == "event" else ():
-                decision = twin.meet(event)
+                decision = twin.apply(event)
                 if decision is not None:
                     decided += 1
                     assert not decision_of_event(frame.values).differences(decision)

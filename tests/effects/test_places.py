@@ -183,7 +183,7 @@ def test_the_simulated_pool_has_walls_and_robots_out_of_balance() -> None:
             ROBOT, (0, 0, 0), Camera(), np.random.default_rng(3), World(make_effects(effects, Path()))
         )
         for limb in range(4):
-            pool.heat(limb, 0.0)
+            pool.actuate(limb, 0.0)
         shown.append(pool.advance(1.4)[-1].pose_world)
     assert shown[1][2] < shown[0][2] - 0.01 or shown[1][2] > shown[0][2] + 0.01
     assert shown[1][0] < shown[0][0] - 0.002

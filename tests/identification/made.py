@@ -82,7 +82,7 @@ def make_run(effects: Sequence[Mapping[str, Any]], seed: int, periods: int, row:
                 fixes += pool.advance(fired_s)
                 for limb in range(len(swimmer.limbs)):
                     if mask >> limb & 1:
-                        pool.heat(limb, fired_s)
+                        pool.actuate(limb, fired_s)
                 strokes.append((fired_s, mask))
         fixes += pool.advance(at_s + period_s - 1e-9)
     fixes += pool.advance(float(decided_s[-1]) + period_s + 0.3)

@@ -44,7 +44,7 @@ class LivePool:
                 self._taken += 1
                 for limb in range(4):
                     if limb_mask >> limb & 1:
-                        self.pool.heat(limb, max(self.pool.time_s, at_s - self._begin_s))
+                        self.pool.actuate(limb, max(self.pool.time_s, at_s - self._begin_s))
             return self.pool.advance(self._clock() - self._begin_s)
 
     def advance(self, until_s: float) -> list[Fix]:
@@ -55,7 +55,7 @@ class LivePool:
             for fix in self.swim()
         ]
 
-    def heat(self, limb: int, start_s: float) -> None:
+    def actuate(self, limb: int, start_s: float) -> None:
         pass
 
     def lines(self, write: Callable[[str], object], stop: threading.Event) -> None:

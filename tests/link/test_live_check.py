@@ -54,7 +54,7 @@ def past_the_hash(monkeypatch: pytest.MonkeyPatch) -> None:
     """The hash of the robot's table is not asked: a fault that lies behind it, as one in its memory would."""
 
     def handshake(self: Session, tables: Tables) -> dict[str, object]:
-        told = self.meet()
+        told = self.hello()
         tables.require_robot(str(told["robot_id"]))
         return dict(told)
 

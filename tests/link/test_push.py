@@ -61,7 +61,7 @@ def test_push_and_back(
         assert (numbers["table_crc"], numbers["kept_crc"]) == (f"{crc_of(NEW):08x}", f"{crc_of(OLD):08x}")
         assert robot.flash.image == NEW
         again = frogkick(capsys, "push", new, "--robot", there.target)
-        assert again.code == 0 and "which it had" in again.stdout
+        assert again.code == 0 and "which it already had" in again.stdout
         back = frogkick(capsys, "push", "--rollback", "--robot", there.target, "--json")
         assert back.code == 0 and back.json["table_crc"] == f"{crc_of(OLD):08x}"
         assert robot.flash.image == OLD
@@ -73,7 +73,7 @@ def test_a_robot_left_armed_is_disarmed_and_rests_first(
     assert robot.core.status("ARM") == "OK"
     told = frogkick(capsys, "push", new, "--robot", f"serial:{line.path}")
     assert told.code == 0, told.stderr
-    assert f"took {len(NEW)} bytes" in told.stdout and "frogkick push --rollback" in told.stdout
+    assert f"received {len(NEW)} bytes" in told.stdout and "frogkick push --rollback" in told.stdout
     assert robot.core.state() == "DISARMED"
 
 
@@ -89,8 +89,8 @@ def test_another_robot_refuses(
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        ("push --robot serial:COM3", "push takes a table image or --rollback"),
-        ("push x.fkt --rollback --robot serial:COM3", "push takes a table image or --rollback"),
+        ("push --robot serial:COM3", "push takes either a table image or --rollback"),
+        ("push x.fkt --rollback --robot serial:COM3", "push takes either a table image or --rollback"),
         ("push x.fkt --robot pool", "'pool' is not the target of a robot: choose ble:NAME, serial:PORT"),
         ("push x.fkt --robot seriel", "did you mean 'serial'"),
         ("own --robot serial", "robot 'serial' is neither ble:NAME nor serial:PORT"),
@@ -170,7 +170,7 @@ def test_retune_sends_nothing_to_a_robot_with_other_tables(
     told = retuned(monkeypatch, capsys, tmp_path, f"serial:{line.path}", better=True, before=OTHER)
     assert told.code == 2 and told.json["pushed"] is None and told.json["better"] is True
     assert told.stderr.splitlines()[-1].startswith(
-        f"frogkick: the new tables are made, and not sent: the robot carries the table with CRC-32 "
+        f"frogkick: the new tables are made but were not sent: the robot carries the table with CRC-32 "
         f"{crc_of(OLD):08x}, the new one was weighed against {crc_of(OTHER):08x}"
     )
     assert "TABLE_BEGIN" not in robot.names() and (tmp_path / "out" / TABLES).exists()

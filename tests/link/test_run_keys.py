@@ -35,7 +35,7 @@ from frogkick.vision.calibration_file import write_calibration
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="needs a pseudo-terminal")
 
 STATE = link_layout().state
-ASKED = b"press Enter to arm, Ctrl-C to leave; any key stops the run"
+ASKED = b"press Enter to arm the robot or Ctrl-C to leave; any key stops the run"
 PLAN = re.compile(rb"line, [A-I] cost \d+\.\d, \d+ mm off")
 PATIENCE_S = 240.0
 FILM_S, FILM_HZ = count(120, 120, 60), 10

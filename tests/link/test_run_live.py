@@ -80,7 +80,7 @@ def test_a_run(transport: str, onboard: bool, tmp_path: Path, monkeypatch: pytes
     assert np.all(np.abs(at_s[rests] - newest_s) < 1.0)
     if onboard:  # the robot's decisions, again by the twin from what the robot told that it met
         twin = DecisionTwin(rig.tables(), shape(PATH), options.config)
-        again = [decision for event in recording.events if (decision := twin.meet(event))]
+        again = [decision for event in recording.events if (decision := twin.apply(event))]
         assert [one.differences(two) for one, two in zip(recording.decisions, again, strict=True)] == [[]] * 3
 
 

@@ -18,7 +18,7 @@ ROBOT = load_robot("frog2022")
 def swum(world: World, camera: Camera = Camera(), seed: int = 1) -> Pool:  # noqa: B008 - frozen
     pool = Pool(ROBOT, (0.0, 0.0, 0.0), camera, np.random.default_rng(seed), world)
     for limb in range(4):
-        pool.heat(limb, 0.1)
+        pool.actuate(limb, 0.1)
     pool.fixes = pool.advance(1.5)
     return pool
 
@@ -26,7 +26,7 @@ def swum(world: World, camera: Camera = Camera(), seed: int = 1) -> Pool:  # noq
 def test_a_world_without_effects_is_the_plain_pool_to_the_bit() -> None:
     plain, empty = swum(World()), Pool(ROBOT, (0.0, 0.0, 0.0), Camera(), np.random.default_rng(1))
     for limb in range(4):
-        empty.heat(limb, 0.1)
+        empty.actuate(limb, 0.1)
     fixes = empty.advance(1.5)
     assert np.array_equal(plain.truth.pose_world, empty.truth.pose_world)
     assert [fix.pose_world.tolist() for fix in plain.fixes] == [fix.pose_world.tolist() for fix in fixes]

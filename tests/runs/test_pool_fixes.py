@@ -90,7 +90,7 @@ def test_a_stroke_begins_when_the_robot_began_it(decided: Decision, onboard: boo
         beside.advance(begin_s + delay_s)
         for limb in range(4):
             if mask >> limb & 1:
-                beside.heat(limb, begin_s + delay_s)
+                beside.actuate(limb, begin_s + delay_s)
     beside.advance(source.pool.time_s)
     ours, theirs = source.pool.state()[0], beside.state()[0]
     assert np.hypot(*(ours - START)[:2]) > 5e-3, "it swam"

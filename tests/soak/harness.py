@@ -153,7 +153,7 @@ class Life:
     def _on_step(self, until_s: float, edges: Sequence[Edge]) -> None:
         for edge in edges:
             if edge.level:
-                self.pool.heat(edge.limb, edge.time_s)
+                self.pool.actuate(edge.limb, edge.time_s)
         self.watch.pins(edges, until_s)
         self.session.edges.clear()
         for fix in self.pool.advance(until_s):

@@ -144,7 +144,7 @@ def fetch_from(session: Session, progress: Progress = False) -> FetchedLog:
     Raises:
         LinkError: the robot does not answer.
     """
-    hello = session.meet()
+    hello = session.hello()
     with shown(progress, "bytes fetched") as tell:
         found = fetch_bytes(session, progress=tell)
     return FetchedLog(str(hello["robot_id"]), int(hello["table_crc"]), found)

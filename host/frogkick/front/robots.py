@@ -78,7 +78,7 @@ class Connection:
             LinkError: the robot does not answer.
         """
         session = self._session()
-        return {**session.meet(), **session.request("STATUS")}
+        return {**session.hello(), **session.request("STATUS")}
 
     def push(self, table: Table | Path | str, progress: Progress = False) -> Pushed:
         """Send the robot another table. It is disarmed and keeps the previous table.

@@ -88,8 +88,8 @@ class Pool:
         """What is true now, never shown to a planner: pose (3,) in the world, velocity (3,) in the body."""
         return self._swimmer.pose_world(), self._swimmer.velocity_body()
 
-    def heat(self, limb: int, start_s: float) -> None:
-        """A pin of the robot begins to heat a limb, in pool time, not before ``time_s``.
+    def actuate(self, limb: int, start_s: float) -> None:
+        """Actuate a limb from a pool time on, not before ``time_s``.
 
         The limb answers with its measured stroke, which belongs to the nominal pulse length.
         """

@@ -154,7 +154,7 @@ class CameraFixes:
         """Keep each picture from now on; its fix has gone before it is written."""
         self._video = video
 
-    def heat(self, limb: int, start_s: float) -> None:
+    def actuate(self, limb: int, start_s: float) -> None:
         """A real limb needs no telling."""
 
     def close(self) -> None:

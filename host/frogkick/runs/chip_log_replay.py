@@ -211,7 +211,7 @@ class _Segment:
                 ):  # taken by one, refused by the other: what follows is not the same
                     self.made = []
                     return index
-            for what in twin.meet(record):
+            for what in twin.apply(record):
                 self._tell(record, "twin", what)
             self.found.replayed += 1
         self.found.decisions += twin.decisions

@@ -63,7 +63,7 @@ class ChipTwin:
     def _begun(self, state: ChipState) -> Follow | None:
         return follow_of(state, self._tables) if len(self._points) == self._total > 1 else None
 
-    def meet(self, record: Record) -> list[str]:
+    def apply(self, record: Record) -> list[str]:
         """Live through a record; what the twin finds otherwise."""
         if record.name == "COMMAND":
             return self._command(record)

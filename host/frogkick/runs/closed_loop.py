@@ -93,7 +93,7 @@ class FixSource(Protocol):
     def advance(self, until_s: float) -> list[Fix]:
         """Fixes that have come by then, in order."""
 
-    def heat(self, limb: int, start_s: float) -> None:
+    def actuate(self, limb: int, start_s: float) -> None:
         """A limb's pin was seen to switch on."""
 
 
@@ -195,7 +195,7 @@ def run_session(
     require_time(options.time_limit_s)
     run = _Run(session, source, tables, path, options, progress, keep)
     try:
-        with session.in_time():
+        with session.real_time_guard():
             return run.go()
     except BaseException as error:
         if run.may_be_armed and not session.make_safe():
@@ -333,7 +333,7 @@ class _Run:
         recording.events += events
         decision = decision_of_event(values) if frame.name == "DECISION" else None
         if self.options.check is not None:
-            self.options.check.meet(events, decision, self.session.gaps + self._too_late)
+            self.options.check.compare(events, decision, self.session.gaps + self._too_late)
         if frame.name == "FIX":
             row = self._awaited.pop(frame.sequence)
             recording.fix_status[row] = int(values["status"])
@@ -378,7 +378,7 @@ class _Run:
             raise _StopError
         for edge in edges:
             if edge.level:
-                self.source.heat(edge.limb, edge.time_s)
+                self.source.actuate(edge.limb, edge.time_s)
         for fix in self.source.advance(until_s):
             at_s = max(until_s, fix.arrival_s)
             sequence = self.session.post_fix(fix, at_s)

@@ -224,8 +224,8 @@ class DecisionTwin:
         self._follow.begin()
         self.ended = None
 
-    def meet(self, event: RobotEvent) -> Decision | None:
-        """Live through what the robot met; its decision is decided again."""
+    def apply(self, event: RobotEvent) -> Decision | None:
+        """Apply an event of the robot; a decision is computed again and returned."""
         if event.pose_world is not None:
             self.add_fix(event.time_us, event.pose_world, event.sequence)
         elif event.action is not None:

@@ -16,8 +16,8 @@ from typing import Any, Protocol
 from frogkick.link.frames import hello
 from frogkick.link.layout import Value
 from frogkick.link.wire import RobotPort, Wire
-from frogkick.runs.in_time import in_time
 from frogkick.runs.lab_port import LabPort
+from frogkick.runs.real_time import real_time_guard
 from frogkick.runs.session import ANSWER_TIMEOUT_S, STEP_S, Arrival, Asked, LinkError, Session
 from frogkick.tables.image import Tables
 
@@ -194,9 +194,9 @@ class LabSession(Session):
         before, self._connections = self._connections, self.port.wire.connections
         return self._connections != before
 
-    def in_time(self) -> AbstractContextManager[None]:
+    def real_time_guard(self) -> AbstractContextManager[None]:
         """Nothing in this program holds the run up for long meanwhile."""
-        return in_time()
+        return real_time_guard()
 
     @property
     def gaps(self) -> int:

@@ -95,7 +95,7 @@ class LineFixes:
                 self._sequence = (self._sequence + 1) & 0xFFFF
         return fixes
 
-    def heat(self, limb: int, start_s: float) -> None:
+    def actuate(self, limb: int, start_s: float) -> None:
         """A real limb needs no telling."""
 
     def _read(self) -> None:

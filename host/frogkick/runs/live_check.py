@@ -37,7 +37,7 @@ class LiveCheck:
         self._twin = DecisionTwin(tables, path, config)
         self._names = [row.name for row in tables.actions]
 
-    def meet(self, events: Sequence[RobotEvent], decision: Decision | None, gaps: int) -> None:
+    def compare(self, events: Sequence[RobotEvent], decision: Decision | None, gaps: int) -> None:
         """Live through what one frame told.
 
         Args:
@@ -53,7 +53,7 @@ class LiveCheck:
             return
         ours = None
         for event in events:
-            ours = self._twin.meet(event) or ours
+            ours = self._twin.apply(event) or ours
         if decision is None:
             return
         assert ours is not None

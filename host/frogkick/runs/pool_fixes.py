@@ -112,7 +112,7 @@ class PoolFixes:
                 self.late += 1
             else:
                 fixes += self.pool.advance(at_s)
-            self.pool.heat(limb, max(at_s, self.pool.time_s))
+            self.pool.actuate(limb, max(at_s, self.pool.time_s))
         if due_s > self.pool.time_s:
             fixes += self.pool.advance(due_s)
         for fix in fixes:
@@ -120,7 +120,7 @@ class PoolFixes:
             fix.delay_s = until_s - fix.capture_s
         return fixes
 
-    def heat(self, limb: int, start_s: float) -> None:
+    def actuate(self, limb: int, start_s: float) -> None:
         """No pin of a real kit is seen."""
 
     def close(self) -> None:
@@ -145,5 +145,5 @@ class PoolFixes:
 def _warm_up(pool: Pool) -> None:
     """Let rods swim once where it matters to nobody: their kernels take a while to be loaded."""
     pool.advance(0.01)
-    pool.heat(0, 0.01)
+    pool.actuate(0, 0.01)
     pool.advance(0.03)

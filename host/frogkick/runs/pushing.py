@@ -61,7 +61,7 @@ def push(
         TableError: another robot.
         UploadError: it does not take the table.
     """
-    told = session.meet()
+    told = session.hello()
     tables.require_robot(str(told["robot_id"]))
     carried = int(told["table_crc"])
     if instead_of is not None and carried not in (instead_of.crc32, tables.crc32):
@@ -83,7 +83,7 @@ def roll_back(session: Session) -> Pushed:
     Raises:
         LinkError: it keeps none, refuses or does not answer.
     """
-    session.meet()
+    session.hello()
     rest(session)
     session.authenticate()
     begin_s = session.time_s
@@ -105,7 +105,7 @@ def own(session: Session, release: bool = False) -> None:
         LinkError: it has another key than this host, refuses, or does not answer.
         InputError: the key's file cannot be read or written.
     """
-    session.meet()
+    session.hello()
     rest(session)
     session.authenticate()
     key = bytes(KEY_BYTES)

@@ -173,7 +173,7 @@ def compare(onboard: Sequence[Decision], host: Sequence[Decision]) -> list[tuple
 
 def replay_on_host(events: Sequence[RobotEvent], twin: DecisionTwin) -> list[Decision]:
     """The twin's decisions for what the robot saw, in the order in which it saw it."""
-    return [decision for event in events if (decision := twin.meet(event)) is not None]
+    return [decision for event in events if (decision := twin.apply(event)) is not None]
 
 
 def _events_of(schedule: Schedule) -> list[RobotEvent]:

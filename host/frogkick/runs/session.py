@@ -212,7 +212,7 @@ class Session:
         """The connection has dropped and come back since this was asked last; never in simulated time."""
         return False
 
-    def in_time(self) -> AbstractContextManager[None]:
+    def real_time_guard(self) -> AbstractContextManager[None]:
         """What a run goes on in; in simulated time nothing hurries."""
         return nullcontext()
 
@@ -231,7 +231,7 @@ class Session:
         In simulated time there is one clock.
         """
 
-    def meet(self) -> dict[str, Value]:
+    def hello(self) -> dict[str, Value]:
         """HELLO, and refuse a robot that speaks another protocol.
 
         Raises:
@@ -277,7 +277,7 @@ class Session:
         Raises:
             LinkError: another protocol, robot or table.
         """
-        told = self.meet()
+        told = self.hello()
         tables.require_robot(str(told["robot_id"]))
         if told["table_crc"] != tables.crc32:
             period_s = [int(us) * 1e-6 for us in (told["period_us"], tables.period_us)]

@@ -360,4 +360,4 @@ def _heat(pool: Pool, tables: Tables, action: int, at_s: float) -> None:
     for mask, start_s in ((row.first_mask, at_s), (row.second_mask, second_s)):
         for limb in range(tables.limbs):
             if mask >> limb & 1:
-                pool.heat(limb, start_s)
+                pool.actuate(limb, start_s)

@@ -1,4 +1,4 @@
-"""What keeps a run with a real robot from being held up by its own program."""
+"""The real-time guard: it keeps the program from delaying a run with a real robot."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from frogkick.runs.decision import DecisionTwin
 from frogkick.tables.image import Tables
 
 SWITCH_S = 0.002
-"""How long a thread that computes keeps others waiting: Python's 5 ms are a quarter of a fix's time."""
+"""Longest time that a computing thread keeps others waiting; Python's 5 ms are a quarter of a fix period."""
 
 
 @contextmanager
-def in_time() -> Iterator[None]:
-    """Threads give way to each other soon, and nothing that is there already is looked through for garbage.
+def real_time_guard() -> Iterator[None]:
+    """Switch threads sooner, and exclude existing objects from garbage collection.
 
-    A full collection goes through all that numba, OpenCV and the rest have made: 0.1 s and more.
+    A full collection visits all objects of numba, OpenCV and other packages, which takes 0.1 s and more.
     """
     before_s = sys.getswitchinterval()
     sys.setswitchinterval(SWITCH_S)
@@ -35,10 +35,10 @@ def in_time() -> Iterator[None]:
 
 
 def warm_up(tables: Tables, path: Path, config: PlanConfig) -> None:
-    """Let the twin live through a little on nothing: no fix shall wait while its kernels are made ready.
+    """Compile the twin's kernels by a short artificial run, so that no fix waits for them.
 
-    All that a run does: fixes before and after a decision, a stroke, another decision that carries it on. The
-    first fix after a stroke cost a second of compiling else.
+    The run has fixes before and after a decision, a stroke, and another decision. Without it the first fix
+    after a stroke takes a second of compiling.
     """
     twin = DecisionTwin(tables, path, config)
     pose = np.array([path.x_m[0], path.y_m[0], path.tangent_rad[0]], dtype=np.float32)

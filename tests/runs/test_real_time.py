@@ -15,19 +15,19 @@ from frogkick.paths import shape
 from frogkick.planner.plan import PlanConfig
 from frogkick.runs.closed_loop import Recording, RunOptions
 from frogkick.runs.decision import DecisionTwin
-from frogkick.runs.in_time import SWITCH_S, in_time, warm_up
 from frogkick.runs.live_log import LiveLog, logged, part_of
+from frogkick.runs.real_time import SWITCH_S, real_time_guard, warm_up
 from frogkick.runs.runlog_file import read_run
 
 
 def stop_at_once() -> None:
-    with in_time():
+    with real_time_guard():
         raise KeyboardInterrupt
 
 
 def test_threads_give_way_soon_and_what_is_there_is_not_looked_through() -> None:
     before_s, frozen = sys.getswitchinterval(), gc.get_freeze_count()
-    with in_time():
+    with real_time_guard():
         assert sys.getswitchinterval() == pytest.approx(SWITCH_S) and before_s > SWITCH_S
         assert gc.get_freeze_count() > frozen + 10_000
     assert (sys.getswitchinterval(), gc.get_freeze_count()) == (before_s, 0)
@@ -51,7 +51,7 @@ COMPILED_LATER = """
 from numba.core import event
 import numpy as np
 from frogkick.runs.decision import DecisionTwin
-from frogkick.runs.in_time import warm_up
+from frogkick.runs.real_time import warm_up
 from frogkick.paths import shape
 from frogkick.tables.image import read_image
 from frogkick.planner.plan import PlanConfig, config_of

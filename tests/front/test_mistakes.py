@@ -42,6 +42,25 @@ MISTAKES: dict[str, tuple[Callable[[Any], object], str]] = {
         lambda _: fk.Path("p", [0, 0.1], [0, 0], [0, 0]),
         "x_m is no row of numbers: give x_m",
     ),
+    "a folder to save to": (lambda robot: robot.save("."), "cannot write '.': it is a folder"),
+    "a table as runs": (lambda robot: fk.identify(robot, test=[robot]), "runs are given as Robot: give runs"),
+    "a robot to emit": (
+        lambda robot: fk.emit_c(robot, "emitted"),
+        "table image is given as Robot: give a file",
+    ),
+}
+OF_A_TABLE: dict[str, tuple[Callable[[Any], object], str]] = {
+    "a number to save to": (lambda t: t.save(3), "file to write is given as int: give its name"),
+    "a robot where it is": (lambda t: fk.run(t, robot=t.robot), "--robot is Robot('frog2022'"),
+    "a seed with a point": (lambda t: fk.run(t, seed=1.5), "seed is 1.5: give 0 or more"),
+    "seconds as text": (lambda t: fk.run(t, time_limit_s="30"), "simulated time is '30' s: give"),
+    "a depth as text": (lambda t: fk.Planner(t, depth="3"), "--depth is '3', but the planner looks 1"),
+    "a pose alone": (lambda t: fk.Planner(t).plan([0, 0, 0], "line"), "state is [0, 0, 0]: give six numbers"),
+    "a table as library": (lambda t: fk.fit_table(t), "library is given as Table: give a file"),
+    "a limb's number": (
+        lambda t: fk.run(t, world=fk.World([fk.effects.LimbWear(limb=2, gain=0.7)])),
+        "has no limb 2: it has front_right",
+    ),
 }
 
 
@@ -62,3 +81,23 @@ def test_a_mistake_is_told_in_one_line(mistake: str, robot: fk.Robot) -> None:
 def test_a_mistyped_name_of_the_front_door_gets_the_nearest() -> None:
     with pytest.raises(AttributeError, match=r"no attribute 'identfy' \(did you mean 'identify'\?\)"):
         _ = fk.identfy
+
+
+@pytest.fixture(scope="module")
+def table(tmp_path_factory: pytest.TempPathFactory) -> fk.Table:
+    return fk.fit_table(fk.build_library("frog2022", 2, workers=1))
+
+
+@pytest.mark.parametrize("mistake", OF_A_TABLE)
+def test_a_mistake_with_a_table_is_told_in_one_line(mistake: str, table: fk.Table) -> None:
+    do, told = OF_A_TABLE[mistake]
+    with pytest.raises(fk.InputError) as refused:
+        do(table)
+    assert told in str(refused.value)
+    assert "\n" not in str(refused.value)
+
+
+def test_a_budget_as_text_is_told(robot: fk.Robot, table: fk.Table) -> None:
+    library = fk.build_library(robot, 2, workers=1)
+    with pytest.raises(fk.InputError, match="budget is '64' KiB: give"):
+        fk.fit_table(library, budget_kib="64")

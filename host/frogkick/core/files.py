@@ -107,11 +107,15 @@ def atomic_path(target: Path | str) -> Iterator[Path]:
     Folders that are made for it go with it.
 
     Raises:
-        InputError: the folder of ``target`` cannot be made or written to, or its disk is full.
+        InputError: no path, a folder, or one whose folder cannot be written to or whose disk is full.
     """
+    if not isinstance(target, str | os.PathLike):
+        raise InputError(f"file to write is given as {type(target).__name__}: give its name")
     final = Path(target)
     made = [place for place in final.parents if not place.exists()]
     try:
+        if final.is_dir():
+            raise InputError(f"cannot write {str(target)!r}: it is a folder; name a file in it")
         final.parent.mkdir(parents=True, exist_ok=True)
         handle, name = tempfile.mkstemp(prefix=f".{final.name}.", suffix=final.suffix, dir=final.parent)
     except OSError as error:

@@ -228,7 +228,7 @@ def limb_index(robot: Robot, effect: Effect, limb: str) -> int:
     names = [each.name for each in robot.limbs]
     if limb not in names:
         raise InputError(
-            f"effect {effect.title!r}: robot {robot.id!r} has no limb {limb!r}{nearest_name(limb, names)}: "
-            f"it has {', '.join(names)}"
+            f"effect {effect.title!r}: robot {robot.id!r} has no limb {limb!r}"
+            f"{nearest_name(str(limb), names)}: it has {', '.join(names)}"
         )
     return names.index(limb)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -178,6 +178,9 @@ def identify(
         InputError: no test run, runs of several robots, or runs that cannot be used.
     """
     runs, test = ([some] if isinstance(some, Given) else some for some in (runs, test))
+    for some in (runs, test):
+        if some is not None and not isinstance(some, Iterable):
+            raise InputError(f"runs are given as {type(some).__name__}: give runs of fk.run, or their files")
     if not test:
         raise InputError("test is empty: give at least one run that is not a training run")
     described = robot

@@ -9,6 +9,8 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
 
+import numpy as np
+
 from frogkick.core.errors import InputError, nearest_name
 from frogkick.core.progress import tell_line
 from frogkick.front.default_tables import default_tables
@@ -90,7 +92,7 @@ def require_simulated(name: str) -> None:
     """
     if name not in SIMULATED:
         raise InputError(
-            f"--robot is {name!r}{nearest_name(name, SIMULATED)}: choose virtual (the firmware on the "
+            f"--robot is {name!r}{nearest_name(str(name), SIMULATED)}: choose virtual (the firmware on the "
             "virtual chip), pool (the same core on this computer), or a real robot: ble:NAME, serial:PORT"
         )
 
@@ -169,8 +171,8 @@ def plan_config(
     else:
         config = PlanConfig()
     chosen = config.depth if depth is None else depth
-    if not 1 <= chosen <= 4:
-        raise InputError(f"--depth is {chosen}, but the planner looks 1 to 4 levels ahead: give 1 to 4")
+    if not isinstance(chosen, int | np.integer) or not 1 <= chosen <= 4:
+        raise InputError(f"--depth is {chosen!r}, but the planner looks 1 to 4 levels ahead: give 1 to 4")
     return dataclasses.replace(config, depth=chosen)
 
 

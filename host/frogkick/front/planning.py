@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from frogkick.core.errors import InputError
 from frogkick.front.places import plan_config, swim_path
 from frogkick.front.tables import Table, load_table
 from frogkick.paths import Path as SwimPath
@@ -77,8 +78,14 @@ class Planner:
             along_points: last position of the robot along the path, in points; 0 at the start.
 
         Raises:
+            InputError: a state of other than six numbers.
             PlanError: the state allows no decision.
         """
+        if np.shape(state) != (6,):
+            raise InputError(
+                f"state is {state!r}: give six numbers, x, y (m), heading (rad), forward, left (m/s), "
+                "turn rate (rad/s)"
+            )
         course = swim_path(path)
         tables = self.table.tables
         first = plan(tables, course, self.config, state, limb_use, along_points)

@@ -47,7 +47,7 @@ from frogkick.pool.camera import Camera as SimulatedCamera
 from frogkick.pool.pool import Pool
 from frogkick.robot import Robot
 from frogkick.runs.camera_fixes import CameraFixes
-from frogkick.runs.closed_loop import ENDED, Recording, RunOptions, require_time, run_in_pool
+from frogkick.runs.closed_loop import ENDED, Recording, RunOptions, require_seed, require_time, run_in_pool
 from frogkick.runs.export_csv import columns_of, export_csv
 from frogkick.runs.export_mcap import export_mcap
 from frogkick.runs.live_check import LiveCheck
@@ -122,13 +122,13 @@ class Run:
         """
         return summary(self.log)
 
-    def compare(self, other: Run) -> Comparison:
-        """Compare this run with another, each from its first decision on.
+    def compare(self, other: Run | Path | str) -> Comparison:
+        """Compare this run with another, or its file, each from its first decision on.
 
         Raises:
             InputError: one of the runs has no decision or no fix.
         """
-        return compare_runs(self.log, other.log)
+        return compare_runs(self.log, (other if isinstance(other, Run) else load_run(other)).log)
 
     def export_csv(self, folder: Path | str) -> list[Path]:
         """Write a CSV for each group of columns, units in their names, and ``run.json``; return the files.
@@ -163,7 +163,7 @@ class Run:
         return {name: DataFrame(columns) for name, columns in columns_of(self.log)}
 
     def plot(self) -> Figure:
-        """Return a matplotlib figure: path and track, distance, actions, estimate and prediction errors."""
+        """Return a matplotlib figure (``savefig`` writes it): track, distance, actions, prediction errors."""
         from frogkick.report.run_figure import run_figure
 
         return run_figure(self.log, f"{self.log.robot_id}: {self.log.source}")
@@ -304,8 +304,8 @@ def run(
     desired = swim_path(path)
     eye = SimulatedCamera(rate_hz=fix_rate_hz)
     require_time(time_limit_s)
-    # A copy, because an effect may keep state during a run.
-    true = World() if world is None else copy.deepcopy(read_world(world))
+    require_seed(seed)
+    true = World() if world is None else copy.deepcopy(read_world(world))  # an effect may keep state
     used = table if isinstance(table, Table) else load_table(table, model)
     described = used.robot
     check = LiveCheck() if plan == "both" else None

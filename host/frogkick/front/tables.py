@@ -10,6 +10,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from frogkick import library as libraries
 from frogkick.core.errors import InputError
 from frogkick.core.files import write_bytes
@@ -251,8 +253,10 @@ def fit_table(
     if budget_kib is None and kind in (None, "nearest"):
         image = libraries.quantise(library)
     else:
-        if budget_kib is not None and not 0.5 <= budget_kib <= 16384:
-            raise InputError(f"budget is {budget_kib:g} KiB: give 0.5 to 16384")
+        if budget_kib is not None and not (
+            isinstance(budget_kib, int | float | np.number) and 0.5 <= budget_kib <= 16384
+        ):
+            raise InputError(f"budget is {budget_kib!r} KiB: give 0.5 to 16384")
         budget = None if budget_kib is None else int(budget_kib * KIB)
         with shown(progress, "tables tried") as tell:
             image = libraries.fit_table(library, kind, budget, tell).image

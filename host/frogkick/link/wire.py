@@ -162,7 +162,7 @@ class Target:
 
 def is_target(text: str) -> bool:
     """It is meant as one: begins as ``ble:`` or ``serial:``."""
-    return text.partition(":")[0] in KINDS
+    return str(text).partition(":")[0] in KINDS
 
 
 def parse_target(text: str) -> Target:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
+from textwrap import wrap
 
 import numpy as np
 import numpy.typing as npt
@@ -180,7 +181,7 @@ def _limbs(axes: Axes, robot: Robot, mesh: Mesh, nodes_mm: FloatArray) -> None:
         edge = nodes_mm[[root, (root + 2 * step) % mesh.frame_nodes]]
         _line(axes, edge, "-", color="black", linewidth=4.0, alpha=0.55, solid_capstyle="butt")
         fires = [a.name for a in robot.actions if (a.first_mask | a.second_mask) >> index & 1]
-        actions = in_a_row(fires)
+        actions = "\n".join(wrap(in_a_row(fires), 24, break_on_hyphens=False, break_long_words=False))
         tip = active[-1]
         # The page's x is -y of the body.
         right, up = -math.sin(limb.direction_rad), math.cos(limb.direction_rad)

@@ -95,9 +95,12 @@ def _track(axes: Axes, run: RunLog, seen: _Seen) -> None:
     here = 100.0 * seen.at(run.decisions.time_s)
     names = [run.action_names[index] if index >= 0 else "?" for index in run.decisions.action]
     axes.plot(*here.T, "o", color=seen.colour, markersize=3)
-    for (x, y), name, offset in zip(here, names, _beside(here), strict=True):
+    words = any(len(name) > 1 for name in names)
+    for number, ((x, y), name, offset) in enumerate(zip(here, names, _beside(here), strict=True)):
+        # Words at each decision would cover each other.
+        again = words and number > 0 and names[number - 1] == name
         axes.annotate(
-            name,
+            "" if again else name,
             (x, y),
             textcoords="offset points",
             xytext=(offset[0], offset[1]),
@@ -169,4 +172,4 @@ def _prediction(axes: Axes, run: RunLog, seen: _Seen) -> None:
         np.rad2deg(np.abs(missed.gap_body[:, 2])),
         style.PREDICTED,
     )
-    axes.set_title(f"Prediction error one period ahead: {missed.error:.1f} RMS")
+    axes.set_title(f"Error one period ahead: {missed.error:.1f} RMS")

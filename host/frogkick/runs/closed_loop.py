@@ -8,6 +8,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Protocol
 
+import numpy as np
+
 from frogkick.core.errors import InputError
 from frogkick.core.poses import Fix
 from frogkick.core.weights import WEIGHTS
@@ -132,14 +134,24 @@ def parameters(config: PlanConfig) -> dict[str, float]:
     }
 
 
+def require_seed(seed: int) -> None:
+    """Refuse a seed that is none.
+
+    Raises:
+        InputError: not a whole number from 0 on.
+    """
+    if not isinstance(seed, int | np.integer) or seed < 0:
+        raise InputError(f"seed is {seed!r}: give 0 or more, a whole number")
+
+
 def require_time(limit_s: float) -> None:
     """Refuse a time limit that ends no run.
 
     Raises:
         InputError: not a finite number above 0.
     """
-    if not (math.isfinite(limit_s) and limit_s > 0.0):
-        raise InputError(f"simulated time is {limit_s} s: give a finite number above 0")
+    if not (isinstance(limit_s, int | float | np.number) and math.isfinite(limit_s) and limit_s > 0.0):
+        raise InputError(f"simulated time is {limit_s!r} s: give a finite number above 0")
 
 
 def run_in_pool(

@@ -58,7 +58,7 @@ random number from 0 to 1, drawn anew for each stroke or fix.
 LONG_AGO_S = 1e3
 """How long ago a limb fired that has not fired yet."""
 
-_KEYS = ("value", "unit", "low", "high", "nominal", "about", "step")
+_KEYS = ("value", "unit", "low", "high", "nominal", "about", "step", "tolerance")
 
 
 class Law(Effect):
@@ -266,7 +266,9 @@ def _parameter(name: str, given: Mapping[str, Any]) -> Parameter:
             + (f"has {wrong[0]!r}{nearest_name(wrong[0], _KEYS)}" if wrong else "has no unit")
             + f": give {', '.join(_KEYS)}"
         )
-    numbers = {key: given[key] for key in ("value", "low", "high", "nominal", "step") if key in given}
+    numbers = {
+        key: given[key] for key in ("value", "low", "high", "nominal", "step", "tolerance") if key in given
+    }
     for key, number in numbers.items():
         if isinstance(number, bool) or not isinstance(number, int | float) or not np.isfinite(number):
             raise InputError(f"a law's parameter {name!r}: {key} is {number!r}, needed is a finite number")
@@ -278,8 +280,9 @@ def _parameter(name: str, given: Mapping[str, Any]) -> Parameter:
         raise InputError(
             f"a law's parameter {name!r}: {low:g} to {high:g} with nominal {nominal:g} are no bounds"
         )
-    step = float(numbers.get("step", 0.0))
-    return Parameter(name, str(given["unit"]), low, high, nominal, str(given.get("about", "")), step)
+    step, tolerance = (float(numbers.get(key, 0.0)) for key in ("step", "tolerance"))
+    about = str(given.get("about", ""))
+    return Parameter(name, str(given["unit"]), low, high, nominal, about, step, tolerance=tolerance)
 
 
 def _check_value(parameter: Parameter, value: object) -> None:

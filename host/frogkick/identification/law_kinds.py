@@ -44,6 +44,8 @@ class Kind:
         for name, (unit, low, high, step) in {**self.strengths, **self.shapes}.items():
             nominal = 0.0 if name in self.strengths else low
             declared[name] = {"unit": unit, "low": low, "high": high, "nominal": nominal, "step": step}
+            if name == "at":  # between two strokes any moment is the same
+                declared[name]["tolerance"] = 0.5 * step
         table = {"name": "law", "title": self.title, **self.table, "parameters": declared}
         law = Law(**{key: value for key, value in table.items() if key != "name"})  # type: ignore[arg-type]
         values = tuple(float(shape.get(p.name, 0.0)) for p in law.parameters)

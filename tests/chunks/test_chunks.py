@@ -121,7 +121,7 @@ def test_without_distributed_the_hint_is_one_line(
 def test_workers_and_cluster_exclude_each_other(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     options = ["sweep", "--out", str(tmp_path / "x"), "--cluster", "127.0.0.1:8786", "--workers", "2"]
     assert run_command(options) == 2
-    assert "give one of them" in capsys.readouterr().err
+    assert "give only one of the two" in capsys.readouterr().err
 
 
 def test_distributed_is_loaded_only_when_asked_for() -> None:

@@ -96,7 +96,7 @@ def test_a_robot_that_cannot_move_gives_up() -> None:
     """Its limbs are dead: no decision gets it any further."""
     port = rig.port("pool")
     pool = Pool(rig.robot(), (0.0, 0.0, 0.0), Camera(), np.random.default_rng(0))
-    pool.heat = lambda limb, time_s: None
+    pool.actuate = lambda limb, time_s: None
     options = RunOptions(robot_plan_config(rig.robot()), True, LIMIT_S)
     recording = run_in_pool(port, pool, rig.tables(), STRAIGHT, options)
     assert (recording.completed, recording.ended) == (False, End.STALLED.value)

@@ -70,6 +70,13 @@ def kinds_of(robot: Robot, swims: Sequence[Segments]) -> list[Kind]:
     cycles = [{"cycle": float(c)} for c in np.geomspace(1.5 * period_s, max(end_s, 8.0 * period_s), 30)]
     cycle: Numbers = {"cycle": ("s", 0.5, 2.0 * end_s, 0.05)}
     sine, cosine = (f"{part}(6.283185307 * time_s / cycle)" for part in ("sin", "cos"))
+
+    def swinging(title: str, on: str, key: str, strength: tuple[str, float, float, float]) -> Kind:
+        """Along both axes of the pool, each with a phase of its own."""
+        formulas = {f"{axis}_{key}": f"{axis}_sine * {sine} + {axis}_cosine * {cosine}" for axis in "xy"}
+        strengths = {f"{axis}_{part}": strength for axis in "xy" for part in ("sine", "cosine")}
+        return Kind(title, {"on": on, **formulas}, strengths, cycle, cycles)
+
     kinds = [
         Kind(
             "spring",
@@ -115,20 +122,7 @@ def kinds_of(robot: Robot, swims: Sequence[Segments]) -> list[Kind]:
             {},
             [{}],
         ),
-        Kind(
-            "gusts",
-            {
-                "on": "wrench",
-                **{f"{axis}_n": f"{axis}_sine * {sine} + {axis}_cosine * {cosine}" for axis in ("x", "y")},
-            },
-            {
-                f"{axis}_{part}": ("N", -0.05, 0.05, 1e-3)
-                for axis in ("x", "y")
-                for part in ("sine", "cosine")
-            },
-            cycle,
-            cycles,
-        ),
+        swinging("gusts", "wrench", "n", ("N", -0.05, 0.05, 1e-3)),
         Kind(
             "push from a moment on",
             {"on": "wrench", "x_n": "push_x * (time_s > at)", "y_n": "push_y * (time_s > at)"},
@@ -136,20 +130,7 @@ def kinds_of(robot: Robot, swims: Sequence[Segments]) -> list[Kind]:
             when,
             whens,
         ),
-        Kind(
-            "sloshing",
-            {
-                "on": "flow",
-                **{f"{axis}_mps": f"{axis}_sine * {sine} + {axis}_cosine * {cosine}" for axis in ("x", "y")},
-            },
-            {
-                f"{axis}_{part}": ("m/s", -0.1, 0.1, 2e-3)
-                for axis in ("x", "y")
-                for part in ("sine", "cosine")
-            },
-            cycle,
-            cycles,
-        ),
+        swinging("sloshing", "flow", "mps", ("m/s", -0.1, 0.1, 2e-3)),
         Kind(
             "flow that grows with place",
             {"on": "flow", **{f"{a}_mps": f"{a}_by_x * x_m + {a}_by_y * y_m" for a in ("x", "y")}},

@@ -124,7 +124,8 @@ def test_answers_add_up_to_what_a_simulation_says(folder: Path) -> None:
 def test_every_kind_is_a_law_that_a_robot_s_file_can_have() -> None:
     swims = [make_swim([], 1, 8)]
     kinds = kinds_of(robot(), swims)
-    assert len({(kind.title, kind.table.get("limb")) for kind in kinds}) == len(kinds) == 51  # as the documentation says
+    assert len({(kind.title, kind.table.get("limb")) for kind in kinds}) == len(kinds)
+    assert len(kinds) == 51, "explanation/identification.md says so"
     for kind in kinds:
         term = kind.term(kind.grid[0])
         term.effect().check(robot())

@@ -262,7 +262,7 @@ def discretisation_shift(fitted: Fitted, swims: Sequence[Segments], rows: NDArra
 def intervals(
     fitted: Fitted, rows: NDArray[np.bool_] | None = None, bias: FloatArray | None = None
 ) -> list[list[Interval]]:
-    """Intervals of each term's parameters: jointly they contain the true values with CONFIDENCE (Bonferroni).
+    """Intervals of each term's parameters: each contains its true value with probability CONFIDENCE.
 
     Args:
         fitted: a model at its best, with derivatives by all its parameters.
@@ -275,10 +275,9 @@ def intervals(
     if not width:
         return []
     deviation = standard_errors(fitted.residuals, fitted.jacobian, fitted.model.range, _runs_of(fitted, rows))
-    freedom = max(len(fitted.residuals) - width, 1)
+    wide = stats.t.ppf(0.5 + 0.5 * CONFIDENCE, max(len(fitted.residuals) - width, 1))
     found, first = [], 0
     for term in fitted.model.terms:
-        wide = stats.t.ppf(0.5 + 0.5 * (1.0 - (1.0 - CONFIDENCE) / len(term.values)), freedom)
         row = []
         for k, (parameter, value) in enumerate(zip(term.parameters, term.values, strict=True)):
             steps = 0.0 if bias is None else bias[first + k]

@@ -198,8 +198,8 @@ def _effects(outcome: Outcome) -> Section:
             index += 1
     text = [
         "These effects are terms of the simulator with physical parameters. They are written into the "
-        "robot's file, from which a new library and new tables are made. The intervals hold all fitted "
-        "parameters of an effect jointly with 95 percent.",
+        "robot's file, from which a new library and new tables are made. Each interval contains the true "
+        "value with 95 percent probability.",
         "Share of bootstrap samples of the training runs (blocks of periods with replacement) in which each "
         "effect was accepted: "
         + ", ".join(

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import sys
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -14,7 +15,7 @@ from made import make_swim, robot
 
 from frogkick.core.errors import InputError
 from frogkick.effects import make_effects
-from frogkick.identification import predict
+from frogkick.identification import batching, predict
 from frogkick.identification.batching import cpu_s, run_concurrently
 from frogkick.identification.filter import Noise
 from frogkick.identification.fit import LEG_S, Model, rollouts_of
@@ -84,6 +85,44 @@ def test_who_swims_beside_a_lane_makes_no_difference(
         assert np.isfinite(alone.predicted).any()
         assert np.array_equal(together.predicted, alone.predicted, equal_nan=True)
         assert np.array_equal(together.difference, alone.difference)
+
+
+LAW = {
+    "name": "law",
+    "on": "wrench",
+    "forward_n": "push * x_m / far",
+    "parameters": {
+        "push": {"value": 1e-3, "unit": "N", "low": -0.1, "high": 0.1},
+        "far": {"value": 1.0, "unit": "m", "low": 0.5, "high": 2.0},
+    },
+}
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="elsewhere one process does it all")
+def test_parts_on_several_processors_are_what_one_would_make(
+    swim: Segments, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """More lanes than a batch is wide, of two bodies, one with a formula, which no other process is sent."""
+    heavy = {"name": "mass_scale", "frame": 1.3}
+    worlds = [[], [heavy], [LAW]] + [[{"name": "steady_current", "x_mps": 1e-3 * k}] for k in range(8)]
+    lanes = [Lane(swim, robot(), tuple(make_effects(world, Path())), NOISE, LEG_S) for world in worlds]
+    here = predict.roll_out(lanes)
+    processes = set[int]()
+    whole = batching.run_chunks
+
+    def counted(*args: Any) -> Iterator[Any]:
+        for part in whole(*args):
+            processes.add(part[0])
+            yield part
+
+    monkeypatch.setattr(batching, "_processors", lambda: 3)
+    monkeypatch.setattr(batching, "run_chunks", counted)
+    there = batching.roll_out(lanes)
+    assert processes == {0, 1, 2}
+    for one, other in zip(here, there, strict=True):
+        assert np.isfinite(one.predicted).any()
+        assert np.array_equal(one.residuals, other.residuals, equal_nan=True)
+        assert np.array_equal(one.difference, other.difference)
 
 
 def test_work_that_waits_for_a_thread_is_done_too(swim: Segments) -> None:

@@ -1,13 +1,18 @@
-"""Several identifications in one process, whose simulations share batches.
+"""Rollouts of many runs: on all processors, or in batches that several identifications share.
+
+A lane's result depends on no other lane, to the last bit. So a request of more lanes than a batch is wide is
+cut in parts, one for each processor.
 
 An identification mostly simulates a few runs at a time, and idle lanes of a batch cost as much as busy ones.
-So several identifications run concurrently, each in its own thread. When all of them wait for a simulation,
-their requests are rolled out together. A lane's result depends on no other lane, to the last bit, so each
-identification ends with what it would end with alone.
+Where there are several identifications, they run concurrently, each in its own thread. When all of them wait
+for a simulation, their requests are rolled out together. Each ends with what it would end with alone.
 """
 
 from __future__ import annotations
 
+import multiprocessing
+import os
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -15,6 +20,8 @@ from contextvars import ContextVar
 from dataclasses import dataclass, field
 from typing import TypeVar, cast
 
+from frogkick import der
+from frogkick.core.chunks import Job, run_chunks
 from frogkick.identification import predict
 from frogkick.identification.predict import Lane, Rollout
 
@@ -25,9 +32,57 @@ THREADS_MAX = 8
 
 
 def roll_out(lanes: Sequence[Lane]) -> list[Rollout]:
-    """Roll out runs as ``predict.roll_out`` does, together with those of other threads."""
+    """Roll out runs as ``predict.roll_out`` does, with those of other threads or on all processors."""
     rendezvous = _RENDEZVOUS.get()
-    return predict.roll_out(lanes) if rendezvous is None else rendezvous.roll_out(lanes)
+    if rendezvous is not None:
+        return rendezvous.roll_out(lanes)
+    parts = _parts(lanes, _processors())
+    if len(parts) < 2:
+        return predict.roll_out(lanes)
+    # The processes are forks, which have the lanes already: a formula could not be sent to them.
+    job = Job(_Parts, (lanes,), _Parts.roll_out, lambda _parts: None)
+    rollouts: dict[int, Rollout] = {}
+    for part, some in run_chunks(job, parts, len(parts)):
+        rollouts.update(zip(parts[part], some, strict=True))
+    return [rollouts[index] for index in range(len(lanes))]
+
+
+def _processors() -> int:
+    """Processors that may be used; one in a worker process, and where processes cannot be forked."""
+    if sys.platform != "linux" or multiprocessing.parent_process() is not None:
+        return 1
+    return len(os.sched_getaffinity(0))
+
+
+def _parts(lanes: Sequence[Lane], count: int) -> list[list[int]]:
+    """Indices of lanes in at most ``count`` parts that take about equally long."""
+    if count < 2 or len(lanes) <= der.WIDTH:
+        return [list(range(len(lanes)))]
+    pieces: list[tuple[float, list[int]]] = []
+    for indices, _ in predict.lanes_by_body(lanes):
+        indices.sort(key=lambda index: -len(lanes[index].swim.start_s))
+        cuts = count if len(indices) > der.WIDTH else 1  # part of a batch takes as long as a full one
+        for piece in (indices[first::cuts] for first in range(cuts)):
+            batches = -(-len(piece) // der.WIDTH)
+            pieces.append((batches * len(lanes[piece[0]].swim.start_s), piece))
+    parts: list[list[int]] = [[] for _ in range(count)]
+    times = [0.0] * count
+    for periods, piece in sorted(pieces, key=lambda each: -each[0]):
+        part = times.index(min(times))
+        times[part] += periods
+        parts[part] += piece
+    return [part for part in parts if part]
+
+
+@dataclass(frozen=True, eq=False)
+class _Parts:
+    """The lanes of a request, of which each process rolls out a part."""
+
+    lanes: Sequence[Lane]
+
+    def roll_out(self, part: Sequence[int]) -> list[Rollout]:
+        """Roll out the lanes with these indices."""
+        return predict.roll_out([self.lanes[index] for index in part])
 
 
 def cpu_s() -> float:

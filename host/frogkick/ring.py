@@ -9,7 +9,6 @@ import dataclasses
 import os
 import time
 from collections.abc import Callable, Sequence
-from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -23,6 +22,7 @@ from frogkick.effects.registry import make_effects
 from frogkick.identification.outcome import Outcome, identify, write_robot
 from frogkick.identification.retune import steps
 from frogkick.identification.segments import read_segments
+from frogkick.identification.tables import Stage
 from frogkick.library import build_library, quantise, read_library
 from frogkick.paths import SHAPES
 from frogkick.pool.virtual_robot import VirtualRobot
@@ -39,9 +39,6 @@ from frogkick.runs.trial import Trial, swim
 from frogkick.tables.image import Tables, read_image
 from frogkick_codegen.emit import emit
 from frogkick_codegen.firmware import Build, build
-
-Bar = Callable[[str], AbstractContextManager[Callable[[int, int], None]]]
-"""Makes a progress bar with a title; inside it is a function of (done, all)."""
 
 HELD_OUT = "bends"
 """The path that nothing is learned from."""
@@ -134,7 +131,7 @@ def go_round(
     states: int,
     depth: int,
     seed: int,
-    bar: Bar,
+    bar: Stage,
     paths: Sequence[str] = tuple(SHAPES),
     time_limit_s: float = 120.0,
 ) -> Ring:
@@ -193,7 +190,7 @@ def plant(robot: Robot, seed: int) -> dict[str, Any]:
     return {"name": "limb_wear", "limb": limb, "gain": round(float(rng.uniform(0.6, 0.8)), 3)}
 
 
-def close(ring: Ring, out: Path, seed: int, bar: Bar, held_out: str = HELD_OUT) -> None:
+def close(ring: Ring, out: Path, seed: int, bar: Stage, held_out: str = HELD_OUT) -> None:
     """Let a limb wear, find it from logs alone, make tables and firmware that know it, swim again.
 
     Args:
@@ -255,7 +252,7 @@ def close(ring: Ring, out: Path, seed: int, bar: Bar, held_out: str = HELD_OUT) 
     ring.closing = Closing(planted, outcome, old[:-1], new)
 
 
-def make_tables(robot: Robot, out: Path, states: int, seed: int, bar: Bar, title: str) -> Path:
+def make_tables(robot: Robot, out: Path, states: int, seed: int, bar: Stage, title: str) -> Path:
     """Simulate ``library.h5`` in a folder and quantise it to ``tables.fkt`` beside it.
 
     Raises:

@@ -135,7 +135,10 @@ def test_effects_that_do_the_same_are_named_together() -> None:
         for seed, row in ((41, "ABCDEFABCDE"), (42, "FEDCBAFEDCB"))
     ]
     rivals = [term("group_loss"), term("group_gain rear")]
-    found = search(swims, robot(), rivals)
+    said = list[str]()
+    found = search(swims, robot(), rivals, lambda *stage: said.extend(stage[3:]))
+    assert said[0] in ("trying group_gain rear, group_loss", "trying group_loss, group_gain rear")
+    assert said[1].removeprefix("refining ") in ("group_gain rear", "group_loss")
     named = [found.fitted.model.terms[0].title, *found.confounded_with[0]]
     assert sorted(named) == ["group_gain rear", "group_loss"]
 

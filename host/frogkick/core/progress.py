@@ -24,6 +24,17 @@ class Tell(Protocol):
         """So much is done, and a word on how it goes."""
 
 
+class TellStage(Protocol):
+    """What shows the progress of work in several stages."""
+
+    def __call__(self, stage: str, done: int, whole: int, /, note: str = "") -> None:
+        """So much of a stage is done, and a word on how it goes."""
+
+
+def silent(_stage: str, _done: int, _whole: int, /, note: str = "") -> None:
+    """Show nothing."""
+
+
 @contextmanager
 def progress_bar(title: str) -> Iterator[Tell]:
     """A bar on stderr; yields a function of (done, all). Without a terminal: a line at each tenth."""
@@ -68,12 +79,15 @@ def progress_bar(title: str) -> Iterator[Tell]:
 
 
 @contextmanager
-def shown(progress: Progress, title: str) -> Iterator[Callable[[int, int], None]]:
+def shown(progress: Progress, title: str) -> Iterator[Tell]:
     """What long work calls with (done, all): a bar under a title, nothing, or the caller's own function."""
     if progress is True:
         with progress_bar(title) as tell:
             yield tell
-    elif progress is False:
-        yield lambda _done, _whole: None
-    else:
-        yield progress
+        return
+
+    def hand_on(done: int, whole: int, /, note: str = "") -> None:
+        if progress is not False:
+            progress(done, whole)
+
+    yield hand_on

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from frogkick.core.errors import FrogkickError, InputError
 from frogkick.core.files import require_writable
 from frogkick.core.poses import PredictionError
-from frogkick.core.progress import Progress, shown
+from frogkick.core.progress import Progress, Tell, shown
 from frogkick.effects import World, effects_of
 from frogkick.front.html import page_of
 from frogkick.front.identifying import Given, LeftOut, Outcome, segments_of_given
@@ -171,7 +171,7 @@ def retune(
     old = None if table is None else _carried(table, described)
     tools = _Tools(states, seed, workers or os.cpu_count() or 1)
 
-    def stage(title: str) -> AbstractContextManager[Callable[[int, int], None]]:
+    def stage(title: str) -> AbstractContextManager[Tell]:
         return shown(progress, title)
 
     found = retuning.retune(swims, described, folder, tools, stage, old)

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from frogkick.core.files import require_writable
-from frogkick.core.progress import Progress, shown
+from frogkick.core.progress import Progress, Tell, shown
 from frogkick.front.places import plan_config
 from frogkick.robot import Robot, load_robot
 from frogkick_codegen.firmware import require_tools
@@ -99,7 +98,7 @@ def demonstrate(
     from frogkick.report.ring_page import write_ring_report
     from frogkick.ring import close, go_round
 
-    def bar(title: str) -> AbstractContextManager[Callable[[int, int], None]]:
+    def bar(title: str) -> AbstractContextManager[Tell]:
         return shown(progress, title)
 
     levels = plan_config(described, "robot", depth).depth

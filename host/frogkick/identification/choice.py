@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from frogkick.core.poses import PredictionError
+from frogkick.core.progress import TellStage
 from frogkick.identification.backward import stability, superfluous_term, without
 from frogkick.identification.calibrated import (
     best_end_deviance,
@@ -25,8 +26,6 @@ from frogkick.identification.segments import Segments, part_of
 from frogkick.identification.terms import Term, catalogue
 from frogkick.identification.verdict import FOUND, NOTHING, Scored, scored, verdict_of
 from frogkick.robot import Robot
-
-Progress = Callable[[str, int, int], None]
 
 STABLE = 0.8
 """Share of resamples of the training runs in which an effect must be selected to be named."""
@@ -47,7 +46,7 @@ def found_in(
     train: Sequence[Segments],
     robot: Robot,
     candidates: Sequence[Term],
-    progress: Progress,
+    progress: TellStage,
     measured: bool = True,
 ) -> Found:
     """The result of a search, or the effects of a calibrated robot of the same body, fitted to these runs.
@@ -86,7 +85,7 @@ def found_in(
     return relative if end_deviance(relative.fitted.rollouts, train) + dear < searched else found
 
 
-def discovered(found: Found, train: Sequence[Segments], robot: Robot, progress: Progress) -> Found:
+def discovered(found: Found, train: Sequence[Segments], robot: Robot, progress: TellStage) -> Found:
     """Search laws as well as the catalogue, where the catalogue leaves more than noise.
 
     The result with laws is taken where its deviance at the ends of periods is less, penalised by its number
@@ -114,7 +113,7 @@ def _relative(
     baseline: Baseline,
     known: Sequence[Sequence[Term]],
     train: Sequence[Segments],
-    progress: Progress,
+    progress: TellStage,
     measured: bool = True,
 ) -> Found | None:
     """The calibrated start that fits best; None where all explain too little for their number of effects."""
@@ -133,7 +132,7 @@ def _search_in_part(
     train: Sequence[Segments],
     robot: Robot,
     candidates: Sequence[Term],
-    progress: Progress,
+    progress: TellStage,
 ) -> Found:
     """A search in a part of the periods, the same share of each run; its result is fitted to all of them."""
     _, rows, nominal = baseline
@@ -145,7 +144,7 @@ def _search_in_part(
     return Found(nominal, fitted, found.iterations, rows, found.confounded_with, rivals=found.rivals)
 
 
-def pruned(found: Found, train: Sequence[Segments], progress: Progress) -> Found:
+def pruned(found: Found, train: Sequence[Segments], progress: TellStage) -> Found:
     """The result without effects that are superfluous or unstable in the training runs.
 
     Backward elimination, one effect at a time; the test runs have no part in it. An effect is superfluous if

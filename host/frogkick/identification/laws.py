@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from frogkick.core.progress import TellStage, silent
 from frogkick.effects import Body, Effect, History, Stroke
 from frogkick.identification.batching import roll_out
 from frogkick.identification.fit import Fitted, Model, coarsened, residuals_of
@@ -194,7 +195,7 @@ def screened(
     swims: Sequence[Segments],
     rows: NDArray[np.bool_],
     robot: Robot,
-    progress: Callable[[str, int, int], None] = lambda _what, _done, _whole: None,
+    progress: TellStage = silent,
 ) -> tuple[list[Column], list[FloatArray]]:
     """The best of each kind of law, and derivatives of all that were screened.
 

@@ -17,7 +17,8 @@ import numpy as np
 from frogkick.core.errors import InputError
 from frogkick.core.files import write_text
 from frogkick.core.poses import PredictionError, wrap_angle
-from frogkick.identification.choice import Progress, discovered, found_in, pruned
+from frogkick.core.progress import TellStage, silent
+from frogkick.identification.choice import discovered, found_in, pruned
 from frogkick.identification.diagnostics import residual_diagnostics
 from frogkick.identification.drift import Drift, drift_of
 from frogkick.identification.experiment import Experiment, experiment_of
@@ -185,7 +186,7 @@ def identify(
     test: Sequence[Segments],
     robot: Robot,
     own: Path | None = None,
-    progress: Progress = lambda _what, _done, _whole: None,
+    progress: TellStage = silent,
     measured: bool = True,
     laws: bool = False,
 ) -> Outcome:
@@ -195,7 +196,7 @@ def identify(
         train, test: runs to learn from, runs to predict.
         robot: nominal.
         own: a file of the user's own effects.
-        progress: called with a stage, steps done and to do.
+        progress: called with a stage, steps done and to do, and what is being tried.
         measured: a fit may start from the values of calibrated built-in robots; without, only from their
             choice of effects, at nominal values. See frogkick.identification.calibrated.
         laws: search formulas as well where the catalogue leaves more than noise. See

@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 import shutil
 import tempfile
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from frogkick.core.errors import InputError
 from frogkick.core.files import write_bytes
 from frogkick.core.poses import PredictionError
+from frogkick.core.progress import Tell, TellStage
 from frogkick.effects import Effect
 from frogkick.identification.horizons import Horizon
 from frogkick.identification.outcome import Outcome, identify, write_robot
@@ -269,17 +270,17 @@ def _check_periods(swims: Sequence[Segments], robot: Robot) -> None:
 
 
 @contextmanager
-def steps(stage: Stage) -> Iterator[Callable[[str, int, int], None]]:
-    """A function of (what, done, all) that begins a stage with each new ``what``."""
+def steps(stage: Stage) -> Iterator[TellStage]:
+    """What begins a stage of ``stage`` with each new name."""
     with ExitStack() as begun:
-        shown: dict[str, Callable[[int, int], None]] = {}
+        shown: dict[str, Tell] = {}
 
-        def tell(what: str, done: int, whole: int) -> None:
-            if what not in shown:
+        def tell(name: str, done: int, whole: int, /, note: str = "") -> None:
+            if name not in shown:
                 begun.close()
                 shown.clear()
-                shown[what] = begun.enter_context(stage(f"identify: {what}"))
-            shown[what](done, whole)
+                shown[name] = begun.enter_context(stage(f"identify: {name}"))
+            shown[name](done, whole, note)
 
         yield tell
 

@@ -10,11 +10,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from frogkick.core.errors import InputError
+from frogkick.core.progress import TellStage, silent
 from frogkick.identification.backward import resolve_equivalent, revise, with_term_at
 from frogkick.identification.bootstrap import gain_by_chance
 from frogkick.identification.filter import Noise
@@ -158,7 +160,7 @@ def search(
     swims: Sequence[Segments],
     robot: Robot,
     candidates: Sequence[Term],
-    progress: Callable[[str, int, int], None] = lambda _what, _done, _whole: None,
+    progress: TellStage = silent,
     baseline: Baseline | None = None,
     most: int = MOST,
     columns: Sequence[Column] | None = None,
@@ -188,10 +190,11 @@ def search(
     current, iterations = nominal, list[list[CandidateScore]]()
     confounded, runners_up, single_effect_fits = list[list[Term]](), list[list[Fitted]](), list[Fitted]()
     for iteration in range(most):
-        progress("effects", iteration, most)
-        taken, tried, rivals, fits = selection.iterate(current)
+        tell = partial(progress, "effects", iteration, most)
+        taken, tried, rivals, fits = selection.iterate(current, tell)
         single_effect_fits = single_effect_fits or fits
         if taken is not None:
+            tell(f"refining {taken.model.terms[-1].title}")
             refined = refiner.refined(taken)
             current, others = selection.simplest_of(refined, rivals)
             if current is not refined:
@@ -248,7 +251,7 @@ class _ForwardSelection:
     """Sensitivities that the candidates were picked from: they count in what the best gains by chance."""
 
     def iterate(
-        self, current: Fitted
+        self, current: Fitted, tell: Callable[[str], None]
     ) -> tuple[Fitted | None, list[CandidateScore], list[Fitted], list[Fitted]]:
         """The model with one more effect, or None; all scores; models nearly as good; all fitted models."""
         screened = self.screen_all(current)
@@ -261,6 +264,7 @@ class _ForwardSelection:
                 break
             if all(candidate.column.term.title != other.column.term.title for other in picked):
                 picked.append(candidate)
+        tell(f"trying {', '.join(each.column.term.title for each in picked) or 'none'}")
         known = len(current.model.values)
         starts = []
         for candidate in picked:

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from frogkick.core.poses import PredictionError, compose, wrap_angle
+from frogkick.core.progress import Tell
 from frogkick.effects import Effect, Fix
 from frogkick.identification.horizons import HORIZONS, Horizon
 from frogkick.identification.outcome import Outcome
@@ -33,8 +34,8 @@ PERIOD_OFF = 0.1
 
 _RNG = np.random.default_rng(0)
 
-Stage = Callable[[str], AbstractContextManager[Callable[[int, int], None]]]
-"""Begins a stage of the work by its title; yields a function of (done, all)."""
+Stage = Callable[[str], AbstractContextManager[Tell]]
+"""Begins a stage of the work by its title."""
 
 
 @dataclass(frozen=True)

@@ -30,8 +30,3 @@ def codegen(
     show(
         {"out": str(out), "files": files}, json, "\n".join(f"{files[name]}  {name}" for name in sorted(files))
     )
-
-
-def register(app: typer.Typer) -> None:
-    """Add the command."""
-    app.command()(codegen)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import enum
 import json
 import math
 import os
@@ -17,6 +18,22 @@ from frogkick.core.chunks import check_cluster
 from frogkick.core.errors import InputError
 from frogkick.core.files import atomic_path
 
+
+class PlanWhere(enum.StrEnum):
+    """The place where decisions are made."""
+
+    onboard = "onboard"
+    host = "host"
+    both = "both"
+
+
+class PlannerName(enum.StrEnum):
+    """The planner whose weights and depth are used."""
+
+    robot = "robot"
+    paper = "paper"
+
+
 JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else.")]
 SeedOption = Annotated[
     int,
@@ -28,6 +45,47 @@ ClusterOption = Annotated[
         "--cluster",
         metavar="ADDRESS",
         help="Compute on this Dask scheduler, such as tcp://host:8786, instead of on this computer.",
+    ),
+]
+
+TablesOption = Annotated[
+    Path | None,
+    typer.Option(help="Table image (.fkt); default: one that is made from a small library on first use."),
+]
+PlannerOption = Annotated[
+    PlannerName,
+    typer.Option(
+        help="Weights and depth of the planner. robot: those of its TOML file; paper: 500, 50, 300, 0.3 and "
+        "depth 1."
+    ),
+]
+DepthOption = Annotated[
+    int | None, typer.Option(min=1, max=4, help="Search depth in strokes; default: the planner's own.")
+]
+KeyOption = Annotated[
+    Path | None,
+    typer.Option(
+        help="Key file of a real robot that has an owner; default: the user's own, see 'frogkick own'."
+    ),
+]
+TargetOption = Annotated[
+    str, typer.Option("--robot", metavar="TARGET", help="ble:NAME, ble:ADDRESS or serial:PORT[:BAUD].")
+]
+WorkersOption = Annotated[
+    int, typer.Option("--workers", min=0, max=256, help="Number of processes; 0: one for each core.")
+]
+RobotArgument = Annotated[str, typer.Argument(help="TOML file or built-in name.")]
+RobotFileOption = Annotated[str, typer.Option("--robot", "--model", help="TOML file or built-in name.")]
+ModelOption = Annotated[
+    str | None,
+    typer.Option("--robot", "--model", help="Robot TOML file or built-in name; default: the table's robot."),
+]
+NominalOption = Annotated[
+    str | None,
+    typer.Option(
+        "--robot",
+        "--model",
+        help="Nominal robot, as TOML file or built-in name; default: the robot of the runs.",
     ),
 ]
 

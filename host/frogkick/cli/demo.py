@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from frogkick.cli.common import JsonOption, SeedOption, show
-from frogkick.cli.options import DepthOption, RobotFileOption
+from frogkick.cli.common import DepthOption, JsonOption, RobotFileOption, SeedOption, show
 
 if TYPE_CHECKING:
     from frogkick.front.ring import Demonstration
@@ -58,8 +57,3 @@ def _closing_lines(done: Demonstration) -> list[str]:
             f"firmware, {1e3 * closing.distance_m(closing.new):.1f} mm with the new"
         )
     return lines
-
-
-def register(app: typer.Typer) -> None:
-    """Add the command."""
-    app.command()(demo)

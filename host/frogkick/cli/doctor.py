@@ -44,8 +44,3 @@ def doctor(json: JsonOption = False) -> None:
     if not found.ready:
         print("frogkick: doctor found something missing", file=sys.stderr)
         raise typer.Exit(1)
-
-
-def register(app: typer.Typer) -> None:
-    """Add the command."""
-    app.command()(doctor)

@@ -9,8 +9,7 @@ from typing import Annotated
 import typer
 
 import frogkick as fk
-from frogkick.cli.common import JsonOption, WholeLines, show
-from frogkick.cli.options import TablesOption
+from frogkick.cli.common import JsonOption, ModelOption, TablesOption, WholeLines, show
 from frogkick.core.files import require_writable
 
 app = typer.Typer(
@@ -25,17 +24,11 @@ class Target(enum.StrEnum):
     native = "native"
 
 
-RobotOption = Annotated[
-    str | None,
-    typer.Option("--robot", "--model", help="Robot TOML file or built-in name; default: the table's robot."),
-]
-
-
 @app.command()
 def build(
     tables: Annotated[Path, typer.Option(help="Table image (.fkt).")],
     target: Annotated[Target, typer.Option(help="bench: nRF52832; native: this computer.")] = Target.bench,
-    robot: RobotOption = None,
+    robot: ModelOption = None,
     out: Annotated[Path, typer.Option(help="Folder for the results.")] = Path("firmware-build"),
     json: JsonOption = False,
 ) -> None:
@@ -48,7 +41,7 @@ def build(
 @app.command()
 def size(
     tables: TablesOption = None,
-    robot: RobotOption = None,
+    robot: ModelOption = None,
     json: JsonOption = False,
 ) -> None:
     """Measure flash, RAM and stack of the bench image.
@@ -67,7 +60,7 @@ def flash(
         typer.Option(help="Intel HEX file (bench.hex of 'firmware build'); default: built from --tables."),
     ] = None,
     tables: TablesOption = None,
-    robot: RobotOption = None,
+    robot: ModelOption = None,
     probe: Annotated[
         str | None, typer.Option(help="Serial number of the debug probe, if several are plugged in.")
     ] = None,
@@ -83,7 +76,7 @@ def flash(
 @app.command("test")
 def try_out(
     tables: TablesOption = None,
-    robot: RobotOption = None,
+    robot: ModelOption = None,
     json: JsonOption = False,
 ) -> None:
     """Boot the image on the virtual chip and test every command, stroke and limit."""

@@ -9,8 +9,7 @@ import typer
 from typer.core import TyperCommand
 
 import frogkick as fk
-from frogkick.cli.common import JsonOption, say_left_out, show
-from frogkick.cli.options import NominalOption
+from frogkick.cli.common import JsonOption, NominalOption, say_left_out, show
 from frogkick.core.files import require_writable
 
 if TYPE_CHECKING:
@@ -107,7 +106,7 @@ def command(
     show(found.as_json(), json, _text(found.outcome))
 
 
-class _ManyRuns(TyperCommand):
+class Command(TyperCommand):
     """A command whose --train and --test take several runs: ``--train a b`` is ``--train a --train b``."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
@@ -126,8 +125,3 @@ def spread(args: list[str]) -> list[str]:
         flat += [argument] if first or not option else [option, argument]
         first = False
     return flat
-
-
-def register(app: typer.Typer) -> None:
-    """Add the command."""
-    app.command(name="identify", cls=_ManyRuns)(command)

@@ -10,7 +10,17 @@ from typing import Annotated
 import typer
 
 import frogkick as fk
-from frogkick.cli.common import ClusterOption, JsonOption, SeedOption, WholeLines, say, share_out, show
+from frogkick.cli.common import (
+    ClusterOption,
+    JsonOption,
+    RobotArgument,
+    SeedOption,
+    WholeLines,
+    WorkersOption,
+    say,
+    share_out,
+    show,
+)
 from frogkick.core.files import require_writable
 
 RECORD_S = 5.0
@@ -31,12 +41,10 @@ class Sampling(enum.StrEnum):
 
 @app.command()
 def build(
-    robot: Annotated[str, typer.Argument(help="TOML file or built-in name.")] = "frog2022",
+    robot: RobotArgument = "frog2022",
     states: Annotated[int, typer.Option(min=1, max=65535, help="Number of initial velocities.")] = 300,
     out: Annotated[Path, typer.Option(help="HDF5 file to write.")] = Path("lib.h5"),
-    workers: Annotated[
-        int, typer.Option(min=0, max=256, help="Number of processes; 0: one for each core.")
-    ] = 0,
+    workers: WorkersOption = 0,
     sampling: Annotated[
         Sampling,
         typer.Option(

@@ -1,4 +1,4 @@
-"""``frogkick log``: show and compare runs; ``frogkick export``: write them for other programs."""
+"""``frogkick log``: show and compare runs; ``export`` and ``import``: for and from other programs."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Annotated, Any
 import typer
 
 import frogkick as fk
-from frogkick.cli.common import JsonOption, short, show, text_lines, write_picture
+from frogkick.cli.common import JsonOption, say, short, show, text_lines, write_picture
 from frogkick.core.errors import InputError
 from frogkick.core.files import require_writable
 from frogkick.core.progress import progress_bar
@@ -121,8 +121,22 @@ def _lines(values: Mapping[str, Any]) -> str:
     return "\n".join(text_lines(facts))
 
 
-def register(app: typer.Typer) -> None:
-    """Add the commands."""
-    app.command(name="show")(show_)
-    app.command()(compare)
-    app.command()(export)
+def import_(
+    data_dir: Annotated[
+        Path,
+        typer.Argument(help="Folder of recorded runs and their paths, such as line1.csv and linep1.csv."),
+    ],
+    out: Annotated[Path, typer.Option(help="Folder for the logs.")],
+    json: JsonOption = False,
+) -> None:
+    """Read recorded runs, repair or mark their faults, and write logs. No data is invented."""
+    from frogkick.front.running import import_runs
+
+    runs = import_runs(data_dir, out, progress=True)
+    columns = list(dict.fromkeys(c for row in runs for c in row if c not in ("clock_notes", "skipped")))
+    lines = ["  ".join(columns)] + ["  ".join(short(row.get(c)) for c in columns) for row in runs]
+    lines += [f"{row['run']}: skipped, {row['skipped']}" for row in runs if "skipped" in row]
+    for row in runs:
+        for note in row.get("clock_notes", ()):
+            say(f"{row['run']}: {note}")
+    show({"runs": runs, "out": str(out)}, json, "\n".join(lines))

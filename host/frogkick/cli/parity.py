@@ -6,8 +6,16 @@ from typing import Annotated
 
 import typer
 
-from frogkick.cli.common import JsonOption, SeedOption, show
-from frogkick.cli.options import DepthOption, ModelOption, PlannerName, PlannerOption, TablesOption
+from frogkick.cli.common import (
+    DepthOption,
+    JsonOption,
+    ModelOption,
+    PlannerName,
+    PlannerOption,
+    SeedOption,
+    TablesOption,
+    show,
+)
 
 LOOP_DECISIONS = 200
 """The value of frogkick.front.parity, repeated so that a command's help does not load that module."""
@@ -58,8 +66,3 @@ def parity(
     show(found.as_json(), json)
     if not found.same:
         raise typer.Exit(1)
-
-
-def register(app: typer.Typer) -> None:
-    """Add the command."""
-    app.command()(parity)

@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 import frogkick as fk
-from frogkick.cli.common import JsonOption, say, show
-from frogkick.cli.options import KeyOption
+from frogkick.cli.common import JsonOption, KeyOption, TargetOption, say, show
 from frogkick.core.errors import InputError
 
 if TYPE_CHECKING:
@@ -31,9 +30,7 @@ def text_of(pushed: Pushed, target: str) -> str:
 
 
 def command(
-    robot: Annotated[
-        str, typer.Option(metavar="TARGET", help="ble:NAME, ble:ADDRESS or serial:PORT[:BAUD].")
-    ],
+    robot: TargetOption,
     tables: Annotated[Path | None, typer.Argument(help="Table image (.fkt).")] = None,
     rollback: Annotated[
         bool, typer.Option("--rollback", help="Return to the previous table instead.")
@@ -56,9 +53,7 @@ def command(
 
 
 def own(
-    robot: Annotated[
-        str, typer.Option(metavar="TARGET", help="ble:NAME, ble:ADDRESS or serial:PORT[:BAUD].")
-    ],
+    robot: TargetOption,
     key: Annotated[
         Path | None,
         typer.Option(help="Key file, which is made if it does not exist; default: the user's owner.key."),
@@ -109,10 +104,3 @@ def scan(
             "disconnect other hosts from it"
         )
         raise typer.Exit(1)
-
-
-def register(app: typer.Typer) -> None:
-    """Add the commands."""
-    app.command(name="scan")(scan)
-    app.command(name="push")(command)
-    app.command(name="own")(own)

@@ -1,23 +1,22 @@
-"""``frogkick replay``: the recorded fixes of a run, given to the planner again."""
+"""``frogkick replay``: a run's fixes planned again; ``log fetch`` and ``log replay``: a robot's own log."""
 
 from __future__ import annotations
 
-import enum
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from frogkick.cli.common import JsonOption, show
-from frogkick.cli.options import DepthOption, PlannerName, TablesOption
-
-
-class PlanWhere(enum.StrEnum):
-    """The place where decisions are made."""
-
-    onboard = "onboard"
-    host = "host"
-    both = "both"
+from frogkick.cli.common import (
+    DepthOption,
+    JsonOption,
+    ModelOption,
+    PlannerName,
+    PlanWhere,
+    TablesOption,
+    TargetOption,
+    show,
+)
 
 
 def replay(
@@ -66,6 +65,34 @@ def replay(
         raise typer.Exit(1)
 
 
-def register(app: typer.Typer) -> None:
-    """Add the command."""
-    app.command()(replay)
+def fetch(
+    robot: TargetOption,
+    out: Annotated[Path, typer.Option(help="Log file to write (.h5).")],
+    json: JsonOption = False,
+) -> None:
+    """Fetch the log that a robot keeps in its RAM.
+
+    It can be fetched during a run, after it, and after a reset of the robot. Fetching changes nothing on the
+    robot.
+    """
+    from frogkick.front.replaying import fetch_log
+
+    show({**fetch_log(robot, out, progress=True).summary(), "out": str(out)}, json)
+
+
+def replay_fetched(
+    file: Annotated[Path, typer.Argument(help="Log file that 'log fetch' wrote.")],
+    tables: TablesOption = None,
+    model: ModelOption = None,
+    json: JsonOption = False,
+) -> None:
+    """Repeat the decisions of a robot's log by the C core and by the Python twin, bit by bit.
+
+    The exit code is 1 if a decision differs.
+    """
+    from frogkick.front.replaying import replay_log
+
+    found = replay_log(file, tables=tables, model=model, progress=True)
+    show(found.as_json(), json)
+    if found.result.mismatches:
+        raise typer.Exit(1)

@@ -7,9 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from frogkick.cli.common import JsonOption, SeedOption, say, say_left_out, show
+from frogkick.cli.common import JsonOption, KeyOption, SeedOption, WorkersOption, say, say_left_out, show
 from frogkick.cli.identify import horizon_line
-from frogkick.cli.options import KeyOption
 from frogkick.cli.push import text_of
 from frogkick.core.errors import InputError
 
@@ -49,9 +48,7 @@ def command(
     states: Annotated[
         int, typer.Option(min=STATES_LEAST, max=65535, help="Number of states of the simulated libraries.")
     ] = STATES,
-    workers: Annotated[
-        int, typer.Option(min=0, max=256, help="Number of processes; 0: one for each core.")
-    ] = 0,
+    workers: WorkersOption = 0,
     push: Annotated[
         str | None,
         typer.Option(
@@ -122,8 +119,3 @@ def printed(made: Retuning, push: str | None = None) -> str:
     if push is not None and made.pushed is not None:
         lines.append(text_of(made.pushed, push))
     return "\n".join(lines)
-
-
-def register(app: typer.Typer) -> None:
-    """Add the command."""
-    app.command(name="retune")(command)

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import typer
 
 import frogkick as fk
-from frogkick.cli.common import JsonOption, WholeLines, show, write_picture
+from frogkick.cli.common import JsonOption, RobotArgument, WholeLines, show, write_picture
 from frogkick.core.files import require_writable
 
 app = typer.Typer(
@@ -98,7 +98,7 @@ def fit_stroke(
 
 @app.command("show")
 def show_robot(
-    robot: Annotated[str, typer.Argument(help="TOML file or built-in name.")] = "frog2022",
+    robot: RobotArgument = "frog2022",
     out: Annotated[Path | None, typer.Option(help="Picture to write (.png, .svg or .pdf).")] = None,
     json: JsonOption = False,
 ) -> None:

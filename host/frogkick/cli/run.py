@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import enum
 from functools import partial
 from pathlib import Path
 from typing import Annotated
@@ -10,21 +9,23 @@ from typing import Annotated
 import typer
 
 import frogkick as fk
-from frogkick.cli.common import JsonOption, SeedOption, say, show
+from frogkick.cli.common import (
+    DepthOption,
+    JsonOption,
+    KeyOption,
+    PlannerName,
+    PlannerOption,
+    PlanWhere,
+    SeedOption,
+    TablesOption,
+    say,
+    show,
+)
 from frogkick.cli.keys import keys_of
-from frogkick.cli.options import DepthOption, KeyOption, PlannerName, PlannerOption, TablesOption
 
 WorldOption = Annotated[
     Path | None, typer.Option(help="TOML file of effects that act in the pool but are in no model.")
 ]
-
-
-class PlanWhere(enum.StrEnum):
-    """The place where decisions are made."""
-
-    onboard = "onboard"
-    host = "host"
-    both = "both"
 
 
 def run(
@@ -152,8 +153,3 @@ def run(
         )
     if found.tracking.limit_violations or found.tracking.stood or lost:
         raise typer.Exit(1)
-
-
-def register(app: typer.Typer) -> None:
-    """Add the command."""
-    app.command()(run)

@@ -10,7 +10,7 @@ from typing import Annotated, Any
 import typer
 
 import frogkick as fk
-from frogkick.cli.common import JsonOption, show
+from frogkick.cli.common import JsonOption, RobotArgument, show
 from frogkick.core.errors import InputError
 from frogkick.core.files import require_writable, write_text
 from frogkick.core.progress import progress_bar
@@ -39,7 +39,7 @@ def _write_csv(target: Path, swum: fk.Trajectory) -> None:
 
 
 def simulate(
-    robot: Annotated[str, typer.Argument(help="TOML file or built-in name.")] = "frog2022",
+    robot: RobotArgument = "frog2022",
     egain_percent: Annotated[
         float | None, typer.Option(help="EGaIn fraction of the limbs in a gait, %.")
     ] = None,
@@ -108,8 +108,3 @@ def simulate(
         },
         json,
     )
-
-
-def register(app: typer.Typer) -> None:
-    """Add the command."""
-    app.command()(simulate)

@@ -15,16 +15,20 @@ from typing import Annotated, Any, get_origin, get_type_hints
 
 import typer
 
-from frogkick.cli.common import JsonOption, SeedOption, show, write_picture
-from frogkick.cli.library import Sampling
-from frogkick.cli.options import (
+from frogkick.cli.common import (
     DepthOption,
+    JsonOption,
     ModelOption,
     NominalOption,
     PlannerOption,
     RobotFileOption,
+    SeedOption,
     TablesOption,
+    WorkersOption,
+    show,
+    write_picture,
 )
+from frogkick.cli.library import Sampling
 from frogkick.core.errors import InputError
 from frogkick.core.files import require_writable
 
@@ -36,9 +40,7 @@ SHARED: dict[tuple[str, str], Any] = {
     ("robot", "str"): RobotFileOption,
     ("planner", "str"): PlannerOption,
     ("tables", "Path | None"): TablesOption,
-    ("workers", "int"): Annotated[
-        int, typer.Option(min=0, max=256, help="Number of processes; 0: one for each core.")
-    ],
+    ("workers", "int"): WorkersOption,
     ("swims", "str"): Annotated[
         Sampling, typer.Option(help="How the unseen states are drawn, as for 'library build'.")
     ],
@@ -46,8 +48,8 @@ SHARED: dict[tuple[str, str], Any] = {
 """The shared options, by the name and type of a configuration's field."""
 
 
-def register(app: typer.Typer) -> None:
-    """Add the commands.
+def command(name: str) -> Callable[..., None]:
+    """Return the command of a study; its options are the fields of the study's configuration.
 
     Raises:
         InputError: frogkick was installed without the studies.
@@ -59,12 +61,7 @@ def register(app: typer.Typer) -> None:
         )
     if str(folder) not in sys.path:
         sys.path.append(str(folder))
-    for name, config in importlib.import_module("frogkick_studies.configs").STUDIES.items():
-        app.command(name)(_command(name, config))
-
-
-def _command(name: str, config: Any) -> Callable[..., None]:
-    """Return a command whose options are the fields of a configuration."""
+    config = importlib.import_module("frogkick_studies.configs").STUDIES[name]
     hints = get_type_hints(config, include_extras=True)
     options = {
         field.name: hints[field.name]
@@ -76,19 +73,19 @@ def _command(name: str, config: Any) -> Callable[..., None]:
         field.name: Parameter.empty if field.default is MISSING else field.default for field in fields(config)
     }
 
-    def command(**given: Any) -> None:
+    def run(**given: Any) -> None:
         as_json = given.pop("json")
         _run(name, config(**given), as_json)
 
-    command.__doc__ = config.__doc__
-    command.__annotations__ = options
-    command.__signature__ = Signature(  # type: ignore[attr-defined]
+    run.__doc__ = config.__doc__
+    run.__annotations__ = options
+    run.__signature__ = Signature(  # type: ignore[attr-defined]
         [
             Parameter(each, Parameter.KEYWORD_ONLY, default=defaults.get(each, False), annotation=option)
             for each, option in options.items()
         ]
     )
-    return command
+    return run
 
 
 def _run(name: str, config: Any, as_json: bool) -> None:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from frogkick.cli.common import ClusterOption, JsonOption, share_out, show
+from frogkick.cli.common import ClusterOption, JsonOption, RobotArgument, WorkersOption, share_out, show
 from frogkick.core.errors import InputError
 from frogkick.core.files import require_writable
 from frogkick.core.progress import progress_bar, tell_line
@@ -75,7 +75,7 @@ def _with_rate(bar: Callable[[int, int], None]) -> Callable[[int, int], None]:
 
 def sweep(
     out: Annotated[Path, typer.Option(help="Folder for the results; an interrupted sweep resumes there.")],
-    robot: Annotated[str, typer.Argument(help="TOML file or built-in name.")] = "frog2022",
+    robot: RobotArgument = "frog2022",
     frequencies: Annotated[
         str | None,
         typer.Option(help="Frequencies in Hz, such as 0.4,0.5; default: those measured for each fraction."),
@@ -86,9 +86,7 @@ def sweep(
     egain: Annotated[
         str | None, typer.Option(help="EGaIn fractions in %, such as 10,30; default: the measured ones.")
     ] = None,
-    workers: Annotated[
-        int, typer.Option(min=0, max=256, help="Number of processes; 0: one for each core.")
-    ] = 0,
+    workers: WorkersOption = 0,
     cluster: ClusterOption = None,
     json: JsonOption = False,
 ) -> None:
@@ -123,8 +121,3 @@ def sweep(
     show(result, json, _text(swept, out))
     if result["failures"]:
         raise typer.Exit(1)
-
-
-def register(app: typer.Typer) -> None:
-    """Add the command."""
-    app.command()(sweep)

@@ -8,8 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
-from frogkick.cli.common import JsonOption, show
-from frogkick.cli.options import RobotFileOption
+from frogkick.cli.common import JsonOption, RobotFileOption, WorkersOption, show
 from frogkick.core.files import require_writable
 
 
@@ -61,9 +60,7 @@ def validate(
             help="Match the robot's constants again without each EGaIn fraction; this takes minutes.",
         ),
     ] = False,
-    workers: Annotated[
-        int, typer.Option(min=0, max=256, help="Number of processes; 0: one for each core.")
-    ] = 0,
+    workers: WorkersOption = 0,
     check: Annotated[bool, typer.Option(help="Exit with code 1 if a limit is missed.")] = False,
     json: JsonOption = False,
 ) -> None:
@@ -86,8 +83,3 @@ def validate(
     show(result, json, _text(result))
     if check and not found.held:
         raise typer.Exit(1)
-
-
-def register(app: typer.Typer) -> None:
-    """Add the command."""
-    app.command()(validate)

@@ -153,7 +153,7 @@ def run_columns() -> Iterator[str]:
         rows = [
             f"| `{name}` | {column.unit} | `{column.dtype}` | {column.width or 1} | "
             f"{'may be absent' if column.optional else ''} |"
-            for name, column in group.SCHEMA.items()
+            for name, column in group.columns().items()
         ]
         head = "| dataset | unit | type | numbers in a row | |\n|---|---|---|---|---|\n"
         yield f"### `{group.NAME}`\n\n" + head + "\n".join(rows)

@@ -25,10 +25,11 @@ from frogkick.identification.segments import read_segments
 from frogkick.identification.tables import Stage
 from frogkick.library import build_library, quantise, read_library
 from frogkick.paths import SHAPES
+from frogkick.planner.plan import config_of
 from frogkick.pool.virtual_robot import VirtualRobot
 from frogkick.robot import Robot, load_robot
 from frogkick.runs.chip_check import ChipReport, check_on_chip
-from frogkick.runs.closed_loop import RunOptions, robot_plan_config
+from frogkick.runs.closed_loop import RunOptions
 from frogkick.runs.decision import DecisionTwin
 from frogkick.runs.record import Tracking
 from frogkick.runs.replay import compare, replay_on_host
@@ -158,7 +159,7 @@ def go_round(
     built = build("bench", image, robot, out / "firmware")
     clock.lap("C, firmware")
     options = RunOptions(
-        dataclasses.replace(robot_plan_config(robot), depth=depth), time_limit_s=time_limit_s
+        dataclasses.replace(config_of(robot.planner), depth=depth), time_limit_s=time_limit_s
     )
     ring = Ring(robot, tables, built, options, stage_s=clock.laps)
     with bar("firmware on the virtual chip: commands and limits") as progress:

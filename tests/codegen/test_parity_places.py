@@ -16,10 +16,9 @@ from frogkick.core.files import write_bytes
 from frogkick.link.frames import FrameCollector
 from frogkick.link.layout import link_layout
 from frogkick.paths import shape
-from frogkick.planner.plan import PlanConfig
+from frogkick.planner.plan import PlanConfig, config_of
 from frogkick.robot import load_robot
 from frogkick.runs.chip_planner import ChipPlanner
-from frogkick.runs.closed_loop import robot_plan_config
 from frogkick.runs.parity_scenario import (
     ParityScenario,
     call_mismatches,
@@ -36,7 +35,7 @@ from frogkick_codegen.sources import firmware_sources
 
 SEED = 7
 DECISIONS = count(200, 200, 80)
-ROUTE = robot_plan_config(load_robot("frog2022"))
+ROUTE = config_of(load_robot("frog2022").planner)
 CONFIGS = {
     "paper": PlanConfig(),
     "route": dataclasses.replace(ROUTE, transitions_max=0),

@@ -15,7 +15,7 @@ from frogkick.paths import shape
 from frogkick.planner.plan import PlanConfig
 from frogkick.pool.virtual_robot import VirtualRobot
 from frogkick.runs.chip_log_replay import LogReplay, replay_log
-from frogkick.runs.closed_loop import Recording, RunOptions, run_in_pool
+from frogkick.runs.closed_loop import Recording, RunOptions, run_session
 from frogkick.runs.session import Session
 from frogkick_codegen.firmware import FLASH_BYTES, RAM_BYTES
 
@@ -28,8 +28,8 @@ def swum() -> tuple[VirtualRobot, Session, Recording]:
     port = rig.port("virtual")
     assert isinstance(port, VirtualRobot)
     seconds = count(14.0, 60.0)
-    recording = run_in_pool(
-        port,
+    recording = run_session(
+        Session(port),
         rig.new_pool("sine"),
         rig.tables(),
         shape("sine"),

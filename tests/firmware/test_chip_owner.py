@@ -41,7 +41,7 @@ def test_its_owner_commands_it_also_after_a_loss_of_power(bench: Build, tmp_path
     own(session)
     session.request("ARM")
     again = power_on(bench, tmp_path / "owner.key", flash_of(session))
-    with pytest.raises(LinkError, match=r"refuses PARAM .*: AUTH, as it takes commands from its owner alone"):
+    with pytest.raises(LinkError, match=r"refuses PARAM .*: AUTH: it takes commands only from its owner"):
         again.request("PARAM", PARAM)
     again.authenticate()
     again.request("PARAM", PARAM)

@@ -14,7 +14,7 @@ from frogkick.planner.plan import PlanConfig
 from frogkick.pool.monitor import pulses_of
 from frogkick.pool.virtual_robot import VirtualRobot
 from frogkick.runs.chip_log_replay import replay_log
-from frogkick.runs.closed_loop import ENDED, RunOptions, run_in_pool
+from frogkick.runs.closed_loop import ENDED, RunOptions, run_session
 from frogkick.runs.decision import DecisionTwin
 from frogkick.runs.replay import compare, replay_on_host
 from frogkick.runs.session import Session
@@ -117,7 +117,9 @@ def test_a_run_ends_where_the_supply_falls(onboard: bool) -> None:
             port.chip.power.set_supply(2.5)
 
     options = RunOptions(PlanConfig(depth=1), onboard, 30.0)
-    recording = run_in_pool(port, rig.new_pool("line"), rig.tables(), shape("line"), options, progress)
+    recording = run_session(
+        Session(port), rig.new_pool("line"), rig.tables(), shape("line"), options, progress
+    )
     assert recording.ended == ENDED["SUPPLY"] and not recording.completed
     assert recording.end_s < made[2] + 3.0
     assert all(edge.time_s < made[2] + 0.002 for edge in recording.edges if edge.level)

@@ -206,7 +206,7 @@ def rested(seed: int, frames: int) -> Segments:
     """A run whose frames before the first stroke have wrong times, but for the last; the first ones still."""
     run, rng = make_run([], seed, 6), np.random.default_rng(seed)
     first = int(np.searchsorted(run.fixes.capture_time_s, START_S)) - 1
-    pose = np.column_stack([run.fixes.x_m, run.fixes.y_m, run.fixes.heading_rad])
+    pose = run.fixes.pose_world
     still = pose[0] + rng.normal(0.0, 1.0, (frames, 3)) * (2e-4, 2e-4, 3.5e-3)
     told = np.concatenate([still, pose[first:]])
     arrival_s = np.concatenate([np.linspace(0.0, 0.05, frames), run.fixes.time_s[first:]])

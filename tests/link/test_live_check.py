@@ -18,7 +18,7 @@ from frogkick.core.errors import CheckError, InputError
 from frogkick.link.layout import link_layout
 from frogkick.paths import shape
 from frogkick.planner.plan import PlanConfig
-from frogkick.runs.closed_loop import TIME, RunOptions, run_in_pool, run_session
+from frogkick.runs.closed_loop import TIME, RunOptions, run_session
 from frogkick.runs.lab_port import LabPort
 from frogkick.runs.lab_session import LabSession
 from frogkick.runs.live_check import LiveCheck
@@ -90,7 +90,7 @@ def test_another_entry_in_the_robot_s_table_ends_the_run(
         with log(shape(PATH)) as keep, pytest.raises(CheckError, match=r"decision \d+ .* every bit") as said:
             run_session(session, source, rig.tables(), shape(PATH), options, keep=keep)
         assert int(session.request("STATUS")["state"]) == STATE["DISARMED"]
-    assert "\n" not in str(said.value) and "did not say that it is disarmed" not in str(said.value)
+    assert "\n" not in str(said.value) and "did not confirm DISARM" not in str(said.value)
     assert robot.off_at and "DISARM" in robot.names()
     assert len(read_run(part_of(tmp_path / "run.h5")).fixes.x_m) > 3
 
@@ -144,5 +144,5 @@ def test_a_mismatch_is_a_check_that_failed(
 def test_the_chip_is_checked_too() -> None:
     check = LiveCheck()
     options = RunOptions(PlanConfig(depth=2), True, 3.0, check)
-    run_in_pool(rig.port("virtual"), rig.new_pool("sine"), rig.tables(), shape("sine"), options)
+    run_session(Session(rig.port("virtual")), rig.new_pool("sine"), rig.tables(), shape("sine"), options)
     assert check.agreed >= 2 and check.unchecked == 0

@@ -35,7 +35,7 @@ OPTIONS = RunOptions(PlanConfig(), True, 1.2 * PERIOD_S)
 
 def same_columns(one: RunLog, two: RunLog, group: str) -> None:
     first, second = getattr(one, group), getattr(two, group)
-    for name in first.SCHEMA:
+    for name in first.columns():
         assert np.array_equal(getattr(first, name), getattr(second, name), equal_nan=True), name
     for name in first.extra:
         assert np.array_equal(first.extra[name], second.extra[name]), name

@@ -86,8 +86,10 @@ def test_a_robot_gets_an_owner_and_loses_him(
 
     moved = tmp_path / "moved.key"
     key.rename(moved)
-    refused(frogkick(capsys, "push", "--rollback", "--robot", target), "its owner alone", str(key), "--key")
-    refused(frogkick(capsys, "own", "--robot", target, "--release"), "its owner alone")
+    refused(
+        frogkick(capsys, "push", "--rollback", "--robot", target), "only from its owner", str(key), "--key"
+    )
+    refused(frogkick(capsys, "own", "--robot", target, "--release"), "only from its owner")
     other = tmp_path / "other.key"
     other.write_text("17" * 32)
     refused(
@@ -150,7 +152,7 @@ def test_what_it_tells_and_what_it_wrote_down_anybody_may_read(robot: LiveRobot,
     (auth.default_key_file()).unlink()
     with fk.connect(target) as bot:
         assert bot.status()["owner"] == link_layout().owner["KEY"]
-        with pytest.raises(LinkError, match="from its owner alone"):
+        with pytest.raises(LinkError, match="only from its owner"):
             bot.push(rig.small_table())
 
 

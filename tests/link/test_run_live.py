@@ -122,7 +122,7 @@ def test_a_robot_that_restarts_in_a_drop_has_ended_its_run(
         try:
             ended = run_session(session, pool, rig.tables(), shape(PATH), options, power).ended
         except LinkError as error:  # it asked for the time between the restart and the drop
-            ended = DROPPED if "switched off and on" in str(error) else str(error)
+            ended = DROPPED if "restarted during the run" in str(error) else str(error)
     assert ended == DROPPED
 
 
@@ -155,7 +155,7 @@ def test_a_robot_that_does_not_say_so_is_told_of(tmp_path: Path, monkeypatch: py
             robot.mute = True
             raise KeyboardInterrupt
 
-        with pytest.raises(LinkError, match="interrupted; the robot did not say that it is disarmed: switch"):
+        with pytest.raises(LinkError, match="interrupted; the robot did not confirm DISARM: switch"):
             run_session(
                 session, LivePool(robot.pulses, robot.clock), rig.tables(), shape(PATH), options, fall_silent
             )

@@ -189,7 +189,7 @@ def test_another_table_is_refused(robot: LiveRobot, there: Rigged) -> None:
 
 def test_other_firmware_does_not_answer(robot: LiveRobot, there: Rigged) -> None:
     robot.mute = True
-    with pytest.raises(LinkError, match="does not answer HELLO: it runs other firmware or at another speed"):
+    with pytest.raises(LinkError, match="does not answer HELLO: it has other firmware or another speed"):
         lab_session(there.wire).handshake(rig.tables())
 
 

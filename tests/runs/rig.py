@@ -20,7 +20,8 @@ from frogkick.pool.native_robot import NativeRobot
 from frogkick.pool.pool import Pool
 from frogkick.pool.virtual_robot import VirtualRobot
 from frogkick.robot import Robot, load_robot
-from frogkick.runs.closed_loop import Recording, RunOptions, run_in_pool
+from frogkick.runs.closed_loop import Recording, RunOptions, run_session
+from frogkick.runs.session import Session
 from frogkick.tables.image import Tables, read_image
 from frogkick_codegen.firmware import Build, build
 
@@ -89,7 +90,7 @@ def swim(
     """A run in the pool."""
     chosen = new_pool(path_name) if pool is None else pool
     options = RunOptions(PlanConfig(depth=depth), onboard, limit_s)
-    recording = run_in_pool(port(place), chosen, tables(), shape(path_name), options, progress)
+    recording = run_session(Session(port(place)), chosen, tables(), shape(path_name), options, progress)
     return recording, chosen, options
 
 

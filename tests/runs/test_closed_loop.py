@@ -11,10 +11,10 @@ from tests.runs import rig
 from frogkick.core.errors import InputError
 from frogkick.link.wire import Edge
 from frogkick.paths import shape
-from frogkick.planner.plan import PlanConfig
+from frogkick.planner.plan import PlanConfig, config_of
 from frogkick.pool.monitor import pulses_of
 from frogkick.pool.pool import Pool
-from frogkick.runs.closed_loop import Recording, RunOptions, require_time, robot_plan_config
+from frogkick.runs.closed_loop import Recording, RunOptions, require_time
 from frogkick.runs.decision import DecisionTwin, RobotEvent
 from frogkick.runs.record import config_of_log, run_log, tracking_of_recording
 from frogkick.runs.replay import compare, replay_on_host
@@ -179,7 +179,7 @@ def test_a_time_limit_that_ends_nothing_is_refused(limit_s: float) -> None:
 
 def test_the_robots_own_planner_is_what_its_toml_says() -> None:
     planner = rig.robot().planner
-    config = robot_plan_config(rig.robot())
+    config = config_of(rig.robot().planner)
     assert config.depth == planner.depth
     assert config.distance_weight_per_m == planner.distance_weight_per_m
     assert config.level_weight == planner.level_weight

@@ -12,9 +12,11 @@ from tests.runs import rig
 from frogkick.estimator.follow import IDLE_DECISIONS_MAX, End
 from frogkick.paths import Path, from_waypoints
 from frogkick.paths.shapes import circle
+from frogkick.planner.plan import config_of
 from frogkick.pool.camera import Camera
 from frogkick.pool.pool import Pool
-from frogkick.runs.closed_loop import Recording, RunOptions, robot_plan_config, run_in_pool
+from frogkick.runs.closed_loop import Recording, RunOptions, run_session
+from frogkick.runs.session import Session
 
 LIMIT_S = 150.0
 REACH_M = float(rig.tables().stroke_max_m)
@@ -35,8 +37,8 @@ def swim(
 ) -> tuple[Recording, np.ndarray, np.ndarray]:
     """The robot's own planner: (recording, distance of each decision's estimate to the path, final pose)."""
     pool = Pool(rig.robot(), start, Camera(), np.random.default_rng(0))
-    options = RunOptions(robot_plan_config(rig.robot()), onboard, LIMIT_S)
-    recording = run_in_pool(rig.port("pool"), pool, rig.tables(), path, options)
+    options = RunOptions(config_of(rig.robot().planner), onboard, LIMIT_S)
+    recording = run_session(Session(rig.port("pool")), pool, rig.tables(), path, options)
     places = np.array([decision.estimate[:2] for decision in recording.decisions], dtype=np.float64)
     return recording, path.distance_m(places), pool.state()[0]
 
@@ -97,8 +99,8 @@ def test_a_robot_that_cannot_move_gives_up() -> None:
     port = rig.port("pool")
     pool = Pool(rig.robot(), (0.0, 0.0, 0.0), Camera(), np.random.default_rng(0))
     pool.actuate = lambda limb, time_s: None
-    options = RunOptions(robot_plan_config(rig.robot()), True, LIMIT_S)
-    recording = run_in_pool(port, pool, rig.tables(), STRAIGHT, options)
+    options = RunOptions(config_of(rig.robot().planner), True, LIMIT_S)
+    recording = run_session(Session(port), pool, rig.tables(), STRAIGHT, options)
     assert (recording.completed, recording.ended) == (False, End.STALLED.value)
     assert len(recording.decisions) == IDLE_DECISIONS_MAX + 1
     assert math.dist(pool.state()[0][:2], (0.0, 0.0)) < 2e-3

@@ -15,9 +15,10 @@ from frogkick.paths import shape
 from frogkick.planner.plan import PlanConfig
 from frogkick.pool.camera import Camera
 from frogkick.pool.pool import Pool
-from frogkick.runs.closed_loop import Recording, RunOptions, run_in_pool
+from frogkick.runs.closed_loop import Recording, RunOptions, run_session
 from frogkick.runs.decision import RESTING, Decision, RobotEvent
 from frogkick.runs.pool_fixes import HELD_UP_S, LAG_S, PoolFixes
+from frogkick.runs.session import Session
 
 START = (0.2, -0.1, 0.4)
 OFFSET_US = 7_000_000
@@ -156,8 +157,8 @@ def test_it_swims_a_path_as_the_pool_does_whose_pins_are_seen() -> None:
     path, clock = shape("line"), Clock()
     start = (float(path.x_m[0]), float(path.y_m[0]), float(path.tangent_rad[0]))
     source = ByWord(rig.robot(), rig.tables(), start, np.random.default_rng(0), clock=clock)
-    recording = run_in_pool(
-        rig.port("pool"), source, rig.tables(), path, RunOptions(PlanConfig(depth=2), True, 12.0),
+    recording = run_session(
+        Session(rig.port("pool")), source, rig.tables(), path, RunOptions(PlanConfig(depth=2), True, 12.0),
         keep=lambda told_so_far: source.follow(told_so_far, True),
     )  # fmt: skip
     assert source.late == 0 and len(recording.decisions) == len(seen.decisions)

@@ -21,10 +21,11 @@ from frogkick.link.frames import hello
 from frogkick.link.layout import Value, link_layout
 from frogkick.link.upload import upload
 from frogkick.link.wire import Edge
+from frogkick.planner.plan import config_of
 from frogkick.pool.camera import Camera
 from frogkick.robot import Robot
-from frogkick.runs.closed_loop import SETTLE_S, START_DELAY_S, parameters, robot_plan_config
-from frogkick.runs.session import ANSWER_TIMEOUT_S, STEP_S, Asked, LinkError, Session
+from frogkick.runs.closed_loop import SETTLE_S, START_DELAY_S, parameters
+from frogkick.runs.session import ANSWER_TIMEOUT_S, STEP_S, Arguments, LinkError, Session
 from frogkick.tables.image import Tables
 
 CAMERA = Camera(rate_hz=10.0, delay_s=0.08, jitter_s=0.32, lost=0.3, outliers=0.01)
@@ -44,7 +45,7 @@ class PatientSession(Session):
     """A session that asks again, with the same bytes, where no answer comes: the robot acts once."""
 
     def ask_all(
-        self, name: str, many: Sequence[Asked], timeout_s: float = ANSWER_TIMEOUT_S
+        self, name: str, many: Sequence[Arguments], timeout_s: float = ANSWER_TIMEOUT_S
     ) -> list[dict[str, Value]]:
         assert isinstance(self.port, Radio)
         sent: dict[int, bytes] = {}
@@ -122,7 +123,7 @@ class Life:
         self._wanted_s = 0.0
         self._way = ""
         self._cut_at: float | None = None
-        self._settings = parameters(robot_plan_config(robot))
+        self._settings = parameters(config_of(robot.planner))
         self._places: deque[np.ndarray] = deque(maxlen=7)
         self._dark_s = (0.0, 0.0)
         self._round: list[str] = []

@@ -16,10 +16,10 @@ from tests.runs import rig
 from frogkick.cli.main import run_command
 from frogkick.core.files import write_bytes
 from frogkick.paths import SHAPES, shape
+from frogkick.planner.plan import config_of
 from frogkick.pool.chip.cost import CostModel
 from frogkick.robot import load_robot
 from frogkick.runs.chip_planner import CYCLES_PER_MS, ChipPlanner, states_for_timing
-from frogkick.runs.closed_loop import robot_plan_config
 from frogkick.tables.image import open_image
 from frogkick_codegen import firmware
 from frogkick_studies.chip import LIMIT_MS, NODE, RUN, DepthSpeed, chip_speed, open_ms
@@ -27,7 +27,7 @@ from frogkick_studies.chip_worst import dearest, fit_cycles
 
 PATHS = {name: shape(name) for name in SHAPES}
 ROBOT = load_robot("frog2022")
-CONFIG = robot_plan_config(ROBOT)
+CONFIG = config_of(ROBOT.planner)
 
 
 class Built:

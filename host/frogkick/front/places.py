@@ -17,10 +17,9 @@ from frogkick.front.default_tables import default_tables
 from frogkick.link.wire import RobotPort
 from frogkick.paths import OTHER_SHAPES, SHAPES, from_csv, shape
 from frogkick.paths import Path as SwimPath
-from frogkick.planner.plan import PlanConfig
+from frogkick.planner.plan import PlanConfig, config_of
 from frogkick.pool.native_robot import NativeRobot
 from frogkick.robot import Robot, built_in_robots, load_robot
-from frogkick.runs.closed_loop import robot_plan_config
 from frogkick.runs.record import config_of_log
 from frogkick.runs.runlog import RunLog
 from frogkick.tables.image import Tables, read_image
@@ -165,7 +164,7 @@ def plan_config(
     if planner not in (None, *PLANNERS):
         raise InputError(f"planner is {planner!r}{nearest_name(planner, PLANNERS)}: choose robot or paper")
     if planner == "robot":
-        config = robot_plan_config(robot)
+        config = config_of(robot.planner)
     elif planner is None and run is not None and run.planner:
         config = config_of_log(run)
     else:

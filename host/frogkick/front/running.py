@@ -47,7 +47,7 @@ from frogkick.pool.camera import Camera as SimulatedCamera
 from frogkick.pool.pool import Pool
 from frogkick.robot import Robot
 from frogkick.runs.camera_fixes import CameraFixes
-from frogkick.runs.closed_loop import ENDED, Recording, RunOptions, require_seed, require_time, run_in_pool
+from frogkick.runs.closed_loop import ENDED, Recording, RunOptions, require_seed, require_time, run_session
 from frogkick.runs.export_csv import columns_of, export_csv
 from frogkick.runs.export_mcap import export_mcap
 from frogkick.runs.live_check import LiveCheck
@@ -57,6 +57,7 @@ from frogkick.runs.recorded import import_recorded
 from frogkick.runs.recorded import load_run as load_log
 from frogkick.runs.runlog import RunLog
 from frogkick.runs.runlog_file import write_run
+from frogkick.runs.session import Session
 from frogkick.runs.summary import Comparison, Summary, compare_runs, summary, tracking_of_log
 
 if TYPE_CHECKING:
@@ -359,8 +360,9 @@ def run(
                 made=made,
             )
             with _log_so_far(target, whole) as keep:
-                recording = run_in_pool(
-                    port, pool, used.tables, desired, options, said.progress, _all_of(said.keep, draw, keep)
+                every = _all_of(said.keep, draw, keep)
+                recording = run_session(
+                    Session(port), pool, used.tables, desired, options, said.progress, every
                 )
     log_seed = None if is_real else seed
     found = Run(

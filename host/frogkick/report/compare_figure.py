@@ -31,7 +31,7 @@ def compare_figure(runs: tuple[RunLog, RunLog], names: tuple[str, str]) -> Figur
         halves = figure.add_gridspec(1, 2, width_ratios=(1.05, 1.0))
         _tracks(figure.add_subfigure(halves[0]).subplots(), runs, names, [poses for _, poses, _ in tracks])
         upper, lower = figure.add_subfigure(halves[1]).subplots(2, 1, sharex=True)
-        every = sorted({letter for run in runs for letter in (*run.action_names, *_letters(run))})
+        every = sorted({letter for run in runs for letter in (*run.action_names, *run.decided())})
         for run, name, colour, mark, (time_s, poses, _) in zip(
             runs, names, COLOURS, MARKS, tracks, strict=True
         ):
@@ -40,7 +40,7 @@ def compare_figure(runs: tuple[RunLog, RunLog], names: tuple[str, str]) -> Figur
                 distance_mm = 1e3 * run.path.distance_m(poses[:, :2])
                 label = f"{name}, mean {distance_mm.mean():.1f} mm"
                 upper.plot(time_s - first_s, distance_mm, color=colour, label=label)
-            heights = [every.index(letter) for letter in _letters(run)]
+            heights = [every.index(letter) for letter in run.decided()]
             # Hollow and larger, so that one shows around the other.
             how = {"markersize": 4} if run is runs[0] else {"markersize": 7, "markerfacecolor": "none"}
             lower.plot(run.decisions.time_s - first_s, heights, mark, color=colour, label=name, **how)
@@ -54,10 +54,6 @@ def compare_figure(runs: tuple[RunLog, RunLog], names: tuple[str, str]) -> Figur
         lower.set_xlabel("time since the first decision (s)")
         lower.legend(loc="best")
     return figure
-
-
-def _letters(run: RunLog) -> list[str]:
-    return [run.action_names[index] if index >= 0 else "?" for index in run.decisions.action]
 
 
 def _tracks(axes: Axes, runs: tuple[RunLog, RunLog], names: tuple[str, str], every: list[np.ndarray]) -> None:

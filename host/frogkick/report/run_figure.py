@@ -93,7 +93,7 @@ def _track(axes: Axes, run: RunLog, seen: _Seen) -> None:
         track = 100.0 * run.truth.pose_world[:, :2]
         axes.plot(*track.T, color=style.TRUE, linewidth=1.5, label="true track")
     here = 100.0 * seen.at(run.decisions.time_s)
-    names = [run.action_names[index] if index >= 0 else "?" for index in run.decisions.action]
+    names = run.decided()
     axes.plot(*here.T, "o", color=seen.colour, markersize=3)
     words = any(len(name) > 1 for name in names)
     for number, ((x, y), name, offset) in enumerate(zip(here, names, _beside(here), strict=True)):

@@ -1,11 +1,11 @@
-"""A closed-loop run, in the simulated pool or on the bench: fixes in, strokes out, everything logged."""
+"""A closed-loop run in the simulated pool or with a real robot: position fixes in, strokes out."""
 
 from __future__ import annotations
 
 import math
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 import numpy as np
@@ -16,11 +16,9 @@ from frogkick.core.weights import WEIGHTS
 from frogkick.estimator.follow import End
 from frogkick.link.frames import Frame
 from frogkick.link.layout import link_layout
-from frogkick.link.wire import Edge, RobotPort
+from frogkick.link.wire import Edge
 from frogkick.paths import Path
-from frogkick.planner.plan import PlanConfig, config_of
-from frogkick.pool.pool import Pool
-from frogkick.robot import Robot
+from frogkick.planner.plan import PlanConfig
 from frogkick.runs.decision import (
     RESTING,
     Decision,
@@ -33,10 +31,11 @@ from frogkick.runs.live_check import LiveCheck
 from frogkick.runs.session import LinkError, Session
 from frogkick.tables.image import Tables
 
-SETTLE_S = 0.6  # fixes before the start, so that the first estimate knows a velocity
+SETTLE_S = 0.6  # of fixes before the start, so that the first estimate has a velocity
 START_DELAY_S = 0.1
-# A chip boots longer than the core on this computer. From a common time on, both meet the same fixes.
 READY_S = 1.0
+"""Earliest start of a run: a chip boots later than the core on this computer, and both get the same fixes."""
+
 TIME = "time limit"
 STOPPED = "stopped by hand"
 DISARMED = "the robot disarmed itself"
@@ -48,23 +47,21 @@ ENDED = {
     "STALE": "position fixes lost",
     "SUPPLY": "the robot's supply fell too low: charge it",
 }
-"""Why a run ended, for people, by the status of ENDED."""
+"""Status of an ENDED event -> why the run ended, for people."""
 
 
 @dataclass
 class Recording:
-    """What a run leaves behind, before it becomes a log.
+    """A run while it grows; ``record.run_log`` makes a log of it.
 
     Attributes:
-        fixes: fixes in order of sending.
-        sent_s: when each was sent.
-        capture_us: capture time of each on the robot's clock; None where the robot took none.
-        fix_status: what the robot answered to each (``frames.toml``); None where no answer came.
-        events: what the robot met, in its order: enough to decide everything again on the host.
-        decisions: in order.
-        edges: pin edges.
-        completed: the path's end was reached.
-        ended: why the run ended: a value of ENDED, TIME, DISARMED or DROPPED.
+        fixes, sent_s: fixes in the order of sending, and when each was sent, session time.
+        capture_us: capture time of each fix on the robot's clock; None where the robot refused it.
+        fix_status: the robot's answer to each fix (``frames.toml``); None where no answer came.
+        events: inputs of the robot's estimator and planner, in its order: they reproduce its decisions.
+        decisions, edges: decisions and pin edges in order.
+        completed: the robot reached the path's end.
+        ended: why the run ended: a value of ENDED, or TIME, STOPPED, DISARMED, DROPPED.
         fixes_refused: the robot's own counter.
         first_decision_s, end_s: session time.
         clock_offset_us: robot time minus session time; 0 in simulated time.
@@ -86,29 +83,29 @@ class Recording:
 
 
 class FixSource(Protocol):
-    """Where position fixes come from: a simulated pool, or a camera over a real one. Session time."""
+    """A source of position fixes: a simulated pool, or a tracker over a real one. Times: session time."""
 
     @property
     def next_event_s(self) -> float:
-        """When the next fix may come."""
+        """Earliest time of the next fix."""
 
     def advance(self, until_s: float) -> list[Fix]:
-        """Fixes that have come by then, in order."""
+        """Return the fixes that arrived since the last call, in order."""
 
     def actuate(self, limb: int, start_s: float) -> None:
-        """A limb's pin was seen to switch on."""
+        """Take note that a limb's pin switched on."""
 
 
 @dataclass(frozen=True)
 class RunOptions:
-    """How to run.
+    """Settings of a run.
 
     Attributes:
         config: cost weights and depth of the planner.
-        onboard: True = the robot's planner decides, False = the twin on the host does.
-        time_limit_s: pool time after which the run is stopped.
-        check: compares the robot's decisions with the host's while they are made; None: nobody does.
-        stop: whether somebody wants the run to end; asked at each step.
+        onboard: True: the robot's planner decides; False: the twin on the host.
+        time_limit_s: longest time from the first decision on.
+        check: compares each decision of the robot with the host's; None: no comparison.
+        stop: polled at each step; True ends the run.
     """
 
     config: PlanConfig
@@ -116,11 +113,6 @@ class RunOptions:
     time_limit_s: float = 120.0
     check: LiveCheck | None = None
     stop: Callable[[], bool] = lambda: False
-
-
-def robot_plan_config(robot: Robot) -> PlanConfig:
-    """The planner configuration of a robot's TOML."""
-    return config_of(robot.planner)
 
 
 def parameters(config: PlanConfig) -> dict[str, float]:
@@ -135,51 +127,15 @@ def parameters(config: PlanConfig) -> dict[str, float]:
 
 
 def require_seed(seed: int) -> None:
-    """Refuse a seed that is none.
-
-    Raises:
-        InputError: not a whole number from 0 on.
-    """
+    """Raise InputError unless a seed is a whole number of 0 or more."""
     if not isinstance(seed, int | np.integer) or seed < 0:
         raise InputError(f"seed is {seed!r}: give 0 or more, a whole number")
 
 
 def require_time(limit_s: float) -> None:
-    """Refuse a time limit that ends no run.
-
-    Raises:
-        InputError: not a finite number above 0.
-    """
+    """Raise InputError unless a time limit is a finite number above 0."""
     if not (isinstance(limit_s, int | float | np.number) and math.isfinite(limit_s) and limit_s > 0.0):
         raise InputError(f"simulated time is {limit_s!r} s: give a finite number above 0")
-
-
-def run_in_pool(
-    port: RobotPort,
-    pool: Pool,
-    tables: Tables,
-    path: Path,
-    options: RunOptions,
-    progress: Callable[[float, int], None] = lambda _time_s, _path_index: None,
-    keep: Callable[[Recording], None] = lambda _recording: None,
-) -> Recording:
-    """Follow a path in the simulated pool.
-
-    Args:
-        port: the robot; its clock and the pool's are the same.
-        pool: swimmer and camera.
-        tables: the robot's own tables.
-        path: where to swim, world frame.
-        options: who plans, and how.
-        progress: called after each decision with the pool time and the nearest path point.
-        keep: called over and over with what is recorded so far.
-
-    Raises:
-        InputError: the time limit is not a finite number above 0.
-        LinkError: the robot refuses or does not answer.
-        ConvergenceError: the pool's physics failed.
-    """
-    return run_session(Session(port), pool, tables, path, options, progress, keep)
 
 
 def run_session(
@@ -191,18 +147,22 @@ def run_session(
     progress: Callable[[float, int], None] = lambda _time_s, _path_index: None,
     keep: Callable[[Recording], None] = lambda _recording: None,
 ) -> Recording:
-    """The same with any robot and any source of fixes. However it ends, the robot is disarmed first.
+    """Follow a path with a robot. The robot is disarmed however the run ends.
 
     Args:
-        session: with the robot; its ``on_step`` is taken.
-        source: of the fixes, on the session's clock.
-        tables, path, options, progress: as in ``run_in_pool``.
-        keep: called over and over with what is recorded so far.
+        session: with the robot; the run sets its ``on_step``.
+        source: position fixes on the session's clock: a simulated pool, or a tracker.
+        tables: the robot's own tables.
+        path: where to swim, world frame.
+        options: who plans, and how.
+        progress: called after each decision with the session time and the nearest path point.
+        keep: called after each step with the recording so far.
 
     Raises:
         InputError: the time limit is not a finite number above 0.
         LinkError: the robot refuses or does not answer.
-        CheckError: ``options.check`` found a decision that the host makes otherwise.
+        CheckError: ``options.check`` found a decision that differs from the host's.
+        ConvergenceError: the pool's physics failed.
     """
     require_time(options.time_limit_s)
     run = _Run(session, source, tables, path, options, progress, keep)
@@ -211,41 +171,36 @@ def run_session(
             return run.go()
     except BaseException as error:
         if run.may_be_armed and not session.make_safe():
-            said = str(error) or "interrupted"
-            raise LinkError(f"{said}; the robot did not say that it is disarmed: switch it off") from error
+            cause = str(error) or "interrupted"
+            raise LinkError(f"{cause}; the robot did not confirm DISARM: switch it off") from error
         raise
 
 
 class _StopError(Exception):
-    """Somebody wants the run to end."""
+    """``RunOptions.stop`` ends the run."""
 
 
+@dataclass
 class _Run:
-    def __init__(
-        self,
-        session: Session,
-        source: FixSource,
-        tables: Tables,
-        path: Path,
-        options: RunOptions,
-        progress: Callable[[float, int], None],
-        keep: Callable[[Recording], None],
-    ) -> None:
-        self.source = source
-        self.keep = keep
-        self.tables = tables
-        self.path = path
-        self.options = options
-        self.progress = progress
-        self.recording = Recording()
-        self.may_be_armed = False
-        self.session = session
-        self.recording.edges = session.edges  # which grow
-        session.on_step = self._source_step
-        self.twin = DecisionTwin(tables, path, options.config)
-        self._awaited: dict[int, int] = {}
-        self._too_late = 0
-        self._stopped = False
+    """One run; arguments as of ``run_session``."""
+
+    session: Session
+    source: FixSource
+    tables: Tables
+    path: Path
+    options: RunOptions
+    progress: Callable[[float, int], None]
+    keep: Callable[[Recording], None]
+    recording: Recording = field(default_factory=Recording)
+    may_be_armed: bool = False
+    _unanswered: dict[int, int] = field(default_factory=dict)  # sequence of a FIX -> row in recording.fixes
+    _late_answers: int = 0
+    _stopped: bool = False
+
+    def __post_init__(self) -> None:
+        self.recording.edges = self.session.edges  # grows with the session
+        self.session.on_step = self._advance_source
+        self.twin = DecisionTwin(self.tables, self.path, self.options.config)
 
     def go(self) -> Recording:
         session, options = self.session, self.options
@@ -258,7 +213,7 @@ class _Run:
         self.may_be_armed = True
         try:
             session.request("ARM")
-            self._live_until(max(session.time_s + SETTLE_S, READY_S))
+            self._run_until(max(session.time_s + SETTLE_S, READY_S))
             if options.onboard:
                 self._run_onboard()
             else:
@@ -278,19 +233,19 @@ class _Run:
         recording.first_decision_s = (first_us - recording.clock_offset_us) * 1e-6
         limit_s = recording.first_decision_s + self.options.time_limit_s
         while session.time_s < limit_s:
-            self._live_until(min(session.time_s + 0.05, limit_s))
+            self._run_until(min(session.time_s + 0.05, limit_s))
             if session.reconnected() and not recording.ended:
-                self._look_again()
+                self._check_still_running()
             if recording.ended:
                 return
         session.request("STOP")
         recording.ended = TIME
 
-    def _look_again(self) -> None:
-        """Whether the robot is still at it, where its word that it is not may have been lost."""
+    def _check_still_running(self) -> None:
+        """Ask the robot after a lost connection: its ENDED may have been lost."""
         if int(self.session.request("STATUS")["state"]) != link_layout().state["RUNNING"]:
             for arrival in self.session.take("ENDED"):
-                self._note(arrival.frame)
+                self._handle(arrival.frame)
             self.recording.ended = self.recording.ended or DROPPED
 
     def _run_on_host(self) -> None:
@@ -300,7 +255,7 @@ class _Run:
         limit_s = recording.first_decision_s + self.options.time_limit_s
         while True:
             at_us = start_us + len(recording.decisions) * self.tables.period_us
-            self._live_until(min(at_us * 1e-6, limit_s))
+            self._run_until(min(at_us * 1e-6, limit_s))
             if self._ended_on_host():
                 return
             if session.time_s >= limit_s:
@@ -309,10 +264,9 @@ class _Run:
             if self.twin.is_lost(at_us):
                 recording.ended = ENDED["STALE"]
                 return
-            began = time.perf_counter()
+            began_s = time.perf_counter()
             decision = self.twin.decide(at_us)
-            elapsed_us = round((time.perf_counter() - began) * 1e6)
-            decision = Decision(**{**decision.__dict__, "plan_us": elapsed_us})
+            decision = replace(decision, plan_us=round((time.perf_counter() - began_s) * 1e6))
             recording.decisions.append(decision)
             self.progress(session.time_s, decision.path_index)
             if self._ended_on_host():
@@ -327,35 +281,35 @@ class _Run:
             self.recording.ended = end.value
         return bool(self.recording.ended)
 
-    def _live_until(self, until_s: float) -> None:
+    def _run_until(self, until_s: float) -> None:
         while self.session.time_s < until_s and (self.options.onboard or self.twin.ended is None):
             self.session.step(min(max(self.source.next_event_s, self.session.time_s + 1e-6), until_s))
             for arrival in self.session.take("FIX", "STROKE", "DECISION", "REFUSED", "ENDED"):
-                self._note(arrival.frame)
+                self._handle(arrival.frame)
             self.recording.end_s = self.session.time_s
             self.keep(self.recording)
 
-    def _note(self, frame: Frame) -> None:
+    def _handle(self, frame: Frame) -> None:
         recording, values = self.recording, frame.values
-        if frame.name == "FIX" and frame.sequence not in self._awaited:
-            self._too_late += 1  # its number has been given again meanwhile: nobody knows which fix it was
+        if frame.name == "FIX" and frame.sequence not in self._unanswered:
+            self._late_answers += 1  # its sequence number has been used again: the fix is unknown
             return
-        poses = {key: recording.fixes[row].pose_world for key, row in self._awaited.items()}
+        poses = {key: recording.fixes[row].pose_world for key, row in self._unanswered.items()}
         events = events_of_frame(frame, poses)
         recording.events += events
         decision = decision_of_event(values) if frame.name == "DECISION" else None
         if self.options.check is not None:
-            self.options.check.compare(events, decision, self.session.gaps + self._too_late)
+            self.options.check.compare(events, decision, self.session.gaps + self._late_answers)
         if frame.name == "FIX":
-            row = self._awaited.pop(frame.sequence)
+            row = self._unanswered.pop(frame.sequence)
             recording.fix_status[row] = int(values["status"])
             if values["status"] == 0:
                 recording.capture_us[row] = int(values["capture_us"])
                 self.session.check_clock_sync(recording.fixes[row].capture_s, int(values["capture_us"]))
             elif values["status"] == link_layout().status["FAULT"]:
-                self._fail()
+                self._raise_fault()
         elif frame.name == "STROKE" and values["status"] == link_layout().status["STATE"]:
-            self._look_whether_disarmed()
+            self._check_disarmed()
         elif frame.name == "REFUSED":
             if not self.options.onboard:
                 self.twin.act(int(values["begin_us"]) - recording.clock_offset_us, RESTING)
@@ -367,24 +321,23 @@ class _Run:
             name = link_layout().status_name(int(values["status"]))
             recording.ended = ENDED.get(name, name)
 
-    def _look_whether_disarmed(self) -> None:
-        """A stroke was refused: of a robot that has disarmed itself none begins any more."""
-        told = self.session.request("STATUS")
-        if told["state"] == link_layout().state["DISARMED"] and not self.recording.ended:
-            fell = told["supply"] != link_layout().supply["OK"]
-            self.recording.ended = ENDED["SUPPLY"] if fell else DISARMED
+    def _check_disarmed(self) -> None:
+        """End the run where the robot refused a stroke because it has disarmed itself."""
+        status = self.session.request("STATUS")
+        if status["state"] == link_layout().state["DISARMED"] and not self.recording.ended:
+            is_low = status["supply"] != link_layout().supply["OK"]
+            self.recording.ended = ENDED["SUPPLY"] if is_low else DISARMED
 
-    def _fail(self) -> None:
-        """The robot is in FAULT: nothing goes on, whatever is sent."""
-        told = self.session.request("STATUS")
-        name = link_layout().fault_name(int(told["fault"]))
+    def _raise_fault(self) -> None:
+        status = self.session.request("STATUS")
+        name = link_layout().fault_name(int(status["fault"]))
         raise LinkError(
-            f"the robot met the internal error {name} ({told['fault_detail']}) and has switched its outputs "
-            "off: 'frogkick log fetch' tells what led to it, then switch it off and on"
+            f"the robot met the internal error {name} ({status['fault_detail']}) and switched its outputs "
+            "off: fetch its log ('frogkick log fetch') to see the cause, then switch it off and on"
         )
 
-    def _source_step(self, until_s: float, edges: Sequence[Edge]) -> None:
-        """The source lives through a step of the robot; fixes that arrive go straight to the robot."""
+    def _advance_source(self, until_s: float, edges: Sequence[Edge]) -> None:
+        """Advance the source through a step of the robot, and send the fixes that arrive."""
         if self.may_be_armed and not self._stopped and self.options.stop():
             self._stopped = True
             raise _StopError
@@ -392,10 +345,11 @@ class _Run:
             if edge.level:
                 self.source.actuate(edge.limb, edge.time_s)
         for fix in self.source.advance(until_s):
-            at_s = max(until_s, fix.arrival_s)
-            sequence = self.session.post_fix(fix, at_s)
             recording = self.recording
-            self._awaited[sequence] = len(recording.fixes)
+            # An arrival is a sum of floats: it may lie a rounding error behind the one before.
+            at_s = max(until_s, fix.arrival_s, *recording.sent_s[-1:])
+            sequence = self.session.post_fix(fix, at_s)
+            self._unanswered[sequence] = len(recording.fixes)
             recording.fixes.append(fix)
             recording.sent_s.append(at_s)
             recording.capture_us.append(None)

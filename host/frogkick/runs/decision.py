@@ -1,9 +1,10 @@
-"""A decision: what the robot on board reports, and the same made on the host by the twins."""
+"""Decisions: as the robot reports them, and made again on the host by the twins of estimator and planner."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field, fields, replace
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -17,52 +18,61 @@ from frogkick.paths import Path
 from frogkick.planner.plan import PathLike, PlanConfig, PlanError, plan
 from frogkick.tables.image import Tables
 
+Float32 = npt.NDArray[np.float32]
+
 STATE_FIELDS = ("x_m", "y_m", "heading_rad", "vx_mps", "vy_mps", "omega_rad_s")
 LIMB_USE_FIELDS = tuple(f"limb_use_{limb}" for limb in range(8))
 STALE = link_layout().status["STALE"]
 SUPPLY = link_layout().status["SUPPLY"]
 VALUE = link_layout().status["VALUE"]
 RESTING = -1
+"""``RobotEvent.action`` where the guard refused a stroke, so that the robot rests."""
+
+_INTEGERS = (
+    "status", "action", "scheduled_us", "fix_sequence", "path_index", "nearest_state", "depth_reached",
+    "transitions", "plan_us",
+)  # fmt: skip
+_FLOATS = ("cost", "distance_m", "along_points")
+
+
+def _no_state() -> Float32:
+    return np.zeros(6, dtype=np.float32)
 
 
 @dataclass(frozen=True, eq=False)
 class Decision:
-    """One decision, the same fields wherever it was made.
+    """A decision of the robot or of the host.
 
     Attributes:
         status: 0, or why the action is the resting one (``frames.toml``).
         action: index in the table's actions.
         scheduled_us: decision time on the robot's clock.
-        fix_sequence, fixes: newest fix in the estimate and number of fixes in it.
-        path_index: nearest path point of the estimate.
-        nearest_state: row of the table.
-        cost: float32 of the best branch.
-        depth_reached, transitions: levels that were finished, transitions evaluated.
-        distance_m, along_points: float32 of the estimate from the path, and where along it, in points.
-        estimate, predicted: (6,) float32; pose world, velocity body; now and after the action.
-        limb_use: (8,) how much each limb was used before the action.
-        plan_us: computing time, where it was measured.
+        fix_sequence, fixes: newest fix in the estimate, and number of fixes in it.
+        path_index, nearest_state, cost, depth_reached, transitions, distance_m, along_points: as in ``Plan``.
+        estimate, predicted: (6,) float32, pose world and velocity body, before and after the action.
+        limb_use: (8,) recent use of each limb before the action.
+        plan_us: computing time; 0 where it was not measured.
     """
 
     status: int
     action: int
     scheduled_us: int
-    fix_sequence: int
-    fixes: int
-    path_index: int
-    nearest_state: int
-    cost: np.float32
-    estimate: npt.NDArray[np.float32]
-    predicted: npt.NDArray[np.float32]
+    fix_sequence: int = 0
+    fixes: int = 0
+    path_index: int = 0
+    nearest_state: int = 0
+    cost: np.float32 = np.float32(0.0)  # noqa: RUF009 - immutable
+    estimate: Float32 = field(default_factory=_no_state)
+    predicted: Float32 = field(default_factory=_no_state)
     plan_us: int = 0
     limb_use: tuple[int, ...] = (0,) * 8
     depth_reached: int = 0
     transitions: int = 0
-    distance_m: np.float32 = np.float32(0.0)  # noqa: RUF009 - immutable
+    distance_m: np.float32 = np.float32(0.0)  # noqa: RUF009
     along_points: np.float32 = np.float32(0.0)  # noqa: RUF009
 
     def differences(self, other: Decision) -> list[str]:
-        """Names of the fields that differ in any bit; computing time does not count."""
+        """Names of the fields that differ in any bit; ``plan_us`` is not compared."""
         names = [
             "status", "action", "scheduled_us", "fix_sequence", "fixes", "path_index", "nearest_state",
             "limb_use", "depth_reached", "transitions",
@@ -77,30 +87,29 @@ class Decision:
 
 @dataclass(frozen=True)
 class RobotEvent:
-    """What the robot met, in its order: a fix (with pose), an action, a run lost, or a decision (none).
+    """An input of the robot's estimator and planner: a fix, an action, an aborted run, or a decision.
 
     Attributes:
-        time_us: capture time, time at which the action begins, or decision time, robot's clock; 0 if lost.
-        pose_world: (3,) float32 of a fix.
+        time_us: capture time of the fix, start of the action, or time of the decision, robot's clock.
+        pose_world: (3,) float32, of a fix only.
         sequence: number of the fix.
-        action: what began by command, or RESTING where the guard refused what was to begin.
-        lost: the run ended for want of fixes or of supply. No decision shows that; other ends follow from one
-            or a fix.
+        action: of an action only: index of the one that a command began, or RESTING.
+        lost: the run ended because fixes or supply failed. Neither a fix nor a decision implies that end.
     """
 
     time_us: int
-    pose_world: npt.NDArray[np.float32] | None = None
+    pose_world: Float32 | None = None
     sequence: int = 0
     action: int | None = None
     lost: bool = False
 
 
-def events_of_frame(frame: Frame, poses: Mapping[int, npt.NDArray[np.float32]]) -> list[RobotEvent]:
-    """What a frame from the robot tells of what its estimator met.
+def events_of_frame(frame: Frame, poses: Mapping[int, Float32]) -> list[RobotEvent]:
+    """Inputs of the robot's estimator and planner that a frame reports.
 
     Args:
-        frame: any; an answer to FIX, REFUSED, DECISION and an ENDED without fixes tell something.
-        poses: of the fixes on their way, by the sequence of their frame.
+        frame: answer to FIX, REFUSED, DECISION or ENDED; others report none.
+        poses: of the fixes without an answer so far, by the sequence number of their frame.
     """
     values = frame.values
     if frame.name == "FIX" and values["status"] != VALUE:
@@ -116,28 +125,15 @@ def events_of_frame(frame: Frame, poses: Mapping[int, npt.NDArray[np.float32]]) 
 
 
 def decision_of_event(values: dict[str, Value]) -> Decision:
-    """The decision that a DECISION event carries."""
-
-    def state(prefix: str) -> npt.NDArray[np.float32]:
-        return np.array([values[prefix + name] for name in STATE_FIELDS], dtype=np.float32)
-
+    """The decision of a DECISION event."""
+    numbers: dict[str, Any] = {name: int(values[name]) for name in _INTEGERS}
+    numbers |= {name: np.float32(values[name]) for name in _FLOATS}
     return Decision(
-        status=int(values["status"]),
-        action=int(values["action"]),
-        scheduled_us=int(values["scheduled_us"]),
-        fix_sequence=int(values["fix_sequence"]),
+        **numbers,
         fixes=int(values["fixes_in_estimate"]),
-        path_index=int(values["path_index"]),
-        nearest_state=int(values["nearest_state"]),
-        cost=np.float32(values["cost"]),
-        estimate=state(""),
-        predicted=state("predicted_"),
-        plan_us=int(values["plan_us"]),
+        estimate=np.array([values[name] for name in STATE_FIELDS], dtype=np.float32),
+        predicted=np.array([values[f"predicted_{name}"] for name in STATE_FIELDS], dtype=np.float32),
         limb_use=tuple(int(values[name]) for name in LIMB_USE_FIELDS),
-        depth_reached=int(values["depth_reached"]),
-        transitions=int(values["transitions"]),
-        distance_m=np.float32(values["distance_m"]),
-        along_points=np.float32(values["along_points"]),
     )
 
 
@@ -149,57 +145,43 @@ def decide(
     follow: Follow,
     at_us: int,
 ) -> tuple[Decision, End | None]:
-    """Estimate and plan for a time, as the robot on board does; and why the run is over with it, or None.
+    """Estimate and plan for a time as the robot does. ``follow`` is updated, the estimator is not.
 
-    ``follow`` notes the progress; that the action begins is for the caller to tell the estimator.
+    Returns:
+        The decision, and why it ends the run or None.
     """
-    nowhere = np.zeros(6, dtype=np.float32)
-    resting_action = resting_action_of(tables)
-    along = follow.along_points
+    resting = Decision(STALE, resting_action_of(tables), at_us, along_points=follow.along_points)
     estimate = estimator.at(at_us)
     if estimate is None:
-        return Decision(
-            STALE, resting_action, at_us, 0, 0, 0, 0, np.float32(0.0), nowhere, nowhere, along_points=along
-        ), None
-    limb_use = tuple(int(use) for use in estimate.limb_use)
-    try:
-        made = plan(tables, path, config, estimate.state, estimate.limb_use, float(along))
-    except PlanError as error:
-        return Decision(
-            error.status, resting_action, at_us, estimate.fix_sequence, estimate.fixes, 0, 0,
-            np.float32(0.0), estimate.state, nowhere, limb_use=limb_use, along_points=along,
-        ), None  # fmt: skip
-    decision = Decision(
-        status=0,
-        action=made.action,
-        scheduled_us=at_us,
+        return resting, None
+    resting = replace(
+        resting,
         fix_sequence=estimate.fix_sequence,
         fixes=estimate.fixes,
-        path_index=made.path_index,
-        nearest_state=made.nearest_state,
-        cost=made.cost,
         estimate=estimate.state,
-        predicted=made.predicted,
-        limb_use=limb_use,
-        depth_reached=made.depth_reached,
-        transitions=made.transitions,
-        distance_m=made.distance_m,
-        along_points=made.along_points,
+        limb_use=tuple(int(use) for use in estimate.limb_use),
     )
-    return decision, follow.decided(made)
+    try:
+        made = plan(tables, path, config, estimate.state, estimate.limb_use, float(follow.along_points))
+    except PlanError as error:
+        return replace(resting, status=error.status), None
+    planned = {
+        entry.name: getattr(made, entry.name) for entry in fields(made) if hasattr(resting, entry.name)
+    }
+    return replace(resting, status=0, **planned), follow.decided(made)
 
 
 class DecisionTwin:
-    """Estimator and planner on the host, deciding as the robot on board would.
+    """Estimator and planner on the host, which decide as the robot does.
 
     Attributes:
-        ended: why the run is over, None while it goes on. The next decision begins a new run.
+        ended: why the run has ended; None while it goes on. The next decision starts a new run.
     """
 
     def __init__(
         self, tables: Tables, path: Path, config: PlanConfig, estimator: Estimates | None = None
     ) -> None:
-        """Decide on a path; ``estimator`` is the robot's own where it is None."""
+        """Start at the path's begin; without ``estimator`` the twin of the robot's own is used."""
         self._tables = tables
         self._path = path
         self._config = config
@@ -208,44 +190,43 @@ class DecisionTwin:
         self.ended: End | None = None
         self._resting_action = resting_action_of(tables)
 
-    def add_fix(self, capture_us: int, pose_world: npt.NDArray[np.float32], sequence: int) -> int:
-        """Take a fix; 0, or why it is refused (see ``Estimator.add``)."""
+    def add_fix(self, capture_us: int, pose_world: Float32, sequence: int) -> int:
+        """Add a fix; return 0 or the status of its refusal (see ``Estimator.add``)."""
         status = self._estimator.add(capture_us, pose_world, sequence)
         if status == 0 and self.ended is None:
             self.ended = self._follow.fixed(pose_world[0], pose_world[1])
         return status
 
     def act(self, at_us: int, action: int) -> None:
-        """An action begins that ``decide`` did not ask for; RESTING: the one it asked for does not."""
+        """Replace the action that ``decide`` chose; RESTING: the robot does not start it."""
         self._estimator.act(at_us, self._resting_action if action == RESTING else action)
 
-    def lose(self) -> None:
-        """The run ends for want of fixes: the next decision begins a new one, at the path's start."""
+    def restart(self) -> None:
+        """Start a new run at the path's begin."""
         self._follow.begin()
         self.ended = None
 
     def apply(self, event: RobotEvent) -> Decision | None:
-        """Apply an event of the robot; a decision is computed again and returned."""
+        """Apply an event of the robot; return the decision where it is one."""
         if event.pose_world is not None:
             self.add_fix(event.time_us, event.pose_world, event.sequence)
         elif event.action is not None:
             self.act(event.time_us, event.action)
         elif event.lost:
-            self.lose()
+            self.restart()
         else:
             return self.decide(event.time_us)
         return None
 
     def is_lost(self, at_us: int) -> bool:
-        """No fix for so long that the robot on board would disarm."""
+        """Whether the newest fix is so old that the robot would end its run."""
         newest_us = self._estimator.newest_capture_us
         return newest_us is None or at_us - newest_us > LOST_US
 
     def decide(self, at_us: int) -> Decision:
-        """Estimate and plan for a time on the clock of the fixes; the estimator takes the action as begun."""
+        """Decide for a time on the clock of the fixes; the estimator takes the action as started."""
         if self.ended is not None:
-            self._follow.begin()
-            self.ended = None
+            self.restart()
         decision, self.ended = decide(
             self._tables, self._path, self._config, self._estimator, self._follow, at_us
         )

@@ -82,13 +82,12 @@ def columns_of(run: RunLog) -> Iterator[tuple[str, dict[str, NDArray[Any]]]]:
         if group is None:
             continue
         columns: dict[str, NDArray[Any]] = {}
-        for name in group.SCHEMA:
+        for name in group.columns():
             _spread(columns, name, getattr(group, name))
         for name, values in sorted(group.extra.items()):
             _spread(columns, name, values)
         if group is run.decisions:
-            names = [run.action_names[index] if index >= 0 else "" for index in run.decisions.action]
-            columns["action_name"] = np.array(names, dtype=object)
+            columns["action_name"] = np.array(run.decided(unseen=""), dtype=object)
         yield group.NAME, columns
     if run.path is not None:
         yield (

@@ -157,7 +157,7 @@ def _messages(run: RunLog, foxglove: Any) -> Iterator[Message]:
         return begin_ns + max(0, _ns(time_s))
 
     fixes = run.fixes
-    seen = np.column_stack([fixes.x_m, fixes.y_m, fixes.heading_rad])
+    seen = fixes.pose_world
     for row in np.flatnonzero(fixes.usable):
         # Arrived then, taken before: the message says both.
         taken_ns = at(fixes.capture_time_s[row])
@@ -208,7 +208,5 @@ def _best_poses(run: RunLog) -> Iterator[tuple[float, NDArray[np.float64]]]:
     if run.truth is not None:
         yield from zip(run.truth.time_s, run.truth.pose_world, strict=True)
         return
-    fixes = run.fixes
-    for row in np.flatnonzero(fixes.usable):
-        pose = np.array([fixes.x_m[row], fixes.y_m[row], fixes.heading_rad[row]])
-        yield float(fixes.capture_time_s[row]), pose
+    usable = run.fixes.usable
+    yield from zip(run.fixes.capture_time_s[usable], run.fixes.pose_world[usable], strict=True)

@@ -185,7 +185,7 @@ class LiveLog:
 
     def _append(self, groups: Sequence[Fixes | Decisions]) -> None:
         kind = groups[0]
-        for name in [*kind.SCHEMA, *kind.extra]:
+        for name in [*kind.columns(), *kind.extra]:
             if f"{kind.NAME}/{name}" not in self._file:
                 continue  # times of plans made on this computer are not logged
             columns = [one.extra[name] if name in one.extra else getattr(one, name) for one in groups]

@@ -122,7 +122,7 @@ class LiveView:
     def show_log(self, run: RunLog, time_s: float) -> None:
         """Take what a log holds until a time of it."""
         seen = run.fixes.usable & (run.fixes.time_s <= time_s)
-        fixes = np.column_stack([run.fixes.x_m, run.fixes.y_m, run.fixes.heading_rad])[seen]
+        fixes = run.fixes.pose_world[seen]
         ages_s = (run.fixes.time_s - run.fixes.capture_time_s)[seen]
         track = np.zeros((0, 3)) if run.truth is None else run.truth.pose_world[run.truth.time_s <= time_s]
         decisions, made = run.decisions, int((run.decisions.time_s <= time_s).sum())
@@ -130,7 +130,7 @@ class LiveView:
         places = decisions.estimate
         if places is None:  # nobody told it: where it was seen
             places = fixes[np.searchsorted(run.fixes.time_s[seen], decisions.time_s[:made], "right") - 1]
-        names = [run.action_names[index] if index >= 0 else "?" for index in decisions.action]
+        names = run.decided()
         branch = []
         if made and decisions.estimate is not None and decisions.predicted is not None:
             branch = [decisions.estimate[last, :3], decisions.predicted[last, :3]]

@@ -139,7 +139,7 @@ def run_log(
     """The log of a run.
 
     Args:
-        recording: of ``run_in_pool`` or ``run_session``.
+        recording: of ``run_session`` or ``run_session``.
         pool: the simulated one where it swam, which gives the truth; None: a real one.
         robot, tables, path, options: as in the run.
         seed: of the camera's noise, where that was simulated.

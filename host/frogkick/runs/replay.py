@@ -153,9 +153,7 @@ def replay(
     decided = replay_on_host(events, DecisionTwin(tables, run.path, config)) if host else []
     names = [row.name for row in tables.actions] + ["-"]
     actions = [names[d.action] for d in (onboard or decided)]
-    recorded: list[str | None] = [
-        run.action_names[index] if index >= 0 else None for index in run.decisions.action[: len(actions)]
-    ]
+    recorded: list[str | None] = [name or None for name in run.decided(unseen="")[: len(actions)]]
     differences = compare(onboard, decided) if port is not None and host else []
     return Replay(actions, recorded, onboard, decided, differences)
 

@@ -1,7 +1,7 @@
-"""The log of a run: the same columns for ours (on board, in the pool) and for imported ones.
+"""The log of a run in columns, of our own runs and of imported ones.
 
-Times are monotonic seconds from the run's start; poses are in the world frame, velocities in the body frame
-except columns whose name says `world`. `runlog_file` has the HDF5 layout.
+Times are monotonic seconds from the run's start. Poses are in the world frame, velocities in the body frame
+except in columns whose name says `world`. `runlog_file` describes the HDF5 layout.
 """
 
 from __future__ import annotations
@@ -11,7 +11,8 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from datetime import datetime
-from typing import Any, ClassVar
+from functools import cache
+from typing import Annotated, Any, ClassVar, get_type_hints
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,13 +27,13 @@ class FixFlag(enum.IntFlag):
     """Bits of `fixes/flags`."""
 
     UNTRUSTED_TIME = 1  # the frame is real, its time is not: capture_time_s is NaN
-    AFTER_GAP = 2  # more frames were lost before this one than the usual spacing has
+    AFTER_GAP = 2  # frames were lost before this one
     MISDETECTION = 4  # the pose is not the robot's: quality is 0
-    JUMP = 8  # farther from its neighbour than the robot can go, and which of both is wrong is unknown
+    JUMP = 8  # farther from its neighbour than the robot can go; which of the two is wrong is unknown
     MISSING = 16  # the fix was lost: its pose is NaN
     AT_REST = 32  # before the first stroke
     REPAIRED_STAMP = 64  # time_s is not the stamp in the file
-    DUPLICATE = 128  # the very pose of the row before, so no new picture: quality is 0
+    DUPLICATE = 128  # exactly the pose of the row before, so no new picture: quality is 0
 
 
 class DecisionFlag(enum.IntFlag):
@@ -44,7 +45,7 @@ class DecisionFlag(enum.IntFlag):
 
 @dataclass(frozen=True)
 class Column:
-    """What one dataset holds: unit, type, numbers per row, and the flag bits of a row that allow NaN."""
+    """A dataset: unit, type, numbers per row (0: a scalar), and the flag bits of a row that allow NaN."""
 
     unit: str
     dtype: str
@@ -54,112 +55,89 @@ class Column:
 
 
 STATE_UNIT = "m, m, rad, m/s, m/s, rad/s"
-_FIXES = {
-    "time_s": Column("s", "<f8"),
-    "capture_time_s": Column("s", "<f8", missing_bits=FixFlag.UNTRUSTED_TIME | FixFlag.MISSING),
-    "x_m": Column("m", "<f8", missing_bits=FixFlag.MISSING),
-    "y_m": Column("m", "<f8", missing_bits=FixFlag.MISSING),
-    "heading_rad": Column("rad", "<f8", missing_bits=FixFlag.MISSING),
-    "quality": Column("1", "u1"),
-    "flags": Column("bits", "<u2"),
-}
-_DECISIONS = {
-    "time_s": Column("s", "<f8"),
-    "action": Column("index", "<i2"),
-    "fix_sequence": Column("row of fixes", "<i8"),
-    "flags": Column("bits", "<u2"),
-    "cost": Column("1", "<f8", missing_bits=DecisionFlag.NO_PLAN, optional=True),
-    "estimate": Column(STATE_UNIT, "<f8", 6, DecisionFlag.NO_PLAN, optional=True),
-    "predicted": Column(STATE_UNIT, "<f8", 6, DecisionFlag.NO_PLAN, optional=True),
-    "plan_s": Column("s", "<f8", missing_bits=DecisionFlag.NO_PLAN, optional=True),
-}
-_STROKES = {
-    "time_s": Column("s", "<f8"),
-    "limb_mask": Column("bits", "u1"),
-    "pulse_s": Column("s", "<f8"),
-}
-_TRUTH = {
-    "time_s": Column("s", "<f8"),
-    "pose_world": Column("m, m, rad", "<f8", 3),
-    "velocity_body": Column("m/s, m/s, rad/s", "<f8", 3),
-}
 
 
+@dataclass(frozen=True, eq=False)
 class _Group:
-    """Columns of equal length, checked when made; `extra` holds additional ones."""
+    """Columns of equal length, checked when made.
 
-    SCHEMA: ClassVar[Mapping[str, Column]]
+    Attributes:
+        time_s: (n,) s, not decreasing.
+        extra: further columns of n rows; the end of a name is its unit.
+    """
+
     NAME: ClassVar[str]
-    extra: Mapping[str, Array]
+    time_s: Annotated[Array, Column("s", "<f8")]
+    extra: Mapping[str, Array] = field(default_factory=dict, kw_only=True)
+
+    @classmethod
+    @cache
+    def columns(cls) -> dict[str, Column]:
+        """The columns by name, without the extra ones."""
+        hints = get_type_hints(cls, include_extras=True).items()
+        return {name: hint.__metadata__[0] for name, hint in hints if hasattr(hint, "__metadata__")}
 
     def __post_init__(self) -> None:
-        count = -1
-        flags: Array | None = None
-        if "flags" in self.SCHEMA:
-            flags = np.asarray(self.flags)  # type: ignore[attr-defined]
-        for name, column in self.SCHEMA.items():
+        flags = getattr(self, "flags", None)
+        flags = None if flags is None else np.asarray(flags)
+        checked: dict[str, Array] = {}
+        for name, column in self.columns().items():
             given = getattr(self, name)
             if given is None and column.optional:
                 continue
-            values = _as_column(self.NAME, name, given, column)
-            count = len(values) if count < 0 else count
-            if len(values) != count:
-                raise InputError(
-                    f"run: {self.NAME}/{name} has {len(values)} rows, time_s has {count}: make them equal"
-                )
-            _check_finite(self.NAME, name, values, flags, column.missing_bits)
-            object.__setattr__(self, name, _frozen(values))
-        extra = {}
+            checked[name] = _as_column(self.NAME, name, given, column)
+            self._require_rows(name, checked[name], len(checked["time_s"]))
+            _check_finite(self.NAME, name, checked[name], flags, column.missing_bits)
+        extra: dict[str, Array] = {}
         for name, given in self.extra.items():
             values = np.asarray(given)
             if values.dtype.kind not in "iufb" or values.ndim == 0:
                 raise InputError(f"run: {self.NAME}/{name} holds {values.dtype}: give a column of numbers")
-            if len(values) != count:
-                raise InputError(
-                    f"run: {self.NAME}/{name} has {len(values)} rows, time_s has {count}: make them equal"
-                )
-            if values.dtype.kind == "f":
-                _check_finite(
-                    self.NAME, name, values, flags, FixFlag.MISSING if self.NAME == "fixes" else 0xFFFF
-                )
+            self._require_rows(name, values, len(checked["time_s"]))
+            _check_finite(self.NAME, name, values, flags, FixFlag.MISSING if self.NAME == "fixes" else 0xFFFF)
             extra[name] = _frozen(values)
+        for name, values in checked.items():
+            object.__setattr__(self, name, _frozen(values))
         object.__setattr__(self, "extra", extra)
-        time = np.asarray(self.time_s)  # type: ignore[attr-defined]
-        back = np.flatnonzero(np.diff(time) < 0.0)
+        back = np.flatnonzero(np.diff(self.time_s) < 0.0)
         if back.size:
             row = int(back[0]) + 1
             raise InputError(
-                f"run: {self.NAME}/time_s row {row} goes back from {time[row - 1]:.6f} to {time[row]:.6f} s: "
-                "sort the rows or cut the run there"
+                f"run: {self.NAME}/time_s row {row} goes back from {self.time_s[row - 1]:.6f} to "
+                f"{self.time_s[row]:.6f} s: sort the rows or cut the run there"
+            )
+
+    def _require_rows(self, name: str, values: Array, count: int) -> None:
+        if len(values) != count:
+            raise InputError(
+                f"run: {self.NAME}/{name} has {len(values)} rows, time_s has {count}: make them equal"
             )
 
     def __len__(self) -> int:
-        return len(self.time_s)  # type: ignore[attr-defined]
+        return len(self.time_s)
 
 
 @dataclass(frozen=True, eq=False)
 class Fixes(_Group):
     """Position fixes in order of arrival.
 
-    Args:
-        time_s: (n,) s, arrival at the logger, not decreasing.
+    Attributes:
+        time_s: (n,) s, arrival at the logger.
         capture_time_s: (n,) s, when the picture was taken; NaN only where flagged UNTRUSTED_TIME or MISSING.
         x_m, y_m, heading_rad: (n,) world; heading in (-pi, pi]; NaN only where flagged MISSING.
         quality: (n,) 0 (do not use) or 1.
         flags: (n,) FixFlag bits.
-        extra: further columns of n rows, unit in the name's suffix.
     """
 
-    SCHEMA = _FIXES
     NAME = "fixes"
-    time_s: Array
-    capture_time_s: Array
-    x_m: Array
-    y_m: Array
-    heading_rad: Array
-    quality: Array
-    flags: Array
-    extra: Mapping[str, Array] = field(default_factory=dict)
+    capture_time_s: Annotated[
+        Array, Column("s", "<f8", missing_bits=FixFlag.UNTRUSTED_TIME | FixFlag.MISSING)
+    ]
+    x_m: Annotated[Array, Column("m", "<f8", missing_bits=FixFlag.MISSING)]
+    y_m: Annotated[Array, Column("m", "<f8", missing_bits=FixFlag.MISSING)]
+    heading_rad: Annotated[Array, Column("rad", "<f8", missing_bits=FixFlag.MISSING)]
+    quality: Annotated[Array, Column("1", "u1")]
+    flags: Annotated[Array, Column("bits", "<u2")]
 
     @property
     def usable(self) -> NDArray[np.bool_]:
@@ -167,56 +145,55 @@ class Fixes(_Group):
         unknown = self.flags & int(FixFlag.UNTRUSTED_TIME | FixFlag.MISSING)
         return np.asarray((self.quality == 1) & (unknown == 0))
 
+    @property
+    def pose_world(self) -> NDArray[np.float64]:
+        """(n, 3) x_m, y_m, heading_rad."""
+        return np.column_stack([self.x_m, self.y_m, self.heading_rad])
+
 
 @dataclass(frozen=True, eq=False)
 class Decisions(_Group):
-    """What was decided, one row per period.
+    """Decisions, one row per period.
 
-    Args:
+    Attributes:
         time_s: (n,) s.
         action: (n,) index into RunLog.action_names, -1 only where flagged UNSEEN.
-        fix_sequence: (n,) row of `fixes` that was the newest, -1 where none was.
+        fix_sequence: (n,) row of `fixes` that was the newest, -1 where there was none.
         flags: (n,) DecisionFlag bits.
         cost, plan_s: (n,) or None where the run has none.
-        estimate, predicted: (n,6) x m, y m, heading rad (world), vx, vy m/s, omega rad/s (body), or None.
-        extra: further columns of n rows.
+        estimate, predicted: (n, 6) x m, y m, heading rad (world), vx, vy m/s, omega rad/s (body), or None.
     """
 
-    SCHEMA = _DECISIONS
     NAME = "decisions"
-    time_s: Array
-    action: Array
-    fix_sequence: Array
-    flags: Array
-    cost: Array | None = None
-    estimate: Array | None = None
-    predicted: Array | None = None
-    plan_s: Array | None = None
-    extra: Mapping[str, Array] = field(default_factory=dict)
+    action: Annotated[Array, Column("index", "<i2")]
+    fix_sequence: Annotated[Array, Column("row of fixes", "<i8")]
+    flags: Annotated[Array, Column("bits", "<u2")]
+    cost: Annotated[Array | None, Column("1", "<f8", 0, DecisionFlag.NO_PLAN, optional=True)] = None
+    estimate: Annotated[Array | None, Column(STATE_UNIT, "<f8", 6, DecisionFlag.NO_PLAN, optional=True)] = (
+        None
+    )
+    predicted: Annotated[Array | None, Column(STATE_UNIT, "<f8", 6, DecisionFlag.NO_PLAN, optional=True)] = (
+        None
+    )
+    plan_s: Annotated[Array | None, Column("s", "<f8", 0, DecisionFlag.NO_PLAN, optional=True)] = None
 
 
 @dataclass(frozen=True, eq=False)
 class Strokes(_Group):
     """Pulses: time_s (n,), limb_mask (n,) bit i = limb i, pulse_s (n,)."""
 
-    SCHEMA = _STROKES
     NAME = "strokes"
-    time_s: Array
-    limb_mask: Array
-    pulse_s: Array
-    extra: Mapping[str, Array] = field(default_factory=dict)
+    limb_mask: Annotated[Array, Column("bits", "u1")]
+    pulse_s: Annotated[Array, Column("s", "<f8")]
 
 
 @dataclass(frozen=True, eq=False)
 class Truth(_Group):
-    """What a simulated pool knows: time_s (n,), pose_world (n,3), velocity_body (n,3)."""
+    """The robot's true motion in a simulated pool: time_s (n,), pose_world (n, 3), velocity_body (n, 3)."""
 
-    SCHEMA = _TRUTH
     NAME = "truth"
-    time_s: Array
-    pose_world: Array
-    velocity_body: Array
-    extra: Mapping[str, Array] = field(default_factory=dict)
+    pose_world: Annotated[Array, Column("m, m, rad", "<f8", 3)]
+    velocity_body: Annotated[Array, Column("m/s, m/s, rad/s", "<f8", 3)]
 
 
 def _is_moment(text: str) -> bool:
@@ -228,21 +205,20 @@ def _is_moment(text: str) -> bool:
 
 @dataclass(frozen=True, eq=False)
 class RunLog:
-    """A whole run.
+    """A run.
 
-    Args:
-        robot_id: which robot ("frog2022").
+    Attributes:
+        robot_id: the robot ("frog2022").
         source: name of the file or program it comes from, without folders.
         period_s, pulse_s: s, both above 0.
-        action_names: names that `decisions.action` counts.
-        table_crc: CRC-32 of the table image that planned, or None.
+        action_names: names of the actions in `decisions.action`.
+        table_crc: CRC-32 of the planner's table image, or None.
         seed: of the simulation, or None.
         notes: free text.
         measured: numbers about the run (name with unit suffix -> finite value).
-        planner: weights and depth that decided (field of PlanConfig -> finite value), where they are known.
-        made: how it came about, as texts: ``began_at`` (UTC at the log's time 0, ISO 8601), ``frogkick`` (its
-            version), ``robot_toml``, ``robot_sha256``, ``table_sha256``, ``command``; not all are always
-            known.
+        planner: the planner's weights and depth (field of PlanConfig -> finite value), where known.
+        made: provenance as texts, where known: ``began_at`` (UTC at the log's time 0, ISO 8601), ``frogkick``
+            (its version), ``robot_toml``, ``robot_sha256``, ``table_sha256``, ``command``.
     """
 
     robot_id: str
@@ -294,6 +270,10 @@ class RunLog:
                 f"run: decisions/fix_sequence row {wrong[0]} is {self.decisions.fix_sequence[wrong[0]]}, "
                 f"the run has {len(self.fixes)} fixes: correct it or give -1"
             )
+
+    def decided(self, unseen: str = "?") -> list[str]:
+        """Name of each decision's action; ``unseen`` where it is not known."""
+        return [self.action_names[index] if index >= 0 else unseen for index in self.decisions.action]
 
 
 def _as_column(group: str, name: str, given: Any, column: Column) -> Array:

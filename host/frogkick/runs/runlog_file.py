@@ -176,7 +176,7 @@ def _write_group(file: h5py.File, group: Fixes | Decisions | Strokes | Truth, ch
             grows = {"maxshape": (None, *values.shape[1:]), "chunks": (chunk_rows, *values.shape[1:])}
         target.create_dataset(name, data=values, **grows).attrs["unit"] = unit
 
-    for name, column in group.SCHEMA.items():
+    for name, column in group.columns().items():
         values = getattr(group, name)
         if values is not None:
             write(name, values, column.unit)
@@ -190,7 +190,7 @@ def _read_group(file: h5py.File, kind: type[Fixes | Decisions | Strokes | Truth]
         raise InputError(f"run: group {kind.NAME!r} is missing: record or import it again")
     group = file[kind.NAME]
     columns: dict[str, Any] = {}
-    for name, column in kind.SCHEMA.items():
+    for name, column in kind.columns().items():
         if name in group:
             columns[name] = group[name][:]
         elif not column.optional:

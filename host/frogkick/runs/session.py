@@ -1,4 +1,4 @@
-"""Talking with a robot in simulated time: commands with their answers, events, a pool moving along."""
+"""A session with a robot in simulated time: commands and their answers, and events."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class LinkError(FrogkickError):
 
 @contextmanager
 def uninterrupted() -> Iterator[None]:
-    """Ctrl-C does nothing meanwhile."""
+    """Ignore Ctrl-C meanwhile."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -42,13 +42,13 @@ def uninterrupted() -> Iterator[None]:
         signal.signal(signal.SIGINT, before)
 
 
-Asked = tuple[dict[str, Value] | None, Sequence[Sequence[Value]]]
+Arguments = tuple[dict[str, Value] | None, Sequence[Sequence[Value]]]
 """Values and rows of a command."""
 
 
 @dataclass(frozen=True)
 class Arrival:
-    """A frame from the robot and when its last byte came, robot time."""
+    """A frame from the robot, and the arrival of its last byte in robot time."""
 
     time_s: float
     frame: Frame
@@ -56,14 +56,15 @@ class Arrival:
 
 @dataclass
 class Session:
-    """One conversation with a robot. ``on_step`` lets a pool live through the same time.
+    """A session with a robot.
 
     Attributes:
         port: the robot.
-        on_step: called after each step with the new time and the pin edges of that step.
-        edges: every pin edge so far.
-        conversation: another number for each session with the same robot: sequence numbers begin anew.
-        key_file: the owner's key, for a robot that has one; None: the user's own, see ``default_key_file``.
+        on_step: called after each step with the new time and the pin edges of the step.
+        time_s: session time, from 0.
+        edges: pin edges so far.
+        conversation: number of this session; it differs for each session with the same robot.
+        key_file: file of the owner's key, for a robot that has one; None: ``default_key_file``.
     """
 
     port: RobotPort
@@ -77,7 +78,7 @@ class Session:
     _inbox: list[Arrival] = field(default_factory=list)
 
     def step(self, until_s: float) -> None:
-        """Let robot and pool live until a time."""
+        """Advance robot and pool to a time."""
         self.port.advance(until_s)
         edges = self.port.edges()
         self.edges += edges
@@ -99,7 +100,7 @@ class Session:
         return self._sequence
 
     def post_fix(self, fix: Fix, at_s: float) -> int:
-        """Send a position fix; its age counts from the picture to this moment."""
+        """Send a position fix at ``at_s``, which its age counts to; return its sequence number."""
         values: dict[str, Value] = {
             "fix_sequence": fix.sequence,
             "quality": 1,
@@ -111,7 +112,7 @@ class Session:
         return self.post("FIX", values, at_s=at_s)
 
     def take(self, *names: str) -> list[Arrival]:
-        """Take the frames of these names that have arrived, in order."""
+        """Remove and return the arrived frames of some names, in order."""
         taken = [arrival for arrival in self._inbox if arrival.frame.name in names]
         self._inbox = [arrival for arrival in self._inbox if arrival.frame.name not in names]
         return taken
@@ -119,28 +120,28 @@ class Session:
     def request(
         self, name: str, values: dict[str, Value] | None = None, rows: Sequence[Sequence[Value]] = ()
     ) -> dict[str, Value]:
-        """Send a command and live until its answer.
+        """Send a command and wait for its answer.
 
         Raises:
-            LinkError: no answer within a second, or an answer that refuses.
+            LinkError: no answer in time, or the robot refuses.
         """
         answer = self.ask(name, values, rows)
         status = int(answer["status"])
         if status < 0:
-            said = " ".join((name, str(values))) if values and name != "KEY" else name  # which is a secret
+            command = f"{name} {values}" if values and name != "KEY" else name  # a key is secret
             raise LinkError(
-                f"the robot refuses {said}: {link_layout().status_name(status)}{self._why(status)}"
+                f"the robot refuses {command}: {link_layout().status_name(status)}{self._why(status)}"
             )
         return answer
 
     def _why(self, status: int) -> str:
-        """Of a refusal that names no reason itself: what is behind it, and what to do."""
+        """Explain a status that names no reason itself."""
         if status in (link_layout().status["AUTH"], link_layout().status["MAC"]):
-            return ", as it takes commands from its owner alone, and does not know this host: try again"
+            return ": it takes commands only from its owner and has not authenticated this host: try again"
         if status != link_layout().status["FAULT"]:
             return ""
-        told = self.ask("STATUS")
-        return f", internal error {link_layout().fault_name(int(told['fault']))} ({told['fault_detail']})"
+        answer = self.ask("STATUS")
+        return f", internal error {link_layout().fault_name(int(answer['fault']))} ({answer['fault_detail']})"
 
     def ask(
         self,
@@ -149,7 +150,7 @@ class Session:
         rows: Sequence[Sequence[Value]] = (),
         timeout_s: float = ANSWER_TIMEOUT_S,
     ) -> dict[str, Value]:
-        """Like ``request``, but a refusal is an answer too.
+        """Like ``request``, but return a refusal too.
 
         Raises:
             LinkError: no answer in time.
@@ -158,46 +159,38 @@ class Session:
 
     @property
     def window(self) -> int:
-        """Commands that may be asked at once: a UART's chip takes no more than one."""
+        """Number of commands that may wait for their answers at the same time."""
         return 1
 
     def ask_all(
-        self, name: str, many: Sequence[Asked], timeout_s: float = ANSWER_TIMEOUT_S
+        self, name: str, many: Sequence[Arguments], timeout_s: float = ANSWER_TIMEOUT_S
     ) -> list[dict[str, Value]]:
-        """Ask several times the same at once, and wait for all answers.
-
-        Args:
-            name: of the command.
-            many: values and rows of each.
-            timeout_s: for all together.
+        """Send a command several times with different arguments, and wait for all answers.
 
         Raises:
-            LinkError: an answer is missing.
+            LinkError: an answer is missing after ``timeout_s``.
         """
         sequences = [self.post(name, values, rows) for values, rows in many]
-        told: dict[int, dict[str, Value]] = {}
+        answers: dict[int, dict[str, Value]] = {}
         deadline_s = self.time_s + timeout_s
         while self.time_s < deadline_s:
             self.step(self.time_s + STEP_S)
-            if self._answered(name, sequences, told):
-                return [told[sequence] for sequence in sequences]
+            if self._answered(name, sequences, answers):
+                return [answers[sequence] for sequence in sequences]
         raise LinkError(f"no answer to {name} within {timeout_s:g} s: is the firmware running?")
 
-    def _answered(self, name: str, sequences: Sequence[int], told: dict[int, dict[str, Value]]) -> bool:
-        """Take the answers that have come; whether these are all."""
+    def _answered(self, name: str, sequences: Sequence[int], answers: dict[int, dict[str, Value]]) -> bool:
+        """Move arrived answers from the inbox to ``answers``; whether all have come."""
         for arrival in self.take(name):
             frame = arrival.frame
             if frame.kind == "answer" and frame.sequence in sequences:
-                told[frame.sequence] = frame.values
+                answers[frame.sequence] = frame.values
             else:
                 self._inbox.append(arrival)
-        return len(told) == len(sequences)
+        return len(answers) == len(sequences)
 
     def make_safe(self) -> bool:
-        """DISARM, whatever was going on; False where the robot does not say that its outputs are off.
-
-        Nothing but the robot lives on meanwhile, and Ctrl-C does nothing.
-        """
+        """Send DISARM until the robot answers; False where it does not. Pool and Ctrl-C wait meanwhile."""
         self.on_step = lambda _time_s, _edges: None
         with uninterrupted():
             for _ in range(DISARM_TRIES):
@@ -205,51 +198,48 @@ class Session:
                     self.ask("DISARM")
                 except FrogkickError:
                     continue
-                return True  # disarmed, or in a fault, which has its outputs off as well
+                return True  # disarmed, or in a fault with its outputs off
         return False
 
     def reconnected(self) -> bool:
-        """The connection has dropped and come back since this was asked last; never in simulated time."""
+        """Whether the connection was lost and restored since the last call; never in simulated time."""
         return False
 
     def real_time_guard(self) -> AbstractContextManager[None]:
-        """What a run goes on in; in simulated time nothing hurries."""
+        """Context of a run; no effect in simulated time."""
         return nullcontext()
 
     @property
     def gaps(self) -> int:
-        """How often something that the robot said may have been lost; 0 in simulated time."""
+        """How often frames from the robot may have been lost; 0 in simulated time."""
         return 0
 
     def robot_clock_offset_us(self) -> int:
-        """Robot time minus this session's: 0 in simulated time."""
+        """Robot time minus session time; 0 in simulated time."""
         return 0
 
     def check_clock_sync(self, capture_s: float, capture_us: int) -> None:
-        """Check that the session's clock (s) and the robot's (us) give a fix the same capture time.
-
-        In simulated time there is one clock.
-        """
+        """Check that session clock and robot clock agree on a capture time; no effect in simulated time."""
 
     def hello(self) -> dict[str, Value]:
-        """HELLO, and refuse a robot that speaks another protocol.
+        """Answer to HELLO.
 
         Raises:
-            LinkError: no answer, or another protocol.
+            LinkError: no answer, or the robot has another version of the protocol.
         """
-        told = self._hello()
+        answer = self._hello()
         ours = link_layout().protocol_version
-        if told["protocol_version"] != ours:
+        if answer["protocol_version"] != ours:
             raise LinkError(
-                f"the robot speaks protocol {told['protocol_version']}, this host {ours}: flash it again"
+                f"the robot speaks protocol {answer['protocol_version']}, this host {ours}: flash it again"
             )
-        return told
+        return answer
 
     def authenticate(self) -> None:
-        """Prove to a robot with an owner's key that this host has it too; where it has none, nothing.
+        """Authenticate to a robot that has an owner's key; no effect with another.
 
         Raises:
-            LinkError: it has a key, and this host another one or none; or it does not answer.
+            LinkError: this host has no key or not the robot's, or the robot does not answer.
             InputError: the key's file cannot be read.
         """
         if int(self.request("STATUS")["owner"]) == link_layout().owner["OPEN"]:
@@ -258,39 +248,37 @@ class Session:
         file = self.key_file or auth.default_key_file()
         if self.key_file is None and not file.exists():
             raise LinkError(
-                "the robot takes commands from its owner alone, and there is no owner's key in "
+                "the robot takes commands only from its owner, and there is no owner's key in "
                 f"{str(file)!r}: give the key's file (--key)"
             )
-        self._prove(auth.read_key(file), str(file))
-
-    def _prove(self, key: bytes, name: str) -> None:
-        nonce = auth.challenge()
+        key, nonce = auth.read_key(file), auth.challenge()
         self._auth = auth.begin(key, nonce, self.request("CHALLENGE", auth.words("nonce", nonce)))
         if self._auth is None:
             raise LinkError(
-                f"the owner's key in {name!r} is not this robot's: give the file of its own (--key)"
+                f"the owner's key in {str(file)!r} is not this robot's: give the file of its own (--key)"
             )
 
     def handshake(self, tables: Tables) -> dict[str, Value]:
-        """Handshake: HELLO, and refuse a robot with other tables than ours.
+        """Answer to HELLO of a robot with these tables.
 
         Raises:
-            LinkError: another protocol, robot or table.
+            LinkError: no answer, or another protocol or table.
+            TableError: another robot.
         """
-        told = self.hello()
-        tables.require_robot(str(told["robot_id"]))
-        if told["table_crc"] != tables.crc32:
-            period_s = [int(us) * 1e-6 for us in (told["period_us"], tables.period_us)]
-            of = f" and a period of {period_s[0]:.3f} s, ours {period_s[1]:.3f} s"
+        answer = self.hello()
+        tables.require_robot(str(answer["robot_id"]))
+        if answer["table_crc"] != tables.crc32:
+            theirs_s, ours_s = (int(us) * 1e-6 for us in (answer["period_us"], tables.period_us))
+            periods = f" and a period of {theirs_s:.3f} s, ours {ours_s:.3f} s"
             raise LinkError(
-                f"the robot's table has CRC-32 {told['table_crc']:08x}, ours {tables.crc32:08x}"
-                f"{of if period_s[0] != period_s[1] else ''}: "
+                f"the robot's table has CRC-32 {answer['table_crc']:08x}, ours {tables.crc32:08x}"
+                f"{periods if theirs_s != ours_s else ''}: "
                 "build the firmware with this table, or send it ('frogkick push')"
             )
-        return told
+        return answer
 
     def _hello(self) -> dict[str, Value]:
-        """A robot that has just been switched on checks its table first, and does not listen meanwhile."""
+        # A robot that has just been switched on does not listen until it has checked its table.
         values = hello(self.conversation)
         for _ in range(HELLO_TRIES - 1):
             try:
@@ -300,10 +288,10 @@ class Session:
         return self.ask("HELLO", values, timeout_s=HELLO_TIMEOUT_S)
 
     def rest(self, tell: Callable[[str], None]) -> None:
-        """Wait until the robot's limbs count as cool, where it started without knowing how hot they were.
+        """Wait until a robot that started without knowing its limbs' heat counts them as cool.
 
         Args:
-            tell: gets one line where that takes a while.
+            tell: gets one line where that takes time.
 
         Raises:
             LinkError: no answer.
@@ -311,31 +299,28 @@ class Session:
         rest_s = int(self.request("STATUS")["rest_us"]) * 1e-6
         if rest_s > 0.0:
             tell(
-                f"limbs: after a time without supply it does not know how hot they are, and lets them rest "
-                f"for {rest_s:.1f} s"
+                "limbs: after a time without supply the robot does not know how hot they are and lets them "
+                f"rest for {rest_s:.1f} s"
             )
         until_s = self.time_s + rest_s
         while self.time_s < until_s:
             self.step(until_s)
 
     def send_path(self, path: Path) -> None:
-        """Give the robot its path.
+        """Send the robot its path.
 
         Raises:
             LinkError: the robot refuses a part of it.
         """
-        points = [
-            (float(x), float(y), float(t))
-            for x, y, t in zip(path.x_m, path.y_m, path.tangent_rad, strict=True)
-        ]
-        for values, rows in path_frames(points):
+        columns = (path.x_m.tolist(), path.y_m.tolist(), path.tangent_rad.tolist())
+        for values, rows in path_frames(list(zip(*columns, strict=True))):
             self.request("PATH", values, rows)
 
     def set_parameters(self, values: dict[str, float]) -> None:
-        """PARAM for each name.
+        """Send PARAM for each name.
 
         Raises:
-            LinkError: a value out of its limits.
+            LinkError: a value is out of its limits.
         """
         for name, value in values.items():
             self.request("PARAM", {"parameter": link_layout().parameter[name], "value": value})

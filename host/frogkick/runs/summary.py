@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from dataclasses import asdict, dataclass
 from typing import Any
@@ -19,26 +20,22 @@ FloatArray = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Summary:
-    """A run in numbers. What a log has nothing to tell from is None.
+    """A run in numbers; None: the log does not show it.
 
     Attributes:
-        robot: its id.
-        source: what made the log.
-        path: name.
-        duration_s: from the first to the last decision's end.
-        decisions: of these.
-        actions: name -> how often.
-        fixes: usable ones.
-        fixes_lost: flagged as missing, misdetected or doubled, or refused by the robot.
-        measured_by: ``truth`` of a simulated pool, or ``fixes``: what distances are of.
+        robot, source, path, period_s: as in ``RunLog``; the path's name.
+        duration_s: from the first decision to the end of the last one's period.
+        decisions, actions: number of decisions; action name -> how often it was chosen.
+        fixes: usable fixes.
+        fixes_lost: fixes flagged as missing, misdetected or duplicate, or refused by the robot.
+        measured_by: source of the distances: ``truth`` of a simulated pool, or ``fixes``.
         mean_distance_m, p95_distance_m: to the path, from the first decision on.
         progress_mps: along the path.
-        position_rmse_m, heading_rmse_rad: of the planner's prediction a period ahead.
-        battery_v: of the lowest battery, as a person measured it before the run.
-        period_s: from one decision to the next.
-        clock: of a recorded run, how its period was told; see frogkick.runs.recorded.
+        position_rmse_m, heading_rmse_rad: errors of the planner's prediction one period ahead.
+        battery_v: lowest battery voltage, measured by a person before the run.
+        clock: of a run of the paper: evidence for its stroke clock; see frogkick.runs.recorded.
         notes: how it ended.
-        made: how it came about, as ``RunLog.made`` has it, without the robot's text.
+        made: ``RunLog.made`` without the robot's TOML.
     """
 
     robot: str
@@ -62,17 +59,19 @@ class Summary:
     made: dict[str, str]
 
     def as_json(self) -> dict[str, Any]:
-        """All of it."""
+        """All fields."""
         return asdict(self)
 
 
 def track_of(run: RunLog) -> tuple[FloatArray, FloatArray, str]:
-    """(n,) times and (n, 3) poses of a run's robot, from the first decision on, and what they are of.
+    """Track of a run's robot from the first decision on.
 
-    The truth of a simulated pool, else the usable fixes at their capture times.
+    Returns:
+        (n,) times, (n, 3) poses, and their source: ``truth`` of a simulated pool, else the usable ``fixes``
+        at their capture times.
 
     Raises:
-        InputError: the run has no decision, or nobody saw the robot.
+        InputError: the run has no decisions, or fewer than two poses after the first one.
     """
     if not len(run.decisions):
         raise InputError(f"run {run.source!r} has no decisions: record one that swims")
@@ -82,11 +81,11 @@ def track_of(run: RunLog) -> tuple[FloatArray, FloatArray, str]:
         rows = np.flatnonzero(run.fixes.usable)
         order = rows[np.argsort(run.fixes.capture_time_s[rows], kind="stable")]
         time_s, of = run.fixes.capture_time_s[order], "fixes"
-        poses = np.column_stack([run.fixes.x_m[order], run.fixes.y_m[order], run.fixes.heading_rad[order]])
+        poses = run.fixes.pose_world[order]
     last_s = run.decisions.time_s[-1] + run.period_s
     during = (time_s >= run.decisions.time_s[0]) & (time_s <= last_s)
     if during.sum() < 2:
-        raise InputError(f"run {run.source!r} shows nothing of the robot from its first decision on")
+        raise InputError(f"run {run.source!r} has no poses from its first decision on: record one with fixes")
     return np.asarray(time_s[during]), np.asarray(poses[during], dtype=np.float64), of
 
 
@@ -94,7 +93,7 @@ def summary(run: RunLog) -> Summary:
     """The numbers of a run.
 
     Raises:
-        InputError: it has no decision, or nobody saw the robot.
+        InputError: see ``track_of``.
     """
     time_s, poses, of = track_of(run)
     distances: tuple[float | None, float | None, float | None] = (None, None, None)
@@ -105,14 +104,13 @@ def summary(run: RunLog) -> Summary:
     usable = run.fixes.usable
     answered = run.fixes.extra.get("robot_status")
     lost = ~usable if answered is None else ~usable | (answered != 0)
-    names = [run.action_names[index] if index >= 0 else "?" for index in run.decisions.action]
     return Summary(
         robot=run.robot_id,
         source=run.source,
         path=None if run.path is None else run.path.name,
         duration_s=float(run.decisions.time_s[-1] + run.period_s - run.decisions.time_s[0]),
         decisions=len(run.decisions),
-        actions=dict(sorted(Counter(names).items())),
+        actions=dict(sorted(Counter(run.decided()).items())),
         fixes=int(usable.sum()),
         fixes_lost=int(lost.sum()),
         measured_by=of,
@@ -130,30 +128,28 @@ def summary(run: RunLog) -> Summary:
 
 
 def tracking_of_log(run: RunLog) -> Tracking:
-    """How well a run followed its path, as its log tells.
+    """How well a run followed its path: the log's own numbers, else numbers computed from its track.
 
-    What a log of ours holds is given back; of others it is told from the track. A number that nothing shows
-    is NaN, limits that nobody watched are None.
+    An unknown number is NaN, an unknown number of limit violations None.
 
     Raises:
-        InputError: it has no decision, or nobody saw the robot.
+        InputError: see ``track_of``.
     """
-    found, held = summary(run), run.measured
-    unknown = float("nan")
-    broken = held.get("limit_violations")
+    computed, held = asdict(summary(run)), run.measured
 
-    def number(name: str, else_: float | None) -> float:
-        return held.get(name, unknown if else_ is None else else_)
+    def number(name: str) -> float:
+        value = held.get(name, computed.get(name))
+        return math.nan if value is None else float(value)
 
     return Tracking(
-        mean_distance_m=number("mean_distance_m", found.mean_distance_m),
-        p95_distance_m=number("p95_distance_m", found.p95_distance_m),
-        progress_mps=number("progress_mps", found.progress_mps),
+        mean_distance_m=number("mean_distance_m"),
+        p95_distance_m=number("p95_distance_m"),
+        progress_mps=number("progress_mps"),
         completed=bool(held.get("completed", 0.0)),
-        decisions=found.decisions,
-        fixes_lost=int(number("fixes_lost", found.fixes_lost)),
-        limit_violations=None if broken is None else int(broken),
-        plan_ms_p99=number("plan_ms_p99", None),
+        decisions=computed["decisions"],
+        fixes_lost=int(number("fixes_lost")),
+        limit_violations=int(held["limit_violations"]) if "limit_violations" in held else None,
+        plan_ms_p99=number("plan_ms_p99"),
     )
 
 
@@ -162,11 +158,10 @@ class Comparison:
     """Two runs side by side.
 
     Attributes:
-        a, b: each.
         same_robot, same_table, same_path: None where a log does not say.
-        same_decisions: how many decisions from the first on chose the same action in both.
-        apart_m: mean distance between both robots at the same time since the first decision, as long as
-            both swam; None where the paths differ.
+        same_decisions: number of decisions from the first on that chose the same action in both.
+        apart_m: mean distance between the robots at equal times since the first decision, as long as both
+            swam; None where the paths differ.
     """
 
     a: Summary
@@ -178,49 +173,34 @@ class Comparison:
     apart_m: float | None
 
     def as_json(self) -> dict[str, Any]:
-        """All of it, and by how much the second differs from the first."""
-        told = {"a": self.a.as_json(), "b": self.b.as_json()}
-        more = {}
-        for key, first in told["a"].items():
-            second = told["b"][key]
-            if isinstance(first, int | float) and isinstance(second, int | float):
-                more[key] = second - first
-        rest = {key: getattr(self, key) for key in ("same_robot", "same_table", "same_path")}
-        return {
-            **told,
-            "b_minus_a": more,
-            **rest,
-            "same_decisions": self.same_decisions,
-            "apart_m": self.apart_m,
-        }
+        """All fields, and the difference of each number as ``b_minus_a``."""
+        both = asdict(self)
+        a, b = both.pop("a"), both.pop("b")
+        numbers = [key for key in a if isinstance(a[key], int | float) and isinstance(b[key], int | float)]
+        return {"a": a, "b": b, "b_minus_a": {key: b[key] - a[key] for key in numbers}, **both}
 
 
 def compare_runs(a: RunLog, b: RunLog) -> Comparison:
-    """Two runs, compared from each one's first decision on.
+    """Compare two runs from each one's first decision on.
 
     Raises:
-        InputError: one of them has no decision, or nobody saw its robot.
+        InputError: see ``track_of``.
     """
-    one, two = summary(a), summary(b)
-    both = list(zip(_actions(a), _actions(b), strict=False))
+    both = list(zip(a.decided(), b.decided(), strict=False))
     same = next((k for k, (first, second) in enumerate(both) if first != second), len(both))
     same_path = None
     if a.path is not None and b.path is not None:
         same_path = np.array_equal(a.path.points_m, b.path.points_m)
     known = a.table_crc is not None and b.table_crc is not None
     return Comparison(
-        one,
-        two,
-        a.robot_id == b.robot_id,
-        a.table_crc == b.table_crc if known else None,
-        same_path,
-        same,
-        _apart_m(a, b) if same_path else None,
+        summary(a),
+        summary(b),
+        same_robot=a.robot_id == b.robot_id,
+        same_table=a.table_crc == b.table_crc if known else None,
+        same_path=same_path,
+        same_decisions=same,
+        apart_m=_apart_m(a, b) if same_path else None,
     )
-
-
-def _actions(run: RunLog) -> list[str]:
-    return [run.action_names[index] if index >= 0 else "?" for index in run.decisions.action]
 
 
 def _apart_m(a: RunLog, b: RunLog) -> float:

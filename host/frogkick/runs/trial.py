@@ -12,13 +12,15 @@ import numpy as np
 from frogkick.effects import World
 from frogkick.link.wire import RobotPort
 from frogkick.paths import SHAPES, shape
+from frogkick.planner.plan import config_of
 from frogkick.pool.camera import Camera
 from frogkick.pool.native_robot import NativeRobot
 from frogkick.pool.pool import Pool
 from frogkick.robot import Robot
-from frogkick.runs.closed_loop import Recording, RunOptions, robot_plan_config, run_in_pool
+from frogkick.runs.closed_loop import Recording, RunOptions, run_session
 from frogkick.runs.record import Tracking, run_log, tracking_of_recording
 from frogkick.runs.runlog import RunLog
+from frogkick.runs.session import Session
 from frogkick.tables.image import Tables
 
 TIME_LIMIT_S = 90.0
@@ -66,8 +68,8 @@ def swim(
     path = shape(name)
     start = (float(path.x_m[0]), float(path.y_m[0]), float(path.tangent_rad[0]))
     pool = Pool(robot, start, Camera(), np.random.default_rng(seed), world)
-    recording = run_in_pool(
-        port, pool, tables, path, options, lambda _time_s, index: progress(index + 1, len(path))
+    recording = run_session(
+        Session(port), pool, tables, path, options, lambda _time_s, index: progress(index + 1, len(path))
     )
     first = seed if isinstance(seed, int) else int(seed[0])
     log = run_log(recording, pool, robot, tables, path, options, first, source)
@@ -96,7 +98,7 @@ def trials(
         time_limit_s: longest pool time of each.
         progress: called with runs done and to do.
     """
-    options = dataclasses.replace(RunOptions(robot_plan_config(robot)), time_limit_s=time_limit_s)
+    options = dataclasses.replace(RunOptions(config_of(robot.planner)), time_limit_s=time_limit_s)
     found: list[Trial] = []
     for name in paths:
         for seed in range(seeds):

@@ -73,7 +73,7 @@ def choices_of(run: RunLog) -> Choices:
         raise InputError(f"run {run.source!r} has no path: give the one that was followed")
     fixes, known = run.fixes, run.decisions.action >= 0
     newest = np.searchsorted(fixes.time_s, run.decisions.time_s[known], side="left") - 1
-    poses = np.column_stack([fixes.x_m, fixes.y_m, fixes.heading_rad])[np.maximum(newest, 0)]
+    poses = fixes.pose_world[np.maximum(newest, 0)]
     return Choices(path_rows(run.path), poses.astype(np.float32), run.decisions.action[known])
 
 

@@ -27,8 +27,9 @@ from frogkick.pool.camera import Camera
 from frogkick.pool.native_robot import NativeRobot
 from frogkick.pool.pool import Pool
 from frogkick.robot import Robot
-from frogkick.runs.closed_loop import RunOptions, run_in_pool
+from frogkick.runs.closed_loop import RunOptions, run_session
 from frogkick.runs.record import tracking_of_recording
+from frogkick.runs.session import Session
 from frogkick.tables.image import Tables, read_image
 from frogkick_codegen.firmware import build
 from frogkick_studies.kept import Lines
@@ -310,8 +311,8 @@ def _run(ready: _Ready, case: Case) -> Outcome:
     course = ready.courses.get(case.path) or course_of(case.path)
     world, rng = ready.settings[case.world].world(), np.random.default_rng(case.seed)
     pool = Pool(ready.robot, course.start_world, Camera(), rng, world)
-    recording = run_in_pool(
-        NativeRobot(ready.libraries[planner.table], len(ready.robot.limbs)),
+    recording = run_session(
+        Session(NativeRobot(ready.libraries[planner.table], len(ready.robot.limbs))),
         pool,
         ready.tables[planner.table],
         course.path,

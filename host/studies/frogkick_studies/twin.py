@@ -178,7 +178,7 @@ def _recorded(name: str, run: RunLog) -> Recorded:
         raise InputError(f"recorded run {run.source!r} has no stroke in it: leave it out")
     if problem := clock_problem(run):
         raise InputError(f"recorded run {run.source!r} cannot be used: {problem}: leave it out")
-    poses = np.column_stack([fixes.x_m, fixes.y_m, fixes.heading_rad])
+    poses = fixes.pose_world
     first_s = run.decisions.time_s[0]
     moving = fixes.usable & (fixes.time_s >= first_s)
     resting = poses[(fixes.quality == 1) & (fixes.time_s < first_s)]

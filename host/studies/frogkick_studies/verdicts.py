@@ -30,13 +30,15 @@ from frogkick.identification.outcome import Outcome, identify
 from frogkick.identification.segments import Segments, segments_of
 from frogkick.identification.verdict import FAR, FOUND, NOTHING, PARTLY, UNEXPLAINED, Interval
 from frogkick.paths import shape
+from frogkick.planner.plan import config_of
 from frogkick.pool.camera import Camera
 from frogkick.pool.native_robot import NativeRobot
 from frogkick.pool.pool import Pool
 from frogkick.report import style
 from frogkick.robot import Robot
-from frogkick.runs.closed_loop import RunOptions, robot_plan_config, run_in_pool
+from frogkick.runs.closed_loop import RunOptions, run_session
 from frogkick.runs.record import run_log
+from frogkick.runs.session import Session
 from frogkick.tables.image import Tables, read_image
 from frogkick_codegen.firmware import build, require_tools
 from frogkick_studies import Found
@@ -165,13 +167,13 @@ def swims_of(ready: _Ready, planted: Sequence[Table], seed: int, paths: Sequence
         start = (float(path.x_m[0]), float(path.y_m[0]), float(path.tangent_rad[0]))
         world = World(make_effects(planted, ready.folder))
         pool = Pool(ready.robot, start, Camera(), np.random.default_rng([seed, index]), world)
-        config = robot_plan_config(ready.robot)
+        config = config_of(ready.robot.planner)
         if name in TEST:
             hurry = HURRY * config.progress_weight_per_m
             config = dataclasses.replace(config, progress_weight_per_m=hurry)
         options = RunOptions(config, time_limit_s=TIME_LIMIT_S)
         port = NativeRobot(ready.library, len(ready.robot.limbs))
-        recording = run_in_pool(port, pool, ready.tables, path, options)
+        recording = run_session(Session(port), pool, ready.tables, path, options)
         log = run_log(recording, pool, ready.robot, ready.tables, path, options, seed, "study verdicts")
         swims.append(segments_of(dataclasses.replace(log, truth=None), f"{name}-{index}", ready.robot))
     return swims

@@ -360,9 +360,9 @@ def run(
                 made=made,
             )
             with _log_so_far(target, whole) as keep:
-                every = _all_of(said.keep, draw, keep)
+                tell = _all_of(said.keep, draw, keep)
                 recording = run_session(
-                    Session(port), pool, used.tables, desired, options, said.progress, every
+                    Session(port), pool, used.tables, desired, options, said.progress, tell
                 )
     log_seed = None if is_real else seed
     found = Run(

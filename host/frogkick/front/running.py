@@ -360,10 +360,8 @@ def run(
                 made=made,
             )
             with _log_so_far(target, whole) as keep:
-                tell = _all_of(said.keep, draw, keep)
-                recording = run_session(
-                    Session(port), pool, used.tables, desired, options, said.progress, tell
-                )
+                tell, session = _all_of(said.keep, draw, keep), Session(port)
+                recording = run_session(session, pool, used.tables, desired, options, said.progress, tell)
     log_seed = None if is_real else seed
     found = Run(
         run_log(recording, pool, described, used.tables, desired, options, log_seed, name, known, made),

@@ -38,14 +38,15 @@ _CODE_BYTES_MAX = 64 * 1024  # without the table; the linker refuses more
 
 
 @dataclass(frozen=True)
-class Build:
-    """What a build made.
+class Firmware:
+    """A built firmware image.
 
     Attributes:
         target: "bench" or "native".
         image: ELF file, or shared library.
-        files: all files, by what they are.
-        flash_bytes, ram_bytes, stack_bytes: of the bench image (ram holds the stack); zero for native.
+        files: files by kind: elf, hex and map, or library.
+        flash_bytes, ram_bytes: bytes of the chip's flash and RAM, including the stack; 0 for "native".
+        stack_bytes: bytes reserved for the stack; 0 for "native".
     """
 
     target: str
@@ -65,6 +66,9 @@ class Build:
             "ram_bytes": self.ram_bytes,
             "stack_bytes": self.stack_bytes,
         }
+
+    def __repr__(self) -> str:
+        return f"Firmware({self.target}, flash {self.flash_bytes} bytes, RAM {self.ram_bytes} bytes)"
 
 
 PULSE_CEILING_S = 0.1
@@ -150,7 +154,7 @@ def _c_float(value: float) -> str:
     return f"{float(value).hex()}f /* {value!r} */"
 
 
-def build(target: str, image: Path, robot: Robot, out: Path, compiler: Compiler | None = None) -> Build:
+def build(target: str, image: Path, robot: Robot, out: Path, compiler: Compiler | None = None) -> Firmware:
     """Build firmware around a table image.
 
     Args:
@@ -191,7 +195,7 @@ def build(target: str, image: Path, robot: Robot, out: Path, compiler: Compiler 
         for what, path in made.items():
             write_bytes(files[what], path.read_bytes())
         write_text(out / "fk_robot_config.h", config)
-    return Build(target, files["elf" if target == "bench" else "library"], files, *sizes)
+    return Firmware(target, files["elf" if target == "bench" else "library"], files, *sizes)
 
 
 def require_tools(target: str) -> None:

@@ -1,6 +1,6 @@
-"""The whole ring: library, tables, firmware, paths on the virtual chip; then a change (``frogkick demo``).
+"""Once round the ring (``frogkick demo``): library, table, firmware, runs on the virtual chip, a worn limb.
 
-Something changes that the model was not told of; logs tell what, the model learns it, new firmware knows it.
+The model does not contain the wear. Identification finds it from logs, and a new table and firmware are made.
 """
 
 from __future__ import annotations
@@ -39,21 +39,21 @@ from frogkick.runs.runlog_file import write_run
 from frogkick.runs.trial import Trial, swim
 from frogkick.tables.image import Tables, read_image
 from frogkick_codegen.emit import emit
-from frogkick_codegen.firmware import Build, build
+from frogkick_codegen.firmware import Firmware, build
 
 HELD_OUT = "bends"
-"""The path that nothing is learned from."""
+"""The path of the test run."""
 
 
 @dataclass(frozen=True)
 class RingRun:
-    """One path of the ring.
+    """A run of the ring along one path.
 
     Attributes:
-        log: the run.
-        tracking: its numbers.
-        mismatches: decisions of the chip that the Python twin makes otherwise.
-        missed: predicted against happened, one period ahead.
+        log: its log.
+        tracking: its distances, progress and counts.
+        mismatches: number of decisions in which chip and Python twin differ.
+        missed: the table's prediction errors one period ahead.
     """
 
     log: RunLog
@@ -64,13 +64,13 @@ class RingRun:
 
 @dataclass(frozen=True, eq=False)
 class Closing:
-    """What came of a change that the model was not told of.
+    """The result for the worn limb.
 
     Attributes:
-        planted: the effect that was true in the pool, as a world's file would have it.
-        outcome: what identification made of the logs.
-        old, new: runs of the changed robot with the tables made before and after, on the same paths with the
-            same noise; no new ones where nothing was found.
+        planted: the effect that acts in the pool, as in a world's TOML file.
+        outcome: the result of the identification.
+        old, new: runs of the worn robot with the old and the new table, along the same paths and with the
+            same noise; ``new`` is empty if no effect was found.
     """
 
     planted: dict[str, Any]
@@ -80,11 +80,11 @@ class Closing:
 
     @staticmethod
     def distance_m(runs: Sequence[Trial]) -> float:
-        """Mean over runs of the mean distance to the path."""
+        """Return the mean over runs of the mean distance to the path; NaN without runs."""
         return float(np.mean([run.tracking.mean_distance_m for run in runs])) if runs else float("nan")
 
     def as_json(self) -> dict[str, Any]:
-        """Errors a period ahead on the run kept out of learning, what was found, and the paths."""
+        """Errors one period ahead on the test run, identified effects, and distances to the paths."""
         tested = self.outcome.tested
         periods = {"periods": tested.before.count}
         return {
@@ -104,11 +104,21 @@ class Closing:
 
 @dataclass
 class Ring:
-    """Everything that going round the ring gave."""
+    """The results of one pass round the ring.
+
+    Attributes:
+        robot: the nominal robot, which swims until a limb is worn.
+        tables, built: its table, and the firmware around it.
+        options: options of every run.
+        runs: a run along each path.
+        chip: the test of the firmware on the virtual chip.
+        stage_s: duration of each stage, s.
+        closing: the result for the worn limb; None before ``close``.
+    """
 
     robot: Robot
     tables: Tables
-    built: Build
+    built: Firmware
     options: RunOptions
     runs: list[RingRun] = field(default_factory=list)
     chip: ChipReport = field(default_factory=ChipReport)
@@ -122,8 +132,28 @@ class Ring:
 
     @property
     def missed(self) -> PredictionError:
-        """Prediction error one period ahead, over all paths."""
+        """Prediction error of the table one period ahead, over all paths."""
         return PredictionError.of(np.concatenate([run.missed.gap_body for run in self.runs]))
+
+    @property
+    def passed(self) -> bool:
+        """Whether chip and twin agreed, no limit was broken, and the firmware passed its test."""
+        broken = any(run.mismatches or run.tracking.limit_violations for run in self.runs)
+        return self.chip.passed and not broken
+
+    def as_json(self) -> dict[str, Any]:
+        """The keys of the command ``demo``, without the report; before and after: see ``Closing``."""
+        return {
+            "mean_distance_m": self.mean_distance_m,
+            "paths": {
+                run.log.path.name: {**run.tracking.as_json(), "mismatches": run.mismatches}
+                for run in self.runs
+                if run.log.path is not None
+            },
+            **(self.closing.as_json() if self.closing else {}),
+            "table_missed": {**self.missed.as_json(), "periods": self.missed.count},
+            "chip_checks_passed": self.chip.passed,
+        }
 
 
 def go_round(
@@ -136,20 +166,20 @@ def go_round(
     paths: Sequence[str] = tuple(SHAPES),
     time_limit_s: float = 120.0,
 ) -> Ring:
-    """Simulate, tabulate, emit, build, and swim three paths with the firmware on the virtual chip.
+    """Make library, table, C code and firmware, and follow three paths on the virtual chip.
 
     Args:
-        robot: the swimmer, in the library and in the pool.
-        out: folder for library.h5, tables.fkt, emitted/, firmware/ and a log for each path.
-        states: initial velocities of the library.
-        depth: levels that the planner looks ahead.
-        seed: of the library's sampling and of the camera's noise.
-        bar: makes progress bars.
-        paths: names of the shapes to swim.
-        time_limit_s: longest pool time for each.
+        robot: the robot of the library and of the pool.
+        out: folder for library.h5, tables.fkt, emitted/, firmware/ and the log of each path.
+        states: number of initial velocities of the library.
+        depth: search depth of the planner, periods.
+        seed: seed of the library's sampling and of the camera's noise.
+        bar: makes a progress bar.
+        paths: names of the paths.
+        time_limit_s: time limit of each run in pool time, s.
 
     Raises:
-        FrogkickError: any stage's own.
+        FrogkickError: an error of a stage.
     """
     clock = _StageClock({})
     image = make_tables(robot, out, states, seed, bar, "library: simulate transitions")
@@ -185,26 +215,26 @@ def _swim(ring: Ring, name: str, seed: int, progress: Callable[[int, int], None]
 
 
 def plant(robot: Robot, seed: int) -> dict[str, Any]:
-    """A worn limb: which one, and how strong it still is, by the seed."""
+    """Return the wear of a random limb by a random gain of 0.6 to 0.8, as in a world's TOML file."""
     rng = np.random.default_rng([seed, 2])
     limb = robot.limbs[int(rng.integers(len(robot.limbs)))].name
     return {"name": "limb_wear", "limb": limb, "gain": round(float(rng.uniform(0.6, 0.8)), 3)}
 
 
 def close(ring: Ring, out: Path, seed: int, bar: Stage, held_out: str = HELD_OUT) -> None:
-    """Let a limb wear, find it from logs alone, make tables and firmware that know it, swim again.
+    """Wear a limb, identify the wear from logs, make a new table and firmware, and follow the paths again.
 
     Args:
-        ring: of ``go_round``, whose model is not told; gets ``closing``. Its paths are learned from, and swum
-            again.
-        out: the same folder: for logs (``worn-PATH.h5``), ``found.toml`` and, where something was found,
-            ``new/`` with library, table and firmware.
-        seed: of what wears, of the library and of the camera's noise.
-        bar: makes progress bars.
-        held_out: path of the run that is only predicted.
+        ring: result of ``go_round``, whose ``closing`` is set. The runs along its paths are the training
+            runs.
+        out: the same folder, for logs (``worn-PATH.h5``), ``found.toml`` and, if an effect is found, ``new/``
+            with library, table and firmware.
+        seed: seed of the wear, the library and the camera's noise.
+        bar: makes a progress bar.
+        held_out: path of the test run.
 
     Raises:
-        FrogkickError: any stage's own.
+        FrogkickError: an error of a stage.
     """
     clock = _StageClock(ring.stage_s)
     robot, tables, options = ring.robot, ring.tables, ring.options
@@ -254,11 +284,7 @@ def close(ring: Ring, out: Path, seed: int, bar: Stage, held_out: str = HELD_OUT
 
 
 def make_tables(robot: Robot, out: Path, states: int, seed: int, bar: Stage, title: str) -> Path:
-    """Simulate ``library.h5`` in a folder and quantise it to ``tables.fkt`` beside it.
-
-    Raises:
-        FrogkickError: of the library.
-    """
+    """Make ``library.h5`` and from it ``tables.fkt`` in a folder; return the path of the table."""
     with bar(title) as progress:
         build_library(
             robot,
@@ -275,7 +301,7 @@ def make_tables(robot: Robot, out: Path, states: int, seed: int, bar: Stage, tit
 
 
 class _StageClock:
-    """How long each stage took, s."""
+    """Measures the duration of each stage, s."""
 
     def __init__(self, laps: dict[str, float]) -> None:
         self.laps = laps

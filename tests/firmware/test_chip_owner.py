@@ -14,17 +14,17 @@ from frogkick.pool.virtual_robot import VirtualRobot
 from frogkick.robot import load_robot
 from frogkick.runs.pushing import own
 from frogkick.runs.session import LinkError, Session
-from frogkick_codegen.firmware import Build, build
+from frogkick_codegen.firmware import Firmware, build
 
 PARAM: dict[str, Value] = {"parameter": link_layout().parameter["LEVEL_WEIGHT"], "value": 0.5}
 
 
 @pytest.fixture(scope="module")
-def bench(tmp_path_factory: pytest.TempPathFactory) -> Build:
+def bench(tmp_path_factory: pytest.TempPathFactory) -> Firmware:
     return build("bench", rig.small_table(), load_robot("frog2022"), tmp_path_factory.mktemp("owner") / "out")
 
 
-def power_on(bench: Build, key_file: Path, flash: bytes | None = None) -> Session:
+def power_on(bench: Firmware, key_file: Path, flash: bytes | None = None) -> Session:
     session = Session(VirtualRobot(bench.image, 4, flash), key_file=key_file)
     session.step(0.7)
     return session
@@ -36,7 +36,7 @@ def flash_of(session: Session) -> bytes:
     return session.port.chip.flash.content()
 
 
-def test_its_owner_commands_it_also_after_a_loss_of_power(bench: Build, tmp_path: Path) -> None:
+def test_its_owner_commands_it_also_after_a_loss_of_power(bench: Firmware, tmp_path: Path) -> None:
     session = power_on(bench, tmp_path / "owner.key")
     own(session)
     session.request("ARM")
@@ -62,7 +62,7 @@ def took_ms(session: Session, name: str, values: dict[str, Value]) -> float:
                 return 1e3 * (arrival.time_s - begin_s)
 
 
-def test_what_a_code_costs(bench: Build, tmp_path: Path) -> None:
+def test_what_a_code_costs(bench: Firmware, tmp_path: Path) -> None:
     """Beyond its 12 bytes on the wire; of CHALLENGE beyond its frame and its answer."""
     session = power_on(bench, tmp_path / "owner.key")
     plain_ms = took_ms(session, "PARAM", PARAM)

@@ -15,7 +15,7 @@ from frogkick.pool.chip.stack import StackAnalysis
 from frogkick.pool.chip.symbols import UNWANTED, unwanted
 from frogkick.robot import load_robot
 from frogkick_codegen import firmware
-from frogkick_codegen.firmware import Build
+from frogkick_codegen.firmware import Firmware
 
 PROGRAM = """#include <stdint.h>
 int main(void);
@@ -44,20 +44,20 @@ void helper(void) {{ __asm__("bx lr"); }}"""
 
 
 @pytest.fixture(scope="module")
-def bench(tmp_path_factory: pytest.TempPathFactory) -> Build:
+def bench(tmp_path_factory: pytest.TempPathFactory) -> Firmware:
     """The whole bench firmware around a table; by these names the one of test_parity_places.py too."""
     file = tmp_path_factory.mktemp("bench") / "nearest.fkt"
     write_bytes(file, synthetic.image())
     return firmware.build("bench", file, load_robot("frog2022"), file.parent / "out")
 
 
-def test_the_bench_image_has_nothing_unwanted(bench: Build) -> None:
+def test_the_bench_image_has_nothing_unwanted(bench: Firmware) -> None:
     symbols = load_image(bench.image).symbols
     assert unwanted(symbols) == []
     assert {"fk_plan", "fk_robot_tick", "fk_estimator_at", "main"} <= set(symbols)
 
 
-def test_the_bound_of_the_bench_image_s_stack_fits_its_reserve(bench: Build) -> None:
+def test_the_bound_of_the_bench_image_s_stack_fits_its_reserve(bench: Firmware) -> None:
     bound = StackAnalysis(bench.image).bound()
     assert bound.indirect == ()
     assert "fk_plan" in [name for name, _ in bound.chain]

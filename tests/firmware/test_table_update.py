@@ -23,27 +23,27 @@ from frogkick.runs.decision import LIMB_USE_FIELDS
 from frogkick.runs.session import Session
 from frogkick.tables.image import open_image
 from frogkick_codegen import firmware
-from frogkick_codegen.firmware import Build
+from frogkick_codegen.firmware import Firmware
 
 OLD, NEW = synthetic.affine_image(20, 9, 1), synthetic.affine_image(24, 9, 2)
 """Two pages of flash each."""
 
 
 @pytest.fixture(scope="module")
-def bench(tmp_path_factory: pytest.TempPathFactory) -> Build:
+def bench(tmp_path_factory: pytest.TempPathFactory) -> Firmware:
     folder = tmp_path_factory.mktemp("update")
     write_bytes(folder / "t.fkt", OLD)
     return firmware.build("bench", folder / "t.fkt", load_robot("frog2022"), folder / "out")
 
 
-def power_on(bench: Build, flash: bytes | None = None) -> Session:
+def power_on(bench: Firmware, flash: bytes | None = None) -> Session:
     """A session with a robot whose limbs have rested."""
     session = Session(VirtualRobot(bench.image, 4, flash))
     session.step(0.7)
     return session
 
 
-def test_one_update(bench: Build) -> None:
+def test_one_update(bench: Firmware) -> None:
     session = power_on(bench)
     told = session.handshake(open_image(OLD))
     assert told["table_crc"] == open_image(OLD).crc32
@@ -63,7 +63,7 @@ def test_one_update(bench: Build) -> None:
     again.handshake(open_image(OLD))
 
 
-def test_plans_by_the_new_table_as_the_twin_does(bench: Build) -> None:
+def test_plans_by_the_new_table_as_the_twin_does(bench: Firmware) -> None:
     robot, path, dice = load_robot("frog2022"), shape("ellipse"), np.random.default_rng(3)
     session = power_on(bench)
     states = [
@@ -90,7 +90,7 @@ def test_plans_by_the_new_table_as_the_twin_does(bench: Build) -> None:
     assert decided[:6] != decided[6:]
 
 
-def test_power_lost_in_the_middle(bench: Build) -> None:
+def test_power_lost_in_the_middle(bench: Firmware) -> None:
     """The old table, and the next upload goes on behind the page that was whole."""
     session = power_on(bench)
     chip = chip_of(session)
@@ -110,7 +110,7 @@ def test_power_lost_in_the_middle(bench: Build) -> None:
     again.handshake(open_image(NEW))
 
 
-def test_only_at_rest(bench: Build) -> None:
+def test_only_at_rest(bench: Firmware) -> None:
     session = power_on(bench)
     session.request("ARM")
     with pytest.raises(UploadError, match="refuses TABLE_BEGIN with STATE: disarm it"):
@@ -134,7 +134,7 @@ def chip_of(session: Session) -> VirtualChip:
     return session.port.chip
 
 
-def test_what_the_robot_refuses(bench: Build) -> None:
+def test_what_the_robot_refuses(bench: Firmware) -> None:
     session = power_on(bench)
     with pytest.raises(UploadError, match="has room for 65536"):
         upload(session, bytes(65540))

@@ -221,7 +221,7 @@ def test_better_tables_are_kept_with_the_old_ones(
     assert result.before.position_rmse_m == pytest.approx(2e-3)
     assert result.after.position_rmse_m == pytest.approx(0.5e-3)
     assert [path.name for path in tmp_path.iterdir()] == ["new"]
-    said = printed(Retuning(result, out))
+    said = printed(Retuning(**vars(result), out=out))
     for told in (
         "old tables: 2.00 mm", "new tables: 0.50 mm", "10.0 mm from the path, 20.0 mm/s along it",
         "1 of 2 runs completed", "tables, 5 periods ahead: ", "effect limb_wear rear_left: gain 0.7 [",

@@ -23,7 +23,7 @@ from frogkick.robot import Robot, load_robot
 from frogkick.runs.closed_loop import Recording, RunOptions, run_session
 from frogkick.runs.session import Session
 from frogkick.tables.image import Tables, read_image
-from frogkick_codegen.firmware import Build, build
+from frogkick_codegen.firmware import Firmware, build
 
 SMALL_STATES = 40
 
@@ -50,7 +50,7 @@ def robot() -> Robot:
 
 
 @functools.cache
-def firmware(target: str) -> Build:
+def firmware(target: str) -> Firmware:
     """Firmware with the small table."""
     return build(target, small_table(), robot(), Path(_FOLDER.name) / target)
 

@@ -42,7 +42,7 @@ SECTIONS = {
 }  # fmt: skip
 """The section of the help that lists each command, in this order."""
 COMMANDS = {
-    "demo": ("demo:demo", "Run the whole loop once on the virtual chip and write a report."),
+    "demo": ("demo:demo", "Go once round the ring on the virtual chip and write a report."),
     "doctor": ("doctor:doctor", "Show what this machine has, and what to install for more."),
     "simulate": ("simulate:simulate", "Simulate a gait, or a sequence of actions."),
     "sweep": ("sweep:sweep", "Simulate every EGaIn fraction, frequency and phase."),

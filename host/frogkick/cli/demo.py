@@ -1,4 +1,4 @@
-"""``frogkick demo``: the whole loop once, on the virtual chip."""
+"""``frogkick demo``: once round the ring, on the virtual chip."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import typer
 from frogkick.cli.common import DepthOption, JsonOption, RobotFileOption, SeedOption, show
 
 if TYPE_CHECKING:
-    from frogkick.front.ring import Demonstration
+    from frogkick.front.ring import Closing
 
 
 def demo(
@@ -27,21 +27,22 @@ def demo(
     """
     from frogkick.front.ring import demonstrate
 
-    done = demonstrate(out, robot, states=states, depth=depth, seed=seed, progress=True)
+    ring, report = demonstrate(out, robot, states=states, depth=depth, seed=seed, progress=True)
+    values = {**ring.as_json(), "report": str(report)}
     lines = [
         f"{name:8s} mean distance {1e3 * float(path['mean_distance_m']):5.1f} mm, "
         f"{path['decisions']} decisions, {'completed' if path['completed'] else 'not completed'}, "
         f"{path['mismatches']} mismatches between chip and twin"
-        for name, path in done.paths.items()
+        for name, path in values["paths"].items()
     ]
-    lines += _closing_lines(done)
-    show(done.as_json(), json, "\n".join([*lines, f"report: {done.report.resolve()}"]))
-    if not done.passed:
+    if ring.closing is not None:
+        lines += _closing_lines(ring.closing)
+    show(values, json, "\n".join([*lines, f"report: {report.resolve()}"]))
+    if not ring.passed:
         raise typer.Exit(1)
 
 
-def _closing_lines(done: Demonstration) -> list[str]:
-    closing = done.closing
+def _closing_lines(closing: Closing) -> list[str]:
     tested, found = closing.outcome.tested, [term.title for term in closing.outcome.terms]
     hidden = ", ".join(str(value) for value in closing.planted.values())
     lines = [

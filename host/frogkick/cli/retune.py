@@ -94,28 +94,27 @@ def command(
 
 def printed(made: Retuning, push: str | None = None) -> str:
     """Return the result as text for people; ``push`` is the robot that the tables were sent to."""
-    result, out = made.found, made.out
-    lines = [f"verdict: {result.outcome.verdict}", f"held out: {result.held_out}"]
-    for term, row in zip(result.outcome.terms, result.outcome.parameters, strict=True):
+    lines = [f"verdict: {made.outcome.verdict}", f"held out: {made.held_out}"]
+    for term, row in zip(made.outcome.terms, made.outcome.parameters, strict=True):
         values = ", ".join(f"{p.name} {p.value:.4g} [{p.low:.4g}, {p.high:.4g}] {p.unit}" for p in row)
         lines.append(f"effect {term.title}: {values}")
-    for name, error in (("old", result.before), ("new", result.after)):
+    for name, error in (("old", made.before), ("new", made.after)):
         if error.count:
             lines.append(f"{name} tables: {error} RMS one period ahead ({error.count} periods)")
-    if result.loop is not None:
-        for name, tracked in zip(("old", "new"), result.loop, strict=True):
+    if made.loop is not None:
+        for name, tracked in zip(("old", "new"), made.loop, strict=True):
             lines.append(
                 f"{name} tables in closed loop, in a simulated pool with the identified effects: "
                 f"{1e3 * tracked.mean_distance_m:.1f} mm from the path, "
                 f"{1e3 * tracked.progress_mps:.1f} mm/s along it, "
                 f"{tracked.completed} of {tracked.runs} runs completed"
             )
-    lines += [f"tables, {horizon_line(each)}" for each in result.horizons if each.periods > 1]
-    if result.done and result.reason:
-        lines.append(result.reason)
-    if result.better and result.tables is not None:
-        lines.append(f"new tables: {result.tables['file']}, firmware: {out / 'firmware'}")
-        lines.append(f"old tables, to return to: {out / 'before.fkt'}")
+    lines += [f"tables, {horizon_line(each)}" for each in made.horizons if each.periods > 1]
+    if made.done and made.reason:
+        lines.append(made.reason)
+    if made.better and made.tables is not None:
+        lines.append(f"new tables: {made.tables['file']}, firmware: {made.out / 'firmware'}")
+        lines.append(f"old tables, to return to: {made.out / 'before.fkt'}")
     if push is not None and made.pushed is not None:
         lines.append(text_of(made.pushed, push))
     return "\n".join(lines)

@@ -1,8 +1,7 @@
-"""Run the chunks of long work: in this process, on a pool of processes, or on a Dask cluster.
+"""Chunks of long work: in this process, in a pool of processes, or on a Dask cluster.
 
-A chunk's result depends on what it is given alone, so it is the same wherever it ran, and it may run twice.
-Nothing distributed is written here: a cluster's scheduler hands chunks out, and hands them out again when a
-worker dies.
+A chunk's result depends only on its arguments, so it is the same on every machine, and a chunk may run twice.
+A cluster's scheduler distributes the chunks, and distributes them again if a worker dies.
 """
 
 from __future__ import annotations
@@ -38,9 +37,9 @@ Result = TypeVar("Result")
 
 WORKERS_MAX = 256
 CONNECT_S = 30
-"""How long a scheduler has to answer."""
+"""Longest time for a scheduler to answer."""
 WORKERS_S = 30
-"""How long a first worker of it then has to be there."""
+"""Longest time until the scheduler has a first worker."""
 
 _RETRIES = 2  # of a chunk that raised, a connection lost within it say; a worker's death is not counted here
 _ADDRESS = re.compile(r"(?:(?:tcp|tls)://)?(?:\[[0-9A-Fa-f:.]+\]|[^\s/:\[\]@]+):(\d{1,5})")
@@ -48,14 +47,14 @@ _ADDRESS = re.compile(r"(?:(?:tcp|tls)://)?(?:\[[0-9A-Fa-f:.]+\]|[^\s/:\[\]@]+):
 
 @dataclass(frozen=True)
 class Job(Generic[Ready, Task, Result]):
-    """What all chunks of one piece of work share.
+    """The part that all chunks of one piece of work share.
 
     Attributes:
-        start: makes of ``given`` what chunks need; once in each process. A function of a module.
-        given: its arguments; these and the tasks travel, so they can be pickled.
-        run: one chunk. A function of a module.
-        warm: compiles what chunks call. Called here before a pool starts: a forked worker inherits it,
-            others find it in numba's cache.
+        start: function of a module that prepares the work from ``given``, once in each process.
+        given: its arguments. They and the tasks are pickled.
+        run: function of a module that runs one chunk.
+        warm: compiles the functions of a chunk. It is called here before a pool starts: forked workers
+            inherit the result, others find it in numba's cache.
     """
 
     start: Callable[..., Ready]
@@ -67,17 +66,19 @@ class Job(Generic[Ready, Task, Result]):
 def run_chunks(
     job: Job[Ready, Task, Result], tasks: Sequence[Task], workers: int, cluster: str | None = None
 ) -> Iterator[tuple[int, Result]]:
-    """Run one chunk for each task; yield (index of the task, its result) as they finish.
+    """Run one chunk for each task, and yield (index of the task, its result) as they finish.
 
-    When the caller stops early, by Ctrl-C say, chunks that have begun on the pool are waited for and dropped;
-    a cluster drops those that wait and goes on living.
+    If the caller stops early, chunks that have begun on the pool are finished and dropped; a cluster drops
+    those that wait.
 
     Args:
-        workers: processes, 1 to 256; 1 runs all in this one. Not looked at with a cluster.
-        cluster: address of a Dask scheduler, as "tcp://host:8786"; None: this machine.
+        job: the shared part.
+        tasks: one for each chunk.
+        workers: number of processes, 1 to 256; 1: this one. Ignored with a cluster.
+        cluster: address of a Dask scheduler, such as "tcp://host:8786"; None: this machine.
 
     Raises:
-        InputError: workers out of range, or no cluster to be had at that address.
+        InputError: workers out of range, or no cluster at the address.
         FrogkickError: a worker process died, or the cluster failed.
     """
     if not 1 <= workers <= WORKERS_MAX:
@@ -99,7 +100,8 @@ def run_chunks(
 
 @contextmanager
 def _interrupts() -> Iterator[Callable[[], None]]:
-    """Give what raises a Ctrl-C again that fell into code which swallows it, as a compiler's callbacks do."""
+    """Yield a function that raises a Ctrl-C again which other code swallowed, such as a compiler's
+    callbacks."""
     seen: list[int] = []
 
     def note(number: int, frame: FrameType | None) -> None:
@@ -168,10 +170,10 @@ def _on_pool(
 
 
 def check_cluster(address: str) -> None:
-    """Refuse, without connecting, an address that can be no scheduler's, and a missing ``distributed``.
+    """Raise an error, without connecting, if an address is invalid or ``distributed`` is not installed.
 
     Raises:
-        InputError: either.
+        InputError: see above.
     """
     match = _ADDRESS.fullmatch(address)
     if match is None or not 1 <= int(match[1]) <= 65535:
@@ -263,10 +265,10 @@ def _run_for_cluster(shared: bytes, task: bytes, code: str) -> Any:
 
 @functools.lru_cache(maxsize=1)
 def code_stamp(*more: str) -> str:
-    """SHA-256 of frogkick's text and of the versions of what it computes with, as hex.
+    """Return a hash (SHA-256, hexadecimal) of frogkick's source and the versions of its numerical packages.
 
     Args:
-        more: further packages of ours that count.
+        more: further packages of the project.
     """
     digest = hashlib.sha256(platform.python_version().encode("ascii"))
     for package in ("numpy", "numba", "llvmlite", "scipy"):

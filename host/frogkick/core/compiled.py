@@ -1,7 +1,7 @@
-"""Compiled functions kept on disk, and when to drop them.
+"""Compiled functions in numba's cache on disk, and when they are compiled again.
 
-numba drops what it kept when the function's own file or closure changes, but not when a file that it calls
-into does. So only outermost functions are kept, and each encloses a stamp of its package's text.
+numba compiles again if a function's own file or closure changes, but not if a file that the function calls
+into changes. So only outermost functions are cached, and each encloses a hash of its package's source.
 """
 
 from __future__ import annotations
@@ -12,21 +12,22 @@ from importlib import resources
 from typing import Any
 
 BARE: dict[str, Any] = {"error_model": "numpy", "_nrt": False}
-"""Options of numba's njit for a function that makes no arrays: references to those that it is handed are not
-counted, each of which is an atomic operation, and code to compile. numba refuses one that makes an array."""
+"""Options of numba's njit for a function that allocates no arrays.
+
+References to its array arguments are not counted; each count is an atomic operation."""
 
 INNER: dict[str, Any] = {**BARE, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
-"""Likewise, for one that compiled code alone calls: no way in from Python is compiled."""
+"""The same, for a function that only compiled code calls: it gets no Python wrapper."""
 
 ALLOCATING: dict[str, Any] = {**INNER, "_nrt": True}
-"""As INNER, for a function that makes arrays."""
+"""As INNER, for a function that allocates arrays."""
 
 
 def kept(**options: Any) -> Callable[[Callable[..., Any]], Any]:
-    """numba's njit for a function that is kept on disk: ``@kept(**BARE)``.
+    """Return numba's njit for a function that is cached on disk: ``@kept(**BARE)``.
 
-    What was kept names the types of its arguments by their modules. Where an earlier frogkick had these
-    elsewhere, numba ends with an error instead of compiling anew; here it compiles.
+    A cache of another version of frogkick may name types by modules that no longer exist. numba fails on such
+    a cache; this decorator compiles again.
     """
 
     def keep(function: Callable[..., Any]) -> Any:
@@ -50,7 +51,7 @@ def kept(**options: Any) -> Callable[[Callable[..., Any]], Any]:
 
 
 def stamp_of(package: str, also: str = "") -> int:
-    """Stands for the text of a package's Python files and another text: where one differs, another number."""
+    """Return a hash of the Python files of a package and of a further text."""
     digest = hashlib.sha256(also.encode())
     for file in sorted(resources.files(package).iterdir(), key=lambda f: f.name):
         if file.name.endswith(".py"):

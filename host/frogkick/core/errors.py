@@ -1,4 +1,4 @@
-"""The one base class of every error that a user can cause."""
+"""The classes of all errors that a user can cause."""
 
 from __future__ import annotations
 
@@ -7,25 +7,25 @@ from collections.abc import Iterable
 
 
 class FrogkickError(Exception):
-    """An error with one clear line: what is wrong, which value, which limit, what to do next.
+    """An error whose text is one line: what is wrong, which value, which limit, what to do next.
 
-    The command line prints it and exits with 2. Modules derive their own classes from it.
+    The command line prints the text and exits with code 2. Other packages derive their own classes from it.
     """
 
 
 class CheckError(FrogkickError):
-    """A check that failed while a command ran; the command line exits with 1."""
+    """A check failed while a command ran; the command line exits with code 1."""
 
 
 class InputError(FrogkickError):
-    """A file, option or value that cannot be used as given."""
+    """A file, an option or a value cannot be used as given."""
 
 
 class ConvergenceError(FrogkickError):
-    """A numerical step that did not converge or became non-finite; carries the state in its text."""
+    """A numerical step did not converge or became non-finite; the text gives the state."""
 
 
 def nearest_name(given: str, known: Iterable[str]) -> str:
-    """Return ' (did you mean NAME?)' for the closest known name, or '' where none is close."""
+    """Return ' (did you mean NAME?)' for the most similar known name, or '' if none is similar."""
     close = difflib.get_close_matches(given, list(known), n=1, cutoff=0.5)
     return f" (did you mean {close[0]!r}?)" if close else ""

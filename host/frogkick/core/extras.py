@@ -1,4 +1,4 @@
-"""Packages that come with an extra of ours, and the one line that names the extra where one is missing."""
+"""Optional packages, and the error that says which extra of frogkick installs a missing one."""
 
 from __future__ import annotations
 
@@ -26,34 +26,27 @@ EXTRAS: Mapping[str, Mapping[str, str]] = {
     "pandas": {"pandas": "pandas"},
     "apriltag": {"pupil_apriltags": "pupil-apriltags"},
 }
-"""Extra of pyproject.toml -> the name that a package is imported by -> the name that it is installed by."""
+"""Extra of pyproject.toml -> import name of a package -> name that it is installed by."""
 
 
 def installed(package: str) -> bool:
-    """Whether a package can be imported; it is not imported, which may take a second."""
+    """Return whether a package can be imported, without importing it."""
     return util.find_spec(package) is not None
 
 
 def install_command(package: str) -> str:
-    """How to install what a package comes with: its extra, or frogkick itself.
-
-    Args:
-        package: the name that it is imported by.
-    """
+    """Return the command that installs a package: its extra, or frogkick itself."""
     extra = next((name for name, packages in EXTRAS.items() if package in packages), None)
     return "pip install frogkick" if extra is None else f"pip install 'frogkick[{extra}]'"
 
 
 def require(purpose: str, *packages: str, error: type[FrogkickError] = InputError) -> None:
-    """Refuse what needs a package that is not installed, before anything is done.
+    """Raise an error if a package is not installed.
 
     Args:
-        purpose: what needs it, as a sentence begins.
-        packages: the names that they are imported by, of ``EXTRAS``.
+        purpose: what needs it, as the beginning of a sentence.
+        packages: import names in ``EXTRAS``.
         error: class of the error.
-
-    Raises:
-        FrogkickError: of that class: the first package that is missing, and how to install it.
     """
     names = {each: name for packages in EXTRAS.values() for each, name in packages.items()}
     for package in packages:

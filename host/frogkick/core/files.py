@@ -1,4 +1,4 @@
-"""Whole files or none: write beside the target, flush to disk, rename. Where compiled things are kept."""
+"""Files that are written completely or not at all, input files that are checked, and the cache folder."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from frogkick.core.errors import InputError
 
 
 def existing_file(path: Path | str, what: str) -> Path:
-    """Return the path if it names a readable, non-empty file.
+    """Return the path of a readable, non-empty file.
 
     Args:
         path: the file.
-        what: what it should be, for the error text ("table image").
+        what: kind of file, for the error text ("table image").
 
     Raises:
-        InputError: no path, or the file is missing, a directory, or empty.
+        InputError: no path, or the file is missing, a folder, or empty.
     """
     if not isinstance(path, str | os.PathLike):
         raise InputError(f"{what} is given as {type(path).__name__}: give a file's name")
@@ -41,16 +41,16 @@ def existing_file(path: Path | str, what: str) -> Path:
 def csv_numbers(
     path: Path | str, what: str, needed: Sequence[str], optional: Sequence[str] = ()
 ) -> list[list[float]]:
-    """Return columns of a CSV file by their names in its first line, a list for each line below it.
+    """Return columns of a CSV file by the names in its first line, one list for each line below it.
 
     Args:
         path: the file.
-        what: what it should be, for the error text.
-        needed: columns whose numbers are finite.
-        optional: columns behind these; NaN where one is not there or a cell is empty.
+        what: kind of file, for the error text.
+        needed: columns whose numbers must be finite.
+        optional: further columns; NaN if the column or the cell is missing.
 
     Raises:
-        InputError: no such file, no text, a column or a number that is missing (its line is named), no lines.
+        InputError: no such file, no text, no rows, or a missing column or number, with its line.
     """
     file, name = existing_file(path, what), f"{what} {str(path)!r}"
     values = []
@@ -77,10 +77,10 @@ def csv_numbers(
 
 
 def require_writable(out: Path | None, folder: bool = False) -> None:
-    """Refuse an --out that cannot be written, before the work and not after it. Writes nothing.
+    """Raise an error if --out cannot be written, before the work begins. Nothing is written.
 
     Raises:
-        InputError: a folder where a file is to be written (or the other way), or no place for it.
+        InputError: a folder instead of a file, a file instead of a folder, or a place that cannot be written.
     """
     if out is None:
         return
@@ -102,12 +102,12 @@ _FULL = (errno.ENOSPC, errno.EFBIG, getattr(errno, "EDQUOT", errno.ENOSPC))
 
 @contextmanager
 def atomic_path(target: Path | str) -> Iterator[Path]:
-    """Yield a temporary path beside ``target``; rename it there on success, remove it on any error.
+    """Yield a temporary path beside ``target``, which is renamed to it on success and removed on any error.
 
-    Folders that are made for it go with it.
+    Folders that were created for it are removed as well.
 
     Raises:
-        InputError: no path, a folder, or one whose folder cannot be written to or whose disk is full.
+        InputError: no path, a folder, or a place that cannot be written or is full.
     """
     if not isinstance(target, str | os.PathLike):
         raise InputError(f"file to write is given as {type(target).__name__}: give its name")
@@ -142,25 +142,21 @@ def atomic_path(target: Path | str) -> Iterator[Path]:
 
 
 def write_bytes(target: Path | str, content: bytes) -> None:
-    """Write ``content`` to ``target``, wholly or not at all."""
+    """Write ``content`` to ``target`` completely or not at all."""
     with atomic_path(target) as temporary:
         temporary.write_bytes(content)
 
 
 def write_text(target: Path | str, content: str) -> None:
-    """Write UTF-8 ``content`` to ``target``, wholly or not at all."""
+    """Write ``content`` as UTF-8 to ``target`` completely or not at all."""
     write_bytes(target, content.encode("utf-8"))
 
 
 def require_room(target: Path | str, size: int) -> None:
-    """Refuse to write where there is no room for it.
-
-    Args:
-        target: the file.
-        size: of it, bytes.
+    """Raise an error if the disk has no room for a file of ``size`` bytes.
 
     Raises:
-        InputError: too little is free, or nothing can be written there.
+        InputError: not enough room, or a place that cannot be written.
     """
     with atomic_path(target) as temporary:
         free = shutil.disk_usage(temporary.parent).free
@@ -173,14 +169,14 @@ def require_room(target: Path | str, size: int) -> None:
 
 @contextmanager
 def one_at_a_time(folder: Path, name: str) -> Iterator[Path]:
-    """A folder to work in, the same one each time, that one process has at a time; others wait for it.
+    """Yield a working folder that only one process uses at a time; other processes wait.
 
     Args:
-        folder: where it is made.
-        name: of what is made there; another name is another folder.
+        folder: folder in which it is made.
+        name: name of the result; the same name gives the same folder.
 
     Raises:
-        OSError: it cannot be made there.
+        OSError: it cannot be made.
     """
     try:
         import fcntl
@@ -196,13 +192,13 @@ def one_at_a_time(folder: Path, name: str) -> Iterator[Path]:
 
 
 def cache_folder(name: str = "") -> Path:
-    """Return (and make) the folder of this user for compiled and other things that can be made again.
+    """Return the user's folder for compiled files and other results that can be made again, and make it.
 
-    ``$FROGKICK_CACHE_DIR``, else ``$XDG_CACHE_HOME/frogkick``, else ``~/.cache/frogkick``; where the home
-    folder cannot be written, a folder in the temporary folder that belongs to this user alone.
+    It is ``$FROGKICK_CACHE_DIR``, else ``$XDG_CACHE_HOME/frogkick``, else ``~/.cache/frogkick``. If the home
+    folder cannot be written, it is a private folder in the temporary folder.
 
     Args:
-        name: of a folder in it.
+        name: name of a folder inside it.
 
     Raises:
         InputError: it cannot be made.
@@ -229,7 +225,7 @@ def cache_folder(name: str = "") -> Path:
 
 
 def writable_folder(folder: Path) -> bool:
-    """Make a folder; whether files can be made in it."""
+    """Make a folder, and return whether files can be made in it."""
     return not _problem_with(folder)
 
 
@@ -242,10 +238,10 @@ def _problem_with(folder: Path) -> str:
 
 
 def _private_folder() -> Path:
-    """A folder in the temporary folder, of this user alone: what lies there is loaded as code.
+    """Return a folder in the temporary folder that only this user can write: its files are loaded as code.
 
     Raises:
-        InputError: there is one that others may write to.
+        InputError: the folder exists and others may write to it.
     """
     user = os.getuid() if hasattr(os, "getuid") else 0
     folder = Path(tempfile.gettempdir()) / f"frogkick-{user}"

@@ -1,4 +1,4 @@
-"""Ctrl-C that waits while something is done that cannot be left half done, or comes while one waits."""
+"""Ctrl-C: delayed while an interruption would do harm, and received while a thread waits."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from types import FrameType
 
 
 class Bell:
-    """What the main thread waits for and others ring, where a Ctrl-C may come at any moment.
+    """A signal between threads; a Ctrl-C may interrupt the main thread that waits for it at any moment.
 
-    One that comes inside ``threading.Condition`` now and then leaves its lock held for ever or gives it up
-    twice, as both are taken and given up in Python. Here it is one lock, taken in C or not.
+    ``threading.Condition`` takes and releases its lock in Python, so a Ctrl-C inside it can leave the lock
+    held or release it twice. This class has a single lock, which C code takes or does not take.
     """
 
     def __init__(self) -> None:
@@ -22,16 +22,16 @@ class Bell:
         self._quiet.acquire()
 
     def ring(self) -> None:
-        """Let who waits look again, or who waits next."""
+        """Wake the waiting thread, or the next one that waits."""
         with suppress(RuntimeError):  # it rings already
             self._quiet.release()
 
     def wait_for(self, there: Callable[[], object], timeout_s: float | None = None) -> None:
-        """Wait until ``there()`` is true, or for so long. Only one thread may wait.
+        """Wait until ``there()`` is true or the time is over. Only one thread may wait.
 
         Args:
-            there: asked now and after each ring; it holds no lock.
-            timeout_s: None: for ever.
+            there: called now and after each ring; it must hold no lock.
+            timeout_s: longest time to wait; None: unlimited.
         """
         until_s = None if timeout_s is None else time.monotonic() + timeout_s
         while not there():
@@ -43,11 +43,10 @@ class Bell:
 
 @contextmanager
 def ctrl_c_waits() -> Iterator[None]:
-    """Hold Ctrl-C back in this thread, and in the processes and threads that it starts, until the end.
+    """Block SIGINT in this thread, and in processes and threads that it starts, until the context ends.
 
-    A fork runs functions of its own before and after, which cannot hand Ctrl-C on; a process that is not yet
-    told to ignore it would end with a traceback; a library in C that is interrupted while it sets itself up
-    may crash.
+    Functions that run around a fork cannot pass KeyboardInterrupt on, a new process would end with a
+    traceback, and a C library that is interrupted while it initialises may crash.
     """
     if not hasattr(signal, "pthread_sigmask"):
         yield
@@ -61,10 +60,10 @@ def ctrl_c_waits() -> Iterator[None]:
 
 @contextmanager
 def ctrl_c_comes_after() -> Iterator[None]:
-    """Let a Ctrl-C that comes until the end act there: for C that calls back into Python.
+    """Deliver a Ctrl-C at the end of the context, for C code that calls back into Python.
 
-    Python's handler runs in whatever Python the main thread comes to next, and in a callback its error is
-    lost. Blocking the signal does not help, as another thread may take it.
+    Python runs the handler in the next Python code of the main thread. In a callback its exception is lost.
+    Blocking the signal does not help, because another thread may receive it.
     """
     before = signal.getsignal(signal.SIGINT)
     if threading.current_thread() is not threading.main_thread() or not callable(before):

@@ -13,13 +13,13 @@ Float64 = NDArray[np.float64]
 
 @dataclass
 class Fix:
-    """A position fix: what a camera says where the robot is. An effect may change it on its way.
+    """A position fix of a camera or a tracker. Effects may change it before it arrives.
 
     Attributes:
-        capture_s: when the picture was taken, on the clock of the one who reads it.
+        capture_s: time at which the picture was taken, on the receiver's clock.
         delay_s: from then to its arrival at the robot.
         x_m, y_m, heading_rad: the robot's pose, world frame.
-        sequence: counts fixes, wraps at 65,536.
+        sequence: number of the fix, wraps at 65,536.
     """
 
     capture_s: float
@@ -31,18 +31,18 @@ class Fix:
 
     @property
     def arrival_s(self) -> float:
-        """When it arrives at the robot, on the clock of ``capture_s``."""
+        """Time of arrival at the robot, on the clock of ``capture_s``."""
         return self.capture_s + self.delay_s
 
     @property
     def pose_world(self) -> NDArray[np.float32]:
-        """(3,) x_m, y_m, heading_rad as the link carries them."""
+        """(3,) x_m, y_m, heading_rad in float32, as in the link's frames."""
         return np.array([self.x_m, self.y_m, self.heading_rad], dtype=np.float32)
 
 
 @dataclass(frozen=True)
 class PredictionError:
-    """How far predicted poses are off, root mean square over ``count`` predictions; NaN: none is known."""
+    """Root-mean-square error of ``count`` predicted poses; NaN if it is unknown."""
 
     position_rmse_m: float = math.nan
     heading_rmse_rad: float = math.nan
@@ -50,7 +50,10 @@ class PredictionError:
 
     @classmethod
     def of(cls, gap: Float64) -> PredictionError:
-        """Of (n, 3) measured minus predicted poses, headings wrapped; rows with a NaN are left out."""
+        """Return the error of (n, 3) residuals: measured minus predicted poses, headings wrapped.
+
+        Rows with a NaN are left out.
+        """
         known = gap[np.isfinite(gap).all(axis=1)]
         if not len(known):
             return cls()
@@ -73,7 +76,7 @@ class PredictionError:
 
 
 def wrap_angle(angle_rad: ArrayLike) -> Float64:
-    """Wrap angles to (-pi, pi], in float64, same shape as given."""
+    """Wrap angles to (-pi, pi], in float64, in the shape given."""
     angle = np.asarray(angle_rad, dtype=np.float64)
     wrapped = np.pi - np.mod(np.pi - angle, 2.0 * np.pi)
     # mod may round up to its divisor: such an angle is -pi, which belongs to +pi.
@@ -81,23 +84,23 @@ def wrap_angle(angle_rad: ArrayLike) -> Float64:
 
 
 def rotation(heading_rad: float) -> Float64:
-    """The (2, 2) matrix that takes a vector of the body frame to the world frame."""
+    """Return the (2, 2) matrix that rotates a vector from the body frame to the world frame."""
     c, s = math.cos(heading_rad), math.sin(heading_rad)
     return np.array([[c, -s], [s, c]])
 
 
 def rotate(heading_rad: float, x: float, y: float) -> tuple[float, float]:
-    """One vector of the body frame in the world frame; with minus the heading, the other way."""
+    """Rotate a vector from the body frame to the world frame; with the negative heading, back."""
     c, s = math.cos(heading_rad), math.sin(heading_rad)
     return c * x - s * y, s * x + c * y
 
 
 def world_from_body(heading_rad: ArrayLike, vector_body: Float64) -> Float64:
-    """Vectors of the body frames in the world frame.
+    """Rotate vectors from the body frames to the world frame.
 
     Args:
-        heading_rad: (..) of the bodies.
-        vector_body: (.., 2) x, y, or (.., 3) with an angle or a turn rate, which stays as it is.
+        heading_rad: (..) headings of the bodies.
+        vector_body: (.., 2) x, y, or (.., 3) with an angle or a turn rate, which is not changed.
     """
     c, s = np.cos(heading_rad), np.sin(heading_rad)
     x, y, *turn = np.moveaxis(vector_body, -1, 0)
@@ -105,15 +108,15 @@ def world_from_body(heading_rad: ArrayLike, vector_body: Float64) -> Float64:
 
 
 def body_from_world(heading_rad: ArrayLike, vector_world: Float64) -> Float64:
-    """Vectors of the world frame in the body frames; see ``world_from_body``."""
+    """Rotate vectors from the world frame to the body frames; see ``world_from_body``."""
     return world_from_body(np.negative(heading_rad), vector_world)
 
 
 def compose(pose: Float64, motion_body: Float64) -> Float64:
-    """(.., 3) poses after motions (.., 3) seen from them; the heading is not wrapped."""
+    """Return (.., 3) poses after motions (.., 3) in their body frames; the heading is not wrapped."""
     return pose + world_from_body(pose[..., 2], motion_body)
 
 
 def relative(origin: Float64, pose: Float64) -> Float64:
-    """(.., 3) poses seen from others: what ``compose`` takes from ``origin`` to them; not wrapped."""
+    """Return poses in the frames of ``origin``, (.., 3), the inverse of ``compose``; not wrapped."""
     return body_from_world(origin[..., 2], pose - origin)

@@ -1,4 +1,4 @@
-"""Progress on stderr, for commands and for notebooks alike."""
+"""Progress on stderr, in commands and in notebooks."""
 
 from __future__ import annotations
 
@@ -8,20 +8,20 @@ from contextlib import contextmanager
 from typing import Protocol
 
 Progress = bool | Callable[[int, int], None]
-"""What long work takes: True = a bar on stderr, False = silence, or a function of (done, all)."""
+"""True: a bar on stderr; False: no output; or a function of (done, all)."""
 
 
 def tell_line(text: str) -> None:
-    """Print a line on stderr in one write: ``print`` has two, and a Ctrl-C between would join two lines."""
+    """Print a line on stderr in a single write, which Ctrl-C cannot cut between text and line end."""
     sys.stderr.write(f"{text}\n")
     sys.stderr.flush()
 
 
 class Tell(Protocol):
-    """What shows progress."""
+    """A function that shows progress, with a note."""
 
     def __call__(self, done: int, whole: int, /, note: str = "") -> None:
-        """So much is done, and a word on how it goes."""
+        """Show that ``done`` of ``whole`` is done."""
 
 
 class TellStage(Protocol):
@@ -37,7 +37,7 @@ def silent(_stage: str, _done: int, _whole: int, /, note: str = "") -> None:
 
 @contextmanager
 def progress_bar(title: str) -> Iterator[Tell]:
-    """A bar on stderr; yields a function of (done, all). Without a terminal: a line at each tenth."""
+    """Yield a function that updates a bar on stderr. Without a terminal it prints a line at each tenth."""
     if not sys.stderr.isatty():
         told = -1
 
@@ -80,7 +80,7 @@ def progress_bar(title: str) -> Iterator[Tell]:
 
 @contextmanager
 def shown(progress: Progress, title: str) -> Iterator[Tell]:
-    """What long work calls with (done, all): a bar under a title, nothing, or the caller's own function."""
+    """Yield a function of (done, all): it updates a bar, does nothing, or is the caller's own."""
     if progress is True:
         with progress_bar(title) as tell:
             yield tell

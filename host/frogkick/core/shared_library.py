@@ -1,4 +1,4 @@
-"""A shared library of ours, which carries what its C declares: nobody writes that down a second time."""
+"""Shared libraries of this project, which contain the declarations of their own C interface."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def _declared(texts: tuple[str, ...]) -> cffi.FFI:
 
 
 def ffi_of(texts: Iterable[str]) -> cffi.FFI:
-    """Return cffi's view of declarations: the same one for the same texts."""
+    """Return the cffi interface for declarations; the same texts give the same object."""
     return _declared(tuple(texts))
 
 
@@ -33,11 +33,11 @@ def load(library: Path) -> tuple[cffi.FFI, Any]:
     """Load a shared library that this project built.
 
     Returns:
-        cffi's view of what the library declares, and the library.
+        The cffi interface of its declarations, and the library.
 
     Raises:
-        OSError: it does not load.
-        FrogkickError: it says nothing of itself, or a type has not the size that its compiler gave it.
+        OSError: the library cannot be loaded.
+        FrogkickError: it contains no declarations, or a type has another size than its compiler reported.
     """
     first = cffi.FFI()
     first.cdef(_CARRIED)
@@ -45,7 +45,7 @@ def load(library: Path) -> tuple[cffi.FFI, Any]:
     try:
         rows = opened.fk_declared
     except KeyError:
-        raise FrogkickError(f"{library.name!r} does not say what it declares: build it again") from None
+        raise FrogkickError(f"{library.name!r} contains no declarations: build it again") from None
     texts: dict[str, int] = {}
     while rows.text != first.NULL:
         texts[first.string(rows.text).decode()] = rows.bytes
@@ -54,11 +54,11 @@ def load(library: Path) -> tuple[cffi.FFI, Any]:
     for text, size in texts.items():
         if size and ffi.sizeof(_type_of(text)) != size:
             raise FrogkickError(
-                f"{_type_of(text)} has {size} bytes in {library.name!r}, read were others: {text}"
+                f"{_type_of(text)} has {size} bytes in {library.name!r}, but not by its declaration: {text}"
             )
     return ffi, ffi.dlopen(str(library))
 
 
 def _type_of(text: str) -> str:
-    """The type that a declaration defines."""
+    """Return the type that a declaration defines."""
     return text.rsplit("}", 1)[1].strip(" ;") or " ".join(text.split()[:2])

@@ -1,7 +1,8 @@
-"""What the planner's costs weigh, declared once.
+"""The weights of the planner's costs, declared once.
 
-From here come the keys of a robot's file, the planner's configuration and its twin's settings. The C's
-``fk_plan_config_t`` and the firmware's list of them come by ``python -m frogkick_codegen.frames``.
+The keys of a robot's file, ``PlanConfig`` and the settings of the Python planner are derived from them.
+``python -m frogkick_codegen.frames`` writes ``fk_plan_config_t`` of the C planner and its list in the
+firmware.
 """
 
 from __future__ import annotations
@@ -12,13 +13,13 @@ from typing import Annotated, NamedTuple, get_type_hints
 
 
 class Weight(NamedTuple):
-    """One of them: a finite number from 0 on.
+    """Declaration of a weight: a finite number of at least 0.
 
     Attributes:
-        about: what it is, with its unit, for who writes a robot's file.
-        meaning: what the planner does with it.
+        about: meaning with its unit, as a comment in a robot's file.
+        meaning: use in the planner, as a comment in C.
         most: the largest value.
-        required: a robot's file must have it; else it has the paper's there.
+        required: whether a robot's file must have it; otherwise the default is the paper's value.
     """
 
     about: str
@@ -29,7 +30,8 @@ class Weight(NamedTuple):
 
 @dataclass(frozen=True)
 class Weights:
-    """Weights and lengths of the costs, the paper's by default; ``WEIGHTS`` says what each means."""
+    """Weights and lengths of the costs with the paper's values as defaults; ``WEIGHTS`` has their
+    meanings."""
 
     distance_weight_per_m: Annotated[float, Weight(
         "cost of each m beside the path",
@@ -71,4 +73,4 @@ class Weights:
 WEIGHTS: Mapping[str, Weight] = {
     name: hint.__metadata__[0] for name, hint in get_type_hints(Weights, include_extras=True).items()
 }
-"""By name, in the order of ``fk_plan_config_t``."""
+"""Name -> declaration, in the order of ``fk_plan_config_t``."""

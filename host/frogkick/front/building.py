@@ -19,49 +19,13 @@ from frogkick.front.tables import Table, load_table
 from frogkick.robot import Robot
 from frogkick.tables.image import read_image
 from frogkick_codegen.emit import emit
-from frogkick_codegen.firmware import FLASH_BYTES, RAM_BYTES, Build, build, require_tools
+from frogkick_codegen.firmware import FLASH_BYTES, RAM_BYTES, Firmware, build, require_tools
 from frogkick_codegen.probe import check_image, flash
 
 if TYPE_CHECKING:
     from frogkick.runs.chip_check import ChipReport
 
-
-@dataclass(frozen=True, eq=False, repr=False)
-class Firmware:
-    """A built firmware image.
-
-    Attributes:
-        build: its files and their sizes.
-    """
-
-    build: Build
-
-    @property
-    def flash_bytes(self) -> int:
-        """Bytes of the chip's flash; 0 for the target "native"."""
-        return self.build.flash_bytes
-
-    @property
-    def ram_bytes(self) -> int:
-        """Bytes of the chip's RAM, including the stack; 0 for the target "native"."""
-        return self.build.ram_bytes
-
-    @property
-    def stack_bytes(self) -> int:
-        """Bytes reserved for the stack; 0 for the target "native"."""
-        return self.build.stack_bytes
-
-    @property
-    def files(self) -> dict[str, Path]:
-        """Files by kind: elf, hex and map, or library. Without ``out`` they are deleted with this object."""
-        return self.build.files
-
-    def as_json(self) -> dict[str, Any]:
-        """The keys of the command ``firmware build``."""
-        return self.build.as_json()
-
-    def __repr__(self) -> str:
-        return f"Firmware({self.build.target}, flash {self.flash_bytes} bytes, RAM {self.ram_bytes} bytes)"
+__all__ = ["Firmware", "build_firmware", "emit_c", "flash_firmware", "try_firmware"]
 
 
 def build_firmware(
@@ -72,7 +36,7 @@ def build_firmware(
     Args:
         table: the robot's table or its file. The image also holds the robot's guard limits and planner.
         target: "bench" (bare metal, nRF52832) or "native" (the same core as a library for this computer).
-        out: folder for the files; None: a temporary one that lives as long as the object.
+        out: folder for the files; None: a temporary one, which is deleted with the object.
 
     Raises:
         InputError: an unknown target, invalid limits of the guard, or an image that does not fit.
@@ -81,7 +45,7 @@ def build_firmware(
     table = table if isinstance(table, Table) else load_table(table)
     place = Path(tempfile.mkdtemp(prefix="frogkick-firmware-")) if out is None else Path(out)
     with table.file() as image:
-        made = Firmware(build(target, image, table.robot, place))
+        made = build(target, image, table.robot, place)
     if out is None:
         weakref.finalize(made, shutil.rmtree, place, ignore_errors=True)
     return made
@@ -128,7 +92,7 @@ class FirmwareTrial:
         report: the checks, the planning times, the measured stack and its bound.
     """
 
-    build: Build
+    build: Firmware
     report: ChipReport
 
     @property

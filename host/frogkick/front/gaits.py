@@ -8,7 +8,7 @@ import os
 import tempfile
 from collections.abc import Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +17,6 @@ from frogkick.core.progress import Progress, shown
 from frogkick.front.html import page_of
 from frogkick.robot import Robot, load_robot
 from frogkick.validation.matched import Matched, matched_without
-from frogkick.validation.measured import Skipped
 from frogkick.validation.noise import Noise, noise_of
 from frogkick.validation.paper_winners import PAPER_PHASE, Verdict, paper_verdicts
 from frogkick.validation.sweep import (
@@ -111,7 +110,7 @@ class Validated:
             },
             "simulations": [_simulation_row(r) for r in validation.simulations],
             "experiments": [_experiment_row(r) for r in validation.experiments],
-            "skipped": [_skipped_row(s) for s in validation.skipped],
+            "skipped": [asdict(skipped) for skipped in validation.skipped],
         }
 
     def __repr__(self) -> str:
@@ -180,14 +179,7 @@ def _matched_row(matched: Matched) -> dict[str, Any]:
 
 def _gait_columns(result: SimulationResult | ExperimentResult) -> dict[str, Any]:
     """Return the case and its gait as JSON values."""
-    gait = result.case.gait
-    return {
-        "case": result.case.name,
-        "group": result.case.group,
-        "egain_percent": gait.egain_percent,
-        "frequency_hz": gait.frequency_hz,
-        "phase": gait.phase,
-    }
+    return {"case": result.case.name, "group": result.case.group, **asdict(result.case.gait)}
 
 
 def _simulation_row(result: SimulationResult) -> dict[str, Any]:
@@ -215,18 +207,8 @@ def _experiment_row(result: ExperimentResult) -> dict[str, Any]:
     }
 
 
-def _skipped_row(skipped: Skipped) -> dict[str, str]:
-    return {"case": skipped.case, "reason": skipped.reason}
-
-
 def _requirement_row(requirement: Requirement) -> dict[str, Any]:
-    return {
-        "what": requirement.what,
-        "group": requirement.group,
-        "limit": requirement.limit,
-        "value": requirement.value,
-        "held": requirement.held,
-    }
+    return {**asdict(requirement), "held": requirement.held}
 
 
 def _profiles_used(validation: Validation) -> str:
@@ -300,11 +282,8 @@ class Swept:
             **result,
             "paper": [_verdict_row(verdict) for verdict in self.verdicts],
             "energy_model": energy_model(plan.robot),
-            "interpolated": [
-                {"egain_percent": d.egain_percent, "frequency_hz": d.frequency_hz}
-                for d in sorted(plan.interpolated)
-            ],
-            "skipped": [_skipped_row(each) for each in plan.skipped],
+            "interpolated": [asdict(design) for design in sorted(plan.interpolated)],
+            "skipped": [asdict(skipped) for skipped in plan.skipped],
             "failures": [point_row(point) for point in sweep.points if point.failure],
         }
 

@@ -22,9 +22,11 @@ from frogkick.identification.outcome import (
 )
 from frogkick.identification.outcome import identify as find
 from frogkick.identification.retune import steps
-from frogkick.identification.segments import Segments, read_segments, segments_of
+from frogkick.identification.segments import segments_of
 from frogkick.identification.verdict import Interval
 from frogkick.robot import Robot, load_robot, parse_robot
+from frogkick.runs.recorded import load_run as load_log
+from frogkick.runs.runlog import RunLog
 
 __all__ = ["FoundEffect", "Horizon", "Identification", "Interval", "Outcome", "identify"]
 
@@ -183,12 +185,9 @@ def identify(
             raise InputError(f"runs are given as {type(some).__name__}: give runs of fk.run, or their files")
     if not test:
         raise InputError("test is empty: give at least one run that is not a training run")
-    described = robot
-    if not isinstance(described, Robot):
-        described = load_robot(
-            described or robot_of_runs([segments_of_given(each, None) for each in (*runs, *test)])
-        )
-    train, kept = ([segments_of_given(each, described) for each in some] for some in (runs, test))
+    logs = [[log_of(each) for each in some] for some in (runs, test)]
+    described = load_robot(robot or robot_of_runs([log for some in logs for log, _name in some]))
+    train, kept = ([segments_of(log, name, described) for log, name in some] for some in logs)
     own = None if effects is None else Path(effects)
     if not progress:
         return Identification(find(train, kept, described, own, measured=measured, laws=laws))
@@ -200,8 +199,8 @@ def identify(
     return Identification(found)
 
 
-def segments_of_given(given: Given, robot: Robot | None) -> Segments:
-    """Return a run in the form of identification; ``robot`` is its robot, None: the run's own."""
+def log_of(given: Given) -> tuple[RunLog, str]:
+    """Return the log of a run, and the run's name in messages."""
     if isinstance(given, Run):
-        return segments_of(given.log, given.log.source, robot)
-    return read_segments(given, robot)
+        return given.log, given.log.source
+    return load_log(given), Path(given).name

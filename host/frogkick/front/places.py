@@ -23,7 +23,7 @@ from frogkick.robot import Robot, built_in_robots, load_robot
 from frogkick.runs.record import config_of_log
 from frogkick.runs.runlog import RunLog
 from frogkick.tables.image import Tables, read_image
-from frogkick_codegen.firmware import Build, build, require_tools
+from frogkick_codegen.firmware import Firmware, build, require_tools
 
 DEFAULT_ROBOT = "frog2022"
 SIMULATED = {"virtual": "bench", "pool": "native"}
@@ -108,7 +108,7 @@ def require_simulator(name: str) -> None:
 
 
 @contextmanager
-def built_firmware(target: str, tables: Path, robot: Robot) -> Iterator[Build]:
+def built_firmware(target: str, tables: Path, robot: Robot) -> Iterator[Firmware]:
     """Build firmware into a temporary folder that lives as long as the context."""
     with tempfile.TemporaryDirectory(prefix="frogkick-") as folder:
         yield build(target, tables, robot, Path(folder))

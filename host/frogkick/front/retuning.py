@@ -14,17 +14,16 @@ from numpy.typing import NDArray
 
 from frogkick.core.errors import FrogkickError, InputError
 from frogkick.core.files import require_writable
-from frogkick.core.poses import PredictionError
 from frogkick.core.progress import Progress, Tell, shown
 from frogkick.effects import World, effects_of
 from frogkick.front.html import page_of
-from frogkick.front.identifying import Given, LeftOut, Outcome, segments_of_given
+from frogkick.front.identifying import Given, LeftOut, log_of
 from frogkick.front.places import built_firmware
 from frogkick.front.robots import VIRTUAL, Pushed, push_table, require_target
 from frogkick.front.tables import Table, load_table
 from frogkick.identification import retune as retuning
 from frogkick.identification.retune import BEFORE, ROBOT, TABLES, Retuned, require_new
-from frogkick.identification.segments import reliable
+from frogkick.identification.segments import reliable, segments_of
 from frogkick.identification.tables import Stage, Tracked
 from frogkick.library import build_library, fit_table, read_library
 from frogkick.library.error import looked_up
@@ -42,53 +41,27 @@ KIND = "affine"
 LOOP_PATHS, LOOP_SEEDS = tuple(SHAPES), 2
 
 
-@dataclass(frozen=True, eq=False, repr=False)
-class Retuning:
+@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
+class Retuning(Retuned):
     """The result of retuning a robot.
 
     Attributes:
-        found: the effects, the errors of both tables, and the files made.
+        outcome: the identification: its verdict and its effects.
+        before, after: prediction errors of the old and the new tables one period ahead on held-out periods;
+            NaN if no tables were made.
+        better: whether the new tables predict better; otherwise the robot keeps its old ones.
+        done: whether the tables are right now: better new ones, or old ones that lack nothing.
+        reason: the reason why the old tables stay; "" if they do not.
         out: folder of the results; see ``retune``.
         left_out: runs that were not used: ``run`` and ``reason`` of each.
         pushed: the tables of the robot after sending, if they were sent.
         not_pushed: the error that prevented sending, or None.
     """
 
-    found: Retuned
     out: Path
     left_out: Sequence[Mapping[str, str]] = ()
     pushed: Pushed | None = None
     not_pushed: FrogkickError | None = None
-
-    @property
-    def outcome(self) -> Outcome:
-        """The verdict of the identification."""
-        return self.found.outcome
-
-    @property
-    def better(self) -> bool:
-        """Whether the new tables predict held-out periods better; otherwise the robot keeps its old ones."""
-        return self.found.better
-
-    @property
-    def done(self) -> bool:
-        """Whether the tables are right now: better new ones, or old ones that lack nothing."""
-        return self.found.done
-
-    @property
-    def reason(self) -> str:
-        """The reason why the old tables stay; "" if they do not."""
-        return self.found.reason
-
-    @property
-    def before(self) -> PredictionError:
-        """Error of the old tables one period ahead on held-out periods; NaN if no new ones were made."""
-        return self.found.before
-
-    @property
-    def after(self) -> PredictionError:
-        """The same error of the new tables."""
-        return self.found.after
 
     @property
     def robot(self) -> Robot:
@@ -102,8 +75,8 @@ class Retuning:
     def as_json(self) -> dict[str, Any]:
         """The keys of the command ``retune``."""
         values = {
-            **self.found.as_json(),
-            "out": str(self.out) if self.found.tables else None,
+            **super().as_json(),
+            "out": str(self.out) if self.tables else None,
             "pushed": None,
             "left_out": list(self.left_out),
         }
@@ -166,7 +139,7 @@ def retune(
     require_writable(folder, folder=True)
     require_new(folder)
     described = load_robot(robot)
-    swims, unused = reliable([segments_of_given(each, described) for each in runs])
+    swims, unused = reliable([segments_of(*log_of(each), described) for each in runs])
     left_out(unused)
     old = None if table is None else _carried(table, described)
     tools = _Tools(states, seed, workers or os.cpu_count() or 1)
@@ -176,13 +149,13 @@ def retune(
 
     found = retuning.retune(swims, described, folder, tools, stage, old)
     if push is None or not found.better:
-        return Retuning(found, folder, unused)
+        return Retuning(**vars(found), out=folder, left_out=unused)
     try:  # the results stay even if sending fails
         owner = None if key is None else Path(key)
         sent = push_table(push, folder / TABLES, folder / BEFORE, progress, owner)
     except FrogkickError as error:
-        return Retuning(found, folder, unused, not_pushed=error)
-    return Retuning(found, folder, unused, sent)
+        return Retuning(**vars(found), out=folder, left_out=unused, not_pushed=error)
+    return Retuning(**vars(found), out=folder, left_out=unused, pushed=sent)
 
 
 def _carried(table: Table | Path | str, robot: Robot) -> bytes:

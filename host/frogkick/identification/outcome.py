@@ -46,6 +46,7 @@ from frogkick.identification.verdict import (
 )
 from frogkick.robot import Robot
 from frogkick.robot.toml_text import to_toml
+from frogkick.runs.runlog import RunLog
 
 PERIODS_LEAST = 20
 ACTIONS_LEAST = 2
@@ -367,13 +368,13 @@ def found_toml(outcome: Outcome, folder: Path | None = None) -> str:
     return to_toml(table)
 
 
-def robot_of_runs(swims: Sequence[Segments]) -> str:
-    """The robot that all runs are of.
+def robot_of_runs(runs: Sequence[Segments] | Sequence[RunLog]) -> str:
+    """Return the id of the robot of all runs.
 
     Raises:
-        InputError: they are of several.
+        InputError: the runs are of several robots.
     """
-    names = sorted({swim.robot_id for swim in swims})
+    names = sorted({run.robot_id for run in runs})
     if len(names) != 1:
         raise InputError(f"the runs are of robots {', '.join(names)}: give runs of one")
     return names[0]

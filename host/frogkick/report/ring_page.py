@@ -1,4 +1,4 @@
-"""The demo's report: the results of the loop, path by path."""
+"""The demo's report: the results of the ring, path by path."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def write_ring_report(target: Path, ring: Ring) -> None:
             f"{tested.noise_floor}."
         )
         sections.append(_closing(ring.closing))
-    write_page(target, "frogkick: once around the loop", lead, [*sections, _how(ring)])
+    write_page(target, "frogkick: once round the ring", lead, [*sections, _how(ring)])
 
 
 def _found(closing: Closing) -> str:

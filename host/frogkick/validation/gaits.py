@@ -1,4 +1,4 @@
-"""Swim cyclic gaits as the paper does, many at a time: what validation and sweep ask of the rods."""
+"""Swim cyclic gaits as the paper does, many at a time, for validation and sweep."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ FloatArray = NDArray[np.float64]
 
 CYCLES = 8
 FIRST_CYCLE = 5
-"""The authors' speed is that from the end of cycle 5 to the end of cycle 8."""
+"""The authors' speed is the mean from the end of cycle 5 to the end of cycle 8."""
 
 
 @dataclass(frozen=True)
@@ -30,11 +30,11 @@ class GaitSwim:
     """Cycles of a gait from rest, eight by default.
 
     Attributes:
-        time_s: (n,) ends of time steps, from 0 to the end of the last cycle.
-        forward_m: (n,) of the plain mean of all nodes, which is what the authors exported.
-        speed_mps: over cycles 5 to 8.
-        cost_of_transport: electrical energy over weight in air and distance at that speed; infinite without
-            forward motion.
+        gait: the gait.
+        time_s: (n,) ends of the time steps, from 0 to the end of the last cycle.
+        forward_m: (n,) forward position of the mean of all nodes, which the authors exported.
+        speed_mps: mean speed over cycles 5 to 8.
+        cost_of_transport: electrical energy over weight in air and distance; infinite without forward motion.
     """
 
     gait: Gait
@@ -45,17 +45,17 @@ class GaitSwim:
 
 
 def speed_over_cycles(time_s: FloatArray, forward_m: FloatArray, frequency_hz: float) -> float:
-    """Mean speed (m/s) over cycles 5 to 8: (y(8/f) - y(5/f)) / (3/f), linear between samples."""
+    """Return the mean speed (m/s) over cycles 5 to 8: (y(8/f) - y(5/f)) / (3/f), linearly interpolated."""
     start, end = FIRST_CYCLE / frequency_hz, CYCLES / frequency_hz
     at = np.interp([start, end], time_s, forward_m)
     return float(at[1] - at[0]) / (end - start)
 
 
 def cost_of_transport(robot: Robot, frequency_hz: float, speed_mps: float) -> float:
-    """Mean electrical power over weight in air and speed: P / (m g v).
+    """Return the mean electrical power over weight in air and speed: P / (m g v).
 
-    Every pulse of every limb costs Robot.pulse_energy_j, at any frequency and EGaIn fraction; each limb of
-    the gait is pulsed once a cycle.
+    Each pulse of a limb costs Robot.pulse_energy_j at every frequency and EGaIn fraction; each limb of the
+    gait is pulsed once a cycle.
     """
     if speed_mps <= 0.0:
         return math.inf
@@ -65,22 +65,23 @@ def cost_of_transport(robot: Robot, frequency_hz: float, speed_mps: float) -> fl
 
 
 Swum = list[GaitSwim | str]
-"""For each gait what came of it, or in one line why nothing did."""
+"""For each gait its swim, or the reason of its failure in one line."""
 
 
 def swim_gaits(rods: Rods, profiles: Sequence[Profile], gaits: Sequence[Gait], cycles: int = CYCLES) -> Swum:
     """Swim gaits from rest, heading forward, several of them side by side.
 
-    The effects of the robot's file act on its strokes and its body; flows of the water do not.
+    The effects of the robot's file act on its strokes and its body; flows of the water do not act.
 
     Args:
-        rods: of the robot with its effects (frogkick.effects.rods_of); their own stroke is not used.
-        profiles: limb profiles to take or to interpolate between.
-        cycles: to swim, not less than the eight that the speed is taken from.
+        rods: rods of the robot with its effects (frogkick.effects.rods_of); their own stroke is not used.
+        profiles: limb profiles to use or to interpolate between.
+        gaits: the gaits.
+        cycles: number of cycles, at least the eight of the speed.
 
     Returns:
-        For each gait its swim; or why not: outside of the profiles, a phase outside of [0, 1), or a
-        simulation that did not converge, with its state.
+        For each gait its swim, or the reason of its failure: a gait outside the profiles, a phase outside
+        [0, 1), or a simulation that did not converge, with its state.
     """
     strokes = [_stroke(profiles, gait) for gait in gaits]
     swum: Swum = [stroke if isinstance(stroke, str) else "" for stroke in strokes]
@@ -134,16 +135,13 @@ def swim_chunks(
     workers: int,
     cluster: str | None = None,
 ) -> Iterator[tuple[int, Swum]]:
-    """Swim chunks of gaits on several processes; yield (index of the chunk, its results) as they finish.
+    """Swim chunks of gaits in several processes; yield (index of the chunk, its results) as they finish.
 
-    What a gait gives depends on nothing but robot, profiles and gait.
+    A result depends only on robot, profiles and gait.
 
     Args:
-        workers: processes, 1 to 256; 1 swims in this one.
-        cluster: address of a Dask scheduler that swims instead.
-
-    Raises:
-        InputError: workers out of range, or no cluster at that address.
-        FrogkickError: a worker died, or the cluster failed.
+        robot, profiles: see ``swim_gaits``.
+        chunks: gaits of each chunk.
+        workers, cluster: see ``frogkick.core.chunks.run_chunks``, also for the errors.
     """
     return run_chunks(Job(_start, (robot, tuple(profiles)), _swim_chunk, _warm), chunks, workers, cluster)

@@ -1,8 +1,9 @@
-"""The robot's constants that are in no paper, matched to the authors' simulations without some of them.
+"""The robot's unpublished constants, matched to the authors' simulations without some of them
+(cross-validation).
 
-What a data folder gives neither from the paper nor by measurement was chosen so that the authors' own
-simulations come out. Errors on the same simulations flatter that choice. Here the constants are chosen anew,
-each time from all EGaIn fractions but one, and the errors are those on the fraction that was left out.
+Constants that neither the paper nor a measurement gives were matched to the authors' simulations, so errors
+on these simulations are too low. Here the constants are matched to all EGaIn fractions but one, for each
+fraction, and the errors are those on the fraction that was left out.
 """
 
 from __future__ import annotations
@@ -21,16 +22,16 @@ from frogkick.validation.validate import Validation, by_group, root_mean_square,
 FloatArray = NDArray[np.float64]
 
 SPEED_SD_MPS = 0.5e-3
-"""Differences of speed between two simulations of one gait that nobody would look into."""
+"""Standard deviation of a speed in the fit: a negligible difference between two simulations of a gait."""
 
 WIDTH = 0.5
-"""A constant is off by a factor of e to this power in one of three cases, before any simulation is seen."""
+"""Standard deviation of the logarithm of a constant's factor in the prior."""
 
 STEP, STEPS_MOST = 0.03, 8
-"""Of a finite difference, as a share of a factor; of a fit."""
+"""Step of the finite differences, as a share of a factor; largest number of evaluations of a fit."""
 
 FACTORS = (0.2, 5.0)
-"""Bounds of every factor: beyond them simulations end."""
+"""Bounds of each factor; beyond them simulations fail."""
 
 Change = Callable[[Robot, float], Robot]
 
@@ -57,8 +58,8 @@ CONSTANTS: Mapping[str, Change] = {
         lambda limb, by: replace(limb, rest_curvature_per_m=limb.rest_curvature_per_m * by)
     ),
 }
-"""What is matched. The frame's drag is the paper's: masses, drags and stiffnesses that all grow by one factor
-swim the same way."""
+"""The matched constants. The frame's drag is the paper's: masses, drags and stiffnesses that all grow by one
+factor give the same motion."""
 
 
 @dataclass(frozen=True)
@@ -66,9 +67,9 @@ class LeftOut:
     """A fraction that the constants were not matched to.
 
     Attributes:
-        egain_percent: of it.
-        factors: constant -> what the others make of it, over the robot's own.
-        matched_mps, left_out_mps: RMSE of speeds on the others, and on the fraction itself.
+        egain_percent: the fraction.
+        factors: constant -> its match to the other fractions over the robot's own value.
+        matched_mps, left_out_mps: RMSE of the speeds on the other fractions, and on this one.
     """
 
     egain_percent: float
@@ -79,11 +80,11 @@ class LeftOut:
 
 @dataclass(frozen=True)
 class Matched:
-    """All fractions, each left out once.
+    """Each fraction left out once.
 
     Attributes:
-        parts: of each fraction.
-        rmse_mps: group of simulations -> RMSE of its speeds, each when its fraction was left out.
+        parts: the results for each fraction.
+        rmse_mps: group of simulations -> RMSE of its speeds, each from the fit without its fraction.
         within_cycle_rms_m: group -> RMS of the forward position within a cycle, likewise.
     """
 
@@ -97,12 +98,12 @@ def matched_without(
     workers: int = 1,
     progress: Callable[[int, int], None] = lambda _done, _all: None,
 ) -> Matched:
-    """Match the constants to all EGaIn fractions but one, for each of these, and predict that one.
+    """Match the constants to all EGaIn fractions but one, for each fraction, and predict that one.
 
     Args:
-        validation: of the robot, with the authors' simulations of two fractions at least.
-        workers: processes.
-        progress: called with fractions done, and all.
+        validation: validation of the robot with the authors' simulations of at least two fractions.
+        workers: number of processes.
+        progress: called with (fractions done, all).
 
     Raises:
         InputError: fewer than two fractions, or a gait that does not converge.

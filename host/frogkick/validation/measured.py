@@ -1,6 +1,6 @@
 """Read the published simulations, measured swims, tabulated speeds and limb profiles of the paper's data.
 
-Cases are found by their files' names, so a folder with more of them than this project has seen is read alike:
+Cases are found by the names of their files, so a folder may hold more cases than the published data:
 
 - ``sim/**/simDER_phaseDelay_P_frequency_F_EGaIn_E.txt``: time s, x m, y m of the robot's centre; y is forward
 - ``exp/freq/E/FHz.mat`` (at phase 0.5) and ``exp/phase/E_FHz/<10 P>.mat``: ``t`` s and ``distance`` mm
@@ -56,7 +56,7 @@ class Case:
 
 @dataclass(frozen=True)
 class Skipped:
-    """A file or case that was left out, and why."""
+    """A file or case that was left out, and the reason."""
 
     case: str
     reason: str
@@ -64,7 +64,7 @@ class Skipped:
 
 @dataclass(frozen=True)
 class Swim:
-    """A measured swim: (n,) times, s, and distances along its way, m."""
+    """A measured swim: (n,) times, s, and distances along its track, m."""
 
     time_s: FloatArray
     distance_m: FloatArray
@@ -87,10 +87,10 @@ class SteadySpeed:
 
 @dataclass(frozen=True)
 class Profiles:
-    """Limb profiles to simulate with.
+    """Limb profiles for the simulation.
 
     Attributes:
-        profiles: fitted to the data's files where it has them, otherwise the robot's own coefficients.
+        profiles: fits to the data's files if there are any, otherwise the robot's own coefficients.
         measured: (EGaIn fraction, frequency) of those from files.
     """
 
@@ -98,7 +98,7 @@ class Profiles:
     measured: frozenset[tuple[float, float]]
 
     def source(self, gait: Gait) -> str:
-        """Where a gait's profile comes from: a file, cached coefficients, or interpolation."""
+        """Return the origin of a gait's profile: a file, cached coefficients, or interpolation."""
         key = (gait.egain_percent, gait.frequency_hz)
         if key in self.measured:
             return "measured file"
@@ -225,9 +225,10 @@ def read_swim(path: Path) -> Swim:
 
 
 def steady_speed(swim: Swim, frequency_hz: float) -> SteadySpeed:
-    """The speed of a measured swim and how well the swim itself knows it.
+    """Return the speed of a measured swim and its standard error.
 
-    The uncertainty is the scatter between whole cycles; it does not see what differs between two swims.
+    The standard error comes from the scatter between cycles; it does not contain the differences between
+    swims.
     """
     slope = float(np.polyfit(swim.time_s, swim.distance_m, 1)[0])
     lasts_s = float(swim.time_s[-1] - swim.time_s[0])
@@ -239,7 +240,7 @@ def steady_speed(swim: Swim, frequency_hz: float) -> SteadySpeed:
 
 
 def read_speeds(path: Path) -> list[tuple[Gait, float]]:
-    """Read the authors' tabulated speeds: gait and m/s, row by row. No file, no rows.
+    """Read the authors' tabulated speeds: gait and m/s of each row; no rows if there is no file.
 
     Raises:
         InputError: a column is missing, or a cell is no number.
@@ -263,10 +264,10 @@ def read_speeds(path: Path) -> list[tuple[Gait, float]]:
 
 
 def read_profiles(folder: Path, cached: Sequence[Profile]) -> tuple[Profiles, list[Skipped]]:
-    """Fit the profiles of ``folder``; where it has none, take cached coefficients.
+    """Fit the profiles of ``folder``; cached coefficients are used where it has no file.
 
     Returns:
-        The profiles, and files that could not be used.
+        The profiles, and the files that could not be used.
     """
     chosen = {(profile.egain_percent, profile.frequency_hz): profile for profile in cached}
     measured: set[tuple[float, float]] = set()

@@ -1,16 +1,16 @@
-"""How well measured swimming speeds are known: an error below this can not be told from noise.
+"""Noise of measured swimming speeds: a model's error below it cannot be distinguished from noise.
 
-Three estimates, none of which knows the model:
+Three estimates, none of which uses the model:
 
 - **neighbours**: along a sweep of frequency or phase, the second difference a - 2 b + c of three evenly
-  spaced speeds has six times the variance of one, and nothing else in it where the true speeds lie on a
-  line. They nearly do over 0.1 Hz or a tenth of a cycle; where they bend, the estimate is too high. Phase is
-  cyclic: 0.9 and 0.0 are neighbours.
+  spaced speeds has six times the variance of one, if the true speeds lie on a line. They nearly do over
+  0.1 Hz or a tenth of a cycle; where they bend, the estimate is too high. Phase is cyclic: 0.9 and 0.0 are
+  neighbours.
 - **repeats**: swims of one gait that were measured twice.
-- **within a swim**: scatter between the whole cycles of one swim, over the root of their number. It does not
-  see what differs between two swims (how the robot was started, its actuators that day), so it is too low.
+- **within a swim**: scatter between the cycles of one swim, over the root of their number. It does not
+  contain the differences between two swims (start of the robot, state of its actuators), so it is too low.
 
-The floor that is reported is the first: the second rests on a pair or two, the third misses most of it.
+The reported floor is the first: the second has one or two pairs, and the third misses most of the noise.
 """
 
 from __future__ import annotations
@@ -32,10 +32,10 @@ class Noise:
     """Standard deviations of a measured speed, m/s, by group of experiments.
 
     Attributes:
-        neighbours, within_swim: of every group that allows an estimate.
-        triples: second differences behind ``neighbours``.
-        repeats: of all gaits measured more than once; NaN without any.
-        repeated: how many further swims those gaits have.
+        neighbours, within_swim: of each group that allows an estimate.
+        triples: number of second differences of ``neighbours``.
+        repeats: of all gaits that were measured more than once; NaN without any.
+        repeated: number of further swims of these gaits.
     """
 
     neighbours: dict[str, float]
@@ -46,7 +46,8 @@ class Noise:
 
 
 def second_differences(places: Sequence[float], speeds: Sequence[float], cycle: float | None) -> list[float]:
-    """(a - 2 b + c) / sqrt(6) of each three neighbours at equal spacing, round the end where cyclic."""
+    """Return (a - 2 b + c) / sqrt(6) of each three evenly spaced neighbours; ``cycle`` is the period of
+    places."""
     rows = sorted(zip(places, speeds, strict=True))
     if cycle is not None:
         rows += [(place + cycle, speed) for place, speed in rows[:2]]
@@ -58,7 +59,7 @@ def second_differences(places: Sequence[float], speeds: Sequence[float], cycle: 
 
 
 def _distinct(results: Iterable[ExperimentResult]) -> dict[Gait, list[float]]:
-    """Measured speeds of each gait; one swim that stands in two sweeps counts once."""
+    """Return the measured speeds of each gait; a swim that belongs to two sweeps counts once."""
     speeds: dict[Gait, list[float]] = {}
     for result in results:
         known = speeds.setdefault(result.case.gait, [])

@@ -1,4 +1,4 @@
-"""Whether a sweep finds the winners that the paper names, and what is behind its figures."""
+"""The paper's best designs compared with those of a sweep, and the reasons of differences."""
 
 from __future__ import annotations
 
@@ -18,9 +18,11 @@ class PaperWinner:
     """A design that the paper names as one of its two best, simulated at phase 0.5.
 
     Attributes:
-        speed_mps, cost_of_transport: the paper's figure: one of the two.
-        authors_mps: over cycles 5 to 8 of the authors' published run.
-        authors_mean_mps: over all PAPER_CYCLES cycles of that run, from rest; only for the two fastest.
+        design: the design.
+        authors_mps: speed over cycles 5 to 8 of the authors' published run.
+        speed_mps, cost_of_transport: the paper's figure, one of the two.
+        authors_mean_mps: mean speed over all PAPER_CYCLES cycles of that run from rest; only for the two
+            fastest.
     """
 
     design: Design
@@ -46,11 +48,13 @@ class Verdict:
     """A winner of the paper in this sweep.
 
     Attributes:
+        winner: the paper's winner.
         ours: the same gait here.
-        rank: of its design at the paper's phase, counted from 1.
-        rank_all_phases: of its design when every design has its listed phase.
-        best: its design at the phase that is fastest to the last digit.
-        mean_speed_mps: of the same gait over PAPER_CYCLES cycles from rest, as the paper's figure for speed.
+        rank: rank of its design at the paper's phase, from 1.
+        rank_all_phases: rank of its design if each design has its listed phase.
+        best: its design at its fastest phase.
+        mean_speed_mps: mean speed of the same gait over PAPER_CYCLES cycles from rest, like the paper's
+            figure.
         ahead: the designs before it at the paper's phase.
     """
 
@@ -64,17 +68,18 @@ class Verdict:
 
     @property
     def agrees(self) -> bool:
-        """Whether it is one of the two best here, too."""
+        """Whether it is one of the two best here as well."""
         return self.rank <= 2
 
     @property
     def why(self) -> str:
-        """Where its figure differs from the paper's, and why, in measured figures."""
+        """The difference from the paper's figure and its reason, in measured values."""
         return _explain(self)
 
 
 def paper_verdicts(sweep: Sweep) -> list[Verdict]:
-    """What this sweep says of the paper's winners; empty for another robot or without them in the sweep."""
+    """Compare the paper's winners with a sweep; empty for another robot, or if the sweep lacks their
+    phase."""
     robot = sweep.plan.robot
     if robot.id != PAPER_ROBOT or PAPER_PHASE not in sweep.plan.phases:
         return []

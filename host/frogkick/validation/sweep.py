@@ -1,8 +1,7 @@
-"""Every measured EGaIn fraction, frequency and phase offset: what is fastest, what swims cheapest.
+"""A sweep over EGaIn fraction, frequency and phase offset, ranked by speed and by cost of transport.
 
-The work is cut into chunks, one for each EGaIn fraction and frequency, with all phases. Each is a file of its
-own that says what it was made from. A finished chunk is never made again, so a sweep that was stopped goes on
-where it was, and ends with the same bytes.
+A chunk is one EGaIn fraction and frequency with all phases. Its file names what it was made from, and a
+finished chunk is not made again. So an interrupted sweep resumes, and its results have the same bytes.
 """
 
 from __future__ import annotations
@@ -26,32 +25,34 @@ from frogkick.validation.gaits import CYCLES, FIRST_CYCLE, GaitSwim, swim_chunks
 from frogkick.validation.measured import Skipped
 
 PHASE_TIE_MPS = 0.5e-3
-"""Speeds at two phases of one design that differ by less are the same to this model, which is only held to
-this over phase (``frogkick validate``)."""
+"""Two phases of a design whose speeds differ by less are equal to this model, whose error over phase is
+limited to this (``frogkick validate``)."""
 _FORMAT = "frogkick sweep chunk"
 
 
 @dataclass(frozen=True, order=True)
 class Design:
-    """What a robot is built and driven with: EGaIn fraction (%) and frequency (Hz)."""
+    """EGaIn fraction (%) and frequency (Hz)."""
 
     egain_percent: float
     frequency_hz: float
 
     @property
     def name(self) -> str:
-        """For files and people."""
+        """Name in files and texts."""
         return f"{self.egain_percent:g}pct_{self.frequency_hz:g}Hz"
 
 
 @dataclass(frozen=True)
 class Plan:
-    """What to sweep.
+    """The gaits of a sweep.
 
     Attributes:
-        phases: of every design, ascending.
+        robot: the robot.
+        designs: EGaIn fractions and frequencies.
+        phases: phases of each design, ascending.
         interpolated: designs whose limb profile lies between measured ones.
-        skipped: designs asked for that lie outside of them.
+        skipped: requested designs outside the measured ones.
     """
 
     robot: Robot
@@ -62,13 +63,13 @@ class Plan:
 
     @property
     def gaits(self) -> int:
-        """How many gaits that is."""
+        """Number of gaits."""
         return len(self.designs) * len(self.phases)
 
 
 @dataclass(frozen=True)
 class Point:
-    """One gait's result; ``failure`` says why it has none."""
+    """The result of one gait; ``failure`` is the reason if it has none."""
 
     gait: Gait
     speed_mps: float
@@ -78,13 +79,13 @@ class Point:
 
 @dataclass(frozen=True)
 class Sweep:
-    """A finished sweep: its points by design, then phase."""
+    """A finished sweep; points by design, then by phase."""
 
     plan: Plan
     points: tuple[Point, ...]
 
     def of_design(self, design: Design) -> list[Point]:
-        """The points of one design that have a result, by phase."""
+        """Return the points of a design that have a result, by phase."""
         wanted = (design.egain_percent, design.frequency_hz)
         return [
             p for p in self.points if (p.gait.egain_percent, p.gait.frequency_hz) == wanted and not p.failure
@@ -100,13 +101,14 @@ def plan_sweep(
     """List the designs of a sweep.
 
     Args:
-        frequencies_hz: for every fraction; None: those measured for it (for a fraction between measured ones,
-            those measured for a neighbour).
-        phases: how many, evenly from 0.
+        robot: the robot.
+        frequencies_hz: frequencies of each fraction; None: those measured for it (for a fraction between
+            measured ones, those of a neighbour).
+        phases: number of phases, evenly spaced from 0.
         egain_percent: fractions; None: the measured ones.
 
     Raises:
-        InputError: a count or value out of range, or not one design within the measured profiles.
+        InputError: a count or value out of range, or no design within the measured profiles.
     """
     if not 1 <= phases <= 1000:
         raise InputError(f"phases is {phases}: give 1 to 1000")
@@ -152,16 +154,17 @@ def run_sweep(
     progress: Callable[[int, int], None] | None = None,
     cluster: str | None = None,
 ) -> Sweep:
-    """Simulate what ``out/chunks`` does not hold yet, and return all.
+    """Simulate the gaits that ``out/chunks`` does not contain yet, and return all.
 
     Args:
-        out: folder; each finished chunk goes to ``chunks/<design>.json`` at once.
-        workers: processes.
+        plan: the gaits.
+        out: folder; each finished chunk is written to ``chunks/<design>.json``.
+        workers: number of processes.
         progress: called with (gaits done, all).
-        cluster: address of a Dask scheduler to simulate on instead; files are written here all the same.
+        cluster: address of a Dask scheduler to simulate on; the files are written here.
 
     Raises:
-        InputError: workers out of range, no cluster at that address, or a place that cannot be written to.
+        InputError: workers out of range, no cluster at the address, or a folder that cannot be written.
         FrogkickError: a worker died, or the cluster failed.
     """
     key = _key(plan)
@@ -201,7 +204,7 @@ def _point(gait: Gait, result: GaitSwim | str) -> Point:
 
 
 def _key(plan: Plan) -> str:
-    """What a chunk's numbers come from: robot, phases, and the code that simulates."""
+    """Return a hash of all that a chunk depends on: robot, phases, and the source of the simulation."""
     digest = hashlib.sha256(plan.robot.sha256)
     digest.update(repr((CYCLES, FIRST_CYCLE, plan.phases)).encode("ascii"))
     sources = sorted(Path(frogkick.der.__file__).parent.glob("*.py"))
@@ -215,7 +218,7 @@ def _finite(value: float) -> float | None:
 
 
 def point_row(point: Point) -> dict[str, float | str | None]:
-    """A point as JSON has it; what is not finite is null."""
+    """Return a point as JSON values; non-finite numbers become null."""
     row: dict[str, float | str | None] = {
         "egain_percent": point.gait.egain_percent,
         "frequency_hz": point.gait.frequency_hz,
@@ -232,7 +235,7 @@ def _chunk_text(key: str, points: Sequence[Point]) -> str:
 
 
 def _read_chunk(file: Path, key: str, plan: Plan, design: Design) -> list[Point] | None:
-    """The points of a chunk file; None where it is missing, not whole, or made from something else."""
+    """Return the points of a chunk file; None if it is missing, incomplete, or of other origin."""
     try:
         chunk = json.loads(file.read_text(encoding="utf-8"))
         if chunk["format"] != _FORMAT or chunk["made_from"] != key:
@@ -270,10 +273,10 @@ def by_cost(point: Point) -> float:
 
 
 def listed_phase(points: Sequence[Point]) -> Point:
-    """The point that stands for a design with these, one for each phase.
+    """Return the point at the phase that is listed for a design.
 
-    Of the phases within PHASE_TIE_MPS of the fastest, the one nearest to half a cycle: there the two groups
-    of limbs fire farthest apart and draw the least current at once.
+    Of the phases within PHASE_TIE_MPS of the fastest it is the one nearest to half a cycle. There the two
+    groups of limbs fire farthest apart and draw the least current at once.
     """
     fastest = max(point.speed_mps for point in points)
     tied = [point for point in points if point.speed_mps >= fastest - PHASE_TIE_MPS]
@@ -281,7 +284,7 @@ def listed_phase(points: Sequence[Point]) -> Point:
 
 
 def rank_designs(sweep: Sweep, order: Rank, phase: float | None = None) -> list[Point]:
-    """Every design at its listed phase, or at the one given, best first; ties in order of the sweep."""
+    """Return each design at its listed phase, or at the given one, best first; ties in the sweep's order."""
     ranked: list[Point] = []
     for design in sweep.plan.designs:
         points = [p for p in sweep.of_design(design) if phase is None or p.gait.phase == phase]
@@ -291,17 +294,17 @@ def rank_designs(sweep: Sweep, order: Rank, phase: float | None = None) -> list[
 
 
 def rank_gaits(sweep: Sweep, order: Rank) -> list[Point]:
-    """Every gait, best first, to the last digit; ties in order of the sweep."""
+    """Return all gaits, best first; ties in the sweep's order."""
     return sorted((point for point in sweep.points if not point.failure), key=order)
 
 
 def energy_model(robot: Robot) -> str:
-    """What the cost of transport counts, in one paragraph."""
+    """Return a paragraph on what the cost of transport includes."""
     pulses = robot.gait_lead_mask.bit_count() + robot.gait_lag_mask.bit_count()
     return (
         "Cost of transport = electrical energy of a cycle / (weight in air x distance of a cycle). A cycle "
         f"is {pulses} pulses of {robot.pulse_energy_j:g} J, the same at every frequency, phase and EGaIn "
         f"fraction; the weight is that of {robot.mass_kg:.4f} kg; the distance is speed / frequency over "
-        f"cycles {FIRST_CYCLE} to {CYCLES}. The robot's electronics are not in it, nor that a limb with more "
-        "EGaIn takes heat otherwise."
+        f"cycles {FIRST_CYCLE} to {CYCLES}. It includes neither the robot's electronics nor the change of a "
+        "limb's heat capacity with its EGaIn fraction."
     )

@@ -1,4 +1,4 @@
-"""The model against the authors' simulations and against measured swims, case by case."""
+"""The model compared with the authors' simulations and with measured swims, case by case."""
 
 from __future__ import annotations
 
@@ -39,15 +39,16 @@ _END_SLACK_S = 0.0015  # the authors' files end one of their 1 ms steps around t
 
 @dataclass(frozen=True)
 class SimulationResult:
-    """One of the authors' simulations and ours.
+    """One of the authors' simulations and the model's.
 
     Attributes:
+        case: the case.
         reference_mps, model_mps: speeds over cycles 5 to 8.
-        within_cycle_rms_m: RMS difference of the forward position within cycles 5 to 8, each less its own
-            mean speed, and less the mean difference.
-        profile: where the limb's profile comes from.
-        time_s: (n,) over cycles 5 to 8.
-        reference_wave_m, model_wave_m: (n,) the two that were compared.
+        within_cycle_rms_m: RMS difference of the forward positions within cycles 5 to 8, each without its
+            mean speed, and without the mean difference.
+        profile: origin of the limb's profile.
+        time_s: (n,) times over cycles 5 to 8.
+        reference_wave_m, model_wave_m: (n,) the compared positions.
     """
 
     case: Case
@@ -61,17 +62,20 @@ class SimulationResult:
 
     @property
     def error_mps(self) -> float:
-        """Model less reference."""
+        """Model minus reference."""
         return self.model_mps - self.reference_mps
 
 
 @dataclass(frozen=True)
 class ExperimentResult:
-    """One measured swim, what the authors' simulation gives for it (where the data has it), and ours.
+    """A measured swim, the authors' simulation of it if the data has one, and the model's.
 
     Attributes:
-        reference: from the swim's own file, or from the table where there is no file.
-        tabulated_mps: the authors' tabulated speed for this gait, the nearest where it has several.
+        case: the case.
+        reference: speed of the swim's own file, or of the table if there is no file.
+        tabulated_mps: the authors' tabulated speed of this gait; if there are several, the nearest.
+        model_mps, authors_mps: speeds of both simulations.
+        profile: origin of the limb's profile.
     """
 
     case: Case
@@ -83,18 +87,18 @@ class ExperimentResult:
 
     @property
     def error_mps(self) -> float:
-        """Model less measurement."""
+        """Model minus measurement."""
         return self.model_mps - self.reference.speed_mps
 
     @property
     def authors_error_mps(self) -> float | None:
-        """The authors' simulation less measurement."""
+        """The authors' simulation minus measurement."""
         return None if self.authors_mps is None else self.authors_mps - self.reference.speed_mps
 
 
 @dataclass(frozen=True)
 class Validation:
-    """All cases, and those left out."""
+    """All cases, and those that were left out."""
 
     folder: Path
     robot: Robot
@@ -186,7 +190,7 @@ def _read(case: Case, tabulated: Sequence[tuple[Gait, float]]) -> _Reference:
 def _only_tabulated(
     tabulated: Sequence[tuple[Gait, float]], references: Sequence[_Reference], folder: Path
 ) -> list[_Reference]:
-    """Tabulated speeds of gaits that have no file."""
+    """Return the tabulated speeds of gaits without a file."""
     filed = {reference.case.gait for reference in references if reference.steady is not None}
     rows: list[_Reference] = []
     for number, (gait, speed_mps) in enumerate(tabulated, start=2):
@@ -204,7 +208,7 @@ def swum_of(
     workers: int,
     progress: Callable[[int, int], None] | None,
 ) -> tuple[dict[Gait, GaitSwim], dict[Gait, str]]:
-    """Swim each gait once; return those that succeeded and why the others did not."""
+    """Swim each gait once; return the swims, and the reasons of failures."""
     ordered = sorted(gaits, key=lambda gait: (gait.frequency_hz, gait.egain_percent, gait.phase))
     chunks = [ordered[first : first + WIDTH] for first in range(0, len(ordered), WIDTH)]
     swum: dict[Gait, GaitSwim] = {}
@@ -230,7 +234,7 @@ def _model_wave(time_s: FloatArray, swum: GaitSwim) -> FloatArray:
 
 
 def wave_rms_m(result: SimulationResult, swum: GaitSwim) -> float:
-    """``within_cycle_rms_m`` of another swim of the same gait."""
+    """Return ``within_cycle_rms_m`` of another swim of the same gait."""
     gap = _model_wave(result.time_s, swum) - result.reference_wave_m
     return float(np.sqrt(np.mean(gap**2)))
 
@@ -252,13 +256,13 @@ def _against_simulation(
 
 
 def root_mean_square(values: Iterable[float]) -> float:
-    """Root of the mean square; NaN of nothing."""
+    """Return the root of the mean square; NaN without values."""
     squares = [value * value for value in values]
     return math.sqrt(sum(squares) / len(squares)) if squares else math.nan
 
 
 def by_group(rows: Iterable[tuple[str, float]]) -> dict[str, float]:
-    """RMS of (group, value) over each group and over each group's parents (``simulations/freq``)."""
+    """Return the RMS of (group, value) over each group and over its parents (``simulations/freq``)."""
     members: dict[str, list[float]] = {}
     for group, value in rows:
         parts = group.split("/")
@@ -269,7 +273,7 @@ def by_group(rows: Iterable[tuple[str, float]]) -> dict[str, float]:
 
 @dataclass(frozen=True)
 class Requirement:
-    """A limit on a figure of a group, in SI units."""
+    """A limit on a value of a group, in SI units."""
 
     what: str
     group: str
@@ -278,29 +282,29 @@ class Requirement:
 
     @property
     def held(self) -> bool:
-        """Whether the figure is there and within the limit."""
+        """Whether the value is known and within the limit."""
         return self.value <= self.limit
 
 
 def speed_rmse_mps(validation: Validation) -> dict[str, float]:
-    """RMS speed error of every group of simulations and of experiments, m/s."""
+    """Return the RMS speed error of each group of simulations and of experiments, m/s."""
     rows = [(s.case.group, s.error_mps) for s in validation.simulations]
     return by_group(rows + [(e.case.group, e.error_mps) for e in validation.experiments])
 
 
 def within_cycle_rms_m(validation: Validation) -> dict[str, float]:
-    """RMS of within_cycle_rms_m over every group of simulations, m."""
+    """Return the RMS of within_cycle_rms_m over each group of simulations, m."""
     return by_group((r.case.group, r.within_cycle_rms_m) for r in validation.simulations)
 
 
 def authors_rmse_mps(validation: Validation) -> dict[str, float]:
-    """RMS error of the authors' simulation against every group of experiments that it was made for, m/s."""
+    """Return the RMS error of the authors' simulations against each group of experiments, m/s."""
     pairs = ((r.case.group, r.authors_error_mps) for r in validation.experiments)
     return by_group((group, error) for group, error in pairs if error is not None)
 
 
 def requirements(validation: Validation) -> list[Requirement]:
-    """The limits on the agreement with the authors' simulations that this data can test."""
+    """Return the limits on the agreement with the authors' simulations that this data can test."""
     speed, shape = speed_rmse_mps(validation), within_cycle_rms_m(validation)
     asked = [
         Requirement("speed_rmse_mps", group, limit, speed[group])
@@ -315,7 +319,7 @@ def requirements(validation: Validation) -> list[Requirement]:
 
 
 def single_groups_above(validation: Validation) -> list[Requirement]:
-    """Single groups (one EGaIn fraction, or one phase sweep) above the limit of their kind."""
+    """Return single groups (one EGaIn fraction or one phase sweep) above the limit of their kind."""
     speed, shape = speed_rmse_mps(validation), within_cycle_rms_m(validation)
     found: list[Requirement] = []
     for group in shape:

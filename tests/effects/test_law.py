@@ -46,6 +46,10 @@ VALUES = {"x": 0.3, "y": -0.4, "t": 2.0, "v": -0.05, "a": 1.5}
 )
 def test_a_formula_has_a_value_and_a_unit(text: str, unit: str, value: float) -> None:
     assert parse(text, UNITS, unit_of(unit))(VALUES) == pytest.approx(value, abs=1e-15)
+    arrays = {name: np.array([each, 2.0 * each]) for name, each in VALUES.items()}
+    doubled = {name: 2.0 * each for name, each in VALUES.items()}
+    formula = parse(text, UNITS, unit_of(unit))
+    assert np.broadcast_to(formula.over(arrays), 2) == pytest.approx([value, formula(doubled)], nan_ok=True)
 
 
 @pytest.mark.parametrize(
@@ -214,6 +218,8 @@ def test_a_misfire_is_a_matter_of_chance() -> None:
     rng, index = np.random.default_rng(3), [limb.name for limb in ROBOT.limbs].index("rear_left")
     gains = [law.stroke(Stroke("rear_left", index, float(k)), History(), rng).gain for k in range(2000)]
     assert set(gains) == {0.0, 1.0} and gains.count(0.0) == pytest.approx(600, abs=80)
+    average = law.on_average()
+    assert {average.stroke(Stroke("rear_left", 2, 1.0), History(), rng).gain for _ in range(9)} == {0.7}  # type: ignore[union-attr]
 
 
 def test_a_fix_is_moved_and_made_older() -> None:

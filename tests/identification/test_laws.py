@@ -11,9 +11,11 @@ import pytest
 from made import make_swim, robot
 from tests.conftest import LEVEL, count, some
 
+from frogkick.effects import Law
 from frogkick.effects.registry import make_effects
+from frogkick.identification.answers import answers_of
 from frogkick.identification.law_kinds import kinds_of
-from frogkick.identification.laws import answers_of, screened
+from frogkick.identification.laws import Laws
 from frogkick.identification.outcome import found_toml, identify
 from frogkick.identification.search import nominal_fit
 from frogkick.identification.verdict import FOUND_LAW
@@ -54,6 +56,50 @@ class Breaks:
             stroke.gain *= self.gain
 
 
+class Weeds:
+    def __init__(self, drag, x, y, radius):
+        self.drag, self.x, self.y, self.radius = drag, x, y, radius
+
+    def wrench(self, time_s, body):
+        x, y, _ = body.pose_world
+        forward, left, _ = body.velocity_body
+        drag = self.drag if math.hypot(x - self.x, y - self.y) < self.radius else 0.0
+        return -drag * forward, -drag * left, 0.0
+
+
+class DragByPower:
+    def __init__(self, force, power):
+        self.force, self.power = force, power
+
+    def wrench(self, time_s, body):
+        forward, left, _ = body.velocity_body
+        speed = max(math.hypot(forward, left), 1e-9)
+        force = self.force * (speed / 0.03) ** self.power / speed
+        return -force * forward, -force * left, 0.0
+
+
+class Lags:
+    def __init__(self, late, cycle, share):
+        self.late, self.cycle, self.share = late, cycle, share
+
+    def fix(self, fix, rng):
+        if fix.capture_s % self.cycle < self.share * self.cycle:
+            fix.capture_s += self.late
+            fix.delay_s -= self.late
+        return fix
+
+
+class Moves:
+    def __init__(self, x, y, cycle, share):
+        self.x, self.y, self.cycle, self.share = x, y, cycle, share
+
+    def fix(self, fix, rng):
+        if fix.capture_s % self.cycle < self.share * self.cycle:
+            fix.x_m += self.x
+            fix.y_m += self.y
+        return fix
+
+
 class ByHeading:
     def __init__(self, depth):
         self.depth, self.heading = depth, 0.0
@@ -71,6 +117,10 @@ WORLDS: list[tuple[str, dict[str, Any]]] = [
     ("sloshing", {"class": "Sloshing", "speed": 0.012, "cycle": 7.3, "way": 0.6}),
     ("stroke from a moment on rear_left", {"class": "Breaks", "limb": "rear_left", "at": 12.0, "gain": 0.3}),
     ("stroke by heading all", {"class": "ByHeading", "depth": 0.5}),
+    ("patch", {"class": "Weeds", "drag": 1.0, "x": -0.1, "y": 0.2, "radius": 0.2}),
+    ("drag power", {"class": "DragByPower", "force": 0.006, "power": 0.4}),
+    ("fixes late at intervals", {"class": "Lags", "late": 0.15, "cycle": 7.0, "share": 0.35}),
+    ("fixes off at intervals", {"class": "Moves", "x": 0.006, "y": -0.004, "cycle": 8.0, "share": 0.4}),
 ]
 PERIODS = 18
 
@@ -90,14 +140,18 @@ def planted(folder: Path, table: dict[str, Any]) -> list[dict[str, Any]]:
 def test_the_right_kind_promises_most(folder: Path, title: str, table: dict[str, Any]) -> None:
     swims = [make_swim(planted(folder, table), seed, PERIODS) for seed in (1, 2, 3)]
     _, rows, nominal = nominal_fit(swims, robot())
-    columns, every = screened(nominal, swims, rows, robot())
+    laws = Laws(answers_of(nominal, swims, rows), swims, robot())
+    columns = laws.best(nominal)
     assert columns[0].term.title == title, [column.term.title for column in columns[:4]]
-    assert len(every) > 300
+    assert len(laws.every) > 300
     values = dict(zip((p.name for p in columns[0].term.parameters), columns[0].term.values, strict=True))
     if "cycle" in values:
-        assert values["cycle"] == pytest.approx(7.3, abs=0.5)
+        assert values["cycle"] == pytest.approx(table["cycle"], abs=0.5)
     if "at" in values:
         assert values["at"] == pytest.approx(12.0, abs=3.0)
+
+
+LATE = {"late": {"value": 0.05, "unit": "s"}}
 
 
 def test_answers_add_up_to_what_a_simulation_says(folder: Path) -> None:
@@ -107,14 +161,18 @@ def test_answers_add_up_to_what_a_simulation_says(folder: Path) -> None:
 
     swims = [make_swim([], seed, 12) for seed in (1, 2)]
     model, rows, nominal = nominal_fit(swims, robot())
-    answers = answers_of(model, swims, rows)
+    answers = answers_of(nominal, swims, rows)
     terms = {term.title: term for term in catalogue(robot())}
     push = terms["steady_wrench"].at([1e-3, 0.0, 0.0])
+    late = terms["fix_latency"].at([0.05])
+    law = make_effects([{"name": "law", "on": "fix", "delay_s": "late", "parameters": LATE}], Path())[0]
+    assert isinstance(law, Law)
     weak = terms["limb_wear rear_left"].at([0.9, 0.0, 1.0])
     limb = [each.name for each in robot().limbs].index("rear_left")
     for term, told in (
         (push, 1e-3 * answers.wrench[:, :, :, 0].sum(axis=2)),
         (weak, -0.1 * answers.gain[:, :, limb]),
+        (late, answers.to(law, {}, [each.name for each in robot().limbs])),
     ):
         moved = Model(robot(), (term,), model.noise)
         true = residuals_of(rollouts_of([moved], swims)[0], rows) - nominal.residuals
@@ -125,7 +183,7 @@ def test_every_kind_is_a_law_that_a_robot_s_file_can_have() -> None:
     swims = [make_swim([], 1, 8)]
     kinds = kinds_of(robot(), swims)
     assert len({(kind.title, kind.table.get("limb")) for kind in kinds}) == len(kinds)
-    assert len(kinds) == 51, "explanation/identification.md says so"
+    assert len(kinds) == 79, "explanation/identification.md says so"
     for kind in kinds:
         term = kind.term(kind.grid[0])
         term.effect().check(robot())

@@ -193,6 +193,10 @@ class Effect:
         """
         return ()
 
+    def on_average(self) -> Effect:
+        """The effect without its chance: what it does on average. Predictions are made with it."""
+        return self
+
     def robot(self, robot: Robot) -> Robot:
         """The robot changed by this effect: another body, not another force."""
         return robot

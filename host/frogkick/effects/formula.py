@@ -14,9 +14,14 @@ import operator
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from frogkick.core.errors import InputError, nearest_name
 
+FloatArray = NDArray[np.float64]
 Unit = tuple[float, float, float]
 """Exponents of kilogram, metre and second; radians are pure numbers."""
 
@@ -112,6 +117,14 @@ FUNCTIONS: Mapping[str, tuple[int, Callable[..., float]]] = {
 }
 """Name -> number of arguments, and what it does."""
 
+_OF_ARRAYS: Mapping[str, Callable[..., FloatArray]] = {
+    "min": np.minimum,
+    "max": np.maximum,
+    "hypot": np.hypot,
+    "atan2": np.arctan2,
+    **{name: getattr(np, name) for name in ("sin", "cos", "exp", "log", "tanh", "sqrt", "abs", "sign")},
+}
+
 _PURE = ("sin", "cos", "exp", "log", "tanh")
 _PAIRS: Mapping[type[ast.operator], Callable[[float, float], float]] = {
     ast.Add: operator.add,
@@ -149,6 +162,7 @@ class Formula:
     text: str
     names: frozenset[str]
     _run: _Run
+    _tree: ast.expr
 
     def __call__(self, values: Values) -> float:
         """Its value; infinite or not a number where it has none.
@@ -157,6 +171,33 @@ class Formula:
             values: of all its names.
         """
         return float(self._run(values))
+
+    def over(self, values: Mapping[str, FloatArray | float]) -> FloatArray:
+        """Its values for arrays of all its names, of one shape each or numbers."""
+        with np.errstate(all="ignore"):
+            return np.asarray(_over(self._tree, values), dtype=np.float64)
+
+
+def _over(tree: ast.expr, values: Mapping[str, FloatArray | float]) -> FloatArray:
+    """The values of a part of a formula that was checked."""
+    if isinstance(tree, ast.Constant):
+        return np.array(tree.value, dtype=np.float64)
+    if isinstance(tree, ast.Name):
+        return np.asarray(values[tree.id], dtype=np.float64)
+    if isinstance(tree, ast.UnaryOp):
+        return -_over(tree.operand, values)
+    if isinstance(tree, ast.Call):
+        assert isinstance(tree.func, ast.Name)
+        return _OF_ARRAYS[tree.func.id](*(_over(each, values) for each in tree.args))
+    if isinstance(tree, ast.Compare):
+        act: Any = _COMPARISONS[type(tree.ops[0])]
+        return np.asarray(act(_over(tree.left, values), _over(tree.comparators[0], values)), np.float64)
+    assert isinstance(tree, ast.BinOp)
+    one, other = _over(tree.left, values), _over(tree.right, values)
+    if isinstance(tree.op, ast.Div):
+        return np.where(other == 0.0, np.where(one == 0.0, 0.0, np.inf * np.sign(one)), one / other)
+    act = np.power if isinstance(tree.op, ast.Pow) else _PAIRS[type(tree.op)]
+    return np.asarray(act(one, other), np.float64)
 
 
 def parse(text: str, units: Mapping[str, Unit], wanted: Unit) -> Formula:
@@ -183,7 +224,7 @@ def parse(text: str, units: Mapping[str, Unit], wanted: Unit) -> Formula:
             f"formula {text!r} comes out in {in_words(node.unit or ONE)}, needed is {in_words(wanted)}: "
             "check its units"
         )
-    return Formula(text, frozenset(names), node.run)
+    return Formula(text, frozenset(names), node.run, tree)
 
 
 class _Reader:

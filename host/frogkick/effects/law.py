@@ -58,6 +58,9 @@ random number from 0 to 1, drawn anew for each stroke or fix.
 LONG_AGO_S = 1e3
 """How long ago a limb fired that has not fired yet."""
 
+AVERAGED = np.arange(0.01, 1.0, 0.02)
+"""Values of chance whose mean stands for all of them."""
+
 _KEYS = ("value", "unit", "low", "high", "nominal", "about", "step", "tolerance")
 
 
@@ -127,6 +130,7 @@ class Law(Effect):
         )
         self._given = {p.name: self.value(p.name) for p in self.parameters}
         self._limbs: dict[str, int] = {}
+        self._averaged = False
 
     @property
     def title(self) -> str:
@@ -148,6 +152,19 @@ class Law(Effect):
     def asks_body(self) -> bool:
         return self.on == "stroke" and any(self._uses(name) for name in _BODY if name != "time_s")
 
+    @property
+    def by_chance(self) -> bool:
+        """Whether its formulas depend on chance."""
+        return self._uses("chance")
+
+    def on_average(self) -> Effect:
+        if not self.by_chance:
+            return self
+        twin = object.__new__(type(self))  # copy.copy would ask __new__ for one on wrenches
+        twin.__dict__.update(self.__dict__)
+        twin._averaged = True
+        return twin
+
     def check(self, robot: Robot) -> None:
         if self.on == "stroke" and self.limb != ALL:
             limb_index(robot, self, self.limb)
@@ -161,7 +178,18 @@ class Law(Effect):
 
     def _all(self, values: Mapping[str, float], keys: Sequence[str]) -> list[float]:
         """What its formulas give of these keys, nought for those that have none."""
+        if self._averaged:
+            given = self.over({**values, "chance": AVERAGED})
+            return [float(np.mean(given.get(key, 0.0))) for key in keys]
         return [self._formulas[key](values) if key in self._formulas else 0.0 for key in keys]
+
+    def _drawn(self, rng: np.random.Generator) -> float:
+        return float(rng.random()) if self.by_chance and not self._averaged else 0.5
+
+    def over(self, values: Mapping[str, FloatArray | float]) -> dict[str, FloatArray]:
+        """What its formulas give for arrays of the names that they use, parameters too if they are given."""
+        given = {**self._given, **values}
+        return {key: formula.over(given) for key, formula in self._formulas.items()}
 
     def __repr__(self) -> str:
         formulas = [f"{key}={text!r}" for key, text in self._texts.items()]
@@ -194,7 +222,7 @@ class _OnStroke(Law):
             "time_s": stroke.time_s,
             "strokes": float(history.pulses),
             "since_s": min(history.since_s(stroke.index, stroke.time_s), LONG_AGO_S),
-            "chance": float(rng.random()) if self._uses("chance") else 0.5,
+            "chance": self._drawn(rng),
         }
         for name in self._others:
             if name not in self._limbs:
@@ -202,7 +230,7 @@ class _OnStroke(Law):
                     f"law {self.title!r} does not know which limb {name!r} means: check(robot) first"
                 )
             values[name] = min(history.since_s(self._limbs[name], stroke.time_s), LONG_AGO_S)
-        given = {key: formula(values) for key, formula in self._formulas.items()}
+        given = dict(zip(self._formulas, self._all(values, list(self._formulas)), strict=True))
         stroke.gain *= given.get("gain", 1.0)
         stroke.delay_s += given.get("delay_s", 0.0)
         stroke.duration_scale *= given.get("duration_scale", 1.0)
@@ -217,7 +245,7 @@ class _OnFix(Law):
             "x_m": fix.x_m,
             "y_m": fix.y_m,
             "heading_rad": fix.heading_rad,
-            "chance": float(rng.random()) if self._uses("chance") else 0.5,
+            "chance": self._drawn(rng),
         }
         x, y, heading, delay = self._all(values, ("x_m", "y_m", "heading_rad", "delay_s"))
         fix.x_m += x

@@ -9,6 +9,7 @@ import numpy as np
 
 from frogkick.core.poses import PredictionError
 from frogkick.core.progress import TellStage
+from frogkick.identification.answers import answers_of
 from frogkick.identification.backward import stability, superfluous_term, without
 from frogkick.identification.calibrated import (
     best_end_deviance,
@@ -18,7 +19,7 @@ from frogkick.identification.calibrated import (
     refitted,
 )
 from frogkick.identification.fit import derivatives, fit
-from frogkick.identification.laws import screened
+from frogkick.identification.laws import Laws
 from frogkick.identification.penalty import PARAMETER_PENALTY
 from frogkick.identification.screening import sensitivities
 from frogkick.identification.search import Baseline, Found, folds_of, nominal_fit, search
@@ -94,13 +95,13 @@ def discovered(found: Found, train: Sequence[Segments], robot: Robot, progress: 
     if _verdict(found, train) in (FOUND, NOTHING):
         return found
     nominal, rows = found.nominal, found.rows
-    laws, every = screened(nominal, train, rows, robot, progress)
+    laws = Laws(answers_of(nominal, train, rows), train, robot, progress)
     known = found.sensitivities
     if not known:
         known = sensitivities(nominal.model, catalogue(robot), train, rows, lambda _done, _whole: None)
-    candidates = [column.term for column in (*known, *laws)]
+    candidates = [column.term for column in known]
     baseline = nominal.model, rows, nominal
-    other = search(train, robot, candidates, progress, baseline, columns=[*known, *laws], screened=every)
+    other = search(train, robot, candidates, progress, baseline, columns=known, laws=laws)
     deviances = [
         end_deviance(each.fitted.rollouts, train)
         + PARAMETER_PENALTY * (len(each.fitted.model.values) - len(each.fitted.model.fixed))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, partial
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -16,8 +16,13 @@ from frogkick.identification.segments import Segments
 from frogkick.identification.terms import Term
 from frogkick.robot import Robot
 
-Numbers = Mapping[str, tuple[str, float, float, float]]
+Strength = tuple[str, float, float, float]
+Numbers = Mapping[str, Strength]
 """Parameter -> unit, low, high, step of a finite difference (0: a share of its range)."""
+
+
+INTERVALS = 120
+"""Cycles of what acts at intervals: so close that its last interval in a run is no more than one off."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,6 +42,18 @@ class Kind:
     strengths: Numbers
     shapes: Numbers
     grid: Sequence[Mapping[str, float]]
+
+    @property
+    def at_intervals(self) -> bool:
+        """Whether it acts at intervals: in a share of each cycle about its middle."""
+        return "middle" in self.shapes
+
+    @cached_property
+    def law(self) -> Law:
+        """The law itself, without strength, at the first shape that is tried."""
+        law = self.term(self.grid[0]).effect()
+        assert isinstance(law, Law)
+        return law
 
     def term(self, shape: Mapping[str, float]) -> Term:
         """The law without strength, at a shape."""
@@ -58,7 +75,7 @@ def kinds_of(robot: Robot, swims: Sequence[Segments]) -> list[Kind]:
     low, high = reached.min(axis=0) - 0.15, reached.max(axis=0) + 0.15
     end_s = float(max(swim.end_s[-1] for swim in swims if len(swim.end_s)))
     period_s = robot.period_s
-    xs, ys = np.linspace(low[0], high[0], 9), np.linspace(low[1], high[1], 9)
+    xs, ys = np.linspace(low[0], high[0], 11), np.linspace(low[1], high[1], 11)
     places = [{"at_x": float(x), "at_y": float(y)} for x in xs for y in ys]
     where: Numbers = {
         "at_x": ("m", float(low[0]) - 1.0, float(high[0]) + 1.0, 0.02),
@@ -71,12 +88,41 @@ def kinds_of(robot: Robot, swims: Sequence[Segments]) -> list[Kind]:
     cycle: Numbers = {"cycle": ("s", 0.5, 2.0 * end_s, 0.05)}
     sine, cosine = (f"{part}(6.283185307 * time_s / cycle)" for part in ("sin", "cos"))
 
-    def swinging(title: str, on: str, key: str, strength: tuple[str, float, float, float]) -> Kind:
+    def swinging(title: str, on: str, key: str, strength: Strength) -> Kind:
         """Along both axes of the pool, each with a phase of its own."""
         formulas = {f"{axis}_{key}": f"{axis}_sine * {sine} + {axis}_cosine * {cosine}" for axis in "xy"}
         strengths = {f"{axis}_{part}": strength for axis in "xy" for part in ("sine", "cosine")}
         return Kind(title, {"on": on, **formulas}, strengths, cycle, cycles)
 
+    beyond = "x_m * cos(way) + y_m * sin(way) - offset"
+    middle, reach = 0.5 * (low + high), 0.5 * float(np.hypot(*(high - low)))
+    line: Numbers = {"way": ("rad", -7.0, 7.0, 0.05), "offset": ("m", -3.0, 3.0, 0.02)}
+    lines = [
+        {"way": float(way), "offset": float(middle @ [np.cos(way), np.sin(way)] + far * reach)}
+        for way in np.linspace(-np.pi, np.pi, 12, endpoint=False)
+        for far in (-0.6, -0.4, -0.2, 0.0, 0.2, 0.4, 0.6)
+    ]
+    between = "(cos(6.283185307 * (time_s - middle) / cycle) > cos(3.141592654 * share))"
+    interval: Numbers = {
+        "cycle": ("s", 0.5, 2.0 * end_s, 0.05),
+        "middle": ("s", -end_s, 2.0 * end_s, 0.08),
+        "share": ("1", 0.02, 0.98, 0.01),
+    }
+    intervals = [
+        {"cycle": float(long), "middle": float(long * at), "share": share}
+        for long in np.geomspace(2.0 * period_s, max(end_s, 4.0 * period_s), INTERVALS)
+        for at in np.linspace(0.0, 1.0, 16, endpoint=False)
+        for share in (0.15, 0.25, 0.33, 0.4, 0.5, 0.67)
+    ]
+
+    def both(title: str, on: str, key: str, by: str, size: Strength, *shape: Any) -> Kind:
+        """Along both axes of the pool, in one proportion."""
+        formulas = {f"{axis}_{key}": f"to_{axis} * {by}" for axis in "xy"}
+        return Kind(title, {"on": on, **formulas}, {f"to_{axis}": size for axis in "xy"}, *shape)
+
+    force, speed = ("N", -0.05, 0.05, 1e-3), ("m/s", -0.1, 0.1, 2e-3)
+    off, late = ("m", -0.05, 0.05, 1e-3), ("s", -0.5, 0.5, 0.02)
+    later = "(time_s > at)"
     kinds = [
         Kind(
             "spring",
@@ -90,30 +136,82 @@ def kinds_of(robot: Robot, swims: Sequence[Segments]) -> list[Kind]:
             [{**place, "slack": slack} for place in places for slack in (0.0, 0.1, 0.2, 0.35)],
         ),
         Kind(
+            "attraction",
+            {
+                "on": "wrench",
+                **{
+                    f"{axis}_n": f"-pull * near ** 2 * ({axis}_m - at_{axis}) / hypot({away}, near) ** 3"
+                    for axis in "xy"
+                },
+            },
+            {"pull": ("N", -0.5, 0.5, 2e-3)},
+            {**where, "near": ("m", 0.01, 1.0, 0.02)},
+            [{**place, "near": near} for place in places for near in (0.05, 0.12, 0.3)],
+        ),
+        Kind(
+            "push beyond a line",
+            {
+                "on": "wrench",
+                "x_n": f"-stiffness * max(0, {beyond}) * cos(way)",
+                "y_n": f"-stiffness * max(0, {beyond}) * sin(way)",
+            },
+            {"stiffness": ("N/m", -2.0, 2.0, 0.02)},
+            line,
+            lines,
+        ),
+        both("push", "wrench", "n", "1", force, {}, [{}]),
+        Kind(
+            "push that grows with place",
+            {"on": "wrench", **{f"{a}_n": f"{a}_here + {a}_by_x * x_m + {a}_by_y * y_m" for a in "xy"}},
+            {
+                **{f"{a}_here": force for a in "xy"},
+                **{f"{a}_by_{b}": ("N/m", -0.2, 0.2, 2e-3) for a in "xy" for b in "xy"},
+            },
+            {},
+            [{}],
+        ),
+        Kind(
             "patch",
             {
                 "on": "wrench",
                 **{
-                    f"{axis}_n": f"-drag * exp(-({away} / size) ** 2 / 2) * {axis}_mps"
+                    f"{axis}_n": f"-drag * exp(-({away} / size) ** sharp) * {axis}_mps"
                     for axis in ("forward", "left")
                 },
             },
-            {"drag": ("N s/m", -3.0, 3.0, 0.1)},
-            {**where, "size": ("m", 0.02, 1.0, 0.02)},
-            [{**place, "size": size} for place in places for size in (0.06, 0.12, 0.25)],
+            {"drag": ("N s/m", -10.0, 10.0, 0.1)},
+            {**where, "size": ("m", 0.02, 1.0, 0.02), "sharp": ("1", 1.0, 20.0, 0.5)},
+            [
+                {**place, "size": size, "sharp": sharp}
+                for place in places for size in (0.06, 0.1, 0.16, 0.25, 0.4) for sharp in (2.0, 8.0)
+            ],
+        ),
+        Kind(
+            "drag beyond a line",
+            {
+                "on": "wrench",
+                **{
+                    f"{axis}_n": f"-drag * (1 + tanh(({beyond}) / edge)) / 2 * {axis}_mps"
+                    for axis in ("forward", "left")
+                },
+            },
+            {"drag": ("N s/m", -10.0, 10.0, 0.1)},
+            {**line, "edge": ("m", 0.005, 1.0, 0.02)},
+            [{**each, "edge": edge} for each in lines for edge in (0.02, 0.15)],
         ),
         Kind(
             "drag power",
             {
                 "on": "wrench",
                 **{
-                    f"{axis}_n": f"-drag * sign({axis}_mps) * (abs({axis}_mps) / speed) ** power"
+                    f"{axis}_n": f"-{axis}_drag * (hypot(forward_mps, left_mps) / speed) ** power "
+                    f"* {axis}_mps / hypot(forward_mps, left_mps)"
                     for axis in ("forward", "left")
                 },
             },
-            {"drag": ("N", -0.05, 0.05, 1e-3)},
+            {f"{axis}_drag": ("N", -0.05, 0.05, 1e-3) for axis in ("forward", "left")},
             {"power": ("1", 0.0, 5.0, 0.1), "speed": ("m/s", 0.03, 0.0301, 0.0)},
-            [{"power": power, "speed": 0.03} for power in (0.25, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0)],
+            [{"power": power, "speed": 0.03} for power in (0.0, 0.25, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 4.0)],
         ),
         Kind(
             "compass",
@@ -122,15 +220,10 @@ def kinds_of(robot: Robot, swims: Sequence[Segments]) -> list[Kind]:
             {},
             [{}],
         ),
-        swinging("gusts", "wrench", "n", ("N", -0.05, 0.05, 1e-3)),
-        Kind(
-            "push from a moment on",
-            {"on": "wrench", "x_n": "push_x * (time_s > at)", "y_n": "push_y * (time_s > at)"},
-            {"push_x": ("N", -0.05, 0.05, 1e-3), "push_y": ("N", -0.05, 0.05, 1e-3)},
-            when,
-            whens,
-        ),
-        swinging("sloshing", "flow", "mps", ("m/s", -0.1, 0.1, 2e-3)),
+        swinging("gusts", "wrench", "n", force),
+        both("push from a moment on", "wrench", "n", later, force, when, whens),
+        both("push at intervals", "wrench", "n", between, force, interval, intervals),
+        swinging("sloshing", "flow", "mps", speed),
         Kind(
             "flow that grows with place",
             {"on": "flow", **{f"{a}_mps": f"{a}_by_x * x_m + {a}_by_y * y_m" for a in ("x", "y")}},
@@ -138,18 +231,30 @@ def kinds_of(robot: Robot, swims: Sequence[Segments]) -> list[Kind]:
             {},
             [{}],
         ),
-        Kind(
-            "flow that dies down",
-            {
-                "on": "flow",
-                "x_mps": "x_first * exp(-time_s / fade)",
-                "y_mps": "y_first * exp(-time_s / fade)",
-            },
-            {"x_first": ("m/s", -0.1, 0.1, 2e-3), "y_first": ("m/s", -0.1, 0.1, 2e-3)},
-            {"fade": ("s", 1.0, 200.0, 1.0)},
-            [{"fade": fade} for fade in (4.0, 10.0, 25.0)],
+        both(
+            "flow that dies down", "flow", "mps", "exp(-time_s / fade)", speed,
+            {"fade": ("s", 1.0, 200.0, 1.0)}, [{"fade": fade} for fade in (4.0, 10.0, 25.0)],
         ),
-    ]
+        both("flow from a moment on", "flow", "mps", later, speed, when, whens),
+        both("flow at intervals", "flow", "mps", between, speed, interval, intervals),
+        both("fixes off from a moment on", "fix", "m", later, off, when, whens),
+        both("fixes off at intervals", "fix", "m", between, off, interval, intervals),
+        Kind(
+            "fixes late from a moment on", {"on": "fix", "delay_s": f"late * {later}"},
+            {"late": late}, when, whens,
+        ),
+        Kind(
+            "fixes late at intervals", {"on": "fix", "delay_s": f"late * {between}"},
+            {"late": late}, interval, intervals,
+        ),
+        Kind(
+            "fixes bent by place",
+            {"on": "fix", **{f"{axis}_m": f"bend * {axis}_m * (x_m ** 2 + y_m ** 2)" for axis in "xy"}},
+            {"bend": ("1/m^2", -1.0, 1.0, 0.02)},
+            {},
+            [{}],
+        ),
+    ]  # fmt: skip
     names = [limb.name for limb in robot.limbs]
     share = ("1", -1.0, 1.0, 0.1)
     for limb in [*names, "all"]:
@@ -169,6 +274,15 @@ def kinds_of(robot: Robot, swims: Sequence[Segments]) -> list[Kind]:
                 "by place", "1 + by_x * x_m + by_y * y_m",
                 {"by_x": ("1/m", -3.0, 3.0, 0.2), "by_y": ("1/m", -3.0, 3.0, 0.2)},
             ),
+            stroke(
+                "by twice the heading", "1 + east * cos(2 * heading_rad) + north * sin(2 * heading_rad)",
+                {"east": share, "north": share},
+            ),
+            stroke(
+                "tires", "1 - loss * (1 - exp(-strokes / fade))", {"loss": share},
+                {"fade": ("1", 1.0, 300.0, 1.0)}, [{"fade": fade} for fade in (4.0, 12.0, 40.0)],
+            ),
+            stroke("by turning", "1 + by_turn * turn_radps", {"by_turn": ("s/rad", -3.0, 3.0, 0.1)}),
             stroke("by speed", "1 + by_speed * forward_mps", {"by_speed": ("s/m", -20.0, 20.0, 1.0)}),
         ]  # fmt: skip
     for limb, other in product(names, names):

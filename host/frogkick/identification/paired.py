@@ -69,7 +69,8 @@ class Side:
     """One of the two models, as robots to simulate."""
 
     def __init__(self, model: Model) -> None:
-        effects = (*effects_of(model.robot), *(term.effect() for term in model.terms))
+        every = (*effects_of(model.robot), *(term.effect() for term in model.terms))
+        effects = tuple(effect.on_average() for effect in every)
         self.effects = effects
         self.robot = changed_robot(model.robot, effects)
         self.camera_effects = [effect for effect in effects if type(effect).fix is not Effect.fix]

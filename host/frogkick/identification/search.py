@@ -31,6 +31,7 @@ from frogkick.identification.fit import (
     rollouts_of,
     step_bounds,
 )
+from frogkick.identification.laws import Laws
 from frogkick.identification.penalty import (
     CONFOUNDED_MARGIN,
     EFFECT_PENALTY,
@@ -59,6 +60,9 @@ REFINED = 3
 
 RIVAL_SHARE = 0.25
 """A candidate whose predicted gain is less than the best one's by this share is not fitted."""
+
+LAWS = 12
+"""Best kinds of laws that are screened beside the catalogue in each iteration."""
 
 MOST = 4
 """Effects at most."""
@@ -164,7 +168,7 @@ def search(
     baseline: Baseline | None = None,
     most: int = MOST,
     columns: Sequence[Column] | None = None,
-    screened: Sequence[FloatArray] = (),
+    laws: Laws | None = None,
 ) -> Found:
     """Find the effects that a robot's model lacks.
 
@@ -175,7 +179,7 @@ def search(
         progress: called with each stage, steps done and to do.
         baseline: ``nominal_fit`` of these runs, where it is known.
         columns: sensitivities of the candidates, where they are known.
-        screened: (n, 9, p) sensitivities of everything that the candidates were picked from.
+        laws: screened beside the candidates, anew in each iteration.
         most: effects at most; a search for fewer than MOST also ends when the first leaves most of the error.
 
     Raises:
@@ -185,7 +189,7 @@ def search(
     if columns is None:
         columns = sensitivities(model, candidates, swims, rows, lambda d, n: progress("candidates", d, n))
     folds, replicates = folds_of(swims, rows), replicate_count(swims)
-    selection = _ForwardSelection(swims, rows, folds, columns, replicates, screened)
+    selection = _ForwardSelection(swims, rows, folds, columns, replicates, laws)
     refiner = Refiner(swims, rows, selection.replicate_count)
     current, iterations = nominal, list[list[CandidateScore]]()
     confounded, runners_up, single_effect_fits = list[list[Term]](), list[list[Fitted]](), list[Fitted]()
@@ -247,8 +251,7 @@ class _ForwardSelection:
     columns: Sequence[Column]
     replicate_count: int
     """Runs that are replicates with the same noise: their gain counts once."""
-    screened: Sequence[FloatArray] = ()
-    """Sensitivities that the candidates were picked from: they count in what the best gains by chance."""
+    laws: Laws | None = None
 
     def iterate(
         self, current: Fitted, tell: Callable[[str], None]
@@ -309,7 +312,7 @@ class _ForwardSelection:
     def chance_gain(self, current: Fitted) -> float:
         """What the best candidate would gain by chance, if none were true."""
         runs = np.repeat(np.arange(len(self.swims)), [len(swim.start_s) for swim in self.swims])[self.rows]
-        candidates = [*(column.jacobian for column in self.columns), *self.screened]
+        candidates = [*(column.jacobian for column in self.columns), *(self.laws.every if self.laws else ())]
         return gain_by_chance(current.residuals, current.jacobian, candidates, runs, PARAMETER_PENALTY)
 
     def simplest_of(self, taken: Fitted, rivals: Sequence[Fitted]) -> tuple[Fitted, list[Term]]:
@@ -342,7 +345,8 @@ class _ForwardSelection:
     def screen_all(self, current: Fitted) -> list[_Screened]:
         """Screen all candidates, best first."""
         taken = {term.title for term in current.model.terms}
-        found = [self.screen(current, each) for each in self.columns if each.term.title not in taken]
+        columns = [*self.columns, *(self.laws.best(current)[:LAWS] if self.laws else ())]
+        found = [self.screen(current, each) for each in columns if each.term.title not in taken]
         found.sort(key=lambda candidate: candidate.column.term.title)
         found.sort(key=lambda candidate: -candidate.score)
         return found

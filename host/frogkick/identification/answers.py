@@ -1,0 +1,375 @@
+"""What runs answer to pushes, flows, weaker strokes and fixes that are off, simulated once for all laws.
+
+To first order a period's residual is the sum of its answers: to a force, a torque or a flow in each third of
+it, to each of its strokes being weaker, and to each fix that is off. The first are simulated, by pulses in
+one third of every period and by limbs that are a little weaker. Fixes act through the filter alone, whose
+gains do not depend on what they say, so their answers are computed.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from frogkick.core.poses import body_from_world
+from frogkick.effects import Body, Effect, History, Stroke
+from frogkick.effects.law import LONG_AGO_S, Law
+from frogkick.identification.batching import roll_out
+from frogkick.identification.filter import initial_rate_std
+from frogkick.identification.fit import Fitted, Model, coarsened, residuals_of
+from frogkick.identification.predict import PHASES, Lane
+from frogkick.identification.screening import COARSE_STEP_S
+from frogkick.identification.segments import Segments
+from frogkick.robot import Robot
+
+FloatArray = NDArray[np.float64]
+Values = Mapping[str, FloatArray | float]
+
+THIRDS = 3
+PUSHES = (1e-3, 1e-3, 2e-5)
+"""Forward, left (N) and counter-clockwise (N m): small beside what a stroke does."""
+FLOW_MPS, GAIN = 2e-3, 0.15
+LEG_S = 0.12
+"""How often pulses and flows are asked while answers are simulated."""
+BESIDE_S = 0.15
+"""A velocity is told from fixes so long before and after."""
+GLIDE_S = 1.0
+"""Time in which a correction of the velocity dies down, by drag."""
+
+
+class _Push(Effect):
+    """A constant wrench in one third of every period."""
+
+    def __init__(self, swim: Segments, third: int, wrench: Sequence[float]) -> None:
+        self._on, self._wrench = _thirds(swim, third), tuple(wrench)
+
+    def wrench(self, time_s: float, body: Body) -> Sequence[float]:
+        return self._wrench if self._on(time_s) else (0.0, 0.0, 0.0)
+
+
+class _Stream(Effect):
+    """A constant flow in one third of every period."""
+
+    def __init__(self, swim: Segments, third: int, flow: Sequence[float]) -> None:
+        self._on, self._flow = _thirds(swim, third), tuple(flow)
+
+    def flow(self, time_s: float, position_world_m: FloatArray) -> Sequence[float]:
+        return self._flow if self._on(time_s) else (0.0, 0.0)
+
+
+class Weaker(Effect):
+    """A limb that straightens by less: what wears counts, and more would answer otherwise than less."""
+
+    def __init__(self, limb: int, loss: float) -> None:
+        self._limb, self._loss = limb, loss
+
+    def stroke(self, stroke: Stroke, history: History, rng: np.random.Generator) -> Stroke:
+        if stroke.index == self._limb:
+            stroke.gain *= 1.0 - self._loss
+        return stroke
+
+
+def _thirds(swim: Segments, third: int) -> Callable[[float], bool]:
+    """Whether a time is in one third of a period."""
+    starts = np.asarray(swim.start_s)
+
+    def on(time_s: float) -> bool:
+        at = int(np.searchsorted(starts, time_s + 1e-6, side="right")) - 1
+        if at < 0 or time_s >= swim.end_s[at]:
+            return False
+        share = (time_s - starts[at] + 1e-6) / (swim.end_s[at] - starts[at])
+        return bool(third / THIRDS <= share < (third + 1) / THIRDS)
+
+    return on
+
+
+@dataclass(frozen=True, eq=False)
+class Answers:
+    """What periods answer, and where the robot was then, by its fixes; n periods, l limbs, f fixes.
+
+    Attributes:
+        wrench: (n, 9, 3, 3) of each residual by force forward, left (N) and torque (N m) in each third.
+        flow: (n, 9, 3, 2) by the water's velocity, world frame (m/s), in each third.
+        gain: (n, 9, l) by the gain of each limb's stroke.
+        fix: (n, 3, f) of each phase's residual by each fix's place, and by its heading; world frame.
+        heading: (n,) at each period's start.
+        bodies: the names that laws on wrenches and flows use -> (n, 3) their values.
+        strokes: those of laws on strokes -> (n, l) their values; not a number where a limb did not fire.
+        fixes: those of laws on fixes -> (f,) their values.
+        rates: (f, 3) velocity at each fix, world frame.
+    """
+
+    wrench: FloatArray
+    flow: FloatArray
+    gain: FloatArray
+    fix: tuple[FloatArray, FloatArray]
+    heading: FloatArray
+    bodies: Values
+    strokes: Values
+    fixes: Values
+    rates: FloatArray
+
+    def to(self, law: Law, parameters: Values, limbs: Sequence[str]) -> FloatArray:
+        """(n, 9) the residuals' answer to a law.
+
+        Args:
+            law: the law.
+            parameters: its values, instead of its own.
+            limbs: names of the robot's limbs.
+        """
+        if law.on == "wrench":
+            given = law.over({**self.bodies, **parameters})
+            forward, left, x, y, torque = (
+                _finite(given.get(key, 0.0), self.wrench.shape[0], THIRDS)
+                for key in ("forward_n", "left_n", "x_n", "y_n", "torque_nm")
+            )
+            c, s = np.cos(self.bodies["heading_rad"]), np.sin(self.bodies["heading_rad"])
+            push = np.stack([forward + c * x + s * y, left + c * y - s * x, torque], axis=2)
+            return np.asarray(np.einsum("nita,nta->ni", self.wrench, push))
+        if law.on == "flow":
+            given = law.over({**self.bodies, **parameters})
+            flow = np.stack(
+                [_finite(given.get(key, 0.0), len(self.flow), THIRDS) for key in ("x_mps", "y_mps")], axis=2
+            )
+            return np.asarray(np.einsum("nita,nta->ni", self.flow, flow))
+        if law.on == "stroke":
+            gain = law.over({**self.strokes, **parameters}).get("gain", np.array(1.0))
+            more = _finite(gain - 1.0, *self.gain.shape[::2])
+            mine = np.array([law.limb in ("all", name) for name in limbs])
+            fired = np.isfinite(self.strokes["time_s"])
+            return np.asarray(np.einsum("nil,nl->ni", self.gain, more * mine * fired))
+        given = law.over({**self.fixes, **parameters})
+        x, y, turn, delay = (
+            _finite(given.get(key, 0.0), len(self.rates)) for key in ("x_m", "y_m", "heading_rad", "delay_s")
+        )
+        shown = np.stack([x, y, turn], axis=1) - delay[:, None] * self.rates
+        # What a law adds to the fixes that are expected is missing in fix minus expectation.
+        left = np.empty((len(self.heading), 3, 3))
+        left[:, :, :2] = -self.fix[0] @ shown[:, :2]
+        left[:, :, 2] = -self.fix[1] @ shown[:, 2]
+        for phase in range(3):
+            left[:, phase] = body_from_world(self.heading, left[:, phase])
+        return left.reshape(-1, 9)
+
+
+def _finite(values: FloatArray | float, *shape: int) -> FloatArray:
+    whole = np.broadcast_to(np.asarray(values, dtype=np.float64), shape)
+    return np.where(np.isfinite(whole), whole, 0.0)
+
+
+def answers_of(nominal: Fitted, swims: Sequence[Segments], rows: NDArray[np.bool_]) -> Answers:
+    """Simulate what the runs answer to pushes, flows and weaker strokes; see Answers.
+
+    Args:
+        nominal: the model, with its rollouts of the runs.
+        swims: the runs.
+        rows: which of all their periods count.
+    """
+    model = nominal.model
+    count = len(model.robot.limbs)
+    kinds: list[list[Effect]] = [[] for _ in swims]
+    sizes: list[float] = []
+    for third in range(THIRDS):
+        for axis, size in enumerate(PUSHES):
+            wrench = [size * (axis == k) for k in range(3)]
+            for own, swim in zip(kinds, swims, strict=True):
+                own.append(_Push(swim, third, wrench))
+            sizes.append(size)
+    for third in range(THIRDS):
+        for axis in range(2):
+            flow = [FLOW_MPS * (axis == k) for k in range(2)]
+            for own, swim in zip(kinds, swims, strict=True):
+                own.append(_Stream(swim, third, flow))
+            sizes.append(FLOW_MPS)
+    for limb in range(count):
+        for own in kinds:
+            own.append(Weaker(limb, GAIN))
+        sizes.append(-GAIN)
+    columns = changes_by(model, kinds, swims, rows) / np.array(sizes)
+    columns[(np.abs(columns).max(axis=(1, 2)) > 1e4)] = 0.0  # lost
+    pushes, flows = THIRDS * 3, THIRDS * 2
+    n = len(columns)
+    places, turns = (_joined([part[k] for part in _seen(model, swims)], rows) for k in (0, 1))
+    times = np.concatenate([swim.time_s for swim in swims])
+    poses = np.concatenate([swim.pose for swim in swims])
+    named = dict(zip(("x_m", "y_m", "heading_rad"), poses.T, strict=True))
+    return Answers(
+        columns[:, :, :pushes].reshape(n, 9, THIRDS, 3),
+        columns[:, :, pushes : pushes + flows].reshape(n, 9, THIRDS, 2),
+        columns[:, :, pushes + flows :],
+        (places, turns),
+        np.concatenate([rollout.start[:, 2] for rollout in nominal.rollouts])[rows],
+        _bodies(swims, rows),
+        _strokes(swims, rows, model.robot),
+        {**named, "time_s": times, "chance": 0.5},
+        np.concatenate([_rates(swim, swim.time_s) for swim in swims]),
+    )
+
+
+def changes_by(
+    model: Model, effects: Sequence[Sequence[Effect]], swims: Sequence[Segments], rows: NDArray[np.bool_]
+) -> FloatArray:
+    """(n, 9, k) changes of the residuals by each of k effects beside a model; simulated coarsely.
+
+    Args:
+        model: beside which they act.
+        effects: for each run its own k effects.
+        swims, rows: see ``answers_of``.
+    """
+    bare = replace(model, robot=coarsened(model.robot), leg_s=LEG_S, step_s=COARSE_STEP_S)
+    lanes: list[Lane] = [bare.lane(swim) for swim in swims]
+    for k in range(len(effects[0])):
+        for own, lane in zip(effects, lanes[: len(swims)], strict=True):
+            lanes.append(replace(lane, effects=(*lane.effects, own[k])))
+    rollouts = roll_out(lanes)
+    every = [residuals_of(rollouts[i : i + len(swims)], rows) for i in range(0, len(rollouts), len(swims))]
+    return np.stack([moved - every[0] for moved in every[1:]], axis=2)
+
+
+def _rates(swim: Segments, at_s: FloatArray) -> FloatArray:
+    """(k, 3) velocities at times by the fixes beside them, world frame."""
+    before, after = (
+        np.column_stack([np.interp(at_s + beside, swim.time_s, swim.pose[:, axis]) for axis in range(3)])
+        for beside in (-BESIDE_S, BESIDE_S)
+    )
+    return np.asarray((after - before) / (2.0 * BESIDE_S))
+
+
+def _seen_at(swim: Segments, at_s: FloatArray) -> dict[str, FloatArray]:
+    """The robot at times, by its fixes, under the names that laws use."""
+    x, y, heading = (np.interp(at_s, swim.time_s, swim.pose[:, axis]) for axis in range(3))
+    vx, vy, turn = _rates(swim, at_s).T
+    c, s = np.cos(heading), np.sin(heading)
+    return {
+        "time_s": at_s, "x_m": x, "y_m": y, "heading_rad": heading,
+        "forward_mps": c * vx + s * vy, "left_mps": c * vy - s * vx, "turn_radps": turn,
+    }  # fmt: skip
+
+
+def _bodies(swims: Sequence[Segments], rows: NDArray[np.bool_]) -> Values:
+    parts = []
+    for swim in swims:
+        share = (np.arange(THIRDS) + 0.5) / THIRDS
+        at_s = swim.start_s[:, None] + (swim.end_s - swim.start_s)[:, None] * share
+        seen = _seen_at(swim, at_s.ravel())
+        parts.append({name: values.reshape(-1, THIRDS) for name, values in seen.items()})
+    return {name: np.concatenate([part[name] for part in parts])[rows] for name in parts[0]}
+
+
+def _strokes(swims: Sequence[Segments], rows: NDArray[np.bool_], robot: Robot) -> Values:
+    limbs = len(robot.limbs)
+    parts = []
+    for swim in swims:
+        count = len(swim.start_s)
+        seen = {
+            name: np.repeat(values[:, None], limbs, axis=1)
+            for name, values in _seen_at(swim, swim.start_s).items()
+        }
+        seen["time_s"] = np.full((count, limbs), np.nan)
+        others = [f"since_{limb.name}_s" for limb in robot.limbs]
+        for name in ("strokes", "since_s", *others):
+            seen[name] = np.zeros((count, limbs))
+        for period, limb, time_s, history in _fired(swim, limbs):
+            at = period, limb
+            seen["time_s"][at], seen["strokes"][at] = time_s, history.pulses
+            since = [min(history.since_s(k, time_s), LONG_AGO_S) for k in range(limbs)]
+            seen["since_s"][at] = since[limb]
+            for name, value in zip(others, since, strict=True):
+                seen[name][at] = value
+        parts.append(seen)
+    return {
+        "chance": 0.5,
+        **{name: np.concatenate([part[name] for part in parts])[rows] for name in parts[0]},
+    }
+
+
+def _fired(swim: Segments, limbs: int) -> Iterator[tuple[int, int, float, History]]:
+    """Each period's first stroke of each limb: period, limb, time, strokes before."""
+    for period, (start_s, end_s) in enumerate(zip(swim.start_s, swim.end_s, strict=True)):
+        known: set[int] = set()
+        for k, (time_s, limb) in enumerate(swim.strokes):
+            if start_s - 1e-6 <= time_s < end_s - 1e-6 and limb not in known:
+                known.add(limb)
+                yield period, limb, time_s, History(list(swim.strokes[:k]))
+
+
+def _joined(parts: Sequence[FloatArray], rows: NDArray[np.bool_]) -> FloatArray:
+    """(n, 3, f) one block of each run: a fix acts in its own run only."""
+    whole = np.zeros((sum(len(part) for part in parts), 3, sum(part.shape[2] for part in parts)))
+    period, fix = 0, 0
+    for part in parts:
+        whole[period : period + len(part), :, fix : fix + part.shape[2]] = part
+        period, fix = period + len(part), fix + part.shape[2]
+    return whole[rows]
+
+
+def _seen(model: Model, swims: Sequence[Segments]) -> Iterator[tuple[FloatArray, FloatArray]]:
+    for swim in swims:
+        yield _filtered(model, swim, 0), _filtered(model, swim, 2)
+
+
+def _filtered(model: Model, swim: Segments, axis: int) -> FloatArray:
+    """(m, 3, f) of each period's phases by each fix of a run, along one axis: through the filter.
+
+    A trajectory that is moved stays moved; a velocity that is changed dies down within GLIDE_S.
+    """
+    fix, idle, actuated = (float(each[axis]) for each in model.noise.per_axis())
+    times, count = swim.time_s, len(swim.time_s)
+    actuation = np.interp(times, *swim.actuated_s)
+    found = np.zeros((len(swim.start_s), 3, count))
+    first = int(np.searchsorted(times, swim.begin_s))
+    shift, rate, at_s = np.zeros(count), np.zeros(count), swim.begin_s
+    shift[min(first, count - 1)] = 1.0  # a simulation begins where the first fix says
+    before = shift, rate, at_s
+    p0, p1, p2, now_s = 4.0 * fix, 0.0, initial_rate_std(swim.rest_rate)[axis] ** 2, swim.begin_s
+    now_act = float(np.interp(now_s, *swim.actuated_s))
+
+    def moved(state: tuple[FloatArray, FloatArray, float], time_s: float) -> FloatArray:
+        since = time_s - state[2]
+        grown = GLIDE_S * (1.0 - math.exp(-since / GLIDE_S)) if since > 0.0 else since
+        return np.asarray(state[0] + grown * state[1])
+
+    for until_s in swim.segment_times_s.tolist():
+        error, error_rate = np.zeros(count), np.zeros(count)
+        some, rows = [], []
+        now = shift, rate, at_s
+        while first < count and swim.arrival_s[first] <= until_s + 1e-9:
+            time_s, act = float(times[first]), float(actuation[first])
+            gap_s = time_s - now_s
+            if gap_s > 0.0:
+                drive = idle + actuated * (act - now_act) / gap_s
+                error = error + gap_s * error_rate
+                p0 += gap_s * (2.0 * p1 + gap_s * p2) + drive * gap_s**3 / 3.0
+                p1 += gap_s * p2 + drive * gap_s**2 / 2.0
+                p2 += drive * gap_s
+                now_s, now_act = time_s, act
+            if time_s >= at_s:
+                gap = -moved(now, time_s)
+            else:  # it came late: what was corrected since counts
+                gap = -(moved(before, time_s) + shift - moved(before, at_s) + (time_s - at_s) * rate)
+            gap[first] += 1.0
+            variance = p0 + fix
+            gain0, gain1 = p0 / variance, p1 / variance
+            innovation = gap - error
+            error = error + gain0 * innovation
+            error_rate = error_rate + gain1 * innovation
+            p2 -= gain1 * p1
+            p1, p0 = p1 * (1.0 - gain0), p0 * (1.0 - gain0)
+            some.append(time_s)
+            rows.append(gap)
+            first += 1
+        for period in np.flatnonzero(np.abs(swim.end_s - until_s) < 1e-6):
+            share = (np.array(some) - swim.start_s[period]) / (swim.end_s[period] - swim.start_s[period])
+            for phase, (low, high) in enumerate(PHASES):
+                inside = np.flatnonzero((low <= share) & (share < high))
+                if len(inside):
+                    found[period, phase] = np.mean([rows[k] for k in inside], axis=0)
+        before = now
+        faded = math.exp(-max(until_s - at_s, 0.0) / GLIDE_S)
+        shift = moved(now, until_s) + error + (until_s - now_s) * error_rate
+        rate, at_s = faded * rate + error_rate, until_s
+    return found

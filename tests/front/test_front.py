@@ -17,7 +17,6 @@ from tests.cli.commands import frogkick
 from tests.conftest import REPOSITORY, count
 from tests.identification.made import robot as few_pieces
 from tests.link.live_robot import LiveRobot
-from tests.link.pty_line import PtyLine
 from tests.runs import rig
 
 import frogkick as fk
@@ -26,6 +25,7 @@ from frogkick.effects.base import Effect
 from frogkick.identification import choice as choice_module
 from frogkick.identification import outcome as outcome_module
 from frogkick.identification.terms import catalogue
+from frogkick.link.pty_line import PtyLine
 from frogkick.robot import parse_robot
 from frogkick.robot.toml_text import to_toml
 
@@ -308,7 +308,7 @@ def test_a_real_robot(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None
     rig.swim("pool", "line", 1.0, onboard=False)  # compiled here, where nothing waits for it
     old, table = rig.tables(), fk.load_table(rig.small_table())
     kit = LiveRobot()
-    with PtyLine(tmp_path, kit) as line, fk.connect(f"serial:{line.path}:115200") as bot:
+    with PtyLine(tmp_path / "robot", kit) as line, fk.connect(f"serial:{line.path}:115200") as bot:
         told = bot.status()
         assert told["robot_id"] == "frog2022" and told["table_crc"] == old.crc32
         pushed = bot.push(table)

@@ -30,9 +30,9 @@ from bumble.device import Advertisement, Device, Peer
 from bumble.host import Host
 from bumble.link import LocalLink
 from bumble.transport.common import AsyncPipeSink
-from tests.link.live_robot import Listener
 
 from frogkick.link.ble import RECEIVE, SERVICE, TRANSMIT
+from frogkick.link.pty_line import Listener
 
 ADVERTISING_MS = 20.0
 MTU = 247

@@ -6,7 +6,6 @@ import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Protocol
 
 from tests.core.core import Robot
 from tests.core.store_rig import PAGE, Flash
@@ -34,20 +33,6 @@ class PatientClock:
             self._time_s += min(now_s - self._looked_s, self.MOMENT_S)
             self._looked_s = now_s
             return self._time_s
-
-
-class Listener(Protocol):
-    """What sits behind a transport."""
-
-    def feed(self, data: bytes) -> bytes:
-        """Take bytes; return what is to be sent at once."""
-
-    def tick(self) -> bytes:
-        """Live on; return what is to be sent."""
-
-    @property
-    def sleep_s(self) -> float:
-        """Until the next tick."""
 
 
 @dataclass

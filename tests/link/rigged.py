@@ -9,10 +9,9 @@ from pathlib import Path
 
 import pytest
 from tests.link.air import Peripheral, breathe
-from tests.link.live_robot import Listener
-from tests.link.pty_line import PtyLine
 
 from frogkick.link.opening import opened
+from frogkick.link.pty_line import Listener, PtyLine
 from frogkick.link.wire import Target, Wire
 
 TRANSPORTS = ("serial", "ble")
@@ -40,7 +39,7 @@ def rigged(
 ) -> Iterator[Rigged]:
     """A transport with a robot behind it."""
     if transport == "serial":
-        with PtyLine(folder, robot) as line, opened(Target("serial", str(line.path))) as wire:
+        with PtyLine(folder / "robot", robot) as line, opened(Target("serial", str(line.path))) as wire:
             yield Rigged(wire, f"serial:{line.path}", line.drop, line.pull_out)
         return
     peripheral = Peripheral(robot)

@@ -13,13 +13,13 @@ import numpy as np
 import pytest
 from tests.cli.commands import frogkick
 from tests.link.live_robot import LiveRobot
-from tests.link.pty_line import PtyLine
 from tests.link.rigged import rigged
 from tests.link.swim import PATH, LivePool
 from tests.link.test_run_live import command
 from tests.runs import rig
 
 from frogkick.core.errors import InputError
+from frogkick.link.pty_line import PtyLine
 from frogkick.paths import shape
 from frogkick.planner.plan import PlanConfig
 from frogkick.runs.closed_loop import Recording, RunOptions, run_session
@@ -74,7 +74,7 @@ def test_it_says_what_the_whole_log_says(tmp_path: Path, monkeypatch: pytest.Mon
 def test_a_killed_run_leaves_what_it_had_recorded(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     robot, target = LiveRobot(), tmp_path / "run.h5"
     with (
-        PtyLine(tmp_path, robot) as line,
+        PtyLine(tmp_path / "robot", robot) as line,
         command(line, LivePool(robot.pulses), "--out", str(target)) as process,
     ):
         deadline_s = time.monotonic() + 60.0

@@ -12,7 +12,6 @@ import pytest
 from tests.cli.commands import Outcome, frogkick
 from tests.conftest import some
 from tests.link.live_robot import LiveRobot, PatientClock
-from tests.link.pty_line import PtyLine
 from tests.link.rigged import TRANSPORTS, rigged
 from tests.link.swim import PATH, LivePool
 from tests.planner import synthetic
@@ -23,6 +22,7 @@ from frogkick.core.files import write_bytes
 from frogkick.link import auth
 from frogkick.link.frames import Frame
 from frogkick.link.layout import link_layout
+from frogkick.link.pty_line import PtyLine
 from frogkick.link.upload import upload
 from frogkick.paths import shape
 from frogkick.planner.plan import PlanConfig
@@ -49,7 +49,7 @@ def robot() -> LiveRobot:
 
 @pytest.fixture
 def target(robot: LiveRobot, tmp_path: Path) -> Iterator[str]:
-    with PtyLine(tmp_path, robot) as there:
+    with PtyLine(tmp_path / "robot", robot) as there:
         yield f"serial:{there.path}"
 
 

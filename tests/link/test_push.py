@@ -11,7 +11,6 @@ from tests.cli.commands import Outcome, frogkick
 from tests.core.store_rig import crc_of
 from tests.identification.made import make_run
 from tests.link.live_robot import LiveRobot
-from tests.link.pty_line import PtyLine
 from tests.link.rigged import TRANSPORTS, rigged
 from tests.planner import synthetic
 from tests.runs import rig
@@ -21,6 +20,7 @@ from frogkick.core.poses import PredictionError
 from frogkick.identification import retune as retune_module
 from frogkick.identification.retune import BEFORE, TABLES, Retuned
 from frogkick.identification.verdict import FOUND
+from frogkick.link.pty_line import PtyLine
 from frogkick.runs.runlog_file import write_run
 
 OLD, NEW, OTHER = (synthetic.affine_image(20, 9, seed) for seed in (1, 2, 3))
@@ -33,7 +33,7 @@ def robot() -> LiveRobot:
 
 @pytest.fixture
 def line(robot: LiveRobot, tmp_path: Path) -> Iterator[PtyLine]:
-    with PtyLine(tmp_path, robot) as there:
+    with PtyLine(tmp_path / "robot", robot) as there:
         yield there
 
 

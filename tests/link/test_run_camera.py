@@ -17,13 +17,13 @@ import pytest
 from tests.cli.commands import frogkick
 from tests.conftest import count
 from tests.link.live_robot import LiveRobot
-from tests.link.pty_line import PtyLine
 from tests.link.rigged import rigged
 from tests.link.swim import PATH, LivePool
 from tests.runs import rig
 from tests.vision.scenes import calibration, scene
 
 from frogkick.front.bench import Sight
+from frogkick.link.pty_line import PtyLine
 from frogkick.paths import shape
 from frogkick.planner.plan import PlanConfig
 from frogkick.runs.camera_fixes import CameraFixes
@@ -105,7 +105,7 @@ def filmed(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_the_command_takes_a_camera(filmed: Path, tmp_path: Path) -> None:
     """The pictures end: a camera that sees nothing more, so the robot ends the run by itself."""
     robot, said = LiveRobot(), ""
-    with PtyLine(tmp_path, robot) as line:
+    with PtyLine(tmp_path / "robot", robot) as line:
         process = subprocess.Popen(
             [
                 sys.executable, "-m", "frogkick.cli.main", "run", "--path", PATH, "--json", "--view",

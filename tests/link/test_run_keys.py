@@ -20,13 +20,13 @@ import numpy as np
 import pytest
 from tests.conftest import count, some
 from tests.link.live_robot import LiveRobot
-from tests.link.pty_line import PtyLine
 from tests.link.swim import PATH, LivePool
 from tests.link.test_run_camera import SCENE, START
 from tests.runs import rig
 from tests.vision.scenes import calibration
 
 from frogkick.link.layout import link_layout
+from frogkick.link.pty_line import PtyLine
 from frogkick.runs.closed_loop import STOPPED
 from frogkick.runs.live_log import part_of
 from frogkick.runs.runlog_file import read_run
@@ -149,7 +149,7 @@ def run_with(line: PtyLine) -> list[str]:
 def swimming(source: str, film: Path, folder: Path) -> Iterator[tuple[LiveRobot, Terminal]]:
     """The command with its robot on a line; fixes from a camera's film or piped in by a tracker."""
     robot = LiveRobot()
-    with PtyLine(folder, robot) as line:
+    with PtyLine(folder / "robot", robot) as line:
         words = [*run_with(line), "--out", "run.h5", "--begin", "here"]
         if source == "camera":
             words += ["--fixes", str(film / "camera.toml"), "--source", str(film / "film.avi")]
@@ -201,7 +201,7 @@ def test_ctrl_c_at_the_question_arms_nothing(source: str, film: Path, tmp_path: 
 def test_in_the_background_of_a_terminal_nothing_is_asked(tmp_path: Path) -> None:
     """A program there that reads keys, or changes how they come, is halted by the system."""
     robot = LiveRobot()
-    with PtyLine(tmp_path, robot) as line:
+    with PtyLine(tmp_path / "robot", robot) as line:
         words = [*run_with(line), "--simulated-time", "0.5", "--fixes", "stdin"]
         with seated(tmp_path, words, LivePool(robot.pulses), in_front=False) as terminal:
             code, told = terminal.result()

@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 from tests.conftest import some
 from tests.link.live_robot import LiveRobot
-from tests.link.pty_line import PtyLine
 from tests.link.swim import PATH
 from tests.runs import rig
 
+from frogkick.link.pty_line import PtyLine
 from frogkick.runs.closed_loop import ENDED, TIME
 from frogkick.runs.runlog_file import read_run
 
@@ -29,7 +29,7 @@ def test_a_kit_closes_the_loop_through_its_line(plan: str, tmp_path: Path) -> No
     # In real time: on a machine that is busy elsewhere fixes come late, and the robot ends the run itself.
     for attempt in range(TRIES):
         kit, out = LiveRobot(), tmp_path / f"kit{attempt}.h5"
-        with PtyLine(tmp_path, kit) as line:
+        with PtyLine(tmp_path / "robot", kit) as line:
             done = subprocess.run(
                 [
                     sys.executable, "-m", "frogkick.cli.main", "run", "--path", PATH, "--json",

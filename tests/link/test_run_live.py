@@ -19,13 +19,13 @@ import pytest
 from tests.cli.commands import frogkick
 from tests.conftest import some
 from tests.link.live_robot import LiveRobot, PatientClock
-from tests.link.pty_line import PtyLine
 from tests.link.rigged import TRANSPORTS, rigged
 from tests.link.swim import PATH, LivePool, TextFrog
 from tests.runs import rig
 
 from frogkick.link.layout import link_layout
 from frogkick.link.opening import opened
+from frogkick.link.pty_line import PtyLine
 from frogkick.link.text_dialect import DIALECTS, pulse_line
 from frogkick.link.wire import Target
 from frogkick.paths import shape
@@ -166,7 +166,7 @@ def test_the_authors_dialect(onboard: bool, tmp_path: Path) -> None:
     """Their robot fires whatever a line says: it is the host that keeps the limits."""
     frog, options = TextFrog(clock=PatientClock()), RunOptions(PlanConfig(), onboard, 2.5 * PERIOD_S)
     with (
-        PtyLine(tmp_path, frog) as line,
+        PtyLine(tmp_path / "robot", frog) as line,
         opened(Target("serial", str(line.path)), pulse_line(rig.tables().pulse_us)) as wire,
     ):
         core = TextRobot(wire, NativeRobot(rig.firmware("native").image, 4), rig.robot(), frog.clock)
@@ -235,7 +235,7 @@ def command(line: PtyLine, pool: LivePool, *options: str) -> Iterator[subprocess
 @pytest.mark.parametrize("number", some([signal.SIGINT, signal.SIGTERM], 1))
 def test_a_signal_disarms_first(tmp_path: Path, number: signal.Signals) -> None:
     robot = LiveRobot()
-    with PtyLine(tmp_path, robot) as line, command(line, LivePool(robot.pulses)) as process:
+    with PtyLine(tmp_path / "robot", robot) as line, command(line, LivePool(robot.pulses)) as process:
         deadline_s = time.monotonic() + 60.0
         while not robot.pulses and time.monotonic() < deadline_s:
             time.sleep(0.005)
@@ -257,7 +257,7 @@ def test_a_whole_run_by_the_command(tmp_path: Path, dialect: str) -> None:
     robot = LiveRobot() if dialect == "frogkick" else TextFrog()
     options = ("--plan", "host", "--simulated-time", f"{1.5 * PERIOD_S}", "--json", "--out", "run.h5")
     with (
-        PtyLine(tmp_path, robot) as line,
+        PtyLine(tmp_path / "robot", robot) as line,
         command(line, LivePool(robot.pulses), "--dialect", dialect, *options) as process,
     ):
         assert process.stdout is not None and process.stderr is not None

@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 from tests.link.live_robot import LiveRobot
-from tests.link.pty_line import PtyLine
 from tests.runs import rig
 
 from frogkick.core.errors import InputError
+from frogkick.link.pty_line import PtyLine
 from frogkick.link.serial import SerialWire, _account
 from frogkick.link.wire import Target, WireError, is_target, parse_target
 from frogkick.runs.lab_session import lab_session
@@ -59,7 +59,7 @@ def test_a_file_is_no_port(tmp_path: Path) -> None:
 
 
 def test_a_port_in_use(tmp_path: Path) -> None:
-    with PtyLine(tmp_path, LiveRobot()) as line:
+    with PtyLine(tmp_path / "robot", LiveRobot()) as line:
         wire = SerialWire(str(line.path))
         with pytest.raises(WireError, match="in use by another program"):
             SerialWire(str(line.path))
@@ -80,7 +80,7 @@ def test_noise_on_the_line_costs_nothing(tmp_path: Path) -> None:
 
     robot = Noisy()
     robot.feed(b"\x11\x22half a frame")  # the receiver is in the middle of something
-    with PtyLine(tmp_path, robot) as line:
+    with PtyLine(tmp_path / "robot", robot) as line:
         wire = SerialWire(str(line.path))
         session = lab_session(wire)
         session.handshake(rig.tables())

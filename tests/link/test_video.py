@@ -13,11 +13,11 @@ import numpy as np
 import pytest
 from tests.cli.commands import frogkick
 from tests.link.live_robot import LiveRobot
-from tests.link.pty_line import PtyLine
 from tests.link.test_run_camera import filmed  # noqa: F401 - a fixture
 from tests.runs import rig
 
 from frogkick.core.errors import InputError
+from frogkick.link.pty_line import PtyLine
 from frogkick.runs.runlog_file import read_run
 from frogkick.vision.video import LOOK_EVERY, Video, times_of, video_of
 
@@ -93,7 +93,7 @@ def test_a_disk_that_takes_no_more_is_said(tmp_path: Path) -> None:
 
 def test_the_command_keeps_them(filmed: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:  # noqa: F811
     robot, log = LiveRobot(), tmp_path / "run.h5"
-    with PtyLine(tmp_path, robot) as line:
+    with PtyLine(tmp_path / "robot", robot) as line:
         told = frogkick(
             capsys, "run", "--path", "line", "--tables", rig.small_table(), "--robot", f"serial:{line.path}",
             "--fixes", filmed / "camera.toml", "--source", filmed / "pictures", "--begin", "here",

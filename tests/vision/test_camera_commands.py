@@ -354,3 +354,19 @@ def test_a_printed_tag_is_to_scale_and_points_forward(
         told = frogkick(capsys, "camera", "tag", "--out", tmp_path / "c.pdf", *more)
         assert told.code == 2 and says in told.stderr and not (tmp_path / "c.pdf").exists()
     assert frogkick(capsys, "camera", "tag", "--out", tmp_path / "c.doc").code == 2
+
+
+def test_a_picture_is_taken(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "pictures").mkdir()
+    taken = USUAL.picture((0.6, 0.4, 0.1), np.random.default_rng(3))
+    cv2.imwrite(str(tmp_path / "pictures" / "a.png"), taken)
+    source = ("--source", tmp_path / "pictures", "--json")
+    done = frogkick(capsys, "camera", "picture", "--out", tmp_path / "pool.png", *source)
+    assert done.code == 0 and done.json["image_px"] == [640, 480], done.stderr
+    assert np.array_equal(cv2.imread(str(tmp_path / "pool.png"), cv2.IMREAD_GRAYSCALE), taken)
+    refused = frogkick(capsys, "camera", "picture", "--out", tmp_path / "pool.gif", *source)
+    assert refused.code == 2 and "give a name in .png or .jpg" in refused.stderr
+    gone = frogkick(
+        capsys, "camera", "picture", "--out", tmp_path / "b.png", "--source", "http://127.0.0.1:9/camera.mjpg"
+    )
+    assert gone.code == 2 and gone.stderr.count("\n") == 1 and "cannot be opened" in gone.stderr

@@ -36,7 +36,7 @@ START, MAKE, RUN, LEARN, RESEARCH = "Start", "Make", "Run", "Learn", "Research"
 SECTIONS = {
     "demo": START, "doctor": START, "robot": START,
     "simulate": MAKE, "library": MAKE, "tables": MAKE, "codegen": MAKE, "firmware": MAKE,
-    "camera": RUN, "scan": RUN, "run": RUN, "push": RUN, "own": RUN, "log": RUN, "export": RUN,
+    "pool": RUN, "camera": RUN, "scan": RUN, "run": RUN, "push": RUN, "own": RUN, "log": RUN, "export": RUN,
     "import": LEARN, "replay": LEARN, "identify": LEARN, "retune": LEARN,
     "parity": RESEARCH, "validate": RESEARCH, "sweep": RESEARCH, "study": RESEARCH,
 }  # fmt: skip
@@ -49,6 +49,7 @@ COMMANDS = {
     "validate": ("validate:validate", "Compare the model with simulated and measured swims."),
     "codegen": ("codegen:codegen", "Generate C99 from a table and the planner."),
     "run": ("run:run", "Follow a path in closed loop, from position fixes to strokes."),
+    "pool": ("pool:command", "Serve a simulated robot at a serial port, with a camera over it."),
     "replay": ("replay:replay", "Replay a run's fixes and compare each decision."),
     "parity": ("parity:parity", "Check that Python, native C and the chip decide the same bits."),
     "import": ("log:import_", "Import recorded runs and repair or mark their faults."),

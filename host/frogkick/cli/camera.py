@@ -28,6 +28,12 @@ TagSizeOption = Annotated[
     float,
     typer.Option(help="Side of the black square of tag36h11, or of the white square of tagStandard41h12."),
 ]
+SourceOption = Annotated[
+    str,
+    typer.Option(
+        help="Camera number, network camera's address (http:, rtsp:), video, or folder of pictures."
+    ),
+]
 
 
 def _pair(text: str, option: str) -> tuple[float, float]:
@@ -215,7 +221,7 @@ def check(
 @app.command()
 def track(
     calibration: Annotated[Path, typer.Argument(help="What 'camera calibrate' wrote.")],
-    source: Annotated[str, typer.Option(help="Camera number, video, or folder of pictures.")] = "0",
+    source: SourceOption = "0",
     seconds: Annotated[
         float | None, typer.Option(help="Time to track; default: to the end of the source, or until Ctrl-C.")
     ] = None,
@@ -249,6 +255,23 @@ def track(
     )
     if not found.fixes:
         raise typer.Exit(1)
+
+
+@app.command()
+def picture(
+    out: Annotated[Path, typer.Option(help="Picture to write (.png or .jpg).")],
+    source: SourceOption = "0",
+    json: JsonOption = False,
+) -> None:
+    """Take a picture, in which the pool's corners can be found.
+
+    A camera has a second to find its exposure.
+    """
+    from frogkick.front.cameras import take_picture
+
+    require_writable(out)
+    width_px, height_px = take_picture(out, source)
+    show({"out": str(out), "image_px": [width_px, height_px]}, json)
 
 
 @app.command("tag")

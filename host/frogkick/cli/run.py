@@ -69,7 +69,11 @@ def run(
         ),
     ] = None,
     source: Annotated[
-        str, typer.Option(help="Camera of --fixes camera.toml: a number, a video or a folder of pictures.")
+        str,
+        typer.Option(
+            help="Camera of --fixes camera.toml: a number, a network camera's address (http:, rtsp:), a "
+            "video or a folder of pictures."
+        ),
     ] = "0",
     begin: Annotated[
         str | None, typer.Option(help="Where a real robot's path begins: X,Y,DEG (m, degrees), or 'here'.")

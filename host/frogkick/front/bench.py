@@ -116,7 +116,7 @@ class Sight:
 
     Attributes:
         fixes: ``stdin``, ``pool`` (simulated, for a kit), or the file of a camera's calibration.
-        source: camera number, video file or folder of pictures.
+        source: camera number, network camera's address, video file or folder of pictures.
         begin: ``x_m,y_m,deg`` where the path begins, ``here`` for the robot's place, None for the path's own.
         rate_hz, world, seed: of a simulated pool: fixes per second, its true effects, its camera's noise.
     """
@@ -171,8 +171,8 @@ class Sight:
         return path.place((float(shift[0]), float(shift[1]), turn))
 
 
-def parse_begin(text: str) -> tuple[float, float, float]:
-    """Return x (m), y (m), heading (rad) of the text ``X,Y,DEG``.
+def parse_begin(text: str, what: str = "--begin") -> tuple[float, float, float]:
+    """Return x (m), y (m), heading (rad) of the text ``X,Y,DEG``; ``what`` names it in errors.
 
     Raises:
         InputError: not three numbers.
@@ -180,9 +180,10 @@ def parse_begin(text: str) -> tuple[float, float, float]:
     try:
         x_m, y_m, heading_deg = (float(word) for word in text.split(","))
     except ValueError:
-        raise InputError(f"--begin is {text!r}: give X,Y,DEG in m and degrees, or here") from None
+        here = ", or here" if what == "--begin" else ""
+        raise InputError(f"{what} is {text!r}: give X,Y,DEG in m and degrees{here}") from None
     if not all(math.isfinite(value) and abs(value) <= COORDINATE_MAX for value in (x_m, y_m, heading_deg)):
-        raise InputError(f"--begin is {text!r}: give numbers up to {COORDINATE_MAX:g}")
+        raise InputError(f"{what} is {text!r}: give numbers up to {COORDINATE_MAX:g}")
     return x_m, y_m, math.radians(heading_deg)
 
 

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Generator, Sequence
 from contextlib import closing, suppress
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
+import cv2
 import numpy as np
 
 from frogkick.core.errors import InputError
+from frogkick.core.files import write_bytes
 from frogkick.core.poses import Fix
 from frogkick.front.viewing import camera_viewed
 from frogkick.runs.camera_fixes import CameraFixes
@@ -25,7 +27,7 @@ from frogkick.vision.check import Place, check_frames, check_points, known_place
 from frogkick.vision.corners import calibrate_corners, read_corners
 from frogkick.vision.plane_board import calibrate_plane
 from frogkick.vision.scene import Conditions
-from frogkick.vision.sources import open_source
+from frogkick.vision.sources import Frame, open_source
 from frogkick.vision.tags import tag_cells, tag_margin
 
 __all__ = [
@@ -37,10 +39,13 @@ __all__ = [
     "Tag",
     "calibrate_camera",
     "check_camera",
+    "take_picture",
     "track_camera",
     "write_tag",
 ]
 
+EXPOSURE_S = 1.0
+"""Time in which a camera that was just opened finds its exposure."""
 REMARKS = 5
 """How many of the places beyond the limits are named."""
 
@@ -349,7 +354,7 @@ def track_camera(
 
     Args:
         calibration: file of ``frogkick camera calibrate``.
-        source: camera number, video file or folder of pictures.
+        source: camera number, network camera's address, video file or folder of pictures.
         seconds: duration from the first picture on; None: to the end.
         view: draw pictures, tag and fixes in the browser.
         each: called with each fix: pose in the pool's frame (m, m, rad), times of its picture and arrival, s.
@@ -381,6 +386,32 @@ def track_camera(
             if not is_over:
                 time.sleep(0.005)
     return CameraTracked(count, dict(camera.reasons), times_s[1] - times_s[0])
+
+
+def take_picture(file: Path | str, source: str = "0") -> tuple[int, int]:
+    """Write a camera's picture, or the first one of a video or a folder; return its width and height, px.
+
+    Args:
+        file: .png or .jpg.
+        source: camera number, network camera's address, video file or folder of pictures.
+
+    Raises:
+        InputError: no such source, another ending, or an unwritable file.
+    """
+    target = Path(file)
+    if target.suffix.lower() not in (".png", ".jpg", ".jpeg"):
+        raise InputError(f"picture {str(file)!r} ends in {target.suffix!r}: give a name in .png or .jpg")
+    first = image = None
+    with closing(cast(Generator[Frame], open_source(source))) as frames:
+        for frame in frames:
+            first, image = first or frame, frame.image
+            if not frame.live or frame.capture_s - first.capture_s >= EXPOSURE_S:
+                break
+    if image is None:
+        raise InputError(f"source {source!r} has no picture: give another --source")
+    _, made = cv2.imencode(target.suffix, image)
+    write_bytes(target, made.tobytes())
+    return image.shape[1], image.shape[0]
 
 
 def write_tag(

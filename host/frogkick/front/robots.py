@@ -47,7 +47,7 @@ class Camera:
 
     Attributes:
         calibration: the file that ``frogkick camera calibrate`` wrote (.toml).
-        source: camera number, video file or folder of pictures.
+        source: camera number, network camera's address, video file or folder of pictures.
     """
 
     calibration: Path | str

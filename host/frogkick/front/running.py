@@ -273,7 +273,7 @@ def run(
         fix_rate_hz: simulated position fixes per second.
         fixes: of a real robot: a camera's calibration (.toml), "stdin" (lines ``x_m y_m heading_rad
             [age_s]``) or "pool" (simulated, for a kit without limbs).
-        source: camera of a calibration: a number, a video or a folder of pictures.
+        source: camera of a calibration: a number, an address, a video or a folder of pictures.
         begin: where a real robot's path begins: "X,Y,DEG" (m, degrees) or "here"; None: unchanged.
         dialect: protocol of a real robot: "frogkick", or "frog2022" for the authors' own firmware.
         battery_v: voltage of a real robot's lowest battery, measured with a meter; a low one is refused.

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from frogkick.core.errors import FrogkickError
+from frogkick.core.errors import FrogkickError, InputError
 from frogkick.core.shared_library import load
 from frogkick.link.frames import Frame, FrameCollector
 from frogkick.link.layout import link_layout
@@ -59,7 +59,14 @@ class NativeRobot:
         flash: the bytes of its flash for tables, as they are; may be written to.
     """
 
-    def __init__(self, library: Path, limbs: int, keep_calls: bool = False, heat_known: bool = True) -> None:
+    def __init__(
+        self,
+        library: Path,
+        limbs: int,
+        keep_calls: bool = False,
+        heat_known: bool = True,
+        flash: bytes | None = None,
+    ) -> None:
         """Load the library and start the core.
 
         Args:
@@ -68,8 +75,10 @@ class NativeRobot:
             keep_calls: fill ``calls``.
             heat_known: begin as one that kept its RAM and knows that its limbs are cold; False: one whose RAM
                 holds nothing, so that it lets them rest first.
+            flash: what the flash of such a robot held when it was switched off; None: nothing.
 
         Raises:
+            InputError: the flash is of another size.
             FrogkickError: the core refuses its own table.
         """
         self._ffi, self._core = load(library)
@@ -85,7 +94,11 @@ class NativeRobot:
         slot_bytes = max(SLOT_BYTES_MIN, -(-self._built_in[1] // PAGE_BYTES) * PAGE_BYTES)
         self._words = self._ffi.new("uint32_t[]", (JOURNAL_BYTES + SLOTS * slot_bytes) // 4)
         self.flash = self._ffi.buffer(self._words)
-        self.flash[:] = b"\xff" * len(self.flash)
+        if flash is not None and len(flash) != len(self.flash):
+            raise InputError(
+                f"this robot's flash has {len(self.flash)} bytes, not {len(flash)}: give its own content"
+            )
+        self.flash[:] = b"\xff" * len(self.flash) if flash is None else flash
         base = self._ffi.cast("uint8_t *", self._words)
         self._flash = self._ffi.new("fk_flash_t *", [base, slot_bytes, SLOTS, self._words])
         self._waiting: list[tuple[int, int, bytes]] = []
@@ -101,7 +114,7 @@ class NativeRobot:
         self._sent = 0
         self._line_free_us = 0.0
         self._collector = FrameCollector()
-        self._frames: list[tuple[float, Frame]] = []
+        self._sent_back: list[tuple[float, bytes]] = []
         self._edges: list[Edge] = []
         self._keep_calls = keep_calls
         self.calls: list[CoreCall] = []
@@ -164,7 +177,8 @@ class NativeRobot:
             if limb_mask >> limb & 1:
                 self._edges.append(Edge(now_s, limb, True))
                 self._edges.append(Edge(now_s + pulse_us * 1e-6, limb, False))
-        self._frames += [(now_s, frame) for frame in self._collector.feed(call.stream)]
+        if call.stream:
+            self._sent_back.append((now_s, call.stream))
 
     def _pins_low(self, now_s: float) -> None:
         """A pulse that was on ends now; its planned end is taken back."""
@@ -174,8 +188,16 @@ class NativeRobot:
 
     def frames(self) -> list[tuple[float, Frame]]:
         """Frames from the core since the last call."""
-        taken, self._frames = self._frames, []
+        return [(at_s, frame) for at_s, data in self.received() for frame in self._collector.feed(data)]
+
+    def received(self) -> list[tuple[float, bytes]]:
+        """The bytes of the same, for a wire that takes them as they are."""
+        taken, self._sent_back = self._sent_back, []
         return taken
+
+    def flash_content(self) -> bytes:
+        """All of the flash for tables, as it outlives a loss of power."""
+        return bytes(self.flash)
 
     def edges(self) -> list[Edge]:
         """Pin edges that have happened since the last call; the ends of pulses under way come later."""

@@ -60,9 +60,9 @@ class Pool:
         self.robot = robot
         self.camera = camera
         self.truth = Truth()
-        true_robot = changed_robot(robot, world.effects)
-        self._acting = Acting(world.effects, true_robot, rng.spawn(1)[0])
-        self._swimmer = Swimmer(true_robot, pose_world=pose_world)
+        self._true_robot = changed_robot(robot, world.effects)
+        self._acting = Acting(world.effects, self._true_robot, rng.spawn(1)[0])
+        self._swimmer = Swimmer(self._true_robot, pose_world=pose_world)
         self._rng = rng
         self._captured = 0
         self._sent = 0
@@ -87,6 +87,10 @@ class Pool:
     def state(self) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
         """What is true now, never shown to a planner: pose (3,) in the world, velocity (3,) in the body."""
         return self._swimmer.pose_world(), self._swimmer.velocity_body()
+
+    def put(self, pose_world: tuple[float, float, float]) -> None:
+        """Lay the robot down elsewhere, at rest; what its limbs have been through stays with it."""
+        self._swimmer = Swimmer(self._true_robot, pose_world=pose_world, time_s=self.time_s)
 
     def actuate(self, limb: int, start_s: float) -> None:
         """Actuate a limb from a pool time on, not before ``time_s``.

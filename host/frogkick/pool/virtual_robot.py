@@ -55,10 +55,15 @@ class VirtualRobot:
 
     def frames(self) -> list[tuple[float, Frame]]:
         """Frames whose last byte has come since the last call."""
-        found = []
-        for time_us, data in self.chip.received():
-            found += [(time_us * 1e-6, frame) for frame in self._collector.feed(data)]
-        return found
+        return [(at_s, frame) for at_s, data in self.received() for frame in self._collector.feed(data)]
+
+    def received(self) -> list[tuple[float, bytes]]:
+        """The bytes of the same, for a wire that takes them as they are."""
+        return [(time_us * 1e-6, data) for time_us, data in self.chip.received()]
+
+    def flash_content(self) -> bytes:
+        """All of the flash, as it outlives a loss of power."""
+        return self.chip.flash.content()
 
     def edges(self) -> list[Edge]:
         """Edges of the limbs' pins since the last call."""

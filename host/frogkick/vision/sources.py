@@ -1,9 +1,12 @@
-"""Where pictures come from: a camera, a video file, a folder of pictures, rendered scenes."""
+"""Where pictures come from: a camera, a network camera, a video file, a folder, rendered scenes."""
 
 from __future__ import annotations
 
+import os
+import threading
 import time
-from collections.abc import Callable, Iterator
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,11 +16,17 @@ import numpy as np
 import numpy.typing as npt
 
 from frogkick.core.errors import InputError
+from frogkick.core.interrupts import Bell
 from frogkick.vision.board import read_pictures
 from frogkick.vision.scene import Scene
 
 FROZEN_FRAMES = 8
 """So many equal pictures in a row come from no live camera: its noise alone makes each another."""
+SCHEMES = ("http://", "https://", "rtsp://")
+"""How the address of a network camera begins."""
+STREAM_OPEN_MS, STREAM_READ_MS = 5000, 1500
+"""The longest that a network camera is waited for: to answer, and for a picture."""
+Image = npt.NDArray[np.uint8]
 
 
 @dataclass(frozen=True)
@@ -62,21 +71,68 @@ def device_frames(index: int, image_px: tuple[int, int] | None = None) -> Iterat
 
 def live_frames(camera: cv2.VideoCapture, what: str) -> Iterator[Frame]:
     """Frames of an open camera; ``what`` names it in errors (see ``device_frames``)."""
-    sequence, same, last = 0, 0, None
-    while True:
-        if not camera.grab():
-            raise InputError(f"{what} gave no picture after {sequence}: is it unplugged or used by another?")
-        capture = time.monotonic()
-        ok, image = camera.retrieve()
-        if not ok:
-            raise InputError(f"{what} gave a picture that cannot be decoded: choose another format or size")
-        picture = np.asarray(image, dtype=np.uint8)
+
+    def pictures() -> Iterator[tuple[Image | None, float]]:
+        while camera.grab():
+            capture_s = time.monotonic()
+            ok, image = camera.retrieve()
+            if not ok:
+                raise InputError(
+                    f"{what} gave a picture that cannot be decoded: choose another format or size"
+                )
+            yield np.asarray(image, dtype=np.uint8), capture_s
+        yield None, time.monotonic()
+
+    return _live(pictures(), what, "is it unplugged or used by another?")
+
+
+def stream_frames(url: str) -> Iterator[Frame]:
+    """Frames of a network camera, until the caller stops. They count from their arrival here.
+
+    A thread takes each as it comes: one that waited in a buffer would be taken for a newer one. Only the
+    newest counts.
+
+    Raises:
+        InputError: no such camera, one that stops giving pictures, or one that freezes.
+    """
+    what = f"camera {url}"
+    camera = _opened(url, what)
+    newest: deque[tuple[Image | None, float]] = deque(maxlen=1)
+    bell, stop = Bell(), threading.Event()
+
+    def read() -> None:
+        ok = True
+        while ok and not stop.is_set():
+            ok, image = camera.read()
+            newest.append((np.asarray(image, dtype=np.uint8) if ok else None, time.monotonic()))
+            bell.ring()
+        camera.release()
+
+    def pictures() -> Iterator[tuple[Image | None, float]]:
+        while True:
+            bell.wait_for(lambda: newest)
+            yield newest.pop()
+
+    thread = threading.Thread(target=read, name=what, daemon=True)
+    thread.start()
+    try:
+        yield from _live(pictures(), what, "is it still there, and switched on?")
+    finally:
+        stop.set()
+        thread.join()  # an interpreter that ends would break it off inside the decoder
+
+
+def _live(pictures: Iterable[tuple[Image | None, float]], what: str, hint: str) -> Iterator[Frame]:
+    """Frames of pictures and their times; None where there are no more. Refuses a camera that freezes."""
+    same, last = 0, None
+    for sequence, (picture, capture_s) in enumerate(pictures):
+        if picture is None:
+            raise InputError(f"{what} gave no picture after {sequence}: {hint}")
         same = same + 1 if last is not None and np.array_equal(picture, last) else 0
         if same >= FROZEN_FRAMES:
             raise InputError(f"{what} is frozen: {same + 1} equal pictures in a row; plug it in again")
         last = picture
-        yield Frame(picture, capture, sequence, True)
-        sequence += 1
+        yield Frame(picture, capture_s, sequence, True)
 
 
 def video_frames(path: Path | str) -> Iterator[Frame]:
@@ -131,7 +187,7 @@ def scene_frames(
 
 
 def open_source(text: str, image_px: tuple[int, int] | None = None, rate_hz: float = 30.0) -> Iterator[Frame]:
-    """A camera (``0``, ``device:0``), a video file or a folder of pictures, whichever ``text`` names.
+    """A camera (``0``, ``device:0``), a network camera, a video file or a folder, whichever ``text`` names.
 
     Raises:
         InputError: it is none of these, or cannot be opened; some only as the first frame is asked for.
@@ -141,11 +197,16 @@ def open_source(text: str, image_px: tuple[int, int] | None = None, rate_hz: flo
         return device_frames(int(number), image_px)
     if text.startswith("device:"):
         raise InputError(f"source {text!r}: a camera is a number, as device:0")
+    if text.startswith(SCHEMES):
+        return stream_frames(text)
     if Path(text).is_dir():
         return folder_frames(text, rate_hz)
     if Path(text).is_file():
         return video_frames(text)
-    raise InputError(f"source {text!r} is no camera number, video file or folder of pictures: check it")
+    raise InputError(
+        f"source {text!r} is no camera number, video file or folder of pictures, nor an address (http:, "
+        "rtsp:): check it"
+    )
 
 
 def _opened(where: int | str, what: str) -> cv2.VideoCapture:
@@ -154,15 +215,21 @@ def _opened(where: int | str, what: str) -> cv2.VideoCapture:
     level = log.getLogLevel()
     log.setLogLevel(0)
     try:
-        capture = cv2.VideoCapture(where)
+        if isinstance(where, str) and where.startswith(SCHEMES):
+            os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # FFmpeg has lines of its own
+            options = [cv2.CAP_PROP_N_THREADS, 1, cv2.CAP_PROP_OPEN_TIMEOUT_MSEC, STREAM_OPEN_MS]
+            options += [cv2.CAP_PROP_READ_TIMEOUT_MSEC, STREAM_READ_MS]
+            capture = cv2.VideoCapture(where, cv2.CAP_FFMPEG, options)
+            hint = "is its address right, and does it give MJPEG or H.264?"
+        elif isinstance(where, int):
+            capture = cv2.VideoCapture(where)
+            hint = "is it plugged in, and may this user read it?"
+        else:
+            capture = cv2.VideoCapture(where)
+            hint = "is it a video that this OpenCV can decode?"
     finally:
         log.setLogLevel(level)
     if not capture.isOpened():
         capture.release()
-        hint = (
-            "is it plugged in, and may this user read it?"
-            if isinstance(where, int)
-            else "is it a video that this OpenCV can decode?"
-        )
         raise InputError(f"{what} cannot be opened: {hint}")
     return capture

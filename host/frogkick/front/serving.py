@@ -1,0 +1,267 @@
+"""A simulated robot for everything that talks with a real one: a serial port, and a camera over its pool."""
+
+from __future__ import annotations
+
+import copy
+import math
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from frogkick.core.errors import InputError, nearest_name
+from frogkick.core.files import existing_file, require_writable, write_bytes
+from frogkick.effects import World, read_world
+from frogkick.front.bench import parse_begin
+from frogkick.front.places import SIMULATED, built_firmware, require_simulator
+from frogkick.front.tables import Table, load_table
+from frogkick.link.pty_line import PtyLine, require_pseudo_terminals
+from frogkick.pool.camera import Camera
+from frogkick.pool.native_robot import NativeRobot
+from frogkick.pool.pool import Pool
+from frogkick.pool.served_robot import ServedRobot, SimulatedPort
+from frogkick.robot import Robot
+from frogkick.runs.closed_loop import require_seed
+from frogkick.runs.lab_session import stops_are_interrupts
+from frogkick.vision.calibration import Calibration
+from frogkick.vision.calibration_file import read_calibration
+from frogkick.vision.check import scene_of
+from frogkick.vision.pose import tag_place
+from frogkick.vision.scene import Conditions, Scene
+from frogkick.vision.stream import streamed
+
+RATE_HZ = 20.0
+KEPT_EVERY_S = 0.5
+BEHIND_S = 0.5
+"""So far behind the clock the simulation is worth no more."""
+WORDS = ("put", "hide", "show", "mirror", "unplug", "plug", "restart")
+"""What may be asked of an open pool."""
+
+
+@dataclass
+class ServedPool:
+    """An open pool.
+
+    Attributes:
+        target: the robot, as ``--robot`` takes it.
+        source: the camera, as ``--source`` takes it.
+        picture: address of a single picture.
+        table: the table in the robot's firmware.
+        pool_m: length and width.
+        begin: x_m, y_m, heading_rad where the robot was first.
+        flash: file in which its flash is kept; None: in none.
+    """
+
+    target: str
+    source: str
+    picture: str
+    table: Table
+    pool_m: tuple[float, float]
+    begin: tuple[float, float, float]
+    flash: Path | None
+    _robot: ServedRobot = field(repr=False)
+    _line: PtyLine = field(repr=False)
+    _sight: _Sight = field(repr=False)
+    _kept: bytes | None = field(default=None, repr=False)
+    _kept_s: float = 0.0
+
+    def as_json(self) -> dict[str, Any]:
+        """The keys of the command ``pool``."""
+        x_m, y_m, heading_rad = self.begin
+        return {
+            "target": self.target,
+            "source": self.source,
+            "picture": self.picture,
+            "robot": self.table.robot.id,
+            "table_crc": f"{self.table.crc32:08x}",
+            "pool_m": list(self.pool_m),
+            "begin": f"{x_m:g},{y_m:g},{math.degrees(heading_rad):g}",
+        }
+
+    def look_after(self) -> None:
+        """Keep the flash where it has changed; call it now and then.
+
+        Raises:
+            ConvergenceError: the rod simulation failed.
+            InputError: the simulation is too slow here, or the flash's file cannot be written.
+        """
+        if self._line.error is not None:
+            raise self._line.error
+        if self._robot.behind_s > BEHIND_S:
+            raise InputError(
+                f"the simulation is {self._robot.behind_s:.1f} s behind the clock: stop other programs, "
+                "or leave out --virtual"
+            )
+        now_s = time.monotonic()
+        if self.flash is not None and now_s - self._kept_s >= KEPT_EVERY_S:
+            self._kept_s = now_s
+            self.keep()
+
+    def keep(self) -> None:
+        """Write the flash's file, if the flash has changed."""
+        content = self._robot.flash_content()
+        if self.flash is not None and content != self._kept:
+            write_bytes(self.flash, content)
+            self._kept = content
+
+    def act(self, text: str) -> str:
+        """Do what one of ``WORDS`` says; return what was done.
+
+        Raises:
+            InputError: no such word, or no pose.
+        """
+        word, _, rest = text.strip().partition(" ")
+        if word not in WORDS or (rest and word != "put"):
+            raise InputError(
+                f"{text.strip()!r}{nearest_name(word, WORDS)} is no word for this pool: give one of "
+                f"{', '.join(WORDS)}"
+            )
+        if word == "put":
+            pose = _pose_in(self.pool_m, rest.strip(), "put") if rest.strip() else self.begin
+            self._robot.put(pose)
+            return f"the robot lies at {pose[0]:g}, {pose[1]:g} m, {math.degrees(pose[2]):g} degrees"
+        if word in ("hide", "show"):
+            self._sight.covered = word == "hide"
+            return "the tag is covered" if self._sight.covered else "the tag is uncovered"
+        if word == "mirror":
+            self._sight.mirrored = not self._sight.mirrored
+            return f"the camera's pictures are {'' if self._sight.mirrored else 'not '}mirrored"
+        if word == "restart":
+            self._robot.restart()
+            return "the robot was switched off and on"
+        if (word == "plug") is self._line.is_plugged_in:
+            return f"the cable is {'plugged in' if word == 'plug' else 'pulled'} already"
+        if word == "unplug":
+            self._line.pull_out()
+            return "the cable is pulled"
+        self._line.plug_in()
+        self.target = f"serial:{self._line.path}"
+        return f"the cable is plugged in: {self.target}"
+
+
+@contextmanager
+def served_pool(
+    table: Table | Path | str | None = None,
+    *,
+    model: Robot | str | None = None,
+    robot: str = "pool",
+    world: World | Path | str | None = None,
+    camera: Path | str | None = None,
+    begin: str | None = None,
+    flash: Path | str | None = None,
+    line: Path | str | None = None,
+    port: int = 0,
+    seed: int = 0,
+) -> Iterator[ServedPool]:
+    """Open a pool with a simulated robot that lives in real time, as long as the context lives.
+
+    Args:
+        table: table in the robot's firmware, or its file; None: the robot's default table.
+        model: the robot, its name or its TOML file; None: the table's own.
+        robot: "pool" (the C core on this computer) or "virtual" (the firmware on the virtual chip).
+        world: effects that act in the pool but are in no model, or their TOML file.
+        camera: calibration whose camera, pool and tag are rendered; None: the pool of 1.2 x 0.9 m of the
+            documentation.
+        begin: where the robot lies at first: "X,Y,DEG" (m, degrees); None: on the left, pointing along x.
+        flash: file that keeps what outlives a loss of power; it is read first if it is there.
+        line: name for the serial port, a link to it; None: it is called as this system calls it.
+        port: TCP port of the camera's pictures; 0: a free one.
+        seed: seed of the pictures' noise and of random effects.
+
+    Raises:
+        InputError: an argument that cannot be used, or a system without pseudo-terminals.
+    """
+    require_pseudo_terminals()
+    require_simulator(robot)
+    require_seed(seed)
+    if not 0 <= port <= 65_535:
+        raise InputError(f"--port is {port}: give 1 to 65535, or 0 for a free one")
+    kept = None if flash is None else Path(flash)
+    require_writable(kept)
+    held = existing_file(kept, "flash").read_bytes() if kept is not None and kept.exists() else None
+    calibration = None if camera is None else read_calibration(Path(camera))
+    scene = Scene() if calibration is None else scene_of(calibration, Conditions())
+    true = World() if world is None else copy.deepcopy(read_world(world))  # an effect may keep state
+    length_m, width_m = scene.pool_m
+    first = (0.3 * length_m, 0.5 * width_m, 0.0)
+    if begin is not None:
+        first = _pose_in(scene.pool_m, begin, "--begin")
+    used = table if isinstance(table, Table) else load_table(table, model)
+    described, limbs = used.robot, len(used.robot.limbs)
+    rng = np.random.default_rng(seed)
+    with ExitStack() as stack:
+        stack.enter_context(stops_are_interrupts())
+        image = stack.enter_context(used.file())
+        built = stack.enter_context(built_firmware(SIMULATED[robot], image, described))
+        switch_on = _maker(robot, built.image, limbs)
+        pool = Pool(described, first, Camera(rate_hz=1.0), rng, true)
+        pool.advance(1e-3)  # compiles the rods where that is needed
+        served = ServedRobot(switch_on, pool, held)
+        sight = _Sight(scene, calibration, served, seed)
+        wire = stack.enter_context(PtyLine(None if line is None else Path(line), served))
+        source, picture = stack.enter_context(streamed(sight.picture, RATE_HZ, port))
+        opened = ServedPool(
+            f"serial:{wire.path}", source, picture, used, scene.pool_m, first, kept, served, wire, sight
+        )
+        try:
+            yield opened
+        finally:
+            opened.keep()
+
+
+@dataclass
+class _Sight:
+    """The camera over the pool, and what is in its way."""
+
+    scene: Scene
+    calibration: Calibration | None
+    robot: ServedRobot
+    seed: int
+    covered: bool = False
+    mirrored: bool = False
+    _taken: int = 0
+
+    def picture(self) -> npt.NDArray[np.uint8]:
+        """Render what the camera sees now; several viewers may ask at once."""
+        self._taken += 1
+        pose = self.robot.pose_world
+        if self.calibration is not None:
+            x_m, y_m, heading_rad = (float(value) for value in tag_place(self.calibration, *pose))
+            pose = (x_m, y_m, heading_rad)
+        rng = np.random.default_rng((self.seed, self._taken))
+        image = self.scene.picture(None if self.covered else pose, rng)
+        return np.ascontiguousarray(image[:, ::-1]) if self.mirrored else image
+
+
+def _maker(name: str, image: Path, limbs: int) -> Callable[[bytes | None], SimulatedPort]:
+    """Return what switches a robot on, whose RAM holds nothing, so that its limbs rest first."""
+    if name == "pool":
+        return lambda flash: NativeRobot(image, limbs, heat_known=False, flash=flash)
+    from frogkick.pool.virtual_robot import VirtualRobot
+
+    def switch_on(flash: bytes | None) -> SimulatedPort:
+        if flash is not None:
+            fresh = np.frombuffer(VirtualRobot(image, limbs).flash_content(), dtype=np.uint8)
+            held = np.frombuffer(flash, dtype=np.uint8)
+            if len(held) != len(fresh) or (held != fresh)[fresh != 0xFF].any():
+                raise InputError(
+                    "the flash holds other firmware than this table gives: give the --tables that it was "
+                    "made with, or another --flash"
+                )
+        return VirtualRobot(image, limbs, flash, heat_known=False)
+
+    return switch_on
+
+
+def _pose_in(pool_m: tuple[float, float], text: str, what: str) -> tuple[float, float, float]:
+    x_m, y_m, heading_rad = parse_begin(text, what)
+    if not (0.0 <= x_m <= pool_m[0] and 0.0 <= y_m <= pool_m[1]):
+        raise InputError(
+            f"{what} {text} is outside the pool, which reaches from 0,0 to {pool_m[0]:g},{pool_m[1]:g} m"
+        )
+    return x_m, y_m, heading_rad

@@ -1,0 +1,103 @@
+"""Pictures over HTTP, as a network camera gives them: one (JPEG), or one after the other (MJPEG)."""
+
+from __future__ import annotations
+
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from frogkick.core.errors import InputError
+
+HOST = "127.0.0.1"
+STREAM, PICTURE = "/camera.mjpg", "/picture.jpg"
+QUALITY = 95
+"""Of the JPEG: at less, its blocks shift the edges of a small tag."""
+_BOUNDARY = "picture"
+
+
+@contextmanager
+def streamed(
+    picture: Callable[[], npt.NDArray[np.uint8]], rate_hz: float, port: int = 0
+) -> Iterator[tuple[str, str]]:
+    """Serve pictures on this computer alone, as long as the context lives.
+
+    Args:
+        picture: makes the newest one; called from other threads, and only while somebody looks.
+        rate_hz: pictures a second.
+        port: TCP port; 0: a free one.
+
+    Returns:
+        The addresses of the stream and of a single picture.
+
+    Raises:
+        InputError: the port is taken.
+    """
+    closing = threading.Event()
+
+    class Handler(BaseHTTPRequestHandler):
+        def do_GET(self) -> None:
+            if self.path == PICTURE:
+                content = _jpeg(picture())
+                self._begin("image/jpeg", len(content))
+                self.wfile.write(content)
+            elif self.path == STREAM:
+                self._begin(f"multipart/x-mixed-replace; boundary={_BOUNDARY}")
+                self._stream()
+            else:
+                self.send_error(404, f"ask for {STREAM} or {PICTURE}")
+
+        def _begin(self, kind: str, size: int | None = None) -> None:
+            self.send_response(200)
+            self.send_header("Content-Type", kind)
+            if size is not None:
+                self.send_header("Content-Length", str(size))
+            self.send_header("Cache-Control", "no-store")
+            self.end_headers()
+
+        def _stream(self) -> None:
+            due_s = time.monotonic()
+            while not closing.wait(max(0.0, due_s - time.monotonic())):
+                content = _jpeg(picture())
+                head = f"--{_BOUNDARY}\r\nContent-Type: image/jpeg\r\nContent-Length: {len(content)}\r\n\r\n"
+                self.wfile.write(head.encode() + content + b"\r\n")
+                due_s = max(due_s + 1.0 / rate_hz, time.monotonic())  # what is late is left out
+
+        def log_message(self, format: str, *args: object) -> None:
+            """Do not print every request."""
+
+    class Server(ThreadingHTTPServer):
+        daemon_threads = True
+
+        def handle_error(self, request: object, client_address: object) -> None:
+            """Ignore a viewer that leaves; report other errors as usual."""
+            if not isinstance(sys.exception(), ConnectionError):
+                super().handle_error(request, client_address)  # type: ignore[arg-type]
+
+    try:
+        server = Server((HOST, port), Handler)
+    except (OSError, OverflowError) as error:
+        raise InputError(
+            f"pictures cannot be served on TCP port {port} ({getattr(error, 'strerror', None) or error}): "
+            "give another --port, or 0 for a free one"
+        ) from error
+    threading.Thread(target=server.serve_forever, daemon=True).start()
+    base = f"http://{HOST}:{server.server_address[1]}"
+    try:
+        yield base + STREAM, base + PICTURE
+    finally:
+        closing.set()
+        server.shutdown()
+        with suppress(OSError):
+            server.server_close()
+
+
+def _jpeg(image: npt.NDArray[np.uint8]) -> bytes:
+    _, made = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, QUALITY])
+    return made.tobytes()

@@ -10,7 +10,7 @@ from typing import Any, cast
 import numpy as np
 import pytest
 from tests.conftest import count
-from tests.identification.made import robot
+from tests.identification.made import make_swim, robot
 from tests.runs import rig
 
 from frogkick.core.chunks import run_chunks
@@ -18,22 +18,16 @@ from frogkick.core.poses import PredictionError
 from frogkick.effects import changed_robot, make_effects
 from frogkick.identification import choice as choice_module
 from frogkick.identification import outcome as outcome_module
+from frogkick.identification.law_kinds import kinds_of
 from frogkick.identification.outcome import Outcome
 from frogkick.identification.terms import Term, catalogue
-from frogkick.identification.verdict import FOUND, NOTHING, PARTLY, UNEXPLAINED, Interval
+from frogkick.identification.verdict import FOUND, FOUND_LAW, NOTHING, PARTLY, UNEXPLAINED, Interval
 from frogkick.robot import load_robot
 from frogkick_studies import verdicts
-from frogkick_studies.planted import NULL, OUTSIDE, OUTSIDE_FILE, OUTSIDE_TEXT, kinds
-from frogkick_studies.verdicts import (
-    Case,
-    Result,
-    VerdictStudy,
-    cases_of,
-    judged,
-    recovered,
-    run_cases,
-    verdicts_figure,
-)
+from frogkick_studies.judged import Result, judged, recovered
+from frogkick_studies.planted import LAWS, NULL, OUTSIDE, OUTSIDE_FILE, OUTSIDE_TEXT, kinds
+from frogkick_studies.planted_laws import DRAWN, LAWS_FILE, LAWS_TEXT, drawn, rights
+from frogkick_studies.verdicts import Case, VerdictStudy, cases_of, run_cases, verdicts_figure
 
 ROBOT = load_robot("frog2022")
 
@@ -41,11 +35,12 @@ ROBOT = load_robot("frog2022")
 @pytest.mark.parametrize("name", kinds())
 def test_every_world_can_be_made(name: str, tmp_path: Path) -> None:
     (tmp_path / OUTSIDE_FILE).write_text(OUTSIDE_TEXT)
+    (tmp_path / LAWS_FILE).write_text(LAWS_TEXT)
     kind = kinds()[name]
     for seed in range(20):
         tables = kind.draw(np.random.default_rng(seed))
         changed_robot(ROBOT, make_effects(tables, tmp_path))
-        assert [("file" in table) for table in tables] == [kind.group == OUTSIDE] * len(tables)
+        assert [("file" in table) for table in tables] == [kind.group in (OUTSIDE, LAWS)] * len(tables)
     assert bool(tables) == (kind.group != NULL)
 
 
@@ -115,6 +110,79 @@ def test_outside_effects_may_be_named_by_what_is_the_same() -> None:
     assert len(verdicts_figure(results).axes) == 2
 
 
+def law(title: str, limb: str = "", **values: float) -> Term:
+    """A law of the grammar at some values."""
+    swims = [make_swim([], 1, 8)]
+    kind = next(
+        kind for kind in kinds_of(robot(), swims) if (kind.title, kind.table.get("limb", "")) == (title, limb)
+    )
+    return kind.term(values)
+
+
+def test_the_right_law_is_named_by_kind_place_and_limb() -> None:
+    cable = {"class": "Cable", "stiffness": 0.1, "x": 0.1, "y": 0.2, "length": 0.15}
+    broken = {"class": "Break", "limb": "rear_left", "at": 9.0, "rest": 0.2}
+    here, there = law("spring", at_x=0.12, at_y=0.15), law("spring", at_x=0.4, at_y=0.15)
+    then = law("stroke from a moment on", "rear_left", at=10.0)
+    other = law("stroke from a moment on", "rear_right", at=10.0)
+    (spring,), (moment,) = rights([cable]), rights([broken])
+    assert spring.holds(here) and not spring.holds(there) and not spring.holds(then)
+    assert moment.holds(then) and not moment.holds(other)
+    assert not rights([cable, {"name": "limb_wear"}]), "a law for each, or none"
+
+    def told(*terms: Term, verdict: str = FOUND_LAW, after: float = 2e-3) -> Result:
+        given = cast(Any, outcome(verdict))
+        given.terms = list(terms)
+        given.parameters = [[] for _ in terms]
+        given.found.confounded_with = [[] for _ in terms]
+        given.tested = SimpleNamespace(
+            before=PredictionError(5e-3, 0.1), after=PredictionError(after, 0.1),
+            noise_floor=PredictionError(1e-3, 0.01),
+        )  # fmt: skip
+        return judged(kinds()["spring to a point + break"], [cable, broken], given, 1.0)
+
+    both = told(here, then)
+    assert both.right and not both.wrong and both.gone == pytest.approx(0.75)
+    assert told(here, then, verdict=PARTLY).right, "named, though more than noise is left"
+    for wrong in (
+        told(here),
+        told(here, other),
+        told(here, then, law("compass")),
+        told(here, then, after=6e-3),
+    ):
+        assert wrong.wrong and not wrong.right
+    missed = told(verdict=UNEXPLAINED, after=5e-3)
+    assert not missed.right and not missed.wrong and missed.gone == 0.0
+
+    def study(*results: Result) -> VerdictStudy:
+        return VerdictStudy(
+            {Case("spring to a point + break", seed): result for seed, result in enumerate(results)}
+        )
+
+    many = study(*[both] * 97, *[told(here)] * 3)
+    assert many.groups["laws"] == {
+        "cases": 100, "right": 97, "wrongly_found": 3, "parameters": 0, "inside": 0, "passed": True,
+        "gone": 100,
+    }  # fmt: skip
+    assert many.passed and "70 % of the error gone" in many.text({})
+    assert not study(*[both] * 84, *[missed] * 16).passed, "too little of the error is gone"
+    assert study(*[both] * 85, *[missed] * 15).passed
+
+
+def test_laws_are_two_at_once_in_a_fifth_of_the_cases() -> None:
+    cases = cases_of(list(DRAWN), 0, 1, 100)
+    assert sum(len(DRAWN[case.kind]) > 1 for case in cases) == 20
+    assert len({kind for kind, draws in DRAWN.items() if len(draws) == 1}) >= 10
+    kinds_known = kinds_of(robot(), [make_swim([], 1, 8)])
+    grammar = {kind.term(kind.grid[0]).title for kind in kinds_known}
+    for kind, draws in DRAWN.items():
+        tables = drawn(draws, np.random.default_rng(1))
+        assert len(rights(tables)) == len(draws), kind
+        for right in rights(tables):
+            of_fixes = right.titles[:1] == ("fixes late at intervals",)
+            assert right.chance or of_fixes or right.titles[0] in grammar, (kind, right)
+
+
 def test_cases_are_so_many_of_each_kind_or_of_each_group() -> None:
     names = ["null", "wear", "current", "lens"]
     assert [case.key for case in cases_of(names[:2], 3, 2, None)] == ["null/3", "wear/3", "null/4", "wear/4"]
@@ -131,7 +199,7 @@ def test_cases_are_so_many_of_each_kind_or_of_each_group() -> None:
         "lens/3",
     ]
     every = cases_of(list(kinds()), 0, 99, 100)
-    assert len(set(every)) == 100 * len({kind.group for kind in kinds().values()}) == 400
+    assert len(set(every)) == 100 * len({kind.group for kind in kinds().values()}) == 500
 
 
 def test_a_stopped_study_goes_on_where_it_was(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,17 +1,17 @@
-"""Worlds with planted effects: nothing, one of the catalogue, two at once, or one from outside of it."""
+"""Worlds with planted effects: nothing, one of the catalogue, two, one from outside of it, or laws."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
 
 import numpy as np
 
-Table = dict[str, Any]
+from frogkick_studies.draws import LIMBS, Table, between, sign
+from frogkick_studies.planted_laws import DRAWN, drawn
 
-NULL, ONE, TWO, OUTSIDE = "nothing", "one", "two", "outside"
+NULL, ONE, TWO, OUTSIDE, LAWS = "nothing", "one", "two", "outside", "laws"
 
 OUTSIDE_FILE = "outside.py"
 OUTSIDE_TEXT = '''"""Effects that the catalogue does not have."""
@@ -99,7 +99,7 @@ class Kind:
 
     Attributes:
         name: for reports.
-        group: NULL, ONE, TWO or OUTSIDE.
+        group: NULL, ONE, TWO, OUTSIDE or LAWS.
         draw: tables of a world, from a random generator.
         alike: titles of effects that are the same thing under another name.
     """
@@ -110,24 +110,13 @@ class Kind:
     alike: tuple[str, ...] = ()
 
 
-LIMBS = ("front_left", "front_right", "rear_left", "rear_right")
-
-
-def _sign(rng: np.random.Generator) -> float:
-    return float(rng.choice([-1.0, 1.0]))
-
-
-def _between(rng: np.random.Generator, low: float, high: float) -> float:
-    return float(np.round(rng.uniform(low, high), 5))
-
-
 def _wear(rng: np.random.Generator) -> Table:
-    return {"name": "limb_wear", "limb": str(rng.choice(LIMBS)), "gain": _between(rng, 0.6, 0.9)}
+    return {"name": "limb_wear", "limb": str(rng.choice(LIMBS)), "gain": between(rng, 0.6, 0.9)}
 
 
 def _slow(rng: np.random.Generator) -> Table:
-    limb, slow = str(rng.choice(LIMBS)), _between(rng, 1.5, 2.5)
-    return {"name": "limb_wear", "limb": limb, "gain": _between(rng, 0.75, 0.95), "duration_scale": slow}
+    limb, slow = str(rng.choice(LIMBS)), between(rng, 1.5, 2.5)
+    return {"name": "limb_wear", "limb": limb, "gain": between(rng, 0.75, 0.95), "duration_scale": slow}
 
 
 def _current(rng: np.random.Generator) -> Table:
@@ -137,70 +126,70 @@ def _current(rng: np.random.Generator) -> Table:
 
 
 def _latency(rng: np.random.Generator) -> Table:
-    return {"name": "fix_latency", "delay_s": _between(rng, 0.06, 0.15)}
+    return {"name": "fix_latency", "delay_s": between(rng, 0.06, 0.15)}
 
 
 def _tag(rng: np.random.Generator) -> Table:
-    ahead, left, turn = (_sign(rng) * _between(rng, *ends) for ends in ((0, 0.02), (0, 0.02), (0.06, 0.2)))
+    ahead, left, turn = (sign(rng) * between(rng, *ends) for ends in ((0, 0.02), (0, 0.02), (0.06, 0.2)))
     return {"name": "tag_offset", "forward_m": ahead, "left_m": left, "turn_rad": turn}
 
 
 def _yaw(rng: np.random.Generator) -> Table:
-    return {"name": "yaw_drag", "linear_nms": _between(rng, 2e-4, 1e-3)}
+    return {"name": "yaw_drag", "linear_nms": between(rng, 2e-4, 1e-3)}
 
 
 def _warm(rng: np.random.Generator) -> Table:
-    return {"name": "warm_up", "loss": _between(rng, 0.3, 0.6), "fade_strokes": _between(rng, 2.0, 5.0)}
+    return {"name": "warm_up", "loss": between(rng, 0.3, 0.6), "fade_strokes": between(rng, 2.0, 5.0)}
 
 
 def _memory(rng: np.random.Generator) -> Table:
-    return {"name": "limb_memory", "loss": _between(rng, 0.2, 0.5), "fade_s": _between(rng, 1.0, 3.0)}
+    return {"name": "limb_memory", "loss": between(rng, 0.2, 0.5), "fade_s": between(rng, 1.0, 3.0)}
 
 
 def _sag(rng: np.random.Generator) -> Table:
-    return {"name": "battery_sag", "loss_per_min": _between(rng, 0.2, 0.4)}
+    return {"name": "battery_sag", "loss_per_min": between(rng, 0.2, 0.4)}
 
 
 def _centre(rng: np.random.Generator) -> Table:
-    return {"name": "centre_mass", "share": _between(rng, 0.2, 0.6)}
+    return {"name": "centre_mass", "share": between(rng, 0.2, 0.6)}
 
 
 def _drag(rng: np.random.Generator) -> Table:
-    return {"name": "drag_scale", "frame": _between(rng, 1.3, 2.0)}
+    return {"name": "drag_scale", "frame": between(rng, 1.3, 2.0)}
 
 
 def _scale(rng: np.random.Generator) -> Table:
-    return {"name": "camera_scale", "scale": 1.0 + _sign(rng) * _between(rng, 0.03, 0.08)}
+    return {"name": "camera_scale", "scale": 1.0 + sign(rng) * between(rng, 0.03, 0.08)}
 
 
 def _late(rng: np.random.Generator) -> Table:
-    return {"name": "limb_wear", "limb": str(rng.choice(LIMBS)), "delay_s": _between(rng, 0.06, 0.15)}
+    return {"name": "limb_wear", "limb": str(rng.choice(LIMBS)), "delay_s": between(rng, 0.06, 0.15)}
 
 
 def _mass(rng: np.random.Generator) -> Table:
-    return {"name": "mass_scale", "frame": _between(rng, 1.3, 2.0)}
+    return {"name": "mass_scale", "frame": between(rng, 1.3, 2.0)}
 
 
 def _off_centre(rng: np.random.Generator) -> Table:
-    ahead, left = (_sign(rng) * _between(rng, 0.003, 0.01) for _ in range(2))
+    ahead, left = (sign(rng) * between(rng, 0.003, 0.01) for _ in range(2))
     return {"name": "off_centre_mass", "forward_m": ahead, "left_m": left}
 
 
 def _shear(rng: np.random.Generator) -> Table:
-    return {"name": "shear_current", "x_per_s": _sign(rng) * _between(rng, 0.02, 0.06)}
+    return {"name": "shear_current", "x_per_s": sign(rng) * between(rng, 0.02, 0.06)}
 
 
 def _vortex(rng: np.random.Generator) -> Table:
-    turning = _sign(rng) * _between(rng, 0.003, 0.008)
-    at = {"x_m": _between(rng, 0.05, 0.3), "y_m": _between(rng, -0.1, 0.1)}
-    return {"name": "vortex", "circulation_m2ps": turning, **at, "core_m": _between(rng, 0.1, 0.25)}
+    turning = sign(rng) * between(rng, 0.003, 0.008)
+    at = {"x_m": between(rng, 0.05, 0.3), "y_m": between(rng, -0.1, 0.1)}
+    return {"name": "vortex", "circulation_m2ps": turning, **at, "core_m": between(rng, 0.1, 0.25)}
 
 
 def _wall(rng: np.random.Generator) -> Table:
     """Where the paper's paths come near: beside the ellipse, or before the end of the line."""
     side = str(rng.choice(["x_high", "y_low", "y_high"]))
-    at_m = _between(rng, 0.42, 0.47) if side == "x_high" else _between(rng, 0.13, 0.16)
-    drag, hardness = _between(rng, 0.5, 1.5), _between(rng, 0.5, 0.7)
+    at_m = between(rng, 0.42, 0.47) if side == "x_high" else between(rng, 0.13, 0.16)
+    drag, hardness = between(rng, 0.5, 1.5), between(rng, 0.5, 0.7)
     return {
         "name": "wall",
         "side": side,
@@ -211,7 +200,7 @@ def _wall(rng: np.random.Generator) -> Table:
 
 
 def _group_loss(rng: np.random.Generator) -> Table:
-    return {"name": "group_loss", "loss": _between(rng, 0.3, 0.6), "fade_s": _between(rng, 0.1, 0.3)}
+    return {"name": "group_loss", "loss": between(rng, 0.3, 0.6), "fade_s": between(rng, 0.1, 0.3)}
 
 
 def _mine(kind: str, **values: float | str) -> list[Table]:
@@ -219,7 +208,7 @@ def _mine(kind: str, **values: float | str) -> list[Table]:
 
 
 def _misfire(low: float, high: float, rng: np.random.Generator) -> list[Table]:
-    return _mine("Misfire", limb=str(rng.choice(LIMBS)), share=_between(rng, low, high))
+    return _mine("Misfire", limb=str(rng.choice(LIMBS)), share=between(rng, low, high))
 
 
 ONES: Mapping[str, Callable[[np.random.Generator], Table]] = {
@@ -273,30 +262,28 @@ def kinds() -> dict[str, Kind]:
             "heading gain",
             OUTSIDE,
             lambda rng: _mine(
-                "HeadingGain", depth=_between(rng, 0.2, 0.5), towards_rad=_between(rng, -3.0, 3.0)
+                "HeadingGain", depth=between(rng, 0.2, 0.5), towards_rad=between(rng, -3.0, 3.0)
             ),
         ),
         Kind(
             "clock gain",
             OUTSIDE,
-            lambda rng: _mine("ClockGain", depth=_between(rng, 0.2, 0.5), period_s=_between(rng, 8.0, 20.0)),
+            lambda rng: _mine("ClockGain", depth=between(rng, 0.2, 0.5), period_s=between(rng, 8.0, 20.0)),
         ),
         Kind(
             "weeds",
             OUTSIDE,
-            lambda rng: _mine("Weeds", drag=_between(rng, 0.1, 0.5), pitch_m=_between(rng, 0.2, 0.4)),
+            lambda rng: _mine("Weeds", drag=between(rng, 0.1, 0.5), pitch_m=between(rng, 0.2, 0.4)),
         ),
         Kind(
             "waves",
             OUTSIDE,
-            lambda rng: _mine(
-                "Waves", speed_mps=_between(rng, 0.005, 0.02), period_s=_between(rng, 6.0, 15.0)
-            ),
+            lambda rng: _mine("Waves", speed_mps=between(rng, 0.005, 0.02), period_s=between(rng, 6.0, 15.0)),
         ),
         Kind(
             "whirl",
             OUTSIDE,
-            lambda rng: _mine("Whirl", turns_per_s=_sign(rng) * _between(rng, 0.01, 0.05)),
+            lambda rng: _mine("Whirl", turns_per_s=sign(rng) * between(rng, 0.01, 0.05)),
             ("shear_current", "vortex"),
         ),
         *(
@@ -307,6 +294,7 @@ def kinds() -> dict[str, Kind]:
             )
             for low, high in ((10, 20), (20, 30), (30, 40))
         ),
-        Kind("lens", OUTSIDE, lambda rng: _mine("SlowLens", bend_per_m=_between(rng, 0.1, 0.3))),
+        Kind("lens", OUTSIDE, lambda rng: _mine("SlowLens", bend_per_m=between(rng, 0.1, 0.3))),
     ]
+    every += [Kind(name, LAWS, partial(drawn, draws)) for name, draws in DRAWN.items()]
     return {kind.name: kind for kind in every}

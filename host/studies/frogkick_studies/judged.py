@@ -1,0 +1,151 @@
+"""What identification said of a planted world, held against what was planted."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from frogkick.effects import Parameter
+from frogkick.identification.outcome import Outcome
+from frogkick.identification.verdict import FAR, FOUND, FOUND_LAW, NOTHING, PARTLY, UNEXPLAINED, Interval
+from frogkick_studies.draws import Table
+from frogkick_studies.planted import LAWS, NULL, OUTSIDE, Kind
+from frogkick_studies.planted_laws import rights
+
+
+@dataclass(frozen=True)
+class Result:
+    """What came of a case.
+
+    Attributes:
+        verdict: as given.
+        right: as asked for this group.
+        wrong: "found" although what was planted is not what was named; where nothing was planted, "partly
+            explained" as well.
+        planted, found: in words.
+        before, after, floor: position (m) and heading (rad) on the test run.
+        cpu_s: of identification.
+        inside, parameters: planted parameters of effects that were named: inside their intervals, and all.
+        gone: share of the way from the error before to the floor that is gone, in position on the test run;
+            None where there is no way.
+        draws: how often parameters were drawn until the error before was as wanted.
+    """
+
+    verdict: str
+    right: bool
+    wrong: bool
+    planted: list[str]
+    found: list[str]
+    before: list[float]
+    after: list[float]
+    floor: list[float]
+    periods: int
+    cpu_s: float
+    inside: int = 0
+    parameters: int = 0
+    gone: float | None = None
+    draws: int = 1
+
+    def as_json(self) -> dict[str, Any]:
+        """The keys of a case in the command ``study verdicts``."""
+        values = dataclasses.asdict(self)
+        return {"noise_floor": values.pop("floor"), **values, "cpu_s": round(self.cpu_s, 1)}
+
+
+def judged(kind: Kind, planted: Sequence[Table], outcome: Outcome, cpu_s: float) -> Result:
+    """Hold an outcome against what was planted."""
+    named = [recovered(table, outcome) for table in planted]
+    held = [
+        p.contains(float(table[p.name]))
+        for table in planted
+        for _, p in _named(table, outcome)
+        if p.name in table and outcome.verdict == FOUND
+    ]
+    titles = {term.name for term in outcome.terms}
+    found = outcome.verdict in (FOUND, FOUND_LAW)
+    lawful = _lawful(planted, outcome)
+    equivalent = outcome.verdict == FOUND and bool(kind.alike) and titles <= set(kind.alike)
+    if kind.group == NULL:
+        right = outcome.verdict == NOTHING
+        wrong = found or outcome.verdict == PARTLY
+    elif kind.group == OUTSIDE:
+        # What helps and leaves more than noise may be said of an effect that nobody knows.
+        wrong = found and not (equivalent or lawful)
+        right = not wrong and (found or outcome.verdict in (UNEXPLAINED, PARTLY))
+    elif kind.group == LAWS:
+        tested = outcome.tested
+        lower = tested.after.position_rmse_m < tested.before.position_rmse_m
+        wrong = found and not (lawful and lower)
+        right = not wrong and lawful
+    else:
+        right = found and (all(named) or equivalent)
+        wrong = found and not (all(named) or equivalent)
+    before, after, floor = (
+        [error.position_rmse_m, error.heading_rmse_rad]
+        for error in (outcome.tested.before, outcome.tested.after, outcome.tested.noise_floor)
+    )
+    return Result(
+        outcome.verdict,
+        right,
+        wrong,
+        [_words(table) for table in planted],
+        [
+            f"{term.title}: "
+            + ", ".join(f"{p.name} {p.value:.4g} [{p.low:.4g}, {p.high:.4g}]" for p in row)
+            + (f" (or {', '.join(others)})" if others else "")
+            for term, row, others in zip(
+                outcome.terms,
+                outcome.parameters,
+                outcome.found.confounded_with if outcome.found else [],
+                strict=True,
+            )
+        ],
+        before,
+        after,
+        floor,
+        sum(len(swim.start_s) for swim in outcome.train),
+        cpu_s,
+        sum(held),
+        len(held),
+        None if before[0] <= floor[0] else min(1.0, (before[0] - after[0]) / (before[0] - floor[0])),
+    )
+
+
+def _lawful(planted: Sequence[Table], outcome: Outcome) -> bool:
+    """Whether what was found are the laws that are right for what was planted, all of them and no other."""
+    right = rights(planted)
+    return (
+        bool(right)
+        and all(any(each.holds(term) for term in outcome.terms) for each in right)
+        and all(any(each.holds(term) for each in right) for term in outcome.terms)
+    )
+
+
+def _words(table: Table) -> str:
+    values = ", ".join(
+        f"{key} {value}" for key, value in table.items() if key not in ("name", "file", "class")
+    )
+    return f"{table.get('name') or table.get('class')}: {values}"
+
+
+def recovered(table: Table, outcome: Outcome) -> bool:
+    """An effect is among those found, and none of its parameters is FAR from what was planted.
+
+    How many are inside their intervals is counted beside it: one of 95 % misses one value of twenty.
+    """
+    row = _named(table, outcome)
+    return bool(row) and all(
+        p.contains(float(table.get(p.name, parameter.nominal)), FAR) for parameter, p in row
+    )
+
+
+def _named(table: Table, outcome: Outcome) -> list[tuple[Parameter, Interval]]:
+    """The parameters of the effect that was found for this one, and their values; none where it was not."""
+    for term, row in zip(outcome.terms, outcome.parameters, strict=True):
+        options = dict(term.table)
+        same = all(options[key] == table[key] for key in options if key in table)
+        if term.name == table.get("name") and same:
+            return list(zip(term.parameters, row, strict=True))
+    return []

@@ -1,0 +1,364 @@
+"""Effects of the group *laws*, which no catalogue has, and which law is right for each.
+
+They are classes of a user's file in plain Python, written without the language of laws, so that the count
+does not favour its forms: a patch of weeds has another edge than the grammar's, a spring may be a cable.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from frogkick.identification.terms import Term
+from frogkick_studies.draws import LIMBS, Table, between, spread
+
+LAWS_FILE = "planted_laws.py"
+LAWS_TEXT = '''"""Effects that neither the catalogue nor anybody's helper has."""
+
+import math
+
+
+class Cable:
+    """Pulls to a point as soon as it is taut; a spring where its length is nought."""
+
+    def __init__(self, stiffness, x, y, length):
+        self.stiffness, self.x, self.y, self.length = stiffness, x, y, length
+
+    def wrench(self, time_s, body):
+        px, py, heading = body.pose_world
+        dx, dy = self.x - px, self.y - py
+        away = math.sqrt(dx * dx + dy * dy)
+        if away <= self.length:
+            return 0.0, 0.0, 0.0
+        pull = self.stiffness * (away - self.length) / away
+        c, s = math.cos(heading), math.sin(heading)
+        return pull * (c * dx + s * dy), pull * (c * dy - s * dx), 0.0
+
+
+class Sloshing:
+    """All the water swings to and fro along one line."""
+
+    def __init__(self, speed, cycle, way, phase):
+        self.speed, self.cycle, self.way, self.phase = speed, cycle, way, phase
+
+    def flow(self, time_s, position_world_m):
+        now = self.speed * math.cos(math.tau * time_s / self.cycle + self.phase)
+        return now * math.cos(self.way), now * math.sin(self.way)
+
+
+class Misfire:
+    """A limb that does nothing in some of its strokes, at random."""
+
+    def __init__(self, limb, share):
+        self.limb, self.share = limb, share
+
+    def stroke(self, stroke, history, rng):
+        if stroke.limb == self.limb and rng.random() < self.share:
+            stroke.gain = 0.0
+
+
+class Break:
+    """A limb that breaks midway."""
+
+    def __init__(self, limb, at, rest):
+        self.limb, self.at, self.rest = limb, at, rest
+
+    def stroke(self, stroke, history, rng):
+        if stroke.limb == self.limb and stroke.time_s >= self.at:
+            stroke.gain *= self.rest
+
+
+class SharedBattery:
+    """Each of two limbs is weaker where the other one fired just before."""
+
+    def __init__(self, limb, other, loss, within):
+        self.pair, self.loss, self.within = (limb, other), loss, within
+        self.last = {}
+
+    def stroke(self, stroke, history, rng):
+        if stroke.limb not in self.pair:
+            return
+        other = self.pair[1 - self.pair.index(stroke.limb)]
+        if 0.0 <= stroke.time_s - self.last.get(other, -1e9) < self.within:
+            stroke.gain *= 1.0 - self.loss
+        self.last[stroke.limb] = stroke.time_s
+
+
+class Slime:
+    """Resists along the motion with a power of the speed; ``drag`` is the force at 3 cm/s."""
+
+    def __init__(self, drag, power):
+        self.drag, self.power = drag, power
+
+    def wrench(self, time_s, body):
+        forward, left, _ = body.velocity_body
+        speed = math.hypot(forward, left)
+        if speed < 1e-9:
+            return 0.0, 0.0, 0.0
+        force = self.drag * (speed / 0.03) ** self.power
+        return -force * forward / speed, -force * left / speed, 0.0
+
+
+class ByHeading:
+    """Strokes are weaker the more the robot points to one side."""
+
+    def __init__(self, depth, towards):
+        self.depth, self.towards, self.heading = depth, towards, 0.0
+
+    def wrench(self, time_s, body):
+        self.heading = body.pose_world[2]
+        return 0.0, 0.0, 0.0
+
+    def stroke(self, stroke, history, rng):
+        stroke.gain *= 1.0 - self.depth * math.cos(0.5 * (self.heading - self.towards)) ** 2
+
+
+class Patch:
+    """A round patch of weeds, densest in its middle, with an end."""
+
+    def __init__(self, drag, x, y, radius):
+        self.drag, self.x, self.y, self.radius = drag, x, y, radius
+
+    def wrench(self, time_s, body):
+        x, y, _ = body.pose_world
+        away = math.hypot(x - self.x, y - self.y) / self.radius
+        here = self.drag * (1.0 - away * away) ** 2 if away < 1.0 else 0.0
+        forward, left, _ = body.velocity_body
+        return -here * forward, -here * left, 0.0
+
+
+class LaggingClock:
+    """The camera's clock is behind for a part of each cycle: fixes are older than they say."""
+
+    def __init__(self, late, cycle, share, begin):
+        self.late, self.cycle, self.share, self.begin = late, cycle, share, begin
+
+    def fix(self, fix, rng):
+        if (fix.capture_s - self.begin) % self.cycle < self.share * self.cycle:
+            fix.capture_s += self.late
+            fix.delay_s -= self.late
+        return fix
+
+
+class Jumps:
+    """Some fixes are far off, at random."""
+
+    def __init__(self, share, size):
+        self.share, self.size = share, size
+
+    def fix(self, fix, rng):
+        if rng.random() < self.share:
+            way = math.tau * rng.random()
+            fix.x_m += self.size * math.cos(way)
+            fix.y_m += self.size * math.sin(way)
+        return fix
+
+
+class Magnet:
+    """Turns the robot towards one heading, as a compass needle."""
+
+    def __init__(self, torque, towards):
+        self.torque, self.towards = torque, towards
+
+    def wrench(self, time_s, body):
+        return 0.0, 0.0, -self.torque * math.sin(body.pose_world[2] - self.towards)
+
+
+class Fan:
+    """Is switched on midway and pushes one way from then on."""
+
+    def __init__(self, x, y, at):
+        self.x, self.y, self.at = x, y, at
+
+    def wrench(self, time_s, body):
+        if time_s < self.at:
+            return 0.0, 0.0, 0.0
+        c, s = math.cos(body.pose_world[2]), math.sin(body.pose_world[2])
+        return c * self.x + s * self.y, c * self.y - s * self.x, 0.0
+'''
+
+
+def _planted(kind: str, **values: float | str) -> Table:
+    return {"file": LAWS_FILE, "class": kind, **values}
+
+
+def _cable(rng: np.random.Generator) -> Table:
+    """A cable, or as often a spring, which is taut everywhere."""
+    at = {"x": between(rng, -0.1, 0.5), "y": between(rng, -0.3, 0.3)}
+    length = between(rng, 0.1, 0.25) if rng.random() < 0.5 else 0.0
+    return _planted("Cable", stiffness=spread(rng, 0.003, 0.05), **at, length=length)
+
+
+def _sloshing(rng: np.random.Generator) -> Table:
+    way, phase = (between(rng, -math.pi, math.pi) for _ in range(2))
+    return _planted(
+        "Sloshing", speed=spread(rng, 0.003, 0.03), cycle=between(rng, 5.0, 10.0), way=way, phase=phase
+    )
+
+
+def _misfire(rng: np.random.Generator) -> Table:
+    return _planted("Misfire", limb=str(rng.choice(LIMBS)), share=between(rng, 0.1, 0.4))
+
+
+def _break(rng: np.random.Generator) -> Table:
+    return _planted(
+        "Break", limb=str(rng.choice(LIMBS)), at=between(rng, 7.0, 13.0), rest=between(rng, 0.0, 0.6)
+    )
+
+
+PAIRS = (
+    ("front_left", "front_right"),
+    ("rear_left", "rear_right"),
+    ("front_right", "rear_left"),
+    ("front_left", "rear_right"),
+)
+"""Limbs that fire both together and apart in the paper's nine actions; the later one, in the robot's order
+where both fire at once, is the one that is weaker."""
+
+
+def _shared_battery(rng: np.random.Generator) -> Table:
+    limb, other = PAIRS[rng.integers(len(PAIRS))]
+    loss, within = between(rng, 0.25, 0.8), between(rng, 0.3, 0.6)
+    return _planted("SharedBattery", limb=limb, other=other, loss=loss, within=within)
+
+
+def _slime(rng: np.random.Generator) -> Table:
+    return _planted("Slime", drag=spread(rng, 2e-4, 2e-3), power=float(rng.choice([0.5, 1.0, 3.0])))
+
+
+def _by_heading(rng: np.random.Generator) -> Table:
+    return _planted("ByHeading", depth=between(rng, 0.1, 0.4), towards=between(rng, -math.pi, math.pi))
+
+
+def _patch(rng: np.random.Generator) -> Table:
+    """Where the paper's paths lead through."""
+    at = {"x": between(rng, 0.1, 0.35), "y": between(rng, -0.08, 0.08)}
+    return _planted("Patch", drag=spread(rng, 0.2, 1.5), **at, radius=between(rng, 0.1, 0.2))
+
+
+def _clock(rng: np.random.Generator) -> Table:
+    cycle = between(rng, 5.0, 9.0)
+    late, share = between(rng, 0.08, 0.25), between(rng, 0.3, 0.6)
+    return _planted("LaggingClock", late=late, cycle=cycle, share=share, begin=between(rng, 0.0, cycle))
+
+
+def _jumps(rng: np.random.Generator) -> Table:
+    return _planted("Jumps", share=between(rng, 0.02, 0.1), size=spread(rng, 0.003, 0.02))
+
+
+def _magnet(rng: np.random.Generator) -> Table:
+    return _planted("Magnet", torque=spread(rng, 1e-5, 1e-4), towards=between(rng, -math.pi, math.pi))
+
+
+def _fan(rng: np.random.Generator) -> Table:
+    force, way = spread(rng, 2e-4, 3e-3), rng.uniform(-math.pi, math.pi)
+    x, y = float(np.round(force * np.cos(way), 6)), float(np.round(force * np.sin(way), 6))
+    return _planted("Fan", x=x, y=y, at=between(rng, 7.0, 13.0))
+
+
+Draw = Callable[[np.random.Generator], Table]
+
+DRAWN: Mapping[str, Sequence[Draw]] = {
+    "spring to a point": (_cable,),
+    "sloshing": (_sloshing,),
+    "misfire": (_misfire,),
+    "break": (_break,),
+    "spring to a point + break": (_cable, _break),
+    "shared battery": (_shared_battery,),
+    "other drag": (_slime,),
+    "thrust by heading": (_by_heading,),
+    "patch of weeds": (_patch,),
+    "sloshing + patch of weeds": (_sloshing, _patch),
+    "lagging clock": (_clock,),
+    "jumping fixes": (_jumps,),
+    "magnet": (_magnet,),
+    "fan from a moment on": (_fan,),
+    "spring to a point + thrust by heading": (_cable, _by_heading),
+}
+"""Kind -> what is planted at once. Every fifth is of two effects."""
+
+
+def drawn(draws: Sequence[Draw], rng: np.random.Generator) -> list[Table]:
+    """The tables of a world of a kind."""
+    return [draw(rng) for draw in draws]
+
+
+@dataclass(frozen=True)
+class Right:
+    """Which law is right.
+
+    Attributes:
+        titles: of the laws that are the same thing; any of them is right.
+        near: parameter -> value and how far from it the law's may be; parameters that a law lacks do not
+            count.
+        chance: ("stroke" | "fix", limb or ""): any law on that whose formula has ``chance`` is right.
+    """
+
+    titles: tuple[str, ...] = ()
+    near: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    chance: tuple[str, str] | None = None
+
+    def holds(self, term: Term) -> bool:
+        """Whether an effect that was found is this law."""
+        keys = dict(term.table)
+        values = dict(zip((p.name for p in term.parameters), term.values, strict=True))
+        if self.chance is not None:
+            on, limb = self.chance
+            formulas = " ".join(str(value) for value in keys.values())
+            same = term.name == "law" and keys["on"] == on and "chance" in formulas
+            return same and keys.get("limb", "") == limb
+        return term.title in self.titles and all(
+            abs(values[name] - value) <= far for name, (value, far) in self.near.items() if name in values
+        )
+
+
+MOMENT_S, PLACE_M, CYCLE = 3.0, 0.12, 0.1
+"""How far off a moment (two periods) and a place may be, and a cycle by its share."""
+
+
+def _cycle(table: Table) -> dict[str, tuple[float, float]]:
+    return {"cycle": (table["cycle"], CYCLE * table["cycle"])}
+
+
+def _place(table: Table) -> dict[str, tuple[float, float]]:
+    return {f"at_{axis}": (table[axis], PLACE_M) for axis in "xy"}
+
+
+def _right_cable(table: Table) -> Right:
+    # A spring without slack is a force that falls in proportion to both coordinates.
+    same = ("push that grows with place",) if not table["length"] else ()
+    return Right(("spring", *same), _place(table))
+
+
+RIGHT: Mapping[str, Callable[[Table], Right]] = {
+    "Cable": _right_cable,
+    "Sloshing": lambda table: Right(("sloshing",), _cycle(table)),
+    "Misfire": lambda table: Right(chance=("stroke", table["limb"])),
+    "Break": lambda table: Right(
+        (f"stroke from a moment on {table['limb']}",), {"at": (table["at"], MOMENT_S)}
+    ),
+    "SharedBattery": lambda table: Right((f"stroke after {table['limb']} {table['other']}",)),
+    "Slime": lambda table: Right(("drag power",), {"power": (table["power"], 1.0)}),
+    "ByHeading": lambda _table: Right(("stroke by heading all",)),
+    "HeadingGain": lambda _table: Right(("stroke by heading all",)),
+    "Patch": lambda table: Right(("patch",), _place(table)),
+    "LaggingClock": lambda table: Right(("fixes late at intervals",), _cycle(table)),
+    "Jumps": lambda _table: Right(chance=("fix", "")),
+    "Magnet": lambda _table: Right(("compass",)),
+    "Fan": lambda table: Right(("push from a moment on",), {"at": (table["at"], MOMENT_S)}),
+    "ClockGain": lambda table: Right(
+        ("stroke in rhythm all",), {"cycle": (table["period_s"], CYCLE * table["period_s"])}
+    ),
+    "Waves": lambda table: Right(("sloshing",), {"cycle": (table["period_s"], CYCLE * table["period_s"])}),
+    "Whirl": lambda _table: Right(("flow that grows with place",)),
+}
+"""Class of a planted effect -> which law is right; also for those of *outside* that a law can be."""
+
+
+def rights(tables: Sequence[Table]) -> list[Right]:
+    """Which laws are right for what is planted; empty where no law is."""
+    found = [RIGHT[str(table["class"])](table) for table in tables if table.get("class") in RIGHT]
+    return found if len(found) == len(tables) else []

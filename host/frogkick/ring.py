@@ -33,9 +33,9 @@ from frogkick.runs.closed_loop import RunOptions
 from frogkick.runs.decision import DecisionTwin
 from frogkick.runs.record import Tracking
 from frogkick.runs.replay import compare, replay_on_host
-from frogkick.runs.residual import Residual, residual
 from frogkick.runs.runlog import RunLog
 from frogkick.runs.runlog_file import write_run
+from frogkick.runs.summary import Residual, residual
 from frogkick.runs.trial import Trial, swim
 from frogkick.tables.image import Tables, read_image
 from frogkick_codegen.emit import emit

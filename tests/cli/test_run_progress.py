@@ -11,7 +11,7 @@ from tests.runs import rig
 
 from frogkick.front.run_progress import RunProgress
 from frogkick.runs.closed_loop import Recording
-from frogkick.runs.live_check import LiveCheck
+from frogkick.runs.decision import LiveCheck
 
 
 def test_progress_comes_with_the_plan_its_cost_and_the_distance() -> None:

@@ -64,7 +64,7 @@ def test_a_bad_line_is_named(pipe: tuple[LineFixes, Callable[[bytes], None], Cal
     with suppress(InputError):
         while time.monotonic() < deadline_s:
             fixes.wait_first(1.0)
-    with pytest.raises(InputError, match="the pipe line 2: 'hello' is no position fix"):
+    with pytest.raises(InputError, match="the pipe line 2: 'hello' is not a position fix"):
         fixes.advance(1.0)
 
 
@@ -80,8 +80,8 @@ def test_no_fix(pipe: tuple[LineFixes, Callable[[bytes], None], Callable[[], Non
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("1 2", "is no position fix"),
-        ("1 2 3 4 5", "is no position fix"),
+        ("1 2", "is not a position fix"),
+        ("1 2 3 4 5", "is not a position fix"),
         ("nan 0 0", "x_m is nan"),
         ("0 inf 0", "y_m is inf"),
         ("0 1001 0", "y_m is 1001.0, allowed is -1000 to 1000: check the tracker's units"),

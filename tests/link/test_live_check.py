@@ -19,9 +19,9 @@ from frogkick.link.layout import link_layout
 from frogkick.paths import shape
 from frogkick.planner.plan import PlanConfig
 from frogkick.runs.closed_loop import TIME, RunOptions, run_session
+from frogkick.runs.decision import LiveCheck
 from frogkick.runs.lab_port import LabPort
 from frogkick.runs.lab_session import LabSession
-from frogkick.runs.live_check import LiveCheck
 from frogkick.runs.live_log import logged, part_of
 from frogkick.runs.runlog_file import read_run
 from frogkick.runs.session import Session
@@ -71,7 +71,7 @@ def test_host_and_robot_agree(transport: str, tmp_path: Path, monkeypatch: pytes
         source = LivePool(robot.pulses, robot.clock)
         path = shape(PATH)
         recording = run_session(
-            session, source, rig.tables(), path, options, lambda _t, _i: told.append(check.said)
+            session, source, rig.tables(), path, options, lambda _t, _i: told.append(check.text)
         )
     assert recording.ended == TIME and len(recording.decisions) == 3
     assert check.as_json() == {"decisions_checked": 3, "decisions_unchecked": 0, "mismatches": 0}
@@ -112,7 +112,7 @@ def test_after_a_drop_nothing_is_compared_and_that_is_told(
         source = LivePool(robot.pulses, robot.clock)
         run_session(session, source, rig.tables(), shape(PATH), options, drop)
     assert (check.agreed, check.unchecked) == (1, 1)
-    assert check.said == "host agrees with 1 decisions, 1 not compared after a gap"
+    assert check.text == "host agrees with 1 decisions, 1 not compared after a gap"
 
 
 def test_the_command_tells_the_agreement(capsys: pytest.CaptureFixture[str]) -> None:

@@ -16,8 +16,8 @@ from frogkick.runs.closed_loop import Recording, RunOptions
 from frogkick.runs.decision import DecisionTwin
 from frogkick.runs.record import run_log, tracking_of_recording
 from frogkick.runs.replay import compare, replay, replay_on_host
-from frogkick.runs.residual import true_poses_at
 from frogkick.runs.runlog import RunLog
+from frogkick.runs.summary import true_poses_at
 
 BAD = Camera(rate_hz=15.0, jitter_s=0.2, lost=0.2, doubled=0.1, held=0.1, outliers=0.05)
 STATUS = link_layout().status

@@ -10,8 +10,8 @@ import pytest
 from frogkick.core.errors import InputError
 from frogkick.paths import Path, line, wrap_angle
 from frogkick.runs.record import along_path
-from frogkick.runs.residual import residual, true_poses_at
 from frogkick.runs.runlog import Decisions, Fixes, RunLog, Strokes, Truth
+from frogkick.runs.summary import residual, true_poses_at
 
 PERIOD_S = 1.4
 
@@ -82,9 +82,9 @@ def test_residual_counts_only_whole_periods_with_a_prediction() -> None:
     missed = residual(dataclasses.replace(run, truth=short))
     assert missed.time_s.max() + PERIOD_S <= 5.0
     assert len(missed.time_s) == int((run.decisions.time_s + PERIOD_S <= short.time_s[-1]).sum())
-    with pytest.raises(InputError, match="no whole period"):
+    with pytest.raises(InputError, match="no complete period"):
         residual(dataclasses.replace(run, truth=None))
-    with pytest.raises(InputError, match="no truth"):
+    with pytest.raises(InputError, match="no true poses"):
         true_poses_at(dataclasses.replace(run, truth=None), [1.0])
     bare = dataclasses.replace(run.decisions, predicted=None)
     with pytest.raises(InputError, match="no predictions"):

@@ -14,9 +14,9 @@ from tests.runs import rig
 from frogkick.paths import shape
 from frogkick.planner.plan import PlanConfig
 from frogkick.runs.closed_loop import Recording, RunOptions
-from frogkick.runs.decision import DecisionTwin
+from frogkick.runs.decision import DecisionTwin, warm_up
+from frogkick.runs.lab_session import SWITCH_S, real_time_guard
 from frogkick.runs.live_log import LiveLog, logged, part_of
-from frogkick.runs.real_time import SWITCH_S, real_time_guard, warm_up
 from frogkick.runs.runlog_file import read_run
 
 
@@ -50,8 +50,7 @@ def test_a_twin_is_warm_once_it_has_decided(path: str, monkeypatch: pytest.Monke
 COMPILED_LATER = """
 from numba.core import event
 import numpy as np
-from frogkick.runs.decision import DecisionTwin
-from frogkick.runs.real_time import warm_up
+from frogkick.runs.decision import DecisionTwin, warm_up
 from frogkick.paths import shape
 from frogkick.tables.image import read_image
 from frogkick.planner.plan import PlanConfig, config_of
@@ -70,7 +69,7 @@ for number in range(60):
         twin.act(100_000 * number + 50_000, decided.action)
         chosen += decided.status == 0
     if number == 40:
-        twin.lose()
+        twin.restart()
 print(chosen, *[when.data["dispatcher"].py_func.__name__ for _, when in recorder.buffer if when.is_start])
 """
 

@@ -28,10 +28,10 @@ from frogkick.pool.native_robot import NativeRobot
 from frogkick.robot import Robot
 from frogkick.runs.camera_fixes import CameraFixes
 from frogkick.runs.closed_loop import Recording, RunOptions, run_session
+from frogkick.runs.decision import warm_up
 from frogkick.runs.lab_session import LabSession, lab_session, stops_are_interrupts
 from frogkick.runs.line_fixes import LineFixes
 from frogkick.runs.pool_fixes import PoolFixes
-from frogkick.runs.real_time import warm_up
 from frogkick.runs.start_checks import check_battery, check_start, look
 from frogkick.runs.text_robot import TextRobot
 from frogkick.tables.image import Tables

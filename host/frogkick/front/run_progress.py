@@ -8,7 +8,7 @@ from contextlib import contextmanager
 
 from frogkick.core.progress import Tell
 from frogkick.runs.closed_loop import Recording
-from frogkick.runs.live_check import LiveCheck
+from frogkick.runs.decision import LiveCheck
 from frogkick.tables.image import Tables
 
 SLOW_S = 2.0
@@ -48,7 +48,7 @@ class RunProgress:
 
     def progress(self, _time_s: float, index: int) -> None:
         """Show the state after a decision at the nearest path point."""
-        notes = [self._plan(), "" if self._check is None else self._check.said]
+        notes = [self._plan(), "" if self._check is None else self._check.text]
         self._tell(index + 1, self._points, ", ".join(note for note in notes if note))
 
     def _plan(self) -> str:

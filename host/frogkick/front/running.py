@@ -48,9 +48,9 @@ from frogkick.pool.pool import Pool
 from frogkick.robot import Robot
 from frogkick.runs.camera_fixes import CameraFixes
 from frogkick.runs.closed_loop import ENDED, Recording, RunOptions, require_seed, require_time, run_session
+from frogkick.runs.decision import LiveCheck
 from frogkick.runs.export_csv import columns_of, export_csv
 from frogkick.runs.export_mcap import export_mcap
-from frogkick.runs.live_check import LiveCheck
 from frogkick.runs.live_log import CUT_OFF, logged, part_of
 from frogkick.runs.record import BATTERY_V, Tracking, made_of, run_log, tracking_of_recording
 from frogkick.runs.recorded import import_recorded

@@ -12,9 +12,8 @@ from matplotlib.figure import Figure
 
 from frogkick.core.poses import wrap_angle
 from frogkick.report import style
-from frogkick.runs.residual import residual, true_poses_at
 from frogkick.runs.runlog import RunLog
-from frogkick.runs.summary import track_of
+from frogkick.runs.summary import residual, track_of, true_poses_at
 
 FloatArray = npt.NDArray[np.float64]
 

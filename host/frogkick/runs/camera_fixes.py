@@ -1,4 +1,4 @@
-"""Position fixes from the camera over the pool: pictures in, poses out, in a thread of its own."""
+"""Position fixes from the camera over the pool, found in a thread of its own."""
 
 from __future__ import annotations
 
@@ -12,28 +12,26 @@ import numpy as np
 from numpy.typing import NDArray
 
 from frogkick.core.errors import InputError
-from frogkick.core.interrupts import Bell
 from frogkick.core.poses import Fix
+from frogkick.runs.fix_buffer import FixBuffer
 from frogkick.vision.calibration import Calibration
 from frogkick.vision.sources import Frame
 from frogkick.vision.tracker import Tracker
 from frogkick.vision.video import Video
 
-POLL_S = 0.002
-KEEP_S = 2.0
 AWAKE_S = 0.1
 STALL_S = 1.0
-"""Without a picture of a live camera: its driver hangs, and does not say so."""
+"""A live camera that gives no picture for longer hangs."""
 
 
 @dataclass(frozen=True)
 class Sighting:
-    """A picture, and the tag in it.
+    """A picture and the tag in it.
 
     Attributes:
-        image: (height, width) grey or (height, width, 3) BGR; nobody writes to it.
-        captured_s: when it was taken, on the fixes' clock.
-        corners_px: (4, 2) of the tag, trusted or not; None where there is none.
+        image: (height, width) grey or (height, width, 3) BGR; read-only.
+        captured_s: capture time on the fixes' clock.
+        corners_px: (4, 2) of the tag, trusted or not; None without a tag.
     """
 
     image: NDArray[np.uint8]
@@ -41,16 +39,16 @@ class Sighting:
     corners_px: NDArray[np.float64] | None
 
 
-class CameraFixes:
+class CameraFixes(FixBuffer):
     """A ``FixSource`` that finds the robot's tag in each picture; poses are in the pool's frame.
 
-    Pictures of a camera count from when its driver handed them over. Those of a video or a folder come as
-    fast as they were taken, as if a camera saw them now; their end is a camera that sees nothing more.
+    A live picture is captured when the driver hands it over. Pictures of a video or a folder are played at
+    the rate at which they were taken.
 
     Attributes:
         calibration: of the camera.
-        reasons: how many pictures told a pose (``found``), or why not.
-        newest: the last picture that was looked at; None before the first.
+        reasons: number of pictures with a pose (``found``), and of those without, by reason.
+        newest: the last picture; None before the first.
     """
 
     def __init__(
@@ -60,42 +58,32 @@ class CameraFixes:
         name: str,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        """Begin to look.
+        """Start to find fixes.
 
         Args:
-            frames: pictures, as they come.
-            calibration: of the camera that took them.
+            frames: pictures of the camera.
+            calibration: of the camera.
             name: of the camera, for people.
-            clock: in s, the one that live pictures' capture times are of.
+            clock: of the live pictures' capture times, in s.
         """
+        super().__init__(name, clock)
         self.calibration = calibration
         self.reasons: Counter[str] = Counter()
         self.newest: Sighting | None = None
-        self._frames, self._tracker, self._name, self._clock = frames, Tracker(calibration), name, clock
-        self._lock = threading.Lock()
-        self._bell = Bell()
+        self._frames, self._tracker = frames, Tracker(calibration)
         self._stop = threading.Event()
-        self._poses: list[tuple[float, tuple[float, float, float]]] = []
-        self._error: Exception | None = None
         self._video: Video | None = None
-        self._sequence = 0
-        self._looked_s = 0.0
-        self._heard_s: float | None = None  # when a live camera gave its last picture
+        self._last_picture_s: float | None = None  # of a live camera
         self._quiet_since_s: float | None = None
         self._quiet_s = 0.0
-        self._asked_s = clock()
+        self._checked_s = clock()
         self._thread = threading.Thread(target=self._look, name=name, daemon=True)
         self._thread.start()
 
     @property
     def ended(self) -> bool:
-        """Whether its pictures have come to their end, as those of a video do."""
+        """Whether there are no more pictures, as at the end of a video."""
         return not self._thread.is_alive()
-
-    @property
-    def next_event_s(self) -> float:
-        """A moment later: nobody knows when the next picture comes."""
-        return self._looked_s + POLL_S
 
     def wait_first(self, timeout_s: float) -> None:
         """Wait for the first pose.
@@ -108,57 +96,41 @@ class CameraFixes:
             if self._error is not None:
                 raise self._error
             if not self.reasons["found"]:
-                told = ", ".join(f"{count} x {reason}" for reason, count in self.reasons.most_common())
+                reasons = ", ".join(f"{count} x {reason}" for reason, count in self.reasons.most_common())
                 raise InputError(
-                    f"{self._name} saw no tag within {timeout_s:g} s ({told or 'not one picture came'}): put "
-                    "the robot under it, and look at 'frogkick camera check'"
+                    f"{self._name} saw no tag within {timeout_s:g} s ({reasons or 'no picture came'}): put "
+                    "the robot under it, and try 'frogkick camera check'"
                 )
 
     def advance(self, until_s: float) -> list[Fix]:
-        """Fixes that came since the last call; those older than 2 s are left out.
+        """Return the fixes that arrived since the last call and are at most 2 s old.
 
         Raises:
-            InputError: the camera failed: unplugged, frozen, hanging, of another size than its calibration.
+            InputError: the camera failed: unplugged, frozen, hanging, or of another size than its
+                calibration.
         """
-        self._looked_s = until_s
+        fixes = super().advance(until_s)
         with self._lock:
-            if self._error is not None:
-                raise self._error
-            taken, self._poses = self._poses, []
-            heard_s, now_s = self._heard_s, self._clock()
-        self._require_alive(heard_s, now_s)
-        fixes = []
-        for captured_s, pose in taken:
-            age_s = now_s - captured_s
-            if age_s <= KEEP_S:
-                capture_s = until_s - age_s
-                fixes.append(Fix(capture_s, until_s - capture_s, *pose, sequence=self._sequence))
-                self._sequence = (self._sequence + 1) & 0xFFFF
-        return fixes
-
-    def _require_alive(self, heard_s: float | None, now_s: float) -> None:
-        """Refuse a live camera that has given nothing for ``STALL_S``, this program being awake."""
-        # A computer that slept or was busy elsewhere kept the camera's thread from its pictures as well.
-        awake_s, self._asked_s = min(now_s - self._asked_s, AWAKE_S), now_s
-        if heard_s is None or heard_s != self._quiet_since_s:
-            self._quiet_since_s, self._quiet_s = heard_s, 0.0
-            return
+            last_s, now_s = self._last_picture_s, self._clock()
+        # A computer that slept or was busy kept the camera's thread from its pictures as well.
+        awake_s, self._checked_s = min(now_s - self._checked_s, AWAKE_S), now_s
+        if last_s is None or last_s != self._quiet_since_s:
+            self._quiet_since_s, self._quiet_s = last_s, 0.0
+            return fixes
         self._quiet_s += awake_s
         if self._quiet_s > STALL_S:
             raise InputError(
-                f"{self._name} has given no picture for {now_s - heard_s:.1f} s: plug it in again, or choose "
+                f"{self._name} has given no picture for {now_s - last_s:.1f} s: plug it in again, or choose "
                 "a lower rate or another port"
             )
+        return fixes
 
     def film(self, video: Video) -> None:
-        """Keep each picture from now on; its fix has gone before it is written."""
+        """Write each picture from now on to a video, after its fix was found."""
         self._video = video
 
-    def actuate(self, limb: int, start_s: float) -> None:
-        """A real limb needs no telling."""
-
     def close(self) -> None:
-        """Let the camera go."""
+        """Release the camera."""
         self._stop.set()
         self._thread.join(timeout=2.0)
 
@@ -174,7 +146,7 @@ class CameraFixes:
                 if self._stop.is_set():
                     return
                 with self._lock:
-                    self._heard_s = self._clock() if frame.live else None
+                    self._last_picture_s = self._clock() if frame.live else None
                 seen = self._tracker.observe(frame.image, captured_s)
                 self.newest = Sighting(frame.image, captured_s, seen.corners_px)
                 with self._lock:
@@ -185,13 +157,13 @@ class CameraFixes:
                     self._bell.ring()
                 if self._video is not None:
                     self._video.write(frame.image, captured_s)
-        except Exception as error:  # whatever it is, the run has to hear of it and disarm the robot
+        except Exception as error:  # advance raises it, so that the robot is disarmed
             with self._lock:
                 self._error = error
                 self._bell.ring()
         finally:
             with self._lock:
-                self._heard_s = None  # the end of the pictures is told otherwise
+                self._last_picture_s = None  # an end of the pictures is no stall
             close = getattr(self._frames, "close", None)
             if close is not None:
                 close()

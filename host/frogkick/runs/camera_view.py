@@ -1,4 +1,4 @@
-"""What a viewer shows of a camera: its newest picture, and where the pool's places are in it."""
+"""A camera's newest picture for the viewer, and points of the pool in its pixels."""
 
 from __future__ import annotations
 
@@ -15,21 +15,21 @@ from frogkick.runs.camera_fixes import CameraFixes, Sighting
 FloatArray = NDArray[np.float64]
 
 EVERY_S = 0.1
-"""However many pages ask, no two pictures are made of less than this apart."""
+"""Shortest time between two encoded pictures, however many pages ask."""
 WIDTH_MOST_PX = 960
-"""Wider pictures are made smaller: a page is no wider, and nobody waits for the rest."""
+"""Wider pictures are scaled down to this width."""
 QUALITY = 80
 
 
 class CameraView:
-    """A camera's pictures as JPEG, made in the thread of whoever asks: where nobody does, they cost nothing.
+    """A camera's pictures as JPEG, encoded on request in the caller's thread.
 
     Attributes:
-        size_px: width and height of the camera's pictures, which all pixels told here are of.
+        size_px: width and height of the camera's own pictures; all pixels here refer to them.
     """
 
     def __init__(self, camera: CameraFixes) -> None:
-        """Show what a camera sees; it stays the caller's to close."""
+        """Show a camera, which the caller closes."""
         self._camera = camera
         self.size_px = camera.calibration.image_px
         self._lock = threading.Lock()
@@ -38,18 +38,17 @@ class CameraView:
         self._jpeg = b""
 
     def pixels(self, points_world_m: FloatArray) -> FloatArray:
-        """(n, 2) pixels, lens included, of (n, 2) places in the pool at the tag's height."""
+        """(n, 2) pixels, with lens distortion, of (n, 2) points of the pool at the tag's height."""
         calibration = self._camera.calibration
         if not len(points_world_m):
             return np.zeros((0, 2))
         return calibration.distort(calibration.pixels(np.asarray(points_world_m, dtype=np.float64)))
 
     def picture(self) -> tuple[bytes, dict[str, str]] | None:
-        """The newest picture as JPEG, and what is known of it; None before the first.
+        """The newest picture as JPEG, and HTTP headers about it; None before the first.
 
-        Returns:
-            The picture, at most ``WIDTH_MOST_PX`` wide, and ``X-Capture-S``, ``X-Tag``: (4, 2) pixels of the
-            tag's corners in it, or null, as JSON.
+        The headers are ``X-Capture-S`` and ``X-Tag``: JSON of the (4, 2) pixels of the tag's corners, or
+        null.
         """
         with self._lock:
             newest, now_s = self._camera.newest, time.monotonic()
@@ -59,11 +58,11 @@ class CameraView:
             if self._shown is None:
                 return None
             corners = self._shown.corners_px
-            told = {
+            headers = {
                 "X-Capture-S": f"{self._shown.captured_s:.4f}",
                 "X-Tag": json.dumps(None if corners is None else np.round(corners, 1).tolist()),
             }
-            return self._jpeg, told
+            return self._jpeg, headers
 
 
 def _jpeg(image: NDArray[np.uint8]) -> bytes:

@@ -23,11 +23,11 @@ from frogkick.runs.decision import (
     RESTING,
     Decision,
     DecisionTwin,
+    LiveCheck,
     RobotEvent,
     decision_of_event,
     events_of_frame,
 )
-from frogkick.runs.live_check import LiveCheck
 from frogkick.runs.session import LinkError, Session
 from frogkick.tables.image import Tables
 

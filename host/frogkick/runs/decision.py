@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from frogkick.core.errors import CheckError
 from frogkick.estimator.estimator import LOST_US, Estimates, Estimator
 from frogkick.estimator.follow import End, Follow
 from frogkick.estimator.track import resting_action_of
@@ -233,3 +234,85 @@ class DecisionTwin:
         if self.ended is None:
             self._estimator.act(at_us, decision.action)
         return decision
+
+
+def warm_up(tables: Tables, path: Path, config: PlanConfig) -> None:
+    """Compile the twin's kernels by a short artificial run, so that no fix waits for them.
+
+    The run has fixes before and after a decision, a stroke, and another decision. Without it the first fix
+    after a stroke takes a second of compiling.
+    """
+    twin = DecisionTwin(tables, path, config)
+    pose = np.array([path.x_m[0], path.y_m[0], path.tangent_rad[0]], dtype=np.float32)
+    for sequence in range(12):
+        twin.add_fix(200_000 * sequence, pose, sequence)
+        if sequence in (3, 10):
+            twin.act(200_000 * sequence + 50_000, twin.decide(200_000 * sequence + 50_000).action)
+
+
+class LiveCheck:
+    """Compares a robot's decisions with the host's bit by bit while the run goes on.
+
+    The twin gets the inputs that the robot reports, in its order and on its clock. Once frames from the robot
+    may have been lost, the twin's inputs are incomplete, and no further decision is compared.
+
+    Attributes:
+        agreed: decisions that are the same on the host.
+        unchecked: decisions after a possible loss of frames.
+    """
+
+    def __init__(self) -> None:
+        """Start without a run."""
+        self.agreed = 0
+        self.unchecked = 0
+        self._twin: DecisionTwin | None = None
+        self._names: list[str] = []
+
+    def begin(self, tables: Tables, path: Path, config: PlanConfig) -> None:
+        """Start with a run's tables, placed path, and weights."""
+        self.agreed = self.unchecked = 0
+        self._twin = DecisionTwin(tables, path, config)
+        self._names = [row.name for row in tables.actions]
+
+    def compare(self, events: Sequence[RobotEvent], decision: Decision | None, gaps: int) -> None:
+        """Apply the events of one frame, and compare its decision.
+
+        Args:
+            events: of the frame.
+            decision: of the frame, or None.
+            gaps: how often frames from the robot may have been lost so far.
+
+        Raises:
+            CheckError: the host's decision differs.
+        """
+        if self._twin is None or gaps or self.unchecked:
+            self.unchecked += decision is not None
+            return
+        ours = None
+        for event in events:
+            ours = self._twin.apply(event) or ours
+        if decision is None:
+            return
+        assert ours is not None
+        differing = decision.differences(ours)
+        if differing:
+            theirs, mine = (
+                self._names[d.action] if d.action < len(self._names) else "no action"
+                for d in (decision, ours)
+            )
+            raise CheckError(
+                f"decision {self.agreed + 1} is {theirs} on the robot and {mine} on the host (different: "
+                f"{', '.join(differing)}), where every bit must be the same: the run is ended; send "
+                "the robot its table again ('frogkick push') or flash it"
+            )
+        self.agreed += 1
+
+    @property
+    def text(self) -> str:
+        """The result so far, for people."""
+        agreed = f"host agrees with {self.agreed} decisions"
+        return f"{agreed}, {self.unchecked} not compared after a gap" if self.unchecked else agreed
+
+    def as_json(self) -> dict[str, int]:
+        """Keys of the command ``run``; a mismatch would have ended it."""
+        return {"decisions_checked": self.agreed, "decisions_unchecked": self.unchecked, "mismatches": 0}

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import gc
 import math
 import secrets
 import signal
+import sys
 import threading
 from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
@@ -17,7 +19,6 @@ from frogkick.link.frames import hello
 from frogkick.link.layout import Value
 from frogkick.link.wire import RobotPort, Wire
 from frogkick.runs.lab_port import LabPort
-from frogkick.runs.real_time import real_time_guard
 from frogkick.runs.session import ANSWER_TIMEOUT_S, STEP_S, Arguments, Arrival, LinkError, Session
 from frogkick.tables.image import Tables
 
@@ -34,6 +35,8 @@ CLOCK_DRIFT = 1e-3
 """Part of the elapsed time that is allowed besides: twice the drift of a robot without a crystal."""
 PAUSE_S = 1.0
 """A longer time between two steps means that the program was held up or its clock was set."""
+SWITCH_S = 0.002
+"""Longest time that a computing thread keeps others waiting; Python's 5 ms are a quarter of a fix period."""
 
 
 class RealPort(RobotPort, Protocol):
@@ -190,7 +193,7 @@ class LabSession(Session):
         return self._connections != before
 
     def real_time_guard(self) -> AbstractContextManager[None]:
-        """See ``runs.real_time``."""
+        """See the function of the same name."""
         return real_time_guard()
 
     @property
@@ -250,3 +253,19 @@ def stops_are_interrupts() -> Iterator[None]:
     finally:
         for number, handler in zip(numbers, before, strict=True):
             signal.signal(number, handler)
+
+
+@contextmanager
+def real_time_guard() -> Iterator[None]:
+    """Switch threads sooner, and exclude existing objects from garbage collection.
+
+    A full collection visits all objects of numba, OpenCV and other packages, which takes 0.1 s and more.
+    """
+    before_s = sys.getswitchinterval()
+    sys.setswitchinterval(SWITCH_S)
+    gc.freeze()
+    try:
+        yield
+    finally:
+        gc.unfreeze()
+        sys.setswitchinterval(before_s)

@@ -1,4 +1,4 @@
-"""Position fixes as lines of text, from whatever tracker a lab has."""
+"""Position fixes as lines of text, from any tracker."""
 
 from __future__ import annotations
 
@@ -9,23 +9,19 @@ import time
 from collections.abc import Callable
 
 from frogkick.core.errors import InputError
-from frogkick.core.interrupts import Bell
-from frogkick.core.poses import Fix
 from frogkick.core.progress import tell_line
+from frogkick.runs.fix_buffer import FixBuffer
 
-POLL_S = 0.002
-KEEP_S = 2.0
 AGE_MAX_S = 10.0
 FIELD_M = 1000.0
 _LINE_MAX = 200
 
 
-class LineFixes:
-    """A ``FixSource`` that reads lines ``x_m y_m heading_rad [age_s]`` as they come, in a thread.
+class LineFixes(FixBuffer):
+    """A ``FixSource`` that reads lines ``x_m y_m heading_rad [age_s]`` in a thread.
 
-    Pose in the world; age from the picture to the line's arrival, 0 where it is left out. Empty lines and
-    those that begin with # are skipped. The end of the lines is told once, and is a camera that sees nothing
-    more.
+    Poses are in the world frame; the age is from the picture to the line's arrival, 0 by default. Empty lines
+    and lines that begin with # are skipped. After the end of the file no more fixes arrive.
     """
 
     def __init__(
@@ -35,34 +31,25 @@ class LineFixes:
         clock: Callable[[], float] = time.monotonic,
         tell: Callable[[str], None] = tell_line,
     ) -> None:
-        """Begin to read.
+        """Start to read.
 
         Args:
             file: descriptor to read from.
-            name: for people.
+            name: of the file, for people.
             clock: in s.
-            tell: hears of the end, in the thread that reads.
+            tell: gets a line at the end of the file, in the reading thread.
         """
-        self._file, self._name, self._clock, self._tell = file, name, clock, tell
-        self._lock = threading.Lock()
-        self._bell = Bell()
-        self._fixes: list[tuple[float, tuple[float, float, float]]] = []
-        self._error: InputError | None = None
-        self._seen = self._sequence = 0
+        super().__init__(name, clock)
+        self._file, self._tell = file, tell
+        self._seen = 0
         self._ended = False
-        self._looked_s = 0.0
         threading.Thread(target=self._read, name=name, daemon=True).start()
-
-    @property
-    def next_event_s(self) -> float:
-        """A moment later: nobody knows when the next line comes."""
-        return self._looked_s + POLL_S
 
     def wait_first(self, timeout_s: float) -> None:
         """Wait for the first fix.
 
         Raises:
-            InputError: none came in time, or a line that is none.
+            InputError: none came in time, or a line is not a fix.
         """
         self._bell.wait_for(lambda: self._seen > 0 or self._error is not None or self._ended, timeout_s)
         with self._lock:
@@ -74,29 +61,6 @@ class LineFixes:
                     f"no position fix came from {self._name} {how}: start the tracker, "
                     "whose lines are 'x_m y_m heading_rad [age_s]'"
                 )
-
-    def advance(self, until_s: float) -> list[Fix]:
-        """Fixes that came since the last call; those older than 2 s are left out.
-
-        Raises:
-            InputError: a line that is no fix.
-        """
-        self._looked_s = until_s
-        with self._lock:
-            if self._error is not None:
-                raise self._error
-            taken, self._fixes = self._fixes, []
-        now_s = self._clock()
-        fixes = []
-        for captured_s, pose in taken:
-            if now_s - captured_s <= KEEP_S:
-                capture_s = until_s - (now_s - captured_s)
-                fixes.append(Fix(capture_s, until_s - capture_s, *pose, sequence=self._sequence))
-                self._sequence = (self._sequence + 1) & 0xFFFF
-        return fixes
-
-    def actuate(self, limb: int, start_s: float) -> None:
-        """A real limb needs no telling."""
 
     def _read(self) -> None:
         rest, number = b"", 0
@@ -114,7 +78,7 @@ class LineFixes:
                     except InputError as error:
                         self._error = InputError(f"{self._name} line {number}: {error}")
                     else:
-                        self._fixes.append((now_s - age_s, pose))
+                        self._poses.append((now_s - age_s, pose))
                         self._seen += 1
                     self._bell.ring()
                     if self._error is not None:
@@ -126,7 +90,7 @@ class LineFixes:
             self._tell(f"{self._name} has ended after {self._seen} position fixes: no more will come from it")
 
     def _more(self) -> bytes:
-        # Not the buffered stream: its lock, held by a thread that waits, would not let the program end.
+        # Unbuffered: a waiting thread would hold a buffered stream's lock, and the program could not end.
         try:
             return os.read(self._file, 4096)
         except OSError:
@@ -137,7 +101,7 @@ def parse_line(text: str) -> tuple[float, tuple[float, float, float]]:
     """Age in s and pose (x_m, y_m, heading_rad) of a line.
 
     Raises:
-        InputError: not three or four numbers, or one outside its limits.
+        InputError: the line is not three or four numbers, or one is outside its limits.
     """
     words = text.replace(",", " ").split()
     try:
@@ -145,7 +109,7 @@ def parse_line(text: str) -> tuple[float, tuple[float, float, float]]:
     except ValueError:
         numbers = []
     if len(numbers) not in (3, 4):
-        raise InputError(f"{text[:60]!r} is no position fix: give 'x_m y_m heading_rad [age_s]'")
+        raise InputError(f"{text[:60]!r} is not a position fix: give 'x_m y_m heading_rad [age_s]'")
     x_m, y_m, heading_rad = numbers[:3]
     age_s = numbers[3] if len(numbers) == 4 else 0.0
     limits = {"x_m": FIELD_M, "y_m": FIELD_M, "heading_rad": 1000.0}

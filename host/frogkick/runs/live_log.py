@@ -1,7 +1,6 @@
-"""A run's log while it runs: HDF5 whose rows are on disk a moment after they come, readable after a kill.
+"""The log of a run in progress, ``run.h5.part``: HDF5 that is flushed after each row, readable after a kill.
 
-Beside the log that is asked for, as ``run.h5.part``, in its layout; what was not known yet (the robot's
-answer to a fix) is as if it never came. A run that ends by itself writes its log whole, and this one goes.
+It has the layout of a run's log. The caller deletes it once the complete log is written.
 """
 
 from __future__ import annotations
@@ -32,7 +31,7 @@ CUT_OFF = "cut off while it ran"
 
 @dataclass(frozen=True)
 class _Answer:
-    """What the robot answered to the fix of a row that was written before."""
+    """The robot's answer to the fix of an earlier row."""
 
     row: int
     capture_us: int
@@ -40,27 +39,27 @@ class _Answer:
 
 
 def part_of(target: pathlib.Path) -> pathlib.Path:
-    """Where the rows of a run are kept until it has ended."""
+    """File of the log in progress, beside the run's log."""
     return target.with_name(target.name + ".part")
 
 
 class LiveLog:
-    """Rows of one run, appended and flushed by a thread of its own, so that no fix waits for the disk."""
+    """Appends and flushes rows of a run in a thread of its own, so that no fix waits for the disk."""
 
     def __init__(self, target: pathlib.Path, empty: RunLog, onboard: bool) -> None:
-        """Begin a log beside ``target``.
+        """Create the file.
 
         Args:
             target: the run's log, not written here.
-            empty: a log of the run without any row: robot, path, planner.
-            onboard: the robot decides, on its own clock.
+            empty: a log of the run without rows: robot, path, planner.
+            onboard: whether decision times are on the robot's clock.
 
         Raises:
-            InputError: it cannot be written there.
+            InputError: the file cannot be written.
         """
         self.path = part_of(target)
         self._fixes = self._decisions = 0
-        self._open: list[int] = []
+        self._unanswered: list[int] = []
         self._onboard = onboard
         try:
             target.parent.mkdir(parents=True, exist_ok=True)
@@ -69,8 +68,7 @@ class LiveLog:
             raise InputError(f"cannot write {str(self.path)!r} ({error}): choose another --out") from error
         fill(self._file, empty, CHUNK_ROWS)
         self._file.attrs["live"] = True
-        # From here on another program, or the next one after a kill, reads what was flushed.
-        self._file.swmr_mode = True
+        self._file.swmr_mode = True  # from here on other programs can read what was flushed
         self._lock = threading.Lock()
         self._condition = threading.Condition(self._lock)
         self._written = Bell()
@@ -81,7 +79,7 @@ class LiveLog:
         self._thread.start()
 
     def keep(self, recording: Recording) -> None:
-        """Hand over what is new: it is on the disk a few hundredths of a second later.
+        """Hand over new rows, which are on the disk some 0.02 s later.
 
         Raises:
             InputError: the disk is full.
@@ -89,12 +87,12 @@ class LiveLog:
         if self._error is not None:
             raise self._full() from self._error
         new, decided = len(recording.fixes) - self._fixes, len(recording.decisions) - self._decisions
-        told = [row for row in self._open if recording.fix_status[row] is not None]
-        if not (new or decided or told):
+        answered = [row for row in self._unanswered if recording.fix_status[row] is not None]
+        if not (new or decided or answered):
             return
         rows: list[Fixes | Decisions | _Answer] = []
-        if new or told:
-            rows += self._new_fixes(recording, told)
+        if new or answered:
+            rows += self._new_fixes(recording, answered)
         if decided:
             rows.append(self._new_decisions(recording))
         with self._lock:
@@ -102,11 +100,11 @@ class LiveLog:
             self._condition.notify_all()
 
     def settle(self) -> None:
-        """Wait until all that was handed over is on the disk."""
+        """Wait until all rows are on the disk."""
         self._written.wait_for(lambda: self._error or not (self._waiting or self._writing))
 
     def close(self) -> None:
-        """Write what waits, and end it.
+        """Write the remaining rows and close the file.
 
         Raises:
             InputError: the disk is full.
@@ -123,19 +121,19 @@ class LiveLog:
             raise self._full() from self._error
 
     def _full(self) -> InputError:
-        return InputError(f"the log {str(self.path)!r} cannot be written on: is the disk full?")
+        return InputError(f"cannot write more to the log {str(self.path)!r}: is the disk full?")
 
-    def _new_fixes(self, recording: Recording, told: list[int]) -> list[Fixes | _Answer]:
+    def _new_fixes(self, recording: Recording, answered: list[int]) -> list[Fixes | _Answer]:
         first, self._fixes = self._fixes, len(recording.fixes)
         rows: list[Fixes | _Answer] = []
         if self._fixes > first:
             rows.append(fix_columns(recording, first))
-        for row in told:
+        for row in answered:
             taken_us, status = recording.capture_us[row], recording.fix_status[row]
             assert status is not None
             rows.append(_Answer(row, -1 if taken_us is None else taken_us, status))
-        waiting = [*self._open, *range(first, self._fixes)]
-        self._open = [row for row in waiting[-CHUNK_ROWS:] if recording.fix_status[row] is None]
+        waiting = [*self._unanswered, *range(first, self._fixes)]
+        self._unanswered = [row for row in waiting[-CHUNK_ROWS:] if recording.fix_status[row] is None]
         return rows
 
     def _new_decisions(self, recording: Recording) -> Decisions:
@@ -148,47 +146,45 @@ class LiveLog:
         while True:
             with self._lock:
                 self._condition.wait_for(lambda: self._waiting or self._closing)
-                self._writing = True  # first: who settles looks without the lock
+                self._writing = True  # before _waiting is emptied: settle reads both without the lock
                 rows, self._waiting = self._waiting, []
                 if not rows:
                     return
             try:
                 self._write(rows)
-            except Exception as error:  # the run has to hear of it, whatever it is
+            except Exception as error:  # keep and close raise it
                 self._error = error
             with self._lock:
                 self._writing = False
                 self._written.ring()
                 if self._error is not None:
                     return
-                # A row costs as much as ten: what comes meanwhile is written with it.
+                # Writing one row takes as long as writing ten, so gather some.
                 self._condition.wait_for(lambda: self._closing, GATHER_S)
 
     def _write(self, rows: list[Fixes | Decisions | _Answer]) -> None:
-        """Append and flush: whole tables at once, then the answers that belong to rows in them."""
+        """Append and flush new rows, then fill in the answers to earlier ones."""
         for kind in (Fixes, Decisions):
-            groups = [one for one in rows if isinstance(one, kind)]
+            groups = [group for group in rows if isinstance(group, kind)]
             if groups:
                 self._append(groups)
-        answers = sorted((one for one in rows if isinstance(one, _Answer)), key=lambda one: one.row)
-        while answers:
-            joined = [k for k, one in enumerate(answers) if one.row == answers[0].row + k]
-            block, answers = answers[: len(joined)], answers[len(joined) :]
-            rows_here = slice(block[0].row, block[-1].row + 1)
+        answers = {answer.row: answer for answer in rows if isinstance(answer, _Answer)}
+        if answers:
+            order = sorted(answers)
             for name, values in (
-                ("robot_capture_us", [one.capture_us for one in block]),
-                ("robot_status", [one.status for one in block]),
+                ("robot_capture_us", [answers[row].capture_us for row in order]),
+                ("robot_status", [answers[row].status for row in order]),
             ):
                 data = self._file[f"{Fixes.NAME}/{name}"]
-                data[rows_here] = values
+                data[order] = values
                 data.flush()
 
     def _append(self, groups: Sequence[Fixes | Decisions]) -> None:
         kind = groups[0]
         for name in [*kind.columns(), *kind.extra]:
             if f"{kind.NAME}/{name}" not in self._file:
-                continue  # times of plans made on this computer are not logged
-            columns = [one.extra[name] if name in one.extra else getattr(one, name) for one in groups]
+                continue  # the host's own planning times are not logged
+            columns = [g.extra[name] if name in g.extra else getattr(g, name) for g in groups]
             values = np.concatenate(columns)
             data = self._file[f"{kind.NAME}/{name}"]
             data.resize(len(data) + len(values), axis=0)
@@ -204,10 +200,10 @@ def logged(
     source: str,
     known: Mapping[str, float] | None = None,
 ) -> Callable[..., AbstractContextManager[Callable[[Recording], None]]]:
-    """What begins, once the path is known, a live log beside ``target``; without a target there is none.
+    """Return a function that opens a live log beside ``target`` once the path is known.
 
-    ``known``: numbers about the run that are told from its start on. It is called with the path, and with how
-    the run came about where that is known (``RunLog.made``).
+    The function takes the path and ``RunLog.made``, and yields a function that keeps a recording. Without a
+    target that one has no effect. ``known`` are numbers for ``RunLog.measured``.
     """
 
     @contextmanager

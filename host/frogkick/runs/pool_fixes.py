@@ -1,6 +1,6 @@
-"""Position fixes for a kit without limbs: a simulated pool that swims by the strokes the kit says it does.
+"""Position fixes for a kit without limbs, from a simulated pool that gets the strokes the kit reports.
 
-All but the water is on trial: firmware on the real chip, its clock, its line, this program in real time.
+Only the water is simulated: firmware, chip, its clock, its line and this program run in real time.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ from frogkick.runs.decision import RESTING
 from frogkick.tables.image import Tables
 
 LAG_S = 0.1
-"""The pool is so far behind the clock: a little more than a camera is late, or a stroke is told late."""
+"""Delay of the pool behind the clock, a little more than that of a camera or of a reported stroke."""
 HELD_UP_S = 1.0
-"""Time in which nobody asked for so long, as before Enter is pressed, did not pass in the pool."""
+"""The pool's clock skips a longer time without a call, as while the program waits for Enter."""
 
 
 class PoolFixes:
@@ -30,7 +30,7 @@ class PoolFixes:
 
     Attributes:
         pool: in its own time, ``LAG_S`` behind the clock.
-        late: strokes that were told after the pool had passed their beginning; they begin then.
+        late: number of strokes that were reported after the pool had passed their start, which start late.
     """
 
     def __init__(
@@ -43,18 +43,18 @@ class PoolFixes:
         world: World = World(),  # noqa: B008 - frozen
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        """Put a robot at rest into the water.
+        """Start with a robot at rest.
 
         Args:
             robot: the swimmer.
-            tables: what each action's limbs and times are.
+            tables: limbs and times of each action.
             pose_world: x_m, y_m, heading_rad of its start.
-            rng: source of the camera's noise.
+            rng: for the camera's noise.
             rate_hz: of the camera.
-            world: what is true in the pool besides.
+            world: effects in the pool.
             clock: in s.
         """
-        camera = Camera(rate_hz=rate_hz, delay_s=0.0)  # late it is by LAG_S
+        camera = Camera(rate_hz=rate_hz, delay_s=0.0)  # LAG_S is its delay
         _warm_up(Pool(robot, pose_world, camera, np.random.default_rng(0)))
         self.pool = Pool(robot, pose_world, camera, rng, world)
         self.late = 0
@@ -68,18 +68,18 @@ class PoolFixes:
 
     @property
     def next_event_s(self) -> float:
-        """When the next picture is due here."""
+        """Time of the next picture."""
         return max(self._looked_s + 1e-3, self.pool.next_event_s + LAG_S + self._shift_s)
 
     def wait_first(self, timeout_s: float) -> None:
-        """A simulated camera sees at once."""
+        """Return at once: a simulated camera sees immediately."""
 
     def follow(self, recording: Recording, onboard: bool) -> None:
-        """Take the strokes that the robot has told since the last call.
+        """Take the strokes that the robot has reported since the last call.
 
         Args:
             recording: of the run.
-            onboard: whether its decisions are on the robot's clock.
+            onboard: whether decision times are on the robot's clock.
         """
         offset_us = recording.clock_offset_us
         for decision in recording.decisions[self._decisions :]:
@@ -91,11 +91,11 @@ class PoolFixes:
             if event.action == RESTING:  # the guard refused it, and the robot rests
                 refused_s = (event.time_us - offset_us) * 1e-6
                 period_s = self._tables.period_us * 1e-6
-                self._strokes = [one for one in self._strokes if abs(one[0] - refused_s) > period_s / 2]
+                self._strokes = [s for s in self._strokes if abs(s[0] - refused_s) > period_s / 2]
         self._events = len(recording.events)
 
     def advance(self, until_s: float) -> list[Fix]:
-        """Swim until a session time; fixes of the pictures taken until then, as late as they are.
+        """Advance the pool to a session time; return the fixes that arrived.
 
         Raises:
             ConvergenceError: the rod simulation failed.
@@ -121,13 +121,13 @@ class PoolFixes:
         return fixes
 
     def actuate(self, limb: int, start_s: float) -> None:
-        """No pin of a real kit is seen."""
+        """No effect: the pins of a real kit are not seen."""
 
     def close(self) -> None:
-        """Nothing is held open."""
+        """Nothing to release."""
 
     def _due(self, due_s: float) -> list[tuple[float, int]]:
-        """Limbs to be heated by a pool time, in order, and when each is."""
+        """Take the pulses (pool time, limb) that start by a pool time, in order."""
         second_s = self._tables.second_delay_us * 1e-6
         for begin_s, action in self._strokes:
             if begin_s - self._shift_s > due_s:
@@ -136,14 +136,14 @@ class PoolFixes:
             for mask, delay_s in ((row.first_mask, 0.0), (row.second_mask, second_s)):
                 at_s = begin_s - self._shift_s + delay_s
                 self._pulses += [(at_s, limb) for limb in range(self._tables.limbs) if mask >> limb & 1]
-        self._strokes = [one for one in self._strokes if one[0] - self._shift_s > due_s]
-        taken = sorted(one for one in self._pulses if one[0] <= due_s)
-        self._pulses = [one for one in self._pulses if one[0] > due_s]
+        self._strokes = [stroke for stroke in self._strokes if stroke[0] - self._shift_s > due_s]
+        taken = sorted(pulse for pulse in self._pulses if pulse[0] <= due_s)
+        self._pulses = [pulse for pulse in self._pulses if pulse[0] > due_s]
         return taken
 
 
 def _warm_up(pool: Pool) -> None:
-    """Let rods swim once where it matters to nobody: their kernels take a while to be loaded."""
+    """Load the rods' kernels by a short simulation."""
     pool.advance(0.01)
     pool.actuate(0, 0.01)
     pool.advance(0.03)

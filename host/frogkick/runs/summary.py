@@ -1,4 +1,4 @@
-"""What a log says of its run in a few numbers, whoever recorded it; and of two runs side by side."""
+"""Numbers of a run from its log, errors of its predictions, and the comparison of two runs."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from frogkick.core.errors import InputError
+from frogkick.core.poses import PredictionError, body_from_world, wrap_angle
 from frogkick.runs.record import BATTERY_V, Tracking, along_path
-from frogkick.runs.residual import residual
 from frogkick.runs.runlog import RunLog
 
 FloatArray = NDArray[np.float64]
@@ -61,6 +61,55 @@ class Summary:
     def as_json(self) -> dict[str, Any]:
         """All fields."""
         return asdict(self)
+
+
+@dataclass(frozen=True, eq=False)
+class Residual:
+    """Errors of the model's predictions, one row for each period with a prediction and a true end.
+
+    Attributes:
+        time_s: (n,) decision time.
+        gap_body: (n, 3) true minus predicted pose: forward, left (m) in the body frame at the decision, and
+            heading (rad), wrapped.
+    """
+
+    time_s: FloatArray
+    gap_body: FloatArray
+
+    @property
+    def error(self) -> PredictionError:
+        """Root mean square over all rows."""
+        return PredictionError.of(self.gap_body)
+
+
+def true_poses_at(run: RunLog, time_s: ArrayLike) -> FloatArray:
+    """(n, 3) true poses of a simulated run, interpolated; headings not wrapped."""
+    if run.truth is None or len(run.truth) < 2:
+        raise InputError(f"run {run.source!r} has no true poses: only a simulated run has them")
+    poses = np.array(run.truth.pose_world)
+    poses[:, 2] = np.unwrap(poses[:, 2])
+    at = np.asarray(time_s, dtype=np.float64)
+    return np.column_stack([np.interp(at, run.truth.time_s, poses[:, k]) for k in range(3)])
+
+
+def residual(run: RunLog) -> Residual:
+    """Compare each prediction of a simulated run with the true pose a period later.
+
+    Raises:
+        InputError: the run has no predictions, no truth or no complete period.
+    """
+    decisions = run.decisions
+    if decisions.predicted is None or decisions.estimate is None:
+        raise InputError(f"run {run.source!r} holds no predictions: log one with 'frogkick run'")
+    end_s = decisions.time_s + run.period_s
+    last_s = run.truth.time_s[-1] if run.truth is not None and len(run.truth) else -np.inf
+    rows = np.flatnonzero(np.isfinite(decisions.predicted[:, 0]) & (end_s <= last_s))
+    if rows.size == 0:
+        raise InputError(f"run {run.source!r} has no complete period with a prediction: let it run longer")
+    true_poses = true_poses_at(run, end_s[rows])
+    gap = body_from_world(decisions.estimate[rows, 2], true_poses - decisions.predicted[rows, :3])
+    gap[:, 2] = wrap_angle(gap[:, 2])
+    return Residual(np.array(decisions.time_s[rows]), gap)
 
 
 def track_of(run: RunLog) -> tuple[FloatArray, FloatArray, str]:

@@ -84,7 +84,7 @@ def test_a_wrong_bit_is_exit_1(
 
 
 def test_what_is_refused(fetched: FetchedLog, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    for content, text in ((b"no HDF5", "no chip log or is damaged"), (b"", "is empty")):
+    for content, text in ((b"no HDF5", "not a chip log or is damaged"), (b"", "is empty")):
         (tmp_path / "a.h5").write_bytes(content)
         assert run_command(words(tmp_path / "a.h5")) == 2
         assert text in capsys.readouterr().err

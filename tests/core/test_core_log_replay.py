@@ -386,7 +386,7 @@ def test_a_command_that_hung_is_the_end_of_a_segment() -> None:
     assert (told.mismatches, told.segments) == ([], 1)
     earlier = next(r for r in records[place // 2 :] if r.command == "FIX")
     told = replayed(changed(log, earlier, earlier.content[:-1] + b"\x80", fitting=True))
-    assert [m.what for m in told.mismatches] == ["the command before never ended"]
+    assert [m.what for m in told.mismatches] == ["the command before it is unfinished"]
 
 
 def test_another_table_is_not_decided_by_this_one() -> None:

@@ -171,7 +171,7 @@ def test_retune_sends_nothing_to_a_robot_with_other_tables(
     assert told.code == 2 and told.json["pushed"] is None and told.json["better"] is True
     assert told.stderr.splitlines()[-1].startswith(
         f"frogkick: the new tables are made but were not sent: the robot carries the table with CRC-32 "
-        f"{crc_of(OLD):08x}, the new one was weighed against {crc_of(OTHER):08x}"
+        f"{crc_of(OLD):08x}, the new one was compared with {crc_of(OTHER):08x}"
     )
     assert "TABLE_BEGIN" not in robot.names() and (tmp_path / "out" / TABLES).exists()
 

@@ -1,4 +1,4 @@
-"""Firmware on trial: boots it, tries commands, strokes and limits, measures stack and computing time."""
+"""Tests a firmware image on the virtual chip: commands, strokes, limits, stack and computing time."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from frogkick.pool.chip.symbols import unwanted
 from frogkick.pool.monitor import Pulse, pulses_of, violations
 from frogkick.pool.virtual_robot import VirtualRobot
 from frogkick.robot import Robot
-from frogkick.runs.decision import LIMB_USE_FIELDS
+from frogkick.runs.decision import LIMB_USE_FIELDS, STATE_FIELDS
 from frogkick.runs.session import Session
 from frogkick.tables.image import Tables
 
@@ -26,15 +26,15 @@ PLAN_TIMEOUT_S = 30.0  # four levels of 32 actions take long
 
 @dataclass
 class ChipReport:
-    """What the trial found.
+    """Result of the tests.
 
     Attributes:
         checks: name -> passed.
-        plan_ms, plan_cycles: computing time of one plan for each depth ("1" to "4") from the path's start, at
-            the cycle model of the virtual chip.
-        stack_bytes: deepest use of the painted stack.
-        stack_bound_bytes: the most that any path through the machine code can use.
-        stack_chain: the functions on that path, from reset on.
+        plan_ms, plan_cycles: computing time of a plan at the path's start for each depth ("1" to "4"), by the
+            cycle model of the virtual chip.
+        stack_bytes: deepest use of the stack.
+        stack_bound_bytes: upper bound of it over all paths through the machine code.
+        stack_chain: functions on the path with that bound, from reset on.
     """
 
     checks: dict[str, bool] = field(default_factory=dict)
@@ -46,7 +46,7 @@ class ChipReport:
 
     @property
     def passed(self) -> bool:
-        """Every check held."""
+        """Whether all checks passed."""
         return all(self.checks.values())
 
 
@@ -56,17 +56,17 @@ def check_on_chip(
     robot: Robot,
     progress: Callable[[int, int], None] = lambda _done, _all: None,
 ) -> ChipReport:
-    """Try a firmware image on the virtual chip.
+    """Test a firmware image on the virtual chip.
 
     Args:
         elf: image of the target "bench".
-        tables: what it should carry.
+        tables: that it should contain.
         robot: whose limits it should keep.
-        progress: called with checks done and to do.
+        progress: called with tests done and all tests.
 
     Raises:
-        LinkError: it does not answer.
-        ChipError: it did what the chip does not allow.
+        LinkError: the image does not answer.
+        ChipError: the image does what the chip does not allow.
     """
     trial = _Trial(elf, tables, robot)
     steps = [trial.hello, trial.disarmed, trial.refusals, trial.stroke, trial.cut, trial.plans]
@@ -99,8 +99,8 @@ class _Trial:
         self.session.step(self.session.time_s + seconds)
 
     def hello(self) -> None:
-        told = self.session.handshake(self.tables)
-        self._check("says who it is", told["limbs"] == len(self.robot.limbs))
+        answer = self.session.handshake(self.tables)
+        self._check("says who it is", answer["limbs"] == len(self.robot.limbs))
 
     def disarmed(self) -> None:
         status = self.session.request("STATUS")
@@ -117,20 +117,14 @@ class _Trial:
         after = self.session.request("STATUS")
         self._check("a damaged frame is counted", int(after["frames_bad"]) == before + 1)
         self._check("a damaged frame does nothing", after["state"] == link_layout().state["DISARMED"])
-        self._check("START without a path is refused", self._start_without_path() == "NO_PATH")
-        self._check(
-            "a parameter out of limits is refused",
-            self._status("PARAM", {"parameter": 1, "value": 9.0}) == "VALUE",
-        )
-
-    def _start_without_path(self) -> str:
         self.session.request("ARM")
-        told = self._status("START", {"delay_us": 0})
+        self._check("START without a path is refused", self._status("START", {"delay_us": 0}) == "NO_PATH")
         self.session.request("DISARM")
-        return told
+        out_of_limits = self._status("PARAM", {"parameter": 1, "value": 9.0})
+        self._check("a parameter out of limits is refused", out_of_limits == "VALUE")
 
     def stroke(self) -> None:
-        """An action with limbs in both groups: two pulses of the right length, one after the other."""
+        """An action with limbs in both groups gives two pulses of the right length in turn."""
         rows = [i for i, row in enumerate(self.tables.actions) if row.first_mask and row.second_mask]
         action = rows[0] if rows else 0
         row = self.tables.actions[action]
@@ -143,26 +137,20 @@ class _Trial:
         self._check("a stroke is taken when armed", self._status("STROKE", {"action": action}) == "OK")
         self._wait(1.0)
         pulses = self._pulses()
-        mask = 0
-        for pulse in pulses:
-            mask |= 1 << pulse.limb
+        mask = sum(1 << limb for limb in {pulse.limb for pulse in pulses})
         self._check("the right limbs were on", mask == row.first_mask | row.second_mask)
         pulse_s = self.tables.pulse_us * 1e-6
-        self._check(
-            "pulses last as the table says",
-            bool(pulses) and all(abs(p.end_s - p.start_s - pulse_s) <= PULSE_TOLERANCE_S for p in pulses),
-        )
-        # At once again: the limbs have not rested long enough, so the guard refuses.
+        are_right = [abs(pulse.end_s - pulse.start_s - pulse_s) <= PULSE_TOLERANCE_S for pulse in pulses]
+        self._check("pulses last as the table says", bool(pulses) and all(are_right))
+        # Again at once: the limbs have not rested long enough.
         self._wait(0.0)
         refused = int(self.session.request("STATUS")["pulses_refused"])
         self.session.request("STROKE", {"action": action})
         self._wait(0.2)
         self.session.request("STROKE", {"action": action})
         self._wait(1.0)
-        self._check(
-            "the guard refuses a limb that has not rested",
-            int(self.session.request("STATUS")["pulses_refused"]) > refused,
-        )
+        refused_now = int(self.session.request("STATUS")["pulses_refused"])
+        self._check("the guard refuses a limb that has not rested", refused_now > refused)
         self._check("limits kept on the pins", not violations(self.robot, self._pulses()))
 
     def cut(self) -> None:
@@ -171,7 +159,8 @@ class _Trial:
         self._check("an armed robot that hears nothing disarms", state == link_layout().state["DISARMED"])
         self.session.request("ARM")
         before = len(self._pulses())
-        self.session.request("STROKE", {"action": self._any_first()})
+        action = next(index for index, row in enumerate(self.tables.actions) if row.first_mask)
+        self.session.request("STROKE", {"action": action})
         self._wait(0.02)
         self.session.request("DISARM")
         off_s = self.session.time_s
@@ -179,33 +168,22 @@ class _Trial:
         last = self._pulses()[before:]
         self._check("DISARM ends a pulse at once", bool(last) and all(p.end_s <= off_s for p in last))
 
-    def _any_first(self) -> int:
-        return next(i for i, row in enumerate(self.tables.actions) if row.first_mask)
-
     def plans(self) -> None:
         path = shape("ellipse")
         self.session.send_path(path)
-        pose = {
-            "x_m": float(path.x_m[0]),
-            "y_m": float(path.y_m[0]),
-            "heading_rad": float(path.tangent_rad[0]),
+        state = (float(path.x_m[0]), float(path.y_m[0]), float(path.tangent_rad[0]), 0.02, 0.0, 0.1)
+        values: dict[str, Value] = {
+            **dict(zip(STATE_FIELDS, state, strict=True)),
+            **dict.fromkeys(LIMB_USE_FIELDS, 0),
+            "along_points": 0.0,
         }
         for depth in DEPTHS:
-            begun = self.port.chip.busy_cycles
+            before = self.port.chip.busy_cycles
             self.session.request("STATUS")
-            idle = self.port.chip.busy_cycles - begun
-            begun = self.port.chip.busy_cycles
-            values: dict[str, Value] = {
-                "depth": depth,
-                "vx_mps": 0.02,
-                "vy_mps": 0.0,
-                "omega_rad_s": 0.1,
-                **dict.fromkeys(LIMB_USE_FIELDS, 0),
-                "along_points": 0.0,
-                **pose,
-            }
-            status = int(self.session.ask("PLAN", values, timeout_s=PLAN_TIMEOUT_S)["status"])
-            cycles = self.port.chip.busy_cycles - begun - idle
+            between = self.port.chip.busy_cycles
+            answer = self.session.ask("PLAN", {**values, "depth": depth}, timeout_s=PLAN_TIMEOUT_S)
+            cycles = self.port.chip.busy_cycles - between - (between - before)
+            status = int(answer["status"])
             if status == 0:
                 self.report.plan_cycles[str(depth)] = cycles
                 self.report.plan_ms[str(depth)] = round(cycles / 64e3, 4)

@@ -1,4 +1,4 @@
-"""The robot's C core on this computer, living through what a robot's log tells, with a log of its own."""
+"""The robot's C core on this computer, which replays the records of a robot's log."""
 
 from __future__ import annotations
 
@@ -14,16 +14,13 @@ _CHUNK = 4096
 
 
 class ChipCore:
-    """The core, from a snapshot on.
-
-    Every call but ``begin`` lets it do one thing, and returns the records that it wrote thereby.
-    """
+    """The core, started from a snapshot. Each call but ``begin`` returns the records that the core wrote."""
 
     def __init__(self, library: Path, image: bytes) -> None:
         """Load a library made by ``firmware build --target native``.
 
         Args:
-            library: with the robot's limits in it.
+            library: made for the same robot.
             image: table image that the robot used.
         """
         self._ffi, self._core = load(library)
@@ -36,7 +33,7 @@ class ChipCore:
         self._sequence = 0
 
     def begin(self, snapshot: bytes) -> None:
-        """Take the state of a snapshot.
+        """Restore a snapshot.
 
         Raises:
             FrogkickError: the core refuses the table, or the snapshot.
@@ -51,41 +48,41 @@ class ChipCore:
         core.fk_robot_use_log(self._memory, self._log)
         if core.fk_robot_restore(self._memory, snapshot, len(snapshot)):
             raise FrogkickError(
-                "the core refuses the snapshot: it is of another firmware, fetch and replay with one"
+                "the core refuses the snapshot: it is of another firmware; fetch and replay with the same one"
             )
         self._written()
 
     def command(self, record: Record) -> list[Record]:
-        """A command comes, as a COMMAND record has it."""
+        """Pass the command of a COMMAND record."""
         self._sequence = (self._sequence + 1) & 0xFF
         encoded = pack_raw(int(record.values["type"]), self._sequence, record.rest)[:-1]
         self._core.fk_robot_on_frame(self._memory, encoded, len(encoded), record.time_us)
         return self._written()
 
     def pulse_failed(self, detail: int) -> list[Record]:
-        """The port could not start a pulse."""
+        """Report that the port could not start a pulse."""
         self._core.fk_robot_note_pulse_failed(self._memory, detail)
         return self._written()
 
     def link_lost(self, now_us: int) -> list[Record]:
-        """The host fell silent, or its connection ended."""
+        """Report that the connection to the host was lost."""
         self._core.fk_robot_note_time(self._memory, now_us)
         self._core.fk_robot_note_link_lost(self._memory)
         return self._written()
 
     def supply_low(self, now_us: int) -> list[Record]:
-        """The port sees that the supply is too low."""
+        """Report a low supply."""
         self._core.fk_robot_note_time(self._memory, now_us)
         self._core.fk_robot_note_supply(self._memory, 1)
         return self._written()
 
     def note_time(self, now_us: int) -> list[Record]:
-        """Time has come that far, and a frame that is not logged."""
+        """Pass a time, as a frame does that is not logged."""
         self._core.fk_robot_note_time(self._memory, now_us)
         return self._written()
 
     def tick(self, now_us: int) -> list[Record]:
-        """The port calls."""
+        """Call the core's tick."""
         self._core.fk_robot_tick(self._memory, now_us, self._outputs)
         return self._written()
 
@@ -107,5 +104,5 @@ LATE, TOO_LATE = -16, 2
 
 
 def pulse_fault(record: Record) -> bool:
-    """Whether a FAULT is the port's word, which can be told to a core again."""
+    """Whether the port reported a FAULT, so that it can be repeated."""
     return record.values["fault"] == link_layout().fault["PULSE"]

@@ -1,4 +1,4 @@
-"""A fetched log as a file: HDF5 with the bytes of each stretch as they came, and whose they are."""
+"""A robot's fetched log as HDF5: the bytes of each stretch, and the robot they come from."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import numpy as np
 from frogkick.core.errors import InputError
 from frogkick.core.files import existing_file
 from frogkick.link.layout import link_layout
-from frogkick.link.log import ChipLog, Record, Stretch
+from frogkick.link.log import ChipLog, Stretch
 from frogkick.runs.runlog_file import hdf5_to_write
 
 FORMAT = "frogkick chip log"
@@ -22,12 +22,12 @@ FORMAT_VERSION = 1
 
 @dataclass(frozen=True)
 class FetchedLog:
-    """A log and the robot that it came from.
+    """A log and its robot.
 
     Attributes:
-        robot_id: as HELLO told.
-        table_crc: of the table in use when it was fetched.
-        log: what was fetched.
+        robot_id: from HELLO.
+        table_crc: of the table in use when the log was fetched.
+        log: the log.
     """
 
     robot_id: str
@@ -35,10 +35,14 @@ class FetchedLog:
     log: ChipLog
 
     def summary(self) -> dict[str, Any]:
-        """What is in it: records, bytes, gaps, time (s), starts and faults by name, records of each kind."""
+        """Records, bytes, gaps, duration (s), starts and faults by name, number of records of each kind."""
         records = [record for stretch in self.log.records() for record in stretch]
-        resets = {number: name for name, number in link_layout().reset.items()}
-        faults = {number: name for name, number in link_layout().fault.items()}
+
+        def names(record_name: str, field: str, numbers: dict[str, int]) -> list[str]:
+            by_number = {number: name for name, number in numbers.items()}
+            found = [int(record.values[field]) for record in records if record.name == record_name]
+            return [by_number.get(number, str(number)) for number in found]
+
         return {
             "robot_id": self.robot_id,
             "records": len(records),
@@ -46,18 +50,14 @@ class FetchedLog:
             "bytes": sum(len(stretch.content) for stretch in self.log.stretches),
             "gaps": max(0, len(self.log.stretches) - 1),
             "seconds": (records[-1].time_us - records[0].time_us) * 1e-6 if records else 0.0,
-            "starts": [resets.get(int(reset), str(reset)) for reset in _told(records, "BOOT", "reset")],
-            "faults": [faults.get(int(fault), str(fault)) for fault in _told(records, "FAULT", "fault")],
+            "starts": names("BOOT", "reset", link_layout().reset),
+            "faults": names("FAULT", "fault", link_layout().fault),
             "kinds": dict(sorted(Counter(record.command or record.name for record in records).items())),
         }
 
 
-def _told(records: list[Record], name: str, field: str) -> list[Any]:
-    return [record.values[field] for record in records if record.name == name]
-
-
 def write_log(target: Path | str, fetched: FetchedLog) -> None:
-    """Write it, wholly or not at all; the same log gives the same bytes.
+    """Write a log, completely or not at all; the same log gives the same bytes.
 
     Raises:
         InputError: the folder cannot be written to.
@@ -76,7 +76,7 @@ def write_log(target: Path | str, fetched: FetchedLog) -> None:
 
 
 def read_log(source: Path | str) -> FetchedLog:
-    """Read it.
+    """Read a log.
 
     Raises:
         InputError: missing, foreign or damaged file.
@@ -98,4 +98,6 @@ def read_log(source: Path | str) -> FetchedLog:
             )
     except (OSError, KeyError, RuntimeError, ValueError, TypeError) as error:
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise InputError(f"{path.name!r} is no chip log or is damaged ({reason}): fetch it again") from error
+        raise InputError(
+            f"{path.name!r} is not a chip log or is damaged ({reason}): fetch it again"
+        ) from error

@@ -1,10 +1,8 @@
-"""A robot's log decided again: by the C core on this computer and by the Python twin, compared bit by bit.
+"""Replay of a robot's log in the C core on this computer and in the Python twin, compared bit by bit.
 
-A replay begins at a snapshot: what stands before the first one can be read, not decided again. It goes on
-to the next thing that cannot be lived through again: a start, an update of the table, something that was not
-logged (the next snapshot says so), an internal error but the port's, a damaged record, the end of what was
-fetched; and begins anew at the next snapshot. A record that differs is told, and where the core cannot
-follow any more, likewise.
+A segment of the replay starts at a snapshot and ends before the next event that cannot be repeated: a start
+of the robot, a table update, a gap in the log (which the next snapshot reports), an internal error that is
+not the port's, a damaged record, or the end of the log.
 """
 
 from __future__ import annotations
@@ -27,7 +25,7 @@ _TABLE_COMMANDS = ("TABLE_BEGIN", "TABLE_COMMIT", "TABLE_ROLLBACK")
 
 @dataclass(frozen=True)
 class Mismatch:
-    """A record that is not what came out again.
+    """A record that the replay does not reproduce.
 
     Attributes:
         offset, time_us: of the record.
@@ -43,14 +41,13 @@ class Mismatch:
 
 @dataclass
 class LogReplay:
-    """What came out.
+    """Result of a replay.
 
     Attributes:
-        records: all of the log's.
-        replayed: those that were lived through again, of snapshots all parts.
-        decisions: of the planner on board among them, as the twin made them.
-        segments: times that the replay began at a snapshot.
-        mismatches: in their order.
+        records, replayed: number of the log's records, and of those that were replayed.
+        segments: number of snapshots at which the replay started.
+        decisions: of the twin.
+        mismatches: in order of time.
     """
 
     records: int = 0
@@ -77,13 +74,13 @@ def replay_log(
     tables: Sequence[Tables],
     progress: Callable[[int, int], None] = lambda _done, _all: None,
 ) -> LogReplay:
-    """Decide again what a log tells.
+    """Replay a log.
 
     Args:
-        log: as fetched.
+        log: the log.
         library: the core for this computer, made by ``firmware build --target native`` for the same robot.
-        tables: those that the robot used; what it did with another one is not replayed.
-        progress: called with records done and all of them.
+        tables: tables that the robot used; segments with another table are left out.
+        progress: called with the number of records done and of all records.
 
     Raises:
         FrogkickError: the core refuses a table.
@@ -92,29 +89,29 @@ def replay_log(
     by_crc = {table.crc32: table for table in tables}
     cores = {crc: ChipCore(library, table.image) for crc, table in by_crc.items()}
     stretches = log.records()
-    every = sum(map(len, stretches))
+    total = sum(map(len, stretches))
     for records in stretches:
         found.mismatches += _damage(records)
         _replay_stretch(records, by_crc, cores, found)
         found.records += len(records)
-        progress(found.records, every)
+        progress(found.records, total)
     found.mismatches.sort(key=lambda mismatch: mismatch.time_us)
     return found
 
 
 def _damage(records: list[Record]) -> list[Mismatch]:
-    """What no robot writes.
+    """Records that no robot writes.
 
-    A check that does not fit; a command after one that never ended; a run, or a fix, after a start or an
-    update of the table without a snapshot in between.
+    These are records with a wrong check, commands after an unfinished one, and decisions or fixes after a
+    start or a table update without a snapshot in between.
     """
     found, unfinished, without = [], False, ""
     for record in records:
         what = ""
         if record.name == DAMAGED:
-            what = "the record's check does not fit"
+            what = "the record's check is wrong"
         elif record.name == "COMMAND" and unfinished:
-            what = "the command before never ended"
+            what = "the command before it is unfinished"
         elif without and (record.name == "DECISION" or record.command == "FIX"):
             what = f"no snapshot since {without}"
         if what:
@@ -131,22 +128,21 @@ def _damage(records: list[Record]) -> list[Mismatch]:
 def _replay_stretch(
     records: list[Record], tables: Mapping[int, Tables], cores: Mapping[int, ChipCore], found: LogReplay
 ) -> None:
-    snapshots = [s for s in _snapshots(records) if s.table_crc in tables]
     at = 0
-    for snapshot in snapshots:
-        if snapshot.begin < at:
-            continue  # lived through already
+    for snapshot in _snapshots(records):
+        if snapshot.table_crc not in tables or snapshot.begin < at:
+            continue
         end = _end_of(records, snapshot)
         run = _Segment(records[snapshot.end : end], cores[snapshot.table_crc], found)
         at = snapshot.end + run.go(snapshot, tables[snapshot.table_crc])
 
 
 def _snapshots(records: list[Record]) -> list[_Snapshot]:
-    """The whole ones."""
+    """The complete snapshots."""
     snapshots, begin, content = [], 0, b""
     for index, record in enumerate(records):
         if record.name != "SNAPSHOT":
-            begin, content = -len(records), b""  # no part that follows is the one wanted
+            begin, content = -len(records), b""  # no part number fits until the next first part
             continue
         if record.values["part"] == 0:
             begin, content = index, b""
@@ -160,9 +156,8 @@ def _snapshots(records: list[Record]) -> list[_Snapshot]:
 
 
 def _end_of(records: list[Record], snapshot: _Snapshot) -> int:
-    """The first record behind a snapshot that cannot be lived through from it."""
-    for index in range(snapshot.end, len(records)):
-        record = records[index]
+    """Index of the first record after a snapshot that cannot be replayed from it."""
+    for index, record in enumerate(records[snapshot.end :], start=snapshot.end):
         if (
             record.name in (DAMAGED, "BOOT")
             or (record.name == "SNAPSHOT" and record.values["anew"])
@@ -182,12 +177,12 @@ class _Segment:
         self.made: list[Record] = []
 
     def go(self, snapshot: _Snapshot, tables: Tables) -> int:
-        """Live through the records; how many, before the core could not follow."""
+        """Replay the records; return how many the core could follow."""
         try:
             self.core.begin(snapshot.content)
             twin = ChipTwin(snapshot.content, tables)
         except FrogkickError as error:
-            self._tell(self.records[0] if self.records else None, "core", str(error))
+            self._report(self.records[0] if self.records else None, "core", str(error))
             return 0
         self.found.segments += 1
         self.found.replayed += snapshot.end - snapshot.begin
@@ -195,34 +190,32 @@ class _Segment:
             if not self.made and self._is_cut(index):
                 return index
             if not self.made:
-                self.made = self._let_happen(index)
+                self.made = self._cause(index)
             if not self.made:
-                self._tell(record, "core", f"{record.name} does not happen")
+                self._report(record, "core", f"{record.name} does not happen")
                 return index
             made = self.made.pop(0)
             if (made.name, made.time_us) != (record.name, record.time_us):
-                self._tell(record, "core", f"{made.name} at {made.time_us} us instead of {record.name}")
+                self._report(record, "core", f"{made.name} at {made.time_us} us instead of {record.name}")
                 self.made = []
                 return index
             if made.content != record.content:
-                self._tell(record, "core", f"{record.name} differs in {_fields(made, record)}")
-                if (
-                    record.name == "COMMAND"
-                ):  # taken by one, refused by the other: what follows is not the same
+                self._report(record, "core", f"{record.name} differs in {_fields(made, record)}")
+                if record.name == "COMMAND":  # one takes it, the other refuses: what follows differs
                     self.made = []
                     return index
             for what in twin.apply(record):
-                self._tell(record, "twin", what)
+                self._report(record, "twin", what)
             self.found.replayed += 1
         self.found.decisions += twin.decisions
         return len(self.records)
 
     def _is_cut(self, index: int) -> bool:
-        """Whether the command before which a snapshot was taken is not there any more, or not yet."""
+        """Whether the log ends before the command that the snapshot precedes."""
         return all(record.name == "SNAPSHOT" for record in self.records[index:])
 
-    def _let_happen(self, index: int) -> list[Record]:
-        """What leads to the record: of a snapshot the command that comes after it."""
+    def _cause(self, index: int) -> list[Record]:
+        """Make the core write the record; a snapshot is written by the command after it."""
         record = self.records[index]
         if record.name == "SNAPSHOT":
             record = next(r for r in self.records[index:] if r.name != "SNAPSHOT")
@@ -242,7 +235,7 @@ class _Segment:
                 made = self.core.tick(record.time_us)
         return made
 
-    def _tell(self, record: Record | None, place: str, what: str) -> None:
+    def _report(self, record: Record | None, place: str, what: str) -> None:
         offset, time_us = (record.offset, record.time_us) if record is not None else (0, 0)
         self.found.mismatches.append(Mismatch(offset, time_us, place, what))
 

@@ -1,9 +1,9 @@
-"""The planner of a bench image, called on the virtual chip: its decisions and their cycles."""
+"""The planner of a bench image on the virtual chip: its decisions and their cycles."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +19,7 @@ from frogkick.tables.layout import LIMBS_MAX
 
 CYCLES_PER_MS = 64_000
 _BEYOND = (1.0, 3.0, 30.0, 1000.0)
-"""Velocities go to so many times the table's box, in turn; poses to so many times the path's surroundings."""
+"""Multiples of the table's range for velocities, and of the path's surroundings for poses, in turn."""
 
 _BOOT_STEP_US = 100_000.0
 _BOOT_STEPS_MAX = 100
@@ -33,8 +33,8 @@ class TimedStates:
     Attributes:
         states: (k, 6) float32: x, y, heading in the world, velocity in the body.
         limb_use: (k, 8) uint16.
-        along_points: (k,) float32: where along the path each was last, points.
-        beyond: (k,) float32: velocities are from so many times the table's box.
+        along_points: (k,) float32: last place along the path, points.
+        beyond: (k,) float32: multiple of the table's range that the velocity is from.
     """
 
     states: npt.NDArray[np.float32]
@@ -43,24 +43,21 @@ class TimedStates:
     beyond: npt.NDArray[np.float32]
 
     def part(self, at: int, count: int) -> TimedStates:
-        """Return ``count`` of them."""
+        """``count`` states from an index on."""
         return self.chosen(np.arange(at, min(at + count, len(self.states))))
 
     def chosen(self, places: npt.NDArray[np.int64]) -> TimedStates:
-        """Return those at some places."""
-        return TimedStates(
-            self.states[places], self.limb_use[places], self.along_points[places], self.beyond[places]
-        )
+        """The states at some indices."""
+        return TimedStates(*(getattr(self, entry.name)[places] for entry in fields(self)))
 
 
 class ChipPlanner:
-    """Calls ``fk_plan`` of the very image that is flashed, with its own table.
-
-    Structures are written as the image's debug information lays them out, members by name.
+    """Calls ``fk_plan`` of an image with its own table. The image's debug information gives the structures'
+    layout.
 
     Attributes:
         chip: the chip, booted and asleep.
-        open_cycles: what opening the table took.
+        open_cycles: cycles of opening the table.
     """
 
     def __init__(self, elf: Path, cost: CostModel | None = None) -> None:
@@ -88,13 +85,13 @@ class ChipPlanner:
         self._settings = np.zeros((), dtype=self._types["fk_plan_config_t"])
 
     def room(self, name: str, count: int = 1) -> int:
-        """Return the address of fresh RAM for ``count`` structures of a type."""
+        """Address of unused RAM for ``count`` structures of a type."""
         address = self._free
         self._free += count * self._types[name].itemsize + 7 & ~7
         return address
 
     def configure(self, path: PathLike, config: PlanConfig) -> None:
-        """Set the path and the configuration; ``plan`` is told the depth of each state."""
+        """Set path and configuration but the depth, which ``plan`` takes for each state."""
         rows = path_rows(path)
         value = np.zeros((), dtype=self._types["fk_path_t"])
         value["count"] = rows.shape[1]
@@ -116,9 +113,9 @@ class ChipPlanner:
 
         Args:
             states: (k, 6) float32.
-            depths: (k,) levels to look ahead.
-            limb_use: (k, 8) how much each limb was used lately; None = all rested.
-            along_points: (k,) where along the path each was last, in points; None = at its start.
+            depths: (k,) depth of the search.
+            limb_use: (k, 8) recent use of each limb; None: all rested.
+            along_points: (k,) last place along the path, in points; None: its start.
             progress: called with the number of states done.
 
         Returns:
@@ -142,7 +139,7 @@ class ChipPlanner:
         along_points: npt.NDArray[np.float32] | None = None,
         progress: Callable[[int], None] = lambda _done: None,
     ) -> npt.NDArray[Any]:
-        """Plan as ``plan`` does, many times sooner: the same instructions, their cycles not counted."""
+        """Plan as ``plan`` does, with the same instructions, but without counting cycles: much faster."""
         if self._uncounted is None:
             self._uncounted = UncountedCalls(self._elf, self.chip)
         core = self._uncounted
@@ -166,7 +163,7 @@ class ChipPlanner:
             asked["limb_use"] = limb_use
         if along_points is not None:
             asked["along_points"] = along_points
-        told = np.zeros(len(states), dtype=self._types["fk_plan_t"])
+        plans = np.zeros(len(states), dtype=self._types["fk_plan_t"])
         status = np.zeros(len(states), dtype=np.uint32)
         pointers = (self._tables, self._path, self._config, self._state, self._plan)
         for index in range(len(states)):
@@ -175,14 +172,14 @@ class ChipPlanner:
             core.ram_write(self._state, asked[index].tobytes())
             status[index] = plan(*pointers)
             if status[index] == 0:
-                data = core.ram_read(self._plan, told.itemsize)
-                told[index] = np.frombuffer(data, dtype=told.dtype)[0]
+                data = core.ram_read(self._plan, plans.itemsize)
+                plans[index] = np.frombuffer(data, dtype=plans.dtype)[0]
             progress(index + 1)
-        return _rows(status.view(np.int32), told)
+        return _rows(status.view(np.int32), plans)
 
 
 def states_for_timing(tables: Tables, path: PathLike, count: int, rng: np.random.Generator) -> TimedStates:
-    """Return states about a path, from the table's box and beyond."""
+    """Random states around a path, with velocities within the table's range and beyond."""
     rows = path_rows(path).astype(np.float64)
     scale = tables.velocity_scale.astype(np.float64)
     low, high = tables.states.min(axis=0) * scale, tables.states.max(axis=0) * scale
@@ -202,7 +199,7 @@ def states_for_timing(tables: Tables, path: PathLike, count: int, rng: np.random
 
 
 def _rows(status: npt.NDArray[np.int32], plans: npt.NDArray[Any]) -> npt.NDArray[Any]:
-    """``fk_plan_t`` as ``PLAN_ROW``, members by name."""
+    """Convert ``fk_plan_t`` to ``PLAN_ROW``."""
     rows = np.zeros(len(plans), dtype=PLAN_ROW)
     for name in PLAN_ROW.names or ():
         if name in (plans.dtype.names or ()) and name != "predicted":

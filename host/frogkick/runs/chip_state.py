@@ -1,6 +1,6 @@
-"""A snapshot of the robot's state, read for the Python twin: what firmware/core/fk_snapshot.c writes.
+"""A snapshot of the robot's state, as firmware/core/fk_snapshot.c writes it, read for the Python twin.
 
-The guard's books, which come last, are the robot's own matter: they decide about pulses, not about decisions.
+The guard's state at its end is not read: it does not influence decisions.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ Float32 = npt.NDArray[np.float32]
 
 
 class SnapshotError(FrogkickError):
-    """Bytes that are no state of this robot."""
+    """Bytes that are not a snapshot of this robot."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,18 +43,18 @@ class Points:
 
 @dataclass(frozen=True, eq=False)
 class ChipState:
-    """What the twin needs of a state.
+    """The parts of a snapshot that the twin needs.
 
     Attributes:
         time_us: the robot's clock.
-        state: number of its state.
+        state: number of the robot's state.
         period_us: between decisions.
-        decisions: since START.
-        next_decision_us: when the next one is due.
+        decisions: number of decisions since START.
+        next_decision_us: time of the next decision.
         config: cost, weights, depth.
-        points: of the path received so far; ``total``: of all of it.
-        follow: what the robot knows of its way along the path: mark and so on, for ``follow_of``.
-        estimator: the twin's, as the robot's.
+        points, total: path points received so far, and their number in the complete path.
+        follow: progress along the path, for ``follow_of``.
+        estimator: the twin in the robot's state.
     """
 
     time_us: int
@@ -70,7 +70,7 @@ class ChipState:
 
 
 def follow_of(state: ChipState, tables: Tables) -> Follow:
-    """The twin's progress along the path, as the robot's; the path must be whole."""
+    """The twin's progress along the path, in the robot's state; the path must be complete."""
     follow = Follow(tables, state.points, state.config)
     along, mark, place, distance_m, idle, begun = state.follow
     follow.along_points = along
@@ -102,7 +102,7 @@ class _Reader:
 
 
 class _Mark(int):
-    """A fix that was had before, as the robot knows it: FNV-1a over its number and its pose's bits."""
+    """A known fix as the robot stores it: FNV-1a hash of its number and its pose's bits."""
 
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, tuple):
@@ -121,15 +121,15 @@ def read_state(content: bytes, tables: Tables) -> ChipState:
     """Read a snapshot.
 
     Args:
-        content: of all its parts, without what stands before it in each record.
-        tables: those in use when it was taken.
+        content: of all its parts, without the fields before it in each record.
+        tables: the tables in use then.
 
     Raises:
-        SnapshotError: too few bytes, or a number that none of this robot's states has.
+        SnapshotError: too few bytes, or a number out of its limits.
     """
     reader = _Reader(content)
     time_us, state, period_us, decisions, next_decision_us = reader.take("QBIIQ")
-    reader.take("BQBQQBB")  # the stroke under way, whether all is to be off, and the supply
+    reader.take("BQBQQBB")  # the current stroke, the all-off flag, and the supply
     weights = dict(zip(WEIGHTS, map(float, reader.floats(len(WEIGHTS))), strict=True))
     transitions_max, cost, depth = reader.take("IBB")
     config = PlanConfig(**weights, transitions_max=transitions_max, cost=cost, depth=depth)

@@ -1,4 +1,4 @@
-"""The Python twin lives through what a robot's log tells and says where it decides otherwise."""
+"""The Python twin of estimator and planner, which replays the records of a robot's log."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from frogkick.link.layout import link_layout
 from frogkick.link.log import Record
 from frogkick.link.supervisor import supervisor
 from frogkick.planner.plan import transitions_within
-from frogkick.runs.chip_state import ChipState, Points, follow_of, read_state
+from frogkick.runs.chip_state import Points, follow_of, read_state
 from frogkick.runs.decision import Decision, decide, decision_of_event
 from frogkick.tables.image import Tables
 
@@ -21,27 +21,21 @@ _LAYOUT = link_layout()
 _STATUS = _LAYOUT.status
 _ENDS = {End.COMPLETED: "OK", End.PASSED: "PASSED", End.STALLED: "STALLED"}
 PLAN_TIME_WATCHDOG_US = 600_000
-"""No search takes longer, whatever is asked for (fk_robot.h)."""
-
-
-def _within(plan_us: int) -> int:
-    """Transitions that fit into a time, as the robot sees it."""
-    limited = PLAN_TIME_WATCHDOG_US if plan_us == 0 else min(plan_us, PLAN_TIME_WATCHDOG_US)
-    return transitions_within(limited)
+"""Limit of the search time in the firmware (fk_robot.h)."""
 
 
 class ChipTwin:
-    """Estimator, planner and progress along the path, from a robot's snapshot on.
+    """Estimator, planner and progress along the path, started from a robot's snapshot.
 
     Attributes:
-        decisions: made so far.
+        decisions: so far.
     """
 
     def __init__(self, snapshot: bytes, tables: Tables) -> None:
-        """Begin.
+        """Restore a snapshot.
 
         Raises:
-            SnapshotError: the snapshot is none.
+            SnapshotError: not a snapshot of this robot.
         """
         state = read_state(snapshot, tables)
         self.decisions: list[Decision] = []
@@ -55,16 +49,14 @@ class ChipTwin:
         self._running = state.state == _LAYOUT.state["RUNNING"]
         self._next_us = state.next_decision_us
         self._number = state.decisions
-        self._follow = self._begun(state)
-        self._asked: tuple[int, int] | None = None
+        has_path = len(self._points) == self._total > 1
+        self._follow = follow_of(state, tables) if has_path else None
+        self._decided: tuple[int, int] | None = None
         self._end: End | None = None
         self._supply_low = False
 
-    def _begun(self, state: ChipState) -> Follow | None:
-        return follow_of(state, self._tables) if len(self._points) == self._total > 1 else None
-
     def apply(self, record: Record) -> list[str]:
-        """Live through a record; what the twin finds otherwise."""
+        """Apply a record; return what the twin finds different, one text each."""
         if record.name == "COMMAND":
             return self._command(record)
         if record.name == "DECISION":
@@ -96,7 +88,7 @@ class ChipTwin:
             self._number = 0
             self._end = None
         elif record.command == "STROKE":
-            self._asked = None
+            self._decided = None
         return []
 
     def _fix(self, record: Record, status: int) -> list[str]:
@@ -105,11 +97,12 @@ class ChipTwin:
             return []
         capture_us = record.time_us - int(asked["capture_age_us"])
         pose = np.array([asked["x_m"], asked["y_m"], asked["heading_rad"]], dtype=np.float32)
-        told = self._estimator.add(capture_us, pose, int(asked["fix_sequence"]))
-        if told == 0 and self._running and self._follow is not None:
+        ours = self._estimator.add(capture_us, pose, int(asked["fix_sequence"]))
+        if ours == 0 and self._running and self._follow is not None:
             self._end = self._follow.fixed(pose[0], pose[1])
-        names = (_LAYOUT.status_name(told), _LAYOUT.status_name(status))
-        return [] if told == status else [f"FIX is {names[0]}, not {names[1]}"]
+        if ours == status:
+            return []
+        return [f"FIX is {_LAYOUT.status_name(ours)}, not {_LAYOUT.status_name(status)}"]
 
     def _path(self, record: Record) -> None:
         payload = _LAYOUT.messages["PATH"].command
@@ -129,11 +122,10 @@ class ChipTwin:
         name = next(name for name, number in _LAYOUT.parameter.items() if number == parameter)
         if name == "PERIOD_US":
             self._period_us = int(value)
-        elif name == "PLAN_TIME_US":
-            self._config = replace(self._config, transitions_max=_within(int(value)))
-        elif name == "TRANSITIONS_MAX":
-            most = _within(0)
-            self._config = replace(self._config, transitions_max=min(int(value) or most, most))
+        elif name in ("PLAN_TIME_US", "TRANSITIONS_MAX"):
+            limit = transitions_within(PLAN_TIME_WATCHDOG_US)
+            wanted = transitions_within(int(value)) if name == "PLAN_TIME_US" else int(value)
+            self._config = replace(self._config, transitions_max=min(wanted or limit, limit))
         else:
             changes = {name.lower(): int(value) if name in ("DEPTH", "COST") else value}
             self._config = replace(self._config, **changes)  # type: ignore[arg-type]
@@ -142,27 +134,27 @@ class ChipTwin:
         if self._follow is None:
             return ["a decision without a path"]
         over = self._end is not None
-        made, self._end = decide(
+        ours, self._end = decide(
             self._tables, self._points, self._config, self._estimator, self._follow, self._next_us
         )
-        differing = made.differences(decision_of_event(record.values))
+        differing = ours.differences(decision_of_event(record.values))
         if over:
-            differing.append("that the run was over")
+            differing.append("the end of the run before")
         if int(record.values["decision"]) != self._number:
             differing.append("decision")
         if self._end is None:
-            self._asked = (made.action, self._next_us)
+            self._decided = (ours.action, self._next_us)
             self._next_us += self._period_us
         self._number += 1
-        self.decisions.append(made)
+        self.decisions.append(ours)
         return [f"DECISION differs in {', '.join(differing)}"] if differing else []
 
     def _stroke(self, record: Record) -> list[str]:
-        told = (int(record.values["action"]), int(record.values["begin_us"]))
-        asked, self._asked = self._asked, None
-        self._estimator.act(told[1], told[0])
-        if self._running and asked != told:
-            return [f"STROKE {told} was not decided: {asked} was"]
+        action, begin_us = int(record.values["action"]), int(record.values["begin_us"])
+        decided, self._decided = self._decided, None
+        self._estimator.act(begin_us, action)
+        if self._running and decided != (action, begin_us):
+            return [f"STROKE {(action, begin_us)} was not decided: {decided} was"]
         return []
 
     def _ended(self, record: Record) -> list[str]:

@@ -1,8 +1,4 @@
-"""A run as CSV: one file for each group of columns, and what is known of the whole run as JSON.
-
-Times are those of the log, seconds from the run's start; poses are in the pool's frame, velocities in the
-body frame.
-"""
+"""Export of a run as CSV, one file for each group of columns, and as JSON for the rest."""
 
 from __future__ import annotations
 
@@ -23,14 +19,10 @@ from frogkick.runs.runlog import RunLog
 
 
 def export_csv(run: RunLog, folder: pathlib.Path) -> list[str]:
-    """Write fixes.csv, decisions.csv, strokes.csv, and path.csv and truth.csv where a run has them; run.json.
+    """Write fixes.csv, decisions.csv, strokes.csv, run.json, and path.csv and truth.csv where a run has them.
 
-    A column's unit is in its name; one of several numbers is several columns (``estimate_vx_mps``). What a
-    log marks as missing is empty.
-
-    Args:
-        run: the log.
-        folder: made where it is not there.
+    A column's name ends with its unit; a dataset of several numbers gives several columns
+    (``estimate_vx_mps``). Missing values are empty. The folder is made where it is missing.
 
     Returns:
         Names of the files.
@@ -61,7 +53,7 @@ def export_csv(run: RunLog, folder: pathlib.Path) -> list[str]:
         "made": dict(run.made),
     }
     files["run.json"] = json.dumps(about, indent=2) + "\n"
-    with ExitStack() as stack:  # all of them or none
+    with ExitStack() as stack:  # all files or none
         for name, content in files.items():
             stack.enter_context(atomic_path(folder / name)).write_bytes(content.encode())
     return list(files)
@@ -77,7 +69,7 @@ _PARTS = {
 
 
 def columns_of(run: RunLog) -> Iterator[tuple[str, dict[str, NDArray[Any]]]]:
-    """Each group of a log's columns by name: one-dimensional, units in their names."""
+    """Each group of a log with its columns, one-dimensional, by name."""
     for group in (run.fixes, run.decisions, run.strokes, run.truth):
         if group is None:
             continue
@@ -97,7 +89,7 @@ def columns_of(run: RunLog) -> Iterator[tuple[str, dict[str, NDArray[Any]]]]:
 
 
 def _spread(columns: dict[str, NDArray[Any]], name: str, values: NDArray[Any] | None) -> None:
-    """Add a dataset: as one column, or one for each of its numbers."""
+    """Add a dataset as one column, or as one for each of its numbers."""
     if values is None:
         return
     if values.ndim == 1:
@@ -111,5 +103,5 @@ def _spread(columns: dict[str, NDArray[Any]], name: str, values: NDArray[Any] | 
 def _cell(value: Any) -> Any:
     if isinstance(value, np.generic):
         value = value.item()
-    # As short as it can be and still be the same number.
+    # repr: the shortest text that gives the same number again.
     return ("" if math.isnan(value) else repr(value)) if isinstance(value, float) else value

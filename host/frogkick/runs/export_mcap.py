@@ -1,8 +1,8 @@
-"""A run as MCAP for Foxglove: poses, path and plan in its own schemas, decisions and strokes in ours.
+"""Export of a run as MCAP for Foxglove: poses, path and plan in its own schemas, decisions and strokes in
+ours.
 
-All are protobuf, whose schemas the file brings along. Times are of the clock on the wall, where the log knows
-when it began; else they count from 1970. Poses are in the frame of the pool; the robot's own frame has x
-forward and y left. Beside it is a layout that shows all of it.
+All messages are protobuf, and the file contains their schemas. Times are of the wall clock where the log has
+it, else they count from 1970. Poses are in the pool's frame; the robot's frame has x forward and y left.
 """
 
 from __future__ import annotations
@@ -26,10 +26,10 @@ if TYPE_CHECKING:
     from frogkick.runs.foxglove import Schema
 
 POOL, ROBOT = "pool", "robot"
-"""Frames' names."""
+"""Names of frames."""
 
 CHANNELS = ("/fix", "/estimate", "/predicted", "/truth", "/path", "/plan", "/tf", "/decision", "/stroke")
-"""What there may be; those without a row are left out."""
+"""Channels without a message are left out."""
 
 ENCODING = "protobuf"
 
@@ -66,18 +66,14 @@ LAYOUT = {
         "splitPercentage": 65,
     },
 }
-"""For Foxglove: the pool from above, the actions, what decisions cost."""
+"""Foxglove's layout: the pool from above, the actions, and the cost of decisions."""
 
 
 def export_mcap(run: RunLog, target: pathlib.Path) -> dict[str, int]:
     """Write an MCAP, and beside it a layout for Foxglove (*Import from file...* among its layouts).
 
-    Args:
-        run: the log.
-        target: file to write.
-
     Returns:
-        Messages of each channel.
+        Number of messages of each channel.
 
     Raises:
         InputError: the packages for it are not installed, or the file cannot be written.
@@ -87,10 +83,10 @@ def export_mcap(run: RunLog, target: pathlib.Path) -> dict[str, int]:
 
     from frogkick.runs.foxglove import Foxglove
 
-    said = sorted(_messages(run, Foxglove()), key=lambda message: message.time_ns)
+    messages = sorted(_messages(run, Foxglove()), key=lambda message: message.time_ns)
     counts: dict[str, int] = {}
     with atomic_path(target) as temporary, temporary.open("wb") as file:
-        # Not compressed: the same run gives the same bytes with any version of a compressor.
+        # Uncompressed: the bytes do not depend on the version of a compressor.
         writer = Writer(file, compression=CompressionType.NONE)
         writer.start(profile="", library="frogkick")
         writer.add_metadata(
@@ -107,7 +103,7 @@ def export_mcap(run: RunLog, target: pathlib.Path) -> dict[str, int]:
         )
         channels: dict[str, int] = {}
         schemas: dict[str, int] = {}
-        for message in said:
+        for message in messages:
             schema = message.schema
             if schema.name not in schemas:
                 schemas[schema.name] = writer.register_schema(schema.name, ENCODING, schema.data)
@@ -148,9 +144,9 @@ def _since_1970_ns(moment: datetime) -> int:
 
 
 def _messages(run: RunLog, foxglove: Any) -> Iterator[Message]:
-    """Every message, channel by channel; times before the run's start are its start."""
+    """All messages, channel by channel; times before the run's start count as its start."""
     began_at = run.made.get("began_at")
-    # From the text: a float has too few digits for nanoseconds since 1970.
+    # A float has too few digits for nanoseconds since 1970.
     begin_ns = 0 if began_at is None else _since_1970_ns(datetime.fromisoformat(began_at))
 
     def at(time_s: float) -> int:
@@ -159,7 +155,7 @@ def _messages(run: RunLog, foxglove: Any) -> Iterator[Message]:
     fixes = run.fixes
     seen = fixes.pose_world
     for row in np.flatnonzero(fixes.usable):
-        # Arrived then, taken before: the message says both.
+        # The message has the capture time, its log time is the arrival.
         taken_ns = at(fixes.capture_time_s[row])
         yield Message("/fix", at(fixes.time_s[row]), *foxglove.pose(taken_ns, POOL, seen[row]))
     decisions = run.decisions
@@ -169,8 +165,8 @@ def _messages(run: RunLog, foxglove: Any) -> Iterator[Message]:
         run.strokes.time_s, run.strokes.limb_mask, run.strokes.pulse_s, strict=True
     ):
         limbs = [limb for limb in range(8) if int(mask) >> limb & 1]
-        told = {"limb_mask": int(mask), "limbs": limbs, "pulse_s": float(pulse_s)}
-        yield Message("/stroke", at(time_s), *foxglove.stroke(**told))
+        stroke = foxglove.stroke(limb_mask=int(mask), limbs=limbs, pulse_s=float(pulse_s))
+        yield Message("/stroke", at(time_s), *stroke)
     if run.truth is not None:
         for time_s, pose in zip(run.truth.time_s, run.truth.pose_world, strict=True):
             yield Message("/truth", at(time_s), *foxglove.pose(at(time_s), POOL, pose))
@@ -204,7 +200,7 @@ def _decision(run: RunLog, row: int, time_ns: int, foxglove: Any) -> Iterator[Me
 
 
 def _best_poses(run: RunLog) -> Iterator[tuple[float, NDArray[np.float64]]]:
-    """Where the robot was: the truth of a simulated run, else its fixes."""
+    """Times and poses of the robot: the true ones of a simulated run, else its fixes."""
     if run.truth is not None:
         yield from zip(run.truth.time_s, run.truth.pose_world, strict=True)
         return

@@ -1,7 +1,4 @@
-"""Foxglove's own schemas (poses, paths, frames and drawings as its viewer knows them), and two of ours.
-
-Loaded only where an MCAP is written: its packages are an extra.
-"""
+"""Messages in Foxglove's schemas and in two of ours. Their packages are an extra."""
 
 from __future__ import annotations
 
@@ -33,18 +30,13 @@ from mcap_protobuf.schema import build_file_descriptor_set
 
 @dataclass(frozen=True)
 class Schema:
-    """How a channel's messages are written.
-
-    Attributes:
-        name: as Foxglove knows it.
-        data: the schema.
-    """
+    """Name and content of a channel's schema."""
 
     name: str
     data: bytes
 
 
-Said = tuple[Schema, bytes]
+Payload = tuple[Schema, bytes]
 
 _LINE_M, _LETTER_M = 0.003, 0.02
 _PREDICTED = Color(r=0.80, g=0.47, b=0.65, a=1.0)  # as in the pictures
@@ -56,7 +48,7 @@ def _schema(kind: Any) -> Schema:
     return Schema(name, build_file_descriptor_set(kind).SerializeToString())
 
 
-def _said(message: Any) -> Said:
+def _payload(message: Any) -> Payload:
     return _schema(message.__class__), message.SerializeToString(deterministic=True)
 
 
@@ -65,8 +57,8 @@ def _declared(name: str, /, **kinds: int) -> Any:
     file = FileDescriptorProto(name=f"frogkick/{name}.proto", package="frogkick", syntax="proto3")
     message = file.message_type.add(name=name)
     for number, (field, kind) in enumerate(kinds.items(), 1):
-        one = FieldDescriptorProto.LABEL_REPEATED if field == "limbs" else FieldDescriptorProto.LABEL_OPTIONAL
-        message.field.add(name=field, number=number, type=kind, label=one)
+        label = "LABEL_REPEATED" if field == "limbs" else "LABEL_OPTIONAL"
+        message.field.add(name=field, number=number, type=kind, label=FieldDescriptorProto.Label.Value(label))
     pool = DescriptorPool()
     pool.Add(file)
     return message_factory.GetMessageClass(pool.FindMessageTypeByName(f"frogkick.{name}"))
@@ -97,27 +89,28 @@ def _pose(pose: Sequence[float]) -> Pose:
 class Foxglove:
     """Messages of each schema: (schema, bytes). Poses are x (m), y (m), heading (rad) in the named frame."""
 
-    def decision(self, **told: Any) -> Said:
-        """What was decided: action (-1: unseen), its name, cost and time to plan (s); NaN: not known."""
-        return _said(_DECISION(**told))
+    def decision(self, **values: Any) -> Payload:
+        """A decision: action (-1: unseen), its name, cost and planning time (s); NaN: unknown."""
+        return _payload(_DECISION(**values))
 
-    def stroke(self, **told: Any) -> Said:
-        """Which limbs were heated, as bits and as numbers, and for how long (s)."""
-        return _said(_STROKE(**told))
+    def stroke(self, **values: Any) -> Payload:
+        """A pulse: its limbs as bits and as numbers, and its length (s)."""
+        return _payload(_STROKE(**values))
 
-    def pose(self, time_ns: int, frame: str, pose: Sequence[float]) -> Said:
+    def pose(self, time_ns: int, frame: str, pose: Sequence[float]) -> Payload:
         """A pose at a time."""
-        return _said(PoseInFrame(timestamp=_stamp(time_ns), frame_id=frame, pose=_pose(pose)))
+        return _payload(PoseInFrame(timestamp=_stamp(time_ns), frame_id=frame, pose=_pose(pose)))
 
-    def poses(self, time_ns: int, frame: str, poses: Sequence[Sequence[float]]) -> Said:
+    def poses(self, time_ns: int, frame: str, poses: Sequence[Sequence[float]]) -> Payload:
         """A row of poses: a path."""
-        every = [_pose(pose) for pose in poses]
-        return _said(PosesInFrame(timestamp=_stamp(time_ns), frame_id=frame, poses=every))
+        return _payload(
+            PosesInFrame(timestamp=_stamp(time_ns), frame_id=frame, poses=[_pose(pose) for pose in poses])
+        )
 
-    def transform(self, time_ns: int, parent: str, child: str, pose: Sequence[float]) -> Said:
-        """Where a frame is in another one."""
+    def transform(self, time_ns: int, parent: str, child: str, pose: Sequence[float]) -> Payload:
+        """Pose of a frame in its parent."""
         x, y, heading = (float(value) for value in pose)
-        return _said(
+        return _payload(
             FrameTransform(
                 timestamp=_stamp(time_ns),
                 parent_frame_id=parent,
@@ -129,8 +122,8 @@ class Foxglove:
 
     def step(
         self, time_ns: int, frame: str, step: Sequence[Sequence[float]], action: str, lifetime_ns: int
-    ) -> Said:
-        """The chosen action: a line from where the robot is to where it will be, its name beside it."""
+    ) -> Payload:
+        """The chosen action: a line from the robot's pose to the predicted one, with the action's name."""
         points = [Point3(x=float(pose[0]), y=float(pose[1])) for pose in step]
         line = LinePrimitive(
             type=LinePrimitive.Type.LINE_STRIP,
@@ -150,4 +143,4 @@ class Foxglove:
             lines=[line],
             texts=[text],
         )
-        return _said(SceneUpdate(entities=[entity]))
+        return _payload(SceneUpdate(entities=[entity]))

@@ -1,4 +1,4 @@
-"""A real robot behind the same face as the simulated ones: frames in and out in real time."""
+"""A ``RobotPort`` over a wire in real time."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from frogkick.link.wire import Delivery, Edge, Wire
 
 RESEND_S = 0.25
 LOOK_S = 0.1
-"""No wait is longer: whether the clock went back in it is seen only afterwards."""
+"""Longest wait: a clock that was set back during it is noticed only afterwards."""
 TIMED = ("FIX", "STROKE")
-"""Commands that are worth nothing later: never sent again."""
+"""Commands that are useless later: they are never sent again."""
 
 
 @dataclass
@@ -26,19 +26,18 @@ class _Command:
 
 
 class LabPort:
-    """A ``RobotPort`` over a wire. Its clock is this computer's, from 0 with the port.
+    """A ``RobotPort`` over a wire. Its clock is this computer's, from 0 at the port's start.
 
-    Commands go out at most ``window`` at a time, and again where no answer comes: a robot acts on each once.
-    Position fixes overtake them and are never sent again. What limbs do is not seen from here.
+    At most ``window`` commands wait for answers; a command without an answer is sent again, and the robot
+    acts on it once. Position fixes overtake commands and are never sent again. Pin edges are not seen.
 
     Attributes:
-        wire: the bytes' way.
-        resent: commands that were sent again so far.
-        bad: frames that came damaged so far.
+        wire: the wire.
+        resent: number of commands that were sent again.
     """
 
     def __init__(self, wire: Wire, clock: Callable[[], float] = time.monotonic) -> None:
-        """Talk over a wire, which stays the caller's to close."""
+        """Use a wire, which the caller closes."""
         self.wire = wire
         self.resent = 0
         self._clock = clock
@@ -50,21 +49,21 @@ class LabPort:
 
     @property
     def now_s(self) -> float:
-        """Time since the port began."""
+        """Time since the port's start."""
         return self._clock() - self._begin_s
 
     @property
     def bad(self) -> int:
-        """Frames that came damaged so far."""
+        """Number of damaged frames."""
         return self._collector.bad
 
     @property
     def gaps(self) -> int:
-        """Frames that came damaged, and drops of the connection, so far."""
+        """Number of damaged frames and of lost connections."""
         return self.bad + self.wire.connections - self._first_connection
 
     def send(self, encoded: bytes, at_s: float) -> None:
-        """Send a frame now; ``at_s`` is for robots in simulated time."""
+        """Send a frame now; ``at_s`` only matters in simulated time."""
         frame = unpack_frame(encoded[:-1])
         if frame.name == "FIX":
             self.wire.send(encoded, Delivery.NEWEST)
@@ -73,12 +72,12 @@ class LabPort:
         self._fill_window()
 
     def forget(self, sequence: int) -> None:
-        """Wait no longer for the answer to a command."""
-        self._commands = [one for one in self._commands if one.sequence != sequence]
+        """Stop waiting for the answer to a command."""
+        self._commands = [command for command in self._commands if command.sequence != sequence]
         self._fill_window()
 
     def advance(self, until_s: float) -> None:
-        """Wait until a time, or until a frame comes, or the clock goes back.
+        """Wait until a time, a frame, or a step back of the clock.
 
         Raises:
             WireError: the robot is gone.
@@ -87,23 +86,23 @@ class LabPort:
         while True:
             now_s = self.now_s
             if now_s < before_s:
-                return  # that time may be far ahead now
+                return  # the time may be far ahead now
             before_s = now_s
             self._send_again(now_s)
-            waiting = [one.sent_s + RESEND_S for one in self._commands if one.sent_s >= 0.0]
-            wake_s = min([until_s, *waiting])
+            resend_s = [command.sent_s + RESEND_S for command in self._commands if command.sent_s >= 0.0]
+            wake_s = min([until_s, *resend_s])
             for arrival_s, data in self.wire.receive(min(LOOK_S, max(0.0, wake_s - now_s))):
                 self._take(arrival_s - self._begin_s, data)
             if self._frames or self.now_s >= until_s:
                 return
 
     def frames(self) -> list[tuple[float, Frame]]:
-        """Frames that came since the last call, with their times."""
+        """Frames since the last call, with their arrival times."""
         taken, self._frames = self._frames, []
         return taken
 
     def edges(self) -> list[Edge]:
-        """None: a host does not see the pins."""
+        """No edges: a host does not see the pins."""
         return []
 
     def _take(self, arrival_s: float, data: bytes) -> None:
@@ -113,30 +112,30 @@ class LabPort:
                 self.forget(frame.sequence)
 
     def _fill_window(self) -> None:
-        under_way = sum(one.sent_s >= 0.0 for one in self._commands)
-        for one in self._commands:
-            if under_way >= self.wire.window or not self.wire.is_up:
+        unanswered = sum(command.sent_s >= 0.0 for command in self._commands)
+        for command in self._commands:
+            if unanswered >= self.wire.window or not self.wire.is_up:
                 return
-            if one.sent_s < 0.0:
-                self._put(one)
-                under_way += 1
+            if command.sent_s < 0.0:
+                self._put(command)
+                unanswered += 1
 
     def _send_again(self, now_s: float) -> None:
         self._fill_window()
         if not self.wire.is_up:
             return
-        for one in list(self._commands):
-            late = one.sent_s >= 0.0 and now_s - one.sent_s >= RESEND_S
-            if not (late or (one.sent_s >= 0.0 and one.connection != self.wire.connections)):
+        for command in list(self._commands):
+            is_late = now_s - command.sent_s >= RESEND_S or command.connection != self.wire.connections
+            if command.sent_s < 0.0 or not is_late:
                 continue
-            if one.name in TIMED:
-                self.forget(one.sequence)
+            if command.name in TIMED:
+                self.forget(command.sequence)
             else:
                 self.resent += 1
-                self._put(one)
+                self._put(command)
 
-    def _put(self, one: _Command) -> None:
-        one.sent_s, one.connection = self.now_s, self.wire.connections
-        # The many chunks of a table would wait a connection interval each for the radio to acknowledge them.
-        how = Delivery.ANSWERED if one.name == "TABLE_CHUNK" else Delivery.ACKNOWLEDGED
-        self.wire.send(one.encoded, how)
+    def _put(self, command: _Command) -> None:
+        command.sent_s, command.connection = self.now_s, self.wire.connections
+        # Acknowledged, each of a table's many chunks would take a connection interval.
+        how = Delivery.ANSWERED if command.name == "TABLE_CHUNK" else Delivery.ACKNOWLEDGED
+        self.wire.send(command.encoded, how)

@@ -1,4 +1,4 @@
-"""What a viewer shows of a run while it runs: path, fixes, track, the planner's fan and its chosen branch."""
+"""The state of a run for the viewer: path, fixes, track, and the planner's search tree."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ DECISIONS_SHOWN = 60
 
 
 def fan_of(tables: Tables, state: NDArray[np.float32], limb_use: tuple[int, ...]) -> FloatArray:
-    """(actions, 3) poses in the world after each action from a state, as the table tells them."""
+    """(actions, 3) predicted world poses after each action from a state."""
     arrays = lookup.arrays_of(tables)
     dynamics = np.zeros(lookup.DYNAMICS, dtype=np.int64)
     for axis in range(3):
@@ -45,11 +45,11 @@ def fan_of(tables: Tables, state: NDArray[np.float32], limb_use: tuple[int, ...]
 
 @dataclass(frozen=True)
 class Tree:
-    """What the planner looked at, along the branch that it chose.
+    """The search tree along the chosen branch.
 
     Attributes:
-        branch: poses from the estimate on, one more than there are actions in it.
-        fans: for each but the last of these, (actions, 3) poses where every action would lead from there.
+        branch: poses from the estimate on, one more than the branch has actions.
+        fans: for each pose but the last, (actions, 3) predicted poses after every action.
         names: of the branch's actions.
     """
 
@@ -59,43 +59,34 @@ class Tree:
 
 
 def tree_of(tables: Tables, path: Path, config: PlanConfig, decision: Decision) -> Tree:
-    """The tree of a decision.
-
-    The branch's first action is the decision's; each further one what the planner chooses from there with
-    what is left of its depth.
-    """
+    """Search tree of a decision. Each further action is planned again with the remaining depth."""
     branch = [decision.estimate[:3].tolist(), decision.predicted[:3].tolist()]
     fans = [fan_of(tables, decision.estimate, decision.limb_use)]
     names = [tables.actions[decision.action].name]
     state: NDArray[np.float32] = decision.predicted
-    use: NDArray[Any] = _used(tables, decision)
+    use: NDArray[Any] = np.zeros(LIMBS_MAX, dtype=np.int64)
+    before = np.array(decision.limb_use, dtype=np.int64)
+    lookup.limb_use_after(lookup.arrays_of(tables), before, decision.action, use)
     for depth in range(config.depth - 1, 0, -1):
         try:
-            told = plan(tables, path, replace(config, depth=depth), state, limb_use=use)
+            made = plan(tables, path, replace(config, depth=depth), state, limb_use=use)
         except PlanError:
             break
-        branch.append(told.predicted[:3].tolist())
-        fans.append(fan_of(tables, state, tuple(int(one) for one in use)))
-        names.append(tables.actions[told.action].name)
-        state, use = told.predicted, told.predicted_limb_use
+        branch.append(made.predicted[:3].tolist())
+        fans.append(fan_of(tables, state, tuple(int(count) for count in use)))
+        names.append(tables.actions[made.action].name)
+        state, use = made.predicted, made.predicted_limb_use
     return Tree(branch, fans, in_a_row(names))
-
-
-def _used(tables: Tables, decision: Decision) -> NDArray[np.int64]:
-    after = np.zeros(LIMBS_MAX, dtype=np.int64)
-    before = np.array(decision.limb_use, dtype=np.int64)
-    lookup.limb_use_after(lookup.arrays_of(tables), before, decision.action, after)
-    return after
 
 
 @dataclass
 class LiveView:
-    """The run as JSON, renewed as it goes on; what a page asks for, from another thread.
+    """The state of a run as JSON; another thread serves ``text`` to a page.
 
     Attributes:
         tables, path, config: of the run; None where nothing is decided, as with a camera alone.
-        outline_m: (n)(2) the robot's frame, body frame, to be drawn where it is.
-        camera: over the pool, where its pictures are shown: all is told in their pixels as well.
+        outline_m: (n)(2) outline of the robot, body frame.
+        camera: where its pictures are shown; the state is given in their pixels too.
         text: the newest state.
     """
 
@@ -107,10 +98,10 @@ class LiveView:
     text: str = "{}"
     _decisions: int = -1
     _drawn: dict[str, Sequence[Any]] = field(default_factory=dict)
-    _told: dict[str, Any] = field(default_factory=dict)
+    _labels: dict[str, Any] = field(default_factory=dict)
 
     def show(self, recording: Recording, track: FloatArray | None = None) -> None:
-        """Take what is recorded so far, and in a simulated pool (n, 3) where the robot really was."""
+        """Show a recording, and the (n, 3) true poses of a simulated pool."""
         if len(recording.decisions) != self._decisions:
             self._decisions = len(recording.decisions)
             self._plan(recording)
@@ -120,7 +111,7 @@ class LiveView:
         self._write(fixes, np.zeros((0, 3)) if track is None else track, age_s, recording.ended)
 
     def show_log(self, run: RunLog, time_s: float) -> None:
-        """Take what a log holds until a time of it."""
+        """Show a log up to a time."""
         seen = run.fixes.usable & (run.fixes.time_s <= time_s)
         fixes = run.fixes.pose_world[seen]
         ages_s = (run.fixes.time_s - run.fixes.capture_time_s)[seen]
@@ -128,45 +119,45 @@ class LiveView:
         decisions, made = run.decisions, int((run.decisions.time_s <= time_s).sum())
         last, some = made - 1, range(max(0, made - DECISIONS_SHOWN), made)
         places = decisions.estimate
-        if places is None:  # nobody told it: where it was seen
+        if places is None:  # without estimates: the newest fix
             places = fixes[np.searchsorted(run.fixes.time_s[seen], decisions.time_s[:made], "right") - 1]
         names = run.decided()
         branch = []
         if made and decisions.estimate is not None and decisions.predicted is not None:
             branch = [decisions.estimate[last, :3], decisions.predicted[last, :3]]
         self._drawn = {"decisions": [places[k, :3] for k in some if len(fixes)], "fan": [], "branch": branch}
-        self._told = {"letters": [names[k] for k in some], "actions": names[last] if made else ""}
+        self._labels = {"letters": [names[k] for k in some], "actions": names[last] if made else ""}
         if made and decisions.cost is not None:
-            self._told["cost"] = round(float(decisions.cost[last]), 3)
+            self._labels["cost"] = round(float(decisions.cost[last]), 3)
         is_over = time_s >= max(run.fixes.time_s.max(initial=0.0), decisions.time_s.max(initial=0.0))
         age_s = float(ages_s[-1]) if len(ages_s) and np.isfinite(ages_s[-1]) else None
         self._write(fixes, track, age_s, (run.notes or "so far was recorded") if is_over else "")
 
     def _write(self, fixes: FloatArray, track: FloatArray, age_s: float | None, ended: str) -> None:
-        """The state as text: (n, 3) fixes, (m, 3) where the robot really was."""
-        fixes, swum = fixes[-FIXES_SHOWN:], track[-4 * FIXES_SHOWN :]
+        """Write the state with (n, 3) fixes and (m, 3) true poses."""
+        fixes, track = fixes[-FIXES_SHOWN:], track[-4 * FIXES_SHOWN :]
         state = {
             "path": np.zeros((0, 2)) if self.path is None else self.path.points_m,
             "fixes": fixes,
-            "track": swum,
-            "robot": self._outline(swum if len(swum) else fixes),
+            "track": track,
+            "robot": self._outline(track if len(track) else fixes),
             **{name: np.array(rows, dtype=np.float64).reshape(-1, 3) for name, rows in self._drawn.items()},
         }
-        told: dict[str, Any] = {
+        values: dict[str, Any] = {
             **{name: np.round(rows, 4).tolist() for name, rows in state.items()},
             "camera": None,
             "fix_age_s": None if age_s is None else round(age_s, 3),
             "ended": ended,
-            **self._told,
+            **self._labels,
         }
         if self.camera is not None:
             seen = {name: self.camera.pixels(rows[:, :2]) for name, rows in state.items()}
             pixels = {name: np.round(rows, 1).tolist() for name, rows in seen.items()}
-            told["camera"] = {"size": self.camera.size_px, **pixels}
-        self.text = json.dumps(told)
+            values["camera"] = {"size": self.camera.size_px, **pixels}
+        self.text = json.dumps(values)
 
     def _outline(self, poses: FloatArray) -> FloatArray:
-        """(n + 2, 2) the frame's corners at the last of (m, 3) poses, its centre, its foremost place."""
+        """(n + 2, 2) outline, centre and foremost point of the robot at the last of (m, 3) poses."""
         if not len(poses) or not len(self.outline_m):
             return np.zeros((0, 2))
         corners = np.array(self.outline_m, dtype=np.float64)
@@ -174,21 +165,19 @@ class LiveView:
         return np.asarray(poses[-1, :2] + ends @ rotation(poses[-1, 2]).T)
 
     def _plan(self, recording: Recording) -> None:
-        """What is told of the newest decision, and of those before it."""
-        planned = [one for one in recording.decisions if one.status == 0]
-        last = planned[-DECISIONS_SHOWN:]
         self._drawn = {"decisions": [], "fan": [], "branch": []}
-        self._told = {"letters": [], "actions": ""}
+        self._labels = {"letters": [], "actions": ""}
         if self.tables is None or self.path is None or self.config is None:
             return
-        self._drawn = {"decisions": [one.estimate[:3].tolist() for one in last], "fan": [], "branch": []}
-        self._told = {"letters": [self.tables.actions[one.action].name for one in last], "actions": ""}
+        last = [decision for decision in recording.decisions if decision.status == 0][-DECISIONS_SHOWN:]
+        self._drawn["decisions"] = [decision.estimate[:3].tolist() for decision in last]
+        self._labels["letters"] = [self.tables.actions[decision.action].name for decision in last]
         if not last or last[-1].action >= len(self.tables.actions):
             return
         newest = last[-1]
         tree = tree_of(self.tables, self.path, self.config, newest)
         self._drawn |= {"fan": np.vstack(tree.fans).tolist(), "branch": tree.branch}
-        self._told |= {
+        self._labels |= {
             "actions": tree.names,
             "cost": round(float(newest.cost), 3),
             "distance_mm": round(1e3 * float(newest.distance_m), 1),

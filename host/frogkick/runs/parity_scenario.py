@@ -1,4 +1,4 @@
-"""Parity scenario: a closed loop from fixes to decisions that all builds of the core repeat bit for bit."""
+"""Parity scenario: a closed loop from fixes to decisions, the same bits in all builds of the core."""
 
 from __future__ import annotations
 
@@ -22,17 +22,16 @@ from frogkick.tables.image import Tables
 FIRST_S = 2.0
 _RATES_HZ = (2.0, 15.0, 60.0)
 _SILENCE_S = 1.2
-"""Longer than an estimate lives, shorter than what ends a run."""
+"""Longer than an estimate is valid, shorter than what ends a run."""
 
 
 @dataclass(frozen=True, eq=False)
 class ParityScenario:
-    """A closed loop as one build of the core ran it.
+    """A closed loop of one build of the core.
 
     Attributes:
-        calls: every turn of the core with all that came out.
-        decisions: its decisions.
-        events: what it met, for the twin.
+        calls: each turn of the core with its outputs.
+        decisions, events: of the core, for ``DecisionTwin``.
     """
 
     calls: list[CoreCall]
@@ -43,10 +42,10 @@ class ParityScenario:
 def schedule_fixes(
     tables: Tables, path: SwimPath, config: PlanConfig, decisions: int, rng: np.random.Generator
 ) -> Schedule:
-    """Return fixes of a robot on a path: late, lost, doubled, out of order, noisy and plainly wrong.
+    """Fixes of a robot on a path: late, lost, duplicate, out of order, noisy, and outliers.
 
-    It swims as the table says, by what the planner chooses from its true state, and begins anew at the path's
-    end. The rate of the fixes changes from 2 to 60 Hz, with silences.
+    The robot moves as the table predicts, with the actions that the planner chooses for its true state, and
+    restarts at the path's end. The fixes' rate changes from 2 to 60 Hz, with silences.
     """
     period_s = tables.period_us * 1e-6
     start = np.array([path.x_m[0], path.y_m[0], path.tangent_rad[0], 0.0, 0.0, 0.0], dtype=np.float32)
@@ -76,21 +75,21 @@ def schedule_fixes(
             fix = Fix(capture_s, delay_s, *pose.tolist(), sequence=sequence & 0xFFFF)
             fixes += [fix] * (2 if rng.random() < 0.05 else 1)
         state = start if made.path_index + 1 >= len(path) else ahead
-    arrivals = sorted(((fix.arrival_s, fix) for fix in fixes), key=lambda one: one[0])
+    arrivals = sorted(((fix.arrival_s, fix) for fix in fixes), key=lambda arrival: arrival[0])
     return Schedule(arrivals, round(FIRST_S * 1e6), tables.period_us, decisions)
 
 
 def record_scenario(
     library: Path, tables: Tables, path: SwimPath, config: PlanConfig, decisions: int, seed: int
 ) -> ParityScenario:
-    """Let the native core decide on such fixes.
+    """Let the native core decide on ``schedule_fixes``.
 
     Args:
         library: shared library made by ``firmware build --target native``.
         tables: its tables.
-        path, config: what it plans with.
-        decisions: how many.
-        seed: makes the same fixes again.
+        path, config: for the planner.
+        decisions: number of decisions.
+        seed: of the fixes.
 
     Raises:
         LinkError: the core refuses or does not answer.
@@ -104,15 +103,15 @@ def record_scenario(
 def twin_mismatches(
     scenario: ParityScenario, tables: Tables, path: SwimPath, config: PlanConfig
 ) -> list[tuple[int, list[str]]]:
-    """Decisions in which the host's twins differ from the scenario's in any bit, with the fields."""
-    twin = DecisionTwin(tables, path, config)
-    return compare(scenario.decisions, replay_on_host(scenario.events, twin))
+    """Decisions in which the host's twin differs from the scenario in any bit, with the fields."""
+    decided = replay_on_host(scenario.events, DecisionTwin(tables, path, config))
+    return compare(scenario.decisions, decided)
 
 
 def call_mismatches(scenario: ParityScenario, others: Sequence[CoreCall]) -> list[int]:
-    """Turns of the core in which another build gave other outputs or sent other bytes."""
+    """Turns of the core in which another build had different outputs or sent different bytes."""
     pairs = zip(scenario.calls, others, strict=True)
-    return [index for index, (one, other) in enumerate(pairs) if one != other]
+    return [index for index, (first, second) in enumerate(pairs) if first != second]
 
 
 def live_natively(library: Path, tables: Tables, calls: Sequence[CoreCall]) -> list[CoreCall]:
@@ -146,11 +145,11 @@ def live_on_chip(elf: Path, calls: Sequence[CoreCall]) -> list[CoreCall]:
             chip.ram_write(frame_at, call.frame)
             chip.call("fk_robot_on_frame", robot, frame_at, len(call.frame), 0, low, high)
         chip.call("fk_robot_tick", robot, 0, low, high, place)
-        told = np.frombuffer(chip.ram_read(place, outputs.itemsize), dtype=outputs)[0]
+        out = np.frombuffer(chip.ram_read(place, outputs.itemsize), dtype=outputs)[0]
         stream = b""
         while count := chip.call("fk_robot_take_tx", robot, stream_at, 1024)[0]:
             stream += chip.ram_read(stream_at, count)
-        mask, off = int(told["limb_mask"]), int(told["all_off"])
-        values = (mask, off, int(told["pulse_us"]), int(told["next_tick_us"]))
+        mask, off = int(out["limb_mask"]), int(out["all_off"])
+        values = (mask, off, int(out["pulse_us"]), int(out["next_tick_us"]))
         found.append(CoreCall(call.now_us, call.frame, values, stream))
     return found

@@ -1,9 +1,9 @@
-"""What a robot at rest is given by the link: another table, the one before, an owner's key."""
+"""Changes to a robot at rest over the link: a new table, the previous table, an owner's key."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 
 from frogkick.link.auth import KEY_BYTES, default_key_file, make_key, read_key, words
 from frogkick.link.upload import upload
@@ -15,14 +15,14 @@ REST_S = 1.0  # beyond the longest rest that a limb may need after its last puls
 
 @dataclass(frozen=True)
 class Pushed:
-    """What came of it.
+    """Result of a push or a rollback.
 
     Attributes:
-        bytes_sent: of the image, without what was there already.
-        resumed_at: offset at which an earlier sending was taken up; 0 = all was sent.
+        bytes_sent: of the image, without what the robot had already.
+        resumed_at: offset at which an earlier transfer was resumed; 0: none.
         table_crc: CRC-32 of the table that the robot uses now.
-        kept_crc: of the one that it keeps to go back to.
-        took_s: in the session's time.
+        kept_crc: CRC-32 of the previous table, which it keeps.
+        took_s: session time.
     """
 
     bytes_sent: int
@@ -33,13 +33,7 @@ class Pushed:
 
     def as_json(self) -> dict[str, float | int | str]:
         """Keys of the commands; CRCs as hexadecimal text."""
-        return {
-            "bytes_sent": self.bytes_sent,
-            "resumed_at": self.resumed_at,
-            "table_crc": f"{self.table_crc:08x}",
-            "kept_crc": f"{self.kept_crc:08x}",
-            "took_s": self.took_s,
-        }
+        return {key: f"{value:08x}" if key.endswith("_crc") else value for key, value in asdict(self).items()}
 
 
 def push(
@@ -48,26 +42,26 @@ def push(
     instead_of: Tables | None = None,
     progress: Callable[[int, int], None] = lambda _done, _all: None,
 ) -> Pushed:
-    """Give a robot a table, which it uses from then on; it is disarmed for it. The one before is kept.
+    """Disarm a robot and give it a table, which it uses from then on. It keeps the previous one.
 
     Args:
         session: with the robot.
         tables: to send.
-        instead_of: the table that it must carry now, or the new one already; None: any.
-        progress: called with bytes that are there and all bytes.
+        instead_of: the table that it must have now, if not the new one already; None: any.
+        progress: called with the bytes on the robot and all bytes.
 
     Raises:
         LinkError: another protocol or table, or no answer.
         TableError: another robot.
         UploadError: it does not take the table.
     """
-    told = session.hello()
-    tables.require_robot(str(told["robot_id"]))
-    carried = int(told["table_crc"])
+    answer = session.hello()
+    tables.require_robot(str(answer["robot_id"]))
+    carried = int(answer["table_crc"])
     if instead_of is not None and carried not in (instead_of.crc32, tables.crc32):
         raise LinkError(
-            f"the robot carries the table with CRC-32 {carried:08x}, the new one was weighed against "
-            f"{instead_of.crc32:08x}: give the robot's own with --tables, or send it all the same with "
+            f"the robot carries the table with CRC-32 {carried:08x}, the new one was compared with "
+            f"{instead_of.crc32:08x}: give the robot's own with --tables, or send the new one anyway with "
             "'frogkick push'"
         )
     rest(session)
@@ -78,7 +72,7 @@ def push(
 
 
 def roll_back(session: Session) -> Pushed:
-    """Let a robot go back to the table that it used before.
+    """Let a robot return to its previous table.
 
     Raises:
         LinkError: it keeps none, refuses or does not answer.
@@ -95,14 +89,14 @@ def roll_back(session: Session) -> Pushed:
 
 
 def own(session: Session, release: bool = False) -> None:
-    """Give a robot the owner's key of ``session.key_file``, or take it away; it is disarmed for it.
+    """Disarm a robot and give it the owner's key of ``session.key_file``, which is made if missing.
 
     Args:
         session: with the robot.
-        release: let anybody command it from then on. Otherwise a key is made where there is none.
+        release: remove the robot's key instead, so that every host may command it.
 
     Raises:
-        LinkError: it has another key than this host, refuses, or does not answer.
+        LinkError: the robot has another key, refuses, or does not answer.
         InputError: the key's file cannot be read or written.
     """
     session.hello()
@@ -117,12 +111,12 @@ def own(session: Session, release: bool = False) -> None:
 
 
 def rest(session: Session) -> None:
-    """Disarm, and wait until every limb has rested.
+    """Disarm, and wait until all limbs have rested.
 
     Raises:
         LinkError: it does not answer.
     """
-    session.ask("DISARM")  # refused in a fault only, which has the outputs off
+    session.ask("DISARM")  # refused only in a fault, when the outputs are off
     end_s = session.time_s + REST_S
     while session.time_s < end_s:
         session.step(end_s)

@@ -1,4 +1,4 @@
-"""Recorded fixes once more through the planner: on the chip, on the host, or on both and compared."""
+"""Replay: recorded fixes decided again by the robot, the host, or both, which are then compared."""
 
 from __future__ import annotations
 
@@ -29,19 +29,20 @@ from frogkick.runs.session import LinkError, Session
 from frogkick.tables.image import Tables
 
 LEAD_IN_S = 1.0  # robot time before the recorded run's time zero, for path and parameters
-START_AHEAD_S = 0.2  # ARM and START go out this long before a first decision
+START_AHEAD_S = 0.2  # from ARM and START to the first decision
 STEP_S = 0.02
+_COORDINATE_MOST = 1e6  # of a fix, m or rad: beyond any pool, and within float32
 
 
 @dataclass(frozen=True)
 class Replay:
-    """What came out.
+    """Result of a replay.
 
     Attributes:
-        actions: decided action names, one a decision, of the chip where it took part, else of the host.
-        recorded: what was decided in the recorded run at the same decision; None where unknown.
-        onboard, host: the decisions of each side; empty where it took no part.
-        differences: (decision, fields that differ), decisions of both sides compared bit by bit.
+        actions: name of each decision's action, of the robot where it took part, else of the host.
+        recorded: the same of the recorded run; None where unknown.
+        onboard, host: decisions of each; empty without it.
+        differences: (decision, fields that differ) between robot and host, bit by bit.
     """
 
     actions: list[str]
@@ -52,7 +53,7 @@ class Replay:
 
     @property
     def agreement(self) -> float | None:
-        """Share of decisions that are the recorded ones; None where nothing is recorded."""
+        """Share of decisions with the recorded action; None where none is known."""
         known = [a == r for a, r in zip(self.actions, self.recorded, strict=True) if r is not None]
         return float(np.mean(known)) if known else None
 
@@ -63,7 +64,7 @@ class Schedule:
 
     Attributes:
         fixes: (arrival, fix), robot time in s, in order of arrival.
-        first_us, period_us, decisions: when it decides, and how often.
+        first_us, period_us, decisions: time of the first decision, period, and number of decisions.
     """
 
     fixes: list[tuple[float, Fix]]
@@ -73,11 +74,7 @@ class Schedule:
 
 
 def require_replayable(run: RunLog) -> None:
-    """Refuse a run that holds nothing to decide again.
-
-    Raises:
-        InputError: the run has no path, no decisions or no usable fix.
-    """
+    """Raise InputError unless a run has a path, a constant period, decisions and usable fixes in range."""
     if run.path is None:
         raise InputError(f"run {run.source!r} has no path: a replay needs the one that was followed")
     if len(run.decisions) == 0:
@@ -86,29 +83,26 @@ def require_replayable(run: RunLog) -> None:
         raise InputError(f"run {run.source!r} cannot be replayed: {clock_problem(run)}: give another run")
     if run.measured.get("clock_slips"):
         raise InputError(
-            f"run {run.source!r} cannot be replayed: its stroke clock slips ({run.notes}); a replay decides "
-            "by a constant one: cut the run there"
+            f"run {run.source!r} cannot be replayed: its stroke clock slips ({run.notes}), and a replay "
+            "needs a constant one: cut the run there"
         )
     if not run.fixes.usable.any():
         raise InputError(f"run {run.source!r} has no usable fix: nothing to replay")
     for name in ("x_m", "y_m", "heading_rad"):
-        far = float(np.abs(getattr(run.fixes, name)[run.fixes.usable]).max())
-        if not far <= _FAR:
+        most = float(np.abs(getattr(run.fixes, name)[run.fixes.usable]).max())
+        if not most <= _COORDINATE_MOST:
             raise InputError(
-                f"run {run.source!r} has a fix with {name} of {far:g}: {_FAR:g} at most; correct it"
+                f"run {run.source!r} has a fix with {name} of {most:g}, the limit is {_COORDINATE_MOST:g}: "
+                "correct it"
             )
-
-
-_FAR = 1e6
-"""Of a fix, m or rad: no pool is as large, and float32 still holds it."""
 
 
 def _schedule(run: RunLog) -> Schedule:
     fixes = []
-    # A fix that came twice has one number: by it and its pose the robot knows it again.
+    # The robot recognises a duplicate by its number and pose.
     numbers = run.fixes.extra.get("sequence", np.arange(len(run.fixes)))
     for row in np.flatnonzero(run.fixes.usable):
-        pose = [float(each[row]) for each in (run.fixes.x_m, run.fixes.y_m, run.fixes.heading_rad)]
+        pose = run.fixes.pose_world[row].tolist()
         arrival_s = LEAD_IN_S + float(run.fixes.time_s[row])
         capture_s = LEAD_IN_S + float(run.fixes.capture_time_s[row])
         fixes.append(
@@ -126,20 +120,20 @@ def replay(
     host: bool,
     progress: Callable[[int, int], None] = lambda _done, _all: None,
 ) -> Replay:
-    """Feed a run's fixes to the planner at their recorded times; decide when the run decided.
+    """Give a run's fixes to the planner at their recorded times, and decide at the recorded times.
 
-    The robot's strokes go nowhere: the recorded robot swims on as it did.
+    The strokes that the robot decides have no effect.
 
     Args:
         run: recorded run with its path.
         tables: transitions for the planner.
         config: weights and depth.
-        port: a robot with these tables on board; None = the host alone.
-        host: also (or only) decide with the twins on the host.
+        port: a robot with these tables; None: the host alone.
+        host: whether the host's twins decide too.
         progress: called with decisions done and to do.
 
     Raises:
-        InputError: the run has no path, no decisions or no usable fix.
+        InputError: see ``require_replayable``.
         LinkError: the robot refuses or does not answer.
     """
     require_replayable(run)
@@ -159,7 +153,7 @@ def replay(
 
 
 def compare(onboard: Sequence[Decision], host: Sequence[Decision]) -> list[tuple[int, list[str]]]:
-    """Decisions that differ in any bit, with the fields; a missing decision is a difference too."""
+    """Decisions that differ in any bit, with the fields; a missing decision counts as different."""
     found = [
         (index, fields)
         for index, (a, b) in enumerate(zip(onboard, host, strict=False))
@@ -170,12 +164,12 @@ def compare(onboard: Sequence[Decision], host: Sequence[Decision]) -> list[tuple
 
 
 def replay_on_host(events: Sequence[RobotEvent], twin: DecisionTwin) -> list[Decision]:
-    """The twin's decisions for what the robot saw, in the order in which it saw it."""
+    """The twin's decisions for a robot's events."""
     return [decision for event in events if (decision := twin.apply(event)) is not None]
 
 
 def _events_of(schedule: Schedule) -> list[RobotEvent]:
-    """Without a robot: a decision sees the fixes that arrived before it."""
+    """The events of a robot on this schedule: a decision uses the fixes that arrived before it."""
     timed = [
         (round(arrival_s * 1e6), 0, RobotEvent(round(fix.capture_s * 1e6), fix.pose_world, fix.sequence))
         for arrival_s, fix in schedule.fixes
@@ -197,7 +191,7 @@ def replay_onboard(
     """Let a robot decide on a schedule's fixes.
 
     Returns:
-        Its decisions, and what it met in its order: enough for ``replay_on_host``.
+        Its decisions, and its events for ``replay_on_host``.
 
     Raises:
         LinkError: the robot refuses or does not answer.
@@ -214,7 +208,7 @@ def replay_onboard(
     while len(decisions) < schedule.decisions:
         next_us = schedule.first_us + len(decisions) * schedule.period_us
         if not running and next_us * 1e-6 - session.time_s < START_AHEAD_S:
-            # Also after an end on board (path completed): the recorded robot swam on, so the replay does.
+            # Also after the robot ended its run at the path's end: the recorded robot swam on.
             running = _start(session, next_us)
         next_s = waiting[0][0] if waiting else session.time_s + STEP_S
         session.step(max(min(next_s, session.time_s + STEP_S), session.time_s + 1e-6))
@@ -238,11 +232,7 @@ def replay_onboard(
 
 
 def _start(session: Session, first_us: int) -> bool:
-    """ARM, and START so that the first decision falls on a time, to the frame's own time on the wire.
-
-    Returns:
-        Whether the run has begun; it does not before there is a position fix.
-    """
+    """ARM, and START with its first decision at a time; False where the robot has no fix yet."""
     session.request("ARM")
     delay_us = first_us - round(session.time_s * 1e6)
     values: dict[str, Value] = {"delay_us": max(0, delay_us)}

@@ -1,10 +1,8 @@
-"""The run log's HDF5 layout: one for ours (on board, in the pool) and for imported ones.
+"""The run log's HDF5 layout.
 
-Root attributes: format, format_version, robot_id, source, period_s, pulse_s, notes; table_crc and seed
-where the run has them. Groups `fixes`, `decisions`, `strokes`, and where the run has them `path`, `truth`
-(simulated runs only), `measured` (numbers about the run), `planner` (weights and depth) and `made` (how it
-came about: when, by which version, robot, table and command). Numbers about a run are attributes, texts of
-`made` datasets. Every dataset carries `unit`.
+Root attributes: format, format_version, robot_id, source, period_s, pulse_s, notes, and optionally table_crc
+and seed. Groups: `fixes`, `decisions`, `strokes`, and optionally `path`, `truth` (simulated runs), `measured`
+and `planner` (numbers as attributes) and `made` (texts as datasets). Every column has the attribute `unit`.
 """
 
 from __future__ import annotations
@@ -27,7 +25,7 @@ from frogkick.runs.runlog import DecisionFlag, Decisions, Fixes, FixFlag, RunLog
 FORMAT = "frogkick run"
 FORMAT_VERSION = 1
 
-# Unit of an additional column, from the end of its name, longest first.
+# Unit of an extra column by the end of its name, longest first.
 _SUFFIX_UNITS = {
     "_mps": "m/s",
     "_radps": "rad/s",
@@ -41,9 +39,9 @@ _SUFFIX_UNITS = {
 
 @contextmanager
 def hdf5_to_write(target: pathlib.Path | str) -> Iterator[h5py.File]:
-    """Yield a new HDF5 file in memory, which is written to ``target`` wholly or not at all.
+    """Yield a new HDF5 file in memory, and write it to ``target`` completely or not at all.
 
-    On a full disk the HDF5 library itself would end the process.
+    The HDF5 library itself would end the process on a full disk.
 
     Raises:
         InputError: the folder cannot be written to, or the disk is full.
@@ -55,7 +53,7 @@ def hdf5_to_write(target: pathlib.Path | str) -> Iterator[h5py.File]:
 
 
 def write_run(target: pathlib.Path | str, run: RunLog) -> None:
-    """Write a run to HDF5, wholly or not at all; the same run gives the same bytes.
+    """Write a run to HDF5, completely or not at all; the same run gives the same bytes.
 
     Raises:
         InputError: the folder cannot be written to.
@@ -91,7 +89,7 @@ def fill(file: h5py.File, run: RunLog, chunk_rows: int = 0) -> None:
             for name in sorted(numbers):
                 group.attrs[name] = float(numbers[name])
     if run.made:
-        # In a dataset each: an attribute holds no text as long as a robot's.
+        # As datasets: a robot's TOML is too long for an attribute.
         group = file.create_group("made")
         for name in sorted(run.made):
             group[name] = run.made[name]
@@ -101,25 +99,25 @@ def read_run(source: pathlib.Path | str) -> RunLog:
     """Read a run from HDF5.
 
     Raises:
-        InputError: missing, empty, foreign, truncated or newer file; a missing group or column; NaN in a
-            column where no flag marks it missing (column and row named).
+        InputError: missing, empty, foreign, truncated or newer file; a missing group or column; NaN in a row
+            that is not flagged as missing.
     """
     file_path = existing_file(source, "run log")
     name = file_path.name
     try:
         with _opened(file_path) as file:
-            return _read(file, name)
+            return _read(file)
     except InputError as error:
         raise InputError(f"run log {name!r}: {str(error).removeprefix('run: ')}") from error
     except (OSError, KeyError, RuntimeError, ValueError, TypeError, AttributeError) as error:
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise InputError(
-            f"run log {name!r} is not HDF5, is cut short or is damaged ({reason}): record or import it again"
+            f"run log {name!r} is not HDF5, is truncated or is damaged ({reason}): record or import it again"
         ) from error
 
 
 def _opened(path: pathlib.Path) -> h5py.File:
-    """A log; also one that a run is still writing, or wrote when it was killed."""
+    """Open a log, also one that a run is writing or that a killed run left."""
     try:
         return h5py.File(path, "r")
     except OSError as error:
@@ -129,7 +127,7 @@ def _opened(path: pathlib.Path) -> h5py.File:
             raise error from None
 
 
-def _read(file: h5py.File, name: str) -> RunLog:
+def _read(file: h5py.File) -> RunLog:
     if file.attrs.get("format") != FORMAT:
         found = file.attrs.get("format", "no format")
         raise InputError(f"run: this is another kind of file ({found!r}), expected {FORMAT!r}: give a run")
@@ -203,12 +201,11 @@ def _read_group(file: h5py.File, kind: type[Fixes | Decisions | Strokes | Truth]
 
 
 def _cut(columns: dict[str, Any], fixes: int) -> None:
-    """Of a log that was being written: only rows that are there in every column."""
-    given = [values for name, values in columns.items() if name != "extra"]
-    whole = min(len(values) for values in [*given, *columns["extra"].values()])
-    for part in (columns, columns["extra"]):
-        for name, values in part.items():
-            if name != "extra":
-                part[name] = values[:whole]
+    """Cut the columns of an unfinished log to the rows that all of them have."""
+    extra = columns.pop("extra")
+    rows = min(len(values) for values in [*columns.values(), *extra.values()])
+    for part in (columns, extra):
+        part.update({name: values[:rows] for name, values in part.items()})
+    columns["extra"] = extra
     if "fix_sequence" in columns:
         columns["fix_sequence"] = np.where(columns["fix_sequence"] < fixes, columns["fix_sequence"], -1)

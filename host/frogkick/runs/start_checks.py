@@ -1,8 +1,4 @@
-"""What is looked at before a real robot is armed: is it seen well, in the pool, is its path; its batteries.
-
-No pin of the robot measures these: a person does (the documentation's first day in the lab), and
-where nobody did, that is said.
-"""
+"""Checks before a real robot is armed: its fixes, its path in the pool, and its batteries."""
 
 from __future__ import annotations
 
@@ -19,50 +15,52 @@ from frogkick.runs.closed_loop import FixSource
 
 LOOK_S = 1.0
 FIXES_LEAST = 2
-"""In that time: the guard fires no limb on an older fix than half a second."""
+"""Fewest fixes in that time: the guard fires no limb on a fix that is older than half a second."""
 
 APART_MOST_M = 0.02
-"""Between two fixes in a row: a robot at rest does not move so far, so one of them is of something else."""
+"""Longest distance between successive fixes of a robot at rest: beyond it, one is of something else."""
 
 START_MOST_M = 0.3
-"""From the robot to its path: farther off the planner swims to the path for many strokes."""
+"""Longest distance from the robot to its path."""
 
 WALL_M = 0.05
-"""A path keeps so far from the walls: half a robot."""
+"""Shortest distance from a path to the walls: half a robot."""
 
 OVER_FULL = 1.1
-"""A battery with so many times the voltage of a full one is another's, or the number has a slip."""
+"""Highest plausible voltage over that of a full battery."""
 
 
 def check_battery(robot: Robot, measured_v: float | None) -> str:
-    """Refuse to begin with batteries that are low.
+    """Check the battery voltage.
 
     Args:
-        robot: its file may say which it has.
-        measured_v: by a person, of the lowest of them; None: nobody did.
+        robot: with or without a description of its batteries.
+        measured_v: lowest voltage of its batteries, measured by a person; None: not measured.
 
     Returns:
-        What is known of them, in a line.
+        The result in one line.
 
     Raises:
-        InputError: they are low, they are no such batteries, or the robot's file says nothing of any.
+        InputError: the voltage is low, implausible, or without limits in the robot's file.
     """
     battery = robot.battery
     limits = "" if battery is None else f"{battery.low_v:g} V is low, {battery.full_v:g} V full"
     if measured_v is None:
         if battery is not None and battery.inputs:
-            seen = f"{len(battery.inputs)} of {battery.count}"
-            return f"battery: the robot sees {seen} itself, and is not armed below {battery.low_v:g} V"
+            count = f"{len(battery.inputs)} of {battery.count}"
+            return (
+                f"battery: the robot measures {count} itself, and cannot be armed below {battery.low_v:g} V"
+            )
         if battery is None:
-            return f"battery: unknown, nobody measured it, and {robot.id} has no [battery] in its file"
+            return f"battery: unknown, not measured, and {robot.id} has no [battery] in its file"
         return (
-            f"battery: unknown, not measured by this robot: do so {battery.measure} ({battery.count} of "
-            f"them, {limits}), give the lowest, as --battery-v {battery.nominal_v:g}"
+            f"battery: unknown, not measured by this robot: measure it {battery.measure} ({battery.count} of "
+            f"them, {limits}) and give the lowest voltage, as --battery-v {battery.nominal_v:g}"
         )
     if battery is None:
         raise InputError(
-            f"--battery-v is {measured_v:g}, and {robot.id} does not say which voltage is low: add [battery] "
-            "to its file, or leave it out"
+            f"--battery-v is {measured_v:g}, and {robot.id} has no limit for it: add [battery] to its file, "
+            "or omit --battery-v"
         )
     if not (math.isfinite(measured_v) and 0.0 < measured_v <= OVER_FULL * battery.full_v):
         raise InputError(
@@ -78,25 +76,25 @@ def check_battery(robot: Robot, measured_v: float | None) -> str:
 
 
 def look(source: FixSource, clock: Callable[[], float], wait: Callable[[float], None]) -> list[Fix]:
-    """Fixes of a second or so, before anything moves."""
-    seen: list[Fix] = []
+    """Collect the fixes of ``LOOK_S``."""
+    fixes: list[Fix] = []
     begin_s = clock()
     while clock() - begin_s < LOOK_S:
-        seen += source.advance(clock())
+        fixes += source.advance(clock())
         wait(0.01)
-    return seen
+    return fixes
 
 
 def check_start(fixes: Sequence[Fix], path: Path, pool_m: tuple[float, float] | None) -> list[str]:
-    """Refuse to begin where a run can only fail.
+    """Check fixes and path before a run.
 
     Args:
-        fixes: of about a second, the robot at rest.
+        fixes: of the robot at rest during ``LOOK_S``.
         path: to swim, in the fixes' frame.
-        pool_m: length and width, origin in a corner; None where nobody knows them.
+        pool_m: length and width of the pool, whose origin is a corner; None: unknown.
 
     Returns:
-        What was looked at, a line each, with what was not.
+        The results, one line each.
 
     Raises:
         InputError: too few fixes, fixes that jump, a path outside the pool, a robot far from its path.
@@ -104,7 +102,7 @@ def check_start(fixes: Sequence[Fix], path: Path, pool_m: tuple[float, float] | 
     if len(fixes) < FIXES_LEAST:
         raise InputError(
             f"{len(fixes)} position fixes came in {LOOK_S:g} s, {FIXES_LEAST} are needed: light the pool, "
-            "look at 'frogkick camera check'"
+            "and try 'frogkick camera check'"
         )
     places = np.array([fix.pose_world[:2] for fix in fixes], dtype=np.float64)
     apart_m = np.hypot(*np.diff(places, axis=0).T)

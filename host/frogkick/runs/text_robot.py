@@ -1,8 +1,7 @@
-"""A robot that only fires limbs when a line of text says so: this project's core thinks for it on the host.
+"""A robot that fires limbs when a line of text says so; this project's core runs on the host instead.
 
-The core is the firmware's own C, with its guard, so pulses, rests, heat and limbs at once keep the limits
-that they keep on board; and the robot looks from outside like any other. What a line takes on its way is
-not in its books.
+The core is the firmware's C with its guard, so pulses, rests, heat and simultaneous limbs keep the same
+limits as on board. The delay of a line on its way is unknown to the guard.
 """
 
 from __future__ import annotations
@@ -22,30 +21,30 @@ _SLEEP_S = 0.02
 
 
 class TextRobot:
-    """A port (see ``LabPort``) whose frames go to the core here, and whose pulses go out as text.
+    """A port (see ``LabPort``) whose frames go to a core on the host, and whose pulses go out as text.
 
     Attributes:
         wire: to the robot.
-        lost: pulses whose line could not be sent, because the wire was down.
+        lost: number of pulses whose line could not be sent because the wire was down.
+        bad, gaps: 0, as no frame of the core gets lost.
     """
 
     bad = 0
     gaps = 0
-    """The core runs here: nothing that it says is lost."""
 
     def __init__(
         self, wire: Wire, core: NativeRobot, robot: Robot, clock: Callable[[], float] = time.monotonic
     ) -> None:
-        """Switch the core on.
+        """Start the core.
 
         Args:
-            wire: its greeting is the line that sets the pulse's length, so that each connect does.
-            core: just made; with the table to plan by.
-            robot: whose limbs they are.
+            wire: its greeting is the line that sets the pulse's length, so that each connection sets it.
+            core: a new one, with the planner's table.
+            robot: with the limbs.
             clock: in s.
 
         Raises:
-            InputError: a limb that the dialect does not know.
+            InputError: the dialect does not know a limb.
         """
         self.wire = wire
         self.lost = 0
@@ -56,7 +55,7 @@ class TextRobot:
         self._collector = FrameCollector()
         self._lock = threading.Lock()
         self._condition = threading.Condition(self._lock)
-        self._said = Bell()
+        self._bell = Bell()
         self._frames: list[tuple[float, Frame]] = []
         self._edges: list[Edge] = []
         self._next_tick_us = 0
@@ -66,42 +65,42 @@ class TextRobot:
 
     @property
     def now_s(self) -> float:
-        """Time since the core was switched on."""
+        """Time since the core's start."""
         return self._clock() - self._begin_s
 
     def close(self) -> None:
-        """Switch the core off: no line goes out any more."""
+        """Stop the core: no more lines are sent."""
         with self._lock:
             self._closing = True
             self._condition.notify_all()
         self._thread.join()
 
     def send(self, encoded: bytes, at_s: float) -> None:
-        """Give the core a frame now; ``at_s`` is for robots in simulated time."""
+        """Give the core a frame now; ``at_s`` only matters in simulated time."""
         with self._lock:
             self._turn(encoded[:-1])
             self._condition.notify_all()
 
     def forget(self, sequence: int) -> None:
-        """Nothing is sent again here."""
+        """No effect: nothing is sent again."""
 
     def advance(self, until_s: float) -> None:
-        """Wait until a time, or until the core has something to say.
+        """Wait until a time or a frame of the core.
 
         Raises:
             WireError: the robot is gone.
         """
         self.wire.receive(0.0)
-        self._said.wait_for(lambda: self._frames, max(0.0, until_s - self.now_s))
+        self._bell.wait_for(lambda: self._frames, max(0.0, until_s - self.now_s))
 
     def frames(self) -> list[tuple[float, Frame]]:
-        """Frames from the core since the last call."""
+        """Frames of the core since the last call, with their times."""
         with self._lock:
             taken, self._frames = self._frames, []
         return taken
 
     def edges(self) -> list[Edge]:
-        """Beginnings and ends of pulses, by the core's books, that lie behind."""
+        """Past starts and ends of pulses, by the core."""
         with self._lock:
             now_s = self.now_s
             taken = sorted((edge for edge in self._edges if edge.time_s <= now_s), key=lambda e: e.time_s)
@@ -129,5 +128,5 @@ class TextRobot:
                 self.lost += 1
             self._edges += [Edge(now_s, limb, True) for limb in limbs]
             self._edges += [Edge(now_s + pulse_us * 1e-6, limb, False) for limb in limbs]
-        self._frames += [(now_s, one) for one in self._collector.feed(call.stream)]
-        self._said.ring()
+        self._frames += [(now_s, frame_out) for frame_out in self._collector.feed(call.stream)]
+        self._bell.ring()

@@ -1,8 +1,7 @@
-"""How a table does in a simulated pool where something is true that another model was not told."""
+"""Trial runs of a table in a simulated pool, whose effects its model may lack."""
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -49,7 +48,7 @@ def swim(
     world: World = World(),  # noqa: B008 - frozen
     progress: Progress = lambda _done, _whole: None,
 ) -> Trial:
-    """Follow a path by its name, from its first point on.
+    """Follow a path from its first point on.
 
     Args:
         port: the robot.
@@ -57,10 +56,10 @@ def swim(
         robot: the swimmer in the pool.
         name: of the path.
         options: of the run.
-        seed: of the camera's noise; of several the log keeps the first.
-        source: what the log says made it.
-        world: what is true besides, made for this run alone.
-        progress: called with path points passed and to pass.
+        seed: of the camera's noise; the log keeps the first of several.
+        source: see ``RunLog``.
+        world: effects in the pool; a new object for each run.
+        progress: called with the path points passed and all path points.
 
     Raises:
         FrogkickError: of the path, the robot or the pool.
@@ -86,19 +85,19 @@ def trials(
     time_limit_s: float = TIME_LIMIT_S,
     progress: Progress = lambda _done, _whole: None,
 ) -> list[Trial]:
-    """Follow paths with the robot's own core on this computer, each with several seeds.
+    """Follow paths with the robot's core on this computer, each with several seeds.
 
     Args:
         core: image of the target "native" with these tables.
         tables: in it.
-        robot: the swimmer in the pool, whose planner's settings count.
-        world: makes what is true besides, for each run anew: effects may keep things to themselves.
+        robot: the swimmer in the pool, with the planner's settings.
+        world: makes the effects in the pool, anew for each run, as effects may have state.
         paths: by name.
-        seeds: of the camera's noise, from 0; the same for every table.
-        time_limit_s: longest pool time of each.
-        progress: called with runs done and to do.
+        seeds: number of seeds of the camera's noise, from 0.
+        time_limit_s: longest pool time of each run.
+        progress: called with runs done and all runs.
     """
-    options = dataclasses.replace(RunOptions(config_of(robot.planner)), time_limit_s=time_limit_s)
+    options = RunOptions(config_of(robot.planner), time_limit_s=time_limit_s)
     found: list[Trial] = []
     for name in paths:
         for seed in range(seeds):

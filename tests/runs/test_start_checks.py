@@ -38,20 +38,20 @@ def test_a_robot_on_its_path_in_the_pool_may_swim() -> None:
 def test_batteries_that_nobody_measured_are_said_to_be_unknown_and_how_to_measure_them() -> None:
     said = check_battery(rig.robot(), None)
     assert said == (
-        "battery: unknown, not measured by this robot: do so at each battery's plug, at rest (4 of them, "
-        "10.5 V is low, 12.6 V full), give the lowest, as --battery-v 11.1"
+        "battery: unknown, not measured by this robot: measure it at each battery's plug, at rest (4 of "
+        "them, 10.5 V is low, 12.6 V full) and give the lowest voltage, as --battery-v 11.1"
     )
     battery = rig.robot().battery
     assert battery is not None and not battery.inputs
     seen = replace(rig.robot(), battery=replace(battery, inputs=(0, 1), divider=5.7))
     assert check_battery(seen, None) == (
-        "battery: the robot sees 2 of 4 itself, and is not armed below 10.5 V"
+        "battery: the robot measures 2 of 4 itself, and cannot be armed below 10.5 V"
     )
     page = (REPOSITORY / "host/docs/pages/tutorials/first-day.md").read_text(encoding="utf-8")
     for word in ("--battery-v", "12.6 V", "10.5 V", "battery: unknown, not measured by this robot"):
         assert word in page, word
     assert check_battery(replace(rig.robot(), battery=None), None) == (
-        "battery: unknown, nobody measured it, and frog2022 has no [battery] in its file"
+        "battery: unknown, not measured, and frog2022 has no [battery] in its file"
     )
 
 
@@ -92,7 +92,7 @@ def test_a_robot_with_one_battery_and_one_that_does_not_say() -> None:
     ):
         check_battery(one, 3.4)
     with pytest.raises(
-        InputError, match=r"frog2022 does not say which voltage is low: add \[battery\] to its"
+        InputError, match=r"frog2022 has no limit for it: add \[battery\] to its"
     ):
         check_battery(replace(one, battery=None), 3.9)
 

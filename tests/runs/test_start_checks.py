@@ -91,9 +91,7 @@ def test_a_robot_with_one_battery_and_one_that_does_not_say() -> None:
         InputError, match=r"has 3\.4 V, 3\.5 V is the least for frog2022: charge it, to 4\.2 V"
     ):
         check_battery(one, 3.4)
-    with pytest.raises(
-        InputError, match=r"frog2022 has no limit for it: add \[battery\] to its"
-    ):
+    with pytest.raises(InputError, match=r"frog2022 has no limit for it: add \[battery\] to its"):
         check_battery(replace(one, battery=None), 3.9)
 
 

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
+from tests.der.energy import bending_energy, drag_power, stretching_energy
 from tests.der.rig import central, forces, stiffness, straight_rod
 
 from frogkick.der import prepare
-from frogkick.der.energy import bending_energy, drag_power, stretching_energy
 from frogkick.der.mesh import Mesh
 from frogkick.robot import load_robot
 

@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from tests.conftest import count
+from tests.der.energy import bending_energy, stretching_energy
 
 from frogkick.core.errors import ConvergenceError, InputError
 from frogkick.der import Rods, Swimmer, prepare, simulate_action, simulate_actions, simulate_gait
-from frogkick.der.energy import bending_energy, stretching_energy
 from frogkick.robot import load_robot
 
 ROBOT = load_robot("frog2022")

@@ -1,4 +1,4 @@
-"""Several swimmers of one robot simulated in the lanes of one batch."""
+"""Several swimmers of one robot, simulated in the lanes of a batch."""
 
 from __future__ import annotations
 
@@ -30,8 +30,7 @@ MAX_HALVINGS = 8
 
 @dataclass(frozen=True)
 class Failure:
-    """A lane whose simulation failed: its time, its state then, and the last residual over the force
-    scale."""
+    """A lane whose simulation failed: time, state, and the last residual over the force scale."""
 
     time_s: float
     residual: float
@@ -48,7 +47,7 @@ class Failure:
 
 
 class _State:
-    """Positions about each lane's moving origin, velocities, accelerations, and the space to step them."""
+    """Positions about each lane's moving origin, velocities, accelerations, and work space."""
 
     def __init__(self, mesh: Mesh, symbolic: SymbolicFactorisation, limbs: int, width: int) -> None:
         self.mesh, self.symbolic, self.limbs, self.width = mesh, symbolic, limbs, width
@@ -65,21 +64,21 @@ class _State:
         return self.x_m, self.v_mps, self.a_mps2
 
     def pick(self, lanes: Sequence[int]) -> _State:
-        """``width`` of its lanes, some of them more than once, in space of their own."""
+        """Return a copy of ``width`` lanes, which may repeat."""
         picked = _State(self.mesh, self.symbolic, self.limbs, self.width)
         for to, lane in enumerate(lanes):
             self.copy_lane(lane, picked, to)
         return picked
 
     def start(self) -> None:
-        """Set the accelerations to what acts on limbs at rest."""
+        """Set the accelerations from the forces on limbs at rest."""
         active = lane_zeros((1, 2 * self.limbs + 2), self.width)
         set_accelerations(
             self.mesh, self._workspace.edges, self.x_m, self.v_mps, active, self._water(), self.a_mps2
         )
 
     def _water(self) -> SimdArray:
-        """The water of all lanes; of length 0 where all of it is still, which costs nothing."""
+        """Return the water of all lanes; of length 0, which costs nothing, if it is still everywhere."""
         moves = any(water != STILL for water in self.water)
         numbers = lane_zeros((WATER if moves else 0, 1), self.width)
         if moves:
@@ -89,11 +88,11 @@ class _State:
     def run(
         self, lengths: SimdArray, active: SimdArray, steps: Sequence[int], factor_every: int, trace: bool
     ) -> tuple[FloatArray, list[FloatArray]]:
-        """Take each lane's own steps.
+        """Take the steps of each lane.
 
         Args:
             lengths, active: see frogkick.der.schedule.lay_out.
-            steps: of each lane.
+            steps: number of steps of each lane.
             factor_every: see frogkick.der.stepping.run_steps.
             trace: whether to return the motion after each step.
 
@@ -124,7 +123,7 @@ class _State:
         return lane_floats(report)[:, 0, :].copy(), traces
 
     def motion(self) -> FloatArray:
-        """(width, MOTION) poses about the origins, velocities, plain means."""
+        """Return (width, MOTION) poses about the origins, velocities, unweighted means."""
         sums = lane_zeros((1, SUMS), self.width)
         set_sums(self.mesh, self.x_m, self.v_mps, 0, sums)
         return np.asarray(body_motion(np.ascontiguousarray(lane_floats(sums)[0].T)))
@@ -137,7 +136,7 @@ class _State:
 
 
 class _SingleLane:
-    """One lane alone, through steps that failed in the batch."""
+    """One lane alone, to repeat steps that failed in the batch."""
 
     def __init__(
         self,
@@ -153,7 +152,7 @@ class _SingleLane:
         self.rows: list[FloatArray] = []
 
     def take_steps(self, times_s: FloatArray, factor_every: int) -> int:
-        """Take steps; return how many succeeded."""
+        """Take steps, and return how many succeeded."""
         taken = len(times_s) - 1
         report, (rows,) = self._state.run(*self._laid(times_s), [taken], factor_every, self._trace)
         self.corrections += float(report[2, 0])
@@ -164,7 +163,7 @@ class _SingleLane:
         return taken
 
     def bisect_step(self, time_s: float, until_s: float) -> float:
-        """Bisect one step into 2, 4, 8 ... pieces, by the full Newton method; return the time reached."""
+        """Bisect a step into 2, 4, 8 ... parts with the full Newton method; return the time reached."""
         for halving in range(1, MAX_HALVINGS + 1):
             pieces = np.linspace(time_s, until_s, (1 << halving) + 1)
             time_s = float(pieces[self.take_steps(pieces, 1)])
@@ -175,15 +174,15 @@ class _SingleLane:
 
 @dataclass(frozen=True, eq=False)
 class Checkpoint:
-    """A lane's robot amid its strokes, taken out of a batch.
+    """The state of a lane's robot in the middle of its strokes.
 
     Attributes:
         nodes: (n, 2) positions about the origin, velocities, accelerations.
-        water: around it.
-        strokes: of each limb.
-        origin_m: (2,) world frame.
+        water: the water around it.
+        strokes: strokes of each limb.
+        origin_m: (2,) origin, world frame.
         time_s: its clock.
-        failed: it did not get here.
+        failed: whether its simulation has failed.
     """
 
     nodes: tuple[FloatArray, ...]
@@ -197,8 +196,8 @@ class Checkpoint:
 class Batch:
     """Robots of one mesh, each in a lane with its own water, clock, strokes and steps.
 
-    A lane's result depends neither on the width nor on the other lanes, to the last bit. A lane that fails
-    stops and is listed in ``failures``; the others continue.
+    A lane's result is the same bit for bit for any width and any other lanes. A lane that fails stops and is
+    listed in ``failures``; the others continue.
     """
 
     def __init__(
@@ -219,14 +218,14 @@ class Batch:
 
         Args:
             mesh, symbolic: of the robot.
-            actuations: one for each lane: what its strokes do to a limb.
+            actuations: for each lane the effect of its strokes on a limb.
             pose_world: (lanes, 3) x, y (m), heading (rad), world frame, finite.
             velocity_body: (lanes, 3) forward, left (m/s), turn rate (rad/s), body frame, finite.
-            limbs: how many the robot has.
-            time_s: what all clocks show now.
+            limbs: number of limbs of the robot.
+            time_s: initial time of all clocks.
             step_s: finest time step, s, positive.
-            width: numbers side by side, at least as many as robots; the rest idle.
-            longest_s: no step is longer, even where a longer one would be accurate enough.
+            width: number of lanes, at least as many as robots; the other lanes are idle.
+            longest_s: upper bound of the steps, in addition to the step-size profile.
         """
         self.lanes = len(actuations)
         self.time_s = np.full(self.lanes, float(time_s))
@@ -249,19 +248,22 @@ class Batch:
         """Start a stroke of a lane's limb, now or later by its clock; of two strokes the larger one acts.
 
         Args:
+            lane, limb: lane and limb.
+            time_s: start of the stroke.
             gain: share of the measured stroke.
-            duration_scale: how much longer than measured the limb takes to curl back once it is straight.
+            duration_scale: duration of the limb's return over the measured one.
         """
         self._schedule.fire(lane, limb, Stroke(float(time_s), float(gain), float(duration_scale)))
 
     def set_water(self, lane: int, water: Water) -> None:
-        """Let the water around a lane's robot move, and push the robot, from now on."""
+        """Set the flow around a lane's robot and its external acceleration from now on."""
         self._state.water[lane] = water
         if not self.corrections.any():  # nothing has moved yet: it starts in this water
             self._state.start()
 
     def shift(self, moves: Mapping[int, tuple[FloatArray, FloatArray]]) -> None:
-        """Move lanes' robots as a whole: (3,) by m, m, rad about its centre, and its velocity likewise."""
+        """Move lanes' robots rigidly: by (3,) m, m, rad about the centre, and change the velocity
+        likewise."""
         centres = self._state.motion()[:, :2]
         x, v, a = (lane_floats(each) for each in self._state.nodes)
         for lane, (pose, velocity) in moves.items():
@@ -274,7 +276,7 @@ class Batch:
             self._origin[lane] += pose[:2]
 
     def save(self, lane: int) -> Checkpoint:
-        """A lane's robot as it is now."""
+        """Return the state of a lane's robot."""
         return Checkpoint(
             tuple(lane_floats(each)[..., lane].copy() for each in self._state.nodes),
             self._state.water[lane],
@@ -285,7 +287,7 @@ class Batch:
         )
 
     def restore(self, lane: int, saved: Checkpoint) -> None:
-        """Let a robot of the same body go on in a lane."""
+        """Put a saved robot of the same body into a lane."""
         for mine, theirs in zip(self._state.nodes, saved.nodes, strict=True):
             lane_floats(mine)[..., lane] = theirs
         self._state.water[lane] = saved.water
@@ -294,7 +296,7 @@ class Batch:
         self.corrections[lane] = 1.0  # it has moved already: its accelerations stay as they are
 
     def pick(self, lanes: Sequence[int]) -> Batch:
-        """A copy of some lanes, 1 to the width, with the strokes under way."""
+        """Return a copy of some lanes, 1 to the width, with their current strokes."""
         picked, chosen, width = copy.copy(self), list(lanes), self._state.width
         picked.lanes = len(chosen)
         picked.time_s, picked.corrections = self.time_s[chosen], self.corrections[chosen]
@@ -308,15 +310,16 @@ class Batch:
     def advance(
         self, until_s: float | FloatArray, trace: bool = False
     ) -> list[tuple[FloatArray, FloatArray]]:
-        """Let time pass until all clocks, or each its own, show ``until_s``, later than what they show now.
+        """Advance until the clocks of the lanes show ``until_s``.
 
         Args:
-            until_s: s; a lane whose clock shows as much already stands still.
-            trace: whether to return how the lanes moved.
+            until_s: time for all lanes or for each; a lane whose clock is there already does not move.
+            trace: whether to return the motion.
 
         Returns:
-            For each lane the times (k,) after each step that it took, and (k, MOTION) rows of
-            frogkick.der.body.body_motion in the world frame; no rows without ``trace``.
+            For each lane the times (k,) after its steps, and (k, MOTION) rows of
+                frogkick.der.body.body_motion in
+            the world frame; no rows without ``trace``.
         """
         until = np.array(np.broadcast_to(np.asarray(until_s, dtype=np.float64), (self.lanes,)))
         going = until > self.time_s
@@ -385,35 +388,36 @@ class Batch:
 
     @property
     def mass_kg(self) -> float:
-        """Mass of a robot, added mass included."""
+        """Mass of a robot, including added mass."""
         return float(self._state.mesh.mass_kg.sum())
 
     @property
     def inertia_kg_m2(self) -> float:
-        """Moment of inertia about its centre of mass with all limbs at rest, added mass included."""
+        """Moment of inertia about the centre of mass with all limbs at rest, including added mass."""
         mesh = self._state.mesh
         return float(mesh.mass_kg @ (mesh.rest_m**2).sum(axis=1))
 
     def motion_world(self) -> FloatArray:
-        """(lanes, MOTION) rows of frogkick.der.body.body_motion, in the world frame."""
+        """Return (lanes, MOTION) rows of frogkick.der.body.body_motion, world frame."""
         motion = self._state.motion()[: self.lanes]
         motion[:, 0:2] += self._origin
         motion[:, 6:8] += self._origin
         return motion
 
     def pose_world(self) -> FloatArray:
-        """(lanes, 3) x, y (m) and heading (rad, in (-pi, pi]) in the world frame."""
+        """Return (lanes, 3) x, y (m) and heading (rad, in (-pi, pi]), world frame."""
         return self.motion_world()[:, :3]
 
     def velocity_body(self) -> FloatArray:
-        """(lanes, 3) forward, left (m/s) and turn rate (rad/s) in the body frame."""
+        """Return (lanes, 3) forward, left (m/s) and turn rate (rad/s), body frame."""
         return self.motion_world()[:, 3:6]
 
     def nodes_world(self) -> FloatArray:
-        """(lanes, n, 2) node positions, m: the frame counter-clockwise, then each limb from root to tip."""
+        """Return (lanes, n, 2) node positions, m: the frame counter-clockwise, then each limb from root to
+        tip."""
         nodes = np.moveaxis(lane_floats(self._state.x_m), 2, 0)[: self.lanes]
         return np.asarray(nodes + self._origin[:, None, :])
 
     def node_velocities_world(self) -> FloatArray:
-        """(lanes, n, 2) node velocities, m/s."""
+        """Return (lanes, n, 2) node velocities, m/s."""
         return np.moveaxis(lane_floats(self._state.v_mps), 2, 0)[: self.lanes].copy()

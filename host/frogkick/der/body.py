@@ -1,7 +1,7 @@
-"""Where a robot's body is and how it moves, from its nodes; for one simulation or many side by side.
+"""Pose and velocity of a robot's body from its nodes; for one simulation or many side by side.
 
-The pose is that of the body: the mass-weighted mean of all nodes (Huang 2022, Eqs. 10, 12) and the signed
-mass-weighted rotation of the frame's nodes (Eq. 11 loses the sign). Added mass counts as mass.
+The position is the mass-weighted mean of all nodes (Huang 2022, Eqs. 10, 12), the heading the signed
+mass-weighted rotation of the frame's nodes (Eq. 11 loses the sign). Masses include added mass.
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ MOTION = 8
 
 @njit(**INNER)
 def set_sums(mesh: Mesh, x_m: SimdArray, v_mps: SimdArray, row: int, sums: SimdArray) -> None:
-    """Set a row of (rows, SUMS): what ``body_motion`` needs.
+    """Set a row of (rows, SUMS), the input of ``body_motion``.
 
     Centre x, y (m), its velocity (m/s), cross and dot product of the frame's arms at rest with those now, the
-    frame's spin and its inertia, and the plain mean x, y of all nodes (m). Sums run over the nodes in their
-    order, so they do not depend on the number of lanes.
+    frame's spin and its inertia, and the unweighted mean x, y of all nodes (m). Sums run over the nodes in
+    their order, so they do not depend on the number of lanes.
     """
     zero = 0.0 * get(x_m, 0, 0)
     x, y, vx, vy, mean_x, mean_y = zero, zero, zero, zero, zero, zero
@@ -75,14 +75,14 @@ def set_sums(mesh: Mesh, x_m: SimdArray, v_mps: SimdArray, row: int, sums: SimdA
 
 @kept(error_model="numpy")
 def body_motion(sums: FloatArray) -> FloatArray:
-    """Poses and velocities from rows of ``set_sums``.
+    """Return poses and velocities from rows of ``set_sums``.
 
     Args:
         sums: (rows, SUMS) float64 of one lane.
 
     Returns:
         (rows, MOTION) x, y (m), heading (rad, in (-pi, pi]), forward, left (m/s) and turn rate (rad/s) in the
-        body frame, plain mean x, y of all nodes (m).
+        body frame, unweighted mean x, y of all nodes (m).
     """
     motion = np.empty((sums.shape[0], MOTION))
     for k in range(sums.shape[0]):
@@ -99,9 +99,11 @@ def body_motion(sums: FloatArray) -> FloatArray:
 def place_nodes(
     mesh: Mesh, heading_rad: FloatArray, velocity_body: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Positions about the centre and velocities, (n, 2, k) each, world frame, of robots that move rigidly.
+    """Return positions about the centre and velocities, (n, 2, k) each, world frame, of rigidly moving
+    robots.
 
     Args:
+        mesh: of the robots.
         heading_rad: (k,).
         velocity_body: (k, 3) forward, left (m/s), turn rate (rad/s).
     """

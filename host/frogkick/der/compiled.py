@@ -1,6 +1,6 @@
-"""The rods' compiled functions as Python calls them, kept on disk between runs.
+"""The compiled functions of the rods that Python calls, cached on disk.
 
-Only these outermost functions are kept: see frogkick.core.compiled.
+Only these outermost functions are cached: see frogkick.core.compiled.
 """
 
 from __future__ import annotations
@@ -34,6 +34,6 @@ def _compiled(stamp: int) -> tuple[Any, Any, Any]:
 
 
 SOURCES = stamp_of("frogkick.der")
-"""Stands for what the rods compute: other code, another number."""
+"""Hash of the rods' source; a change of the code changes it."""
 
 run_steps, set_accelerations, set_sums = _compiled(SOURCES)

@@ -1,4 +1,4 @@
-"""Cyclic gaits: the two groups of limbs fire in turn, at a frequency and a phase."""
+"""Cyclic gaits: two groups of limbs fire in turn, at a frequency and a phase."""
 
 from __future__ import annotations
 
@@ -22,7 +22,8 @@ CYCLES_MAX = 10000
 
 @dataclass(frozen=True)
 class Gait:
-    """Which profile the limbs follow, how often they fire, and the lagging group's share of the cycle."""
+    """EGaIn fraction and frequency of the limb profile, and the lag of the second group as a share of the
+    cycle."""
 
     egain_percent: float
     frequency_hz: float
@@ -40,13 +41,13 @@ def simulate_gait(
 ) -> Trajectory:
     """Simulate the robot's cyclic gait from rest, heading along world x.
 
-    The leading limbs fire at the start of every cycle, the lagging ones ``phase / frequency_hz`` later.
-    The speed is the authors': forward motion of the plain mean of all nodes over cycles 5 to 8, or over the
-    last three of fewer cycles. The cost of transport takes the same energy, Robot.pulse_energy_j, for each
-    pulse of each limb at any frequency, and the weight in air.
+    The leading limbs fire at the start of each cycle, the lagging limbs ``phase / frequency_hz`` later. The
+    speed is defined as the authors': forward motion of the unweighted mean of all nodes over cycles 5 to 8,
+    or over the last three of fewer cycles. The cost of transport counts Robot.pulse_energy_j for each pulse
+    of each limb, and the weight in air.
 
     Raises:
-        InputError: a phase outside of [0, 1), no cycle, or a profile outside of what was measured.
+        InputError: a phase outside [0, 1), no cycle, or a profile outside the measured range.
         ConvergenceError: the simulation failed; the text gives the state.
     """
     (result,) = simulate_gaits(
@@ -67,19 +68,19 @@ def simulate_gaits(
     rods: Rods | None = None,
     acts: Callable[[int], LaneEffects] | None = None,
 ) -> list[Trajectory | Failure]:
-    """Simulate gaits side by side, each as ``simulate_gait`` does and to the same bits.
+    """Simulate gaits side by side; each result has the same bits as that of ``simulate_gait``.
 
     Args:
-        robot: what swims; its profiles and its groups of limbs count.
+        robot: the robot, with its profiles and its groups of limbs.
         gaits: phases in [0, 1).
-        cycles: to swim.
+        cycles: number of cycles.
         step_s: finest time step.
-        width: how many swim side by side.
-        rods: its rods where effects change the body; None: prepare(robot).
+        width: number of lanes.
+        rods: its rods if effects change the body; None: prepare(robot).
         acts: see ``simulate_gait_tracks``.
 
     Returns:
-        For each gait its trajectory, or why and where it stopped.
+        For each gait its trajectory, or the failure.
 
     Raises:
         InputError: see simulate_gait; nothing is simulated then.
@@ -112,12 +113,12 @@ def _trajectory(robot: Robot, gait: Gait, track: GaitTrack, cycles: int) -> Traj
 
 @dataclass(frozen=True, eq=False)
 class GaitTrack:
-    """How a gait swam, step by step.
+    """The motion of a gait, step by step.
 
     Attributes:
         time_s: (n,) 0 and the ends of all time steps.
         motion: (n, MOTION) rows of frogkick.der.body.body_motion, world frame.
-        cycle_end: (cycles + 1,) rows where cycles begin and end.
+        cycle_end: (cycles + 1,) rows at which cycles begin and end.
     """
 
     time_s: FloatArray
@@ -126,7 +127,7 @@ class GaitTrack:
 
     @property
     def node_mean_m(self) -> FloatArray:
-        """(n,) forward position of the plain mean of all nodes."""
+        """(n,) forward position of the unweighted mean of all nodes."""
         return np.asarray(self.motion[:, 6])
 
 
@@ -139,13 +140,15 @@ def simulate_gait_tracks(
     width: int = WIDTH,
     acts: Callable[[int], LaneEffects] | None = None,
 ) -> list[GaitTrack | Failure]:
-    """Swim gaits from rest, heading along world x, ``width`` of them side by side.
+    """Simulate gaits from rest, heading along world x, in ``width`` lanes.
 
     Args:
-        rods: one for each gait, of one robot; the gait's frequency and phase say when it fires.
+        rods: one for each gait, of one robot; frequency and phase of the gait give the times of its pulses.
         gaits: phases in [0, 1).
-        cycles: to swim.
-        acts: makes, of a number of lanes, what acts on them; by default nothing does.
+        cycles: number of cycles.
+        step_s: finest time step.
+        width: number of lanes.
+        acts: makes the effects of a number of lanes; None: no effects.
     """
     tracks: list[GaitTrack | Failure] = []
     for first in range(0, len(gaits), width):

@@ -1,12 +1,12 @@
 """SIMD lanes: one value of W simulations in one vector, so that the same code runs for one or for many.
 
-numba compiles a function for the types that it is called with. With arrays of float64 the rods' functions
-work on one simulation. With arrays of ``lane_dtype(8)`` every ``get`` yields a vector of eight float64, and
-every + - * / is one vector instruction where the processor has one that wide, or several narrower ones.
-No operation mixes lanes and none is reassociated or contracted, so a simulation's bits depend neither on
-the width nor on its neighbours nor on the processor.
+numba compiles a function for the types of its arguments. With arrays of float64 the rods' functions work on
+one simulation. With arrays of ``lane_dtype(8)`` each ``get`` returns a vector of eight float64, and each + -
+* / is one vector instruction if the processor has one of that width, otherwise several narrower ones. No
+operation mixes lanes and none is reassociated or contracted, so the bits of a simulation depend neither on
+the width nor on the other lanes nor on the processor.
 
-LLVM does not vectorise loops over lanes by itself: it cannot prove that the arrays do not overlap.
+LLVM does not vectorise loops over lanes by itself, because it cannot prove that the arrays do not overlap.
 """
 
 # numba's own interfaces for extending it carry no types.
@@ -39,13 +39,13 @@ _CACHE_LINE = 64
 
 @cache
 def lane_dtype(width: int) -> np.dtype[Any]:
-    """The element type of arrays that hold one value of ``width`` simulations: float64 where it is 1."""
+    """Return the element type of arrays that hold one value of ``width`` simulations: float64 if it is 1."""
     scalar: DTypeLike = np.float64
     return np.dtype(scalar) if width == 1 else np.dtype([(_FIELD, scalar, (width,))])
 
 
 def lane_zeros(shape: tuple[int, ...], width: int) -> NDArray[Any]:
-    """Zeros of ``lane_dtype(width)``, placed so that no row of lanes straddles two cache lines."""
+    """Return zeros of ``lane_dtype(width)``, aligned so that no row of lanes straddles two cache lines."""
     count = prod(shape) * width * 8
     raw = np.zeros(count + _CACHE_LINE, dtype=np.uint8)
     first = -raw.__array_interface__["data"][0] % _CACHE_LINE  # raw.ctypes takes several times as long
@@ -53,7 +53,7 @@ def lane_zeros(shape: tuple[int, ...], width: int) -> NDArray[Any]:
 
 
 def lane_floats(array: NDArray[Any]) -> NDArray[np.float64]:
-    """The same memory as float64 with one more axis, the lanes."""
+    """Return the same memory as float64 with one more axis, the lanes."""
     return np.asarray(array[_FIELD] if array.dtype.names else array[..., None])
 
 
@@ -72,7 +72,7 @@ class _SimdVectorModel(models.PrimitiveModel):
 
 
 def _number(element: Any) -> types.Type | None:
-    """What ``get`` yields from an array of these elements; None where they are no numbers of ours."""
+    """Return the type that ``get`` returns for these elements; None if they are no numbers of lanes."""
     if element == types.float64:
         return types.float64
     if isinstance(element, types.Record) and list(element.fields) == [_FIELD]:
@@ -81,7 +81,7 @@ def _number(element: Any) -> types.Type | None:
 
 
 def _widest(*arguments: Any) -> Any:
-    """The type that an operation on these works in; None where they are no numbers or of two widths."""
+    """Return the type of an operation on these types; None if they are no numbers or of two widths."""
     lanes = {a for a in arguments if isinstance(a, SimdVector)}
     if len(lanes) > 1 or not all(isinstance(a, SimdVector | types.Float) for a in arguments):
         return None
@@ -102,7 +102,7 @@ def _broadcast(context: Any, builder: Any, value: Any, given: Any, wanted: Any) 
 
 
 def _define_operator(symbol: Callable[..., Any], instruction: str) -> None:
-    """Let numba type and lower a binary operator on SIMD vectors; a float64 is broadcast."""
+    """Define a binary operator on SIMD vectors for numba; a float64 is broadcast."""
 
     class Typed(AbstractTemplate):
         def generic(self, args: Any, kws: Any) -> Any:
@@ -143,12 +143,12 @@ def _lower_negated(context: Any, builder: Any, sig: Any, args: Any) -> Any:
 
 
 def _inlined(define: Callable[..., Any]) -> Callable[..., Any]:
-    """numba's intrinsic: a function for compiled code that writes LLVM instructions where it is called."""
+    """Return numba's intrinsic: a function that writes LLVM instructions at its call in compiled code."""
     return cast(Callable[..., Any], intrinsic(define))
 
 
 def _function(make: Callable[..., Any], given: tuple[Any, ...]) -> Any:
-    """Signature and code of a function on numbers of one width, from what it does to LLVM values."""
+    """Return signature and code of a function on numbers of one width, from a function on LLVM values."""
     wanted = _widest(*given)
     if wanted is None:
         return None
@@ -214,7 +214,7 @@ def any_above(typing_context: Any, x: Any, limit: Any) -> Any:
 
 
 def _pointer(context: Any, builder: Any, kind: Any, array: Any, indices: Any) -> Any:
-    """Pointer to an element, as one to a number."""
+    """Return the pointer to an element, as a pointer to a number."""
     view = make_array(kind)(context, builder, array)
     pointer = cgutils.get_item_pointer(context, builder, kind, view, indices, wraparound=False)
     return builder.bitcast(pointer, context.get_value_type(_number(kind.dtype)).as_pointer())
@@ -225,7 +225,7 @@ _ALIGN = 8  # numpy aligns an array to its float64s, not to a whole row of lanes
 
 @_inlined
 def get(typing_context: Any, array: Any, i: Any, j: Any) -> Any:
-    """array[i, j] as a number; negative indices are not understood."""
+    """Return array[i, j] as a number; indices must not be negative."""
     number = _number(array.dtype)
     if number is None or array.ndim != 2:
         return None
@@ -238,7 +238,7 @@ def get(typing_context: Any, array: Any, i: Any, j: Any) -> Any:
 
 @_inlined
 def put(typing_context: Any, array: Any, i: Any, j: Any, x: Any) -> Any:
-    """Set array[i, j] to a number; a float64 goes to every lane."""
+    """Set array[i, j] to a number; a float64 is set in each lane."""
     number = _number(array.dtype)
     if number is None or array.ndim != 2:
         return None
@@ -253,7 +253,7 @@ def put(typing_context: Any, array: Any, i: Any, j: Any, x: Any) -> Any:
 
 @_inlined
 def add(typing_context: Any, array: Any, i: Any, j: Any, x: Any) -> Any:
-    """array[i, j] += x; a float64 is added in every lane."""
+    """array[i, j] += x; a float64 is added in each lane."""
     number = _number(array.dtype)
     if number is None or array.ndim != 2:
         return None

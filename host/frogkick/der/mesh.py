@@ -1,6 +1,6 @@
-"""The rods of one robot as plain arrays: nodes, edges, bends, masses. Built once, never changed.
+"""The rods of one robot as arrays: nodes, edges, bends, masses.
 
-A mesh holds nothing that moves, so one mesh serves any number of swimmers, lanes or processes.
+A mesh is constant, so any number of swimmers, lanes or processes can share it.
 """
 
 from __future__ import annotations
@@ -23,25 +23,25 @@ class Mesh(NamedTuple):
     """Nodes 0 .. frame_nodes-1 go round the frame, then each limb from root to tip. SI units.
 
     Attributes:
-        frame_nodes: how many nodes belong to the frame.
+        frame_nodes: number of nodes of the frame.
         rest_m: (n, 2) positions at rest, body frame, origin at the mass-weighted centre.
-        mass_kg: (n,) lumped mass including added mass, half of each edge to each of its ends.
+        mass_kg: (n,) lumped mass including added mass, half of each edge at each of its ends.
         edge_nodes: (e, 2) ends of each edge.
         edge_length_m: (e,) unstretched length.
         edge_stiffness_n: (e,) EA.
         edge_drag_normal, edge_drag_tangential: (e,) N / (m/s)^2 at EACH end: rho D C (dl / 2) / 2.
-        bend_nodes: (b, 3) the three nodes of each bend; a corner is the middle of two of them.
+        bend_nodes: (b, 3) the three nodes of each bend; a corner is the middle of two bends.
         bend_length_m: (b,) mean length of its two edges.
         bend_stiffness_n_m2: (b,) EI at rest.
-        bend_active_gain: (b,) EI grows by this factor times the activation; 0 off the limbs and at roots.
+        bend_active_gain: (b,) EI grows by this factor times the activation; 0 outside the limbs and at roots.
         bend_natural_per_m: (b,) natural curvature at rest.
         bend_limb: (b,) the limb that actuates it, -1 for none.
         edge_inverse_per_m: (e,) 1 / edge_length_m.
         bend_edges: (b, 2) its two edges.
-        bend_sense: (b,) -1 where exactly one of these edges is stored against the bend's direction, else 1.
-        bend_curl: (b,) sign of the natural curvature that actuation lessens; 0 for bends of no limb.
-        bend_column: (b,) 2 * its limb, or 2 * the number of limbs for none: where its actuation stands.
-        force_scale_n: a bending force typical of a limb, EI / length^2: what residuals are measured against.
+        bend_sense: (b,) -1 if exactly one of these edges is stored against the bend's direction, else 1.
+        bend_curl: (b,) sign of the natural curvature that actuation reduces; 0 for bends of no limb.
+        bend_column: (b,) column of its activation: 2 * its limb, or 2 * the number of limbs for none.
+        force_scale_n: typical bending force of a limb, EI / length^2, the scale of residuals.
     """
 
     frame_nodes: int
@@ -67,7 +67,7 @@ class Mesh(NamedTuple):
 
 
 def _frame_points(robot: Robot) -> tuple[list[tuple[float, float]], list[int]]:
-    """Nodes round the polygon, and which of them are its corners."""
+    """Return the nodes round the polygon, and the indices of its corners."""
     points: list[tuple[float, float]] = []
     corners: list[int] = []
     for i, (x, y) in enumerate(robot.frame.corners_m):
@@ -80,7 +80,7 @@ def _frame_points(robot: Robot) -> tuple[list[tuple[float, float]], list[int]]:
 
 
 def turning_curvature(rest_m: FloatArray, nodes: tuple[int, int, int]) -> tuple[float, float]:
-    """Discrete curvature 2 tan(phi / 2) / dl (1/m) at the middle of three nodes, and dl (m)."""
+    """Return the discrete curvature 2 tan(phi / 2) / dl (1/m) at the middle of three nodes, and dl (m)."""
     e = rest_m[nodes[1]] - rest_m[nodes[0]]
     f = rest_m[nodes[2]] - rest_m[nodes[1]]
     dl = 0.5 * (float(np.hypot(*e)) + float(np.hypot(*f)))

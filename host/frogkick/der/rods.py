@@ -18,7 +18,7 @@ from frogkick.der.water import flow_x, flow_y, push_x, push_y
 
 
 class Edges(NamedTuple):
-    """What ``add_forces`` found on edges and bends at one state, for ``add_stiffness`` at the same one.
+    """Values on edges and bends that ``add_forces`` computes and ``add_stiffness`` uses at the same state.
 
     Attributes:
         tangent: (e, 2) unit vector along each edge.
@@ -38,7 +38,7 @@ class Edges(NamedTuple):
 
 
 def edges_of(mesh: Mesh, width: int) -> Edges:
-    """Work space for ``width`` simulations side by side."""
+    """Return work space for ``width`` lanes."""
     e, b = len(mesh.edge_nodes), len(mesh.bend_nodes)
     shapes = ((e, 2), (e, 1), (e, 2), (e, 3), (b, 1), (b, 1))
     return Edges(*(lane_zeros(shape, width) for shape in shapes))
@@ -55,20 +55,21 @@ def add_forces(
     water: SimdArray,
     force_n: SimdArray,
 ) -> None:
-    """Add all forces on a state to ``force_n``, and keep in ``edges`` what their stiffness needs.
+    """Add all forces at a state to ``force_n``, and keep the values for their stiffness in ``edges``.
 
-    Stretching: energy EA e^2 dl / 2 with the strain e = length / dl - 1. Bending: EI (k - k0)^2 dl / 2 with
-    k = 2 tan(phi / 2) / dl, phi the angle from the bend's first edge to its second. Drag: -1/2 rho D dl C
-    |v| v along and across each edge, half of dl at each of its ends; taking the direction from edges, not
-    nodes, needs no rule for a corner where three edges meet.
+    Stretching: energy EA e^2 dl / 2 with the strain e = length / dl - 1. Bending: EI (k - k0)^2 dl / 2 with k
+    = 2 tan(phi / 2) / dl, phi the angle from the bend's first edge to its second. Drag: -1/2 rho D dl C |v| v
+    along and across each edge, half of dl at each of its ends. Directions are those of edges and not of
+    nodes, so a corner at which three edges meet needs no rule of its own.
 
     Args:
+        mesh: the mesh.
         edges: work space; written.
         x_m, v_mps: (n, 2) positions and velocities.
-        active: (steps, 2 * (limbs + 1)) for each limb its activation (0 to 1), which raises EI, and the fall
-            of its natural curvature's size, 1/m; the last pair, zeros, is for bends of no limb.
+        active: (steps, 2 * (limbs + 1)) for each limb its activation (0 to 1), which raises EI, and the
+            decrease of its natural curvature, 1/m; the last pair, zeros, is for bends of no limb.
         step: the row of ``active``.
-        water: (WATER, 1) what ``frogkick.der.water`` says, or (0, 1) where the water is still.
+        water: (WATER, 1), see ``frogkick.der.water``; (0, 1) in still water.
         force_n: (n, 2), added to.
 
     Source: Bergou 2008, discrete elastic rods, in the plane; Huang 2022 for the energies and the drag law.
@@ -144,15 +145,16 @@ def add_stiffness(
     diagonal: SimdArray,
     pair: SimdArray,
 ) -> None:
-    """Add minus the forces' derivative to a symmetric matrix.
+    """Add the negative derivative of the forces to a symmetric matrix.
 
-    What drag changes by turning with its edge is left out: it is unsymmetric, and at any speed of interest
-    so much smaller than mass / step^2 that Newton's method converges as fast without.
+    The derivative of drag with respect to the edge's direction is left out: it is unsymmetric, and at
+    relevant speeds so much smaller than mass / step^2 that Newton's method converges equally fast.
 
     Args:
+        mesh, symbolic: the mesh and its index lists.
         edges: from ``add_forces`` at the same state.
-        x_m, v_mps: (n, 2) positions and velocities there.
-        water: see ``add_forces``; how the flow changes from place to place is left out.
+        x_m, v_mps: (n, 2) positions and velocities at that state.
+        water: see ``add_forces``; the flow's derivative by position is left out.
         position_gain, velocity_gain: d(position), d(velocity) / d(unknown) of the time integrator.
         diagonal, pair: see ``frogkick.der.solve.factor``; added to.
     """

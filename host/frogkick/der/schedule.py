@@ -1,14 +1,12 @@
-"""Step sizes and the activation of limbs in the steps: fine where a stroke's activation bends, coarse
-elsewhere.
+"""Step sizes, and the activation of limbs in the steps.
 
-Most of a stroke's error is made where its activation bends: the local error of a step grows with its square
-and with the second derivative of the forcing. Steps therefore take the default length while a limb
-straightens and lengthen as the square root of that derivative falls, up to COARSEST times, or
-COARSEST_AT_REST times when all strokes are over. As long as the frame rings after a stroke (at some 40 Hz),
-steps stay short enough to resolve
-it: the thrust of the next stroke depends on its phase. Steps end at the starts and ends of strokes, where
-    kinks
-of the activation would otherwise cost the order of convergence.
+Most of a stroke's error comes from times at which its activation bends: the local error of a step grows with
+its square and with the second derivative of the forcing. So steps have the default length while a limb
+straightens, and lengthen as the square root of that derivative falls, up to COARSEST times, or
+COARSEST_AT_REST times when all strokes are over. While the frame oscillates after a stroke (at some 40 Hz),
+steps are short enough to resolve the oscillation: the thrust of the next stroke depends on its phase. Steps
+end at the starts and ends of strokes, because kinks of the activation inside a step would reduce the order of
+convergence.
 """
 
 from __future__ import annotations
@@ -42,7 +40,7 @@ AHEAD_S, BEHIND_S = 0.008, 0.016  # how long before and after a bend its steps a
 class Stroke(NamedTuple):
     """A limb's stroke: its start, its gain over the measured one, and the scale of its duration.
 
-    The time until the limb is straight is the measured one, the rest takes ``duration_scale`` times as long.
+    The time until the limb is straight is the measured one; the rest is scaled by ``duration_scale``.
     """
 
     start_s: float
@@ -51,7 +49,7 @@ class Stroke(NamedTuple):
 
     @property
     def longest(self) -> float:
-        """At most so many times the measured duration."""
+        """Upper bound of its duration over the measured one."""
         return max(1.0, self.duration_scale)
 
 
@@ -60,10 +58,10 @@ class StepProfile:
     """Step-size profile: the longest steps during a stroke.
 
     Attributes:
-        coarseness: (n,) longest step over the finest, every ``every_s`` since the stroke's start.
+        coarseness: (n,) longest step over the finest, at each ``every_s`` since the stroke's start.
         every_s: spacing of the coarseness.
-        over_s: when the limb is back at rest.
-        peak_s: when it is straightest.
+        over_s: time at which the limb is back at rest.
+        peak_s: time at which it is straightest.
     """
 
     coarseness: FloatArray
@@ -73,7 +71,7 @@ class StepProfile:
 
 
 def step_profile_of(actuation: Actuation) -> StepProfile:
-    """Step-size profile of a stroke."""
+    """Return the step-size profile of a stroke."""
     from scipy.ndimage import maximum_filter1d
 
     active, every_s = actuation.activation, actuation.step_s
@@ -91,11 +89,10 @@ def step_profile_of(actuation: Actuation) -> StepProfile:
 
 
 class Profiles(NamedTuple):
-    """What strokes of several lanes are like: fields of ``StepProfile`` and ``Actuation``, a row for each
-    lane.
+    """Profiles of several lanes: fields of ``StepProfile`` and ``Actuation``, a row for each lane.
 
     Attributes:
-        coarseness, activation: (lanes, n) as long as the longest; the first ``coarse`` and ``active`` count.
+        coarseness, activation: (lanes, n) padded rows; the first ``coarse`` and ``active`` values are valid.
     """
 
     coarseness: FloatArray
@@ -110,7 +107,7 @@ class Profiles(NamedTuple):
     drop_per_m: FloatArray
 
     def of(self, lanes: Sequence[int]) -> Profiles:
-        """Of some lanes."""
+        """Return the rows of some lanes."""
         return Profiles(*(each[lanes] for each in self))  # type: ignore[arg-type]
 
 
@@ -118,10 +115,10 @@ class Schedule:
     """Strokes of several lanes, and the steps that follow from them.
 
     Args:
-        actuations: one for each lane: what its strokes do to a limb.
-        limbs: how many each robot has.
+        actuations: for each lane the effect of its strokes on a limb.
+        limbs: number of limbs of each robot.
         step_s: the finest step.
-        longest_s: no step is longer, even where a longer one would be accurate enough.
+        longest_s: upper bound of the steps, in addition to the step-size profile.
     """
 
     def __init__(self, actuations: Sequence[Actuation], limbs: int, step_s: float, longest_s: float) -> None:
@@ -132,21 +129,21 @@ class Schedule:
         self._tables = np.empty((0, 0)), np.empty((0, 0)), np.empty((0, limbs, 0, 3))
 
     def fire(self, lane: int, limb: int, stroke: Stroke) -> None:
-        """A lane's limb has one more stroke."""
+        """Add a stroke of a lane's limb."""
         self._strokes[lane][limb].append(stroke)
         self._changed.add(lane)
 
     def strokes(self, lane: int) -> tuple[tuple[Stroke, ...], ...]:
-        """Those of each limb of a lane that may still last."""
+        """Return the current strokes of each limb of a lane."""
         return tuple(tuple(of_limb) for of_limb in self._strokes[lane])
 
     def put(self, lane: int, strokes: Sequence[Sequence[Stroke]]) -> None:
-        """A lane has these instead."""
+        """Replace the strokes of a lane."""
         self._strokes[lane] = [list(of_limb) for of_limb in strokes]
         self._changed.add(lane)
 
     def pick(self, lanes: Sequence[int]) -> Schedule:
-        """Of some lanes, on their own."""
+        """Return an independent copy of some lanes."""
         twin = copy.copy(self)
         twin._profiles = self._profiles.of(lanes)
         twin._strokes = [[list(of_limb) for of_limb in self._strokes[lane]] for lane in lanes]
@@ -156,7 +153,7 @@ class Schedule:
     def times(
         self, now_s: FloatArray, until_s: FloatArray, going: NDArray[np.bool_]
     ) -> tuple[FloatArray, IntArray]:
-        """When the steps of each lane end; see ``lane_times``."""
+        """Return the ends of the steps of each lane; see ``lane_times``."""
         for lane in self._changed:
             self._prune(lane, float(now_s[lane]))
         if self._changed:
@@ -171,18 +168,20 @@ class Schedule:
     def laid(
         self, times: FloatArray, counts: IntArray, width: int, lane: int | None = None
     ) -> tuple[SimdArray, SimdArray]:
-        """Lengths of all lanes' steps or of one, and what limbs do in them; see ``lay_out``."""
+        """Return the lengths of the steps of all lanes or of one, and the activations; see ``lay_out``."""
         strokes, profiles, longest = self._tables[2], self._profiles, int(counts.max()) - 1
         if lane is not None:
             strokes, profiles = strokes[[lane]], profiles.of([lane])
         lengths = lane_zeros((longest, 1), width)
         active = lane_zeros((longest, 2 * strokes.shape[1] + 2), width)
-        share = EVALUATION_SHARE  # handed over: a compiled function that is kept holds on to what it knew
+        share = (
+            EVALUATION_SHARE  # an argument, because a cached function would keep the old value of a constant
+        )
         lay_out(times, counts, strokes, profiles, share, lane_floats(lengths), lane_floats(active))
         return lengths, active
 
     def _prune(self, lane: int, now_s: float) -> None:
-        """Forget strokes that are over: they make no difference."""
+        """Remove strokes that are over."""
         duration_s = float(self._profiles.duration_s[lane])
         for of_limb in self._strokes[lane]:
             of_limb[:] = [
@@ -190,7 +189,8 @@ class Schedule:
             ]
 
     def _set_tables(self) -> None:
-        """(lanes, m) starts and scales of each lane's strokes, in order, and (lanes, limbs, m, 3) all."""
+        """Set (lanes, m) starts and scales of each lane's strokes, sorted, and all strokes, (lanes, limbs,
+        m, 3)."""
         lanes, limbs = len(self._strokes), len(self._strokes[0])
         most = max([1, *(len(of_limb) for of_lane in self._strokes for of_limb in of_lane)])
         starts_s, scales = np.full((lanes, limbs * most), np.inf), np.ones((lanes, limbs * most))
@@ -205,7 +205,7 @@ class Schedule:
 
 
 def profiles_of(actuations: Sequence[Actuation]) -> Profiles:
-    """Of lanes with these strokes."""
+    """Return the profiles of lanes with these strokes."""
     known = {key: step_profile_of(each) for key, each in {id(each): each for each in actuations}.items()}
     step_profiles = [known[id(each)] for each in actuations]
     coarseness, coarse = _side_by_side([step_profile.coarseness for step_profile in step_profiles])
@@ -243,18 +243,18 @@ def lane_times(
     step_s: float,
     longest_s: float,
 ) -> tuple[FloatArray, IntArray]:
-    """When the steps of each lane end.
+    """Return the ends of the steps of each lane.
 
     Args:
         now_s, until_s: (lanes,).
-        going: (lanes,) which of them take steps.
-        starts_s, scales: (lanes, m) of strokes that last or are to come, in order, then infinity and 1.
+        going: (lanes,) whether a lane takes steps.
+        starts_s, scales: (lanes, m) current and later strokes in order, then infinity and 1.
         profiles: of the lanes.
         step_s: the finest step.
-        longest_s: steps longer than this are cut evenly.
+        longest_s: longer steps are divided evenly.
 
     Returns:
-        (lanes, k) times, now first, and (lanes,) how many of these count; none where a lane stands still.
+        (lanes, k) times, the current one first, and (lanes,) how many are valid; 0 in a lane without steps.
     """
     most = 0.0
     for lane in range(len(now_s)):
@@ -298,14 +298,15 @@ def lay_out(
     lengths: FloatArray,
     active: FloatArray,
 ) -> None:
-    """Set the steps' lengths, and each limb's activation and fall of its natural curvature in them.
+    """Set the lengths of the steps, and in each step the activation and the curvature decrease of each limb.
 
     Args:
         times, counts: see ``lane_times``.
-        strokes: (lanes, limbs, m, 3) fields of ``Stroke``; NaN where there is none.
+        strokes: (lanes, limbs, m, 3) fields of ``Stroke``; NaN for none.
         profiles: of the lanes.
-        share: of a step, where forces are taken.
-        lengths: (k, 1, width), zeros; active: (k, 2 * limbs + 2, width), zeros: set where steps are.
+        share: share of a step at which forces are evaluated.
+        lengths: (k, 1, width), zeros; set where steps are.
+        active: (k, 2 * limbs + 2, width), zeros; set where steps are.
     """
     for lane in range(len(counts)):
         steps = counts[lane] - 1
@@ -336,7 +337,7 @@ def step_times(
     peak_s: float,
     step_s: float,
 ) -> FloatArray:
-    """Times (k,) from ``time_s`` to ``until_s``, both included: the ends of all steps of one lane."""
+    """Return times (k,) from ``time_s`` to ``until_s``, both included: the ends of all steps of one lane."""
     ends = np.empty(3 + 4 * len(starts_s) + int((until_s - time_s) / step_s))
     ends[0] = time_s
     count, now = 1, time_s
@@ -370,7 +371,7 @@ def step_times(
 
 @kept(error_model="numpy")
 def _measured_s(since_s: float, scale: float, peak_s: float) -> float:
-    """Time of the measured stroke that corresponds to a time since the start of one with another duration."""
+    """Return the time in the measured stroke that corresponds to a time in a stroke of another duration."""
     if scale == 1.0 or since_s <= peak_s:
         return since_s
     return peak_s + (since_s - peak_s) / scale
@@ -380,13 +381,14 @@ def _measured_s(since_s: float, scale: float, peak_s: float) -> float:
 def stroke_activation(
     times_s: FloatArray, strokes: FloatArray, table: FloatArray, table_step_s: float, peak_s: float
 ) -> FloatArray:
-    """Activation (k, limbs) at times (k,): the largest of each limb's strokes, 0 before and after them.
+    """Return activations (k, limbs) at times (k,): the largest of each limb's strokes, otherwise 0.
 
     Args:
-        times_s: (k,) when.
-        strokes: (limbs, m, 3) fields of ``Stroke``; NaN where there is none.
-        table: activation every table_step_s since the start of a measured stroke.
-        peak_s: when that is largest.
+        times_s: (k,) times.
+        strokes: (limbs, m, 3) fields of ``Stroke``; NaN for none.
+        table: activation at each table_step_s since the start of a measured stroke.
+        table_step_s: spacing of the table.
+        peak_s: time of its largest value.
     """
     active = np.zeros((times_s.shape[0], strokes.shape[0]))
     for k in range(times_s.shape[0]):

@@ -1,6 +1,6 @@
 """Factor and solve the rods' symmetric linear systems, for one simulation or many side by side.
 
-Arrays hold numbers in the sense of ``frogkick.der.lanes``. A block's four components are row by row.
+Arrays have the elements of ``frogkick.der.lanes``. The four components of a block are stored row by row.
 """
 
 from __future__ import annotations
@@ -16,13 +16,13 @@ from frogkick.der.symbolic import SymbolicFactorisation
 def factor(symbolic: SymbolicFactorisation, diagonal: SimdArray, pair: SimdArray, scaled: SimdArray) -> None:
     """Factor a matrix in place into L D L^T, without pivoting.
 
-    A singular pivot leaves values that are not finite; the caller finds them in the solution.
+    A singular pivot gives non-finite values, which the caller finds in the solution.
 
     Args:
-        symbolic: index lists of this mesh.
-        diagonal: (n, 3) xx, xy, yy of each node's own block; afterwards of its pivot's inverse.
-        pair: (pairs, 4) block of each pair; afterwards the inverse pivot of its first node times it.
-        scaled: (plan.widest, 4) work space.
+        symbolic: index lists of the mesh.
+        diagonal: (n, 3) xx, xy, yy of each node's block; replaced by the inverse of its pivot.
+        pair: (pairs, 4) block of each pair; replaced by the inverse pivot of its first node times the block.
+        scaled: (symbolic.widest, 4) work space.
     """
     for k in range(symbolic.order.shape[0]):
         node = symbolic.order[k]
@@ -68,8 +68,8 @@ def solve(symbolic: SymbolicFactorisation, diagonal: SimdArray, pair: SimdArray,
     """Solve a factored system in place.
 
     Args:
-        symbolic, diagonal, pair: as ``factor`` left them.
-        right: (n, 2) right-hand side; afterwards the solution.
+        symbolic, diagonal, pair: results of ``factor``.
+        right: (n, 2) right-hand side; replaced by the solution.
     """
     n = symbolic.order.shape[0]
     for k in range(n):

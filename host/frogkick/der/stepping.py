@@ -1,13 +1,11 @@
 """Implicit time steps of second order: generalised-alpha, for one simulation or for many in SIMD lanes.
 
 Each step factorises its matrix once and then corrects with that factor (a chord or modified Newton method):
-after a first correction the residual shrinks a thousandfold with each further one, which costs a quarter of a
-new factor.
+after the first correction each further one reduces the residual a thousandfold, at a quarter of the cost of a
+new factor. A lane stops correcting as soon as it has converged, and a lane that fails keeps its state before
+the step, so no lane affects the others.
 
-Every lane stops correcting when it has converged itself, and a lane that fails is left as it was before that
-step, so no lane affects its neighbours.
-
-Source: Chung and Hulbert 1993, J. Appl. Mech. 60(2), generalised-alpha; here with forces taken at the
+Source: Chung and Hulbert 1993, J. Appl. Mech. 60(2), generalised-alpha; here with forces evaluated at the
 interpolated point. It is a one-step method, so steps may differ in length.
 """
 
@@ -32,7 +30,7 @@ ALPHA_F = SPECTRAL_RADIUS / (SPECTRAL_RADIUS + 1.0)
 GAMMA = 0.5 - ALPHA_M + ALPHA_F
 BETA = 0.25 * (1.0 - ALPHA_M + ALPHA_F) ** 2
 EVALUATION_SHARE = 1.0 - ALPHA_F
-"""Forces are taken at this share of a step."""
+"""Share of a step at which forces are evaluated."""
 
 RESIDUAL_LIMIT = 1e-6  # root of the summed squares of all nodal residuals, over Mesh.force_scale_n
 MAX_ITERATIONS = 16
@@ -40,7 +38,7 @@ FACTOR_EVERY = 5  # corrections with one factor; a step that needs a sixth has m
 
 
 class Workspace(NamedTuple):
-    """Work space of ``advance_lanes``; its content does not outlive a call."""
+    """Work space of ``run_steps``; its content is not used after a call."""
 
     edges: Edges
     x_m: SimdArray
@@ -55,7 +53,7 @@ class Workspace(NamedTuple):
 
 
 def workspace_of(mesh: Mesh, symbolic: SymbolicFactorisation, width: int) -> Workspace:
-    """Work space for ``width`` simulations side by side."""
+    """Return work space for ``width`` lanes."""
     n = len(mesh.mass_kg)
     nodal = [lane_zeros((n, 2), width) for _ in range(6)]
     blocks = [
@@ -74,10 +72,10 @@ def set_accelerations(
     water: SimdArray,
     a_mps2: SimdArray,
 ) -> None:
-    """Set (n, 2) accelerations, m/s^2, to what the forces on a state cause: the integrator's start.
+    """Set (n, 2) accelerations, m/s^2, from the forces at a state: the start of the integrator.
 
     Args:
-        active: (1, 2 * (limbs + 1)), see ``frogkick.der.rods.add_forces``; water likewise.
+        active: (1, 2 * (limbs + 1)), see ``frogkick.der.rods.add_forces``, also for ``water``.
     """
     for i in range(mesh.mass_kg.shape[0]):
         for d in range(2):
@@ -99,7 +97,7 @@ def set_residual(
     velocity_gain: Any,
     mass_gain: Any,
 ) -> Any:
-    """Set space.force_n to what is unbalanced after moving by space.move_m; return the sum of squares."""
+    """Set workspace.force_n to the residual after moving by workspace.move_m; return its sum of squares."""
     for i in range(x_m.shape[0]):
         for d in range(2):
             move = get(workspace.move_m, i, d)
@@ -125,7 +123,7 @@ def set_factor(
     velocity_gain: Any,
     mass_gain: Any,
 ) -> None:
-    """Factor the derivative of ``set_residual`` at the state that it last saw."""
+    """Factor the derivative of ``set_residual`` at the state of its last call."""
     for i in range(mesh.mass_kg.shape[0]):
         inertia = mass_gain * mesh.mass_kg[i]
         put(workspace.diagonal, i, 0, inertia)
@@ -167,18 +165,18 @@ def run_steps(
     """Advance states in place by a row of steps.
 
     Args:
+        mesh, symbolic, workspace: mesh, index lists and work space.
         x_m, v_mps, a_mps2: (n, 2) positions, velocities, accelerations, world frame.
-        step_s: (steps, 1) lengths; a lane stands still in a step that is not positive.
+        step_s: (steps, 1) lengths; a lane does not move in a step that is not positive.
         active: (steps, 2 * (limbs + 1)), at EVALUATION_SHARE of each step; see frogkick.der.rods.add_forces.
-        water: (WATER, 1) or (0, 1), the same in all these steps; see there.
-        factor_every: corrections made with one factor: FACTOR_EVERY, or 1 (Newton's own method) where a step
-            is hard.
-        report: (3, 1), written: row 0 the first step that a lane failed to take, or -1; such a lane is left
-            as it was before that step. Row 1 its residual over the force scale then. Row 2 corrections made.
-        sums: (steps, frogkick.der.body.SUMS), written after each step; or no rows where nobody wants them.
+        water: (WATER, 1) or (0, 1), constant over the steps; see there.
+        factor_every: corrections with one factor: FACTOR_EVERY, or 1 (Newton's method) for a difficult step.
+        report: (3, 1), written: row 0 the first step in which the lane failed, or -1; such a lane keeps its
+            state before that step. Row 1 its residual over the force scale then. Row 2 number of corrections.
+        sums: (steps, frogkick.der.body.SUMS), written after each step; no rows if they are not wanted.
 
     Returns:
-        The evaluations of forces that all lanes together waited for.
+        Number of force evaluations of the slowest lane.
     """
     n = x_m.shape[0]
     limit = (RESIDUAL_LIMIT * mesh.force_scale_n) ** 2

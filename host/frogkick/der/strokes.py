@@ -23,13 +23,13 @@ Program = Sequence[tuple[float, int]]
 
 @dataclass(frozen=True)
 class Motions:
-    """How k robots moved from the world's origin, heading along world x.
+    """Motions of k robots from the world's origin, heading along world x.
 
     Attributes:
-        time_s: (s,) when.
-        pose_world: (k, s, 3) x, y (m), heading (rad, continuous: not wrapped); NaN where a simulation failed.
+        time_s: (s,) times.
+        pose_world: (k, s, 3) x, y (m), heading (rad, continuous: not wrapped); NaN after a failure.
         velocity_body: (k, s, 3) forward, left (m/s), turn rate (rad/s); NaN likewise.
-        failures: simulation -> why and where it stopped.
+        failures: simulation -> its failure.
     """
 
     time_s: FloatArray
@@ -47,7 +47,7 @@ class LaneEffects(Protocol):
     def advance(
         self, batch: Batch, until_s: float | FloatArray, trace: bool = False
     ) -> list[tuple[FloatArray, FloatArray]]:
-        """Let time pass for all lanes; see Batch.advance."""
+        """Advance all lanes; see Batch.advance."""
 
 
 class NoEffects:
@@ -60,12 +60,12 @@ class NoEffects:
     def advance(
         self, batch: Batch, until_s: float | FloatArray, trace: bool = False
     ) -> list[tuple[FloatArray, FloatArray]]:
-        """Let time pass for all lanes; see Batch.advance."""
+        """Advance all lanes; see Batch.advance."""
         return batch.advance(until_s, trace)
 
 
 def program_of(robot: Robot, action: Action, start_s: float = 0.0) -> list[tuple[float, int]]:
-    """The strokes of one action."""
+    """Return the strokes of an action."""
     strokes = [(start_s, action.first_mask), (start_s + robot.second_delay_s, action.second_mask)]
     return [(time, mask) for time, mask in strokes if mask]
 
@@ -83,16 +83,16 @@ def simulate_many(
 ) -> Motions:
     """Simulate robots of one mesh from rest poses, limbs at rest, ``width`` at a time.
 
-    Each result is the same to the last bit whatever else is simulated with it; neighbours with the same
-    strokes share their steps best.
+    Each result is the same bit for bit, whatever else is simulated with it. Lanes with the same strokes share
+    most of their steps.
 
     Args:
-        rods: of all simulations, or one for each; these may differ in actuation only.
+        rods: of all simulations, or one for each; these may differ only in actuation.
         velocity_body: (k, 3) forward, left (m/s), turn rate (rad/s) at the start.
         programs: (k) strokes of each.
-        time_s: (s,) increasing, after 0: when to report pose and velocity. A step ends at the last of them;
-            the others are interpolated between steps (cubic Hermite), which changes no step.
-        landing_s: increasing times before the last of these where a step is to end as well.
+        time_s: (s,) increasing, after 0: times of the results. A step ends at the last of them; the others
+            are interpolated between steps (cubic Hermite).
+        landing_s: further increasing times before the last one at which a step ends.
         step_s: finest time step.
         width: lanes of a batch.
         acts: makes the effects of a number of lanes; None: no effects.
@@ -186,9 +186,12 @@ def simulate_action(
     """Simulate one action from a velocity, limbs at rest.
 
     Args:
+        robot: the robot.
         velocity_body: forward, left (m/s), turn rate (rad/s) at the start.
-        action: which limbs fire.
-        duration_s: how long to follow it, s.
+        action: the action or its name.
+        duration_s: duration, s.
+        step_s: finest time step.
+        rods: its rods if effects change the body; None: prepare(robot).
 
     Returns:
         Displacement (m, m, rad) in the body frame at the start, then velocity (m/s, m/s, rad/s) in the body

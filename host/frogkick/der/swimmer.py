@@ -1,4 +1,4 @@
-"""One robot in water: place it, fire its limbs, let time pass, ask where it is."""
+"""One robot in water: place it, fire its limbs, advance it, read its pose."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ STEP_S = 0.0008
 
 @dataclass(frozen=True)
 class Rods:
-    """What all swimmers of one robot share: mesh, symbolic factorisation, stroke."""
+    """The constant part that all swimmers of a robot share: mesh, symbolic factorisation, stroke."""
 
     robot: Robot
     mesh: Mesh
@@ -33,10 +33,10 @@ class Rods:
 
 
 def prepare(robot: Robot, egain_percent: float | None = None, frequency_hz: float | None = None) -> Rods:
-    """Build what swimmers share, by default with the limb profile that the robot's actions use.
+    """Build the shared part of swimmers, by default with the limb profile of the robot's actions.
 
     Raises:
-        InputError: the profile is outside of what was measured.
+        InputError: the profile is outside the measured range.
     """
     mesh, symbolic = build_mesh(robot)
     return Rods(robot, mesh, symbolic, robot.actuation(egain_percent, frequency_hz))
@@ -51,7 +51,7 @@ def batch_of(
     width: int,
     longest_s: float = math.inf,
 ) -> Batch:
-    """Robots of one mesh side by side; see Batch for the arguments. Only their strokes may differ."""
+    """Return robots of one mesh side by side, which may differ only in their strokes; see Batch."""
     return Batch(
         rods[0].mesh,
         rods[0].symbolic,
@@ -67,11 +67,7 @@ def batch_of(
 
 
 class Swimmer:
-    """A robot in still water, simulated as rods.
-
-    The pose is that of the body: the mass-weighted mean of all nodes (Huang 2022, Eqs. 10, 12) and the
-    signed mass-weighted rotation of the frame's nodes (Eq. 11 loses the sign). Added mass counts as mass.
-    """
+    """A robot in water, simulated as rods. Its pose is defined in ``frogkick.der.body``."""
 
     def __init__(
         self,
@@ -83,13 +79,13 @@ class Swimmer:
         step_s: float = STEP_S,
         rods: Rods | None = None,
     ) -> None:
-        """Place a swimmer with all limbs at rest, moving like a rigid body.
+        """Place a rigidly moving swimmer with all limbs at rest.
 
         Args:
-            robot: what swims.
+            robot: the robot.
             pose_world: x, y (m), heading (rad), world frame.
             velocity_body: forward, left (m/s), turn rate (rad/s, counter-clockwise), body frame.
-            time_s: what its clock shows now.
+            time_s: initial time of its clock.
             step_s: finest time step.
             rods: prepare(robot), to share it between swimmers.
 
@@ -111,33 +107,30 @@ class Swimmer:
 
     @property
     def time_s(self) -> float:
-        """What its clock shows, s."""
+        """Its time, s."""
         return float(self._batch.time_s[0])
 
     @property
     def mass_kg(self) -> float:
-        """Its mass, added mass included."""
+        """Its mass, including added mass."""
         return self._batch.mass_kg
 
     @property
     def inertia_kg_m2(self) -> float:
-        """Moment of inertia about its centre of mass with all limbs at rest, added mass included."""
+        """Moment of inertia about its centre of mass with all limbs at rest, including added mass."""
         return self._batch.inertia_kg_m2
-
-    @property
-    def newton_iterations(self) -> int:
-        """Corrections made so far in all steps."""
-        return int(self._batch.corrections[0])
 
     def fire(self, limb: int, time_s: float, *, gain: float = 1.0, duration_scale: float = 1.0) -> None:
         """Start a stroke of one limb now or later.
 
-        The limb follows the measured profile to its end, then rests. Fired again before that, the larger
-        activation of the two strokes wins at each moment: heat adds no more than one full stroke.
+        The limb follows the measured profile to its end, then rests. If it is fired again before that, the
+        larger of the two activations acts at each moment, because heat adds no more than one full stroke.
 
         Args:
+            limb: index of the limb.
+            time_s: start of the stroke.
             gain: share of the measured stroke, 0 to 2.
-            duration_scale: how much longer than measured it takes to curl back, 0.1 to 10.
+            duration_scale: duration of the limb's return over the measured one, 0.1 to 10.
 
         Raises:
             InputError: no such limb, a time that has passed, or gain or scale out of range.
@@ -155,7 +148,7 @@ class Swimmer:
         self._batch.fire(0, limb, time_s, gain=gain, duration_scale=duration_scale)
 
     def set_water(self, water: Water) -> None:
-        """Let the water around it move, and push it, from now on; see frogkick.der.water."""
+        """Set the flow around it and its external acceleration from now on; see frogkick.der.water."""
         self._batch.set_water(0, water)
 
     def fire_mask(self, mask: int, time_s: float) -> None:
@@ -165,12 +158,12 @@ class Swimmer:
                 self.fire(limb, time_s)
 
     def advance(self, until_s: float) -> None:
-        """Let time pass, in steps that frogkick.der.schedule chooses; the last one ends at ``until_s``.
+        """Advance in steps that frogkick.der.schedule chooses; the last one ends at ``until_s``.
 
         Raises:
             InputError: a time that has passed.
-            ConvergenceError: a step did not converge even when halved again and again, or the state is no
-                longer finite; the text gives the state before that step.
+            ConvergenceError: a step did not converge after repeated bisection, or the state became
+                non-finite; the text gives the state before that step.
         """
         if not (math.isfinite(until_s) and until_s >= self.time_s - 1e-9):
             raise InputError(f"cannot advance to {until_s} s from {self.time_s} s: time goes forward")

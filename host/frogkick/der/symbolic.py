@@ -1,8 +1,8 @@
-"""Symbolic factorisation of the rods' linear systems: the elimination order and fill-in, once for each mesh.
+"""Symbolic factorisation of the rods' linear systems: the elimination order and the fill-in.
 
-The matrix has one 2 x 2 block for each pair of nodes that share an edge or a bend, and is symmetric, so only
-its diagonal and one block of each pair are stored: the row is the node that is eliminated first. Which pairs
-fill in during the elimination depends on the mesh alone; the numbers follow in ``frogkick.der.solve``.
+The matrix is symmetric and has one 2 x 2 block for each pair of nodes that share an edge or a bend. Only its
+diagonal and one block of each pair are stored; the row is the node that is eliminated first. The fill-in
+depends only on the mesh. The numerical factorisation is in ``frogkick.der.solve``.
 """
 
 from __future__ import annotations
@@ -18,19 +18,20 @@ IntArray = NDArray[np.int32]
 
 
 class SymbolicFactorisation(NamedTuple):
-    """Index lists of a symbolic factorisation. Pair p couples the node order[k], start[k] <= p < start[k +
-    1], to neighbour[p].
+    """Index lists of a symbolic factorisation.
+
+    Pair p couples the node order[k], start[k] <= p < start[k + 1], to neighbour[p].
 
     Attributes:
         order: (n,) nodes in the order of their elimination.
-        start: (n + 1,) where each node's pairs begin.
-        neighbour: (pairs,) the other node of each, eliminated later; fill-in included.
-        target_start: (n,) where the targets of step k begin.
-        target: for step k, of all its neighbours i before j, the pair (i, j) that it updates.
+        start: (n + 1,) first pair of each node.
+        neighbour: (pairs,) the other node of each pair, which is eliminated later; includes fill-in.
+        target_start: (n,) first target of step k.
+        target: for step k, for each two neighbours i before j, the pair (i, j) that it updates.
         edge_pair: (e,) the pair of each edge's two nodes.
         bend_pair: (b, 3) the pairs of each bend's nodes a b, a c, b c.
-        bend_flip: (b, 3) 1 where the second of these nodes is eliminated first (its row), else 0.
-        widest: most neighbours of one node.
+        bend_flip: (b, 3) 1 if the second of these nodes is eliminated first (its row), else 0.
+        widest: largest number of neighbours of a node.
     """
 
     order: IntArray
@@ -47,15 +48,16 @@ class SymbolicFactorisation(NamedTuple):
 def factorise_symbolically(
     nodes: int, edge_nodes: IntArray, bend_nodes: IntArray, order: Sequence[int]
 ) -> SymbolicFactorisation:
-    """Factorise symbolically: the elimination of all nodes, with fill-in.
+    """Return the elimination of all nodes, with fill-in.
 
     Args:
         nodes: number of nodes n.
-        edge_nodes: (e, 2); bend_nodes: (b, 3): what couples.
-        order: (n,) a permutation of the nodes; it decides the fill-in, not the solution.
+        edge_nodes: (e, 2) nodes that edges couple.
+        bend_nodes: (b, 3) nodes that bends couple.
+        order: (n,) a permutation of the nodes; it determines the fill-in, not the solution.
 
-    Source: George, Liu 1981, Computer Solution of Large Sparse Positive Definite Systems (symbolic and
-    numeric phases apart).
+    Source: George, Liu 1981, Computer Solution of Large Sparse Positive Definite Systems (separate symbolic
+    and numeric phases).
     """
     coupled: list[set[int]] = [set() for _ in range(nodes)]
     for group in (*edge_nodes.tolist(), *bend_nodes.tolist()):

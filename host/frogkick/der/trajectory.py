@@ -1,4 +1,4 @@
-"""Trajectories of one robot: a row of actions."""
+"""Trajectories of one robot: a sequence of actions."""
 
 from __future__ import annotations
 
@@ -23,16 +23,16 @@ SAMPLE_S = 0.01  # spacing of trajectories
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Trajectory:
-    """Where the body of a simulated robot went, and what that came to.
+    """The motion of a simulated robot's body.
 
     Attributes:
         time_s: (n,) s, from 0 on.
         pose_world: (n, 3) x, y (m), heading (rad, in (-pi, pi]), world frame.
         velocity_body: (n, 3) forward, left (m/s), turn rate (rad/s), body frame.
-        speed_mps: mean forward speed; see the function that made it.
-        distance_m: straight from start to end.
-        cost_of_transport: electrical energy over weight and distance, dimensionless; infinite without
-            forward motion.
+        speed_mps: mean forward speed of a gait; of actions, the straight distance over the time.
+        distance_m: straight distance from start to end.
+        cost_of_transport: electrical energy over weight and distance, dimensionless; infinite without forward
+            motion.
     """
 
     time_s: FloatArray
@@ -90,17 +90,15 @@ def simulate_actions(
     rods: Rods | None = None,
     acts: Callable[[int], LaneEffects] | None = None,
 ) -> Trajectory:
-    """Simulate actions one after another, one each Robot.period_s, heading along world x at the start.
-
-    The speed is the straight distance over the time.
+    """Simulate a sequence of actions, one each Robot.period_s, heading along world x at the start.
 
     Args:
-        robot: what swims.
-        actions: of it, or their names.
+        robot: the robot.
+        actions: its actions, or their names.
         velocity_body: forward, left (m/s), turn rate (rad/s) at the start.
         step_s: finest time step.
-        rods: its rods where effects change the body; None: prepare(robot).
-        acts: makes, of a number of lanes, what acts on them; None: nothing does.
+        rods: its rods if effects change the body; None: prepare(robot).
+        acts: makes the effects of a number of lanes; None: no effects.
 
     Raises:
         InputError: no action, or an unknown one.

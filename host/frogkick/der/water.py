@@ -1,8 +1,8 @@
-"""Flow and external accelerations, as the compiled rods take them: linearised around the body.
+"""Flow and external accelerations in the compiled rods: linearised around the body.
 
-Around the lane's origin, which is the body's centre of mass when time starts to pass, the water moves at
-u = u0 + G x, and every node is pushed with the acceleration a = a0 + alpha (-y, x): a force on the body's
-centre and a torque about it. Both are in the world frame and stay while ``Batch.advance`` runs once.
+About the lane's origin, which is the body's centre of mass at the start of a call, the water moves at
+u = u0 + G x, and each node has the acceleration a = a0 + alpha (-y, x): a force at the body's centre and a
+torque about it. Both are in the world frame and constant during a call of ``Batch.advance``.
 """
 
 from __future__ import annotations
@@ -25,12 +25,12 @@ WATER = 9
 
 @dataclass(frozen=True)
 class Water:
-    """What acts on a body from outside, around its centre of mass, world frame.
+    """Flow and external acceleration about a body's centre of mass, world frame.
 
     Attributes:
         flow_mps: (2,) velocity of the water there.
-        gradient_per_s: (2, 2) its change with place: row i, column j is d u_i / d x_j.
-        push_mps2: (2,) acceleration of the body there.
+        gradient_per_s: (2, 2) its gradient: row i, column j is d u_i / d x_j.
+        push_mps2: (2,) acceleration of the body.
         turn_rad_s2: angular acceleration of the body.
     """
 
@@ -40,7 +40,7 @@ class Water:
     turn_rad_s2: float = 0.0
 
     def numbers(self) -> FloatArray:
-        """(WATER,) as the kernel has them."""
+        """Return (WATER,) numbers for the compiled functions."""
         return np.array(
             [
                 *self.flow_mps,
@@ -57,23 +57,23 @@ STILL = Water()
 
 @njit(**INNER)
 def flow_x(water: SimdArray, x: Any, y: Any) -> Any:
-    """World x velocity of the water at a place about the origin."""
+    """World x velocity of the water at a position about the origin."""
     return get(water, 0, 0) + (get(water, 2, 0) * x + get(water, 3, 0) * y)
 
 
 @njit(**INNER)
 def flow_y(water: SimdArray, x: Any, y: Any) -> Any:
-    """World y velocity likewise."""
+    """World y velocity of the water at a position about the origin."""
     return get(water, 1, 0) + (get(water, 4, 0) * x + get(water, 5, 0) * y)
 
 
 @njit(**INNER)
 def push_x(water: SimdArray, x: Any, y: Any) -> Any:
-    """World x acceleration of a node at a place about the origin."""
+    """World x acceleration of a node at a position about the origin."""
     return get(water, 6, 0) - get(water, 8, 0) * y
 
 
 @njit(**INNER)
 def push_y(water: SimdArray, x: Any, y: Any) -> Any:
-    """World y acceleration likewise."""
+    """World y acceleration of a node at a position about the origin."""
     return get(water, 7, 0) + get(water, 8, 0) * x

@@ -1,14 +1,13 @@
-"""Terms that a model may lack: each physical, with named, bounded, united parameters."""
+"""Terms that a model may lack: physical effects with named parameters that have bounds and units."""
 
 from frogkick.core.poses import Fix
 from frogkick.effects.acting import Acting, ActingLanes, body_at, body_effects, changed_robot, rods_of
 from frogkick.effects.base import Body, Effect, History, Parameter, Stroke
 from frogkick.effects.body import Hull, LimbFatigue, LimbMount, LimbWater, MunkMoment
 from frogkick.effects.camera import CameraScale, FixLatency, TagOffset
-from frogkick.effects.groups import GroupGain
 from frogkick.effects.inertia import CentreMass, OffCentreMass
 from frogkick.effects.law import Law
-from frogkick.effects.limbs import BatterySag, GroupLoss, LimbMemory, LimbWear, WarmUp
+from frogkick.effects.limbs import BatterySag, GroupGain, GroupLoss, LimbMemory, LimbWear, WarmUp
 from frogkick.effects.registry import BUILT_IN, effects_of, make_effect, make_effects
 from frogkick.effects.walls import Wall
 from frogkick.effects.water import (

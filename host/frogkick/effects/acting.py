@@ -1,4 +1,4 @@
-"""Effects at work on simulated swimmers: what the pool, the library and identification call."""
+"""Effects that act on simulated swimmers, for pool, library and identification."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ _APART_M = 0.01  # spacing of the finite difference of the flow about the body's
 
 
 def changed_robot(robot: Robot, effects: Sequence[Effect]) -> Robot:
-    """The robot changed by the effects that change its body.
+    """Return the robot with the body that the effects change.
 
     Raises:
-        InputError: an effect does not fit the robot, or makes something that is none.
+        InputError: an effect does not fit the robot, or gives an invalid one.
     """
     for effect in effects:
         effect.check(robot)
@@ -35,16 +35,16 @@ def changed_robot(robot: Robot, effects: Sequence[Effect]) -> Robot:
 
 
 def rods_of(robot: Robot) -> Rods:
-    """The rods of a robot changed by the effects of its file that change its body.
+    """Return the rods of a robot with the body that the effects of its file change.
 
     Raises:
-        InputError: an effect of it cannot be made, or does not fit it.
+        InputError: one of its effects cannot be made or does not fit it.
     """
     return replace(prepare(changed_robot(robot, effects_of(robot))), robot=robot)
 
 
 def body_effects(robot: Robot) -> tuple[Effect, ...]:
-    """The effects of a robot's file that belong to its body: all but flows of the water."""
+    """Return the effects of a robot's file that belong to its body: all but flows of the water."""
     return tuple(effect for effect in effects_of(robot) if not _overrides(effect, "flow"))
 
 
@@ -58,11 +58,12 @@ class ActingLanes:
         rngs: Sequence[np.random.Generator],
         leg_s: float = LEG_S,
     ) -> None:
-        """Take effects that fit ``robot``.
+        """Prepare effects that fit ``robot``.
 
         Args:
-            robot: as ``changed_robot`` made it.
-            rngs: one for each lane, for effects that are random.
+            effects: the effects.
+            robot: result of ``changed_robot``.
+            rngs: a generator for each lane, for random effects.
             leg_s: see LEG_S.
         """
         self.effects = tuple(effects)
@@ -75,21 +76,23 @@ class ActingLanes:
         self.asks_body = any(effect.asks_body for effect in effects)
 
     def copy(self) -> ActingLanes:
-        """An independent copy: effects and histories."""
+        """Return an independent copy: effects and histories."""
         return self.pick(range(len(self.histories)))
 
     def pick(self, lanes: Sequence[int]) -> ActingLanes:
-        """An independent copy of some lanes; see Batch.pick."""
+        """Return an independent copy of some lanes; see Batch.pick."""
         twin = copy.copy(self)
         twin.histories = [History(list(self.histories[lane].strokes)) for lane in lanes]
         twin._rngs = [copy.deepcopy(self._rngs[lane]) for lane in lanes]
         return twin
 
     def stroke(self, lane: int, limb: int, time_s: float, body: Body | None = None) -> Stroke:
-        """What a lane's limb does when it is fired; from then on it belongs to the history.
+        """Return the stroke of a lane's limb, and add it to the history.
 
         Args:
-            body: the robot now, for effects that ask where it is (``asks_body``).
+            lane, limb: lane and limb.
+            time_s: start of its pulse.
+            body: state of the robot, for effects that need it (``asks_body``).
 
         Raises:
             InputError: an effect gave a stroke that is not finite.
@@ -120,10 +123,10 @@ class ActingLanes:
     def advance(
         self, batch: Batch, until_s: float | FloatArray, trace: bool = False
     ) -> list[tuple[FloatArray, FloatArray]]:
-        """Advance all lanes; effects that need it are evaluated again every leg.
+        """Advance all lanes; effects that need it are evaluated again every LEG_S.
 
         Returns:
-            What Batch.advance does.
+            See Batch.advance.
         """
         if math.isinf(self.leg_s):
             return batch.advance(until_s, trace)
@@ -148,11 +151,13 @@ class ActingLanes:
         ]
 
     def water(self, body: Batch | Swimmer, time_s: float, pose: FloatArray, velocity: FloatArray) -> Water:
-        """Flow and push around a body at a time, linear in place.
+        """Return flow and external acceleration around a body, linear in the position.
 
         Args:
-            body: knows the mass and the inertia.
-            pose: (3,) world; velocity: (3,) body frame.
+            body: has the mass and the moment of inertia.
+            time_s: time.
+            pose: (3,) world frame.
+            velocity: (3,) body frame.
         """
         if not (self._flows or self._wrenches):
             return STILL
@@ -178,7 +183,7 @@ class ActingLanes:
     def _push(
         self, time_s: float, body: Batch | Swimmer, pose: FloatArray, velocity: FloatArray
     ) -> tuple[float, float, float]:
-        """Accelerations, world frame: m/s^2, m/s^2, rad/s^2."""
+        """Return accelerations, world frame: m/s^2, m/s^2, rad/s^2."""
         if not self._wrenches:
             return (0.0, 0.0, 0.0)
         seen, heading = body_at(time_s, pose, velocity), float(pose[2])
@@ -193,13 +198,13 @@ class Acting:
     """Effects on one swimmer and on the fixes of its camera."""
 
     def __init__(self, effects: Sequence[Effect], robot: Robot, rng: np.random.Generator) -> None:
-        """Take effects that fit ``robot``; ``rng`` is for those that are random."""
+        """Prepare effects that fit ``robot``; ``rng`` is for random effects."""
         self._lane = ActingLanes(effects, robot, [rng])
         self._rng = rng
 
     @property
     def effects(self) -> tuple[Effect, ...]:
-        """What acts."""
+        """The effects."""
         return self._lane.effects
 
     def fire(self, swimmer: Swimmer, limb: int, time_s: float) -> None:
@@ -216,7 +221,7 @@ class Acting:
         swimmer.fire(limb, start_s, gain=stroke.gain, duration_scale=stroke.duration_scale)
 
     def advance(self, swimmer: Swimmer, until_s: float) -> None:
-        """Advance the swimmer; effects that need it are evaluated again every leg.
+        """Advance the swimmer; effects that need it are evaluated again every LEG_S.
 
         Raises:
             ConvergenceError: the rod simulation failed.
@@ -229,7 +234,7 @@ class Acting:
             swimmer.advance(until_s if left_s <= 1.5 * leg_s else now_s + leg_s)
 
     def fix(self, fix: Fix) -> Fix | None:
-        """A fix changed by the effects; None where one drops it."""
+        """Return a fix that the effects have changed; None if one of them drops it."""
         seen: Fix | None = fix
         for effect in self.effects:
             if seen is None:
@@ -239,7 +244,7 @@ class Acting:
 
 
 def body_at(time_s: float, pose: FloatArray, velocity: FloatArray) -> Body:
-    """A body from its pose (3,), world frame, and its velocity (3,), its own frame."""
+    """Return a body from its pose (3,), world frame, and its velocity (3,), body frame."""
     x, y, heading = (float(value) for value in pose)
     forward, left, omega = (float(value) for value in velocity)
     return Body(time_s, (x, y, heading), (forward, left, omega))
@@ -250,7 +255,7 @@ def _overrides(effect: Effect, hook: str) -> bool:
 
 
 def _numbers(effect: Effect, hook: str, given: object, count: int) -> FloatArray:
-    """What a user's method gave, flat: (fx, fy, torque) or ((fx, fy), torque) alike."""
+    """Return a user's result as a flat array; (fx, fy, torque) and ((fx, fy), torque) are equal."""
     try:
         flat = np.concatenate([np.ravel(np.asarray(part, dtype=np.float64)) for part in given])  # type: ignore[attr-defined]
     except (TypeError, ValueError):

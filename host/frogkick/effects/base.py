@@ -1,7 +1,8 @@
-"""What an effect is: a term that the nominal model lacks, with parameters that have names, bounds and units.
+"""The base class of effects: terms that the nominal model lacks, with named parameters, bounds and units.
 
-The same class serves three uses: a robot's file adds it to the model, a world's file adds it to the simulated
-pool, and identification takes it as a candidate. A user writes one by overriding what it acts on:
+The same class serves three purposes: a robot's file adds it to the model, a world's file adds it to the
+simulated pool, and identification uses it as a candidate. Your own effect overrides the methods of what it
+acts on:
 
     class Whirl(Effect):
         parameters = (Parameter("turns_per_s", "1/s", 0.0, 0.2, 0.0),)
@@ -33,15 +34,15 @@ class Parameter:
     """A parameter of an effect.
 
     Attributes:
-        name: as in the TOML, with its unit as suffix where it has one.
-        unit: SI; "1" for a share.
+        name: name in TOML files, with its unit as a suffix if it has one.
+        unit: SI unit; "1" for a ratio.
         low, high: bounds, inclusive.
         nominal: value at which the effect vanishes, or is as in the nominal model.
-        about: what it means, in half a line.
+        about: its meaning, in half a line.
         step: finite-difference step, within which its influence is linear; 0: a twentieth of its range.
-        grid: increasing values that a fit starts from as well: descent may end in a local minimum.
-        tolerance: discretisation tolerance, half the width within which simulations cannot tell values apart;
-            most have none.
+        grid: increasing further starting values of a fit, because descent may end in a local minimum.
+        tolerance: discretisation tolerance, half the width within which simulations cannot distinguish
+            values; most parameters have none.
     """
 
     name: str
@@ -57,7 +58,8 @@ class Parameter:
 
 @dataclass(frozen=True)
 class Body:
-    """The robot's body: pose in the world (m, m, rad), velocity in its own frame (m/s, m/s, rad/s)."""
+    """State of the robot's body: pose in the world (m, m, rad), velocity in the body frame (m/s, m/s,
+    rad/s)."""
 
     time_s: float
     pose_world: tuple[float, float, float]
@@ -66,16 +68,16 @@ class Body:
 
 @dataclass
 class Stroke:
-    """A limb fires: what an effect may change.
+    """A stroke of a limb, which an effect may change.
 
     Attributes:
         limb: name of the limb.
-        index: its bit.
-        time_s: when its pulse starts.
+        index: index of the limb.
+        time_s: start of its pulse.
         gain: share of the measured stroke, 0 to 2.
-        delay_s: how much later than its pulse it starts, 0 or more.
-        duration_scale: how many times as long as measured it takes to curl back, 0.1 to 10.
-        body: the robot when it was told to fire; None where that is not known.
+        delay_s: delay of the stroke after its pulse, 0 or more.
+        duration_scale: duration of the limb's return over the measured one, 0.1 to 10.
+        body: state of the robot when the pulse starts; None if it is not known.
     """
 
     limb: str
@@ -89,29 +91,29 @@ class Stroke:
 
 @dataclass
 class History:
-    """The strokes before this one, oldest first: (time_s, limb index)."""
+    """Earlier strokes, oldest first: (time_s, limb index)."""
 
     strokes: list[tuple[float, int]] = field(default_factory=list)
 
     @property
     def pulses(self) -> int:
-        """Different times at which limbs were fired."""
+        """Number of distinct times at which limbs fired."""
         return len({time_s for time_s, _ in self.strokes})
 
     def since_s(self, index: int, time_s: float) -> float:
-        """How long ago a limb fired last; infinite where it did not."""
+        """Return the time since a limb's last stroke; infinite if it has not fired."""
         return min((time_s - then for then, limb in self.strokes if limb == index), default=math.inf)
 
 
 class Effect:
-    """A term that the nominal model lacks; override what it acts on.
+    """A term that the nominal model lacks; override the methods of what it acts on.
 
     Attributes:
-        name: what a TOML calls it.
-        parameters: its numbers.
-        options: other keys that a TOML may or must give, with their default (None: must be given).
-        about: the physics, in a line.
-        shown_by: which data could show it, in a line.
+        name: name in TOML files.
+        parameters: its parameters.
+        options: further keys in TOML files with their defaults (None: the key is required).
+        about: the physics, in one line.
+        shown_by: data that could show it, in one line.
         joint_only: it can only be identified jointly with others of its kind, from many runs.
     """
 
@@ -126,7 +128,7 @@ class Effect:
         """Set parameters and options as attributes.
 
         Raises:
-            InputError: an unknown key, a value out of its bounds, an option that must be given.
+            InputError: an unknown key, a value outside its bounds, or a missing option.
         """
         known = {parameter.name for parameter in self.parameters} | set(self.options)
         for key in values:
@@ -156,40 +158,40 @@ class Effect:
 
     @property
     def asks_body(self) -> bool:
-        """Whether strokes depend on the robot's pose and velocity: ``Stroke.body`` is then
-        given."""
+        """Whether strokes depend on the robot's pose and velocity, so that ``Stroke.body`` is needed."""
         return False
 
     @property
     def stiff(self) -> bool:
-        """Whether its wrench changes much within tens of milliseconds."""
+        """Whether its wrench changes considerably within tens of milliseconds."""
         return False
 
     @property
     def title(self) -> str:
-        """Its name, or its class's where it has none."""
+        """Its name, or the name of its class."""
         return self.name or type(self).__name__
 
     def value(self, parameter: str) -> float:
-        """A parameter's value."""
+        """Return the value of a parameter."""
         return float(getattr(self, parameter))
 
     def check(self, robot: Robot) -> None:
-        """Refuse a robot that this effect cannot be on (no such limb).
+        """Raise an error if this effect does not fit a robot, for example if the robot lacks its limb.
 
         Raises:
-            InputError: it names the right ones.
+            InputError: it does not fit.
         """
 
     def starts(self, low_m: FloatArray, high_m: FloatArray) -> Sequence[Mapping[str, float]]:
-        """Values at which a search for this effect starts, instead of ones spread by the search.
+        """Return starting values of a search for this effect, instead of ones that the search spreads.
 
         Args:
             low_m, high_m: (2,) corners of the area of the runs, world frame.
 
         Returns:
-            For each start the values of the parameters that place the effect (not of its strength); empty
-            where any values do.
+            For each start the values of the parameters that place the effect (not of its strength); empty if
+                any
+            values will do.
         """
         return ()
 
@@ -198,23 +200,24 @@ class Effect:
         return self
 
     def robot(self, robot: Robot) -> Robot:
-        """The robot changed by this effect: another body, not another force."""
+        """Return the robot with the body that this effect changes."""
         return robot
 
     def stroke(self, stroke: Stroke, history: History, rng: np.random.Generator) -> Stroke | None:
-        """A limb fires: change ``stroke`` and return it."""
+        """Change a stroke and return it."""
         return stroke
 
     def flow(self, time_s: float, position_world_m: FloatArray) -> Sequence[float] | FloatArray:
-        """Velocity of the water at a place (2,), world frame, m/s."""
+        """Return the velocity of the water at a position (2,), world frame, m/s."""
         return (0.0, 0.0)
 
     def wrench(self, time_s: float, body: Body) -> Sequence[float] | FloatArray:
-        """Extra force (N) forward and left and torque (N m, counter-clockwise) on the body, body frame."""
+        """Return the force (N) forward and left and the torque (N m, counter-clockwise) on the body, body
+        frame."""
         return (0.0, 0.0, 0.0)
 
     def fix(self, fix: Fix, rng: np.random.Generator) -> Fix | None:
-        """A position fix: change it and return it, or return None to drop it."""
+        """Change a position fix and return it, or return None to drop it."""
         return fix
 
     def __repr__(self) -> str:
@@ -224,7 +227,7 @@ class Effect:
 
 
 def limb_index(robot: Robot, effect: Effect, limb: str) -> int:
-    """The bit of a limb.
+    """Return the index of a limb.
 
     Raises:
         InputError: the robot has no such limb.

@@ -1,8 +1,8 @@
-"""Effects of how a robot was built and swims, where its drawing only comes near.
+"""Effects of the body's construction that its drawing does not contain.
 
-They belong together: how much water a body takes along, how it resists and how strongly its limbs push can
-only be told from one another by many runs. A search does not try them one by one; they are fitted to runs
-from the values of a robot that was measured (see frogkick.identification.calibrated).
+Added mass, drag and thrust of the limbs can only be distinguished by many runs together. So a search does not
+test these effects one at a time; they are fitted to runs jointly, starting from the values of a robot that
+was measured (see frogkick.identification.calibrated).
 """
 
 from __future__ import annotations
@@ -14,15 +14,15 @@ from dataclasses import replace
 import numpy as np
 
 from frogkick.effects.base import Body, Effect, History, Parameter, Stroke
-from frogkick.effects.groups import require_group
 from frogkick.effects.inertia import with_inertia
+from frogkick.effects.limbs import require_group
 from frogkick.robot import Limb, Robot
 
 _FATIGUE_STROKES = 24  # of a limb, that are remembered: older ones have faded
 
 
 class Hull(Effect):
-    """A body with height and corners takes more water along, and its limbs push more, than a flat model's."""
+    """A body with height and corners has more added mass, and its limbs push more, than in a flat model."""
 
     name = "hull"
     about = "mass with the water taken along and where it sits, drag of frame and limbs, times factors"
@@ -62,10 +62,10 @@ class Hull(Effect):
 
 
 class LimbWater(Effect):
-    """A limb is a plate as high as the body: it takes more water along than the round rod of the model.
+    """A limb is a plate as high as the body, with more added mass than the round rod of the model.
 
-    A plate's added mass is that of the water in the circle over its height (rho pi / 4 h^2): for the paper's
-    limbs, 24 mm high, 33 times the 13.7 g/m that a rod of their section has.
+    The added mass of a plate is the water in the circle over its height (rho pi / 4 h^2): for the paper's
+    limbs, 24 mm high, 33 times the 13.7 g/m of a rod of their section.
     """
 
     name = "limb_water"
@@ -85,7 +85,8 @@ class LimbWater(Effect):
 
 
 class LimbMount(Effect):
-    """Limbs that stand otherwise at their corners than drawn: glued, or bent by their own rest curl."""
+    """Limbs have other directions at their corners than in the drawing: by glue, or by their rest
+    curvature."""
 
     name = "limb_mount"
     about = "limbs whose name has a word in it are turned at their roots, away from straight back"
@@ -112,7 +113,7 @@ class LimbMount(Effect):
 
 
 class LimbFatigue(Effect):
-    """A limb that fired often lately is warm throughout: each stroke of before takes a share of this one."""
+    """A limb that fired often is warm throughout: each earlier stroke reduces this one."""
 
     name = "limb_fatigue"
     about = "a stroke loses a share for each earlier one of the same limb, fading with the time since"
@@ -140,7 +141,7 @@ class LimbFatigue(Effect):
 
 
 class MunkMoment(Effect):
-    """A body that takes more water along one way than across is turned by drifting (Munk's moment)."""
+    """A body whose added mass differs forward and sideways turns while it drifts (Munk's moment)."""
 
     name = "munk_moment"
     about = "a torque in proportion to forward times sideways speed"

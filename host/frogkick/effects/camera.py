@@ -1,4 +1,4 @@
-"""Effects of the camera: what a fix says is not where the robot is."""
+"""Effects of the camera: a fix differs from the robot's pose."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from frogkick.effects.base import Effect, Parameter
 
 
 class CameraScale(Effect):
-    """A calibration that is off: distances from the origin come out too long or too short."""
+    """A wrong calibration: distances from the origin are too long or too short."""
 
     name = "camera_scale"
     about = "fixes are scaled about the world's origin"
@@ -25,11 +25,11 @@ class CameraScale(Effect):
 
 
 class TagOffset(Effect):
-    """The tag is not where the model has the body's centre, or not straight on it.
+    """The tag is beside the body's centre, or turned on it.
 
-    A camera that is turned about its axis turns places and headings alike: no run shows that, and none is
-    the worse for it. What is left of it, headings turned against places, is a tag that is turned; likewise a
-    camera that stands elsewhere moves all places alike, and only a tag beside the centre shows.
+    A camera that is turned about its axis turns positions and headings equally, which no run shows and which
+    does no harm. A difference between the two is a turned tag. Likewise a displaced camera moves all
+    positions equally, and only a tag beside the centre shows.
     """
 
     name = "tag_offset"
@@ -54,7 +54,7 @@ class TagOffset(Effect):
 
 
 class FixLatency(Effect):
-    """Fixes are older than they say."""
+    """Fixes are older than their capture times."""
 
     name = "fix_latency"
     about = "a fix shows the robot as it was earlier than the fix says"

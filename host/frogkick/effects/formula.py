@@ -1,9 +1,10 @@
-"""Formulas of a law: a small language that is parsed, checked by units and evaluated, never run as Python.
+"""Formulas of a law: a small language that is parsed, checked for units and evaluated, but never run as
+Python.
 
-A formula has numbers, named variables and parameters, ``+ - * / **``, comparisons (1 where true, 0 where not)
-and the functions of FUNCTIONS. Every quantity has a unit. Sums and comparisons need equal units, functions
-such as ``sin`` need pure numbers, and the whole must come out in the unit that it stands for. A plain 0 fits
-any unit.
+A formula consists of numbers, named variables and parameters, ``+ - * / **``, comparisons (1 if true, 0 if
+not) and the functions of FUNCTIONS. Each quantity has a unit. Sums and comparisons need equal units,
+functions such as ``sin`` need pure numbers, and the result must have the unit of its key. A plain 0 fits any
+unit.
 """
 
 from __future__ import annotations
@@ -37,7 +38,7 @@ _BASE: Mapping[str, Unit] = {
 }
 
 LONGEST = 500
-"""Characters of a formula."""
+"""Largest number of characters of a formula."""
 
 Values = Mapping[str, float]
 _Run = Callable[[Values], float]
@@ -66,7 +67,7 @@ def unit_of(text: str) -> Unit:
 
 
 def in_words(unit: Unit) -> str:
-    """A unit as text."""
+    """Return a unit as text."""
     parts = [
         name if power == 1.0 else f"{name}^{power:g}"
         for name, power in zip(("kg", "m", "s"), unit, strict=True)
@@ -76,7 +77,7 @@ def in_words(unit: Unit) -> str:
 
 
 def _finite(function: Callable[..., float]) -> Callable[..., float]:
-    """The same, infinite instead of an error where floats end."""
+    """Return the function with infinity or NaN instead of an error."""
 
     def run(*values: float) -> float:
         try:
@@ -90,7 +91,7 @@ def _finite(function: Callable[..., float]) -> Callable[..., float]:
 
 
 def _divide(a: float, b: float) -> float:
-    """Nothing divided by nothing is nothing: the direction to a point where the robot is."""
+    """Divide; 0 / 0 is 0, such as the direction to a point at the robot."""
     if b:
         return a / b
     return math.copysign(math.inf, a) if a else 0.0
@@ -115,7 +116,7 @@ FUNCTIONS: Mapping[str, tuple[int, Callable[..., float]]] = {
     "hypot": (2, math.hypot),
     "atan2": (2, math.atan2),
 }
-"""Name -> number of arguments, and what it does."""
+"""Name -> number of arguments, and the function."""
 
 _OF_ARRAYS: Mapping[str, Callable[..., FloatArray]] = {
     "min": np.minimum,
@@ -143,7 +144,7 @@ _COMPARISONS: Mapping[type[ast.cmpop], Callable[[float, float], bool]] = {
 
 @dataclass(frozen=True)
 class _Node:
-    """A part of a formula: how it is evaluated, its unit (None: a plain 0, of any), its value if constant."""
+    """A part of a formula: its function, its unit (None: a plain 0, of any unit), its value if constant."""
 
     run: _Run
     unit: Unit | None
@@ -152,11 +153,11 @@ class _Node:
 
 @dataclass(frozen=True)
 class Formula:
-    """A formula that was checked.
+    """A checked formula.
 
     Attributes:
-        text: as given.
-        names: variables and parameters that it uses.
+        text: its text.
+        names: variables and parameters in it.
     """
 
     text: str
@@ -165,10 +166,10 @@ class Formula:
     _tree: ast.expr
 
     def __call__(self, values: Values) -> float:
-        """Its value; infinite or not a number where it has none.
+        """Return its value; infinite or NaN if it has none.
 
         Args:
-            values: of all its names.
+            values: values of all its names.
         """
         return float(self._run(values))
 
@@ -201,15 +202,15 @@ def _over(tree: ast.expr, values: Mapping[str, FloatArray | float]) -> FloatArra
 
 
 def parse(text: str, units: Mapping[str, Unit], wanted: Unit) -> Formula:
-    """Read a formula and check all of it.
+    """Read and check a formula.
 
     Args:
         text: the formula.
-        units: of every name that it may use.
-        wanted: the unit that it must come out in.
+        units: unit of each name that it may use.
+        wanted: unit of its result.
 
     Raises:
-        InputError: it cannot be read, uses a name that there is not, or its units do not fit.
+        InputError: invalid syntax, an unknown name, or units that do not fit.
     """
     if len(text) > LONGEST:
         raise InputError(f"formula {text[:40]!r}... has {len(text)} characters: {LONGEST} are allowed")
@@ -228,7 +229,7 @@ def parse(text: str, units: Mapping[str, Unit], wanted: Unit) -> Formula:
 
 
 class _Reader:
-    """Turns a syntax tree into functions; what is not of the language is refused by name."""
+    """Turns a syntax tree into functions; anything outside the language raises an error."""
 
     def __init__(self, text: str, units: Mapping[str, Unit], names: set[str]) -> None:
         self.text, self.units, self.names = text, units, names

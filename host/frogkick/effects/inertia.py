@@ -1,9 +1,9 @@
-"""Effects of where the body's mass is.
+"""Effects of the distribution of the body's mass.
 
-A rigid frame moves as its mass, its centre of mass and its moment of inertia say. The rods have these three
-by an even outline and one more mass point, held by stiff spokes without weight: a share S of the mass at a
-place p from the outline's centre. With k the outline's radius of gyration the centre of mass lies at S p, and
-the moment of inertia about the outline's centre is (1 - S) + S p^2 / k^2 of that of the bare outline.
+The motion of a rigid frame depends on its mass, its centre of mass and its moment of inertia. The rods
+reproduce these three by a uniform outline and one mass point on massless spokes: a share S of the mass at a
+position p from the outline's centre. With the outline's radius of gyration k, the centre of mass is at S p,
+and the moment of inertia about the outline's centre is (1 - S) + S p^2 / k^2 of that of the bare outline.
 """
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ from frogkick.robot import Robot
 from frogkick.robot.shape import Frame, Limb
 
 _LEAST_INERTIA = 0.02
-"""Share of the outline's moment of inertia, about the centre of mass, that no combination goes below."""
+"""Lower bound of the moment of inertia about the centre of mass, as a share of the outline's."""
 
 
 def gyration_m(frame: Frame) -> float:
-    """Radius of gyration of a frame's bare outline about the mean of its corners."""
+    """Return the radius of gyration of a frame's bare outline about the mean of its corners."""
     corners = np.array(frame.corners_m) - np.mean(frame.corners_m, axis=0)
     squares, whole = 0.0, 0.0
     for a, b in pairwise([*corners, corners[0]]):
@@ -35,12 +35,12 @@ def gyration_m(frame: Frame) -> float:
 
 
 def with_inertia(frame: Frame, moved_m: tuple[float, float], share: float) -> Frame:
-    """A frame whose mass sits otherwise.
+    """Return a frame with another distribution of its mass.
 
     Args:
-        frame: it may have a mass point already.
-        moved_m: by how much its centre of mass moves, body frame.
-        share: by what share its moment of inertia about the outline's centre falls.
+        frame: the frame, which may have a mass point already.
+        moved_m: displacement of its centre of mass, body frame.
+        share: share by which its moment of inertia about the outline's centre is reduced.
     """
     k = gyration_m(frame)
     had, at = frame.centre_mass_share, np.array(frame.centre_mass_at_m)
@@ -71,11 +71,10 @@ class CentreMass(Effect):
 
 
 class OffCentreMass(Effect):
-    """Batteries or electronics that do not balance: the body turns about another point than its middle.
+    """Batteries or electronics that are not balanced: the body turns about another point than its middle.
 
-    Pushes of limbs that met the centre of mass pass beside it now and turn the body, and water that slows the
-    frame turns it as well. The moment of inertia about the middle stays. A camera goes on seeing the tag,
-    which sits where it sat on the frame and not on the centre of mass.
+    Forces of limbs through the old centre of mass then turn the body, and so does the drag of the frame. The
+    moment of inertia about the middle stays. A camera still sees the tag, which keeps its place on the frame.
     """
 
     name = "off_centre_mass"
@@ -103,12 +102,12 @@ class OffCentreMass(Effect):
 
 
 def frame_mass_kg(frame: Frame) -> float:
-    """Of a frame, with the water that it takes along."""
+    """Return the mass of a frame, including added mass."""
     around = [*frame.corners_m, frame.corners_m[0]]
     outline_m = sum(math.dist(a, b) for a, b in pairwise(around))
     return outline_m * (frame.mass_per_length_kg_per_m + frame.added_mass_per_length_kg_per_m)
 
 
 def limb_mass_kg(limb: Limb) -> float:
-    """Of a limb, likewise."""
+    """Return the mass of a limb, including added mass."""
     return limb.length_m * (limb.mass_per_length_kg_per_m + limb.added_mass_per_length_kg_per_m)

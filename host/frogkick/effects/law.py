@@ -32,12 +32,11 @@ CHANNELS: Mapping[str, Mapping[str, str]] = {
     "stroke": {"gain": "1", "delay_s": "s", "duration_scale": "1"},
     "fix": {"x_m": "m", "y_m": "m", "heading_rad": "rad", "delay_s": "s"},
 }
-"""What a law acts on -> the keys that may hold a formula, and the unit that it comes out in.
+"""What a law acts on -> the keys that may hold a formula, and the units of their results.
 
-``wrench``: a force on the body, by its own axes or the pool's, and a torque. ``flow``: the water's velocity
-at a place. ``stroke``: a factor on the stroke, how much later it begins, a factor on how long it takes.
-``fix``: what is added to a position fix, and how much later it was taken than it claims.
-"""
+``wrench``: a force on the body, along its own axes or the pool's, and a torque. ``flow``: the water's
+velocity at a position. ``stroke``: a factor on the stroke, its delay, a factor on its duration. ``fix``:
+additions to a position fix, and its age beyond the capture time."""
 
 _PLACE = {"time_s": "s", "x_m": "m", "y_m": "m"}
 _POSE = {**_PLACE, "heading_rad": "rad"}
@@ -50,13 +49,12 @@ NAMES: Mapping[str, Mapping[str, str]] = {
 }
 """What a law acts on -> the names that its formulas may use besides its parameters, and their units.
 
-``time_s`` counts from the start of the run. For a stroke: ``strokes`` how many pulses there were before,
-``since_s`` how long ago the same limb fired last, ``since_LIMB_s`` how long ago that limb did, ``chance`` a
-random number from 0 to 1, drawn anew for each stroke or fix.
-"""
+``time_s`` counts from the start of the run. For a stroke: ``strokes`` number of earlier pulses, ``since_s``
+time since the last stroke of the same limb, ``since_LIMB_s`` time since that of another limb, ``chance`` a
+random number from 0 to 1 for each stroke or fix."""
 
 LONG_AGO_S = 1e3
-"""How long ago a limb fired that has not fired yet."""
+"""Time since the last stroke of a limb that has not fired yet."""
 
 AVERAGED = np.arange(0.01, 1.0, 0.02)
 """Values of chance whose mean stands for all of them."""
@@ -72,7 +70,7 @@ class Law(Effect):
     shown_by = "whatever its formula depends on: record runs in which that varies"
 
     def __new__(cls, on: str = "wrench", **_given: Any) -> Law:
-        """One that has the methods of what it acts on, and no others: what asks often costs time."""
+        """Return an instance with only the methods of what it acts on, because other methods cost time."""
         made: Law = object.__new__(_KINDS.get(on, cls))
         return made
 
@@ -88,14 +86,14 @@ class Law(Effect):
 
         Args:
             on: a key of CHANNELS.
-            limb: whose strokes it changes, where it is on strokes.
-            title: what reports call it.
-            parameters: name -> ``value``, ``unit``, and where it is to be fitted ``low``, ``high``,
-                ``nominal`` (where the law vanishes; default 0 where that is within the bounds).
-            values: formulas by the names of CHANNELS; and values of parameters, instead of those above.
+            limb: limb whose strokes it changes, if it acts on strokes.
+            title: name in reports.
+            parameters: name -> ``value``, ``unit``, and for a fit ``low``, ``high``, ``nominal`` (where the
+                law vanishes; default 0 if that is within the bounds).
+            values: formulas by the keys of CHANNELS; and values of parameters, instead of those above.
 
         Raises:
-            InputError: an unknown key or name, a formula that cannot be read or whose unit does not fit.
+            InputError: an unknown key or name, an invalid formula, or a unit that does not fit.
         """
         if on not in CHANNELS:
             raise InputError(f"a law on {on!r}{nearest_name(str(on), CHANNELS)}: give {', '.join(CHANNELS)}")
@@ -134,12 +132,12 @@ class Law(Effect):
 
     @property
     def title(self) -> str:
-        """What reports call it."""
+        """Its name in reports."""
         return self._title
 
     @property
     def table(self) -> dict[str, Any]:
-        """Its keys as a TOML's ``[[effect]]`` table, with values and bounds of its parameters."""
+        """Its keys as an ``[[effect]]`` table, with values and bounds of its parameters."""
         declared = {
             p.name: {"value": self.value(p.name), "unit": p.unit, "low": p.low, "high": p.high}
             for p in self.parameters
@@ -177,7 +175,7 @@ class Law(Effect):
         return any(name in formula.names for formula in self._formulas.values())
 
     def _all(self, values: Mapping[str, float], keys: Sequence[str]) -> list[float]:
-        """What its formulas give of these keys, nought for those that have none."""
+        """Return the values of the formulas of these keys, 0 for those without one."""
         if self._averaged:
             given = self.over({**values, "chance": AVERAGED})
             return [float(np.mean(given.get(key, 0.0))) for key in keys]
@@ -269,7 +267,7 @@ def _seen(body: Body) -> dict[str, float]:
 
 
 def _parsed(key: str, text: str, units: dict[str, Unit], wanted: Unit) -> Formula:
-    """A formula; names ``since_LIMB_s`` are known on strokes, whatever the robot's limbs are."""
+    """Return a checked formula; names ``since_LIMB_s`` are known for strokes of any robot."""
     if "since_s" in units:
         for name in re.findall(r"\bsince_\w+_s\b", text):
             units.setdefault(name, unit_of("s"))
@@ -280,10 +278,10 @@ def _parsed(key: str, text: str, units: dict[str, Unit], wanted: Unit) -> Formul
 
 
 def _parameter(name: str, given: Mapping[str, Any]) -> Parameter:
-    """A declared parameter.
+    """Return a declared parameter.
 
     Raises:
-        InputError: an unknown key, no unit, no value, bounds that are none.
+        InputError: an unknown key, no unit, no value, or invalid bounds.
     """
     if not name.isidentifier():
         raise InputError(f"a law's parameter {name!r} is no name: use letters, digits and _")

@@ -1,4 +1,4 @@
-"""Effects of the limbs: wear, memory of the last stroke, warming up, battery, interaction of two groups."""
+"""Effects of limbs and groups of limbs: wear, memory of earlier strokes, warming up, battery, interaction."""
 
 from __future__ import annotations
 
@@ -7,17 +7,33 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from frogkick.core.errors import InputError
 from frogkick.effects.base import Effect, FloatArray, History, Parameter, Stroke, limb_index
 from frogkick.robot import Robot
 
 ALL = "all"
 
 DELAYS_S = (0.015, 0.03, 0.045, 0.06, 0.075, 0.09, 0.105, 0.12, 0.135, 0.15, 0.18, 0.22, 0.26)
-"""Closer than half a swing of a frame, some 25 ms: a delayed stroke meets another phase of it."""
+"""Spacing below half a period of the frame's oscillation, some 25 ms: a delayed stroke meets another phase
+of it."""
+
+
+def require_group(effect: Effect, group: str, robot: Robot) -> None:
+    """Raise an error if a word is in no limb's name.
+
+    Raises:
+        InputError: the text names the words that are.
+    """
+    words = sorted({word for limb in robot.limbs for word in limb.name.split("_")})
+    if group not in words:
+        raise InputError(
+            f"effect {effect.title!r}: robot {robot.id!r} has no limb with {group!r} in its name: "
+            f"choose from {', '.join(words)}"
+        )
 
 
 class LimbWear(Effect):
-    """A worn actuator: it straightens less, later, or curls back more slowly."""
+    """A worn actuator: it straightens less or later, or returns more slowly."""
 
     name = "limb_wear"
     about = "a limb, or all, straighten by a share of the measured stroke, later, and curl back more slowly"
@@ -47,7 +63,7 @@ class LimbWear(Effect):
 
 
 class LimbMemory(Effect):
-    """A limb that fired lately is still warm: its next stroke has less way to go."""
+    """A limb that fired recently is still warm, so its next stroke is smaller."""
 
     name = "limb_memory"
     about = "a stroke loses a share that fades with the time since the same limb's last one"
@@ -66,7 +82,7 @@ class LimbMemory(Effect):
 
 
 class WarmUp(Effect):
-    """The first strokes of a run are weaker: wires and water are cold."""
+    """The first strokes of a run are weaker, because wires and water are cold."""
 
     name = "warm_up"
     about = "strokes lose a share that fades with the number of strokes since the start"
@@ -85,7 +101,7 @@ class WarmUp(Effect):
 
 
 class BatterySag(Effect):
-    """The batteries run down within a run: strokes weaken with time."""
+    """The batteries discharge during a run: strokes weaken with time."""
 
     name = "battery_sag"
     about = "strokes lose a share that grows evenly with time"
@@ -101,7 +117,7 @@ class BatterySag(Effect):
 
 
 class GroupLoss(Effect):
-    """Limbs that fire right after others stroke in water that these have set in motion."""
+    """Limbs that fire right after others push on water that already moves."""
 
     name = "group_loss"
     about = "a stroke loses a share that fades with the time since other limbs fired"
@@ -115,7 +131,7 @@ class GroupLoss(Effect):
     fade_s: float
 
     def starts(self, low_m: FloatArray, high_m: FloatArray) -> Sequence[Mapping[str, float]]:
-        """One: groups mostly fire at one distance in time, and then any fading does for a start."""
+        """Return one start: the delay between groups is nearly constant, so any fading will do."""
         return ({"fade_s": 0.15},)
 
     def stroke(self, stroke: Stroke, history: History, rng: np.random.Generator) -> Stroke:
@@ -123,4 +139,32 @@ class GroupLoss(Effect):
         earlier = [then for then, limb in history.strokes if limb != stroke.index and then < stroke.time_s]
         since_s = stroke.time_s - max(earlier, default=-math.inf)
         stroke.gain *= 1.0 - self.loss * math.exp(-since_s / self.fade_s)
+        return stroke
+
+
+class GroupGain(Effect):
+    """Limbs of one group differ from the model: in the wake of other limbs, or built differently."""
+
+    name = "group_gain"
+    about = "limbs whose name has a word in it (front, rear, left, right) straighten by a share of the stroke"
+    shown_by = "actions of that group against those of the others"
+    parameters = (
+        Parameter("gain", "1", 0.3, 1.7, 1.0, "share of the measured stroke"),
+        Parameter(
+            "duration_scale", "1", 0.5, 4.0, 1.0, "how many times as long as measured it takes to curl back"
+        ),
+    )
+    options = {"group": None}
+
+    group: str
+    gain: float
+    duration_scale: float
+
+    def check(self, robot: Robot) -> None:
+        require_group(self, self.group, robot)
+
+    def stroke(self, stroke: Stroke, history: History, rng: np.random.Generator) -> Stroke:
+        if self.group in stroke.limb.split("_"):
+            stroke.gain *= self.gain
+            stroke.duration_scale *= self.duration_scale
         return stroke

@@ -1,4 +1,4 @@
-"""Effects by name, from a TOML's tables, or from a user's own file."""
+"""Effects by name, from tables of a TOML file, or from a user's own Python file."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from typing import Any
 
 from frogkick.core.errors import InputError, nearest_name
 from frogkick.core.files import existing_file
-from frogkick.effects import body, camera, groups, inertia, law, limbs, walls, water
+from frogkick.effects import body, camera, inertia, law, limbs, walls, water
 from frogkick.effects.base import Effect
 from frogkick.robot import Robot
 
 
 def _built_in() -> dict[str, type[Effect]]:
     found = {}
-    for module in (limbs, groups, body, inertia, water, walls, camera, law):
+    for module in (limbs, body, inertia, water, walls, camera, law):
         for _, kind in inspect.getmembers(module, inspect.isclass):
             if issubclass(kind, Effect) and vars(kind).get("name"):
                 found[kind.name] = kind
@@ -27,16 +27,16 @@ def _built_in() -> dict[str, type[Effect]]:
 
 
 BUILT_IN: Mapping[str, type[Effect]] = _built_in()
-"""Every effect that frogkick knows, by name."""
+"""All built-in effects by name."""
 
 
 def make_effect(table: Mapping[str, Any], folder: Path) -> Effect:
-    """Make an effect from a TOML's ``[[effect]]`` table.
+    """Make an effect from an ``[[effect]]`` table.
 
     Args:
         table: ``name`` of a built-in effect, or ``file`` (relative to ``folder``) and ``class`` of a user's
             own; the other keys are its parameters and options.
-        folder: of the TOML.
+        folder: folder of the TOML file.
 
     Raises:
         InputError: no such effect, file or class, a file that does not run, or wrong parameters.
@@ -54,15 +54,15 @@ def make_effect(table: Mapping[str, Any], folder: Path) -> Effect:
 
 
 def make_effects(tables: Sequence[Mapping[str, Any]], folder: Path) -> tuple[Effect, ...]:
-    """Make the effects of a TOML, in its order; see make_effect."""
+    """Make effects from tables, in order; see make_effect."""
     return tuple(make_effect(table, folder) for table in tables)
 
 
 def effects_of(robot: Robot) -> tuple[Effect, ...]:
-    """The effects of a robot's file.
+    """Return the effects of a robot's file.
 
     Raises:
-        InputError: see make_effect; or a file of the user's own, and a robot whose text came without it.
+        InputError: see make_effect; or an effect in a user's file, and a robot whose folder is not known.
     """
     for table in robot.effects:
         if "file" in table and robot.folder is None:
@@ -77,7 +77,7 @@ def effects_of(robot: Robot) -> tuple[Effect, ...]:
 
 
 def effect_classes(path: Path) -> list[type]:
-    """All effects that a Python file defines: classes of its own with a method of Effect's.
+    """Return all effects that a Python file defines: its own classes with a method of Effect.
 
     Raises:
         InputError: no such file, or it does not run; the text gives its error.
@@ -104,7 +104,7 @@ def effect_classes(path: Path) -> list[type]:
 
 
 def effect_class(path: Path, name: object) -> type:
-    """One effect of a Python file; its only one where no name is given.
+    """Return one effect of a Python file; without a name, its only one.
 
     Raises:
         InputError: see effect_classes; or no such class.
@@ -121,7 +121,7 @@ def effect_class(path: Path, name: object) -> type:
 
 
 def _construct(kind: type, values: dict[str, Any]) -> Effect:
-    """Make a user's effect; one that does not inherit from Effect gets what it lacks from it."""
+    """Make a user's effect; a class that does not inherit from Effect is combined with it."""
     if not issubclass(kind, Effect):
         kind = type(kind.__name__, (kind, Effect), {"__init__": kind.__init__})
     try:

@@ -17,32 +17,33 @@ OUTWARD: Mapping[str, tuple[float, float]] = {
     "y_low": (0.0, -1.0),
     "y_high": (0.0, 1.0),
 }
-"""Sides of a pool whose walls are along the world's axes: the direction from the water towards the wall."""
+"""Sides of a pool with walls along the world's axes: the direction from the water towards the wall."""
 
 REACH_M = 0.08
-"""From a wall, where water that must give way round a body of some 0.1 m begins to resist more."""
+"""Distance from a wall within which water that flows round a body of some 0.1 m resists more."""
 
 SOFT_N_PER_M = 8.0
-"""Push over depth at each corner of a wall of hardness 1/2: a robot stops about a centimetre deep in it.
-How far it comes in falls evenly with hardness, not with the push itself, and that is what a fit needs."""
+"""Stiffness at each corner of a wall of hardness 1/2: a robot stops about a centimetre deep in it.
+
+The depth falls linearly with the hardness, not with the force; a fit needs this."""
 
 LOSSY_S = 0.05
-"""A limb or a bumper pressed in gives back little: its damping over its stiffness."""
+"""Damping over stiffness: a limb or a bumper that is pressed in returns little energy."""
 
 HARDNESSES = (0.35, 0.5, 0.65)
-"""Of a wall that stops a robot the drag alone tells nothing of how far it lets the robot come."""
+"""Starting values: the drag of a wall that stops a robot does not show how deep the robot comes."""
 
 _POINT_M = 0.045
-"""Corners of a body that nobody has told its size: half the width of one that can be held in a hand."""
+"""Corners of a body of unknown size: half the width of a hand-sized one."""
 
 
 class Wall(Effect):
     """A wall or bank along one side of the pool: near it water resists more, and it stops what touches it.
 
-    Each corner of the frame feels it by itself, so that a body is turned as well: towards the side that is
-    held back. Within REACH_M the resistance grows evenly up to the wall; beyond the wall a corner is pushed
-    back in proportion to how deep it is, more while it goes in and less while it comes out (LOSSY_S), never
-    pulled. A bank of weeds has the first, a bare wall mostly the second.
+    It acts on each corner of the frame, so a body is turned as well, towards the side that is held back.
+    Within REACH_M the resistance grows linearly up to the wall. Beyond the wall a corner is pushed back in
+    proportion to its depth, more while it moves in and less while it moves out (LOSSY_S), and never pulled. A
+    bank of weeds has mostly the first, a bare wall mostly the second.
     """
 
     name = "wall"
@@ -103,7 +104,7 @@ class Wall(Effect):
         self._corners = [(float(x), float(y)) for x, y in corners]
 
     def starts(self, low_m: FloatArray, high_m: FloatArray) -> Sequence[Mapping[str, float]]:
-        """Just beyond where runs came nearest to that side: nearer they would have shown it more."""
+        """Return a position just beyond the runs: a nearer wall would have been more visible in them."""
         across, along = OUTWARD[self.side]
         came_m = max(across * low_m[0], across * high_m[0]) + max(along * low_m[1], along * high_m[1])
         return ({"at_m": float(came_m) + self._half_width_m()},)

@@ -1,4 +1,4 @@
-"""Effects of the water: currents, and how much it resists and is taken along."""
+"""Effects of the water: currents, drag and added mass."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Part = TypeVar("Part", Frame, Limb)
 
 
 class SteadyCurrent(Effect):
-    """Water that moves evenly through the pool."""
+    """A uniform current."""
 
     name = "steady_current"
     about = "the water moves at one velocity everywhere"
@@ -33,7 +33,7 @@ class SteadyCurrent(Effect):
 
 
 class ShearCurrent(Effect):
-    """A current that changes evenly across the pool."""
+    """A current that grows linearly across the pool."""
 
     name = "shear_current"
     about = "the current grows evenly with the distance from a line through the origin"
@@ -51,7 +51,8 @@ class ShearCurrent(Effect):
 
 
 class Vortex(Effect):
-    """A whirl with a core: within it the water turns like a solid, outside its speed falls with distance."""
+    """A vortex with a core: inside it the water turns like a solid, outside the speed falls with the
+    distance."""
 
     name = "vortex"
     about = "the water whirls around a point (Rankine's vortex)"
@@ -69,7 +70,7 @@ class Vortex(Effect):
     core_m: float
 
     def starts(self, low_m: FloatArray, high_m: FloatArray) -> Sequence[Mapping[str, float]]:
-        """Nine places over where runs went: a whirl is seen from near by only."""
+        """Return nine positions over the area of the runs: a vortex is only visible nearby."""
         shares = (1.0 / 6.0, 0.5, 5.0 / 6.0)
         places = [(low_m + share * (high_m - low_m)).tolist() for share in shares]
         return [{"x_m": across[0], "y_m": along[1], "core_m": 0.15} for across in places for along in places]
@@ -81,7 +82,7 @@ class Vortex(Effect):
 
 
 class DragScale(Effect):
-    """More or less drag than the model has, apart for the body and the limbs."""
+    """Another drag than in the model, separately for the body and the limbs."""
 
     name = "drag_scale"
     about = "drag of the frame and of the limbs, times a factor each"
@@ -112,7 +113,7 @@ class DragScale(Effect):
 
 
 class MassScale(Effect):
-    """A body or limbs that are heavier, or take more water along, than the model has them."""
+    """A body or limbs with more mass, or more added mass, than in the model."""
 
     name = "mass_scale"
     about = "mass of the frame, and of the limbs, with the water that each takes along, times a factor each"
@@ -131,7 +132,7 @@ class MassScale(Effect):
 
 
 def _times_mass(part: Part, factor: float) -> Part:
-    """A frame or limb whose mass in motion is some times as much: what it weighs stays while it can."""
+    """Return a frame or limb whose total mass is scaled; its own mass stays the same if possible."""
     plain = part.mass_per_length_kg_per_m
     whole = factor * (plain + part.added_mass_per_length_kg_per_m)
     return replace(
@@ -142,7 +143,7 @@ def _times_mass(part: Part, factor: float) -> Part:
 
 
 class YawDrag(Effect):
-    """Turning meets a resistance of its own: a body with height sheds eddies that a flat model lacks."""
+    """A resistance to turning: a body with height sheds eddies that a flat model lacks."""
 
     name = "yaw_drag"
     about = "a torque against turning, with the square of the turn rate and in proportion to it"
@@ -161,7 +162,7 @@ class YawDrag(Effect):
 
 
 class SteadyWrench(Effect):
-    """A constant push in the body's frame: a cable, a bent limb, batteries that are not level."""
+    """A constant force in the body's frame: a cable, a bent limb, batteries that are not level."""
 
     name = "steady_wrench"
     about = "a constant force and torque in the body's frame"

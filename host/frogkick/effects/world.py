@@ -1,4 +1,5 @@
-"""A world: the effects in the simulated pool, which no model knows. One TOML of ``[[effect]]`` tables."""
+"""A world: the effects in the simulated pool, which no model contains. A TOML file of ``[[effect]]``
+tables."""
 
 from __future__ import annotations
 
@@ -15,13 +16,13 @@ from frogkick.effects.registry import make_effects
 
 @dataclass(frozen=True)
 class World:
-    """The effects in the simulated pool, which no model knows.
+    """The effects in the simulated pool, which no model contains.
 
     Attributes:
-        effects: of these, in order; any sequence is taken.
+        effects: a sequence of effects, in order.
 
     Raises:
-        InputError: what is given is no sequence of effects.
+        InputError: not a sequence of effects.
     """
 
     effects: Sequence[Effect] = ()
@@ -36,10 +37,10 @@ class World:
 
 
 def read_world(path: World | Path | str) -> World:
-    """Read a world's TOML; one that is read already comes back.
+    """Read a world's TOML file; a world is returned unchanged.
 
     Raises:
-        InputError: no such file, not TOML, a key that is not ``effect``, or a wrong effect.
+        InputError: no such file, not TOML, a key that is not ``effect``, or an invalid effect.
     """
     if isinstance(path, World):
         return path

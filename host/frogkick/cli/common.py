@@ -16,7 +16,6 @@ from typer.core import TyperGroup
 
 from frogkick.core.chunks import check_cluster
 from frogkick.core.errors import InputError
-from frogkick.core.files import atomic_path
 
 
 class PlanWhere(enum.StrEnum):
@@ -168,12 +167,6 @@ def show(values: Mapping[str, Any], as_json: bool, text: str = "") -> None:
         print(json_text(values))
         return
     print(text or "\n".join(text_lines(values)))
-
-
-def write_picture(figure: Any, out: Path) -> None:
-    """Write a matplotlib figure as a PNG, the same bytes every time."""
-    with atomic_path(out) as temporary:
-        figure.savefig(temporary, format="png", dpi=120, metadata={"Software": None})
 
 
 def share_out(workers: int, cluster: str | None) -> int:

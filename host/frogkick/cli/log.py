@@ -10,10 +10,11 @@ from typing import Annotated, Any
 import typer
 
 import frogkick as fk
-from frogkick.cli.common import JsonOption, say, short, show, text_lines, write_picture
+from frogkick.cli.common import JsonOption, say, short, show, text_lines
 from frogkick.core.errors import InputError
 from frogkick.core.files import require_writable
 from frogkick.core.progress import progress_bar
+from frogkick.report.style import write_picture
 
 RunArgument = Annotated[
     Path, typer.Argument(help="Log of frogkick (.h5), or a recorded run of the paper (such as line1.csv).")
@@ -45,7 +46,7 @@ def show_(
     elif out is not None:
         from frogkick.report.run_figure import run_figure
 
-        write_picture(run_figure(log.log, f"{run.name}: {found.decisions} decisions"), out)
+        write_picture(run_figure(log.log, f"{run.name}: {found.decisions} decisions"), out, ".png")
     show({**found.as_json(), "picture": out and str(out)}, json, _lines(found.as_json()))
     if view:
         sys.stdout.flush()
@@ -66,7 +67,7 @@ def compare(
         from frogkick.report.compare_figure import compare_figure
 
         names = (a.name, b.name) if a.name != b.name else (str(a), str(b))
-        write_picture(compare_figure((one.log, two.log), names), out)
+        write_picture(compare_figure((one.log, two.log), names), out, ".png")
     values = found.as_json()
     rows = [
         f"{key:18s}  {short(values['a'][key]):>22s}  {short(values['b'][key]):>22s}"

@@ -9,8 +9,9 @@ from typing import Annotated, Any
 import typer
 
 import frogkick as fk
-from frogkick.cli.common import JsonOption, RobotArgument, WholeLines, show, write_picture
+from frogkick.cli.common import JsonOption, RobotArgument, WholeLines, show
 from frogkick.core.files import require_writable
+from frogkick.report.style import write_picture
 
 app = typer.Typer(
     cls=WholeLines,
@@ -92,7 +93,7 @@ def fit_stroke(
     found = fit_strokes(strokes, egain_percent=egain_percent, frequency_hz=frequency_hz, length_m=length_m)
     found.save(out)
     if picture is not None:
-        write_picture(found.plot(), picture)
+        write_picture(found.plot(), picture, ".png")
     show({**found.as_json(), "out": str(out), "picture": picture and str(picture)}, json)
 
 

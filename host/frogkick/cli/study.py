@@ -26,11 +26,11 @@ from frogkick.cli.common import (
     TablesOption,
     WorkersOption,
     show,
-    write_picture,
 )
 from frogkick.cli.library import Sampling
 from frogkick.core.errors import InputError
 from frogkick.core.files import require_writable
+from frogkick.report.style import write_picture
 
 SHARED: dict[tuple[str, str], Any] = {
     ("seed", "int"): SeedOption,
@@ -95,7 +95,7 @@ def _run(name: str, config: Any, as_json: bool) -> None:
     values = found.as_json()
     if out is not None:
         figure = out / f"{name}.png" if config.folder else out
-        write_picture(found.plot(), figure)
+        write_picture(found.plot(), figure, ".png")
         values["figure"] = str(figure)
     show(values, as_json, found.text(values))
     if not found.passed:

@@ -76,7 +76,6 @@ def simulate_many(
     programs: Sequence[Program],
     time_s: Sequence[float] | FloatArray,
     *,
-    landing_s: Sequence[float] = (),
     step_s: float = STEP_S,
     width: int = WIDTH,
     acts: Callable[[int], LaneEffects] | None = None,
@@ -92,7 +91,6 @@ def simulate_many(
         programs: (k) strokes of each.
         time_s: (s,) increasing, after 0: times of the results. A step ends at the last of them; the others
             are interpolated between steps (cubic Hermite).
-        landing_s: further increasing times before the last one at which a step ends.
         step_s: finest time step.
         width: lanes of a batch.
         acts: makes the effects of a number of lanes; None: no effects.
@@ -128,13 +126,13 @@ def simulate_many(
                     if mask >> limb & 1:
                         lanes.fire(batch, lane, limb, start)
         before = batch.motion_world()
-        legs = [lanes.advance(batch, float(stop), trace=True) for stop in (*landing_s, times[-1])]
+        traces = lanes.advance(batch, float(times[-1]), trace=True)
         for lane in range(len(chosen)):
             if lane in batch.failures:
                 failures[first + lane] = batch.failures[lane]
                 continue
-            ends = np.concatenate([np.zeros(1), *(leg[lane][0] for leg in legs)])
-            rows = np.concatenate([before[lane : lane + 1], *(leg[lane][1] for leg in legs)])
+            ends = np.concatenate([np.zeros(1), traces[lane][0]])
+            rows = np.concatenate([before[lane : lane + 1], traces[lane][1]])
             pose[first + lane], speed[first + lane] = interpolate(ends, rows, times)
     return Motions(times, pose, speed, failures)
 

@@ -6,9 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
-from matplotlib.figure import Figure
 
-from frogkick.core.files import atomic_path
 from frogkick.report import style
 
 
@@ -25,8 +23,7 @@ def write_error_map(
     """
     found = places[np.isfinite(places[:, 2])]
     lost = places[~np.isfinite(places[:, 2])]
-    with style.styled():
-        figure = Figure(figsize=(8.0, 1.4 + 6.6 * pool_m[1] / pool_m[0]), layout="constrained")
+    with style.new_figure(8.0, 1.4 + 6.6 * pool_m[1] / pool_m[0]) as figure:
         axes = figure.subplots()
         axes.plot(
             1e3 * pool_m[0] * np.array([0, 1, 1, 0, 0]),
@@ -62,5 +59,4 @@ def write_error_map(
         axes.set_xlabel("x (mm), pool")
         axes.set_ylabel("y (mm), pool")
         axes.set_title(title)
-    with atomic_path(target) as temporary:
-        figure.savefig(temporary, dpi=120, metadata={"Software": None})
+    style.write_picture(figure, target)

@@ -25,8 +25,7 @@ def compare_figure(runs: tuple[RunLog, RunLog], names: tuple[str, str]) -> Figur
         InputError: a run has no fixes, or no decisions.
     """
     tracks = [track_of(run) for run in runs]
-    with style.styled():
-        figure = Figure(figsize=(11.5, 7.2), layout="constrained")
+    with style.new_figure(11.5, 7.2) as figure:
         figure.suptitle(f"{names[0]} and {names[1]}", fontweight="bold")
         halves = figure.add_gridspec(1, 2, width_ratios=(1.05, 1.0))
         _tracks(figure.add_subfigure(halves[0]).subplots(), runs, names, [poses for _, poses, _ in tracks])
@@ -69,8 +68,6 @@ def _tracks(axes: Axes, runs: tuple[RunLog, RunLog], names: tuple[str, str], eve
         points = 100.0 * poses[:, :2]
         axes.plot(*points.T, color=colour, linewidth=1.5, label=name)
         axes.plot(*points[0], mark, color=colour, markersize=7)
-    axes.set_aspect("equal", adjustable="datalim")
-    axes.set_xlabel(style.POOL_X)
-    axes.set_ylabel(style.POOL_Y)
+    style.pool_axes(axes)
     axes.set_title("Tracks; marks show their starts")
     axes.legend(loc="best")

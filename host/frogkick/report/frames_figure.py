@@ -11,10 +11,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Arc, Polygon, Rectangle
 
-from frogkick.core.files import atomic_path
 from frogkick.core.poses import rotation
 from frogkick.report import style
-from frogkick.report.robot_figure import require_picture_name
 
 POOL_M = (1.2, 0.9)
 POSE = (0.62, 0.42, math.radians(35.0))
@@ -33,8 +31,7 @@ UNITS = (
 
 def frames_figure() -> Figure:
     """Draw the frames of pool, robot and tag from above, the heights from the side, and the units."""
-    with style.styled():
-        figure = Figure(figsize=(10.5, 7.4), layout="constrained")
+    with style.new_figure(10.5, 7.4) as figure:
         grid = figure.add_gridspec(2, 2, width_ratios=(1.75, 1.0), height_ratios=(1.0, 0.28))
         _above(figure.add_subplot(grid[0, 0]))
         _beside(figure.add_subplot(grid[0, 1]))
@@ -43,16 +40,12 @@ def frames_figure() -> Figure:
 
 
 def write_frames_figure(target: Path) -> None:
-    """Draw it into a picture file of the kind that its ending names, with the same bytes each time.
+    """Draw it into a picture file.
 
     Raises:
-        InputError: an unknown kind, or a place that cannot be written to.
+        InputError: see ``style.write_picture``.
     """
-    require_picture_name(target)
-    figure = frames_figure()
-    undated = {".png": "Software", ".svg": "Date", ".pdf": "CreationDate"}[target.suffix.lower()]
-    with style.styled(), atomic_path(target) as temporary:
-        figure.savefig(temporary, dpi=90, metadata={undated: None})
+    style.write_picture(frames_figure(), target, dpi=90)
 
 
 def _arrow(axes: Axes, start: np.ndarray, end: np.ndarray, colour: str) -> None:

@@ -51,8 +51,7 @@ def track_figure(outcome: Outcome, periods: Residuals) -> Figure:
     swim = outcome.test[run]
     worst = rows[np.argmax(position_mm(periods.residual_world("nominal")[rows]))]
     near = rows[np.abs(periods.period[rows] - periods.period[worst]) <= 2]
-    with style.styled():
-        figure = Figure(figsize=(11.0, 5.0), layout="constrained")
+    with style.new_figure(11.0, 5.0) as figure:
         for axes, some in zip(figure.subplots(1, 2), (rows, near), strict=True):
             tolerance = some is near
             shown = (swim.time_s >= swim.start_s[periods.period[some[0]]] - 0.1) & (
@@ -92,13 +91,11 @@ def track_figure(outcome: Outcome, periods: Residuals) -> Figure:
                     name = swim.action_names[periods.action[row]] if periods.action[row] >= 0 else "?"
                     middle = 50.0 * (periods.pose[row, :2] + periods.measured[row, :2])
                     axes.annotate(name, middle, fontsize=9, fontweight="bold")
-            axes.set_aspect("equal", adjustable="datalim")
-            axes.set_xlabel(style.POOL_X)
-            axes.set_ylabel(style.POOL_Y)
+            style.pool_axes(axes)
             first, last = periods.period[some[0]] + 1, periods.period[some[-1]] + 1
             what = "Enlarged, with actions" if tolerance else f"Run {swim.name}"
             axes.set_title(f"{what}: periods {first} to {last}")
-        _legend(figure, figure.axes[0])
+        style.legend_below(figure, figure.axes[0])
     return figure
 
 
@@ -106,8 +103,7 @@ def error_figure(outcome: Outcome) -> Figure:
     """Draw errors before and after, one period and several periods ahead, with the noise floor."""
     tested = outcome.tested
     horizons = outcome.horizons
-    with style.styled():
-        figure = Figure(figsize=(11.0, 3.6), layout="constrained")
+    with style.new_figure(11.0, 3.6) as figure:
         panels = figure.subplots(1, 4)
         for place, (what, unit, _, level) in enumerate(_sizes(tested.noise_floor)):
             now, ahead = panels[place], panels[place + 2]
@@ -141,7 +137,7 @@ def error_figure(outcome: Outcome) -> Figure:
             ahead.set_xlabel("periods ahead")
             ahead.set_ylabel(f"{what} error, RMS ({unit})")
             ahead.set_title(f"{what.capitalize()}, several periods")
-        _legend(figure, panels[2])
+        style.legend_below(figure, panels[2])
     return figure
 
 
@@ -156,8 +152,7 @@ def _few(value: float, _place: int | None = None) -> str:
 
 def time_figure(outcome: Outcome, periods: Residuals) -> Figure:
     """Draw the residual of each period of the test runs over time."""
-    with style.styled():
-        figure = Figure(figsize=(11.0, 4.8), layout="constrained")
+    with style.new_figure(11.0, 4.8) as figure:
         panels = figure.subplots(2, 1, sharex=True)
         lengths = [swim.end_s[-1] - swim.start_s[0] for swim in outcome.test]
         begins = np.concatenate([[0.0], np.cumsum(np.array(lengths) + 3.0)])
@@ -185,7 +180,7 @@ def time_figure(outcome: Outcome, periods: Residuals) -> Figure:
                 swim.name, (begins[run], 1.0), xycoords=("data", "axes fraction"), fontsize=8, va="top"
             )
         panels[-1].set_xlabel("time in the run, one run after the other (s)")
-        _legend(figure, panels[0])
+        style.legend_below(figure, panels[0])
     return figure
 
 
@@ -193,8 +188,7 @@ def cause_figure(outcome: Outcome, periods: Residuals) -> Figure:
     """Draw the size of the residuals by action, and below the residual of each limb's strokes."""
     names = outcome.test[0].action_names
     labels = np.unique(periods.action)
-    with style.styled():
-        figure = Figure(figsize=(11.0, 6.2), layout="constrained")
+    with style.new_figure(11.0, 6.2) as figure:
         halves = figure.add_gridspec(2, 1)
         panels = figure.add_subfigure(halves[0]).subplots(1, 2)
         for axes, (what, unit, size, level) in zip(panels, _sizes(outcome.tested.noise_floor), strict=True):
@@ -230,14 +224,13 @@ def cause_figure(outcome: Outcome, periods: Residuals) -> Figure:
             axes.set_xlabel("limb")
             axes.set_ylabel(f"residual per stroke ({unit})")
             axes.set_title(f"By limb: {what}")
-        _legend(figure, panels[0])
+        style.legend_below(figure, panels[0])
     return figure
 
 
 def place_figure(periods: Residuals) -> Figure:
     """Draw the residuals in the pool as arrows, at the same scale for both models."""
-    with style.styled():
-        figure = Figure(figsize=(11.0, 4.8), layout="constrained")
+    with style.new_figure(11.0, 4.8) as figure:
         residuals = {which: periods.residual_world(which) for which, *_ in BOTH}
         reach = 100.0 * float(np.ptp(periods.pose[:, :2], axis=0).max()) + 1.0
         largest = 0.1 * float(np.percentile(position_mm(residuals["nominal"]), 90))  # cm
@@ -255,10 +248,8 @@ def place_figure(periods: Residuals) -> Figure:
                 width=0.004,
                 color=colour,
             )
-            axes.set_aspect("equal", adjustable="datalim")
+            style.pool_axes(axes)
             axes.margins(0.15)
-            axes.set_xlabel(style.POOL_X)
-            axes.set_ylabel(style.POOL_Y)
             axes.set_title(f"{label.capitalize()}: measured - predicted, magnified {factor:g} times")
     return figure
 
@@ -267,8 +258,7 @@ def tried_figure(iterations: Sequence[Sequence[CandidateScore]]) -> Figure:
     """Draw the gains of the candidates in each iteration; the dashed line is the least accepted gain."""
     iterations = [_best_each(tried) for tried in iterations]
     most = [min(len(tried), TRIED_MOST) for tried in iterations]
-    with style.styled():
-        figure = Figure(figsize=(11.0, 0.9 + 0.27 * sum(most) + 0.75 * len(most)), layout="constrained")
+    with style.new_figure(11.0, 0.9 + 0.27 * sum(most) + 0.75 * len(most)) as figure:
         panels = figure.subplots(
             len(iterations), 1, squeeze=False, height_ratios=[count + 1 for count in most]
         )
@@ -307,8 +297,7 @@ def _iteration(axes: Axes, tried: Sequence[CandidateScore]) -> None:
 def rest_figure(outcome: Outcome) -> Figure:
     """Draw the share of the residuals that each variable explains."""
     shares = sorted(outcome.diagnostics["shares"].items(), key=lambda row: row[1])
-    with style.styled():
-        figure = Figure(figsize=(7.5, 0.7 + 0.27 * len(shares)), layout="constrained")
+    with style.new_figure(7.5, 0.7 + 0.27 * len(shares)) as figure:
         axes = figure.subplots()
         axes.barh(
             [name for name, _ in shares], [100.0 * share for _, share in shares], 0.7, color=style.PREDICTED
@@ -318,8 +307,3 @@ def rest_figure(outcome: Outcome) -> Figure:
         axes.set_title("Residuals on the training runs, explained by")
         axes.grid(axis="y", visible=False)
     return figure
-
-
-def _legend(figure: Figure, axes: Axes) -> None:
-    handles, labels = axes.get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=5)

@@ -8,9 +8,8 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 
-import jinja2
-
 from frogkick.report import style
+from frogkick.report.page import rendered
 
 HOST = "127.0.0.1"
 ASKS = "X-Frogkick"
@@ -22,14 +21,11 @@ def page(stops: bool = False) -> str:
 
     With ``stops`` the page has a button that ends the run.
     """
-    environment = jinja2.Environment(
-        loader=jinja2.PackageLoader("frogkick.report"), autoescape=True, undefined=jinja2.StrictUndefined
-    )
     colours = {
         name.lower(): getattr(style, name)
         for name in ("DESIRED", "TRUE", "MEASURED", "ESTIMATED", "PREDICTED", "NOMINAL", "ALARM")
     }
-    return environment.get_template("live.html.jinja").render(colours=colours, stops=stops, asks=ASKS)
+    return rendered("live.html.jinja", colours=colours, stops=stops, asks=ASKS)
 
 
 @contextmanager
@@ -37,7 +33,6 @@ def served(
     state: Callable[[], str],
     picture: Callable[[], tuple[bytes, dict[str, str]] | None] | None = None,
     stop: Callable[[], None] | None = None,
-    port: int = 0,
 ) -> Iterator[str]:
     """Serve the page as long as the context lives.
 
@@ -46,7 +41,6 @@ def served(
         picture: returns the camera's newest picture as JPEG with headers, or None if there is none yet. It is
             called from other threads when a page reads it. None: there is no camera.
         stop: ends the run; it is called from another thread when the button is pressed. None: no button.
-        port: 0: a free port.
 
     Returns:
         The page's address.
@@ -93,7 +87,7 @@ def served(
             if not isinstance(sys.exception(), ConnectionError):
                 super().handle_error(request, client_address)  # type: ignore[arg-type]
 
-    server = Server((HOST, port), Handler)
+    server = Server((HOST, 0), Handler)
     threading.Thread(target=server.serve_forever, daemon=True).start()
     try:
         yield f"http://{HOST}:{server.server_address[1]}/"

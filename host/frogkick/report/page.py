@@ -47,8 +47,12 @@ def write_page(target: Path, title: str, lead: str, sections: Sequence[Section])
         lead: the first paragraph, which summarises the page.
         sections: sections in order.
     """
+    write_text(target, rendered("page.html.jinja", title=title, lead=lead, sections=sections))
+
+
+def rendered(template: str, **values: object) -> str:
+    """Return the text of one of this package's templates, with values filled in."""
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("frogkick.report"), autoescape=True, undefined=jinja2.StrictUndefined
     )
-    page = environment.get_template("page.html.jinja").render(title=title, lead=lead, sections=sections)
-    write_text(target, page)
+    return environment.get_template(template).render(**values)

@@ -11,7 +11,7 @@ from frogkick.report.identify_figures import error_figure
 from frogkick.report.page import Section, Table, write_page
 from frogkick.report.robot_figure import actions_figure, robot_figure
 from frogkick.report.run_figure import run_figure
-from frogkick.report.style import NOMINAL, PREDICTED, figure_uri, styled
+from frogkick.report.style import NOMINAL, PREDICTED, figure_uri, legend_below, new_figure
 from frogkick.ring import Closing, Ring, RingRun
 from frogkick.runs.live_view import fan_of
 from frogkick.runs.trial import Trial
@@ -104,8 +104,7 @@ def _got_worse(closing: Closing) -> list[str]:
 
 def _distances(closing: Closing) -> Figure:
     names = [run.log.path.name if run.log.path else "" for run in closing.old]
-    with styled():
-        figure = Figure(figsize=(6.0, 2.8), layout="constrained")
+    with new_figure(6.0, 2.8) as figure:
         axes = figure.subplots()
         for shift, runs, colour, label in (
             (-0.19, closing.old, NOMINAL, "old firmware"),
@@ -120,7 +119,7 @@ def _distances(closing: Closing) -> Figure:
         axes.set_ylabel("mean distance (mm)")
         axes.set_title("Worn robot: distance to the path")
         axes.margins(y=0.12)
-        figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=2)
+        legend_below(figure, axes, 2)
     return figure
 
 

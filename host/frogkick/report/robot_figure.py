@@ -12,16 +12,12 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from frogkick.core.errors import InputError
-from frogkick.core.files import atomic_path
 from frogkick.der import prepare
 from frogkick.der.mesh import Mesh
 from frogkick.report import style
 from frogkick.robot import Robot, in_a_row, limb_points
 
 FloatArray = npt.NDArray[np.float64]
-
-PICTURES = (".png", ".svg", ".pdf")
 
 
 def robot_figure(robot: Robot) -> Figure:
@@ -32,8 +28,7 @@ def robot_figure(robot: Robot) -> Figure:
     """
     mesh = prepare(robot).mesh
     nodes_mm = 1e3 * (mesh.rest_m + _mesh_origin(robot, mesh))
-    with style.styled():
-        figure = Figure(figsize=(8.2, 8.2), layout="constrained")
+    with style.new_figure(8.2, 8.2) as figure:
         axes = figure.subplots()
         _frame(axes, robot, mesh, nodes_mm)
         _limbs(axes, robot, mesh, nodes_mm)
@@ -64,8 +59,7 @@ def actions_figure(robot: Robot, ends: FloatArray) -> Figure:
     active = [1e3 * limb_points(robot.frame, limb, fall_per_m) for limb in robot.limbs]
     points = np.vstack([outline, *rest, *active])
     low, high = points.min(axis=0) - 5.0, points.max(axis=0) + 5.0
-    with style.styled():
-        figure = Figure(figsize=(1.9 * columns, 2.3 * rows), layout="constrained")
+    with style.new_figure(1.9 * columns, 2.3 * rows) as figure:
         every = figure.subplots(rows, columns, squeeze=False).ravel()
         for axes in every[len(robot.actions) :]:
             axes.remove()
@@ -102,28 +96,14 @@ def _window(axes: Axes) -> None:
     axes.set_aspect("equal", adjustable="box")
 
 
-def require_picture_name(target: Path) -> None:
-    """Refuse a file name whose ending is not that of a picture.
-
-    Raises:
-        InputError: not one of ``PICTURES``.
-    """
-    if target.suffix.lower() not in PICTURES:
-        raise InputError(f"picture {str(target)!r} ends on none of {', '.join(PICTURES)}: choose one of them")
-
-
 def write_robot_figure(robot: Robot, target: Path) -> None:
-    """Draw a robot into a picture file of the kind that its ending names.
+    """Draw a robot into a picture file.
 
     Raises:
-        InputError: a name that ends on none of ``PICTURES``, or a place that cannot be written to.
+        InputError: see ``style.write_picture``.
     """
-    require_picture_name(target)
-    figure = robot_figure(robot)
-    # Without a date the same robot gives the same bytes.
-    undated = {".png": "Software", ".svg": "Date", ".pdf": "CreationDate"}[target.suffix.lower()]
-    with style.styled(), atomic_path(target) as temporary:
-        figure.savefig(temporary, dpi=120, metadata={undated: None})
+    style.require_picture_name(target)
+    style.write_picture(robot_figure(robot), target)
 
 
 def _mesh_origin(robot: Robot, mesh: Mesh) -> FloatArray:

@@ -35,8 +35,7 @@ def run_figure(run: RunLog, title: str) -> Figure:
         panels.append(_estimate)
         if run.decisions.predicted is not None:
             panels.append(_prediction)
-    with style.styled():
-        figure = Figure(figsize=(11.5, 7.2), layout="constrained")
+    with style.new_figure(11.5, 7.2) as figure:
         figure.suptitle(title, fontweight="bold")
         halves = figure.add_gridspec(1, 2, width_ratios=(1.05, 1.0))
         _track(figure.add_subfigure(halves[0]).subplots(), run, seen)
@@ -110,9 +109,7 @@ def _track(axes: Axes, run: RunLog, seen: _Seen) -> None:
         )
     if run.path is not None:
         axes.plot(*path[0], "s", color=style.DESIRED, label="start of the path")
-    axes.set_aspect("equal", adjustable="datalim")
-    axes.set_xlabel(style.POOL_X)
-    axes.set_ylabel(style.POOL_Y)
+    style.pool_axes(axes)
     axes.set_title("Track over the path, with the actions chosen")
     axes.legend(loc="best")
 

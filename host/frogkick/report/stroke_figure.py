@@ -19,8 +19,7 @@ def stroke_figure(strokes: Sequence[Stroke], profiles: Sequence[Profile]) -> Fig
         strokes: the measured strokes.
         profiles: the profile fitted to each.
     """
-    with style.styled():
-        figure = Figure(figsize=(8.0, 1.0 + 2.4 * len(strokes)), layout="constrained")
+    with style.new_figure(8.0, 1.0 + 2.4 * len(strokes)) as figure:
         rows = figure.subplots(len(strokes), 1, squeeze=False, sharex=True)[:, 0]
         for axes, stroke, profile in zip(rows, strokes, profiles, strict=True):
             time_s = np.linspace(0.0, profile.duration_s, 400)

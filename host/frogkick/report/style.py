@@ -1,4 +1,4 @@
-"""One look for all pictures: one colour for each meaning, units on every axis."""
+"""The common style of all figures: one colour for each meaning, units on every axis."""
 
 from __future__ import annotations
 
@@ -6,9 +6,15 @@ import base64
 import io
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from frogkick.core.errors import InputError
+from frogkick.core.files import atomic_path
+
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.axis import Axis
     from matplotlib.figure import Figure
 
 # Okabe and Ito's palette, which colour-blind readers can distinguish.
@@ -21,7 +27,8 @@ ALARM = "#d55e00"
 NOMINAL = "#56b4e9"  # predictions of the nominal model; those of the corrected model have PREDICTED
 FLOOR = "#000000"  # error that the noise of the fixes alone causes
 
-POOL_X, POOL_Y = "x in the pool (cm)", "y in the pool (cm)"
+PICTURES = {".png": "Software", ".svg": "Date", ".pdf": "CreationDate"}
+"""Ending of a picture's file -> the field of its metadata that would differ each time."""
 
 _SETTINGS: Any = {
     "font.size": 9,
@@ -48,8 +55,67 @@ def styled() -> Iterator[None]:
         yield
 
 
+@contextmanager
+def new_figure(width_in: float, height_in: float) -> Iterator[Figure]:
+    """Yield a figure with an automatic layout, to draw on in the common style."""
+    from matplotlib.figure import Figure
+
+    with styled():
+        yield Figure(figsize=(width_in, height_in), layout="constrained")
+
+
+def pool_axes(axes: Axes) -> None:
+    """Set equal scales, and the labels of positions in the pool in cm."""
+    axes.set_aspect("equal", adjustable="datalim")
+    axes.set_xlabel("x in the pool (cm)")
+    axes.set_ylabel("y in the pool (cm)")
+
+
+def plain_decades(axis: Axis) -> None:
+    """Label a logarithmic axis with 1, 2, 5, 10 instead of powers of ten."""
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+
+    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axis.set_major_formatter(FuncFormatter(lambda value, _place: f"{value:g}"))
+    axis.set_minor_formatter(NullFormatter())
+
+
+def legend_below(figure: Figure, axes: Axes, columns: int = 5) -> None:
+    """Draw the legend of one panel below all panels."""
+    figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=columns)
+
+
+def require_picture_name(target: Path) -> None:
+    """Raise an error if a file name does not have the ending of a picture.
+
+    Raises:
+        InputError: not one of ``PICTURES``.
+    """
+    if target.suffix.lower() not in PICTURES:
+        raise InputError(f"picture {str(target)!r} ends on none of {', '.join(PICTURES)}: choose one of them")
+
+
+def write_picture(figure: Figure, target: Path, ending: str = "", dpi: int = 120) -> None:
+    """Write a figure into a file; the same figure gives the same bytes.
+
+    Args:
+        figure: the figure.
+        target: the file.
+        ending: kind of picture, one of ``PICTURES``; "": the ending of the file's name.
+        dpi: pixels per inch.
+
+    Raises:
+        InputError: an unknown kind, or a place that cannot be written.
+    """
+    if not ending:
+        require_picture_name(target)
+        ending = target.suffix.lower()
+    with styled(), atomic_path(target) as temporary:
+        figure.savefig(temporary, format=ending[1:], dpi=dpi, metadata={PICTURES[ending]: None})
+
+
 def figure_uri(figure: Figure) -> str:
-    """The figure as a data URI for an <img>."""
+    """Return a figure as a data URI for an <img>."""
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", dpi=120, metadata={"Software": None})
     return "data:image/png;base64," + base64.b64encode(buffer.getvalue()).decode("ascii")

@@ -225,8 +225,7 @@ def _phases(sweep: Sweep) -> Figure:
     speeds = np.concatenate([speed.ravel() for _, speed, _ in tables.values()])
     costs = np.concatenate([cost.ravel() for _, _, cost in tables.values()])
     turn = float(np.nanmax([np.nanmax(np.abs(t), initial=0.0) for t in turns.values()])) or 1.0
-    with style.styled():
-        figure = Figure(figsize=(1.0 + 2.7 * len(fractions), 8.4), layout="constrained")
+    with style.new_figure(1.0 + 2.7 * len(fractions), 8.4) as figure:
         panels = figure.subplots(3, len(fractions), squeeze=False)
         for column, (fraction, (frequencies, speed, cost)) in enumerate(tables.items()):
             rows = (

@@ -9,13 +9,11 @@ import numpy.typing as npt
 from matplotlib.figure import Figure
 
 from frogkick.core.errors import InputError
-from frogkick.core.files import atomic_path
 from frogkick.report import style
 
 MARGIN_MM, ABOVE_MM, BELOW_MM, RULER_MM = 15.0, 25.0, 30.0, 50.0
 MOST_MM = 250.0
 INCH_MM = 25.4
-KINDS = {".pdf": "pdf", ".svg": "svg", ".png": "png"}
 DPI = 600
 
 
@@ -71,14 +69,9 @@ def write_tag_page(
     """Write that page and return its width and height in m.
 
     Raises:
-        InputError: see ``tag_figure``; or an ending that is not known.
+        InputError: see ``tag_figure`` and ``style.write_picture``.
     """
-    kind = KINDS.get(target.suffix.lower())
-    if kind is None:
-        raise InputError(f"--out {str(target)!r} ends in {target.suffix!r}: give one of {', '.join(KINDS)}")
     figure = tag_figure(cells, margin, size_m, name)
-    dated = {"pdf": {"CreationDate": None}, "svg": {"Date": None}, "png": {"Software": None}}[kind]
-    with atomic_path(target) as temporary:
-        figure.savefig(temporary, format=kind, dpi=DPI, metadata=dated)
+    style.write_picture(figure, target, dpi=DPI)
     width_in, height_in = figure.get_size_inches()
     return 1e-3 * INCH_MM * float(width_in), 1e-3 * INCH_MM * float(height_in)

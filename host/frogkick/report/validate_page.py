@@ -180,8 +180,7 @@ def _speed_panel(axes: Axes, sweep: str, results: Sequence[Result]) -> None:
 
 def _errors(validation: Validation) -> Section:
     kinds = [kind for kind in SPEED_LIMITS_MPS if any(_in(r, kind) for r in validation.simulations)]
-    with style.styled():
-        figure = Figure(figsize=(11.0, 3.4 * len(kinds)), layout="constrained")
+    with style.new_figure(11.0, 3.4 * len(kinds)) as figure:
         for row, kind in zip(
             np.atleast_2d(figure.subplots(len(kinds), 2, squeeze=False)), kinds, strict=True
         ):
@@ -295,8 +294,7 @@ def _experiments(validation: Validation, noise: Noise) -> Section:
 
 
 def _scatter(validation: Validation, noise: Noise) -> Figure:
-    with style.styled():
-        figure = Figure(figsize=(6.2, 5.4), layout="constrained")
+    with style.new_figure(6.2, 5.4) as figure:
         axes = figure.subplots()
         measured = np.array([1e3 * r.reference.speed_mps for r in validation.experiments])
         top = 1.1 * max(measured.max(), max(1e3 * r.model_mps for r in validation.experiments))

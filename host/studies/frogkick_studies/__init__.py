@@ -1,4 +1,5 @@
-"""Questions about the method, answered with figures (``frogkick study``): each a module with a ``run``."""
+"""Studies of the method, each a module with a ``run`` that returns a result with a figure (``frogkick
+study``)."""
 
 from __future__ import annotations
 
@@ -10,26 +11,26 @@ if TYPE_CHECKING:
 
 
 class Found(ABC):
-    """What a study found.
+    """The result of a study.
 
     Attributes:
-        passed: all that was asked is so.
+        passed: whether all requirements of the study are met.
     """
 
     @property
     def passed(self) -> bool:
-        """Whether all that was asked is so; true where nothing is asked."""
+        """Whether all requirements are met; true if there are none."""
         return True
 
     def plot(self) -> Figure:
-        """A matplotlib figure."""
+        """Return a matplotlib figure."""
         raise NotImplementedError(f"{type(self).__name__} has no picture")
 
     @abstractmethod
     def as_json(self) -> dict[str, Any]:
-        """The keys of its command, without the picture."""
+        """Return the keys of its command, without the figure."""
 
     def text(self, values: dict[str, Any]) -> str:
-        """The same for people, from ``as_json``; "": these values, one a line."""
+        """Return the result as text, from ``as_json``; "": these values, one a line."""
         del values
         return ""

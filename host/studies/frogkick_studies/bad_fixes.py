@@ -1,4 +1,5 @@
-"""States from fixes, three ways: how far off at decision time, and what that costs in closed loop."""
+"""Three estimators with bad fixes: their errors at decision time, and the distance to the path in closed
+loop."""
 
 from __future__ import annotations
 
@@ -25,6 +26,7 @@ from frogkick.estimator.estimator import (
     Estimates,
     Estimator,
 )
+from frogkick.front.places import start_pose
 from frogkick.paths import Path
 from frogkick.planner.plan import PlanConfig
 from frogkick.pool.camera import Camera
@@ -41,7 +43,7 @@ LINE_WINDOW_S = 0.25
 
 
 class _FromLastFixes(ABC):
-    """Keeps the last fixes in order of capture; knows nothing of strokes."""
+    """An estimator that keeps the last fixes in order of capture, and ignores strokes."""
 
     def __init__(self) -> None:
         self._fixes: list[tuple[int, FloatArray, int]] = []
@@ -52,7 +54,7 @@ class _FromLastFixes(ABC):
         return self._fixes[-1][0] if self._fixes else None
 
     def add(self, capture_us: int, pose_world: npt.NDArray[np.float32], sequence: int) -> int:
-        """Take a fix that is newer than the newest."""
+        """Add a fix that is newer than the newest."""
         if not (np.abs(pose_world) <= FIELD_M).all():
             return RANGE
         if self._fixes and capture_us <= self._fixes[-1][0]:
@@ -61,11 +63,11 @@ class _FromLastFixes(ABC):
         return OK
 
     def act(self, at_us: int, action: int) -> None:
-        """Strokes do not matter here."""
+        """Ignore a stroke."""
         del at_us, action
 
     def at(self, at_us: int) -> Estimate | None:
-        """The state at a time; None where no fix is near enough to it."""
+        """Return the state at a time; None if no fix is near enough to it."""
         if not self._fixes or not -FUTURE_US <= at_us - self._fixes[-1][0] <= STALE_US:
             return None
         pose, speed = self._state((at_us - self._fixes[-1][0]) * 1e-6)
@@ -76,10 +78,10 @@ class _FromLastFixes(ABC):
 
     @abstractmethod
     def _state(self, lead_s: float) -> tuple[FloatArray, FloatArray]:
-        """Pose and speed (3,), world, a time after the newest fix."""
+        """Return pose and velocity (3,), world frame, a time after the newest fix."""
 
     def _before_newest(self) -> tuple[FloatArray, FloatArray]:
-        """Times (n,) s and poses (n, 3) relative to the newest fix, the short way round."""
+        """Return times (n,) s and poses (n, 3) relative to the newest fix, headings wrapped."""
         newest_us, newest, _ = self._fixes[-1]
         time_s = np.array([(time_us - newest_us) * 1e-6 for time_us, _, _ in self._fixes])
         poses = np.array([pose - newest for _, pose, _ in self._fixes])
@@ -88,7 +90,7 @@ class _FromLastFixes(ABC):
 
 
 class DifferenceEstimator(_FromLastFixes):
-    """The paper's way: the pose is the newest fix, the velocity the difference of the last two.
+    """The paper's estimator: the pose is the newest fix, the velocity the difference of the last two.
 
     Source: Huang et al. 2022, section on closed-loop control; their logger's xdot, ydot, thetadot.
     """
@@ -100,7 +102,8 @@ class DifferenceEstimator(_FromLastFixes):
 
 
 class LineEstimator(_FromLastFixes):
-    """A straight line by least squares through the fixes of the last quarter second, to the asked time."""
+    """A straight line by least squares through the fixes of the last quarter second, to the requested
+    time."""
 
     def _state(self, lead_s: float) -> tuple[FloatArray, FloatArray]:
         time_s, poses = self._before_newest()
@@ -117,10 +120,10 @@ METHODS: Mapping[str, Callable[[Tables], Estimates]] = {
     "line": lambda _tables: LineEstimator(),
     "track": Estimator,
 }
-"""The paper's way, a line through the last fixes, and the robot's own."""
+"""The paper's estimator, a line through the last fixes, and the robot's own."""
 RATES_HZ = (2.0, 5.0, 10.0, 15.0, 30.0, 60.0)
 EACH_RATE_HZ = 15.0
-"""The rate at which each fault is looked at by itself."""
+"""Rate at which each fault is tested alone."""
 FAULTS: Mapping[str, Mapping[str, float]] = {
     "none": {},
     "late": {"delay_s": 0.3},
@@ -132,14 +135,14 @@ FAULTS: Mapping[str, Mapping[str, float]] = {
     "world": {},
     "all": {"jitter_s": 0.2, "lost": 0.2, "doubled": 0.1, "held": 0.1, "outliers": 0.05},
 }
-"""What is worse than the recorded runs' camera; "world": the robot is not the model's."""
+"""Faults beyond those of the recorded runs' camera; "world": the robot differs from the model."""
 OTHER_WORLD: tuple[dict[str, object], ...] = (
     {"name": "drag_scale", "frame": 2.5},
     {"name": "limb_wear", "limb": "rear_left", "gain": 0.7},
     {"name": "steady_current", "x_mps": 0.004, "y_mps": -0.003},
 )
-SETTLE_US = 2_000_000  # fixes before the first decision: some at every rate
-_FIRST = 2  # decisions that do not count: the robot has just begun to move
+SETTLE_US = 2_000_000  # fixes before the first decision, enough at each rate
+_FIRST = 2  # decisions that are not counted, because the robot has just begun to move
 _SECOND_GAP_S = 0.001  # FK_STROKE_GAP_US
 
 
@@ -151,25 +154,25 @@ class Condition:
     fault: str
 
     def camera(self) -> Camera:
-        """The camera that gives them."""
+        """Return the camera that gives them."""
         return Camera(rate_hz=self.rate_hz, **FAULTS[self.fault])
 
     def world(self) -> World:
-        """The pool that they are of."""
+        """Return the world of the pool."""
         return World(make_effects(OTHER_WORLD, Folder())) if self.fault == "world" else World()
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of a method under a condition.
+    """The result of a method under a condition.
 
     Attributes:
-        position_m, heading_rad, velocity_mps, omega_rad_s: root mean square errors at decision time while the
+        position_m, heading_rad, velocity_mps, omega_rad_s: root-mean-square errors at decision time while the
             robot's own estimator steered; the same fixes and decisions for all methods.
-        median_position_m: of the position's error: what a few wrong fixes cannot spoil.
-        decisions, unknown: decisions looked at; those of them without an estimate.
-        distance_m: mean distance to each path, m, by its name, where this method steered; from the first
-            decision on, NaN where it never knew enough for one.
+        median_position_m: median of the position error, which a few wrong fixes do not affect.
+        decisions, unknown: number of decisions, and of those without an estimate.
+        distance_m: path -> mean distance to it, m, while this method steered, from the first decision on; NaN
+            if there was never an estimate for one.
     """
 
     position_m: float
@@ -184,7 +187,8 @@ class Outcome:
 
 @dataclass
 class Swim:
-    """One run: errors (n, 6) of each method at each decision, NaN where it had none; and how it tracked."""
+    """A run: errors (n, 6) of each method at each decision, NaN without an estimate; and its mean
+    distance."""
 
     errors: dict[str, list[FloatArray]] = field(default_factory=dict)
     distance_m: float = np.nan
@@ -208,7 +212,7 @@ class _Task:
 
 
 def conditions(rates_hz: Sequence[float] = RATES_HZ) -> list[Condition]:
-    """Every rate with no fault and with all of them; each fault at one rate."""
+    """Return each rate without faults and with all of them, and each fault alone at one rate."""
     each = EACH_RATE_HZ if EACH_RATE_HZ in rates_hz else rates_hz[0]
     found = [Condition(rate, fault) for fault in ("none", "all") for rate in rates_hz]
     return found + [Condition(each, fault) for fault in FAULTS if fault not in ("none", "all")]
@@ -225,19 +229,19 @@ def compare_estimators(
     workers: int = 1,
     progress: Callable[[int, int], None] = lambda _done, _all: None,
 ) -> dict[Condition, dict[str, Outcome]]:
-    """Swim along paths in the pool with every method under every condition.
+    """Follow paths in the pool with each method under each condition.
 
     Args:
-        robot, image: the swimmer and its table.
-        paths, config: what it follows, and how it plans.
-        seeds: runs along each path.
-        limit_s: pool time of a run.
-        rates_hz: fixes per second to look at.
-        workers: processes.
-        progress: called with runs done and to do.
+        robot, image: the robot and its table.
+        paths, config: the paths, and the planner's configuration.
+        seeds: number of runs along each path.
+        limit_s: time limit of a run in pool time, s.
+        rates_hz: fixes per second.
+        workers: number of processes.
+        progress: called with (runs done, all).
 
     Raises:
-        ConvergenceError: the pool's physics failed.
+        ConvergenceError: the simulation of the pool failed.
     """
     wanted = conditions(rates_hz)
     runs = [(path, seed) for path in range(len(paths)) for seed in range(seeds)]
@@ -285,7 +289,7 @@ def _outcome(errors: list[list[FloatArray]], steered: Mapping[str, list[Swim]]) 
 
 
 def _mean_of_begun(distances_m: Sequence[float]) -> float:
-    """NaN where no run began."""
+    """Return the mean over the runs that began; NaN without any."""
     begun = [one for one in distances_m if np.isfinite(one)]
     return float(np.mean(begun)) if begun else float("nan")
 
@@ -297,17 +301,16 @@ def _start(
 
 
 def _warm(setting: _Setting) -> None:
-    """Two decisions compile all that a run calls."""
+    """Make two decisions, which compiles all that a run calls."""
     short = dataclasses.replace(setting, limit_s=SETTLE_US * 1e-6 + 2.0)
     _run(short, _Task(Condition(10.0, "none"), "track", 0, 0))
 
 
 def _run(setting: _Setting, task: _Task) -> Swim:
-    """One run: the twins decide, the rods swim, the other methods look on."""
+    """Simulate one run: one method steers, and the errors of all methods are recorded."""
     tables, path = setting.tables, setting.paths[task.path]
-    begin = (float(path.x_m[0]), float(path.y_m[0]), float(path.tangent_rad[0]))
     camera, world = task.condition.camera(), task.condition.world()
-    pool = Pool(setting.robot, begin, camera, np.random.default_rng(task.seed), world)
+    pool = Pool(setting.robot, start_pose(path), camera, np.random.default_rng(task.seed), world)
     methods = {name: make(tables) for name, make in METHODS.items()}
     twin = DecisionTwin(tables, path, setting.config, methods[task.steered_by])
     swim = Swim({name: [] for name in METHODS})
@@ -324,7 +327,7 @@ def _run(setting: _Setting, task: _Task) -> Swim:
         if twin.is_lost(at_us):
             if np.isfinite(begun_s):
                 break
-            at_us += tables.period_us  # a robot that does not know yet where it is does not start
+            at_us += tables.period_us  # without an estimate the robot does not start
             continue
         begun_s = min(begun_s, at_us * 1e-6)
         truth = np.concatenate(pool.state())

@@ -1,8 +1,8 @@
-"""What a planner believed: the motions with which the paper's cost would have chosen what runs show it chose.
+"""Inverse planning: the motions that the paper's planner assumed, from the choices that recorded runs show.
 
-The authors' own library of turning strokes was not published. What their planner took each action to do
-shows in their runs: at every decision pose and path are known, and the action that it found the cheapest. The
-motions sought make those choices likely (inverse planning; a softmax over the cost, with slips).
+The authors' own library of turning strokes was not published. Their runs show what their planner assumed: at
+each decision pose and path are known, and the action that it found the cheapest. The motions that are sought
+make these choices likely (a softmax over the cost, with a share of random choices).
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from frogkick.tables.packing import pack_nearest
 FloatArray = NDArray[np.float64]
 
 DECISIONS_MIN = 60
-"""Fewer choices tell nothing about some thirty numbers."""
+"""Fewer choices cannot determine some thirty numbers."""
 
 _TRIES = 3000
 _TEMPERATURE = np.float32(3.0)  # of the cost: a few millimetres or degrees that the planner saw otherwise
@@ -37,7 +37,7 @@ _MOVED = 0.3  # part of the numbers that a try moves
 
 @dataclass(frozen=True, eq=False)
 class Choices:
-    """Decisions of a run: (n, 3) poses in the world by the newest fix before each, (n,) actions chosen."""
+    """Decisions of a run: (n, 3) poses, world frame, by the newest fix before each, (n,) actions chosen."""
 
     path: NDArray[np.float32]
     poses_world: NDArray[np.float32]
@@ -46,14 +46,14 @@ class Choices:
 
 @dataclass(frozen=True, eq=False)
 class Believed:
-    """Motions that a planner took its actions to have.
+    """Motions that a planner assumed.
 
     Attributes:
         motion: (a, 3) forward, left (m) and turn (rad), body frame at the action's start, at any velocity.
-        agreement: part of the choices that they make.
-        held_out_agreement: the same of each run with the motions found from the others.
-        nominal_agreement: the same with the motions that the search began with.
-        decisions: how many.
+        agreement: share of the choices that these motions explain.
+        held_out_agreement: the same for each run with the motions found from the others.
+        nominal_agreement: the same with the initial motions of the search.
+        decisions: number of decisions.
     """
 
     motion: FloatArray
@@ -64,7 +64,7 @@ class Believed:
 
 
 def choices_of(run: RunLog) -> Choices:
-    """A recorded run's decisions whose action is known.
+    """Return a recorded run's decisions whose action is known.
 
     Raises:
         InputError: it has no path.
@@ -80,12 +80,12 @@ def choices_of(run: RunLog) -> Choices:
 def believed_motions(runs: Sequence[Choices], robot: Robot, nominal: FloatArray) -> Believed:
     """Find the motions that make choices of the paper's planner at depth 1 likely.
 
-    Mirrored actions of a robot that is its own mirror image have mirrored motions.
+    Mirrored actions of a symmetric robot have mirrored motions.
 
     Args:
         runs: at least two, of the same robot, with DECISIONS_MIN decisions together.
-        robot: whose actions.
-        nominal: (a, 3) motions to begin with; each number is scaled, so those that are 0 stay so.
+        robot: the robot of the actions.
+        nominal: (a, 3) initial motions; each number is scaled, so zeros stay zero.
 
     Raises:
         InputError: fewer decisions.
@@ -112,10 +112,10 @@ def believed_motions(runs: Sequence[Choices], robot: Robot, nominal: FloatArray)
 
 
 def image_of_motions(robot: Robot, motion: FloatArray) -> bytes:
-    """A table image of kind nearest in which every action has one motion, whatever the velocity.
+    """Return a table image of kind nearest in which each action has one motion at any velocity.
 
     Args:
-        robot: whose table.
+        robot: the robot.
         motion: (a, 3) forward, left (m), turn (rad).
     """
     at_rest = np.zeros((1, 3))
@@ -125,7 +125,7 @@ def image_of_motions(robot: Robot, motion: FloatArray) -> bytes:
 
 
 def _mirrored(robot: Robot, motion: FloatArray) -> FloatArray:
-    """Motions made equal to their mirror images."""
+    """Return motions that are averaged with their mirror images."""
     mirror = mirror_of(robot)
     if mirror is None:
         return motion

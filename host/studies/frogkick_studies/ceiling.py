@@ -1,10 +1,10 @@
-"""The ceiling of tables: one planner told by tables, and by the rods themselves (``rods_in_loop.py``)."""
+"""The upper bound of tables: one planner with tables as its model, and with the rods
+(``rods_in_loop.py``)."""
 
 from __future__ import annotations
 
 import dataclasses
 import math
-import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -44,14 +44,14 @@ _ERRORS = (
 
 @dataclass(frozen=True)
 class Mean:
-    """A mean over the seeds, and half of the width of its 95 % interval (Student's t; NaN of one seed)."""
+    """A mean over the seeds, and half the width of its 95 % interval (Student's t; NaN for one seed)."""
 
     value: float
     half_width: float
 
 
 def mean_of(values: Sequence[float]) -> Mean:
-    """Mean and confidence of values of independent seeds."""
+    """Return the mean of independent seeds, with its interval."""
     from scipy import stats
 
     many = len(values)
@@ -62,12 +62,13 @@ def mean_of(values: Sequence[float]) -> Mean:
 
 
 def over_seeds(runs: Sequence[Run], name: str) -> Mean:
-    """``mean_of`` an attribute of runs, for each seed over its paths first, which weigh alike."""
+    """Return ``mean_of`` an attribute of runs, after its mean over the paths of each seed."""
     return mean_of(_by_seed(runs, name))
 
 
 def more_than(runs: Sequence[Run], others: Sequence[Run], name: str) -> Mean:
-    """``over_seeds`` of the difference to other runs of the same seeds and paths: these start alike."""
+    """Return ``over_seeds`` of the difference to other runs of the same seeds and paths, which start
+    equally."""
     pairs = zip(_by_seed(runs, name), _by_seed(others, name), strict=True)
     return mean_of([one - other for one, other in pairs])
 
@@ -78,7 +79,7 @@ def _by_seed(runs: Sequence[Run], name: str) -> list[float]:
 
 
 def rms_error(runs: Sequence[Run], name: str) -> dict[str, float]:
-    """Root mean square of ``planned`` or ``told`` over all decisions of some runs."""
+    """Return the root mean square of ``planned`` or ``told`` over all decisions of some runs."""
     errors = np.concatenate([getattr(run, name) for run in runs])
     return {
         "position_m": float(np.sqrt(np.mean(np.sum(errors[:, :2] ** 2, axis=1)))),
@@ -88,12 +89,12 @@ def rms_error(runs: Sequence[Run], name: str) -> dict[str, float]:
 
 @dataclass(frozen=True, eq=False)
 class CeilingStudy(Found):
-    """One planner in the pool, told by a full nearest table, by the robot's, or by the rods themselves.
+    """One planner in the pool with three models: a full nearest table, the robot's table, the rods.
 
     Attributes:
-        runs: each of them.
-        depths: strokes that were looked ahead.
-        seeds: runs of each.
+        runs: each run.
+        depths: search depths.
+        seeds: number of runs of each.
         table_bytes: sizes of both tables.
     """
 
@@ -103,11 +104,11 @@ class CeilingStudy(Found):
     table_bytes: Mapping[str, int]
 
     def plot(self) -> Figure:
-        """A matplotlib figure: distance and progress by source and depth."""
+        """Return a matplotlib figure: distance and progress by model and depth."""
         return ceiling_figure(self.runs)
 
     def as_json(self) -> dict[str, Any]:
-        """The keys of the command."""
+        """Return the keys of the command."""
         ahead = {
             source: {
                 of: rms_error([run for run in self.runs if run.source == source], of)
@@ -134,7 +135,7 @@ class CeilingStudy(Found):
         return [run for run in self.runs if (run.source, run.depth) == (source, depth)]
 
     def _row(self, path: str | None, source: str, depth: int) -> dict[str, Any]:
-        """One path's runs; without a path those of all, a mean for each seed."""
+        """Return the row of one path; without a path that of all, with a mean for each seed."""
         mine = [run for run in self._of(source, depth) if path in (None, run.path)]
         means = {
             name: over_seeds(mine, name) if path is None else mean_of([getattr(run, name) for run in mine])
@@ -150,13 +151,13 @@ class CeilingStudy(Found):
         }
 
     def _beside_rods(self, source: str, depth: int) -> dict[str, Any]:
-        """How much further from the paths a source's runs are than those of the rods, seed by seed."""
+        """Return how much larger the distance is than that of the rods, seed by seed."""
         mine, rods = self._of(source, depth), self._of(RODS, depth)
         mean = more_than(mine, rods, "mean_distance_m")
         return {"source": source, "depth": depth, **dataclasses.asdict(mean)}
 
     def text(self, values: dict[str, Any]) -> str:
-        """A line for each row."""
+        """Return a line for each row."""
         lines = []
         for row in values["rows"]:
             far, fast = row["mean_distance_m"], row["progress_mps"]
@@ -181,7 +182,7 @@ class CeilingStudy(Found):
 
 
 def run(config: Ceiling) -> CeilingStudy:
-    """Follow paths with one planner, told by a full nearest table, by the robot's, or by the rods themselves.
+    """Follow paths with one planner and three models: a full nearest table, the robot's table, the rods.
 
     Raises:
         InputError: no such library, or a table of another robot.
@@ -204,7 +205,7 @@ def run(config: Ceiling) -> CeilingStudy:
         own = opened.image
     images = {NEAREST: quantise(content), AFFINE: own}
     depths = sorted(set(config.depth or (1, 2)))
-    limit_s, processes = config.simulated_time, config.workers or os.cpu_count() or 1
+    limit_s, processes = config.simulated_time, config.processes
     with shown(True, "runs") as tell:
         runs = follow_paths(robot, images, list(SHAPES), depths, config.seeds, limit_s, processes, tell)
     return CeilingStudy(runs, depths, config.seeds, {name: len(image) for name, image in images.items()})
@@ -214,8 +215,7 @@ def ceiling_figure(runs: Sequence[Run]) -> Figure:
     """Draw ``follow_paths``: distance and progress by path and depth, and errors one period ahead."""
     paths = list(dict.fromkeys(run.path for run in runs))
     depths = sorted({run.depth for run in runs})
-    with style.styled():
-        figure = Figure(figsize=(4.6 * (len(depths) + 1), 6.4), layout="constrained")
+    with style.new_figure(4.6 * (len(depths) + 1), 6.4) as figure:
         panels = figure.subplots(2, len(depths) + 1, squeeze=False)
         for column, depth in enumerate(depths):
             here = [run for run in runs if run.depth == depth]
@@ -235,7 +235,7 @@ def ceiling_figure(runs: Sequence[Run]) -> Figure:
 
 
 def _by_path(axes: Axes, runs: Sequence[Run], paths: Sequence[str], name: str) -> None:
-    """Bars of means with their 95 % intervals; a point for each seed. The last group is over all paths."""
+    """Draw means with 95 % intervals, and a point for each seed; the last group is over all paths."""
     for offset, source in zip((-0.27, 0.0, 0.27), SOURCES, strict=True):
         for place, path in enumerate([*paths, None]):
             mine = [run for run in runs if run.source == source and path in (None, run.path)]

@@ -1,13 +1,12 @@
-"""How long the chip plans: cycles of the flashed image over many states and paths.
+"""Time that the chip takes to plan: cycles of the flashed image over many states and paths.
 
-Up to ``RUN`` states of a depth are all run on the virtual chip. Of more, that many are: half of them at
-random, then those that a model of the planner's blocks finds dearest; frogkick_studies.chip_worst says how.
+Up to ``RUN`` states of a depth are all run on the virtual chip. Of more states that number is run: half of
+them random, then the most expensive ones by a model of the planner's blocks; see frogkick_studies.chip_worst.
 """
 
 from __future__ import annotations
 
 import dataclasses
-import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -32,18 +31,18 @@ from frogkick_studies.chip_worst import CycleModel, dearest, fit_cycles
 from frogkick_studies.configs import Chip
 
 LIMIT_MS: Mapping[int, float] = {1: 0.45, 2: 4.5, 3: 20.0}
-"""What a decision may take at each depth, worst case."""
+"""Longest time of a decision at each depth."""
 DEPTHS = (1, 2, 3, 4)
 NODE = "fk_lookup_motion"
-"""One call of it is one node of the search: a pose that is predicted and costed."""
+"""Each of its calls is one node of the search: a predicted pose with its cost."""
 RUN: Mapping[int, int] = {1: 3000, 2: 1200, 3: 480, 4: 24}
-"""Depth -> states that are run on the virtual chip at the most."""
+"""Depth -> largest number of states that are run on the virtual chip."""
 _CHUNK = 50
 
 
 @dataclass(frozen=True)
 class Share:
-    """A function's part of one depth's time: name, percent of the cycles, calls a decision."""
+    """A function's share of one depth's time: name, percent of the cycles, calls in a decision."""
 
     function: str
     percent: float
@@ -52,19 +51,19 @@ class Share:
 
 @dataclass(frozen=True)
 class DepthSpeed:
-    """What decisions of one depth took.
+    """Times of decisions at one depth.
 
     Attributes:
-        states: how many, of which ``run`` on the virtual chip.
-        mean_ms, worst_ms: at 64 MHz; the mean of states that were taken at random. By the most that the
-            manuals allow an instruction (``CostModel``), so the worst is the top of its band.
-        least_ms: the worst decision once more, by the least that they allow: the bottom of that band.
-        worst_ms_by_reach: the worst of velocities from so many times the table's box.
-        model_error: where not all were run, the model's largest relative error over those that were, but for
-            those that it was fitted to; else 0.
-        unrun_ms: no state that was not run is above this by the model and that error; else 0.
-        worst_path, worst_state, worst_limb_use, worst_along_points: where it was worst.
-        nodes: nodes of the search, mean.
+        states: number of states, of which ``run`` are run on the virtual chip.
+        mean_ms, worst_ms: at 64 MHz; the mean is over random states. With the most cycles that the manuals
+            allow for an instruction (``CostModel``), so the worst is the upper end of its band.
+        least_ms: the worst decision with the fewest cycles that they allow: the lower end of that band.
+        worst_ms_by_reach: the worst by how many times the table's box the velocities come from.
+        model_error: if not all were run, the model's largest relative error over those that were and that it
+            was not fitted to; else 0.
+        unrun_ms: upper bound of the other states by the model and that error; else 0.
+        worst_path, worst_state, worst_limb_use, worst_along_points: the worst decision.
+        nodes: mean number of nodes of the search.
         instructions_per_node: mean.
         shares: functions, the most expensive first.
     """
@@ -108,13 +107,13 @@ class _Counted:
 
 
 def open_ms(elf: Path) -> float:
-    """How long the image takes to check and open its table, once after power-on."""
+    """Return the time in which the image checks and opens its table, once after power-on."""
     return planner_of(elf).open_cycles / CYCLES_PER_MS
 
 
 @lru_cache(maxsize=1)
 def planner_of(elf: Path) -> ChipPlanner:
-    """One booted chip for each process."""
+    """Return a booted chip, one for each process."""
     return ChipPlanner(elf)
 
 
@@ -144,15 +143,15 @@ def chip_speed(
     Args:
         elf: the image.
         image: its table.
-        paths: to plan along, by name.
-        config: of the planner; its depth is not used.
-        counts: depth -> states, shared among the paths.
-        seed: makes the states again.
-        workers: processes.
-        progress: called with decisions done and to do, weighted by what a depth costs.
+        paths: paths by name.
+        config: configuration of the planner; its depth is not used.
+        counts: depth -> number of states, divided among the paths.
+        seed: seed of the states.
+        workers: number of processes.
+        progress: called with (decisions done, all), weighted by the cost of a depth.
 
     Returns:
-        Depth -> what was found.
+        Depth -> times.
     """
     study = _Study(elf, read_image(image), paths, config, counts, seed)
     runner = _Runner(workers, sum(min(counts[depth], RUN[depth]) for depth in counts), progress)
@@ -185,7 +184,7 @@ def _least_ms(
 
 
 class _Runner:
-    """Runs chunks, in as many processes as are wanted, and tells how far it is."""
+    """Runs chunks in several processes, and reports the progress."""
 
     def __init__(self, workers: int, whole: int, progress: Callable[[int, int], None]) -> None:
         self._workers, self._whole, self._progress, self._done = workers, whole, progress, 0
@@ -202,7 +201,7 @@ class _Runner:
 
 @dataclass(frozen=True, eq=False)
 class _Study:
-    """Which states there are, and which of them are run."""
+    """The states, and the selection of those that are run."""
 
     elf: Path
     tables: Tables
@@ -212,22 +211,22 @@ class _Study:
     seed: int
 
     def count(self, depth: int) -> int:
-        """States of a depth along one path."""
+        """Return the number of states of a depth along one path."""
         return -(-self.counts[depth] // len(self.paths))
 
     def states(self, depth: int, name: str) -> TimedStates:
-        """All states of a depth along a path."""
+        """Return all states of a depth along a path."""
         rng = np.random.default_rng([self.seed, depth, list(self.paths).index(name)])
         return states_for_timing(self.tables, self.paths[name], self.count(depth), rng)
 
     def first(self, depth: int) -> int:
-        """States along one path that are run at random: all, or half of those that may be run."""
+        """Return how many states along one path are run at random: all, or half of those that may be run."""
         if self.counts[depth] <= RUN[depth]:
             return self.count(depth)
         return RUN[depth] // (2 * len(self.paths))
 
     def at_random(self) -> list[_Chunk]:
-        """The dearest depth first, so that no process is left with a long one at the end."""
+        """Return the random chunks, the most expensive depth first, so that the processes end together."""
         chunks = []
         for depth in sorted(self.counts, reverse=True):
             for name in self.paths:
@@ -236,7 +235,7 @@ class _Study:
         return chunks
 
     def dearest(self, depth: int, ran: Sequence[_Counted]) -> tuple[list[_Chunk], CycleModel]:
-        """Those of the other states that cost most by a model that is fitted to half of what ran."""
+        """Return the most expensive of the other states by a model that is fitted to half of those run."""
         model = fit_cycles(
             self.tables.image,
             self.config,
@@ -252,7 +251,7 @@ class _Study:
         return chunks, model
 
     def unrun(self, depth: int, ran: Sequence[_Counted], model: CycleModel) -> tuple[float, float]:
-        """The model's largest relative error, and what it bounds the states by that were not run, ms."""
+        """Return the model's largest relative error, and its bound for the states that were not run, ms."""
         settings = dataclasses.replace(self.config, depth=depth)
         error, most = 0.0, 0.0
         for one in ran:
@@ -322,19 +321,19 @@ def _summary(parts: Sequence[_Counted], states: int, error: float, unrun_ms: flo
 
 
 _DEAREST = 12
-"""Functions that are listed with their share of the cycles."""
+"""Number of functions whose share of the cycles is listed."""
 
 
 @dataclass(frozen=True, eq=False)
 class ChipStudy(Found):
-    """How long the chip plans, in cycles of the flashed image.
+    """Time that the chip takes to plan, in cycles of the flashed image.
 
     Attributes:
         speeds: depth -> times over many states.
-        open_ms: checking the table once, ms.
-        limit_ms: depth -> the longest that is allowed.
-        cycle_model: cycles of an instruction of each kind on the virtual chip.
-        seed: of the states.
+        open_ms: time to check the table once, ms.
+        limit_ms: depth -> the longest time allowed.
+        cycle_model: cycles of each kind of instruction on the virtual chip.
+        seed: seed of the states.
     """
 
     speeds: Mapping[int, DepthSpeed]
@@ -345,14 +344,14 @@ class ChipStudy(Found):
 
     @property
     def passed(self) -> bool:
-        """Whether no plan takes longer than its limit, run or not."""
+        """Whether no plan exceeds its limit, run or not."""
         return not any(
             max(self.speeds[depth].worst_ms, self.speeds[depth].unrun_ms) > limit
             for depth, limit in self.limit_ms.items()
         )
 
     def as_json(self) -> dict[str, Any]:
-        """The keys of the command."""
+        """Return the keys of the command."""
         speeds = {str(depth): speed for depth, speed in self.speeds.items()}
         return {
             "plan_ms": {
@@ -401,8 +400,6 @@ class ChipStudy(Found):
 def run(config: Chip) -> ChipStudy:
     """Time the planner of the bench image on the virtual chip over many states.
 
-    Of very many states the dearest are run, which a model of the planner's blocks finds among all of them.
-
     Raises:
         InputError: a table of another robot, or an extra that is not installed.
         ToolchainError: no compiler for the chip.
@@ -413,7 +410,7 @@ def run(config: Chip) -> ChipStudy:
     counts = {depth: config.states if depth in LIMIT_MS else max(3, config.states // 50) for depth in DEPTHS}
     paths = {name: shape(name) for name in SHAPES}
     settings = plan_config(robot, config.planner, None)
-    processes = config.workers or os.cpu_count() or 1
+    processes = config.processes
     with built_firmware("bench", image, robot) as built, shown(True, "decisions") as tell:
         opened_ms = open_ms(built.image)
         speeds = chip_speed(built.image, image, paths, settings, counts, config.seed, processes, tell)

@@ -1,10 +1,10 @@
-"""The dearest of very many decisions on the chip, without running them all there.
+"""The most expensive of very many decisions on the chip, without running them all there.
 
-A decision's cycles are, block by block of the planner's code, how often the block runs times what it takes;
-what the instruction cache happens to hold adds a little. How often is counted for every state, by the same C
-built for this machine. What a block takes is fitted to states that the virtual chip has run, and the fit's
-error is measured on others that it has run. The states that cost most by this model then go to the virtual
-chip, so every time that is told was counted there: the model chooses, and bounds what was not run.
+The cycles of a decision are, over the blocks of the planner's code, the executions of a block times its cost;
+the content of the instruction cache adds a little. The executions are counted for each state by the same C on
+this computer. The costs of the blocks are fitted to states that the virtual chip has run, and the fit's error
+is measured on other such states. The most expensive states by this model are then run on the virtual chip, so
+every reported time was counted there: the model selects states, and bounds those that were not run.
 """
 
 from __future__ import annotations
@@ -21,13 +21,13 @@ from frogkick_codegen.native_blocks import BlockCounter
 
 Float64 = npt.NDArray[np.float64]
 _RIDGE = 1e-3
-"""Of a block's largest part of a decision: many blocks always run together, and share what they take."""
+"""Ridge of the fit, relative to a block's largest share: many blocks always run together."""
 _BATCH = 2000
 
 
 @dataclass(frozen=True, eq=False)
 class CycleModel:
-    """Cycles of a decision from the blocks that it runs; ``cycles_per_block``: (blocks,) float64."""
+    """Cycles of a decision from its blocks; ``cycles_per_block``: (blocks,) float64."""
 
     cycles_per_block: Float64
 
@@ -46,13 +46,13 @@ def fit_cycles(
     runs: list[tuple[PathLike, TimedStates, npt.NDArray[np.int64]]],
     depth: int,
 ) -> CycleModel:
-    """Fit what each block takes.
+    """Fit the cost of each block.
 
     Args:
-        image: the table's.
-        config: of the planner; its depth is not used.
-        runs: path, states and the (k,) cycles that the chip took.
-        depth: of all runs.
+        image: table image.
+        config: configuration of the planner; its depth is not used.
+        runs: path, states and the (k,) cycles on the chip.
+        depth: depth of all runs.
 
     Returns:
         The model of least relative squares.
@@ -69,7 +69,7 @@ def fit_cycles(
 
 
 def dearest(predicted: Float64, beyond: npt.NDArray[np.float32], number: int) -> npt.NDArray[np.int64]:
-    """Return the places of about ``number`` states: the dearest of all, and the dearest of each reach."""
+    """Return the indices of about ``number`` states: the most expensive of all, and of each reach."""
     kinds = np.unique(beyond)
     order = np.argsort(-predicted, kind="stable")
     each = max(1, number // (2 * len(kinds)))

@@ -6,6 +6,7 @@ share stands without its help: the runner (``frogkick/cli/study.py``) knows it b
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -27,6 +28,11 @@ class Config:
     """
 
     folder: ClassVar[bool] = False
+
+    @property
+    def processes(self) -> int:
+        """Number of processes: ``workers``, or one for each core."""
+        return getattr(self, "workers", 1) or os.cpu_count() or 1
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""How the rod simulation's error falls with its time step: the order, and the error at the default step."""
+"""Error of the rod simulation against its time step: the order, and the error at the default step."""
 
 from __future__ import annotations
 
@@ -32,9 +32,9 @@ class Curve:
     """Errors of one kind of simulation.
 
     Attributes:
-        name: "strokes" (one period of every action, from rest and from cruising) or "gaits" (speed).
+        name: "strokes" (one period of each action, from rest and from cruising) or "gaits" (speed).
         step_s: (n,) finest steps, longest first.
-        error: (n,) root mean square relative error of distance or speed against the reference step.
+        error: (n,) root-mean-square relative error of distance or speed against the reference step.
         worst: (n,) largest relative error.
     """
 
@@ -59,12 +59,12 @@ class Curve:
 def convergence(
     robot: Robot, progress: Callable[[int, int], None] = lambda _done, _all: None, every: int = 1
 ) -> list[Curve]:
-    """Simulate strokes and gaits at several steps and compare them with a fine one.
+    """Simulate strokes and gaits at several steps, and compare them with a fine step.
 
     Args:
-        robot: what swims.
-        progress: called with simulations done and to do (a simulation is one step length of one kind).
-        every: takes every so many-th of the gaits, which are each measured profile at four phases.
+        robot: the robot.
+        progress: called with (simulations done, all); a simulation is one step length of one kind.
+        every: use each n-th gait of all, which are each measured profile at four phases.
 
     Returns:
         The curve of the strokes and the curve of the gaits.
@@ -92,7 +92,7 @@ def convergence(
 
 
 def _stroke_distances(robot: Robot, step_s: float) -> FloatArray:
-    """Distance (m) over one period of each action that fires, from rest and from the middle of the box."""
+    """Return distances (m) over one period of each action, from rest and from the middle of the box."""
     box = robot.library_box
     cruising = [sum(ends) / 2.0 for ends in (box.forward_mps, box.left_mps, box.omega_rad_s)]
     programs = [program for action in robot.actions if (program := program_of(robot, action))]
@@ -114,7 +114,7 @@ def _no_failures(failures: Iterable[object]) -> None:
 
 
 def _gaits(robot: Robot) -> Sequence[Gait]:
-    """Each measured profile at four phases; equally long ones side by side."""
+    """Return each measured profile at four phases, sorted by duration."""
     profiles = sorted(robot.profiles, key=lambda profile: profile.frequency_hz)
     return [Gait(p.egain_percent, p.frequency_hz, phase) for p in profiles for phase in PHASES]
 
@@ -131,15 +131,15 @@ class ConvergenceStudy(Found):
 
     @property
     def passed(self) -> bool:
-        """Whether the default step errs little enough."""
+        """Whether the error of the default step is within its limit."""
         return not any(curve.worst[curve.step_s == STEP_S].max() > ERROR_LIMIT for curve in self.curves)
 
     def plot(self) -> Figure:
-        """A matplotlib figure: error over the time step."""
+        """Return a matplotlib figure: error over the time step."""
         return convergence_figure(self.curves, STEP_S)
 
     def as_json(self) -> dict[str, Any]:
-        """The keys of the command."""
+        """Return the keys of the command."""
         return {
             "default_step_s": STEP_S,
             "limit": ERROR_LIMIT,
@@ -168,9 +168,8 @@ def run(config: Convergence) -> ConvergenceStudy:
 
 
 def convergence_figure(curves: Sequence[Curve], default_step_s: float) -> Figure:
-    """Draw the curves of ``convergence`` with a second-order slope, the default step and the limit."""
-    with style.styled():
-        figure = Figure(figsize=(6.4, 4.6), layout="constrained")
+    """Draw the errors with a second-order slope, the default step and the limit."""
+    with style.new_figure(6.4, 4.6) as figure:
         axes = figure.subplots()
         for curve, colour, marker in zip(curves, (style.TRUE, style.MEASURED), "os", strict=False):
             step_ms = 1e3 * curve.step_s

@@ -1,10 +1,10 @@
-"""States from bad fixes, by the robot's estimator and by two simple ways: errors, and what they cost."""
+"""Estimators with bad fixes: the robot's and two simple ones compared by error and by closed-loop
+distance."""
 
 from __future__ import annotations
 
 import dataclasses
 import math
-import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
@@ -13,7 +13,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter, NullLocator
+from matplotlib.ticker import NullLocator
 
 from frogkick.core.progress import shown
 from frogkick.front.places import plan_config, robot_of_table, swim_path, table_image
@@ -56,18 +56,18 @@ class EstimatorStudy(Found):
 
     Attributes:
         outcomes: condition of the camera -> method -> errors of its states.
-        seeds: runs along each path.
+        seeds: number of runs along each path.
     """
 
     outcomes: Mapping[Condition, Mapping[str, Outcome]]
     seeds: int
 
     def plot(self) -> Figure:
-        """A matplotlib figure: errors of each method by rate and by fault."""
+        """Return a matplotlib figure: errors of each method by rate and by fault."""
         return estimator_figure(self.outcomes)
 
     def as_json(self) -> dict[str, Any]:
-        """The keys of the command."""
+        """Return the keys of the command."""
         rows = [
             {
                 "rate_hz": condition.rate_hz,
@@ -81,7 +81,7 @@ class EstimatorStudy(Found):
         return {"outcomes": rows, "seeds": self.seeds}
 
     def text(self, values: dict[str, Any]) -> str:
-        """A line for each method and condition."""
+        """Return a line for each method and condition."""
         lines = ["fixes/s fault    method        mm  degrees     mm/s  unknown  mm from each path"]
         for condition, methods in self.outcomes.items():
             for method, one in methods.items():
@@ -96,7 +96,7 @@ class EstimatorStudy(Found):
 
 
 def run(config: Estimator) -> EstimatorStudy:
-    """Estimate states from bad fixes in the pool: the robot's way, by a line, the paper's.
+    """Estimate states from bad fixes in the pool by three methods.
 
     Raises:
         InputError: an unknown path, or a table of another robot.
@@ -109,22 +109,22 @@ def run(config: Estimator) -> EstimatorStudy:
     with shown(True, "runs") as tell:
         outcomes = compare_estimators(
             robot, image.read_bytes(), paths, settings, config.seeds, config.simulated_time,
-            config.rate or RATES_HZ, config.workers or os.cpu_count() or 1, tell,
+            config.rate or RATES_HZ, config.processes, tell,
         )  # fmt: skip
     return EstimatorStudy(outcomes, config.seeds)
 
 
 def estimator_figure(outcomes: Mapping[Condition, Mapping[str, Outcome]]) -> Figure:
-    """Draw ``compare_estimators``: three errors by rate, one by fault, and the distance to each path."""
+    """Draw three errors by rate, one by fault, and the distance to each path."""
     names = next(iter(outcomes.values()))["track"].distance_m
-    with style.styled():
-        figure = Figure(figsize=(12.5, 7.6), layout="constrained")
+    with style.new_figure(12.5, 7.6) as figure:
         panels = figure.subplots(2, 3)
         for axes, (name, factor, title, label) in zip(panels[0], _QUANTITIES, strict=True):
             for fault, line, _ in _STYLES:
                 _by_rate(axes, outcomes, fault, line, lambda o, n=name, f=factor: getattr(o, n) * f)
             _finish(axes, label)
-            _plain_decades(axes)
+            axes.set_yscale("log")
+            style.plain_decades(axes.yaxis)
             axes.set_title(title)
         _by_fault(panels[1, 0], outcomes)
         for axes, path in zip(panels[1, 1:], names, strict=False):
@@ -171,21 +171,14 @@ def _finish(axes: Axes, label: str) -> None:
     axes.set_ylabel(label)
 
 
-def _plain_decades(axes: Axes) -> None:
-    """1, 2, 5, 10 instead of powers of ten."""
-    axes.set_yscale("log")
-    axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-    axes.yaxis.set_major_formatter(FuncFormatter(lambda y, _at: f"{y:g}"))
-    axes.yaxis.set_minor_formatter(NullFormatter())
-
-
 def _by_fault(axes: Axes, outcomes: Mapping[Condition, Mapping[str, Outcome]]) -> None:
     alone = {c.fault: (c.rate_hz, o) for c, o in outcomes.items() if c.fault in _FAULT}
     shown = [fault for fault in _FAULT if fault in alone]
     for offset, method in zip((-0.2, 0.0, 0.2), METHODS, strict=True):
         heights = [alone[fault][1][method].position_m * 1e3 for fault in shown]
         axes.bar(np.arange(len(shown)) + offset, heights, 0.19, color=_COLOUR[method])
-    _plain_decades(axes)
+    axes.set_yscale("log")
+    style.plain_decades(axes.yaxis)
     axes.set_xticks(range(len(shown)), [_FAULT[fault] for fault in shown], fontsize=7)
     axes.grid(axis="x", visible=False)
     axes.set_ylabel("position error (mm)")

@@ -1,16 +1,15 @@
-"""Effects fitted to some groups of measured open-loop swims, tested on the groups left out.
+"""Effects fitted to some groups of measured open-loop swims, and tested on the groups left out.
 
-A measured swim is one number here: its steady speed. A fraction has some ten to thirty of them, each known to
-some 4 mm/s, so few parameters can be told from them, and most effects of the catalogue not at all: what turns
-the robot, what fades after the first strokes, what one limb alone does. The candidates are what is left, all
-of them the same for every alloy; what differs between alloys is the measured limb profile and nothing else.
+A measured swim is one number here: its steady speed. A fraction has some ten to thirty swims, each measured
+to some 4 mm/s, so the data determine few parameters, and most effects of the catalogue not at all: those that
+turn the robot, fade after the first strokes, or act on one limb. The candidates are the others, equal for all
+alloys; alloys differ only by their measured limb profiles. Each parameter has a prior about its physically
+expected value.
 
-A parameter is sought near what physics expects, by how much such a thing may well be off: its distance
-counts as one more miss. Effects are taken up one after another, while predicting swims that were left out of
-the fit gets better by it beyond its sampling error. Whole groups are left out, as swims of one alloy or of
-neighbouring frequencies share what is wrong with them: each EGaIn fraction (where there are several), and
-each of three bands of frequency. An effect must win in both ways; where none does the nominal model stays.
-The swims of the test are not looked at.
+The method is forward selection: effects are added while they improve the prediction of left-out swims by more
+than the sampling error. Whole groups are left out, because swims of one alloy or of neighbouring frequencies
+share their errors: each EGaIn fraction (if there are several), and each of three frequency bands. An effect
+must improve both; otherwise the nominal model stays. The test swims are not used.
 """
 
 from __future__ import annotations
@@ -44,7 +43,7 @@ FloatArray = NDArray[np.float64]
 
 MOST_EFFECTS = 2
 TRIED = 1
-"""Candidates of a round that are fitted; the others fall behind already where all is taken as linear."""
+"""Number of candidates of an iteration that are fitted, the best by a linearised estimate."""
 
 _SD_MPS = 0.004  # of a measured speed, where the fraction itself does not tell it
 _LEAST_SD_MPS = 0.002
@@ -55,7 +54,7 @@ _Z95 = 1.96
 
 @dataclass(frozen=True)
 class Estimate:
-    """A fitted parameter: its value, and between what it lies with 95 %."""
+    """A fitted parameter: its value, and its 95 % interval."""
 
     free: Free
     value: float
@@ -64,14 +63,14 @@ class Estimate:
 
 
 @dataclass(frozen=True)
-class Turn:
-    """Effects that were tried on left-out groups.
+class Iteration:
+    """An iteration of the forward selection.
 
     Attributes:
-        parameters: names of all of them.
-        gains: way of grouping -> by how much the mean square error on left-out swims fell, m^2/s^2, and
-            between what that lies with 95 %.
-        taken: they predict better in every way of grouping.
+        parameters: names of all parameters.
+        gains: way of grouping -> decrease of the mean square error on left-out swims, m^2/s^2, and its 95 %
+            interval.
+        taken: whether the predictions improve in every way of grouping.
     """
 
     parameters: tuple[str, ...]
@@ -84,43 +83,45 @@ class Fitted:
     """Effects fitted to some swims.
 
     Attributes:
-        estimates: of all parameters; none where nothing predicts left-out groups better than the plain model.
-        left_out_mps: RMSE on swims left out of the fit, without effects and after each that was taken up.
-        sd_mps: what a measured speed was taken to be known to.
-        turns: what was tried, in order.
+        estimates: all parameters; empty if no effect improves the prediction of left-out groups.
+        left_out_mps: RMSE on swims left out of the fit, without effects and after each accepted one.
+        sd_mps: assumed standard deviation of a measured speed.
+        iterations: the iterations, in order.
     """
 
     estimates: tuple[Estimate, ...]
     left_out_mps: tuple[float, ...]
     sd_mps: float
-    turns: tuple[Turn, ...] = ()
+    iterations: tuple[Iteration, ...] = ()
 
     @property
     def tables(self) -> tuple[Table, ...]:
-        """As a robot's TOML has them."""
+        """The effects, as in a robot's TOML file."""
         return tables_of({estimate.free: estimate.value for estimate in self.estimates})
 
 
 @dataclass(frozen=True)
 class Predicted:
-    """A measured swim and its prediction: NaN where the simulation failed."""
+    """A measured swim and its prediction; NaN if the simulation failed."""
 
     experiment: ExperimentResult
     speed_mps: float
 
     @property
     def error_mps(self) -> float:
-        """Prediction less measurement."""
+        """Prediction minus measurement."""
         return self.speed_mps - self.experiment.reference.speed_mps
 
 
 @dataclass(frozen=True)
 class Split:
-    """Fitted on some groups: predictions of their own swims and of those left out.
+    """A fit to some groups: predictions of its training swims and of its test swims.
 
     Attributes:
-        kind: what tells the groups apart: ``egain``, ``frequency`` or ``folder``.
-        name: of what it was fitted to, in words.
+        kind: way of grouping: ``egain``, ``frequency`` or ``folder``.
+        name: name of the training swims.
+        fitted: the fit.
+        train, test: predictions.
     """
 
     kind: str
@@ -132,7 +133,7 @@ class Split:
 
 @dataclass(frozen=True)
 class OpenLoop:
-    """All splits of measured swims, and what the plain model makes of the (training) folder's."""
+    """All splits of measured swims, and the nominal model on the (training) folder."""
 
     validation: Validation
     noise: Noise
@@ -148,23 +149,23 @@ def open_loop(
     progress: Callable[[int, int], None] | None = None,
     test_folder: Path | None = None,
 ) -> OpenLoop:
-    """Fit effects to some groups of measured swims, predict the others.
+    """Fit effects to some groups of measured swims, and predict the others.
 
-    Without ``train``, ``test`` and ``test_folder`` each EGaIn fraction and each band of frequency is left out
-    in turn, where enough swims remain.
+    Without ``train``, ``test`` and ``test_folder`` each EGaIn fraction and each frequency band is left out
+    once, if enough swims remain.
 
     Args:
-        robot: nominal.
-        folder: laid out as ``frogkick.validation.measured`` says.
-        train: EGaIn fractions, per cent, that are fitted to one at a time; with ``test_folder`` together.
+        robot: the nominal robot.
+        folder: data with the layout of ``frogkick.validation.measured``.
+        train: EGaIn fractions, per cent, to fit to one at a time; with ``test_folder`` together.
         test: fractions to predict; by default all but that of the fit, with ``test_folder`` all.
-        workers: processes.
-        progress: called with (rounds done, at most).
-        test_folder: another folder of the kind; then all is fitted to ``folder`` and tested on this one, each
-            with its own limb profiles.
+        workers: number of processes.
+        progress: called with (iterations done, at most).
+        test_folder: a second folder; the fit uses ``folder`` and the test this one, each with its own limb
+            profiles.
 
     Raises:
-        InputError: no data, a fraction without swims, too few to fit to, or none left to test on.
+        InputError: no data, a fraction without swims, too few swims to fit to, or none left to test on.
     """
     validation = run_validation(robot, folder, workers)
     other = validation if test_folder is None else run_validation(robot, test_folder, workers)
@@ -172,7 +173,7 @@ def open_loop(
     splits = []
     for place, (kind, name, own, tested) in enumerate(plans):
         simulation = Simulation(robot, validation.profiles.profiles, workers)
-        fitted = fit_rows(simulation, own, _told(progress, place, len(plans)))
+        fitted = fit_rows(simulation, own, _of_split(progress, place, len(plans)))
         there = simulation
         if test_folder is not None:
             there = Simulation(robot, other.profiles.profiles, workers)
@@ -189,7 +190,7 @@ def _predicted(
     return tuple(Predicted(row, float(speed)) for row, speed in zip(rows, speeds, strict=True))
 
 
-def _told(
+def _of_split(
     progress: Callable[[int, int], None] | None, before: int, splits: int
 ) -> Callable[[int], None] | None:
     if progress is None:
@@ -210,12 +211,13 @@ class _Fit:
         )
         self.gaits = [row.case.gait for row in self.rows]
         self.measured = np.array([row.reference.speed_mps for row in self.rows])
-        told = noise_of(self.rows).neighbours.get("experiments", _SD_MPS) if sd_mps is None else sd_mps
-        self.sd_mps = max(told, _LEAST_SD_MPS)
+        known = noise_of(self.rows).neighbours.get("experiments", _SD_MPS) if sd_mps is None else sd_mps
+        self.sd_mps = max(known, _LEAST_SD_MPS)
         self.groupings = groupings(self.rows)
 
     def missed(self, frees: Sequence[Free], points: Sequence[FloatArray]) -> FloatArray:
-        """(len(points), n) prediction less measurement in standard deviations; a failed one stands still."""
+        """Return (len(points), n) residuals, prediction minus measurement in standard deviations; 0 m/s
+        for a failure."""
         tables = [
             tables_of({f: f.value(float(z)) for f, z in zip(frees, point, strict=True)}) for point in points
         ]
@@ -223,7 +225,7 @@ class _Fit:
         return np.asarray((speeds - self.measured) / self.sd_mps)
 
     def jacobian(self, frees: Sequence[Free], point: FloatArray, first: int = 0) -> FloatArray:
-        """(n, p - first) of these, by finite differences that stay within the bounds."""
+        """Return (n, p - first) derivatives by finite differences within the bounds."""
         high = np.array([free.bounds[1] for free in frees])
         steps = np.where(point + _STEP > high, -_STEP, _STEP)[first:]
         moves = np.eye(len(frees))[first:] * steps[:, None]
@@ -231,7 +233,7 @@ class _Fit:
         return np.stack([(there - base) / step for there, step in zip(moved, steps, strict=True)], axis=1)
 
     def fit(self, frees: Sequence[Free], start: FloatArray) -> FloatArray:
-        """(p,) likeliest distances from the plain model, in widths."""
+        """Return (p,) maximum a posteriori values, in widths from the nominal model."""
         from scipy.optimize import least_squares
 
         low, high = np.array([free.bounds for free in frees]).T
@@ -247,13 +249,13 @@ class _Fit:
         return np.asarray(found.x)
 
     def folds(self, way: str) -> Iterator[NDArray[np.bool_]]:
-        """Which swims are kept, for each group of a way that is left out."""
+        """Yield the mask of training swims for each group of a way of grouping."""
         label = np.array(self.groupings[way])
         for group in sorted(set(self.groupings[way])):
             yield label != group
 
     def roughly_left_out(self, frees: Sequence[Free], point: FloatArray, jacobian: FloatArray) -> float:
-        """RMSE, m/s, of groups left out, the worse way of grouping, all taken as linear about a point."""
+        """Return the RMSE, m/s, of left-out groups in the worst way of grouping, linearised about a point."""
         from scipy.optimize import lsq_linear
 
         missed = self.missed(frees, [point])[0]
@@ -270,7 +272,7 @@ class _Fit:
         return self.sd_mps * max(errors)
 
     def left_out(self, frees: Sequence[Free]) -> dict[str, FloatArray]:
-        """Way of grouping -> (n,) misses, m/s, of swims left out of fits that never saw their group."""
+        """Return way of grouping -> (n,) residuals, m/s, of swims by fits without their group."""
         if not len(frees):
             plain = self.sd_mps * self.missed((), [np.empty(0)])[0]
             return dict.fromkeys(self.groupings, plain)
@@ -287,18 +289,19 @@ class _Fit:
 
 
 def fit_rows(
-    simulation: Simulation, rows: Sequence[ExperimentResult], told: Callable[[int], None] | None = None
+    simulation: Simulation, rows: Sequence[ExperimentResult], progress: Callable[[int], None] | None = None
 ) -> Fitted:
-    """Choose and fit effects by some swims alone.
+    """Choose and fit effects from some swims.
 
     Args:
-        rows: measured swims; one that stands in two sweeps counts once.
-        told: called with the rounds done.
+        simulation: simulates the speeds.
+        rows: measured swims; one that belongs to two sweeps counts once.
+        progress: called with the number of iterations done.
     """
     fit = _Fit(simulation, rows)
     frees: tuple[Free, ...] = ()
     point, errors = np.empty(0), fit.left_out(())
-    scores, turns = [_worst(errors)], []
+    scores, iterations = [_worst(errors)], []
     for taken in range(MOST_EFFECTS):
         best: tuple[float, tuple[Free, ...], dict[str, FloatArray]] | None = None
         for more in _promising(fit, frees, point):
@@ -308,30 +311,30 @@ def fit_rows(
             after = fit.left_out(tried)
             if best is None or _worst(after) < best[0]:
                 best = (_worst(after), tried, after)
-        if told is not None:
-            told(taken + 1)
+        if progress is not None:
+            progress(taken + 1)
         if best is None:
             break
         gains = {way: gain_of(errors[way], best[2][way]) for way in errors}
         wins = bool(gains) and all(low > 0.0 for _, low, _ in gains.values())
-        turns.append(Turn(tuple(free.name for free in best[1]), gains, wins))
+        iterations.append(Iteration(tuple(free.name for free in best[1]), gains, wins))
         if not wins:
             break
         _, frees, errors = best
         scores.append(_worst(errors))
         point = fit.fit(frees, _begin(fit, frees, (), np.empty(0)))
-    if told is not None:
-        told(MOST_EFFECTS)
-    return Fitted(tuple(_estimates(fit, frees, point)), tuple(scores), fit.sd_mps, tuple(turns))
+    if progress is not None:
+        progress(MOST_EFFECTS)
+    return Fitted(tuple(_estimates(fit, frees, point)), tuple(scores), fit.sd_mps, tuple(iterations))
 
 
 def _worst(errors: Mapping[str, FloatArray]) -> float:
-    """RMSE of the way of grouping in which it is largest; NaN where the swims are all of one group."""
+    """Return the RMSE of the way of grouping in which it is largest; NaN if all swims are of one group."""
     return max((root_mean_square(each.tolist()) for each in errors.values()), default=math.nan)
 
 
 def _begin(fit: _Fit, tried: Sequence[Free], frees: Sequence[Free], point: FloatArray) -> FloatArray:
-    """Where a fit begins: what was found so far, and new ones at the best of their starts."""
+    """Return the starting point of a fit: known values, and new ones at the best of their starts."""
     known = dict(zip(frees, point.tolist(), strict=True))
     places = [
         (known[free],) if free in known else tuple(free.expected + start for start in free.starts)
@@ -344,7 +347,7 @@ def _begin(fit: _Fit, tried: Sequence[Free], frees: Sequence[Free], point: Float
 
 
 def _promising(fit: _Fit, frees: tuple[Free, ...], point: FloatArray) -> list[tuple[Free, ...]]:
-    """Parameters to add that predict left-out swims best where all is taken as linear about their start."""
+    """Return parameters to add, those that predict left-out swims best by a linearised estimate."""
     rows = [tuple(free for free in row if free not in frees) for row in CANDIDATES if row[0] not in frees]
     known = fit.jacobian(frees, point) if frees else np.empty((len(fit.rows), 0))
     scored = []
@@ -357,7 +360,8 @@ def _promising(fit: _Fit, frees: tuple[Free, ...], point: FloatArray) -> list[tu
 
 
 def _estimates(fit: _Fit, frees: tuple[Free, ...], point: FloatArray) -> Iterator[Estimate]:
-    """Values with intervals: of the misses' curvature, where these scatter by more than noise by that."""
+    """Yield values with intervals from the curvature, widened if the residuals scatter more than the
+    noise."""
     if not frees:
         return
     jacobian = fit.jacobian(frees, point)
@@ -369,7 +373,7 @@ def _estimates(fit: _Fit, frees: tuple[Free, ...], point: FloatArray) -> Iterato
 
 
 def rmse_by_group(rows: Sequence[Predicted], nominal: bool = False) -> dict[str, float]:
-    """RMS error, m/s, over ``all`` and each group of swims that could be simulated."""
+    """Return the RMS error, m/s, over ``all`` and each group of swims that could be simulated."""
     errors: dict[str, list[float]] = {"all": []}
     for row in rows:
         error = row.experiment.error_mps if nominal else row.error_mps

@@ -1,10 +1,10 @@
-"""How near to a path any plan could stay: the whole run planned at once, by a table, without noise or delay.
+"""The offline bound of a path: the whole run planned at once by a table, without noise or delay.
 
-No planner that looks a few strokes ahead and sees the robot through a camera can be expected to do better,
-so this tells what a path asks of the robot from what the planner misses. A beam search: breadth first over
-decisions, of all plans that have come to one part of the path the cheapest stay, and of alike ones the
-cheapest one. What is found can be swum, in the table's eyes; that nothing better exists is not proven, but a
-larger breadth shows whether there is.
+A planner that looks a few strokes ahead and gets its position from a camera cannot be expected to do better,
+so the bound separates the demand of the path from the loss of the planner. The method is a beam search:
+breadth first over decisions; of the plans that have reached one part of the path the cheapest are kept, and
+of similar plans only the cheapest. A plan that is found is feasible according to the table. It is not proven
+that none is better, but a larger breadth shows whether there is one.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ class Foreseen:
     Attributes:
         actions: indices into the table's actions.
         mean_distance_m, progress_mps: as for a run in the pool.
-        poses_world: (SAMPLES * decisions + 1, 3) x_m, y_m, heading_rad at equal times.
+        poses_world: (SAMPLES * decisions + 1, 3) x_m, y_m, heading_rad at equal intervals.
     """
 
     actions: tuple[int, ...]
@@ -62,7 +62,8 @@ class Foreseen:
 
 @dataclass(frozen=True, eq=False)
 class _Plans:
-    """Plans side by side, (k, ...), and how each was come by: (k,) place in the level before, and action."""
+    """Plans side by side, (k, ...); ``parent`` is the place in the level before, ``action`` the last
+    action."""
 
     pose: FloatArray
     dynamics: IntArray
@@ -79,20 +80,20 @@ def foresee(
     breadth: int = 300,
     progress: Callable[[int, int], None] = lambda _done, _all: None,
 ) -> list[Foreseen]:
-    """Plan a path's whole run, from rest, for each number of decisions.
+    """Plan the whole run along a path, from rest, for each number of decisions.
 
     Args:
-        tables: that tell what an action does.
-        path: to follow, world frame.
+        tables: the model of the actions.
+        path: the path, world frame.
         start_world: x_m, y_m, heading_rad of the robot.
-        breadth: plans that are kept for each part of the path and number of decisions.
-        progress: called with decisions looked ahead and the most that there may be.
+        breadth: number of plans that are kept for each part of the path and number of decisions.
+        progress: called with (decisions looked ahead, at most).
 
     Returns:
         The fastest plan, and each slower one that stays nearer than all faster ones.
 
     Raises:
-        InputError: no plan comes to the path's end within ``DECISIONS_MOST`` decisions.
+        InputError: no plan reaches the path's end within ``DECISIONS_MOST`` decisions.
     """
     places_m, table = _places(path), arrays_of(tables)
     none = np.zeros(1, dtype=np.int64)
@@ -120,7 +121,7 @@ def foresee(
 
 
 def nearest_at(found: Sequence[Foreseen], progress_mps: float) -> float | None:
-    """Least mean distance (m) of the plans that make at least so much progress; None where none does."""
+    """Return the least mean distance (m) of the plans with at least this progress; None without any."""
     near = [plan.mean_distance_m for plan in found if plan.progress_mps >= progress_mps]
     return min(near) if near else None
 
@@ -135,7 +136,8 @@ def _foreseen(
 
 
 def swim(tables: Tables, actions: Sequence[int], start_world: tuple[float, float, float]) -> FloatArray:
-    """(SAMPLES * actions + 1, 3) poses, world frame, by the table, from rest, on straight ways."""
+    """Return (SAMPLES * actions + 1, 3) poses, world frame, by the table, from rest, linear between
+    decisions."""
     table = arrays_of(tables)
     pose, dynamics = np.array(start_world, dtype=np.float64), np.zeros(DYNAMICS, dtype=np.int64)
     motion, after = np.zeros(3, dtype=np.float32), np.zeros(DYNAMICS, dtype=np.int64)
@@ -151,7 +153,7 @@ def swim(tables: Tables, actions: Sequence[int], start_world: tuple[float, float
 
 
 def _places(path: Path) -> FloatArray:
-    """(k, 2) points of the path's polyline at equal steps, m."""
+    """Return (k, 2) points of the path's polyline at equal steps, m."""
     arc_m = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(path.points_m, axis=0).T))])
     at_m = np.linspace(0.0, arc_m[-1], max(2, round(float(arc_m[-1]) / _FINE_M) + 1))
     return np.stack([np.interp(at_m, arc_m, path.points_m[:, axis]) for axis in (0, 1)], axis=1)
@@ -169,7 +171,8 @@ def _expanded(table: TableArrays, plans: _Plans, places_m: FloatArray) -> _Plans
 
 
 def _kept(plans: _Plans, under_way: IntArray, breadth: int, tables: Tables) -> IntArray:
-    """Of those under way the cheapest of alike ones, and of these the cheapest of each part of the path."""
+    """Return the cheapest plan of each cell of similar ones, and of these the cheapest of each part of the
+    path."""
     order = under_way[np.argsort(plans.cost_m[under_way], kind="stable")]
     turning = plans.dynamics[order, 2] * float(tables.velocity_scale[2]) / _OMEGA_RAD_S
     cells = np.column_stack([np.round(plans.pose[order] / _CELL), np.round(turning), plans.place[order]])
@@ -183,7 +186,7 @@ def _taken(plans: _Plans, which: IntArray) -> _Plans:
 
 
 def _traced(levels: Sequence[_Plans], plans: _Plans, at: int) -> tuple[int, ...]:
-    """The actions that led to one of the plans, from the levels before."""
+    """Return the actions that led to a plan, from the levels before."""
     actions = [int(plans.action[at])]
     at = int(plans.parent[at])
     for level in reversed(levels[1:]):
@@ -230,14 +233,14 @@ _expand = _compiled(stamp_of("frogkick.planner"))
 
 @dataclass(frozen=True, eq=False)
 class ForesightStudy(Found):
-    """How near to a path any plan could stay, and how fast.
+    """The offline bound of a path: least distance, and progress.
 
     Attributes:
-        path: that is followed.
-        name: as it was given.
-        tables: that tell what each action does.
-        plans: the best ones, from fast to near.
-        at_least_mps: progress that was asked for; None: none was.
+        path: the path.
+        name: its name as it was given.
+        tables: the model of the actions.
+        plans: the best plans, from fast to near.
+        at_least_mps: requested progress; None: none.
     """
 
     path: Path
@@ -248,15 +251,15 @@ class ForesightStudy(Found):
 
     @property
     def nearest_m(self) -> float | None:
-        """Mean distance of the nearest plan of ``at_least_mps``; None where none is so fast."""
+        """Mean distance of the nearest plan of ``at_least_mps``; None if none is so fast."""
         return nearest_at(self.plans, self.at_least_mps or 0.0)
 
     def plot(self) -> Figure:
-        """A matplotlib figure: distance against progress, and the tracks."""
+        """Return a matplotlib figure: distance against progress, and the tracks."""
         return foresight_figure(self.path, self.plans)
 
     def as_json(self) -> dict[str, Any]:
-        """The keys of the command."""
+        """Return the keys of the command."""
         rows = [
             {
                 "decisions": len(plan.actions),
@@ -272,7 +275,7 @@ class ForesightStudy(Found):
         return values
 
     def text(self, values: dict[str, Any]) -> str:
-        """A line for each row."""
+        """Return a line for each row."""
         lines = [
             f"{row['decisions']:3d} decisions: {1e3 * row['mean_distance_m']:6.2f} mm, "
             f"{1e3 * row['progress_mps']:5.1f} mm/s, {' '.join(row['actions'])}"
@@ -289,7 +292,7 @@ def run(config: Foresight) -> ForesightStudy:
     """Plan a whole run at once, by the table.
 
     Raises:
-        InputError: no such path or table, or a speed below 0.
+        InputError: no such path or table, or a negative speed.
     """
     least = config.at_least
     if least is not None and not (math.isfinite(least) and least >= 0.0):
@@ -302,9 +305,8 @@ def run(config: Foresight) -> ForesightStudy:
 
 
 def foresight_figure(path: Path, plans: Sequence[Foreseen]) -> Figure:
-    """Draw ``foresee``: ways of the fastest and the nearest plan, and distance against progress of all."""
-    with style.styled():
-        figure = Figure(figsize=(10.0, 4.2), layout="constrained")
+    """Draw the tracks of the fastest and the nearest plan, and distance against progress of all."""
+    with style.new_figure(10.0, 4.2) as figure:
         way, trade = figure.subplots(1, 2, width_ratios=(3, 2))
         way.plot(*(1e3 * path.points_m.T), color=style.DESIRED, lw=2.5, label="path")
         for plan, colour, name in (
@@ -316,7 +318,7 @@ def foresight_figure(path: Path, plans: Sequence[Foreseen]) -> Figure:
         way.set_aspect("equal", adjustable="datalim")
         way.set_xlabel("x (mm), pool")
         way.set_ylabel("y (mm), pool")
-        way.set_title("The way of two plans, by the table")
+        way.set_title("Tracks of two plans, by the table")
         way.legend(loc="best")
         trade.plot(
             [1e3 * plan.progress_mps for plan in plans],

@@ -1,15 +1,14 @@
-"""Each of several runs, predicted by what identification learns from all the others.
+"""Cross-validation of identification: each of several runs is predicted by the effects that all others show.
 
-Errors on the runs that effects were fitted to flatter them, and one run kept back may be an easy one. Here
-each run is the one kept back in turn: every period counts once, and none among what it was learned from. No
-value of a built-in robot that was measured before enters, as it may have been fitted to these very runs: fits
-start from nominal values. What remains of such robots is the list of their effects and parameters.
+Errors on the training runs are too low, and a single test run may be an easy one. Here each run is the test
+run once, so every period is predicted once, by effects that were identified without it. No values of built-in
+robots that were calibrated before are used, because these may have been fitted to the same runs; fits start
+from nominal values. Only the lists of effects and parameters of such robots are used.
 """
 
 from __future__ import annotations
 
 import math
-import os
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -37,14 +36,14 @@ LEAST_RUNS = 3
 
 @dataclass(frozen=True)
 class HeldOut:
-    """What came of one run that was kept back.
+    """The result for one test run.
 
     Attributes:
         run: its file.
-        verdict: on the others, and this one.
-        effects: titles of those found in the others.
-        before, after: errors a period ahead on this run, nominal and with them.
-        floor: what noise of the fixes alone makes.
+        verdict: the verdict of identification from the others.
+        effects: titles of the effects identified from the others.
+        before, after: errors one period ahead on this run, nominal and with these effects.
+        floor: error that the noise of the fixes alone causes.
     """
 
     run: Path
@@ -62,25 +61,29 @@ def held_out(
     workers: int = 1,
     progress: Callable[[int, int], None] = lambda _done, _all: None,
 ) -> list[HeldOut]:
-    """Keep each run back in turn.
+    """Make each run the test run once.
 
     Args:
-        robot: nominal.
+        robot: the nominal robot.
         runs: logs, or recorded runs (.csv).
-        effects: a file of the user's own, tried as well.
-        workers: processes.
-        progress: called with runs done and to do.
+        effects: a file of the user's own effects, which are tried as well.
+        workers: number of processes.
+        progress: called with (runs done, all).
 
     Raises:
-        InputError: too few runs, one twice, one that cannot be read or judged, or one whose strokes' times
-            cannot be relied on (``frogkick.identification.segments.reliable`` tells these first).
+        InputError: too few runs, one twice, one that cannot be read or used, or one with unreliable times of
+            its strokes (see ``frogkick.identification.segments.reliable``).
     """
     if len(runs) < LEAST_RUNS:
-        raise InputError(f"give {LEAST_RUNS} runs or more, not {len(runs)}: one is kept back, others teach")
+        raise InputError(
+            f"give {LEAST_RUNS} runs or more, not {len(runs)}: one is the test run, all others train"
+        )
     places = [run.resolve() for run in runs]
     for place in places:
         if places.count(place) > 1:
-            raise InputError(f"{place.name} is given twice: it would be learned from where it is kept back")
+            raise InputError(
+                f"{place.name} is given twice: it would be a training run and the test run at once"
+            )
     groups = [group for k in range(workers) if (group := list(range(len(runs)))[k::workers])]
     swims = tuple(read_segments(run, robot) for run in runs)
     for swim in swims:
@@ -95,7 +98,7 @@ def held_out(
 
 
 def pooled(errors: Sequence[PredictionError], periods: Sequence[int]) -> PredictionError:
-    """Root mean square over all periods of several runs."""
+    """Return the root mean square over all periods of several runs."""
     whole = sum(periods)
 
     def mean(values: Sequence[float]) -> float:
@@ -117,12 +120,12 @@ class _Ready:
 
 
 def _run(ready: _Ready, group: Sequence[int]) -> list[HeldOut]:
-    """Several runs, their simulations in shared batches: each comes out as it would alone."""
-    done = dict(run_concurrently([partial(_keep_back, ready, index) for index in group]))
+    """Process several runs with their simulations in shared batches; the results are those of single runs."""
+    done = dict(run_concurrently([partial(_test_on, ready, index) for index in group]))
     return [done[k] for k in range(len(group))]
 
 
-def _keep_back(ready: _Ready, index: int) -> HeldOut:
+def _test_on(ready: _Ready, index: int) -> HeldOut:
     swims = ready.swims
     outcome = identify(
         swims[:index] + swims[index + 1 :],
@@ -140,10 +143,10 @@ def _keep_back(ready: _Ready, index: int) -> HeldOut:
 
 @dataclass(frozen=True, eq=False)
 class HeldOutStudy(Found):
-    """Each run predicted by what all others show.
+    """Each run predicted by the effects that all others show.
 
     Attributes:
-        rows: what came of each run.
+        rows: results for each run.
         left_out: runs that were not used: ``run`` and ``reason`` of each.
     """
 
@@ -152,17 +155,17 @@ class HeldOutStudy(Found):
 
     @property
     def before(self) -> PredictionError:
-        """PredictionError of the nominal model a period ahead, over all periods of all runs."""
+        """Error of the nominal model one period ahead, over all periods of all runs."""
         return self._pooled([row.before for row in self.rows])
 
     @property
     def after(self) -> PredictionError:
-        """The same with the effects found in the other runs."""
+        """The same with the effects identified from the other runs."""
         return self._pooled([row.after for row in self.rows])
 
     @property
     def noise_floor(self) -> PredictionError:
-        """What noise of the fixes alone makes."""
+        """Error that the noise of the fixes alone causes."""
         return self._pooled([row.floor for row in self.rows])
 
     def _pooled(self, errors: Sequence[PredictionError]) -> PredictionError:
@@ -170,15 +173,15 @@ class HeldOutStudy(Found):
 
     @property
     def passed(self) -> bool:
-        """Whether what was found predicts positions no worse than the nominal model."""
+        """Whether the effects predict positions no worse than the nominal model."""
         return not self.after.position_rmse_m > self.before.position_rmse_m
 
     def plot(self) -> Figure:
-        """A matplotlib figure: errors of each run, before, after, and of noise alone."""
+        """Return a matplotlib figure: errors of each run, before, after, and of noise alone."""
         return heldout_figure(self.rows)
 
     def as_json(self) -> dict[str, Any]:
-        """The keys of the command, without its picture."""
+        """Return the keys of the command, without the figure."""
         return {
             "before": self.before.as_json(),
             "after": self.after.as_json(),
@@ -200,7 +203,7 @@ class HeldOutStudy(Found):
         }
 
     def text(self, values: dict[str, Any]) -> str:
-        """A line for each row."""
+        """Return a line for each row."""
         lines = []
         for name, of in [*((Path(row["run"]).name, row) for row in values["runs"]), ("all", values)]:
             titles = (("nominal", "before"), ("after", "after"), ("noise floor", "noise_floor"))
@@ -211,10 +214,10 @@ class HeldOutStudy(Found):
 
 
 def run(config: Heldout) -> HeldOutStudy:
-    """Keep each run back in turn, learn from all others what the model lacks, and predict it with that.
+    """Cross-validate: predict each run by the effects that all others show.
 
     Raises:
-        InputError: too few runs, one twice, or one that cannot be read or judged.
+        InputError: too few runs, one twice, or one that cannot be read or used.
     """
     swims = [read_segments(run) for run in config.runs]
     _, unused = reliable(swims)
@@ -222,27 +225,32 @@ def run(config: Heldout) -> HeldOutStudy:
         print(f"frogkick: run {row['run']!r} is LEFT OUT: {row['reason']}", file=sys.stderr)
     used = [run for run, swim in zip(config.runs, swims, strict=True) if not swim.problem]
     robot = load_robot(config.robot or robot_of_runs(swims))
-    with shown(True, "runs kept back") as tell:
-        rows = held_out(robot, used, config.effects, config.workers or os.cpu_count() or 1, tell)
+    with shown(True, "test runs") as tell:
+        rows = held_out(robot, used, config.effects, config.processes, tell)
     return HeldOutStudy(rows, unused)
 
 
 def heldout_figure(rows: Sequence[HeldOut]) -> Figure:
-    """Left: position, right: heading, a period ahead; nominal, with what the others show, noise floor."""
+    """Draw position and heading errors one period ahead: nominal, with effects, noise floor."""
     place = np.arange(len(rows))[::-1]
-    with style.styled():
-        figure = Figure(figsize=(11.0, 1.9 + 0.42 * len(rows)), layout="constrained")
+    with style.new_figure(11.0, 1.9 + 0.42 * len(rows)) as figure:
         panels = figure.subplots(1, 2, sharey=True)
         for axes, field, scale, what in (
-            (panels[0], "position_rmse_m", 1e3, "position missed, mm RMS"),
-            (panels[1], "heading_rmse_rad", math.degrees(1.0), "heading missed, degrees RMS"),
+            (panels[0], "position_rmse_m", 1e3, "position error, mm RMS"),
+            (panels[1], "heading_rmse_rad", math.degrees(1.0), "heading error, degrees RMS"),
         ):
             before, after, floor = (
                 [scale * getattr(getattr(row, name), field) for row in rows]
                 for name in ("before", "after", "floor")
             )
             axes.barh(place + 0.19, before, 0.36, color=style.NOMINAL, label="nominal model")
-            axes.barh(place - 0.19, after, 0.36, color=style.PREDICTED, label="with what the other runs show")
+            axes.barh(
+                place - 0.19,
+                after,
+                0.36,
+                color=style.PREDICTED,
+                label="with effects that the other runs show",
+            )
             axes.vlines(
                 floor,
                 place - 0.4,
@@ -252,9 +260,9 @@ def heldout_figure(rows: Sequence[HeldOut]) -> Figure:
                 label="noise of the fixes alone",
             )
             axes.set_xlim(0.0, None)
-            axes.set_xlabel(f"{what}, a period ahead")
+            axes.set_xlabel(f"{what}, one period ahead")
         panels[0].set_yticks(place, [row.run.stem for row in rows])
-        panels[0].set_ylabel("run kept back")
+        panels[0].set_ylabel("test run")
         panels[0].set_title("Position")
         panels[1].set_title("Heading")
         panels[0].legend(loc="upper left", bbox_to_anchor=(0.0, -0.75 / figure.get_figheight()), ncols=3)

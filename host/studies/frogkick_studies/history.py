@@ -1,4 +1,4 @@
-"""What it is worth to tell a table how recently each limb was used: for a robot as it is, for tiring ones."""
+"""The value of limb use as an input of a table: for a robot as it is, and for robots that tire."""
 
 from __future__ import annotations
 
@@ -27,22 +27,22 @@ VARIANTS = {
     "limbs curl back 4 times as slowly": '[[effect]]\nname = "limb_wear"\nduration_scale = 4.0\n',
     "strokes soon after another lose half": '[[effect]]\nname = "limb_memory"\nloss = 0.5\nfade_s = 2.0\n',
 }
-"""What is added to the robot's TOML."""
+"""Additions to the robot's TOML text."""
 
 Progress = Callable[[int, int], None]
 
 
 @dataclass(frozen=True)
 class HistoryResult:
-    """Errors of affine tables of 64 KiB on unseen states of steered swims; see ``error_on``.
+    """Errors of affine tables of 64 KiB on unseen states of swims with random strokes; see ``error_on``.
 
     Attributes:
-        variant: which robot.
+        variant: variant of the robot.
         restarted: table of transitions that begin as rigid bodies with limbs at rest.
-        without: table of transitions that begin amid strokes, limb use not an input.
+        without: table of transitions that begin during strokes, without limb use as an input.
         with_use: the same with limb use as an input.
-        decay, gain: of the limb use that was found.
-        largest_mm: the most that full use of one limb moves the end of a stroke.
+        decay, gain: the limb use that was found.
+        largest_mm: largest effect of full use of one limb on the end of a stroke.
     """
 
     variant: str
@@ -60,11 +60,11 @@ def history_worth(
     """Measure the three tables for each of VARIANTS.
 
     Args:
-        robot: the plain one.
-        states: of each library, from steered swims.
-        test_states: unseen ones.
-        seed: of the libraries; the unseen states have the next one.
-        progress: called with steps done and to do.
+        robot: the robot as it is.
+        states: number of states of each library.
+        test_states: number of unseen states.
+        seed: seed of the libraries; the unseen states have the next one.
+        progress: called with (steps done, all).
 
     Raises:
         InputError: too few states for an affine table.
@@ -109,7 +109,7 @@ def history_worth(
 
 
 def _restarted(robot: Robot, library: Library) -> Library:
-    """The same velocities, each a rigid robot's with all limbs at rest."""
+    """Return the library of the same velocities, each of a rigid robot with all limbs at rest."""
     starts, rods = rigid_starts(robot, library.initial_velocity_body), rods_of(robot)
     done = [simulate_task(rods, task) for task in starts.tasks]
     return make_library(robot, library.sampling, library.seed, starts, done)
@@ -121,18 +121,18 @@ class HistoryStudy(Found):
 
     Attributes:
         results: for this robot and tiring ones.
-        seed: of the states.
+        seed: seed of the states.
     """
 
     results: Sequence[HistoryResult]
     seed: int
 
     def plot(self) -> Figure:
-        """A matplotlib figure: errors with and without, for each robot."""
+        """Return a matplotlib figure: errors with and without limb use, for each robot."""
         return history_figure(self.results)
 
     def as_json(self) -> dict[str, Any]:
-        """The keys of the command."""
+        """Return the keys of the command."""
         return {"robots": [dataclasses.asdict(result) for result in self.results], "seed": self.seed}
 
 
@@ -161,9 +161,8 @@ _PANELS = (
 
 
 def history_figure(results: Sequence[HistoryResult]) -> Figure:
-    """Draw ``history_worth``: errors one period ahead of three tables for each robot."""
-    with style.styled():
-        figure = Figure(figsize=(9.0, 3.8), layout="constrained")
+    """Draw errors one period ahead of three tables for each robot."""
+    with style.new_figure(9.0, 3.8) as figure:
         places = np.arange(len(results))
         for axes, (name, factor, label) in zip(figure.subplots(1, 2), _PANELS, strict=True):
             for offset, (table, text, colour) in zip((-0.27, 0.0, 0.27), _BARS, strict=True):
@@ -174,7 +173,7 @@ def history_figure(results: Sequence[HistoryResult]) -> Figure:
             axes.set_xticks(places, [_wrapped(result.variant) for result in results])
             axes.set_ylabel(label)
             axes.set_title(f"Affine tables of 64 KiB: {label.split(' (')[0]}")
-        figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=3)
+        style.legend_below(figure, axes, 3)
     return figure
 
 

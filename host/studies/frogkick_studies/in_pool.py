@@ -1,4 +1,4 @@
-"""Planners in the simulated pool, over paths, seeds and worlds; ``loop`` and ``twin`` compare them so."""
+"""Planners in the simulated pool, over paths, seeds and worlds, for the studies ``loop`` and ``twin``."""
 
 from __future__ import annotations
 
@@ -18,6 +18,7 @@ from frogkick.core.files import write_bytes
 from frogkick.core.progress import shown
 from frogkick.effects import World
 from frogkick.effects.registry import make_effects
+from frogkick.front.places import start_pose
 from frogkick.library import Library, build_library, fit_table, read_library
 from frogkick.library.fitting import BUDGET_BYTES
 from frogkick.paths import SHAPES, shape
@@ -51,7 +52,7 @@ class Case:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a run gave; see ``frogkick.runs.record.Tracking``."""
+    """The result of a run; see ``frogkick.runs.record.Tracking``."""
 
     mean_distance_m: float
     progress_mps: float
@@ -61,19 +62,19 @@ class Outcome:
 
 
 class Kept:
-    """Outcomes of runs in a file, each with the conditions it was made under.
+    """Outcomes of runs in a file, each with the conditions of its run.
 
     Attributes:
-        outcomes: what the file holds of these conditions, by case.
+        outcomes: outcomes of the file under these conditions, by case.
     """
 
     def __init__(self, file: Path, stamp: str, conditions_of: Callable[[Case], str | None]) -> None:
-        """Read what is there.
+        """Read the file.
 
         Args:
             file: see ``Lines``.
-            stamp: of all that every result depends on.
-            conditions_of: hash of what else a case depends on; None where that is unknown here.
+            stamp: hash of all that every result depends on.
+            conditions_of: hash of what else a case depends on; None if that is not known here.
         """
         self.outcomes: dict[Case, Outcome] = {}
         self._conditions_of = conditions_of
@@ -97,13 +98,13 @@ class Kept:
 
 @dataclass(frozen=True)
 class Setting:
-    """A world by name, which can be made again for every run: effects may keep things to themselves.
+    """A world by name, which is made again for each run, because effects may have a state.
 
     Attributes:
-        name: for reports and results.
-        tables: of its effects, as in a world's TOML.
-        folder: where files of its effects are.
-        sha256: of all that it is made of, hex.
+        name: name in reports and results.
+        tables: tables of its effects, as in a world's TOML file.
+        folder: folder of the files of its effects.
+        sha256: hash of all that it is made of, hexadecimal.
     """
 
     name: str
@@ -112,12 +113,12 @@ class Setting:
     sha256: str = ""
 
     def world(self) -> World:
-        """Make it."""
+        """Make the world."""
         return World(make_effects(self.tables, self.folder))
 
 
 def setting_from(name: str, tables: Sequence[Mapping[str, Any]], folder: Path = Path()) -> Setting:
-    """The world of some ``[[effect]]`` tables, with a hash of these and of the files that they name."""
+    """Return the world of ``[[effect]]`` tables, with a hash of these and of the files that they name."""
     digest = hashlib.sha256(json.dumps(list(tables), sort_keys=True).encode())
     for file in sorted({str(table["file"]) for table in tables if "file" in table}):
         digest.update(b"\0" + (folder / file).read_bytes())
@@ -129,10 +130,10 @@ class Planner:
     """One of the planners that are compared.
 
     Attributes:
-        name: for reports.
-        table: how ``run_cases`` is told its table: PAPER (every state of the paper's, nearest), ROBOT.
+        name: name in reports.
+        table: name of its table for ``run_cases``: PAPER (all states of the paper's, nearest), ROBOT.
         config: cost, weights, depth.
-        own: the cost is the robot's own.
+        own: whether the cost is the robot's own.
     """
 
     name: str
@@ -143,11 +144,11 @@ class Planner:
 
 @dataclass(frozen=True, eq=False)
 class Course:
-    """A path, and where the robot lies at rest when its run begins.
+    """A path, and the pose of the robot at rest when its run begins.
 
     Attributes:
-        name: for reports and results.
-        path: to follow, world frame.
+        name: name in reports and results.
+        path: the path, world frame.
         start_world: x_m, y_m, heading_rad of the robot.
     """
 
@@ -157,7 +158,7 @@ class Course:
 
     @property
     def sha256(self) -> str:
-        """Of path and start, hex."""
+        """Hash of path and start, hexadecimal."""
         columns = (self.path.x_m, self.path.y_m, self.path.tangent_rad)
         digest = hashlib.sha256(b"".join(column.tobytes() for column in columns))
         digest.update(repr(self.start_world).encode())
@@ -165,24 +166,24 @@ class Course:
 
 
 def course_of(name: str) -> Course:
-    """A shape by name, from its first point along its tangent.
+    """Return a shape by name, from its first point along its tangent.
 
     Raises:
         InputError: no such shape.
     """
     path = shape(name)
-    return Course(name, path, (float(path.x_m[0]), float(path.y_m[0]), float(path.tangent_rad[0])))
+    return Course(name, path, start_pose(path))
 
 
 @dataclass(frozen=True)
 class Summary:
-    """Runs of one planner over the seeds, of one path in one world.
+    """Runs of one planner over the seeds, along one path in one world.
 
     Attributes:
-        world, path, planner: of the runs.
+        world, path, planner: names.
         mean_distance_m, progress_mps: means over the seeds.
         deviation_m: standard deviation of the mean distance over the seeds.
-        completed: part of the runs.
+        completed: share of the runs.
     """
 
     world: str
@@ -205,20 +206,20 @@ def run_cases(
     progress: Callable[[int, int], None] = lambda _done, _all: None,
     courses: Sequence[Course] = (),
 ) -> dict[Case, Outcome]:
-    """Run every case; not again those that ``out`` holds of the same code, tables, world and course.
+    """Run every case, except those whose results ``out`` holds for the same code, tables, world and course.
 
     Args:
-        robot: the swimmer, as the pool and the firmware have it without the effects of its file.
-        tables: what planners call their table -> table image.
-        planners, settings: by which the cases name theirs.
-        cases: what to run.
+        robot: the robot of pool and firmware, without the effects of its file.
+        tables: name of a table in ``planners`` -> table image.
+        planners, settings: planners and worlds of the cases.
+        cases: the cases.
         out: folder for results and firmware.
-        workers: processes.
-        progress: called with cases done and to do.
-        courses: that cases name besides shapes.
+        workers: number of processes.
+        progress: called with (cases done, all).
+        courses: further paths of the cases besides shapes.
 
     Raises:
-        FrogkickError: of the robot, the pool or the tables.
+        FrogkickError: an error of the robot, the pool or the tables.
     """
     libraries = {
         name: build("native", path, robot, out / f"firmware-{name}").image for name, path in tables.items()
@@ -242,7 +243,7 @@ def run_cases(
 
 
 def summaries(outcomes: Mapping[Case, Outcome]) -> list[Summary]:
-    """Means over the seeds, in the order of the cases."""
+    """Return means over the seeds, in the order of the cases."""
     groups: dict[tuple[str, str, str], list[Outcome]] = {}
     for case, outcome in outcomes.items():
         groups.setdefault((case.world, case.path, case.planner), []).append(outcome)
@@ -329,7 +330,7 @@ def _run(ready: _Ready, case: Case) -> Outcome:
 
 
 def shape_names(given: Sequence[str] | None) -> list[str]:
-    """Names of shapes, each once, the paper's where none is given.
+    """Return names of shapes, each once; the paper's if none is given.
 
     Raises:
         InputError: no such shape.
@@ -348,13 +349,14 @@ def library_of(
     states: int,
     sampling: str,
 ) -> Library:
-    """Read a library of a robot, or one made once.
+    """Read a library of a robot, or make it once.
 
     Args:
-        robot: whose it has to be.
-        given: its file, None for ``made``.
-        made: written where it is not there yet, of ``states`` and ``sampling`` as for ``build_library``.
-        workers: processes.
+        robot: the robot that it must be of.
+        given: its file; None: ``made``.
+        made: file that is written if it does not exist.
+        workers: number of processes.
+        states, sampling: as for ``build_library``.
 
     Raises:
         InputError: it is of another robot, or of another version of it.
@@ -380,5 +382,6 @@ def fit_own_table(library: Library, image: Path) -> None:
 
 
 def _with_planner_of(other: Robot, robot: Robot) -> Robot:
-    """A robot with the planner of another one, which changes nothing in a library, and without its text."""
+    """Return a robot with the planner of another one, which does not affect a library, and without its
+    text."""
     return dataclasses.replace(robot, planner=other.planner, toml="", sha256=b"")

@@ -1,4 +1,4 @@
-"""Results kept in a file from one start to the next."""
+"""Results that are kept in a file, so that an interrupted study resumes."""
 
 from __future__ import annotations
 
@@ -10,18 +10,18 @@ from frogkick.core.files import write_text
 
 
 class Lines:
-    """A file of JSON objects, a line each, under a first line that says what all of them are of.
+    """A file of JSON objects, one a line, below a head that identifies their conditions.
 
     Attributes:
-        values: what the file held of the same head, in its order.
+        values: the objects that the file had under the same head, in order.
     """
 
     def __init__(self, file: Path, head: dict[str, str]) -> None:
-        """Read what is there; a file of another head is begun anew.
+        """Read the file, or begin it again if its head differs.
 
         Args:
-            file: is made, with its folder, where there is none.
-            head: of all that every line depends on.
+            file: the file, which is made with its folder if it does not exist.
+            head: all that every object depends on.
         """
         self._file = file
         first = json.dumps(head)
@@ -33,13 +33,13 @@ class Lines:
         self.values = [_read_line(line) for line in kept]
 
     def add(self, values: dict[str, Any]) -> None:
-        """Write a line."""
+        """Append an object."""
         with self._file.open("a", encoding="utf-8") as file:
             file.write(json.dumps(values) + "\n")
 
 
 def _read_line(line: str) -> dict[str, Any]:
-    """A kept result; empty where a stop cut the line."""
+    """Return an object; empty if an interruption cut its line."""
     try:
         values = json.loads(line)
     except json.JSONDecodeError:

@@ -1,9 +1,9 @@
-"""Does looking ahead pay? Planners in the simulated pool, over paths, seeds and worlds no model knows."""
+"""Planners compared in the simulated pool, over paths, seeds and worlds with effects that no model
+contains."""
 
 from __future__ import annotations
 
 import dataclasses
-import os
 import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -43,7 +43,7 @@ from frogkick_studies.in_pool import (
 )
 
 RATIO_MOST = 0.5
-"""What part of the paper's planner's distance the robot's own may have."""
+"""Largest mean distance of the robot's planner, as a share of the paper's planner's."""
 _HIDDEN = (
     {"name": "limb_wear", "limb": "front_left", "gain": 0.85},
     {"name": "limb_memory", "loss": 0.2, "fade_s": 1.5},
@@ -60,7 +60,7 @@ _DISTANCE_TICKS_MM = (0, 1, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000)
 
 
 def planners_of(robot: Robot) -> tuple[Planner, ...]:
-    """The paper's planner; its cost at depth 3 on the robot's table; the robot's at depth 1 to 3."""
+    """Return the paper's planner; its cost at depth 3 on the robot's table; the robot's at depth 1 to 3."""
     own = config_of(robot.planner)
     return (
         Planner("paper", PAPER, PlanConfig()),
@@ -73,10 +73,10 @@ def planners_of(robot: Robot) -> tuple[Planner, ...]:
 
 
 def setting_of(word: str, robot: Robot) -> Setting:
-    """The world of a name ("nominal", "hidden") or of a TOML file, which is then named after the file.
+    """Return a world by name ("nominal", "hidden"), or from a TOML file, whose name becomes the world's.
 
     Raises:
-        InputError: no such file, or a wrong effect in it, or one that does not fit the robot.
+        InputError: no such file, an invalid effect in it, or one that does not fit the robot.
     """
     for known in (NOMINAL, HIDDEN):
         if word == known.name:
@@ -88,10 +88,10 @@ def setting_of(word: str, robot: Robot) -> Setting:
 
 
 def settings_of(words: Sequence[str], robot: Robot) -> tuple[Setting, ...]:
-    """The worlds of names or TOML files; see ``setting_of``.
+    """Return several worlds; see ``setting_of``.
 
     Raises:
-        InputError: see there; or two of one name.
+        InputError: see there; or two worlds of one name.
     """
     settings = tuple(setting_of(word, robot) for word in words)
     names = [setting.name for setting in settings]
@@ -103,13 +103,13 @@ def settings_of(words: Sequence[str], robot: Robot) -> tuple[Setting, ...]:
 
 @dataclass(frozen=True)
 class Verdict:
-    """Whether looking ahead pays in one world, paths weighing alike.
+    """The comparison in one world, each path with equal weight.
 
     Attributes:
         world: its name.
         mean_distance_m, progress_mps: of each planner, over the paths.
         ratio_to_paper: of each planner's distance.
-        missed: what was asked for and is not so, in words; empty where all is.
+        missed: requirements that are not met, as text.
     """
 
     world: str
@@ -120,21 +120,22 @@ class Verdict:
 
     @property
     def passed(self) -> bool:
-        """All that was asked for is so."""
+        """Whether all requirements are met."""
         return not self.missed
 
 
 def judge(rows: Sequence[Summary], world: str, planners: Sequence[Planner], depth: int) -> Verdict:
     """Judge the robot's planner in a world, over all paths of the rows.
 
-    Asked are, of the robot's own cost at its own depth, at most RATIO_MOST of the paper's planner's mean
-    distance at no less progress; and of the better one of depth 2 and 3, no more distance than of depth 1.
+    The requirements: the robot's own cost at its own depth has at most RATIO_MOST of the paper's planner's
+    mean distance at no less progress; and the better one of depth 2 and 3 has no larger distance than depth
+    1.
 
     Args:
-        rows: of ``summaries``; the first planner is the paper's.
+        rows: result of ``summaries``; the first planner is the paper's.
         world: its name.
-        planners: all of the rows'.
-        depth: the robot's own.
+        planners: all planners of the rows.
+        depth: the robot's own depth.
     """
     distance_m, progress_mps = {}, {}
     for planner in planners:
@@ -163,10 +164,10 @@ class PlannersCompared(Found):
 
     Attributes:
         outcomes: each run.
-        rows: means over the seeds, of each planner along each path in each world.
-        verdicts: for each world whether the robot's planner does what is asked of it.
-        planners: their names.
-        seeds: runs of each.
+        rows: means over the seeds, for each planner along each path in each world.
+        verdicts: for each world whether the requirements are met.
+        planners: names of the planners.
+        seeds: number of runs of each.
         table_bytes: sizes of both tables.
     """
 
@@ -179,17 +180,17 @@ class PlannersCompared(Found):
 
     @property
     def passed(self) -> bool:
-        """Whether in every world all that is asked is so."""
+        """Whether all requirements are met in each world."""
         return all(verdict.passed for verdict in self.verdicts)
 
     def plot(self) -> Figure:
-        """A matplotlib figure: distance and progress of each planner."""
+        """Return a matplotlib figure: distance and progress of each planner."""
         worlds = [verdict.world for verdict in self.verdicts]
         paths = list(dict.fromkeys(row.path for row in self.rows))
         return loop_figure(self.outcomes, worlds, paths, list(self.planners))
 
     def as_json(self) -> dict[str, Any]:
-        """The keys of the command, without its picture."""
+        """Return the keys of the command, without the figure."""
         return {
             "rows": [dataclasses.asdict(row) for row in self.rows],
             "over_paths": {
@@ -201,7 +202,7 @@ class PlannersCompared(Found):
         }
 
     def text(self, values: dict[str, Any]) -> str:
-        """A line for each planner."""
+        """Return a line for each planner."""
         lines = table_of_rows(self.rows)
         wide = max(len(row.planner) for row in self.rows)
         for verdict in self.verdicts:
@@ -216,7 +217,7 @@ class PlannersCompared(Found):
 
 
 def run(config: Loop) -> PlannersCompared:
-    """Distance to the path and progress: the paper's planner against the robot's, depth 1 to 3.
+    """Compare the paper's planner with the robot's at depth 1 to 3: distance to the path and progress.
 
     Raises:
         InputError: an unknown path or world, or a library of another robot.
@@ -226,7 +227,7 @@ def run(config: Loop) -> PlannersCompared:
     settings = settings_of(list(config.world or (NOMINAL.name, HIDDEN.name)), robot)
     names = shape_names(config.path)
     require_tools("native")
-    out, processes = config.out, config.workers or os.cpu_count() or 1
+    out, processes = config.out, config.processes
     images = {PAPER: out / "paper.fkt", ROBOT: config.tables or out / "robot.fkt"}
     read = library_of(robot, config.library, out / "library.h5", processes, PAPER_STATES, "box")
     write_bytes(images[PAPER], quantise(read))
@@ -254,7 +255,7 @@ def run(config: Loop) -> PlannersCompared:
 
 
 def table_of_rows(rows: Sequence[Summary]) -> list[str]:
-    """A line of text for each."""
+    """Return a line of text for each row."""
     wide = [max(len(getattr(row, name)) for row in rows) for name in ("world", "path", "planner")]
     return [
         f"{row.world:{wide[0]}s}  {row.path:{wide[1]}s}  {row.planner:{wide[2]}s}  "
@@ -271,12 +272,13 @@ def loop_figure(
     planners: Sequence[str],
     recorded: Mapping[str, tuple[float, float]] | None = None,
 ) -> Figure:
-    """A column for each world; each run a point, a bar the middle half of the seeds, a line their median.
+    """Draw a column for each world: a point for each run, a bar for the middle half of the seeds, their
+    median.
 
     Args:
-        outcomes: the study's.
-        worlds, paths, planners: names, in the order to draw them; the first planner is the paper's, half of
-            whose mean distance is drawn beside the others' where nothing is recorded.
+        outcomes: results of the study.
+        worlds, paths, planners: names in the order of drawing; the first planner is the paper's, and half of
+            its mean distance is drawn beside the others' if nothing is recorded.
         recorded: path -> mean distance (m) and progress (m/s) of a recorded run, drawn across.
     """
     with styled():
@@ -329,7 +331,7 @@ def loop_figure(
 def _values(
     outcomes: Mapping[Case, Outcome], name: str, world: str, path: str, planner: str
 ) -> npt.NDArray[np.float64]:
-    """Of each seed, in mm or mm/s."""
+    """Return the values of each seed, in mm or mm/s."""
     return np.array(
         [
             1e3 * getattr(outcome, name)
@@ -348,7 +350,7 @@ def _draw_half(
 
 
 def _draw_across(axes: Any, values: Sequence[float]) -> None:
-    """Draw a dashed line for each path, of a value in SI units; NaN: none."""
+    """Draw a dashed line for each path at a value in SI units; NaN: none."""
     for place, value in enumerate(values):
         if not isnan(value):
             axes.plot([place - 0.45, place + 0.45], [1e3 * value] * 2, "--", color="black", linewidth=1)

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import math
-import os
 import re
 import tomllib
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -32,12 +31,12 @@ _MARKS = "os^Dv<>P"
 
 @dataclass(frozen=True, eq=False)
 class OpenLoopStudy(Found):
-    """Effects fitted to some groups of measured swims, and what they predict of the others.
+    """Effects fitted to some groups of measured swims, and their predictions of the others.
 
     Attributes:
         nominal: the robot without them.
         found: each split of the swims.
-        robots: file of the nominal robot with the effects fitted, of each split; empty: not written.
+        robots: TOML file of the nominal robot with the fitted effects, for each split; empty: not written.
     """
 
     nominal: Robot
@@ -45,11 +44,11 @@ class OpenLoopStudy(Found):
     robots: Sequence[Path]
 
     def plot(self) -> Figure:
-        """A matplotlib figure: measured and predicted speeds of each split."""
+        """Return a matplotlib figure: measured and predicted speeds of each split."""
         return openloop_figure(self.found)
 
     def as_json(self) -> dict[str, Any]:
-        """The keys of the command, without its files."""
+        """Return the keys of the command, without its files."""
         validation, splits = self.found.validation, self.found.splits
         group = "experiments"
         kinds = dict.fromkeys(split.kind for split in splits)
@@ -68,14 +67,14 @@ class OpenLoopStudy(Found):
                 for place, split in enumerate(splits)
             ],
             "skipped": [
-                {"case": skipped.case, "reason": skipped.reason}
+                asdict(skipped)
                 for skipped in validation.skipped
                 if skipped.case.startswith(("exp", "profile"))
             ],
         }
 
     def text(self, values: dict[str, Any]) -> str:
-        """A line for each row."""
+        """Return a line for each row."""
         nominal, floor = values["nominal"], values["noise_floor_mps"]
         lines = []
         for group, rmse in nominal["rmse_mps"].items():
@@ -150,7 +149,7 @@ def _split_row(split: Split) -> dict[str, Any]:
                     for way, (gain, low, high) in turn.gains.items()
                 },
             }
-            for turn in split.fitted.turns
+            for turn in split.fitted.iterations
         ],
         "assumed_sd_mps": split.fitted.sd_mps,
         "train": _errors(split.train),
@@ -187,9 +186,7 @@ def _case(row: Predicted, use: str) -> dict[str, Any]:
     return {
         "case": experiment.case.name,
         "use": use,
-        "egain_percent": gait.egain_percent,
-        "frequency_hz": gait.frequency_hz,
-        "phase": gait.phase,
+        **asdict(gait),
         "measured_mps": experiment.reference.speed_mps,
         "nominal_mps": experiment.model_mps,
         "predicted_mps": row.speed_mps,
@@ -217,7 +214,7 @@ def run(config: Openloop) -> OpenLoopStudy:
         raise InputError("give DATA_DIR, or both --train DIR and --test DIR")
     folder = data if train is None else train
     assert folder is not None
-    nominal, cores = load_robot(config.robot), config.workers or os.cpu_count() or 1
+    nominal, cores = load_robot(config.robot), config.processes
     fractions = config.train_egain or (), config.test_egain or ()
     with shown(True, "openloop: rounds of fits") as tell:
         found = open_loop(nominal, folder, *fractions, cores, tell, test)
@@ -227,10 +224,10 @@ def run(config: Openloop) -> OpenLoopStudy:
 
 
 def save_robots(nominal: Robot, found: OpenLoop, folder: Path) -> list[Path]:
-    """Write for each split the nominal robot with the effects fitted (TOML); the files.
+    """Write for each split the nominal robot with the fitted effects (TOML), and return the files.
 
     Raises:
-        InputError: the folder cannot be written to.
+        InputError: the folder cannot be written.
     """
     files = []
     for split in found.splits:
@@ -245,10 +242,9 @@ def save_robots(nominal: Robot, found: OpenLoop, folder: Path) -> list[Path]:
 
 
 def openloop_figure(found: OpenLoop) -> Figure:
-    """Draw ``open_loop``: a row for each fit; its test swims, its training swims, and both over frequency."""
-    with style.styled():
-        rows = len(found.splits)
-        figure = Figure(figsize=(13.0, 4.4 * rows + 0.5), layout="constrained")
+    """Draw a row for each fit: its test swims, its training swims, and its errors over frequency."""
+    rows = len(found.splits)
+    with style.new_figure(13.0, 4.4 * rows + 0.5) as figure:
         panels = figure.subplots(rows, 3, squeeze=False)
         every = [row for split in found.splits for row in (*split.train, *split.test)]
         speeds = [1e3 * r.experiment.reference.speed_mps for r in every]
@@ -320,4 +316,4 @@ def _over_frequency(
         axes.plot(at, 1e3 * nominal, mark, color=style.DESIRED, fillstyle="none", ms=5)
         axes.plot(at, 1e3 * effects, mark, color=style.TRUE, ms=5, alpha=0.8)
     axes.set_xlabel("frequency (Hz)")
-    axes.set_ylabel("model less measured (mm/s)")
+    axes.set_ylabel("model minus measured (mm/s)")

@@ -1,13 +1,13 @@
-"""How good a table can be at all: planners whose transitions come from tables, and from the rods themselves.
+"""Planners with three models in the simulated pool: two tables, and the rods themselves.
 
 The paper asks what its planner would do with the rod simulation in the loop instead of a table. Here one
-planner, with one cost and one depth, follows paths in the simulated pool, where nothing is hidden, and what
-each action does is told by one of three: the full nearest table, the robot's affine table, or the rods, which
-are copied as they swim, body and limbs, and try every sequence of actions. No table can tell more than that.
+planner, with one cost and one depth, follows paths in the simulated pool without hidden effects. Its model of
+the actions is the full nearest table, the robot's affine table, or the rods: copies of the swimming robots,
+with body and limbs, try every sequence of actions. No table can be a better model.
 
-All three start alike, a seed's distance off the path, get the same late, noisy fixes and have the robot's own
-estimator, so that they differ in the transitions alone. The rods need no measured velocity; a table has to be
-asked with the estimated one.
+All three start equally, at a seed's distance from the path, get the same late, noisy fixes and use the
+robot's own estimator, so they differ only in the transitions. The rods need no measured velocity; a table is
+looked up with the estimated one.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ FloatArray = NDArray[np.float64]
 NEAREST, AFFINE, RODS = "nearest", "affine", "rods"
 SOURCES = (NEAREST, AFFINE, RODS)
 SETTLE_S = 1.0
-"""Fixes before the first decision: the estimator knows that the robot rests."""
+"""Time of fixes before the first decision, in which the estimator finds that the robot rests."""
 
 TIME = "time limit"
 _START = np.array([0.005, 0.005, np.deg2rad(5.0)])  # how far off a hand puts it into the water: m, m, rad
@@ -49,7 +49,7 @@ _START = np.array([0.005, 0.005, np.deg2rad(5.0)])  # how far off a hand puts it
 
 @dataclass(frozen=True)
 class Task:
-    """Runs side by side: of one source at one depth along one path, a lane for each seed."""
+    """Runs side by side: of one model at one depth along one path, a lane for each seed."""
 
     path: str
     source: str
@@ -62,13 +62,13 @@ class Run:
     """One run.
 
     Attributes:
-        path, source, depth, seed: of it.
-        mean_distance_m: of the true poses to the path, from the first decision on.
-        progress_mps: along it, from the first decision to the end of the run.
-        ended: why, a value of ``End`` or TIME.
-        planned: (n, 3) forward, left (m), turn (rad): the motion that the planner expected of its action,
-            from the estimated state, less the motion that came of it; a row for each decision.
-        told: (n, 3) the same of what its source says of the true state.
+        path, source, depth, seed: path, model, depth and seed.
+        mean_distance_m: mean distance of the true poses to the path, from the first decision on.
+        progress_mps: progress along it, from the first decision to the end of the run.
+        ended: reason of its end, a value of ``End`` or TIME.
+        planned: (n, 3) forward, left (m), turn (rad): the motion that the planner predicted from the
+            estimated state minus the motion that followed; a row for each decision.
+        told: (n, 3) the same, predicted from the true state.
     """
 
     path: str
@@ -83,7 +83,7 @@ class Run:
 
     @property
     def completed(self) -> bool:
-        """The path's end was reached."""
+        """Whether the path's end was reached."""
         return self.ended == End.COMPLETED.value
 
 
@@ -100,20 +100,20 @@ def follow_paths(
     workers: int = 1,
     progress: Progress = lambda _done, _all: None,
 ) -> list[Run]:
-    """Follow every path with every source at every depth.
+    """Follow each path with each model at each depth.
 
     Args:
-        robot: the swimmer, with its planner's cost and weights.
-        images: NEAREST and AFFINE -> table image of it. The estimator has the affine one.
+        robot: the robot, with its planner's cost and weights.
+        images: NEAREST and AFFINE -> table image. The estimator uses the affine one.
         paths: names of shapes.
-        depths: levels to look ahead, 1 to 3; with the rods each level takes 9 times as long.
-        seeds: of the camera's noise and of where the robot is put into the water.
-        limit_s: pool time of a run.
-        workers: processes.
-        progress: called with runs done and to do.
+        depths: search depths, 1 to 3; with the rods each level takes 9 times as long.
+        seeds: number of seeds, of the camera's noise and of the start.
+        limit_s: time limit of a run in pool time, s.
+        workers: number of processes.
+        progress: called with (runs done, all).
 
     Returns:
-        The runs, by path, source, depth and seed; the same whoever simulates.
+        The runs, by path, source, depth and seed; the same for any number of processes.
 
     Raises:
         ConvergenceError: the rods failed.
@@ -144,13 +144,13 @@ def _start(robot: Robot, images: dict[str, bytes], limit_s: float) -> _Ready:
 
 
 def _warm(ready: _Ready) -> None:
-    """One decision compiles all that a run calls."""
+    """Make one decision, which compiles all that a run calls."""
     for source in SOURCES:
         _run(replace(ready, limit_s=SETTLE_S), Task("line", source, 1, (0,)))
 
 
 class _Lane:
-    """What one run's planner knows: fixes, its place along the path, what it did and expected."""
+    """The state of one run's planner: fixes, place along the path, actions and predictions."""
 
     def __init__(self, reference: Tables, path: Path, config: PlanConfig, seed: int) -> None:
         self.seed = seed
@@ -169,7 +169,7 @@ class _Lane:
         self._under_way: list[Fix] = []
 
     def look(self, times_s: FloatArray, rows: FloatArray) -> None:
-        """The camera takes its pictures of a part of the swim."""
+        """Take the camera's pictures of a part of the swim."""
         captures = []
         while (capture_s := (self._captured + 1) / self._camera.rate_hz) <= times_s[-1]:
             captures.append(capture_s)
@@ -181,7 +181,7 @@ class _Lane:
             self.seen.append((capture_s, pose))
 
     def hear(self, until_s: float) -> None:
-        """Fixes arrive; one may end the run."""
+        """Receive fixes; one of them may end the run."""
         while self._under_way and self._under_way[0].arrival_s <= until_s and not self.ended:
             fix = self._under_way.pop(0)
             if self._estimator.add(round(fix.capture_s * 1e6), fix.pose_world, fix.sequence) == 0:
@@ -190,11 +190,11 @@ class _Lane:
                     self.ended, self.end_s = end.value, fix.arrival_s
 
     def decide(self, at_s: float, tables: Tables, is_tree: bool) -> int | None:
-        """The next action, None where the run is over. A tree begins at the velocity 0."""
+        """Return the next action, None if the run is over. A tree begins at the velocity 0."""
         at_us = round(at_s * 1e6)
         estimate = self._estimator.at(at_us)
         if estimate is None:
-            raise FrogkickError(f"no state is known at {at_s} s of a run whose camera loses nothing")
+            raise FrogkickError(f"no state is known at {at_s} s of a run without lost fixes")
         state = estimate.state.copy()
         if is_tree:
             state[3:] = 0.0
@@ -213,7 +213,7 @@ class _Lane:
         return made.action
 
     def progress_mps(self) -> float:
-        """Along the path, by the place that is carried along: where a path closes, its ends are one place."""
+        """Return the progress along the path, by the place that the planner carries along."""
         points = self._path.points_m
         arc_m = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(points, axis=0).T))])
         reached = len(points) - 1 if self.ended == End.COMPLETED.value else float(self._follow.along_points)
@@ -221,7 +221,7 @@ class _Lane:
 
 
 def _run(ready: _Ready, task: Task) -> list[Run]:
-    """Runs side by side until all are over."""
+    """Simulate runs side by side until all are over."""
     robot, path, reference = ready.robot, shape(task.path), ready.tables[AFFINE]
     # Never cut short: a search within the robot's time would make the sources differ in more than they say.
     config = replace(config_of(robot.planner), depth=task.depth, transitions_max=0)
@@ -265,13 +265,12 @@ def _run(ready: _Ready, task: Task) -> list[Run]:
             for lane in lanes:
                 lane.ended, lane.end_s = (lane.ended, lane.end_s) if lane.ended else (TIME, at_s)
     return [
-        _told(ready, task, path, lane, np.array(said).reshape(-1, 3))
+        _result(ready, task, path, lane, np.array(said).reshape(-1, 3))
         for lane, said in zip(lanes, asked, strict=True)
     ]
 
 
-def _told(ready: _Ready, task: Task, path: Path, lane: _Lane, asked: FloatArray) -> Run:
-    """A run that is over."""
+def _result(ready: _Ready, task: Task, path: Path, lane: _Lane, asked: FloatArray) -> Run:
     made = np.array(lane.made).reshape(-1, 3)
     done = np.array(lane.actions, dtype=np.int64)
     if task.source != RODS and len(done):
@@ -306,7 +305,8 @@ _APART = 100  # velocity codes between the names of a tree's nodes
 def swim_a_period(
     robot: Robot, batch: Batch, acting: ActingLanes, actions: Mapping[int, int]
 ) -> dict[int, tuple[FloatArray, FloatArray]]:
-    """Some lanes do an action each for a period; (k,) times and (k, MOTION) rows of each, the start first.
+    """Advance some lanes by one action and period; return (k,) times and (k, MOTION) rows of each, with the
+    start.
 
     Raises:
         ConvergenceError: the rods failed.
@@ -315,20 +315,20 @@ def swim_a_period(
     for lane, action in actions.items():
         fire_action(robot, batch, acting, lane, action, float(start_s[lane]))
         until[lane] += robot.period_s
-    told = acting.advance(batch, until, trace=True)
+    traces = acting.advance(batch, until, trace=True)
     for lane, failure in batch.failures.items():
         raise ConvergenceError(f"a swim of {robot.id!r} {failure} (lane {lane})")
     return {
         lane: (
-            np.concatenate([start_s[lane : lane + 1], told[lane][0]]),
-            np.concatenate([before[lane : lane + 1], told[lane][1]]),
+            np.concatenate([start_s[lane : lane + 1], traces[lane][0]]),
+            np.concatenate([before[lane : lane + 1], traces[lane][1]]),
         )
         for lane in actions
     }
 
 
 def motion_of(times_s: FloatArray, rows: FloatArray) -> FloatArray:
-    """(3,) from the first row to the last one, in the body frame of the first."""
+    """Return (3,) the motion from the first row to the last one, in the body frame of the first."""
     pose = interpolate(times_s, rows, times_s[[0, -1]])[0]
     return relative(pose[0], pose[1])
 
@@ -337,14 +337,16 @@ def ask_rods(robot: Robot, batch: Batch, acting: ActingLanes, depth: int) -> Flo
     """Let copies of swimming robots try every sequence of actions.
 
     Args:
-        robot: whose actions.
-        batch, acting: at a decision; they are left as they are.
-        depth: actions in a row.
+        robot: the robot of the actions.
+        batch, acting: the robots at a decision; they are not changed.
+        depth: number of actions in a sequence.
 
     Returns:
         (lanes, nodes, a, 3) motions over a period, forward, left (m), turn (rad), body frame at its start,
-        from each node of the tree: the present, then where action 0, 1, .. leads, then the sequences (0, 0),
-        (0, 1), ...
+            from
+        each node of the tree: the present, then the ends of actions 0, 1, .., then the sequences (0, 0), (0,
+            1),
+        ...
 
     Raises:
         ConvergenceError: the rods failed.
@@ -375,14 +377,14 @@ def ask_rods(robot: Robot, batch: Batch, acting: ActingLanes, depth: int) -> Flo
 
 
 def table_of_motions(motions: FloatArray, like: Tables) -> Tables:
-    """A table in which the planner finds the motions of a tree instead of those of velocities.
+    """Return a table in which the planner finds the motions of a tree instead of those of velocities.
 
-    What an action's end is called there, in place of its velocity, is the next node; the present has the
-    velocity 0. The planner's costs look at poses alone, so it searches as it does in any table.
+    The velocity at the end of an action is replaced by the name of the next node; the present has the
+    velocity 0. The planner's costs depend only on poses, so it searches as in any table.
 
     Args:
-        motions: (nodes, a, 3) as ``ask_rods`` gives them for a lane.
-        like: whose actions, scales and reach the table has; the reach grows where a motion is beyond it.
+        motions: (nodes, a, 3) result of ``ask_rods`` for a lane.
+        like: table with the actions, scales and reach; the reach grows if a motion exceeds it.
     """
     nodes, actions = motions.shape[:2]
     name = np.zeros((nodes * actions + 1, 3), dtype=np.int64)

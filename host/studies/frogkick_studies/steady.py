@@ -1,4 +1,4 @@
-"""Steady speeds of a robot with effects, parameters that they can show, and groups to leave out whole."""
+"""Steady speeds of a robot with effects, parameters that they can show, and groups for cross-validation."""
 
 from __future__ import annotations
 
@@ -29,11 +29,11 @@ class Free:
     """A parameter that may be fitted.
 
     Attributes:
-        effect, parameter: of the catalogue.
-        width: how far off what is expected it may well be; for a factor the logarithm of that factor.
-        factor: it multiplies, and is sought by its logarithm.
-        expected: in widths from the plain model.
-        starts: where fits may begin, in widths from there: that with the smallest misses is taken.
+        effect, parameter: names in the catalogue.
+        width: standard deviation of the prior; for a factor that of its logarithm.
+        factor: whether it multiplies, and is fitted by its logarithm.
+        expected: mean of the prior, in widths from the nominal model.
+        starts: starting values, in widths from there; the one with the smallest residuals is used.
     """
 
     effect: str
@@ -45,7 +45,7 @@ class Free:
 
     @property
     def declared(self) -> Parameter:
-        """As its effect has it: bounds, unit, nominal value."""
+        """Its declaration: bounds, unit, nominal value."""
         return next(p for p in BUILT_IN[self.effect].parameters if p.name == self.parameter)
 
     @property
@@ -54,14 +54,14 @@ class Free:
         return f"{self.effect}.{self.parameter}"
 
     def value(self, widths: float) -> float:
-        """The value so many widths from nominal, within its bounds."""
+        """Return the value at a number of widths from nominal, within its bounds."""
         p, away = self.declared, min(max(widths, self.bounds[0]), self.bounds[1]) * self.width
         value = p.nominal * math.exp(away) if self.factor else p.nominal + away
         return min(max(value, p.low), p.high)
 
     @property
     def bounds(self) -> tuple[float, float]:
-        """Of its values, in widths."""
+        """Bounds of its values, in widths."""
         p = self.declared
         least = math.exp(-_FAR * self.width)
         low, high = (
@@ -81,16 +81,16 @@ CANDIDATES: tuple[tuple[Free, ...], ...] = (
     (Free("limb_wear", "duration_scale", math.log(1.5)),),
     (Free("group_loss", "loss", 0.3, False, 0.0, (0.3,)), Free("group_loss", "fade_s", math.log(3.0))),
 )
-"""What steady speeds can show and every alloy shares; parameters of a row come together."""
+"""Parameters that steady speeds can show and all alloys share; those of a row are fitted together."""
 
 
 def expected(frees: Sequence[Free]) -> FloatArray:
-    """(p,) of parameters, in widths from the plain model."""
+    """Return (p,) prior means, in widths from the nominal model."""
     return np.array([free.expected for free in frees])
 
 
 def tables_of(values: Mapping[Free, float]) -> tuple[Table, ...]:
-    """Effects with these values, as a robot's TOML has them."""
+    """Return effects with these values, as in a robot's TOML file."""
     tables: dict[str, dict[str, Any]] = {}
     for free, value in values.items():
         tables.setdefault(free.effect, {"name": free.effect})[free.parameter] = float(f"{value:.6g}")
@@ -98,19 +98,19 @@ def tables_of(values: Mapping[Free, float]) -> tuple[Table, ...]:
 
 
 def with_effects(robot: Robot, tables: Sequence[Table]) -> Robot:
-    """The robot with further effects than its file has."""
+    """Return the robot with further effects."""
     return replace(robot, effects=(*robot.effects, *(dict(table) for table in tables)))
 
 
 class Simulation:
-    """Steady speeds of a robot with various effects, each asked for once."""
+    """Steady speeds of a robot with various effects; each speed is simulated once."""
 
     def __init__(self, robot: Robot, profiles: Sequence[Profile], workers: int) -> None:
         self.robot, self.profiles, self.workers = robot, tuple(profiles), workers
         self._known: dict[tuple[str, Gait], float] = {}
 
     def speeds(self, effects: Sequence[Sequence[Table]], gaits: Sequence[Gait]) -> FloatArray:
-        """(len(effects), len(gaits)) speeds, m/s; NaN where a simulation failed."""
+        """Return (len(effects), len(gaits)) speeds, m/s; NaN if a simulation failed."""
         tasks: list[tuple[tuple[Table, ...], list[Gait]]] = []
         for tables in dict.fromkeys(map(repr, effects)):
             chosen = next(each for each in effects if repr(each) == tables)
@@ -150,19 +150,19 @@ def _warm(ready: _Ready) -> None:
 _Rows = Sequence[ExperimentResult]
 
 LEAST_SWIMS = 6
-"""Of a fraction, that a fit needs."""
+"""Least number of swims of a fraction for a fit."""
 
 BANDS = 3
-"""Of frequency, with as many distinct frequencies each."""
+"""Number of frequency bands, with equal numbers of distinct frequencies."""
 
 RESAMPLES, LOWER = 2000, 0.025
-"""Of the paired bootstrap over cases; the quantile of the gain that must be above 0 to take an effect."""
+"""Paired bootstrap over cases; the quantile of the gain that must be above 0 to accept an effect."""
 
 
 def plans_of(
     here: _Rows, there: _Rows, train: Sequence[float], test: Sequence[float], apart: bool
 ) -> list[tuple[str, str, list[ExperimentResult], list[ExperimentResult]]]:
-    """Kind, name, swims to fit to and swims to predict, of each split.
+    """Return kind, name, training swims and test swims of each split.
 
     Raises:
         InputError: see ``open_loop``.
@@ -213,7 +213,7 @@ def plans_of(
 
 
 def groupings(rows: _Rows) -> dict[str, list[str]]:
-    """Ways to put swims into groups that are left out whole: way -> group of each; two groups at least."""
+    """Return the ways to divide swims into groups: way -> group of each; two groups at least."""
     fractions = [f"{row.case.gait.egain_percent:g} % EGaIn" for row in rows]
     distinct = sorted({row.case.gait.frequency_hz for row in rows})
     bands = {
@@ -226,11 +226,11 @@ def groupings(rows: _Rows) -> dict[str, list[str]]:
 
 
 def gain_of(before: FloatArray, after: FloatArray, seed: int = 0) -> tuple[float, float, float]:
-    """Mean of before^2 - after^2, and its 95 % interval by a bootstrap over cases, paired.
+    """Return the mean of before^2 - after^2, and its 95 % interval by a paired bootstrap over cases.
 
     Args:
         before, after: (n,) errors of the same cases.
-        seed: of the resampling.
+        seed: seed of the resampling.
     """
     if not len(before):
         return math.nan, math.nan, math.nan

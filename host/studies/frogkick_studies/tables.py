@@ -1,4 +1,4 @@
-"""How far tables err against how large they are, and how large the library is that they are made of."""
+"""Error of tables against their size, and against the size of their library."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from frogkick.core.progress import shown
 from frogkick.library import Library, error_on, fit_table, quantise, read_library, sample_library
@@ -22,11 +21,11 @@ from frogkick_studies.configs import Tables
 
 KIB = 1024
 NEAREST_STATES = (100, 300, 1000, 3000)
-"""States of nearest tables, besides the whole library: the first ones of it, as fewer would be drawn."""
+"""Number of states of nearest tables, besides the whole library: its first states."""
 
 AFFINE_KIB = (4, 8, 16, 32, 64, 128)
 LIBRARY_STATES = (60, 125, 250, 500, 1000, 2000, 4000)
-"""States of a library that an affine table of 64 KiB is fitted to, besides the whole one."""
+"""Number of states of a library for an affine table of 64 KiB, besides the whole one."""
 
 _AFFINE_KIB = 64
 
@@ -39,9 +38,9 @@ class TablePoint:
 
     Attributes:
         kind: "nearest" or "affine".
-        library_states: of the library, or the part of it, that it was made of.
-        bytes: of the image.
-        states: in the image.
+        library_states: number of states of the library, or of its part.
+        bytes: size of the image.
+        states: number of states in the image.
         box: its error on unseen states of the robot's library box, see ``frogkick.library.error_on``.
         visited: its error on unseen states of swims.
     """
@@ -63,7 +62,7 @@ class TableSizes:
 
 
 def first_states(library: Library, count: int) -> Library:
-    """The library that a smaller ``--states`` would have given: its first states."""
+    """Return the library of a smaller ``--states``: its first states."""
     return replace(
         library,
         initial_velocity_body=library.initial_velocity_body[:count],
@@ -81,13 +80,13 @@ def table_sizes(
     progress: Progress = lambda _done, _all: None,
     swims: str = "planned",
 ) -> TableSizes:
-    """Make tables of several sizes from a library and measure each on states that none has seen.
+    """Make tables of several sizes from a library, and measure each on unseen states.
 
     Args:
-        library: as large as there is.
-        test_states: unseen states of each sampling, box and swims.
-        seed: of their sampling, not the library's.
-        progress: called with tables made and to make.
+        library: a library, as large as possible.
+        test_states: number of unseen states of each sampling, box and swims.
+        seed: seed of their sampling, not that of the library.
+        progress: called with (tables made, all).
         swims: "planned" or "visited", see ``sample_starts``.
 
     Raises:
@@ -129,7 +128,8 @@ def table_sizes(
 
 
 def least_bytes_as_good(sizes: TableSizes) -> int | None:
-    """Bytes of the smallest affine table no worse than the largest nearest one, in position and heading."""
+    """Return the size of the smallest affine table no worse than the largest nearest one; None without
+    any."""
     best = max((p for p in sizes.by_size if p.kind == "nearest"), key=lambda p: p.states)
     good = [
         p.bytes
@@ -140,10 +140,10 @@ def least_bytes_as_good(sizes: TableSizes) -> int | None:
 
 
 def over_full_nearest(sizes: TableSizes) -> dict[str, dict[str, float]]:
-    """Errors of the largest affine table of at most 64 KiB as parts of those of the largest nearest one.
+    """Return errors of the largest affine table of at most 64 KiB over those of the largest nearest one.
 
     Returns:
-        For states of the "box" and "visited" ones the ratio of each error; nothing without such a table.
+        For "box" and "visited" states the ratio of each error; empty without such a table.
     """
     full = max((p for p in sizes.by_size if p.kind == "nearest"), key=lambda p: p.states)
     small = [p for p in sizes.by_size if p.kind == "affine" and p.bytes <= _AFFINE_KIB * KIB]
@@ -157,7 +157,7 @@ def over_full_nearest(sizes: TableSizes) -> dict[str, dict[str, float]]:
 
 
 def slope(points: tuple[TablePoint, ...], name: str) -> float:
-    """Exponent of an error's fall with bytes, by least squares of the logarithms."""
+    """Return the exponent of an error over the size, by least squares of the logarithms."""
     logs = np.log([[p.bytes, p.box[name]] for p in points])
     return float(np.polyfit(logs[:, 0], logs[:, 1], 1)[0])
 
@@ -167,19 +167,19 @@ class TableStudy(Found):
     """Error of tables of both kinds against their size, and against their library's.
 
     Attributes:
-        sizes: each table that was tried.
-        seed: of the unseen states.
+        sizes: all tables.
+        seed: seed of the unseen states.
     """
 
     sizes: TableSizes
     seed: int
 
     def plot(self) -> Figure:
-        """A matplotlib figure: error over bytes and over the library's states."""
+        """Return a matplotlib figure: error over bytes and over the library's states."""
         return table_size_figure(self.sizes)
 
     def as_json(self) -> dict[str, Any]:
-        """The keys of the command."""
+        """Return the keys of the command."""
         affine = tuple(point for point in self.sizes.by_size if point.kind == "affine")
         return {
             "by_size": [dataclasses.asdict(point) for point in self.sizes.by_size],
@@ -194,10 +194,10 @@ class TableStudy(Found):
 
 
 def run(config: Tables) -> TableStudy:
-    """Make tables of many sizes of a library, and measure each on unseen states.
+    """Make tables of many sizes from a library, and measure each on unseen states.
 
     Raises:
-        InputError: no such library, or one of too few states.
+        InputError: no such library, or one with too few states.
     """
     content = read_library(config.library)
     with shown(True, "tables") as tell:
@@ -215,9 +215,8 @@ _UNIT = {
 
 
 def table_size_figure(sizes: TableSizes) -> Figure:
-    """Draw ``table_sizes``: two errors against bytes, and the position error against library states."""
-    with style.styled():
-        figure = Figure(figsize=(11.0, 4.4), layout="constrained")
+    """Draw two errors against bytes, and the position error against library states."""
+    with style.new_figure(11.0, 4.4) as figure:
         panels = figure.subplots(1, 3)
         for axes, name in zip(panels, _UNIT, strict=False):
             for kind in _COLOUR:
@@ -238,7 +237,7 @@ def table_size_figure(sizes: TableSizes) -> Figure:
         panels[2].set_xlabel("states of the library (each times all actions)")
         panels[2].set_title("By library size (affine: 64 KiB)")
         _finish(panels[2], "position_m")
-        figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=4)
+        style.legend_below(figure, panels[0], 4)
     return figure
 
 
@@ -267,7 +266,6 @@ def _finish(axes: Axes, name: str) -> None:
         va="bottom", fontsize=7.5, transform=axes.get_yaxis_transform(),
     )  # fmt: skip
     axes.set_ylabel(label)
-    axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-    for axis in (axes.xaxis, axes.yaxis):
-        axis.set_major_formatter(FuncFormatter(lambda value, _place: f"{value:g}"))
-        axis.set_minor_formatter(NullFormatter())
+    style.plain_decades(axes.yaxis)
+    axes.xaxis.set_major_formatter("{x:g}")
+    axes.xaxis.set_minor_formatter("")

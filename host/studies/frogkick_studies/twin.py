@@ -1,14 +1,13 @@
-"""The calibrated twin: a robot as its recorded runs show it, in the pool of its own effects.
+"""The calibrated twin: a robot as its recorded runs show it, in the pool with its own effects.
 
-There the paper's planner, with what its authors' runs show that it believed of each action, should track as
-badly as in these runs, and the robot's own planner, whose table knows the effects, well.
+The paper's planner, with the motions that its authors' runs show it assumed, should follow the paths as badly
+as in these runs, and the robot's own planner, whose table contains the effects, should follow them well.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import math
-import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -52,32 +51,32 @@ from frogkick_studies.in_pool import (
 from frogkick_studies.loop import loop_figure, table_of_rows
 
 TWIN_STATES, TWIN_SAMPLING = 1000, "planned"
-"""Of the library that is made of the fitted robot: in it limbs have a history, which its effects act by. A
-table of as many rested ones is ten times further off where runs go."""
+"""The library of the fitted robot, whose limbs have a history, on which its effects depend. A table of as
+many rested states has ten times the error along the runs."""
 _MEASURES = ("mean_distance_m", "progress_mps")
 _MOTION = ("forward_m", "left_m", "turn_rad")
 FULL, BELIEVED = "full", "believed"
-"""How ``run_cases`` is told the tables of every state of the library that ROBOT's is fitted to, and of the
-motions that the authors' planner believed in."""
+"""Names for ``run_cases`` of the tables of all states of the library that ROBOT's is fitted to, and of the
+motions that the authors' planner assumed."""
 
 DISTANCE_MOST_M = 0.010
-"""Mean distance to the paths that the robot's own planner may have, with its own table."""
+"""Largest mean distance to the paths of the robot's own planner with its own table."""
 
 SKIPPED_MPS = 0.1
-"""Progress that no robot makes. The paper's planner takes the nearest path point for where it is: near the
-start of a path that all but closes it may find the end, and its run is over."""
+"""Progress that no robot makes. The paper's planner takes the nearest path point as the robot's place:
+near the start of a nearly closed path that may be the end, and the run is over."""
 
 TWIN = "twin"
 
 
 @dataclass(frozen=True)
 class Recorded:
-    """A recorded run, whose path the twin swims again.
+    """A recorded run, whose path the twin follows again.
 
     Attributes:
-        course: its path, from where the robot lay before its first stroke.
-        choices: what its planner chose, and where.
-        mean_distance_m, progress_mps: of its fixes, from the first stroke on.
+        course: its path, from the pose of the robot before its first stroke.
+        choices: the decisions of its planner.
+        mean_distance_m, progress_mps: from its fixes, from the first stroke on.
     """
 
     course: Course
@@ -88,12 +87,12 @@ class Recorded:
 
 @dataclass(frozen=True)
 class Mean:
-    """A planner over some paths, which weigh alike.
+    """A planner over some paths of equal weight.
 
     Attributes:
         planner: its name.
         mean_distance_m, progress_mps, completed: means of its paths' means over the seeds.
-        skipped: part of the runs that skipped their path, see SKIPPED_MPS; they are in the other figures too.
+        skipped: share of the runs that skipped their path, see SKIPPED_MPS; they are included in the others.
     """
 
     planner: str
@@ -104,10 +103,10 @@ class Mean:
 
 
 def world_of(robot: Robot) -> Setting:
-    """The pool in which all is true that the robot's file says it has besides its body.
+    """Return the world of the effects of a robot's file.
 
     Raises:
-        InputError: the file says nothing, or its text came without the file of an effect.
+        InputError: the file has no effects, or the robot's folder is not known.
     """
     if not robot.effects:
         raise InputError(
@@ -119,12 +118,12 @@ def world_of(robot: Robot) -> Setting:
 
 
 def body_of(robot: Robot) -> Robot:
-    """The robot without its effects, which the pool is given as a world."""
+    """Return the robot without its effects, which the pool gets as a world."""
     return dataclasses.replace(robot, effects=())
 
 
 def require_related(robot: Robot, nominal: Robot) -> None:
-    """Refuse two robots of which one cannot be the other's model.
+    """Raise an error if one robot cannot be the model of the other.
 
     Raises:
         InputError: they differ in id, limbs, actions or times.
@@ -141,10 +140,10 @@ def require_related(robot: Robot, nominal: Robot) -> None:
 
 
 def planners_of_twin(robot: Robot, is_believed_known: bool) -> tuple[Planner, ...]:
-    """The planners that are compared; the robot's own with its own table is the last.
+    """Return the planners to compare; the last one is the robot's own with its own table.
 
-    Before it: the paper's with the nominal robot's table, and with the motions that it believed in (where
-    these are known); the robot's with every state of a library that knows the effects.
+    Before it: the paper's with the nominal robot's table, and with the motions that it assumed (if they are
+    known); the robot's with all states of a library that contains the effects.
     """
     own = config_of(robot.planner)
     believed = (Planner("paper, as it believed", BELIEVED, PlanConfig()),) if is_believed_known else ()
@@ -157,11 +156,11 @@ def planners_of_twin(robot: Robot, is_believed_known: bool) -> tuple[Planner, ..
 
 
 def read_runs(folder: Path) -> list[Recorded]:
-    """The paper's recorded runs of a folder that have their path beside them.
+    """Read the paper's recorded runs of a folder that have their path beside them.
 
     Raises:
-        InputError: no such folder, no run in it; one that is damaged, in which nothing moves, or whose
-            strokes' times cannot be relied on.
+        InputError: no such folder, no run in it; a run that is damaged, without motion, or with unreliable
+            times of its strokes.
     """
     if not folder.is_dir():
         raise InputError(f"--runs {str(folder)!r} is no folder: name one with line1.csv and linep1.csv")
@@ -193,10 +192,10 @@ def _recorded(name: str, run: RunLog) -> Recorded:
 
 
 def mean_over(outcomes: Mapping[Case, Outcome], planner: str, paths: Sequence[str]) -> Mean:
-    """A planner over paths, which weigh alike.
+    """Return the means of a planner over paths of equal weight.
 
     Args:
-        outcomes: of ``frogkick_studies.in_pool.run_cases``, of one world.
+        outcomes: result of ``frogkick_studies.in_pool.run_cases``, of one world.
         planner: its name.
         paths: names, at least one.
     """
@@ -216,14 +215,14 @@ class TwinStudy(Found):
     """The paper's planner and the robot's in the pool of a robot as its recorded runs show it.
 
     Attributes:
-        nominal: what the paper's planner takes the robot for.
+        nominal: model of the paper's planner.
         outcomes: each run.
-        rows: means over the seeds, of each planner along each path.
-        over: "shapes" and "recorded_paths" -> each planner over these paths, which weigh alike.
+        rows: means over the seeds, for each planner along each path.
+        over: "shapes" and "recorded_paths" -> each planner over these paths with equal weight.
         recorded: the recorded runs.
-        believed: the motions that the paper's planner believed in; None without recorded runs.
+        believed: the motions that the paper's planner assumed; None without recorded runs.
         planners: their names, the robot's own last.
-        seeds: runs of each.
+        seeds: number of runs of each.
         table_bytes: sizes of the tables.
     """
 
@@ -239,7 +238,7 @@ class TwinStudy(Found):
 
     @property
     def limit_m(self) -> float:
-        """Mean distance to the paths that the robot's own planner may have."""
+        """Largest mean distance to the paths of the robot's own planner."""
         return DISTANCE_MOST_M
 
     @property
@@ -254,7 +253,7 @@ class TwinStudy(Found):
 
     @property
     def recorded_mean_distance_m(self) -> float | None:
-        """Mean over the recorded runs; None where there are none."""
+        """Mean over the recorded runs; None without any."""
         return float(np.mean([one.mean_distance_m for one in self.recorded])) if self.recorded else None
 
     @property
@@ -262,12 +261,12 @@ class TwinStudy(Found):
         return {one.course.name: (one.mean_distance_m, one.progress_mps) for one in self.recorded}
 
     def plot(self) -> Figure:
-        """A matplotlib figure: distance and progress of each planner, and of the recorded runs."""
+        """Return a matplotlib figure: distance and progress of each planner, and of the recorded runs."""
         paths = list(dict.fromkeys(row.path for row in self.rows))
         return loop_figure(self.outcomes, [TWIN], paths, list(self.planners), self._marks)
 
     def as_json(self) -> dict[str, Any]:
-        """The keys of the command, without its picture."""
+        """Return the keys of the command, without the figure."""
         return {
             "rows": [dataclasses.asdict(row) for row in self.rows],
             "over_paths": {
@@ -275,7 +274,7 @@ class TwinStudy(Found):
             },
             "recorded": {name: dict(zip(_MEASURES, mark, strict=True)) for name, mark in self._marks.items()},
             "recorded_mean_distance_m": self.recorded_mean_distance_m,
-            "believed": None if self.believed is None else self._told(self.believed),
+            "believed": None if self.believed is None else self._assumed(self.believed),
             "mean_distance_m": self.mean_distance_m["shapes"],
             "limit_m": self.limit_m,
             "passed": self.passed,
@@ -283,7 +282,7 @@ class TwinStudy(Found):
             "table_bytes": dict(self.table_bytes),
         }
 
-    def _told(self, believed: Believed) -> dict[str, Any]:
+    def _assumed(self, believed: Believed) -> dict[str, Any]:
         motions = zip(self.nominal.actions, believed.motion.tolist(), strict=True)
         return {
             "motion": {action.name: dict(zip(_MOTION, motion, strict=True)) for action, motion in motions},
@@ -291,9 +290,9 @@ class TwinStudy(Found):
         }
 
     def text(self, values: dict[str, Any]) -> str:
-        """A line for each planner, then what the paper's believed."""
+        """Return a line for each planner, then the motions that the paper's planner assumed."""
         passed = f"the robot's planner {'is within' if self.passed else 'misses'} {1e3 * self.limit_m:g} mm"
-        return "\n".join([*self._tracking(), *self._believing(), passed])
+        return "\n".join([*self._tracking(), *self._assumed_lines(), passed])
 
     def _tracking(self) -> list[str]:
         lines = table_of_rows(self.rows)
@@ -314,14 +313,14 @@ class TwinStudy(Found):
         mean_m = self.recorded_mean_distance_m
         return lines if mean_m is None else [*lines, f"  {'recorded':{wide}s}  {1e3 * mean_m:6.2f} mm"]
 
-    def _believing(self) -> list[str]:
+    def _assumed_lines(self) -> list[str]:
         believed = self.believed
         if believed is None:
             return []
         return [
             f"of {believed.decisions} recorded decisions the paper's planner makes "
             f"{100 * believed.agreement:.0f} % ({100 * believed.held_out_agreement:.0f} % in runs left out; "
-            f"{100 * believed.nominal_agreement:.0f} % with the model's mean motions) where it believes:",
+            f"{100 * believed.nominal_agreement:.0f} % with the model's mean motions) if it assumes:",
             *(
                 f"  {action.name}: {100 * forward:5.2f} cm forward, {100 * left:5.2f} cm left, "
                 f"{math.degrees(turn):6.1f} deg"
@@ -331,10 +330,10 @@ class TwinStudy(Found):
 
 
 def run(config: Twin) -> TwinStudy:
-    """The paper's planner and the robot's in the pool of a robot as its recorded runs show it.
+    """Compare the paper's planner and the robot's in the pool of a robot as its recorded runs show it.
 
     Raises:
-        InputError: a robot without effects, a model that cannot be its own, or recorded runs of no use.
+        InputError: a robot without effects, a model that cannot be its own, or unusable recorded runs.
         ToolchainError: no compiler for the core.
     """
     robot, nominal = load_robot(config.robot), load_robot(config.model)
@@ -343,16 +342,16 @@ def run(config: Twin) -> TwinStudy:
     shapes = shape_names(config.path)
     recorded = [] if config.runs is None else read_runs(config.runs)
     require_tools("native")
-    out, processes = config.out, config.workers or os.cpu_count() or 1
+    out, processes = config.out, config.processes
     images = {name: out / f"{name}.fkt" for name in (PAPER, FULL, ROBOT)}
-    told = library_of(nominal, config.model_library, out / "model.h5", processes, PAPER_STATES, "box")
-    write_bytes(images[PAPER], quantise(told))
+    model = library_of(nominal, config.model_library, out / "model.h5", processes, PAPER_STATES, "box")
+    write_bytes(images[PAPER], quantise(model))
     own = library_of(robot, config.library, out / "robot.h5", processes, TWIN_STATES, TWIN_SAMPLING)
     write_bytes(images[FULL], quantise(own))
     fit_own_table(own, images[ROBOT])
     believed = None
     if recorded:
-        begin = told.displacement_body[told.whole_states()].mean(axis=0)
+        begin = model.displacement_body[model.whole_states()].mean(axis=0)
         believed = believed_motions([one.choices for one in recorded], nominal, begin)
         images[BELIEVED] = out / f"{BELIEVED}.fkt"
         write_bytes(images[BELIEVED], image_of_motions(nominal, believed.motion))

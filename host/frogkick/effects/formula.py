@@ -1,5 +1,4 @@
-"""Formulas of a law: a small language that is parsed, checked for units and evaluated, but never run as
-Python.
+"""Formulas of a law: a small language that is parsed, checked for units and evaluated, never run as Python.
 
 A formula consists of numbers, named variables and parameters, ``+ - * / **``, comparisons (1 if true, 0 if
 not) and the functions of FUNCTIONS. Each quantity has a unit. Sums and comparisons need equal units,
@@ -174,7 +173,7 @@ class Formula:
         return float(self._run(values))
 
     def over(self, values: Mapping[str, FloatArray | float]) -> FloatArray:
-        """Its values for arrays of all its names, of one shape each or numbers."""
+        """Return its values for arrays of all its names, of one shape each, or numbers."""
         with np.errstate(all="ignore"):
             return np.asarray(_over(self._tree, values), dtype=np.float64)
 

@@ -185,7 +185,8 @@ class Law(Effect):
         return float(rng.random()) if self.by_chance and not self._averaged else 0.5
 
     def over(self, values: Mapping[str, FloatArray | float]) -> dict[str, FloatArray]:
-        """What its formulas give for arrays of the names that they use, parameters too if they are given."""
+        """Return the results of the formulas for arrays of the names that they use, and of parameters if
+        given."""
         given = {**self._given, **values}
         return {key: formula.over(given) for key, formula in self._formulas.items()}
 

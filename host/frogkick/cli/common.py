@@ -79,6 +79,13 @@ ModelOption = Annotated[
     str | None,
     typer.Option("--robot", "--model", help="Robot TOML file or built-in name; default: the table's robot."),
 ]
+LawsOption = Annotated[
+    bool,
+    typer.Option(
+        help="If the catalogue leaves more than noise, search formulas as well: springs, sloshing, "
+        "limbs that break or depend on the heading. This takes some minutes more."
+    ),
+]
 NominalOption = Annotated[
     str | None,
     typer.Option(

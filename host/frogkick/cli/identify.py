@@ -9,7 +9,7 @@ import typer
 from typer.core import TyperCommand
 
 import frogkick as fk
-from frogkick.cli.common import JsonOption, NominalOption, say_left_out, show
+from frogkick.cli.common import JsonOption, LawsOption, NominalOption, say_left_out, show
 from frogkick.core.files import require_writable
 
 if TYPE_CHECKING:
@@ -82,13 +82,7 @@ def command(
             "--no-measured the fits start from the same effects at nominal values."
         ),
     ] = True,
-    laws: Annotated[
-        bool,
-        typer.Option(
-            help="If the catalogue leaves more than noise, search formulas as well: springs, sloshing, "
-            "limbs that break or depend on the heading. This takes some minutes more."
-        ),
-    ] = False,
+    laws: LawsOption = False,
     json: JsonOption = False,
 ) -> None:
     """Identify the physical effects that a robot's model lacks. The exit code is 0 for any verdict."""

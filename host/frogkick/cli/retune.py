@@ -7,7 +7,16 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from frogkick.cli.common import JsonOption, KeyOption, SeedOption, WorkersOption, say, say_left_out, show
+from frogkick.cli.common import (
+    JsonOption,
+    KeyOption,
+    LawsOption,
+    SeedOption,
+    WorkersOption,
+    say,
+    say_left_out,
+    show,
+)
 from frogkick.cli.identify import horizon_line
 from frogkick.cli.push import text_of
 from frogkick.core.errors import InputError
@@ -58,6 +67,7 @@ def command(
         ),
     ] = None,
     key: KeyOption = None,
+    laws: LawsOption = False,
     seed: SeedOption = 0,
     json: JsonOption = False,
 ) -> None:
@@ -77,6 +87,7 @@ def command(
         push=push,
         key=key,
         seed=seed,
+        laws=laws,
         left_out=say_left_out,
         progress=True,
     )
@@ -108,6 +119,14 @@ def printed(made: Retuning, push: str | None = None) -> str:
                 f"{1e3 * tracked.mean_distance_m:.1f} mm from the path, "
                 f"{1e3 * tracked.progress_mps:.1f} mm/s along it, "
                 f"{tracked.completed} of {tracked.runs} runs completed"
+            )
+    if made.lost is not None:
+        lines.append(f"no table can hold: {', '.join(made.lost.effects)}")
+        if made.lost.with_them is not None and made.lost.without is not None:
+            apart = (1e3 * each.mean_distance_m for each in (made.lost.with_them, made.lost.without))
+            lines.append(
+                "the robot's tables in closed loop: {:.1f} mm from the path with that in the pool, {:.1f} mm "
+                "without it".format(*apart)
             )
     lines += [f"tables, {horizon_line(each)}" for each in made.horizons if each.periods > 1]
     if made.done and made.reason:

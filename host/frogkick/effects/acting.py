@@ -13,6 +13,7 @@ from frogkick.core.errors import InputError
 from frogkick.core.poses import Fix, rotate
 from frogkick.der import STILL, Batch, Rods, Swimmer, Water, prepare
 from frogkick.effects.base import Body, Effect, FloatArray, History, Stroke
+from frogkick.effects.law import Law
 from frogkick.effects.registry import effects_of
 from frogkick.robot import Robot
 
@@ -44,8 +45,13 @@ def rods_of(robot: Robot) -> Rods:
 
 
 def body_effects(robot: Robot) -> tuple[Effect, ...]:
-    """Return the effects of a robot's file that belong to its body: all but flows of the water."""
-    return tuple(effect for effect in effects_of(robot) if not _overrides(effect, "flow"))
+    """Return the effects of a robot's file that belong to its body, on average: all but flows of the water
+    and laws that hang on what a library does not know (``Effect.in_tables``)."""
+    return tuple(
+        effect.on_average()
+        for effect in effects_of(robot)
+        if not _overrides(effect, "flow") and (effect.in_tables or not isinstance(effect, Law))
+    )
 
 
 class ActingLanes:

@@ -105,6 +105,10 @@ class History:
         return min((time_s - then for then, limb in self.strokes if limb == index), default=math.inf)
 
 
+IN_BODY = ("robot", "stroke", "wrench")
+"""What effects in the body override; others are in the water or the camera."""
+
+
 class Effect:
     """A term that the nominal model lacks; override the methods of what it acts on.
 
@@ -194,6 +198,12 @@ class Effect:
             values will do.
         """
         return ()
+
+    @property
+    def in_tables(self) -> bool:
+        """Whether a table of transitions can hold it: it is in the body, and hangs on velocities and strokes
+        but not on place, heading or time."""
+        return any(getattr(type(self), hook) is not getattr(Effect, hook) for hook in IN_BODY)
 
     def on_average(self) -> Effect:
         """The effect without its chance: what it does on average. Predictions are made with it."""

@@ -53,6 +53,9 @@ NAMES: Mapping[str, Mapping[str, str]] = {
 time since the last stroke of the same limb, ``since_LIMB_s`` time since that of another limb, ``chance`` a
 random number from 0 to 1 for each stroke or fix."""
 
+NOT_IN_TABLES = (*_POSE, "strokes")
+"""What no table of transitions knows: a law that hangs on any of these is left out of libraries."""
+
 LONG_AGO_S = 1e3
 """Time since the last stroke of a limb that has not fired yet."""
 
@@ -149,6 +152,10 @@ class Law(Effect):
     @property
     def asks_body(self) -> bool:
         return self.on == "stroke" and any(self._uses(name) for name in _BODY if name != "time_s")
+
+    @property
+    def in_tables(self) -> bool:
+        return self.on in ("wrench", "stroke") and not any(self._uses(name) for name in NOT_IN_TABLES)
 
     @property
     def by_chance(self) -> bool:

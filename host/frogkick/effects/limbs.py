@@ -104,6 +104,7 @@ class BatterySag(Effect):
     """The batteries discharge during a run: strokes weaken with time."""
 
     name = "battery_sag"
+    in_tables = False
     about = "strokes lose a share that grows evenly with time"
     shown_by = "long runs: the same action early and late"
     parameters = (Parameter("loss_per_min", "1/min", 0.0, 0.5, 0.0, "share lost each minute"),)

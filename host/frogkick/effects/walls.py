@@ -47,6 +47,7 @@ class Wall(Effect):
     """
 
     name = "wall"
+    in_tables = False
     about = "along one side of the pool water resists more, and a wall pushes back what touches it"
     shown_by = "misses against one direction of the world, only at that end of the pool; turns along it"
     parameters = (

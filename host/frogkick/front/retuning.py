@@ -107,6 +107,7 @@ def retune(
     seed: int = 0,
     left_out: LeftOut = lambda _rows: None,
     progress: Progress = False,
+    laws: bool = False,
 ) -> Retuning:
     """Identify what a model lacks, make tables with it, and keep them if they predict better.
 
@@ -126,6 +127,8 @@ def retune(
         seed: seed of the libraries' sampling.
         left_out: called before the work with the runs that are not used.
         progress: True for bars on stderr, or a function of (done, all) of each stage.
+        laws: search formulas as well, see ``identify``. Those that hang on place, heading or time cannot go
+            into a table; ``lost`` says which, and what that costs.
 
     Raises:
         InputError: runs of several robots or of another period, a folder ``out`` that is not empty, or tables
@@ -147,7 +150,7 @@ def retune(
     def stage(title: str) -> AbstractContextManager[Tell]:
         return shown(progress, title)
 
-    found = retuning.retune(swims, described, folder, tools, stage, old)
+    found = retuning.retune(swims, described, folder, tools, stage, old, laws)
     if push is None or not found.better:
         return Retuning(**vars(found), out=folder, left_out=unused)
     try:  # the results stay even if sending fails

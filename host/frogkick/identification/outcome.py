@@ -344,12 +344,13 @@ def write_robot(target: Path, outcome: Outcome) -> None:
     write_text(target, found_toml(outcome, target.resolve().parent))
 
 
-def found_toml(outcome: Outcome, folder: Path | None = None) -> str:
+def found_toml(outcome: Outcome, folder: Path | None = None, terms: Sequence[Term] | None = None) -> str:
     """The nominal robot's text with the effects found.
 
     Args:
         outcome: of identification.
         folder: folder that paths of the user's effect files are relative to; None: the nominal robot's.
+        terms: of those found, the ones to write; None: all.
     """
     table = tomllib.loads(outcome.robot.toml)
     place = folder or outcome.robot.folder or Path()
@@ -357,7 +358,7 @@ def found_toml(outcome: Outcome, folder: Path | None = None) -> str:
     for row in effects:
         if "file" in row and outcome.robot.folder is not None:
             row["file"] = os.path.relpath(outcome.robot.folder / str(row["file"]), place)
-    for term in outcome.terms:
+    for term in outcome.terms if terms is None else terms:
         row = dict(term.table)
         if "file" in row:
             row["file"] = os.path.relpath(term.folder / str(row["file"]), place)

@@ -23,13 +23,21 @@ from frogkick.core.errors import InputError
 from frogkick.core.files import write_bytes
 from frogkick.core.poses import PredictionError
 from frogkick.core.progress import Tell, TellStage
-from frogkick.effects import Effect
 from frogkick.identification.horizons import Horizon
-from frogkick.identification.outcome import Outcome, identify, write_robot
+from frogkick.identification.outcome import Outcome, found_toml, identify, write_robot
 from frogkick.identification.segments import Segments
-from frogkick.identification.tables import PERIOD_OFF, Stage, Tools, Tracked, table_error, table_horizons
+from frogkick.identification.tables import (
+    PERIOD_OFF,
+    Lost,
+    Stage,
+    Tools,
+    Tracked,
+    table_error,
+    table_horizons,
+)
+from frogkick.identification.terms import Term
 from frogkick.identification.verdict import NOTHING, TOO_LITTLE
-from frogkick.robot import Robot, load_robot
+from frogkick.robot import Robot, load_robot, parse_robot
 
 FloatArray = NDArray[np.float64]
 
@@ -62,6 +70,8 @@ class Retuned:
         loop: the old and the new tables in closed loop, in a pool with what was found; None where none were
             made.
         horizons: errors of the old and the new tables by horizon.
+        lost: effects that were found and that no table can hold, and what that costs; None where there are
+            none.
     """
 
     outcome: Outcome
@@ -74,6 +84,7 @@ class Retuned:
     firmware: Mapping[str, Any] | None = None
     loop: tuple[Tracked, Tracked] | None = None
     horizons: Sequence[Horizon] = ()
+    lost: Lost | None = None
 
     @property
     def done(self) -> bool:
@@ -91,6 +102,7 @@ class Retuned:
             "closed_loop": None
             if self.loop is None
             else {"before": self.loop[0].as_json(), "after": self.loop[1].as_json()},
+            "lost": None if self.lost is None else self.lost.as_json(),
             "rods": self.outcome.tested_as_json(),
             "held_out": self.held_out,
             "better": self.better,
@@ -102,7 +114,13 @@ class Retuned:
 
 
 def retune(
-    swims: Sequence[Segments], robot: Robot, out: Path, tools: Tools, stage: Stage, old: bytes | None = None
+    swims: Sequence[Segments],
+    robot: Robot,
+    out: Path,
+    tools: Tools,
+    stage: Stage,
+    old: bytes | None = None,
+    laws: bool = False,
 ) -> Retuned:
     """Find a robot's effects, make tables with them, and keep these if they predict held-out periods better.
 
@@ -116,6 +134,7 @@ def retune(
         tools: see Tools.
         stage: see Stage.
         old: image of the tables that the robot carries; None: it is made as the new one is, without effects.
+        laws: search laws as well; see identify.
 
     Raises:
         InputError: ``out`` holds something, a run has another period than the robot, or see identify.
@@ -124,11 +143,12 @@ def retune(
     _check_periods(swims, robot)
     train, test, held_out = split(swims)
     with steps(stage) as tell:
-        outcome = identify(train, test, robot, progress=tell)
+        outcome = identify(train, test, robot, progress=tell, laws=laws)
     unknown = PredictionError()
     reason = _why_no_tables(outcome, len(swims) == 1)
     if reason:
-        return Retuned(outcome, unknown, unknown, False, reason, held_out)
+        lost = _lost(outcome, robot, tools, stage, old)
+        return Retuned(outcome, unknown, unknown, False, reason, held_out, lost=lost)
     with _folder(out) as made:
         write_robot(made / ROBOT, outcome)
         worn = load_robot(made / ROBOT)
@@ -146,6 +166,7 @@ def retune(
         for file, which in ((made / BEFORE, "old"), (made / name, "new")):
             with stage(f"paths followed with the {which} tables, by a simulated robot like this") as progress:
                 loop.append(tools.tracked(file, worn, progress))
+        lost = _lost(outcome, worn, tools, stage, new if better else old, loop[1 if better else 0])
         firmware = None
         if better:
             with stage("firmware") as progress:
@@ -154,8 +175,42 @@ def retune(
     tables = {"file": str(out / name), "bytes": len(new), "states": tools.states(new)}
     reason = "" if better else _no_better(before, after)
     return Retuned(
-        outcome, before, after, better, reason, held_out, tables, firmware, (loop[0], loop[1]), horizons
+        outcome, before, after, better, reason, held_out, tables, firmware, (loop[0], loop[1]), horizons, lost
     )
+
+
+def _lost(
+    outcome: Outcome,
+    robot: Robot,
+    tools: Tools,
+    stage: Stage,
+    image: bytes | None,
+    all_in: Tracked | None = None,
+) -> Lost | None:
+    """What no table can hold of what was found, and what that costs the tables that the robot will have.
+
+    Args:
+        outcome: what was found.
+        robot: any robot of these runs.
+        tools: to follow paths.
+        stage: see Stage.
+        image: of the tables; None: there are none to try.
+        all_in: these in a pool with all that was found; None: not tried yet.
+    """
+    kept = [term for term in outcome.terms if term.effect().in_tables]
+    names = tuple(term.title for term in outcome.terms if term not in kept)
+    if not names or image is None:
+        return Lost(names) if names else None
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / TABLES
+        write_bytes(file, image)
+
+        def tracked(terms: Sequence[Term], which: str) -> Tracked:
+            swimmer = parse_robot(found_toml(outcome, None, terms), robot.id, outcome.robot.folder)
+            with stage(f"paths followed {which} what no table holds") as progress:
+                return tools.tracked(file, swimmer, progress)
+
+        return Lost(names, all_in or tracked(outcome.terms, "with"), tracked(kept, "without"))
 
 
 def require_new(out: Path) -> None:
@@ -233,16 +288,13 @@ def _why_no_tables(outcome: Outcome, single: bool) -> str:
     judged = sum(int(np.isfinite(swim.measured).all(axis=1).sum()) for swim in outcome.test)
     if judged < HELD_OUT_MIN:
         return f"{judged} held-out periods with fixes, needed are {HELD_OUT_MIN}: record a longer last run"
-    if not any(_is_in_the_body(term.effect()) for term in outcome.terms):
+    if not any(term.effect().in_tables for term in outcome.terms):
         names = ", ".join(term.title for term in outcome.terms)
-        return f"what was found ({names}) is in the camera or the water, tables cannot know it: the old stay"
+        return (
+            f"what was found ({names}) is in the camera or the water or hangs on place, heading or time, "
+            "tables cannot know it: the old stay"
+        )
     return ""
-
-
-def _is_in_the_body(effect: Effect) -> bool:
-    """Whether an effect belongs to the robot's body, so that tables can hold it."""
-    hooks = ("robot", "stroke", "wrench")
-    return any(getattr(type(effect), hook) is not getattr(Effect, hook) for hook in hooks)
 
 
 def _no_better(before: PredictionError, after: PredictionError) -> str:

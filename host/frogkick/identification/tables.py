@@ -59,6 +59,29 @@ class Tracked:
         return asdict(self)
 
 
+@dataclass(frozen=True)
+class Lost:
+    """What is lost because no table can hold some effects: those of place, heading or time, water or camera.
+
+    Attributes:
+        effects: their titles.
+        with_them, without: the tables that the robot has after the retune in closed loop, in a pool with all
+            effects found and in one without these; None where there are no tables to try.
+    """
+
+    effects: tuple[str, ...]
+    with_them: Tracked | None = None
+    without: Tracked | None = None
+
+    def as_json(self) -> dict[str, Any]:
+        """The key ``lost`` of the command."""
+        return {
+            "effects": list(self.effects),
+            "with": None if self.with_them is None else self.with_them.as_json(),
+            "without": None if self.without is None else self.without.as_json(),
+        }
+
+
 class Tools(Protocol):
     """What a retune needs besides identification: library, tables, simulated pool and firmware."""
 
@@ -91,7 +114,7 @@ def table_error(tools: Tools, image: bytes, outcome: Outcome, periods: int = 1) 
         outcome: runs, starts and effects.
         periods: ahead.
     """
-    effects = [term.effect() for term in outcome.terms]
+    effects = [term.effect().on_average() for term in outcome.terms]
     gaps = [
         _gaps(tools, image, *pair, effects, periods)
         for pair in zip(outcome.test, outcome.rollouts, strict=True)

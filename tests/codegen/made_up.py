@@ -32,15 +32,9 @@ def affine_image(
     jacobian = rng.normal(0.0, 0.5 * size_of_motion, (states, actions, 6, 3)) * (
         size[:, None] / synthetic.HIGH
     )
+    rows = [(chr(ord("A") + i), i % (1 << limbs), (3 * i) % (1 << limbs)) for i in range(actions)]
     return pack_affine(
-        robot_id="frog2022",
-        provenance=bytes(range(32)),
-        period_us=1_425_000,
-        pulse_us=80_000,
-        second_delay_us=80_000,
-        limbs=limbs,
-        action_rows=[(chr(ord("A") + i), i % (1 << limbs), (3 * i) % (1 << limbs)) for i in range(actions)],
-        velocity_scale=synthetic.VELOCITY_SCALE,
+        synthetic.metadata(actions, {"limbs": limbs, "action_rows": rows}),
         velocities=velocity,
         base=base,
         jacobian=jacobian,

@@ -231,7 +231,7 @@ def test_failures_are_listed_and_the_rest_survives(tmp_path: Path, monkeypatch: 
     tables = open_image(quantise(library))
     assert len(tables.states) == 5
     lost = replace(library, failed=tuple(Failed(s, 0, "made up") for s in range(6)))
-    with pytest.raises(InputError, match="no state is left"):
+    with pytest.raises(InputError, match="no state has all of its actions"):
         quantise(lost)
 
 

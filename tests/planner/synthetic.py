@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from frogkick.tables.image import Tables, open_image
 from frogkick.tables.packing import pack_affine, pack_nearest
+from frogkick.tables.sealing import Metadata
 
 VELOCITY_SCALE = (1e-5, 1e-5, 1.745329e-4)
 LOW = np.array([0.0, -0.03, -0.5236])
@@ -47,10 +48,9 @@ def transitions(states: int, actions: int, seed: int) -> tuple[npt.NDArray[np.fl
     return velocity, motion, end
 
 
-def pack(velocity: npt.ArrayLike, motion: npt.ArrayLike, end: npt.ArrayLike, **changes: object) -> bytes:
-    """Pack with plausible metadata; ``changes`` replace arguments of pack_nearest."""
-    actions = np.asarray(motion).shape[1]
-    arguments: dict[str, object] = {
+def metadata(actions: int, arguments: dict[str, object]) -> Metadata:
+    """Plausible metadata; takes those fields out of ``arguments`` that are there."""
+    plausible: dict[str, object] = {
         "robot_id": "frog2022",
         "provenance": bytes(range(32)),
         "period_us": 1_425_000,
@@ -58,12 +58,16 @@ def pack(velocity: npt.ArrayLike, motion: npt.ArrayLike, end: npt.ArrayLike, **c
         "second_delay_us": 80_000,
         "limbs": 4,
         "action_rows": [(chr(ord("A") + i), i % 16, (3 * i) % 16) for i in range(actions)],
-        "velocity_scale": VELOCITY_SCALE,
-        "velocities": velocity,
-        "displacements": motion,
-        "velocities_end": end,
+        "velocity_resolution": VELOCITY_SCALE,
     }
-    return pack_nearest(**(arguments | changes))
+    return Metadata(**{name: arguments.pop(name, value) for name, value in plausible.items()})
+
+
+def pack(velocity: npt.ArrayLike, motion: npt.ArrayLike, end: npt.ArrayLike, **changes: object) -> bytes:
+    """Pack with plausible metadata; ``changes`` replace its fields and arguments of pack_nearest."""
+    about = metadata(np.asarray(motion).shape[1], changes)
+    arguments = {"velocities": velocity, "displacements": motion, "velocities_end": end}
+    return pack_nearest(about, **(arguments | changes))
 
 
 def image(states: int = 300, actions: int = 9, seed: int = 1) -> bytes:
@@ -87,21 +91,10 @@ def affine_parts(states: int, actions: int, seed: int) -> dict[str, npt.NDArray[
 
 
 def affine_image(states: int = 120, actions: int = 9, seed: int = 1, **changes: object) -> bytes:
-    """Return the image of a made-up table of kind affine; ``changes`` replace arguments of pack_affine."""
-    arguments: dict[str, object] = {
-        "robot_id": "frog2022",
-        "provenance": bytes(range(32)),
-        "period_us": 1_425_000,
-        "pulse_us": 80_000,
-        "second_delay_us": 80_000,
-        "limbs": 4,
-        "action_rows": [(chr(ord("A") + i), i % 16, (3 * i) % 16) for i in range(actions)],
-        "velocity_scale": VELOCITY_SCALE,
-        "use_decay": 0.61,
-        "use_gain": 0.43,
-        **affine_parts(states, actions, seed),
-    }
-    return pack_affine(**(arguments | changes))
+    """Return the image of a made-up table of kind affine; ``changes`` replace fields and arguments."""
+    about = metadata(actions, changes)
+    arguments = {"use_decay": 0.61, "use_gain": 0.43, **affine_parts(states, actions, seed)}
+    return pack_affine(about, **(arguments | changes))
 
 
 def grid_tables(seed: int = 3, states: int = 200) -> Tables:

@@ -102,7 +102,7 @@ def test_any_values_come_back(states: int, actions: int, seed: int, size: float,
     motion = rng.standard_cauchy((states, actions, 3)).clip(-90, 90) * 10.0**size
     end = rng.uniform(-16383, 16383, (states, actions, 3)) * 10.0**scale
     wanted = (10.0**size * 1e-3, 10.0**size, 10.0**scale * 3, 10.0**scale * 0.1)
-    content = synthetic.pack(velocity, motion, end, velocity_scale=(10.0**scale,) * 3, error_max=wanted)
+    content = synthetic.pack(velocity, motion, end, velocity_resolution=(10.0**scale,) * 3, error_max=wanted)
     tables = open_image(content)
     order, _ = layout.kd_order(tables.states, layout.tree_levels_for(states))
     np.testing.assert_array_equal(tables.states, tables.states[order])
@@ -265,7 +265,7 @@ def test_a_value_out_of_range_names_row_and_column(
         ({"limbs": 9}, "9 limbs"),
         ({"limbs": 1}, "beyond the 1"),
         ({"pulse_us": 0}, "pulse 0 us"),
-        ({"velocity_scale": (1e-5, 1e-5, 0.0)}, "velocity_scale"),
+        ({"velocity_resolution": (1e-5, 1e-5, 0.0)}, "velocity_resolution"),
         ({"action_rows": [("AB", 0, 0)] * 5}, "action"),
         ({"action_rows": [("A", 0, 0)] * 5}, "repeats the name"),
         ({"velocities": np.zeros((19, 3))}, "displacements has shape"),

@@ -6,6 +6,7 @@ import numpy as np
 
 from frogkick.tables.image import Tables
 from frogkick.tables.packing import pack_nearest
+from frogkick.tables.sealing import Metadata
 
 _BESIDE = 0.3  # of the states' spread in each velocity
 _OFF = 0.02  # part of each motion
@@ -27,7 +28,7 @@ def spread_table(tables: Tables, seed: int, states: int = 300) -> bytes:
     begin = np.clip(begin, known.min(axis=0), known.max(axis=0))
     made = (_terms(begin) @ fitted).reshape(states, *moves.shape[1:])
     made *= dice.uniform(1.0 - _OFF, 1.0 + _OFF, made.shape)
-    return pack_nearest(
+    about = Metadata(
         tables.robot_id,
         tables.provenance,
         tables.period_us,
@@ -36,10 +37,8 @@ def spread_table(tables: Tables, seed: int, states: int = 300) -> bytes:
         tables.limbs,
         [(row.name, row.first_mask, row.second_mask) for row in tables.actions],
         [float(each) for each in scale],
-        begin,
-        made[..., :3],
-        made[..., 3:],
     )
+    return pack_nearest(about, begin, made[..., :3], made[..., 3:])
 
 
 def _terms(velocity: np.ndarray) -> np.ndarray:

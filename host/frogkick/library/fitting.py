@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from frogkick.core.errors import InputError, nearest_name
 from frogkick.core.poses import wrap_angle
 from frogkick.library.error import looked_up, rms_gap
-from frogkick.library.quantise import quantise, table_fields
+from frogkick.library.quantise import quantise, table_metadata
 from frogkick.library.store import Library
 from frogkick.library.surface import STATES_MIN, Surface, fit_surface, noise_of
 from frogkick.library.transitions import IntArray
@@ -130,7 +130,7 @@ class _Fit:
     def __init__(self, library: Library) -> None:
         self._library = library
         self._robot = library.robot()
-        self._fields = table_fields(self._robot, library.content_sha256())
+        self._about = table_metadata(self._robot, library.content_sha256())
         self._whole = np.flatnonzero(library.whole_states())
         self._held = self._whole[_HELD_OUT_EVERY - 1 :: _HELD_OUT_EVERY]
         self._regressions: dict[tuple[str, int], VoronoiRegression] = {}
@@ -196,7 +196,7 @@ class _Fit:
         base = cells.base.reshape(len(cells.codes), -1, 6)
         if kind == "nearest":
             return pack_nearest(
-                **self._fields,
+                self._about,
                 velocities=cells.codes * resolution,
                 displacements=base[..., :3],
                 velocities_end=base[..., 3:],
@@ -205,7 +205,7 @@ class _Fit:
         slope = cells.slope / resolution[:, None]
         history = self._surface.history
         return pack_affine(
-            **self._fields,
+            self._about,
             velocities=cells.codes * resolution,
             base=base,
             jacobian=np.moveaxis(slope, 1, 2).reshape(*base.shape, 3),

@@ -1,4 +1,4 @@
-"""Make table images of both kinds: round transitions to codes, choose the coding, write the bytes."""
+"""Pack table images of both kinds: round transitions to codes, choose the coding, write the bytes."""
 
 from __future__ import annotations
 
@@ -13,9 +13,8 @@ from frogkick.tables.fields import require
 from frogkick.tables.prediction import best_prediction
 from frogkick.tables.sealing import (
     ERROR_MAX,
-    ActionRows,
     Coded,
-    plain_fields,
+    Metadata,
     require_shapes,
     scales_of,
     sealed,
@@ -36,14 +35,7 @@ _GRID = 17  # lines of each axis on which the furthest offset is looked for
 
 
 def pack_nearest(
-    robot_id: str,
-    provenance: bytes,
-    period_us: int,
-    pulse_us: int,
-    second_delay_us: int,
-    limbs: int,
-    action_rows: ActionRows,
-    velocity_scale: Sequence[float],
+    about: Metadata,
     velocities: npt.ArrayLike,
     displacements: npt.ArrayLike,
     velocities_end: npt.ArrayLike,
@@ -51,16 +43,11 @@ def pack_nearest(
 ) -> bytes:
     """Quantise transitions to a table image of kind ``nearest``.
 
-    Each value is predicted from its state's velocity codes by a quadratic of its block of rows; the rest
-    is kept in as many bits as the wanted precision asks for. Rows are put into k-d order.
+    Each value is predicted from its state's velocity codes by a quadratic of its block of rows, and the
+    residual is stored in as many bits as the precision needs. Rows are put into k-d order.
 
     Args:
-        robot_id: 1 to 15 printable ASCII characters.
-        provenance: SHA-256 of the library's content, 32 bytes.
-        period_us, pulse_us, second_delay_us: integer microseconds, pulse and delay shorter than the period.
-        limbs: 1 to 8.
-        action_rows: (name, mask of the first group, mask of the second) per action.
-        velocity_scale: velocity per code, (m/s, m/s, rad/s).
+        about: robot, provenance, times and actions.
         velocities: (n, 3) body-frame initial velocities (forward m/s, left m/s, rad/s).
         displacements: (n, a, 3) motion over one period (m, m, rad), body frame at its start.
         velocities_end: (n, a, 3) body-frame velocities at the end of the period.
@@ -78,26 +65,23 @@ def pack_nearest(
     start = np.asarray(velocities, dtype=np.float64)
     motion = np.asarray(displacements, dtype=np.float64)
     end = np.asarray(velocities_end, dtype=np.float64)
-    states, actions = len(start), len(action_rows)
-    times = (period_us, pulse_us, second_delay_us)
-    plain = plain_fields(
-        layout.KIND_NEAREST, robot_id, provenance, times, limbs, action_rows, velocity_scale, states
-    )
+    states, actions = len(start), len(about.action_rows)
+    about.require_valid(states)
     shape = (states, actions, 3)
     require_shapes(
         velocities=(start, (states, 3)), displacements=(motion, shape), velocities_end=(end, shape)
     )
-    codes = velocity_codes("initial velocities", start, plain)
-    velocity_codes("end velocities", end, plain)
-    motion_scale, unit = scales_of(motion, plain, error_max)
+    codes = velocity_codes("initial velocities", start, about)
+    velocity_codes("end velocities", end, about)
+    motion_scale, unit = scales_of(motion, about, error_max)
     order, axes = layout.kd_order(codes, layout.tree_levels_for(states))
     wanted = np.concatenate(
-        [motion / motion_scale.astype(np.float64), end / plain.velocity_scale.astype(np.float64)], axis=2
+        [motion / motion_scale.astype(np.float64), end / about.velocity_scale.astype(np.float64)], axis=2
     )
     chosen = best_prediction(codes[order], wanted[order].reshape(states, -1), np.tile(unit, actions))
     decoded = chosen.decoded.reshape(states, actions, 6)
     return sealed(
-        plain,
+        about,
         Coded(
             codes=codes[order],
             axes=axes,
@@ -115,14 +99,7 @@ def pack_nearest(
 
 
 def pack_affine(
-    robot_id: str,
-    provenance: bytes,
-    period_us: int,
-    pulse_us: int,
-    second_delay_us: int,
-    limbs: int,
-    action_rows: ActionRows,
-    velocity_scale: Sequence[float],
+    about: Metadata,
     velocities: npt.ArrayLike,
     base: npt.ArrayLike,
     jacobian: npt.ArrayLike,
@@ -136,20 +113,19 @@ def pack_affine(
     """Quantise states with a local linear correction to a table image of kind ``affine``.
 
     Args:
-        robot_id, provenance, period_us, pulse_us, second_delay_us, limbs, action_rows, velocity_scale: as for
-            pack_nearest.
+        about: robot, provenance, times and actions.
         velocities: (n, 3) body-frame velocities of the states.
         base: (n, a, 6) at each state with rested limbs: motion (m, m, rad), end velocity (m/s, m/s, rad/s).
         jacobian: (n, a, 6, 3) derivative of these by the initial velocity, SI.
         history: (a, l, 6) what a fully used limb adds to these, SI.
-        use_decay: part of a limb's use that is left a period later, 0 to 1.
+        use_decay: part of a limb's use that remains a period later, 0 to 1.
         use_gain: what firing adds to a limb's use, 0 to 1; a use saturates at 1.
-        offset_limit: largest |query - state| that the derivatives are applied to (m/s, m/s, rad/s); as far
-            as any velocity within the states' box is from its nearest state where it is None.
+        offset_limit: largest |query - state| that the derivatives are applied to (m/s, m/s, rad/s); None: the
+            largest distance of a velocity in the states' box from its nearest state.
         error_max: largest rounding of a base, and of a correction at the offset limit, as for pack_nearest;
-            but a base is kept to 1/2046 of what it spans over the states, a derivative to 1/126, no finer.
-        velocity_box: (2, 3) lowest and highest velocity of queries that motions are told for in full; beyond
-            what any of them gives, motions are clamped. The states' own box where it is None.
+            but no finer than 1/2046 of a base's span over the states, and 1/126 of a derivative's.
+        velocity_box: (2, 3) lowest and highest velocity of queries; motions are clamped to the largest one
+            within it. None: the states' box.
 
     Returns:
         The image; the same input gives the same bytes.
@@ -161,26 +137,23 @@ def pack_affine(
     given = np.asarray(base, dtype=np.float64)
     slopes = np.asarray(jacobian, dtype=np.float64)
     used = np.asarray(history, dtype=np.float64)
-    states, actions = len(start), len(action_rows)
-    times = (period_us, pulse_us, second_delay_us)
-    plain = plain_fields(
-        layout.KIND_AFFINE, robot_id, provenance, times, limbs, action_rows, velocity_scale, states
-    )
+    states, actions = len(start), len(about.action_rows)
+    about.require_valid(states)
     require_shapes(
         velocities=(start, (states, 3)),
         base=(given, (states, actions, 6)),
         jacobian=(slopes, (states, actions, 6, 3)),
-        history=(used, (actions, limbs, 6)),
+        history=(used, (actions, about.limbs, 6)),
     )
-    codes = velocity_codes("initial velocities", start, plain)
-    velocity_codes("end velocities", given[..., 3:], plain)
-    scales_of(given[..., :3], plain, error_max)  # refuses a base out of range by its row
+    codes = velocity_codes("initial velocities", start, about)
+    velocity_codes("end velocities", given[..., 3:], about)
+    scales_of(given[..., :3], about, error_max)  # refuses a base out of range by its row
     for name, array in (("jacobian", slopes), ("history", used)):
         require(bool(np.isfinite(array).all()), f"{name} holds NaN or infinity: check the fit")
     decay, gain = _fraction("use_decay", use_decay), _fraction("use_gain", use_gain)
     order, axes = layout.kd_order(codes, layout.tree_levels_for(states))
     codes, given, slopes = codes[order], given[order], slopes[order]
-    velocity = plain.velocity_scale.astype(np.float64)
+    velocity = about.velocity_scale.astype(np.float64)
     box = codes if velocity_box is None else np.asarray(velocity_box, dtype=np.float64) / velocity
     grid, row = _grid_in_box(codes, box)
     offsets = grid - codes[row].astype(np.int64)
@@ -192,8 +165,8 @@ def pack_affine(
         f"jacobian and history let a motion reach {reach.max():.4g} m or rad, at most {_REACH_MAX:.0f} is "
         "allowed: check the fit",
     )
-    motion_scale, unit = scales_of(reach[None, None], plain, error_max)
-    scale = np.concatenate([motion_scale, plain.velocity_scale]).astype(np.float64)
+    motion_scale, unit = scales_of(reach[None, None], about, error_max)
+    scale = np.concatenate([motion_scale, about.velocity_scale]).astype(np.float64)
 
     unit = np.maximum(unit, np.ptp(given, axis=0).max(axis=0) / scale // _VALUE_SPREAD + 1).astype(np.int64)
     values = np.floor(given / scale / unit + 0.5).astype(np.int64)
@@ -204,7 +177,7 @@ def pack_affine(
     least[..., 3] *= unit
     require(int(np.abs(least).max()) <= 32767, "base is beyond 32767 codes: choose a coarser scale")
     return sealed(
-        plain,
+        about,
         Coded(
             codes=codes,
             axes=axes,

@@ -16,7 +16,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from frogkick.core.errors import InputError
-from frogkick.library.quantise import table_fields
+from frogkick.library.quantise import table_metadata
 from frogkick.planner.paper_cost import pose_cost
 from frogkick.planner.plan import PlanConfig, path_rows
 from frogkick.robot import Robot, mirror_of
@@ -120,8 +120,8 @@ def image_of_motions(robot: Robot, motion: FloatArray) -> bytes:
     """
     at_rest = np.zeros((1, 3))
     ends = np.zeros((1, *motion.shape))
-    fields = table_fields(robot, np.asarray(motion, "<f8").tobytes()[:32])
-    return pack_nearest(**fields, velocities=at_rest, displacements=motion[None], velocities_end=ends)
+    about = table_metadata(robot, np.asarray(motion, "<f8").tobytes()[:32])
+    return pack_nearest(about, velocities=at_rest, displacements=motion[None], velocities_end=ends)
 
 
 def _mirrored(robot: Robot, motion: FloatArray) -> FloatArray:

@@ -222,7 +222,9 @@ def test_c_and_python_find_the_same_break_of_order(library: NativeTables) -> Non
 def test_the_widest_squared_distance_does_not_overflow(library: NativeTables) -> None:
     """Two rows in opposite corners: 3 x 32766^2 must still compare as the larger distance."""
     velocity = np.array([[-0.16383] * 3, [0.16383] * 3])
-    content = synthetic.pack(velocity, np.zeros((2, 1, 3)), np.zeros((2, 1, 3)), velocity_resolution=[1e-5] * 3)
+    content = synthetic.pack(
+        velocity, np.zeros((2, 1, 3)), np.zeros((2, 1, 3)), velocity_resolution=[1e-5] * 3
+    )
     states = open_image(content).states
     for code in (-16383, 16383):
         (row,) = library.nearest(content, [[code] * 3])

@@ -99,7 +99,7 @@ class CameraFixes(FixBuffer):
                 reasons = ", ".join(f"{count} x {reason}" for reason, count in self.reasons.most_common())
                 raise InputError(
                     f"{self._name} saw no tag within {timeout_s:g} s ({reasons or 'no picture came'}): put "
-                    "the robot under it, and try 'frogkick camera check'"
+                    "the robot under it, and look at 'frogkick camera track --view'"
                 )
 
     def advance(self, until_s: float) -> list[Fix]:

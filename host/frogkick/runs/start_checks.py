@@ -117,7 +117,7 @@ def check_start(fixes: Sequence[Fix], path: Path, pool_m: tuple[float, float] | 
             raise InputError(
                 f"the path reaches from ({low[0]:.2f}, {low[1]:.2f}) to ({high[0]:.2f}, {high[1]:.2f}) m, "
                 f"the pool is {pool_m[0]:g} x {pool_m[1]:g} m and {WALL_M:g} m from its walls are kept free: "
-                "give --begin X,Y,DEG or --begin here, or a shorter path"
+                "put the robot elsewhere and give --begin here, or give --begin X,Y,DEG or a shorter path"
             )
     far_m = float(path.distance_m(places[-1:])[0])
     if far_m > START_MOST_M:

@@ -45,10 +45,10 @@ def rods_of(robot: Robot) -> Rods:
 
 
 def body_effects(robot: Robot) -> tuple[Effect, ...]:
-    """Return the effects of a robot's file that belong to its body, on average: all but flows of the water
+    """Return the effects of a robot's file that belong to its body, without their chance: all but flows of the water
     and laws that hang on what a library does not know (``Effect.in_tables``)."""
     return tuple(
-        effect.on_average()
+        effect.likeliest()
         for effect in effects_of(robot)
         if not _overrides(effect, "flow") and (effect.in_tables or not isinstance(effect, Law))
     )

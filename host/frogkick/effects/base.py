@@ -205,8 +205,8 @@ class Effect:
         but not on place, heading or time."""
         return any(getattr(type(self), hook) is not getattr(Effect, hook) for hook in IN_BODY)
 
-    def on_average(self) -> Effect:
-        """The effect without its chance: what it does on average. Predictions are made with it."""
+    def likeliest(self) -> Effect:
+        """The effect without its chance: what it most likely does. Predictions are made with it."""
         return self
 
     def robot(self, robot: Robot) -> Robot:

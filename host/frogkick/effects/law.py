@@ -59,9 +59,6 @@ NOT_IN_TABLES = (*_POSE, "strokes")
 LONG_AGO_S = 1e3
 """Time since the last stroke of a limb that has not fired yet."""
 
-AVERAGED = np.arange(0.01, 1.0, 0.02)
-"""Values of chance whose mean stands for all of them."""
-
 _KEYS = ("value", "unit", "low", "high", "nominal", "about", "step", "tolerance")
 
 
@@ -131,7 +128,7 @@ class Law(Effect):
         )
         self._given = {p.name: self.value(p.name) for p in self.parameters}
         self._limbs: dict[str, int] = {}
-        self._averaged = False
+        self._drawn = True
 
     @property
     def title(self) -> str:
@@ -162,12 +159,12 @@ class Law(Effect):
         """Whether its formulas depend on chance."""
         return self._uses("chance")
 
-    def on_average(self) -> Effect:
+    def likeliest(self) -> Effect:
         if not self.by_chance:
             return self
         twin = object.__new__(type(self))  # copy.copy would ask __new__ for one on wrenches
         twin.__dict__.update(self.__dict__)
-        twin._averaged = True
+        twin._drawn = False
         return twin
 
     def check(self, robot: Robot) -> None:
@@ -183,13 +180,11 @@ class Law(Effect):
 
     def _all(self, values: Mapping[str, float], keys: Sequence[str]) -> list[float]:
         """Return the values of the formulas of these keys, 0 for those without one."""
-        if self._averaged:
-            given = self.over({**values, "chance": AVERAGED})
-            return [float(np.mean(given.get(key, 0.0))) for key in keys]
         return [self._formulas[key](values) if key in self._formulas else 0.0 for key in keys]
 
-    def _drawn(self, rng: np.random.Generator) -> float:
-        return float(rng.random()) if self.by_chance and not self._averaged else 0.5
+    def _chance(self, rng: np.random.Generator) -> float:
+        """A number from 0 to 1; the middle one for what is likeliest."""
+        return float(rng.random()) if self.by_chance and self._drawn else 0.5
 
     def over(self, values: Mapping[str, FloatArray | float]) -> dict[str, FloatArray]:
         """Return the results of the formulas for arrays of the names that they use, and of parameters if
@@ -228,7 +223,7 @@ class _OnStroke(Law):
             "time_s": stroke.time_s,
             "strokes": float(history.pulses),
             "since_s": min(history.since_s(stroke.index, stroke.time_s), LONG_AGO_S),
-            "chance": self._drawn(rng),
+            "chance": self._chance(rng),
         }
         for name in self._others:
             if name not in self._limbs:
@@ -251,7 +246,7 @@ class _OnFix(Law):
             "x_m": fix.x_m,
             "y_m": fix.y_m,
             "heading_rad": fix.heading_rad,
-            "chance": self._drawn(rng),
+            "chance": self._chance(rng),
         }
         x, y, heading, delay = self._all(values, ("x_m", "y_m", "heading_rad", "delay_s"))
         fix.x_m += x

@@ -21,7 +21,7 @@ from frogkick.effects.law import LONG_AGO_S, Law
 from frogkick.identification.batching import roll_out
 from frogkick.identification.filter import initial_rate_std
 from frogkick.identification.fit import Fitted, Model, coarsened, residuals_of
-from frogkick.identification.predict import PHASES, Lane
+from frogkick.identification.predict import PHASES, Lane, Rollout
 from frogkick.identification.screening import COARSE_STEP_S
 from frogkick.identification.segments import Segments
 from frogkick.robot import Robot
@@ -189,7 +189,8 @@ def answers_of(nominal: Fitted, swims: Sequence[Segments], rows: NDArray[np.bool
         for own in kinds:
             own.append(Weaker(limb, GAIN))
         sizes.append(-GAIN)
-    columns = changes_by(model, kinds, swims, rows) / np.array(sizes)
+    every = [residuals_of(each, rows) for each in rollouts_with(model, kinds, swims)]
+    columns = np.stack([moved - every[0] for moved in every[1:]], axis=2) / np.array(sizes)
     columns[(np.abs(columns).max(axis=(1, 2)) > 1e4)] = 0.0  # lost
     pushes, flows = THIRDS * 3, THIRDS * 2
     n = len(columns)
@@ -210,15 +211,15 @@ def answers_of(nominal: Fitted, swims: Sequence[Segments], rows: NDArray[np.bool
     )
 
 
-def changes_by(
-    model: Model, effects: Sequence[Sequence[Effect]], swims: Sequence[Segments], rows: NDArray[np.bool_]
-) -> FloatArray:
-    """(n, 9, k) changes of the residuals by each of k effects beside a model; simulated coarsely.
+def rollouts_with(
+    model: Model, effects: Sequence[Sequence[Effect]], swims: Sequence[Segments]
+) -> list[list[Rollout]]:
+    """Rollouts of the runs by a model, and with each of k effects beside it; simulated coarsely.
 
     Args:
         model: beside which they act.
         effects: for each run its own k effects.
-        swims, rows: see ``answers_of``.
+        swims: the runs.
     """
     bare = replace(model, robot=coarsened(model.robot), leg_s=LEG_S, step_s=COARSE_STEP_S)
     lanes: list[Lane] = [bare.lane(swim) for swim in swims]
@@ -226,8 +227,7 @@ def changes_by(
         for own, lane in zip(effects, lanes[: len(swims)], strict=True):
             lanes.append(replace(lane, effects=(*lane.effects, own[k])))
     rollouts = roll_out(lanes)
-    every = [residuals_of(rollouts[i : i + len(swims)], rows) for i in range(0, len(rollouts), len(swims))]
-    return np.stack([moved - every[0] for moved in every[1:]], axis=2)
+    return [rollouts[i : i + len(swims)] for i in range(0, len(rollouts), len(swims))]
 
 
 def _rates(swim: Segments, at_s: FloatArray) -> FloatArray:
@@ -285,6 +285,14 @@ def _strokes(swims: Sequence[Segments], rows: NDArray[np.bool_], robot: Robot) -
         "chance": 0.5,
         **{name: np.concatenate([part[name] for part in parts])[rows] for name in parts[0]},
     }
+
+
+def fired_strokes(swim: Segments, limbs: int) -> FloatArray:
+    """(m, l) when each limb fired first in each period; not a number where it did not."""
+    found = np.full((len(swim.start_s), limbs), np.nan)
+    for period, limb, time_s, _ in _fired(swim, limbs):
+        found[period, limb] = time_s
+    return found
 
 
 def _fired(swim: Segments, limbs: int) -> Iterator[tuple[int, int, float, History]]:

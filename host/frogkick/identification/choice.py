@@ -20,12 +20,13 @@ from frogkick.identification.calibrated import (
 )
 from frogkick.identification.fit import derivatives, fit
 from frogkick.identification.laws import Laws
-from frogkick.identification.penalty import PARAMETER_PENALTY
+from frogkick.identification.misfires import misfires_of, without_failed
+from frogkick.identification.penalty import EFFECT_PENALTY, PARAMETER_PENALTY
 from frogkick.identification.screening import sensitivities
 from frogkick.identification.search import Baseline, Found, folds_of, nominal_fit, search
 from frogkick.identification.segments import Segments, part_of
 from frogkick.identification.terms import Term, catalogue
-from frogkick.identification.verdict import FOUND, NOTHING, Scored, scored, verdict_of
+from frogkick.identification.verdict import FOUND, FOUND_LAW, NOTHING, Scored, scored, verdict_of
 from frogkick.robot import Robot
 
 STABLE = 0.8
@@ -87,13 +88,60 @@ def found_in(
 
 
 def discovered(found: Found, train: Sequence[Segments], robot: Robot, progress: TellStage) -> Found:
-    """Search laws as well as the catalogue, where the catalogue leaves more than noise.
+    """Look for limbs that misfire and for laws, where the catalogue leaves more than noise.
 
-    The result with laws is taken where its deviance at the ends of periods is less, penalised by its number
-    of free parameters.
+    Limbs that misfire come first: what fails by chance looks like much else. Where they explain more than the
+    catalogue does, the rest is searched in the runs without the strokes that failed. The result is taken
+    whose deviance is least, penalised by the number of its effects and parameters.
     """
     if _verdict(found, train) in (FOUND, NOTHING):
         return found
+    nominal, rows = found.nominal, found.rows
+    results = [found]
+    misfires = misfires_of(nominal, train, rows)
+    if misfires is not None and misfires.deviance < _penalised(found):
+        fired = without_failed(train, misfires)
+        baseline = nominal_fit(fired, robot)
+        plain = Found(baseline[2], baseline[2], [], baseline[1], [])
+        if _verdict(plain, fired) == NOTHING:
+            return Found(nominal, nominal, [], rows, [], misfires=misfires)
+        beside = search(fired, robot, catalogue(robot), progress, baseline)
+        if _verdict(beside, fired) not in (FOUND, NOTHING):
+            beside = min(beside, _with_laws(beside, fired, robot, progress), key=_penalised)
+        (fitted,) = derivatives([beside.fitted.model], train, rows)
+        misfires = misfires_of(fitted, train, rows)
+        results.append(replace(beside, nominal=nominal, fitted=fitted, rows=rows, misfires=misfires))
+    else:
+        results.append(_with_laws(found, train, robot, progress))
+        best = min(results, key=_penalised)
+        if best.fitted.model.terms and _verdict(best, train) not in (FOUND, FOUND_LAW):
+            results.append(replace(best, misfires=misfires_of(best.fitted, train, rows)))
+    return min(results, key=_penalised)
+
+
+def with_misfires(found: Found, train: Sequence[Segments]) -> Found:
+    """The result with laws for the limbs that misfire beside its effects; see ``Effect.likeliest``."""
+    if found.misfires is None:
+        return found
+    misfires = found.misfires
+    if found.fitted.model.terms != misfires.base.model.terms:
+        again = misfires_of(found.fitted, train, found.rows)
+        if again is None:
+            return replace(found, misfires=None)
+        misfires = again
+    model = replace(found.fitted.model, terms=(*found.fitted.model.terms, *misfires.terms))
+    return replace(
+        found,
+        fitted=derivatives([model], train, found.rows)[0],
+        confounded_with=[*found.confounded_with, *misfires.alike],
+        rivals=[*(found.rivals or [[] for _ in found.fitted.model.terms]), *([] for _ in misfires.limbs)],
+        stability=[*found.stability, *misfires.stability],
+        misfires=misfires,
+    )
+
+
+def _with_laws(found: Found, train: Sequence[Segments], robot: Robot, progress: TellStage) -> Found:
+    """The result of a search in the catalogue and the grammar of laws."""
     nominal, rows = found.nominal, found.rows
     laws = Laws(answers_of(nominal, train, rows), train, robot, progress)
     known = found.sensitivities
@@ -101,13 +149,16 @@ def discovered(found: Found, train: Sequence[Segments], robot: Robot, progress: 
         known = sensitivities(nominal.model, catalogue(robot), train, rows, lambda _done, _whole: None)
     candidates = [column.term for column in known]
     baseline = nominal.model, rows, nominal
-    other = search(train, robot, candidates, progress, baseline, columns=known, laws=laws)
-    deviances = [
-        end_deviance(each.fitted.rollouts, train)
-        + PARAMETER_PENALTY * (len(each.fitted.model.values) - len(each.fitted.model.fixed))
-        for each in (found, other)
-    ]
-    return other if deviances[1] < deviances[0] else found
+    return search(train, robot, candidates, progress, baseline, columns=known, laws=laws)
+
+
+def _penalised(found: Found) -> float:
+    """The deviance, penalised by the number of effects and of free parameters."""
+    model = found.fitted.model
+    plain = found.fitted.deviance if found.misfires is None else found.misfires.deviance
+    return (
+        plain + EFFECT_PENALTY * len(model.terms) + PARAMETER_PENALTY * (len(model.values) - len(model.fixed))
+    )
 
 
 def _relative(

@@ -56,7 +56,7 @@ class Model:
     def lane(self, swim: Segments) -> Lane:
         """This model on a run, with the strokes that its limbs have at the run's own period."""
         every = (*effects_of(self.robot), *(term.effect() for term in self.terms))
-        effects = tuple(effect.on_average() for effect in every)
+        effects = tuple(effect.likeliest() for effect in every)
         return Lane(swim, self.robot.at_period(swim.period_s), effects, self.noise, self.leg_s, self.step_s)
 
     def with_values(self, values: FloatArray) -> Model:

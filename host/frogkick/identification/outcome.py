@@ -18,7 +18,7 @@ from frogkick.core.errors import InputError
 from frogkick.core.files import write_text
 from frogkick.core.poses import PredictionError, wrap_angle
 from frogkick.core.progress import TellStage, silent
-from frogkick.identification.choice import discovered, found_in, pruned
+from frogkick.identification.choice import discovered, found_in, pruned, with_misfires
 from frogkick.identification.diagnostics import residual_diagnostics
 from frogkick.identification.drift import Drift, drift_of
 from frogkick.identification.experiment import Experiment, experiment_of
@@ -221,14 +221,16 @@ def identify(
     found = found_in(train, robot, candidates, progress, measured)
     if laws:
         found = discovered(found, train, robot, progress)
-    found = pruned(found, train, progress)
+    found = with_misfires(pruned(found, train, progress), train)
     trained = scored(found, train, train, found.nominal.rollouts, found.fitted.rollouts)
     nominal_rollouts, rollouts = rollouts_of([found.nominal.model, found.fitted.model], test)
     tested = scored(found, train, test, nominal_rollouts, rollouts)
     dropped = tuple(term.title for term in found.fitted.model.terms) if not tested.helped else ()
     if dropped:
         # Effects that do not help on other runs are no part of the model that is returned.
-        found = replace(found, fitted=found.nominal, confounded_with=[], rivals=[], stability=[])
+        found = replace(
+            found, fitted=found.nominal, confounded_with=[], rivals=[], stability=[], misfires=None
+        )
         trained = scored(found, train, train, found.nominal.rollouts, found.nominal.rollouts)
         rollouts = nominal_rollouts
         tested = scored(found, train, test, rollouts, rollouts)
@@ -239,7 +241,7 @@ def identify(
         train=train,
         test=test,
         found=found,
-        parameters=intervals(found.fitted, found.rows, discretisation_shift(found.fitted, train, found.rows)),
+        parameters=_parameters(found, train),
         trained=trained,
         tested=tested,
         nominal_rollouts=nominal_rollouts,
@@ -249,6 +251,20 @@ def identify(
         followed=followed,
         dropped=dropped,
         left_out=left_out,
+    )
+
+
+def _parameters(found: Found, train: Sequence[Segments]) -> list[list[Interval]]:
+    """Intervals of each term's parameters; the chances of misfires have theirs by profile likelihood."""
+    fitted = found.fitted if found.misfires is None else found.misfires.base
+    rows = intervals(fitted, found.rows, discretisation_shift(fitted, train, found.rows))
+    return (
+        rows
+        if found.misfires is None
+        else [
+            *rows,
+            *([Interval("failing", *each, "1")] for each in found.misfires.chance),
+        ]
     )
 
 

@@ -70,7 +70,7 @@ class Side:
 
     def __init__(self, model: Model) -> None:
         every = (*effects_of(model.robot), *(term.effect() for term in model.terms))
-        effects = tuple(effect.on_average() for effect in every)
+        effects = tuple(effect.likeliest() for effect in every)
         self.effects = effects
         self.robot = changed_robot(model.robot, effects)
         self.camera_effects = [effect for effect in effects if type(effect).fix is not Effect.fix]

@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -52,6 +53,9 @@ from frogkick.identification.segments import Segments, replicate_count
 from frogkick.identification.steps import cross_fitted, linearised_optimum
 from frogkick.identification.terms import Term
 from frogkick.robot import Robot
+
+if TYPE_CHECKING:
+    from frogkick.identification.misfires import Misfires
 
 FloatArray = NDArray[np.float64]
 
@@ -117,6 +121,7 @@ class Found:
         confounded_with: for each effect chosen, the titles of others that the data cannot tell from it.
         rivals: these others, fitted.
         stability: of each effect; see ``backward.stability``.
+        misfires: limbs that do nothing by chance, beside the other effects; None without.
     """
 
     nominal: Fitted
@@ -127,6 +132,7 @@ class Found:
     sensitivities: list[Column] = field(default_factory=list)
     rivals: list[list[Term]] = field(default_factory=list)
     stability: list[float] = field(default_factory=list)
+    misfires: Misfires | None = None
 
 
 Baseline = tuple[Model, NDArray[np.bool_], Fitted]
@@ -318,7 +324,7 @@ class _ForwardSelection:
     def simplest_of(self, taken: Fitted, rivals: Sequence[Fitted]) -> tuple[Fitted, list[Term]]:
         """The simplest of a refined model and the rivals confounded with it, and the others of these.
 
-        The simplest is the one with the fewest parameters.
+        The simplest is of the catalogue where one is, and has the fewest parameters.
         """
         if not rivals:
             return taken, []
@@ -339,7 +345,7 @@ class _ForwardSelection:
             if penalised_deviance(each)
             < penalised_deviance(every[0]) + CONFOUNDED_MARGIN * self.replicate_count
         ]
-        confounded.sort(key=lambda each: len(each.model.values))
+        confounded.sort(key=lambda each: (each.model.terms[-1].name == "law", len(each.model.values)))
         return confounded[0], [each.model.terms[-1] for each in confounded[1:]]
 
     def screen_all(self, current: Fitted) -> list[_Screened]:

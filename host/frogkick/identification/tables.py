@@ -114,7 +114,7 @@ def table_error(tools: Tools, image: bytes, outcome: Outcome, periods: int = 1) 
         outcome: runs, starts and effects.
         periods: ahead.
     """
-    effects = [term.effect().on_average() for term in outcome.terms]
+    effects = [term.effect().likeliest() for term in outcome.terms]
     gaps = [
         _gaps(tools, image, *pair, effects, periods)
         for pair in zip(outcome.test, outcome.rollouts, strict=True)

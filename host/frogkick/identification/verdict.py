@@ -194,7 +194,8 @@ class Gain:
 
 
 def log_score_gain(
-    scales: tuple[FloatArray, FloatArray],
+    found: Found,
+    train: Sequence[Segments],
     before: Sequence[Rollout],
     after: Sequence[Rollout],
     swims: Sequence[Segments],
@@ -202,18 +203,26 @@ def log_score_gain(
     """Log score gain of the measured ends of periods, paired by period.
 
     Args:
-        scales: (3, 3) scales of the Student-t densities without and with effects, from the training runs: a
-            model is also judged by the spread that it predicts.
+        found: the model; where limbs misfire its density is a mixture.
+        train: runs that the scales of the Student-t densities without and with effects are told by: a model
+            is also judged by the spread that it predicts.
         before, after: of the runs, without and with effects.
         swims: the runs.
     """
-    runs = []
-    for one, other, swim in zip(before, after, swims, strict=True):
-        ends = [end_errors(rollout, swim) for rollout in (one, other)]
-        rows = np.isfinite(ends[0]).all(axis=1) & np.isfinite(ends[1]).all(axis=1)
-        if rows.any():
-            scores = [log_density(each[rows], scale) for each, scale in zip(ends, scales, strict=True)]
-            runs.append(scores[1] - scores[0])
+    scales = [scale_of(end_residuals(each.rollouts, train)) for each in (found.nominal, found.fitted)]
+    pairs = [
+        [end_errors(rollout, swim) for rollout in both]
+        for *both, swim in zip(before, after, swims, strict=True)
+    ]
+    rows = [np.asarray(np.isfinite(np.concatenate(ends, axis=1)).all(axis=1)) for ends in pairs]
+    scores = [
+        [log_density(each[row], scale) for each, scale in zip(ends, scales, strict=True)]
+        for ends, row in zip(pairs, rows, strict=True)
+    ]
+    if found.misfires is not None:
+        mixed = found.misfires.scores(swims, rows)
+        scores = [[plain, mixture] for (plain, _), mixture in zip(scores, mixed, strict=True)]
+    runs = [with_effects - without for without, with_effects in scores if len(without)]
     if not runs:
         return Gain(math.nan, math.nan, math.nan)
     value = float(np.concatenate(runs).mean())
@@ -321,6 +330,7 @@ class Scored:
         noise_floor: see ``noise_floor``.
         gain: gain of the log score; None without effects.
         repeatability: see ``repeatability``.
+        by_chance: strokes fail by chance: errors may stay about the repeatability.
     """
 
     before: PredictionError
@@ -328,6 +338,7 @@ class Scored:
     noise_floor: PredictionError
     gain: Gain | None = None
     repeatability: PredictionError = PredictionError()  # noqa: RUF009 - frozen
+    by_chance: bool = False
 
     @property
     def quiet(self) -> bool:
@@ -339,12 +350,14 @@ class Scored:
         """Whether the log score gain is beyond chance and no error grows beyond the noise of the fixes."""
         if self.gain is None or not self.gain.low > 0.0:
             return False
+        varying = self.repeatability if self.by_chance else PredictionError(0.0, 0.0)
         pairs = (
             (each.position_rmse_m, each.heading_rmse_rad)
-            for each in (self.before, self.after, self.noise_floor)
+            for each in (self.before, self.after, self.noise_floor, varying)
         )
         return all(
-            after <= max(before, NEAR_FLOOR * floor) for before, after, floor in zip(*pairs, strict=True)
+            after <= max(before, NEAR_FLOOR * math.hypot(floor, spread))
+            for before, after, floor, spread in zip(*pairs, strict=True)
         )
 
     def as_json(self) -> dict[str, Any]:
@@ -379,10 +392,9 @@ def scored(
     floor = noise_floor(swims, fix_noise([*train]) or fix_noise(swims) or found.fitted.model.noise.fix)
     gain = None
     if found.fitted.model.terms:
-        models = (found.nominal, found.fitted)
-        one, other = (scale_of(end_residuals(each.rollouts, train)) for each in models)
-        gain = log_score_gain((one, other), before, after, swims)
-    return Scored(first, second, floor, gain, repeatability(after, swims, floor))
+        gain = log_score_gain(found, train, before, after, swims)
+    chance = found.misfires is not None
+    return Scored(first, second, floor, gain, repeatability(after, swims, floor), chance)
 
 
 def verdict_of(found: Found, trained: Scored, tested: Scored) -> str:
@@ -391,13 +403,14 @@ def verdict_of(found: Found, trained: Scored, tested: Scored) -> str:
     ``found``: the interval of the log score gain is above zero on the held-out runs, and the remaining error
     is noise there and on the training runs. ``partly explained``: the same gain, but more than noise remains.
     ``found: law``: as ``found``, with a formula that is not in the catalogue. ``nothing missing``: no
-    effects, and no more than noise. ``unexplained``: else.
+    effects, and no more than noise. ``unexplained``: else. Limbs that misfire by chance are partly explained
+    at best: nobody can predict which stroke fails.
     """
     quiet = trained.quiet and tested.quiet
     if not found.fitted.model.terms:
         return NOTHING if quiet else UNEXPLAINED
     if not tested.helped:
         return UNEXPLAINED
-    if not quiet:
+    if not quiet or tested.by_chance:
         return PARTLY
     return FOUND_LAW if any(term.name == "law" for term in found.fitted.model.terms) else FOUND

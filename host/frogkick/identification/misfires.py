@@ -1,0 +1,359 @@
+"""Limbs that do nothing now and then, by chance: which, how often, and at which strokes.
+
+No mean gain stands for a stroke that either happens or does not. Each period's residual is held against two
+hypotheses for each of its strokes: it was fired as told, or the limb did nothing; what the latter changes is
+simulated. With p the chance that a limb does nothing, the density of a residual is the mixture of both.
+Chance, scale and each stroke's probability to have failed are those of maximum likelihood.
+
+Nobody can predict which stroke fails next. So predictions stay those of strokes that happen, with their
+errors of position, and what is gained is the density: it is judged on the test runs by the log score of the
+mixture.
+
+Source: Dempster, Laird, Rubin 1977 (mixtures by expectation maximisation).
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from frogkick.effects import Law
+from frogkick.identification.answers import Weaker, fired_strokes, rollouts_with
+from frogkick.identification.bootstrap import drawn_periods
+from frogkick.identification.calibrated import end_errors
+from frogkick.identification.fit import DIVERGED, Fitted, Model, residuals_of, rollouts_of
+from frogkick.identification.penalty import CONFOUNDED_MARGIN, EFFECT_PENALTY, PARAMETER_PENALTY
+from frogkick.identification.predict import Rollout
+from frogkick.identification.segments import Segments, replicate_count
+from frogkick.identification.steps import DOF, deviance_of, log_density, scale_of
+from frogkick.identification.terms import Term
+
+FloatArray = NDArray[np.float64]
+
+CHANCES = (0.01, 0.7)
+"""Least and greatest chance: a limb that mostly does nothing is worn, not by chance."""
+
+LIMBS_MOST = 3
+"""Limbs that misfire, at most."""
+
+TURNS = 200
+"""Iterations of the expectation maximisation at most."""
+
+STARTS = (0.1, 0.35)
+"""Chances that it starts from."""
+
+DRAWS = 200
+"""Resamples of periods for the stability."""
+
+PROFILE = 3.84
+"""Rise of the deviance at the ends of an interval of 95 % (profile likelihood)."""
+
+_LEAST = np.tile([2e-5, 2e-5, 2e-4], 3)  # m, m, rad: discretisation error
+
+
+@dataclass(frozen=True, eq=False)
+class Mixture:
+    """A mixture fitted to residuals.
+
+    Attributes:
+        chance: (k,) of each limb.
+        scale: (d, d) of the Student-t density.
+        failed: (n, k) probability that each stroke failed.
+        score: (n,) log density of each residual.
+    """
+
+    chance: FloatArray
+    scale: FloatArray
+    failed: FloatArray
+    score: FloatArray
+
+    @property
+    def deviance(self) -> float:
+        """Minus twice the log likelihood."""
+        return -2.0 * float(self.score.sum())
+
+
+@dataclass(frozen=True, eq=False)
+class Misfires:
+    """Limbs that misfire beside a model.
+
+    Attributes:
+        base: the model without them, fitted.
+        limbs: names.
+        indices: of these limbs.
+        chance: of each, and the ends of its interval.
+        scale: of the ends of periods by the mixture.
+        failed: for each limb (run, time_s, probability that it did nothing) of each stroke.
+        stability: share of resamples in which each is accepted.
+        alike: for each the limbs that explain nearly as much in its place.
+        deviance: of the residuals by the mixture, penalised.
+    """
+
+    base: Fitted
+    limbs: tuple[str, ...]
+    indices: tuple[int, ...]
+    chance: list[tuple[float, float, float]]
+    scale: FloatArray
+    failed: list[list[tuple[str, float, float]]]
+    stability: list[float]
+    alike: list[list[str]]
+    deviance: float
+
+    @property
+    def terms(self) -> tuple[Term, ...]:
+        """A law for each limb."""
+        return tuple(_term(limb, each[0]) for limb, each in zip(self.limbs, self.chance, strict=True))
+
+    def scores(self, swims: Sequence[Segments], rows: Sequence[NDArray[np.bool_]]) -> list[FloatArray]:
+        """Log density of the ends of each run's periods by the mixture.
+
+        Args:
+            swims: the runs.
+            rows: for each run (m,) which of its periods count.
+        """
+        (rollouts,) = rollouts_of([self.base.model], swims)
+        every = _ends(self.base.model, self.indices, swims, rollouts)
+        chance = np.array([each[0] for each in self.chance])
+        return [
+            _log_sum(_joint(ends[row], changes[row], fired[row], chance, self.scale))
+            for ends, changes, fired, row in zip(*every, rows, strict=True)
+        ]
+
+    def as_json(self) -> list[dict[str, Any]]:
+        """For each limb its strokes that likely failed."""
+        return [
+            {
+                "limb": limb,
+                "chance": chance,
+                "interval": [low, high],
+                "strokes": [
+                    {"run": run, "time_s": time_s, "failed": share} for run, time_s, share in strokes
+                ],
+            }
+            for limb, (chance, low, high), strokes in zip(self.limbs, self.chance, self.failed, strict=True)
+        ]
+
+
+def misfires_of(base: Fitted, swims: Sequence[Segments], rows: NDArray[np.bool_]) -> Misfires | None:
+    """The limbs that misfire, one after the other as long as one explains more than chance; None without.
+
+    Args:
+        base: the model beside which they are looked for.
+        swims, rows: the runs, and which of their periods count.
+    """
+    model, replicates = base.model, replicate_count(swims)
+    limbs = range(len(model.robot.limbs))
+    moved = rollouts_with(model, [[Weaker(limb, 1.0) for limb in limbs] for _ in swims], swims)
+    plain = residuals_of(moved[0], rows)
+    changes = np.stack([residuals_of(each, rows) - plain for each in moved[1:]], axis=2)
+    changes[(np.abs(changes) > 0.5 * DIVERGED[:, None]).any(axis=(1, 2))] = 0.0  # a simulation failed
+    times = np.concatenate([fired_strokes(swim, len(limbs)) for swim in swims])[rows]
+    fired = np.isfinite(times)
+    least = deviance_of(base.residuals)
+    taken: list[int] = []
+    scores = [log_density(base.residuals, scale_of(base.residuals))]
+    alike: list[list[str]] = []
+    best: Mixture | None = None
+    while len(taken) < LIMBS_MOST:
+        tried = []
+        for limb in limbs:
+            if limb not in taken and fired[:, limb].sum() > 4:
+                some = [*taken, limb]
+                mixture = fitted_mixture(base.residuals, changes[:, :, some], fired[:, some])
+                if mixture.chance.max() < CHANCES[1]:
+                    tried.append((mixture.deviance, limb, mixture))
+        if not tried:
+            break
+        tried.sort(key=lambda row: row[0])
+        deviance, limb, mixture = tried[0]
+        if (least - deviance) / replicates < EFFECT_PENALTY + PARAMETER_PENALTY:
+            break
+        alike.append(
+            [
+                _title(model.robot.limbs[other].name)
+                for rival, other, _ in tried[1:]
+                if rival < deviance + CONFOUNDED_MARGIN * replicates
+            ]
+        )
+        taken.append(limb)
+        least, best = deviance, mixture
+        scores.append(mixture.score)
+    if best is None:
+        return None
+    names = [model.robot.limbs[limb].name for limb in taken]
+    chance = [
+        (float(best.chance[k]), *_interval(best, base, changes, fired, taken, k)) for k in range(len(taken))
+    ]
+    runs = np.repeat(np.arange(len(swims)), [len(swim.start_s) for swim in swims])[rows]
+    failed = [
+        [
+            (swims[run].name, float(time_s), round(float(share), 4))
+            for run, time_s, share in zip(runs, times[:, limb], best.failed[:, k], strict=True)
+            if math.isfinite(time_s)
+        ]
+        for k, limb in enumerate(taken)
+    ]
+    every = _ends(model, taken, swims, base.rollouts)
+    ends, moves, told = np.concatenate(every[0]), np.concatenate(every[1]), np.concatenate(every[2])
+    known = np.isfinite(ends).all(axis=1)
+    mixed = fitted_mixture(ends[known], moves[known], told[known], best.chance)
+    return Misfires(
+        base,
+        tuple(names),
+        tuple(taken),
+        chance,
+        mixed.scale,
+        failed,
+        _stability(scores, runs, replicates),
+        alike,
+        least + (EFFECT_PENALTY + PARAMETER_PENALTY) * len(taken),
+    )
+
+
+def fitted_mixture(
+    residuals: FloatArray, changes: FloatArray, fired: NDArray[np.bool_], chance: FloatArray | None = None
+) -> Mixture:
+    """The mixture of maximum likelihood, by expectation maximisation from several starts.
+
+    Args:
+        residuals: (n, d) by a model whose strokes all happen.
+        changes: (n, d, k) of these where a limb does nothing.
+        fired: (n, k) whether a limb was told to fire.
+        chance: (k,) where it is known.
+    """
+    every = []
+    for start in STARTS:
+        first = np.full(changes.shape[2], start) if chance is None else chance
+        every.append(_maximised(residuals, changes, fired, first, chance is None))
+    return min(every, key=lambda mixture: mixture.deviance)
+
+
+def _maximised(
+    residuals: FloatArray, changes: FloatArray, fired: NDArray[np.bool_], chance: FloatArray, free: bool
+) -> Mixture:
+    count, width = residuals.shape
+    which = np.array(list(itertools.product((0.0, 1.0), repeat=changes.shape[2])))
+    every = residuals[None] + np.einsum("hk,nik->hni", which, changes)
+    # From the hypothesis that leaves least, by the size of the smaller half of all residuals.
+    size = np.median(np.abs(residuals), axis=0) + _LEAST[:width]
+    nearest = ((every / size) ** 2).sum(axis=2).argmin(axis=0)
+    scale = scale_of(every[nearest, np.arange(count)])
+    before = math.inf
+    for _ in range(TURNS):
+        each = _joint(residuals, changes, fired, chance, scale)
+        score = _log_sum(each)
+        share = np.exp(each - score)
+        failed = np.einsum("hn,hk->nk", share, which)
+        deviance = -2.0 * float(score.sum())
+        if before - deviance < 1e-4:
+            break
+        before = deviance
+        if free:
+            chance = np.clip(failed.sum(axis=0) / np.maximum(fired.sum(axis=0), 1), *CHANCES)
+        white = np.linalg.solve(np.linalg.cholesky(scale), every.reshape(-1, width).T)
+        weight = share * ((DOF + width) / (DOF + (white**2).sum(axis=0))).reshape(share.shape)
+        scale = np.einsum("hn,hni,hnj->ij", weight, every, every) / count + np.diag(_LEAST[:width] ** 2)
+    return Mixture(chance, scale, failed, score)
+
+
+def _joint(
+    residuals: FloatArray,
+    changes: FloatArray,
+    fired: NDArray[np.bool_],
+    chance: FloatArray,
+    scale: FloatArray,
+) -> FloatArray:
+    """(h, n) log of prior times density of each hypothesis: every combination of limbs that fail."""
+    found = []
+    for row in itertools.product((False, True), repeat=changes.shape[2]):
+        fails = np.array(row)
+        prior = np.where(fired, np.log(np.where(fails, chance, 1.0 - chance)), np.where(fails, -np.inf, 0.0))
+        density = log_density(residuals + changes @ fails.astype(np.float64), scale)
+        found.append(prior.sum(axis=1) + density)
+    return np.array(found)
+
+
+def _log_sum(each: FloatArray) -> FloatArray:
+    most = each.max(axis=0)
+    return np.asarray(most + np.log(np.exp(each - most).sum(axis=0)))
+
+
+def _interval(
+    best: Mixture,
+    base: Fitted,
+    changes: FloatArray,
+    fired: NDArray[np.bool_],
+    taken: Sequence[int],
+    k: int,
+) -> tuple[float, float]:
+    """Interval of a chance by its profile likelihood, at the scale that was found."""
+    tried = np.linspace(*CHANCES, 160)
+    deviances = []
+    for value in tried:
+        chance = best.chance.copy()
+        chance[k] = value
+        each = _joint(base.residuals, changes[:, :, list(taken)], fired[:, list(taken)], chance, best.scale)
+        deviances.append(-2.0 * float(_log_sum(each).sum()))
+    inside = tried[np.array(deviances) <= best.deviance + PROFILE]
+    own = float(best.chance[k])
+    return min([own, *inside.tolist()]), max([own, *inside.tolist()])
+
+
+def _stability(scores: Sequence[FloatArray], runs: NDArray[np.int64], replicates: int) -> list[float]:
+    rng = np.random.default_rng(0)
+    accepted = np.zeros(len(scores) - 1)
+    for _ in range(DRAWS):
+        drawn = drawn_periods(runs, rng)
+        for k in range(len(accepted)):
+            gain = 2.0 * float((scores[k + 1] - scores[k])[drawn].sum()) / replicates
+            accepted[k] += gain > EFFECT_PENALTY + PARAMETER_PENALTY
+    return [float(each) for each in accepted / DRAWS]
+
+
+def _ends(
+    model: Model, limbs: Sequence[int], swims: Sequence[Segments], rollouts: Sequence[Rollout]
+) -> tuple[list[FloatArray], list[FloatArray], list[NDArray[np.bool_]]]:
+    """Of each run (m, 3) residuals at the ends of periods by its rollout, (m, 3, k) changes of these where a
+    limb does nothing, and (m, k) whether it was told to fire."""
+    moved = rollouts_with(model, [[Weaker(limb, 1.0) for limb in limbs] for _ in swims], swims)
+    ends = [[end_errors(rollout, swim) for rollout, swim in zip(each, swims, strict=True)] for each in moved]
+    changes = [
+        np.nan_to_num(np.stack([each[run] - ends[0][run] for each in ends[1:]], axis=2))
+        for run in range(len(swims))
+    ]
+    fired = [np.isfinite(fired_strokes(swim, len(model.robot.limbs))[:, list(limbs)]) for swim in swims]
+    plain = [end_errors(rollout, swim) for rollout, swim in zip(rollouts, swims, strict=True)]
+    return plain, changes, fired
+
+
+def without_failed(swims: Sequence[Segments], found: Misfires) -> list[Segments]:
+    """The runs without the strokes that likely failed: as their limbs fired."""
+    gone = {
+        (run, limb, time_s)
+        for limb, strokes in zip(found.indices, found.failed, strict=True)
+        for run, time_s, share in strokes
+        if share > 0.5
+    }
+    return [
+        replace(swim, strokes=tuple(row for row in swim.strokes if (swim.name, row[1], row[0]) not in gone))
+        for swim in swims
+    ]
+
+
+def _title(limb: str) -> str:
+    return f"misfire {limb}"
+
+
+def _term(limb: str, chance: float) -> Term:
+    declared = {"failing": {"unit": "1", "low": 0.0, "high": 1.0, "nominal": 0.0, "step": 0.1}}
+    table = {"on": "stroke", "limb": limb, "gain": "chance >= failing", "parameters": declared}
+    law = Law(title="misfire", **table)  # type: ignore[arg-type]
+    whole = {"name": "law", "title": "misfire", **table}
+    return Term(tuple(whole.items()), Path(), law.parameters, (chance,))

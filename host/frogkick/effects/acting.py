@@ -45,8 +45,8 @@ def rods_of(robot: Robot) -> Rods:
 
 
 def body_effects(robot: Robot) -> tuple[Effect, ...]:
-    """Return the effects of a robot's file that belong to its body, without their chance: all but flows of the water
-    and laws that hang on what a library does not know (``Effect.in_tables``)."""
+    """Return the effects of a robot's file that belong to its body, without their chance: all but flows of
+    the water and laws that hang on what a library does not know (``Effect.in_tables``)."""
     return tuple(
         effect.likeliest()
         for effect in effects_of(robot)

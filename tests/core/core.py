@@ -16,7 +16,7 @@ from tests.conftest import REPOSITORY, count
 from tests.planner import synthetic
 
 from frogkick.core.shared_library import ffi_of, load
-from frogkick.link.auth import Conversation
+from frogkick.link.auth import CommandCodes
 from frogkick.link.frames import Frame, FrameCollector, hello, pack_frame
 from frogkick.link.layout import Value, link_layout
 from frogkick.robot import load_robot
@@ -196,7 +196,7 @@ class Robot:
         self._sequence = 0
         self._fixes = 0
         self._kept: list[Frame] = []
-        self.auth: Conversation | None = None
+        self.auth: CommandCodes | None = None
         self.keep = False
         image_at = FFI.cast("uint8_t *", self._image)
         self.error = self.core.fk_robot_init(self.memory, image_at, len(self.image))

@@ -48,7 +48,7 @@ def own(robot: Robot, key: bytes = KEY) -> str:
     return robot.status("KEY", auth.words("key", key))
 
 
-def challenge(robot: Robot, key: bytes = KEY, nonce: bytes = bytes(16)) -> auth.Conversation | None:
+def challenge(robot: Robot, key: bytes = KEY, nonce: bytes = bytes(16)) -> auth.CommandCodes | None:
     return auth.begin(key, nonce, robot.ask("CHALLENGE", auth.words("nonce", nonce)))
 
 
@@ -76,7 +76,7 @@ def test_anybody_commands_a_robot_without_an_owner() -> None:
     assert robot.ask("STATUS")["owner"] == link_layout().owner["OPEN"]
     assert robot.status("CHALLENGE", auth.words("nonce", bytes(16))) == "AUTH"  # it has no key to prove
     assert robot.status("ARM") == "OK"
-    robot.auth = auth.Conversation(KEY)
+    robot.auth = auth.CommandCodes(KEY)
     assert robot.status("ARM") == "MAC"  # nor a key to check by
 
 
@@ -164,7 +164,7 @@ def test_a_wrong_key() -> None:
     robot, _ = owned()
     assert challenge(robot, OTHER) is None
     nonces = bytes(16) + auth.from_words("nonce", robot.ask("CHALLENGE", auth.words("nonce", bytes(16))), 4)
-    robot.auth = auth.Conversation(hmac.digest(OTHER, b"frogkick command" + nonces, "sha256"))
+    robot.auth = auth.CommandCodes(hmac.digest(OTHER, b"frogkick command" + nonces, "sha256"))
     assert robot.status("ARM") == "MAC" and robot.state() == "DISARMED"
 
 

@@ -110,7 +110,7 @@ def test_a_robot_gets_an_owner_and_loses_him(
 
 @pytest.mark.parametrize(
     ("content", "words"),
-    [("", "64 hexadecimal digits"), ("17" * 31, "64 hexadecimal digits"), ("x" * 64, "is no owner's key"),
+    [("", "64 hexadecimal digits"), ("17" * 31, "64 hexadecimal digits"), ("x" * 64, "is not an owner's key"),
      ("00" * 32, "not all zero")],
 )  # fmt: skip
 def test_a_file_that_holds_no_key(
@@ -141,7 +141,7 @@ def test_no_message_holds_a_key(robot: LiveRobot, target: str, capsys: pytest.Ca
     refused(told, "the robot refuses KEY: UNKNOWN")
     key = auth.read_key(auth.default_key_file())
     assert key.hex() not in told.stderr and "key_0" not in told.stderr
-    assert "key=" not in repr(auth.Conversation(key))
+    assert "key=" not in repr(auth.CommandCodes(key))
 
 
 def test_what_it_tells_and_what_it_wrote_down_anybody_may_read(robot: LiveRobot, target: str) -> None:

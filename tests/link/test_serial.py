@@ -54,7 +54,7 @@ def test_a_port_that_is_not_there(tmp_path: Path) -> None:
 
 def test_a_file_is_no_port(tmp_path: Path) -> None:
     (tmp_path / "file").write_bytes(b"")
-    with pytest.raises(WireError, match="is no serial port"):
+    with pytest.raises(WireError, match="is not a serial port"):
         SerialWire(str(tmp_path / "file"))
 
 

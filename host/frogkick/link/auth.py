@@ -28,19 +28,16 @@ def _code(key: bytes, *parts: bytes) -> bytes:
 
 
 @dataclass
-class Conversation:
-    """What gives commands their codes, once the robot has proved that it has the key."""
+class CommandCodes:
+    """Authentication codes of commands, once the robot has proved that it has the key."""
 
     key: bytes = field(repr=False)
     counter: int = 0
 
     def code(self, number: int, sequence: int, payload: bytes) -> bytes:
-        """What follows the payload of the next command: its counter and its code.
+        """Counter and code of the next command, which follow its payload.
 
-        Args:
-            number: the frame's type, ``AUTH_BIT`` set.
-            sequence: the frame's.
-            payload: of the command.
+        ``number`` is the frame's type with ``AUTH_BIT``, ``sequence`` its sequence number.
         """
         self.counter += 1
         counter = struct.pack("<I", self.counter)
@@ -48,31 +45,31 @@ class Conversation:
 
 
 def challenge() -> bytes:
-    """A nonce that was never used before."""
+    """A new random nonce."""
     return secrets.token_bytes(NONCE_BYTES)
 
 
 def words(name: str, content: bytes) -> dict[str, int | float | str]:
-    """Bytes as a frame carries them: ``name_0``, ``name_1`` and so on, little-endian."""
+    """Bytes as little-endian words in the fields ``name_0``, ``name_1`` and so on."""
     return {f"{name}_{i}": word for i, (word,) in enumerate(struct.iter_unpack("<I", content))}
 
 
 def from_words(name: str, values: Mapping[str, int | float | str], count: int) -> bytes:
-    """The other way."""
+    """The inverse of ``words``, for a number of words."""
     return struct.pack(f"<{count}I", *(int(values[f"{name}_{i}"]) for i in range(count)))
 
 
-def begin(key: bytes, host_nonce: bytes, answer: Mapping[str, int | float | str]) -> Conversation | None:
-    """The conversation of a robot's answer to CHALLENGE; None where it has another key."""
+def begin(key: bytes, host_nonce: bytes, answer: Mapping[str, int | float | str]) -> CommandCodes | None:
+    """Codes after a robot's answer to CHALLENGE; None where the robot has another key."""
     nonces = host_nonce + from_words("nonce", answer, 4)
     proof = _code(key, _OF_ROBOT, nonces)[:16]
     if not hmac.compare_digest(proof, from_words("proof", answer, 4)):
         return None
-    return Conversation(_code(key, _OF_COMMAND, nonces))
+    return CommandCodes(_code(key, _OF_COMMAND, nonces))
 
 
 def default_key_file() -> Path:
-    """Where the owner's key is looked for: ``frogkick/owner.key`` among the user's settings."""
+    """Default file of the owner's key: ``frogkick/owner.key`` among the user's settings."""
     home = os.environ.get("XDG_CONFIG_HOME") or os.environ.get("APPDATA")
     return (Path(home) if home else Path.home() / ".config") / "frogkick" / "owner.key"
 
@@ -81,7 +78,7 @@ def read_key(file: Path) -> bytes:
     """An owner's key from its file: 64 hexadecimal digits.
 
     Raises:
-        InputError: there is no such file, or it holds no key.
+        InputError: no such file, or not a key.
     """
     try:
         text = file.read_text(encoding="ascii").strip()
@@ -94,17 +91,17 @@ def read_key(file: Path) -> bytes:
         key = b""
     if len(key) != KEY_BYTES or not any(key):
         raise InputError(
-            f"{str(file)!r} is no owner's key: that is 64 hexadecimal digits, not all zero; name the file "
-            "that 'frogkick own' wrote"
+            f"{str(file)!r} is not an owner's key: a key is 64 hexadecimal digits, not all zero; give the "
+            "file that 'frogkick own' wrote"
         )
     return key
 
 
 def make_key(file: Path) -> bytes:
-    """Make an owner's key, and its file, which only this user may read.
+    """Make an owner's key and write it to a file that only this user may read.
 
     Raises:
-        InputError: it cannot be written.
+        InputError: the file cannot be written.
     """
     key = secrets.token_bytes(KEY_BYTES)
     try:

@@ -1,4 +1,4 @@
-"""The link by Bluetooth: the Nordic UART Service through bleak, in a thread with its own event loop."""
+"""The link over Bluetooth LE: the Nordic UART Service with bleak, in a thread with its own event loop."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from bleak.exc import (
 )
 
 from frogkick.link.frames import DELIMITER
-from frogkick.link.wire import Delivery, Inbox, WireError
+from frogkick.link.wire import Delivery, InboxWire, WireError
 
 SERVICE = "6e400001-b5a3-f393-e0a9-e50e24dcca9e"
 RECEIVE = "6e400002-b5a3-f393-e0a9-e50e24dcca9e"
@@ -32,14 +32,14 @@ RECEIVE = "6e400002-b5a3-f393-e0a9-e50e24dcca9e"
 TRANSMIT = "6e400003-b5a3-f393-e0a9-e50e24dcca9e"
 
 SCAN_S = 10.0
-LOOK_ROUND_S = 1.0  # for a second robot of that name: it advertises at least every 0.15 s
+LOOK_ROUND_S = 1.0  # for a second robot of the same name: robots advertise at least every 0.15 s
 CONNECT_S = 10.0
 CONNECT_TRIES = 3
 RECONNECT_S = 20.0
 FIXES_WAITING = 2
 _AGAIN_S = 0.05
-_Queue = asyncio.Queue[tuple[bytes, bool]]  # frames, and whether the radio is to acknowledge them
-_PART_MIN = 20  # what every Bluetooth robot takes at once
+_Queue = asyncio.Queue[tuple[bytes, bool]]  # frames, and whether the radio acknowledges them
+_PART_MIN = 20  # bytes that every Bluetooth device takes at once
 _DEFINITE = (
     BleakGATTProtocolErrorCode.INSUFFICIENT_AUTHENTICATION,
     BleakGATTProtocolErrorCode.INSUFFICIENT_AUTHORIZATION,
@@ -52,8 +52,8 @@ class Heard:
     """A robot that advertises.
 
     Attributes:
-        name: as it calls itself; "" where it does not.
-        address: as this computer's Bluetooth has it.
+        name: advertised name, or "".
+        address: its address on this computer.
         signal_dbm: strength of the last advertisement.
     """
 
@@ -63,7 +63,7 @@ class Heard:
 
 
 def listen(scan_s: float) -> list[Heard]:
-    """Robots that advertise within so many seconds, the strongest first. Nobody is connected to.
+    """Robots that advertise within a time, the strongest first, without connecting to them.
 
     Raises:
         WireError: no adapter, no permission.
@@ -85,19 +85,19 @@ def listen(scan_s: float) -> list[Heard]:
         except Exception as error:
             failed.append(error)
 
-    # A notebook's own event loop runs in this thread.
+    # In another thread, as a notebook's event loop runs in this one.
     thread = threading.Thread(target=run, name="listen", daemon=True)
     thread.start()
     thread.join()
     if failed:
         raise explained(failed[0], "a robot") from failed[0]
-    return sorted(seen.values(), key=lambda one: (-one.signal_dbm, one.address))
+    return sorted(seen.values(), key=lambda robot: (-robot.signal_dbm, robot.address))
 
 
-class BleWire:
-    """A ``Wire`` by Bluetooth. A robot that drops out is looked for again, by its address, and connected."""
+class BleWire(InboxWire):
+    """A ``Wire`` over Bluetooth. A robot that drops out is found again by its address and reconnected."""
 
-    window = 4  # a frame each: the robot's receive buffer holds eight
+    window = 4  # frames: the robot's receive buffer holds eight
 
     def __init__(
         self,
@@ -106,23 +106,23 @@ class BleWire:
         reconnect_s: float = RECONNECT_S,
         greeting: bytes = DELIMITER,
     ) -> None:
-        """Look for the robot and connect.
+        """Find the robot and connect.
 
         Args:
-            place: the name that it advertises, or its address.
-            scan_s: how long to look for it.
-            reconnect_s: how long to look for it again after it dropped out.
-            greeting: sent at each connect; ends what a cut-off frame left in the robot's receiver.
+            place: its advertised name or its address.
+            scan_s: longest time to find it.
+            reconnect_s: longest time to find it again after it dropped out.
+            greeting: sent at each connection; ends what a partial frame left in the robot's receiver.
 
         Raises:
-            WireError: no adapter, no permission, no such robot, two of them, or none that speaks this link.
+            WireError: no adapter, no permission, no such robot, several of them, or other firmware.
         """
+        super().__init__()
         self.name = f"ble:{place}"
         self._place, self._scan_s, self._reconnect_s = place, scan_s, reconnect_s
         self._greeting = greeting
         self._address: str | None = None
         self._part_bytes = 0
-        self._inbox = Inbox()
         self._loop: asyncio.AbstractEventLoop | None = None
         self._stop = asyncio.Event()
         self._commands: _Queue = asyncio.Queue()
@@ -137,18 +137,8 @@ class BleWire:
             raise
 
     @property
-    def connections(self) -> int:
-        """How often it was connected."""
-        return self._inbox.connections
-
-    @property
-    def is_up(self) -> bool:
-        """It is connected."""
-        return self._inbox.is_up
-
-    @property
     def address(self) -> str | None:
-        """The robot's address, as this computer's Bluetooth has it."""
+        """The robot's address on this computer."""
         return self._address
 
     @property
@@ -157,14 +147,10 @@ class BleWire:
         return self._part_bytes
 
     def send(self, encoded: bytes, how: Delivery) -> None:
-        """Send a frame; of fixes that wait for the radio only the newest are kept."""
+        """Send a frame; only the newest fixes wait for the radio."""
         if self._loop is not None and self.is_up:
             with contextlib.suppress(RuntimeError):  # the loop has just ended
                 self._loop.call_soon_threadsafe(self._put, encoded, how)
-
-    def receive(self, timeout_s: float) -> list[tuple[float, bytes]]:
-        """Wait for bytes, and take them."""
-        return self._inbox.receive(timeout_s)
 
     def close(self) -> None:
         """Disconnect."""
@@ -247,14 +233,14 @@ class BleWire:
         if named:
             return named[0]
         others = sorted({name or device.address for device, name in seen.values()})
-        raise _Asleep(
+        raise _NotFound(
             f"no robot {self._place!r} advertises within {self._scan_s:g} s (heard: "
             f"{', '.join(others) or 'none'}): switch it on, charge it, bring it nearer, and disconnect other "
             "hosts from it"
         )
 
     async def _converse(self, device: BLEDevice) -> None:
-        """Until the connection drops or is to be closed."""
+        """Connect, and exchange frames until the connection drops or closes."""
         gone = asyncio.Event()
         client = BleakClient(device, disconnected_callback=lambda _client: gone.set(), timeout=CONNECT_S)
         tasks: list[asyncio.Task[object]] = []
@@ -268,10 +254,10 @@ class BleWire:
             self._commands.put_nowait((self._greeting, True))
             self._address = device.address
             self._part_bytes = max(_PART_MIN, receiver.max_write_without_response_size)
-            whole = asyncio.Lock()
+            unmixed = asyncio.Lock()
             tasks = [
-                asyncio.create_task(self._write(client, receiver, self._commands, whole)),
-                asyncio.create_task(self._write(client, receiver, self._fixes, whole)),
+                asyncio.create_task(self._write(client, receiver, self._commands, unmixed)),
+                asyncio.create_task(self._write(client, receiver, self._fixes, unmixed)),
                 asyncio.create_task(gone.wait()),
                 asyncio.create_task(self._stop.wait()),
             ]
@@ -291,33 +277,33 @@ class BleWire:
         client: BleakClient,
         receiver: BleakGATTCharacteristic,
         queue: _Queue,
-        whole: asyncio.Lock,
+        unmixed: asyncio.Lock,
     ) -> NoReturn:
-        """Write what a queue brings, in parts as long as negotiated; no two frames get mixed."""
+        """Write the frames of a queue in parts of the negotiated length, without mixing two frames."""
         while True:
             encoded, acknowledged = await queue.get()
             size = self._part_bytes = max(_PART_MIN, receiver.max_write_without_response_size)
-            async with whole:
+            async with unmixed:
                 if len(encoded) > size:
                     for first in range(0, len(encoded), size):
                         part = encoded[first : first + size]
                         await client.write_gatt_char(receiver, part, response=acknowledged)
                     continue
-            # A frame in one write needs not keep others waiting for its acknowledgement.
+            # Others need not wait for the acknowledgement of a frame in one write.
             await client.write_gatt_char(receiver, encoded, response=acknowledged)
 
 
 class _Definite(WireError):
-    """Trying again would not help."""
+    """An error that another try would not remove."""
 
 
-class _Asleep(WireError):
-    """Nobody there."""
+class _NotFound(WireError):
+    """No such robot advertises."""
 
 
 def is_definite(error: Exception, is_first: bool) -> bool:
-    """Trying again would not help. A robot that is not heard may come back, where it was there once."""
-    if isinstance(error, _Asleep):
+    """Whether another try would not help. A robot that was connected before may be heard again."""
+    if isinstance(error, _NotFound):
         return is_first
     if isinstance(error, BleakGATTProtocolError):
         return error.code in _DEFINITE
@@ -332,7 +318,7 @@ def is_definite(error: Exception, is_first: bool) -> bool:
 
 
 def explained(error: Exception, place: str) -> WireError:
-    """What failed, in one line: which of adapter, permission, robot or firmware, and what to do."""
+    """The cause in one line (adapter, permission, robot or firmware), with what to do."""
     if isinstance(error, WireError):
         return error
     reasons = BleakBluetoothNotAvailableReason
@@ -354,7 +340,7 @@ def explained(error: Exception, place: str) -> WireError:
     elif isinstance(error, FileNotFoundError | ConnectionError) or dbus.endswith("ServiceUnknown"):
         text = f"no Bluetooth service runs here ({error}): install and start it (Linux: bluez, 'bluetoothd')"
     elif isinstance(error, BleakCharacteristicNotFoundError):
-        text = f"{place!r} has no Nordic UART Service, so it runs other firmware: flash it anew"
+        text = f"{place!r} has no Nordic UART Service, so it has other firmware: flash it"
     elif isinstance(error, BleakGATTProtocolError) and error.code in _DEFINITE:
         text = (
             f"{place!r} wants pairing: pair with it in the system's Bluetooth settings; the passkey stands "

@@ -1,4 +1,4 @@
-"""Frames: pack and unpack payloads, COBS and CRC-32 around them, collect them from a byte stream."""
+"""Frames: payloads with CRC-32 in COBS, packed, unpacked, and collected from a byte stream."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from dataclasses import dataclass
 from cobs import cobs
 
 from frogkick.core.errors import FrogkickError, InputError, nearest_name
-from frogkick.link.auth import TRAILER_BYTES, Conversation
+from frogkick.link.auth import TRAILER_BYTES, CommandCodes
 from frogkick.link.layout import ANSWER_BIT, AUTH_BIT, EVENT_BIT, Payload, Value, link_layout
 
 DELIMITER = b"\x00"
-# COBS code byte, type, sequence, payload, CRC-32; a longer string is no frame of this link.
+# COBS code byte, type, sequence, payload, CRC-32.
 ENCODED_MAX = 1 + 2 + link_layout().payload_bytes_max + 4
 PATH_POINTS_MAX = 100
 _BY_ID = {message.id: message for message in link_layout().messages.values()}
@@ -26,10 +26,7 @@ class FrameError(FrogkickError):
 
 @dataclass(frozen=True)
 class Frame:
-    """A decoded frame: the message's name, its direction, its sequence number, its values by field name.
-
-    Bytes that an answer carries at its end are a value too, a string of them in Latin-1.
-    """
+    """A decoded frame. The bytes at the end of an answer are a value too, a string in Latin-1."""
 
     name: str
     kind: str  # "command", "answer" or "event"
@@ -44,20 +41,20 @@ def pack_frame(
     sequence: int,
     values: dict[str, Value] | None = None,
     rows: Sequence[Sequence[Value]] = (),
-    auth: Conversation | None = None,
+    auth: CommandCodes | None = None,
 ) -> bytes:
-    """The bytes on the wire for one frame, delimiter included.
+    """Bytes of a frame on the wire, with delimiter.
 
     Args:
-        name: message name of ``frames.toml``.
+        name: message name in ``frames.toml``.
         kind: "command", "answer" or "event".
         sequence: 0 to 255.
-        values: one value for each fixed field of the payload, and one for bytes at an answer's end, if any.
+        values: value of each fixed field, and of the bytes at an answer's end, if any.
         rows: repeated rows of a command, in the field order of the layout.
-        auth: with a robot that has an owner's key: gives the commands that need one their code.
+        auth: authentication codes, for a robot that has an owner's key.
 
     Raises:
-        InputError: a value does not fit its field's type, a field is missing or unknown, or there is no such
+        InputError: a value does not fit its field, a field is missing or unknown, or there is no such
             message, kind or sequence.
     """
     messages = link_layout().messages
@@ -93,7 +90,7 @@ def pack_frame(
 
 
 def pack_raw(number: int, sequence: int, body: bytes) -> bytes:
-    """The bytes on the wire for a frame of any type and payload, delimiter included."""
+    """Bytes of a frame of any type and payload on the wire, with delimiter."""
     head = struct.pack("<BB", number, sequence)
     crc = struct.pack("<I", zlib.crc32(head + body))
     return bytes(cobs.encode(head + body + crc)) + DELIMITER
@@ -103,7 +100,7 @@ def _wire_value(value: Value, room: int) -> int | float | bytes:
     if not isinstance(value, str):
         return value
     text = value.encode("ascii")
-    if len(text) > room:  # struct would cut it without a word
+    if len(text) > room:  # struct would truncate it silently
         raise struct.error(f"{value!r} has {len(text)} characters, room is for {room}")
     return text
 
@@ -121,9 +118,7 @@ def unpack_frame(encoded: bytes) -> Frame:
     if len(raw) < 6 or zlib.crc32(raw[:-4]) != struct.unpack("<I", raw[-4:])[0]:
         raise FrameError(f"frame of {len(raw)} bytes fails its CRC-32: dropped")
     number, body = raw[0], raw[2:-4]
-    if (
-        number & (ANSWER_BIT | EVENT_BIT | AUTH_BIT) == AUTH_BIT
-    ):  # a command; its code is the robot's to check
+    if number & (ANSWER_BIT | EVENT_BIT | AUTH_BIT) == AUTH_BIT:  # a command; only robots check its code
         number, body = number & ~AUTH_BIT, body[:-TRAILER_BYTES]
     message = _BY_ID.get(number & ~ANSWER_BIT)
     is_answer = bool(number & ANSWER_BIT)
@@ -134,7 +129,7 @@ def unpack_frame(encoded: bytes) -> Frame:
     extra = len(body) - payload.bytes
     per_row = payload.repeat_bytes
     if extra < 0 or (extra and (not per_row or extra % per_row or extra > per_row * payload.repeat_max)):
-        # A refusal may be shorter than the full answer: the status stands first in all of them.
+        # A refusal may be shorter than the full answer: all answers begin with the status.
         if kind == "answer" and len(body) == 1:
             return Frame(message.name, kind, raw[1], {"status": struct.unpack("<b", body)[0]})
         raise FrameError(f"{message.name} {kind} of {len(body)} bytes, the layout says {payload.bytes}")
@@ -143,7 +138,7 @@ def unpack_frame(encoded: bytes) -> Frame:
         field.name: number.rstrip(b"\x00").decode("ascii", "replace") if isinstance(number, bytes) else number
         for field, number in zip(payload.fields, numbers, strict=True)
     }
-    if kind == "answer" and per_row:  # what an answer repeats are bytes: a string of them, Latin-1
+    if kind == "answer" and per_row:  # an answer repeats bytes only
         values[payload.repeat[0].name] = body[payload.bytes :].decode("latin-1")
         return Frame(message.name, kind, raw[1], values)
     rows = tuple(struct.iter_unpack(payload.repeat_format, body[payload.bytes :])) if extra else ()
@@ -151,7 +146,7 @@ def unpack_frame(encoded: bytes) -> Frame:
 
 
 class FrameCollector:
-    """Turns a stream of bytes into frames; what is not a frame is counted, never raised."""
+    """Splits a stream of bytes into frames; ``bad`` counts what is not a frame."""
 
     def __init__(self) -> None:
         self._bytes = bytearray()
@@ -159,12 +154,12 @@ class FrameCollector:
         self.bad = 0
 
     def feed(self, stream: bytes) -> list[Frame]:
-        """Add bytes; return the frames completed by them."""
+        """Add bytes; return the frames that they complete."""
         frames = []
         self._bytes += stream
         while (end := self._bytes.find(DELIMITER)) >= 0:
             encoded, self._bytes = bytes(self._bytes[:end]), self._bytes[end + 1 :]
-            if self._too_long:  # swallowed up to here
+            if self._too_long:  # discarded up to here
                 self._too_long = False
                 self.bad += 1
                 continue
@@ -174,18 +169,14 @@ class FrameCollector:
                 frames.append(unpack_frame(encoded))
             except FrameError:
                 self.bad += 1
-        if len(self._bytes) > ENCODED_MAX:  # a line of noise must not fill the memory
+        if len(self._bytes) > ENCODED_MAX:  # noise must not fill the memory
             self._bytes.clear()
             self._too_long = True
         return frames
 
 
 def hello(conversation: int = 0) -> dict[str, Value]:
-    """The values of a HELLO.
-
-    Args:
-        conversation: 0 to 65535, another number than in the robot's last HELLO: sequence numbers begin anew.
-    """
+    """Values of a HELLO. ``conversation``, 0 to 65535, differs from that of the robot's last HELLO."""
     return {"protocol_version": link_layout().protocol_version, "conversation": conversation}
 
 

@@ -1,17 +1,34 @@
-"""The link's layout, read from ``frames.toml``: what stands in each frame, byte for byte."""
+"""The link's layout, read from ``frames.toml``: the fields of each frame."""
 
 from __future__ import annotations
 
 import struct
 import tomllib
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
 from importlib import resources
-from typing import Any
+from typing import Any, Protocol
 
 _FORMATS = {"u8": "B", "i8": "b", "u16": "H", "u32": "I", "u64": "Q", "f32": "f", "char16": "16s"}
 
 Value = int | float | str
+Arguments = tuple[dict[str, Value] | None, Sequence[Sequence[Value]]]
+"""Values and rows of a command."""
+
+
+class Requester(Protocol):
+    """The part of a session that sends commands.
+
+    Attributes:
+        window: number of commands that may wait for their answers at the same time.
+    """
+
+    @property
+    def window(self) -> int: ...
+
+    def ask_all(self, name: str, many: Sequence[Arguments], timeout_s: float = 1.0) -> list[dict[str, Value]]:
+        """Send a command several times and wait for all answers; FrogkickError where one is missing."""
 
 
 @dataclass(frozen=True)
@@ -68,7 +85,7 @@ class Message:
     """A type of frame: a command with its answer, or an event.
 
     Attributes:
-        needs_code: a robot with an owner's key takes it with an authentication code alone.
+        needs_code: a robot with an owner's key takes it only with an authentication code.
     """
 
     name: str
@@ -86,8 +103,8 @@ class RecordType:
 
     Attributes:
         payload: its fields.
-        rest: what follows them, "" where nothing does.
-        like: event or record whose fields these are, "" where they are its own.
+        rest: what follows the fields; "": nothing.
+        like: event or record with the same fields; "": none.
     """
 
     name: str
@@ -100,7 +117,7 @@ class RecordType:
 
 @dataclass(frozen=True)
 class Layout:
-    """The whole link: messages by name, records of the log, and the named numbers that their fields carry."""
+    """The link: messages and log records by name, and the named numbers of their fields."""
 
     protocol_version: int
     payload_bytes_max: int
@@ -132,7 +149,6 @@ AUTH_BIT = 0x20
 def _payload(table: dict[str, object], key: str) -> Payload | None:
     if key not in table:
         return None
-
     prefix = {"command": "", "answer": "answer_", "event": "event_"}[key]
     repeat = _fields(table.get(f"{prefix}repeat", []))
     repeat_max = table.get(f"{prefix}repeat_max", 0)

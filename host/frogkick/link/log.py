@@ -1,4 +1,4 @@
-"""The robot's log: fetched from its RAM with LOG, and cut into the records of ``frames.toml``."""
+"""The robot's log: fetched from its RAM with LOG, and split into the records of ``frames.toml``."""
 
 from __future__ import annotations
 
@@ -6,16 +6,15 @@ import struct
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Protocol
 
 from frogkick.core.errors import FrogkickError
-from frogkick.link.layout import Field, RecordType, Value, link_layout
+from frogkick.link.layout import Field, RecordType, Requester, Value, link_layout
 
 HEAD_BYTES = 10
 UNFINISHED = -128
-"""Status of a command that the robot never got to the end of."""
+"""Status of a command that the robot did not finish."""
 DAMAGED = "DAMAGED"
-"""Name of a record whose check does not fit, or whose number is none."""
+"""Name of a record with a wrong check or an unknown number."""
 _TRIES = 5
 _SPAN = 1 << 32  # offsets count modulo this
 _TYPES = {record.id: record for record in link_layout().records.values()}
@@ -26,16 +25,9 @@ class LogError(FrogkickError):
     """The robot has no log, or does not answer."""
 
 
-class Conversation(Protocol):
-    """What of a session is needed here."""
-
-    def ask(self, name: str, values: dict[str, Value] | None = None) -> dict[str, Value]:
-        """Send a command and wait for its answer; FrogkickError where none comes in time."""
-
-
 @dataclass(frozen=True)
 class Stretch:
-    """Bytes of a log without a hole, from a record's begin on; ``offset`` is that of the first."""
+    """Contiguous bytes of a log from the start of a record on; ``offset`` is that of the first byte."""
 
     offset: int
     content: bytes
@@ -43,11 +35,11 @@ class Stretch:
 
 @dataclass(frozen=True)
 class ChipLog:
-    """What was fetched.
+    """A fetched log.
 
     Attributes:
-        stretches: in their order; between two something was overwritten before it was fetched.
-        lost: records that the robot has overwritten since its log began, fetched or not.
+        stretches: in order; the records between two of them were overwritten before they were fetched.
+        lost: number of records that the robot has overwritten since its log began.
     """
 
     stretches: tuple[Stretch, ...] = ()
@@ -55,26 +47,26 @@ class ChipLog:
 
     @property
     def end(self) -> int:
-        """Offset at which the next fetch goes on."""
+        """Offset at which the next fetch continues."""
         if not self.stretches:
             return 0
         last = self.stretches[-1]
         return (last.offset + len(last.content)) % _SPAN
 
     def records(self) -> list[list[Record]]:
-        """The records of each stretch; one that has not wholly come is left out."""
+        """The complete records of each stretch."""
         return [records_of(stretch) for stretch in self.stretches]
 
 
 @dataclass(frozen=True)
 class Record:
-    """One record.
+    """A record.
 
     Attributes:
         offset: of its first byte.
-        name: by ``frames.toml``; DAMAGED where nothing of it can be believed.
-        time_us: when, on the robot's clock.
-        content: as it came.
+        name: in ``frames.toml``, or DAMAGED.
+        time_us: the robot's clock.
+        content: fields and what follows them.
     """
 
     offset: int
@@ -84,12 +76,12 @@ class Record:
 
     @property
     def type(self) -> RecordType:
-        """What the layout says of it; not of a damaged one."""
+        """Its layout; a damaged record has none."""
         return link_layout().records[self.name]
 
     @cached_property
     def values(self) -> dict[str, Value]:
-        """Its fields by name; of a COMMAND also ``status``; none of a damaged one."""
+        """Its fields by name, with ``status`` for a COMMAND; empty for a damaged record."""
         if self.name == DAMAGED:
             return {}
         payload = self.type.payload
@@ -100,18 +92,18 @@ class Record:
 
     @property
     def rest(self) -> bytes:
-        """What follows the fields: a command's payload, a snapshot's bytes."""
+        """Bytes after the fields: a command's payload, a snapshot's bytes."""
         rest = self.content[self.type.payload.bytes :]
         return rest[:-1] if self.name == "COMMAND" else rest
 
     @property
     def command(self) -> str:
-        """Name of the command that a COMMAND tells of; "" of other records."""
+        """Name of a COMMAND's command; "" for other records."""
         return _COMMANDS[int(self.values["type"])].name if self.name == "COMMAND" else ""
 
     @property
     def asked(self) -> dict[str, Value]:
-        """The fields of that command; none where its length was not the layout's."""
+        """The fields of that command; empty where it is shorter than its layout."""
         payload = link_layout().messages[self.command].command
         assert payload is not None
         if len(self.rest) < payload.bytes:
@@ -124,7 +116,7 @@ def _unpacked(fields: tuple[Field, ...], form: str, content: bytes) -> dict[str,
 
 
 def check_of(raw: bytes) -> int:
-    """The check that a record should have; ``raw``: all of it, also where its check stands."""
+    """The check of a record's bytes (Fletcher), which leaves out the two bytes of the check itself."""
     total = totals = 0
     for byte in raw[:2] + raw[4:]:
         total = (total + byte) & 0xFF
@@ -133,7 +125,7 @@ def check_of(raw: bytes) -> int:
 
 
 def records_of(stretch: Stretch) -> list[Record]:
-    """Cut a stretch into records."""
+    """Split a stretch into records."""
     records, at = [], 0
     while at + HEAD_BYTES <= len(stretch.content):
         length, number, check, low, high = struct.unpack_from("<BBHIH", stretch.content, at)
@@ -149,7 +141,7 @@ def records_of(stretch: Stretch) -> list[Record]:
 
 
 def _fits(name: str, content: bytes) -> bool:
-    """Whether content is as long as its record says."""
+    """Whether content has the length of its record type."""
     if name == DAMAGED:
         return False
     record = link_layout().records[name]
@@ -159,20 +151,20 @@ def _fits(name: str, content: bytes) -> bool:
 
 
 def fetch_log(
-    link: Conversation,
+    link: Requester,
     known: ChipLog | None = None,
     progress: Callable[[int, int], None] = lambda _done, _all: None,
 ) -> ChipLog:
-    """Fetch what a robot's log holds now; in a run or at rest, changing nothing.
+    """Fetch a robot's log, during a run or at rest. The robot does not change.
 
     Args:
-        link: the conversation.
-        known: what an earlier fetch from the same robot gave: only what came since is fetched. A robot that
-            was without supply in between has begun another log: give None then.
-        progress: called with bytes fetched and to fetch.
+        link: the session.
+        known: result of an earlier fetch from the same robot, to fetch only newer records. None if the robot
+            was without supply in between, as it has started another log then.
+        progress: called with bytes fetched and all bytes.
 
     Returns:
-        What was known and what is new; another stretch where something was overwritten in between.
+        ``known`` and the new records, in another stretch where records in between were overwritten.
 
     Raises:
         LogError: the robot keeps no log, or does not answer.
@@ -182,13 +174,13 @@ def fetch_log(
     first: int | None = None
     goal = 0
     while True:
-        told = _ask(link, offset)
-        at, content = int(told["offset"]), str(told["byte"]).encode("latin-1")
-        if not stretches and at != int(told["begin"]):  # the offsets have gone round
-            offset = int(told["begin"])
+        answer = _ask(link, offset)
+        at, content = int(answer["offset"]), str(answer["byte"]).encode("latin-1")
+        if not stretches and at != int(answer["begin"]):  # the offsets have wrapped
+            offset = int(answer["begin"])
             continue
         if first is None:
-            first, goal = at, (int(told["end"]) - at) % _SPAN
+            first, goal = at, (int(answer["end"]) - at) % _SPAN
         if at != offset or not stretches:
             stretches.append(Stretch(at, b""))
         last = stretches[-1]
@@ -196,22 +188,22 @@ def fetch_log(
         offset = (at + len(content)) % _SPAN
         done = (offset - first) % _SPAN
         progress(min(done, goal), goal)
-        if done >= goal or not content:  # what came since the first answer is for the next fetch
-            return ChipLog(tuple(stretches), int(told["lost"]))
+        if done >= goal or not content:  # records since the first answer are for the next fetch
+            return ChipLog(tuple(stretches), int(answer["lost"]))
 
 
-def _ask(link: Conversation, offset: int) -> dict[str, Value]:
+def _ask(link: Requester, offset: int) -> dict[str, Value]:
     lost: FrogkickError | None = None
     for _ in range(_TRIES):
         try:
-            told = link.ask("LOG", {"offset": offset})
+            answer = link.ask_all("LOG", [({"offset": offset}, ())])[0]
         except FrogkickError as error:
             lost = error
             continue
-        status = link_layout().status_name(int(told["status"]))
+        status = link_layout().status_name(int(answer["status"]))
         if status != "OK":
             raise LogError(
                 f"the robot answers LOG with {status}: its firmware keeps no log; flash a newer one"
             )
-        return told
+        return answer
     raise LogError(f"no answer to LOG, asked {_TRIES} times ({lost}): bring the robot nearer, fetch again")

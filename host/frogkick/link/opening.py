@@ -1,4 +1,4 @@
-"""From what a user calls a robot to a wire that leads to it."""
+"""Opens the wire to a robot."""
 
 from __future__ import annotations
 
@@ -11,25 +11,17 @@ from frogkick.link.wire import Target, Wire
 
 
 def require_wire(target: Target) -> None:
-    """Refuse a robot that cannot be talked to for want of a package.
-
-    Raises:
-        InputError: the package for that kind of wire is not installed.
-    """
+    """Raise InputError unless the package for a kind of wire is installed."""
     require(f"{target.kind}:", *({"ble": ("bleak",), "serial": ("serial",)}[target.kind]))
 
 
 @contextmanager
 def opened(target: Target, greeting: bytes = DELIMITER) -> Iterator[Wire]:
-    """A wire to a robot, let go of at the end.
-
-    Args:
-        target: where it is.
-        greeting: what to send at each connect; another one where the robot's dialect is not this link's.
+    """Open a wire to a robot, and close it at the end. ``greeting`` is sent at each connection.
 
     Raises:
-        WireError: it cannot be reached; the text says why.
-        InputError: the package for that is not installed.
+        WireError: the robot cannot be reached.
+        InputError: the package for the wire is not installed.
     """
     require_wire(target)
     wire: Wire

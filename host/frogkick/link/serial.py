@@ -11,7 +11,7 @@ from typing import Any
 
 from frogkick.core.extras import require
 from frogkick.link.frames import DELIMITER
-from frogkick.link.wire import BAUD, Delivery, Inbox, WireError
+from frogkick.link.wire import BAUD, Delivery, InboxWire, WireError
 
 RECONNECT_S = 20.0
 _AGAIN_S = 0.1
@@ -19,10 +19,10 @@ _READ_S = 0.05
 _WRITE_S = 1.0
 
 
-class SerialWire:
-    """A ``Wire`` over a serial port. One that goes away (a cable pulled) is opened again when it is back."""
+class SerialWire(InboxWire):
+    """A ``Wire`` over a serial port, which is opened again when a pulled cable is back."""
 
-    window = 1  # a chip that erases flash takes no more than a buffer meanwhile
+    window = 1  # a chip that erases flash receives no more than a buffer meanwhile
 
     def __init__(
         self, port: str, baud: int = BAUD, reconnect_s: float = RECONNECT_S, greeting: bytes = DELIMITER
@@ -32,17 +32,17 @@ class SerialWire:
         Args:
             port: device (``/dev/ttyACM0``, ``COM3``).
             baud: bits per second.
-            reconnect_s: how long to try again after it went away.
-            greeting: sent at each connect; ends what noise may have left in the robot's receiver.
+            reconnect_s: longest time to reconnect.
+            greeting: sent at each connection; ends what noise may have left in the robot's receiver.
 
         Raises:
             WireError: no such port, no permission, or another program has it.
             InputError: the package is not installed.
         """
+        super().__init__()
         self.name = f"serial:{port}"
         self._port, self._baud, self._reconnect_s, self._greeting = port, baud, reconnect_s, greeting
         self._serial = _package()
-        self._inbox = Inbox()
         self._closing = threading.Event()
         self._write_lock = threading.Lock()
         self._line: Any = self._open()
@@ -50,27 +50,13 @@ class SerialWire:
         self._thread = threading.Thread(target=self._live, name=self.name, daemon=True)
         self._thread.start()
 
-    @property
-    def connections(self) -> int:
-        """How often the port was opened."""
-        return self._inbox.connections
-
-    @property
-    def is_up(self) -> bool:
-        """The port is open."""
-        return self._inbox.is_up
-
     def send(self, encoded: bytes, how: Delivery) -> None:
-        """Put bytes on the line, which acknowledges nothing; lost while it is down."""
+        """Send a frame; it is lost while the line is down."""
         line = self._line
-        # What a broken line swallows is lost as on any wire; the reading thread finds out and opens it again.
+        # Errors are left to the reading thread, which opens the port again.
         with self._write_lock, contextlib.suppress(self._serial.SerialException, OSError, TypeError):
             if line is not None:
                 line.write(encoded)
-
-    def receive(self, timeout_s: float) -> list[tuple[float, bytes]]:
-        """Wait for bytes, and take them."""
-        return self._inbox.receive(timeout_s)
 
     def close(self) -> None:
         """Close the port."""
@@ -95,7 +81,7 @@ class SerialWire:
         while not self._closing.is_set():
             try:
                 data = self._line.read(max(1, self._line.in_waiting))
-            # A port that was pulled out is an OSError here, a TypeError there.
+            # A pulled cable is an OSError on some systems, a TypeError on others.
             except (self._serial.SerialException, OSError, TypeError):
                 self._inbox.lost()
                 if not self._open_again():
@@ -132,7 +118,7 @@ def ports() -> list[str]:
 
 
 def _account(port: str, error: Exception) -> str:
-    """What failed, in one line."""
+    """The error in one line, with what to do."""
     code, text = getattr(error, "errno", None), str(error).lower()
     if code == errno.EBUSY or "lock" in text:
         return f"serial port {port!r} is in use by another program: close that one (a terminal, another run)"
@@ -145,5 +131,5 @@ def _account(port: str, error: Exception) -> str:
         there = ", ".join(ports()) or "none"
         return f"serial port {port!r} is not there (ports here: {there}): plug it in or name another"
     if "configure" in text or code == errno.ENOTTY:
-        return f"{port!r} is no serial port: name one, as /dev/ttyACM0 (ports here: {', '.join(ports())})"
+        return f"{port!r} is not a serial port: give one, as /dev/ttyACM0 (ports here: {', '.join(ports())})"
     return f"serial port {port!r} does not open: {error}"

@@ -1,4 +1,4 @@
-"""The supervisor's table, read from ``supervisor.toml``: what each event does in each state of the robot."""
+"""The supervisor's state table, read from ``supervisor.toml``: the effect of each event in each state."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from frogkick.link.layout import link_layout
 
 @dataclass(frozen=True)
 class Rule:
-    """One cell: the next state, what is done, and the status of the answer, by their names."""
+    """A cell of the table: next state, action and status of the answer, by name."""
 
     next_state: str
     action: str
@@ -21,12 +21,12 @@ class Rule:
 
 @dataclass(frozen=True)
 class Supervisor:
-    """The whole table.
+    """The state table.
 
     Attributes:
-        actions: what each action does, by its name, in the order of their numbers.
-        docs: what each event is, by its name; commands first, then others, in the order of their numbers.
-        rules: the cells, by event and state; every event has every state.
+        actions: name -> description, in the order of their numbers.
+        docs: event -> description: commands, then others, in the order of their numbers.
+        rules: cell of each event and state.
     """
 
     actions: dict[str, str]

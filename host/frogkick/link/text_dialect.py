@@ -1,10 +1,8 @@
-"""The text dialect of the robot's authors, for robots that carry their firmware: what is known of it.
+"""The text dialect of the authors' firmware, as far as it is known.
 
-Lines of text, of which two are known: ``p 80`` sets the pulse's length in ms, ``h 0 1`` fires limbs
-together (front left 0, front right 1, rear left 2, rear right 3). Not known: how a line must end (here:
-with a newline), whether it is answered (here: whatever comes is not looked at), and how to cut a pulse
-short (here: not at all, it ends by itself). Source: Huang, Patterson et al. 2022, whose robot obeys pulses
-sent by a computer.
+Two lines are known: ``p 80`` sets the pulse's length in ms, ``h 0 1`` fires limbs together (front left 0,
+front right 1, rear left 2, rear right 3). Assumed: a line ends with a newline, answers are ignored, and a
+pulse cannot be ended early. Source: Huang, Patterson et al. 2022.
 """
 
 from __future__ import annotations
@@ -19,11 +17,7 @@ LIMBS = ("front_left", "front_right", "rear_left", "rear_right")
 
 
 def require_dialect(name: str) -> None:
-    """Refuse a dialect that nobody speaks.
-
-    Raises:
-        InputError: not one of ``DIALECTS``.
-    """
+    """Raise InputError unless a dialect is one of ``DIALECTS``."""
     if name not in DIALECTS:
         raise InputError(
             f"--dialect is {name!r}{nearest_name(name, DIALECTS)}: choose frogkick (this project's firmware) "
@@ -32,13 +26,10 @@ def require_dialect(name: str) -> None:
 
 
 def limb_numbers(names: Sequence[str]) -> tuple[int, ...]:
-    """The dialect's number of each limb.
-
-    Args:
-        names: of a robot's limbs, in its order.
+    """The dialect's number of each limb, by the limbs' names.
 
     Raises:
-        InputError: a limb that the dialect has no number for.
+        InputError: the dialect does not know a limb.
     """
     unknown = [name for name in names if name not in LIMBS]
     if unknown:

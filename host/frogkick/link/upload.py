@@ -1,4 +1,4 @@
-"""Sends a table to a robot at rest: in chunks, from where an earlier sending was cut off; then commits it."""
+"""Sends a table to a robot at rest in chunks, resumes an interrupted transfer, and commits the table."""
 
 from __future__ import annotations
 
@@ -7,48 +7,25 @@ import struct
 import zlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Protocol
 
 from frogkick.core.errors import FrogkickError
-from frogkick.link.layout import Value, link_layout
+from frogkick.link.layout import Arguments, Requester, Value, link_layout
 
 CHUNK_BYTES = 128
 _TRIES = 5
-_TIMEOUT_S = 2.0  # a chunk at a page's begin waits for its erase, COMMIT for the check of the whole table
+_TIMEOUT_S = 2.0  # the first chunk of a page waits for its erase, COMMIT for the check of the table
 
 
 class UploadError(FrogkickError):
     """The robot did not take the table."""
 
 
-class Conversation(Protocol):
-    """What of a session is needed here.
-
-    Attributes:
-        window: commands that may be asked at once.
-    """
-
-    @property
-    def window(self) -> int: ...
-
-    def ask_all(
-        self,
-        name: str,
-        many: Sequence[tuple[dict[str, Value] | None, Sequence[Sequence[Value]]]],
-        timeout_s: float = 1.0,
-    ) -> list[dict[str, Value]]:
-        """Send a command several times and wait for all answers; FrogkickError where one does not come."""
-
-
-_Asked = tuple[dict[str, Value] | None, Sequence[Sequence[Value]]]
-
-
 @dataclass(frozen=True)
 class Uploaded:
-    """What an upload did.
+    """Result of an upload.
 
     Attributes:
-        bytes_sent: of the image, without what was there already.
+        bytes_sent: of the image, without what the robot had already.
         resumed_at: offset of the first chunk sent.
         table_crc: CRC-32 of the table that the robot uses now.
     """
@@ -59,16 +36,16 @@ class Uploaded:
 
 
 def upload(
-    link: Conversation, image: bytes, progress: Callable[[int, int], None] = lambda _done, _all: None
+    link: Requester, image: bytes, progress: Callable[[int, int], None] = lambda _done, _all: None
 ) -> Uploaded:
-    """Give a robot another table, which it uses from then on. It must be disarmed and its limbs rested.
+    """Give a robot a table, which it uses from then on. The robot must be disarmed and its limbs rested.
 
-    A robot with one slot that holds the table in use goes back to its built-in table first.
+    A robot with one slot that holds the table in use returns to its built-in table first.
 
     Args:
-        link: the conversation.
-        image: table image, whole.
-        progress: called with bytes that are there and all bytes.
+        link: the session.
+        image: table image.
+        progress: called with the bytes on the robot and all bytes.
 
     Raises:
         UploadError: the table does not fit, the robot refuses it, or does not answer.
@@ -77,7 +54,7 @@ def upload(
     if len(image) > int(here["slot_bytes"]):
         raise UploadError(
             f"the table has {len(image)} bytes, the robot has room for {here['slot_bytes']}: make a smaller "
-            "one (tables build --budget-kib), or build its firmware anew with this one"
+            "one (tables build --budget-kib), or build firmware with this one"
         )
     crc = zlib.crc32(image[16:])
     if int(here["running_crc"]) == crc:
@@ -85,44 +62,43 @@ def upload(
     begin: dict[str, Value] = {"length": len(image)}
     digest = struct.unpack(">8I", hashlib.sha256(image).digest())
     begin |= {f"hash_{place}": word for place, word in enumerate(digest)}
-    told = _ask(link, "TABLE_BEGIN", begin, allowed=("OK", "SLOT"))
-    if int(told["status"]) == link_layout().status["SLOT"]:
+    answer = _ask(link, "TABLE_BEGIN", begin, allowed=("OK", "SLOT"))
+    if int(answer["status"]) == link_layout().status["SLOT"]:
         _ask(link, "TABLE_ROLLBACK", {"table_crc": here["built_in_crc"]})
-        told = _ask(link, "TABLE_BEGIN", begin)
-    first = offset = int(told["next_offset"])
+        answer = _ask(link, "TABLE_BEGIN", begin)
+    first = offset = int(answer["next_offset"])
     while offset < len(image):
         progress(offset, len(image))
         places = range(offset, min(len(image), offset + link.window * CHUNK_BYTES), CHUNK_BYTES)
-        chunks: list[_Asked] = [
+        chunks: list[Arguments] = [
             ({"offset": at}, [(byte,) for byte in image[at : at + CHUNK_BYTES]]) for at in places
         ]
         answers = _ask_all(link, "TABLE_CHUNK", chunks, ("OK", "OFFSET"))
-        # One that came out of turn, after another was lost, comes again.
-        offset = max(int(told["next_offset"]) for told in answers)
-    told = _ask(link, "TABLE_COMMIT")
-    if int(told["table_crc"]) != crc:
+        # A chunk that arrived after a lost one is sent again.
+        offset = max(int(answer["next_offset"]) for answer in answers)
+    used_crc = int(_ask(link, "TABLE_COMMIT")["table_crc"])
+    if used_crc != crc:
         raise UploadError(
-            f"the robot says that it uses the table with CRC-32 {int(told['table_crc']):08x}, sent was "
-            f"{crc:08x}: send it again"
+            f"the robot reports that it uses the table with CRC-32 {used_crc:08x}, sent was {crc:08x}: send "
+            "it again"
         )
     progress(len(image), len(image))
     return Uploaded(len(image) - first, first, crc)
 
 
 def _ask(
-    link: Conversation,
+    link: Requester,
     name: str,
     values: dict[str, Value] | None = None,
-    rows: Sequence[Sequence[Value]] = (),
     allowed: tuple[str, ...] = ("OK",),
 ) -> dict[str, Value]:
-    return _ask_all(link, name, [(values, rows)], allowed)[0]
+    return _ask_all(link, name, [(values, ())], allowed)[0]
 
 
 def _ask_all(
-    link: Conversation, name: str, many: Sequence[_Asked], allowed: tuple[str, ...]
+    link: Requester, name: str, many: Sequence[Arguments], allowed: tuple[str, ...]
 ) -> list[dict[str, Value]]:
-    """Ask, some times where no answer comes: asking twice does no harm with any of these commands."""
+    """Send commands, and again without an answer: to repeat these commands is harmless."""
     lost: FrogkickError | None = None
     for _ in range(_TRIES):
         try:
@@ -130,12 +106,12 @@ def _ask_all(
         except FrogkickError as error:
             lost = error
             continue
-        names = [(link_layout().status_name(int(told["status"])), told) for told in answers]
-        refused = [(status, told) for status, told in names if status not in allowed]
+        named = [(link_layout().status_name(int(answer["status"])), answer) for answer in answers]
+        refused = [(status, answer) for status, answer in named if status not in allowed]
         if not refused:
             return answers
-        status, told = refused[0]
-        why = f" (fk_error_t {told['error']})" if told.get("error") else ""
+        status, answer = refused[0]
+        why = f" (fk_error_t {answer['error']})" if answer.get("error") else ""
         raise UploadError(
             f"the robot refuses {name} with {status}{why}: "
             + {

@@ -1,4 +1,4 @@
-"""Bytes to and from a robot on the bench, over a line or by radio, that may drop and comes back by itself."""
+"""Bytes to and from a real robot over a wire that may drop and reconnects by itself."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ KINDS = ("ble", "serial")
 
 @dataclass(frozen=True)
 class Edge:
-    """A limb's pin changed: robot time, limb's index, new level."""
+    """A change of a limb's pin: robot time, index of the limb, new level."""
 
     time_s: float
     limb: int
@@ -36,38 +36,38 @@ class RobotPort(Protocol):
         """Put bytes on the wire at a time, not before the robot's own."""
 
     def advance(self, until_s: float) -> None:
-        """Let the robot live until a time."""
+        """Advance the robot to a time."""
 
     def frames(self) -> list[tuple[float, Frame]]:
-        """Frames that came from the robot since the last call, with their times."""
+        """Frames from the robot since the last call, with their arrival times."""
 
     def edges(self) -> list[Edge]:
         """Pin edges since the last call, in order."""
 
 
 class WireError(FrogkickError):
-    """The robot cannot be reached, or no longer; its text says what failed and what to do."""
+    """The robot cannot be reached, or no longer."""
 
 
 class Delivery(enum.Enum):
-    """How a radio sends a frame; a line knows no difference."""
+    """How a radio sends a frame; no difference on a serial line."""
 
     ACKNOWLEDGED = enum.auto()
-    """The radio says that it arrived, before the next one goes."""
+    """The radio acknowledges the frame before it sends the next one."""
     ANSWERED = enum.auto()
-    """At once: the robot's own answers are waited for, and pace the sender."""
+    """Without acknowledgement: the robot's answers pace the sender."""
     NEWEST = enum.auto()
-    """At once, before others; worth nothing once there is a newer one."""
+    """Without acknowledgement and before other frames; dropped for a newer one."""
 
 
 class Wire(Protocol):
-    """Bytes to and from one robot. Reading and reconnecting happen in a thread of its own.
+    """Bytes to and from a robot. A thread of the wire reads and reconnects.
 
     Attributes:
-        name: what a user called it.
-        window: commands that may wait for their answer together.
-        connections: how often it has been connected so far.
-        is_up: it is connected now.
+        name: as the user gave it.
+        window: number of commands that may wait for their answers at the same time.
+        connections: number of connections so far.
+        is_up: whether it is connected now.
     """
 
     name: str
@@ -80,21 +80,21 @@ class Wire(Protocol):
     def is_up(self) -> bool: ...
 
     def send(self, encoded: bytes, how: Delivery) -> None:
-        """Send a frame, with its delimiter. While the wire is down it is lost."""
+        """Send a frame with its delimiter; the frame is lost while the wire is down."""
 
     def receive(self, timeout_s: float) -> list[tuple[float, bytes]]:
-        """Wait until something arrives, and take it, with the times (monotonic) at which it came.
+        """Wait for bytes, and return them with their arrival times (monotonic).
 
         Raises:
-            WireError: the wire is down and could not be brought back.
+            WireError: the wire is down and could not be reconnected.
         """
 
     def close(self) -> None:
-        """Let go of it."""
+        """Disconnect."""
 
 
 class Inbox:
-    """Where a wire's thread puts what arrives, and how the wire is; everything under one lock."""
+    """Received bytes and state of a wire, passed from its thread to the reader."""
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self._clock = clock
@@ -106,31 +106,31 @@ class Inbox:
         self.is_up = False
 
     def put(self, data: bytes) -> None:
-        """Bytes have come."""
+        """Add received bytes."""
         with self._lock:
             self._arrived.append((self._clock(), data))
         self._bell.ring()
 
     def connected(self) -> None:
-        """The wire is up (again)."""
+        """Report that the wire is up."""
         with self._lock:
             self.is_up, self.connections = True, self.connections + 1
         self._bell.ring()
 
     def lost(self) -> None:
-        """The wire is down; whoever waits is told."""
+        """Report that the wire is down."""
         with self._lock:
             self.is_up = False
         self._bell.ring()
 
     def fail(self, error: FrogkickError) -> None:
-        """The wire does not come back."""
+        """Report that the wire stays down."""
         with self._lock:
             self.is_up, self._error = False, error
         self._bell.ring()
 
     def wait_up(self, timeout_s: float) -> bool:
-        """Wait for the wire to be up; False where it is not in time.
+        """Wait for the wire to be up; False if it is not in time.
 
         Raises:
             FrogkickError: as given to ``fail``.
@@ -151,9 +151,30 @@ class Inbox:
             return taken
 
 
+class InboxWire:
+    """The part of a ``Wire`` that reads from an ``Inbox``."""
+
+    def __init__(self) -> None:
+        self._inbox = Inbox()
+
+    @property
+    def connections(self) -> int:
+        """Number of connections so far."""
+        return self._inbox.connections
+
+    @property
+    def is_up(self) -> bool:
+        """Whether it is connected now."""
+        return self._inbox.is_up
+
+    def receive(self, timeout_s: float) -> list[tuple[float, bytes]]:
+        """See ``Wire.receive``."""
+        return self._inbox.receive(timeout_s)
+
+
 @dataclass(frozen=True)
 class Target:
-    """Where a robot is: "ble" and its name or address, or "serial" and its port and speed."""
+    """Address of a robot: "ble" and its name or address, or "serial" and its port and speed."""
 
     kind: str
     place: str
@@ -161,7 +182,7 @@ class Target:
 
 
 def is_target(text: str) -> bool:
-    """It is meant as one: begins as ``ble:`` or ``serial:``."""
+    """Whether a text begins with ``ble:`` or ``serial:``."""
     return str(text).partition(":")[0] in KINDS
 
 
@@ -169,7 +190,7 @@ def parse_target(text: str) -> Target:
     """Read ``ble:NAME``, ``ble:ADDRESS`` or ``serial:PORT[:BAUD]``.
 
     Raises:
-        InputError: none of these, or no such speed.
+        InputError: another form, or a speed out of its limits.
     """
     kind, _, place = text.partition(":")
     if kind not in KINDS or not place:

@@ -16,10 +16,10 @@ from types import FrameType
 from typing import Any, Protocol
 
 from frogkick.link.frames import hello
-from frogkick.link.layout import Value
+from frogkick.link.layout import Arguments, Value
 from frogkick.link.wire import RobotPort, Wire
 from frogkick.runs.lab_port import LabPort
-from frogkick.runs.session import ANSWER_TIMEOUT_S, STEP_S, Arguments, Arrival, LinkError, Session
+from frogkick.runs.session import ANSWER_TIMEOUT_S, STEP_S, Arrival, LinkError, Session
 from frogkick.tables.image import Tables
 
 ANSWER_S = 2.0

@@ -13,7 +13,7 @@ from frogkick.core.errors import FrogkickError
 from frogkick.core.poses import Fix
 from frogkick.link import auth
 from frogkick.link.frames import Frame, hello, pack_frame, path_frames
-from frogkick.link.layout import Value, link_layout
+from frogkick.link.layout import Arguments, Value, link_layout
 from frogkick.link.wire import Edge, RobotPort
 from frogkick.paths import Path
 from frogkick.tables.image import Tables
@@ -40,10 +40,6 @@ def uninterrupted() -> Iterator[None]:
         yield
     finally:
         signal.signal(signal.SIGINT, before)
-
-
-Arguments = tuple[dict[str, Value] | None, Sequence[Sequence[Value]]]
-"""Values and rows of a command."""
 
 
 @dataclass(frozen=True)
@@ -73,7 +69,7 @@ class Session:
     edges: list[Edge] = field(default_factory=list)
     conversation: int = 1
     key_file: FilePath | None = None
-    _auth: auth.Conversation | None = None
+    _auth: auth.CommandCodes | None = None
     _sequence: int = 0
     _inbox: list[Arrival] = field(default_factory=list)
 

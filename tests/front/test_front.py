@@ -259,7 +259,7 @@ def test_what_is_no_object_of_ours_is_named(table: fk.Table) -> None:
     planner = fk.Planner(table)
     for call, text in (
         (lambda: planner.plan("line", [0.0] * 6), "state is .line.: give six numbers"),  # type: ignore[arg-type]
-        (lambda: planner.plan(["x"] * 6, "line"), "is no array of numbers"),
+        (lambda: planner.plan(["x"] * 6, "line"), "is not an array of numbers"),
         (lambda: fk.run(table, np.zeros((9, 2))), "path is a ndarray: .*fk.paths.from_waypoints"),  # type: ignore[arg-type]
         (lambda: fk.run(table, "line", world=[1]), r"world is a list: give fk.World\(\[...\]\)"),  # type: ignore[arg-type]
     ):

@@ -36,11 +36,11 @@ MISTAKES: dict[str, tuple[Callable[[Any], object], str]] = {
     ),
     "a shape as waypoints": (
         lambda _: fk.paths.from_waypoints("line"),
-        "waypoints are no numbers: give (k, 2)",
+        "waypoints are not numbers: give (k, 2)",
     ),
     "a path's name first": (
         lambda _: fk.Path("p", [0, 0.1], [0, 0], [0, 0]),
-        "x_m is no row of numbers: give x_m",
+        "x_m is not a row of numbers: give x_m",
     ),
     "a folder to save to": (lambda robot: robot.save("."), "cannot write '.': it is a folder"),
     "a table as runs": (lambda robot: fk.identify(robot, test=[robot]), "runs are given as Robot: give runs"),

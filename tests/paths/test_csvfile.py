@@ -54,8 +54,8 @@ def test_who_gives_more_points_is_told_what_becomes_of_them(tmp_path: pathlib.Pa
     turns = "\n".join(f"{i / 200},{0.02 * (i % 40 // 20)}" for i in range(201))
     path = from_csv(write(tmp_path, turns), told.append)
     (line,) = told
-    assert line.startswith("path file 'p.csv': 201 points are resampled to 100, the robot's most; ")
-    off_mm = float(line.split("given ones are ")[1].split(" mm")[0])
+    assert line.startswith("path file 'p.csv': 201 points are resampled to 100, the robot's limit; ")
+    off_mm = float(line.split("at most ")[1].split(" mm")[0])
     given = np.loadtxt(turns.splitlines(), delimiter=",")
     ends = path.points_m[:-1], path.points_m[1:]
     step = ends[1] - ends[0]

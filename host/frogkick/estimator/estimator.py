@@ -1,7 +1,7 @@
-"""The estimator's twin: the state at a decision's time, from fixes that are late, lost, doubled or wrong.
+"""The estimator's twin: the state at a decision's time from fixes that may be late, lost, duplicate or wrong.
 
-Every operation is float32 in one order; the C is ``firmware/core/fk_estimator.c``, written separately, and
-both give the same bits.
+Each operation is float32 in a fixed order, with the same bits as the separate
+``firmware/core/fk_estimator.c``.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ UNKNOWN_US = 10_000_000
 FIXES_MAX = 255
 FIELD_M = np.float32(1000.0)
 OK, RANGE, DOUBLE, OLD, OUTLIER = 0, -3, -70, -71, -72
-"""What becomes of a fix; the link's status values (``frames.toml``)."""
+"""Status of a fix, as in the link's ``frames.toml``."""
 
 _OUTLIERS_AGREE_M, _OUTLIERS_AGREE_MPS = np.float32(0.02), np.float32(0.15)
 _OUTLIERS_AGREE_RAD, _OUTLIERS_AGREE_RAD_S = np.float32(0.35), np.float32(1.5)
@@ -38,9 +38,9 @@ class Estimate:
 
     Attributes:
         state: (6,) float32 x_m, y_m, heading_rad (world), vx_mps, vy_mps, omega_rad_s (body).
-        limb_use: (8,) uint16 how much each limb was used lately.
-        fix_sequence: newest fix used.
-        fixes: fixes that it rests on, 255 = or more; 1 = the velocity is unknown and taken as that of rest.
+        limb_use: (8,) uint16 recent use of each limb.
+        fix_sequence: newest fix in it.
+        fixes: number of fixes in it, at most 255. With one fix the velocity is unknown and taken as zero.
     """
 
     state: npt.NDArray[np.float32]
@@ -50,7 +50,7 @@ class Estimate:
 
 
 class Estimates(Protocol):
-    """What turns fixes into states; Estimator is one."""
+    """An estimator: ``Estimator``, or one of a study."""
 
     @property
     def newest_capture_us(self) -> int | None: ...
@@ -70,17 +70,17 @@ class _Fix:
 
     @property
     def mark(self) -> tuple[int, bytes]:
-        """What a fix is known by when it comes again; its capture time may be wrong the second time."""
+        """Key of the duplicate filter; the capture time of a duplicate may differ."""
         return self.sequence & 0xFFFF, self.pose.tobytes()
 
 
 @dataclass
 class Estimator:
-    """Predicts from decision to decision with a table, corrects by fixes.
+    """Predicts from decision to decision with a table, and corrects by fixes.
 
     Attributes:
-        tables: what predicts.
-        restarts: times that fixes which were refused but agree were believed.
+        tables: of the prediction.
+        restarts: number of resets to outliers that agree with each other.
     """
 
     tables: Tables
@@ -95,20 +95,21 @@ class Estimator:
 
     @property
     def newest_capture_us(self) -> int | None:
-        """Capture time of the newest fix taken, None where no state is known."""
+        """Capture time of the newest accepted fix; None while no state is known."""
         return self._newest.capture_us if self._newest is not None and self._fixes else None
 
     def add(self, capture_us: int, pose_world: npt.NDArray[np.float32], sequence: int) -> int:
-        """Take a fix.
+        """Add a fix.
 
         Args:
-            capture_us: capture time on the clock that the decisions use.
+            capture_us: capture time on the clock of the decisions.
             pose_world: (3,) float32 x_m, y_m, heading_rad.
             sequence: number of the fix.
 
         Returns:
-            OK, or why it is refused: RANGE (not finite, beyond 1000 m or rad), DOUBLE (had before), OLD (from
-            before what is kept), OUTLIER (too far from where the robot can be).
+            OK, or why it is refused: RANGE (not finite, beyond 1000 m or rad), DOUBLE (a duplicate), OLD
+                (before
+            the oldest instant), OUTLIER (outside of the gate).
         """
         fix = _Fix(int(capture_us), np.array(pose_world, dtype=np.float32), int(sequence))
         if not (np.abs(fix.pose) <= FIELD_M).all():
@@ -119,13 +120,13 @@ class Estimator:
             return self._evaluate(fix)
 
     def act(self, at_us: int, action: int) -> None:
-        """The robot begins an action; again for the same time: it does this one instead."""
+        """Start an action; a second call for the same time replaces the action."""
         with np.errstate(all="ignore"):
             self._coast(at_us)
             self.track.act(at_us, action)
 
     def at(self, at_us: int) -> Estimate | None:
-        """The state at a time; None where no fix is near enough to it."""
+        """The state at a time; None without a recent fix."""
         newest = self._newest
         if newest is None or not self._fixes or not -FUTURE_US <= at_us - newest.capture_us <= STALE_US:
             return None
@@ -159,9 +160,9 @@ class Estimator:
         fix = _Fix(fix.capture_us, pose, fix.sequence)
         if self._fixes == 0:
             self._outliers = [fix]
-            self._start_again()
+            self._reset()
         elif self.track.update(fix.capture_us, fix.pose):
-            self._took(fix)
+            self._accept(fix)
             self._outliers = []
         else:
             if self._outliers and not _agree(fix, self._outliers[-1]):
@@ -170,31 +171,31 @@ class Estimator:
             if len(self._outliers) < OUTLIERS_MAX:
                 return OUTLIER
             self.track.inflate()
-            self._start_again()
+            self._reset()
             self.restarts += 1
         return OK
 
-    def _took(self, fix: _Fix) -> None:
+    def _accept(self, fix: _Fix) -> None:
         if self._newest is None or self._fixes == 0 or fix.capture_us > self._newest.capture_us:
             self._newest = fix
         self._fixes = min(self._fixes + 1, FIXES_MAX)
 
-    def _start_again(self) -> None:
-        """From the fixes that agree, the earliest first; those from before the oldest instant have no say."""
+    def _reset(self) -> None:
+        """Reset the pose to the outliers, the earliest first, without those before the oldest instant."""
         kept = [fix for fix in self._outliers if fix.capture_us >= self.track.instants[0].time_us]
         first = min(kept, key=lambda fix: fix.capture_us)
         self.track.reset_pose(first.capture_us, first.pose)
         self._fixes = 0
-        self._took(first)
+        self._accept(first)
         for fix in kept:
             if fix is not first:
                 self.track.update(fix.capture_us, fix.pose, gated=False)
-                self._took(fix)
+                self._accept(fix)
         self._outliers = []
 
 
 def _agree(a: _Fix, b: _Fix) -> bool:
-    """Two fixes may be of one robot that swam in between."""
+    """Whether two fixes can be of a robot that swam in between."""
     apart_s = np.float32(abs(a.capture_us - b.capture_us)) * _MICROSECOND
     offset = a.pose - b.pose
     reach_m = _OUTLIERS_AGREE_M + _OUTLIERS_AGREE_MPS * apart_s

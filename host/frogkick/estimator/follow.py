@@ -1,4 +1,4 @@
-"""How far along its path a robot is, and whether its run is over: the twin of firmware/core/fk_follow.c."""
+"""Progress of a robot along its path, and the end of its run: the twin of firmware/core/fk_follow.c."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class Follow:
     """Progress of one run along a path.
 
     Attributes:
-        along_points: float32, where along the path the robot was at the last decision; 0 at the start.
+        along_points: float32, place along the path at the last decision, in points; 0 at the start.
     """
 
     def __init__(self, tables: Tables, path: PathLike, config: PlanConfig) -> None:
@@ -36,13 +36,13 @@ class Follow:
         self.begin()
 
     def begin(self) -> None:
-        """A run starts."""
+        """Start a run."""
         self.along_points = np.float32(0.0)
         self._mark: tuple[np.float32, tuple[np.float32, np.float32], np.float32] | None = None
         self._idle = 0
 
     def decided(self, plan: Plan) -> End | None:
-        """Take a decision; why the run is over with it, or None."""
+        """Note a decision; return why it ends the run, or None."""
         self.along_points = plan.along_points
         self._note_progress(plan.distance_m)
         if plan.path_index + 1 >= self._path.shape[1]:
@@ -50,7 +50,7 @@ class Follow:
         return End.STALLED if self._idle >= IDLE_DECISIONS_MAX else None
 
     def fixed(self, x_m: np.float32, y_m: np.float32) -> End | None:
-        """Take a fix between decisions; with the route cost a run ends where the path's end is crossed."""
+        """Note a fix; with the route cost a run ends where it crosses the path's end."""
         if self._mark is None or not self._is_route:
             return None
         stroke_max = route.stroke_scale(self._reach_m)

@@ -1,7 +1,7 @@
 """A Kalman filter with fixed-lag smoothing: the twin of fk_profile.c, fk_covariance.c and fk_track.c.
 
-Written from their headers: states are columns of arrays that grow and shrink instead of fixed ones that
-shift. What the two share is the order of float32 operations, each rounded once, and the numbers below.
+It is written from their headers, with arrays that grow and shrink instead of fixed ones. The two share the
+order of float32 operations, each rounded once, and the numbers below.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ _SHAPE_OF_NOISE_S2, _SHAPE_COMMON = _F(0.0064), _F(0.3)
 _INFLATION = _F(4)
 _SPEED_MOST = _F(1000)
 _GATE, _EVERYWHERE = _F(25), _F(1e30)
-_INFORMED, _WORD_MOST = _F(0.5), _F(9)
+_INFORMED, _RATIO_MOST = _F(0.5), _F(9)
 _LEARN_PARTS = (_F(0.5), _F(0.33333334), _F(0.25), _F(0.2))
 _LOWER = np.tri(2 * INSTANTS, dtype=bool)
 _COVARIANCE_OF = np.array([0, 0, 1])  # which variances belong to x, y, heading
@@ -57,11 +57,11 @@ _SPEED_UNKNOWN = _pair(2.5e-3, 1.0)
 
 @dataclass(frozen=True, eq=False)
 class Profile:
-    """What a robot has done of a period at a time within it.
+    """Pose and speed at a time within a period, as weights of those at its start and end.
 
     Attributes:
         pose, speed: (4,) float32 weights of pose and speed at the start, pose and speed at the end.
-        doubt: 0 to 1, how much of the profile's own error there is.
+        doubt: 0 to 1, share of the profile's own error.
     """
 
     pose: Float32
@@ -70,14 +70,14 @@ class Profile:
 
 
 def profile_after(after_s: np.float32) -> Profile:
-    """The weights a time after the end: straight on."""
+    """The weights at a time after the end, at constant speed."""
     return Profile(
         np.array([0, 0, 1, after_s], dtype=np.float32), np.array([0, 0, 0, 1], dtype=np.float32), _F(0)
     )
 
 
 def profile_within(since_s: np.float32, period_s: np.float32, fire_s: np.float32) -> Profile:
-    """The weights a time after the start: speed changes linearly while limbs fire, then as (u + u^2) / 2."""
+    """The weights at a time after the start: speed is linear while limbs fire, then as (u + u^2) / 2."""
     one, half = _F(1), _F(0.5)
     x = since_s / period_s
     rest = (one - x) * (one - x)
@@ -116,12 +116,12 @@ def _weighted(weights: Float32, values: Float32) -> Float32:
 
 
 def wrapped(angle: np.float32) -> np.float32:
-    """An angle in (-pi, pi]; numba hands float32 back as Python's float, which would choose float64 next."""
+    """An angle in (-pi, pi], float32 again, as numba returns Python's float."""
     return np.float32(floats.wrap_angle(angle))
 
 
 def sine_cosine(angle: np.float32) -> tuple[np.float32, np.float32]:
-    """Sine and cosine, likewise."""
+    """Sine and cosine, float32 again."""
     sine, cosine = floats.sincos(angle)
     return np.float32(sine), np.float32(cosine)
 
@@ -131,14 +131,14 @@ def _seconds(time_us: int) -> np.float32:
 
 
 def resting_action_of(tables: Tables) -> int:
-    """The first action that fires no limb; the number of actions where every one does."""
+    """The first action that fires no limb; the number of actions if there is none."""
     still = [i for i, row in enumerate(tables.actions) if not row.first_mask | row.second_mask]
     return still[0] if still else len(tables.actions)
 
 
 @dataclass
 class _Instant:
-    """An instant, and the period that begins there."""
+    """An instant, and the period that starts there."""
 
     time_us: int
     limb_use: npt.NDArray[np.int64]
@@ -152,11 +152,11 @@ class Track:
     """States at the last instants.
 
     Attributes:
-        tables: what predicts.
-        instants: oldest first; the last is the end of the period under way.
+        tables: of the prediction.
+        instants: oldest first; the last is the end of the current period.
         mean: (3, 2 n) float32 x, y, heading: pose and speed at each instant, world.
         covariance: (2, 2 n, 2 n) float32 of x and of y, of heading.
-        process_noise: (2,) float32 variance of the speed that a stroke gives beside what the table says.
+        process_noise: (2,) float32 variance of a stroke's speed around the table's prediction.
     """
 
     tables: Tables
@@ -176,19 +176,19 @@ class Track:
         self._teaches = False
 
     def inflate(self) -> None:
-        """The robot was not where the track had it: the process noise may be larger."""
+        """Raise the process noise, after the robot was not where it was predicted."""
         self.process_noise = np.minimum(_INFLATION * self.process_noise, _PROCESS_NOISE_MOST)
 
     def forget(self) -> None:
-        """Know nothing any more, but the process noise."""
+        """Forget everything but the process noise."""
         self.instants = []
 
     def begin(self, at_us: int) -> None:
-        """Begin at rest, somewhere."""
+        """Start at rest with an unknown pose."""
         self._begin(at_us, self.resting_action, coasted=True)
 
     def coast(self, at_us: int) -> None:
-        """Predict periods of rest until a time, or forget."""
+        """Predict periods of rest until a time; forget after too many."""
         for _ in range(COASTS_MAX):
             if not self.instants or at_us <= self.instants[-1].time_us + COAST_US:
                 return
@@ -197,7 +197,7 @@ class Track:
             self.forget()
 
     def act(self, at_us: int, action: int) -> None:
-        """An action begins: the newest instant is put there."""
+        """Start an action at a time, which becomes that of the newest instant."""
         if not self.instants:
             self._begin(at_us, action, coasted=False)
             return
@@ -214,7 +214,7 @@ class Track:
         self._open(action, coasted=False)
 
     def limb_use(self, at_us: int) -> npt.NDArray[np.int64]:
-        """(8,) how much each limb was used, for an action that begins at a time."""
+        """(8,) recent use of each limb, for an action that starts at a time."""
         return self.instants[-2 if self._is_hasty(at_us) else -1].limb_use
 
     def state(self, at_us: int) -> tuple[Float32, Float32]:
@@ -224,7 +224,7 @@ class Track:
         return _weighted(profile.pose, there), _weighted(profile.speed, there)
 
     def update(self, at_us: int, pose: Float32, gated: bool = True) -> bool:
-        """Correct all states by a pose (3,); False where the gate refuses it and nothing changes."""
+        """Correct all states by a pose (3,); False if the gate refuses it."""
         first, profile = self._profile(at_us)
         here = slice(2 * first, 2 * first + 4)
         period = self.instants[first]
@@ -246,7 +246,7 @@ class Track:
         return True
 
     def reset_pose(self, at_us: int, pose: Float32) -> None:
-        """Believe no pose but this one; actions and limb use stay known."""
+        """Replace all poses by this one; keep actions and limb use."""
         first, profile = self._profile(at_us)
         self.instants = self.instants[first:]
         self._unknown(pose)
@@ -259,7 +259,7 @@ class Track:
         self.update(at_us, pose, gated=False)
 
     def _is_hasty(self, at_us: int) -> bool:
-        """Rest was assumed for the period under way before word of what begins at a time could come."""
+        """Whether the current period coasts only because the action of a time was not known yet."""
         return self.instants[-2].coasted and at_us < self.instants[-2].time_us + COAST_US
 
     def _begin(self, at_us: int, action: int, coasted: bool) -> None:
@@ -269,14 +269,14 @@ class Track:
         self._teaches = False
 
     def _unknown(self, pose: Float32) -> None:
-        """One instant, of whose pose and speed nothing is sure."""
+        """Start with one instant of unknown pose and speed."""
         self.mean = np.stack([pose, np.zeros(3, dtype=np.float32)], axis=1)
         self.covariance = np.zeros((2, 2, 2), dtype=np.float32)
         self.covariance[:, 0, 0] = _POSE_UNKNOWN
         self.covariance[:, 1, 1] = _SPEED_UNKNOWN
 
     def _undo(self) -> None:
-        """The period under way was none."""
+        """Remove the current period."""
         del self.instants[-1]
         self.mean, self.covariance = self.mean[:, :-2], self.covariance[:, :-2, :-2]
 
@@ -294,7 +294,7 @@ class Track:
         self._predict(len(self.instants) - 2)
 
     def _predict(self, index: int) -> None:
-        """Add the states at the instant after ``index``, which are the newest then."""
+        """Predict the states at the instant after ``index``, and drop later ones."""
         here, after = self.instants[index], self.instants[index + 1]
         period_s = _seconds(after.time_us - here.time_us)
         pose, speed = self.mean[:, 2 * index], self.mean[:, 2 * index + 1]
@@ -302,7 +302,7 @@ class Track:
         sine, cosine = sine_cosine(heading)
         forward, left = cosine * speed[0] + sine * speed[1], cosine * speed[1] - sine * speed[0]
         velocity = np.array([forward, left, speed[2]], dtype=np.float32)
-        velocity[~(np.abs(velocity) <= _SPEED_MOST)] = 0  # what is no number the table cannot be asked
+        velocity[~(np.abs(velocity) <= _SPEED_MOST)] = 0  # also NaN
         motion, velocity, after.limb_use = self._ask_table(velocity, here.limb_use, here.action, period_s)
         new = np.empty((3, 2), dtype=np.float32)
         new[0, 0] = pose[0] + (cosine * motion[0] - sine * motion[1])
@@ -340,7 +340,7 @@ class Track:
     def _ask_table(
         self, velocity: Float32, limb_use: npt.NDArray[np.int64], action: int, period_s: np.float32
     ) -> tuple[Float32, Float32, npt.NDArray[np.int64]]:
-        """Motion in the body frame, velocity and limb use a period later."""
+        """Motion in the body frame, and velocity and limb use a period later."""
         if action >= len(self.tables.actions):
             return velocity * period_s, velocity, limb_use
         codes, motion = np.zeros(DYNAMICS, dtype=np.int64), np.zeros(3, dtype=np.float32)
@@ -348,23 +348,23 @@ class Track:
         return motion, codes[:3].astype(np.float32) * self._arrays.velocity_scale, codes[3:]
 
     def _learn(self) -> None:
-        """How far off the table was in the period that ends tells how far off it may be in the next."""
+        """Adapt the process noise to the error of the last prediction."""
         off = self.mean[:, -2] - self._predicted
         square = off * off
-        told = self._predicted_variance - self.covariance[:, -2, -2]
+        reduced = self._predicted_variance - self.covariance[:, -2, -2]
         sums = np.array([square[0] + square[1], square[2]], dtype=np.float32)
         part = _LEARN_PARTS[self._learned]
         for k, axes in enumerate((_F(2), _F(1))):
-            if told[k] > _INFORMED * self._predicted_variance[k]:
-                word = min(sums[k] / (axes * told[k]), _WORD_MOST)
-                process_noise = self.process_noise[k] * (_F(1) + part * (word - _F(1)))
+            if reduced[k] > _INFORMED * self._predicted_variance[k]:
+                ratio = min(sums[k] / (axes * reduced[k]), _RATIO_MOST)
+                process_noise = self.process_noise[k] * (_F(1) + part * (ratio - _F(1)))
                 self.process_noise[k] = min(
                     max(process_noise, _PROCESS_NOISE_LEAST[k]), _PROCESS_NOISE_MOST[k]
                 )
         self._learned = min(self._learned + 1, 3)
 
     def _move_newest(self, at_us: int) -> None:
-        """Put the newest instant to another time after the one before it."""
+        """Move the newest instant to another time after the one before it."""
         _, profile = self._profile(at_us)
         mean, known = self.mean[:, -4:], self.covariance
         self.mean = self.mean.copy()
@@ -381,7 +381,7 @@ class Track:
         self.instants[-1].time_us = int(at_us)
 
     def _profile(self, at_us: int) -> tuple[int, Profile]:
-        """The period that holds a time, or the last one, and the weights there."""
+        """Index of the period of a time, or of the last one, and the weights there."""
         last = len(self.instants) - 2
         if at_us >= self.instants[-1].time_us:
             return last, profile_after(_seconds(at_us - self.instants[-1].time_us))

@@ -15,7 +15,7 @@ from frogkick.paths.path import POINTS_MAX, Path
 from frogkick.paths.shapes import from_waypoints
 
 LENGTH_MAX_M = 50.0
-"""Longer than a small robot swims in half an hour: a file in mm is longer still."""
+"""A longer path is likely to be in mm."""
 
 # Header names that are taken, and what they mean.
 _NAMES = {
@@ -28,18 +28,17 @@ def from_csv(file: pathlib.Path | str, tell: Callable[[str], None] = lambda _lin
     """Read a path from CSV.
 
     Without header: columns x, y or x, y, dx, dy (the paper's ``linep1.csv``). With header: x, y and
-    optionally dx, dy or tangent_rad in any order. Up to 100 points with tangents are taken as they
-    stand, so that the paper's path index keeps its meaning; anything else is resampled to 100 points by
-    arc length (straight between the points).
+    optionally dx, dy or tangent_rad in any order. Up to 100 points with tangents are kept, so that the
+    paper's path index keeps its meaning; any other file is resampled to 100 points by arc length, straight
+    between the points.
 
     Args:
         file: the CSV file; metres, world frame.
-        tell: gets a line where more points than 100 are resampled: how many, and how far off that is.
+        tell: gets a line where more than 100 points are resampled, with the largest deviation.
 
     Raises:
         InputError: missing or empty file, not text, unknown or missing columns, a cell that is not a finite
-            number (row and column named), a tangent of no length, one point, no length, a length that is
-            likely one in mm.
+            number, a tangent without length, one point, no length, or a length that is likely in mm.
     """
     path, points_m = _read(file)
     if path.length_m > LENGTH_MAX_M:
@@ -51,7 +50,7 @@ def from_csv(file: pathlib.Path | str, tell: Callable[[str], None] = lambda _lin
         off_mm = 1e3 * float(path.distance_m(points_m).max())
         tell(
             f"path file {pathlib.Path(file).name!r}: {len(points_m)} points are resampled to {POINTS_MAX}, "
-            f"the robot's most; the given ones are {off_mm:.2g} mm beside it at most"
+            f"the robot's limit; the given points are at most {off_mm:.2g} mm off the new path"
         )
     return path
 

@@ -36,11 +36,11 @@ class Path:
         x_m: (n,) float32, m, world x of the points, in the order of travel; 2 <= n <= 100.
         y_m: (n,) float32, m, world y.
         tangent_rad: (n,) float32, rad, heading of travel at each point, in (-pi, pi].
-        name: what to call it in a report.
+        name: for reports.
 
     Raises:
-        InputError: fewer than two points, more than 100, lengths that differ, a non-finite or too large
-            value (index and name given), or no length.
+        InputError: fewer than two points, more than 100, lengths that differ, a value that is not finite or
+            too large, or no length.
     """
 
     x_m: Float32
@@ -55,7 +55,7 @@ class Path:
                 values = np.array(getattr(self, column), dtype=np.float64)
             except (TypeError, ValueError):
                 raise InputError(
-                    f"path {self.name!r}: {column} is no row of numbers: give x_m, y_m, tangent_rad, name"
+                    f"path {self.name!r}: {column} is not a row of numbers: give x_m, y_m, tangent_rad, name"
                 ) from None
             if values.ndim != 1:
                 raise InputError(
@@ -103,14 +103,14 @@ class Path:
 
     @classmethod
     def from_arrays(cls, x_m: ArrayLike, y_m: ArrayLike, tangent_rad: ArrayLike, name: str = "path") -> Path:
-        """A path from numbers of any type; rounded to float32 after they are checked in float64."""
+        """A path from numbers of any type, which are checked in float64 and rounded to float32."""
         return cls(cast(Float32, x_m), cast(Float32, y_m), cast(Float32, tangent_rad), name)
 
     def __len__(self) -> int:
         return int(self.x_m.size)
 
     def __eq__(self, other: object) -> bool:
-        """Equal points, bit for bit; the name does not count."""
+        """Whether the points are equal bit for bit, whatever the names."""
         if not isinstance(other, Path):
             return NotImplemented
         return (
@@ -132,10 +132,7 @@ class Path:
         return float(np.hypot(*np.diff(self.points_m, axis=0).T).sum())
 
     def place(self, pose_world: Sequence[float] | ArrayLike) -> Path:
-        """Return the path moved so that its own origin and x axis lie at ``pose_world``.
-
-        Args:
-            pose_world: (x m, y m, heading rad) of the robot at the start.
+        """The path with its origin and x axis moved to a pose (x m, y m, heading rad).
 
         Raises:
             InputError: the pose is not three finite numbers.
@@ -151,35 +148,22 @@ class Path:
         )
 
     def distance_m(self, points_world_m: ArrayLike) -> Float64:
-        """Distance of points to the polyline (to its segments, not only to its points).
-
-        Args:
-            points_world_m: (k,2), m, world.
-
-        Returns:
-            (k,) float64, m.
-        """
+        """(k,) distances, m, of (k, 2) points in the world to the polyline's segments."""
         points = _as_points(points_world_m)
         start = self.points_m[:-1]
         along = np.diff(self.points_m, axis=0)
         square = (along**2).sum(axis=1)
         offset = points[:, None, :] - start[None, :, :]
-        # A segment of no length (a point given twice) has its foot at its start.
-        foot = np.clip((offset * along).sum(axis=2) / np.where(square > 0.0, square, 1.0), 0.0, 1.0)
-        gap = offset - foot[:, :, None] * along[None, :, :]
+        # The projection on a segment without length is its start.
+        part = np.clip((offset * along).sum(axis=2) / np.where(square > 0.0, square, 1.0), 0.0, 1.0)
+        gap = offset - part[:, :, None] * along[None, :, :]
         distance: Float64 = np.sqrt((gap**2).sum(axis=2).min(axis=1))
         return distance
 
     def nearest_index(self, points_world_m: ArrayLike) -> NDArray[np.int64]:
-        """Index of the nearest path POINT for each point, lowest index on ties, in float64.
+        """(k,) index of the path point nearest to each of (k, 2) points, m, world; the lowest on ties.
 
-        This is the index that the paper's cost uses; the planner decides it in float32.
-
-        Args:
-            points_world_m: (k,2), m, world.
-
-        Returns:
-            (k,) int64, 0..n-1.
+        It is the index of the paper's cost in float64; the planner uses float32.
         """
         points = _as_points(points_world_m)
         square = ((points[:, None, :] - self.points_m[None, :, :]) ** 2).sum(axis=2)

@@ -58,7 +58,7 @@ def line(length_m: float = LINE_LENGTH_M, points: int = POINTS_MAX) -> Path:
 
     Args:
         length_m: its length, m, above 0.
-        points: how many points, 2..100.
+        points: number of points, 2 to 100.
     """
     s = np.linspace(0.0, 1.0, _check_points(points, "line"))
     x = _check_length(length_m, "line") * s
@@ -70,7 +70,7 @@ def sine(length_m: float = SINE_LENGTH_M, points: int = POINTS_MAX) -> Path:
 
     Args:
         length_m: l, m, above 0 (the extent along x is 0.85 l).
-        points: how many points, 2..100.
+        points: number of points, 2 to 100.
     """
     s = np.linspace(0.0, 1.0, _check_points(points, "sine"))
     length = _check_length(length_m, "sine")
@@ -92,9 +92,9 @@ def ellipse(
     Args:
         length_m: the full axis along x, m, above 0.
         aspect: axis along x over axis along y (2 in the paper's runs 1 and 3, 1 in 5 and 6), above 0.
-        turns: how much of it is travelled, above 0 to 1.
+        turns: part of it that is travelled, above 0 to 1.
         clockwise: travel clockwise, so that the first tangent points to +y (left); else to -y.
-        points: how many points, 2..100.
+        points: number of points, 2 to 100.
     """
     a = 0.5 * _check_length(length_m, "ellipse")
     if not (np.isfinite(aspect) and aspect > 0.0):
@@ -113,7 +113,7 @@ def circle(length_m: float = CIRCLE_LENGTH_M, points: int = POINTS_MAX) -> Path:
 
     Args:
         length_m: its diameter, m, above 0.
-        points: how many points, 2..100.
+        points: number of points, 2 to 100.
     """
     return ellipse(length_m, aspect=1.0, points=points)
 
@@ -123,7 +123,7 @@ def bends(length_m: float = BENDS_LENGTH_M, points: int = POINTS_MAX) -> Path:
 
     Args:
         length_m: radius of both, m, above 0.
-        points: how many points, 2..100.
+        points: number of points, 2 to 100.
     """
     radius_m = _check_length(length_m, "bends")
     turn = 0.75 * np.pi
@@ -141,7 +141,7 @@ def eight(length_m: float = EIGHT_LENGTH_M, points: int = POINTS_MAX) -> Path:
 
     Args:
         length_m: its length along the axis of its loops, m, above 0.
-        points: how many points, 2..100.
+        points: number of points, 2 to 100.
     """
     half_m = 0.5 * _check_length(length_m, "eight")
     angle = 2.0 * np.pi * EIGHT_TURNS * np.linspace(0.0, 1.0, _check_points(points, "eight"))
@@ -151,21 +151,13 @@ def eight(length_m: float = EIGHT_LENGTH_M, points: int = POINTS_MAX) -> Path:
     return Path.from_arrays(c * x - s * y, s * x + c * y, tangent - tangent[0], "eight")
 
 
-SHAPES: dict[str, Callable[[float], Path]] = {"line": line, "sine": sine, "ellipse": ellipse}
+SHAPES: dict[str, Callable[..., Path]] = {"line": line, "sine": sine, "ellipse": ellipse}
 """The paper's three."""
-OTHER_SHAPES: dict[str, Callable[[float], Path]] = {"circle": circle, "bends": bends, "eight": eight}
-_DEFAULT_LENGTH_M = {
-    "line": LINE_LENGTH_M,
-    "sine": SINE_LENGTH_M,
-    "ellipse": ELLIPSE_LENGTH_M,
-    "circle": CIRCLE_LENGTH_M,
-    "bends": BENDS_LENGTH_M,
-    "eight": EIGHT_LENGTH_M,
-}
+OTHER_SHAPES: dict[str, Callable[..., Path]] = {"circle": circle, "bends": bends, "eight": eight}
 
 
 def shape(name: str, length_m: float | None = None) -> Path:
-    """A path by name, the paper's ('line', 'sine', 'ellipse') or another one, in its own start frame.
+    """A path by name, one of ``SHAPES`` or ``OTHER_SHAPES``, in its own start frame.
 
     Raises:
         InputError: no such shape, or a bad length.
@@ -175,7 +167,7 @@ def shape(name: str, length_m: float | None = None) -> Path:
         raise InputError(
             f"no path shape is called {name!r}{nearest_name(name, known)}: use {', '.join(known)} or a file"
         )
-    return known[name](_DEFAULT_LENGTH_M[name] if length_m is None else length_m)
+    return known[name]() if length_m is None else known[name](length_m)
 
 
 def from_waypoints(
@@ -184,19 +176,21 @@ def from_waypoints(
     """A path through waypoints, evenly spaced by arc length.
 
     Args:
-        waypoints_m: (k,2), m, world (or the path's own frame, then place()). Repeats are passed over.
+        waypoints_m: (k, 2), m, world (or the path's own frame, then place()). Repeats are left out.
         smooth: a natural cubic spline over chord length where k > 2, else straight segments.
-        points: how many points the path gets, 2..100.
+        points: number of points of the path, 2 to 100.
         name: for reports and errors.
 
     Raises:
-        InputError: not (k,2), fewer than two distinct points, or a non-finite one (row and column named).
+        InputError: not (k, 2), fewer than two distinct points, or a value that is not finite.
     """
     count = _check_points(points, name)
     try:
         given = np.asarray(waypoints_m, dtype=np.float64)
     except (TypeError, ValueError):
-        raise InputError(f"path {name!r}: waypoints are no numbers: give (k, 2), x and y in metres") from None
+        raise InputError(
+            f"path {name!r}: waypoints are not numbers: give (k, 2), x and y in metres"
+        ) from None
     if given.size == 0:
         raise InputError(f"path {name!r} is empty (0 points): give at least 2 points")
     if given.ndim != 2 or given.shape[1] != 2:

@@ -1,4 +1,4 @@
-"""Plan on the host with the robot's bits: one decision, or a batch of them."""
+"""Planning on the host with the same bits as on the robot: one decision, or a batch."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ PLAN_ROW = np.dtype(
 
 PLAN_FIXED_US = 600
 TRANSITION_NS = 22000
-"""Time of a decision on the chip: what no transition takes, and the most that each one adds (fk_robot.h)."""
+"""Time of a decision on the chip: a fixed part, and at most so much for each transition (fk_robot.h)."""
 
 _NUMBER_FIELDS = ("status", "action", "nearest_state", "path_index", "depth_reached", "transitions")
 
@@ -48,14 +48,15 @@ STATUS_TEXT = {
     "check the position fixes",
     kernel.ERROR_DEPTH: "the depth is not 1 to 4: choose --depth 1 to 4",
     kernel.ERROR_WEIGHT: "a cost weight is not 0 to 1e6 (turn_lead: 0 to 2): correct the planner section",
-    kernel.ERROR_COST: "the cost is of no known kind: choose paper or route",
-    kernel.ERROR_PATH_COUNT: "the path has not 2 to 100 points: resample it",
-    kernel.ERROR_PATH_POINT: "a path point is not within +-1000 m, or a tangent within 1000 rad: mend it",
+    kernel.ERROR_COST: "the cost is of an unknown kind: choose paper or route",
+    kernel.ERROR_PATH_COUNT: "the path does not have 2 to 100 points: resample it",
+    kernel.ERROR_PATH_POINT: "a path point is not within +-1000 m, or a tangent not within 1000 rad: correct "
+    "it",
 }
 
 
 class PlanError(FrogkickError):
-    """No decision is possible; ``status`` is the negative fk_error_t that the robot gives likewise."""
+    """No decision is possible; ``status`` is the robot's negative fk_error_t."""
 
     def __init__(self, status: int, text: str) -> None:
         super().__init__(text)
@@ -63,7 +64,7 @@ class PlanError(FrogkickError):
 
 
 class PathLike(Protocol):
-    """A path, world frame: three float32 arrays of one length (frogkick.paths.Path is one)."""
+    """A path, world frame: three float32 arrays of equal length (``frogkick.paths.Path``)."""
 
     @property
     def x_m(self) -> Float32: ...
@@ -74,7 +75,7 @@ class PathLike(Protocol):
 
 
 class Cost(enum.IntEnum):
-    """How a planner judges motions."""
+    """Cost of the planner."""
 
     PAPER = kernel.COST_PAPER  # Huang et al. 2022, Eq. 19
     ROUTE = kernel.COST_ROUTE  # frogkick.planner.route
@@ -82,13 +83,12 @@ class Cost(enum.IntEnum):
 
 @dataclass(frozen=True)
 class PlanConfig(Weights):
-    """Cost, weights and depth; the defaults are the paper's. The other cost's weights are only checked.
+    """Cost, weights and depth; the defaults are the paper's. Weights of the other cost are only checked.
 
     Attributes:
-        depth: levels to look ahead, 1 to 4.
-        cost: which cost.
-        transitions_max: transitions to evaluate before the search has to answer; 0 = as many as it takes.
-            The first level is always finished.
+        depth: depth of the search, 1 to 4.
+        cost: a ``Cost``.
+        transitions_max: limit of the evaluated transitions; 0: none. The first level is always finished.
     """
 
     depth: int = 1
@@ -96,16 +96,16 @@ class PlanConfig(Weights):
     transitions_max: int = 0
 
     def weights(self) -> Float32:
-        """Return weights and lengths as (8,) float32, in the order of ``fk_plan_config_t``."""
+        """Weights and lengths as (8,) float32, in the order of ``fk_plan_config_t``."""
         return _float32([getattr(self, name) for name in WEIGHTS])
 
     def settings(self) -> Any:
-        """Return what the kernels read, floats as float32."""
+        """The configuration for the kernels, floats as float32."""
         return kernel.Settings(int(self.cost), int(self.transitions_max), *self.weights())
 
 
 class PlannerSettings(Protocol):
-    """What a robot's file says of its planner (frogkick.robot.PlannerDefaults is one); the weights beside."""
+    """A planner's settings in a robot's file (``frogkick.robot.PlannerDefaults``), beside the weights."""
 
     @property
     def cost(self) -> str: ...
@@ -116,7 +116,7 @@ class PlannerSettings(Protocol):
 
 
 def config_of(planner: PlannerSettings) -> PlanConfig:
-    """The configuration that a robot's file asks for, as the robot itself has it after booting."""
+    """The planner configuration of a robot's file, which the robot has after booting."""
     weights = {name: getattr(planner, name) for name in WEIGHTS}
     return PlanConfig(
         **weights,
@@ -127,7 +127,7 @@ def config_of(planner: PlannerSettings) -> PlanConfig:
 
 
 def transitions_within(plan_us: int) -> int:
-    """Transitions that the robot's planner may evaluate in a time; 0 for no time given: without limit."""
+    """Transitions that the robot's planner may evaluate in a time; 0 for 0: no limit."""
     if plan_us == 0:
         return 0
     return max(1, max(0, plan_us - PLAN_FIXED_US) * 1000 // TRANSITION_NS)
@@ -141,13 +141,12 @@ class Plan:
         action: index into the table's actions.
         nearest_state: row of the table nearest to the state's velocity.
         path_index: path point nearest to the state (paper), last one that it has reached (route).
-        depth_reached: levels that were finished.
-        transitions: transitions that were evaluated.
+        depth_reached, transitions: number of finished levels and of evaluated transitions.
         cost: float32 sum over the best branch.
         distance_m: float32 distance of the state from that point (paper), or from the path (route).
-        along_points: float32 place of the state along the path, in points: where the next search begins.
+        along_points: float32 place of the state along the path, in points; the next search starts there.
         predicted: (6,) float32 state after the first action: pose world, velocity body.
-        predicted_limb_use: (8,) uint16 how much each limb was used lately, after the first action.
+        predicted_limb_use: (8,) uint16 recent use of each limb after the first action.
     """
 
     action: int
@@ -177,11 +176,11 @@ def plan(
         path: 2 to 100 points, world frame.
         config: weights and depth.
         state: (6,) x m, y m, heading rad (world), vx m/s, vy m/s, omega rad/s (body); used as float32.
-        limb_use: (8,) how much each limb was used lately, 0 = rested to 32767 = full; None = all rested.
-        along_points: where along the path the robot was last, in points, 0 to the last one; 0 at the start.
+        limb_use: (8,) recent use of each limb, 0 (rested) to 32767; None: all rested.
+        along_points: last place of the robot along the path, in points; 0 at the start.
 
     Raises:
-        PlanError: the state, path or configuration allows no decision; it carries the robot's status.
+        PlanError: the state, path or configuration allows no decision.
 
     Source: Huang et al. 2022, Algorithm 1, Eq. 19.
     """
@@ -193,11 +192,7 @@ def plan(
             status, f"no plan from state {query.tolist()} (status {status}): {STATUS_TEXT[status]}"
         )
     return Plan(
-        action=int(row["action"]),
-        nearest_state=int(row["nearest_state"]),
-        path_index=int(row["path_index"]),
-        depth_reached=int(row["depth_reached"]),
-        transitions=int(row["transitions"]),
+        **{name: int(row[name]) for name in _NUMBER_FIELDS[1:]},
         cost=np.float32(row["cost"]),
         distance_m=np.float32(row["distance_m"]),
         along_points=np.float32(row["along_points"]),
@@ -220,12 +215,12 @@ def plan_batch(
     Args:
         tables, path, config: as for ``plan``.
         states: (k, 6) states.
-        depths: (k,) depth of each; ``config.depth`` for all where it is None.
-        limb_use: (k, 8) or (8,) for all: how much each limb was used lately, 0 to 32767; None = rested.
-        along_points: (k,) or one for all: where along the path each was last, in points.
+        depths: (k,) depth of each; None: ``config.depth``.
+        limb_use: (k, 8), or (8,) for all: recent use of each limb, 0 to 32767; None: rested.
+        along_points: (k,) or one for all: last place along the path, in points.
 
     Returns:
-        (k,) array of ``PLAN_ROW``; a state without a decision has its status there.
+        (k,) ``PLAN_ROW``; a state without a decision has a status.
 
     Raises:
         InputError: the arrays' shapes do not fit each other.
@@ -261,7 +256,7 @@ def plan_batch(
 
 
 def path_rows(path: PathLike) -> Float32:
-    """Return a path as one (3, n) float32 array: x m, y m, tangent rad.
+    """A path as a (3, n) float32 array: x m, y m, tangent rad.
 
     Raises:
         InputError: the three arrays have different lengths.
@@ -274,10 +269,10 @@ def path_rows(path: PathLike) -> Float32:
 
 
 def limb_use_rows(limb_use: npt.ArrayLike | None, count: int) -> UInt16:
-    """Return limb uses as one (count, 8) uint16 array: None is rested, one row counts for all.
+    """Limb uses as a (count, 8) uint16 array; None: rested; one row counts for all.
 
     Raises:
-        InputError: another shape, or a value that is no whole number of 0 to 65535.
+        InputError: another shape, or a value that is not a whole number of 0 to 65535.
     """
     given = np.zeros((count, LIMBS_MAX)) if limb_use is None else np.asarray(limb_use)
     if given.shape == (LIMBS_MAX,):
@@ -288,12 +283,12 @@ def limb_use_rows(limb_use: npt.ArrayLike | None, count: int) -> UInt16:
         )
     rows = np.ascontiguousarray(given).astype(np.uint16)
     if not np.array_equal(rows, given):
-        raise InputError("limb use holds a value that is no whole number of 0 to 65535: correct it")
+        raise InputError("limb use holds a value that is not a whole number of 0 to 65535: correct it")
     return rows
 
 
 def along_rows(along_points: npt.ArrayLike, count: int) -> Float32:
-    """Return places along a path as one (count,) float32 array.
+    """Places along a path as a (count,) float32 array.
 
     Raises:
         InputError: neither one value nor one for each state.
@@ -301,15 +296,15 @@ def along_rows(along_points: npt.ArrayLike, count: int) -> Float32:
     given = _float32(along_points)
     if given.shape not in ((), (1,), (count,)):
         raise InputError(f"along_points has shape {given.shape}, needed is ({count},): one for each state")
-    # A copy: numba would compile all once more for an array that is read-only.
+    # A copy: numba would compile again for a read-only array.
     return np.array(np.broadcast_to(given.reshape(-1), (count,)))
 
 
 def _float32(values: npt.ArrayLike) -> Float32:
     try:
-        with np.errstate(over="ignore"):  # a value beyond float32 becomes infinite, which has its own status
+        with np.errstate(over="ignore"):  # a value beyond float32 becomes infinite, which has a status
             return np.ascontiguousarray(values, dtype=np.float32)
     except (TypeError, ValueError):
         raise InputError(
-            f"{str(values)[:60]!r} is no array of numbers: give a state as x, y, heading and velocities"
+            f"{str(values)[:60]!r} is not an array of numbers: give a state as x, y, heading and velocities"
         ) from None

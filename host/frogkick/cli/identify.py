@@ -23,10 +23,15 @@ def horizon_line(horizon: Horizon) -> str:
 
 
 def _text(outcome: Outcome) -> str:
+    from frogkick.report.law_words import sentence_of
+
     lines = [f"verdict: {outcome.verdict}" + (f" ({outcome.reason})" if outcome.reason else "")]
     for term, row in zip(outcome.terms, outcome.parameters, strict=True):
         values = ", ".join(f"{p.name} {p.value:.4g} [{p.low:.4g}, {p.high:.4g}] {p.unit}" for p in row)
         lines.append(f"effect {term.title}: {values}")
+        effect = term.effect()
+        if isinstance(effect, fk.effects.Law):
+            lines.append(f"  {sentence_of(effect)}")
     if not outcome.reason:
         for name, error in (
             ("before", outcome.tested.before),

@@ -151,6 +151,16 @@ class Law(Effect):
         return self.on == "stroke" and any(self._uses(name) for name in _BODY if name != "time_s")
 
     @property
+    def formulas(self) -> Mapping[str, str]:
+        """The formulas as text, by the names of CHANNELS."""
+        return self._texts
+
+    @property
+    def names(self) -> frozenset[str]:
+        """The variables and parameters that the formulas use."""
+        return frozenset().union(*(formula.names for formula in self._formulas.values()))
+
+    @property
     def in_tables(self) -> bool:
         return self.on in ("wrench", "stroke") and not any(self._uses(name) for name in NOT_IN_TABLES)
 

@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from frogkick.effects import Law
 from frogkick.identification.fit import Model, residuals_of, rollouts_of
 from frogkick.identification.paired import ActionSequence, Side, extend, segments_of_sequence
 from frogkick.identification.penalty import CONFOUNDED_MARGIN
@@ -140,7 +141,10 @@ def experiment_of(
 
 
 def open_pairs(found: Found, parameters: Sequence[Sequence[Interval]]) -> list[ModelPair]:
-    """Pairs of models to discriminate: confounded effects, then parameters, the widest interval first."""
+    """Pairs of models to discriminate: confounded effects, then parameters, the widest interval first.
+
+    Where there are none, each law against the model without it.
+    """
     model, pairs = found.fitted.model, list[ModelPair]()
     for place, others in enumerate(found.rivals):
         for other in others:
@@ -156,7 +160,19 @@ def open_pairs(found: Found, parameters: Sequence[Sequence[Interval]]) -> list[M
                 wide.append((share, _ends(found, term, first + k, interval)))
         first += len(term.values)
     wide.sort(key=lambda each: -each[0])
-    return pairs + [pair for _, pair in wide]
+    return pairs + [pair for _, pair in wide] or _without_laws(model)
+
+
+def _without_laws(model: Model) -> list[ModelPair]:
+    """Each law against the model without it: a formula that was chosen among many is worth a test."""
+    pairs = []
+    for place, term in enumerate(model.terms):
+        effect = term.effect()
+        if isinstance(effect, Law) and not effect.by_chance:
+            terms = (*model.terms[:place], *model.terms[place + 1 :])
+            without = replace(model, terms=terms, fixed=frozenset())
+            pairs.append(ModelPair((term.title, f"no {term.title}"), (model, without)))
+    return pairs
 
 
 def _ends(found: Found, term: Term, k: int, interval: Interval) -> ModelPair:

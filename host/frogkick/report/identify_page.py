@@ -25,6 +25,7 @@ from frogkick.report.identify_figures import (
     tried_figure,
 )
 from frogkick.report.identify_residuals import Residuals, explained_shares, residuals_of
+from frogkick.report.law_section import law_section, laws_of
 from frogkick.report.page import Section, Table, write_page
 from frogkick.report.style import figure_uri
 
@@ -62,7 +63,8 @@ def write_identify_page(target: Path, outcome: Outcome) -> None:
     sections = [_errors(outcome)]
     if len(residuals.run):
         sections += [_tracks(outcome, residuals), _residual(outcome, residuals)]
-    sections += [_effects(outcome), _tried(outcome), _apart(outcome), _rest(outcome), _terms(outcome)]
+    sections += [_effects(outcome), *([law_section(outcome)] if laws_of(outcome) else [])]
+    sections += [_tried(outcome), _apart(outcome), _rest(outcome), _terms(outcome)]
     write_page(target, TITLE, lead, sections)
 
 

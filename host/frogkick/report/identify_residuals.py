@@ -52,12 +52,15 @@ class Residuals:
         return body_from_world(self.pose[:, 2], self.residual_world(which))
 
 
-def residuals_of(outcome: Outcome) -> Residuals:
-    """Return the residuals of an outcome."""
-    swims = outcome.test
+def residuals_of(outcome: Outcome, train: bool = False) -> Residuals:
+    """Return the residuals of an outcome on its test runs, or on its training runs."""
+    swims, nominal, fitted = outcome.test, outcome.nominal_rollouts, outcome.rollouts
+    if train and outcome.found is not None:
+        found = outcome.found
+        swims, nominal, fitted = outcome.train, found.nominal.rollouts, found.fitted.rollouts
     known = [
         np.isfinite(prediction_errors([rollouts[k]], [swim])).all(axis=1)
-        for rollouts in (outcome.nominal_rollouts, outcome.rollouts)
+        for rollouts in (nominal, fitted)
         for k, swim in enumerate(swims)
     ]
     both = [known[k] & known[k + len(swims)] for k in range(len(swims))]
@@ -79,10 +82,10 @@ def residuals_of(outcome: Outcome) -> Residuals:
         action=np.concatenate([swim.action[kept] for swim, kept in zip(swims, rows, strict=True)]),
         limbs=np.concatenate([counts[kept] for counts, kept in zip(limbs, rows, strict=True)]),
         # Of the nominal model, because an effect may move the centre of mass away from the tag.
-        pose=joined([rollout.start[:, :3] for rollout in outcome.nominal_rollouts]),
+        pose=joined([rollout.start[:, :3] for rollout in nominal]),
         measured=joined([swim.measured for swim in swims]),
-        nominal=joined([rollout.predicted for rollout in outcome.nominal_rollouts]),
-        found=joined([rollout.predicted for rollout in outcome.rollouts]),
+        nominal=joined([rollout.predicted for rollout in nominal]),
+        found=joined([rollout.predicted for rollout in fitted]),
     )
 
 

@@ -1,0 +1,290 @@
+"""The picture of a law: its field over the pool or its curve, and the raw residuals beside it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from frogkick.core.poses import wrap_angle
+from frogkick.effects import Body, History, Law, Stroke
+from frogkick.identification.outcome import Outcome
+from frogkick.identification.segments import Segments
+from frogkick.report import style
+from frogkick.report.identify_residuals import Residuals, by_limb, residuals_of
+from frogkick.report.law_words import hangs_on
+
+FloatArray = npt.NDArray[np.float64]
+
+CELLS, FINE = 15, 60
+"""Arrows and cells of a field along the pool's longer side."""
+SPEED_MPS = 0.03
+"""Resistance to motion is drawn for this speed."""
+BESIDE_M = 0.06
+RAW_LABEL, EXPLAINED_LABEL = "raw residual", "explained by the effects found"
+BOTH = (("raw", style.MEASURED, "o", RAW_LABEL), ("explained", style.PREDICTED, "x", EXPLAINED_LABEL))
+
+_SCALED = {"N": (1e3, "mN"), "N m": (1e6, "uN m"), "m/s": (1e3, "mm/s"), "m": (1e3, "mm"), "1": (1.0, "1"),
+           "s": (1.0, "s"), "rad": (57.29578, "deg")}  # fmt: skip
+_LABELS = {
+    "x_n": "force along x", "y_n": "force along y", "forward_n": "force forward", "left_n": "force left",
+    "torque_nm": "torque", "x_mps": "flow along x", "y_mps": "flow along y", "gain": "share of the stroke",
+    "delay_s": "delay", "duration_scale": "share of the duration", "x_m": "offset along x",
+    "y_m": "offset along y", "heading_rad": "offset of the heading",
+}  # fmt: skip
+_UNITS = {
+    **dict.fromkeys(("x_n", "y_n", "forward_n", "left_n"), "N"), "torque_nm": "N m",
+    **dict.fromkeys(("x_mps", "y_mps"), "m/s"), **dict.fromkeys(("gain", "duration_scale"), "1"),
+    "delay_s": "s", **dict.fromkeys(("x_m", "y_m"), "m"), "heading_rad": "rad",
+}  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class Periods:
+    """All periods of the runs, of training and test.
+
+    Attributes:
+        at_s: (n,) time of each period's middle in its run.
+        pose, velocity: (n, 3) the robot then, by its fixes; velocity in the body's frame.
+        limbs: (n, l) strokes of each limb.
+        raw, explained: (n, 3) residuals of the nominal model, and what effects change of them; body frame.
+    """
+
+    at_s: FloatArray
+    pose: FloatArray
+    velocity: FloatArray
+    limbs: npt.NDArray[np.int64]
+    raw: FloatArray
+    explained: FloatArray
+
+    def seen(self, which: str, pool: bool) -> FloatArray:
+        """(n, 3) residuals along the pool's axes or the body's, and of the heading."""
+        forward, left, heading = getattr(self, which).T
+        c, s = np.cos(self.pose[:, 2]), np.sin(self.pose[:, 2])
+        turned = np.column_stack([c * forward - s * left, s * forward + c * left, heading])
+        return turned if pool else np.asarray(getattr(self, which))
+
+
+def periods_of(outcome: Outcome) -> Periods:
+    """Return all periods of an outcome's runs."""
+    parts = [
+        _periods(swims, residuals_of(outcome, train))
+        for swims, train in ((outcome.train, True), (outcome.test, False))
+    ]
+    names = Periods.__dataclass_fields__
+    return Periods(**{name: np.concatenate([getattr(part, name) for part in parts]) for name in names})
+
+
+def _periods(swims: Sequence[Segments], found: Residuals) -> Periods:
+    start, end = (
+        np.array([getattr(swims[run], name)[k] for run, k in zip(found.run, found.period, strict=True)])
+        for name in ("start_s", "end_s")
+    )
+    poses = [
+        np.array([_pose(swims[run], at) for run, at in zip(found.run, times, strict=True)]).reshape(-1, 3)
+        for times in (0.5 * (start + end), 0.75 * start + 0.25 * end, 0.25 * start + 0.75 * end)
+    ]
+    pose, rate = poses[0], (poses[2] - poses[1]) / (0.5 * (end - start))[:, None]
+    c, s = np.cos(pose[:, 2]), np.sin(pose[:, 2])
+    velocity = np.column_stack([c * rate[:, 0] + s * rate[:, 1], c * rate[:, 1] - s * rate[:, 0], rate[:, 2]])
+    raw = found.residual_body("nominal")
+    return Periods(0.5 * (start + end), pose, velocity, found.limbs, raw, raw - found.residual_body("found"))
+
+
+def _pose(swim: Segments, at_s: float) -> list[float]:
+    return [float(np.interp(at_s, swim.time_s, swim.pose[:, axis])) for axis in range(3)]
+
+
+def law_figure(outcome: Outcome, law: Law, periods: Periods) -> Figure:
+    """Draw a law, and beside it the raw residuals with what the effects found explain of them."""
+    law.check(outcome.robot)
+    place = hangs_on(law) == "place"
+    with style.new_figure(11.0, 4.4 if place else 4.0) as figure:
+        if place:
+            left, right = figure.subplots(1, 2)
+            _field(figure, left, law, periods)
+            _arrows(right, periods)
+        elif hangs_on(law) in ("limbs", "chance") and law.on == "stroke":
+            left, *rest = figure.subplots(1, 3)
+            _bars(left, law, outcome)
+            for axes, axis in zip(rest, _telling(periods, False), strict=True):
+                _by_limb(axes, periods, axis, outcome)
+        else:
+            left, *rest = figure.subplots(1, 3)
+            name, values = _along(law, periods)
+            _curve(left, law, name, values)
+            pool = bool({"x_n", "y_n", "x_mps", "y_mps", "x_m", "y_m"} & set(law.formulas))
+            for axes, axis in zip(rest, _telling(periods, pool), strict=True):
+                _dots(axes, periods, axis, name, values, pool)
+        style.legend_below(figure, right if place else rest[0])
+    return figure
+
+
+def _telling(periods: Periods, pool: bool) -> list[int]:
+    """The two axes of the residuals that the effects found explain most of, by its share."""
+    raw, explained = ((periods.seen(which, pool) ** 2).sum(axis=0) for which in ("raw", "explained"))
+    share = explained / np.maximum(raw, 1e-30)
+    return sorted(np.argsort(-share)[:2].tolist())
+
+
+def _area(periods: Periods) -> tuple[FloatArray, FloatArray]:
+    places = periods.pose[:, :2]
+    return places.min(axis=0) - BESIDE_M, places.max(axis=0) + BESIDE_M
+
+
+def _grid(periods: Periods, count: int) -> tuple[FloatArray, FloatArray]:
+    low, high = _area(periods)
+    step = float((high - low).max()) / count
+    x, y = np.meshgrid(*(np.arange(a + 0.5 * step, b, step) for a, b in zip(low, high, strict=True)))
+    return x, y
+
+
+def _field(figure: Figure, axes: Axes, law: Law, periods: Periods) -> None:
+    """Arrows of a force, a flow or an offset over the pool; colours of resistance or of strokes."""
+    moves = bool(law.names & {"forward_mps", "left_mps", "turn_radps"})
+    coloured = moves or law.on == "stroke" or not {"x_n", "x_mps", "x_m"} & set(law.formulas)
+    x, y = _grid(periods, FINE if coloured else CELLS)
+    still = {
+        name: np.zeros_like(x) for name in ("time_s", "heading_rad", "left_mps", "turn_radps", "strokes")
+    }
+    given = law.over({**still, "x_m": x, "y_m": y, "forward_mps": np.full_like(x, SPEED_MPS), "chance": 0.5})
+    if coloured:
+        key = next(iter(law.formulas))
+        scale, unit = _SCALED[_UNITS[key]]
+        shown = axes.pcolormesh(100.0 * x, 100.0 * y, scale * given[key], cmap="cividis", shading="nearest")
+        beside = f" at {1e3 * SPEED_MPS:g} mm/s forward" if moves else ""
+        figure.colorbar(shown, ax=axes, label=f"{_LABELS[key]}{beside} ({unit})", shrink=0.8)
+        axes.grid(visible=False)
+    else:
+        first = next(key for key in ("x_n", "x_mps", "x_m") if key in law.formulas)
+        other = "y" + first[1:]
+        scale, unit = _SCALED[_UNITS[first]]
+        along, aside = scale * given[first], scale * given.get(other, np.zeros_like(x))
+        largest = max(float(np.hypot(along, aside).max()), 1e-12)
+        step = 100.0 * float(np.diff(x[0])[0]) if x.shape[1] > 1 else 1.0
+        arrows = axes.quiver(
+            100.0 * x, 100.0 * y, along, aside, angles="xy", scale_units="xy", scale=largest / step,
+            color=style.PREDICTED, width=0.004,
+        )  # fmt: skip
+        axes.quiverkey(arrows, 0.84, 1.04, largest, f"{largest:.3g} {unit}", labelpos="E")
+    axes.plot(*(100.0 * periods.pose[:, :2].T), ".", color=style.DESIRED, markersize=2)
+    style.pool_axes(axes)
+    axes.set_title("The law over the pool; dots: where the runs were")
+
+
+def _arrows(axes: Axes, periods: Periods) -> None:
+    """Residuals in the pool as arrows, raw and explained, at one scale."""
+    reach = 100.0 * float(max(*(_area(periods)[1] - _area(periods)[0])))
+    sizes = 100.0 * np.hypot(*periods.seen("raw", True)[:, :2].T)
+    magnified = 0.12 * reach / max(float(np.percentile(sizes, 90)), 1e-9)
+    factor = 10.0 ** np.floor(np.log10(magnified))
+    factor *= 5.0 if magnified > 5.0 * factor else 2.0 if magnified > 2.0 * factor else 1.0
+    for which, colour, _, label in BOTH:
+        axes.quiver(
+            *(100.0 * periods.pose[:, :2].T), *(100.0 * factor * periods.seen(which, True)[:, :2].T),
+            angles="xy", scale_units="xy", scale=1.0, color=colour, width=0.004 if which == "raw" else 0.002,
+            zorder=2 if which == "raw" else 3, label=label,
+        )  # fmt: skip
+    style.pool_axes(axes)
+    axes.set_title(f"Residuals a period ahead, magnified {factor:g} times")
+
+
+def _along(law: Law, periods: Periods) -> tuple[str, FloatArray]:
+    """The variable that a law's curve is drawn over, and its values in the periods."""
+    main = hangs_on(law)
+    if main == "heading":
+        return "heading_rad", np.asarray(wrap_angle(periods.pose[:, 2]))
+    if main == "speed":
+        for axis, name in enumerate(("forward_mps", "left_mps", "turn_radps")):
+            if name in law.names:
+                return name, periods.velocity[:, axis]
+    return ("strokes" if "strokes" in law.names else "time_s"), periods.at_s
+
+
+_VARIABLES = {
+    "heading_rad": (57.29578, "heading (deg)"), "forward_mps": (1e3, "speed forward (mm/s)"),
+    "left_mps": (1e3, "speed to the left (mm/s)"), "turn_radps": (57.29578, "turn rate (deg/s)"),
+    "time_s": (1.0, "time in the run (s)"), "strokes": (1.0, "strokes before (1)"),
+}  # fmt: skip
+
+
+def _curve(axes: Axes, law: Law, name: str, values: FloatArray) -> None:
+    """The law over one variable, all others at nought."""
+    low, high = (-np.pi, np.pi) if name == "heading_rad" else (float(values.min()), float(values.max()))
+    low = 0.0 if name in ("time_s", "strokes") else low
+    along = np.linspace(low, high, 400)
+    names = ("time_s", "x_m", "y_m", "heading_rad", "forward_mps", "left_mps", "turn_radps", "strokes")
+    rest = {other: np.zeros(len(along)) for other in names}
+    factor, label = _VARIABLES[name]
+    given = law.over({**rest, "since_s": np.full(len(along), 1e3), "chance": 0.5, name: along})
+    keys = [key for key in given if not (key == "left_n" and name == "forward_mps" and "forward_n" in given)]
+    scale, unit = _SCALED[_UNITS[keys[0]]]
+    styles = ("-", "--", ":", "-.")
+    for key, line in zip(keys, styles, strict=False):
+        shown = np.broadcast_to(scale * given[key], along.shape)
+        axes.plot(factor * along, shown, line, color=style.PREDICTED, label=_LABELS[key])
+    axes.set_xlabel(label)
+    axes.set_ylabel(f"{_LABELS[keys[0]] if len(keys) == 1 else _LABELS[keys[0]].split(' ')[0]} ({unit})")
+    axes.set_title("The law")
+    if len(keys) > 1:
+        axes.margins(y=0.25)
+        axes.legend(loc="upper right", ncols=2)
+
+
+_RESIDUALS = (("forward", "mm", 1e3), ("left", "mm", 1e3), ("heading", "deg", 57.29578))
+
+
+def _dots(axes: Axes, periods: Periods, axis: int, name: str, values: FloatArray, pool: bool) -> None:
+    """Residuals of each period over the law's variable."""
+    factor, label = _VARIABLES["time_s" if name == "strokes" else name]
+    what, unit, scale = _RESIDUALS[axis]
+    what = ("along x", "along y", what)[axis] if pool else what
+    for which, colour, marker, legend in BOTH:
+        residuals = scale * periods.seen(which, pool)[:, axis]
+        axes.plot(factor * values, residuals, marker, color=colour, markersize=3.5, label=legend)
+    axes.axhline(0.0, color=style.DESIRED, linewidth=0.8)
+    axes.set_xlabel(label)
+    axes.set_ylabel(f"residual of a period ({unit})")
+    axes.set_title(f"Residuals: {what}")
+
+
+def _bars(axes: Axes, law: Law, outcome: Outcome) -> None:
+    """How much of each limb's strokes is left in the runs, on average, by the law; lines: least and most."""
+    gains: dict[str, list[float]] = {limb.name: [] for limb in outcome.robot.limbs}
+    rng, names = np.random.default_rng(0), list(gains)
+    for swim in (*outcome.train, *outcome.test):
+        for k, (time_s, limb) in enumerate(swim.strokes):
+            x, y, heading = _pose(swim, time_s)
+            stroke = Stroke(names[limb], limb, time_s, body=Body(time_s, (x, y, heading), (0.0, 0.0, 0.0)))
+            given = law.stroke(stroke, History(list(swim.strokes[:k])), rng) or stroke
+            gains[names[limb]].append(given.gain)
+    for at, some in enumerate(gains.values()):
+        if some:
+            mean = float(np.mean(some))
+            axes.bar(at, mean, 0.6, color=style.PREDICTED)
+            axes.plot((at, at), (min(some), max(some)), color=style.FLOOR, linewidth=1.2)
+    axes.set_xticks(range(len(names)), [name.replace("_", "\n") for name in names])
+    axes.set_xlabel("limb")
+    axes.set_ylabel("share of the stroke (1)")
+    axes.set_title("The law: mean, least and most in the runs")
+
+
+def _by_limb(axes: Axes, periods: Periods, axis: int, outcome: Outcome) -> None:
+    """The residual of each limb's strokes by least squares, raw and explained."""
+    what, unit, scale = _RESIDUALS[axis]
+    names = [limb.name.replace("_", "\n") for limb in outcome.robot.limbs]
+    for (which, colour, _, legend), shift in zip(BOTH, (-0.12, 0.12), strict=True):
+        each, error = by_limb(getattr(periods, which), periods.limbs)
+        axes.errorbar(
+            np.arange(len(names)) + shift, scale * each[:, axis], 2.0 * scale * error[:, axis], fmt="o",
+            color=colour, capsize=3, label=legend,
+        )  # fmt: skip
+    axes.axhline(0.0, color=style.DESIRED, linewidth=0.8)
+    axes.set_xticks(range(len(names)), names)
+    axes.set_xlabel("limb")
+    axes.set_ylabel(f"residual per stroke ({unit})")
+    axes.set_title(f"Residuals by limb: {what}")

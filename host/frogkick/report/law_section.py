@@ -1,0 +1,69 @@
+"""The section of a report on laws: in words, as a formula, as a picture, and how to test them."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from frogkick.effects import Law
+from frogkick.identification.outcome import Outcome
+from frogkick.report.law_figures import Periods, law_figure, periods_of
+from frogkick.report.law_words import NEEDS, formula_of, hangs_on, sentence_of
+from frogkick.report.page import Section
+from frogkick.report.style import figure_uri
+
+ACTS = 0.1
+"""A law acts in a period where it is more than this share of its largest value."""
+
+
+def laws_of(outcome: Outcome) -> list[tuple[str, Law]]:
+    """Return the laws among the effects found, with their titles."""
+    effects = [(term.title, term.effect()) for term in outcome.terms]
+    return [(title, effect) for title, effect in effects if isinstance(effect, Law)]
+
+
+def law_section(outcome: Outcome) -> Section:
+    """Return the section; there must be a law."""
+    periods = periods_of(outcome)
+    text, images = [], []
+    for title, law in laws_of(outcome):
+        formulas = "; ".join(formula_of(law))
+        text.append(f"{title}: {sentence_of(law)} As a formula: {formulas}.")
+        text.append(f"To show a law like this, runs must hold {NEEDS[hangs_on(law)]}.{_held(law, periods)}")
+        caption = (
+            f"{title}. Left: the law itself. Right: the raw residual of each period of all runs, by the "
+            "nominal model one period ahead, and what the effects found explain of it."
+        )
+        images.append((figure_uri(law_figure(outcome, law, periods)), caption))
+    if outcome.experiment is not None:
+        text.append(
+            f"To confirm or refute it: {outcome.experiment.text}. If the new run is predicted as well as its "
+            "fixes allow, what is written here holds; if it is predicted better by the other model, it is "
+            "refuted."
+        )
+    return Section("Laws: effects that are formulas", text, images=images)
+
+
+def _held(law: Law, periods: Periods) -> str:
+    """What these runs hold of it, where that can be counted."""
+    x, y, heading = periods.pose.T
+    forward, left, turn = periods.velocity.T
+    if "cycle" in {p.name for p in law.parameters}:
+        return f" The longest of these runs holds {periods.at_s.max() / law.value('cycle'):.1f} cycles."
+    if "at" in {p.name for p in law.parameters}:
+        later = int((periods.at_s > law.value("at")).sum())
+        earlier = len(periods.at_s) - later
+        return f" These runs hold {earlier} periods before that moment and {later} after it."
+    if law.on == "stroke" or law.by_chance:
+        return ""
+    given = law.over(
+        {
+            "time_s": periods.at_s, "x_m": x, "y_m": y, "heading_rad": heading, "forward_mps": forward,
+            "left_mps": left, "turn_radps": turn,
+        }
+    )  # fmt: skip
+    size = np.sqrt(sum(np.broadcast_to(values, x.shape) ** 2 for values in given.values()))
+    acting = int((size > ACTS * size.max()).sum())
+    return (
+        f" In {acting} of {len(x)} periods of these runs it is more than a tenth of the largest value that "
+        "it has in them."
+    )

@@ -1,0 +1,122 @@
+"""Laws in words: a sentence, the formula with its numbers, and what runs must hold to show it."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+
+from frogkick.effects import Law
+from frogkick.effects.law import CHANNELS
+
+_PLACE = "({at_x:.2f}, {at_y:.2f}) m"
+_EVERY = "every {cycle:.2f} s, for {share:.0%} of it"
+SENTENCES: Mapping[str, str] = {
+    "spring": f"A spring or cable pulls the robot to the point {_PLACE}, with {{stiffness:.3g}} N for each "
+    "metre beyond {slack:.2f} m from it.",
+    "attraction": f"The point {_PLACE} attracts the robot, the more the nearer it is, from about "
+    "{near:.2f} m on.",
+    "push beyond a line": "Beyond a line across the pool the robot is pushed back, with {stiffness:.3g} N "
+    "for each metre beyond it.",
+    "push": "A steady force of {to_x:.3g} N along x and {to_y:.3g} N along y pushes the robot.",
+    "patch": f"Around the point {_PLACE} the water resists more, by {{drag:.3g}} N s/m, up to about "
+    "{size:.2f} m away.",
+    "drag beyond a line": "Beyond a line across the pool the water resists more, by {drag:.3g} N s/m.",
+    "drag power": "The water resists with the power {power:.2g} of the speed: {forward_drag:.3g} N forward "
+    "and {left_drag:.3g} N sideways at {speed:.2f} m/s.",
+    "compass": "A torque turns the robot towards one heading, as a magnet does.",
+    "gusts": "A force on the robot swings to and fro, once in {cycle:.2f} s.",
+    "push from a moment on": "From {at:.1f} s on a force of {to_x:.3g} N along x and {to_y:.3g} N along y "
+    "pushes the robot.",
+    "push at intervals": f"A force of {{to_x:.3g}} N along x and {{to_y:.3g}} N along y acts {_EVERY}.",
+    "sloshing": "The water swings to and fro, once in {cycle:.2f} s.",
+    "flow that dies down": "The water flows at first, and comes to rest: a third of the flow is left after "
+    "{fade:.1f} s.",
+    "flow from a moment on": "From {at:.1f} s on the water flows.",
+    "flow at intervals": f"The water flows {_EVERY}.",
+    "fixes off from a moment on": "From {at:.1f} s on the fixes are off.",
+    "fixes off at intervals": f"The fixes are off {_EVERY}.",
+    "fixes late from a moment on": "From {at:.1f} s on the fixes are {late:.3f} s older than they say.",
+    "fixes late at intervals": f"The fixes are {{late:.3f}} s older than they say, {_EVERY}.",
+    "stroke from a moment on": "From {at:.1f} s on the strokes of LIMB are weaker by {loss:.0%}.",
+    "stroke in rhythm": "The strokes of LIMB get weaker and stronger, once in {cycle:.2f} s.",
+    "stroke by time": "The strokes of LIMB get weaker with time, by {rate:.2%} a second.",
+    "stroke by heading": "The strokes of LIMB depend on where the robot points to.",
+    "stroke by place": "The strokes of LIMB depend on where the robot is.",
+    "stroke by speed": "The strokes of LIMB depend on the robot's speed.",
+    "stroke tires": "The strokes of LIMB get weaker by up to {loss:.0%}, most of it within {fade:.0f} "
+    "strokes.",
+}  # fmt: skip
+"""Title of a law -> what it says; LIMB is the limb. Laws of other titles are told by what they act on."""
+
+WHAT: Mapping[str, str] = {
+    "wrench": "A force on the body",
+    "flow": "A flow of the water",
+    "stroke": "A change of the strokes of LIMB",
+    "fix": "An error of the fixes",
+}
+ON_WHAT: Mapping[str, str] = {
+    "x_m": "place", "y_m": "place", "heading_rad": "heading", "time_s": "time", "forward_mps": "speed",
+    "left_mps": "speed", "turn_radps": "turning", "strokes": "the number of strokes", "chance": "chance",
+}  # fmt: skip
+
+NEEDS: Mapping[str, str] = {
+    "place": "runs that cross the place from several sides and also keep away from it; a spring needs ten "
+    "periods with the cable taut",
+    "time in cycles": "three to five of its cycles, and strokes that are not in step with them",
+    "time": "five to ten periods on each side of the moment, or a long run where it comes slowly",
+    "heading": "runs that point all around, with the same actions at different headings",
+    "speed": "slow and fast periods: starts from rest, turns, and straight stretches",
+    "chance": "twenty firings of the limb, or a hundred fixes",
+    "limbs": "periods in which the limbs fire together and periods in which each fires without the other. No "
+    "action of the paper's robot fires a rear limb without a front one",
+}
+"""What a law hangs on -> what runs must hold to show it."""
+
+
+def sentence_of(law: Law) -> str:
+    """Return a law in words, with its numbers."""
+    limb = "all limbs" if law.limb == "all" else law.limb
+    values = {p.name: law.value(p.name) for p in law.parameters}
+    try:
+        told = SENTENCES[law.title].format(**values)
+    except KeyError:  # a law of one's own, under any title
+        others = sorted(
+            name.removeprefix("since_").removesuffix("_s") for name in law.names if _is_since(name)
+        )
+        on = {ON_WHAT[name] for name in law.names if name in ON_WHAT}
+        if others:
+            on.add(f"how long ago {' and '.join(others)} fired")
+        told = f"{WHAT[law.on]}" + (f" that depends on {' and '.join(sorted(on))}." if on else ".")
+    return told.replace("LIMB", limb)
+
+
+def formula_of(law: Law) -> list[str]:
+    """Return each formula of a law with its numbers in it: ``x_n (N) = ...``."""
+    numbers = {p.name: f"{law.value(p.name):.4g}" for p in law.parameters}
+    values = {name: f"({text})" if text[0] == "-" else text for name, text in numbers.items()}
+    lines = []
+    for key, text in law.formulas.items():
+        filled = re.sub(r"\b[A-Za-z_]\w*\b", lambda found: values.get(found[0], found[0]), text)
+        lines.append(f"{key} ({CHANNELS[law.on][key]}) = {filled}")
+    return lines
+
+
+def hangs_on(law: Law) -> str:
+    """Return a key of NEEDS: what a law mainly depends on."""
+    if "chance" in law.names:
+        return "chance"
+    if law.names & {"x_m", "y_m"}:
+        return "place"
+    if "time_s" in law.names:
+        return "time in cycles" if "cycle" in law.names else "time"
+    if "heading_rad" in law.names:
+        return "heading"
+    if law.names & {"forward_mps", "left_mps", "turn_radps"}:
+        return "speed"
+    if "strokes" in law.names:
+        return "time"
+    return "limbs" if law.on == "stroke" else "heading"
+
+
+def _is_since(name: str) -> bool:
+    return name.startswith("since_") and name != "since_s"

@@ -1,7 +1,8 @@
-"""Limbs that do nothing by chance are told from runs: which, how often, and at which strokes."""
+"""What happens by chance is told from runs: limbs that do nothing, fixes that jump; how often, and which."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +10,8 @@ import pytest
 from made import make_swim, robot
 from tests.conftest import LEVEL, count
 
+from frogkick.effects import Fix
+from frogkick.identification.jumps import jumped, jumps_of, without_jumps
 from frogkick.identification.misfires import fitted_mixture, misfires_of, without_failed
 from frogkick.identification.outcome import identify
 from frogkick.identification.search import nominal_fit
@@ -72,3 +75,45 @@ def test_the_logs_of_a_misfire_are_partly_explained() -> None:
     failing = effect["parameters"]["failing"]
     assert effect["limb"] == "front_left" and failing["interval"][0] < 0.3 < failing["interval"][1]
     assert outcome.tested.after == outcome.tested.before
+
+
+class Jumping:
+    """A run whose places are a smooth curve with noise, some of them far off."""
+
+    def __init__(self, seed: int) -> None:
+        rng = np.random.default_rng(seed)
+        self.swim = make_swim([], seed, 12)
+        count = len(self.swim.time_s)
+        self.off = rng.random(count) < 0.06
+        way, pose = rng.uniform(0.0, 6.28, count), self.swim.pose.copy()
+        pose[self.off, 0] += 6e-3 * np.cos(way[self.off])
+        pose[self.off, 1] += 6e-3 * np.sin(way[self.off])
+        self.swim = replace(self.swim, pose=pose)
+
+
+def test_fixes_that_jump_are_told_by_their_neighbours() -> None:
+    runs = [Jumping(seed) for seed in (1, 2)]
+    found = jumps_of([run.swim for run in runs])
+    assert found is not None
+    planted = sum(int(run.off.sum()) for run in runs)
+    right = sum(int(run.off[jumped(run.swim)[0]].sum()) for run in runs)
+    told = sum(len(jumped(run.swim)[0]) for run in runs)
+    assert right >= 0.9 * planted and told - right <= 0.1 * planted
+    assert found.size_m[0] == pytest.approx(6e-3, rel=0.1)
+    kept = without_jumps([run.swim for run in runs])
+    assert sum(len(swim.time_s) for swim in kept) == sum(len(run.swim.time_s) for run in runs) - told
+    effect = found.term.effect()
+    rng = np.random.default_rng(0)
+    moved = [effect.fix(Fix(0.0, 0.0, 0.0, 0.0, 0.0), rng) for _ in range(2000)]
+    far = [np.hypot(fix.x_m, fix.y_m) for fix in moved if fix is not None]
+    assert np.mean(np.array(far) > 1e-3) == pytest.approx(found.chance[0], abs=0.02)
+    assert max(far) == pytest.approx(found.size_m[0])
+
+
+def test_no_fix_jumps_where_a_camera_is_moved_or_nothing_is_off() -> None:
+    swim = make_swim([], 1, 12)
+    assert jumps_of([swim]) is None
+    pose = swim.pose.copy()
+    for first in range(20, len(pose), 40):
+        pose[first : first + 20, 0] += 6e-3
+    assert jumps_of([replace(swim, pose=pose)]) is None

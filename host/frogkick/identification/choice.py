@@ -19,6 +19,7 @@ from frogkick.identification.calibrated import (
     refitted,
 )
 from frogkick.identification.fit import derivatives, fit
+from frogkick.identification.jumps import Jumps
 from frogkick.identification.laws import Laws
 from frogkick.identification.misfires import misfires_of, without_failed
 from frogkick.identification.penalty import EFFECT_PENALTY, PARAMETER_PENALTY
@@ -137,6 +138,34 @@ def with_misfires(found: Found, train: Sequence[Segments]) -> Found:
         rivals=[*(found.rivals or [[] for _ in found.fitted.model.terms]), *([] for _ in misfires.limbs)],
         stability=[*found.stability, *misfires.stability],
         misfires=misfires,
+    )
+
+
+def with_jumps(found: Found, jumps: Jumps | None, raw: Sequence[Segments], robot: Robot) -> Found:
+    """The result with the law of fixes that jump, held against the nominal model of the runs as they are.
+
+    Args:
+        found: in the runs without the fixes that jumped.
+        jumps: of them; None without.
+        raw: the runs as they are.
+        robot: nominal.
+    """
+    if jumps is None:
+        return found
+    fitted = found.fitted
+    unmoved = np.zeros((*fitted.residuals.shape, len(jumps.term.values)))
+    return replace(
+        found,
+        nominal=nominal_fit(raw, robot)[2],
+        fitted=replace(
+            fitted,
+            model=replace(fitted.model, terms=(*fitted.model.terms, jumps.term)),
+            jacobian=np.concatenate([fitted.jacobian, unmoved], axis=2),
+        ),
+        confounded_with=[*found.confounded_with, []],
+        rivals=[*(found.rivals or [[] for _ in fitted.model.terms]), []],
+        stability=[*found.stability, 1.0],
+        jumps=jumps,
     )
 
 

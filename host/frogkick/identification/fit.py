@@ -148,6 +148,13 @@ class Fitted:
     deviance: float
     fresh: bool = True
 
+    def first(self, count: int) -> Fitted:
+        """The same with the first so many terms, where the others change no prediction."""
+        terms = self.model.terms[:count]
+        width = sum(len(term.values) for term in terms)
+        model = replace(self.model, terms=terms, fixed=frozenset(k for k in self.model.fixed if k < width))
+        return replace(self, model=model, jacobian=self.jacobian[:, :, :width])
+
 
 def difference_steps(model: Model) -> FloatArray:
     """(p,) steps of finite differences, reversed where they would leave the bounds.

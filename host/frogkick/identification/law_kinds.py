@@ -261,13 +261,13 @@ def kinds_of(robot: Robot, swims: Sequence[Segments]) -> list[Kind]:
         stroke = partial(_stroke, limb)
         kinds += [
             stroke(
-                "by heading", "1 + east * cos(heading_rad) + north * sin(heading_rad)",
-                {"east": share, "north": share},
+                "by heading", "1 + here + east * cos(heading_rad) + north * sin(heading_rad)",
+                {"here": share, "east": share, "north": share},
             ),
             stroke("from a moment on", "1 - loss * (time_s > at)", {"loss": share}, when, whens),
             stroke(
-                "in rhythm", f"1 + in_sine * {sine} + in_cosine * {cosine}",
-                {"in_sine": share, "in_cosine": share}, cycle, cycles,
+                "in rhythm", f"1 + here + in_sine * {sine} + in_cosine * {cosine}",
+                {"here": share, "in_sine": share, "in_cosine": share}, cycle, cycles,
             ),
             stroke("by time", "1 - rate * time_s", {"rate": ("1/s", -0.05, 0.05, 0.002)}),
             stroke(
@@ -275,8 +275,9 @@ def kinds_of(robot: Robot, swims: Sequence[Segments]) -> list[Kind]:
                 {"by_x": ("1/m", -3.0, 3.0, 0.2), "by_y": ("1/m", -3.0, 3.0, 0.2)},
             ),
             stroke(
-                "by twice the heading", "1 + east * cos(2 * heading_rad) + north * sin(2 * heading_rad)",
-                {"east": share, "north": share},
+                "by twice the heading",
+                "1 + here + east * cos(2 * heading_rad) + north * sin(2 * heading_rad)",
+                {"here": share, "east": share, "north": share},
             ),
             stroke(
                 "tires", "1 - loss * (1 - exp(-strokes / fade))", {"loss": share},

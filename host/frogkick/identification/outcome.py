@@ -18,15 +18,16 @@ from frogkick.core.errors import InputError
 from frogkick.core.files import write_text
 from frogkick.core.poses import PredictionError, wrap_angle
 from frogkick.core.progress import TellStage, silent
-from frogkick.identification.choice import discovered, found_in, pruned, with_misfires
+from frogkick.identification.choice import discovered, found_in, pruned, with_jumps, with_misfires
 from frogkick.identification.diagnostics import residual_diagnostics
 from frogkick.identification.drift import Drift, drift_of
 from frogkick.identification.experiment import Experiment, experiment_of
 from frogkick.identification.filter import Noise
 from frogkick.identification.fit import Model, rollouts_of
 from frogkick.identification.horizons import Horizon, horizons_of
+from frogkick.identification.jumps import jumps_of, without_jumps
 from frogkick.identification.predict import Rollout
-from frogkick.identification.search import Found
+from frogkick.identification.search import Found, nominal_fit
 from frogkick.identification.segments import Segments, reliable
 from frogkick.identification.terms import Term, catalogue
 from frogkick.identification.verdict import (
@@ -218,19 +219,28 @@ def identify(
     reason = too_little(train)
     if reason:
         return replace(_only_predicted(train, test, robot, reason), left_out=left_out)
+    raw = train, test
+    jumps = jumps_of(train) if laws else None
+    if jumps is not None:
+        train, test = without_jumps(train), without_jumps(test)
     found = found_in(train, robot, candidates, progress, measured)
     if laws:
         found = discovered(found, train, robot, progress)
     found = with_misfires(pruned(found, train, progress), train)
-    trained = scored(found, train, train, found.nominal.rollouts, found.fitted.rollouts)
-    nominal_rollouts, rollouts = rollouts_of([found.nominal.model, found.fitted.model], test)
-    tested = scored(found, train, test, nominal_rollouts, rollouts)
+    found = with_jumps(found, jumps, raw[0], robot)
+    trained = scored(found, train, train, found.nominal.rollouts, found.fitted.rollouts, (raw[0], raw[0]))
+    models = [found.nominal.model, found.fitted.model]
+    if jumps is None:
+        nominal_rollouts, rollouts = rollouts_of(models, test)
+    else:
+        nominal_rollouts, rollouts = rollouts_of(models[:1], raw[1])[0], rollouts_of(models[1:], test)[0]
+    tested = scored(found, train, test, nominal_rollouts, rollouts, raw)
     dropped = tuple(term.title for term in found.fitted.model.terms) if not tested.helped else ()
     if dropped:
         # Effects that do not help on other runs are no part of the model that is returned.
-        found = replace(
-            found, fitted=found.nominal, confounded_with=[], rivals=[], stability=[], misfires=None
-        )
+        train, test = raw
+        _, rows, nominal = nominal_fit(train, robot) if jumps else (None, found.rows, found.nominal)
+        found = Found(nominal, nominal, found.iterations, rows, [], found.sensitivities)
         trained = scored(found, train, train, found.nominal.rollouts, found.nominal.rollouts)
         rollouts = nominal_rollouts
         tested = scored(found, train, test, rollouts, rollouts)
@@ -255,17 +265,15 @@ def identify(
 
 
 def _parameters(found: Found, train: Sequence[Segments]) -> list[list[Interval]]:
-    """Intervals of each term's parameters; the chances of misfires have theirs by profile likelihood."""
-    fitted = found.fitted if found.misfires is None else found.misfires.base
-    rows = intervals(fitted, found.rows, discretisation_shift(fitted, train, found.rows))
-    return (
-        rows
-        if found.misfires is None
-        else [
-            *rows,
-            *([Interval("failing", *each, "1")] for each in found.misfires.chance),
-        ]
-    )
+    """Intervals of each term's parameters. Those of chances are known: no prediction depends on them."""
+    by_chance: list[list[Interval]] = []
+    if found.misfires is not None:
+        by_chance += [[Interval("failing", *each, "1")] for each in found.misfires.chance]
+    if found.jumps is not None:
+        jumps = found.jumps
+        by_chance += [[Interval("jumping", *jumps.chance, "1"), Interval("size", *jumps.size_m, "m")]]
+    fitted = found.fitted.first(len(found.fitted.model.terms) - len(by_chance))
+    return [*intervals(fitted, found.rows, discretisation_shift(fitted, train, found.rows)), *by_chance]
 
 
 def _followed(

@@ -55,6 +55,7 @@ from frogkick.identification.terms import Term
 from frogkick.robot import Robot
 
 if TYPE_CHECKING:
+    from frogkick.identification.jumps import Jumps
     from frogkick.identification.misfires import Misfires
 
 FloatArray = NDArray[np.float64]
@@ -121,7 +122,8 @@ class Found:
         confounded_with: for each effect chosen, the titles of others that the data cannot tell from it.
         rivals: these others, fitted.
         stability: of each effect; see ``backward.stability``.
-        misfires: limbs that do nothing by chance, beside the other effects; None without.
+        misfires: limbs that do nothing by chance, whose laws are the last terms but those of jumps.
+        jumps: fixes that jump by chance, whose law is the last term; they were taken out of the runs.
     """
 
     nominal: Fitted
@@ -133,6 +135,7 @@ class Found:
     rivals: list[list[Term]] = field(default_factory=list)
     stability: list[float] = field(default_factory=list)
     misfires: Misfires | None = None
+    jumps: Jumps | None = None
 
 
 Baseline = tuple[Model, NDArray[np.bool_], Fitted]

@@ -199,6 +199,7 @@ def log_score_gain(
     before: Sequence[Rollout],
     after: Sequence[Rollout],
     swims: Sequence[Segments],
+    raw: tuple[Sequence[Segments], Sequence[Segments]],
 ) -> Gain:
     """Log score gain of the measured ends of periods, paired by period.
 
@@ -208,11 +209,13 @@ def log_score_gain(
             is also judged by the spread that it predicts.
         before, after: of the runs, without and with effects.
         swims: the runs.
+        raw: see ``scored``.
     """
-    scales = [scale_of(end_residuals(each.rollouts, train)) for each in (found.nominal, found.fitted)]
+    models = ((found.nominal, raw[0]), (found.fitted, train))
+    scales = [scale_of(end_residuals(each.rollouts, runs)) for each, runs in models]
     pairs = [
-        [end_errors(rollout, swim) for rollout in both]
-        for *both, swim in zip(before, after, swims, strict=True)
+        [end_errors(one, plain), end_errors(other, swim)]
+        for one, other, plain, swim in zip(before, after, raw[1], swims, strict=True)
     ]
     rows = [np.asarray(np.isfinite(np.concatenate(ends, axis=1)).all(axis=1)) for ends in pairs]
     scores = [
@@ -377,6 +380,7 @@ def scored(
     swims: Sequence[Segments],
     before: Sequence[Rollout],
     after: Sequence[Rollout],
+    raw: tuple[Sequence[Segments], Sequence[Segments]] | None = None,
 ) -> Scored:
     """Evaluate both models on runs; replicates with the same noise count once.
 
@@ -385,14 +389,17 @@ def scored(
         train: the training runs: noise of fixes and spread of predictions are estimated from them.
         swims: the runs to judge.
         before, after: their rollouts without and with effects.
+        raw: the training runs and those to judge as they are, which ``before`` is held against, where fixes
+            that jumped were taken out; None where none were.
     """
-    errors = [PredictionError.of(prediction_errors(rollouts, swims)) for rollouts in (before, after)]
+    raw = raw or (train, swims)
+    errors = [PredictionError.of(prediction_errors(*pair)) for pair in ((before, raw[1]), (after, swims))]
     one_noise = replicate_count(swims)
     first, second = (replace(error, count=error.count // one_noise) for error in errors)
     floor = noise_floor(swims, fix_noise([*train]) or fix_noise(swims) or found.fitted.model.noise.fix)
     gain = None
     if found.fitted.model.terms:
-        gain = log_score_gain(found, train, before, after, swims)
+        gain = log_score_gain(found, train, before, after, swims, raw)
     chance = found.misfires is not None
     return Scored(first, second, floor, gain, repeatability(after, swims, floor), chance)
 

@@ -131,6 +131,7 @@ CASES = {
     "table info for another robot": "tables info {x.fkt} --robot {newt.toml}",
     # robots
     "unknown robot": "simulate frog2023",
+    "swim into a log": "simulate --out out/x.h5",
     "robot file missing": "simulate {missing.toml}",
     "robot with a bad key": "simulate {bad_key.toml} --out out/x.csv",
     "robot with a bad value": "library build {bad_value.toml} --states 1 --out out/lib.h5",

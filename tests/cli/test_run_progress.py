@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import dataclasses
+import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
 from tests.cli.commands import frogkick
 from tests.runs import rig
 
+import frogkick as fk
+from frogkick.core.files import sole_writer
 from frogkick.front.run_progress import RunProgress
-from frogkick.runs.closed_loop import Recording
+from frogkick.runs.closed_loop import DISARMED, DROPPED, ENDED, STOPPED, TIME, Recording
 from frogkick.runs.decision import LiveCheck
 
 
@@ -53,3 +57,41 @@ def test_the_command_says_so(capsys: pytest.CaptureFixture[str]) -> None:
     assert told.code == 0
     lines = [line for line in told.stderr.splitlines() if line.startswith("line: ")]
     assert lines and all(" cost " in line and line.endswith(" mm off") for line in lines), told.stderr
+
+
+@pytest.mark.parametrize(
+    ("ended", "words"),
+    [
+        (ENDED["STALE"], "as position fixes stopped coming: the robot left the picture"),
+        (ENDED["SUPPLY"], "as the robot's supply fell too low: charge all batteries"),
+        (DISARMED, "as the robot disarmed itself: 'frogkick log fetch' shows what led to it"),
+        (DROPPED, "as the connection was lost and the robot ended the run meanwhile"),
+        (TIME, ""),
+        (STOPPED, ""),
+    ],
+)
+def test_a_run_that_was_cut_short_is_a_failure(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, ended: str, words: str
+) -> None:
+    """One that a person ended, or its time, is none."""
+    whole = fk.run(rig.small_table(), "line", time_limit_s=3.0)
+    cut = dataclasses.replace(whole, log=dataclasses.replace(whole.log, notes=ended))
+    monkeypatch.setattr(fk, "run", lambda *_given, **_named: cut)
+    told = frogkick(capsys, "run", "--tables", rig.small_table(), "--json")
+    assert told.json["ended"] == ended and told.code == (1 if words else 0)
+    assert words in told.stderr and ("the path was not completed" in told.stderr) is bool(words)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="has no such locks")
+def test_two_runs_do_not_write_one_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "run.h5"
+    asked = ("run", "--robot", "pool", "--tables", rig.small_table(), "--simulated-time", "2", "--out", out)
+    with sole_writer(out):
+        told = frogkick(capsys, *asked)
+        assert (told.code, told.stdout) == (2, "")
+        assert (
+            f"another process is about to write {str(out)!r}: wait for it, or give another --out"
+            in told.stderr
+        )
+    assert frogkick(capsys, *asked).code == 0
+    assert [path.name for path in tmp_path.iterdir()] == ["run.h5"]

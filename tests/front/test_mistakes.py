@@ -44,6 +44,10 @@ MISTAKES: dict[str, tuple[Callable[[Any], object], str]] = {
     ),
     "a folder to save to": (lambda robot: robot.save("."), "cannot write '.': it is a folder"),
     "a table as runs": (lambda robot: fk.identify(robot, test=[robot]), "runs are given as Robot: give runs"),
+    "a run to train on and to test": (
+        lambda _: fk.identify(["a.h5", "b.h5"], test="./b.h5"),
+        "run 'b.h5' is a training run and a test run: its test would show how well it was fitted",
+    ),
     "a robot to emit": (
         lambda robot: fk.emit_c(robot, "emitted"),
         "table image is given as Robot: give a file",
@@ -56,6 +60,10 @@ OF_A_TABLE: dict[str, tuple[Callable[[Any], object], str]] = {
     "seconds as text": (lambda t: fk.run(t, time_limit_s="30"), "simulated time is '30' s: give"),
     "a depth as text": (lambda t: fk.Planner(t, depth="3"), "--depth is '3', but the planner looks 1"),
     "a pose alone": (lambda t: fk.Planner(t).plan([0, 0, 0], "line"), "state is [0, 0, 0]: give six numbers"),
+    "degrees as radians": (
+        lambda t: fk.Planner(t).plan([0, 0, 90, 0, 0, 0], "line"),
+        "the heading of the state is 90 rad, which is more than two turns: give radians, not degrees",
+    ),
     "a table as library": (lambda t: fk.fit_table(t), "library is given as Table: give a file"),
     "a limb's number": (
         lambda t: fk.run(t, world=fk.World([fk.effects.LimbWear(limb=2, gain=0.7)])),

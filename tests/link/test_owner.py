@@ -120,6 +120,16 @@ def test_a_file_that_holds_no_key(
     refused(frogkick(capsys, "own", "--robot", target, "--key", tmp_path / "bad.key"), "bad.key", words)
 
 
+@pytest.mark.parametrize("command", ["push --rollback", "push NEW", "own"])
+def test_a_malformed_key_is_refused_before_the_robot_is_looked_for(
+    new: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], command: str
+) -> None:
+    (tmp_path / "bad.key").write_text("no key")
+    words = [str(new) if word == "NEW" else word for word in command.split()]
+    told = frogkick(capsys, *words, "--robot", "serial:/dev/none", "--key", tmp_path / "bad.key")
+    refused(told, "bad.key", "64 hexadecimal digits")
+
+
 def test_a_key_that_cannot_be_kept_is_not_given(
     robot: LiveRobot, target: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -8,6 +8,7 @@ import re
 import signal
 import subprocess
 import sys
+import time
 import urllib.request
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -24,7 +25,7 @@ from tests.vision.scenes import scene
 
 from frogkick.core.files import write_bytes
 from frogkick.link.auth import read_key
-from frogkick.runs.closed_loop import TIME
+from frogkick.runs.closed_loop import DROPPED, TIME
 from frogkick.runs.runlog_file import read_run
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="needs a pseudo-terminal")
@@ -246,6 +247,30 @@ def test_its_flash_outlives_it_and_its_port_keeps_its_name(
         assert told.json["bytes_sent"] == 0, "it has the table already"
         code, said = pool.end(signal.SIGTERM)
         assert code == 0 and said.count("\n") == 1, said
+
+
+def test_a_run_whose_connection_was_lost_for_too_long(camera: Path, tmp_path: Path) -> None:
+    """The robot ends it alone, and its word that it did is lost: a run cut short has exit code 1."""
+    with serving(tmp_path, "--line", "frog") as pool:
+        pool.target = f"serial:{tmp_path / 'frog'}"
+        running = run_command(
+            pool, "--fixes", camera, "--source", pool.source, "--out", tmp_path / "run.h5",
+            stdin=subprocess.DEVNULL,
+        )  # fmt: skip
+        try:
+            assert running.stderr is not None
+            while not (line := running.stderr.readline()).startswith("line: "):
+                assert line
+            pool.act("unplug")
+            time.sleep(4.0)
+            pool.act("plug")
+            told, said = running.communicate(timeout=120.0)
+        finally:
+            running.kill()
+            running.communicate()
+    assert running.returncode == 1, said
+    assert json.loads(told)["ended"] == DROPPED
+    assert "the path was not completed, as the connection was lost" in said
 
 
 @pytest.mark.parametrize(

@@ -37,7 +37,7 @@ SourceOption = Annotated[
 
 
 def _pair(text: str, option: str) -> tuple[float, float]:
-    parts = re.fullmatch(r"([0-9.]+)[x,]([0-9.]+)", text.strip())
+    parts = re.fullmatch(r"([0-9.]+)x([0-9.]+)", text.strip())
     try:
         if parts:
             return float(parts[1]), float(parts[2])

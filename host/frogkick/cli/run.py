@@ -114,7 +114,8 @@ def run(
 
     At a terminal, Enter arms a real robot and any key stops the run. The robot is disarmed however the run
     ends. The exit code is 1 if a limit of the guard was broken, if robot and host decided differently (--plan
-    both), if the robot made no progress along its path, or if position fixes were lost.
+    both), if the robot made no progress along its path, or if the run was cut short: position fixes were
+    lost, the robot's supply fell too low, it disarmed itself, or the connection was lost.
     """
     found = fk.run(
         tables,
@@ -147,13 +148,9 @@ def run(
             f"{1e3 * found.tracking.mean_distance_m:.0f} mm from it on average: check that the path begins "
             "where the robot is, and that it leads where the robot can go"
         )
-    from frogkick.front.running import FIXES_LOST
+    from frogkick.front.bench import UNFINISHED
 
-    lost = found.ended == FIXES_LOST
-    if lost:
-        say(
-            "the path was not completed, as position fixes stopped coming: the robot left the picture, "
-            "or the camera or tracker fell behind or ended"
-        )
-    if found.tracking.limit_violations or found.tracking.stood or lost:
+    if found.ended in UNFINISHED:
+        say(f"the path was not completed, as {UNFINISHED[found.ended]}")
+    if found.tracking.limit_violations or found.tracking.stood or found.ended in UNFINISHED:
         raise typer.Exit(1)

@@ -61,6 +61,10 @@ def simulate(
     """Simulate a gait or a sequence of actions of a robot."""
     described = fk.load_robot(robot)
     require_writable(out)
+    if out is not None and out.suffix.lower() not in (".csv", ".txt", ""):
+        raise InputError(
+            f"--out {str(out)!r} ends in {out.suffix!r}, but a swim is written as CSV: give a name in .csv"
+        )
     if animation is not None:
         from frogkick.report.animation import require_animation_name
 

@@ -97,6 +97,41 @@ def require_writable(out: Path | None, folder: bool = False) -> None:
         raise InputError(f"cannot write {str(out)!r} in {str(place)!r}: choose another --out")
 
 
+@contextmanager
+def sole_writer(out: Path | None) -> Iterator[None]:
+    """Refuse a file that another process is going to write, as long as the context lives.
+
+    Raises:
+        InputError: another process holds it.
+    """
+    try:
+        import fcntl
+    except ImportError:  # Windows: the last one wins
+        yield
+        return
+    if out is None or not out.parent.is_dir():
+        yield
+        return
+    lock = out.with_name(f".{out.name}.lock")
+    while True:
+        file = lock.open("w")
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:
+            file.close()
+            raise InputError(
+                f"another process is about to write {str(out)!r}: wait for it, or give another --out"
+            ) from None
+        if lock.exists() and os.path.samestat(lock.stat(), os.fstat(file.fileno())):
+            break
+        file.close()  # the process before removed it meanwhile
+    try:
+        yield
+    finally:
+        lock.unlink(missing_ok=True)
+        file.close()
+
+
 _FULL = (errno.ENOSPC, errno.EFBIG, getattr(errno, "EDQUOT", errno.ENOSPC))
 
 

@@ -27,7 +27,7 @@ from frogkick.paths import Path as SwimPath
 from frogkick.pool.native_robot import NativeRobot
 from frogkick.robot import Robot
 from frogkick.runs.camera_fixes import CameraFixes
-from frogkick.runs.closed_loop import Recording, RunOptions, run_session
+from frogkick.runs.closed_loop import DISARMED, DROPPED, ENDED, Recording, RunOptions, run_session
 from frogkick.runs.decision import warm_up
 from frogkick.runs.lab_session import LabSession, lab_session, stops_are_interrupts
 from frogkick.runs.line_fixes import LineFixes
@@ -40,6 +40,17 @@ from frogkick.vision.sources import open_source
 from frogkick.vision.video import Video
 
 FIRST_FIX_S = 10.0
+UNFINISHED = {
+    ENDED[
+        "STALE"
+    ]: "position fixes stopped coming: the robot left the picture, or the camera or tracker fell "
+    "behind or ended",
+    ENDED["SUPPLY"]: "the robot's supply fell too low: charge all batteries and check the plugs",
+    DISARMED: "the robot disarmed itself: 'frogkick log fetch' shows what led to it",
+    DROPPED: "the connection was lost and the robot ended the run meanwhile: bring the radio nearer, or "
+    "check the cable",
+}
+"""Reason why a run ended before the end of its path or of its time -> the same with advice."""
 STDIN = "stdin"
 POOL = "pool"
 

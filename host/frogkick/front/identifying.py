@@ -185,6 +185,14 @@ def identify(
             raise InputError(f"runs are given as {type(some).__name__}: give runs of fk.run, or their files")
     if not test:
         raise InputError("test is empty: give at least one run that is not a training run")
+    runs, test = list(runs), list(test)
+    for each in test:
+        if any(_is_same(each, one) for one in runs):
+            name = each.log.source if isinstance(each, Run) else Path(each).name
+            raise InputError(
+                f"run {name!r} is a training run and a test run: its test would show how well it "
+                "was fitted, not how well it is predicted; give each run once"
+            )
     logs = [[log_of(each) for each in some] for some in (runs, test)]
     described = load_robot(robot or robot_of_runs([log for some in logs for log, _name in some]))
     train, kept = ([segments_of(log, name, described) for log, name in some] for some in logs)
@@ -197,6 +205,13 @@ def identify(
         _ = found.horizons, found.experiment
         last(1, 1)
     return Identification(found)
+
+
+def _is_same(one: Given, other: Given) -> bool:
+    """Return whether two runs are one object, or one file."""
+    if isinstance(one, Run) or isinstance(other, Run):
+        return one is other
+    return Path(one).resolve() == Path(other).resolve()
 
 
 def log_of(given: Given) -> tuple[RunLog, str]:

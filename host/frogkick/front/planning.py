@@ -15,6 +15,8 @@ from frogkick.front.tables import Table, load_table
 from frogkick.paths import Path as SwimPath
 from frogkick.planner.plan import PlanError, plan
 
+HEADING_MAX_RAD = 4.0 * np.pi
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Plan:
@@ -85,6 +87,12 @@ class Planner:
             raise InputError(
                 f"state is {state!r}: give six numbers, x, y (m), heading (rad), forward, left (m/s), "
                 "turn rate (rad/s)"
+            )
+        heading_rad = float(np.asarray(state, dtype=np.float64)[2])
+        if HEADING_MAX_RAD < abs(heading_rad) < np.inf:
+            raise InputError(
+                f"the heading of the state is {heading_rad:g} rad, which is more than two turns: give "
+                "radians, not degrees"
             )
         course = swim_path(path)
         tables = self.table.tables

@@ -13,7 +13,7 @@ from frogkick.core.progress import Progress, shown
 from frogkick.front.places import robot_of_table, simulated_robot
 from frogkick.front.running import Run, run
 from frogkick.front.tables import Table
-from frogkick.link.auth import default_key_file
+from frogkick.link.auth import default_key_file, read_key
 from frogkick.link.frames import DELIMITER
 from frogkick.link.layout import link_layout
 from frogkick.link.opening import opened, require_wire
@@ -159,6 +159,8 @@ def connect(target: str, key: Path | str | None = None) -> Iterator[Connection]:
         WireError: the robot cannot be reached.
     """
     require_target(target)
+    if key is not None and Path(key).exists():  # 'own' makes a missing one
+        read_key(Path(key))
     with opened(parse_target(target), DELIMITER) as wire:
         yield Connection(target, wire, None if key is None else Path(key))
 
@@ -270,6 +272,8 @@ def session_at(target: str, carried: Path | None, key: Path | None = None) -> It
         WireError: the robot cannot be reached.
     """
     if target != VIRTUAL:
+        if key is not None:
+            read_key(key)
         with opened(parse_target(target)) as wire:
             yield lab_session(wire, key)
         return

@@ -18,7 +18,7 @@ import numpy as np
 
 from frogkick.core.errors import InputError, nearest_name
 from frogkick.core.extras import EXTRAS, require
-from frogkick.core.files import require_writable
+from frogkick.core.files import require_writable, sole_writer
 from frogkick.core.progress import Progress, progress_bar, shown, tell_line
 from frogkick.effects import World, read_world
 from frogkick.front.bench import (
@@ -47,7 +47,7 @@ from frogkick.pool.camera import Camera as SimulatedCamera
 from frogkick.pool.pool import Pool
 from frogkick.robot import Robot
 from frogkick.runs.camera_fixes import CameraFixes
-from frogkick.runs.closed_loop import ENDED, Recording, RunOptions, require_seed, require_time, run_session
+from frogkick.runs.closed_loop import Recording, RunOptions, require_seed, require_time, run_session
 from frogkick.runs.decision import LiveCheck
 from frogkick.runs.export_csv import columns_of, export_csv
 from frogkick.runs.export_mcap import export_mcap
@@ -64,7 +64,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from pandas import DataFrame
 
-FIXES_LOST = ENDED["STALE"]
 PLANS = ("onboard", "host", "both")
 
 
@@ -318,6 +317,7 @@ def run(
     pool = None
     made: dict[str, str] = {}
     with ExitStack() as stack:
+        stack.enter_context(sole_writer(target))
         image = stack.enter_context(used.file())
         said = stack.enter_context(_said(progress, desired, used, check))
         if is_real:

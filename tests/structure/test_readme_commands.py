@@ -24,12 +24,16 @@ TARGET = re.compile(r"^([a-z][\w-]*):", re.MULTILINE)
 
 
 def shell_lines(markdown: str) -> list[str]:
-    """Return the commands of shell blocks (continued lines joined, prompts taken off) and of code spans."""
+    """Return the commands of shell blocks (lines joined, prompts taken off, pipes cut) and of code spans."""
     lines: list[str] = []
     for language, block in BLOCK.findall(markdown):
         for line in block.replace("\\\n", " ").splitlines() if language.strip() in SHELLS else []:
             text = line.strip().removeprefix("$ ")
-            lines += [part.strip() for part in text.split("&&")] if text and not text.startswith("#") else []
+            lines += (
+                [part.strip() for part in re.split(r"&&| \| ", text)]
+                if text and not text.startswith("#")
+                else []
+            )
     return lines + SPAN.findall(BLOCK.sub("", markdown))
 
 

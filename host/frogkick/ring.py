@@ -23,7 +23,7 @@ from frogkick.identification.outcome import Outcome, identify, write_robot
 from frogkick.identification.retune import steps
 from frogkick.identification.segments import read_segments
 from frogkick.identification.tables import Stage
-from frogkick.library import build_library, quantise, read_library
+from frogkick.library import build_library, quantise
 from frogkick.paths import SHAPES
 from frogkick.planner.plan import config_of
 from frogkick.pool.virtual_robot import VirtualRobot
@@ -286,7 +286,7 @@ def close(ring: Ring, out: Path, seed: int, bar: Stage, held_out: str = HELD_OUT
 def make_tables(robot: Robot, out: Path, states: int, seed: int, bar: Stage, title: str) -> Path:
     """Make ``library.h5`` and from it ``tables.fkt`` in a folder; return the path of the table."""
     with bar(title) as progress:
-        build_library(
+        library = build_library(
             robot,
             states=states,
             seed=seed,
@@ -296,7 +296,7 @@ def make_tables(robot: Robot, out: Path, states: int, seed: int, bar: Stage, tit
             sampling="visited",
         )
     image = out / "tables.fkt"
-    write_bytes(image, quantise(read_library(out / "library.h5")))
+    write_bytes(image, quantise(library))
     return image
 
 

@@ -44,10 +44,11 @@ PERIOD_MS = count(1425, 1425, 200)
 @pytest.fixture(scope="module")
 def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("library") / "lib.h5"
-    report = build_library(ROBOT, STATES, SEED, 2, out)
-    assert report.transitions == STATES * 9
-    assert report.simulated_s == pytest.approx(STATES * 9 * 5.0)
-    assert report.failures == ()
+    made = build_library(ROBOT, STATES, SEED, 2, out)
+    assert made.displacement_body.shape == (STATES, 9, 3) and made.failed == ()
+    read = read_library(out)
+    for name, value in vars(made).items():  # what is returned need not be read from the file
+        np.testing.assert_array_equal(getattr(read, name), value, err_msg=name)
     assert list(out.parent.iterdir()) == [out]  # no part is left
     return out
 
@@ -217,9 +218,9 @@ def test_failures_are_listed_and_the_rest_survives(tmp_path: Path, monkeypatch: 
     bad[2] = (0.01, -1e160, 0.0)
     for name, velocities in (("good", good), ("bad", bad)):
         monkeypatch.setattr(build, "sample_starts", lambda *_, v=velocities: rigid_starts(ROBOT, v))
-        report = build_library(ROBOT, 6, SEED, 2, tmp_path / f"{name}.h5", record_s=0.0)
-    assert len(report.failures) == 9
-    assert report.failures[0].startswith("state 2 action A: its mirror image did not converge at 0.000000 s")
+        made = build_library(ROBOT, 6, SEED, 2, tmp_path / f"{name}.h5", record_s=0.0)
+    assert len(made.failed) == 9
+    assert made.failed[0].reason.startswith("its mirror image did not converge at 0.000000 s")
     library, whole = read_library(tmp_path / "bad.h5"), read_library(tmp_path / "good.h5")
     assert [(f.state, f.action) for f in library.failed] == [(2, action) for action in range(9)]
     assert "pose" in library.failed[0].reason

@@ -9,7 +9,7 @@ from pathlib import Path
 from frogkick.core.errors import InputError
 from frogkick.core.files import cache_folder, one_at_a_time, write_bytes
 from frogkick.core.progress import Progress, shown
-from frogkick.library import build_library, quantise, read_library
+from frogkick.library import build_library, quantise
 from frogkick.robot import Robot, load_robot
 from frogkick.tables.image import read_image
 
@@ -39,19 +39,19 @@ def default_tables(robot: Robot | str, states: int | None = None, progress: Prog
         return target
     with one_at_a_time(cache_folder("building"), key) as work:
         if not _is_whole(target):  # otherwise another process has built it meanwhile
-            library = work / "library.h5"
+            file = work / "library.h5"
             with shown(progress, f"library for {robot.id}") as tell:
-                build_library(
+                library = build_library(
                     robot,
                     states=states,
                     seed=SEED,
                     workers=os.cpu_count() or 1,
-                    out=library,
+                    out=file,
                     progress=tell,
                     sampling=SAMPLING,
                 )
-            write_bytes(target, quantise(read_library(library)))
-            library.unlink()
+            write_bytes(target, quantise(library))
+            file.unlink()
     return target
 
 

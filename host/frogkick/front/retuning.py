@@ -25,7 +25,7 @@ from frogkick.identification import retune as retuning
 from frogkick.identification.retune import BEFORE, ROBOT, TABLES, Retuned, require_new
 from frogkick.identification.segments import reliable, segments_of
 from frogkick.identification.tables import Stage, Tracked
-from frogkick.library import build_library, fit_table, read_library
+from frogkick.library import build_library, fit_table
 from frogkick.library.error import looked_up
 from frogkick.paths import SHAPES
 from frogkick.robot import Robot, load_robot
@@ -188,11 +188,11 @@ class _Tools:
 
     def tables(self, robot: Robot, library: Path, stage: Stage) -> bytes:
         with stage(f"library of {self.count} states") as progress:
-            build_library(
+            made = build_library(
                 robot, self.count, self.seed, self.workers, library, progress, SAMPLING, record_s=0.0
             )
         with stage("tables tried") as progress:
-            return fit_table(read_library(library), KIND, progress=progress).image
+            return fit_table(made, KIND, progress=progress).image
 
     def states(self, image: bytes) -> int:
         return len(open_image(image).states)

@@ -199,10 +199,10 @@ def build_library(
             stack.enter_context(_tells_that_it_goes_on(file))
         tell = stack.enter_context(shown(progress, "library"))
         processes = 1 if cluster else workers or os.cpu_count() or 1
-        libraries.build_library(
+        made = libraries.build_library(
             robot, states, seed, processes, file, tell, sampling, record_s, cluster, keep_others=True
         )
-        return replace(libraries.read_library(file), folder=robot.folder)
+        return replace(made, folder=robot.folder)
 
 
 @contextmanager

@@ -1,6 +1,6 @@
 """Sample states, simulate actions, keep the transitions, quantise them to tables."""
 
-from frogkick.library.build import RECORD_S, BuildReport, build_library, sample_library
+from frogkick.library.build import RECORD_S, build_library, sample_library
 from frogkick.library.checkpoints import checkpoint_folder
 from frogkick.library.error import error_on, table_error
 from frogkick.library.fitting import BUDGET_BYTES, KINDS, Fitted, fit_table
@@ -22,7 +22,6 @@ __all__ = [
     "KINDS",
     "RECORD_S",
     "SAMPLINGS",
-    "BuildReport",
     "Failed",
     "Fitted",
     "Library",

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import hashlib
 import json
-import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 
@@ -42,16 +41,6 @@ Progress = Callable[[int, int], None]
 """Called with transitions done and to do."""
 
 
-@dataclass(frozen=True)
-class BuildReport:
-    """What a build came to: transitions, seconds simulated and waited, and one line for each failure."""
-
-    transitions: int
-    simulated_s: float
-    wall_s: float
-    failures: tuple[str, ...] = ()
-
-
 _Ready = tuple[Rods, float]
 
 
@@ -78,8 +67,8 @@ def build_library(
     record_s: float = RECORD_S,
     cluster: str | None = None,
     keep_others: bool = False,
-) -> BuildReport:
-    """Simulate ``states`` initial velocities times all actions and write the library.
+) -> Library:
+    """Simulate ``states`` initial velocities times all actions, write the library, and return it.
 
     The file's bytes depend on robot, states, seed, sampling and record_s, not on who simulates. On Ctrl-C
     the workers end within a part, and finished parts stay in ``OUT.parts``: the same build started
@@ -108,25 +97,23 @@ def build_library(
         raise InputError(f"workers is {workers}: give 1 to {WORKERS_MAX}")
     if not 0.0 <= record_s <= RECORD_MAX_S:
         raise InputError(f"record is {record_s} s: give 0 to {RECORD_MAX_S:g}")
-    began = time.monotonic()
     starts = sample_starts(robot, states, seed, sampling, workers, cluster)
     name = f"{robot.id} {robot.sha256.hex()[:8]}, {states} states, seed {seed}, {sampling}, {record_s:g} s"
     parts = Checkpoints(Path(out), _job(robot, starts, record_s), name, keep_others)
     done = _simulate_parts(robot, starts, record_s, parts, progress, workers, cluster)
     library = make_library(robot, sampling, seed, starts, done)
     failed = library.failed
-    lines = tuple(f"state {f.state} action {robot.actions[f.action].name}: {f.reason}" for f in failed)
     transitions = states * len(robot.actions)
     if len(failed) == transitions:
         parts.remove()
+        lines = [f"state {f.state} action {robot.actions[f.action].name}: {f.reason}" for f in failed]
         shown = "; ".join(lines[:_REPORTED_FAILURES])
         more = f"; and {len(lines) - _REPORTED_FAILURES} more" if len(lines) > _REPORTED_FAILURES else ""
         raise ConvergenceError(f"all {transitions} simulations failed, no library written: {shown}{more}")
     recorded = _recorded(robot, starts, record_s, parts)
     write_library(library, out, recorded_times(robot, record_s), recorded)
     parts.remove()
-    simulated_s = transitions * max(robot.period_s, record_s)
-    return BuildReport(transitions, simulated_s, time.monotonic() - began, lines)
+    return library
 
 
 def sample_library(

@@ -364,7 +364,7 @@ def library_of(
     source = made if given is None else given
     if given is None and not made.exists():
         with shown(True, f"library {made.name}") as tell:
-            build_library(robot, states, 0, workers, made, tell, sampling, record_s=0.0)
+            return build_library(robot, states, 0, workers, made, tell, sampling, record_s=0.0)
     read = read_library(source)
     if _with_planner_of(robot, read.robot()) != _with_planner_of(robot, robot):
         raise InputError(f"library {source.name!r} is not of {robot.title!r} as it is now: build it again")

@@ -12,7 +12,9 @@ from tests.conftest import some
 from tests.identification.made import known_outcome, make_swim, robot
 from tests.report.test_report import self_contained
 
+from frogkick.core.errors import InputError
 from frogkick.effects import Law
+from frogkick.front.identifying import Identification
 from frogkick.identification.experiment import open_pairs
 from frogkick.identification.fit import derivatives, rollouts_of
 from frogkick.identification.law_kinds import kinds_of
@@ -114,6 +116,10 @@ def test_the_page_says_how_a_law_is_confirmed_or_refuted(tmp_path: Path) -> None
     sure = [[replace(each, low=each.value, high=each.value) for each in outcome.parameters[0]]]
     pairs = open_pairs(outcome.found, sure)
     assert [pair.between for pair in pairs] == [("spring", "no spring")]
+    found = Identification(outcome)
+    assert len(found.plot().axes) == 2
+    with pytest.raises(InputError, match="law 1: 1 were found"):
+        found.plot(1)
     write_identify_page(tmp_path / "what.html", outcome)
     text = self_contained((tmp_path / "what.html").read_text(encoding="utf-8")).text
     needed = "ten periods with the cable taut"

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from frogkick.core.errors import InputError
 from frogkick.core.poses import PredictionError
@@ -27,6 +27,9 @@ from frogkick.identification.verdict import Interval
 from frogkick.robot import Robot, load_robot, parse_robot
 from frogkick.runs.recorded import load_run as load_log
 from frogkick.runs.runlog import RunLog
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 __all__ = ["FoundEffect", "Horizon", "Identification", "Interval", "Outcome", "identify"]
 
@@ -110,6 +113,19 @@ class Identification:
         from frogkick.report.identify_page import write_identify_page
 
         write_identify_page(Path(file), self.outcome)
+
+    def plot(self, law: int = 0) -> Figure:
+        """Return a matplotlib figure of a law that was found, with the raw residuals beside it.
+
+        Without laws it shows the errors before and after.
+
+        Args:
+            law: which of the laws found, in their order.
+        """
+        from frogkick.report.identify_figures import error_figure
+        from frogkick.report.law_section import figure_of_law, laws_of
+
+        return figure_of_law(self.outcome, law) if laws_of(self.outcome) else error_figure(self.outcome)
 
     def predictions(self, file: Path | str) -> None:
         """Write a CSV with one row for each period of each test run: measured, predicted, nominal.

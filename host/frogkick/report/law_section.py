@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
+from matplotlib.figure import Figure
 
+from frogkick.core.errors import InputError
 from frogkick.effects import Law
 from frogkick.identification.outcome import Outcome
 from frogkick.report.law_figures import Periods, law_figure, periods_of
@@ -19,6 +21,18 @@ def laws_of(outcome: Outcome) -> list[tuple[str, Law]]:
     """Return the laws among the effects found, with their titles."""
     effects = [(term.title, term.effect()) for term in outcome.terms]
     return [(title, effect) for title, effect in effects if isinstance(effect, Law)]
+
+
+def figure_of_law(outcome: Outcome, law: int) -> Figure:
+    """Return the picture of one of the laws found.
+
+    Raises:
+        InputError: there is no law of that number.
+    """
+    laws = laws_of(outcome)
+    if not 0 <= law < len(laws):
+        raise InputError(f"law {law}: {len(laws)} were found, counted from 0")
+    return law_figure(outcome, laws[law][1], periods_of(outcome))
 
 
 def law_section(outcome: Outcome) -> Section:

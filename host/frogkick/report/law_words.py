@@ -37,6 +37,7 @@ SENTENCES: Mapping[str, str] = {
     "fixes off at intervals": f"The fixes are off {_EVERY}.",
     "fixes late from a moment on": "From {at:.1f} s on the fixes are {late:.3f} s older than they say.",
     "fixes late at intervals": f"The fixes are {{late:.3f}} s older than they say, {_EVERY}.",
+    "misfire": "LIMB does nothing in {failing:.0%} of its strokes, at random.",
     "stroke from a moment on": "From {at:.1f} s on the strokes of LIMB are weaker by {loss:.0%}.",
     "stroke in rhythm": "The strokes of LIMB get weaker and stronger, once in {cycle:.2f} s.",
     "stroke by time": "The strokes of LIMB get weaker with time, by {rate:.2%} a second.",

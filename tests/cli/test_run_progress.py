@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import re
 import sys
 from pathlib import Path
 
@@ -95,3 +96,14 @@ def test_two_runs_do_not_write_one_file(tmp_path: Path, capsys: pytest.CaptureFi
         )
     assert frogkick(capsys, *asked).code == 0
     assert [path.name for path in tmp_path.iterdir()] == ["run.h5"]
+
+
+def test_a_path_that_no_choice_of_actions_follows_is_named(capsys: pytest.CaptureFixture[str]) -> None:
+    asked = ("run", "--robot", "pool", "--tables", rig.small_table(), "--simulated-time", "30", "--path")
+    tight = frogkick(capsys, *asked, "sine")
+    assert tight.code == 0 and re.search(
+        r"frogkick: the path bends by up to \d+ degrees in the \d+ mm that the robot moves in a period, and "
+        r"it turned by \d+ degrees at most: it cannot follow such a path; make it about [2-9]\.\d times as ",
+        tight.stderr,
+    ), tight.stderr
+    assert "bends" not in frogkick(capsys, *asked, "line").stderr

@@ -149,7 +149,10 @@ def run(
             "where the robot is, and that it leads where the robot can go"
         )
     from frogkick.front.bench import UNFINISHED
+    from frogkick.front.run_progress import tight_path
 
+    if tight := tight_path(found.log, found.tracking):
+        say(tight)
     if found.ended in UNFINISHED:
         say(f"the path was not completed, as {UNFINISHED[found.ended]}")
     if found.tracking.limit_violations or found.tracking.stood or found.ended in UNFINISHED:

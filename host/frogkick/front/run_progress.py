@@ -1,7 +1,8 @@
-"""The progress line of a run in the terminal."""
+"""What a run says in the terminal: its progress, and why its path was missed."""
 
 from __future__ import annotations
 
+import math
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -9,9 +10,28 @@ from contextlib import contextmanager
 from frogkick.core.progress import Tell
 from frogkick.runs.closed_loop import Recording
 from frogkick.runs.decision import LiveCheck
+from frogkick.runs.record import Tracking
+from frogkick.runs.runlog import RunLog
+from frogkick.runs.summary import bends_of
 from frogkick.tables.image import Tables
 
 SLOW_S = 2.0
+FAR_M = 0.01
+"""From such a mean distance on, people ask why."""
+
+
+def tight_path(log: RunLog, tracked: Tracking) -> str:
+    """Return a sentence on a path that bends more sharply than the robot turned; "" if it does not."""
+    bends = bends_of(log, tracked.progress_mps)
+    if bends is None or tracked.mean_distance_m < FAR_M or not bends.too_tight:
+        return ""
+    asked_deg, turned_deg = math.degrees(bends.asked_rad), math.degrees(bends.turned_rad)
+    larger = asked_deg / max(turned_deg, 1e-3)
+    return (
+        f"the path bends by up to {asked_deg:.0f} degrees in the {1e3 * bends.step_m:.0f} mm that the robot "
+        f"moves in a period, and it turned by {turned_deg:.0f} degrees at most: it cannot follow such a "
+        f"path; make it about {larger:.1f} times as large"
+    )
 
 
 class RunProgress:

@@ -14,6 +14,7 @@ from frogkick.report.run_figure import run_figure
 from frogkick.report.style import NOMINAL, PREDICTED, figure_uri, legend_below, new_figure
 from frogkick.ring import Closing, Ring, RingRun
 from frogkick.runs.live_view import fan_of
+from frogkick.runs.summary import bends_of
 from frogkick.runs.trial import Trial
 from frogkick.tables.layout import LIMBS_MAX
 from frogkick_codegen.firmware import FLASH_BYTES, RAM_BYTES
@@ -152,29 +153,21 @@ def _robot(ring: Ring) -> Section:
 def _why(ring: Ring) -> list[str]:
     """Compare the turns of the worst path with those that the robot made."""
     worst = max(ring.runs, key=lambda run: run.tracking.mean_distance_m)
-    log = worst.log
-    if log.path is None or log.truth is None or len(log.decisions) < 2:
+    bends = bends_of(worst.log, worst.tracking.progress_mps)
+    if bends is None or worst.log.truth is None:
         return []
-    along_m = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(log.path.points_m, axis=0).T))])
-    tangent_rad = np.unwrap(log.path.tangent_rad)
-    step_m = worst.tracking.progress_mps * log.period_s
-    starts_m = np.linspace(0.0, max(0.0, along_m[-1] - step_m), 400)
-    asked_rad = np.abs(
-        np.interp(starts_m + step_m, along_m, tangent_rad) - np.interp(starts_m, along_m, tangent_rad)
-    ).max()
-    headings_rad = np.interp(log.decisions.time_s, log.truth.time_s, np.unwrap(log.truth.pose_world[:, 2]))
-    turned_rad = np.abs(np.diff(headings_rad)).max()
+    asked_deg, turned_deg = np.rad2deg(bends.asked_rad), np.rad2deg(bends.turned_rad)
     text = (
         f"The {_name(worst)} is followed least well, with a mean distance of "
-        f"{1e3 * worst.tracking.mean_distance_m:.1f} mm. In one period the robot moved {1e3 * step_m:.0f} mm "
-        f"along it. Where the path bends most, its direction changes by {np.rad2deg(asked_rad):.0f} degrees "
-        f"over that length. The largest turn of the robot in any period was {np.rad2deg(turned_rad):.0f} "
-        "degrees."
+        f"{1e3 * worst.tracking.mean_distance_m:.1f} mm. In one period the robot moved "
+        f"{1e3 * bends.step_m:.0f} mm along it. Where the path bends most, its direction changes by "
+        f"{asked_deg:.0f} degrees over that length. The largest turn of the robot in any period was "
+        f"{turned_deg:.0f} degrees."
     )
-    if asked_rad > 1.1 * turned_rad:
+    if bends.too_tight:
         text += (
             " So no choice of actions can stay on the path there. A path about "
-            f"{asked_rad / turned_rad:.1f} times as large would help, or limbs that turn the robot more."
+            f"{asked_deg / turned_deg:.1f} times as large would help, or limbs that turn the robot more."
         )
     else:
         text += " So the path is not too tight. The distance comes from the prediction error (see below)."

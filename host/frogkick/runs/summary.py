@@ -138,6 +138,54 @@ def track_of(run: RunLog) -> tuple[FloatArray, FloatArray, str]:
     return np.asarray(time_s[during]), np.asarray(poses[during], dtype=np.float64), of
 
 
+@dataclass(frozen=True)
+class Bends:
+    """How sharply a path bends, compared with the turns of the robot on it.
+
+    Attributes:
+        step_m: distance along the path in one period.
+        asked_rad: largest change of the path's direction over that distance.
+        turned_rad: largest turn of the robot in a period.
+    """
+
+    step_m: float
+    asked_rad: float
+    turned_rad: float
+
+    @property
+    def too_tight(self) -> bool:
+        """Whether no choice of actions can stay on the path where it bends most."""
+        return self.asked_rad > 1.1 * self.turned_rad
+
+
+def bends_of(run: RunLog, progress_mps: float) -> Bends | None:
+    """Compare a path's bends with the robot's turns; None if the log has no path or too few poses.
+
+    Args:
+        run: the log.
+        progress_mps: progress along the path.
+    """
+    if run.path is None or len(run.decisions) < 2:
+        return None
+    at_s = run.decisions.time_s
+    if run.truth is not None and len(run.truth) > 1:
+        headings_rad = true_poses_at(run, at_s)[:, 2]
+    else:
+        rows = np.flatnonzero(run.fixes.usable)
+        if len(rows) < 2:
+            return None
+        order = rows[np.argsort(run.fixes.capture_time_s[rows], kind="stable")]
+        seen_rad = np.unwrap(run.fixes.pose_world[order, 2])
+        headings_rad = np.interp(at_s, run.fixes.capture_time_s[order], seen_rad)
+    along_m = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(run.path.points_m, axis=0).T))])
+    tangent_rad = np.unwrap(run.path.tangent_rad)
+    step_m = progress_mps * run.period_s
+    starts_m = np.linspace(0.0, max(0.0, along_m[-1] - step_m), 400)
+    before_rad, after_rad = (np.interp(at_m, along_m, tangent_rad) for at_m in (starts_m, starts_m + step_m))
+    asked_rad = float(np.abs(after_rad - before_rad).max())
+    return Bends(step_m, asked_rad, float(np.abs(np.diff(headings_rad)).max()))
+
+
 def summary(run: RunLog) -> Summary:
     """The numbers of a run.
 

@@ -16,6 +16,7 @@ from frogkick.effects.registry import make_effects
 from frogkick.identification.answers import answers_of
 from frogkick.identification.law_kinds import kinds_of
 from frogkick.identification.laws import Laws
+from frogkick.identification.missing import fix_innovations, missing_wrench, stroke_ratios
 from frogkick.identification.outcome import found_toml, identify
 from frogkick.identification.search import nominal_fit
 from frogkick.identification.verdict import FOUND_LAW
@@ -213,3 +214,24 @@ def test_a_cable_is_found_and_swims_from_the_file_that_is_written(folder: Path) 
 def values_of(tables: Sequence[Any]) -> list[float]:
     (law,) = make_effects(tables, Path())
     return [law.value(p.name) for p in law.parameters]
+
+
+def test_the_missing_wrench_is_read_from_residuals() -> None:
+    """A known force in the pool is told third by third, within its covariance; so are strokes and fixes."""
+    numbers = {"push": {"value": 1.5e-3, "unit": "N"}, "rate": {"value": 0.7, "unit": "1/s"}}
+    law = {"name": "law", "on": "wrench", "x_n": "push * sin(rate * time_s)", "parameters": numbers}
+    swims = [make_swim([law], seed, 14) for seed in (1, 2)]
+    _, rows, nominal = nominal_fit(swims, robot())
+    answers = answers_of(nominal, swims, rows)
+    found = missing_wrench(nominal, answers, swims, rows)
+    told = found.as_json([swim.name for swim in swims])
+    true = 1.5e-3 * np.sin(0.7 * found.time_s)
+    assert np.corrcoef(told["x_n"], true)[0, 1] > 0.9
+    assert np.sqrt(np.mean(np.square(np.array(told["x_n"]) - true))) < 6e-4
+    assert np.abs(told["y_n"]).mean() < 4e-4 and len(told["covariance"][0]) == 9
+    assert (np.linalg.eigvalsh(found.covariance) > -1e-12).all()
+    strokes = stroke_ratios(nominal, answers, swims, rows, [limb.name for limb in robot().limbs])
+    ratios = np.array([each["log_ratio"] for each in strokes])
+    assert len(ratios) == sum(len(swim.strokes) for swim in swims) and np.median(ratios) > 3.0
+    fixes = fix_innovations(nominal, swims)
+    assert len(fixes["x"]) == len(fixes["time_s"]) > 300 and max(fixes["outliers"]) < 0.05

@@ -199,6 +199,8 @@ def test_what_does_not_help_on_runs_kept_out_is_left_out(
     told = helped.as_json()
     assert helped.verdict == FOUND and not helped.dropped
     assert told["test"]["log_score_gain"]["interval"][0] > 0.0
+    left = told["residuals"]
+    assert left["wrench"] is None and left["strokes"] is None and len(left["fixes"]["x"]) > 100
     assert told["test"]["repeatability"].keys() == {"position_rmse_m", "heading_rmse_rad"}
 
 

@@ -95,6 +95,7 @@ class Answers:
         wrench: (n, 9, 3, 3) of each residual by force forward, left (N) and torque (N m) in each third.
         flow: (n, 9, 3, 2) by the water's velocity, world frame (m/s), in each third.
         gain: (n, 9, l) by the gain of each limb's stroke.
+        idle: (n, 9, l) change of each residual where a limb does nothing.
         fix: (n, 3, f) of each phase's residual by each fix's place, and by its heading; world frame.
         heading: (n,) at each period's start.
         bodies: the names that laws on wrenches and flows use -> (n, 3) their values.
@@ -106,6 +107,7 @@ class Answers:
     wrench: FloatArray
     flow: FloatArray
     gain: FloatArray
+    idle: FloatArray
     fix: tuple[FloatArray, FloatArray]
     heading: FloatArray
     bodies: Values
@@ -189,6 +191,10 @@ def answers_of(nominal: Fitted, swims: Sequence[Segments], rows: NDArray[np.bool
         for own in kinds:
             own.append(Weaker(limb, GAIN))
         sizes.append(-GAIN)
+    for limb in range(count):
+        for own in kinds:
+            own.append(Weaker(limb, 1.0))
+        sizes.append(1.0)
     every = [residuals_of(each, rows) for each in rollouts_with(model, kinds, swims)]
     columns = np.stack([moved - every[0] for moved in every[1:]], axis=2) / np.array(sizes)
     columns[(np.abs(columns).max(axis=(1, 2)) > 1e4)] = 0.0  # lost
@@ -201,7 +207,8 @@ def answers_of(nominal: Fitted, swims: Sequence[Segments], rows: NDArray[np.bool
     return Answers(
         columns[:, :, :pushes].reshape(n, 9, THIRDS, 3),
         columns[:, :, pushes : pushes + flows].reshape(n, 9, THIRDS, 2),
-        columns[:, :, pushes + flows :],
+        columns[:, :, pushes + flows : -count],
+        columns[:, :, -count:],
         (places, turns),
         np.concatenate([rollout.start[:, 2] for rollout in nominal.rollouts])[rows],
         _bodies(swims, rows),

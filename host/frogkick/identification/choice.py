@@ -9,7 +9,7 @@ import numpy as np
 
 from frogkick.core.poses import PredictionError
 from frogkick.core.progress import TellStage
-from frogkick.identification.answers import answers_of
+from frogkick.identification.answers import Answers, answers_of
 from frogkick.identification.backward import stability, superfluous_term, without
 from frogkick.identification.calibrated import (
     best_end_deviance,
@@ -98,26 +98,28 @@ def discovered(found: Found, train: Sequence[Segments], robot: Robot, progress: 
     if _verdict(found, train) in (FOUND, NOTHING):
         return found
     nominal, rows = found.nominal, found.rows
+    answers = answers_of(nominal, train, rows)
     results = [found]
-    misfires = misfires_of(nominal, train, rows)
+    misfires = misfires_of(nominal, train, rows, answers.idle)
     if misfires is not None and misfires.deviance < _penalised(found):
         fired = without_failed(train, misfires)
         baseline = nominal_fit(fired, robot)
         plain = Found(baseline[2], baseline[2], [], baseline[1], [])
         if _verdict(plain, fired) == NOTHING:
-            return Found(nominal, nominal, [], rows, [], misfires=misfires)
+            return Found(nominal, nominal, [], rows, [], misfires=misfires, answers=answers)
         beside = search(fired, robot, catalogue(robot), progress, baseline)
         if _verdict(beside, fired) not in (FOUND, NOTHING):
-            beside = min(beside, _with_laws(beside, fired, robot, progress), key=_penalised)
+            told = answers_of(beside.nominal, fired, beside.rows)
+            beside = min(beside, _with_laws(beside, told, fired, robot, progress), key=_penalised)
         (fitted,) = derivatives([beside.fitted.model], train, rows)
         misfires = misfires_of(fitted, train, rows)
         results.append(replace(beside, nominal=nominal, fitted=fitted, rows=rows, misfires=misfires))
     else:
-        results.append(_with_laws(found, train, robot, progress))
+        results.append(_with_laws(found, answers, train, robot, progress))
         best = min(results, key=_penalised)
         if best.fitted.model.terms and _verdict(best, train) not in (FOUND, FOUND_LAW):
             results.append(replace(best, misfires=misfires_of(best.fitted, train, rows)))
-    return min(results, key=_penalised)
+    return replace(min(results, key=_penalised), answers=answers)
 
 
 def with_misfires(found: Found, train: Sequence[Segments]) -> Found:
@@ -169,10 +171,12 @@ def with_jumps(found: Found, jumps: Jumps | None, raw: Sequence[Segments], robot
     )
 
 
-def _with_laws(found: Found, train: Sequence[Segments], robot: Robot, progress: TellStage) -> Found:
+def _with_laws(
+    found: Found, answers: Answers, train: Sequence[Segments], robot: Robot, progress: TellStage
+) -> Found:
     """The result of a search in the catalogue and the grammar of laws."""
     nominal, rows = found.nominal, found.rows
-    laws = Laws(answers_of(nominal, train, rows), train, robot, progress)
+    laws = Laws(answers, train, robot, progress)
     known = found.sensitivities
     if not known:
         known = sensitivities(nominal.model, catalogue(robot), train, rows, lambda _done, _whole: None)

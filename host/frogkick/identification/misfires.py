@@ -141,18 +141,23 @@ class Misfires:
         ]
 
 
-def misfires_of(base: Fitted, swims: Sequence[Segments], rows: NDArray[np.bool_]) -> Misfires | None:
+def misfires_of(
+    base: Fitted, swims: Sequence[Segments], rows: NDArray[np.bool_], changes: FloatArray | None = None
+) -> Misfires | None:
     """The limbs that misfire, one after the other as long as one explains more than chance; None without.
 
     Args:
         base: the model beside which they are looked for.
         swims, rows: the runs, and which of their periods count.
+        changes: (n, 9, l) of the residuals where a limb does nothing; simulated without.
     """
     model, replicates = base.model, replicate_count(swims)
     limbs = range(len(model.robot.limbs))
-    moved = rollouts_with(model, [[Weaker(limb, 1.0) for limb in limbs] for _ in swims], swims)
-    plain = residuals_of(moved[0], rows)
-    changes = np.stack([residuals_of(each, rows) - plain for each in moved[1:]], axis=2)
+    if changes is None:
+        moved = rollouts_with(model, [[Weaker(limb, 1.0) for limb in limbs] for _ in swims], swims)
+        plain = residuals_of(moved[0], rows)
+        changes = np.stack([residuals_of(each, rows) - plain for each in moved[1:]], axis=2)
+    changes = changes.copy()
     changes[(np.abs(changes) > 0.5 * DIVERGED[:, None]).any(axis=(1, 2))] = 0.0  # a simulation failed
     times = np.concatenate([fired_strokes(swim, len(limbs)) for swim in swims])[rows]
     fired = np.isfinite(times)

@@ -26,6 +26,7 @@ from frogkick.identification.filter import Noise
 from frogkick.identification.fit import Model, rollouts_of
 from frogkick.identification.horizons import Horizon, horizons_of
 from frogkick.identification.jumps import jumps_of, without_jumps
+from frogkick.identification.missing import fix_innovations, missing_wrench, stroke_ratios
 from frogkick.identification.predict import Rollout
 from frogkick.identification.search import Found, nominal_fit
 from frogkick.identification.segments import Segments, reliable
@@ -154,6 +155,28 @@ class Outcome:
             )
         return effects
 
+    @cached_property
+    def residuals(self) -> dict[str, Any] | None:
+        """What is left of the training runs, as quantities that can be read; None without a search.
+
+        ``wrench``: the missing force and torque of each third of a period, with covariance; ``strokes``: the
+        log likelihood ratio of fired over not fired. Both are None where laws were not looked for. ``fixes``:
+        robust innovations.
+        """
+        if self.found is None:
+            return None
+        found, answers = self.found, self.found.answers
+        fixes = fix_innovations(found.fitted, self.train)
+        if answers is None:
+            return {"wrench": None, "strokes": None, "fixes": fixes}
+        limbs = [limb.name for limb in self.robot.limbs]
+        wrench = missing_wrench(found.fitted, answers, self.train, found.rows)
+        return {
+            "wrench": wrench.as_json([swim.name for swim in self.train]),
+            "strokes": stroke_ratios(found.fitted, answers, self.train, found.rows, limbs),
+            "fixes": fixes,
+        }
+
     def tested_as_json(self) -> dict[str, Any]:
         """Errors on the test runs, also several periods ahead and with drift tracked."""
         return {
@@ -172,6 +195,7 @@ class Outcome:
             "test": self.tested_as_json(),
             "drift": None if self.drift is None else self.drift.as_json(),
             "signature": self.diagnostics,
+            "residuals": self.residuals,
             "experiment": None if self.experiment is None else self.experiment.as_json(),
             "runs": [
                 {"run": swim.name, "use": use, "period_s": swim.period_s}
@@ -238,9 +262,10 @@ def identify(
     dropped = tuple(term.title for term in found.fitted.model.terms) if not tested.helped else ()
     if dropped:
         # Effects that do not help on other runs are no part of the model that is returned.
-        train, test = raw
+        train, test, answers = *raw, found.answers
         _, rows, nominal = nominal_fit(train, robot) if jumps else (None, found.rows, found.nominal)
         found = Found(nominal, nominal, found.iterations, rows, [], found.sensitivities)
+        found = replace(found, answers=None if jumps else answers)
         trained = scored(found, train, train, found.nominal.rollouts, found.nominal.rollouts)
         rollouts = nominal_rollouts
         tested = scored(found, train, test, rollouts, rollouts)

@@ -55,6 +55,7 @@ from frogkick.identification.terms import Term
 from frogkick.robot import Robot
 
 if TYPE_CHECKING:
+    from frogkick.identification.answers import Answers
     from frogkick.identification.jumps import Jumps
     from frogkick.identification.misfires import Misfires
 
@@ -123,6 +124,7 @@ class Found:
         rivals: these others, fitted.
         stability: of each effect; see ``backward.stability``.
         misfires: limbs that do nothing by chance, whose laws are the last terms but those of jumps.
+        answers: of the runs to pushes, where laws were looked for.
         jumps: fixes that jump by chance, whose law is the last term; they were taken out of the runs.
     """
 
@@ -136,6 +138,7 @@ class Found:
     stability: list[float] = field(default_factory=list)
     misfires: Misfires | None = None
     jumps: Jumps | None = None
+    answers: Answers | None = None
 
 
 Baseline = tuple[Model, NDArray[np.bool_], Fitted]

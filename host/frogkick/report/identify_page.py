@@ -26,6 +26,7 @@ from frogkick.report.identify_figures import (
 )
 from frogkick.report.identify_residuals import Residuals, explained_shares, residuals_of
 from frogkick.report.law_section import law_section, laws_of
+from frogkick.report.missing_figure import missing_figure
 from frogkick.report.page import Section, Table, write_page
 from frogkick.report.style import figure_uri
 
@@ -169,6 +170,15 @@ def _residual(outcome: Outcome, residuals: Residuals) -> Section:
             "arrows are magnified by the same factor on both sides.",
         ),
     ]
+    missing = missing_figure(outcome)
+    if missing is not None:
+        caption = (
+            "What the model with the identified effects still misses in the training runs. From above: the "
+            "force and torque of each third of a period with two standard deviations, by a smoother; the log "
+            "likelihood ratio of each stroke, fired over not fired; the innovation of each fix in robust "
+            "standard deviations."
+        )
+        pictures.append(_picture(missing, caption))
     return Section("Residuals by action, limb, time and place", text, images=pictures)
 
 

@@ -1,0 +1,196 @@
+"""What a model misses, in quantities that can be read: a wrench, strokes that failed, fixes that are off.
+
+The missing wrench of each third of a period is a hidden state that the residuals answer to. It is estimated
+from all residuals of a run at once, as an Ornstein-Uhlenbeck process (a Gauss-Markov state: the mean and
+covariance are those of a Kalman smoother). Its size and memory are those of maximum likelihood.
+
+Source: Rauch, Tung, Striebel 1965 (smoother); Hartikainen, Sarkka 2010 (the same as Gaussian regression).
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from frogkick.core.poses import world_from_body
+from frogkick.identification.answers import THIRDS, Answers, fired_strokes
+from frogkick.identification.filter import Filter, Noise, initial_rate_std
+from frogkick.identification.fit import Fitted
+from frogkick.identification.predict import PHASES
+from frogkick.identification.segments import Segments
+from frogkick.identification.steps import log_density, scale_of
+
+FloatArray = NDArray[np.float64]
+
+SIZES_N, ARMS_M, MEMORIES = (0.0, *np.geomspace(3e-5, 1e-2, 8)), (0.005, 0.02, 0.06), (0.0, 0.6, 0.9, 0.98)
+"""Sizes of the wrench that are tried, its torque over its force, and how much of it the next third has."""
+
+CLEAR = 0.25
+"""A stroke that fails explains a residual by far if it leaves less than this share of its squares."""
+
+OUTLIER_SIGMA = 3.0
+"""A fix is off beyond so many standard deviations of its innovation."""
+
+
+@dataclass(frozen=True, eq=False)
+class Missing:
+    """What a model misses in runs; k thirds of periods.
+
+    Attributes:
+        run: (k,) index of the run.
+        time_s: (k,) middle of each third.
+        heading: (k,) of the robot then.
+        wrench: (k, 3) missing force forward, left (N) and torque (N m).
+        covariance: (k, 3, 3) of it.
+    """
+
+    run: NDArray[np.int64]
+    time_s: FloatArray
+    heading: FloatArray
+    wrench: FloatArray
+    covariance: FloatArray
+
+    def as_json(self, names: Sequence[str]) -> dict[str, Any]:
+        """In the body's frame, and the force in the pool's; covariances are of the body's frame."""
+        world = world_from_body(self.heading, self.wrench)
+        return {
+            "run": [names[k] for k in self.run.tolist()],
+            "time_s": np.round(self.time_s, 4).tolist(),
+            "forward_n": _short(self.wrench[:, 0]),
+            "left_n": _short(self.wrench[:, 1]),
+            "torque_nm": _short(self.wrench[:, 2]),
+            "x_n": _short(world[:, 0]),
+            "y_n": _short(world[:, 1]),
+            "covariance": [_short(each) for each in self.covariance.reshape(-1, 9)],
+        }
+
+
+def _short(values: FloatArray) -> list[float]:
+    return [float(f"{value:.4g}") for value in values]
+
+
+def missing_wrench(
+    fitted: Fitted, answers: Answers, swims: Sequence[Segments], rows: NDArray[np.bool_]
+) -> Missing:
+    """Estimate the wrench that a model misses in each third of each period.
+
+    Args:
+        fitted: the model, with its residuals.
+        answers: of the runs to a wrench.
+        swims, rows: the runs, and which of their periods count.
+    """
+    runs = np.repeat(np.arange(len(swims)), [len(swim.start_s) for swim in swims])[rows]
+    noise = np.concatenate([_noise_of(fitted.model.noise, swim) for swim in swims])[rows]
+    at_s, heading = np.asarray(answers.bodies["time_s"]), np.asarray(answers.bodies["heading_rad"])
+    order = np.concatenate([np.arange(len(swim.start_s)) for swim in swims])[rows]
+    parts = []
+    for run in np.unique(runs):
+        mine = np.flatnonzero(runs == run)
+        thirds = (THIRDS * order[mine][:, None] + np.arange(THIRDS)).ravel()
+        # Fix minus prediction is what a wrench that is missing would add to the prediction.
+        design = np.zeros((9 * len(mine), 9 * len(mine)))
+        spread = np.zeros_like(design)
+        for k, row in enumerate(mine):
+            here = slice(9 * k, 9 * k + 9)
+            design[here, here] = -answers.wrench[row].reshape(9, 9)
+            spread[here, here] = noise[row]
+        parts.append((design, spread, fitted.residuals[mine].ravel(), np.abs(thirds[:, None] - thirds)))
+
+    def prior(gap: FloatArray, size: float, arm: float, memory: float) -> FloatArray:
+        alike = memory**gap if memory else (gap == 0).astype(np.float64)
+        return np.kron(alike, np.diag([size**2, size**2, (arm * size) ** 2]))
+
+    best, shape = math.inf, (0.0, ARMS_M[0], 0.0)
+    for tried in itertools.product(SIZES_N, ARMS_M, MEMORIES):
+        total = 0.0
+        for design, spread, left, gap in parts:
+            root = np.linalg.cholesky(design @ prior(gap, *tried) @ design.T + spread)
+            total += float((np.linalg.solve(root, left) ** 2).sum() + 2.0 * np.log(np.diag(root)).sum())
+        if total < best:
+            best, shape = total, tried
+    wrenches, covariances = [], []
+    for design, spread, left, gap in parts:
+        before = prior(gap, *shape)
+        gain = np.linalg.solve(design @ before @ design.T + spread, design @ before).T
+        after = before - gain @ design @ before
+        wrenches.append((gain @ left).reshape(-1, 3))
+        own = [slice(3 * k, 3 * k + 3) for k in range(len(after) // 3)]
+        covariances.append(np.array([after[each, each] for each in own]))
+    every = np.concatenate(wrenches), np.concatenate(covariances)
+    return Missing(np.repeat(runs, THIRDS), at_s.ravel(), heading.ravel(), *every)
+
+
+def _noise_of(noise: Noise, swim: Segments) -> FloatArray:
+    """(m, 9, 9) covariance of a run's residuals if nothing is missing: of fixes, and of each start."""
+    state = Filter(noise, swim.actuated_s, swim.begin_s, initial_rate_std(swim.rest_rate))
+    fix = noise.per_axis()[0]
+    order, following = np.argsort(swim.arrival_s, kind="stable"), 0
+    found = np.zeros((len(swim.start_s), 9, 9))
+    for period, (start_s, end_s) in enumerate(zip(swim.start_s, swim.end_s, strict=True)):
+        while following < len(order) and swim.arrival_s[order[following]] <= start_s:
+            state.update(float(swim.time_s[order[following]]), np.zeros(3))
+            following += 1
+        ahead = float(start_s) - state.time_s
+        p = state.covariance
+        share = (swim.time_s - start_s) / (end_s - start_s)
+        inside = [(low <= share) & (share < high) for low, high in PHASES]
+        counts = [max(int(each.sum()), 1) for each in inside]
+        middle = [float(end_s - start_s) * 0.5 * (low + high) + ahead for low, high in PHASES]
+        for axis in range(3):
+            for one, other in itertools.product(range(3), range(3)):
+                value = p[axis, 0] + (middle[one] + middle[other]) * p[axis, 1]
+                value += middle[one] * middle[other] * p[axis, 2]
+                found[period, 3 * one + axis, 3 * other + axis] = value + fix[axis] / counts[one] * (
+                    one == other
+                )
+    return found
+
+
+def stroke_ratios(
+    fitted: Fitted, answers: Answers, swims: Sequence[Segments], rows: NDArray[np.bool_], limbs: Sequence[str]
+) -> list[dict[str, Any]]:
+    """For each stroke the log likelihood ratio of fired over not fired, where all others were as told."""
+    runs = np.repeat(np.arange(len(swims)), [len(swim.start_s) for swim in swims])[rows]
+    times = np.concatenate([fired_strokes(swim, len(limbs)) for swim in swims])[rows]
+    # The scale is that of residuals by the better hypothesis, where one is by far.
+    told = fitted.residuals[:, :, None]
+    every = np.concatenate([told, told + answers.idle], axis=2)
+    far = ((every / np.median(np.abs(fitted.residuals), axis=0)[:, None]) ** 2).sum(axis=1)
+    best = np.where(far.min(axis=1) < CLEAR * far[:, 0], far.argmin(axis=1), 0)
+    scale = scale_of(every[np.arange(len(best)), :, best])
+    plain = log_density(fitted.residuals, scale)
+    found = []
+    for limb, name in enumerate(limbs):
+        ratio = plain - log_density(fitted.residuals + answers.idle[:, :, limb], scale)
+        for run, time_s, value in zip(runs, times[:, limb], ratio.tolist(), strict=True):
+            if math.isfinite(time_s):
+                where = {"run": swims[run].name, "time_s": round(float(time_s), 4), "limb": name}
+                found.append({**where, "log_ratio": round(value, 2)})
+    return found
+
+
+def fix_innovations(fitted: Fitted, swims: Sequence[Segments]) -> dict[str, Any]:
+    """Innovations of the fixes in units of their robust standard deviation, and how heavy their tails are."""
+    parts, names, times = [], [], []
+    for rollout, swim in zip(fitted.rollouts, swims, strict=True):
+        size = rollout.innovation / np.sqrt(rollout.variance)
+        known = np.isfinite(size).all(axis=1)
+        parts.append(size[known])
+        names += [swim.name] * int(known.sum())
+        times.append(rollout.time_s[known])
+    every = np.concatenate(parts)
+    spread = 1.4826 * np.median(np.abs(every), axis=0) if len(every) else np.ones(3)
+    scaled = every / np.maximum(spread, 1e-9)
+    return {
+        "run": names,
+        "time_s": np.round(np.concatenate(times), 4).tolist(),
+        **{name: np.round(scaled[:, k], 2).tolist() for k, name in enumerate(("x", "y", "heading"))},
+        "sigma": _short(spread),
+        "outliers": _short((np.abs(scaled) > OUTLIER_SIGMA).mean(axis=0)),
+    }

@@ -201,7 +201,7 @@ def _on_cluster(
         ) from error
     log = logging.getLogger("distributed.client")
     level = log.level
-    log.setLevel(logging.CRITICAL)  # what it has to say is raised as well, and told below in one line
+    log.setLevel(logging.CRITICAL)  # its messages are raised as well, and reported below in one line
     try:
         try:
             client.wait_for_workers(1, timeout=WORKERS_S)

@@ -39,13 +39,13 @@ def silent(_stage: str, _done: int, _whole: int, /, note: str = "") -> None:
 def progress_bar(title: str) -> Iterator[Tell]:
     """Yield a function that updates a bar on stderr. Without a terminal it prints a line at each tenth."""
     if not sys.stderr.isatty():
-        told = -1
+        last_tenth = -1
 
         def tell(done: int, whole: int, /, note: str = "") -> None:
-            nonlocal told
+            nonlocal last_tenth
             tenth = 10 * done // max(whole, 1)
-            if tenth > told:
-                told = tenth
+            if tenth > last_tenth:
+                last_tenth = tenth
                 tell_line(f"{title}: {done}/{whole}{note and f', {note}'}")
 
         yield tell

@@ -137,12 +137,12 @@ class ActingLanes:
         if math.isinf(self.leg_s):
             return batch.advance(until_s, trace)
         until = np.broadcast_to(np.asarray(until_s, dtype=np.float64), (batch.lanes,))
-        told: list[list[tuple[FloatArray, FloatArray]]] = []
+        traces: list[list[tuple[FloatArray, FloatArray]]] = []
         while True:
             left_s = until - batch.time_s
             left_s[list(batch.failures)] = 0.0
             going = np.flatnonzero(left_s > 0.0)
-            if not len(going) and told:
+            if not len(going) and traces:
                 break
             poses, velocities = batch.pose_world(), batch.velocity_body()
             for lane in going.tolist():
@@ -150,9 +150,12 @@ class ActingLanes:
                     lane, self.water(batch, float(batch.time_s[lane]), poses[lane], velocities[lane])
                 )
             ends = np.where(left_s <= 1.5 * self.leg_s, until, batch.time_s + self.leg_s)
-            told.append(batch.advance(np.where(left_s > 0.0, ends, batch.time_s), trace))
+            traces.append(batch.advance(np.where(left_s > 0.0, ends, batch.time_s), trace))
         return [
-            (np.concatenate([leg[lane][0] for leg in told]), np.concatenate([leg[lane][1] for leg in told]))
+            (
+                np.concatenate([leg[lane][0] for leg in traces]),
+                np.concatenate([leg[lane][1] for leg in traces]),
+            )
             for lane in range(batch.lanes)
         ]
 

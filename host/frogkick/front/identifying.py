@@ -149,11 +149,11 @@ class Identification:
     def _repr_html_(self) -> str:
         rows: dict[str, Any] = {"verdict": self.verdict}
         for effect in self.effects:
-            told = ", ".join(
+            values = ", ".join(
                 f"{p.name} {p.value:.4g} [{p.low:.4g}, {p.high:.4g}] {p.unit}"
                 for p in effect.parameters.values()
             )
-            rows[" ".join([effect.name, *map(str, effect.options.values())])] = told
+            rows[" ".join([effect.name, *map(str, effect.options.values())])] = values
         for name in ("before", "after", "noise_floor"):
             rows[name] = str(getattr(self, name))
         if self.outcome.found is None:

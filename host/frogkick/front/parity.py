@@ -152,11 +152,13 @@ def _single(
         chip = ChipPlanner(bench)
         chip.configure(path, config)
 
-        def told(done: int) -> None:
+        def show_progress(done: int) -> None:
             if done % 100 == 0 or done == chip_states:
                 progress(done, chip_states)
 
-        places["chip"] = lambda queries, depths, use, along: chip.decide(queries, depths, use, along, told)
+        places["chip"] = lambda queries, depths, use, along: chip.decide(
+            queries, depths, use, along, show_progress
+        )
         reports += [one for one in compare(cases.head(chip_states), places) if one.second == "chip"]
     return reports
 

@@ -227,15 +227,15 @@ def _with_what_it_says(heard: RobotHeard) -> RobotHeard:
     states = {number: name for name, number in layout.state.items()}
     try:
         with connect(f"ble:{heard.address}") as bot:
-            told = bot.status()
+            status = bot.status()
     except FrogkickError as error:
         return replace(heard, error=str(error))
     return replace(
         heard,
-        robot=str(told["robot_id"]),
-        table_crc=int(told["table_crc"]),
-        state=states.get(int(told["state"]), str(told["state"])),
-        owned=told["owner"] != layout.owner["OPEN"],
+        robot=str(status["robot_id"]),
+        table_crc=int(status["table_crc"]),
+        state=states.get(int(status["state"]), str(status["state"])),
+        owned=status["owner"] != layout.owner["OPEN"],
     )
 
 

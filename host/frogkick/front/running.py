@@ -438,10 +438,10 @@ def _log_so_far(out: Path | None, log_of: Callable[[Recording], RunLog]) -> Iter
     """If a simulated run breaks off, write its log so far beside ``out``."""
     held: dict[str, Recording] = {}
     try:
-        yield lambda recording: held.update(begun=recording)
+        yield lambda recording: held.update(newest=recording)
     except BaseException:
         if out is not None and held:
-            write_run(part_of(out), replace(log_of(held["begun"]), notes=CUT_OFF))
+            write_run(part_of(out), replace(log_of(held["newest"]), notes=CUT_OFF))
             _tell_what_is_left(out)
         raise
 

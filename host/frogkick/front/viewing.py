@@ -46,9 +46,9 @@ def viewed(
     Args:
         wanted: False: there is no page, and nothing is slowed.
         robot, tables, path, options: of the run.
-        pool: the simulated one; None: a real one.
-        stop: called from another thread when the page's button is pressed; None: there is no button.
+        pool: the simulated pool; None: a real one.
         camera: camera over a real pool, whose pictures are shown; None: the pool is drawn.
+        stop: called from another thread when the page's button is pressed; None: there is no button.
     """
     if not wanted:
         yield lambda _recording: None
@@ -67,7 +67,7 @@ def played(run: RunLog, speed: float = 1.0) -> None:
         speed: 2: twice real time.
 
     Raises:
-        InputError: a speed that is not above 0, or a log without a fix or decision.
+        InputError: the speed is not above 0, or the log has neither a fix nor a decision.
     """
     if not 0.0 < speed < math.inf:
         raise InputError(f"a log cannot be played at speed {speed:g}: give more than 0")
@@ -97,21 +97,22 @@ def played(run: RunLog, speed: float = 1.0) -> None:
 
 
 def _outline_of(run: RunLog) -> Sequence[tuple[float, float]]:
-    """The frame of a log's robot: by its own text, or by its name; nothing where neither tells."""
+    """Return the frame's corners of a log's robot, from its own TOML text or by its name; empty if it is
+    unknown."""
     try:
-        told = run.made.get("robot_toml")
-        return (load_robot(run.robot_id) if told is None else parse_robot(told, run.robot_id)).frame.corners_m
+        text = run.made.get("robot_toml")
+        return (load_robot(run.robot_id) if text is None else parse_robot(text, run.robot_id)).frame.corners_m
     except FrogkickError:
         return ()
 
 
 @contextmanager
 def camera_viewed(wanted: bool, camera: CameraFixes) -> Iterator[Callable[[Recording], None]]:
-    """What shows a camera's pictures with the tag and its fixes, without a run.
+    """Yield the function that shows a camera's pictures with the tag and its fixes, without a run.
 
     Args:
-        wanted: False = there is no page.
-        camera: over the pool.
+        wanted: False: there is no page.
+        camera: camera over the pool.
     """
     if not wanted:
         yield lambda _recording: None

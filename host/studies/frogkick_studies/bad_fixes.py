@@ -290,8 +290,8 @@ def _outcome(errors: list[list[FloatArray]], steered: Mapping[str, list[Swim]]) 
 
 def _mean_of_begun(distances_m: Sequence[float]) -> float:
     """Return the mean over the runs that began; NaN without any."""
-    begun = [one for one in distances_m if np.isfinite(one)]
-    return float(np.mean(begun)) if begun else float("nan")
+    known = [one for one in distances_m if np.isfinite(one)]
+    return float(np.mean(known)) if known else float("nan")
 
 
 def _start(

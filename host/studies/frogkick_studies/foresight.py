@@ -283,8 +283,8 @@ class ForesightStudy(Found):
         ]
         if "nearest_m" in values:
             nearest_m, speed = values["nearest_m"], 1e3 * values["at_least_mps"]
-            told = f"{1e3 * nearest_m:.2f} mm" if nearest_m is not None else "no plan is so fast"
-            lines.append(f"at {speed:.1f} mm/s or more: {told}")
+            nearest = f"{1e3 * nearest_m:.2f} mm" if nearest_m is not None else "no plan is so fast"
+            lines.append(f"at {speed:.1f} mm/s or more: {nearest}")
         return "\n".join(lines)
 
 

@@ -73,11 +73,11 @@ def history_worth(
     results: list[HistoryResult] = []
     steps = 6
     for index, (variant, text) in enumerate(VARIANTS.items()):
-        told = [0]
+        steps_done = [0]
 
-        def step(index: int = index, told: list[int] = told) -> None:
-            progress(index * steps + told[0], len(VARIANTS) * steps)
-            told[0] += 1
+        def step(index: int = index, steps_done: list[int] = steps_done) -> None:
+            progress(index * steps + steps_done[0], len(VARIANTS) * steps)
+            steps_done[0] += 1
 
         step()
         tiring = parse_robot(f"{robot.toml}\n{text}", source=variant) if text else robot

@@ -352,9 +352,9 @@ def ask_rods(robot: Robot, batch: Batch, acting: ActingLanes, depth: int) -> Flo
         ConvergenceError: the rods failed.
     """
     lanes, actions, nodes = batch.lanes, len(robot.actions), 1
-    told: list[FloatArray] = []
+    levels: list[FloatArray] = []
     level = [(batch, acting, [(lane, 0) for lane in range(lanes)])]  # and whose robots, at which node
-    while len(told) < depth:
+    while len(levels) < depth:
         motions, following = np.empty((lanes, nodes, actions, 3)), []
         for before, acted, who in level:
             tries = [(place, action) for action in range(actions) for place in range(len(who))]
@@ -369,11 +369,11 @@ def ask_rods(robot: Robot, batch: Batch, acting: ActingLanes, depth: int) -> Flo
                     lane, node = who[place]
                     motions[lane, node, action] = motion_of(*swum[to])
                     ends.append((lane, node * actions + action))
-                if len(told) < depth - 1:
+                if len(levels) < depth - 1:
                     following.append((twin, twin_acting, ends))
-        told.append(motions)
+        levels.append(motions)
         level, nodes = following, nodes * actions
-    return np.concatenate(told, axis=1)
+    return np.concatenate(levels, axis=1)
 
 
 def table_of_motions(motions: FloatArray, like: Tables) -> Tables:

@@ -75,7 +75,7 @@ _LIMB_DRAG = Free("hull", "limb_drag", math.log(2.0), starts=(-0.25, 0.0))
 CANDIDATES: tuple[tuple[Free, ...], ...] = (
     (_LIMB_DRAG,),
     # A long plate as high as a limb takes along 33 times the water that the model's round rod does, and one
-    # as short as a limb about half of that. How it pushes and how drag pushes are told apart together only.
+    # as short as a limb about half of that. Its thrust and that of drag can only be fitted together.
     (Free("limb_water", "added", math.log(2.0), True, 4.0, (-0.5, 0.0, 0.5)), _LIMB_DRAG),
     (Free("hull", "frame_drag", math.log(2.0)),),
     (Free("limb_wear", "duration_scale", math.log(1.5)),),

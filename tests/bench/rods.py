@@ -18,8 +18,9 @@ from pathlib import Path
 
 import numpy as np
 from tests.bench.elastica_rod import elastica_rod, frogkick_rod
+from tests.der.single import simulate_action
 
-from frogkick.der import Rods, prepare, program_of, simulate_action, simulate_many
+from frogkick.der import Rods, prepare, program_of, simulate_many
 from frogkick.library import build_library
 from frogkick.robot import Robot, load_robot
 

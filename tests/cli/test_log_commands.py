@@ -13,7 +13,7 @@ from tests.runs import rig
 
 from frogkick.cli.main import run_command
 from frogkick.paths import shape
-from frogkick.report.compare_figure import compare_figure
+from frogkick.report.run_figure import compare_figure
 from frogkick.runs.record import run_log
 from frogkick.runs.runlog import RunLog
 from frogkick.runs.runlog_file import write_run

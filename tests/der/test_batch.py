@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from tests.conftest import count
+from tests.der.single import simulate_action, simulate_gait
 
 from frogkick.core.errors import InputError
 from frogkick.der import (
@@ -15,8 +16,6 @@ from frogkick.der import (
     Trajectory,
     prepare,
     program_of,
-    simulate_action,
-    simulate_gait,
     simulate_gaits,
     simulate_many,
 )

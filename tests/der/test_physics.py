@@ -11,8 +11,9 @@ import pytest
 from tests.conftest import count
 from tests.der.energy import bending_energy, drag_power, kinetic_energy, stretching_energy
 from tests.der.rig import STILL, straight_rod
+from tests.der.single import simulate_action
 
-from frogkick.der import Batch, Gait, Swimmer, Trajectory, prepare, simulate_action, simulate_gaits
+from frogkick.der import Batch, Gait, Swimmer, Trajectory, prepare, simulate_gaits
 from frogkick.der.mesh import Mesh
 from frogkick.der.schedule import COARSEST_AT_REST
 from frogkick.der.swimmer import STEP_S

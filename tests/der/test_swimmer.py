@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 from tests.conftest import count
 from tests.der.energy import bending_energy, stretching_energy
+from tests.der.single import simulate_action, simulate_gait
 
 from frogkick.core.errors import ConvergenceError, InputError
-from frogkick.der import Rods, Swimmer, prepare, simulate_action, simulate_actions, simulate_gait
+from frogkick.der import Rods, Swimmer, prepare, simulate_actions
 from frogkick.robot import load_robot
 
 ROBOT = load_robot("frog2022")

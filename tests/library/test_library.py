@@ -14,9 +14,9 @@ import h5py
 import numpy as np
 import pytest
 from tests.conftest import count
+from tests.der.single import simulate_action
 
 from frogkick.core.errors import ConvergenceError, InputError
-from frogkick.der import simulate_action
 from frogkick.library import (
     Failed,
     build,

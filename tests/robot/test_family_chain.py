@@ -10,9 +10,10 @@ from typing import Any
 import numpy as np
 import pytest
 from tests.conftest import count
+from tests.der.single import simulate_action
 
 from frogkick.cli.main import run_command
-from frogkick.der import Rods, prepare, simulate_action, simulate_actions
+from frogkick.der import Rods, prepare, simulate_actions
 from frogkick.front import emitted as emitted_planner
 from frogkick.robot import Action, Robot, load_robot
 from frogkick.tables.image import read_image

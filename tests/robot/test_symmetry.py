@@ -6,8 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from tests.der.single import simulate_action
 
-from frogkick.der import prepare, simulate_action
+from frogkick.der import prepare
 from frogkick.robot import Robot, load_robot, mirror_of
 
 ROBOT = load_robot("frog2022")

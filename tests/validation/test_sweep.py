@@ -9,11 +9,12 @@ from pathlib import Path
 
 import pytest
 from tests.conftest import count
+from tests.der.single import simulate_gait
 from tests.identification.made import robot
 
 from frogkick.cli.main import run_command
 from frogkick.core.errors import InputError
-from frogkick.der import Gait, prepare, simulate_gait
+from frogkick.der import Gait, prepare
 from frogkick.report.sweep_page import write_sweep_report
 from frogkick.robot import load_robot
 from frogkick.validation.gaits import GaitSwim, cost_of_transport, swim_chunks, swim_gaits

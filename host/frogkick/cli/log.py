@@ -64,7 +64,7 @@ def compare(
     one, two = fk.load_run(a), fk.load_run(b)
     found = one.compare(two)
     if out is not None:
-        from frogkick.report.compare_figure import compare_figure
+        from frogkick.report.run_figure import compare_figure
 
         names = (a.name, b.name) if a.name != b.name else (str(a), str(b))
         write_picture(compare_figure((one.log, two.log), names), out, ".png")

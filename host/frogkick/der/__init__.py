@@ -1,8 +1,8 @@
 """Planar discrete elastic rods in water: mesh, forces, solver, integrator, swimmers."""
 
 from frogkick.der.batch import WIDTH, Batch, Checkpoint, Failure
-from frogkick.der.gaits import Gait, GaitTrack, simulate_gait, simulate_gait_tracks, simulate_gaits
-from frogkick.der.strokes import Motions, program_of, simulate_action, simulate_many
+from frogkick.der.gaits import Gait, GaitTrack, simulate_gait_tracks, simulate_gaits
+from frogkick.der.strokes import Motions, program_of, simulate_many
 from frogkick.der.swimmer import STEP_S, Rods, Swimmer, prepare
 from frogkick.der.trajectory import Trajectory, simulate_actions
 from frogkick.der.water import STILL, Water
@@ -23,9 +23,7 @@ __all__ = [
     "Water",
     "prepare",
     "program_of",
-    "simulate_action",
     "simulate_actions",
-    "simulate_gait",
     "simulate_gait_tracks",
     "simulate_gaits",
     "simulate_many",

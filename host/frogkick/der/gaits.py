@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from frogkick.core.errors import ConvergenceError, InputError
+from frogkick.core.errors import InputError
 from frogkick.der.batch import WIDTH, Failure
 from frogkick.der.strokes import LaneEffects, NoEffects, interpolate
 from frogkick.der.swimmer import STEP_S, Rods, batch_of, prepare
@@ -30,34 +30,6 @@ class Gait:
     phase: float
 
 
-def simulate_gait(
-    robot: Robot,
-    egain_percent: float,
-    frequency_hz: float,
-    phase: float,
-    cycles: int,
-    *,
-    step_s: float = STEP_S,
-) -> Trajectory:
-    """Simulate the robot's cyclic gait from rest, heading along world x.
-
-    The leading limbs fire at the start of each cycle, the lagging limbs ``phase / frequency_hz`` later. The
-    speed is defined as the authors': forward motion of the unweighted mean of all nodes over cycles 5 to 8,
-    or over the last three of fewer cycles. The cost of transport counts Robot.pulse_energy_j for each pulse
-    of each limb, and the weight in air.
-
-    Raises:
-        InputError: a phase outside [0, 1), no cycle, or a profile outside the measured range.
-        ConvergenceError: the simulation failed; the text gives the state.
-    """
-    (result,) = simulate_gaits(
-        robot, [Gait(egain_percent, frequency_hz, phase)], cycles, step_s=step_s, width=1
-    )
-    if isinstance(result, Failure):
-        raise ConvergenceError(f"rods of {robot.id!r} {result}")
-    return result
-
-
 def simulate_gaits(
     robot: Robot,
     gaits: Sequence[Gait],
@@ -68,7 +40,12 @@ def simulate_gaits(
     rods: Rods | None = None,
     acts: Callable[[int], LaneEffects] | None = None,
 ) -> list[Trajectory | Failure]:
-    """Simulate gaits side by side; each result has the same bits as that of ``simulate_gait``.
+    """Simulate cyclic gaits from rest, side by side, heading along world x.
+
+    The leading limbs fire at the start of each cycle, the lagging limbs ``phase / frequency_hz`` later. The
+    speed is defined as the authors': forward motion of the unweighted mean of all nodes over cycles 5 to 8,
+    or over the last three of fewer cycles. The cost of transport counts Robot.pulse_energy_j for each pulse
+    of each limb, and the weight in air. A result's bits do not depend on the width.
 
     Args:
         robot: the robot, with its profiles and its groups of limbs.
@@ -83,7 +60,8 @@ def simulate_gaits(
         For each gait its trajectory, or the failure.
 
     Raises:
-        InputError: see simulate_gait; nothing is simulated then.
+        InputError: a phase outside [0, 1), no cycle, or a profile outside the measured range; nothing is
+            simulated then.
     """
     for gait in gaits:
         if not 0.0 <= gait.phase < 1.0:

@@ -9,10 +9,10 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from frogkick.core.errors import ConvergenceError, InputError
+from frogkick.core.errors import InputError
 from frogkick.core.poses import body_from_world
 from frogkick.der.batch import WIDTH, Batch, Failure
-from frogkick.der.swimmer import STEP_S, Rods, batch_of, prepare
+from frogkick.der.swimmer import STEP_S, Rods, batch_of
 from frogkick.robot import Action, Robot
 
 FloatArray = NDArray[np.float64]
@@ -170,46 +170,3 @@ def interpolate(ends_s: FloatArray, rows: FloatArray, time_s: FloatArray) -> tup
     for end, row in ((u[:, 0] == 0.0, left), (u[:, 0] == 1.0, left + 1)):
         at[end], velocity[end] = pose[row[end]], rows[row[end], 3:6]
     return at, velocity
-
-
-def simulate_action(
-    robot: Robot,
-    velocity_body: Sequence[float],
-    action: Action | str,
-    duration_s: float,
-    *,
-    step_s: float = STEP_S,
-    rods: Rods | None = None,
-) -> tuple[float, float, float, float, float, float]:
-    """Simulate one action from a velocity, limbs at rest.
-
-    Args:
-        robot: the robot.
-        velocity_body: forward, left (m/s), turn rate (rad/s) at the start.
-        action: the action or its name.
-        duration_s: duration, s.
-        step_s: finest time step.
-        rods: its rods if effects change the body; None: prepare(robot).
-
-    Returns:
-        Displacement (m, m, rad) in the body frame at the start, then velocity (m/s, m/s, rad/s) in the body
-        frame at the end.
-
-    Raises:
-        InputError: an unknown action, or values that are not finite.
-        ConvergenceError: the simulation failed; the text gives the state.
-    """
-    chosen = robot.action(action) if isinstance(action, str) else action
-    motions = simulate_many(
-        prepare(robot) if rods is None else rods,
-        np.array([velocity_body], dtype=np.float64),
-        [program_of(robot, chosen)],
-        [duration_s],
-        step_s=step_s,
-        width=1,
-    )
-    if motions.failures:
-        raise ConvergenceError(f"rods of {robot.id!r} {motions.failures[0]}")
-    dx, dy, dheading = motions.pose_world[0, -1].tolist()
-    vx, vy, omega = motions.velocity_body[0, -1].tolist()
-    return dx, dy, dheading, vx, vy, omega

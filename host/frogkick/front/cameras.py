@@ -427,7 +427,7 @@ def write_tag(
     Raises:
         InputError: an unknown tag, a size that fits no page, an unknown ending, or an unwritable file.
     """
-    from frogkick.report.tag_figure import write_tag_page
+    from frogkick.report.camera_figure import write_tag_page
 
     cells = tag_cells(family, tag_id)
     return write_tag_page(cells, tag_margin(family), size_m, f"{family} {tag_id}", Path(file))

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from frogkick.core.errors import InputError
 from frogkick.core.files import cache_folder, one_at_a_time, write_bytes
-from frogkick.core.progress import Progress, shown
+from frogkick.core.progress import progress_bar
 from frogkick.library import build_library, quantise
 from frogkick.robot import Robot, load_robot
 from frogkick.tables.image import read_image
@@ -18,13 +18,12 @@ SEED = 0
 SAMPLING = "visited"
 
 
-def default_tables(robot: Robot | str, states: int | None = None, progress: Progress = True) -> Path:
+def default_tables(robot: Robot | str, states: int | None = None) -> Path:
     """Return the path of a robot's table image, which is built on first use (about a minute).
 
     Args:
         robot: the robot, its TOML file or its built-in name.
         states: number of states of its library; None = ``STATES``.
-        progress: of building it.
 
     Raises:
         InputError: no such robot.
@@ -40,7 +39,7 @@ def default_tables(robot: Robot | str, states: int | None = None, progress: Prog
     with one_at_a_time(cache_folder("building"), key) as work:
         if not _is_whole(target):  # otherwise another process has built it meanwhile
             file = work / "library.h5"
-            with shown(progress, f"library for {robot.id}") as tell:
+            with progress_bar(f"library for {robot.id}") as tell:
                 library = build_library(
                     robot,
                     states=states,

@@ -165,7 +165,7 @@ class FittedStrokes:
 
     def plot(self) -> Figure:
         """Return a matplotlib figure of each measured stroke and its fit."""
-        from frogkick.report.stroke_figure import stroke_figure
+        from frogkick.report.robot_figure import stroke_figure
 
         return stroke_figure(self.strokes, self.profiles)
 

@@ -83,7 +83,8 @@ class Film:
 
 
 def gait_swim(robot: Robot, egain_percent: float, frequency_hz: float, phase: float, cycles: int) -> Swim:
-    """The swim of ``simulate_gait``: the robot's two groups, the second ``phase`` of a cycle later."""
+    """Return the swim of a gait, as in ``simulate_gaits``: the second group fires ``phase`` of a cycle
+    later."""
     period_s = 1.0 / frequency_hz
     lead = [(cycle * period_s, robot.gait_lead_mask) for cycle in range(cycles)]
     lag = [((cycle + phase) * period_s, robot.gait_lag_mask) for cycle in range(cycles)]
@@ -99,7 +100,7 @@ def gait_swim(robot: Robot, egain_percent: float, frequency_hz: float, phase: fl
 def actions_swim(
     robot: Robot, actions: Sequence[Action], velocity_body: tuple[float, float, float] = (0.0, 0.0, 0.0)
 ) -> Swim:
-    """The swim of ``simulate_actions``: one action each period."""
+    """Return the swim of ``simulate_actions``: one action each period."""
     pulses = [
         (index * robot.period_s + delay_s, mask)
         for index, action in enumerate(actions)

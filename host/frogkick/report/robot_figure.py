@@ -1,8 +1,9 @@
-"""The picture of a robot as it is simulated, which shows a wrong corner, sign or mirror image."""
+"""Figures of a robot as it is simulated, of its actions, and of measured strokes with their fits."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from pathlib import Path
 from textwrap import wrap
 
@@ -16,6 +17,8 @@ from frogkick.der import prepare
 from frogkick.der.mesh import Mesh
 from frogkick.report import style
 from frogkick.robot import Robot, in_a_row, limb_points
+from frogkick.robot.profile import Profile
+from frogkick.robot.profile_files import Stroke
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -206,3 +209,25 @@ def _legend(robot: Robot) -> list[Line2D]:
         entry("centre of mass (with added mass)", color="black", marker="x", linestyle="none"),
         entry("origin of the file's coordinates", color=style.DESIRED, marker="+", linestyle="none"),
     ]
+
+
+def stroke_figure(strokes: Sequence[Stroke], profiles: Sequence[Profile]) -> Figure:
+    """Draw each measured stroke and the curve that was fitted to it.
+
+    Args:
+        strokes: the measured strokes.
+        profiles: the profile fitted to each.
+    """
+    with style.new_figure(8.0, 1.0 + 2.4 * len(strokes)) as figure:
+        rows = figure.subplots(len(strokes), 1, squeeze=False, sharex=True)[:, 0]
+        for axes, stroke, profile in zip(rows, strokes, profiles, strict=True):
+            time_s = np.linspace(0.0, profile.duration_s, 400)
+            axes.plot(stroke.time_s, stroke.curvature_per_m, ".", color=style.TRUE, label="measured")
+            axes.plot(time_s, profile.curvature_per_m(time_s), color=style.ALARM, label="fitted")
+            axes.set_title(
+                f"{stroke.name}: {profile.frequency_hz:.3g} Hz, error {profile.rms_per_m:g} 1/m RMS"
+            )
+            axes.set_ylabel("curvature (1/m)")
+            axes.legend(loc="best")
+        rows[-1].set_xlabel("time since the start of the pulse (s)")
+    return figure

@@ -177,11 +177,11 @@ def test_bad_requests_are_refused(plain: Library, tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"'affin'.*affine"):
         fit_table(plain, "affin")
     for kind in ("nearest", "affine"):
-        with pytest.raises(InputError, match=r"300 bytes.*smallest takes \d+: give --budget-kib") as caught:
+        with pytest.raises(InputError, match=r"300 bytes.*smallest has \d+: give --budget-kib") as caught:
             fit_table(plain, kind, 300)
         enough = float(str(caught.value).split("--budget-kib ")[1].split(" ")[0])
         assert len(fit_table(plain, kind, int(enough * 1024)).image) <= enough * 1024
     for kind in ("affine", "nearest"):
-        with pytest.raises(InputError, match=r"45 whole states.*takes 46: build it with more --states"):
+        with pytest.raises(InputError, match=r"45 complete states.*takes 46: build it with more --states"):
             fit_table(PLAIN.library(45, 2), kind, 2000)  # less than all states take
     assert open_image(fit_table(PLAIN.library(46, 2), "affine").image).kind == "affine"

@@ -74,7 +74,7 @@ def test_noise_makes_no_slopes_out_of_a_thin_cloud() -> None:
 
 
 def test_too_few_states_are_refused() -> None:
-    with pytest.raises(InputError, match=f"{STATES_MIN - 1} whole states.*needs {STATES_MIN}.*--states"):
+    with pytest.raises(InputError, match=f"{STATES_MIN - 1} complete states.*needs {STATES_MIN}.*--states"):
         surface_of(Known(1, 2).library(STATES_MIN - 1, 2))
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
@@ -10,7 +11,9 @@ import numpy.typing as npt
 from frogkick.core.poses import wrap_angle
 from frogkick.vision.calibration import Calibration, Tag
 from frogkick.vision.corners import calibrate_corners
-from frogkick.vision.scene import Conditions, Scene
+from frogkick.vision.scene import Conditions, Scene, Thing
+from frogkick.vision.sources import Frame
+from frogkick.vision.tags import tag_cells, tag_count, tag_white
 from frogkick.vision.tracker import Observation, Tracker
 
 
@@ -79,3 +82,60 @@ def errors(
             pose = one.pose
             off.append([pose.x_m - truth[0], pose.y_m - truth[1], wrap_angle(pose.heading_rad - truth[2])])
     return np.array(off).reshape(-1, 3), seen
+
+
+def scene_frames(
+    scene: Scene,
+    pose_at: Callable[[float], tuple[float, float, float] | None],
+    rng: np.random.Generator,
+    rate_hz: float = 30.0,
+) -> Iterator[Frame]:
+    """Rendered frames, without end.
+
+    Args:
+        scene: pool, camera, tag.
+        pose_at: time, s -> x_m, y_m, heading_rad of the tag; None: no tag.
+        rng: source of noise, waves, glare.
+        rate_hz: frames per second of the time in ``capture_s``.
+    """
+    sequence = 0
+    while True:
+        capture = sequence / rate_hz
+        yield Frame(scene.picture(pose_at(capture), rng), capture, sequence, False)
+        sequence += 1
+
+
+def clutter(scene: Scene, rng: np.random.Generator) -> list[Thing]:
+    """Prints that are not the tag: random cells, other tags, its mirror image, its negative, chessboards."""
+    own = tag_cells(scene.family, scene.tag_id)
+    things: list[Thing] = []
+    for _ in range(int(rng.integers(1, 7))):
+        kind = int(rng.integers(5))
+        if kind == 0:
+            cells = _random_cells(own, scene.family, rng)
+        elif kind == 1:
+            tags = tag_count(scene.family)
+            cells = tag_cells(scene.family, (scene.tag_id + int(rng.integers(1, tags))) % tags)
+        elif kind == 2:
+            cells = own[:, ::-1]
+        elif kind == 3:
+            cells = 1 - own
+        else:
+            cells = np.pad((np.indices((8, 8)).sum(axis=0) % 2).astype(np.float32), 1, constant_values=1)
+        x, y = rng.uniform(0, scene.pool_m[0]), rng.uniform(0, scene.pool_m[1])
+        size = scene.tag_size_m * rng.uniform(0.7, 1.6)
+        things.append((np.ascontiguousarray(cells), x, y, rng.uniform(-np.pi, np.pi), size))
+    return things
+
+
+def _random_cells(
+    own: npt.NDArray[np.float32], family: str, rng: np.random.Generator
+) -> npt.NDArray[np.float32]:
+    """A tag's frame with random cells where its code is."""
+    if tag_white(family):
+        return np.pad(np.pad(rng.integers(0, 2, (6, 6)), 1), 1, constant_values=1).astype(np.float32)
+    cells = rng.integers(0, 2, own.shape).astype(np.float32)
+    cells[1:-1, 1:-1] = 0.0
+    cells[2:-2, 2:-2] = 1.0
+    cells[3:-3, 3:-3] = rng.integers(0, 2, (3, 3))
+    return cells

@@ -76,14 +76,14 @@ def test_the_file_gives_back_what_was_written(tmp_path: Path) -> None:
     ("change", "says"),
     [
         (("format = 1", "format = 9"), "has format 9"),
-        (("format = 1", "# format"), "is no calibration of a camera: name the file"),
+        (("format = 1", "# format"), "is not a calibration of a camera: give the file"),
         (("width_px = 640", "width_px = 4"), "image width is 4 px"),
         (("[image]", "[imago]"), "unknown table 'imago' \\(did you mean 'image'"),
         (("size_m = ", "sise_m = "), "lacks tag.size_m"),
         (("points = 4", "points = 4\nnote = 1"), "unknown key made.note"),
         (("id = 0", "id = 900"), "tag36h11 has no tag 900"),
         (("length_m = 1.2", 'length_m = "long"'), "cannot be used"),
-        (("format = 1", "format = "), "is no TOML"),
+        (("format = 1", "format = "), "is not TOML"),
         (("\nplace_m = [", "\nplace_m = [nan, "), "place_m is not 3 finite numbers"),
     ],
 )
@@ -113,7 +113,7 @@ def test_wrong_corners_are_refused(corners: list[list[float]], says: str) -> Non
 
 def test_a_height_that_cannot_be_corrected_is_refused() -> None:
     corners = scene().corners_px()
-    with pytest.raises(InputError, match="the camera's place is not known: give its height"):
+    with pytest.raises(InputError, match="the camera's position is unknown: give its height"):
         calibrate_corners(corners, (1.2, 0.9), (640, 480), Tag(height_m=0.012))
     flat = calibrate_corners(corners, (1.2, 0.9), (640, 480), Tag())
     assert flat.camera_m is None
@@ -136,7 +136,7 @@ def test_corners_from_toml_and_csv(tmp_path: Path) -> None:
         ("c.toml", "corners = [[1, 2]]", "has no 'corners_px'"),
         ("c.toml", "corners_px = [[1, 2], [3, nan], [5, 6], [7, 8]]", "needed are 4"),
         ("c.toml", "corners_px = 3", "each corner is two numbers"),
-        ("c.toml", "corners_px = [", "is no TOML"),
+        ("c.toml", "corners_px = [", "is not TOML"),
         ("c.csv", "x,y\n1,2\n", "has no 'x_px'"),
         ("c.csv", "x_px,y_px\n1,left\n", "each corner is two numbers"),
     ],
@@ -148,5 +148,5 @@ def test_a_wrong_corners_file_is_refused(tmp_path: Path, name: str, text: str, s
 
 
 def test_a_homography_that_is_none_is_refused() -> None:
-    with pytest.raises(InputError, match="no invertible 3 x 3 matrix"):
+    with pytest.raises(InputError, match="not an invertible 3 x 3 matrix"):
         Calibration((640, 480), (1.2, 0.9), np.zeros((3, 3)))

@@ -209,7 +209,7 @@ SEEN = ("--image", "640x480", "--camera-height-m", "1.35")
         ),
         (
             ["--pool", "0.9x1.2", *SEEN, "--corners", "c.toml", "--out", "o.toml"],
-            "length is seen 1.78 times as long as its width says: give --pool as length x width",
+            "length appears 1.78 times too long for its width: give --pool as length x width",
         ),
         (
             ["--pool", "1.2x0.9", *SEEN, "--corners", "quarter.toml", "--out", "o.toml"],

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from tests.conftest import count
-from tests.vision.scenes import calibration, drawn_pose, scene
+from tests.vision.scenes import calibration, clutter, drawn_pose, scene
 
 from frogkick.core.errors import InputError
-from frogkick.vision.scene import Conditions, Scene, clutter, looking_at
+from frogkick.vision.scene import Conditions, Scene, looking_at
 from frogkick.vision.tags import tag_cells
 from frogkick.vision.tracker import Tracker
 

@@ -10,10 +10,10 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from tests.vision.scenes import calibration, scene
+from tests.vision.scenes import calibration, scene, scene_frames
 
 from frogkick.core.errors import InputError
-from frogkick.vision.sources import FROZEN_FRAMES, live_frames, open_source, scene_frames
+from frogkick.vision.sources import FROZEN_FRAMES, live_frames, open_source
 from frogkick.vision.tracker import Tracker
 
 
@@ -57,7 +57,7 @@ def test_a_video(tmp_path: Path) -> None:
         ("none.mp4", "is no camera number, video file or folder"),
         ("text.mp4", "cannot be opened: is it a video|is no video that can be read"),
         ("empty", "holds no picture"),
-        ("broken", "is no picture that can be read"),
+        ("broken", "is not a readable picture"),
     ],
 )
 def test_what_is_no_source(source: str, says: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

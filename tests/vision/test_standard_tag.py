@@ -17,7 +17,7 @@ import numpy.typing as npt
 import pytest
 from tests.cli.commands import frogkick
 from tests.conftest import count
-from tests.vision.scenes import calibration, drawn_pose, errors, scene
+from tests.vision.scenes import calibration, clutter, drawn_pose, errors, scene
 from tests.vision.test_golden_tag import from_above, photograph
 
 from frogkick.core.errors import InputError
@@ -25,7 +25,7 @@ from frogkick.core.poses import wrap_angle
 from frogkick.vision import standard
 from frogkick.vision.calibration import Tag
 from frogkick.vision.calibration_file import read_calibration
-from frogkick.vision.scene import Scene, clutter
+from frogkick.vision.scene import Scene
 from frogkick.vision.tags import STANDARD, tag_cells
 from frogkick.vision.template import fit_template, templates
 from frogkick.vision.tracker import Tracker, find_corners

@@ -1,4 +1,4 @@
-"""Sample initial velocities and simulate every action from each, on all cores; a stopped build goes on."""
+"""Samples states and simulates all actions from each, in parallel, with resumable builds."""
 
 from __future__ import annotations
 
@@ -32,13 +32,13 @@ from frogkick.library.transitions import (
 from frogkick.robot import Robot
 
 RECORD_S = 5.0
-"""How long each transition is followed and recorded, as in the paper: any period up to it can be cut out."""
+"""Recorded time of each transition, as in the paper: a library can be cut to any shorter period."""
 
 RECORD_MAX_S = 60.0
 _REPORTED_FAILURES = 20
 
 Progress = Callable[[int, int], None]
-"""Called with transitions done and to do."""
+"""Called with transitions done and all transitions."""
 
 
 _Ready = tuple[Rods, float]
@@ -70,28 +70,27 @@ def build_library(
 ) -> Library:
     """Simulate ``states`` initial velocities times all actions, write the library, and return it.
 
-    The file's bytes depend on robot, states, seed, sampling and record_s, not on who simulates. On Ctrl-C
-    the workers end within a part, and finished parts stay in ``OUT.parts``: the same build started
-    again goes on from there, to the same bytes. Transitions that fail are listed in the file, NaN in its
-    rows; the others are not touched by them.
+    The file's bytes depend on robot, states, seed, sampling and record_s only. After Ctrl-C finished parts
+    stay in ``OUT.parts``, and the same build resumes from them. Transitions that fail are listed in the file,
+    with NaN in their rows.
 
     Args:
-        robot: what to simulate.
-        states: initial velocities, 1 to 65535.
+        robot: the robot to simulate.
+        states: number of states, 1 to 65535.
         seed: of their sampling.
-        workers: processes; 1 simulates in this one.
+        workers: number of processes; 1: this one.
         out: the HDF5 file to write.
-        progress: called with (transitions done, all).
+        progress: called with transitions done and all transitions.
         sampling: "box", "visited" or "planned", see ``sample_starts``.
-        record_s: how long to follow and record each transition; up to the period, nothing is recorded.
+        record_s: recorded time of each transition; nothing is recorded up to the period.
         cluster: address of a Dask scheduler whose workers simulate instead; see frogkick.core.chunks.
-        keep_others: refuse where ``OUT.parts`` is of another robot, seed and the like; else that is dropped.
+        keep_others: raise if ``OUT.parts`` belongs to another build, instead of deleting it.
 
     Raises:
-        InputError: states, seed, sampling, workers or record_s out of range, a place that cannot be written
-            to, no cluster there, or parts of another library to be kept.
-        ConvergenceError: every simulation failed; the text lists the first. Nothing is written.
-        FrogkickError: a worker process died, or the cluster failed. What is finished is kept.
+        InputError: an argument out of its range, a file that cannot be written, no such cluster, or parts of
+            another library.
+        ConvergenceError: all simulations failed; nothing is written.
+        FrogkickError: a worker process died, or the cluster failed; finished parts are kept.
     """
     if not 1 <= workers <= WORKERS_MAX:
         raise InputError(f"workers is {workers}: give 1 to {WORKERS_MAX}")
@@ -119,7 +118,7 @@ def build_library(
 def sample_library(
     robot: Robot, states: int, seed: int, sampling: str = "box", progress: Progress = lambda _done, _all: None
 ) -> Library:
-    """Simulate states as ``build_library`` would, in this process, and write nothing.
+    """Simulate states like ``build_library``, in this process and without a file.
 
     Raises:
         InputError: see ``sample_starts``.
@@ -129,8 +128,8 @@ def sample_library(
     done: list[Transitions] = []
     for task in starts.tasks:
         done.append(simulate_task(rods, task))
-        told = int((starts.part < len(done)).sum())
-        progress(told * len(robot.actions), states * len(robot.actions))
+        states_done = int((starts.part < len(done)).sum())
+        progress(states_done * len(robot.actions), states * len(robot.actions))
     library = make_library(robot, sampling, seed, starts, done)
     for failure in library.failed:
         raise ConvergenceError(
@@ -140,7 +139,7 @@ def sample_library(
 
 
 def _job(robot: Robot, starts: Starts, record_s: float) -> bytes:
-    """All that a part depends on."""
+    """Everything that a part depends on."""
     tasks = [(task.velocity_body, task.actions, task.wanted) for task in starts.tasks]
     digest = hashlib.sha256(b"".join(array.tobytes() for task in tasks for array in task))
     shapes = [array.shape for task in tasks for array in task]
@@ -157,38 +156,38 @@ def _simulate_parts(
     workers: int,
     cluster: str | None,
 ) -> list[Transitions]:
-    """All tasks' results, kept in their folder; without what they recorded, which would fill the memory."""
+    """Results of all tasks, saved as checkpoints; without the recorded motions, which are large."""
     shared = np.bincount(starts.part, minlength=len(starts.tasks)) * len(robot.actions)
     done: dict[int, Transitions] = {}
 
     def note(index: int, part: Transitions) -> None:
         done[index] = replace(part, recorded=part.recorded[:, :, :0].copy())
 
-    def tell() -> None:
+    def report() -> None:
         progress(int(shared[list(done)].sum()), int(shared.sum()))
 
     for index in range(len(starts.tasks)):
         part = parts.load(index)
         if part is not None:
             note(index, part)
-    tell()
+    report()
     missing = [index for index in range(len(starts.tasks)) if index not in done]
     job = Job(_start, (robot, record_s), _run, _warm)
     for place, part in run_chunks(job, [starts.tasks[index] for index in missing], workers, cluster):
         parts.save(missing[place], part)
         note(missing[place], part)
-        tell()
+        report()
     return [done[index] for index in range(len(starts.tasks))]
 
 
 def _recorded(robot: Robot, starts: Starts, record_s: float, parts: Checkpoints) -> Iterator[SampleArray]:
-    """Recorded motions (a, t, 6) of one state after another."""
+    """Recorded motions (a, t, 6) of each state."""
     rods = rods_of(robot)
 
-    @lru_cache(maxsize=2)  # states that follow each other share a part
+    @lru_cache(maxsize=2)  # successive states share a part
     def of(index: int) -> SampleArray:
         part = parts.load(index)
-        if part is None:  # somebody removed it: simulate it again
+        if part is None:  # it was deleted meanwhile
             part = simulate_task(rods, starts.tasks[index], record_s)
         return part.recorded
 

@@ -28,16 +28,16 @@ class Checkpoints:
     """Folder ``OUT.parts`` of one build: a build that is started again resumes from the finished parts."""
 
     def __init__(self, out: Path, job: bytes, name: str = "", keep_others: bool = False) -> None:
-        """Open the folder, or make it when the first part is kept.
+        """Open the folder; the first part creates it.
 
         Args:
             out: the library's file.
             job: everything that its content depends on.
             name: of the job, for people.
-            keep_others: refuse where there are parts of another job; else those are dropped.
+            keep_others: raise if there are parts of another job, instead of deleting them.
 
         Raises:
-            InputError: the folder's name is taken by something else, or parts of another job are to be kept.
+            InputError: the folder is none of ours, or there are parts of another job.
         """
         self.folder = checkpoint_folder(out)
         self._name = name
@@ -55,7 +55,7 @@ class Checkpoints:
         self.remove()
 
     def _found(self) -> tuple[str, str]:
-        """Key and name of the job whose parts are there; two empty ones where nothing says."""
+        """Key and name of the job whose parts are there; two empty texts if unknown."""
         try:
             text = json.loads((self.folder / "job.json").read_text(encoding="utf-8"))
             if str(text["format"]).startswith(_FORMAT):
@@ -63,7 +63,7 @@ class Checkpoints:
         except (OSError, ValueError, KeyError, TypeError):
             pass
         if self.folder.is_dir() and all(file.suffix == ".npz" for file in self.folder.iterdir()):
-            return "", ""  # stopped before it could say whose they are
+            return "", ""  # stopped before job.json was written
         raise InputError(
             f"{str(self.folder)!r} is in the way of the library's parts and is none of ours: "
             "move it or choose another --out"
@@ -75,8 +75,8 @@ class Checkpoints:
     def save(self, index: int, part: Transitions) -> None:
         """Write a part atomically."""
         if not self.folder.exists():
-            told = {"format": _FORMAT, "key": self._key, "name": self._name}
-            write_text(self.folder / "job.json", json.dumps(told) + "\n")
+            about = {"format": _FORMAT, "key": self._key, "name": self._name}
+            write_text(self.folder / "job.json", json.dumps(about) + "\n")
         content = io.BytesIO()
         np.savez(
             content,
@@ -90,7 +90,7 @@ class Checkpoints:
         write_bytes(self._file(index), content.getvalue())
 
     def load(self, index: int) -> Transitions | None:
-        """A part, or None where there is none or it is damaged."""
+        """A part, or None if it is missing or damaged."""
         try:
             content = io.BytesIO(self._file(index).read_bytes())
             with np.load(content, allow_pickle=False) as part:

@@ -1,4 +1,4 @@
-"""Error of a table on states that are not in it: look-ups against simulations."""
+"""Error of a table on unseen states: look-ups against simulations."""
 
 from __future__ import annotations
 
@@ -32,11 +32,11 @@ def table_error(
 
     Args:
         tables: the table, of any kind.
-        robot: what to simulate for the truth.
-        states: how many unseen states.
-        seed: of their sampling; not the library's own.
-        sampling: as for ``sample_starts``.
-        progress: called with transitions done and to do.
+        robot: the robot to simulate.
+        states: number of unseen states.
+        seed: of their sampling; not that of the library.
+        sampling: see ``sample_starts``.
+        progress: called with transitions done and all transitions.
 
     Returns:
         See ``error_on``.
@@ -48,7 +48,7 @@ def table_error(
 
 
 def error_on(tables: Tables, unseen: Library) -> dict[str, float]:
-    """Root mean square error of a table's transitions on the whole states of a library.
+    """Root mean square error of a table's transitions on the complete states of a library.
 
     Returns:
         ``position_m``, ``heading_rad`` at the period's end, and ``velocity_mps``, ``omega_rad_s`` there.
@@ -59,7 +59,7 @@ def error_on(tables: Tables, unseen: Library) -> dict[str, float]:
 
 
 def rms_gap(gap: FloatArray) -> dict[str, float]:
-    """Root mean square of differences (n, a, 6), by what they are of."""
+    """Root mean square of differences (n, a, 6), by quantity."""
     turn = wrap_angle(gap[..., 2])
 
     def rms(*columns: FloatArray) -> float:
@@ -74,12 +74,12 @@ def rms_gap(gap: FloatArray) -> dict[str, float]:
 
 
 def looked_up(tables: Tables, velocities: FloatArray, previous: IntArray) -> FloatArray:
-    """Transitions as the robot's planner would find them in a table.
+    """Transitions that the robot's planner looks up in a table.
 
     Args:
-        tables: of any kind.
+        tables: the table.
         velocities: (n, 3) forward, left (m/s), turn rate (rad/s), body frame.
-        previous: (n, s) earlier actions, newest first, RESTED where there was none.
+        previous: (n, s) earlier actions, newest first, then RESTED.
 
     Returns:
         (n, a, 6) displacements (m, m, rad) and velocities at the end, SI units.
@@ -98,7 +98,7 @@ def _compiled(stamp: int) -> Any:
         for k in range(len(velocities)):
             now[:] = 0
             for place in range(previous.shape[1] - 1, -1, -1):
-                if previous[k, place] >= 0:  # how a limb was used does not depend on the row
+                if previous[k, place] >= 0:  # a limb's use does not depend on the row
                     dynamics_after(table, np.int64(0), now, np.int64(previous[k, place]), after)
                     now[3:] = after[3:]
             for axis in range(3):

@@ -1,4 +1,4 @@
-"""The table of least error within a budget of bytes, of one kind or of any."""
+"""Fits a table to a library: the least error within a budget of bytes."""
 
 from __future__ import annotations
 
@@ -26,22 +26,22 @@ FloatArray = NDArray[np.float64]
 
 KINDS = ("nearest", "affine")
 BUDGET_BYTES = 64 * 1024
-"""Of an affine table, unless another one is given."""
+"""Default of an affine table."""
 
-_HELD_OUT_EVERY = 8  # states that no fit has seen, to choose by
-_COARSENESS = {  # of stored values, tried one after another
+_HELD_OUT_EVERY = 8  # one of so many states is held out to choose the table
+_COARSENESS = {  # of stored values, tried in turn
     "nearest": (1.0, 4.0, 8.0, 16.0),
     "affine": (0.125, 0.1875, 0.25, 0.375, 0.5, 1.0),
 }
-_ROW_BYTES = {"nearest": 20, "affine": 160}  # about the least
+_ROW_BYTES = {"nearest": 20, "affine": 160}  # approximate minimum
 WHOLE_MIN = next(n for n in range(STATES_MIN, 2 * STATES_MIN) if n - n // _HELD_OUT_EVERY >= STATES_MIN)
-"""Whole states of a library that states and corrections can be fitted to."""
+"""Fewest complete states of a library for a fit."""
 
 _SAMPLES_A_CELL = 64
 _SAMPLES = (8192, 131072)
 _TRIES = 12
-_MARGIN = 1.25  # beyond the furthest sample a correction goes on so far
-_NEIGHBOURS = 8  # one of which a sample lies towards
+_MARGIN = 1.25  # range of a correction over the distance of the farthest sample
+_NEIGHBOURS = 8  # a sample lies between a state and one of these
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,10 +49,10 @@ class Fitted:
     """A table fitted to a library.
 
     Attributes:
-        image: of it.
+        image: table image.
         kind: "nearest" or "affine".
-        held_out: its error on states of the library that it was not fitted to, as ``table_error`` gives it.
-        score: of that: root mean square of the errors in units of the position measurement's noise.
+        held_out: its error on held-out states of the library, as of ``table_error``.
+        score: root mean square of these errors in units of the position measurement's noise.
     """
 
     image: bytes
@@ -72,18 +72,19 @@ def fit_table(
 ) -> Fitted:
     """The table with the least error on held-out states of a library.
 
-    A table of kind "nearest" within whose budget the whole library fits has every state of it, as in the
-    paper. Otherwise states are chosen where the error is (see frogkick.library.voronoi), and how coarsely
-    values are rounded is chosen against how many states that leaves room for.
+    A table of kind "nearest" has all states of the library if they fit into the budget, as in the paper.
+    Otherwise states are chosen where the error is large (see frogkick.library.voronoi), and the best of
+    several
+    roundings of the values is taken: coarser values leave room for more states.
 
     Args:
-        library: at least WHOLE_MIN whole states; any number for a whole "nearest" table.
+        library: at least WHOLE_MIN complete states; any number for a "nearest" table of all states.
         kind: "nearest", "affine", or None for the better one.
-        budget_bytes: most bytes of the image; None: as many as it takes for "nearest", 64 KiB for "affine".
-        progress: called with tables tried and to try.
+        budget_bytes: limit of the image; None: none for "nearest", 64 KiB for "affine".
+        progress: called with tables tried and all tables.
 
     Returns:
-        The table. The same library gives the same bytes on the same machine.
+        The table; the same bytes for the same library on the same machine.
 
     Raises:
         InputError: an unknown kind, too few states, or a budget that holds no state.
@@ -99,7 +100,7 @@ def fit_table(
         progress(tried, len(tries))
         try:
             found = fit.table(each, coarseness, budget_bytes)
-        except InputError as error:  # a budget may hold a state of the other kind, or more coarsely
+        except InputError as error:  # the budget may suffice for another kind or rounding
             refused = error
             continue
         if best is None or found.score < best.score:
@@ -111,21 +112,17 @@ def fit_table(
 
 
 def require_enough(library: Library) -> None:
-    """Refuse a library that no table can be fitted to, before anything is done with it.
-
-    Raises:
-        InputError: too few whole states.
-    """
-    whole = int(library.whole_states().sum())
-    if whole < WHOLE_MIN:
+    """Raise InputError unless a library has enough complete states for a fit."""
+    complete = int(library.whole_states().sum())
+    if complete < WHOLE_MIN:
         raise InputError(
-            f"the library has {whole} whole states, to fit a table takes {WHOLE_MIN}: build it with more "
-            "--states"
+            f"the library has {complete} complete states, to fit a table takes {WHOLE_MIN}: build it with "
+            "more --states"
         )
 
 
 class _Fit:
-    """What all tables of one library share."""
+    """State shared by all tables of a library."""
 
     def __init__(self, library: Library) -> None:
         self._library = library
@@ -152,7 +149,7 @@ class _Fit:
 
     @cached_property
     def _whole_table(self) -> Fitted:
-        """Every state as it is; scored by a table of those that are not held out."""
+        """The table of all states, scored by a table of those that are not held out."""
         image = quantise(self._library)
         if not len(self._held):
             return Fitted(image, "nearest", {}, math.inf)
@@ -168,7 +165,7 @@ class _Fit:
         return replace(self._scored("nearest", quantise(part)), image=image)
 
     def table(self, kind: str, coarseness: float, budget_bytes: int | None) -> Fitted:
-        """The table of a kind with as many states as fit, values rounded so many times more coarsely."""
+        """The table of a kind with as many states as fit, with a multiple of the default rounding."""
         if kind == "nearest" and (budget_bytes is None or len(self._whole_table.image) <= budget_bytes):
             return self._whole_table
         budget = BUDGET_BYTES if budget_bytes is None else budget_bytes
@@ -180,7 +177,7 @@ class _Fit:
         return self._scored(kind, _fill(packed, budget, len(self._whole), _ROW_BYTES[kind]))
 
     def _regression(self, kind: str, budget: int) -> VoronoiRegression:
-        """Samples between the library's states, as dense as these are, for as many cells as may be needed."""
+        """Regression on samples between the library's states, as dense as these."""
         wanted = _SAMPLES_A_CELL * min(budget // _ROW_BYTES[kind], len(self._whole))
         count = min(max(wanted, _SAMPLES[0]), _SAMPLES[1])
         if (kind, count) not in self._regressions:
@@ -241,22 +238,22 @@ def _between(codes: FloatArray, count: int) -> FloatArray:
 
 
 def _fill(packed: Callable[[int], bytes], budget: int, states_max: int, row_bytes: float) -> bytes:
-    """The image with most states within a budget.
+    """The image with the most states within a budget.
 
     Args:
-        packed: makes the image with so many states, more states more bytes.
+        packed: makes the image with a number of states.
         budget: bytes.
-        states_max: at most.
-        row_bytes: a first guess of what a state takes.
+        states_max: largest number of states.
+        row_bytes: first guess of the bytes of a state.
 
     Raises:
-        InputError: one state is too many.
+        InputError: the budget is too small for one state.
     """
     image = packed(1)
     if len(image) > budget:
         raise InputError(
-            f"a budget of {budget} bytes holds no table of this kind, the smallest takes {len(image)}: give "
-            f"--budget-kib {math.ceil(len(image) / 102.4) / 10:g} or more"
+            f"a budget of {budget} bytes is too small for a table of this kind, the smallest has "
+            f"{len(image)}: give --budget-kib {math.ceil(len(image) / 102.4) / 10:g} or more"
         )
     fits, too_many = 1, states_max + 1
     for _ in range(_TRIES):

@@ -1,8 +1,7 @@
-"""How recently each limb was used, and what that adds to a stroke: a stroke's tail is there in the next one.
+"""Recent use of each limb, and its effect on the next stroke, in which the last stroke has not ended yet.
 
-A limb's use is 1 at most. Each period leaves a part of it, ``decay``; firing adds ``gain``. With a gain of 1
-it tells how long ago the limb fired, as where of two strokes the larger one acts; with 1 - decay it tells how
-often, as where heat adds up.
+A limb's use is at most 1. Each period leaves a part of it, ``decay``, and firing adds ``gain``. With a gain
+of 1 the use depends on the time since the last stroke, with 1 - decay on the frequency of strokes.
 """
 
 from __future__ import annotations
@@ -23,13 +22,13 @@ DECAYS = (0.0, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8)
 
 @dataclass(frozen=True, eq=False)
 class History:
-    """What use adds.
+    """Effect of recent use.
 
     Attributes:
         effect: (a, limbs, 6) what a fully used limb adds to an action's motion (m, m, rad) and end velocity
-            (m/s, m/s, rad/s), whatever the velocity at the start.
-        decay: part of a use that is left a period later.
-        gain: what firing adds to it.
+            (m/s, m/s, rad/s), at any velocity at the start.
+        decay: part of a use that remains a period later.
+        gain: what firing adds to a use.
     """
 
     effect: FloatArray
@@ -43,7 +42,7 @@ class History:
 
 
 def no_history(robot: Robot) -> History:
-    """Of limbs that rest before every stroke."""
+    """History of limbs that rest before each stroke."""
     return History(np.zeros((len(robot.actions), len(robot.limbs), 6)), 0.0, 0.0)
 
 
@@ -64,18 +63,18 @@ def fit_history(
     weight: FloatArray,
     smoothed: Callable[[FloatArray], FloatArray],
 ) -> History:
-    """Find what use adds, apart from what the velocity at the start does.
+    """Estimate the effect of use by partial regression, with the effect of velocity removed.
 
-    What neighbours in velocity predict is taken from transitions and uses alike; what is left of the ones is
-    regressed on what is left of the others, for each decay and gain, and the least squares win. The effect of
-    velocity need not be known (Speckman 1988, J. R. Stat. Soc. B 50, 413-436).
+    The predictions of neighbours in velocity are subtracted from transitions and uses; the residuals of the
+    first are regressed on those of the second, for each decay and gain, and the best fit is taken (Speckman
+    1988, J. R. Stat. Soc. B 50, 413-436).
 
     Args:
-        robot: whose actions.
+        robot: with the actions.
         rows: (n, a, 6) transitions.
         previous: (n, s) earlier actions.
-        weight: (6,) what to divide errors of the six values by.
-        smoothed: of (n, c) values at the states, what each state's neighbours predict, without itself.
+        weight: (6,) scale of the errors of the six values.
+        smoothed: (n, c) values at the states -> the predictions of each state's neighbours without itself.
     """
     if (previous == RESTED).all():
         return no_history(robot)

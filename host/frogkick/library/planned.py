@@ -1,7 +1,7 @@
 """Planned swims: the actions that the planner chooses while it follows random paths.
 
-A first, small table from random swims is enough for the planner to choose as it will later. The rods simulate
-what it chooses, and the states in which its strokes begin are those that a better table should have.
+The planner uses a small table from random swims, and the rods simulate its choices. The states at the start
+of these strokes are those that a better table should have.
 """
 
 from __future__ import annotations
@@ -21,8 +21,7 @@ from frogkick.der import STEP_S, WIDTH, Rods
 from frogkick.der.swimmer import batch_of
 from frogkick.effects import rods_of
 from frogkick.library.quantise import quantise
-from frogkick.library.random_swims import random_swims
-from frogkick.library.starts import VisitedStates
+from frogkick.library.starts import VisitedStates, random_swims
 from frogkick.library.store import make_library
 from frogkick.library.transitions import fire_action, lane_effects, simulate_task
 from frogkick.planner.plan import config_of, plan_batch
@@ -32,19 +31,19 @@ from frogkick.tables.image import Tables, open_image
 Float32 = NDArray[np.float32]
 
 _FIRST_TABLE_STATES = 64
-_STROKES = 16  # of one planned swim: as long as the paper's shorter runs
-_CLUSTER_BATCHES = 32  # of WIDTH swims each, handed to a cluster at once
+_STROKES = 16  # of a planned swim: as long as the paper's shorter runs
+_CLUSTER_BATCHES = 32  # of WIDTH swims each, sent to a cluster at once
 _POINTS = 100
 _ARCS = 3  # a path is this many arcs of random curvature
 _TIGHTEST = 3.0  # of their curvature over the tightest turn of a single stroke
-# The paper's cost rewards the part of the path that is done. On paths longer than the paper's it would no
-# longer pay to move at all, so the reward grows with the length.
+# The paper's cost rewards the finished part of the path. On longer paths moving would not pay, so the reward
+# grows with the length.
 _REWARDED_LENGTH_M = 0.45
 
 
 @dataclass(frozen=True, eq=False)
 class _Path:
-    """A path as the planner takes it: (n,) float32 each, world frame."""
+    """A path for the planner: (n,) float32 each, world frame."""
 
     x_m: Float32
     y_m: Float32
@@ -54,15 +53,12 @@ class _Path:
 def planned_swims(
     robot: Robot, seed: int, workers: int = 1, cluster: str | None = None
 ) -> Iterator[list[list[int]]]:
-    """The actions of planned swims from rest, without end.
+    """Yield the actions of planned swims from rest, without end.
 
     Args:
-        robot: who swims, with the planner of its TOML.
+        robot: the swimmer, with the planner of its TOML.
         seed: of the paths; each swim has a generator of its own.
-        workers, cluster: who simulates; see frogkick.core.chunks.
-
-    Yields:
-        A few swims after others; the same whoever simulates.
+        workers, cluster: see frogkick.core.chunks; they do not change the swims.
 
     Raises:
         ConvergenceError: a swim could not be simulated.
@@ -76,7 +72,7 @@ def planned_swims(
 
 
 def first_table(robot: Robot, seed: int) -> bytes:
-    """The image that planned swims are planned with: of a few states of randomly steered ones."""
+    """The table image of planned swims, from a few states of random swims."""
     rods, visited = rods_of(robot), VisitedStates(robot)
     visited.add(random_swims(robot, seed), _FIRST_TABLE_STATES)
     starts = visited.starts()
@@ -103,12 +99,12 @@ def _warm(ready: _Ready) -> None:
 
 
 def _path_length_m(tables: Tables) -> float:
-    """As far as the longest strokes take the robot in one swim: no swim runs out of path."""
+    """Length of a path: the reach of a swim by the longest strokes."""
     return _STROKES * float(tables.stroke_max_m)
 
 
 def _random_path(tables: Tables, rng: np.random.Generator) -> _Path:
-    """Arcs from the origin, as long as the swim, as tight as the robot can turn."""
+    """Random arcs from the origin."""
     length_m = _path_length_m(tables)
     tightest = _TIGHTEST * float(tables.turn_max_rad) / float(tables.stroke_max_m)
     curvature = tightest * rng.uniform(-1.0, 1.0, _ARCS)
@@ -122,13 +118,13 @@ def _random_path(tables: Tables, rng: np.random.Generator) -> _Path:
 
 
 def _swim(rods: Rods, tables: Tables, paths: Sequence[_Path], strokes: int) -> list[list[int]]:
-    """What the planner chooses in swims side by side."""
+    """The planner's actions in swims side by side."""
     robot = rods.robot
     config = config_of(robot.planner)
     config = replace(
         config,
         progress_weight=config.progress_weight * _path_length_m(tables) / _REWARDED_LENGTH_M,
-        depth=min(config.depth, 2),  # deeper costs ten times more and chooses much the same strokes
+        depth=min(config.depth, 2),  # deeper searches cost ten times more and choose nearly the same strokes
     )
     along = [0.0] * len(paths)
     still = np.zeros((len(paths), 3))

@@ -1,4 +1,4 @@
-"""Sampling of the states in which a library's transitions begin: from a box, or visited by swims."""
+"""Sampling of the states at the start of a library's transitions: from a box, or visited by swims."""
 
 from __future__ import annotations
 
@@ -7,8 +7,7 @@ from numpy.typing import NDArray
 
 from frogkick.core.errors import InputError, nearest_name
 from frogkick.library.planned import planned_swims
-from frogkick.library.random_swims import random_swims
-from frogkick.library.starts import Starts, VisitedStates, rigid_starts
+from frogkick.library.starts import Starts, VisitedStates, random_swims, rigid_starts
 from frogkick.robot import Robot, mirror_of
 
 FloatArray = NDArray[np.float64]
@@ -30,20 +29,19 @@ def sample_starts(
     """Draw the states of a library.
 
     Args:
-        robot: whose box, or whose swimming.
-        states: how many, 1 to 65535.
-        seed: of the drawing.
-        sampling: "box" draws velocities uniformly from the robot's library box, as the paper does; all limbs
-            rest. "visited" takes the states in which the strokes of a randomly steered, simulated robot
-            begin: a run needs those, they fill a small part of the box, and the limbs' last strokes go on in
-            them. "planned" lets the planner steer along random paths instead; a quarter of its states are
-            visited ones. Each state is followed by its mirror image, for a robot that has one: simulating one
-            of them serves both. Fewer visited states are the first of more.
-        workers, cluster: who simulates planned swims; see frogkick.core.chunks. They change no state.
+        robot: the robot.
+        states: number of states, 1 to 65535.
+        seed: of the sampling.
+        sampling: "box" draws velocities uniformly from the robot's library box with all limbs at rest, as the
+            paper does. "visited" takes the states at the start of the strokes of random swims, which fill a
+            small part of the box and contain the limbs' last strokes. "planned" lets the planner steer along
+            random paths; a quarter of its states are visited ones. Each state is followed by its mirror
+            image if the robot is symmetric. A smaller number of visited states gives the first of them.
+        workers, cluster: for planned swims; see frogkick.core.chunks. They do not change the states.
 
     Raises:
-        InputError: states outside of 1 to 65535, a negative seed, or an unknown sampling; planned swims that
-            meet too few states.
+        InputError: states outside of 1 to 65535, a negative seed, an unknown sampling, or planned swims with
+            too few states.
         ConvergenceError: a planned swim could not be simulated.
     """
     if not isinstance(states, int | np.integer) or not 1 <= states <= STATES_MAX:
@@ -64,7 +62,7 @@ def sample_starts(
                 return visited.starts()
             if number == _PLANNED_BATCHES_MAX:
                 raise InputError(
-                    f"planned swims of {robot.id!r} met {len(visited)} different states, asked for are "
+                    f"planned swims of {robot.id!r} visited {len(visited)} different states, wanted are "
                     f"{states}: give fewer --states, or --sampling visited"
                 )
     raise InputError(

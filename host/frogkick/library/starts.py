@@ -1,8 +1,8 @@
-"""States in which a library's transitions begin, and the simulation of each."""
+"""States at the start of a library's transitions, the swims that visit them, and their simulations."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,21 +16,23 @@ from frogkick.robot import Mirror, Robot, mirror_of
 FloatArray = NDArray[np.float64]
 
 TASK_ROBOTS = 2 * WIDTH
-"""Robots of a task, some 0.4 s of work: fine progress, quick end on Ctrl-C, no cost to speak of."""
+"""Robots of a task, some 0.4 s of work, for fine progress and a quick end on Ctrl-C."""
 
-_LEFT = np.array([1.0, -1.0, -1.0, 1.0, -1.0, -1.0])  # what mirroring does to (x, y, heading, vx, vy, omega)
+SWIM_STROKES = 12  # from rest to cruising takes about six
+_HOLD_STROKES_MAX = 4  # an action is held for 1 to 4 strokes, as turns build up over several
+
+_LEFT = np.array([1.0, -1.0, -1.0, 1.0, -1.0, -1.0])  # mirrors (x, y, heading, vx, vy, omega)
 
 
 @dataclass(frozen=True, eq=False)
 class Starts:
-    """n states and their simulations; of mirror images only one is simulated.
+    """n states and their simulations, one for each pair of mirror images.
 
     Attributes:
-        tasks: what to simulate.
-        part: (n,) the task that stands for each state.
-        row: (n,) and which of its states.
-        mirrored: (n,) whether the state is the mirror image of that one.
-        mirror: what mirroring does; None for a robot without.
+        tasks: simulations.
+        part, row: (n,) the task of each state, and its state within the task.
+        mirrored: (n,) whether the state is the mirror image of the simulated one.
+        mirror: of the robot; None if it is not symmetric.
     """
 
     tasks: tuple[Task, ...]
@@ -43,7 +45,7 @@ class Starts:
         return len(self.part)
 
     def of(self, state: int, simulated: NDArray[np.floating]) -> NDArray[np.floating]:
-        """A state's results (a, .., 6) from those of the one that stands for it."""
+        """Results (a, .., 6) of a state from those of its simulation."""
         if not self.mirrored[state] or self.mirror is None:
             return simulated
         return np.asarray(simulated[list(self.mirror.actions)] * _LEFT.astype(simulated.dtype))
@@ -57,7 +59,7 @@ class Starts:
         """(n, HISTORY) earlier actions of all states."""
         found: IntArray = self._taken([part.previous for part in parts]).astype(np.int64)
         if self.mirror is not None:
-            mirrored = np.array([*self.mirror.actions, RESTED])  # RESTED is the last one of it
+            mirrored = np.array([*self.mirror.actions, RESTED])  # index RESTED is the last entry
             found = np.where(self.mirrored[:, None], mirrored[found], found)
         return found
 
@@ -88,10 +90,7 @@ class Starts:
 
 
 def rigid_starts(robot: Robot, velocities: FloatArray) -> Starts:
-    """Rigid starts: states with all limbs at rest and (n, 3) body velocities.
-
-    They are folded to those that drift left, or straight on and turn left, each simulated once.
-    """
+    """States with all limbs at rest and (n, 3) body velocities; one of each mirror pair is simulated."""
     mirror = mirror_of(robot)
     plain = velocities + 0.0
     if mirror is None:
@@ -112,11 +111,24 @@ def rigid_starts(robot: Robot, velocities: FloatArray) -> Starts:
 
 
 Swims = Iterable[Sequence[int]]
-"""Actions of one swim after another, each from rest, one action a period."""
+"""Actions of each swim from rest, one action a period."""
+
+
+def random_swims(robot: Robot, seed: int) -> Iterator[list[int]]:
+    """Yield the random actions of swims from rest, without end; each action is held for a few strokes."""
+    swim = 0
+    while True:
+        rng = np.random.default_rng([seed, swim])
+        actions: list[int] = []
+        while len(actions) < SWIM_STROKES:
+            action = int(rng.integers(len(robot.actions)))
+            actions += [action] * int(rng.integers(1, _HOLD_STROKES_MAX + 1))
+        yield actions[:SWIM_STROKES]
+        swim += 1
 
 
 class VisitedStates:
-    """States visited at the decisions of swims from rest, each once, with their mirror images."""
+    """Distinct states at the decisions of swims from rest, with their mirror images."""
 
     def __init__(self, robot: Robot) -> None:
         self._robot = robot
@@ -129,7 +141,7 @@ class VisitedStates:
         return len(self._states)
 
     def add(self, swims: Swims, states: int) -> None:
-        """Add the states of some swims until there are so many."""
+        """Add the states of swims up to a number of states."""
         for actions in swims:
             if len(self) >= states:
                 return
@@ -144,7 +156,7 @@ class VisitedStates:
                 self._swims.append(tuple(actions))
 
     def _moved(self, actions: Sequence[int]) -> tuple[int, ...]:
-        """What was done since the first limb fired: all that a state of a swim depends on."""
+        """The actions since the first limb fired, which determine the state."""
         masks = [self._robot.actions[a].first_mask | self._robot.actions[a].second_mask for a in actions]
         first = next((i for i, mask in enumerate(masks) if mask), len(actions))
         return tuple(actions[first:])
@@ -165,7 +177,7 @@ class VisitedStates:
             wanted[order[mine, 0] - first, order[mine, 1]] = True
             at = np.cumsum(wanted.ravel()).reshape(wanted.shape) - 1
             part[mine], row[mine] = len(tasks), at[order[mine, 0] - first, order[mine, 1]]
-            # A shorter swim than its neighbours goes on with its last action, where nothing is wanted of it.
+            # A shorter swim is padded with its last action, where no state is wanted.
             actions = [list(swim[:strokes]) + [swim[-1]] * (strokes - len(swim)) for swim in swims]
             shaped = np.array(actions, dtype=np.int64).reshape(wanted.shape[0], strokes)
             tasks.append(Task(np.zeros((len(swims), 3)), shaped, wanted))

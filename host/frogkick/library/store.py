@@ -1,4 +1,4 @@
-"""The library file: every simulated transition, in HDF5, checked when it is read."""
+"""The library file: the simulated transitions in HDF5, checked when it is read."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ from frogkick.robot import Robot, parse_robot
 FloatArray = NDArray[np.float64]
 
 OVERHEAD_BYTES, STEP_BYTES, SAMPLE_BYTES = 65536, 64, 24
-"""Of the file: its tables of contents, each transition, each recorded pose and velocity."""
+"""Bytes of the file: tables of contents, a transition, a recorded pose with velocity."""
 
 FORMAT = "frogkick library"
-FORMAT_VERSION = 3  # 2: recorded motions, transitions that failed; 3: what was done before a state
+FORMAT_VERSION = 3  # 2: recorded motions, failed transitions; 3: actions before a state
 _READABLE = (2, 3)
 _UNITS = {
     "initial_velocity_body": ("m/s, m/s, rad/s", "body at the start: forward, left, counter-clockwise"),
@@ -43,22 +43,22 @@ _PREVIOUS_MEANING = f"index of the action begun 1, 2, .. periods before the star
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Library:
-    """Transitions of one robot: n initial velocities times a actions.
+    """Transitions of a robot: n states times a actions.
 
     Attributes:
         robot_toml: the robot's canonical text; robot() reads it.
         robot_sha256: 32 bytes, of that text.
-        sampling: how the states were drawn ("box", "visited" or "planned").
-        seed: of that.
-        frogkick_version: that made it.
+        sampling: "box", "visited" or "planned", see ``sample_starts``.
+        seed: of the sampling.
+        frogkick_version: version that made it.
         period_s: simulated time of each transition.
         initial_velocity_body: (n, 3) forward, left (m/s), turn rate (rad/s).
         displacement_body: (n, a, 3) forward, left (m), turn (rad), body frame at the start.
         velocity_body_end: (n, a, 3) body frame at the end.
-        previous_actions: (n, HISTORY) actions begun 1, 2, .. periods before the start, then RESTED. Where
-            there are any, a transition began in the state that they led to, limbs amid their strokes.
-        failed: transitions that could not be simulated, in order; their rows are NaN, no others.
-        folder: where the files of the robot's own effects are; None where the library was read from a file.
+        previous_actions: (n, HISTORY) actions started 1, 2, .. periods before the start, then RESTED. With
+            any of them, the limbs are amid their strokes at the start.
+        failed: transitions that could not be simulated, in order; only their rows are NaN.
+        folder: folder of the robot's own effects; None if the library was read from a file.
     """
 
     robot_id: str
@@ -83,18 +83,15 @@ class Library:
         )
 
     def save(self, file: Path | str) -> None:
-        """Write it (HDF5), wholly or not at all; ``read_library`` reads it back.
-
-        How the robot moved between a transition's start and its end is not in memory: only
-        ``frogkick library build`` keeps that in its file.
+        """Write HDF5, completely or not at all. Only ``frogkick library build`` writes recorded motions.
 
         Raises:
-            InputError: the place cannot be written to.
+            InputError: the file cannot be written.
         """
         write_library(self, file)
 
     def has_history(self) -> bool:
-        """Whether there is a state before which a limb was used."""
+        """Whether limbs were used before any of the states."""
         return bool((self.previous_actions != RESTED).any())
 
     def rows(self) -> FloatArray:
@@ -102,7 +99,7 @@ class Library:
         return np.concatenate([self.displacement_body, self.velocity_body_end], axis=2)
 
     def whole_states(self) -> NDArray[np.bool_]:
-        """(n,) whether every action of a state could be simulated."""
+        """(n,) whether all actions of a state could be simulated."""
         whole = np.ones(len(self.initial_velocity_body), dtype=bool)
         whole[[failure.state for failure in self.failed]] = False
         return whole
@@ -123,7 +120,7 @@ class Library:
 
 @dataclass(frozen=True)
 class Recorded:
-    """How the robot moved in each transition: (s,) times after its start, (n, a, s, 6) poses, velocities."""
+    """Motion within each transition: (s,) times after its start, (n, a, s, 6) poses and velocities."""
 
     time_s: FloatArray
     motion: SampleArray
@@ -135,14 +132,16 @@ def write_library(
     recorded_time_s: FloatArray | None = None,
     recorded: Iterable[SampleArray] = (),
 ) -> None:
-    """Write a library, wholly or not at all; equal libraries give equal bytes.
+    """Write a library, completely or not at all; equal libraries give equal bytes.
 
     Args:
-        recorded_time_s: (s,) times of recorded motions; None for none.
+        library: the library.
+        out: the file.
+        recorded_time_s: (s,) times of recorded motions; None: none.
         recorded: for each state (a, s, 6) poses and velocities at these times, see Transitions.
 
     Raises:
-        InputError: the place cannot be written to.
+        InputError: the file cannot be written.
     """
     states, actions, _ = library.displacement_body.shape
     times = np.empty(0) if recorded_time_s is None else recorded_time_s
@@ -183,7 +182,7 @@ def read_library(path: Path | str) -> Library:
     """Read and check a library.
 
     Raises:
-        InputError: missing, not HDF5, truncated, another format or version, or content that does not fit.
+        InputError: missing, not HDF5, truncated, another format or version, or inconsistent content.
     """
     source = existing_file(path, "library")
     try:
@@ -214,14 +213,14 @@ def read_library(path: Path | str) -> Library:
     except (OSError, KeyError, ValueError, TypeError, AttributeError, RuntimeError) as error:
         reason = " ".join(str(error).split())[:120]
         raise InputError(
-            f"library {str(path)!r} is not whole or not a library: {reason}; build it again"
+            f"library {str(path)!r} is incomplete or not a library: {reason}; build it again"
         ) from error
     _check_content(library, path)
     return library
 
 
 def read_recorded(path: Path | str) -> Recorded:
-    """Read how the robot moved in each transition of a library.
+    """Read the motion within each transition of a library.
 
     Raises:
         InputError: see read_library.
@@ -252,7 +251,7 @@ def _check_recorded(file: h5py.File, shape: tuple[int, ...], path: Path | str) -
 
 
 def library_info(path: Path | str) -> dict[str, Any]:
-    """What a library holds, as plain values.
+    """Facts about a library as plain values.
 
     Raises:
         InputError: see read_library.
@@ -288,7 +287,7 @@ def library_info(path: Path | str) -> dict[str, Any]:
 def make_library(
     robot: Robot, sampling: str, seed: int, starts: Starts, parts: Sequence[Transitions]
 ) -> Library:
-    """Put states, the results of their tasks and their origin together."""
+    """A library from states and the results of their simulations."""
     return library_of(
         robot, sampling, seed, starts.velocity_body(parts), starts.rows(parts), starts.previous(parts),
         starts.failed(parts),

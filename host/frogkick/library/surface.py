@@ -22,11 +22,11 @@ STATES_MIN = NEIGHBOURS + 1
 
 _AT_ONCE = 1024
 RIDGES = (1e-3, 1e-9)
-"""What keeps slopes small where neighbours lie near a plane or a line, relative to their number, in units of
-their reach. Rods alone are smooth and want the least. Where strokes depend on more than a table is asked
-with, that is noise, and slopes out of the plane that swimming stays in would be made of it."""
+"""Ridge penalties, relative to the number of neighbours, in units of their reach. The small one suits rods,
+which are smooth. The large one suppresses slopes out of the plane of the neighbours, which would fit noise
+where strokes depend on more than the table's variables."""
 
-_WORSE_MOST = 1.1  # factor on squared errors at states left out, at which the larger one is still taken
+_WORSE_MOST = 1.1  # the larger ridge is taken up to this factor on squared leave-one-out errors
 
 
 def noise_of(robot: Robot) -> FloatArray:
@@ -43,17 +43,17 @@ def noise_of(robot: Robot) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class Surface:
-    """Transitions of rested limbs anywhere between a library's states, and what earlier use adds.
+    """Transitions of rested limbs at any velocity, and the effect of earlier use.
 
-    Around each point a quadratic of the velocity is fitted to the nearest states, the nearer the heavier.
+    A quadratic of the velocity is fitted to the nearest states of each point.
 
     Attributes:
-        robot: whose.
+        robot: the robot.
         codes: (n, 3) velocities of the states, in the robot's velocity resolution.
-        values: (n, a * 6) transitions without what earlier use added.
-        history: what that was.
+        values: (n, a * 6) transitions without the effect of earlier use.
+        history: effect of earlier use.
         tree: finds neighbours.
-        ridge: the largest of RIDGES with which neighbours tell states about as well as with any.
+        ridge: the one of RIDGES that was chosen.
     """
 
     robot: Robot
@@ -74,7 +74,7 @@ class Surface:
 
 
 def fit_surface(robot: Robot, velocities: FloatArray, rows: FloatArray, previous: IntArray) -> Surface:
-    """Fit a library's whole states.
+    """Fit a library's complete states.
 
     Args:
         robot: the library's.
@@ -89,8 +89,8 @@ def fit_surface(robot: Robot, velocities: FloatArray, rows: FloatArray, previous
 
     if len(velocities) < STATES_MIN:
         raise InputError(
-            f"the library has {len(velocities)} whole states to fit, a local regression needs {STATES_MIN}: "
-            "build it with more --states"
+            f"the library has {len(velocities)} complete states to fit, a local regression needs "
+            f"{STATES_MIN}: build it with more --states"
         )
     codes = velocities / np.array(robot.velocity_resolution)
     tree, noise = cKDTree(codes), noise_of(robot)
@@ -111,7 +111,8 @@ def fit_surface(robot: Robot, velocities: FloatArray, rows: FloatArray, previous
 def _local(
     tree: Any, codes: FloatArray, values: FloatArray, at: FloatArray, ridge: float, skip: int
 ) -> FloatArray:
-    """(m, c) quadratics through the NEIGHBOURS nearest states of (m, 3) points, but for the ``skip`` nearest.
+    """(m, c) local quadratics at (m, 3) points from their NEIGHBOURS nearest states, without the ``skip``
+    nearest.
 
     Weights are tricubes of the distance (Cleveland 1979, J. Am. Stat. Assoc. 74, 829-836).
     """

@@ -1,4 +1,4 @@
-"""What every action does from many states: velocities with limbs at rest, or a robot amid its strokes."""
+"""Simulation of all actions from many states: rigid ones at a velocity, or states amid strokes."""
 
 from __future__ import annotations
 
@@ -21,22 +21,22 @@ SampleArray = NDArray[np.float32]
 IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
 
-SAMPLE_S = 0.05  # spacing of recorded poses: a cubic between two errs by 0.02 mm where a cut can be
+SAMPLE_S = 0.05  # spacing of recorded poses: a cubic between them errs by 0.02 mm
 HISTORY = 8
-"""How many earlier actions of a swim are kept with a state: more periods than any measured stroke lasts."""
+"""Number of earlier actions that are kept with a state: more periods than any measured stroke lasts."""
 
 RESTED = -1
-"""In place of an earlier action: there was none, all limbs rested."""
+"""Stands for an earlier action if there was none and all limbs rested."""
 
 
 @dataclass(frozen=True, eq=False)
 class Task:
-    """Where some transitions begin: k robots at rest or gliding, each swims s actions, one a period.
+    """The start of transitions: k robots at a velocity, each of which swims s actions, one a period.
 
     Attributes:
-        velocity_body: (k, 3) forward, left (m/s), turn rate (rad/s) at first, limbs at rest.
-        actions: (k, s) what each does first, in the order of the robot's actions; s may be 0.
-        wanted: (k, s + 1) whether transitions begin before that action of the swim, or after the last.
+        velocity_body: (k, 3) forward, left (m/s), turn rate (rad/s) of the robots, limbs at rest.
+        actions: (k, s) indices of the actions; s may be 0.
+        wanted: (k, s + 1) whether transitions start before that action of the swim, or after the last.
     """
 
     velocity_body: FloatArray
@@ -58,15 +58,15 @@ class Failed:
 
 @dataclass(frozen=True)
 class Transitions:
-    """Results for n states, those that a task wants robot by robot, and all a actions.
+    """Results of the n wanted states of a task and all a actions.
 
     Attributes:
         velocity_body: (n, 3) at the start.
-        previous: (n, HISTORY) actions begun 1, 2, .. periods before the start, then RESTED.
+        previous: (n, HISTORY) actions started 1, 2, .. periods before the start, then RESTED.
         rows: (n, a, 6) after one period: forward, left (m), turn (rad, continuous) in the body frame at the
             start, then velocity (m/s, m/s, rad/s) in the body frame at the end; NaN where it failed.
         recorded: (n, a, t, 6) the same at ``recorded_times``, float32.
-        failed: what failed; states counted from 0.
+        failed: failed transitions; states counted from 0.
     """
 
     velocity_body: FloatArray
@@ -77,13 +77,13 @@ class Transitions:
 
 
 def recorded_times(robot: Robot, record_s: float) -> FloatArray:
-    """(t,) multiples of SAMPLE_S up to ``record_s``, none where that is not beyond the period."""
+    """(t,) multiples of SAMPLE_S up to ``record_s``; none up to the period."""
     count = int(record_s / SAMPLE_S + 1e-9) if record_s > robot.period_s else 0
     return np.asarray(SAMPLE_S * np.arange(1, count + 1), dtype=np.float64)
 
 
 def previous_actions(actions: IntArray, stroke: int) -> IntArray:
-    """(HISTORY,) the newest first of (k,) actions before that stroke of a swim, then RESTED."""
+    """(HISTORY,) newest first, the actions before a stroke of a swim, then RESTED."""
     found = np.full(HISTORY, RESTED, dtype=np.int64)
     newest = actions[:stroke][::-1][:HISTORY]
     found[: len(newest)] = newest
@@ -91,14 +91,14 @@ def previous_actions(actions: IntArray, stroke: int) -> IntArray:
 
 
 def lane_effects(robot: Robot, lanes: int) -> ActingLanes:
-    """The effects of a robot's file on robots side by side; random ones draw alike in each lane."""
+    """The effects of a robot's file in parallel lanes; random effects draw the same in each lane."""
     return ActingLanes(body_effects(robot), robot, [np.random.default_rng(0) for _ in range(lanes)])
 
 
 def fire_action(
     robot: Robot, batch: Batch, acting: ActingLanes, lane: int, action: int, start_s: float
 ) -> None:
-    """Let a lane's robot do an action of its own, from a time on."""
+    """Start an action of a lane's robot at a time."""
     for time_s, mask in program_of(robot, robot.actions[action], start_s):
         for limb in range(len(robot.limbs)):
             if mask >> limb & 1:
@@ -106,24 +106,19 @@ def fire_action(
 
 
 def simulate_task(rods: Rods, task: Task, record_s: float = 0.0) -> Transitions:
-    """Simulate every action of a robot from every state that a task wants.
-
-    Each result is the same to the last bit whatever else the task holds.
-
-    Args:
-        record_s: how long to follow and record each transition.
+    """Simulate all actions from the wanted states of a task; the bits do not depend on its other states.
 
     Raises:
-        ConvergenceError: a swim could not be simulated up to a state that is wanted.
+        ConvergenceError: a swim could not be simulated up to a wanted state.
     """
     robot = rods.robot
     places = {(int(k), int(s)): n for n, (k, s) in enumerate(np.argwhere(task.wanted))}
     velocity = np.empty((len(places), 3))
     previous = np.array([previous_actions(task.actions[k], s) for k, s in places], dtype=np.int64)
     previous = previous.reshape(-1, HISTORY)
-    told = recorded_times(robot, record_s)
+    times_s = recorded_times(robot, record_s)
     rows = np.full((len(places), len(robot.actions), 6), np.nan)
-    recorded = np.full((*rows.shape[:2], len(told), 6), np.nan, dtype=np.float32)
+    recorded = np.full((*rows.shape[:2], len(times_s), 6), np.nan, dtype=np.float32)
     failed: list[Failed] = []
     for first in range(0, len(task.velocity_body), WIDTH):
         some = slice(first, first + WIDTH)
@@ -135,14 +130,14 @@ def simulate_task(rods: Rods, task: Task, record_s: float = 0.0) -> Transitions:
             lanes = np.flatnonzero(task.wanted[some, stroke])
             if len(lanes):
                 chosen = [places[first + int(lane), stroke] for lane in lanes]
-                # What the nodes of a robot placed at rest or gliding come to is this but for rounding.
+                # The exact placement of a robot before its first stroke, without its nodes' rounding.
                 origin = batch.pose_world() if stroke else still
                 velocity[chosen] = (batch.velocity_body() if stroke else task.velocity_body[some])[lanes]
-                # Side by side whoever they are of, so that few robots fill a batch too.
+                # Pairs of all robots together, so that few robots fill a batch too.
                 pairs = [(int(n), action) for action in range(len(robot.actions)) for n in lanes]
                 for begin in range(0, len(pairs), WIDTH):
                     together = pairs[begin : begin + WIDTH]
-                    motions = _branch(robot, batch, acting, origin, together, told)
+                    motions = _branch(robot, batch, acting, origin, together, times_s)
                     for (lane, action), motion in zip(together, motions, strict=True):
                         place = places[first + lane, stroke]
                         if isinstance(motion, str):
@@ -168,19 +163,16 @@ def _branch(
     acting: ActingLanes,
     origin: FloatArray,
     pairs: Sequence[tuple[int, int]],
-    told_s: FloatArray,
+    times_s: FloatArray,
 ) -> list[tuple[FloatArray, FloatArray] | str]:
-    """What some lanes' robots do, each with an action, at most WIDTH of them.
-
-    Args:
-        pairs: lane of the batch and action.
+    """Simulate an action in each of at most WIDTH copies of lanes; ``pairs`` are lane and action.
 
     Returns:
-        For each the (6,) row at the period's end and the (t, 6) rows told; or why it failed.
+        For each the (6,) row at the period's end and the (t, 6) rows at ``times_s``, or why it failed.
     """
     began_s = float(batch.time_s[pairs[0][0]])
-    times = np.union1d(told_s, [robot.period_s])
-    at_period, kept = int(np.searchsorted(times, robot.period_s)), np.isin(times, told_s)
+    times = np.union1d(times_s, [robot.period_s])
+    at_period, kept = int(np.searchsorted(times, robot.period_s)), np.isin(times, times_s)
     ends = [robot.period_s] if times[-1] == robot.period_s else [robot.period_s, times[-1]]
     of = [lane for lane, _ in pairs]
     twin, twin_acting = batch.pick(of), acting.pick(of)
@@ -194,7 +186,7 @@ def _branch(
             found.append(str(twin.failures[lane]))
             continue
         steps = np.concatenate([np.zeros(1), *(leg[lane][0] - began_s for leg in legs)])
-        steps[np.cumsum([len(leg[lane][0]) for leg in legs])] = ends  # to the last bit
+        steps[np.cumsum([len(leg[lane][0]) for leg in legs])] = ends  # exactly
         traced = np.concatenate([before[lane : lane + 1], *(leg[lane][1] for leg in legs)])
         pose, speed = interpolate(steps, traced, times)
         moved = relative(origin[source], pose)

@@ -1,4 +1,4 @@
-"""Truncate a library to another period: from its recorded motions, without simulating again."""
+"""Truncates a library to another period by its recorded motions, without a simulation."""
 
 from __future__ import annotations
 
@@ -14,15 +14,13 @@ from frogkick.robot import Robot
 
 
 def truncate_library(path: Path | str, robot: Robot) -> Library:
-    """The library of a robot with another period, from one that recorded beyond that period.
+    """The library of a robot with another period, from one that was recorded up to that period.
+
+    Displacements and velocities at the new period are on the cubic through two recorded poses and velocities.
 
     Args:
         path: a library.
-        robot: the library's robot with another period; what does not move it may differ too.
-
-    Returns:
-        Its library: the initial velocities of the old one, displacements and velocities at the new period,
-        between two recorded poses on a cubic through both with their velocities.
+        robot: the library's robot with another period; settings that do not move it may differ too.
 
     Raises:
         InputError: see read_library; another robot, a period that was not recorded, or states amid strokes.
@@ -40,9 +38,10 @@ def truncate_library(path: Path | str, robot: Robot) -> Library:
         )
     times, period = recorded.time_s, robot.period_s
     if not len(times) or not times[0] <= period <= times[-1]:
-        told = f"{times[0]:g}-{times[-1]:g} s are" if len(times) else "nothing is"
+        range_s = f"{times[0]:g}-{times[-1]:g} s are" if len(times) else "nothing is"
         raise InputError(
-            f"period {period:g} s cannot be cut from library {str(path)!r}, where {told} recorded: build one"
+            f"period {period:g} s cannot be cut from library {str(path)!r}, where {range_s} recorded: build "
+            "one"
         )
     left = int(np.clip(np.searchsorted(times, period, side="right") - 1, 0, len(times) - 2))
     ends = recorded.motion[:, :, left : left + 2].astype(np.float64)

@@ -1,11 +1,9 @@
-"""Piecewise regression on Voronoi cells: choose a table's states where its error is, and fit values in each
-cell.
+"""Piecewise regression on Voronoi cells: chooses a table's states and fits values in each cell.
 
-The states of a table divide velocity space into Voronoi cells, each of the velocities nearest to its state.
-Beginning with one cell, those with the largest sum of squared errors are split again and again, and each
-state moves to the mean of its cell (Lloyd 1982): where transitions are curved and where robots often are,
-cells become small. At the optimum every cell has the same error (Gersho 1979, IEEE Trans. Inf. Theory 25,
-373-380).
+The states of a table divide velocity space into Voronoi cells of the velocities nearest to them. From one
+cell on, the cells with the largest sum of squared errors are split repeatedly, and each state moves to the
+mean of its cell (Lloyd 1982). Cells become small where transitions are curved and where robots often are. At
+the optimum all cells have the same error (Gersho 1979, IEEE Trans. Inf. Theory 25, 373-380).
 """
 
 from __future__ import annotations
@@ -20,7 +18,7 @@ IntArray = NDArray[np.int64]
 
 _SPLIT_SHARE = 0.25  # of the cells at once, while there are few
 _MOVES = 2  # to the means after each split
-_RIDGE = 1e-3  # of a cell's variance: where its velocities lie on a line, slopes across it are the whole's
+_RIDGE = 1e-3  # of a cell's variance: slopes across velocities on a line become those of the global trend
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,8 +49,8 @@ class VoronoiRegression:
         """Take samples.
 
         Args:
-            codes: (m, 3) velocities in codes, as dense as robots are there.
-            values: (m, c) there.
+            codes: (m, 3) velocities in codes, with the density of a robot's states.
+            values: (m, c) at these.
             weight: (c,) scale of the errors of the values.
             linear: fit a linear correction in each cell; else the mean.
         """

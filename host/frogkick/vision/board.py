@@ -1,4 +1,4 @@
-"""Calibration from pictures of a chessboard or a ChArUco board: the lens, and the plane it lies in."""
+"""Boards for calibration (chessboard, ChArUco), pictures of them, and the lens from these."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ class Board:
             raise InputError(f"squares of {1e3 * self.square_m:g} mm: allowed is 2 to 1000")
 
     def charuco(self) -> cv2.aruco.CharucoBoard:
-        """OpenCV's own description of it."""
+        """The board for OpenCV."""
         markers = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_50)
         return cv2.aruco.CharucoBoard((self.columns, self.rows), self.square_m, 0.75 * self.square_m, markers)
 
@@ -57,8 +57,8 @@ class Board:
         """Find the board's inner corners.
 
         Returns:
-            (n, 2) m on the board from its first inner corner, x along its columns, y along its rows; and
-            (n, 2) pixels. None where the board is not seen.
+            (n, 2) m on the board from its first inner corner, x along its columns, y along its rows, and (n,
+            2) pixels. None if the board is not seen.
         """
         if self.kind == "chessboard":
             shape = (self.columns - 1, self.rows - 1)
@@ -68,7 +68,7 @@ class Board:
             cols, rows = np.meshgrid(np.arange(shape[0]), np.arange(shape[1]))
             home = np.stack([cols.ravel(), rows.ravel()], axis=1) * self.square_m
             seen = corners.reshape(-1, 2).astype(np.float64)
-            # OpenCV may begin at either end: the first square, beyond the first corner, is black.
+            # OpenCV may start at either end: the first square, beyond the first corner, is black.
             plane, _ = cv2.findHomography(home, seen, 0)
             squares = np.array([[[-0.5, -0.5]], [[0.5, -0.5]]]) * self.square_m
             ends = cv2.perspectiveTransform(squares, np.asarray(plane)).reshape(2, 2)
@@ -101,29 +101,29 @@ def read_pictures(folder: Path | str) -> list[tuple[str, Grey]]:
 
 
 def read_picture(path: Path | str) -> Grey:
-    """Read one picture as grey levels.
+    """Read a picture as grey levels.
 
     Raises:
-        InputError: it is none.
+        InputError: not a readable picture.
     """
     image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE) if Path(path).is_file() else None
     if image is None:
-        raise InputError(f"{str(path)!r} is no picture that can be read: check the path and the file")
+        raise InputError(f"{str(path)!r} is not a readable picture: check the path and the file")
     return np.asarray(image, dtype=np.uint8)
 
 
 def calibrate_lens(board: Board, pictures: Sequence[tuple[str, Grey]]) -> tuple[Lens, float, int]:
-    """Find the lens from pictures of a board held in many ways.
+    """Calibrate the lens from pictures of a board in many orientations.
 
     Args:
-        board: what is in the pictures.
-        pictures: name and grey levels of each, one size.
+        board: the board.
+        pictures: name and grey levels of each, of equal size.
 
     Returns:
-        The lens, the root mean square of what is left in pixels, and how many points there were.
+        The lens, the root mean square of the residuals in pixels, and the number of points.
 
     Raises:
-        InputError: pictures of several sizes, the board seen in too few of them, or too much left over.
+        InputError: pictures of several sizes, too few pictures with the board, or large residuals.
     """
     sizes = {image.shape for _, image in pictures}
     if len(sizes) > 1:

@@ -1,4 +1,4 @@
-"""From pixels to the pool's frame and back: one calibration, kept in one TOML file.
+"""A camera's calibration: maps between pixels and the pool's frame.
 
 The pool's frame: origin in the pool's first corner, x along its length, y along its width, z up, z = 0 on the
 water. A homography takes points of the reference plane (where the four corners or the board were seen) to
@@ -24,7 +24,7 @@ Array = npt.NDArray[np.float64]
 
 
 def refraction_offset_m(height_m: float) -> float:
-    """By how much a thing appears raised, seen from straight above: 0 above the water."""
+    """Apparent rise of a point under water seen from above, m; 0 above the water."""
     return max(0.0, -height_m) * (1.0 - 1.0 / WATER_INDEX)
 
 
@@ -50,10 +50,10 @@ class Tag:
         id: number in the family.
         size_m: side of tag36h11's black square, of tagStandard41h12's white one (5 of its 9 cells).
         height_m: of the printed face over the water; negative under it.
-        refraction_offset_m: by how much it appears raised.
-        height_sd_m: standard deviation of its height, as waves and trim make it.
-        tilt_sd_rad: standard deviation of its slopes along x and y, as waves and swimming make them.
-        mount_heading_rad: the picture's top, counter-clockwise from the robot's forward.
+        refraction_offset_m: apparent rise.
+        height_sd_m: standard deviation of its height by waves and trim.
+        tilt_sd_rad: standard deviation of its slopes along x and y by waves and swimming.
+        mount_heading_rad: direction of the picture's top, counter-clockwise from the robot's forward.
         offset_body_m: the tag's centre in the body frame, x forward, y left.
     """
 
@@ -89,20 +89,20 @@ class Tag:
 
 @dataclass(frozen=True)
 class Calibration:
-    """How one camera sees one pool.
+    """A camera over a pool.
 
     Attributes:
         image_px: width and height of the pictures.
         pool_m: length (x) and width (y) of the pool.
         homography: (3, 3) reference plane, m, to undistorted pixels.
         plane_height_m: of the reference plane over the water, negative under it.
-        plane_refraction_offset_m: by how much that plane appears raised.
-        camera_m: (3,) the camera in the pool's frame; None where it is not known.
-        lens: intrinsics; None where they are not known.
-        tag: the tag to look for.
+        plane_refraction_offset_m: apparent rise of that plane.
+        camera_m: (3,) position of the camera in the pool's frame; None: unknown.
+        lens: intrinsics; None: unknown.
+        tag: the tag on the robot.
         method: ``corners``, ``chessboard`` or ``charuco``.
-        points: how many points it was made from.
-        rms_px: what these were off by; 0 for four corners, which leave nothing over.
+        points: number of points it was made from.
+        rms_px: root mean square of their residuals; 0 for four corners, which fit exactly.
     """
 
     image_px: tuple[int, int]
@@ -118,11 +118,7 @@ class Calibration:
     rms_px: float = 0.0
 
     def __post_init__(self) -> None:
-        """Refuse what cannot map a tag.
-
-        Raises:
-            InputError: a size, height or matrix that can be none.
-        """
+        """Raise InputError for a size, height or matrix out of its limits."""
         for name, value in (("width", self.image_px[0]), ("height", self.image_px[1])):
             if not 32 <= value <= 16_384:
                 raise InputError(f"image {name} is {value} px, allowed is 32 to 16384")
@@ -131,13 +127,13 @@ class Calibration:
                 raise InputError(f"pool {name} is {metres:g} m, allowed is 0.05 to 100")
         matrix = np.asarray(self.homography)
         if matrix.shape != (3, 3) or not np.isfinite(matrix).all() or np.linalg.cond(matrix) > 1e12:
-            raise InputError("the homography is no invertible 3 x 3 matrix: calibrate again")
+            raise InputError("the homography is not an invertible 3 x 3 matrix: calibrate again")
         apart = self.tag.apparent_height_m - self.plane_apparent_m
         if self.camera_m is None:
             if abs(apart) > 1e-6:
                 raise InputError(
                     f"the tag is {1e3 * apart:.1f} mm over the plane of the calibration and the camera's "
-                    "place is not known: give its height (--camera-height-m) or calibrate with a board"
+                    "position is unknown: give its height (--camera-height-m) or calibrate with a board"
                 )
         elif self.camera_m[2] <= max(self.plane_apparent_m, self.tag.apparent_height_m) + 0.01:
             raise InputError(f"the camera is at {self.camera_m[2]:.3f} m, not above tag and pool")
@@ -155,14 +151,11 @@ class Calibration:
         return np.asarray(below + (xy_m - below) * (height - to_m) / (height - from_m))
 
     def pixels(self, xy_m: Array, height_m: float | None = None) -> Array:
-        """Where points of the pool are seen, undistorted.
+        """(n, 2) undistorted pixels of points of the pool.
 
         Args:
             xy_m: (n, 2) pool frame.
-            height_m: apparent height of them; None for the tag's.
-
-        Returns:
-            (n, 2) undistorted pixels.
+            height_m: their apparent height; None: the tag's.
         """
         height = self.tag.apparent_height_m if height_m is None else height_m
         return apply(self.homography, self._shift(xy_m, height, self.plane_apparent_m))
@@ -175,7 +168,7 @@ class Calibration:
         return self._shift(on_plane, self.plane_apparent_m, height)
 
     def undistort(self, image_px: Array) -> Array:
-        """(n, 2) pixels of a picture to undistorted ones; the same where no lens is known."""
+        """(n, 2) undistorted pixels of pixels of a picture; the same ones if the lens is unknown."""
         if self.lens is None:
             return image_px
         matrix, distortion = self.lens.matrix_px, self.lens.distortion
@@ -194,16 +187,16 @@ class Calibration:
 
 
 def camera_pose(homography: Array, matrix_px: Array, plane_m: float) -> tuple[Array, Array]:
-    """Where the camera is, from the homography of a plane and its camera matrix.
+    """Pose of the camera from the homography of a plane and the camera matrix.
 
     Returns:
-        (3, 3) rotation pool to camera (z forward, y down) and (3,) the camera in the pool's frame, m.
+        (3, 3) rotation pool to camera (z forward, y down) and (3,) position in the pool's frame, m.
 
     Source: Zhang 2000, section 3.1.
     """
     a = np.linalg.inv(matrix_px) @ homography
     a /= np.sqrt(np.linalg.norm(a[:, 0]) * np.linalg.norm(a[:, 1]))
-    if a[2, 2] < 0:  # the pool lies in front of the camera
+    if a[2, 2] < 0:  # the pool must be in front of the camera
         a = -a
     u, _, vt = np.linalg.svd(np.c_[a[:, 0], a[:, 1], np.cross(a[:, 0], a[:, 1])])
     rotation = u @ vt
@@ -215,7 +208,7 @@ def camera_pose(homography: Array, matrix_px: Array, plane_m: float) -> tuple[Ar
 def lens_from_height(
     homography: Array, image_px: tuple[int, int], camera_height_m: float, plane_m: float
 ) -> Array:
-    """The camera matrix of square pixels, centred, that puts the camera at a measured height.
+    """The camera matrix with square centred pixels that gives the camera a measured height.
 
     Args:
         homography: reference plane to pixels.
@@ -245,3 +238,20 @@ def lens_from_height(
         else:
             high = middle
     return matrix(float(np.sqrt(low * high)))
+
+
+def camera_of(
+    homography: Array,
+    image_px: tuple[int, int],
+    plane_m: float,
+    lens: Lens | None,
+    camera_height_m: float | None,
+) -> tuple[Array, Array] | None:
+    """Camera matrix and position, by the lens or by the camera's height over the water; None without both."""
+    if lens is not None:
+        matrix = lens.matrix_px
+    elif camera_height_m is not None:
+        matrix = lens_from_height(homography, image_px, camera_height_m, plane_m)
+    else:
+        return None
+    return matrix, camera_pose(homography, matrix, plane_m)[1]

@@ -1,4 +1,4 @@
-"""A calibration as one TOML file, every number with its unit in its name."""
+"""A calibration as a TOML file, with the unit of each number in its name."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ KEYS: dict[str, tuple[set[str], set[str]]] = {
     ),
     "made": ({"method", "points", "rms_px"}, set()),
 }
-"""Table -> keys that must be there, keys that may."""
+"""Table -> required keys, optional keys."""
 
 
 def _number(value: float) -> str:
@@ -71,7 +71,7 @@ def calibration_text(c: Calibration) -> str:
 
 
 def write_calibration(path: Path | str, calibration: Calibration) -> None:
-    """Write the file, wholly or not at all."""
+    """Write the file, completely or not at all."""
     write_text(path, calibration_text(calibration))
 
 
@@ -80,41 +80,41 @@ def read_calibration(path: Path | str) -> Calibration:
 
     Raises:
         InputError: no such file, another format, keys that are missing, unknown or of another shape, or
-            values that can be none.
+            values out of their limits.
     """
     file = existing_file(path, "calibration")
     try:
-        whole = tomllib.loads(file.read_text(encoding="utf-8"))
+        tables = tomllib.loads(file.read_text(encoding="utf-8"))
     except tomllib.TOMLDecodeError as error:
-        raise InputError(f"calibration {str(path)!r} is no TOML: {error}") from error
+        raise InputError(f"calibration {str(path)!r} is not TOML: {error}") from error
     except UnicodeError as error:
-        raise InputError(f"calibration {str(path)!r} is no text: name the .toml file") from error
-    if "format" not in whole:
+        raise InputError(f"calibration {str(path)!r} is not text: give the .toml file") from error
+    if "format" not in tables:
         raise InputError(
-            f"{str(path)!r} is no calibration of a camera: name the file that 'frogkick camera calibrate' "
+            f"{str(path)!r} is not a calibration of a camera: give the file that 'frogkick camera calibrate' "
             "wrote"
         )
-    if whole["format"] != FORMAT:
+    if tables["format"] != FORMAT:
         raise InputError(
-            f"calibration {str(path)!r} has format {whole['format']!r}, this version reads {FORMAT}: "
+            f"calibration {str(path)!r} has format {tables['format']!r}, this version reads {FORMAT}: "
             "make it again with 'frogkick camera calibrate'"
         )
-    for name in whole:
+    for name in tables:
         if name != "format" and name not in KEYS:
             raise InputError(
                 f"calibration {str(path)!r} has an unknown table {name!r}{nearest_name(name, KEYS)}"
             )
     for name, (needed, optional) in KEYS.items():
-        table = whole.setdefault(name, {})
+        table = tables.setdefault(name, {})
         if not isinstance(table, dict):
-            raise InputError(f"calibration {str(path)!r}: {name} is no table")
+            raise InputError(f"calibration {str(path)!r}: {name} is not a table")
         for key in sorted(needed - table.keys()):
             raise InputError(f"calibration {str(path)!r} lacks {name}.{key}")
         for key in sorted(table.keys() - needed - optional):
             near = nearest_name(key, needed | optional)
             raise InputError(f"calibration {str(path)!r} has an unknown key {name}.{key}{near}")
     try:
-        return _made(whole)
+        return _calibration(tables)
     except (TypeError, ValueError) as error:
         raise InputError(f"calibration {str(path)!r} cannot be used: {error}") from error
 
@@ -126,8 +126,8 @@ def _array(table: dict[str, Any], key: str, shape: tuple[int, ...]) -> npt.NDArr
     return values
 
 
-def _made(whole: dict[str, Any]) -> Calibration:
-    image, pool, plane, camera, tag, made = (whole[name] for name in KEYS)
+def _calibration(tables: dict[str, Any]) -> Calibration:
+    image, pool, plane, camera, tag, made = (tables[name] for name in KEYS)
     lens = None
     if "matrix_px" in camera:
         distortion = _array(camera, "distortion", (5,)) if "distortion" in camera else np.zeros(5)

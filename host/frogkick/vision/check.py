@@ -1,4 +1,4 @@
-"""How far off a calibration and its tag are, over the pool: at marked points, at known places, rendered."""
+"""Errors of a calibration over the pool: at marked points, at known places, and in rendered pictures."""
 
 from __future__ import annotations
 
@@ -24,15 +24,13 @@ Array = npt.NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Place:
-    """One place that was checked.
+    """A checked place.
 
     Attributes:
-        x_m: where it is, pool frame.
-        y_m: where it is.
-        error_x_mm: seen minus true; NaN where nothing was seen.
-        error_y_mm: seen minus true.
-        heading_error_deg: seen minus true; NaN where it is not known.
-        reason: ``found``, or why no pose came.
+        x_m, y_m: true place, pool frame.
+        error_x_mm, error_y_mm: seen minus true; NaN if nothing was seen.
+        heading_error_deg: seen minus true; NaN if unknown.
+        reason: ``found``, or why there is no pose.
     """
 
     x_m: float
@@ -49,10 +47,10 @@ class Place:
 
 
 def check_points(calibration: Calibration, path: Path | str) -> list[Place]:
-    """Compare marked points of the reference plane with where the calibration puts their pixels.
+    """Compare marked points of the reference plane with the calibration's map of their pixels.
 
     Args:
-        calibration: to be checked.
+        calibration: the calibration to check.
         path: CSV with columns x_px, y_px, x_m, y_m: pixels of the picture, pool frame.
 
     Raises:
@@ -70,11 +68,11 @@ def check_points(calibration: Calibration, path: Path | str) -> list[Place]:
 def check_frames(
     calibration: Calibration, frames: Iterable[tuple[npt.NDArray[np.uint8], float, float, float]]
 ) -> list[Place]:
-    """Find the tag in frames whose truth is known, each in the whole frame.
+    """Find the tag in frames with a known pose; each search covers the complete frame.
 
     Args:
-        calibration: to be checked.
-        frames: picture, x_m, y_m, heading_rad (NaN: not known) of the robot.
+        calibration: the calibration to check.
+        frames: picture, x_m, y_m, heading_rad (NaN: unknown) of the robot.
     """
     tracker = Tracker(calibration)
     places = []
@@ -93,10 +91,7 @@ def check_frames(
 
 
 def known_places(path: Path | str) -> Iterable[tuple[npt.NDArray[np.uint8], float, float, float]]:
-    """Pictures of the tag laid at known places.
-
-    Args:
-        path: CSV with columns image, x_m, y_m and, if known, heading_deg; images beside it.
+    """Pictures of the tag at known places, from a CSV with columns image, x_m, y_m and perhaps heading_deg.
 
     Raises:
         InputError: a row or a picture that cannot be read.
@@ -109,21 +104,21 @@ def known_places(path: Path | str) -> Iterable[tuple[npt.NDArray[np.uint8], floa
         image = None if picture is None else cv2.imread(str(picture), cv2.IMREAD_GRAYSCALE)
         if image is None:
             raise InputError(
-                f"{str(path)!r} names {name!r}, which is no picture: the column 'image' names files"
+                f"{str(path)!r} names {name!r}, which is not a picture: the column 'image' names files"
             )
         yield image.astype(np.uint8), float(x), float(y), float(np.deg2rad(heading))
 
 
 def scene_of(calibration: Calibration, conditions: Conditions) -> Scene:
-    """The pool as the calibrated camera would see it.
+    """A rendered pool as the calibrated camera sees it.
 
     Raises:
-        InputError: the camera's place is not known.
+        InputError: the camera's position is unknown.
     """
     if calibration.camera_m is None:
         raise InputError(
-            "the calibration does not say where the camera is, so no picture can be rendered: calibrate with "
-            "--camera-height-m or a board, or check with --points or --places"
+            "the calibration does not contain the camera's position, so no picture can be rendered: "
+            "calibrate with --camera-height-m or a board, or check with --points or --places"
         )
     plane = calibration.plane_apparent_m
     if calibration.lens is not None:
@@ -143,14 +138,13 @@ def scene_of(calibration: Calibration, conditions: Conditions) -> Scene:
 def rendered(
     calibration: Calibration, conditions: Conditions, columns: int, rows: int, rng: np.random.Generator
 ) -> Iterable[tuple[npt.NDArray[np.uint8], float, float, float]]:
-    """Pictures of the tag on a grid over the pool, a tag's width from its walls, headings drawn.
+    """Pictures of the tag on a grid over the pool, a tag's width from its walls, at random headings.
 
     Args:
         calibration: camera, pool and tag.
-        conditions: what spoils the pictures.
-        columns: places along the pool.
-        rows: places across it.
-        rng: source of headings, noise, waves.
+        conditions: disturbances of the pictures.
+        columns, rows: number of places along the pool, and across it.
+        rng: for headings, noise, waves.
     """
     scene = scene_of(calibration, conditions)
     edge = calibration.tag.size_m
@@ -164,7 +158,7 @@ def rendered(
 
 
 def summary(places: list[Place]) -> dict[str, float | int]:
-    """Root mean square and largest errors; NaN where nothing was seen."""
+    """Root mean square and largest errors; NaN if nothing was seen."""
     errors = np.array([place.error_mm for place in places if place.reason == "found"])
     turns = np.array([p.heading_error_deg for p in places if np.isfinite(p.heading_error_deg)])
     nan = float("nan")

@@ -11,19 +11,12 @@ import numpy.typing as npt
 
 from frogkick.core.errors import InputError
 from frogkick.core.files import existing_file
-from frogkick.vision.calibration import (
-    Calibration,
-    Lens,
-    Tag,
-    camera_pose,
-    lens_from_height,
-    refraction_offset_m,
-)
+from frogkick.vision.calibration import Calibration, Lens, Tag, camera_of, refraction_offset_m
 from frogkick.vision.plane import from_four
 
 Array = npt.NDArray[np.float64]
 SIDES_MOST = 1.25
-"""How much longer one side of the pool may be seen than the other says: corners marked by hand are within."""
+"""Largest ratio of the apparent scales of the pool's sides; corners marked by hand are within."""
 ORDER = "(0, 0), (length, 0), (length, width), (0, width)"
 
 
@@ -34,7 +27,7 @@ def read_corners(path: Path | str) -> Array:
         (4, 2) pixels, in the order of ``ORDER``.
 
     Raises:
-        InputError: no such file, or it holds no four pairs of finite numbers.
+        InputError: no such file, or not four pairs of finite numbers.
     """
     file = existing_file(path, "corners file")
     try:
@@ -45,7 +38,9 @@ def read_corners(path: Path | str) -> Array:
             rows = tomllib.loads(file.read_text(encoding="utf-8"))["corners_px"]
         corners = np.array([[float(x), float(y)] for x, y in rows])
     except tomllib.TOMLDecodeError as error:
-        raise InputError(f"corners file {str(path)!r} is no TOML ({error}); CSV files end in .csv") from error
+        raise InputError(
+            f"corners file {str(path)!r} is not TOML ({error}); CSV files end in .csv"
+        ) from error
     except KeyError as error:
         raise InputError(
             f"corners file {str(path)!r} has no {error}: write corners_px = [[x, y], ...], or a CSV with "
@@ -67,21 +62,21 @@ def calibrate_corners(
     camera_height_m: float | None = None,
     lens: Lens | None = None,
 ) -> Calibration:
-    """Calibrate from where the pool's corners are seen.
+    """Calibrate from the pixels of the pool's corners.
 
     Args:
         corners_px: (4, 2) pixels in the order of ``ORDER``.
         pool_m: length, width.
         image_px: width, height of the pictures.
-        tag: the tag to look for.
+        tag: the tag on the robot.
         corner_height_m: of the corners over the water (a rim's), negative for corners on the floor.
-        camera_height_m: measured, over the water; needed where tag and corners differ in height and no lens
-            is known.
-        lens: intrinsics, if they are known.
+        camera_height_m: measured, over the water; needed if tag and corners differ in height and the lens is
+            unknown.
+        lens: intrinsics, if known.
 
     Raises:
-        InputError: corners that are outside of the picture, on one line, crossed or mirrored, or a camera
-            height that does not fit them.
+        InputError: corners outside of the picture, on one line, crossed or mirrored, or a camera height that
+            does not fit them.
     """
     width, height = image_px
     beyond = int(((corners_px < 0) | (corners_px > (width, height))).any(axis=1).sum())
@@ -120,24 +115,21 @@ def calibrate_corners(
     if lens is not None:
         seen = Calibration(image_px, pool_m, np.eye(3), lens=lens, tag=Tag()).undistort(corners_px)
     homography = from_four(homes, seen)
-    camera: Array | None = None
-    matrix = None if lens is None else lens.matrix_px
-    if matrix is None and camera_height_m is not None:
-        matrix = lens_from_height(homography, image_px, camera_height_m, plane)
-    if matrix is not None:
-        _require_sides(homography, matrix)
-        camera = camera_pose(homography, matrix, plane)[1]
+    camera = camera_of(homography, image_px, plane, lens, camera_height_m)
+    if camera is not None:
+        _require_sides(homography, camera[0])
+    place_m = None if camera is None else camera[1]
     return Calibration(
-        image_px, pool_m, homography, corner_height_m, offset, camera, lens, tag, "corners", 4, 0.0
+        image_px, pool_m, homography, corner_height_m, offset, place_m, lens, tag, "corners", 4, 0.0
     )
 
 
 def _require_sides(homography: Array, matrix: Array) -> None:
-    """Refuse a pool whose length and width are seen at scales that no camera has: sides were mixed up."""
+    """Raise InputError if the scales of length and width differ too much, as with swapped sides."""
     along, across = np.linalg.norm(np.linalg.solve(matrix, homography)[:, :2], axis=0)
     stretch = float(along / across)
     if not 1.0 / SIDES_MOST < stretch < SIDES_MOST:
         raise InputError(
-            f"the pool's length is seen {stretch:.2f} times as long as its width says: give --pool as length "
+            f"the pool's length appears {stretch:.2f} times too long for its width: give --pool as length "
             f"x width, and the corners along the length first, {ORDER}"
         )

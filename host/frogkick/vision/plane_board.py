@@ -7,14 +7,7 @@ import numpy as np
 
 from frogkick.core.errors import InputError
 from frogkick.vision.board import Board, Grey
-from frogkick.vision.calibration import (
-    Calibration,
-    Lens,
-    Tag,
-    camera_pose,
-    lens_from_height,
-    refraction_offset_m,
-)
+from frogkick.vision.calibration import Calibration, Lens, Tag, camera_of, refraction_offset_m
 from frogkick.vision.plane import apply
 
 
@@ -28,18 +21,18 @@ def calibrate_plane(
     camera_height_m: float | None = None,
     lens: Lens | None = None,
 ) -> Calibration:
-    """Calibrate from one picture of a board whose place in the pool is known.
+    """Calibrate from a picture of a board at a known place in the pool.
 
     Args:
-        board: what lies there.
+        board: the board.
         image: (height, width) grey levels.
-        board_at_m: (2,) its first inner corner in the pool's frame; its columns run along x, its
-            rows towards -y, seen from above, as a board has them that lies face up.
+        board_at_m: (2,) its first inner corner in the pool's frame; the board lies face up, its columns along
+            x, its rows towards -y.
         pool_m: length, width.
-        tag: the tag to look for.
+        tag: the tag on the robot.
         board_height_m: of its face over the water, negative under it.
-        camera_height_m: over the water; needed where tag and board differ in height and no lens is known.
-        lens: intrinsics, if they are known.
+        camera_height_m: over the water; needed if tag and board differ in height and the lens is unknown.
+        lens: intrinsics, if known.
 
     Raises:
         InputError: the board is not seen, or the camera's height does not fit.
@@ -69,12 +62,8 @@ def calibrate_plane(
     rms = float(np.sqrt(np.mean(np.sum((apply(homography, on_pool) - flat) ** 2, axis=1))))
     offset = refraction_offset_m(board_height_m)
     plane = board_height_m + offset
-    camera = None
-    if lens is not None:
-        camera = camera_pose(homography, lens.matrix_px, plane)[1]
-    elif camera_height_m is not None:
-        matrix = lens_from_height(homography, image_px, camera_height_m, plane)
-        camera = camera_pose(homography, matrix, plane)[1]
+    camera = camera_of(homography, image_px, plane, lens, camera_height_m)
+    place_m = None if camera is None else camera[1]
     return Calibration(
-        image_px, pool_m, homography, board_height_m, offset, camera, lens, tag, board.kind, len(seen), rms
+        image_px, pool_m, homography, board_height_m, offset, place_m, lens, tag, board.kind, len(seen), rms
     )

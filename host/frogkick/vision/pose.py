@@ -1,11 +1,11 @@
 """From a tag's corners in a picture to the robot's pose in the pool's frame, with covariance.
 
-The tag is a flat square at a known height, so that eight coordinates tell four numbers, its size among them:
-the other four say whether it is a square at all, and the size whether it is the tag that was printed.
+The tag is a flat square at a known height: eight coordinates determine four numbers, one of them its size.
+The other four show whether it is a square, and the size whether it is the printed tag.
 
-Water tilts it. Seen from aside, a slope of the tag shears its picture, which would turn it: at half a metre
-beside a camera 1 m above, 0.02 rad of slope are half a degree of heading. The same shear shows in how far the
-picture is from a square, so that the two slopes, of which calm water is the more likely, are found with it.
+Water tilts the tag. Seen from the side, a slope shears its picture and so turns it: half a metre beside a
+camera 1 m above, 0.02 rad of slope are half a degree of heading. The two slopes are estimated with a prior of
+calm water from the same shear, which also makes the picture less of a square.
 """
 
 from __future__ import annotations
@@ -20,22 +20,21 @@ from frogkick.vision.calibration import Calibration
 
 Array = npt.NDArray[np.float64]
 FLOOR_PX = 0.02
-"""Standard deviation that no corner is better than: lens, print and pixels that no noise tells of."""
+"""Smallest standard deviation of a corner, by lens, print and pixels."""
 
 
 @dataclass(frozen=True)
 class Pose:
-    """Where the robot is.
+    """A pose of the robot.
 
     Attributes:
-        x_m: pool frame.
-        y_m: pool frame.
+        x_m, y_m: pool frame.
         heading_rad: from +x, counter-clockwise, in (-pi, pi].
-        covariance: (3, 3) of x_m, y_m, heading_rad: the picture's noise and the
-            tag's height; the calibration's error is not in it.
-        capture_s: when the picture was taken, on the source's clock.
-        size_m: side of the black square, as seen.
-        misfit_px: root mean square of how far the corners are from those of the flat square.
+        covariance: (3, 3) of x_m, y_m, heading_rad, by the picture's noise and the tag's height, without the
+            calibration's error.
+        capture_s: capture time on the source's clock.
+        size_m: estimated size of the tag.
+        misfit_px: root mean square distance of the corners from those of the flat square.
     """
 
     x_m: float
@@ -50,17 +49,17 @@ class Pose:
 def solve_pose(
     calibration: Calibration, corners_px: Array, covariance_px2: Array, capture_s: float
 ) -> Pose | None:
-    """Find the pose whose square fits the corners best, each weighted by what is known of it.
+    """The pose with the least weighted residuals of the corners.
 
     Args:
         calibration: camera, pool and tag.
         corners_px: (4, 2) pixels of the picture in the printed picture's order (``tags``).
-        covariance_px2: (8, 8) of those.
-        capture_s: passed on.
+        covariance_px2: (8, 8) of these.
+        capture_s: of the pose.
 
     Returns:
-        The pose; None where the corners cannot be those of a tag that lies in the pool's plane and is seen
-        from above (mirrored, folded, beyond the horizon).
+        The pose; None for corners that cannot be those of a tag seen from above (mirrored, folded, beyond the
+        horizon).
     """
     tag = calibration.tag
     seen_px = calibration.undistort(corners_px)
@@ -96,7 +95,7 @@ def solve_pose(
         return None
     state, covariance = found
     if calibration.camera_m is not None:
-        # A tag that is higher than stated is seen further from the camera's foot.
+        # A tag that is higher than stated appears farther from the point below the camera.
         above = calibration.camera_m[2] - tag.apparent_height_m
         slip = tag.height_sd_m * (state[:2] - calibration.camera_m[:2]) / above
         covariance[:2, :2] += np.outer(slip, slip)
@@ -118,14 +117,10 @@ def solve_pose(
 def _with_slopes(
     calibration: Calibration, square: Array, flat: Array, seen_px: Array, weight: Array
 ) -> tuple[Array, Array] | None:
-    """(4,) state and (3, 3) covariance with the tag's two slopes unknown; None where there are none.
+    """(4,) state and (3, 3) covariance with two unknown slopes of the tag; None if the fit diverges.
 
-    Args:
-        calibration: its camera's place tells how slopes show; where it is not known, they are taken as 0.
-        square: the printed corners.
-        flat: (4,) state of the flat square.
-        seen_px: (4, 2) undistorted.
-        weight: (8, 8).
+    Without the camera's position the slopes are 0. Args: square (4, 2) printed corners, flat (4,) state of
+    the flat square, seen_px (4, 2) undistorted, weight (8, 8).
     """
     sloped = calibration.camera_m is not None and calibration.tag.tilt_sd_rad > 0.0
     state = np.concatenate([flat, np.zeros(2 if sloped else 0)])
@@ -154,7 +149,7 @@ def _corners(calibration: Calibration, square: Array, state: Array) -> Array:
     turned = state[3] * square @ rotation(state[2]).T
     places = state[:2] + turned
     if len(state) > 4 and calibration.camera_m is not None:
-        # A corner that is higher than the tag's middle is seen further from the camera's foot.
+        # A corner that is higher than the tag's middle appears farther from the point below the camera.
         rise = turned @ state[4:]
         above = calibration.camera_m[2] - calibration.tag.apparent_height_m
         places = places + (places - calibration.camera_m[:2]) * (rise / (above - rise))[:, None]
@@ -162,6 +157,6 @@ def _corners(calibration: Calibration, square: Array, state: Array) -> Array:
 
 
 def tag_place(calibration: Calibration, x_m: float, y_m: float, heading_rad: float) -> Array:
-    """(3,) centre and heading of the tag of a robot at a pose; the inverse of ``solve_pose``'s end."""
+    """(3,) centre and heading of the tag of a robot at a pose."""
     offset = rotation(heading_rad) @ np.array(calibration.tag.offset_body_m)
     return np.array([x_m + offset[0], y_m + offset[1], heading_rad + calibration.tag.mount_heading_rad])

@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from frogkick.core.errors import InputError
-from frogkick.vision.tags import tag_cells, tag_count, tag_margin, tag_white
+from frogkick.vision.tags import tag_cells, tag_margin
 
 Array = npt.NDArray[np.float64]
 Grey = npt.NDArray[np.uint8]
@@ -300,39 +300,3 @@ def _glare(
     across = rows * np.cos(turn) - cols * np.sin(turn)
     blob = 320 * strength * np.exp(-0.5 * ((along / long) ** 2 + (across / short) ** 2))
     level[r0:r1, c0:c1] = np.minimum(level[r0:r1, c0:c1] + blob, 255)
-
-
-def clutter(scene: Scene, rng: np.random.Generator) -> list[Thing]:
-    """Prints that are not the tag: random cells, other tags, its mirror image, its negative, chessboards."""
-    own = tag_cells(scene.family, scene.tag_id)
-    things: list[Thing] = []
-    for _ in range(int(rng.integers(1, 7))):
-        kind = int(rng.integers(5))
-        if kind == 0:
-            cells = _random_cells(own, scene.family, rng)
-        elif kind == 1:
-            tags = tag_count(scene.family)
-            cells = tag_cells(scene.family, (scene.tag_id + int(rng.integers(1, tags))) % tags)
-        elif kind == 2:
-            cells = own[:, ::-1]
-        elif kind == 3:
-            cells = 1 - own
-        else:
-            cells = np.pad((np.indices((8, 8)).sum(axis=0) % 2).astype(np.float32), 1, constant_values=1)
-        x, y = rng.uniform(0, scene.pool_m[0]), rng.uniform(0, scene.pool_m[1])
-        size = scene.tag_size_m * rng.uniform(0.7, 1.6)
-        things.append((np.ascontiguousarray(cells), x, y, rng.uniform(-np.pi, np.pi), size))
-    return things
-
-
-def _random_cells(
-    own: npt.NDArray[np.float32], family: str, rng: np.random.Generator
-) -> npt.NDArray[np.float32]:
-    """A tag's frame with random cells where its code is."""
-    if tag_white(family):
-        return np.pad(np.pad(rng.integers(0, 2, (6, 6)), 1), 1, constant_values=1).astype(np.float32)
-    cells = rng.integers(0, 2, own.shape).astype(np.float32)
-    cells[1:-1, 1:-1] = 0.0
-    cells[2:-2, 2:-2] = 1.0
-    cells[3:-3, 3:-3] = rng.integers(0, 2, (3, 3))
-    return cells

@@ -6,7 +6,7 @@ import os
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,7 +18,6 @@ import numpy.typing as npt
 from frogkick.core.errors import InputError
 from frogkick.core.interrupts import Bell
 from frogkick.vision.board import read_pictures
-from frogkick.vision.scene import Scene
 
 FROZEN_FRAMES = 8
 """So many equal pictures in a row come from no live camera: its noise alone makes each another."""
@@ -163,27 +162,6 @@ def folder_frames(folder: Path | str, rate_hz: float = 30.0) -> Iterator[Frame]:
     """A folder's pictures by name, as if taken at a constant rate (see ``board.read_pictures``)."""
     for sequence, (_, image) in enumerate(read_pictures(folder)):
         yield Frame(image, sequence / rate_hz, sequence, False)
-
-
-def scene_frames(
-    scene: Scene,
-    pose_at: Callable[[float], tuple[float, float, float] | None],
-    rng: np.random.Generator,
-    rate_hz: float = 30.0,
-) -> Iterator[Frame]:
-    """Rendered frames, without end.
-
-    Args:
-        scene: pool, camera, tag.
-        pose_at: time, s -> x_m, y_m, heading_rad of the tag; None: no tag.
-        rng: source of noise, waves, glare.
-        rate_hz: frames per second of the time in ``capture_s``.
-    """
-    sequence = 0
-    while True:
-        capture = sequence / rate_hz
-        yield Frame(scene.picture(pose_at(capture), rng), capture, sequence, False)
-        sequence += 1
 
 
 def open_source(text: str, image_px: tuple[int, int] | None = None, rate_hz: float = 30.0) -> Iterator[Frame]:

@@ -1,7 +1,7 @@
-"""Frames in, poses out: the tag looked for around its last place, in the whole frame when it was lost.
+"""Tracks the tag from frame to frame: around its last place, in the complete frame after a loss.
 
-No pose without a tag that can be trusted: decoded, once in the picture, of its size, flat, within the pool,
-and printed as the template says. Everything else is an ``Observation`` with a reason.
+Only a tag that can be trusted gives a pose: decoded, only once in the picture, of the right size, flat,
+within the pool, and printed like the template. Otherwise an ``Observation`` has a reason.
 """
 
 from __future__ import annotations
@@ -27,36 +27,36 @@ Grey = npt.NDArray[np.uint8]
 Reason = Literal["found", "no tag", "doubled", "unclear", "not flat", "wrong size", "outside the pool"]
 
 RESIDUAL_MAX = 0.16
-"""What a fit may leave, as a part of the contrast: above it the print is half covered, glaring or torn."""
+"""Largest residual of a fit over the contrast; above it the print is half covered, in glare or torn."""
 CELL_MAX = 0.5
-"""Which part of a flip, black to white, any cell of a tag may show."""
+"""Largest part of a flip, black to white, of any cell of a tag."""
 LIKENESS_MIN = 0.6
-"""Correlation with the print from which a dark square that was not decoded is fitted."""
+"""Smallest correlation with the print at which a dark square that was not decoded is fitted."""
 SIZE_MAX = 0.12
-"""By what part the tag may look larger or smaller than it is printed."""
+"""Largest relative error of the tag's size."""
 MISFIT_MAX_PX = 0.7
-"""How far corners may be from a flat square's, root mean square."""
+"""Largest root mean square distance of the corners from a flat square's."""
 HEADING_SD_MAX_RAD = float(np.deg2rad(0.5))
-"""A pose whose heading is known no better than so is none: most of the tag glares or is blurred away."""
+"""Largest standard deviation of the heading of a pose."""
 SPOILT, BENT_PX, SPOILT_SD_MAX_RAD = 0.05, 0.15, float(np.deg2rad(0.12))
-"""A fit that leaves so much, with corners that far from a flat square's, follows the sun on a tag and not its
-print: how far off the heading is, noise alone does not tell, and it must be known better."""
+"""Residual and misfit from which a fit may follow glare instead of the print, and the limit of the heading's
+standard deviation for such a fit, whose true error is larger."""
 SMALL_PX = 45.0
-"""A tag with shorter sides is looked for in a picture enlarged twofold."""
+"""A tag with shorter sides is searched in a picture enlarged twofold."""
 
 
 @dataclass(frozen=True)
 class Observation:
-    """What one frame told.
+    """Result of a frame.
 
     Attributes:
         pose: the robot's; None without a tag to be trusted.
         reason: ``found``, or why there is no pose.
-        capture_s: when the picture was taken, on the source's clock.
-        latency_s: from its capture to this answer on that clock; NaN for pictures of another time.
-        corners_px: (4, 2) of the tag, in the printed picture's order; None where there is none.
-        residual: what the fit left, as a part of the contrast; NaN without one.
-        windowed: found around its last place.
+        capture_s: capture time on the source's clock.
+        latency_s: from the capture to this result; NaN for recorded pictures.
+        corners_px: (4, 2) of the tag, in the printed picture's order; None without a tag.
+        residual: of the fit, over the contrast; NaN without a fit.
+        windowed: whether the tag was found around its last place.
     """
 
     pose: Pose | None
@@ -69,15 +69,10 @@ class Observation:
 
 
 class Tracker:
-    """Finds one tag frame after frame. One thread; owns the place where it was last."""
+    """Finds a tag frame by frame, in one thread."""
 
     def __init__(self, calibration: Calibration, margin_m: float = 0.05) -> None:
-        """Prepare.
-
-        Args:
-            calibration: camera, pool and tag.
-            margin_m: how far beyond the pool's walls a pose is still believed.
-        """
+        """Prepare the templates. Poses up to ``margin_m`` beyond the pool's walls are accepted."""
         self._calibration = calibration
         self._margin_m = margin_m
         self._templates = templates(calibration.tag.family, calibration.tag.id)
@@ -93,18 +88,18 @@ class Tracker:
             )
 
     def forget(self) -> None:
-        """Look in the whole next frame."""
+        """Search the next frame completely."""
         self._last = None
 
     def observe(
         self, image: npt.NDArray[np.uint8], capture_s: float, clock_s: float | None = None
     ) -> Observation:
-        """Look for the tag in a frame.
+        """Search a frame for the tag.
 
         Args:
             image: (height, width) grey or (height, width, 3) BGR, of the calibration's size.
-            capture_s: when it was taken.
-            clock_s: the source's clock as this begins, for the latency; None where there is none.
+            capture_s: its capture time.
+            clock_s: the source's clock now, for the latency; None: no latency.
 
         Raises:
             InputError: the frame is not of the calibration's size.
@@ -138,13 +133,13 @@ class Tracker:
     def _judge(
         self, grey: Grey, low: npt.NDArray[np.int64], high: npt.NDArray[np.int64], capture_s: float
     ) -> Observation:
-        """Look in a part of the frame, fit what was found there, say what is wrong with it, if anything."""
+        """Search a part of the frame, fit the tag, and check the fit."""
         window = grey[low[1] : high[1], low[0] : high[0]]
         tag = self._calibration.tag
         decoded, squares = find_corners(window, tag.id, self._side_px, tag.family)
-        fits = [fit_template(grey, one + low, self._templates) for one in decoded]
+        fits = [fit_template(grey, corners + low, self._templates) for corners in decoded]
         clear = [fit for fit in fits if fit is not None and _as_printed(fit)]
-        clear += self._undecoded(grey, [one + low for one in squares], clear)
+        clear += self._undecoded(grey, [corners + low for corners in squares], clear)
         if len(clear) > 1:
             return Observation(None, "doubled", capture_s)
         if not clear:
@@ -172,7 +167,7 @@ class Tracker:
         return Observation(pose, "found", capture_s, float("nan"), fit.corners_px, fit.residual)
 
     def _undecoded(self, grey: Grey, squares: list[Array], clear: list[Fit]) -> list[Fit]:
-        """Tags among dark squares whose cells are too small or too blurred to be read one by one."""
+        """Tags among dark squares whose cells are too small or too blurred to be decoded."""
         found: list[Fit] = []
         for square in squares:
             if _near(square, [fit.corners_px for fit in clear + found], self._side_px):
@@ -183,7 +178,7 @@ class Tracker:
             fit = fit_template(grey, np.roll(square, -turn, axis=0), self._templates)
             if fit is None or not _as_printed(fit):
                 continue
-            if not _near(fit.corners_px, [one.corners_px for one in clear + found], self._side_px):
+            if not _near(fit.corners_px, [known.corners_px for known in clear + found], self._side_px):
                 found.append(fit)
         return found
 
@@ -201,17 +196,17 @@ def _near(corners: Array, others: list[Array], side_px: float) -> bool:
 def find_corners(
     grey: Grey, tag_id: int, side_px: float, family: str = "tag36h11"
 ) -> tuple[list[Array], list[Array]]:
-    """Find every place where a tag is decoded, and dark squares of its size that no tag was decoded in.
+    """Find the places where a tag is decoded, and dark squares of its size without a decoded tag.
 
     Args:
         grey: (height, width).
         tag_id: number of the tag in its family.
-        side_px: about how wide it is.
-        family: of the tag; squares that were not decoded are told for tag36h11 alone.
+        side_px: its approximate width.
+        family: of the tag; squares are found for tag36h11 only.
 
     Returns:
-        (4, 2) corners of each, within about a pixel; those of tags in the printed picture's order, those of
-        squares clockwise. Places nearer to each other than half a tag are one.
+        (4, 2) corners of each, within about a pixel: of tags in the printed picture's order, of squares
+        clockwise. Places closer than half a tag count as one.
     """
     scale = 2 if side_px < SMALL_PX else 1
     image = grey if scale == 1 else cv2.resize(grey, None, fx=2, fy=2, interpolation=cv2.INTER_LINEAR)
@@ -231,8 +226,8 @@ def find_corners(
     settings.errorCorrectionRate = 1.0
     corners, ids, rejected = cv2.aruco.ArucoDetector(dictionary(), settings).detectMarkers(image)
     numbers = [] if ids is None else ids.ravel().tolist()
-    ours = [_quad(one) for one, number in zip(corners, numbers, strict=True) if number == tag_id]
-    squares = [_quad(one) for one in rejected]
+    ours = [_quad(quad) for quad, number in zip(corners, numbers, strict=True) if number == tag_id]
+    squares = [_quad(quad) for quad in rejected]
     return _places(ours, scale, side_px), _places(squares, scale, side_px)
 
 
@@ -242,7 +237,7 @@ def _quad(corners: npt.NDArray[Any]) -> Array:
 
 
 def _places(quads: Sequence[Array], scale: int, side_px: float) -> list[Array]:
-    """Corners in the enlarged picture as pixels of the frame, each place once."""
+    """Corners in the enlarged picture as pixels of the frame, without repeated places."""
     kept: list[Array] = []
     for quad in quads:
         # Pixel centres are whole numbers: those of the enlarged picture lie a quarter of a pixel off.

@@ -14,9 +14,8 @@ from tests.planner import synthetic
 
 from frogkick.paths import shape
 from frogkick.planner.plan import config_of, transitions_within
-from frogkick.pool.chip.image import load_image
+from frogkick.pool.chip.image import load_image, unwanted
 from frogkick.pool.chip.stack import StackAnalysis
-from frogkick.pool.chip.symbols import unwanted
 from frogkick.robot import load_robot
 from frogkick.runs.chip_check import check_on_chip
 from frogkick.runs.chip_planner import ChipPlanner, states_for_timing

@@ -14,9 +14,8 @@ from unicorn import arm_const
 from frogkick.link.layout import link_layout
 from frogkick.paths import shape
 from frogkick.pool.chip import VirtualChip
-from frogkick.pool.chip.bus import Peripheral
+from frogkick.pool.chip.bus import CYCLES_PER_US, Peripheral
 from frogkick.pool.chip.image import load_image
-from frogkick.pool.chip.scheduler import CYCLES_PER_US
 from frogkick.pool.chip.timer import Timer
 from frogkick.pool.chip.watchdog import Watchdog
 from frogkick.pool.virtual_robot import VirtualRobot

@@ -7,7 +7,7 @@ from itertools import pairwise
 
 from tests.runs import rig
 
-from frogkick.pool.chip.symbols import unwanted
+from frogkick.pool.chip.image import unwanted
 
 
 def test_the_map_says_what_is_where() -> None:

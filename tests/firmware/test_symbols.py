@@ -10,9 +10,8 @@ from tests.planner import synthetic
 
 from frogkick.core.errors import FrogkickError
 from frogkick.core.files import write_bytes
-from frogkick.pool.chip.image import load_image
+from frogkick.pool.chip.image import UNWANTED, load_image, unwanted
 from frogkick.pool.chip.stack import StackAnalysis
-from frogkick.pool.chip.symbols import UNWANTED, unwanted
 from frogkick.robot import load_robot
 from frogkick_codegen import firmware
 from frogkick_codegen.firmware import Firmware

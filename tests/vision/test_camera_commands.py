@@ -95,7 +95,7 @@ def test_check_with_tags_laid_down(tmp_path: Path, capsys: pytest.CaptureFixture
     (tmp_path / "1.png").write_bytes(b"none")
     wrong = frogkick(capsys, "camera", "check", file, "--places", tmp_path / "places.csv")
     assert wrong.code == 2
-    assert "names '1.png', which is no picture" in wrong.stderr
+    assert "names '1.png', which is not a picture" in wrong.stderr
 
 
 def board_pictures(folder: Path, kind: str) -> tuple[Path, np.ndarray]:

@@ -1,4 +1,4 @@
-"""The camera over the simulated pool: late, noisy position fixes at a constant rate, and worse ones."""
+"""The camera of the simulated pool: late and noisy position fixes, with optional faults."""
 
 from __future__ import annotations
 
@@ -13,20 +13,19 @@ from frogkick.core.poses import Fix, wrap_angle
 
 @dataclass(frozen=True)
 class Camera:
-    """What the fixes are like. Defaults: rate and noise measured on the paper's recorded runs.
+    """Rate, delay, noise and faults of the fixes. The defaults were measured on the paper's recorded runs.
 
     Attributes:
         rate_hz: fixes per second (every second frame of a 30 Hz camera was logged).
         delay_s: from capture to arrival at the robot; the recorded label-to-motion time of 0.07 to 0.09 s.
         position_noise_m: standard deviation of each coordinate, measured at rest.
         heading_noise_rad: standard deviation of the heading, measured at rest.
-        jitter_s: a fix comes later by up to this, evenly; beyond a picture's time fixes overtake each other.
-        lost: part of the pictures that give no fix.
-        doubled: part of the fixes whose frame comes twice, the second time up to 0.2 s later and with the age
-            that it had the first time, so that it looks younger than it is.
-        held: part of the fixes that come only after the next two pictures' ones.
-        outliers: part of the fixes that are plainly wrong.
-        outlier_m: such a fix is off by up to this in each coordinate; its heading is any.
+        jitter_s: largest additional delay, uniformly distributed.
+        lost: share of pictures without a fix.
+        doubled: share of fixes that arrive twice, the second time up to 0.2 s later with an unchanged age.
+        held: share of fixes that arrive after those of the next two pictures.
+        outliers: share of wrong fixes.
+        outlier_m: largest error of a wrong fix in each coordinate; its heading is random.
     """
 
     rate_hz: float = 15.0
@@ -63,14 +62,14 @@ def measure(
     pose_world: npt.NDArray[np.float64],
     rng: np.random.Generator,
 ) -> Fix:
-    """The fix that the camera makes of a true pose.
+    """The fix of a true pose.
 
     Args:
         camera: rate, delay and noise.
         sequence: number of the fix.
         capture_s: pool time of the picture.
         pose_world: (3,) true x_m, y_m, heading_rad.
-        rng: source of the noise; three draws a fix.
+        rng: for the noise, three draws for each fix.
     """
     sigma = np.array([camera.position_noise_m, camera.position_noise_m, camera.heading_noise_rad])
     noisy = np.asarray(pose_world, dtype=np.float64) + sigma * rng.standard_normal(3)
@@ -79,12 +78,9 @@ def measure(
 
 
 def deliver(camera: Camera, fix: Fix, rng: np.random.Generator) -> list[Fix]:
-    """What comes of a fix on its way: nothing, itself (late or wrong), or itself twice.
+    """The fixes that arrive for a measured one: none, one (late or wrong), or two.
 
-    Args:
-        camera: how bad the way is; one without jitter and faults lets every fix through and draws nothing.
-        fix: as measured.
-        rng: source of the faults.
+    A camera without jitter and faults draws nothing from ``rng``.
     """
     if not (camera.jitter_s or camera.lost or camera.doubled or camera.held or camera.outliers):
         return [fix]

@@ -1,4 +1,4 @@
-"""An independent look at the pins: which pulses broke the robot's limits. Shares nothing with the C guard."""
+"""Checks pulses at the pins against the robot's limits, independently of the C guard."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from dataclasses import dataclass
 from frogkick.link.wire import Edge
 from frogkick.robot import Robot
 
-# Pins are seen with the resolution of a 1 MHz timer, and a duty sum adds up some of them.
+# Edges have the resolution of a 1 MHz timer, and a duty sum adds several of them.
 _TOLERANCE_S = 2e-5
 
 
 @dataclass(frozen=True)
 class Pulse:
-    """One limb on: start and end in pool time."""
+    """A pulse of a limb, in pool time."""
 
     limb: int
     start_s: float
@@ -22,7 +22,7 @@ class Pulse:
 
 
 def pulses_of(edges: Sequence[Edge], until_s: float) -> list[Pulse]:
-    """The pulses that pin edges make; one still on at ``until_s`` ends there."""
+    """The pulses of pin edges; a pulse that is on at ``until_s`` ends there."""
     on: dict[int, float] = {}
     pulses = []
     for edge in sorted(edges, key=lambda e: e.time_s):
@@ -34,15 +34,12 @@ def pulses_of(edges: Sequence[Edge], until_s: float) -> list[Pulse]:
 
 
 def violations(robot: Robot, pulses: Sequence[Pulse]) -> list[str]:
-    """Every broken limit, one line each; an empty list when the pins kept all of them.
-
-    Args:
-        robot: whose guard limits count.
-        pulses: every pulse seen on the pins, in any order.
-    """
+    """The violated limits of a robot's guard, one line each, for all pulses at the pins in any order."""
     guard = robot.guard
     found = [
-        f"limb {pulse.limb} on, which the robot has not" for pulse in pulses if pulse.limb >= len(robot.limbs)
+        f"limb {pulse.limb} on, which the robot does not have"
+        for pulse in pulses
+        if pulse.limb >= len(robot.limbs)
     ]
     for limb in range(len(robot.limbs)):
         mine = sorted((p for p in pulses if p.limb == limb), key=lambda pulse: pulse.start_s)
@@ -58,7 +55,7 @@ def violations(robot: Robot, pulses: Sequence[Pulse]) -> list[str]:
             if on_s > guard.duty_max * guard.duty_window_s + _TOLERANCE_S:
                 found.append(f"{name} on for {on_s:.4f} s within {guard.duty_window_s} s")
     for pulse in pulses:
-        # Just after a start is when the most limbs can be on.
+        # The largest number of limbs is on just after a start.
         at_s = pulse.start_s + _TOLERANCE_S
         together = len({p.limb for p in pulses if p.start_s <= at_s < p.end_s})
         if together > guard.limbs_at_once_max:

@@ -1,4 +1,4 @@
-"""The robot's own C core, built for this computer and lived through in simulated time."""
+"""The robot's C core, built for this computer, in simulated time."""
 
 from __future__ import annotations
 
@@ -19,26 +19,26 @@ from frogkick.link.wire import BYTE_S, Edge
 
 _COLD = bytes(4 * 8)  # FK_LIMBS_MAX
 COLD_LIMBS = _COLD + struct.pack("<I", zlib.crc32(_COLD) ^ 0x6472_6147)
-"""RAM that outlives resets (``fk_guard_persistent_t``), of a robot whose limbs are known to be cold."""
+"""RAM that survives resets (``fk_guard_persistent_t``) of a robot that knows that its limbs are cold."""
 WATCHDOG_S = 0.98
-"""From the last feeding to the reset; firmware/bench/watchdog.c."""
+"""Time from the last feeding to the reset; firmware/bench/watchdog.c."""
 JOURNAL_BYTES, PAGE_BYTES, SLOT_BYTES_MIN, SLOTS = 2 * 4096, 4096, 65536, 2
-"""The flash for tables: two pages of journal, then slots of whole pages; fk_store.h."""
-_BOOT_S, _BOOT_S_PER_BYTE = 1e-3, 0.4e-6  # the second for the check of the table
-_BESIDE = 64  # bytes before and behind the core's memory, which nobody may write to
+"""The flash for tables: two pages of journal, then slots of full pages; fk_store.h."""
+_BOOT_S, _BOOT_S_PER_BYTE = 1e-3, 0.4e-6  # the second is for the check of the table
+_BESIDE = 64  # guard bytes before and after the core's memory
 _BESIDE_BYTE = 0xC5
-_CLEARED = 2  # of the core's structures, how many the start-up clears; the others stand in .noinit
+_CLEARED = 2  # number of the core's structures that the start-up clears; the others are in .noinit
 
 
 @dataclass(frozen=True)
 class CoreCall:
-    """One turn of the core, and all that came of it: enough to let another build of it live through the same.
+    """A turn of the core with its results, which another build of the core can repeat.
 
     Attributes:
         now_us: the robot's clock.
-        frame: encoded frame that arrived, b"" without one; a tick follows.
+        frame: encoded frame that arrived, or b""; a tick follows.
         outputs: limb mask, all off, pulse us, next tick us.
-        stream: bytes that the core then sent.
+        stream: bytes that the core sent.
     """
 
     now_us: int
@@ -50,13 +50,13 @@ class CoreCall:
 class NativeRobot:
     """A ``RobotPort`` over a shared library made by ``firmware build --target native``.
 
-    Computing takes no simulated time here; the virtual chip is where it does. The port's clock goes on
-    through resets, the robot's own begins anew with each. Flash outlives all of them; RAM none, but what the
-    start-up leaves alone: that outlives a watchdog's.
+    Computing takes no simulated time, other than on the virtual chip. The port's clock runs through resets,
+    the robot's starts again with each. Flash survives all resets; of the RAM only what the start-up does not
+    clear survives a watchdog's.
 
     Attributes:
-        calls: every turn of the core, where they are to be kept.
-        flash: the bytes of its flash for tables, as they are; may be written to.
+        calls: the turns of the core, if they are kept.
+        flash: bytes of its flash for tables, writable.
     """
 
     def __init__(
@@ -73,9 +73,8 @@ class NativeRobot:
             library: shared library with the core, the planner and a table.
             limbs: number of limbs of the robot.
             keep_calls: fill ``calls``.
-            heat_known: begin as one that kept its RAM and knows that its limbs are cold; False: one whose RAM
-                holds nothing, so that it lets them rest first.
-            flash: what the flash of such a robot held when it was switched off; None: nothing.
+            heat_known: the robot kept its RAM and knows that its limbs are cold; False: it lost its RAM, and
+                lets them rest first.
 
         Raises:
             InputError: the flash is of another size.
@@ -104,8 +103,8 @@ class NativeRobot:
         self._waiting: list[tuple[int, int, bytes]] = []
         self._now_us = 0
         self._next_tick_us = 0
-        self._zero_us = 0  # when the robot's clock was 0, on the port's
-        self._up_us = 0  # the firmware runs from then on
+        self._zero_us = 0  # port time at which the robot's clock was 0
+        self._up_us = 0  # port time from which the firmware runs
         self._lose_ram()
         if heat_known:
             self._ffi.memmove(self._kept, COLD_LIMBS, len(COLD_LIMBS))
@@ -120,7 +119,7 @@ class NativeRobot:
         self.calls: list[CoreCall] = []
 
     def send(self, encoded: bytes, at_s: float) -> None:
-        """Put bytes on the wire; the core's collector cuts them. A frame comes with its last byte."""
+        """Put bytes on the wire; the core's collector splits them. A frame arrives with its last byte."""
         begin_us = max(at_s * 1e6, self._line_free_us)
         for index, byte in enumerate(encoded):
             length = self._core.fk_frame_collect(self._wire, byte)
@@ -132,9 +131,9 @@ class NativeRobot:
         self._line_free_us = begin_us + len(encoded) * BYTE_S * 1e6
 
     def _wait(self, arrival_us: int, order: int, part: bytes) -> None:
-        """Of a frame, what comes while nobody listens is lost; its end alone is a frame too, a bad one."""
-        whole = (arrival_us - self._up_us) / (BYTE_S * 1e6)  # bytes, but for rounding to us
-        heard = min(len(part), int(whole + 0.05) - 1)  # the delimiter is one of them
+        """Queue a frame without the bytes that arrive before the firmware runs; the rest is a bad frame."""
+        count = (arrival_us - self._up_us) / (BYTE_S * 1e6)  # bytes, up to rounding to us
+        heard = min(len(part), int(count + 0.05) - 1)  # without the delimiter
         if heard > 0:
             heapq.heappush(self._waiting, (arrival_us, order, part[len(part) - heard :]))
 
@@ -154,7 +153,7 @@ class NativeRobot:
         self._now_us = max(self._now_us, until_us)
 
     def turn(self, now_us: int, frame: bytes) -> CoreCall:
-        """Let the core take a frame (b"" for none), tick, and send what it has to."""
+        """Give the core a frame (b"": none) and a tick, and take what it sends."""
         if frame:
             self._core.fk_robot_on_frame(self._memory, frame, len(frame), now_us)
         outputs = self._outputs
@@ -162,8 +161,8 @@ class NativeRobot:
         stream = b""
         while count := self._core.fk_robot_take_tx(self._memory, self._buffer, 1024):
             stream += bytes(self._ffi.buffer(self._buffer, count))
-        told = (outputs.limb_mask, outputs.all_off, outputs.pulse_us, outputs.next_tick_us)
-        return CoreCall(now_us, frame, told, stream)
+        values = (outputs.limb_mask, outputs.all_off, outputs.pulse_us, outputs.next_tick_us)
+        return CoreCall(now_us, frame, values, stream)
 
     def _note(self, call: CoreCall) -> None:
         if self._keep_calls:
@@ -181,7 +180,7 @@ class NativeRobot:
             self._sent_back.append((now_s, call.stream))
 
     def _pins_low(self, now_s: float) -> None:
-        """A pulse that was on ends now; its planned end is taken back."""
+        """End the current pulses now, instead of at their planned ends."""
         still_on = {edge.limb for edge in self._edges if not edge.level and edge.time_s > now_s}
         self._edges = [edge for edge in self._edges if edge.level or edge.time_s <= now_s]
         self._edges += [Edge(now_s, limb, False) for limb in sorted(still_on)]
@@ -200,7 +199,7 @@ class NativeRobot:
         return bytes(self.flash)
 
     def edges(self) -> list[Edge]:
-        """Pin edges that have happened since the last call; the ends of pulses under way come later."""
+        """Past pin edges since the last call; the ends of current pulses come later."""
         now_s = self._now_us * 1e-6
         taken = sorted((e for e in self._edges if e.time_s <= now_s), key=lambda edge: edge.time_s)
         self._edges = [edge for edge in self._edges if edge.time_s > now_s]
@@ -208,7 +207,7 @@ class NativeRobot:
 
     @property
     def up_s(self) -> float:
-        """When the firmware runs, or has run since: the port's time."""
+        """Port time from which the firmware runs."""
         return self._up_us * 1e-6
 
     @property
@@ -217,13 +216,13 @@ class NativeRobot:
         return self._now_us * 1e-6
 
     def cut_power(self, off_s: float, idle_s: float = 0.0) -> None:
-        """Take the supply away now, and give it back.
+        """Switch the supply off now, and on again.
 
         Args:
-            off_s: how long it is away.
-            idle_s: what the robot's clock shows when it is to be talked to again: as if it had lain idle that
-                long meanwhile, which takes none of the port's time. Its limbs are cold then: let ``off_s``
-                be longer than their duty's window. Without it the robot lets them rest first.
+            off_s: time without supply.
+            idle_s: the robot's clock afterwards, as if it had been idle so long, without the port's time. Its
+                limbs count as cold then, so ``off_s`` must be longer than their duty's window. With 0 the
+                robot lets them rest first.
         """
         self._pins_low(self._now_us * 1e-6)
         self._lose_ram()
@@ -231,7 +230,7 @@ class NativeRobot:
         self._boot("POWER", round(idle_s * 1e6))
 
     def hang(self) -> None:
-        """Let the firmware hang from now on, until its watchdog resets it. Pulses end by their timer."""
+        """Hang the firmware until its watchdog resets it. Pulses end by their timer."""
         self._up_us = self._now_us + round((WATCHDOG_S + self._boot_s) * 1e6)
         self._boot("WATCHDOG")
 
@@ -240,7 +239,7 @@ class NativeRobot:
         return _BOOT_S + _BOOT_S_PER_BYTE * self._built_in[1]
 
     def _ram(self, kind: str) -> Any:
-        """Memory for a structure of the core, on 8 bytes, with bytes on both sides that are not its own."""
+        """Aligned memory for a structure of the core, with guard bytes on both sides."""
         size = self._ffi.sizeof(kind)
         words = self._ffi.new("uint64_t[]", (size + 7) // 8 + 2 * _BESIDE // 8)
         self._ffi.memmove(words, bytes([_BESIDE_BYTE]) * self._ffi.sizeof(words), self._ffi.sizeof(words))
@@ -248,7 +247,7 @@ class NativeRobot:
         return self._ffi.cast(f"{kind} *", words + _BESIDE // 8)
 
     def ram_bytes(self) -> int:
-        """Bytes of RAM that the core's structures take: always the same.
+        """RAM of the core's structures, bytes.
 
         Raises:
             FrogkickError: the core has written beside one of them.
@@ -261,12 +260,12 @@ class NativeRobot:
         return sum(size for _, size in self._blocks)
 
     def _lose_ram(self) -> None:
-        """What RAM that no start-up clears holds after a time without supply: something."""
+        """Fill the RAM that no start-up clears, as a time without supply does."""
         for words, size in self._blocks[_CLEARED:]:
             self._ffi.memmove(words + _BESIDE // 8, b"\xa5" * size, size)
 
     def _boot(self, reset: str, idle_us: int = 0) -> None:
-        """What firmware/bench/main.c does before its loop."""
+        """Start as firmware/bench/main.c does before its loop."""
         core, (image, image_bytes) = self._core, self._built_in
         for words, size in self._blocks[:_CLEARED]:
             self._ffi.memmove(words + _BESIDE // 8, bytes(size), size)

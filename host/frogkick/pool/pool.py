@@ -1,4 +1,4 @@
-"""The simulated pool: the DER swimmer and a camera over it, in one time."""
+"""The simulated pool: the DER swimmer and a camera over it."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from frogkick.robot import Robot
 
 @dataclass
 class Truth:
-    """What really happened, a row for each camera picture; never shown to a planner.
+    """True motion, a row for each camera picture, which no planner sees.
 
     Attributes:
         time_s: pool time of each row.
@@ -32,10 +32,7 @@ class Truth:
 
 
 class Pool:
-    """A swimmer whose limbs obey pulses, seen by a camera.
-
-    The physics is the rod simulation itself, not the table that the planner looks into.
-    """
+    """A swimmer that is actuated by pulses and seen by a camera. The physics is the rod simulation."""
 
     def __init__(
         self,
@@ -45,14 +42,14 @@ class Pool:
         rng: np.random.Generator,
         world: World = World(),  # noqa: B008 - frozen
     ) -> None:
-        """Put a robot at rest into the water.
+        """Start with a robot at rest.
 
         Args:
-            robot: the swimmer as the model has it.
+            robot: the swimmer without the effects of ``world``.
             pose_world: x_m, y_m, heading_rad of its start.
             camera: rate, delay and noise of the fixes.
-            rng: source of the noise; random effects get streams of their own.
-            world: what is true here besides: effects on the robot, the water and the camera.
+            rng: for the noise; random effects get streams of their own.
+            world: effects on the robot, the water and the camera.
 
         Raises:
             InputError: an effect that does not fit the robot.
@@ -76,7 +73,7 @@ class Pool:
 
     @property
     def next_event_s(self) -> float:
-        """When the next picture is taken or the next fix arrives."""
+        """Time of the next picture or the next arrival of a fix."""
         arrival_s = self._waiting[0][0] if self._waiting else np.inf
         return float(min(self._next_capture_s, arrival_s))
 
@@ -85,7 +82,7 @@ class Pool:
         return (self._captured + 1) / self.camera.rate_hz
 
     def state(self) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-        """What is true now, never shown to a planner: pose (3,) in the world, velocity (3,) in the body."""
+        """True pose (3,) in the world and velocity (3,) in the body frame, which no planner sees."""
         return self._swimmer.pose_world(), self._swimmer.velocity_body()
 
     def put(self, pose_world: tuple[float, float, float]) -> None:
@@ -93,17 +90,14 @@ class Pool:
         self._swimmer = Swimmer(self._true_robot, pose_world=pose_world, time_s=self.time_s)
 
     def actuate(self, limb: int, start_s: float) -> None:
-        """Actuate a limb from a pool time on, not before ``time_s``.
-
-        The limb answers with its measured stroke, which belongs to the nominal pulse length.
-        """
+        """Start a limb's measured stroke, of the nominal pulse, at a pool time not before ``time_s``."""
         self._acting.fire(self._swimmer, limb, start_s)
 
     def advance(self, until_s: float) -> list[Fix]:
-        """Swim until a pool time; return the fixes that arrived by then, in order of arrival.
+        """Advance to a pool time; return the fixes that arrived, in order of arrival.
 
         Raises:
-            ConvergenceError: the rod simulation failed; its text holds the state.
+            ConvergenceError: the rod simulation failed.
         """
         while self.next_event_s <= until_s:
             event_s = self.next_event_s
@@ -116,7 +110,7 @@ class Pool:
         return arrived
 
     def _swim(self, until_s: float) -> None:
-        # A picture and a decision at one time differ by rounding; rods cannot take a step of 1e-15 s.
+        # Times of a picture and a decision may differ by rounding; rods cannot take a step of 1e-15 s.
         if until_s - self._swimmer.time_s > 1e-9:
             self._acting.advance(self._swimmer, until_s)
 
@@ -128,12 +122,12 @@ class Pool:
         self.truth.velocity_body.append(np.array(self._swimmer.velocity_body(), dtype=np.float64))
         fix = self._seen(measure(self.camera, self._captured, self._next_capture_s, pose, self._rng))
         self._captured += 1
-        for one in deliver(self.camera, fix, self._rng) if fix is not None else ():
+        for arriving in deliver(self.camera, fix, self._rng) if fix is not None else ():
             self._sent += 1
-            heapq.heappush(self._waiting, (one.arrival_s, self._sent, one))
+            heapq.heappush(self._waiting, (arriving.arrival_s, self._sent, arriving))
 
     def _seen(self, fix: Fix) -> Fix | None:
-        """A fix as this world's effects have it; None where it is lost."""
+        """A fix after the effects of the world; None if it is lost."""
         if not self._acting.effects:
             return fix
         seen = self._acting.fix(replace(fix))

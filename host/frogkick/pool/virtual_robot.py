@@ -1,4 +1,4 @@
-"""The bench firmware on the virtual chip, as a robot to talk to."""
+"""The bench firmware on the virtual chip as a ``RobotPort``."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ LIMB_PINS = (22, 23, 24, 25, 28, 29, 30, 31)
 
 
 class VirtualRobot:
-    """A ``RobotPort``: real firmware, real UARTE frames, limbs seen at the pins.
+    """A ``RobotPort`` with real firmware, UARTE frames, and limbs seen at the pins.
 
     Attributes:
-        chip: the virtual chip itself, for measurements.
+        chip: the virtual chip, for measurements.
     """
 
     def __init__(self, elf: Path, limbs: int, flash: bytes | None = None, heat_known: bool = True) -> None:
@@ -27,9 +27,9 @@ class VirtualRobot:
         Args:
             elf: image of the target "bench".
             limbs: number of limbs of the robot.
-            flash: what the flash of such a robot held when it was switched off; None: as the image has it.
-            heat_known: begin as one that kept its RAM and knows that its limbs are cold; False: one whose RAM
-                holds nothing, so that it lets them rest first.
+            flash: content of the flash when such a robot was switched off; None: that of the image.
+            heat_known: the robot kept its RAM and knows that its limbs are cold; False: it lost its RAM, and
+                lets them rest first.
 
         Raises:
             InputError: not such an image, or more limbs than the board has pins.
@@ -46,15 +46,15 @@ class VirtualRobot:
 
     def send(self, encoded: bytes, at_s: float) -> None:
         """Put bytes on the UART's wire."""
-        # The chip may be a part of an instruction ahead of the time it was told.
+        # The chip may be a part of an instruction ahead of its target time.
         self.chip.send(encoded, max(at_s * 1e6, self.chip.time_us))
 
     def advance(self, until_s: float) -> None:
-        """Let the chip live until a time."""
+        """Advance the chip to a time."""
         self.chip.run_until(until_s * 1e6)
 
     def frames(self) -> list[tuple[float, Frame]]:
-        """Frames whose last byte has come since the last call."""
+        """Frames since the last call, with the arrival times of their last bytes."""
         return [(at_s, frame) for at_s, data in self.received() for frame in self._collector.feed(data)]
 
     def received(self) -> list[tuple[float, bytes]]:

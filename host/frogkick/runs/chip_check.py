@@ -9,9 +9,8 @@ from pathlib import Path
 from frogkick.link.frames import pack_frame
 from frogkick.link.layout import Value, link_layout
 from frogkick.paths import shape
-from frogkick.pool.chip.image import load_image
+from frogkick.pool.chip.image import load_image, unwanted
 from frogkick.pool.chip.stack import StackAnalysis
-from frogkick.pool.chip.symbols import unwanted
 from frogkick.pool.monitor import Pulse, pulses_of, violations
 from frogkick.pool.virtual_robot import VirtualRobot
 from frogkick.robot import Robot

@@ -1,4 +1,4 @@
-"""How a table's values become bits and come back: residuals in a bit stream, predictions, corrections."""
+"""Coding of a table's values: residuals in a bit stream, and predictions."""
 
 from __future__ import annotations
 
@@ -6,14 +6,13 @@ import numpy as np
 import numpy.typing as npt
 
 Int64 = npt.NDArray[np.int64]
-UInt8 = npt.NDArray[np.uint8]
 
 ONE = 16384
-"""What a state's codes are fractions of in a prediction."""
+"""Denominator of a state's codes in a prediction."""
 
 
 def bits_for(largest: Int64) -> Int64:
-    """Bits that hold 0 to each of some numbers."""
+    """Number of bits for 0 up to each number."""
     return np.array([int(value).bit_length() for value in largest.ravel()], dtype=np.int64).reshape(
         largest.shape
     )
@@ -40,7 +39,7 @@ def put_residuals(residuals: Int64, bits: Int64) -> bytes:
 
 
 def take_residuals(section: bytes, rows: int, row_bytes: int, bits: Int64) -> Int64:
-    """Read what put_residuals wrote: (rows, c); ``section`` has 3 more bytes at least."""
+    """Inverse of put_residuals: (rows, c); ``section`` has at least 3 more bytes."""
     padded = np.zeros((rows, row_bytes + 4), dtype=np.uint8)
     padded[:, :row_bytes] = np.frombuffer(section, np.uint8, rows * row_bytes).reshape(rows, row_bytes)
     found = np.empty((rows, len(bits)), dtype=np.int64)
@@ -53,7 +52,7 @@ def take_residuals(section: bytes, rows: int, row_bytes: int, bits: Int64) -> In
 
 
 def products(codes: npt.NDArray[np.int16], up: Int64) -> Int64:
-    """(n, 10) what the coefficients of a prediction are multiplied with, for (n, 3) state codes."""
+    """(n, 10) factors of a prediction's coefficients, for (n, 3) state codes."""
     u = codes.astype(np.int64) << up
     first, second = np.triu_indices(3)
     squares = (u[:, first] * u[:, second]) >> 14
@@ -61,7 +60,7 @@ def products(codes: npt.NDArray[np.int16], up: Int64) -> Int64:
 
 
 def predictions(factors: Int64, coefficients: Int64, shift: Int64) -> Int64:
-    """Values that a block's coefficients predict, before any residual.
+    """Predicted values of a block, without residuals.
 
     Args:
         factors: (n, 10) of products().

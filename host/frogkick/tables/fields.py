@@ -1,4 +1,4 @@
-"""Checks of a table image's plain fields, for reading and for packing."""
+"""Checks of a table image's fields, for reading and for packing."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ AGAIN = "make it again with 'frogkick tables build'"
 
 
 class TableError(InputError):
-    """A table image that cannot be used, or transitions that fit no table image."""
+    """A table image that cannot be used, or transitions that do not fit into one."""
 
 
 @dataclass(frozen=True)
 class ActionRow:
-    """One action: two groups of limbs, the second ``second_delay_us`` after the first.
+    """An action: two groups of limbs, the second ``second_delay_us`` after the first.
 
-    ``name`` is one printable ASCII character, or where the robot is known its own name for it; bit i of a
-    mask is limb i, 0 = no limb.
+    ``name`` is a printable ASCII character, or the robot's name of the action if the robot is known; bit i of
+    a mask is limb i.
     """
 
     name: str
@@ -32,20 +32,20 @@ class ActionRow:
 
 
 def require(good: bool, text: str) -> None:
-    """Raise TableError with the text unless it is good."""
+    """Raise TableError with a text unless a condition holds."""
     if not good:
         raise TableError(text)
 
 
 def require_counts(states: int, actions: int, limbs: int, remedy: str) -> None:
-    """Refuse counts that no image has."""
+    """Raise TableError for counts out of their limits."""
     require(1 <= states <= layout.STATES_MAX, f"{states} states, allowed are 1 to 65535: {remedy}")
     require(1 <= actions <= layout.ACTIONS_MAX, f"{actions} actions, allowed are 1 to 32: {remedy}")
     require(1 <= limbs <= layout.LIMBS_MAX, f"{limbs} limbs, allowed are 1 to 8: {remedy}")
 
 
 def robot_id_of(field: bytes) -> str:
-    """Return the robot's id from its NUL-padded field."""
+    """The robot's id from its NUL-padded field."""
     text = field.rstrip(b"\0")
     good = len(field) == layout.ROBOT_ID_BYTES and 1 <= len(text) < layout.ROBOT_ID_BYTES
     require(
@@ -56,7 +56,7 @@ def robot_id_of(field: bytes) -> str:
 
 
 def require_times(period_us: int, pulse_us: int, second_delay_us: int) -> None:
-    """Refuse a pulse or a delay that is not shorter than the period."""
+    """Raise TableError unless pulse and delay are shorter than the period."""
     good = 1 <= pulse_us < period_us < 2**32 and 0 <= second_delay_us < period_us
     require(
         good,
@@ -66,7 +66,7 @@ def require_times(period_us: int, pulse_us: int, second_delay_us: int) -> None:
 
 
 def action_bytes(row: tuple[str, int, int]) -> bytes:
-    """One action of the actions' section."""
+    """An action in the actions' section."""
     name, first, second = row
     good = len(name) == 1 and name.isascii() and 0 <= first <= 255 and 0 <= second <= 255
     require(good, f"action {row!r} is not one ASCII character and two masks of 0 to 255: check the robot")
@@ -74,7 +74,7 @@ def action_bytes(row: tuple[str, int, int]) -> bytes:
 
 
 def action_rows_of(section: bytes, limbs: int) -> tuple[ActionRow, ...]:
-    """Check the actions' section and return its rows."""
+    """The checked rows of the actions' section."""
     rows: list[ActionRow] = []
     for index in range(0, len(section), 4):
         name, first, second, zero = section[index : index + 4]
@@ -90,7 +90,7 @@ def action_rows_of(section: bytes, limbs: int) -> tuple[ActionRow, ...]:
 
 
 def require_codes(what: str, codes: npt.NDArray[np.int16], limit: int | Sequence[int]) -> None:
-    """Refuse codes beyond +-limit, one for all or one for each of the last axis."""
+    """Raise TableError for codes beyond +-limit, one for all or one for each entry of the last axis."""
     bad = np.abs(codes.astype(np.int32)) > np.asarray(limit)
     if bad.any():
         where = tuple(int(i) for i in np.argwhere(bad)[0])

@@ -1,4 +1,4 @@
-"""The header of a table image and where it puts things: read and checked."""
+"""Reads and checks a table image's header, sections and columns."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Int64 = npt.NDArray[np.int64]
 
 
 class Header(NamedTuple):
-    """The header's fields, in its order; arrays as tuples."""
+    """The header's fields in order; arrays as tuples."""
 
     kind: int
     robot: bytes
@@ -43,7 +43,7 @@ class Header(NamedTuple):
 
 
 def identified(image: bytes) -> Header:
-    """The header of an image of this version, of a known kind, whole and undamaged."""
+    """The header of a complete and undamaged image of this version and of a known kind."""
     size = len(image)
     require(
         size >= 4 and image[:4] == layout.MAGIC,
@@ -85,7 +85,7 @@ def identified(image: bytes) -> Header:
 
 
 def laid_out(head: Header) -> layout.Sections:
-    """Where the sections must be, if that is where the header says they are."""
+    """The sections' offsets by the counts, which must be those in the header."""
     for what, levels, most in (
         ("tree", head.tree_levels, layout.TREE_LEVELS_MAX),
         ("block", head.block_levels, layout.BLOCK_LEVELS_MAX if head.kind == layout.KIND_NEAREST else 0),
@@ -106,7 +106,7 @@ def laid_out(head: Header) -> layout.Sections:
 
 
 def require_numbers(head: Header) -> None:
-    """Refuse a number of the header that is out of its range."""
+    """Raise TableError for a number of the header out of its range."""
     affine = head.kind == layout.KIND_AFFINE
     for index, scale in enumerate(head.velocity_scale + head.motion_scale):
         what = ("velocity_scale", "motion_scale")[index // 3]
@@ -132,7 +132,7 @@ def require_numbers(head: Header) -> None:
 
 
 class Columns(NamedTuple):
-    """The columns: bits (a * c,) of a row; kind affine: least (a, 6, 4), history (a, 6, l)."""
+    """Columns: bits (a * c,) of a row; kind affine: least (a, 6, 4), history (a, 6, l)."""
 
     bits: Int64
     least: Int64

@@ -1,4 +1,4 @@
-"""Table images (``.fkt``): check and open. The layout stands in ``layout.py``; ``packing.py`` makes them."""
+"""Checks and opens table images (``.fkt``); ``layout.py`` describes them, ``packing.py`` makes them."""
 
 from __future__ import annotations
 
@@ -37,12 +37,12 @@ Int64 = npt.NDArray[np.int64]
 
 @dataclass(frozen=True, eq=False)
 class Tables:
-    """An opened, wholly checked table image. All arrays are read-only.
+    """A checked and decoded table image. All arrays are read-only.
 
     Attributes:
-        image: the bytes themselves.
+        image: the bytes.
         kind: "nearest" or "affine".
-        robot_id: the robot that the table is for.
+        robot_id: of the table's robot.
         provenance: 32 bytes, SHA-256 of the library's content.
         period_us, pulse_us, second_delay_us: integer microseconds.
         limbs: number of limbs, 1 to 8.
@@ -52,15 +52,15 @@ class Tables:
         motion_limit: (3,) largest |motion code| that a look-up gives.
         states: (n, 3) int16 velocity codes in k-d order.
         transitions: (n, a, 6) int32, decoded: three motion codes, three velocity codes at the action's end;
-            kind affine: before any correction and not yet clamped.
+            kind affine: without correction and not clamped.
         derivatives: kind affine: (n, a, 6, 3) int32 codes per code, times 2**correction_shift; else (0, ...).
         correction_shift: (6,) of the values.
-        offset_limit: (3,) largest |query - state| in codes that the derivatives see.
+        offset_limit: (3,) largest |query - state| of the correction, codes.
         history: (a, l, 6) int32 codes that a fully used limb adds; kind nearest: zeros.
-        use_decay, use_gain: 1/32768: what is left of a limb's use a period later; what firing adds.
-        residual_codes: (6,) codes per unit of a residual: values are rounded to half of it.
-        sections: where the image's sections stand.
-        block_levels: 2**block_levels blocks of rows have predictions of their own (kind nearest).
+        use_decay, use_gain: 1/32768: part of a limb's use that remains a period later; what firing adds.
+        residual_codes: (6,) codes per unit of a residual; values are rounded to half of it.
+        sections: offsets of the image's sections.
+        block_levels: 2**block_levels blocks of rows with separate predictions (kind nearest).
     """
 
     image: bytes
@@ -89,31 +89,27 @@ class Tables:
 
     @property
     def crc32(self) -> int:
-        """CRC-32 of the image, as its header and the robot's HELLO have it."""
+        """CRC-32 of the image, as in its header and in the robot's HELLO."""
         return zlib.crc32(self.image[16:])
 
     @property
     def stroke_max_m(self) -> np.float32:
-        """No look-up moves the robot further than this; float32, as fk_tables_t has it."""
+        """Largest motion of a look-up, m, float32 as in fk_tables_t."""
         forward, left = self.motion_limit[:2].astype(np.float32) * self.motion_scale[:2]
         return np.float32(np.sqrt(forward * forward + left * left))
 
     @property
     def turn_max_rad(self) -> np.float32:
-        """No look-up turns the robot further than this; float32, as fk_tables_t has it."""
+        """Largest turn of a look-up, rad, float32 as in fk_tables_t."""
         return np.float32(np.float32(self.motion_limit[2]) * self.motion_scale[2])
 
     def called(self, names: Sequence[str]) -> Tables:
-        """The same table, its actions by the robot's own names, which the image has no room for."""
+        """The table with the robot's names of the actions, which may be longer than the image's."""
         rows = [replace(row, name=name) for row, name in zip(self.actions, names, strict=True)]
         return replace(self, actions=tuple(rows))
 
     def require_robot(self, robot_id: str) -> None:
-        """Refuse a table that was made for another robot.
-
-        Raises:
-            TableError: ``robot_id`` is not the table's; the text names both.
-        """
+        """Raise TableError unless the table is for a robot."""
         if robot_id != self.robot_id:
             raise TableError(
                 f"table image is for robot {self.robot_id!r}, this robot is {robot_id!r}: "
@@ -126,7 +122,7 @@ def read_image(path: Path | str) -> Tables:
 
     Raises:
         InputError: no such file, or an empty one.
-        TableError: the file is not a usable table image; the text names the file.
+        TableError: not a usable table image.
     """
     file = existing_file(path, "table image")
     try:
@@ -140,13 +136,10 @@ def read_image(path: Path | str) -> Tables:
 
 
 def open_image(image: bytes) -> Tables:
-    """Check every part of a table image and decode it.
-
-    Args:
-        image: the whole image, nothing before or after it.
+    """Check and decode a table image.
 
     Raises:
-        TableError: one clear line on the first thing that is wrong.
+        TableError: the first error in the image.
     """
     head = identified(image)
     kind = head.kind
@@ -224,7 +217,7 @@ def open_image(image: bytes) -> Tables:
 
 
 def _require_affine(columns: Columns) -> None:
-    """Refuse derivatives and history whose sums could overflow."""
+    """Raise TableError for derivatives and history whose sums could overflow."""
     top = columns.least + (1 << np.array(layout.AFFINE_BITS)) - 1
     good = (
         int(columns.least.min()) >= -32767

@@ -26,12 +26,12 @@ Int16 = npt.NDArray[np.int16]
 Int64 = npt.NDArray[np.int64]
 
 _NONE = np.zeros(3, dtype=np.int64)
-_DERIVATIVE_MAX = 32000.0  # so that the least and any residual of its 7 bits stay within 16 bits
-_DERIVATIVE_SPREAD = 126.0  # rounding adds one at most
+_DERIVATIVE_MAX = 32000.0  # the least and any residual of 7 bits stay within 16 bits
+_DERIVATIVE_SPREAD = 126.0  # rounding adds at most one
 _VALUE_SPREAD = 2046.0
 _REACH_MAX = 980.0  # m, rad: within the coarsest scale's codes
-_MARGIN = 0.03  # of the largest motion on that grid: between its points there are larger ones
-_GRID = 17  # lines of each axis on which the furthest offset is looked for
+_MARGIN = 0.03  # of the largest motion on the grid, for larger ones between its points
+_GRID = 17  # lines of each axis of the grid
 
 
 def pack_nearest(
@@ -51,16 +51,16 @@ def pack_nearest(
         velocities: (n, 3) body-frame initial velocities (forward m/s, left m/s, rad/s).
         displacements: (n, a, 3) motion over one period (m, m, rad), body frame at its start.
         velocities_end: (n, a, 3) body-frame velocities at the end of the period.
-        error_max: largest rounding of a stored value: position m, heading rad, velocity m/s, turn rate
-            rad/s. Initial velocities are rounded to their codes, end velocities to half a code at best, and
-            motions to 1/32767 of the largest.
+        error_max: largest rounding error of a stored value: position m, heading rad, velocity m/s, turn rate
+            rad/s. Initial velocities are rounded to codes, end velocities at best to half a code, motions at
+            best to 1/32767 of the largest.
 
     Returns:
         The image; the same input gives the same bytes.
 
     Raises:
-        TableError: wrong shapes or counts, or a value that is not finite or out of range: the text names
-            its row (of the input) and column.
+        TableError: wrong shapes or counts, or a value that is not finite or out of range, with its row of the
+            input and its column.
     """
     start = np.asarray(velocities, dtype=np.float64)
     motion = np.asarray(displacements, dtype=np.float64)
@@ -196,32 +196,32 @@ def pack_affine(
 
 
 def _derivatives(ratio: Float64, offset: int, unit: Int64) -> tuple[Int64, Int64]:
-    """Derivatives as codes per code (n, a, 6, 3), and the shift (6,) that they are multiplied by.
+    """Shift (6,), and derivatives (n, a, 6, 3) as codes per code times 2**shift.
 
-    The least shift at which the rounding of a derivative, times the offset, is below half a unit; less where
-    the derivatives of one action's value would span more than 7 bits or exceed 16.
+    It is the smallest shift at which the rounding of a derivative, times the offset, is below half a unit, or
+    a smaller one if the derivatives of an action's value would span more than 7 bits or exceed 16.
     """
     shift = np.empty(6, dtype=np.int64)
     largest = np.abs(ratio).max(axis=(0, 1, 3))
     spread = np.ptp(ratio, axis=0).max(axis=(0, 2))
     for value in range(6):
-        one = max(int(np.ceil(np.log2(max(offset, 1) / float(unit[value])))), 0)
-        one = min(one, layout.CORRECTION_SHIFT_MAX)
-        while one > 0 and (
-            largest[value] * 2.0**one > _DERIVATIVE_MAX or spread[value] * 2.0**one > _DERIVATIVE_SPREAD
+        bits = max(int(np.ceil(np.log2(max(offset, 1) / float(unit[value])))), 0)
+        bits = min(bits, layout.CORRECTION_SHIFT_MAX)
+        while bits > 0 and (
+            largest[value] * 2.0**bits > _DERIVATIVE_MAX or spread[value] * 2.0**bits > _DERIVATIVE_SPREAD
         ):
-            one -= 1
+            bits -= 1
         require(
-            largest[value] <= _DERIVATIVE_MAX and spread[value] * 2.0**one <= _DERIVATIVE_SPREAD,
+            largest[value] <= _DERIVATIVE_MAX and spread[value] * 2.0**bits <= _DERIVATIVE_SPREAD,
             f"jacobian's value {value} spans {spread[value]:.4g} codes per code, at most "
             f"{_DERIVATIVE_SPREAD:.0f} is allowed: check the fit",
         )
-        shift[value] = one
+        shift[value] = bits
     return shift, np.floor(ratio * 2.0 ** shift[:, None] + 0.5).astype(np.int64)
 
 
 def _limit_codes(offset_limit: Sequence[float], velocity_scale: Float64) -> Int64:
-    """The offset limit that a caller wants, (3,) codes."""
+    """A caller's offset limit, (3,) codes."""
     furthest = np.asarray(offset_limit, dtype=np.float64)
     require(
         furthest.shape == (3,) and bool(np.all(furthest >= 0.0)),
@@ -231,16 +231,16 @@ def _limit_codes(offset_limit: Sequence[float], velocity_scale: Float64) -> Int6
 
 
 def _reach(base: Float64, slopes: Float64, history: Float64, row: Int64, offsets: Float64) -> Float64:
-    """(3,) m, m, rad: the largest motion of states and of queries, with limbs as much used as can be.
+    """(3,) m, m, rad: the largest motion of states and of queries with fully used limbs.
 
-    The queries are so far, (g, 3), from their nearest states, (g,).
+    The queries are at offsets (g, 3) from their nearest states, of rows (g,).
     """
     largest = np.abs(base[..., :3]).max(axis=(0, 1))
     for some in np.array_split(np.arange(len(row)), max(1, len(row) // 1000)):
-        met = base[row[some], :, :3]
-        for axis in range(3):  # one by one: no library's order of sums
-            met = met + slopes[row[some], :, :3, axis] * offsets[some, None, None, axis]
-        largest = np.maximum(largest, np.abs(met).max(axis=(0, 1)))
+        motion = base[row[some], :, :3]
+        for axis in range(3):  # in a fixed order of sums
+            motion = motion + slopes[row[some], :, :3, axis] * offsets[some, None, None, axis]
+        largest = np.maximum(largest, np.abs(motion).max(axis=(0, 1)))
     used = np.zeros((len(history), 3))
     for limb in range(history.shape[1]):
         used += np.abs(history[:, limb, :3])
@@ -261,14 +261,14 @@ def _grid_in_box(codes: Int16, box: npt.NDArray[Any]) -> tuple[Int64, Int64]:
 
 
 def _history(codes: Float64) -> Int64:
-    """History as whole codes (a, l, 6)."""
-    whole = np.floor(np.clip(codes, -1e9, 1e9) + 0.5).astype(np.int64)
-    sums = np.abs(whole).sum(axis=1)
+    """History as integer codes (a, l, 6)."""
+    rounded = np.floor(np.clip(codes, -1e9, 1e9) + 0.5).astype(np.int64)
+    sums = np.abs(rounded).sum(axis=1)
     require(
-        int(np.abs(whole).max()) <= 32767 and int(sums.max()) <= layout.HISTORY_SUM_MAX,
+        int(np.abs(rounded).max()) <= 32767 and int(sums.max()) <= layout.HISTORY_SUM_MAX,
         "history holds a value beyond 32767 codes: check the fit",
     )
-    return whole
+    return rounded
 
 
 def _fraction(name: str, value: float) -> int:

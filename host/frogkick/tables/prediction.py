@@ -1,7 +1,7 @@
-"""Predict a table's values from its states' codes, so that few bits are left to store.
+"""Predicts a table's values from its states' codes, so that the residuals need few bits.
 
-All numbers that end in an image come from integer sums and from single float64 operations in a fixed
-order: another processor or another linear algebra library makes the same image.
+All numbers in an image come from integer sums and single float64 operations in a fixed order, so that every
+processor and linear algebra library makes the same image.
 """
 
 from __future__ import annotations
@@ -19,12 +19,12 @@ Float64 = npt.NDArray[np.float64]
 Int64 = npt.NDArray[np.int64]
 
 _RIDGE = 1e-11
-"""Relative to the diagonal: keeps blocks with fewer rows than coefficients solvable."""
+"""Ridge penalty relative to the diagonal, for blocks with fewer rows than coefficients."""
 
 
 @dataclass(frozen=True, eq=False)
 class Prediction:
-    """Blocks of rows, their coefficients, and what is left.
+    """Coefficients of blocks of rows, and residuals.
 
     Attributes:
         levels: 2**levels blocks.
@@ -32,7 +32,7 @@ class Prediction:
         shift: (c,) of each value.
         coefficients: (2**levels, c, 10).
         residuals: (n, c) unsigned units.
-        decoded: (n, c) codes that a reader gets before clamping.
+        decoded: (n, c) codes that a reader gets, not clamped.
     """
 
     levels: int
@@ -49,7 +49,7 @@ class Prediction:
 
 
 def best_prediction(codes: npt.NDArray[np.int16], wanted: Float64, unit: Int64) -> Prediction:
-    """Choose the number of blocks that makes the fewest bytes.
+    """The prediction with the number of blocks that needs the fewest bytes.
 
     Args:
         codes: (n, 3) states in k-d order.
@@ -57,7 +57,7 @@ def best_prediction(codes: npt.NDArray[np.int16], wanted: Float64, unit: Int64) 
         unit: (c,) codes per unit of a residual.
     """
     largest = np.maximum(np.abs(codes.astype(np.int64)).max(axis=0), 1)
-    up = np.array([14 - int(one).bit_length() for one in largest], dtype=np.int64)
+    up = np.array([14 - int(code).bit_length() for code in largest], dtype=np.int64)
     factors = coding.products(codes, up)
     best = _constant(factors, wanted, unit, up)
     for levels in range(layout.BLOCK_LEVELS_MAX + 1):
@@ -70,31 +70,31 @@ def best_prediction(codes: npt.NDArray[np.int16], wanted: Float64, unit: Int64) 
 
 
 def _constant(factors: Int64, wanted: Float64, unit: Int64, up: Int64) -> Prediction:
-    """No prediction but the least of each value: always possible."""
+    """Constant prediction by the least of each value, which is always possible."""
     shift = np.full(wanted.shape[1], layout.PREDICTION_SHIFTS[0], dtype=np.int64)
     coefficients = np.zeros((1, wanted.shape[1], layout.COEFFICIENTS), dtype=np.int64)
     coefficients[0, :, 0] = np.maximum(np.floor(wanted.min(axis=0)), -32767)
-    return _left_over(factors, wanted, unit, up, shift, coefficients)
+    return _with_residuals(factors, wanted, unit, up, shift, coefficients)
 
 
 def _fitted(factors: Int64, wanted: Float64, unit: Int64, up: Int64, levels: int) -> Prediction | None:
-    """A quadratic for each block; None where its numbers leave their range."""
+    """A quadratic for each block; None if a number leaves its range."""
     first = layout.first_rows(len(factors), levels)
-    whole = np.floor(wanted + 0.5).astype(np.int64)
+    rounded = np.floor(wanted + 0.5).astype(np.int64)
     # Blocks, 10, c: codes.
-    solved = np.stack([_least_squares(factors[a:b], whole[a:b]) for a, b in itertools.pairwise(first)])
+    solved = np.stack([_least_squares(factors[a:b], rounded[a:b]) for a, b in itertools.pairwise(first)])
     shift = _shift(solved)
     if shift is None:
         return None
     coefficients = np.floor(solved * 2.0 ** (shift - 14) + 0.5).astype(np.int64).transpose(0, 2, 1)
-    found = _left_over(factors, wanted, unit, up, shift, coefficients)
+    found = _with_residuals(factors, wanted, unit, up, shift, coefficients)
     sums = np.abs(found.coefficients).sum(axis=2)
     fits = int(np.abs(found.coefficients).max()) <= 32767 and int(sums.max()) <= layout.COEFFICIENT_SUM_MAX
     return found if fits and int(found.residuals.max()) < 2**layout.BITS_MAX else None
 
 
 def _shift(solved: Float64) -> Int64 | None:
-    """(c,) the largest shift at which the coefficients fit with room for the residuals' least."""
+    """(c,) the largest shift at which the coefficients stay in range with the residuals' least added."""
     largest = np.abs(solved).max(axis=(0, 1)).reshape(-1, 6).max(axis=0)
     sums = np.abs(solved).sum(axis=1).max(axis=0).reshape(-1, 6).max(axis=0)
     low, high = layout.PREDICTION_SHIFTS
@@ -111,10 +111,10 @@ def _shift(solved: Float64) -> Int64 | None:
     return np.tile(np.array(for_value, dtype=np.int64), solved.shape[2] // 6)
 
 
-def _left_over(
+def _with_residuals(
     factors: Int64, wanted: Float64, unit: Int64, up: Int64, shift: Int64, coefficients: Int64
 ) -> Prediction:
-    """Residuals of a prediction, their least moved into its first coefficient."""
+    """A prediction with its residuals, whose least is added to the first coefficient."""
     levels = len(coefficients).bit_length() - 1
     first = layout.first_rows(len(factors), levels)
     moved = coefficients.copy()

@@ -5,8 +5,8 @@ from frogkick.core.extras import require
 # Whatever is imported of this folder comes by here: what it lacks is one line, not a traceback.
 require("the virtual chip", "unicorn", "capstone", "elftools", "ziglang")
 
+from frogkick.pool.chip.bus import ChipError  # noqa: E402
 from frogkick.pool.chip.chip import VirtualChip  # noqa: E402
 from frogkick.pool.chip.cost import CostModel  # noqa: E402
-from frogkick.pool.chip.errors import ChipError  # noqa: E402
 
 __all__ = ["ChipError", "CostModel", "VirtualChip"]

@@ -1,17 +1,59 @@
-"""What all peripherals have in common: registers, tasks, events, interrupt lines."""
+"""Virtual time, and the common part of peripherals: registers, tasks, events, interrupt lines."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import ClassVar, Final, Protocol
 
-from frogkick.pool.chip.errors import ChipError
-from frogkick.pool.chip.scheduler import Scheduler
+from frogkick.core.errors import FrogkickError
 
+CYCLES_PER_US: Final = 64
+NEVER: Final = 2**62
 RAM_BASE: Final = 0x2000_0000
 RAM_BYTES: Final = 64 * 1024
 FLASH_BYTES: Final = 512 * 1024
+
+
+class ChipError(FrogkickError):
+    """The firmware did what the chip cannot do, or what this model of it does not know.
+
+    The text names what was done, the register or address, and the program counter.
+    """
+
+
+class Scheduler:
+    """One place for each source of events: a source has at most one event ahead of it.
+
+    Events at the same cycle come in the order in which their sources were added: the same every time.
+    """
+
+    def __init__(self) -> None:
+        """Start without sources."""
+        self._at: list[int] = []
+        self._callbacks: list[Callable[[], None]] = []
+        self.next_cycle = NEVER
+
+    def add(self, callback: Callable[[], None]) -> int:
+        """Add a source; the callback runs at its event. Returns the source's number."""
+        self._at.append(NEVER)
+        self._callbacks.append(callback)
+        return len(self._at) - 1
+
+    def clear(self) -> None:
+        """Forget all sources, as a reset does that places new ones."""
+        self._at, self._callbacks, self.next_cycle = [], [], NEVER
+
+    def at(self, source: int, cycle: int) -> None:
+        """Set or move the source's next event; ``NEVER`` takes it back."""
+        self._at[source] = cycle
+        self.next_cycle = min(self._at)
+
+    def take(self) -> Callable[[], None]:
+        """Remove the earliest event and return its callback."""
+        source = self._at.index(self.next_cycle)
+        self.at(source, NEVER)
+        return self._callbacks[source]
 
 
 @dataclass(frozen=True)

@@ -11,12 +11,11 @@ import unicorn as unicorn_module
 from unicorn import arm_const
 
 from frogkick.core.interrupts import ctrl_c_comes_after
-from frogkick.pool.chip.bus import FLASH_BYTES, Peripheral
+from frogkick.pool.chip.bus import CYCLES_PER_US, FLASH_BYTES, ChipError, Peripheral, Scheduler
 from frogkick.pool.chip.clock import Clock, Ficr, Nvmc, Rng
 from frogkick.pool.chip.core import CoreRegisters
 from frogkick.pool.chip.cost import PARTS, CostModel, CostTable
 from frogkick.pool.chip.emulator import PAGE, RETURN_ADDRESS, invalid_access, make_core, set_arguments
-from frogkick.pool.chip.errors import ChipError
 from frogkick.pool.chip.flash import Flash
 from frogkick.pool.chip.gpio import Gpio, Gpiote
 from frogkick.pool.chip.hook import CACHE_WORDS, Flag, HookState, Stop
@@ -24,7 +23,6 @@ from frogkick.pool.chip.image import load_image
 from frogkick.pool.chip.ppi import Ppi
 from frogkick.pool.chip.profile import Profile
 from frogkick.pool.chip.saadc import Saadc
-from frogkick.pool.chip.scheduler import CYCLES_PER_US, Scheduler
 from frogkick.pool.chip.timer import Timer
 from frogkick.pool.chip.uarte import Uarte
 from frogkick.pool.chip.watchdog import DOG, Power, Watchdog

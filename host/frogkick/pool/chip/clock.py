@@ -6,9 +6,8 @@ import random
 from collections.abc import Callable, Sequence
 from typing import Final
 
-from frogkick.pool.chip.bus import Peripheral, Register, System
+from frogkick.pool.chip.bus import CYCLES_PER_US, NEVER, Peripheral, Register, System
 from frogkick.pool.chip.flash import ERASE, READ_ONLY, WRITE, Flash
-from frogkick.pool.chip.scheduler import CYCLES_PER_US, NEVER
 from frogkick.pool.chip.timer import HFINT_PERCENT, Timer
 from frogkick.pool.chip.watchdog import Power
 

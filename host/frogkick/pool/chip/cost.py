@@ -27,8 +27,7 @@ from typing import Any, Final
 import capstone
 from capstone import arm
 
-from frogkick.pool.chip.bus import FLASH_BYTES
-from frogkick.pool.chip.errors import ChipError
+from frogkick.pool.chip.bus import FLASH_BYTES, ChipError
 from frogkick.pool.chip.hook import Flag
 
 PARTS: Final = 256

@@ -11,8 +11,7 @@ import unicorn as unicorn_module
 from unicorn import arm_const
 from unicorn.unicorn_py3.unicorn import uclib
 
-from frogkick.pool.chip.bus import FLASH_BYTES, RAM_BASE, RAM_BYTES
-from frogkick.pool.chip.errors import ChipError
+from frogkick.pool.chip.bus import FLASH_BYTES, RAM_BASE, RAM_BYTES, ChipError
 from frogkick.pool.chip.hook import HookState, load_hook
 from frogkick.pool.chip.image import FirmwareImage
 

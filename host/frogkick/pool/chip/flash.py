@@ -8,11 +8,9 @@ from typing import Any, Final
 
 import unicorn as unicorn_module
 
-from frogkick.pool.chip.bus import FLASH_BYTES
+from frogkick.pool.chip.bus import CYCLES_PER_US, FLASH_BYTES, ChipError
 from frogkick.pool.chip.cost import PARTS
-from frogkick.pool.chip.errors import ChipError
 from frogkick.pool.chip.hook import HookState
-from frogkick.pool.chip.scheduler import CYCLES_PER_US
 
 unicorn: Any = unicorn_module  # its type hints do not export what it documents
 PAGE_BYTES: Final = 4096

@@ -15,7 +15,7 @@ from typing import Final
 
 from frogkick.core.extras import install_command
 from frogkick.core.files import cache_folder
-from frogkick.pool.chip.errors import ChipError
+from frogkick.pool.chip.bus import ChipError
 
 _SOURCE: Final = Path(__file__).with_name("hook.c")
 # baseline: zig would build for exactly this processor, and a cache folder may be shared with another.

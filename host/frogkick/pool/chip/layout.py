@@ -11,7 +11,7 @@ import numpy as np
 from elftools.dwarf.descriptions import describe_form_class
 from elftools.elf.elffile import ELFFile
 
-from frogkick.pool.chip.errors import ChipError
+from frogkick.pool.chip.bus import ChipError
 
 _FLOAT, _SIGNED, _UNSIGNED = 4, (5, 6, 13), (2, 7, 8)
 """DW_ATE_ numbers of base types: DWARF 4, section 7.8."""

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from typing import Final
 
-from frogkick.pool.chip.bus import Peripheral, Register, System, array
-from frogkick.pool.chip.scheduler import CYCLES_PER_US
+from frogkick.pool.chip.bus import CYCLES_PER_US, Peripheral, Register, System, array
 from frogkick.pool.chip.watchdog import Power
 
 INPUTS: Final = 8

@@ -12,7 +12,7 @@ import capstone
 from capstone import arm
 from elftools.elf.elffile import ELFFile
 
-from frogkick.pool.chip.errors import ChipError
+from frogkick.pool.chip.bus import ChipError
 
 _PC = arm.ARM_REG_PC
 _SP = arm.ARM_REG_SP

@@ -5,8 +5,7 @@ from __future__ import annotations
 from functools import partial
 from typing import Final
 
-from frogkick.pool.chip.bus import Peripheral, Register, System, array
-from frogkick.pool.chip.scheduler import NEVER
+from frogkick.pool.chip.bus import NEVER, Peripheral, Register, System, array
 
 CHANNELS: Final = 4
 _BITS: Final = {0: 16, 1: 8, 2: 24, 3: 32}

@@ -6,8 +6,7 @@ from collections import deque
 from enum import Enum, auto
 from typing import Final
 
-from frogkick.pool.chip.bus import RAM_BASE, RAM_BYTES, Peripheral, Register, System
-from frogkick.pool.chip.scheduler import CYCLES_PER_US, NEVER
+from frogkick.pool.chip.bus import CYCLES_PER_US, NEVER, RAM_BASE, RAM_BYTES, Peripheral, Register, System
 
 BITS_PER_S: Final = 115_200
 _BITS_PER_BYTE: Final = 10

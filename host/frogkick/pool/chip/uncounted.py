@@ -13,10 +13,9 @@ import unicorn as unicorn_module
 from unicorn import arm_const
 
 from frogkick.core.interrupts import ctrl_c_comes_after
-from frogkick.pool.chip.bus import FLASH_BYTES, RAM_BASE, RAM_BYTES
+from frogkick.pool.chip.bus import FLASH_BYTES, RAM_BASE, RAM_BYTES, ChipError
 from frogkick.pool.chip.chip import VirtualChip
 from frogkick.pool.chip.emulator import RETURN_ADDRESS, add_hooks, set_arguments
-from frogkick.pool.chip.errors import ChipError
 from frogkick.pool.chip.hook import HookState, Stop
 from frogkick.pool.chip.image import load_image
 

@@ -6,8 +6,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import ClassVar, Final
 
-from frogkick.pool.chip.bus import Peripheral, Register, System, array
-from frogkick.pool.chip.scheduler import CYCLES_PER_US, NEVER
+from frogkick.pool.chip.bus import CYCLES_PER_US, NEVER, Peripheral, Register, System, array
 
 LFCLK_HZ: Final = 32_768
 DOG: Final = 1 << 1

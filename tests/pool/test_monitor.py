@@ -39,7 +39,7 @@ def test_within_all_limits(pulses: list[Pulse]) -> None:
         (train(2, [0.0, 0.6, 1.2, 1.8, 2.4], 0.1), "rear_left on for 0.5000 s within 5.0 s"),
         (train(2, [0.0, 0.6, 1.2, 1.8, 4.95], 0.1), "rear_left on for 0.4500 s within 5.0 s"),
         (train(0, [0.0]) + train(1, [0.04]) + train(2, [0.07]), "3 limbs on at 0.070 s"),
-        (train(4, [0.0]), "limb 4 on, which the robot has not"),
+        (train(4, [0.0]), "limb 4 on, which the robot does not have"),
     ],
 )
 def test_each_broken_limit_is_named(pulses: list[Pulse], words: str) -> None:

@@ -88,7 +88,8 @@ class Planner:
                 f"state is {state!r}: give six numbers, x, y (m), heading (rad), forward, left (m/s), "
                 "turn rate (rad/s)"
             )
-        heading_rad = float(np.asarray(state, dtype=np.float64)[2])
+        heading = np.asarray(state)[2]  # other than a number it is refused below
+        heading_rad = float(heading) if isinstance(heading, np.number) else 0.0
         if HEADING_MAX_RAD < abs(heading_rad) < np.inf:
             raise InputError(
                 f"the heading of the state is {heading_rad:g} rad, which is more than two turns: give "

@@ -249,6 +249,21 @@ def test_its_flash_outlives_it_and_its_port_keeps_its_name(
         assert code == 0 and said.count("\n") == 1, said
 
 
+def test_the_virtual_chip_keeps_its_flash_too(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    write_bytes(tmp_path / "new.fkt", synthetic.affine_image(20, 9, 2))
+    options = ("--virtual", "--flash", str(tmp_path / "chip.bin"))
+    for expected in (True, False):
+        with serving(tmp_path, *options) as pool:
+            told = frogkick(capsys, "push", tmp_path / "new.fkt", "--robot", pool.target, "--json")
+            assert told.code == 0 and bool(told.json["bytes_sent"]) is expected, told.stderr
+            assert pool.end()[0] == 0
+    held = bytearray((tmp_path / "chip.bin").read_bytes())
+    held[0x400] ^= 1
+    write_bytes(tmp_path / "chip.bin", bytes(held))
+    other = frogkick(capsys, "pool", *options, "--tables", rig.small_table())
+    assert other.code == 2 and "the flash holds other firmware than this table gives" in other.stderr
+
+
 def test_a_run_whose_connection_was_lost_for_too_long(camera: Path, tmp_path: Path) -> None:
     """The robot ends it alone, and its word that it did is lost: a run cut short has exit code 1."""
     with serving(tmp_path, "--line", "frog") as pool:

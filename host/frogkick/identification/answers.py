@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,6 +38,8 @@ LEG_S = 0.12
 """How often pulses and flows are asked while answers are simulated."""
 BESIDE_S = 0.15
 """A velocity is told from fixes so long before and after."""
+FADED = 1e-4
+"""What a phase answers to a fix is left out below."""
 GLIDE_S = 1.0
 """Time in which a correction of the velocity dies down, by drag."""
 
@@ -96,7 +99,7 @@ class Answers:
         flow: (n, 9, 3, 2) by the water's velocity, world frame (m/s), in each third.
         gain: (n, 9, l) by the gain of each limb's stroke.
         idle: (n, 9, l) change of each residual where a limb does nothing.
-        fix: (n, 3, f) of each phase's residual by each fix's place, and by its heading; world frame.
+        fix: (3 n, f) of each phase's residual by each fix's place, and by its heading; world frame, sparse.
         heading: (n,) at each period's start.
         bodies: the names that laws on wrenches and flows use -> (n, 3) their values.
         strokes: those of laws on strokes -> (n, l) their values; not a number where a limb did not fire.
@@ -108,7 +111,7 @@ class Answers:
     flow: FloatArray
     gain: FloatArray
     idle: FloatArray
-    fix: tuple[FloatArray, FloatArray]
+    fix: tuple[Any, Any]
     heading: FloatArray
     bodies: Values
     strokes: Values
@@ -151,8 +154,8 @@ class Answers:
         shown = np.stack([x, y, turn], axis=1) - delay[:, None] * self.rates
         # What a law adds to the fixes that are expected is missing in fix minus expectation.
         left = np.empty((len(self.heading), 3, 3))
-        left[:, :, :2] = -self.fix[0] @ shown[:, :2]
-        left[:, :, 2] = -self.fix[1] @ shown[:, 2]
+        left[:, :, :2] = -(self.fix[0] @ shown[:, :2]).reshape(-1, 3, 2)
+        left[:, :, 2] = -(self.fix[1] @ shown[:, 2]).reshape(-1, 3)
         for phase in range(3):
             left[:, phase] = body_from_world(self.heading, left[:, phase])
         return left.reshape(-1, 9)
@@ -200,7 +203,7 @@ def answers_of(nominal: Fitted, swims: Sequence[Segments], rows: NDArray[np.bool
     columns[(np.abs(columns).max(axis=(1, 2)) > 1e4)] = 0.0  # lost
     pushes, flows = THIRDS * 3, THIRDS * 2
     n = len(columns)
-    places, turns = (_joined([part[k] for part in _seen(model, swims)], rows) for k in (0, 1))
+    places, turns = (_joined([_filtered(model, swim, axis) for swim in swims], rows) for axis in (0, 2))
     times = np.concatenate([swim.time_s for swim in swims])
     poses = np.concatenate([swim.pose for swim in swims])
     named = dict(zip(("x_m", "y_m", "heading_rad"), poses.T, strict=True))
@@ -312,19 +315,16 @@ def _fired(swim: Segments, limbs: int) -> Iterator[tuple[int, int, float, Histor
                 yield period, limb, time_s, History(list(swim.strokes[:k]))
 
 
-def _joined(parts: Sequence[FloatArray], rows: NDArray[np.bool_]) -> FloatArray:
-    """(n, 3, f) one block of each run: a fix acts in its own run only."""
-    whole = np.zeros((sum(len(part) for part in parts), 3, sum(part.shape[2] for part in parts)))
-    period, fix = 0, 0
-    for part in parts:
-        whole[period : period + len(part), :, fix : fix + part.shape[2]] = part
-        period, fix = period + len(part), fix + part.shape[2]
-    return whole[rows]
+def _joined(parts: Sequence[FloatArray], rows: NDArray[np.bool_]) -> Any:
+    """(3 n, f) sparse matrix of what (m, 3, f) phases of each run answer: a fix acts in its own run, and soon
+    after."""
+    from scipy import sparse
 
-
-def _seen(model: Model, swims: Sequence[Segments]) -> Iterator[tuple[FloatArray, FloatArray]]:
-    for swim in swims:
-        yield _filtered(model, swim, 0), _filtered(model, swim, 2)
+    kept = [
+        sparse.csr_matrix(np.where(np.abs(part) < FADED, 0.0, part).reshape(-1, part.shape[2]))
+        for part in parts
+    ]
+    return sparse.block_diag(kept, format="csr")[np.repeat(rows, 3)]
 
 
 def _filtered(model: Model, swim: Segments, axis: int) -> FloatArray:

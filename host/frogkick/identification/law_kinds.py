@@ -21,6 +21,9 @@ Numbers = Mapping[str, Strength]
 """Parameter -> unit, low, high, step of a finite difference (0: a share of its range)."""
 
 
+PLACES, MANY = 11, 400
+"""Places along each side of the area of the runs; half as many for MANY periods, which need much memory."""
+
 INTERVALS = 120
 """Cycles of what acts at intervals: so close that its last interval in a run is no more than one off."""
 
@@ -75,7 +78,8 @@ def kinds_of(robot: Robot, swims: Sequence[Segments]) -> list[Kind]:
     low, high = reached.min(axis=0) - 0.15, reached.max(axis=0) + 0.15
     end_s = float(max(swim.end_s[-1] for swim in swims if len(swim.end_s)))
     period_s = robot.period_s
-    xs, ys = np.linspace(low[0], high[0], 11), np.linspace(low[1], high[1], 11)
+    side = PLACES if sum(len(swim.start_s) for swim in swims) < MANY else PLACES // 2
+    xs, ys = np.linspace(low[0], high[0], side), np.linspace(low[1], high[1], side)
     places = [{"at_x": float(x), "at_y": float(y)} for x in xs for y in ys]
     where: Numbers = {
         "at_x": ("m", float(low[0]) - 1.0, float(high[0]) + 1.0, 0.02),

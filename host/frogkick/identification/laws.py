@@ -35,8 +35,8 @@ REFINED = 8
 TRIED = 4
 """Shapes of each kind whose gain is told exactly; the others' by one step of least squares."""
 
-BIN_S = 0.2
-"""What acts at intervals is screened as a sum of what acts for so long."""
+BIN_S, BINS_MOST = 0.2, 400
+"""What acts at intervals is screened as a sum of what acts for so long, or longer where there were more."""
 
 BY_CHANCE = 24
 """Shapes of each kind that count in what the best of all gains by chance: their neighbours do much the
@@ -65,8 +65,9 @@ class Laws:
         self._grids: list[tuple[Kind, list[int], FloatArray]] = []
         self._bins: list[tuple[Kind, FloatArray, FloatArray]] = []
         end_s = float(max(swim.end_s[-1] for swim in swims if len(swim.end_s)))
-        middles = np.arange(0.5 * BIN_S, end_s, BIN_S)
-        alone = {"cycle": 10.0 * end_s, "share": 0.1 * BIN_S / end_s}
+        bin_s = max(BIN_S, end_s / BINS_MOST)
+        middles = np.arange(0.5 * bin_s, end_s, bin_s)
+        alone = {"cycle": 10.0 * end_s, "share": 0.1 * bin_s / end_s}
         kinds = kinds_of(robot, swims)
         for done, kind in enumerate(kinds):
             progress("laws", done, len(kinds))

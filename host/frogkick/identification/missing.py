@@ -31,6 +31,9 @@ FloatArray = NDArray[np.float64]
 SIZES_N, ARMS_M, MEMORIES = (0.0, *np.geomspace(3e-5, 1e-2, 8)), (0.005, 0.02, 0.06), (0.0, 0.6, 0.9, 0.98)
 """Sizes of the wrench that are tried, its torque over its force, and how much of it the next third has."""
 
+STRETCH = 40
+"""Periods that are estimated together: of longer runs so many at a time."""
+
 CLEAR = 0.25
 """A stroke that fails explains a residual by far if it leaves less than this share of its squares."""
 
@@ -90,8 +93,9 @@ def missing_wrench(
     at_s, heading = np.asarray(answers.bodies["time_s"]), np.asarray(answers.bodies["heading_rad"])
     order = np.concatenate([np.arange(len(swim.start_s)) for swim in swims])[rows]
     parts = []
-    for run in np.unique(runs):
-        mine = np.flatnonzero(runs == run)
+    stretch = np.unique(np.stack([runs, order // STRETCH]), axis=1, return_inverse=True)[1].ravel()
+    for label in np.unique(stretch):
+        mine = np.flatnonzero(stretch == label)
         thirds = (THIRDS * order[mine][:, None] + np.arange(THIRDS)).ravel()
         # Fix minus prediction is what a wrench that is missing would add to the prediction.
         design = np.zeros((9 * len(mine), 9 * len(mine)))

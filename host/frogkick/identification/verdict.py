@@ -52,6 +52,11 @@ OUTLIER_SIGMA = 3.0
 CHANCE = 5.0
 """A mean square of few periods may lie above its expectation by so many standard deviations."""
 
+SURE_NATS = 12.0
+"""Where strokes fail by chance, a test run has few that do, each of some ten nats: no interval of a mean is
+narrow then. The gain of the whole run is a likelihood ratio, and by chance it is so large once in 10^5 times
+(Ville 1939)."""
+
 INEXACT = 0.03
 """Share of the error before that the right effect may leave: the discretisation error of the simulation."""
 
@@ -351,7 +356,10 @@ class Scored:
     @property
     def helped(self) -> bool:
         """Whether the log score gain is beyond chance and no error grows beyond the noise of the fixes."""
-        if self.gain is None or not self.gain.low > 0.0:
+        if self.gain is None:
+            return False
+        sure = self.by_chance and self.gain.value * self.after.count > SURE_NATS
+        if not (self.gain.low > 0.0 or sure):
             return False
         varying = self.repeatability if self.by_chance else PredictionError(0.0, 0.0)
         pairs = (
@@ -411,7 +419,7 @@ def verdict_of(found: Found, trained: Scored, tested: Scored) -> str:
     is noise there and on the training runs. ``partly explained``: the same gain, but more than noise remains.
     ``found: law``: as ``found``, with a formula that is not in the catalogue. ``nothing missing``: no
     effects, and no more than noise. ``unexplained``: else. Limbs that misfire by chance are partly explained
-    at best: nobody can predict which stroke fails.
+    at best: nobody can predict which stroke fails. There a gain above SURE_NATS counts as well.
     """
     quiet = trained.quiet and tested.quiet
     if not found.fitted.model.terms:

@@ -14,6 +14,7 @@ from tests.identification.made import make_swim, robot
 from tests.runs import rig
 
 from frogkick.core.chunks import run_chunks
+from frogkick.core.errors import InputError
 from frogkick.core.poses import PredictionError
 from frogkick.effects import changed_robot, make_effects
 from frogkick.identification import choice as choice_module
@@ -236,3 +237,27 @@ def test_a_stopped_study_goes_on_where_it_was(tmp_path: Path, monkeypatch: pytes
     with pytest.raises(Stopped):
         run(tmp_path)
     assert asked == [1, 0, 1], "a line that a stop cut is run again"
+
+
+def test_laws_are_drawn_again_until_the_error_is_as_wanted(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A robot that cannot be seen, one whose error is too small, and one that will do."""
+    given = iter([InputError("out of sight"), 1.5, 7.0])
+    swum: list[tuple[float, int]] = []
+
+    def swims_of(_ready: Any, planted: Any, seed: int, paths: list[str]) -> list[str]:
+        swum.append((planted[0]["speed"], len(paths)))
+        return paths
+
+    def over_floor(*_: Any) -> float:
+        told = next(given)
+        if isinstance(told, InputError):
+            raise told
+        return told
+
+    monkeypatch.setattr(verdicts, "swims_of", swims_of)
+    monkeypatch.setattr(verdicts, "over_floor", over_floor)
+    ready = cast(Any, SimpleNamespace(robot=None))
+    case, kind = Case("sloshing", 3), kinds()["sloshing"]
+    planted, train, test, draws = verdicts._drawn(ready, case, kind, np.random.default_rng(1))
+    assert draws == 3 and len(train) == 4 and test == ["bends"]
+    assert len({speed for speed, _ in swum}) == 3 and planted[0]["speed"] == swum[-1][0]

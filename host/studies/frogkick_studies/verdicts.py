@@ -20,7 +20,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from frogkick.core.chunks import Job, code_stamp, run_chunks
-from frogkick.core.errors import InputError
+from frogkick.core.errors import FrogkickError, InputError
 from frogkick.core.files import write_text
 from frogkick.core.poses import PredictionError
 from frogkick.core.progress import shown
@@ -54,7 +54,7 @@ from frogkick_studies.configs import Verdicts
 from frogkick_studies.draws import Table
 from frogkick_studies.judged import Result, judged
 from frogkick_studies.kept import Lines
-from frogkick_studies.planted import LAWS, NULL, ONE, OUTSIDE, OUTSIDE_FILE, OUTSIDE_TEXT, TWO, kinds
+from frogkick_studies.planted import LAWS, NULL, ONE, OUTSIDE, OUTSIDE_FILE, OUTSIDE_TEXT, TWO, Kind, kinds
 from frogkick_studies.planted_laws import LAWS_FILE, LAWS_TEXT
 
 LEAST = {NULL: 0.95, ONE: 0.95, TWO: 0.95, OUTSIDE: 0.95, LAWS: 0.8}
@@ -184,19 +184,29 @@ def _run(ready: _Ready, cases: Sequence[Case]) -> list[Result]:
 def _run_one(ready: _Ready, case: Case) -> Result:
     kind = kinds()[case.kind]
     seed = [case.seed, *case.kind.encode()]
-    rng = np.random.default_rng(seed)
-    learned = [*TRAIN, *MORE.get(kind.group, ())]
-    draws = 0
-    while draws < DRAWS_MOST:
-        draws += 1
-        planted = kind.draw(rng)
-        every = swims_of(ready, planted, case.seed, [*learned, *TEST])
-        train, test = every[: len(learned)], every[len(learned) :]
-        if kind.group != LAWS or OVER_FLOOR[0] <= over_floor(train, test, ready.robot) <= OVER_FLOOR[1]:
-            break
+    planted, train, test, draws = _drawn(ready, case, kind, np.random.default_rng(seed))
     begun_s = cpu_s()
     outcome = identify(train, test, ready.robot, laws=ready.laws or kind.group == LAWS)
     return dataclasses.replace(judged(kind, planted, outcome, cpu_s() - begun_s), draws=draws)
+
+
+def _drawn(
+    ready: _Ready, case: Case, kind: Kind, rng: np.random.Generator
+) -> tuple[list[Table], list[Segments], list[Segments], int]:
+    """A world of a kind, its runs to learn from and to test, and how often it was drawn."""
+    learned = [*TRAIN, *MORE.get(kind.group, ())]
+    for draws in range(1, DRAWS_MOST + 1):
+        planted = kind.draw(rng)
+        try:
+            every = swims_of(ready, planted, case.seed, [*learned, *TEST])
+            train, test = every[: len(learned)], every[len(learned) :]
+            low, high = OVER_FLOOR
+            if kind.group != LAWS or low <= over_floor(train, test, ready.robot) <= high:
+                break
+        except FrogkickError:  # such as a robot that is pulled out of the camera's sight
+            if kind.group != LAWS or draws == DRAWS_MOST:
+                raise
+    return planted, train, test, draws
 
 
 def over_floor(train: Sequence[Segments], test: Sequence[Segments], robot: Robot) -> float:

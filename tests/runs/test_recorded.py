@@ -160,7 +160,7 @@ def test_clock_without_changes_and_against_the_labels() -> None:
     assert estimate_clock(time, np.full(200, REST), trusted, REST, LIMITS_S) is None
     one = estimate_clock(time, np.where(time < 1.0, REST, 1), trusted, REST, LIMITS_S)
     assert one is not None
-    assert "do not tell the period" in one.problem
+    assert "do not determine the period" in one.problem
     # Changes every 0.7 s cannot come from a clock of this robot.
     labels = np.where(time < 1.0, REST, (time // 0.7).astype(int) % 4)
     bad = estimate_clock(time, labels, trusted, REST, LIMITS_S)
@@ -299,7 +299,7 @@ def test_bad_files(tmp_path: pathlib.Path) -> None:
     with pytest.raises(InputError, match="is empty"):
         load_run(file)
     file.write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(InputError, match="is no run: give a log"):
+    with pytest.raises(InputError, match="is not a run: give a log"):
         load_run(file)
     with pytest.raises(InputError, match="does not exist"):
         load_run(tmp_path / "line99.csv")

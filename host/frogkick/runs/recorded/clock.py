@@ -1,13 +1,11 @@
-"""The second clock: strokes run on their own constant period, seen in the frames' labels and in the motion.
+"""Estimates the stroke clock of a recorded run: the constant period of its strokes, which is not recorded.
 
-A label that first stands in row i was given after row i-1 was logged and not after row i. So every change
-of label bounds phase + k * period by two stamps. Changes fall on multiples of the period, so half the period
-fits them as well; and where all happen to fall on even multiples, so does twice. The robot's speed tells: it
-surges once in each period, with the fundamental at 1 / period and nothing below.
+A label that first occurs in row i was set between rows i-1 and i, so each change of label bounds phase + k *
+period by two time stamps. Half the period fits these bounds too, and sometimes twice the period. The robot's
+speed resolves this: it has its fundamental at 1 / period and nothing below.
 
-The period is sought over all that the robot allows, with slips (see ``periods``). The labels' bounds then
-leave a small polygon of (period, phases), whose centroid is the estimate and whose spread is the uncertainty
-(uniform within).
+The search covers all periods that the robot allows, with slips (see ``periods``). The labels' bounds leave a
+small polygon of (period, phases): its centroid is the estimate and its spread the uncertainty (uniform).
 """
 
 from __future__ import annotations
@@ -22,22 +20,22 @@ from frogkick.runs.recorded.periods import DETREND_S, SAME, WINDOW_S, Evidence, 
 Float64 = NDArray[np.float64]
 
 RESULTANT_LEAST, SLACK_LEAST_S, NATS_LEAST, POWER_LEAST, OFF_S, OFF_SHARE = 0.9, -0.03, 5.0, 8.0, 0.1, 0.2
-"""A usable clock: mean resultant length, room that its labels leave (s), nats above the next best period,
-power of the fundamental over noise where labels are too few, which share of labels may be off by more than
-so much (s)."""
+"""Limits of a usable clock: mean resultant length, slack of its labels (s), nats over the next best period,
+power of the fundamental over noise if there are few labels; and a label is off beyond OFF_S (s), of which
+there may be a share of OFF_SHARE."""
 
 SLIP_EVERY_S = 15.0
-"""Slips at most one so often, or there is no clock."""
+"""Shortest mean time between slips of a usable clock."""
 
 
 @dataclass(frozen=True)
 class Slip:
-    """The clock went on by another phase.
+    """A change of the clock's phase.
 
     Args:
         time_s: the last decision before it.
-        until_s: the first one after it.
-        jump_s: by how much later (+) or earlier (-) than the clock before had it, within half a period.
+        until_s: the first decision after it.
+        jump_s: change of the phase, within half a period; positive: later.
     """
 
     time_s: float
@@ -47,20 +45,21 @@ class Slip:
 
 @dataclass(frozen=True)
 class Clock:
-    """Stroke clock: decision k falls at phase_s + k * period_s, until it slips.
+    """Stroke clock: decision k is at phase_s + k * period_s, until it slips.
 
     Args:
         period_s, phase_s: s; the phase is that of the first label that fires.
         period_std_s, phase_std_s: standard uncertainty, s.
-        slack_s: widest room that the labels leave for the phases, s; negative: by how much they contradict.
+        slack_s: largest range of the phases within the labels' bounds, s; negative: size of the
+            contradiction.
         resultant: mean resultant length of the changes of label about the clock, 0 to 1.
-        labels: how many changes of label that is of.
-        motion_power: of the speed's fundamental at this period over its noise; about 1 where there is none.
-        other_period_s, other_resultant: the next best period that is another; NaN where there is none.
-        margin: nats by which the period is better than that one; infinite where there is none.
-        slips: where it slipped, in order.
+        labels: number of these changes.
+        motion_power: power of the speed's fundamental at this period over its noise; about 1 without one.
+        other_period_s, other_resultant: the next best period; NaN if there is none.
+        margin: nats by which the period is better than that one; infinite if there is none.
+        slips: in order.
         starts_s: (m,) s, of all decisions until the end of the run.
-        problem: why the clock cannot be relied on, in a few words; "" where it can.
+        problem: why the clock is not usable, or "".
     """
 
     period_s: float
@@ -87,13 +86,13 @@ def estimate_clock(
     limits_s: tuple[float, float],
     motion: tuple[Float64, Float64] | None = None,
 ) -> Clock | None:
-    """Period, phases and slips, or None where no label fires.
+    """Estimate the clock; None if no label fires.
 
     Args:
         time_s: (n,) s.
         action: (n,) label of each row.
-        trusted: (n,) rows whose stamp is credible.
-        rest: the label of the action that fires nothing.
+        trusted: (n,) rows with a credible time stamp.
+        rest: label of the action that fires nothing.
         limits_s: shortest and longest period that the robot allows.
         motion: (k,) times, s, and (k,) forward speeds, m/s, between frames; see ``forward_speed``.
     """
@@ -139,7 +138,7 @@ def _evidence(
     if firing == 0:
         change = np.concatenate([[0], change])
     latest = time_s[change]
-    # A stamp of the backlog is no bound: the label is then only known not to be later than its row.
+    # A stamp of the backlog is no lower bound.
     before = np.maximum(change - 1, 0)
     earliest = np.where(trusted[before] & (change > 0), time_s[before], -np.inf)
     if np.isneginf(earliest).all():
@@ -152,7 +151,7 @@ def _evidence(
             slow = np.array([speed[np.abs(clock_s - at) < 0.5 * DETREND_S].mean() for at in clock_s])
             speed = np.clip(speed - slow, -0.2, 0.2)
             size = float(speed.std())
-            # Speeds that hardly change tell of no stroke.
+            # Without strokes the speed hardly changes.
             clock_s, speed = (clock_s, speed / size) if size > 2e-3 else (np.empty(0), np.empty(0))
         else:
             clock_s, speed = np.empty(0), np.empty(0)
@@ -160,7 +159,7 @@ def _evidence(
 
 
 def _power(seen: Evidence, fit: Fit) -> float:
-    """Of the speed's fundamental at a period, over what white noise of the speed's size would have."""
+    """Power of the speed's fundamental at a period over that of white noise of the same size."""
     if not len(seen.speed):
         return 0.0
     phase_s = np.select(
@@ -175,14 +174,14 @@ def _power(seen: Evidence, fit: Fit) -> float:
 def _polygon(
     seen: Evidence, fit: Fit, limits_s: tuple[float, float]
 ) -> tuple[float, float, list[float], float, float, int]:
-    """Period and its std, phase of each piece, the first's std, slack (all s); labels that are off."""
-    whole_s = max(seen.end_s - seen.start_s, 1.0)
+    """Period and its std, phase of each piece, std of the first phase, slack (all s); labels that are off."""
+    length_s = max(seen.end_s - seen.start_s, 1.0)
     phases = [phase for *_, phase in fit.pieces]
-    sigma = np.sqrt(6.0 / max(_power(seen, fit), 0.1)) / (2.0 * np.pi * whole_s) * fit.period_s**2
+    sigma = np.sqrt(6.0 / max(_power(seen, fit), 0.1)) / (2.0 * np.pi * length_s) * fit.period_s**2
     if len(seen.anchor) < 3:
         return fit.period_s, float(sigma), phases, 0.05, 0.0, 0
-    half = max(0.3 * fit.period_s**2 / whole_s, 5e-3)
-    step = min(1e-4, 2e-3 * fit.period_s**2 / whole_s)
+    half = max(0.3 * fit.period_s**2 / length_s, 5e-3)
+    step = min(1e-4, 2e-3 * fit.period_s**2 / length_s)
     periods = fit.period_s + step * np.arange(-round(half / step), round(half / step) + 1)
     periods = periods[(periods >= limits_s[0] - step) & (periods <= limits_s[1] + step)]
     rooms, middles, off = [], [], 0
@@ -203,7 +202,7 @@ def _polygon(
         return fit.period_s, float(sigma), phases, 0.05, -OFF_S, off
     room = np.min(rooms, axis=0)
     if room.max() <= 0.0:
-        # No constant clock fits: take the one that contradicts the labels least, and say by how much.
+        # No constant clock fits: take the one with the smallest contradiction.
         weight = np.zeros(len(room))
         weight[int(room.argmax())] = 1.0
         least = float(-room.max())
@@ -252,7 +251,7 @@ def _starts(seen: Evidence, fit: Fit, period: float, phases: list[float]) -> tup
 def _switch(
     seen: Evidence, fit: Fit, index: int, period: float, phases: list[float], now: float
 ) -> tuple[float, float]:
-    """Last decision by the clock of a piece and first one by the next, where the speed changes over best."""
+    """Last decision of a piece and first decision of the next, where the change fits the speed best."""
     (_, last, _), (first, _, _) = fit.pieces[index : index + 2]
     before, after = phases[index], phases[index + 1]
     reach = max(WINDOW_S, period)
@@ -290,10 +289,10 @@ def _switch(
 def _problem(
     seen: Evidence, fit: Fit, rival: Fit | None, power: float, margin: float, off: int, slack: float
 ) -> str:
-    """Why a clock cannot be relied on; "" where it can."""
+    """Why a clock is not usable, or ""."""
     votes, slips = len(seen.anchor), len(fit.pieces) - 1
     if votes - slips < 3 and power < POWER_LEAST:
-        return f"{votes} changes of action and no rhythm of its motion do not tell the period"
+        return f"{votes} changes of action without a rhythm of the motion do not determine the period"
     if votes - slips >= 3 and fit.resultant < RESULTANT_LEAST:
         return (
             f"no constant period fits its labels: the best, {fit.period_s:.3f} s, has a mean resultant "

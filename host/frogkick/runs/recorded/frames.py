@@ -1,11 +1,8 @@
-"""What is wrong with single frames: stamps of a backlog, gaps, tag misdetections, repeats.
+"""Marks errors of single frames: time stamps of a backlog, gaps, tag misdetections, repeats.
 
-Nothing is changed here, only marked. Thresholds come from the published runs: noise at rest 0.2 mm and
-0.2 degrees; the fastest stroke moves the robot at 0.13 m/s and 1.6 rad/s.
-
-The position noise was first set to 3 mm and then lowered to 1.5 mm after a look at these same seven runs, so
-that a 3.9 mm single-frame error in ellipse6 is found. All four frames it marks there are also contradicted by
-the logged velocity columns, which the rule does not use; no run that was not looked at has tested it.
+Thresholds come from the published runs: the noise at rest is 0.2 mm and 0.2 degrees, the fastest stroke moves
+the robot at 0.13 m/s and 1.6 rad/s. NOISE_POSITION_M was chosen on these seven runs so that an error of 3.9
+mm in ellipse6 is found; it has not been tested on other runs.
 """
 
 from __future__ import annotations
@@ -18,25 +15,25 @@ from frogkick.runs.runlog import FixFlag
 Float64 = NDArray[np.float64]
 Bool = NDArray[np.bool_]
 
-# Every second frame of a 30 Hz camera is logged, so two rows cannot really be closer than this.
 SPACING_MIN_S = 0.020
-# Rows in a row with a credible spacing that end the backlog at the start.
+"""Every second frame of a 30 Hz camera is logged, so true spacings are longer."""
 SETTLED_ROWS = 5
-# The usual spacing is 67 ms, 133 ms with one logged frame lost: beyond this at least two were lost.
+"""Successive rows with a credible spacing that end the backlog at the start."""
 GAP_S = 0.150
-# Six times the noise between frames, and more acceleration and speed than any stroke shows.
+"""The usual spacing is 67 ms, 133 ms with one lost frame: a longer one means at least two."""
+# Six times the noise between frames, and more acceleration and speed than in any stroke.
 NOISE_POSITION_M, NOISE_HEADING_RAD = 1.5e-3, np.radians(2.0)
 ACCELERATION_MPS2, ACCELERATION_RADPS2 = 1.0, np.radians(1000.0)
 SPEED_MAX_MPS, TURN_MAX_RADPS = 0.2, 2.5
-# Frames that may be wrong in a row.
 MISDETECTED_ROWS_MAX = 3
+"""Largest number of successive wrong frames."""
 
 
 def untrusted_times(time_s: Float64) -> Bool:
-    """(n,) rows whose stamp cannot be the time of their frame.
+    """(n,) rows whose time stamp is not the time of their frame.
 
-    These are the leading rows up to the first that is followed by five credible spacings (a backlog that
-    the logger wrote at once, and its tail), and any later row that is stamped within 20 ms of the one before.
+    These are the leading rows up to the first with five credible spacings after it (a backlog that the logger
+    wrote at once), and any later row within 20 ms of the row before.
     """
     spacing = np.diff(time_s)
     untrusted = np.concatenate([[False], spacing < SPACING_MIN_S])
@@ -59,15 +56,15 @@ def untrusted_times(time_s: Float64) -> Bool:
 def misdetections(time_s: Float64, pose: Float64, trusted: Bool) -> Bool:
     """(n,) rows where the tag jumped away and back.
 
-    Rule: up to three frames in a row that ALL lie off the straight line in time between the frame before and
-    the frame after them, by more than noise + a/2 (t - t_before)(t_after - t) in position or in heading
-    (1.5 mm and 1 m/s^2; 2 degrees and 1000 degrees/s^2), while those two frames agree with each other at no
-    more than 0.2 m/s and 2.5 rad/s. The worst such group goes first, then the rest is looked at again.
+    A group of up to three successive frames is wrong if all of them are off the straight line in time between
+    the frames before and after, by more than noise + a/2 (t - t_before)(t_after - t) in position or heading
+    (1.5 mm and 1 m/s^2; 2 degrees and 1000 degrees/s^2), while these two frames agree within 0.2 m/s and 2.5
+    rad/s. The worst group is removed first, then the search is repeated.
 
     Args:
         time_s: (n,) s.
-        pose: (n,3) x m, y m, heading rad (any wrapping).
-        trusted: (n,) rows whose time can be used; others are neither judged nor used.
+        pose: (n, 3) x m, y m, heading rad (any wrapping).
+        trusted: (n,) rows with a usable time; others are left out.
     """
     unwrapped = np.column_stack([pose[:, :2], np.unwrap(pose[:, 2])])
     kept = np.flatnonzero(trusted)
@@ -85,10 +82,11 @@ def misdetections(time_s: Float64, pose: Float64, trusted: Bool) -> Bool:
 
 
 def _worst_group(time_s: Float64, pose: Float64, width: int) -> tuple[float, int] | None:
-    """(distance in units of noise, first row) of the worst there-and-back of ``width`` rows.
+    """(distance in units of noise, first row) of the worst group of ``width`` rows; distance 0: none.
 
-    0 where none is beyond its limit. Ranked by the distance itself, not by its excess over the limit: the
-    good frame beside a wrong group lies off by half as much, and its narrower limit must not put it first.
+    Groups are ranked by distance, not by excess over the limit: a good frame beside a wrong group is off by
+        half
+    the distance, but its limit is narrower.
     """
     count = len(time_s) - width - 1
     if count < 1:
@@ -119,7 +117,7 @@ def _worst_group(time_s: Float64, pose: Float64, width: int) -> tuple[float, int
 
 
 def jumps(time_s: Float64, pose: Float64, usable: Bool) -> Bool:
-    """(n,) usable rows farther from the usable row before than the robot can go, with no way back seen."""
+    """(n,) usable rows farther from the usable row before than the robot can go."""
     rows = np.flatnonzero(usable)
     span = np.diff(time_s[rows])
     step = np.diff(np.column_stack([pose[rows, :2], np.unwrap(pose[rows, 2])]), axis=0)
@@ -132,15 +130,15 @@ def jumps(time_s: Float64, pose: Float64, usable: Bool) -> Bool:
 
 
 def mark_frames(time_s: Float64, pose: Float64, carried: Bool) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Quality (n,) and FixFlag bits (n,) of every row; AT_REST is left to the clock."""
+    """Quality (n,) and FixFlag bits (n,) of each row, without AT_REST."""
     repeat = np.concatenate([[False], (np.diff(pose, axis=0) == 0.0).all(axis=1)])
-    # A row written twice says nothing of the stamps of its neighbours.
+    # The stamp of a repeated row does not count against its neighbours.
     twice = repeat & np.concatenate([[False], np.diff(time_s) < SPACING_MIN_S])
     untrusted = np.zeros(len(time_s), dtype=bool)
     untrusted[~twice] = untrusted_times(time_s[~twice])
     wrong = misdetections(time_s, pose, ~untrusted & ~repeat)
     jumped = jumps(time_s, pose, ~untrusted & ~repeat & ~wrong)
-    # A jump in the last row has no frame after it that could confirm it.
+    # No frame after it can confirm a jump in the last row.
     unconfirmed = jumped & (np.arange(len(time_s)) == len(time_s) - 1)
     gap = np.concatenate([[False], np.diff(time_s) > GAP_S])
     flags = np.zeros(len(time_s), dtype=np.int64)

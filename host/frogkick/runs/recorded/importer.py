@@ -1,4 +1,4 @@
-"""The paper's runs as run logs: repaired or marked, nothing invented."""
+"""Imports the paper's runs as run logs."""
 
 from __future__ import annotations
 
@@ -37,10 +37,10 @@ ACTION_MASKS = tuple(
     sum(1 << limb for limb, on in enumerate(_LIMBS[name]) if on == "1") for name in ACTION_NAMES
 )
 COST_NAMES = ("cost_total", "cost_distance", "cost_angle", "cost_progress")
-# Frames this near the ends of a period may still, or already, carry the neighbour's label.
 LABEL_MARGIN_S = 0.15
-# Frames farther apart than this tell a mean speed, not that within a stroke.
+"""Frames this close to the ends of a period may have the label of the neighbouring period."""
 SPEED_OVER_S = 0.2
+"""Frames farther apart do not resolve the speed within a stroke."""
 CLOCK_UNUSABLE, CLOCK_SLIPS = "stroke clock not usable: ", "stroke clock slips by "
 CLOCK_NOTES = (CLOCK_UNUSABLE, CLOCK_SLIPS, "labels contradict")
 RUN_NAME = re.compile(r"(line|sin|ellipse)(\d+)\.csv")
@@ -52,8 +52,8 @@ def path_file(run_file: pathlib.Path) -> pathlib.Path:
     match = RUN_NAME.fullmatch(run_file.name)
     if match is None:
         raise InputError(
-            f"recorded run {run_file.name!r}: the name tells no path file: call it lineN.csv, sinN.csv or "
-            "ellipseN.csv with its path linepN.csv, sinpN.csv or ellipsepN.csv beside it"
+            f"recorded run {run_file.name!r}: no path file belongs to this name: call it lineN.csv, sinN.csv "
+            "or ellipseN.csv with its path linepN.csv, sinpN.csv or ellipsepN.csv beside it"
         )
     return run_file.with_name(f"{match[1]}p{match[2]}.csv")
 
@@ -61,19 +61,17 @@ def path_file(run_file: pathlib.Path) -> pathlib.Path:
 def read_recorded(file: pathlib.Path | str) -> RunLog:
     """A run of the paper as a run log.
 
-    The frame of the file is kept: x, y of the pool, theta from +x counter-clockwise with the robot's
-    forward direction along it; only theta's range changes, to (-pi, pi]. `time_s` is the logger's stamp from
-    the first row; `capture_time_s` is the same (the camera's delay is not in the record) and NaN for frames
-    of the backlog at the start. Decision times come from the stroke clock. The front limbs of an action are
-    logged as fired at its decision, the rear ones one pulse later: these are times of the label, motion
-    follows `measured["motion_lag_s"]` later. `cost_*` are the authors' own, of the state in that row, not of
-    a branch; a decision carries those of the newest fix before it. The `logged_v*` columns are differences
-    over one camera frame: right on average (slope 0.75 to 1.24 against positions), with a noise of 4 to
-    24 mm/s and 0.2 to 0.4 rad/s at rest, so they serve to repeat what the authors' planner saw, not to
-    identify.
+    The frame is that of the file: x, y of the pool, theta from +x counter-clockwise along the robot's forward
+    direction, wrapped to (-pi, pi]. `time_s` is the logger's time stamp from the first row; `capture_time_s`
+    is the same (the record lacks the camera's delay), NaN for frames of the backlog at the start. Decision
+    times come from the stroke clock. Front limbs count as fired at the decision, rear limbs one pulse later;
+    motion follows `measured["motion_lag_s"]` after the label. `cost_*` are the authors' costs of the state in
+    the row; a decision has those of the newest fix before it. The `logged_v*` columns are differences over
+    one camera frame, with a noise of 4 to 24 mm/s and 0.2 to 0.4 rad/s at rest (slope 0.75 to 1.24 against
+    positions): they show what the authors' planner used, and do not suit identification.
 
     Raises:
-        InputError: not a recorded run, its path is missing, or a bad cell (line and column named).
+        InputError: not a recorded run, no path beside it, or a bad cell.
     """
     source = existing_file(file, "recorded run")
     table = read_table(source)
@@ -146,11 +144,7 @@ def read_recorded(file: pathlib.Path | str) -> RunLog:
 
 
 def period_limits(robot: Robot) -> tuple[float, float]:
-    """Shortest and longest period that a robot allows, s.
-
-    A limb's pulse, its rest by the guard and the second group's delay bound it below; beyond the frequencies
-    at which its limbs were measured nothing could be predicted.
-    """
+    """Shortest and longest period of a robot, s, by its pulse, rest, delay and measured frequencies."""
     measured = [p.frequency_hz for p in robot.profiles if p.egain_percent == robot.egain_percent]
     shortest = robot.pulse_s + max(robot.guard.rest_min_s, robot.second_delay_s)
     if not measured:
@@ -159,7 +153,7 @@ def period_limits(robot: Robot) -> tuple[float, float]:
 
 
 def _evidence(clock: Clock) -> dict[str, float]:
-    """What a run keeps of how its clock was told; a figure that there is none of is left out."""
+    """Evidence for the clock, for ``RunLog.measured``, without unknown values."""
     values = {
         "period_std_s": clock.period_std_s,
         "phase_s": clock.phase_s,
@@ -178,17 +172,17 @@ def _evidence(clock: Clock) -> dict[str, float]:
 
 
 def clock_problem(run: RunLog) -> str:
-    """Why a run's stroke clock cannot be relied on; "" where it can, or the run is a log of ours."""
+    """Why a run's stroke clock is not usable; "" if it is, or for our own logs."""
     if not run.measured.get("clock_unusable"):
         return ""
     return next(
         (part[len(CLOCK_UNUSABLE) :] for part in run.notes.split("; ") if part.startswith(CLOCK_UNUSABLE)),
-        "its import could not tell the period",
+        "its import could not determine the period",
     )
 
 
 def _decisions(table: Table, clock: Clock | None) -> tuple[Decisions, Strokes]:
-    """One decision per period from the first label that fires, and the strokes they mean."""
+    """One decision per period from the first label that fires on, and their strokes."""
     if clock is None:
         return (
             Decisions(time_s=[], action=[], fix_sequence=[], flags=[]),  # type: ignore[arg-type]
@@ -233,10 +227,10 @@ def _decisions(table: Table, clock: Clock | None) -> tuple[Decisions, Strokes]:
 
 
 def cost_mismatch(run: RunLog) -> float:
-    """Largest difference of the logged costs from 500 d + 50 |angle| + 300 (1 - i/(n-1)), any of the four.
+    """Largest difference of the four logged costs from 500 d + 50 |angle| + 300 (1 - i/(n-1)).
 
-    d in m to the nearest path point i, the angle in rad to its tangent; the path is float32 here, which alone
-    makes up to about 1e-4.
+    d is in m to the nearest path point i, the angle in rad to its tangent. The path in float32 contributes up
+    to about 1e-4.
     """
     fixes, path = run.fixes, run.path
     if path is None or COST_NAMES[0] not in fixes.extra:
@@ -256,8 +250,8 @@ def cost_mismatch(run: RunLog) -> float:
 def summarise(run: RunLog) -> dict[str, Any]:
     """Figures of a run, for people and --json: counts, clock, noise at rest, distance to the path.
 
-    Noise is 1.4826 times the median absolute difference of frames in a row at rest, over sqrt 2: slow drift
-    does not count. Distances are to the path's segments, over good fixes from the first decision on.
+    The noise is 1.4826 times the median absolute difference of successive frames at rest, over sqrt 2,
+    without slow drift. Distances are from the path's segments to good fixes from the first decision on.
     """
     fixes = run.fixes
     flag = fixes.flags.astype(np.int64)
@@ -296,10 +290,10 @@ def summarise(run: RunLog) -> dict[str, Any]:
 
 
 def load_run(file: pathlib.Path | str) -> RunLog:
-    """A run from our HDF5 log or from a recorded run of the paper, told apart by content.
+    """Read a run from our HDF5 log or from a recorded run of the paper, by the file's content.
 
     Raises:
-        InputError: neither of both, or one that is damaged.
+        InputError: neither of them, or a damaged file.
     """
     source = existing_file(file, "run")
     with source.open("rb") as stream:
@@ -314,18 +308,18 @@ def import_recorded(
     out_dir: pathlib.Path | str,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> list[dict[str, Any]]:
-    """Convert every run of a folder that has its path beside it, to OUT_DIR/NAME.h5.
+    """Convert the runs of a folder that have a path beside them, to OUT_DIR/NAME.h5.
 
-    All runs are read and checked before the first file is written, so a bad one leaves nothing behind.
+    All runs are checked before the first file is written.
 
     Args:
         data_dir: folder with lineN.csv, sinN.csv, ellipseN.csv and their paths, or with `control` in it.
-        out_dir: folder to write to; made where it is missing.
-        progress: called with (runs done, runs).
+        out_dir: folder to write to, made if it is missing.
+        progress: called with runs done and all runs.
 
     Returns:
-        One summary for each run, in order of name and number, with "file"; a run without a path has only
-        "run" and "skipped".
+        A summary of each run, in order of name and number, with "file"; a run without a path has only "run"
+        and "skipped".
 
     Raises:
         InputError: no such folder, no run in it, or a run that cannot be read.

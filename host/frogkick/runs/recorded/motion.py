@@ -1,4 +1,4 @@
-"""What the frames show of strokes: the forward speed, and how long after its label one moves the robot."""
+"""The forward speed between frames, and the lag of the motion after a label."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ Float64 = NDArray[np.float64]
 def forward_speed(
     time_s: Float64, pose: Float64, usable: NDArray[np.bool_]
 ) -> tuple[Float64, Float64, Float64]:
-    """Begin and end (s) of all pairs of usable frames in a row, and (k,) speed along the heading, m/s."""
+    """Start and end (s) of all pairs of successive usable frames, and (k,) speed along the heading, m/s."""
     rows = np.flatnonzero(usable)
     start, end = time_s[rows[:-1]], time_s[rows[1:]]
     step = np.diff(pose[rows], axis=0)
@@ -21,19 +21,15 @@ def forward_speed(
 
 
 def motion_lag(time_s: Float64, pose: Float64, usable: NDArray[np.bool_], fired_s: Float64) -> float | None:
-    """Time from a label to the onset of forward motion, s; None where too few frames show it.
+    """Time from a label to the onset of forward motion, s; None with too few frames.
 
-    The forward speed around all firings is fitted by a line (the glide) plus a ramp from the onset on; each
-    pair of frames counts with the mean of that over its own interval, so that their spacing does
-    not smear the onset.
-
-    A weak figure: of eight windows and glide models tried on the published runs, the answers for one run
-    spread over 0.05 to 0.12 s, and this one was kept because its onsets agree best between runs. Do not
-    place strokes by it; their times come from the labels alone.
+    The forward speed around all strokes is fitted by a line (the glide) plus a ramp from the onset on,
+    averaged over the interval of each pair of frames. The result is uncertain: other windows and glide models
+    gave 0.05 to 0.12 s for the same run. Stroke times come from the labels alone.
 
     Args:
-        time_s, pose, usable: the frames, (n,), (n,3), (n,).
-        fired_s: (k,) s, when an action that fires began.
+        time_s, pose, usable: the frames, (n,), (n, 3), (n,).
+        fired_s: (k,) s, start of the actions that fire.
     """
     if usable.sum() < 2 or not fired_s.size:
         return None

@@ -1,8 +1,8 @@
-"""Periods that a stroke clock may have, by its labels and the motion together, and where it slips.
+"""Searches the periods of a stroke clock by its labels and the motion together, with slips.
 
-One score in nats: labels as von Mises about the clock, log(period) for each (a shorter period would have let
-it change elsewhere too), and the speed's fundamental as a sinusoid of known size in white noise. Labels and
-surges may go on by another phase from some time on, which costs ``SLIP`` nats each.
+The score in nats has three parts: labels as von Mises about the clock, log(period) for each of them (a
+shorter period would have allowed more changes), and the speed's fundamental as a sinusoid of known size in
+white noise. A slip, from which labels and speed have another phase, costs ``SLIP`` nats.
 """
 
 from __future__ import annotations
@@ -21,19 +21,19 @@ LABEL, MOTION, SLIP = 30.0, 8.0, 12.0
 1 on the published runs) times the frames of a window (20); nats that a slip must be worth."""
 
 LABEL_ROOM_S = 0.25
-"""Labels that are not known to better than this bound the clock but do not vote."""
+"""Labels with wider bounds limit the clock but do not count in the score."""
 
 WINDOW_S, WINDOWS_MOST, DETREND_S = 1.5, 80, 3.0
 BLOCK_S = (8.0, 30.0)
-"""Pieces of a run in which a first search takes the clock for constant, at least and at most."""
+"""Shortest and longest piece of a run with a constant clock in the first search."""
 
 CANDIDATES, SAME = 5, 0.03
-"""Periods looked at closely; within this share two of them are the same."""
+"""Number of periods in the second search, and relative difference up to which two periods are the same."""
 
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """What tells a clock: bounds of the labels, and speed without its slow part.
+    """Evidence for a clock: bounds of the labels, and speed without its slow part.
 
     Args:
         earliest, latest: (n,) s, bounds of the changes of label; earliest may be -inf.
@@ -49,12 +49,12 @@ class Evidence:
 
     @property
     def votes(self) -> NDArray[np.bool_]:
-        """(n,) changes that are known well enough."""
+        """(n,) changes with narrow bounds, which count in the score."""
         return np.asarray(self.latest - self.earliest <= LABEL_ROOM_S)
 
     @property
     def anchor(self) -> Float64:
-        """(v,) s, of those that vote."""
+        """(v,) s, centres of the bounds of these changes."""
         return np.asarray(0.5 * (self.earliest + self.latest)[self.votes])
 
     @property
@@ -69,7 +69,7 @@ class Fit:
     Args:
         score: nats.
         resultant: see Clock.
-        pieces: (first time, last time, phase) of each, s; events at its ends belong to it.
+        pieces: (first time, last time, phase) of each, s, with the events at its ends.
     """
 
     period_s: float
@@ -79,9 +79,9 @@ class Fit:
 
 
 def search(seen: Evidence, limits_s: tuple[float, float]) -> list[Fit]:
-    """Periods that may be, best first."""
-    whole_s = max(seen.end_s - seen.start_s, 1.0)
-    block_s = float(np.clip(whole_s / 4.0, *BLOCK_S))
+    """Candidate periods, best first."""
+    length_s = max(seen.end_s - seen.start_s, 1.0)
+    block_s = float(np.clip(length_s / 4.0, *BLOCK_S))
     high, low = 1.0 / limits_s[0], 1.0 / limits_s[1]
     rates = np.arange(low, high, 0.1 / block_s)
     rough = np.zeros(len(rates))
@@ -90,13 +90,13 @@ def search(seen: Evidence, limits_s: tuple[float, float]) -> list[Fit]:
         labels, speed = _phasors(seen, rates, [first, last])
         rough += LABEL * np.abs(labels[:, 0]) + MOTION * np.abs(speed[:, 0])
     rough -= len(seen.anchor) * np.log(rates)
-    # Coherent over the whole run as well: few labels in many blocks tell nothing block by block.
+    # Also coherent over the complete run, for few labels in many blocks.
     labels, speed = _phasors(seen, rates, [-np.inf, np.inf])
     whole = LABEL * np.abs(labels[:, 0]) + MOTION * np.abs(speed[:, 0]) - len(seen.anchor) * np.log(rates)
     tops = {place for score in (rough, whole) for place in _peaks(score)[:CANDIDATES]}
     fits = []
     for place in tops:
-        near = rates[place] + np.arange(-0.4 / block_s, 0.4 / block_s, 0.05 / whole_s)
+        near = rates[place] + np.arange(-0.4 / block_s, 0.4 / block_s, 0.05 / length_s)
         near = near[(near >= low) & (near <= high)]
         if len(near):
             fits.append(_piecewise(seen, near))
@@ -111,7 +111,7 @@ def _peaks(score: Float64) -> list[int]:
 
 
 def _phasors(seen: Evidence, rates: Float64, edges: list[float] | Float64) -> tuple[Complex, Complex]:
-    """(r, pieces) sums of unit phasors over labels; and of the speed's, each window of it at most about 1."""
+    """(r, pieces) sums of the labels' unit phasors, and of the speed's, whose windows are at most about 1."""
     sums = np.zeros((2, len(rates), len(edges) - 1), dtype=np.complex128)
     window = np.searchsorted(seen.time_s, edges)
     per_window = max(len(seen.time_s) * WINDOW_S / max(seen.end_s - seen.start_s, 1.0), 4.0)
@@ -125,7 +125,7 @@ def _phasors(seen: Evidence, rates: Float64, edges: list[float] | Float64) -> tu
 
 
 def _piecewise(seen: Evidence, rates: Float64) -> Fit:
-    """The best of some rates, each with the slips that are worth it: dynamic programming over events."""
+    """The best of some rates, each with its best slips, by dynamic programming over events."""
     window_s = max(WINDOW_S, (seen.end_s - seen.start_s) / WINDOWS_MOST)
     edges = np.arange(seen.start_s - 1.0, seen.end_s + window_s, window_s)
     _, speed = _phasors(seen, rates, edges)
@@ -134,7 +134,7 @@ def _piecewise(seen: Evidence, rates: Float64) -> Fit:
     order = np.argsort(np.concatenate([seen.anchor, middle]), kind="stable")
     times = np.concatenate([seen.anchor, middle])[order]
     is_label = (np.arange(len(order)) < len(seen.anchor))[order]
-    # By how much the surge follows its label is the same in all pieces, and not known.
+    # The lag of the motion after the labels is unknown, and the same in all pieces.
     lags = np.exp(2j * np.pi * np.arange(12) / 12)
     if not len(seen.speed):
         lags = lags[:1]

@@ -1,4 +1,4 @@
-"""The paper's run file: two header lines, then twelve columns under nine names."""
+"""The paper's run file: two header lines, and twelve columns under nine names."""
 
 from __future__ import annotations
 
@@ -54,11 +54,11 @@ class Table:
 
 
 def read_table(file: pathlib.Path | str) -> Table:
-    """Read a run file of the paper; every complaint names line and column as a text editor counts them.
+    """Read a run file of the paper.
 
     Raises:
         InputError: missing, empty or foreign file, missing columns, a cell that is not a finite number, an
-            unknown action, or time going back.
+            unknown action, or time going back; with line and column.
     """
     source = existing_file(file, "recorded run")
     name = source.name
@@ -66,7 +66,7 @@ def read_table(file: pathlib.Path | str) -> Table:
         text = source.read_text(encoding="utf-8-sig")
     except UnicodeDecodeError as error:
         raise InputError(
-            f"{name!r} is no run: give a log (.h5) of 'frogkick run', or a recorded one like line1.csv"
+            f"{name!r} is not a run: give a log (.h5) of 'frogkick run', or a recorded one like line1.csv"
         ) from error
     try:
         lines = list(csv.reader(text.replace("\0", "?").splitlines()))
@@ -130,7 +130,7 @@ def _number(cell: str, where: str) -> float:
 
 
 def _carry_midnight(stamp_ms: Float64, name: str) -> tuple[Float64, NDArray[np.bool_]]:
-    """Stamps count from midnight: half a day back or more is the next day, less is an error."""
+    """Time stamps across midnight: a step back by half a day or more is the next day."""
     step = np.diff(stamp_ms)
     days = np.concatenate([[0.0], np.cumsum(step < -DAY_MS / 2)])
     carried = stamp_ms + days * DAY_MS

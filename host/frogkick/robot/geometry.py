@@ -1,4 +1,4 @@
-"""What is wrong with a robot, or may not be meant: its shape, its actions, its limits."""
+"""Errors in a robot's geometry, and warnings about its shape, actions and limits."""
 
 from __future__ import annotations
 
@@ -11,21 +11,18 @@ from frogkick.core.errors import InputError
 from frogkick.robot.model import Robot
 from frogkick.robot.shape import FloatArray, Frame, Limb, limb_points, outline_of
 
-SEGMENT_MIN_M = 1e-4  # a robot of this family has segments of millimetres; shorter ones are slips of a unit
-TURN_MAX_DEG = 170.0  # discrete curvature grows as tan(turn / 2): a frame that folds back has none
+SEGMENT_MIN_M = 1e-4  # shorter segments are likely errors of a unit
+TURN_MAX_DEG = 170.0  # discrete curvature grows as tan(turn / 2)
 
 
 def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
     return np.asarray(a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0])
 
 
-def crossings(one: FloatArray, other: FloatArray) -> NDArray[np.bool_]:
-    """(n - 1, m - 1) which segments of one line of (n, 2) points properly cross which of another's (m, 2).
-
-    Lines that only touch, as at a common corner, do not cross.
-    """
-    a, b = one[:-1, None], one[1:, None]
-    c, d = other[None, :-1], other[None, 1:]
+def crossings(first: FloatArray, second: FloatArray) -> NDArray[np.bool_]:
+    """(n - 1, m - 1) whether segments of two lines (n, 2) and (m, 2) cross; touching lines do not."""
+    a, b = first[:-1, None], first[1:, None]
+    c, d = second[None, :-1], second[None, 1:]
     apart_cd = _cross(b - a, c - a) * _cross(b - a, d - a) < 0.0
     apart_ab = _cross(d - c, a - c) * _cross(d - c, b - c) < 0.0
     return np.asarray(apart_cd & apart_ab)
@@ -36,16 +33,11 @@ def _edge(frame: Frame, index: int) -> FloatArray:
 
 
 def require_geometry(frame: Frame, limbs: tuple[Limb, ...], source: str) -> None:
-    """Refuse a frame or limbs that cannot be built.
-
-    Args:
-        frame: the body.
-        limbs: all limbs.
-        source: what to call the robot file in errors.
+    """Check that frame and limbs can be built. ``source`` names the robot file in errors.
 
     Raises:
-        InputError: a segment too short to be meant, a frame that crosses itself, or limbs that cross
-            themselves, each other, or a frame edge that they do not start from, at rest.
+        InputError: a segment is too short, the frame crosses itself, or limbs at rest cross themselves, each
+            other, or a frame edge that they do not start from.
     """
     n = len(frame.corners_m)
     for i in range(n):
@@ -131,7 +123,7 @@ def _limb_warnings(robot: Robot) -> list[str]:
 
 
 def _mirror_warnings(robot: Robot) -> list[str]:
-    """Limbs whose corner has a mirror image with a limb, but which are not its mirror themselves."""
+    """Limbs at mirrored corners that are not mirror images of each other."""
     found: list[str] = []
     places = [robot.frame.corners_m[limb.corner] for limb in robot.limbs]
     for i, limb in enumerate(robot.limbs):
@@ -190,5 +182,5 @@ def _guard_warnings(robot: Robot) -> list[str]:
 
 
 def robot_warnings(robot: Robot) -> tuple[str, ...]:
-    """What may not be meant, one line each: idle limbs, overlaps, broken mirrors, refused strokes."""
+    """Warnings, one line each: idle limbs, overlaps, broken symmetry, refused strokes."""
     return (*_limb_warnings(robot), *_mirror_warnings(robot), *_guard_warnings(robot))

@@ -1,4 +1,4 @@
-"""Read a robot file: TOML text to a checked, frozen Robot."""
+"""Reads a robot file: TOML text to a checked Robot."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from frogkick.robot.shape import Frame, Limb
 from frogkick.robot.toml_text import to_toml
 
 PIN_MOST_V = 3.0
-"""At an analogue input, where the chip is supplied with as much as on Nordic's kit."""
+"""Largest voltage at an analogue input, with the supply of Nordic's kit."""
 
 LIKELY: dict[str, tuple[float, float, str]] = {
     "corners_m": (0.0, 2.0, "mm"),
@@ -57,23 +57,23 @@ LIKELY: dict[str, tuple[float, float, str]] = {
     "forward_mps": (0.0, 10.0, "mm/s"),
     "left_mps": (0.0, 10.0, "mm/s"),
 }
-"""Key -> least and most that a small swimmer in water can have, in the key's unit, and the unit that a number
-beyond is likely to be in. Wide: a robot of 5 mm and one of 2 m are inside, a slip by a thousand is not."""
+"""Key -> plausible limits for a swimmer of 5 mm to 2 m, in the key's unit, and the likely unit of a number
+outside of them."""
 
 BUILT_IN = Path(__file__).resolve().parent / "robots"
 
 
 def built_in_robots() -> tuple[str, ...]:
-    """Names that load_robot takes instead of a path."""
+    """Names of the built-in robots."""
     return tuple(sorted(p.stem for p in BUILT_IN.glob("*.toml") if not p.stem.endswith(".profiles")))
 
 
 def load_robot(name_or_path: Robot | str | Path) -> Robot:
-    """Read a robot by built-in name ("frog2022") or from a TOML file; one that is read already comes back.
+    """Read a built-in robot ("frog2022") or a TOML file; a ``Robot`` is returned as it is.
 
     Raises:
-        InputError: no such robot, not TOML, an unknown key (the nearest right one is named), a value out
-            of its range, or parts that do not fit together.
+        InputError: no such robot, not TOML, an unknown key, a value out of its range, or parts that do not
+            fit together.
     """
     if isinstance(name_or_path, Robot):
         return name_or_path
@@ -95,12 +95,12 @@ def load_robot(name_or_path: Robot | str | Path) -> Robot:
 
 
 def parse_robot(content: str, source: str, folder: Path | None = None) -> Robot:
-    """Make a Robot from TOML text, as from the one that a library carries.
+    """Make a Robot from TOML text.
 
     Args:
         content: TOML.
-        source: what to call it in errors.
-        folder: where ``profiles_file`` is looked up; None where the text must be complete.
+        source: its name in errors.
+        folder: of ``profiles_file``; None if the text must be complete.
 
     Raises:
         InputError: see load_robot.
@@ -134,11 +134,7 @@ def _numbers(value: Any) -> list[float]:
 
 
 def _require_likely(table: Mapping[str, Any], source: str, where: str = "") -> None:
-    """Refuse a number that no small swimmer in water has, see LIKELY.
-
-    Raises:
-        InputError: naming the key, its value, the limit, and the unit that was likely meant.
-    """
+    """Raise InputError for a number outside of LIKELY."""
     for key, value in table.items():
         if isinstance(value, Mapping):
             _require_likely(value, source, f"{where}{key}.")
@@ -158,10 +154,10 @@ def _require_likely(table: Mapping[str, Any], source: str, where: str = "") -> N
 
 
 def _on_base(table: dict[str, Any], source: str, folder: Path | None) -> tuple[dict[str, Any], Path | None]:
-    """A file's keys on top of those of its ``base``, a built-in robot, and where its profiles are.
+    """A file's keys merged into those of its ``base``, a built-in robot, and the folder of its profiles.
 
     Raises:
-        InputError: no such robot, or one with a base itself.
+        InputError: no such robot, or its base has a base.
     """
     base = table.pop("base", None)
     if base is None:
@@ -180,7 +176,7 @@ def _on_base(table: dict[str, Any], source: str, folder: Path | None) -> tuple[d
 
 
 def _merged(below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any]:
-    """All keys of both; tables key by key, anything else, lists of tables too, as ``above`` has it."""
+    """Keys of both; tables are merged by key, other values and lists of tables are those of ``above``."""
     found = {**below, **above}
     for key, value in above.items():
         if isinstance(value, Mapping) and isinstance(below.get(key), Mapping):
@@ -209,8 +205,7 @@ def _table_at(location: tuple[int | str, ...]) -> type[BaseModel]:
 
 
 def _first_error(error: ValidationError) -> str:
-    """One line for the first thing wrong, unknown keys first: they usually explain the missing ones, of which
-    all are named."""
+    """The first error in one line; unknown keys come first, as they often explain missing ones."""
     problems = sorted(error.errors(), key=lambda e: e["type"] != "extra_forbidden")
     first = problems[0]
     location = first["loc"]
@@ -239,7 +234,9 @@ def _mask(names: list[str], limbs: list[str], where: str, source: str) -> int:
     mask = 0
     for name in names:
         if name not in limbs:
-            raise InputError(f"{source}: {where} fires {name!r}, which is no limb{nearest_name(name, limbs)}")
+            raise InputError(
+                f"{source}: {where} fires {name!r}, which is not a limb{nearest_name(name, limbs)}"
+            )
         if mask >> limbs.index(name) & 1:
             raise InputError(f"{source}: {where} names {name!r} twice: once is enough")
         mask |= 1 << limbs.index(name)
@@ -367,7 +364,7 @@ def _robot(file: RobotFile, source: str, folder: Path | None) -> Robot:
         sha256=hashlib.sha256(text.encode("utf-8")).digest(),
     )
     try:
-        robot.actuation()  # the actions' own profile must exist: say so now, not at the first simulation
+        robot.actuation()  # raises if the actions' profile is missing
     except InputError as error:
         raise InputError(f"{source}: {error}") from None
     return robot

@@ -1,4 +1,4 @@
-"""What a robot is, checked: frozen dataclasses that every other part reads."""
+"""The robot as frozen dataclasses."""
 
 from __future__ import annotations
 
@@ -21,15 +21,12 @@ from frogkick.robot.toml_text import to_toml
 STANDARD_GRAVITY_MPS2 = 9.80665
 
 PERIOD_SAME = 0.02
-"""Share of its period by which a robot may be off and counts as firing at its own."""
+"""Relative difference up to which a period counts as the robot's own."""
 
 
 @dataclass(frozen=True)
 class Action:
-    """One stroke: the limbs of first_mask fire, those of second_mask one delay later (bit i = limb i).
-
-    Its name is a letter or a word.
-    """
+    """A stroke: the limbs of first_mask fire, those of second_mask one delay later (bit i = limb i)."""
 
     name: str
     first_mask: int
@@ -43,14 +40,14 @@ def in_a_row(names: Sequence[str]) -> str:
 
 @dataclass(frozen=True)
 class Guard:
-    """What the robot refuses to do to its limbs, whatever it is told.
+    """Limits of the limbs that the robot enforces itself.
 
     Attributes:
-        pulse_max_s, rest_min_s: a limb's longest pulse, and its shortest rest.
-        duty_max, duty_window_s: a limb is on for at most this part of any such time.
-        limbs_at_once_max: limbs on together.
-        fix_fresh_s, fix_lost_s: on its own, the robot begins no pulse without a position fix of the last
-            fix_fresh_s, and is disarmed without one of the last fix_lost_s.
+        pulse_max_s, rest_min_s: longest pulse and shortest rest of a limb.
+        duty_max, duty_window_s: largest part of any such time that a limb is on.
+        limbs_at_once_max: largest number of limbs on together.
+        fix_fresh_s, fix_lost_s: largest age of the newest position fix for a pulse of the planner, and before
+            the robot disarms itself.
     """
 
     pulse_max_s: float
@@ -64,14 +61,14 @@ class Guard:
 
 @dataclass(frozen=True)
 class Battery:
-    """What drives the limbs, for those who charge it, and for the chip where it sees it; no simulation does.
+    """The batteries of the limbs. Simulations do not use them.
 
     Attributes:
-        count: how many there are.
-        nominal_v: of each, as sold.
-        low_v, full_v: of each, at rest: below the one nobody swims, the other is after charging.
+        count: number of batteries.
+        nominal_v: of each.
+        low_v, full_v: of each, at rest: the limit below which no run starts, and the voltage after charging.
         measure: how a person measures it, in a few words.
-        inputs: analogue inputs of the chip (0 is AIN0) that see one each; none: nothing on the robot does.
+        inputs: analogue inputs of the chip (0 is AIN0), one for each measured battery.
         divider: volts of a battery for each volt at its input.
     """
 
@@ -90,8 +87,8 @@ class PlannerDefaults(Weights):
 
     Attributes:
         cost: "route" or "paper" (Huang 2022, Eq. 19).
-        depth: levels to look ahead.
-        plan_time_s: time for a decision on the robot; 0 = no limit.
+        depth: depth of the search.
+        plan_time_s: time for a decision on the robot; 0: no limit.
     """
 
     cost: str
@@ -110,7 +107,7 @@ class VelocityBox:
 
 @dataclass(frozen=True, repr=False)
 class Robot:
-    """A whole robot. Equal sha256 means equal robots, whatever the comments of their files.
+    """A robot. Robots are equal if their sha256 are.
 
     Attributes:
         id: at most 15 ASCII characters, written into table images.
@@ -120,12 +117,12 @@ class Robot:
         second_delay_s: from the first group of an action to the second.
         pulse_energy_j: electrical energy of one pulse on one limb.
         water_density_kg_per_m3: of the fluid, for drag.
-        egain_percent, profile_frequency_hz: which profile the actions use.
+        egain_percent, profile_frequency_hz: profile of the actions.
         gait_lead_mask, gait_lag_mask: the two groups of the cyclic gait; the second lags by the phase.
-        velocity_resolution: (m/s, m/s, rad/s) that one code of a table image stands for.
-        battery: what drives its limbs; None where its file does not say.
-        effects: what it has besides (frogkick.effects.effects_of makes them), as its file's tables.
-        folder: where the files of its own effects are; None where its text came alone.
+        velocity_resolution: velocity per code of a table image, (m/s, m/s, rad/s).
+        battery: of the limbs; None if its file has none.
+        effects: tables of its effects in its file (see frogkick.effects.effects_of).
+        folder: folder of its own effects' files; None if the text has no folder.
         toml: the canonical text; load_robot reads it back to the same robot.
         sha256: of that text, 32 bytes.
     """
@@ -166,18 +163,16 @@ class Robot:
         return f"<div><b>{html.escape(self.title)}</b><br>{html.escape(repr(self))}<br>{picture}</div>"
 
     def save(self, file: Path | str) -> None:
-        """Write its TOML, which ``load_robot`` reads back to the same robot.
-
-        Files of the user's own effects are named by their way from there.
+        """Write the TOML, with relative paths of the user's own effects.
 
         Raises:
-            InputError: the file cannot be written, or an effect's file is not known.
+            InputError: the file cannot be written, or an effect's file is unknown.
         """
         text, target = self.toml, Path(file)
         if any("file" in table for table in self.effects):
             if self.folder is None:
                 raise InputError(
-                    f"robot {self.id!r} has an effect in a file that did not come along: copy both"
+                    f"robot {self.id!r} has an effect in a file whose folder is unknown: copy both"
                 )
             table = tomllib.loads(text)
             for row in table["effect"]:
@@ -197,7 +192,7 @@ class Robot:
         return perimeter * self.frame.mass_per_length_kg_per_m + limbs
 
     def actuation(self, egain_percent: float | None = None, frequency_hz: float | None = None) -> Actuation:
-        """The stroke of a limb; without arguments the one that the actions use.
+        """The stroke of a limb, by default that of the actions.
 
         Raises:
             InputError: outside of the measured profiles.
@@ -207,12 +202,10 @@ class Robot:
         return actuation(self.profiles, egain, frequency)
 
     def at_period(self, period_s: float) -> Robot:
-        """This robot firing at another period, its limbs by the profile measured at that frequency.
-
-        Within ``PERIOD_SAME`` of its own it stays as it is.
+        """The robot with another period and the profile of its frequency; unchanged within ``PERIOD_SAME``.
 
         Raises:
-            InputError: no profile was measured at that frequency.
+            InputError: the frequency is outside of the measured profiles.
         """
         if abs(period_s / self.period_s - 1.0) <= PERIOD_SAME:
             return self
@@ -221,8 +214,7 @@ class Robot:
 
     @property
     def action_codes(self) -> tuple[str, ...]:
-        """What a table image calls its actions, a character each: their names, or where these are words the
-        next free letters."""
+        """Characters of the actions in a table image: one-letter names, and free letters for words."""
         names = [action.name for action in self.actions]
         free = (letter for letter in string.ascii_uppercase + string.ascii_lowercase if letter not in names)
         return tuple(name if len(name) == 1 else next(free) for name in names)
@@ -231,7 +223,7 @@ class Robot:
         """The action of that name (case ignored).
 
         Raises:
-            InputError: no such action; the text lists those there are.
+            InputError: no such action.
         """
         for action in self.actions:
             if action.name.upper() == str(name).upper():

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from frogkick.core.errors import InputError
 
 TERMS = 3  # one heating, two cooling: two terms leave 2.0 1/m RMS at worst, four gain 0.16 on average
-DIGITS_HZ = 9  # frequencies that agree in so many are the same
+DIGITS_HZ = 9  # decimal places in which frequencies are compared
 SAMPLE_S = 0.0001  # linear interpolation at this step errs by less than 5e-6 of the activation
 
 
@@ -51,12 +51,12 @@ class Profile:
 
 @dataclass(frozen=True)
 class Actuation:
-    """What a stroke does to a limb, sampled for the simulation.
+    """The effect of a stroke on a limb, sampled for the simulation.
 
     Attributes:
         duration_s: from the pulse's start to rest.
         step_s: spacing of the samples.
-        drop_per_m: how much the curvature falls at the most, 1/m.
+        drop_per_m: largest drop of the curvature, 1/m.
         activation: (n,) share of that fall: 0 at rest and at both ends, 1 where the limb is straightest.
     """
 
@@ -154,12 +154,12 @@ def fit_profile(
 
 
 def _known_hz(profile: Profile) -> float:
-    """As frequencies are compared: one over a period is no round number."""
+    """The rounded frequency, for comparisons."""
     return round(profile.frequency_hz, DIGITS_HZ)
 
 
 def _brackets(values: list[float], wanted: float) -> tuple[float, float, float] | None:
-    """The two neighbours of ``wanted`` and the weight of the upper one; None outside of the range."""
+    """The two neighbours of a value and the weight of the upper one; None outside of the range."""
     if not values or not values[0] <= wanted <= values[-1]:
         return None
     upper = next(v for v in values if v >= wanted)
@@ -168,14 +168,14 @@ def _brackets(values: list[float], wanted: float) -> tuple[float, float, float] 
 
 
 def actuation(profiles: Sequence[Profile], egain_percent: float, frequency_hz: float) -> Actuation:
-    """Return the stroke at an EGaIn fraction and a frequency, between measured ones where needed.
+    """The stroke at an EGaIn fraction and a frequency, interpolated between measured profiles.
 
-    Between two frequencies the falls of the curvature are mixed at equal time since the pulse (heating
-    takes the same time at any frequency) over the cycle 1 / frequency, a profile that has ended counting
-    as rest; what is then left at the cycle's end is taken out as a ramp. EGaIn fractions likewise.
+    Between two frequencies the drops of the curvature are interpolated at equal times since the pulse, over
+    the cycle 1 / frequency; a profile that has ended counts as rest, and the rest at the cycle's end is
+    removed by a ramp. The same holds between EGaIn fractions.
 
     Raises:
-        InputError: outside of the measured range, which the text names. Nothing is extrapolated.
+        InputError: outside of the measured range.
     """
     wanted_hz = round(float(frequency_hz), DIGITS_HZ)
     fractions = sorted({p.egain_percent for p in profiles})
@@ -206,6 +206,6 @@ def actuation(profiles: Sequence[Profile], egain_percent: float, frequency_hz: f
     for weight, profile in chosen:
         fall += weight * (profile.rest_curvature_per_m - profile.curvature_per_m(time_s))
     fall -= fall[-1] * time_s / end
-    fall = np.maximum(fall, 0.0)  # fits overshoot by up to 0.9 1/m: rest is the most curled state there is
+    fall = np.maximum(fall, 0.0)  # fits overshoot by up to 0.9 1/m; rest is the most curled state
     drop = float(fall.max())
     return Actuation(end, end / (count - 1), drop, fall / drop)

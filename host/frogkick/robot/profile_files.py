@@ -37,7 +37,7 @@ def read_measured_profile(path: Path | str) -> tuple[np.ndarray, np.ndarray]:
 
 @dataclass(frozen=True, eq=False)
 class Stroke:
-    """A stroke as it was measured.
+    """A measured stroke.
 
     Attributes:
         name: of its file.
@@ -51,19 +51,18 @@ class Stroke:
 
 
 def read_stroke(file: Path | str, length_m: float | None = None) -> Stroke:
-    """Read a measured stroke: CSV with a header and one cycle, from the pulse's beginning to rest again.
+    """Read a measured stroke: CSV with a header and one cycle, from the pulse's start to rest.
 
-    Columns ``time_s`` and ``curvature_per_m``; or ``time_s``, ``tip_x_m``, ``tip_y_m``: the limb's tip seen
-    from its root, x along the limb's tangent there. An arc of length l that ends there turns by twice the
-    angle of its chord, so its curvature is 2 atan2(y, x) / l.
+    The columns are ``time_s`` and ``curvature_per_m``, or ``time_s``, ``tip_x_m``, ``tip_y_m``: the limb's
+    tip from its root, x along the tangent at the root. An arc of length l turns by twice the angle of its
+    chord, so its curvature is 2 atan2(y, x) / l.
 
     Args:
         file: the CSV file.
-        length_m: of the limb along it, where the tip was tracked.
+        length_m: length of the limb, for a tracked tip.
 
     Raises:
-        InputError: no such file, other columns, a cell that is no number (its line is named), or a tip
-            without the limb's length.
+        InputError: no such file, other columns, a cell that is not a number, or a tip without the length.
     """
     name = Path(file).name
     rows = np.array(csv_numbers(file, "stroke file", ("time_s",), ("curvature_per_m", "tip_x_m", "tip_y_m")))
@@ -84,7 +83,7 @@ def read_stroke(file: Path | str, length_m: float | None = None) -> Stroke:
 
 
 def fit_stroke(stroke: Stroke, egain_percent: float, frequency_hz: float | None = None) -> Profile:
-    """The profile of a measured stroke; ``frequency_hz`` None: one over its last time, to four digits.
+    """The profile of a measured stroke; the default frequency is one over its last time, to four digits.
 
     Raises:
         InputError: see ``fit_profile``; times before the pulse.

@@ -1,4 +1,4 @@
-"""The shape of a robot: frame and limbs, as lines for checks and pictures, not for the simulation."""
+"""The shape of a robot: frame and limbs, and their lines for checks and pictures."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ class Frame:
     Attributes:
         corners_m: (n)(2) x forward, y left, m.
         segments: (n) segments of edge i, from corner i to corner i + 1.
-        mass_per_length_kg_per_m: what it weighs, spread over the polygon.
-        added_mass_per_length_kg_per_m: water that moves along (inertia only).
+        mass_per_length_kg_per_m: mass, spread over the polygon.
+        added_mass_per_length_kg_per_m: added mass of water (inertia only).
         stretching_stiffness_n: EA.
         bending_stiffness_n_m2: EI.
         drag_width_m: D of the drag law.
         drag_normal: C_n across the edge, dimensionless.
         drag_tangential: C_t along the edge, dimensionless.
-        centre_mass_share: of that mass, what sits at the centre of the corners instead: it resists no turn.
-        centre_mass_at_m: (x, y) of that share, from the centre of the corners: an effect moves it, no file.
+        centre_mass_share: share of the mass at the centre of the corners, which resists no turn.
+        centre_mass_at_m: (x, y) of that share from the centre of the corners; set by an effect only.
     """
 
     corners_m: tuple[tuple[float, float], ...]
@@ -45,7 +45,7 @@ class Frame:
 
 @dataclass(frozen=True)
 class Limb:
-    """One actuated rod, rooted at a corner of the frame.
+    """An actuated rod, rooted at a corner of the frame.
 
     Attributes:
         name: in the TOML's order, which is the bit order of every limb mask.
@@ -87,18 +87,13 @@ def outline_of(frame: Frame) -> FloatArray:
 
 
 def limb_points(frame: Frame, limb: Limb, fall_per_m: float = 0.0) -> FloatArray:
-    """(segments + 1, 2) nodes of a limb from root to tip, m, in the robot file's own body coordinates.
+    """(segments + 1, 2) nodes of a limb from root to tip, m, in the robot file's body coordinates.
 
-    Args:
-        frame: where its root is.
-        limb: which.
-        fall_per_m: how much a stroke has taken off the size of its curvature, 1/m; 0 is rest.
+    ``fall_per_m`` is the drop of its curvature by a stroke, 1/m.
     """
     curvature = limb.rest_curvature_per_m - math.copysign(fall_per_m, limb.rest_curvature_per_m)
     step = limb.length_m / limb.segments
-    turn = 2.0 * math.atan(
-        0.5 * curvature * step
-    )  # between two chords: discrete curvature 2 tan(turn / 2) / step
+    turn = 2.0 * math.atan(0.5 * curvature * step)  # between chords: curvature 2 tan(turn / 2) / step
     angle = limb.direction_rad + (np.arange(limb.segments) + 0.5) * turn
     chords = step * np.column_stack([np.cos(angle), np.sin(angle)])
     root = np.array([frame.corners_m[limb.corner]])
@@ -106,11 +101,11 @@ def limb_points(frame: Frame, limb: Limb, fall_per_m: float = 0.0) -> FloatArray
 
 
 def svg_of(frame: Frame, limbs: tuple[Limb, ...], width_px: int = 320) -> str:
-    """A robot at rest as an SVG picture seen from above, swimming up the page, limbs with their names."""
+    """A robot at rest as an SVG picture from above, forward up, with the limbs' names."""
     lines = {limb.name: limb_points(frame, limb) for limb in limbs}
     outline = outline_of(frame)
-    every = np.concatenate([outline, *lines.values()])
-    low, high = every.min(axis=0), every.max(axis=0)
+    points = np.concatenate([outline, *lines.values()])
+    low, high = points.min(axis=0), points.max(axis=0)
     margin = 0.12 * float((high - low).max())
     wide, tall = (float(size) + 2.0 * margin for size in (high - low)[::-1])
 

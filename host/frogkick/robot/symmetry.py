@@ -1,4 +1,4 @@
-"""Whether a robot is its own mirror image, left for right: half of its simulations then need not be run."""
+"""Mirror symmetry of a robot, left to right, which saves half of its simulations."""
 
 from __future__ import annotations
 
@@ -8,21 +8,21 @@ from dataclasses import dataclass
 from frogkick.robot.model import Robot
 from frogkick.robot.shape import Frame, Limb
 
-_CLOSE = 1e-12  # relative to the frame, and in radians: what writing decimal numbers to a file may leave
+_CLOSE = 1e-12  # relative to the frame, and in radians: rounding of decimal numbers in a file
 
 
 @dataclass(frozen=True)
 class Mirror:
-    """What left for right does: limb i becomes limb limbs[i], action a becomes action actions[a]."""
+    """The mirroring: limb i becomes limb limbs[i], action a becomes action actions[a]."""
 
     limbs: tuple[int, ...]
     actions: tuple[int, ...]
 
 
 def mirror_of(robot: Robot) -> Mirror | None:
-    """The mirroring of a robot; None where its frame, its limbs, its actions or its library box have none.
+    """The mirroring of a robot; None if its frame, limbs, actions or library box are not symmetric.
 
-    A robot with effects has none: what these do to left and right is not known here.
+    A robot with effects counts as not symmetric.
     """
     if robot.effects:
         return None
@@ -48,7 +48,7 @@ def mirror_of(robot: Robot) -> Mirror | None:
 
 
 def _mirrored_corners(frame: Frame) -> list[int] | None:
-    """For each corner the one opposite; None where the frame has no such symmetry."""
+    """The mirror image of each corner; None if the frame is not symmetric."""
     count = len(frame.corners_m)
     scale = _CLOSE * max(math.hypot(*corner) for corner in frame.corners_m)
     opposite: list[int] = []

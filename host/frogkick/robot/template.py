@@ -1,4 +1,4 @@
-"""A robot file to begin with: complete, with a comment on every key, made from a built-in robot."""
+"""A template of a robot file: complete, with a comment on each key, made from a built-in robot."""
 
 from __future__ import annotations
 
@@ -85,22 +85,22 @@ ABOUT = {
     "profile.width_s": "s of each term",
     "profile.rms_per_m": "1/m that the terms miss the measurement by, root mean square",
 }
-"""Key with its table -> what it is, with its unit."""
+"""Key with its table -> description with unit."""
 
 
 def new_robot_text(base: Robot, name: str, limbs: int | None = None) -> str:
-    """TOML of a robot like another one, with all keys, a comment on each, and a name of its own.
+    """TOML of a new robot with the values of another, all keys, and a comment on each.
 
     Args:
-        base: what it is like.
-        name: its id.
-        limbs: the first so many of the base's limbs, and the actions that these can do; None: all.
+        base: the other robot.
+        name: the new robot's id.
+        limbs: number of the base's limbs, with the actions of these; None: all.
 
     Raises:
-        InputError: the base has not so many limbs.
+        InputError: the base has fewer limbs.
     """
     table = RobotFile.model_validate(tomllib.loads(base.toml)).model_dump(mode="json", exclude_none=True)
-    del table["effect"]  # what was measured of another robot
+    del table["effect"]  # measured on another robot
     known = [limb["name"] for limb in table["limb"]]
     if limbs is not None and not 1 <= limbs <= len(known):
         raise InputError(
@@ -108,7 +108,7 @@ def new_robot_text(base: Robot, name: str, limbs: int | None = None) -> str:
             "or another robot to begin from"
         )
     kept = set(known[:limbs])
-    table["id"], table["title"] = name, f"{name}, begun from {base.id}"
+    table["id"], table["title"] = name, f"{name}, based on {base.id}"
     table["limb"] = [limb for limb in table["limb"] if limb["name"] in kept]
     table["action"] = _actions(table["action"], kept)
     table["gait"] = {key: [limb for limb in names if limb in kept] for key, names in table["gait"].items()}
@@ -116,7 +116,7 @@ def new_robot_text(base: Robot, name: str, limbs: int | None = None) -> str:
     alloy = table["egain_percent"]
     table["profile"] = [profile for profile in table["profile"] if profile["egain_percent"] == alloy]
     intro = [
-        f"# A robot file of frogkick, begun from {base.id}. Units are in the names of keys. Look at it with",
+        f"# A robot file of frogkick, based on {base.id}. Units are in the names of keys. Look at it with",
         "# 'frogkick robot show FILE --out robot.png'; the documentation has the rest: A robot of your own.",
         "",
     ]
@@ -124,27 +124,27 @@ def new_robot_text(base: Robot, name: str, limbs: int | None = None) -> str:
 
 
 def _actions(actions: list[dict[str, Any]], kept: set[str]) -> list[dict[str, Any]]:
-    """Those that differ in what the kept limbs do, each by the name of the first that does so."""
+    """The distinct actions of the kept limbs, each with the first name."""
     found: list[dict[str, Any]] = []
     for action in actions:
         groups = [[limb for limb in action[key] if limb in kept] for key in ("first", "second")]
-        # Without first limbs the second ones are the first.
+        # Without first limbs the second ones become the first.
         first, second = groups if groups[0] else (groups[1], [])
-        if not any((each["first"], each["second"]) == (first, second) for each in found):
+        if not any((row["first"], row["second"]) == (first, second) for row in found):
             found.append({"name": action["name"], "first": first, "second": second})
     return found
 
 
 def _commented(text: str) -> list[str]:
-    """Lines of TOML, above each key what it is, once for each kind of table."""
-    lines, where, told = [], "", set()
+    """Lines of TOML with a comment above each key, once for each kind of table."""
+    lines, where, commented = [], "", set()
     for line in text.splitlines():
         if header := re.match(r"\[+([\w.]+)\]+$", line):
             where = f"{header.group(1)}."
         elif key := re.match(r"(\w+) = ", line):
             name = where + key.group(1)
-            if name not in told:
+            if name not in commented:
                 lines.append(f"# {ABOUT[name]}")
-                told.add(name)
+                commented.add(name)
         lines.append(line)
     return [*lines, ""]

@@ -15,7 +15,6 @@ from tests.report.test_report import self_contained
 from frogkick.core.errors import InputError
 from frogkick.effects import Law
 from frogkick.front.identifying import Identification
-from frogkick.identification.experiment import open_pairs
 from frogkick.identification.fit import derivatives, rollouts_of
 from frogkick.identification.law_kinds import kinds_of
 from frogkick.identification.outcome import Outcome
@@ -113,9 +112,11 @@ def test_the_page_says_how_a_law_is_confirmed_or_refuted(tmp_path: Path) -> None
     title, limb, values, _, said = LAWS[0]
     outcome = outcome_with(term_of(title, limb, values))
     assert outcome.found is not None
+    assert outcome.law_test is not None and outcome.law_test.between == ("spring", "no spring")
+    assert outcome.law_test.decisive
     sure = [[replace(each, low=each.value, high=each.value) for each in outcome.parameters[0]]]
-    pairs = open_pairs(outcome.found, sure)
-    assert [pair.between for pair in pairs] == [("spring", "no spring")]
+    planned = replace(outcome, parameters=sure).experiment
+    assert planned is not None and planned.between == ("spring", "no spring"), "nothing else is open"
     found = Identification(outcome)
     assert len(found.plot().axes) == 2
     with pytest.raises(InputError, match="law 1: 1 were found"):
@@ -123,5 +124,5 @@ def test_the_page_says_how_a_law_is_confirmed_or_refuted(tmp_path: Path) -> None
     write_identify_page(tmp_path / "what.html", outcome)
     text = self_contained((tmp_path / "what.html").read_text(encoding="utf-8")).text
     needed = "ten periods with the cable taut"
-    for words in (said, "hypot(x_m - 0.1", "To confirm or refute it", "record from rest", needed):
+    for words in (said, "hypot(x_m - 0.1", "To confirm or refute a law", "record from rest", needed):
         assert words in text, words

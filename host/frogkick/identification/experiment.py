@@ -126,12 +126,39 @@ def experiment_of(
         swims: the runs; a sequence starts where the first of them did and stays where they went.
         periods: see ``plan``.
     """
+    return _best(open_pairs(found, parameters), found, swims, periods)
+
+
+def law_test(found: Found, swims: Sequence[Segments], periods: int = PERIODS) -> Experiment | None:
+    """The experiment that tells a model best from itself without one of its laws; None without laws.
+
+    A formula that was chosen among many is worth a test, even where nothing else is open.
+
+    Args:
+        found: result of the search.
+        swims: the runs.
+        periods: see ``plan``.
+    """
+    model, pairs = found.fitted.model, []
+    for place, term in enumerate(model.terms):
+        effect = term.effect()
+        if isinstance(effect, Law) and not effect.by_chance:
+            terms = (*model.terms[:place], *model.terms[place + 1 :])
+            without = replace(model, terms=terms, fixed=frozenset())
+            pairs.append(ModelPair((term.title, f"no {term.title}"), (model, without)))
+    return _best(pairs, found, swims, periods)
+
+
+def _best(
+    pairs: Sequence[ModelPair], found: Found, swims: Sequence[Segments], periods: int
+) -> Experiment | None:
+    """The experiment that discriminates one of the pairs best; None without pairs."""
     white = whitener(found.fitted.residuals)
     first = swims[0]
     start = first.pose[np.searchsorted(first.time_s, first.begin_s)]
     pool = pool_of(swims)
     best: Experiment | None = None
-    for pair in open_pairs(found, parameters)[:PAIRS_MAX]:
+    for pair in pairs[:PAIRS_MAX]:
         planned = plan(pair, white, start, pool, periods)
         if best is None or planned.separation_sigma > best.separation_sigma:
             best = planned
@@ -141,10 +168,7 @@ def experiment_of(
 
 
 def open_pairs(found: Found, parameters: Sequence[Sequence[Interval]]) -> list[ModelPair]:
-    """Pairs of models to discriminate: confounded effects, then parameters, the widest interval first.
-
-    Where there are none, each law against the model without it.
-    """
+    """Pairs of models to discriminate: confounded effects, then parameters, the widest interval first."""
     model, pairs = found.fitted.model, list[ModelPair]()
     for place, others in enumerate(found.rivals):
         for other in others:
@@ -160,19 +184,7 @@ def open_pairs(found: Found, parameters: Sequence[Sequence[Interval]]) -> list[M
                 wide.append((share, _ends(found, term, first + k, interval)))
         first += len(term.values)
     wide.sort(key=lambda each: -each[0])
-    return pairs + [pair for _, pair in wide] or _without_laws(model)
-
-
-def _without_laws(model: Model) -> list[ModelPair]:
-    """Each law against the model without it: a formula that was chosen among many is worth a test."""
-    pairs = []
-    for place, term in enumerate(model.terms):
-        effect = term.effect()
-        if isinstance(effect, Law) and not effect.by_chance:
-            terms = (*model.terms[:place], *model.terms[place + 1 :])
-            without = replace(model, terms=terms, fixed=frozenset())
-            pairs.append(ModelPair((term.title, f"no {term.title}"), (model, without)))
-    return pairs
+    return pairs + [pair for _, pair in wide]
 
 
 def _ends(found: Found, term: Term, k: int, interval: Interval) -> ModelPair:

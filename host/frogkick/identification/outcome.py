@@ -21,7 +21,7 @@ from frogkick.core.progress import TellStage, silent
 from frogkick.identification.choice import discovered, found_in, pruned, with_jumps, with_misfires
 from frogkick.identification.diagnostics import residual_diagnostics
 from frogkick.identification.drift import Drift, drift_of
-from frogkick.identification.experiment import Experiment, experiment_of
+from frogkick.identification.experiment import Experiment, experiment_of, law_test
 from frogkick.identification.filter import Noise
 from frogkick.identification.fit import Model, rollouts_of
 from frogkick.identification.horizons import Horizon, horizons_of
@@ -127,10 +127,18 @@ class Outcome:
 
     @cached_property
     def experiment(self) -> Experiment | None:
-        """What to record to discriminate models that are still confounded; None where none are."""
+        """What to record to discriminate models that are still confounded; None where none are.
+
+        A law is held against the model without it, where nothing else is open.
+        """
         if self.found is None or self.verdict not in (FOUND, FOUND_LAW, PARTLY):
             return None
-        return experiment_of(self.found, self.parameters, self.train)
+        return experiment_of(self.found, self.parameters, self.train) or self.law_test
+
+    @cached_property
+    def law_test(self) -> Experiment | None:
+        """What to record to confirm or refute a law; None without one."""
+        return None if self.found is None else law_test(self.found, self.train)
 
     def effects_as_json(self) -> list[dict[str, Any]]:
         """What was found."""

@@ -48,11 +48,10 @@ def law_section(outcome: Outcome) -> Section:
             "nominal model one period ahead, and what the effects found explain of it."
         )
         images.append((figure_uri(law_figure(outcome, law, periods)), caption))
-    if outcome.experiment is not None:
+    if outcome.law_test is not None:
         text.append(
-            f"To confirm or refute it: {outcome.experiment.text}. If the new run is predicted as well as its "
-            "fixes allow, what is written here holds; if it is predicted better by the other model, it is "
-            "refuted."
+            f"To confirm or refute a law: {outcome.law_test.text}. If the new run is predicted as well as "
+            "its fixes allow, the law holds; if it is predicted better without it, the law is refuted."
         )
     return Section("Laws: effects that are formulas", text, images=images)
 

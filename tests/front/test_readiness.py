@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from frogkick.front import readiness
-from frogkick.front.readiness import adapters, cameras, debug_probes, look_at_hardware, stages
+from frogkick.front.readiness import adapters, cameras, check_hardware, debug_probes, stages
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="looks where Linux has its devices")
@@ -24,7 +24,7 @@ def test_each_stage_says_what_it_lacks(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(readiness, "adapters", lambda: ["hci0"])
     monkeypatch.setattr(readiness, "cameras", lambda: [])
     monkeypatch.setattr(readiness, "debug_probes", lambda: ["683 (J-Link)"])
-    hardware = look_at_hardware()
+    hardware = check_hardware()
     assert [finding.detail for finding in hardware] == ["/dev/ttyACM0", "683 (J-Link)", "hci0", "none"]
     first, kit, robot = stages([], hardware)
     assert first.ready and kit.ready and not robot.ready
@@ -36,7 +36,7 @@ def test_another_system_is_not_accused(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(readiness.sys, "platform", "darwin")
     monkeypatch.setattr(readiness, "serial_ports", lambda: ["/dev/cu.usb"])
     monkeypatch.setattr(readiness, "debug_probes", lambda: ["683 (J-Link)"])
-    assert all(stage.ready for stage in stages([], look_at_hardware()))
+    assert all(stage.ready for stage in stages([], check_hardware()))
 
 
 def test_a_driver_that_fails_is_no_probe(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -176,7 +176,7 @@ def show(values: Mapping[str, Any], as_json: bool, text: str = "") -> None:
     print(text or "\n".join(text_lines(values)))
 
 
-def share_out(workers: int, cluster: str | None) -> int:
+def local_processes(workers: int, cluster: str | None) -> int:
     """Return how many processes to start here, from --workers (0: one for each core) and --cluster.
 
     Raises:

@@ -20,9 +20,9 @@ def _hint(finding: Finding) -> str:
 
 def doctor(json: JsonOption = False) -> None:
     """Check which tools this machine has. The exit code is 1 if the simulation loop cannot run here."""
-    from frogkick.front.readiness import look_around
+    from frogkick.front.readiness import check_machine
 
-    found = look_around()
+    found = check_machine()
     values = found.as_json()
     lines = [f"frogkick {values['frogkick']}, Python {values['python']}, {values['cores']} cores"]
     for title, findings in (("needed", found.needed), ("for more", found.optional)):

@@ -39,14 +39,14 @@ def _text(outcome: Outcome) -> str:
             ("noise floor", outcome.tested.noise_floor),
         ):
             lines.append(f"{name}: {error} RMS one period ahead")
-        lines += _beside(outcome)
+        lines += _further_lines(outcome)
         lines += [horizon_line(each) for each in outcome.horizons if each.periods > 1]
         lines.append(str(outcome.diagnostics["text"]))
         lines += [] if outcome.experiment is None else [outcome.experiment.text]
     return "\n".join(lines)
 
 
-def _beside(outcome: Outcome) -> list[str]:
+def _further_lines(outcome: Outcome) -> list[str]:
     """Return the lines about log score, repeatability, drift and dropped effects."""
     tested, lines = outcome.tested, []
     if tested.gain is not None:

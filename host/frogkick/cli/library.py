@@ -17,8 +17,8 @@ from frogkick.cli.common import (
     SeedOption,
     WholeLines,
     WorkersOption,
+    local_processes,
     say,
-    share_out,
     show,
 )
 from frogkick.core.files import require_writable
@@ -67,7 +67,7 @@ def build(
     """Simulate every action from each of many initial velocities. An interrupted build can be resumed."""
     described = fk.load_robot(robot)
     require_writable(out)
-    processes = share_out(workers, cluster)
+    processes = local_processes(workers, cluster)
     began = time.perf_counter()
     made = fk.build_library(
         described,

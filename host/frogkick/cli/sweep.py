@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from frogkick.cli.common import ClusterOption, JsonOption, RobotArgument, WorkersOption, share_out, show
+from frogkick.cli.common import ClusterOption, JsonOption, RobotArgument, WorkersOption, local_processes, show
 from frogkick.core.errors import InputError
 from frogkick.core.files import require_writable
 from frogkick.core.progress import progress_bar, tell_line
@@ -98,7 +98,7 @@ def sweep(
     from frogkick.front.gaits import sweep as run
 
     require_writable(out, folder=True)
-    processes = share_out(workers, cluster)
+    processes = local_processes(workers, cluster)
     designs = {
         "frequencies_hz": _numbers(frequencies, "--frequencies"),
         "egain_percent": _numbers(egain, "--egain"),

@@ -72,7 +72,6 @@ def run_chunks(
     those that wait.
 
     Args:
-        job: the shared part.
         tasks: one for each chunk.
         workers: number of processes, 1 to 256; 1: this one. Ignored with a cluster.
         cluster: address of a Dask scheduler, such as "tcp://host:8786"; None: this machine.

@@ -20,7 +20,6 @@ def existing_file(path: Path | str, what: str) -> Path:
     """Return the path of a readable, non-empty file.
 
     Args:
-        path: the file.
         what: kind of file, for the error text ("table image").
 
     Raises:
@@ -44,7 +43,6 @@ def csv_numbers(
     """Return columns of a CSV file by the names in its first line, one list for each line below it.
 
     Args:
-        path: the file.
         what: kind of file, for the error text.
         needed: columns whose numbers must be finite.
         optional: further columns; NaN if the column or the cell is missing.

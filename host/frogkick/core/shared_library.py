@@ -60,5 +60,4 @@ def load(library: Path) -> tuple[cffi.FFI, Any]:
 
 
 def _type_of(text: str) -> str:
-    """Return the type that a declaration defines."""
     return text.rsplit("}", 1)[1].strip(" ;") or " ".join(text.split()[:2])

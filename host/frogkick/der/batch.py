@@ -248,7 +248,6 @@ class Batch:
         """Start a stroke of a lane's limb, now or later by its clock; of two strokes the larger one acts.
 
         Args:
-            lane, limb: lane and limb.
             time_s: start of the stroke.
             gain: share of the measured stroke.
             duration_scale: duration of the limb's return over the measured one.

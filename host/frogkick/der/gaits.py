@@ -50,9 +50,7 @@ def simulate_gaits(
     Args:
         robot: the robot, with its profiles and its groups of limbs.
         gaits: phases in [0, 1).
-        cycles: number of cycles.
         step_s: finest time step.
-        width: number of lanes.
         rods: its rods if effects change the body; None: prepare(robot).
         acts: see ``simulate_gait_tracks``.
 
@@ -123,9 +121,7 @@ def simulate_gait_tracks(
     Args:
         rods: one for each gait, of one robot; frequency and phase of the gait give the times of its pulses.
         gaits: phases in [0, 1).
-        cycles: number of cycles.
         step_s: finest time step.
-        width: number of lanes.
         acts: makes the effects of a number of lanes; None: no effects.
     """
     tracks: list[GaitTrack | Failure] = []

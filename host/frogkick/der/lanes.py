@@ -89,7 +89,6 @@ def _widest(*arguments: Any) -> Any:
 
 
 def _broadcast(context: Any, builder: Any, value: Any, given: Any, wanted: Any) -> Any:
-    """Broadcast a float64 to every lane."""
     if given == wanted:
         return value
     if not isinstance(wanted, SimdVector):
@@ -214,7 +213,6 @@ def any_above(typing_context: Any, x: Any, limit: Any) -> Any:
 
 
 def _pointer(context: Any, builder: Any, kind: Any, array: Any, indices: Any) -> Any:
-    """Return the pointer to an element, as a pointer to a number."""
     view = make_array(kind)(context, builder, array)
     pointer = cgutils.get_item_pointer(context, builder, kind, view, indices, wraparound=False)
     return builder.bitcast(pointer, context.get_value_type(_number(kind.dtype)).as_pointer())

@@ -63,7 +63,6 @@ def add_forces(
     nodes, so a corner at which three edges meet needs no rule of its own.
 
     Args:
-        mesh: the mesh.
         edges: work space; written.
         x_m, v_mps: (n, 2) positions and velocities.
         active: (steps, 2 * (limbs + 1)) for each limb its activation (0 to 1), which raises EI, and the

@@ -181,7 +181,6 @@ class Schedule:
         return lengths, active
 
     def _prune(self, lane: int, now_s: float) -> None:
-        """Remove strokes that are over."""
         duration_s = float(self._profiles.duration_s[lane])
         for of_limb in self._strokes[lane]:
             of_limb[:] = [

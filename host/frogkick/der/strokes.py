@@ -54,13 +54,11 @@ class NoEffects:
     """No effects: limbs fire as commanded, and nothing else acts."""
 
     def fire(self, batch: Batch, lane: int, limb: int, time_s: float) -> None:
-        """Fire a limb of a lane's robot."""
         batch.fire(lane, limb, time_s)
 
     def advance(
         self, batch: Batch, until_s: float | FloatArray, trace: bool = False
     ) -> list[tuple[FloatArray, FloatArray]]:
-        """Advance all lanes; see Batch.advance."""
         return batch.advance(until_s, trace)
 
 

@@ -82,7 +82,6 @@ class Swimmer:
         """Place a rigidly moving swimmer with all limbs at rest.
 
         Args:
-            robot: the robot.
             pose_world: x, y (m), heading (rad), world frame.
             velocity_body: forward, left (m/s), turn rate (rad/s, counter-clockwise), body frame.
             time_s: initial time of its clock.

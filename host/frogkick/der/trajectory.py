@@ -93,7 +93,6 @@ def simulate_actions(
     """Simulate a sequence of actions, one each Robot.period_s, heading along world x at the start.
 
     Args:
-        robot: the robot.
         actions: its actions, or their names.
         velocity_body: forward, left (m/s), turn rate (rad/s) at the start.
         step_s: finest time step.

@@ -67,7 +67,6 @@ class ActingLanes:
         """Prepare effects that fit ``robot``.
 
         Args:
-            effects: the effects.
             robot: result of ``changed_robot``.
             rngs: a generator for each lane, for random effects.
             leg_s: see LEG_S.
@@ -96,7 +95,6 @@ class ActingLanes:
         """Return the stroke of a lane's limb, and add it to the history.
 
         Args:
-            lane, limb: lane and limb.
             time_s: start of its pulse.
             body: state of the robot, for effects that need it (``asks_body``).
 
@@ -164,7 +162,6 @@ class ActingLanes:
 
         Args:
             body: has the mass and the moment of inertia.
-            time_s: time.
             pose: (3,) world frame.
             velocity: (3,) body frame.
         """

@@ -155,7 +155,6 @@ class Formula:
     """A checked formula.
 
     Attributes:
-        text: its text.
         names: variables and parameters in it.
     """
 
@@ -204,7 +203,6 @@ def parse(text: str, units: Mapping[str, Unit], wanted: Unit) -> Formula:
     """Read and check a formula.
 
     Args:
-        text: the formula.
         units: unit of each name that it may use.
         wanted: unit of its result.
 

@@ -34,10 +34,10 @@ def default_tables(robot: Robot | str, states: int | None = None) -> Path:
     key = hashlib.sha256(robot.sha256 + made_of).hexdigest()[:24]
     folder = cache_folder("tables")
     target = folder / f"{robot.id}-{key}.fkt"
-    if _is_whole(target):
+    if _is_valid(target):
         return target
     with one_at_a_time(cache_folder("building"), key) as work:
-        if not _is_whole(target):  # otherwise another process has built it meanwhile
+        if not _is_valid(target):  # otherwise another process has built it meanwhile
             file = work / "library.h5"
             with progress_bar(f"library for {robot.id}") as tell:
                 library = build_library(
@@ -64,7 +64,7 @@ def _source_sha256() -> str:
     return digest.hexdigest()
 
 
-def _is_whole(target: Path) -> bool:
+def _is_valid(target: Path) -> bool:
     """Return whether a valid table exists; a damaged one is made again without an error."""
     try:
         read_image(target)

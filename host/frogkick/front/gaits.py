@@ -178,7 +178,6 @@ def _matched_row(matched: Matched) -> dict[str, Any]:
 
 
 def _gait_columns(result: SimulationResult | ExperimentResult) -> dict[str, Any]:
-    """Return the case and its gait as JSON values."""
     return {"case": result.case.name, "group": result.case.group, **asdict(result.case.gait)}
 
 

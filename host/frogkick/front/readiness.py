@@ -92,7 +92,7 @@ class Readiness:
         }
 
 
-def look_around() -> Readiness:
+def check_machine() -> Readiness:
     """Check this machine for everything that the commands need."""
     extra = install_command("ziglang")
     needed = (
@@ -109,7 +109,7 @@ def look_around() -> Readiness:
         _program("qemu-system-arm", "extra checks", "apt install qemu-system-arm"),
         _program("cppcheck", "extra checks", "apt install cppcheck"),
     )
-    hardware = look_at_hardware()
+    hardware = check_hardware()
     return Readiness(needed, optional, hardware, tuple(stages(needed, hardware)))
 
 
@@ -169,7 +169,7 @@ def _try_bench_image() -> str:
     return f"its C sources and {zig('chip').version}"
 
 
-def look_at_hardware() -> tuple[Finding, Finding, Finding, Finding]:
+def check_hardware() -> tuple[Finding, Finding, Finding, Finding]:
     """Check serial ports, debug probes, Bluetooth adapters and cameras."""
     kit = "plug in the kit's USB cable"
     return (

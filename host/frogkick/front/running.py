@@ -319,7 +319,7 @@ def run(
     with ExitStack() as stack:
         stack.enter_context(sole_writer(target))
         image = stack.enter_context(used.file())
-        said = stack.enter_context(_said(progress, desired, used, check))
+        said = stack.enter_context(_progress_of(progress, desired, used, check))
         if is_real:
             sight = Sight(str(fixes), source, begin, fix_rate_hz, true, seed)
             owner = None if key is None else Path(key)
@@ -332,9 +332,9 @@ def run(
                 made.update(made_of(described, used.tables, began_unix_s))
                 drawn = viewed(view, described, used.tables, placed, options, camera=camera, stop=stopped.set)
                 with log(placed, made) as write, drawn as draw:
-                    yield _all_of(said.keep, write, draw)
+                    yield _in_turn(said.keep, write, draw)
 
-            stack.enter_context(_names_what_is_left(target))
+            stack.enter_context(_reports_partial_log(target))
             recording, desired = run_on_bench(
                 bench, image, described, used.tables, desired, options, kept, said.progress
             )
@@ -360,7 +360,7 @@ def run(
                 made=made,
             )
             with _log_so_far(target, whole) as keep:
-                tell, session = _all_of(said.keep, draw, keep), Session(port)
+                tell, session = _in_turn(said.keep, draw, keep), Session(port)
                 recording = run_session(session, pool, used.tables, desired, options, said.progress, tell)
     log_seed = None if is_real else seed
     found = Run(
@@ -398,8 +398,9 @@ def _now_unix_s() -> float:
 
 
 @contextmanager
-def _said(progress: Progress, path: SwimPath, table: Table, check: LiveCheck | None) -> Iterator[RunProgress]:
-    """Return the functions that show the progress of the run."""
+def _progress_of(
+    progress: Progress, path: SwimPath, table: Table, check: LiveCheck | None
+) -> Iterator[RunProgress]:
     if progress is True:
         with progress_bar(path.name) as tell:
             yield RunProgress(tell, len(path), table.tables, check)
@@ -412,9 +413,7 @@ def _said(progress: Progress, path: SwimPath, table: Table, check: LiveCheck | N
     yield RunProgress(plainly, len(path), table.tables, check)
 
 
-def _all_of(*keepers: Keep) -> Keep:
-    """Give a recording to each function, in order."""
-
+def _in_turn(*keepers: Keep) -> Keep:
     def keep(recording: Recording) -> None:
         for one in keepers:
             one(recording)
@@ -423,13 +422,13 @@ def _all_of(*keepers: Keep) -> Keep:
 
 
 @contextmanager
-def _names_what_is_left(out: Path | None) -> Iterator[None]:
+def _reports_partial_log(out: Path | None) -> Iterator[None]:
     """If a run breaks off, print where its log is."""
     try:
         yield
     except BaseException:
         if out is not None and part_of(out).exists():
-            _tell_what_is_left(out)
+            _report_partial_log(out)
         raise
 
 
@@ -442,9 +441,9 @@ def _log_so_far(out: Path | None, log_of: Callable[[Recording], RunLog]) -> Iter
     except BaseException:
         if out is not None and held:
             write_run(part_of(out), replace(log_of(held["newest"]), notes=CUT_OFF))
-            _tell_what_is_left(out)
+            _report_partial_log(out)
         raise
 
 
-def _tell_what_is_left(out: Path) -> None:
+def _report_partial_log(out: Path) -> None:
     tell_line(f"frogkick: the recording so far is in {str(part_of(out))!r}")

@@ -196,7 +196,7 @@ def build_library(
             file = Path(folder) / "library.h5"
         else:
             file = Path(out)
-            stack.enter_context(_tells_that_it_goes_on(file))
+            stack.enter_context(_reports_finished_parts(file))
         tell = stack.enter_context(shown(progress, "library"))
         processes = 1 if cluster else workers or os.cpu_count() or 1
         made = libraries.build_library(
@@ -206,7 +206,7 @@ def build_library(
 
 
 @contextmanager
-def _tells_that_it_goes_on(out: Path) -> Iterator[None]:
+def _reports_finished_parts(out: Path) -> Iterator[None]:
     """If a build is interrupted, print where its finished parts are and how to resume."""
     try:
         yield

@@ -212,7 +212,6 @@ def write_animation(
     Args:
         swim: what to show.
         target: the file; written wholly or not at all.
-        progress: called with (pictures done, all).
 
     Returns:
         ``pictures``, ``rate_hz``, ``speed`` (swum seconds for a shown one), ``bytes``.

@@ -42,7 +42,6 @@ def write_page(target: Path, title: str, lead: str, sections: Sequence[Section])
     """Write one HTML file that needs no other file.
 
     Args:
-        target: the file.
         title: title of the page.
         lead: the first paragraph, which summarises the page.
         sections: sections in order.

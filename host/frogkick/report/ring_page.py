@@ -48,7 +48,6 @@ def _found(closing: Closing) -> str:
 
 
 def _closing(closing: Closing) -> Section:
-    """The hidden wear, the identified effects, and the benefit of the new tables."""
     outcome, planted = closing.outcome, closing.planted
     hidden = {key: value for key, value in planted.items() if key not in ("name", "limb")}
     true = f"{planted['name']} {planted['limb']}"
@@ -88,7 +87,7 @@ def _closing(closing: Closing) -> Section:
 
 
 def _got_worse(closing: Closing) -> list[str]:
-    """A paragraph on the paths that the new firmware keeps less well than the old one, if there are any."""
+    """Return a paragraph on the paths that the new firmware follows less well, if there are any."""
     worse = [
         f"the {_name(old)} from {1e3 * old.tracking.mean_distance_m:.1f} to "
         f"{1e3 * new.tracking.mean_distance_m:.1f} mm"
@@ -129,7 +128,6 @@ def _name(run: RingRun | Trial) -> str:
 
 
 def _robot(ring: Ring) -> Section:
-    """The robot and its actions."""
     robot = ring.robot
     ends = fan_of(ring.tables, np.zeros(6, dtype=np.float32), (0,) * LIMBS_MAX)
     text = (

@@ -99,8 +99,6 @@ def write_picture(figure: Figure, target: Path, ending: str = "", dpi: int = 120
     """Write a figure into a file; the same figure gives the same bytes.
 
     Args:
-        figure: the figure.
-        target: the file.
         ending: kind of picture, one of ``PICTURES``; "": the ending of the file's name.
         dpi: pixels per inch.
 

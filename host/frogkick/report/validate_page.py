@@ -126,7 +126,6 @@ def _grid(count: int, height: float) -> tuple[Figure, list[Axes]]:
 
 
 def _legend_outside(figure: Figure, axes: Sequence[Axes]) -> None:
-    """Draw one legend for all panels."""
     entries = {
         label: handle
         for panel in axes

@@ -30,7 +30,6 @@ class GaitSwim:
     """Cycles of a gait from rest, eight by default.
 
     Attributes:
-        gait: the gait.
         time_s: (n,) ends of the time steps, from 0 to the end of the last cycle.
         forward_m: (n,) forward position of the mean of all nodes, which the authors exported.
         speed_mps: mean speed over cycles 5 to 8.
@@ -76,7 +75,6 @@ def swim_gaits(rods: Rods, profiles: Sequence[Profile], gaits: Sequence[Gait], c
     Args:
         rods: rods of the robot with its effects (frogkick.effects.rods_of); their own stroke is not used.
         profiles: limb profiles to use or to interpolate between.
-        gaits: the gaits.
         cycles: number of cycles, at least the eight of the speed.
 
     Returns:
@@ -140,7 +138,6 @@ def swim_chunks(
     A result depends only on robot, profiles and gait.
 
     Args:
-        robot, profiles: see ``swim_gaits``.
         chunks: gaits of each chunk.
         workers, cluster: see ``frogkick.core.chunks.run_chunks``, also for the errors.
     """

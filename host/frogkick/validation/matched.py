@@ -102,8 +102,6 @@ def matched_without(
 
     Args:
         validation: validation of the robot with the authors' simulations of at least two fractions.
-        workers: number of processes.
-        progress: called with (fractions done, all).
 
     Raises:
         InputError: fewer than two fractions, or a gait that does not converge.

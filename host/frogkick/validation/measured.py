@@ -188,10 +188,10 @@ def read_simulation(path: Path) -> tuple[FloatArray, FloatArray]:
 
 
 def _read_mat(path: Path, name: str) -> tuple[FloatArray, FloatArray]:
-    """``t`` and one more variable of a MATLAB file, as rows.
+    """Return ``t`` and one more variable of a MATLAB file, as rows.
 
     Raises:
-        InputError: not such a file, or without one of them.
+        InputError: not such a file, or one of the variables is missing.
     """
     from scipy.io import loadmat
 

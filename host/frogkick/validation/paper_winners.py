@@ -18,7 +18,6 @@ class PaperWinner:
     """A design that the paper names as one of its two best, simulated at phase 0.5.
 
     Attributes:
-        design: the design.
         authors_mps: speed over cycles 5 to 8 of the authors' published run.
         speed_mps, cost_of_transport: the paper's figure, one of the two.
         authors_mean_mps: mean speed over all PAPER_CYCLES cycles of that run from rest; only for the two
@@ -48,7 +47,6 @@ class Verdict:
     """A winner of the paper in this sweep.
 
     Attributes:
-        winner: the paper's winner.
         ours: the same gait here.
         rank: rank of its design at the paper's phase, from 1.
         rank_all_phases: rank of its design if each design has its listed phase.

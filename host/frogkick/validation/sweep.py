@@ -48,7 +48,6 @@ class Plan:
     """The gaits of a sweep.
 
     Attributes:
-        robot: the robot.
         designs: EGaIn fractions and frequencies.
         phases: phases of each design, ascending.
         interpolated: designs whose limb profile lies between measured ones.
@@ -101,7 +100,6 @@ def plan_sweep(
     """List the designs of a sweep.
 
     Args:
-        robot: the robot.
         frequencies_hz: frequencies of each fraction; None: those measured for it (for a fraction between
             measured ones, those of a neighbour).
         phases: number of phases, evenly spaced from 0.
@@ -157,10 +155,7 @@ def run_sweep(
     """Simulate the gaits that ``out/chunks`` does not contain yet, and return all.
 
     Args:
-        plan: the gaits.
         out: folder; each finished chunk is written to ``chunks/<design>.json``.
-        workers: number of processes.
-        progress: called with (gaits done, all).
         cluster: address of a Dask scheduler to simulate on; the files are written here.
 
     Raises:

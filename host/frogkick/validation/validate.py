@@ -42,7 +42,6 @@ class SimulationResult:
     """One of the authors' simulations and the model's.
 
     Attributes:
-        case: the case.
         reference_mps, model_mps: speeds over cycles 5 to 8.
         within_cycle_rms_m: RMS difference of the forward positions within cycles 5 to 8, each without its
             mean speed, and without the mean difference.
@@ -71,7 +70,6 @@ class ExperimentResult:
     """A measured swim, the authors' simulation of it if the data has one, and the model's.
 
     Attributes:
-        case: the case.
         reference: speed of the swim's own file, or of the table if there is no file.
         tabulated_mps: the authors' tabulated speed of this gait; if there are several, the nearest.
         model_mps, authors_mps: speeds of both simulations.
@@ -110,7 +108,7 @@ class Validation:
 
 @dataclass(frozen=True)
 class _Reference:
-    """What was read of a case before ours is simulated: a simulation's track or a swim's speed."""
+    """The reference of a case: a simulation's track or a swim's speed."""
 
     case: Case
     track: tuple[FloatArray, FloatArray] | None = None
@@ -129,7 +127,6 @@ def validate(
     Args:
         folder: laid out as ``frogkick.validation.measured`` says.
         workers: processes.
-        progress: called with (gaits done, all).
 
     Raises:
         InputError: no such folder, or nothing in it.

@@ -237,8 +237,6 @@ def compare_estimators(
         seeds: number of runs along each path.
         limit_s: time limit of a run in pool time, s.
         rates_hz: fixes per second.
-        workers: number of processes.
-        progress: called with (runs done, all).
 
     Raises:
         ConvergenceError: the simulation of the pool failed.

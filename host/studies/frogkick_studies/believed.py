@@ -115,7 +115,6 @@ def image_of_motions(robot: Robot, motion: FloatArray) -> bytes:
     """Return a table image of kind nearest in which each action has one motion at any velocity.
 
     Args:
-        robot: the robot.
         motion: (a, 3) forward, left (m), turn (rad).
     """
     at_rest = np.zeros((1, 3))

@@ -92,9 +92,7 @@ class CeilingStudy(Found):
     """One planner in the pool with three models: a full nearest table, the robot's table, the rods.
 
     Attributes:
-        runs: each run.
         depths: search depths.
-        seeds: number of runs of each.
         table_bytes: sizes of both tables.
     """
 
@@ -104,11 +102,9 @@ class CeilingStudy(Found):
     table_bytes: Mapping[str, int]
 
     def plot(self) -> Figure:
-        """Return a matplotlib figure: distance and progress by model and depth."""
         return ceiling_figure(self.runs)
 
     def as_json(self) -> dict[str, Any]:
-        """Return the keys of the command."""
         ahead = {
             source: {
                 of: rms_error([run for run in self.runs if run.source == source], of)
@@ -157,7 +153,6 @@ class CeilingStudy(Found):
         return {"source": source, "depth": depth, **dataclasses.asdict(mean)}
 
     def text(self, values: dict[str, Any]) -> str:
-        """Return a line for each row."""
         lines = []
         for row in values["rows"]:
             far, fast = row["mean_distance_m"], row["progress_mps"]

@@ -147,7 +147,6 @@ def chip_speed(
         config: configuration of the planner; its depth is not used.
         counts: depth -> number of states, divided among the paths.
         seed: seed of the states.
-        workers: number of processes.
         progress: called with (decisions done, all), weighted by the cost of a depth.
 
     Returns:
@@ -184,8 +183,6 @@ def _least_ms(
 
 
 class _Runner:
-    """Runs chunks in several processes, and reports the progress."""
-
     def __init__(self, workers: int, whole: int, progress: Callable[[int, int], None]) -> None:
         self._workers, self._whole, self._progress, self._done = workers, whole, progress, 0
 
@@ -201,8 +198,6 @@ class _Runner:
 
 @dataclass(frozen=True, eq=False)
 class _Study:
-    """The states, and the selection of those that are run."""
-
     elf: Path
     tables: Tables
     paths: Mapping[str, SwimPath]
@@ -351,7 +346,6 @@ class ChipStudy(Found):
         )
 
     def as_json(self) -> dict[str, Any]:
-        """Return the keys of the command."""
         speeds = {str(depth): speed for depth, speed in self.speeds.items()}
         return {
             "plan_ms": {

@@ -62,7 +62,6 @@ def convergence(
     """Simulate strokes and gaits at several steps, and compare them with a fine step.
 
     Args:
-        robot: the robot.
         progress: called with (simulations done, all); a simulation is one step length of one kind.
         every: use each n-th gait of all, which are each measured profile at four phases.
 
@@ -135,11 +134,9 @@ class ConvergenceStudy(Found):
         return not any(curve.worst[curve.step_s == STEP_S].max() > ERROR_LIMIT for curve in self.curves)
 
     def plot(self) -> Figure:
-        """Return a matplotlib figure: error over the time step."""
         return convergence_figure(self.curves, STEP_S)
 
     def as_json(self) -> dict[str, Any]:
-        """Return the keys of the command."""
         return {
             "default_step_s": STEP_S,
             "limit": ERROR_LIMIT,

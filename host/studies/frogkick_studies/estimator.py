@@ -63,11 +63,9 @@ class EstimatorStudy(Found):
     seeds: int
 
     def plot(self) -> Figure:
-        """Return a matplotlib figure: errors of each method by rate and by fault."""
         return estimator_figure(self.outcomes)
 
     def as_json(self) -> dict[str, Any]:
-        """Return the keys of the command."""
         rows = [
             {
                 "rate_hz": condition.rate_hz,
@@ -81,7 +79,6 @@ class EstimatorStudy(Found):
         return {"outcomes": rows, "seeds": self.seeds}
 
     def text(self, values: dict[str, Any]) -> str:
-        """Return a line for each method and condition."""
         lines = ["fixes/s fault    method        mm  degrees     mm/s  unknown  mm from each path"]
         for condition, methods in self.outcomes.items():
             for method, one in methods.items():

@@ -120,8 +120,6 @@ class Split:
     Attributes:
         kind: way of grouping: ``egain``, ``frequency`` or ``folder``.
         name: name of the training swims.
-        fitted: the fit.
-        train, test: predictions.
     """
 
     kind: str
@@ -155,12 +153,9 @@ def open_loop(
     once, if enough swims remain.
 
     Args:
-        robot: the nominal robot.
         folder: data with the layout of ``frogkick.validation.measured``.
         train: EGaIn fractions, per cent, to fit to one at a time; with ``test_folder`` together.
         test: fractions to predict; by default all but that of the fit, with ``test_folder`` all.
-        workers: number of processes.
-        progress: called with (iterations done, at most).
         test_folder: a second folder; the fit uses ``folder`` and the test this one, each with its own limb
             profiles.
 
@@ -199,8 +194,6 @@ def _of_split(
 
 
 class _Fit:
-    """Fits of some parameters to some swims."""
-
     def __init__(
         self, simulation: Simulation, rows: Sequence[ExperimentResult], sd_mps: float | None = None
     ) -> None:

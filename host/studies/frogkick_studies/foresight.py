@@ -84,10 +84,9 @@ def foresee(
 
     Args:
         tables: the model of the actions.
-        path: the path, world frame.
+        path: world frame.
         start_world: x_m, y_m, heading_rad of the robot.
         breadth: number of plans that are kept for each part of the path and number of decisions.
-        progress: called with (decisions looked ahead, at most).
 
     Returns:
         The fastest plan, and each slower one that stays nearer than all faster ones.
@@ -236,7 +235,6 @@ class ForesightStudy(Found):
     """The offline bound of a path: least distance, and progress.
 
     Attributes:
-        path: the path.
         name: its name as it was given.
         tables: the model of the actions.
         plans: the best plans, from fast to near.
@@ -255,11 +253,9 @@ class ForesightStudy(Found):
         return nearest_at(self.plans, self.at_least_mps or 0.0)
 
     def plot(self) -> Figure:
-        """Return a matplotlib figure: distance against progress, and the tracks."""
         return foresight_figure(self.path, self.plans)
 
     def as_json(self) -> dict[str, Any]:
-        """Return the keys of the command."""
         rows = [
             {
                 "decisions": len(plan.actions),
@@ -275,7 +271,6 @@ class ForesightStudy(Found):
         return values
 
     def text(self, values: dict[str, Any]) -> str:
-        """Return a line for each row."""
         lines = [
             f"{row['decisions']:3d} decisions: {1e3 * row['mean_distance_m']:6.2f} mm, "
             f"{1e3 * row['progress_mps']:5.1f} mm/s, {' '.join(row['actions'])}"

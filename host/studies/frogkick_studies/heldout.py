@@ -64,11 +64,8 @@ def held_out(
     """Make each run the test run once.
 
     Args:
-        robot: the nominal robot.
         runs: logs, or recorded runs (.csv).
         effects: a file of the user's own effects, which are tried as well.
-        workers: number of processes.
-        progress: called with (runs done, all).
 
     Raises:
         InputError: too few runs, one twice, one that cannot be read or used, or one with unreliable times of
@@ -177,11 +174,9 @@ class HeldOutStudy(Found):
         return not self.after.position_rmse_m > self.before.position_rmse_m
 
     def plot(self) -> Figure:
-        """Return a matplotlib figure: errors of each run, before, after, and of noise alone."""
         return heldout_figure(self.rows)
 
     def as_json(self) -> dict[str, Any]:
-        """Return the keys of the command, without the figure."""
         return {
             "before": self.before.as_json(),
             "after": self.after.as_json(),
@@ -203,7 +198,6 @@ class HeldOutStudy(Found):
         }
 
     def text(self, values: dict[str, Any]) -> str:
-        """Return a line for each row."""
         lines = []
         for name, of in [*((Path(row["run"]).name, row) for row in values["runs"]), ("all", values)]:
             titles = (("nominal", "before"), ("after", "after"), ("noise floor", "noise_floor"))

@@ -64,7 +64,6 @@ def history_worth(
         states: number of states of each library.
         test_states: number of unseen states.
         seed: seed of the libraries; the unseen states have the next one.
-        progress: called with (steps done, all).
 
     Raises:
         InputError: too few states for an affine table.
@@ -128,11 +127,9 @@ class HistoryStudy(Found):
     seed: int
 
     def plot(self) -> Figure:
-        """Return a matplotlib figure: errors with and without limb use, for each robot."""
         return history_figure(self.results)
 
     def as_json(self) -> dict[str, Any]:
-        """Return the keys of the command."""
         return {"robots": [dataclasses.asdict(result) for result in self.results], "seed": self.seed}
 
 

@@ -148,7 +148,7 @@ class Course:
 
     Attributes:
         name: name in reports and results.
-        path: the path, world frame.
+        path: world frame.
         start_world: x_m, y_m, heading_rad of the robot.
     """
 
@@ -212,10 +212,7 @@ def run_cases(
         robot: the robot of pool and firmware, without the effects of its file.
         tables: name of a table in ``planners`` -> table image.
         planners, settings: planners and worlds of the cases.
-        cases: the cases.
         out: folder for results and firmware.
-        workers: number of processes.
-        progress: called with (cases done, all).
         courses: further paths of the cases besides shapes.
 
     Raises:
@@ -355,7 +352,6 @@ def library_of(
         robot: the robot that it must be of.
         given: its file; None: ``made``.
         made: file that is written if it does not exist.
-        workers: number of processes.
         states, sampling: as for ``build_library``.
 
     Raises:

@@ -106,7 +106,6 @@ class Verdict:
     """The comparison in one world, each path with equal weight.
 
     Attributes:
-        world: its name.
         mean_distance_m, progress_mps: of each planner, over the paths.
         ratio_to_paper: of each planner's distance.
         missed: requirements that are not met, as text.
@@ -133,7 +132,6 @@ def judge(rows: Sequence[Summary], world: str, planners: Sequence[Planner], dept
 
     Args:
         rows: result of ``summaries``; the first planner is the paper's.
-        world: its name.
         planners: all planners of the rows.
         depth: the robot's own depth.
     """
@@ -163,11 +161,9 @@ class PlannersCompared(Found):
     """The paper's planner and the robot's on the same paths, in the same worlds.
 
     Attributes:
-        outcomes: each run.
         rows: means over the seeds, for each planner along each path in each world.
         verdicts: for each world whether the requirements are met.
         planners: names of the planners.
-        seeds: number of runs of each.
         table_bytes: sizes of both tables.
     """
 
@@ -184,13 +180,11 @@ class PlannersCompared(Found):
         return all(verdict.passed for verdict in self.verdicts)
 
     def plot(self) -> Figure:
-        """Return a matplotlib figure: distance and progress of each planner."""
         worlds = [verdict.world for verdict in self.verdicts]
         paths = list(dict.fromkeys(row.path for row in self.rows))
         return loop_figure(self.outcomes, worlds, paths, list(self.planners))
 
     def as_json(self) -> dict[str, Any]:
-        """Return the keys of the command, without the figure."""
         return {
             "rows": [dataclasses.asdict(row) for row in self.rows],
             "over_paths": {
@@ -202,7 +196,6 @@ class PlannersCompared(Found):
         }
 
     def text(self, values: dict[str, Any]) -> str:
-        """Return a line for each planner."""
         lines = table_of_rows(self.rows)
         wide = max(len(row.planner) for row in self.rows)
         for verdict in self.verdicts:
@@ -276,7 +269,6 @@ def loop_figure(
     median.
 
     Args:
-        outcomes: results of the study.
         worlds, paths, planners: names in the order of drawing; the first planner is the paper's, and half of
             its mean distance is drawn beside the others' if nothing is recorded.
         recorded: path -> mean distance (m) and progress (m/s) of a recorded run, drawn across.

@@ -44,11 +44,9 @@ class OpenLoopStudy(Found):
     robots: Sequence[Path]
 
     def plot(self) -> Figure:
-        """Return a matplotlib figure: measured and predicted speeds of each split."""
         return openloop_figure(self.found)
 
     def as_json(self) -> dict[str, Any]:
-        """Return the keys of the command, without its files."""
         validation, splits = self.found.validation, self.found.splits
         group = "experiments"
         kinds = dict.fromkeys(split.kind for split in splits)
@@ -74,7 +72,6 @@ class OpenLoopStudy(Found):
         }
 
     def text(self, values: dict[str, Any]) -> str:
-        """Return a line for each row."""
         nominal, floor = values["nominal"], values["noise_floor_mps"]
         lines = []
         for group, rmse in nominal["rmse_mps"].items():

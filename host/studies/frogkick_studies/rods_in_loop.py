@@ -109,8 +109,6 @@ def follow_paths(
         depths: search depths, 1 to 3; with the rods each level takes 9 times as long.
         seeds: number of seeds, of the camera's noise and of the start.
         limit_s: time limit of a run in pool time, s.
-        workers: number of processes.
-        progress: called with (runs done, all).
 
     Returns:
         The runs, by path, source, depth and seed; the same for any number of processes.

@@ -86,7 +86,6 @@ def table_sizes(
         library: a library, as large as possible.
         test_states: number of unseen states of each sampling, box and swims.
         seed: seed of their sampling, not that of the library.
-        progress: called with (tables made, all).
         swims: "planned" or "visited", see ``sample_starts``.
 
     Raises:
@@ -175,11 +174,9 @@ class TableStudy(Found):
     seed: int
 
     def plot(self) -> Figure:
-        """Return a matplotlib figure: error over bytes and over the library's states."""
         return table_size_figure(self.sizes)
 
     def as_json(self) -> dict[str, Any]:
-        """Return the keys of the command."""
         affine = tuple(point for point in self.sizes.by_size if point.kind == "affine")
         return {
             "by_size": [dataclasses.asdict(point) for point in self.sizes.by_size],

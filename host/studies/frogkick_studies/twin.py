@@ -90,7 +90,6 @@ class Mean:
     """A planner over some paths of equal weight.
 
     Attributes:
-        planner: its name.
         mean_distance_m, progress_mps, completed: means of its paths' means over the seeds.
         skipped: share of the runs that skipped their path, see SKIPPED_MPS; they are included in the others.
     """
@@ -196,7 +195,6 @@ def mean_over(outcomes: Mapping[Case, Outcome], planner: str, paths: Sequence[st
 
     Args:
         outcomes: result of ``frogkick_studies.in_pool.run_cases``, of one world.
-        planner: its name.
         paths: names, at least one.
     """
     own = {case: one for case, one in outcomes.items() if case.planner == planner and case.path in paths}
@@ -216,13 +214,11 @@ class TwinStudy(Found):
 
     Attributes:
         nominal: model of the paper's planner.
-        outcomes: each run.
         rows: means over the seeds, for each planner along each path.
         over: "shapes" and "recorded_paths" -> each planner over these paths with equal weight.
         recorded: the recorded runs.
         believed: the motions that the paper's planner assumed; None without recorded runs.
         planners: their names, the robot's own last.
-        seeds: number of runs of each.
         table_bytes: sizes of the tables.
     """
 
@@ -261,12 +257,10 @@ class TwinStudy(Found):
         return {one.course.name: (one.mean_distance_m, one.progress_mps) for one in self.recorded}
 
     def plot(self) -> Figure:
-        """Return a matplotlib figure: distance and progress of each planner, and of the recorded runs."""
         paths = list(dict.fromkeys(row.path for row in self.rows))
         return loop_figure(self.outcomes, [TWIN], paths, list(self.planners), self._marks)
 
     def as_json(self) -> dict[str, Any]:
-        """Return the keys of the command, without the figure."""
         return {
             "rows": [dataclasses.asdict(row) for row in self.rows],
             "over_paths": {
@@ -290,7 +284,6 @@ class TwinStudy(Found):
         }
 
     def text(self, values: dict[str, Any]) -> str:
-        """Return a line for each planner, then the motions that the paper's planner assumed."""
         passed = f"the robot's planner {'is within' if self.passed else 'misses'} {1e3 * self.limit_m:g} mm"
         return "\n".join([*self._tracking(), *self._assumed_lines(), passed])
 

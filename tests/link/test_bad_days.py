@@ -268,7 +268,7 @@ def test_the_disk_is_full_while_the_robot_runs(tmp_path: Path, monkeypatch: pyte
         monkeypatch.setattr(LiveLog, "_write", write_on_a_full_disk)
         now.fails(
             InputError,
-            r"run\.h5\.part' cannot be written on: is the disk full\?",
+            r"run\.h5\.part' cannot be continued: is the disk full\?",
             lambda: now.run(pool_of(now.robot), shape(PATH)),
         )
 

@@ -86,7 +86,7 @@ def test_a_disk_that_takes_no_more_is_said(tmp_path: Path) -> None:
         for k in range(2 * LOOK_EVERY):
             video.write(image, k / 30)
 
-    with pytest.raises(InputError, match=r"run\.avi' cannot be written on: is the disk full\?"):
+    with pytest.raises(InputError, match=r"run\.avi' cannot be continued: is the disk full\?"):
         go_on()
     video.close()
 

@@ -121,7 +121,7 @@ class LiveLog:
             raise self._full() from self._error
 
     def _full(self) -> InputError:
-        return InputError(f"cannot write more to the log {str(self.path)!r}: is the disk full?")
+        return InputError(f"the log {str(self.path)!r} cannot be continued: is the disk full?")
 
     def _new_fixes(self, recording: Recording, answered: list[int]) -> list[Fixes | _Answer]:
         first, self._fixes = self._fixes, len(recording.fixes)

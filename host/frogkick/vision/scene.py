@@ -1,7 +1,7 @@
-"""Pictures of a pool with known truth: perspective, lens, blur, noise, lighting, glare, waves, other things.
+"""Rendered pictures of a pool with a known pose: perspective, lens, blur, noise, light, glare, waves, prints.
 
-Independent of the calibration's maps: every pixel's ray is followed from a pinhole to the plane that it meets
-(the tag, tilted and heaved by the waves; the water), and the tag's cells are averaged over the pixel.
+The renderer is independent of the calibration's maps: it traces the ray of each pixel from a pinhole to the
+tag, tilted and heaved by waves, or to the water, and averages the tag's cells over the pixel.
 """
 
 from __future__ import annotations
@@ -58,10 +58,10 @@ class Viewpoint:
         if self.distortion.any():
             criteria = (cv2.TERM_CRITERIA_MAX_ITER | cv2.TERM_CRITERIA_EPS, 20, 1e-9)
             points = np.ascontiguousarray(pixels).reshape(-1, 1, 2)
-            whole = cv2.undistortPointsIter(
+            undistorted = cv2.undistortPointsIter(
                 points, self.matrix_px, self.distortion, np.eye(3), self.matrix_px, criteria
             )
-            flat = np.asarray(whole, dtype=np.float64).reshape(-1, 2)
+            flat = np.asarray(undistorted, dtype=np.float64).reshape(-1, 2)
         turned = np.linalg.inv(self.matrix_px).T @ self.rotation
         return np.asarray(flat[:, :1] * turned[0] + flat[:, 1:] * turned[1] + turned[2])
 
@@ -96,20 +96,19 @@ def looking_at(
 
 @dataclass(frozen=True)
 class Conditions:
-    """What spoils a picture.
+    """Disturbances of a picture.
 
     Attributes:
         blur_px: standard deviation of the lens's blur.
         noise: standard deviation of each pixel, grey levels of 255.
-        light_slope: how much darker the picture's left is than its right, as a part.
-        glare: how many blobs of sun the water shows.
-        glare_on_tag: 0 to 1: how bright a blob lies on the tag's side.
-        wave_height_m: standard deviation of the tag's heave; tilts it too.
-        wave_length_m: of the waves, from which the tilt comes.
-        ripple_px: by how much waves shift what is seen of the tag from one place to the next.
-        cover: part of the tag's side that something covers.
-        black: grey level of the tag's ink.
-        white: grey level of its paper.
+        light_slope: relative loss of brightness from the picture's right to its left.
+        glare: number of blobs of sunlight on the water.
+        glare_on_tag: brightness of a blob at the tag's side, 0 to 1.
+        wave_height_m: standard deviation of the tag's heave, which also tilts it.
+        wave_length_m: of the waves; determines the tilt.
+        ripple_px: amplitude of the displacement of the tag's picture by ripples.
+        cover: part of the tag's side that is covered.
+        black, white: grey levels of the tag's ink and paper.
     """
 
     blur_px: float = 0.6
@@ -145,7 +144,7 @@ class Scene:
         tag_id: of the tag.
         tag_size_m: side of the square that is its size (``tag_margin``).
         tag_height_m: of its face over the still water.
-        conditions: what spoils the pictures.
+        conditions: disturbances of the pictures.
     """
 
     view: Viewpoint = field(default_factory=looking_at)
@@ -157,7 +156,7 @@ class Scene:
     conditions: Conditions = field(default_factory=Conditions)
 
     def corners_px(self) -> Array:
-        """(4, 2) where the pool's corners are seen: origin, along x, opposite, along y."""
+        """(4, 2) pixels of the pool's corners: origin, along x, opposite, along y."""
         length, width = self.pool_m
         return self.view.pixels(np.array([[0, 0, 0], [length, 0, 0], [length, width, 0], [0, width, 0.0]]))
 
@@ -187,8 +186,8 @@ class Scene:
 
         Args:
             pose: x_m, y_m, heading_rad of the tag, the heading towards its printed top; None: no tag.
-            rng: source of noise, waves, glare.
-            extra: further prints, as (cells, x_m, y_m, heading_rad, size_m of all but their outermost ring).
+            rng: for noise, waves, glare.
+            extra: further prints, as (cells, x_m, y_m, heading_rad, size_m without their outermost ring).
 
         Returns:
             (height, width) grey levels.
@@ -220,20 +219,20 @@ class Scene:
         return np.clip(np.rint(level), 0, 255).astype(np.uint8)
 
     def print_of(self, tag_id: int, pose: tuple[float, float, float], size_m: float) -> Thing:
-        """A tag of the scene's family as ``extra`` takes it; ``size_m`` as in ``tag_size_m``."""
+        """A tag of the scene's family for ``extra``; ``size_m`` as in ``tag_size_m``."""
         cells = tag_cells(self.family, tag_id)
         wide = len(cells)
         return (cells, *pose, size_m * (wide - 2) / (wide - 2 * tag_margin(self.family)))
 
     def _surface(self, rng: np.random.Generator) -> npt.NDArray[np.float32]:
-        """A rough surface of unit deviation over the picture, as long as the waves are."""
+        """A random surface of unit deviation over the picture, with the length of the waves."""
         width, height = self.view.image_px
         long_px = max(4.0, self.conditions.wave_length_m * self.view.px_per_m / 3)
         small = rng.standard_normal((int(height / long_px) + 3, int(width / long_px) + 3), dtype=np.float32)
         return np.asarray(cv2.resize(small, (width, height), interpolation=cv2.INTER_CUBIC), dtype=np.float32)
 
     def _print(self, level: npt.NDArray[np.float32], thing: Thing, rng: np.random.Generator) -> None:
-        """Draw one printed square with its white edge: each pixel the mean of 5 x 5 rays."""
+        """Draw a printed square with its white edge; each pixel is the mean of 5 x 5 rays."""
         cells, x, y, heading, size = thing
         c = self.conditions
         heave = c.wave_height_m * rng.standard_normal()
@@ -279,14 +278,14 @@ class Scene:
 
 
 def _dot(rows: Array, axis: Array) -> Array:
-    """rows @ axis, without the threads that a product of matrices may start."""
+    """rows @ axis, without the threads of a matrix product."""
     return np.asarray(rows[:, 0] * axis[0] + rows[:, 1] * axis[1] + rows[:, 2] * axis[2])
 
 
 def _glare(
     level: npt.NDArray[np.float32], x_px: float, y_px: float, strength: float, rng: np.random.Generator
 ) -> None:
-    """Add an oval of light that saturates in its middle."""
+    """Add an ellipse of light that saturates in its middle."""
     height, width = level.shape
     long, short = rng.uniform(8, 30), rng.uniform(3, 10)
     turn = rng.uniform(0, np.pi)

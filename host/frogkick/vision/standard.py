@@ -1,7 +1,7 @@
-"""tagStandard41h12 by the AprilTag library, an extra: what a tag looks like, where one is decoded.
+"""tagStandard41h12 with the AprilTag library, an extra: pictures of tags, and their detection.
 
-Its picture is 9 x 9 cells: a ring of code, a black ring, a white square of 5 cells with 9 of the code in it.
-What the library calls its size and corners are those of the white square.
+Its picture has 9 x 9 cells: a ring of code, a black ring, and a white square of 5 cells with 9 cells of code.
+The library's size and corners are those of the white square.
 """
 
 from __future__ import annotations
@@ -16,12 +16,12 @@ from frogkick.core.extras import require
 
 NAME = "tagStandard41h12"
 HAMMING_MAX = 2
-"""Wrong cells that are corrected, as for tag36h11; these codes are 12 apart."""
+"""Number of wrong cells that are corrected, as for tag36h11; the codes differ in 12."""
 
 
 @cache
 def _detector() -> Any:
-    """The library's detector, once: it makes a table of all codes.
+    """The library's detector, made once, as it makes a table of all codes.
 
     Raises:
         InputError: it is not installed.
@@ -29,10 +29,10 @@ def _detector() -> Any:
     require(f"tag family {NAME}", "pupil_apriltags")
     from pupil_apriltags import Detector
 
-    # Its own end frees the family before the detector that still looks at it: now and then the interpreter
-    # fell over as it ended, and with it the exit code of a run. There is one, and it lives as long as we do.
+    # Its destructor frees the family before the detector that still uses it, which can crash the interpreter
+    # at exit. This detector lives as long as the program.
     lasting = type("LastingDetector", (Detector,), {"__del__": lambda _self: None})
-    # Squares are looked for at half the size (of small tags, enlarged twofold before), codes at the whole.
+    # Squares are searched at half the resolution (small tags are enlarged before), codes at the full one.
     return lasting(families=NAME, nthreads=1, quad_decimate=2.0)
 
 
@@ -42,7 +42,7 @@ def _family() -> Any:
 
 
 def count() -> int:
-    """How many tags there are.
+    """Number of tags.
 
     Raises:
         InputError: the detector is not installed.
@@ -51,7 +51,7 @@ def count() -> int:
 
 
 def cells(tag_id: int) -> npt.NDArray[np.float32]:
-    """Return a tag's (9, 9) cells from the library's codes: 0 black, 1 white, row 0 the picture's top.
+    """A tag's (9, 9) cells from the library's codes: 0 black, 1 white, row 0 the picture's top.
 
     Raises:
         InputError: the detector is not installed.
@@ -62,7 +62,7 @@ def cells(tag_id: int) -> npt.NDArray[np.float32]:
     picture = np.zeros((wide, wide), np.float32)
     picture[first:-first, first:-first] = 1.0
     picture[first + 1 : -first - 1, first + 1 : -first - 1] = 0.0
-    # Places count from the white square's corner, negative outside of it; the binding calls them unsigned.
+    # Places count from the white square's corner, negative outside of it, though the binding is unsigned.
     cols, rows = (np.array(place[:bits], np.uint32).view(np.int32) for place in (family.bit_x, family.bit_y))
     code = int(family.codes[tag_id])
     picture[rows + first, cols + first] = [code >> (bits - 1 - k) & 1 for k in range(bits)]
@@ -70,7 +70,7 @@ def cells(tag_id: int) -> npt.NDArray[np.float32]:
 
 
 def find_standard(image: npt.NDArray[np.uint8], tag_id: int) -> list[npt.NDArray[np.float64]]:
-    """Find every place where a tag is decoded.
+    """Find the places where a tag is decoded.
 
     Args:
         image: (height, width) grey levels.
@@ -84,9 +84,9 @@ def find_standard(image: npt.NDArray[np.uint8], tag_id: int) -> list[npt.NDArray
         InputError: the detector is not installed.
     """
     found = _detector().detect(np.ascontiguousarray(image))
-    # Its order begins at the bottom left and goes round the other way; its first pixel begins at (0, 0).
+    # Its corners start at the bottom left in the opposite direction; its first pixel starts at (0, 0).
     return [
-        np.asarray(one.corners, dtype=np.float64)[::-1] - 0.5
-        for one in found
-        if one.tag_id == tag_id and one.hamming <= HAMMING_MAX
+        np.asarray(tag.corners, dtype=np.float64)[::-1] - 0.5
+        for tag in found
+        if tag.tag_id == tag_id and tag.hamming <= HAMMING_MAX
     ]

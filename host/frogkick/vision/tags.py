@@ -1,8 +1,8 @@
-"""What a printed tag looks like: its cells as the family's own pictures show them.
+"""Cells of a printed tag, as in the family's own pictures.
 
-The corners of a tag are named after that picture everywhere in this package: top left, top right, bottom
-right, bottom left. OpenCV 4 holds the AprilTag families turned by half a turn against their pictures, so
-that nothing outside of this file may use its order of corners.
+The corners of a tag are everywhere in the order of that picture: top left, top right, bottom right, bottom
+left. OpenCV 4 has the AprilTag families turned by half a turn, so only this file may use its order of
+corners.
 """
 
 from __future__ import annotations
@@ -17,22 +17,22 @@ from frogkick.core.errors import InputError
 from frogkick.vision import standard
 
 STANDARD = "tagStandard41h12"
-"""The authors' robot wears one; OpenCV does not know them, the extra 'apriltag' does."""
+"""The family of the authors' robot; OpenCV lacks it, the extra 'apriltag' has it."""
 FAMILIES = ("tag36h11", STANDARD)
 OPENCV_HALF_TURN = 2
-"""By how many corners OpenCV 4's order is ahead of the picture's; a golden tag in the tests holds it."""
+"""Number of corners by which OpenCV 4's order is ahead of the picture's; tests check it."""
 
 
 @cache
 def dictionary() -> cv2.aruco.Dictionary:
-    """OpenCV's dictionary of tag36h11, told to correct up to two bits (its codes are 11 apart)."""
+    """OpenCV's dictionary of tag36h11, which corrects up to two bits (the codes differ in 11)."""
     found = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)
     found.maxCorrectionBits = 2
     return found
 
 
 def tag_count(family: str) -> int:
-    """How many tags a family has.
+    """Number of tags of a family.
 
     Raises:
         InputError: an unknown family, or one whose detector is not installed.
@@ -43,32 +43,29 @@ def tag_count(family: str) -> int:
 
 
 def check_tag(family: str, tag_id: int) -> None:
-    """Refuse a tag that does not exist.
-
-    Raises:
-        InputError: an unknown family, a number that it does not have, or no detector for it.
-    """
+    """Raise InputError for an unknown family, a number that it lacks, or a missing detector."""
     count = tag_count(family)
     if not 0 <= tag_id < count:
         raise InputError(f"{family} has no tag {tag_id}: its tags are 0 to {count - 1}")
 
 
 def tag_margin(family: str) -> int:
-    """Cells between the edge of a tag's picture and the square that is its size and whose corners are found.
+    """Cells between the edge of a tag's picture and the square of its size and corners.
 
-    tag36h11: the white around its black square. tagStandard41h12: a ring of its code, and the black around
-    its white square of 5 cells.
+    tag36h11: the white around its black square. tagStandard41h12: a ring of code, and the black around its
+        white
+    square of 5 cells.
     """
     return 2 if family == STANDARD else 1
 
 
 def tag_white(family: str) -> int:
-    """Cells of white paper in a tag's picture round everything that is printed."""
+    """Cells of white paper around the print in a tag's picture."""
     return 0 if family == STANDARD else 1
 
 
 def tag_cells(family: str, tag_id: int) -> npt.NDArray[np.float32]:
-    """Return a tag's cells: with ``tag_white`` cells of white around them.
+    """A tag's cells with ``tag_white`` cells of white around them.
 
     Returns:
         (10, 10) of tag36h11, (9, 9) of tagStandard41h12: 0 black, 1 white; row 0 is the picture's top, column
@@ -87,5 +84,5 @@ def tag_cells(family: str, tag_id: int) -> npt.NDArray[np.float32]:
 
 
 def picture_order(corners_px: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-    """Return OpenCV's corners (4, 2) as top left, top right, bottom right, bottom left of the picture."""
+    """OpenCV's corners (4, 2) as top left, top right, bottom right, bottom left of the picture."""
     return np.roll(corners_px, OPENCV_HALF_TURN, axis=0)

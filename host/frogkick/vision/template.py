@@ -1,9 +1,9 @@
-"""The tag's printed picture fitted to a frame: corners to a few hundredths of a pixel, with covariance.
+"""Fits the tag's printed picture to a frame: corners to a few hundredths of a pixel, with covariance.
 
-A found tag is resampled to its own picture's axes and compared with that picture. Every cell's edge counts,
-not only the outline, which at 25 px across is what brings noise down. Unknown besides the eight corner
-coordinates: contrast, brightness and its slope in both directions, all linear, so that one product with a
-matrix made once gives a step. The picture is held in several blurs; the one that leaves least is taken.
+A found tag is resampled to the axes of its picture and compared with it, over the edges of all cells. Unknown
+are the eight corner coordinates, contrast, brightness, and its slope in both directions, all linear, so that
+a step is a product with a precomputed matrix. Of several blurs of the picture the one with the least residual
+is taken.
 
 Source: Baker and Matthews 2004, inverse compositional alignment.
 """
@@ -22,29 +22,28 @@ from frogkick.vision.tags import tag_cells, tag_margin, tag_white
 
 Array = npt.NDArray[np.float64]
 PER_CELL = 4
-"""Samples a cell across."""
+"""Samples across a cell."""
 BLURS = (0.45, 0.7, 1.0, 1.4, 2.0, 2.8)
-"""Standard deviations of the picture's blur that are tried, samples: pixels, lens, motion together."""
+"""Standard deviations of the picture's blurs, samples, by pixels, lens and motion together."""
 EDGE = PER_CELL // 2
-"""Samples of the picture's outer edge that are left out: what lies around the tag shines into them."""
+"""Samples at the picture's edge that are left out, as the surroundings of the tag affect them."""
 SUSPECT = 0.06
-"""Residual, as a part of the contrast, from which samples that stand out count less."""
+"""Residual over the contrast from which outlying samples count less."""
 FREE = 12
 """Unknowns of a fit."""
 
 
 @dataclass(frozen=True)
 class Template:
-    """One tag's picture in one blur, ready to be fitted.
+    """A tag's picture in one blur, prepared for the fit.
 
     Attributes:
-        side: samples a side, the white around included.
+        side: samples along a side, with the white around.
         corners: (4, 2) corners of the tag's square in samples, in the picture's order.
-        inside: (side^2,) which samples count.
+        inside: (side^2,) whether samples count.
         columns: (side^2, 12) derivatives by the eight corner coordinates, picture, ones, slopes.
         solve: (12, side^2) its pseudoinverse.
-        matched: (cells, side^2) how much of a cell's flip, black to white, a residual holds, cell by cell
-            of what is printed.
+        matched: (cells, side^2) matched filters of a flip, black to white, of each printed cell.
         unit_covariance: (8, 8) covariance of the corners for unit noise and unit contrast, samples^2.
     """
 
@@ -65,9 +64,9 @@ class Fit:
         corners_px: (4, 2) in the picture's order, pixels of the frame.
         covariance_px2: (8, 8) of the corners x0, y0, x1, ...
         contrast: white minus black, grey levels.
-        residual: standard deviation of what the fit leaves, as a part of the contrast.
-        worst_cell: the largest part of a flip that any printed cell shows: 0 as printed, 1 wrong.
-        moved_px: by how far the last step moved a corner.
+        residual: standard deviation of the residuals over the contrast.
+        worst_cell: largest part of a flip of a printed cell: 0 as printed, 1 wrong.
+        moved_px: largest move of a corner in the last step.
     """
 
     corners_px: Array
@@ -133,15 +132,15 @@ def _blurred_cell(cells: int, row: int, col: int, blur: float) -> Array:
 def likeliest_turn(
     image: npt.NDArray[np.uint8], quad_px: Array, bank: tuple[Template, ...]
 ) -> tuple[int, float]:
-    """Which way round a square looks most like the tag.
+    """The orientation of a dark square with the best correlation with the tag.
 
     Args:
         image: (height, width) grey levels.
-        quad_px: (4, 2) corners of a dark square, clockwise in the picture from any of them.
+        quad_px: (4, 2) corners of the square, clockwise in the picture from any corner.
         bank: the tag's templates.
 
     Returns:
-        By how many corners to roll them, and the correlation with the print, -1 to 1.
+        Number of corners to roll them by, and the correlation, -1 to 1.
     """
     which = bank[len(bank) // 2]
     size = (which.side, which.side)
@@ -163,16 +162,16 @@ def likeliest_turn(
 def fit_template(
     image: npt.NDArray[np.uint8], corners_px: Array, bank: tuple[Template, ...], steps: int = 10
 ) -> Fit | None:
-    """Fit a tag's picture to a frame, from corners that are right within a cell.
+    """Fit a tag's picture to a frame.
 
     Args:
         image: (height, width) grey levels.
-        corners_px: (4, 2) in the picture's order.
+        corners_px: (4, 2) in the picture's order, right within a cell.
         bank: the tag's templates.
-        steps: at most so many.
+        steps: largest number of steps.
 
     Returns:
-        The fit; None where it runs away, or where nothing of the tag's contrast is there.
+        The fit; None if it diverges or finds no contrast.
     """
     which = bank[len(bank) // 2]
     home = from_four(which.corners, corners_px)
@@ -183,8 +182,8 @@ def fit_template(
             image, home, size, flags=cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP, borderMode=cv2.BORDER_REPLICATE
         )
         values = np.asarray(warped.ravel() * which.inside, dtype=np.float64)
-        if step in (1, 2):  # once the corners are nearly right, the blur can be told
-            which = min(bank, key=lambda one: _left(one, values))
+        if step in (1, 2):  # the corners are nearly right now, so that the blur can be chosen
+            which = min(bank, key=lambda template: _residual(template, values))
         found = which.solve @ values
         contrast = found[8]
         if contrast < 4.0:
@@ -219,7 +218,7 @@ def fit_template(
         left = values - which.columns @ found
         noise = float(np.sqrt(left @ left / degrees))
     worst = float(np.abs(which.matched @ left).max()) / float(contrast)
-    # Neighbouring samples share pixels: their noise counts once a pixel.
+    # Neighbouring samples share pixels, whose noise counts once.
     side_px = float(np.sqrt(abs(cv2.contourArea(corners.astype(np.float32)))))
     shared = max(1.0, (float(np.ptp(which.corners[:, 0])) / max(side_px, 1.0)) ** 2)
     jacobian = _jacobian(home, which.corners)
@@ -227,17 +226,17 @@ def fit_template(
     return Fit(corners, covariance, float(contrast), noise / float(contrast), worst, last)
 
 
-def _left(which: Template, values: Array) -> float:
-    """Sum of squares that a template leaves of resampled grey levels."""
+def _residual(which: Template, values: Array) -> float:
+    """Sum of squared residuals of a template in resampled grey levels."""
     left = values - which.columns @ (which.solve @ values)
     return float(left @ left)
 
 
 def _weighed(which: Template, values: Array, left: Array) -> tuple[Array, Array] | None:
-    """A step in which samples that stand out, as glare does, count less (Cauchy's weights).
+    """A step in which outlying samples, as of glare, count less (Cauchy's weights).
 
     Returns:
-        (12,) unknowns and (8, 8) covariance of the corners for unit noise; None where too little is left.
+        (12,) unknowns and (8, 8) covariance of the corners for unit noise; None if the fit is singular.
     """
     for _ in range(4):
         spread = 1.4826 * float(np.median(np.abs(left[which.inside])))
@@ -253,10 +252,10 @@ def _weighed(which: Template, values: Array, left: Array) -> tuple[Array, Array]
 
 
 def _jacobian(homography: Array, points: Array) -> Array:
-    """(8, 8) block diagonal: how a corner moves in the frame for a sample's move in the picture."""
-    whole = np.zeros((8, 8))
+    """(8, 8) block diagonal: move of a corner in the frame for a move by a sample in the picture."""
+    jacobian = np.zeros((8, 8))
     for k, point in enumerate(points):
         ends = apply(homography, point + np.array([[0.5, 0], [-0.5, 0], [0, 0.5], [0, -0.5]]))
-        whole[2 * k : 2 * k + 2, 2 * k] = ends[0] - ends[1]
-        whole[2 * k : 2 * k + 2, 2 * k + 1] = ends[2] - ends[3]
-    return whole
+        jacobian[2 * k : 2 * k + 2, 2 * k] = ends[0] - ends[1]
+        jacobian[2 * k : 2 * k + 2, 2 * k + 1] = ends[2] - ends[3]
+    return jacobian

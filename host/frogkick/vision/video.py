@@ -1,7 +1,7 @@
-"""The pictures that a run was steered by, beside its log: a video, and when each picture was taken.
+"""The video of a run's camera beside its log, with a table of capture times.
 
-Motion JPEG in AVI: each picture stands by itself, so that what was written before a kill can be read. The
-video plays at a nominal rate; the times are in the table beside it, on the log's clock.
+The format is motion JPEG in AVI, so that pictures written before a kill can be read. The video has a nominal
+rate; the table has the capture times on the log's clock.
 """
 
 from __future__ import annotations
@@ -19,31 +19,31 @@ from frogkick.core.errors import InputError
 
 NOMINAL_HZ = 30.0
 LOOK_EVERY = 100
-"""Pictures after which the file must have grown: OpenCV does not say that a disk is full."""
+"""Number of pictures after which the file must have grown, as OpenCV does not report a full disk."""
 
 
 def video_of(log: pathlib.Path) -> pathlib.Path:
-    """Where the video of a log is."""
+    """The video file of a log."""
     return log.with_suffix(".avi")
 
 
 def times_of(log: pathlib.Path) -> pathlib.Path:
-    """Where the capture times of its pictures are: CSV with frame, capture_time_s."""
+    """The file of its pictures' capture times: CSV with frame, capture_time_s."""
     return log.with_suffix(".frames.csv")
 
 
 class Video:
-    """One run's video. One thread writes; whoever made it closes it.
+    """A run's video, written by one thread.
 
     Attributes:
-        frames: pictures written so far.
+        frames: number of pictures written.
     """
 
     def __init__(self, log: pathlib.Path, zero_s: float) -> None:
-        """Prepare; files are made with the first picture.
+        """Prepare; the first picture creates the files.
 
         Args:
-            log: the run's log, which gives the names.
+            log: the run's log, for the names.
             zero_s: the log's time zero on the camera's clock.
         """
         self.frames = 0
@@ -57,7 +57,7 @@ class Video:
 
         Args:
             image: (height, width) grey or (height, width, 3) BGR; all of one size.
-            capture_s: when it was taken, on the camera's clock.
+            capture_s: capture time on the camera's clock.
 
         Raises:
             InputError: the files cannot be written.
@@ -78,7 +78,7 @@ class Video:
             self._grown_bytes = length
 
     def close(self) -> None:
-        """End the files."""
+        """Close the files."""
         if self._writer is not None:
             self._writer.release()
             with contextlib.suppress(OSError):
@@ -94,4 +94,4 @@ class Video:
             raise InputError(f"the video {str(target)!r} cannot be written: choose another --out")
 
     def _full(self) -> InputError:
-        return InputError(f"the video {str(video_of(self._log))!r} cannot be written on: is the disk full?")
+        return InputError(f"the video {str(video_of(self._log))!r} cannot be continued: is the disk full?")

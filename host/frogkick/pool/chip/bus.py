@@ -23,9 +23,9 @@ class ChipError(FrogkickError):
 
 
 class Scheduler:
-    """One place for each source of events: a source has at most one event ahead of it.
+    """Schedules at most one future event of each source.
 
-    Events at the same cycle come in the order in which their sources were added: the same every time.
+    Events at the same cycle are handled in the order in which their sources were added.
     """
 
     def __init__(self) -> None:
@@ -35,17 +35,17 @@ class Scheduler:
         self.next_cycle = NEVER
 
     def add(self, callback: Callable[[], None]) -> int:
-        """Add a source; the callback runs at its event. Returns the source's number."""
+        """Add a source with the callback of its events; return its number."""
         self._at.append(NEVER)
         self._callbacks.append(callback)
         return len(self._at) - 1
 
     def clear(self) -> None:
-        """Forget all sources, as a reset does that places new ones."""
+        """Remove all sources."""
         self._at, self._callbacks, self.next_cycle = [], [], NEVER
 
     def at(self, source: int, cycle: int) -> None:
-        """Set or move the source's next event; ``NEVER`` takes it back."""
+        """Set the source's next event; ``NEVER`` removes it."""
         self._at[source] = cycle
         self.next_cycle = min(self._at)
 
@@ -58,7 +58,7 @@ class Scheduler:
 
 @dataclass(frozen=True)
 class Register:
-    """A register that the model knows: name as in the SVD, offset in the peripheral, r, w or rw."""
+    """A modelled register: name as in the SVD, offset in the peripheral, r, w or rw."""
 
     name: str
     offset: int
@@ -71,16 +71,16 @@ def array(name: str, offset: int, access: str, count: int, stride: int = 4) -> l
 
 
 class System(Protocol):
-    """What a peripheral sees of the chip around it."""
+    """The chip as a peripheral uses it."""
 
     scheduler: Scheduler
 
     @property
     def now_cycle(self) -> int:
-        """Time of what is happening now, in cycles of 64 MHz."""
+        """Current time in cycles of 64 MHz."""
 
     def publish(self, event_address: int) -> None:
-        """An event has happened: PPI passes it on."""
+        """Pass an event to PPI."""
 
     def trigger(self, task_address: int) -> None:
         """Trigger a task by its register's address."""
@@ -92,23 +92,23 @@ class System(Protocol):
         """Whether a modelled task register is at this address."""
 
     def set_interrupt_line(self, irq: int, level: bool) -> None:
-        """A peripheral's interrupt line to the NVIC."""
+        """Set a peripheral's interrupt line to the NVIC."""
 
     def ram_read(self, address: int, count: int) -> bytes:
-        """EasyDMA reads RAM."""
+        """Read RAM by EasyDMA."""
 
     def ram_write(self, address: int, data: bytes) -> None:
-        """EasyDMA writes RAM."""
+        """Write RAM by EasyDMA."""
 
     def fail(self, what: str) -> ChipError:
-        """Make an error with the program counter and time in it."""
+        """An error with program counter and time."""
 
 
 class Peripheral:
-    """A block of registers. A subclass lists them and says what writing and triggering does.
+    """A block of registers. A subclass lists them and implements writes and tasks.
 
-    Registers whose name begins with TASKS_ or EVENTS_ behave as the product specification says for all
-    peripherals (chapter "Peripheral interface"); INTENSET and INTENCLR act on ``interrupt_events``.
+    Registers with names from TASKS_ and EVENTS_ behave as in the product specification's chapter "Peripheral
+    interface"; INTENSET and INTENCLR act on ``INTERRUPT_EVENTS``.
     """
 
     NAME: ClassVar[str]
@@ -148,22 +148,14 @@ class Peripheral:
         return register
 
     def read(self, offset: int) -> int:
-        """Return a register's 32 bits.
-
-        Raises:
-            ChipError: no register there, or one that cannot be read.
-        """
+        """Read a register; ChipError for one that is unknown or cannot be read."""
         name = self._register(offset, "r").name
         if name in ("INTENSET", "INTENCLR"):
             return self._interrupts
         return self.on_read(name)
 
     def write(self, offset: int, value: int) -> None:
-        """Write a register's 32 bits.
-
-        Raises:
-            ChipError: no register there, one that cannot be written, or a value that the model does not know.
-        """
+        """Write a register; ChipError for one that is unknown or cannot be written, or an unknown value."""
         name = self._register(offset, "w").name
         if name.startswith("TASKS_"):
             if value != 1:
@@ -184,28 +176,28 @@ class Peripheral:
             self.on_write(name, value)
 
     def on_read(self, name: str) -> int:
-        """Return a plain register's value."""
+        """Read a plain register."""
         return self.values[name]
 
     def on_write(self, name: str, value: int) -> None:
-        """Take a plain register's new value."""
+        """Write a plain register."""
         self.values[name] = value
 
     def on_task(self, name: str) -> None:
-        """Do a task."""
+        """Execute a task."""
         raise self.refuse(name, 1, "the model does not know this task")
 
     def allow(self, name: str, value: int, known: Iterable[int]) -> None:
-        """Refuse a value outside ``known``."""
+        """Raise ChipError for a value outside ``known``."""
         if value not in known:
             raise self.refuse(name, value, "the model does not know this value")
 
     def refuse(self, name: str, value: int, why: str) -> ChipError:
-        """Make the error for a write that the model does not take."""
+        """The error of a write that is not modelled."""
         return self.system.fail(f"write of 0x{value:x} to {self.name}.{name}: {why}")
 
     def raise_event(self, name: str) -> None:
-        """An event happens: its register shows it, PPI and the interrupt line follow."""
+        """Set an event's register, and trigger PPI and the interrupt line."""
         self.values[name] = 1
         self._update_line()
         self.system.publish(self.base + self._offsets[name])

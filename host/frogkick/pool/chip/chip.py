@@ -35,20 +35,23 @@ _STACK_PAINT: Final = bytes([0xA5]) * 4
 class VirtualChip:
     """An nRF52832 from power-on, in virtual time.
 
-    The same firmware and the same calls give the same cycles, bytes and edges, however ``run_until`` is cut
-    up. No interrupt is ever taken; WFE sleeps until one that is enabled at its peripheral becomes pending.
-    What the firmware does beyond what the model knows is a ``ChipError``, which stops the chip for good.
+    The same firmware and calls give the same cycles, bytes and edges, however ``run_until`` is divided. No
+    interrupt is taken; WFE sleeps until an interrupt that is enabled at its peripheral becomes pending. An
+    action of the firmware that is not modelled is a ``ChipError``, which stops the chip for good.
+
+    Attributes:
+        resets: times of the watchdog's resets, us.
     """
 
     def __init__(
         self, elf_path: Path | str, cost: CostModel | None = None, flash: bytes | None = None
     ) -> None:
-        """Load a firmware and hold it at reset, time 0. ``resets``: when the watchdog began it anew, us.
+        """Load a firmware and hold it at reset, at time 0.
 
         Args:
             elf_path: ELF linked with firmware/bench/nrf52832.ld.
-            cost: cycle model; None for the default.
-            flash: ``flash.content()`` of a chip that has lost its power; None: as the ELF has it.
+            cost: cycle model; None: the default.
+            flash: ``flash.content()`` of a chip without power; None: the ELF's.
 
         Raises:
             InputError: not a firmware for this chip.
@@ -85,7 +88,7 @@ class VirtualChip:
         self.flash.attach(self._uc, self._state, self._refuse)
 
     def _place_peripherals(self, edges: list[tuple[int, int, bool]]) -> None:
-        """All peripherals as a reset leaves them; the edges seen so far go on."""
+        """Place all peripherals in their reset state, with the edges so far."""
         self._uarte = Uarte(self, "UARTE0", 0x4000_2000)
         self._gpio = Gpio(self, "P0", 0x5000_0000)
         self._gpio.edges = edges
@@ -114,7 +117,7 @@ class VirtualChip:
             self._by_base.setdefault(peripheral.base, []).append(peripheral)
 
     def _peripheral(self, address: int) -> Peripheral | None:
-        """The peripheral of a register; two may share a page."""
+        """The peripheral of a register; a page may have two."""
         page = self._by_base.get(address & ~(PAGE - 1), [])
         return next((p for p in page if address & (PAGE - 1) in p.by_offset), page[0] if page else None)
 
@@ -130,7 +133,7 @@ class VirtualChip:
 
     @property
     def stack_reserved_bytes(self) -> int:
-        """Stack that the linker script set aside."""
+        """Stack that the linker script reserves."""
         return self.symbol("fk_stack_top") - self.symbol("fk_stack_bottom")
 
     @property
@@ -150,18 +153,18 @@ class VirtualChip:
 
     @property
     def uart_bytes_lost(self) -> int:
-        """Bytes on the wire that the receiver did not take: off, or overrun."""
+        """Bytes on the wire that the receiver lost, by overrun or while it was off."""
         return self._uarte.bytes_lost
 
     def send(self, data: bytes, at_us: float) -> None:
-        """Put bytes on the UART's wire to the chip, at 115200 baud, behind those already on their way.
+        """Put bytes on the UART's wire to the chip, at 115200 baud, after those on their way.
 
         Args:
             data: the bytes.
-            at_us: when the first start bit begins; not before ``time_us``.
+            at_us: time of the first start bit, not before ``time_us``.
 
         Raises:
-            ChipError: that time is over.
+            ChipError: that time is past.
         """
         cycle = round(at_us * CYCLES_PER_US)
         if cycle < self.cycles:
@@ -169,17 +172,17 @@ class VirtualChip:
         self._uarte.put_on_wire(data, cycle)
 
     def received(self) -> list[tuple[float, bytes]]:
-        """Bytes that came from the chip since the last call, each with the time (us) of its stop bit."""
+        """Bytes from the chip since the last call, each with the time (us) of its stop bit."""
         taken, self._uarte.transmitted = self._uarte.transmitted, []
         return [(cycle / CYCLES_PER_US, bytes([byte])) for cycle, byte in taken]
 
     def pin_edges(self) -> list[tuple[float, int, bool]]:
-        """Edges of port P0's outputs since the last call: time (us), pin, new level. All begin low."""
+        """Edges of port P0's outputs since the last call: time (us), pin, new level. Outputs start low."""
         taken, self._gpio.edges = self._gpio.edges, []
         return [(cycle / CYCLES_PER_US, pin, level) for cycle, pin, level in taken]
 
     def stack_high_water_bytes(self) -> int:
-        """The most stack that was ever in use, from the paint that the startup code laid.
+        """The largest used stack, by the pattern that the startup code writes.
 
         Raises:
             ChipError: the firmware has no fk_stack_bottom and fk_stack_top.
@@ -193,25 +196,22 @@ class VirtualChip:
         """Address of a symbol of the firmware.
 
         Raises:
-            ChipError: there is none of that name.
+            ChipError: no such symbol.
         """
         if name in self._image.symbols:
             return self._image.symbols[name]
         raise ChipError(f"the firmware has no symbol {name!r}: name one of its variables, unstripped")
 
     def hang(self, hangs: bool = True) -> None:
-        """Let the core do nothing more, as one that a fault holds, until a reset or ``hang(False)``.
-
-        Time, peripherals and the watchdog go on.
-        """
+        """Stop the core until a reset or ``hang(False)``. Time, peripherals and the watchdog continue."""
         self._hung = hangs
 
     @ctrl_c_comes_after()  # in a register's callback it would be lost, and the register's value with it
     def run_until(self, time_us: float) -> None:
-        """Let the chip live until a virtual time; it may go over by the rest of one instruction or IT block.
+        """Advance to a virtual time, or beyond it by the rest of an instruction or IT block.
 
         Raises:
-            ChipError: the firmware faulted, or did something that the model does not know.
+            ChipError: the firmware faulted, or did something that is not modelled.
         """
         if self._failed is not None:
             raise self._failed
@@ -237,11 +237,11 @@ class VirtualChip:
 
     @ctrl_c_comes_after()
     def call(self, function: str, *arguments: int | float) -> tuple[int, int]:
-        """Let the sleeping chip call one function of its firmware, and sleep on afterwards.
+        """Let the sleeping chip call a function of its firmware.
 
         Args:
-            function: name of a C function; it must return.
-            arguments: words, or floats for float parameters; by AAPCS with the FPU's registers.
+            function: name of a C function that returns.
+            arguments: words, or floats for float parameters, by AAPCS with FPU registers.
 
         Returns:
             Register r0, and the cycles from the function's first instruction to its return.
@@ -258,7 +258,7 @@ class VirtualChip:
         self._pc = self._state.address = self._state.expected = entry
         self._state.counted = self._state.time
         try:
-            with self._watchdog.held():  # nobody feeds it meanwhile
+            with self._watchdog.held():
                 while self._pc != RETURN_ADDRESS:
                     self._handle_events()
                     self._execute()
@@ -271,7 +271,7 @@ class VirtualChip:
         return int(result), -(-cycles // PARTS)
 
     def profile(self) -> Profile:
-        """Begin to count what each instruction costs, and return the counts, which go on."""
+        """Start to count the cost of each instruction, and return the growing counts."""
         profile = Profile(self._image)
         self._state.profile = ctypes.cast(profile.parts, ctypes.c_void_p)
         self._state.visits = ctypes.cast(profile.visits, ctypes.c_void_p)
@@ -282,7 +282,7 @@ class VirtualChip:
 
     @property
     def now_cycle(self) -> int:
-        """Time of the hardware event being handled, else of the core."""
+        """Time of the current hardware event, else of the core."""
         return self.cycles if self._event_cycle is None else self._event_cycle
 
     def _handle_events(self) -> None:
@@ -296,7 +296,7 @@ class VirtualChip:
         self._uc.emu_stop()
 
     def _reset(self) -> None:
-        """The watchdog's reset: core and peripherals begin anew; RAM, the wire and the reset reasons stay."""
+        """Reset core and peripherals by the watchdog; RAM, the wire and the reset reasons stay."""
         self.resets.append(self.time_us)
         self._reset_due = self._hung = self._sleeping = False
         self.power.reset()
@@ -347,7 +347,7 @@ class VirtualChip:
             raise self.fail("the emulator stopped for no known reason")
 
     def _wait_for_event(self) -> None:
-        """WFE: an event that has been before makes it pass, else sleep."""
+        """WFE: pass if an event has occurred, else sleep."""
         size = 4 if self._image.flash[self._pc + 1] >> 3 >= 0x1D else 2
         self._state.time += PARTS + self._state.fetch_wait
         self._state.instructions += 1

@@ -1,4 +1,4 @@
-"""Where a firmware's time goes: cycles and calls of each function."""
+"""Profile of a firmware: cycles and calls of each function."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from frogkick.pool.chip.image import FirmwareImage
 
 @dataclass(frozen=True)
 class FunctionCost:
-    """What one function took, without those that it called.
+    """Cost of a function without the functions that it calls.
 
     Attributes:
         name: of the C function.
-        calls: how often its first instruction ran.
-        instructions: how many it ran.
+        calls: number of executions of its first instruction.
+        instructions: number of executed instructions.
         cycles: with wait states.
     """
 
@@ -33,7 +33,7 @@ class Profile:
     """Counts that the hook fills while the chip runs."""
 
     def __init__(self, image: FirmwareImage) -> None:
-        """All counts zero; ``image`` names the functions."""
+        """Start with zero counts; ``image`` has the functions."""
         self._image = image
         self.parts = (ctypes.c_uint64 * (FLASH_BYTES // 2))()
         self.visits = (ctypes.c_uint32 * (FLASH_BYTES // 2))()
@@ -51,7 +51,7 @@ class Profile:
             if instructions:
                 cycles = int(parts[begin:end].sum()) / PARTS
                 found.append(FunctionCost(name, int(visits[begin]), instructions, cycles))
-        return sorted(found, key=lambda one: -one.cycles)
+        return sorted(found, key=lambda function: -function.cycles)
 
     def lines(self, function: str) -> list[tuple[int, int, float]]:
         """Address, visits and cycles of each instruction of a function that ran."""

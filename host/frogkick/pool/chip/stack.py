@@ -1,4 +1,4 @@
-"""The most stack that a firmware can use, from its machine code: every path through every call."""
+"""Upper bound of a firmware's stack by its machine code, over all paths and calls."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class StackBound:
 
 @dataclass(frozen=True)
 class _Frame:
-    """What one function does: its own deepest, calls as (depth, target or None for a pointer)."""
+    """Stack of a function: its own deepest, and its calls as (depth, target; None: a pointer)."""
 
     deepest: int
     calls: tuple[tuple[int, int | None], ...]
@@ -76,7 +76,7 @@ class StackAnalysis:
         self._frames: dict[int, _Frame] = {}
 
     def bound(self, function: str = "fk_reset") -> StackBound:
-        """Return the deepest chain of calls from a function on.
+        """The deepest chain of calls from a function on.
 
         Raises:
             ChipError: no such function, recursion, or a stack pointer that is not moved by constants.
@@ -92,7 +92,7 @@ class StackAnalysis:
         return StackBound(total, chain, tuple(indirect))
 
     def own_bytes(self, function: str) -> int:
-        """Return the most stack that a function uses itself, without those that it calls.
+        """The largest stack of a function without the functions that it calls.
 
         Raises:
             ChipError: as for ``bound``.
@@ -130,7 +130,7 @@ class StackAnalysis:
         return best
 
     def _pointed_at(self) -> list[int]:
-        """Functions whose address stands in flash as a word, past the vectors: what a pointer may call."""
+        """Functions that a pointer may call: their address is a word in flash after the vectors."""
         found = set()
         for address, data in self._code:
             for at in range(-address % 4, len(data) - 3, 4):
@@ -163,7 +163,7 @@ class StackAnalysis:
             stop = address
             while stop < end and self._is_code(stop):
                 stop += 2
-            # The run as a whole: a condition stands in the IT before, not in the instruction.
+            # All at once, as the condition of an instruction is in the IT before it.
             for decoded in self._disassembler.disasm(self._bytes(address, stop - address), address):
                 found[address] = decoded
                 address += decoded.size
@@ -172,7 +172,7 @@ class StackAnalysis:
         return found
 
     def _frame(self, entry: int) -> _Frame:
-        """Follow every path through a function, with the depth of its stack at each instruction."""
+        """Follow all paths through a function, with the depth of its stack at each instruction."""
         if entry in self._frames:
             return self._frames[entry]
         if entry not in self._sizes:
@@ -225,7 +225,7 @@ class StackAnalysis:
     def _followers(
         self, one: Any, entry: int, depth: int, calls: set[tuple[int, int | None]], code: dict[int, Any]
     ) -> Iterator[int]:
-        """Yield the instructions of this function that may come next; add what is called."""
+        """Yield the possible next instructions of this function, and add calls."""
         name, next_address = one.mnemonic.split(".")[0], one.address + one.size
         conditional = one.cc not in _ALWAYS
         first: Any = one.operands[0] if one.operands else None
@@ -262,7 +262,7 @@ class StackAnalysis:
             yield next_address
 
     def _table(self, one: Any, code: dict[int, Any]) -> Iterator[int]:
-        """Targets of a table branch: its table lies behind it and ends where code begins again."""
+        """Targets of a table branch: the table follows it up to the next code."""
         size = 2 if one.mnemonic.startswith("tbh") else 1
         begin = at = one.address + one.size
         while not self._is_code(at):

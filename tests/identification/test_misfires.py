@@ -11,6 +11,7 @@ from made import make_swim, robot
 from tests.conftest import LEVEL, count
 
 from frogkick.effects import Fix
+from frogkick.identification.answers import answers_of
 from frogkick.identification.jumps import jumped, jumps_of, without_jumps
 from frogkick.identification.misfires import fitted_mixture, misfires_of, without_failed
 from frogkick.identification.outcome import identify
@@ -62,6 +63,17 @@ def test_no_limb_misfires_where_none_does() -> None:
         _, rows, nominal = nominal_fit(swims, robot())
         found = misfires_of(nominal, swims, rows)
         assert found is None or (effects and found.chance[0][0] > 0.4)
+
+
+def test_a_limb_that_breaks_does_not_misfire() -> None:
+    at = {"at": {"value": 15.0, "unit": "s"}}
+    table = {"name": "law", "on": "stroke", "limb": "front_left", "gain": "time_s < at", "parameters": at}
+    for effects, right in (([table], True), (misfire("front_left", 0.3), False)):
+        swims = [make_swim(effects, seed, count(20, 30)) for seed in (1, 2, 3)]
+        _, rows, nominal = nominal_fit(swims, robot())
+        answers = answers_of(nominal, swims, rows)
+        found = misfires_of(nominal, swims, rows, answers.idle)
+        assert found is None or found.patterned(answers.strokes) == right
 
 
 @pytest.mark.skipif(not GIVEN.is_dir() or LEVEL == "quick", reason="logs of a misfire; FK_LEVEL=ci")

@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from frogkick.effects import Law
-from frogkick.identification.answers import Weaker, fired_strokes, rollouts_with
+from frogkick.identification.answers import Values, Weaker, fired_strokes, rollouts_with
 from frogkick.identification.bootstrap import drawn_periods
 from frogkick.identification.calibrated import end_errors
 from frogkick.identification.fit import DIVERGED, Fitted, Model, residuals_of, rollouts_of
@@ -51,6 +51,9 @@ STARTS = (0.1, 0.35)
 
 DRAWS = 200
 """Resamples of periods for the stability."""
+
+PATTERN = 25.0
+"""Fall of the deviance by a split of the strokes in two: the best of many splits gains ten by chance."""
 
 PROFILE = 3.84
 """Rise of the deviance at the ends of an interval of 95 % (profile likelihood)."""
@@ -125,6 +128,23 @@ class Misfires:
             _log_sum(_joint(ends[row], changes[row], fired[row], chance, self.scale))
             for ends, changes, fired, row in zip(*every, rows, strict=True)
         ]
+
+    def patterned(self, strokes: Values) -> bool:
+        """Whether strokes fail by a rule and not by chance: one side of a time, a place, a heading or another
+        quantity has other failures than the other side.
+
+        Args:
+            strokes: see ``Answers.strokes``.
+        """
+        for limb, told in zip(self.indices, self.failed, strict=True):
+            fails = np.array([share > 0.5 for *_, share in told], dtype=np.float64)
+            fired = np.isfinite(np.asarray(strokes["time_s"])[:, limb])
+            for name, values in strokes.items():
+                column = np.broadcast_to(values, (len(fired), np.shape(strokes["time_s"])[1]))[fired, limb]
+                views = [np.cos(column), np.sin(column)] if name == "heading_rad" else [column]
+                if max(_split_gain(view, fails) for view in views) > PATTERN:
+                    return True
+        return False
 
     def as_json(self) -> list[dict[str, Any]]:
         """For each limb its strokes that likely failed."""
@@ -309,6 +329,23 @@ def _interval(
     inside = tried[np.array(deviances) <= best.deviance + PROFILE]
     own = float(best.chance[k])
     return min([own, *inside.tolist()]), max([own, *inside.tolist()])
+
+
+def _split_gain(values: FloatArray, fails: FloatArray) -> float:
+    """The fall of the deviance by two chances, of small and of large values, for the best bound between."""
+    order = np.argsort(values, kind="stable")
+    bounds = np.flatnonzero(np.diff(values[order]) > 1e-9) + 1
+    if not len(bounds):
+        return 0.0
+    total, count = np.cumsum(fails[order]), len(fails)
+
+    def deviance(failed: FloatArray, of: FloatArray) -> FloatArray:
+        share = np.clip(failed / of, 1e-9, 1.0 - 1e-9)
+        return np.asarray(-2.0 * (failed * np.log(share) + (of - failed) * np.log1p(-share)))
+
+    low, below = total[bounds - 1], np.asarray(bounds, dtype=np.float64)
+    parts = deviance(low, below) + deviance(total[-1] - low, np.asarray(count - below))
+    return float((deviance(total[-1:], np.array([float(count)])) - parts).max())
 
 
 def _stability(scores: Sequence[FloatArray], runs: NDArray[np.int64], replicates: int) -> list[float]:

@@ -98,6 +98,9 @@ def test_a_robot_gets_an_owner_and_loses_him(
         "not this robot",
     )
     refused(frogkick(capsys, "own", "--robot", target, "--key", other), "not this robot's")
+    none = tmp_path / "none.key"
+    refused(frogkick(capsys, "own", "--robot", target, "--key", none), "only from its owner", str(none))
+    assert not none.exists()
     assert robot.flash.image == NEW and owner_of(robot) == bytes.fromhex(moved.read_text())
 
     told = frogkick(capsys, "push", "--rollback", "--robot", target, "--key", moved)

@@ -9,6 +9,7 @@ import sys
 import time
 import urllib.request
 from collections.abc import Iterator
+from contextlib import nullcontext
 from pathlib import Path
 
 import cv2
@@ -22,10 +23,13 @@ from tests.link.swim import PATH, LivePool
 from tests.runs import rig
 from tests.vision.scenes import calibration, scene
 
+from frogkick.core.errors import InputError
+from frogkick.front import bench
 from frogkick.front.bench import Sight
 from frogkick.link.pty_line import PtyLine
 from frogkick.paths import shape
 from frogkick.planner.plan import PlanConfig
+from frogkick.robot import load_robot
 from frogkick.runs.camera_fixes import CameraFixes
 from frogkick.runs.closed_loop import ENDED, TIME, RunOptions, run_session
 from frogkick.runs.lab_session import lab_session
@@ -99,6 +103,36 @@ def filmed(tmp_path_factory: pytest.TempPathFactory) -> Path:
         cv2.imwrite(str(folder / "pictures" / f"{k:03d}.png"), different[k % len(different)])
     write_calibration(folder / "camera.toml", calibration(SCENE))
     return folder
+
+
+def test_what_a_page_draws_is_compiled_before_the_robot_is_looked_for(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """On a new installation it once took two minutes, amid the run, in which fixes came late."""
+    done = []
+
+    def opened(*_given: object) -> None:
+        raise InputError("no camera")
+
+    monkeypatch.setattr(bench, "warm_up", lambda *_given: done.append("planner"))
+    monkeypatch.setattr(bench, "tree_of", lambda *_given: done.append("what a page draws"))
+    monkeypatch.setattr(Sight, "opened", opened)
+    tables, path, options = rig.tables(), shape("line"), RunOptions(PlanConfig(depth=1), True)
+    for drawn, compiled in ((False, []), (True, ["planner", "what a page draws"])):
+        done.clear()
+        lab = bench.Bench("serial:frog", "frogkick", Sight("camera.toml"), 12.0, drawn=drawn)
+        with pytest.raises(InputError, match="no camera"):
+            bench.run_on_bench(
+                lab,
+                rig.small_table(),
+                load_robot("frog2022"),
+                tables,
+                path,
+                options,
+                lambda *_: nullcontext(),
+                print,
+            )
+        assert done == compiled
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="needs a pseudo-terminal")

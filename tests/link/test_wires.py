@@ -183,7 +183,7 @@ def test_fixes_need_no_answer_and_are_not_sent_again(robot: LiveRobot, there: Ri
 
 
 def test_another_table_is_refused(robot: LiveRobot, there: Rigged) -> None:
-    with pytest.raises(LinkError, match=r"CRC-32 .*build the firmware with this table"):
+    with pytest.raises(LinkError, match=r"CRC-32 .*or build the firmware with it"):
         lab_session(there.wire).handshake(open_image(NEW))
 
 

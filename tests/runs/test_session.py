@@ -64,7 +64,7 @@ def test_greet_refuses_another_table_and_another_robot() -> None:
     ours = rig.tables()
     told = session.handshake(ours)
     assert told["table_crc"] == ours.crc32
-    with pytest.raises(LinkError, match="build the firmware with this table"):
+    with pytest.raises(LinkError, match="or build the firmware with it"):
         session.handshake(open_image(rig.changed_image(32, b"another library")))
     with pytest.raises(TableError, match="newt"):
         session.handshake(open_image(rig.changed_image(16, b"newt".ljust(16, b"\0"))))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
@@ -18,12 +19,14 @@ from frogkick.core.poses import rotation
 from frogkick.core.progress import tell_line
 from frogkick.effects import World
 from frogkick.front.places import built_firmware, start_pose
+from frogkick.front.run_progress import SLOW_S
 from frogkick.link.auth import read_key
 from frogkick.link.frames import DELIMITER
 from frogkick.link.opening import opened, require_wire
 from frogkick.link.text_dialect import pulse_line, require_dialect
 from frogkick.link.wire import Wire, is_target, parse_target
 from frogkick.paths import Path as SwimPath
+from frogkick.planner.plan import PlanConfig
 from frogkick.pool.native_robot import NativeRobot
 from frogkick.robot import Robot
 from frogkick.runs.camera_fixes import CameraFixes
@@ -31,6 +34,7 @@ from frogkick.runs.closed_loop import DISARMED, DROPPED, ENDED, Recording, RunOp
 from frogkick.runs.decision import warm_up
 from frogkick.runs.lab_session import LabSession, lab_session, stops_are_interrupts
 from frogkick.runs.line_fixes import LineFixes
+from frogkick.runs.live_view import tree_of
 from frogkick.runs.pool_fixes import PoolFixes
 from frogkick.runs.start_checks import check_battery, check_start, look
 from frogkick.runs.text_robot import TextRobot
@@ -260,6 +264,7 @@ class Bench:
         operator: the person who is asked before arming and may stop the run.
         wire: an open link to the robot; None: a link is opened, and closed after the run.
         key: file of its owner's key; None: the user's own.
+        drawn: a page shows the run and what the planner expects.
     """
 
     name: str
@@ -270,11 +275,25 @@ class Bench:
     operator: Operators = no_operator
     wire: Wire | None = None
     key: Path | None = None
+    drawn: bool = False
 
 
 Kept = Callable[[SwimPath, CameraFixes | None, float], AbstractContextManager[Callable[[Recording], None]]]
 """Makes the log that grows with a recording. Its arguments are the placed path, the camera if there is one,
 and the wall clock at the session's time 0 (s since 1970)."""
+
+
+def _compile_planner(tables: Tables, path: SwimPath, config: PlanConfig, drawn: bool) -> None:
+    """Compile what the host computes in a run before the robot is armed: it would delay fixes for minutes."""
+    slow = threading.Timer(SLOW_S, tell_line, ["compiling the host's planner (once; a minute or two)"])
+    slow.daemon = True
+    slow.start()
+    try:
+        decision = warm_up(tables, path, config)
+        if drawn and decision.status == 0:
+            tree_of(tables, path, config, decision)
+    finally:
+        slow.cancel()
 
 
 def _tell(line: str) -> None:
@@ -311,8 +330,8 @@ def run_on_bench(
     greeting = DELIMITER if bench.dialect == "frogkick" else pulse_line(tables.pulse_us)
     with ExitStack() as stack:
         stack.enter_context(stops_are_interrupts())
-        if options.check is not None or not options.onboard:
-            warm_up(tables, path, options.config)
+        if bench.drawn or options.check is not None or not options.onboard:
+            _compile_planner(tables, path, options.config, bench.drawn)
         fixes, pool_m = stack.enter_context(sight.opened(robot, tables, path))
         camera = fixes if isinstance(fixes, CameraFixes) else None
         fixes.wait_first(FIRST_FIX_S)

@@ -324,7 +324,7 @@ def run(
             sight = Sight(str(fixes), source, begin, fix_rate_hz, true, seed)
             owner = None if key is None else Path(key)
             film = target if video else None
-            bench = Bench(robot, dialect, sight, battery_v, film, operator, wire, owner)
+            bench = Bench(robot, dialect, sight, battery_v, film, operator, wire, owner, view)
             log = logged(target, described, used.tables, options, name, known)
 
             @contextmanager

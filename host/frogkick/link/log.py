@@ -206,4 +206,7 @@ def _ask(link: Requester, offset: int) -> dict[str, Value]:
                 f"the robot answers LOG with {status}: its firmware keeps no log; flash a newer one"
             )
         return answer
-    raise LogError(f"no answer to LOG, asked {_TRIES} times ({lost}): bring the robot nearer, fetch again")
+    raise LogError(
+        f"no answer to LOG, asked {_TRIES} times ({lost}): "
+        "check the cable or bring the robot nearer, and fetch again"
+    )

@@ -122,5 +122,6 @@ def _ask_all(
             }.get(status, "send again")
         )
     raise UploadError(
-        f"no answer to {name}, asked {_TRIES} times ({lost}): bring the robot nearer, send again"
+        f"no answer to {name}, asked {_TRIES} times ({lost}): "
+        "check the cable or bring the robot nearer, and send again"
     )

@@ -236,18 +236,20 @@ class DecisionTwin:
         return decision
 
 
-def warm_up(tables: Tables, path: Path, config: PlanConfig) -> None:
+def warm_up(tables: Tables, path: Path, config: PlanConfig) -> Decision:
     """Compile the twin's kernels by a short artificial run, so that no fix waits for them.
 
     The run has fixes before and after a decision, a stroke, and another decision. Without it the first fix
-    after a stroke takes a second of compiling.
+    after a stroke takes a second of compiling. Its last decision is returned.
     """
     twin = DecisionTwin(tables, path, config)
     pose = np.array([path.x_m[0], path.y_m[0], path.tangent_rad[0]], dtype=np.float32)
     for sequence in range(12):
         twin.add_fix(200_000 * sequence, pose, sequence)
         if sequence in (3, 10):
-            twin.act(200_000 * sequence + 50_000, twin.decide(200_000 * sequence + 50_000).action)
+            decision = twin.decide(200_000 * sequence + 50_000)
+            twin.act(200_000 * sequence + 50_000, decision.action)
+    return decision
 
 
 class LiveCheck:

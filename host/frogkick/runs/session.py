@@ -242,7 +242,7 @@ class Session:
             self._auth = None
             return
         file = self.key_file or auth.default_key_file()
-        if self.key_file is None and not file.exists():
+        if not file.exists():
             raise LinkError(
                 "the robot takes commands only from its owner, and there is no owner's key in "
                 f"{str(file)!r}: give the key's file (--key)"
@@ -269,7 +269,8 @@ class Session:
             raise LinkError(
                 f"the robot's table has CRC-32 {answer['table_crc']:08x}, ours {tables.crc32:08x}"
                 f"{periods if theirs_s != ours_s else ''}: "
-                "build the firmware with this table, or send it ('frogkick push')"
+                "give the robot's own table (--tables), send this one ('frogkick push'), "
+                "or build the firmware with it"
             )
         return answer
 

@@ -126,7 +126,7 @@ def _live(pictures: Iterable[tuple[Image | None, float]], what: str, hint: str) 
     same, last = 0, None
     for sequence, (picture, capture_s) in enumerate(pictures):
         if picture is None:
-            raise InputError(f"{what} gave no picture after {sequence}: {hint}")
+            raise InputError(f"{what} gave no picture after {sequence} pictures: {hint}")
         same = same + 1 if last is not None and np.array_equal(picture, last) else 0
         if same >= FROZEN_FRAMES:
             raise InputError(f"{what} is frozen: {same + 1} equal pictures in a row; plug it in again")

@@ -11,6 +11,7 @@ import urllib.request
 from collections.abc import Iterator
 from contextlib import nullcontext
 from pathlib import Path
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -114,7 +115,11 @@ def test_what_a_page_draws_is_compiled_before_the_robot_is_looked_for(
     def opened(*_given: object) -> None:
         raise InputError("no camera")
 
-    monkeypatch.setattr(bench, "warm_up", lambda *_given: done.append("planner"))
+    def warmed(*_given: object) -> SimpleNamespace:
+        done.append("planner")
+        return SimpleNamespace(status=0)
+
+    monkeypatch.setattr(bench, "warm_up", warmed)
     monkeypatch.setattr(bench, "tree_of", lambda *_given: done.append("what a page draws"))
     monkeypatch.setattr(Sight, "opened", opened)
     tables, path, options = rig.tables(), shape("line"), RunOptions(PlanConfig(depth=1), True)

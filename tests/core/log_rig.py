@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import random
+from collections.abc import Sequence
 from typing import Any
 
 from tests.core.core import FFI, Robot, core
@@ -54,7 +55,9 @@ def robot_with_log(now_us: int = 1_000_000, made: Any = None) -> tuple[Robot, Lo
 
 
 class Asking:
-    """A robot as a conversation."""
+    """A robot as the log's fetcher asks it."""
+
+    window = 1
 
     def __init__(self, robot: Robot) -> None:
         self.robot = robot
@@ -66,6 +69,9 @@ class Asking:
         told = self.robot.ask(name, values)
         self.between()
         return told
+
+    def ask_all(self, name: str, many: Sequence[tuple[object, object]], timeout_s: float = 1.0) -> list[dict]:
+        return [self.ask(name, values, rows, timeout_s) for values, rows in many]
 
 
 def fetched(robot: Robot, known: ChipLog | None = None) -> ChipLog:

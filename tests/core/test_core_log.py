@@ -285,7 +285,7 @@ def test_an_answer_that_is_lost_is_asked_for_again() -> None:
         def ask(self, *words: object, **more: object) -> dict:
             raise LinkError("no answer")
 
-    with pytest.raises(LogError, match=r"no answer to LOG, asked 5 times \(no answer\): bring"):
+    with pytest.raises(LogError, match=r"no answer to LOG, asked 5 times \(no answer\): check the cable"):
         fetch_log(Dead(robot))
     with pytest.raises(LogError, match="answers LOG with UNKNOWN: its firmware keeps no log"):
         fetched(Robot())

@@ -185,6 +185,15 @@ def test_what_chance_gains_is_known_from_the_signs_of_blocks() -> None:
         assert above <= (0.25 if shared else 0.1) * draws
 
 
+def test_a_candidate_that_changes_nothing_gains_nothing_by_chance() -> None:
+    rng, runs = np.random.default_rng(1), np.repeat([0, 1], 12)
+    residuals, nothing = rng.standard_normal((24, 9)), np.zeros((24, 9, 2))
+    some = rng.standard_normal((24, 9, 1))
+    alone = gain_by_chance(residuals, np.zeros((24, 9, 0)), [some], runs, 4.0)
+    assert gain_by_chance(residuals, np.zeros((24, 9, 0)), [nothing, some], runs, 4.0) == alone
+    assert gain_by_chance(residuals, np.zeros((24, 9, 0)), [nothing], runs, 4.0) == 0.0
+
+
 def test_what_does_not_help_on_runs_kept_out_is_left_out(
     whole: list[Segments], worn: list[Segments], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -207,6 +207,8 @@ def gain_by_chance(
         columns = columns - own @ (own.T @ columns)
         basis, sizes, _ = np.linalg.svd(columns, full_matrices=False)
         basis = basis[:, sizes > 1e-6 * max(sizes[0], 1e-300)]
+        if not basis.shape[1]:
+            continue  # it changes nothing that the model's own parameters do not
         slopes = np.stack([np.bincount(label, basis[:, k] * left) for k in range(basis.shape[1])], axis=1)
         best = np.maximum(best, further * ((signs @ slopes) ** 2).sum(axis=1) - penalty * basis.shape[1])
     return float(np.quantile(best, CONFIDENCE))

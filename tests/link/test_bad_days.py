@@ -291,7 +291,7 @@ def test_a_robot_with_a_table_for_another_period(tmp_path: Path, monkeypatch: py
     )
     with (
         day(tmp_path, monkeypatch) as now,
-        pytest.raises(LinkError, match=r"a period of 1\.425 s, ours 2\.000 s: build the firmware") as said,
+        pytest.raises(LinkError, match=r"a period of 1\.425 s, ours 2\.000 s: give the robot's own") as said,
     ):
         now.session.handshake(slower)
     assert "\n" not in str(said.value) and "ARM" not in now.robot.names()

@@ -39,7 +39,7 @@ from frogkick.identification.verdict import (
     verdict_of,
 )
 from frogkick.runs.runlog import Fixes, FixFlag
-from frogkick_studies.planted import OUTSIDE_TEXT
+from frogkick_studies.planted_laws import LAWS_TEXT
 
 
 def test_the_noise_of_fixes_is_told_by_fixes_alone(whole: list[Segments], worn: list[Segments]) -> None:
@@ -70,7 +70,7 @@ def replace_fixes(swim: Segments, count: int) -> Segments:
 
 def test_what_strokes_do_differently_is_no_noise_of_the_fixes(whole: list[Segments], tmp_path: Path) -> None:
     """A limb that misfires in 4 strokes of 10: the floor stays, beside it stands what strokes differ by."""
-    (tmp_path / "mine.py").write_text(OUTSIDE_TEXT)
+    (tmp_path / "mine.py").write_text(LAWS_TEXT)
     table = {"file": str(tmp_path / "mine.py"), "class": "Misfire", "limb": "front_left", "share": 0.4}
     judged = []
     for swims in (whole, [make_swim([table], seed, 14) for seed in (3, 4)]):

@@ -17,10 +17,11 @@ import pytest
 from tests.runs import rig
 
 import frogkick as fk
+from frogkick.core.local_server import HOST
 from frogkick.front.viewing import viewed
 from frogkick.paths import shape
 from frogkick.planner.plan import PlanConfig, plan
-from frogkick.report.live_page import ASKS, HOST, page, served
+from frogkick.report.live_page import ASKS, page, served
 from frogkick.runs.closed_loop import STOPPED, RunOptions
 from frogkick.runs.live_view import LiveView, fan_of, tree_of
 

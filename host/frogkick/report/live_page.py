@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import sys
-import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 
+from frogkick.core.local_server import QuietHandler, serving
 from frogkick.report import style
 from frogkick.report.page import rendered
 
-HOST = "127.0.0.1"
 ASKS = "X-Frogkick"
 """Header of a request to act; pages of other sites cannot send it here."""
 
@@ -47,7 +44,7 @@ def served(
     """
     text = page(stop is not None).encode()
 
-    class Handler(BaseHTTPRequestHandler):
+    class Handler(QuietHandler):
         def do_GET(self) -> None:
             more: dict[str, str] = {}
             if self.path == "/":
@@ -76,21 +73,5 @@ def served(
             self.send_response(204)
             self.end_headers()
 
-        def log_message(self, format: str, *args: object) -> None:
-            """Do not print every request."""
-
-    class Server(ThreadingHTTPServer):
-        daemon_threads = True
-
-        def handle_error(self, request: object, client_address: object) -> None:
-            """Ignore a page that is closed while it is answered; report other errors as usual."""
-            if not isinstance(sys.exception(), ConnectionError):
-                super().handle_error(request, client_address)  # type: ignore[arg-type]
-
-    server = Server((HOST, 0), Handler)
-    threading.Thread(target=server.serve_forever, daemon=True).start()
-    try:
-        yield f"http://{HOST}:{server.server_address[1]}/"
-    finally:
-        server.shutdown()
-        server.server_close()
+    with serving(Handler) as base:
+        yield f"{base}/"

@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from contextlib import contextmanager
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
-from frogkick.core.errors import InputError
+from frogkick.core.local_server import QuietHandler, serving
 
-HOST = "127.0.0.1"
 STREAM, PICTURE = "/camera.mjpg", "/picture.jpg"
 QUALITY = 95
 """Of the JPEG: at less, its blocks shift the edges of a small tag."""
@@ -41,7 +38,7 @@ def streamed(
     """
     closing = threading.Event()
 
-    class Handler(BaseHTTPRequestHandler):
+    class Handler(QuietHandler):
         def do_GET(self) -> None:
             if self.path == PICTURE:
                 content = _jpeg(picture())
@@ -69,33 +66,11 @@ def streamed(
                 self.wfile.write(head.encode() + content + b"\r\n")
                 due_s = max(due_s + 1.0 / rate_hz, time.monotonic())  # what is late is left out
 
-        def log_message(self, format: str, *args: object) -> None:
-            """Do not print every request."""
-
-    class Server(ThreadingHTTPServer):
-        daemon_threads = True
-
-        def handle_error(self, request: object, client_address: object) -> None:
-            """Ignore a viewer that leaves; report other errors as usual."""
-            if not isinstance(sys.exception(), ConnectionError):
-                super().handle_error(request, client_address)  # type: ignore[arg-type]
-
-    try:
-        server = Server((HOST, port), Handler)
-    except (OSError, OverflowError) as error:
-        raise InputError(
-            f"pictures cannot be served on TCP port {port} ({getattr(error, 'strerror', None) or error}): "
-            "give another --port, or 0 for a free one"
-        ) from error
-    threading.Thread(target=server.serve_forever, daemon=True).start()
-    base = f"http://{HOST}:{server.server_address[1]}"
-    try:
-        yield base + STREAM, base + PICTURE
-    finally:
-        closing.set()
-        server.shutdown()
-        with suppress(OSError):
-            server.server_close()
+    with serving(Handler, port) as base:
+        try:
+            yield base + STREAM, base + PICTURE
+        finally:
+            closing.set()
 
 
 def _jpeg(image: npt.NDArray[np.uint8]) -> bytes:

@@ -9,7 +9,7 @@ from functools import partial
 import numpy as np
 
 from frogkick_studies.draws import LIMBS, Table, between, sign
-from frogkick_studies.planted_laws import DRAWN, drawn
+from frogkick_studies.planted_laws import DRAWN, drawn, misfire
 
 NULL, ONE, TWO, OUTSIDE, LAWS = "nothing", "one", "two", "outside", "laws"
 
@@ -67,17 +67,6 @@ class Whirl:
     def flow(self, time_s, position_world_m):
         x, y = position_world_m
         return -y * self.turns_per_s, x * self.turns_per_s
-
-
-class Misfire:
-    """A limb that does nothing in some of its strokes, at random."""
-
-    def __init__(self, limb, share):
-        self.limb, self.share = limb, share
-
-    def stroke(self, stroke, history, rng):
-        if stroke.limb == self.limb and rng.random() < self.share:
-            stroke.gain = 0.0
 
 
 class SlowLens:
@@ -208,7 +197,7 @@ def _mine(kind: str, **values: float | str) -> list[Table]:
 
 
 def _misfire(low: float, high: float, rng: np.random.Generator) -> list[Table]:
-    return _mine("Misfire", limb=str(rng.choice(LIMBS)), share=between(rng, low, high))
+    return [misfire(rng, low, high)]
 
 
 ONES: Mapping[str, Callable[[np.random.Generator], Table]] = {

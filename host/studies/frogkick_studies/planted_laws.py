@@ -199,8 +199,9 @@ def _sloshing(rng: np.random.Generator) -> Table:
     )
 
 
-def _misfire(rng: np.random.Generator) -> Table:
-    return _planted("Misfire", limb=str(rng.choice(LIMBS)), share=between(rng, 0.1, 0.4))
+def misfire(rng: np.random.Generator, low: float = 0.1, high: float = 0.4) -> Table:
+    """A limb that does nothing in a share of its strokes, from ``low`` to ``high``."""
+    return _planted("Misfire", limb=str(rng.choice(LIMBS)), share=between(rng, low, high))
 
 
 def _break(rng: np.random.Generator) -> Table:
@@ -264,7 +265,7 @@ Draw = Callable[[np.random.Generator], Table]
 DRAWN: Mapping[str, Sequence[Draw]] = {
     "spring to a point": (_cable,),
     "sloshing": (_sloshing,),
-    "misfire": (_misfire,),
+    "misfire": (misfire,),
     "break": (_break,),
     "spring to a point + break": (_cable, _break),
     "shared battery": (_shared_battery,),

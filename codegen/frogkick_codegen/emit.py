@@ -29,6 +29,7 @@ _RENDERED = ("fk_table.h", "fk_table.c", "fk_config.h", "fk_sizes.h", "example_m
 PARTS: Mapping[tuple[str, ...], str] = {
     ("tables.c", "tables_check.c"): "the image's format; opens an image, checking every byte",
     ("nearest.c", "lookup.c"): "nearest state, exactly, over a k-d tree; what the table says of it",
+    ("wear.c",): "what worn limbs change of it",
     ("tree.c",): "search over sequences of actions",
     ("cost.c", "path.c"): "cost of a pose; the path's nearest point",
     ("route.c", "fk_route.h"): "cost along a path that may cross or close on itself",

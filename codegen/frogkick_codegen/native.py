@@ -25,6 +25,7 @@ from frogkick_codegen.toolchain import FLAGS, Compiler, ToolchainError, zig
 PLANNER_HEADERS = ("fk_planner.h", "fk_tables.h", "fk_internal.h", "fk_route.h", "fk_trig.h")
 PLANNER_SOURCES = (
     "cost.c", "lookup.c", "math.c", "nearest.c", "path.c", "route.c", "tables.c", "tables_check.c", "tree.c",
+    "wear.c",
 )  # fmt: skip
 
 
@@ -135,12 +136,14 @@ class NativeLibrary:
         depths: npt.ArrayLike | None = None,
         limb_use: npt.ArrayLike | None = None,
         along_points: npt.ArrayLike = 0.0,
+        lost: npt.ArrayLike | None = None,
     ) -> npt.NDArray[Any]:
         """Plan from many states, as ``frogkick.planner.plan.plan_batch`` does, in C.
 
         Args:
             image: a whole table image.
             path, config, states, depths, limb_use, along_points: as there.
+            lost: (8,) share that each limb has lost, 0 to 32767; None: none.
 
         Returns:
             (k,) array of ``PLAN_ROW``.
@@ -174,6 +177,7 @@ class NativeLibrary:
             self._ffi.from_buffer("uint16_t[]", used),
             self._floats(along_rows(along_points, len(queries))),
             self._ffi.from_buffer("int32_t[]", levels),
+            self._ffi.NULL if lost is None else self._ffi.new("uint16_t[8]", np.asarray(lost).tolist()),
             len(queries),
             self._ffi.cast("void *", rows.ctypes.data),
         )

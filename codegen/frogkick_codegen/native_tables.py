@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from importlib import resources
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -13,10 +12,10 @@ import numpy.typing as npt
 from frogkick.core.shared_library import load
 from frogkick.tables.image import TableError, Tables
 from frogkick.tables.layout import LIMBS_MAX
-from frogkick_codegen.native import build_shared, planner_files
+from frogkick_codegen.native import build_shared, native_entries, planner_files
 from frogkick_codegen.toolchain import FLAGS, Compiler
 
-TABLE_SOURCES = ("lookup.c", "math.c", "nearest.c", "tables.c", "tables_check.c")
+TABLE_SOURCES = ("lookup.c", "math.c", "nearest.c", "tables.c", "tables_check.c", "wear.c")
 
 
 class LookedUp(NamedTuple):
@@ -53,8 +52,7 @@ class NativeTables:
             for name, content in given.items()
             if name.endswith(".h") or name in TABLE_SOURCES or name not in planner_files()
         }
-        entries = resources.files("frogkick_codegen") / "templates" / "native_tables.c"
-        every["native_tables.c"] = entries.read_bytes()
+        every |= native_entries("native_tables.c")
         return build_shared("fk_tables", every, compiler, flags)
 
     def open_status(self, image: bytes) -> int:
@@ -112,7 +110,7 @@ class NativeTables:
         return rows.astype(np.int64)
 
     def look_up(self, tables: Tables, codes: npt.ArrayLike, limb_use: npt.ArrayLike) -> LookedUp:
-        """Look up (k, 3) velocity codes with (k, LIMBS_MAX) limb uses, every action."""
+        """Look up (k, 3) velocity codes with (k, LIMBS_MAX) limb uses, every action, worn as ``tables``."""
         asked = np.ascontiguousarray(codes, dtype=np.int32)
         used = np.ascontiguousarray(limb_use, dtype=np.uint16)
         shape = (len(asked), len(tables.actions))
@@ -125,6 +123,7 @@ class NativeTables:
                 *self._image(tables.image),
                 self._ffi.from_buffer("int32_t[]", asked),
                 self._ffi.from_buffer("uint16_t[]", used),
+                self._ffi.new("uint16_t[]", tables.lost.tolist() + [0] * (LIMBS_MAX - tables.limbs)),
                 len(asked),
                 self._into("uint32_t[]", rows),
                 self._into("float[]", motions),

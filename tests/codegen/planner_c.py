@@ -6,7 +6,6 @@ import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
-from importlib import resources
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +13,7 @@ from frogkick.core.shared_library import ffi_of, load
 from frogkick.core.weights import WEIGHTS
 from frogkick.planner.plan import PathLike, PlanConfig
 from frogkick_codegen import declared
-from frogkick_codegen.native import build_shared, planner_files
+from frogkick_codegen.native import build_shared, native_entries, planner_files
 from frogkick_codegen.native_tables import NativeTables
 from frogkick_codegen.toolchain import FLAGS, other
 
@@ -24,9 +23,8 @@ COVERAGE_DIR = os.environ.get("FK_PLANNER_COVERAGE_DIR")
 
 def source_files() -> dict[str, bytes]:
     """Every file of the library by name: planner, the host's flat entries, the shim."""
-    entries = resources.files("frogkick_codegen") / "templates" / "native_tables.c"
     shim = Path(__file__).parent / "planner_shim.c"
-    return planner_files() | {"native_tables.c": entries.read_bytes(), "planner_shim.c": shim.read_bytes()}
+    return planner_files() | native_entries("native_tables.c") | {"planner_shim.c": shim.read_bytes()}
 
 
 FFI = ffi_of(declared.declarations(source_files()))

@@ -24,7 +24,7 @@ COMMAND = "frogkick codegen frog.fkt --out planner"
 NAMES = {
     "README.md", "cost.c", "example_main.c", "fk_config.h", "fk_internal.h", "fk_planner.h",
     "fk_route.h", "fk_sizes.h", "fk_table.c", "fk_table.h", "fk_tables.h", "fk_trig.h", "lookup.c", "math.c",
-    "nearest.c", "path.c", "route.c", "tables.c", "tables_check.c", "tree.c",
+    "nearest.c", "path.c", "route.c", "tables.c", "tables_check.c", "tree.c", "wear.c",
 }  # fmt: skip
 
 

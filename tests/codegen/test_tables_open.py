@@ -23,7 +23,9 @@ AFFINE = synthetic.affine_image(states=41, actions=5)
 THREE = synthetic.affine_image(
     20, 2, limbs=3, action_rows=[("A", 7, 0), ("B", 1, 6)], history=np.ones((2, 3, 6)) * 1e-3
 )
+WORN = synthetic.affine_image(41, 5, limb_wear=synthetic.wear_curves(4, 3, 1))
 AT = open_image(IMAGE).sections
+WORN_AT = open_image(WORN).sections
 AFFINE_AT = open_image(AFFINE).sections
 THREE_AT = open_image(THREE).sections
 HEADER = layout.HEADER_BYTES
@@ -89,7 +91,11 @@ def u16(value: int) -> bytes:
         (AFFINE, 162, b"\x01", "SCALE"),
         (IMAGE, 166, u16(1), "SCALE"),
         (AFFINE, 168, u16(32768), "SCALE"),
-        (IMAGE, 165, b"\1", "PADDING"),
+        (IMAGE, 165, b"\1", "OFFSET"),
+        (IMAGE, 165, b"\x11", "COUNT"),
+        (WORN, 165, b"\2", "OFFSET"),
+        (WORN, WORN_AT.wear, struct.pack("<h", -32768), "CODE"),
+        (WORN, WORN_AT.splits - 2, struct.pack("<h", -32768), "CODE"),
         (IMAGE, 171, b"\1", "PADDING"),
         (IMAGE, 172, b"\3", "ORDER"),
         (IMAGE, 175, b"\1", "ORDER"),

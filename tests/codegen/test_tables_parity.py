@@ -51,6 +51,15 @@ TABLES = {
             action_rows=[("A", 255, 0), ("B", 0, 128), ("C", 1, 254), ("D", 0, 0)],
         )
     ),
+    "worn": open_image(
+        synthetic.affine_image(limb_wear=synthetic.wear_curves(4, 8, 2))
+    ).worn([32767, 12345, 1, 0]),
+    "worn, nearest": open_image(
+        synthetic.pack(*synthetic.transitions(50, 5, 2), limb_wear=synthetic.wear_curves(4, 16, 3))
+    ).worn([4095, 32767, 2048, 20000]),
+    "worn as far as codes go": open_image(
+        synthetic.affine_image(60, 5, 3, limb_wear=synthetic.wear_curves(4, 2, 4, 200.0))
+    ).worn([32767, 32767, 30000, 16384]),
 }  # fmt: skip
 
 
@@ -287,6 +296,12 @@ MUTATIONS = {
     "a use decays a period late": ("lookup.c", "use[limb] * tables->use_decay", "use[limb] * 32768U"),
     "a use does not saturate": ("lookup.c", "(used > FK_LIMB_USE_MAX) ? FK_LIMB_USE_MAX : used", "used"),
     "the second group is not counted": ("lookup.c", "row[1] | (uint32_t)row[2]", "row[1]"),
+    "a curve begins at its first knot": ("wear.c", "(knot > 0U) ?", "(knot > 9U) ?"),
+    "a curve has steps": ("wear.c", "(step * part) >> 15", "(step * part) >> 31"),
+    "a curve is rounded otherwise": ("wear.c", "(step * part) >> 15", "(step * part) / 32768"),
+    "worn limbs of the second group do not count": ("wear.c", "row[1] | (uint32_t)row[2]", "row[1]"),
+    "a shift wraps": ("wear.c", "sum = (sum > INT16_MAX) ? INT16_MAX : sum;", ""),
+    "a shift is not added": ("lookup.c", "codes[1] += shift[1];", ""),
     "a unit is one code": ("lookup.c", "residual * tables->unit[first + value]", "residual"),
     "a unit of a value is one code": ("lookup.c", "(word >> 21) * tables->unit[first + value]", "word >> 21"),
 }  # fmt: skip

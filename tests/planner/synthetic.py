@@ -97,6 +97,13 @@ def affine_image(states: int = 120, actions: int = 9, seed: int = 1, **changes: 
     return pack_affine(about, **(arguments | changes))
 
 
+def wear_curves(limbs: int, knots: int, seed: int, size: float = 1.0) -> npt.NDArray[np.float64]:
+    """Return wear curves of some millimetres: crooked, and of no physics."""
+    rng = np.random.default_rng([seed, limbs, knots])
+    steps = rng.normal(-0.2, 1.0, (limbs, knots, 6)) * np.array([4e-3, 4e-3, 0.06, 4e-3, 4e-3, 0.06])
+    return np.asarray(size * steps.cumsum(axis=1) / knots)
+
+
 def grid_tables(seed: int = 3, states: int = 200) -> Tables:
     """Return a table whose velocities stand on a coarse grid: equal distances and equal rows abound."""
     velocity, motion, end = transitions(states, 5, seed)

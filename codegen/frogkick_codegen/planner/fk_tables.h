@@ -25,6 +25,8 @@ extern "C" {
 #define FK_MOTION_CODE_MAX 32767   /* |motion code| */
 #define FK_TREE_LEVELS_MAX 13U     /* levels of the search tree: leaves of 8 rows at least in the largest table */
 #define FK_BLOCK_LEVELS_MAX 8U     /* a table of kind nearest has 1 to 256 blocks with a prediction of their own */
+#define FK_WEAR_KNOTS_MAX 16U      /* of a limb's wear curve, 0: the image has none */
+#define FK_LOST_MAX 32767U         /* share of its contribution that a limb has lost: 0 = none, this = all */
 #define FK_COEFFICIENTS 10U        /* of a prediction: 1, three codes, their six products */
 #define FK_SCALE_MIN 1e-9f         /* least value of one code, m, rad, m/s or rad/s */
 #define FK_SCALE_MAX 0.03f         /* largest value of one code: a motion stays below 1000 m, 1000 rad */
@@ -72,6 +74,9 @@ typedef struct {
 /* An opened table: pointers into the image, which must outlive it. Filled by fk_tables_open() only. */
 typedef struct {
     const uint8_t *action_rows;          /* actions x 4 bytes */
+    const uint8_t *wear_curves;          /* limbs x wear_knots x 6 i16 */
+    const int16_t *worn;                 /* actions x 6 codes that the worn limbs change: added to every look-up;
+                                            null: none. Set by whoever learns them, after fk_tables_open() */
     const uint8_t *columns;              /* actions x 6, where residuals stand; lookup.c says how by kind */
     const uint8_t *splits;               /* 2^tree_levels - 1 int16, little-endian, heap order */
     const uint8_t *models;               /* nearest: blocks x actions x 6 x FK_COEFFICIENTS int16 */
@@ -105,6 +110,7 @@ typedef struct {
     uint8_t block_levels;                /* 0 to FK_BLOCK_LEVELS_MAX */
     uint8_t actions;                     /* 1 to FK_ACTIONS_MAX */
     uint8_t limbs;                       /* 1 to FK_LIMBS_MAX */
+    uint8_t wear_knots;                  /* 0 (no curves) to FK_WEAR_KNOTS_MAX */
     char robot_id[FK_ROBOT_ID_BYTES];    /* NUL-terminated */
 } fk_tables_t;
 
@@ -171,6 +177,13 @@ void fk_lookup_next(const fk_tables_t *tables, const fk_lookup_t *lookup, const 
  * where the action fires it, at most FK_LIMB_USE_MAX; 0 for limbs that are not there and for kind nearest.
  * use, next: FK_LIMBS_MAX values, which may be the same. */
 void fk_limb_use_after(const fk_tables_t *tables, const uint16_t *use, uint32_t action, uint16_t *next);
+
+/* What a limb that has lost a share (0 to FK_LOST_MAX) of its contribution changes of the six values of each action
+ * that fires it, in codes, and how fast: the change for all of the share, at the slope there. wear_knots: not 0. */
+void fk_wear_curve(const fk_tables_t *tables, uint32_t limb, uint32_t lost, int32_t codes[6], int32_t slope[6]);
+
+/* The shift of every action, 6 x tables->actions codes, where each limb has lost this much. wear_knots: not 0. */
+void fk_wear_shift(const fk_tables_t *tables, const uint16_t lost[FK_LIMBS_MAX], int16_t *shift);
 
 #ifdef __cplusplus
 }

@@ -94,7 +94,8 @@ static inline void fk_correct(const fk_tables_t *tables, const fk_lookup_t *look
     }
 }
 
-/* Three values of a transition, from the first on, before they are clamped. */
+/* Three values of a transition, from the first on, with what worn limbs change, before they are clamped. A shift is an
+ * int16, so the sum stays far below 2^31. */
 static inline void fk_decode(const fk_tables_t *tables, const fk_lookup_t *lookup, uint32_t action,
                              uint32_t first, int32_t codes[3])
 {
@@ -102,6 +103,12 @@ static inline void fk_decode(const fk_tables_t *tables, const fk_lookup_t *looku
         fk_predict(tables, lookup, action, first, codes);
     } else {
         fk_correct(tables, lookup, action, first, codes);
+    }
+    if (tables->worn != NULL) {
+        const int16_t *shift = tables->worn + 6U * action + first;
+        codes[0] += shift[0];
+        codes[1] += shift[1];
+        codes[2] += shift[2];
     }
 }
 

@@ -12,11 +12,12 @@
  * 128 u16 bytes of a state's transitions r    130 u8 tree levels t  131 u8 block levels b
  * 132 u16[3] motion limits                    138 u16[3] offset limits (affine)
  * 144 u8[6] shifts      150 u16[6] codes per unit of a residual     162 u8[3] up (nearest)
- * 165 u8 zero           166 u16 use decay     168 u16 use gain      170 u16 zero
+ * 165 u8 wear knots k   166 u16 use decay     168 u16 use gain      170 u16 zero
  * 172 u32 axes of the tree's levels: two bits each, the root's the lowest; 0 above
  * actions: u8 name, first mask, second mask, zero
  * columns: [a][6] of: nearest u16 bit offset in a state's transitions, u8 bits, u8 zero; affine i16[3] least
  *   derivatives, i16 least value, i16[4] history, or i16[8] of more than 4 limbs, 0 beyond the limbs
+ * wear: i16[l][k][6] what a limb that has lost (j + 1) / k of its contribution changes of an action that fires it
  * splits: i16[2^t - 1] in heap order: no code on its level's axis is above it to the left, below to the right
  * models: nearest i16[2^b][a][6][10]; affine none
  * states: i16[n][3]; leaf i of the tree holds rows [(i n) >> t, ((i + 1) n) >> t), block i likewise with b
@@ -69,6 +70,9 @@ int32_t fk_tables_open(const uint8_t *image, uint32_t size, fk_tables_t *tables)
     tables->action_rows = image + fk_read_u32(image + 76);
     tables->columns = image + fk_read_u32(image + 116);
     tables->splits = image + fk_read_u32(image + 120);
+    tables->wear_knots = image[165];
+    tables->wear_curves = tables->splits - 12U * image[75] * image[165];
+    tables->worn = NULL;
     tables->models = image + fk_read_u32(image + 124);
     tables->state_rows = image + fk_read_u32(image + 80);
     tables->transition_rows = image + fk_read_u32(image + 84);

@@ -20,6 +20,7 @@ typedef struct {
     uint32_t row_bytes;
     uint32_t axes;
     uint32_t column_bytes;
+    uint32_t wear_knots;
     uint32_t columns_at; /* offsets */
     uint32_t splits_at;
     uint32_t models_at;
@@ -75,7 +76,7 @@ static uint32_t fk_to_four(uint32_t offset)
     return (offset + 3U) & ~3U;
 }
 
-/* Counts and section offsets. Widest image: 176 + 128 + 5376 + 16384 + 983 040 + 393 212 + 65535 x 768 is
+/* Counts and section offsets. Widest image: 176 + 128 + 5376 + 1536 + 16384 + 983 040 + 393 212 + 65535 x 768 is
  * about 52 million bytes, so nothing here overflows uint32_t. */
 static int32_t fk_check_layout(const uint8_t *image, uint32_t size, fk_shape_t *shape)
 {
@@ -89,16 +90,18 @@ static int32_t fk_check_layout(const uint8_t *image, uint32_t size, fk_shape_t *
     shape->block_levels = image[131];
     shape->row_bytes = fk_read_u16(image + 128);
     shape->axes = fk_read_u32(image + 172);
+    shape->wear_knots = image[165];
     block_levels_max = (shape->kind == FK_KIND_NEAREST) ? FK_BLOCK_LEVELS_MAX : 0U;
     if ((shape->states < 1U) || (shape->actions < 1U) || (shape->actions > FK_ACTIONS_MAX)
         || (shape->limbs < 1U) || (shape->limbs > FK_LIMBS_MAX) || (shape->tree_levels > FK_TREE_LEVELS_MAX)
         || ((1U << shape->tree_levels) > shape->states) || (shape->block_levels > block_levels_max)
-        || ((1U << shape->block_levels) > shape->states)) {
+        || ((1U << shape->block_levels) > shape->states) || (shape->wear_knots > FK_WEAR_KNOTS_MAX)) {
         return FK_ERROR_IMAGE_COUNT;
     }
     shape->column_bytes = (shape->kind == FK_KIND_NEAREST) ? 4U : FK_AFFINE_COLUMN_BYTES(shape->limbs);
     shape->columns_at = FK_IMAGE_HEADER_BYTES + 4U * shape->actions;
-    shape->splits_at = shape->columns_at + 6U * shape->actions * shape->column_bytes;
+    shape->splits_at = shape->columns_at + 6U * shape->actions * shape->column_bytes
+                     + 12U * shape->limbs * shape->wear_knots;
     shape->models_at = fk_to_four(shape->splits_at + 2U * ((1U << shape->tree_levels) - 1U));
     shape->states_at = shape->models_at;
     if (shape->kind == FK_KIND_NEAREST) {
@@ -225,7 +228,7 @@ static int32_t fk_check_paddings(const uint8_t *image, uint32_t size, const fk_s
 {
     const uint32_t splits_end = shape->splits_at + 2U * ((1U << shape->tree_levels) - 1U);
 
-    if ((fk_check_zeros(image, 165U, 166U) != FK_OK) || (fk_check_zeros(image, 170U, 172U) != FK_OK)
+    if ((fk_check_zeros(image, 170U, 172U) != FK_OK)
         || (fk_check_zeros(image, splits_end, shape->models_at) != FK_OK)
         || (fk_check_zeros(image, shape->states_at + 6U * shape->states, shape->transitions_at) != FK_OK)
         || (fk_check_zeros(image, shape->transitions_at + shape->row_bytes * shape->states, size) != FK_OK)) {
@@ -337,12 +340,18 @@ static int32_t fk_check_models(const uint8_t *image, const fk_shape_t *shape)
     return FK_OK;
 }
 
-/* Splits and states within their codes. */
+/* Splits and states within their codes, and curves within +-32767. */
 static int32_t fk_check_codes(const uint8_t *image, const fk_shape_t *shape)
 {
     const uint32_t splits = (1U << shape->tree_levels) - 1U;
+    const uint8_t *curve = image + shape->splits_at - 12U * shape->limbs * shape->wear_knots;
     uint32_t index;
 
+    for (; curve < image + shape->splits_at; curve += 2) {
+        if (fk_read_i16(curve) == INT16_MIN) {
+            return FK_ERROR_IMAGE_CODE;
+        }
+    }
     for (index = 0U; index < splits; index++) {
         if (fk_magnitude(fk_read_i16(image + shape->splits_at + 2U * index)) > (uint32_t)FK_VELOCITY_CODE_MAX) {
             return FK_ERROR_IMAGE_CODE;

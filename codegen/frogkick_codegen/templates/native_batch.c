@@ -21,7 +21,8 @@ FK_EXPORT int32_t fk_native_open(const uint8_t *image, uint32_t size);
 FK_EXPORT int32_t fk_native_plan_batch(const uint8_t *image, uint32_t size, const float *path, uint32_t points,
                                        const float *weights, uint32_t cost, uint32_t transitions_max,
                                        const float *states, const uint16_t *limb_use, const float *along_points,
-                                       const int32_t *depths, uint32_t count, fk_native_row_t *rows);
+                                       const int32_t *depths, const uint16_t *lost, uint32_t count,
+                                       fk_native_row_t *rows);
 FK_EXPORT void fk_native_sincos(const float *angles_rad, uint32_t count, float *sines, float *cosines);
 FK_EXPORT void fk_native_wrap(const float *angles_rad, uint32_t count, float *wrapped_rad);
 FK_EXPORT uint32_t fk_native_crc32(uint32_t crc, const uint8_t *bytes, uint32_t length);
@@ -33,18 +34,19 @@ int32_t fk_native_open(const uint8_t *image, uint32_t size)
 }
 
 /* path: x, y, tangent of `points` points, one after the other. weights: the floats of fk_plan_config_t in its
- * order. limb_use: FK_LIMBS_MAX for each state. rows: zeroed by the caller.
+ * order. limb_use: FK_LIMBS_MAX for each state. lost: FK_LIMBS_MAX for all, or null. rows: zeroed by the caller.
  * Returns what fk_tables_open() returns; each row has the status of its own plan. */
 int32_t fk_native_plan_batch(const uint8_t *image, uint32_t size, const float *path, uint32_t points,
                              const float *weights, uint32_t cost, uint32_t transitions_max, const float *states,
                              const uint16_t *limb_use, const float *along_points, const int32_t *depths,
-                             uint32_t count, fk_native_row_t *rows)
+                             const uint16_t *lost, uint32_t count, fk_native_row_t *rows)
 {
     fk_tables_t tables;
+    int16_t shift[6U * FK_ACTIONS_MAX];
     fk_path_t route;
     fk_plan_config_t config;
     uint32_t index;
-    const int32_t error = fk_tables_open(image, size, &tables);
+    const int32_t error = fk_native_open_worn(image, size, lost, shift, &tables);
 
     if (error != FK_OK) {
         return error;

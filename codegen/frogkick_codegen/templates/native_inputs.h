@@ -40,6 +40,20 @@ static inline void fk_native_config(const float *weights, uint32_t cost, uint32_
     config->cost = fk_native_u8(cost);
 }
 
+/* Open an image as a robot has it whose limbs have lost these shares (FK_LIMBS_MAX, null: none) and whose image has
+ * curves. shift: 6 x FK_ACTIONS_MAX, which must outlive the table. Returns what fk_tables_open() returns. */
+static inline int32_t fk_native_open_worn(const uint8_t *image, uint32_t size, const uint16_t *lost, int16_t *shift,
+                                          fk_tables_t *tables)
+{
+    const int32_t error = fk_tables_open(image, size, tables);
+
+    if ((error == FK_OK) && (lost != 0) && (tables->wear_knots > 0U)) {
+        fk_wear_shift(tables, lost, shift);
+        tables->worn = shift;
+    }
+    return error;
+}
+
 /* values: the first six floats of fk_state_t in its order. limb_use: FK_LIMBS_MAX. */
 static inline void fk_native_state(const float *values, const uint16_t *limb_use, float along_points, fk_state_t *state)
 {

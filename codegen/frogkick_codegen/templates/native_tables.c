@@ -1,17 +1,11 @@
 /* native_tables.c - flat-array entries to the table look-up for a host that binds them without its structures.
  * Part of a shared library of the host only, never of an emitted directory. */
 #include "fk_internal.h"
-#include "fk_planner.h"
-
-#if defined(_WIN32)
-#define FK_EXPORT __declspec(dllexport)
-#else
-#define FK_EXPORT __attribute__((visibility("default")))
-#endif
+#include "native_inputs.h"
 
 FK_EXPORT int32_t fk_native_lookup(const uint8_t *image, uint32_t size, const int32_t *codes,
-                                   const uint16_t *use, uint32_t count, uint32_t *rows, float *motions,
-                                   int32_t *next_codes, uint16_t *next_use);
+                                   const uint16_t *use, const uint16_t *lost, uint32_t count, uint32_t *rows,
+                                   float *motions, int32_t *next_codes, uint16_t *next_use);
 FK_EXPORT int32_t fk_native_nearest(const uint8_t *image, uint32_t size, const int32_t *codes, uint32_t count,
                                     uint32_t *rows);
 FK_EXPORT int32_t fk_native_bounds(const uint8_t *image, uint32_t size, float *bounds);
@@ -33,15 +27,16 @@ static void fk_native_dynamics(const int32_t *codes, const uint16_t *use, fk_dyn
     }
 }
 
-/* codes: count x 3; use: count x FK_LIMBS_MAX. rows: count; motions: count x actions x 3; next_codes: count x
+/* codes: count x 3; use: count x FK_LIMBS_MAX; lost: FK_LIMBS_MAX, or null. rows: count; motions: count x actions x 3; next_codes: count x
  * actions x 3; next_use: count x actions x FK_LIMBS_MAX. Returns what fk_tables_open() returns. */
 int32_t fk_native_lookup(const uint8_t *image, uint32_t size, const int32_t *codes, const uint16_t *use,
-                         uint32_t count, uint32_t *rows, float *motions, int32_t *next_codes,
+                         const uint16_t *lost, uint32_t count, uint32_t *rows, float *motions, int32_t *next_codes,
                          uint16_t *next_use)
 {
     fk_tables_t tables;
+    int16_t shift[6U * FK_ACTIONS_MAX];
     uint32_t index;
-    const int32_t error = fk_tables_open(image, size, &tables);
+    const int32_t error = fk_native_open_worn(image, size, lost, shift, &tables);
 
     if (error != FK_OK) {
         return error;

@@ -121,6 +121,7 @@ def facts_of(tables: Tables) -> dict[str, Any]:
         "pulse_s": tables.pulse_us * 1e-6,
         "crc32": f"{tables.crc32:08x}",
         "provenance": tables.provenance.hex(),
+        "wear": {"knots": tables.limb_wear.shape[1], "bytes": 2 * tables.limb_wear.size},
         "limb_use": {"decay": tables.use_decay / 2**15, "gain": tables.use_gain / 2**15},
     }
 

@@ -29,6 +29,7 @@ from frogkick.library.transitions import (
     recorded_times,
     simulate_task,
 )
+from frogkick.library.wear import wear_curves
 from frogkick.robot import Robot
 
 RECORD_S = 5.0
@@ -109,6 +110,9 @@ def build_library(
         shown = "; ".join(lines[:_REPORTED_FAILURES])
         more = f"; and {len(lines) - _REPORTED_FAILURES} more" if len(lines) > _REPORTED_FAILURES else ""
         raise ConvergenceError(f"all {transitions} simulations failed, no library written: {shown}{more}")
+    simulated = library.initial_velocity_body[library.whole_states()]
+    if len(simulated):
+        library = replace(library, limb_wear=wear_curves(rods_of(robot), simulated))
     recorded = _recorded(robot, starts, record_s, parts)
     write_library(library, out, recorded_times(robot, record_s), recorded)
     parts.remove()

@@ -198,6 +198,7 @@ class _Fit:
                 displacements=base[..., :3],
                 velocities_end=base[..., 3:],
                 error_max=error_max,
+                limb_wear=self._library.limb_wear,
             )
         slope = cells.slope / resolution[:, None]
         history = self._surface.history
@@ -212,6 +213,7 @@ class _Fit:
             offset_limit=_MARGIN * cells.reach * resolution,
             velocity_box=self._library.initial_velocity_body[self._whole],
             error_max=error_max,
+            limb_wear=self._library.limb_wear,
         )
 
     def _scored(self, kind: str, image: bytes) -> Fitted:

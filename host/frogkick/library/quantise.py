@@ -49,4 +49,5 @@ def quantise(library: Library) -> bytes:
         velocities=library.initial_velocity_body[whole],
         displacements=library.displacement_body[whole],
         velocities_end=library.velocity_body_end[whole],
+        limb_wear=library.limb_wear,
     )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +17,9 @@ from frogkick.core.files import atomic_path, existing_file, require_room
 from frogkick.core.version import VERSION
 from frogkick.library.starts import Starts
 from frogkick.library.transitions import HISTORY, RESTED, Failed, IntArray, SampleArray, Transitions
+from frogkick.library.wear import no_curves
 from frogkick.robot import Robot, parse_robot
+from frogkick.tables.layout import WEAR_KNOTS
 
 FloatArray = NDArray[np.float64]
 
@@ -38,6 +40,8 @@ _RECORDED_UNITS = {
 }
 _TIMES = "recorded_time_s"
 _PREVIOUS = "previous_actions"
+_WEAR = "limb_wear"
+_WEAR_MEANING = "change of a transition (m, m, rad, m/s, m/s, rad/s) by limb and by the share that it lost"
 _PREVIOUS_MEANING = f"index of the action begun 1, 2, .. periods before the start; {RESTED}: limbs rested"
 
 
@@ -58,6 +62,8 @@ class Library:
         previous_actions: (n, HISTORY) actions started 1, 2, .. periods before the start, then RESTED. With
             any of them, the limbs are amid their strokes at the start.
         failed: transitions that could not be simulated, in order; only their rows are NaN.
+        limb_wear: (l, WEAR_KNOTS, 6) what transitions change while a limb wears, see ``wear_curves``; (0, ..)
+            where nobody simulated it: the robot's tables then hold no curve, and it learns no wear.
         folder: folder of the robot's own effects; None if the library was read from a file.
     """
 
@@ -73,6 +79,7 @@ class Library:
     velocity_body_end: FloatArray
     previous_actions: IntArray
     failed: tuple[Failed, ...] = ()
+    limb_wear: FloatArray = field(default_factory=no_curves)
     folder: Path | None = None
 
     def __repr__(self) -> str:
@@ -109,12 +116,13 @@ class Library:
         return parse_robot(self.robot_toml, source="the library's robot", folder=self.folder)
 
     def content_sha256(self) -> bytes:
-        """SHA-256 (32 bytes) of robot, transitions and period: equal libraries give equal tables."""
+        """SHA-256 (32 bytes) of robot, transitions, period and wear: equal libraries give equal tables."""
         digest = hashlib.sha256(self.robot_sha256)
         for values in (self.initial_velocity_body, self.displacement_body, self.velocity_body_end):
             digest.update(np.ascontiguousarray(values, dtype="<f8").tobytes())
         digest.update(np.ascontiguousarray(self.previous_actions, dtype="<i8").tobytes())
         digest.update(np.float64(self.period_s).astype("<f8").tobytes())
+        digest.update(np.ascontiguousarray(self.limb_wear, dtype="<f8").tobytes())
         return digest.digest()
 
 
@@ -162,6 +170,9 @@ def write_library(
             dataset.attrs["frame"] = frame
         previous = file.create_dataset(_PREVIOUS, data=library.previous_actions, dtype="<i1")
         previous.attrs["meaning"] = _PREVIOUS_MEANING
+        if len(library.limb_wear):
+            wear = file.create_dataset(_WEAR, data=library.limb_wear, dtype="<f8")
+            wear.attrs["meaning"] = _WEAR_MEANING
         failed = [(failure.state, failure.action) for failure in library.failed]
         reasons = [failure.reason.encode("ascii", "replace") for failure in library.failed]
         file.create_dataset("failed_transition", data=np.array(failed, dtype="<i4").reshape(-1, 2))
@@ -194,6 +205,7 @@ def read_library(path: Path | str) -> Library:
             previous = np.full((states, HISTORY), RESTED, dtype=np.int64)
             if int(attributes["format_version"]) >= 3:
                 previous = np.asarray(file[_PREVIOUS][()], dtype=np.int64)
+            wear = np.asarray(file[_WEAR][()], dtype=np.float64) if _WEAR in file else no_curves()
             failed = _read_failed(file)
             _check_recorded(file, arrays["displacement_body"].shape, path)
         library = Library(
@@ -209,6 +221,7 @@ def read_library(path: Path | str) -> Library:
             velocity_body_end=arrays["velocity_body_end"],
             previous_actions=previous,
             failed=failed,
+            limb_wear=wear,
         )
     except (OSError, KeyError, ValueError, TypeError, AttributeError, RuntimeError) as error:
         reason = " ".join(str(error).split())[:120]
@@ -275,6 +288,7 @@ def library_info(path: Path | str) -> dict[str, Any]:
         "actions": actions,
         "transitions": states * actions,
         "failed": len(library.failed),
+        "wear_curves": len(library.limb_wear),
         "with_history": int((library.previous_actions[:, 0] != RESTED).sum()),
         "recorded_s": recorded_s,
         "simulated_s": states * actions * max(library.period_s, recorded_s),
@@ -337,6 +351,15 @@ def _check_content(library: Library, path: Path | str) -> None:
         raise InputError(f"library {str(path)!r}: the robot's text does not match its hash; build it again")
     robot = library.robot()
     n, a = len(library.initial_velocity_body), len(robot.actions)
+    wear = library.limb_wear
+    if (
+        wear.shape not in (no_curves().shape, (len(robot.limbs), WEAR_KNOTS, 6))
+        or not np.isfinite(wear).all()
+    ):
+        raise InputError(
+            f"library {str(path)!r}: {_WEAR} has shape {wear.shape} or a value that is not finite; "
+            "build it again"
+        )
     expected = {
         "initial_velocity_body": (n, 3),
         "displacement_body": (n, a, 3),

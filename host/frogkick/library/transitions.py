@@ -13,7 +13,7 @@ from frogkick.core.poses import relative
 from frogkick.der import STEP_S, WIDTH, Batch, Rods, program_of
 from frogkick.der.strokes import interpolate
 from frogkick.der.swimmer import batch_of
-from frogkick.effects import ActingLanes, body_effects
+from frogkick.effects import ActingLanes, Effect, body_effects
 from frogkick.robot import Robot
 
 FloatArray = NDArray[np.float64]
@@ -90,9 +90,11 @@ def previous_actions(actions: IntArray, stroke: int) -> IntArray:
     return found
 
 
-def lane_effects(robot: Robot, lanes: int) -> ActingLanes:
-    """The effects of a robot's file in parallel lanes; random effects draw the same in each lane."""
-    return ActingLanes(body_effects(robot), robot, [np.random.default_rng(0) for _ in range(lanes)])
+def lane_effects(robot: Robot, lanes: int, extra: Sequence[Effect] = ()) -> ActingLanes:
+    """The effects of a robot's file, and ``extra``, in parallel lanes; random effects draw the same in each
+    lane."""
+    effects = (*body_effects(robot), *extra)
+    return ActingLanes(effects, robot, [np.random.default_rng(0) for _ in range(lanes)])
 
 
 def fire_action(
@@ -105,8 +107,14 @@ def fire_action(
                 acting.fire(batch, lane, limb, time_s)
 
 
-def simulate_task(rods: Rods, task: Task, record_s: float = 0.0) -> Transitions:
+def simulate_task(rods: Rods, task: Task, record_s: float = 0.0, extra: Sequence[Effect] = ()) -> Transitions:
     """Simulate all actions from the wanted states of a task; the bits do not depend on its other states.
+
+    Args:
+        rods: of the robot.
+        task: the states.
+        record_s: time to record of each transition.
+        extra: effects beside those of the robot's file.
 
     Raises:
         ConvergenceError: a swim could not be simulated up to a wanted state.
@@ -124,7 +132,7 @@ def simulate_task(rods: Rods, task: Task, record_s: float = 0.0) -> Transitions:
         some = slice(first, first + WIDTH)
         still = np.zeros_like(task.velocity_body[some])
         batch = batch_of([rods] * len(still), still, task.velocity_body[some], 0.0, STEP_S, WIDTH)
-        acting = lane_effects(robot, len(still))
+        acting = lane_effects(robot, len(still), extra)
         strokes = np.flatnonzero(task.wanted[some].any(axis=0))
         for stroke in range(int(strokes.max(initial=-1)) + 1):
             lanes = np.flatnonzero(task.wanted[some, stroke])

@@ -26,13 +26,15 @@ class TableArrays(NamedTuple):
     ``least`` and ``most`` (3,) int64 hold what a velocity's codes are clamped to before a row is looked for:
     all states and the offset beyond them that is corrected for.
     ``fires`` (a, l) is 1 where an action fires a limb; ``use`` holds decay and gain; reach_m and turn_max_rad
-    are (1,) float32: no look-up moves or turns the robot further; period_s is (1,) float32.
+    are (1,) float32: no look-up moves or turns the robot further; period_s is (1,) float32. ``shift`` (a, 6)
+    int64 is what worn limbs add to the codes of every look-up.
     """
 
     states: Array
     transitions: Array
     derivatives: Array
     history: Array
+    shift: Array
     fires: Array
     velocity_scale: Array
     motion_scale: Array
@@ -59,6 +61,7 @@ def arrays_of(tables: Tables) -> TableArrays:
         transitions=tables.transitions,
         derivatives=tables.derivatives,
         history=tables.history,
+        shift=tables.shift,
         fires=(masks[:, None] >> np.arange(tables.limbs)) & 1,
         velocity_scale=tables.velocity_scale,
         motion_scale=tables.motion_scale,
@@ -119,7 +122,7 @@ def find_row(table: TableArrays, dynamics: Array) -> int:
 
 @njit(**INNER)
 def _value(table: TableArrays, row: int, dynamics: Array, action: int, value: int, limit: int) -> Any:
-    """One of the six values of a transition in codes: the row's, corrected if the kind is affine, clamped."""
+    """One of the six values of a transition in codes: the row's, corrected (affine), worn, clamped."""
     code = np.int64(table.transitions[row, action, value])
     if table.derivatives.shape[0] > 0:
         rise = np.int64(0)
@@ -134,6 +137,7 @@ def _value(table: TableArrays, row: int, dynamics: Array, action: int, value: in
         for limb in range(table.history.shape[1]):
             used += np.int64(table.history[action, limb, value]) * dynamics[3 + limb]
         code += used // 32768
+    code += table.shift[action, value]
     if code > limit:
         return limit
     return -limit if code < -limit else code

@@ -25,7 +25,7 @@ class Header(NamedTuple):
     states: int
     actions: int
     limbs: int
-    offsets: tuple[int, ...]  # actions, columns, splits, models, states, transitions, length
+    offsets: tuple[int, ...]  # of Sections but wear
     velocity_scale: tuple[float, ...]
     motion_scale: tuple[float, ...]
     second_delay_us: int
@@ -37,6 +37,7 @@ class Header(NamedTuple):
     shift: tuple[int, ...]
     unit: tuple[int, ...]
     up: tuple[int, ...]
+    wear_knots: int
     use_decay: int
     use_gain: int
     axes: int
@@ -80,7 +81,7 @@ def identified(image: bytes) -> Header:
         (actions_at, columns_at, splits_at, models_at, states_at, transitions_at, length),
         tuple(scales[:3]), tuple(scales[3:]), delay, row_bytes, tree, blocks,
         tuple(rest[:3]), tuple(rest[3:6]), tuple(rest[6:12]), tuple(rest[12:18]), tuple(rest[18:21]),
-        rest[21], rest[22], rest[23],
+        rest[21], rest[22], rest[23], rest[24],
     )  # fmt: skip
 
 
@@ -95,10 +96,23 @@ def laid_out(head: Header) -> layout.Sections:
             f"table image has {levels} {what} levels, allowed are 0 to {most} and at most log2(states): "
             f"{AGAIN}",
         )
-    right = layout.sections(
-        head.kind, head.states, head.actions, head.limbs, head.tree_levels, head.block_levels, head.row_bytes
+    require(
+        head.wear_knots <= layout.WEAR_KNOTS_MAX,
+        f"table image has {head.wear_knots} wear knots, at most {layout.WEAR_KNOTS_MAX} are allowed: {AGAIN}",
     )
-    for name, given, wanted in zip(layout.Sections._fields, head.offsets, right, strict=True):
+    right = layout.sections(
+        head.kind,
+        head.states,
+        head.actions,
+        head.limbs,
+        head.tree_levels,
+        head.block_levels,
+        head.row_bytes,
+        head.wear_knots,
+    )
+    stored = [name for name in layout.Sections._fields if name != "wear"]
+    for name, given in zip(stored, head.offsets, strict=True):
+        wanted = getattr(right, name)
         require(
             given == wanted, f"table image has its {name} at byte {given}, its counts say {wanted}: {AGAIN}"
         )
@@ -141,7 +155,7 @@ class Columns(NamedTuple):
 
 def columns_of(image: bytes, head: Header, right: layout.Sections) -> Columns:
     """Read the columns' section, whose bits must fill a row without gaps."""
-    section = image[right.columns : right.splits]
+    section = image[right.columns : right.wear]
     unit = np.tile(head.unit, head.actions)
     if head.kind == layout.KIND_AFFINE:
         affine = np.frombuffer(section, layout.affine_column(head.limbs)).reshape(head.actions, 6)

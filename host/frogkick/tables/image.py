@@ -59,8 +59,12 @@ class Tables:
         history: (a, l, 6) int32 codes that a fully used limb adds; kind nearest: zeros.
         use_decay, use_gain: 1/32768: part of a limb's use that remains a period later; what firing adds.
         residual_codes: (6,) codes per unit of a residual; values are rounded to half of it.
+        limb_wear: (l, k, 6) int32 codes that a transition changes where a limb has lost 1 to k of k parts of
+            its contribution; (l, 0, 6) in an image without wear curves.
         sections: offsets of the image's sections.
         block_levels: 2**block_levels blocks of rows with separate predictions (kind nearest).
+        lost: (l,) share of its contribution that each limb has lost, 0 to 32767: no part of the image, and 0
+            until ``worn`` says otherwise.
     """
 
     image: bytes
@@ -84,8 +88,10 @@ class Tables:
     use_decay: int
     use_gain: int
     residual_codes: Int64
+    limb_wear: Int32
     sections: layout.Sections
     block_levels: int
+    lost: Int64
 
     @property
     def crc32(self) -> int:
@@ -102,6 +108,29 @@ class Tables:
     def turn_max_rad(self) -> np.float32:
         """Largest turn of a look-up, rad, float32 as in fk_tables_t."""
         return np.float32(np.float32(self.motion_limit[2]) * self.motion_scale[2])
+
+    @property
+    def shift(self) -> Int64:
+        """(a, 6) codes that the worn limbs change of each action: the twin of wear.c."""
+        masks = np.array([row.first_mask | row.second_mask for row in self.actions], dtype=np.int64)
+        fires = (masks[:, None] >> np.arange(self.limbs)) & 1
+        if not self.limb_wear.size:
+            return np.zeros((len(self.actions), 6), dtype=np.int64)
+        changes = np.array([self.wear_at(limb, int(lost))[0] for limb, lost in enumerate(self.lost)])
+        limit = layout.WEAR_CODE_MAX
+        return np.asarray(np.clip(fires @ changes, -limit, limit), dtype=np.int64)
+
+    def wear_at(self, limb: int, lost: int) -> tuple[Int64, Int64]:
+        """(6,) codes that a limb changes which has lost a share, and the slope there for all of it."""
+        curve = np.concatenate([np.zeros((1, 6), dtype=np.int64), self.limb_wear[limb].astype(np.int64)])
+        knots = len(curve) - 1
+        knot, part = divmod(lost * knots, 2**15)
+        step = curve[knot + 1] - curve[knot]
+        return curve[knot] + ((step * part) >> 15), step * knots
+
+    def worn(self, lost: npt.ArrayLike) -> Tables:
+        """The table of a robot whose limbs have lost (l,) shares, 0 to 32767."""
+        return replace(self, lost=_frozen(np.array(lost, dtype=np.int64)[: self.limbs]))
 
     def called(self, names: Sequence[str]) -> Tables:
         """The table with the robot's names of the actions, which may be longer than the image's."""
@@ -149,11 +178,13 @@ def open_image(image: bytes) -> Tables:
     require_times(head.period_us, head.pulse_us, head.second_delay_us)
     require_numbers(head)
     require(
-        not any(image[165:166] + image[170:172]),
+        not any(image[170:172]),
         f"table image has a reserved byte that is not zero: {AGAIN}",
     )
     actions = action_rows_of(image[right.actions : right.columns], head.limbs)
     columns = columns_of(image, head, right)
+    wear = np.frombuffer(image[right.wear : right.splits], "<i2")
+    require_codes("wear curves", wear, layout.WEAR_CODE_MAX)
     splits = np.frombuffer(image, "<i2", 2**head.tree_levels - 1, right.splits)
     require_codes("splits", splits, layout.VELOCITY_CODE_MAX)
     codes = np.frombuffer(image, "<i2", 3 * head.states, right.states).reshape(-1, 3)
@@ -211,8 +242,10 @@ def open_image(image: bytes) -> Tables:
         use_decay=head.use_decay,
         use_gain=head.use_gain,
         residual_codes=_frozen(np.array(head.unit, dtype=np.int64)),
+        limb_wear=_frozen(wear.reshape(head.limbs, head.wear_knots, 6).astype(np.int32)),
         sections=right,
         block_levels=head.block_levels,
+        lost=_frozen(np.zeros(head.limbs, dtype=np.int64)),
     )
 
 

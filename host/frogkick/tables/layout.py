@@ -34,13 +34,14 @@ offset type         meaning
 144    u8[6]        kind nearest: shift of the predictions, 14 to 20; affine: of the corrections, 0 to 15
 150    u16[6]       codes per unit of a residual, >= 1
 162    u8[3]        kind nearest: left shift of the state codes before prediction, 0 to 14; else 0
-165    u8           zero
+165    u8           knots of a limb's wear curve, k: 0 (none) to 16
 166    u16          kind affine: part of a limb's use that is left a period later, 1/32768, <= 32767; else 0
 168    u16          kind affine: use of a limb that fires, 1/32768, <= 32767; else 0
 170    u16          zero
 172    u32          axes of the search tree's levels, two bits each, the root's the lowest; zeros above
 176    u8[a][4]     actions: name (ASCII), mask of the first group, of the second, zero
 ...    [a][6]       columns: where the residuals of an action's value stand, see below
+...    i16[l][k][6] wear curves, see below
 ...    i16[2**t-1]  splits of the search tree, heap order, |code| <= 16383; zeros to 4 bytes
 ...    ...          models: coefficients for kind nearest, nothing for affine
 ...    i16[n][3]    states: velocity codes, |code| <= 16383, in k-d order; zeros to 4 bytes
@@ -67,6 +68,10 @@ derivative is its least plus residual, a value its least plus residual times the
 The query's offset from the state is clamped, times the derivatives, summed, plus half, shifted right; the
 limbs' uses times their history are summed and shifted right by 15; the sum of the three is clamped. The sum
 of a value's |history| is at most 65535.
+
+Wear. A limb that has lost a share of its contribution changes the six values of each action that fires it, in
+codes: knot ``j`` is the change where ``(j + 1) / k`` is lost, and between knots, as from zero to the first
+one, the change is linear. Those of all limbs that fire are added before a value is clamped.
 """
 
 from __future__ import annotations
@@ -110,12 +115,18 @@ AFFINE_BITS = (7, 7, 7, 11)
 HISTORY_SUM_MAX = 65535
 """Times 32767: below 2**31."""
 RESIDUAL_CODES_MAX = 2**20 - 1
+WEAR_KNOTS = 8
+"""Knots of the wear curves that a library holds."""
+WEAR_KNOTS_MAX = 16
+WEAR_CODE_MAX = 32767
+LOST_MAX = 32767
+"""A limb's lost share as an integer: all of it."""
 USE_MAX = 32767
 USE_SHIFT = 15
 
 COLUMN = np.dtype([("at", "<u2"), ("bits", "u1"), ("zero", "u1")])
 
-HEADER = struct.Struct("<4sHHII16s32sIIHBBIII3f3fIIIIHBB3H3H6B6H3BxHH2xI")
+HEADER = struct.Struct("<4sHHII16s32sIIHBBIII3f3fIIIIHBB3H3H6B6H3BBHH2xI")
 assert HEADER.size == HEADER_BYTES
 
 Int16 = npt.NDArray[np.int16]
@@ -127,6 +138,7 @@ class Sections(NamedTuple):
 
     actions: int
     columns: int
+    wear: int
     splits: int
     models: int
     states: int
@@ -141,18 +153,26 @@ def affine_column(limbs: int) -> np.dtype[np.void]:
 
 
 def sections(
-    kind: int, states: int, actions: int, limbs: int, tree_levels: int, block_levels: int, row_bytes: int
+    kind: int,
+    states: int,
+    actions: int,
+    limbs: int,
+    tree_levels: int,
+    block_levels: int,
+    row_bytes: int,
+    wear_knots: int,
 ) -> Sections:
     """Return where each section of an image with these counts stands."""
     columns = HEADER_BYTES + 4 * actions
     column = affine_column(limbs) if kind == KIND_AFFINE else COLUMN
-    splits = columns + actions * 6 * column.itemsize
+    wear = columns + actions * 6 * column.itemsize
+    splits = wear + 12 * limbs * wear_knots
     models = _to_four(splits + 2 * (2**tree_levels - 1))
     coefficients = 0 if kind == KIND_AFFINE else 2**block_levels * actions * 6 * COEFFICIENTS
     states_at = models + 2 * coefficients
     transitions = _to_four(states_at + 6 * states)
     length = _to_four(transitions + row_bytes * states + 3)
-    return Sections(HEADER_BYTES, columns, splits, models, states_at, transitions, length)
+    return Sections(HEADER_BYTES, columns, wear, splits, models, states_at, transitions, length)
 
 
 def _to_four(offset: int) -> int:

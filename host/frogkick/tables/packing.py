@@ -40,6 +40,7 @@ def pack_nearest(
     displacements: npt.ArrayLike,
     velocities_end: npt.ArrayLike,
     error_max: Sequence[float] = ERROR_MAX,
+    limb_wear: npt.ArrayLike = (),
 ) -> bytes:
     """Quantise transitions to a table image of kind ``nearest``.
 
@@ -54,6 +55,7 @@ def pack_nearest(
         error_max: largest rounding error of a stored value: position m, heading rad, velocity m/s, turn rate
             rad/s. Initial velocities are rounded to codes, end velocities at best to half a code, motions at
             best to 1/32767 of the largest.
+        limb_wear: (l, k, 6) change of a transition by limb and lost share, SI; empty: no curves.
 
     Returns:
         The image; the same input gives the same bytes.
@@ -94,6 +96,7 @@ def pack_nearest(
             offset_limit=_NONE,
             coefficients=chosen.coefficients.astype("<i2").tobytes(),
             block_levels=chosen.levels,
+            limb_wear=np.asarray(limb_wear, dtype=np.float64),
         ),
     )
 
@@ -109,6 +112,7 @@ def pack_affine(
     offset_limit: Sequence[float] | None = None,
     error_max: Sequence[float] = ERROR_MAX,
     velocity_box: npt.ArrayLike | None = None,
+    limb_wear: npt.ArrayLike = (),
 ) -> bytes:
     """Quantise states with a local linear correction to a table image of kind ``affine``.
 
@@ -126,6 +130,7 @@ def pack_affine(
             but no finer than 1/2046 of a base's span over the states, and 1/126 of a derivative's.
         velocity_box: (2, 3) lowest and highest velocity of queries; motions are clamped to the largest one
             within it. None: the states' box.
+        limb_wear: as for pack_nearest.
 
     Returns:
         The image; the same input gives the same bytes.
@@ -191,6 +196,7 @@ def pack_affine(
             least=least,
             history=_history(used / scale),
             use=(decay, gain),
+            limb_wear=np.asarray(limb_wear, dtype=np.float64),
         ),
     )
 

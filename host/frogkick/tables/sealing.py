@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import zlib
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
@@ -79,6 +79,11 @@ class Metadata:
         )
 
 
+def no_wear() -> Float64:
+    """The curves of an image without any."""
+    return np.zeros((0, 0, 6))
+
+
 @dataclass(frozen=True, eq=False)
 class Coded:
     """The numbers of an image; for the fields see layout.py.
@@ -95,6 +100,7 @@ class Coded:
         up, offset_limit: (3,).
         block_levels: 0 for kind affine.
         use: decay and gain.
+        limb_wear: (l, k, 6) in SI; k = 0: no curves.
     """
 
     codes: Int16
@@ -111,6 +117,7 @@ class Coded:
     least: Int64 | None = None
     history: Int64 | None = None
     use: tuple[int, int] = (0, 0)
+    limb_wear: Float64 = field(default_factory=no_wear)
 
     @property
     def kind(self) -> int:
@@ -185,11 +192,15 @@ def sealed(about: Metadata, coded: Coded) -> bytes:
     fits = coded.residuals.max(axis=0) < 1 << np.minimum(bits, layout.BITS_MAX)
     require(bool(fits.all()), "a residual needs more bits than it has: choose a coarser error_max")
     row_bytes = (int(bits.sum()) + 7) // 8
-    right = layout.sections(coded.kind, states, actions, about.limbs, levels, coded.block_levels, row_bytes)
+    knots, wear = _wear_codes(about, coded)
+    right = layout.sections(
+        coded.kind, states, actions, about.limbs, levels, coded.block_levels, row_bytes, knots
+    )
     body = b""
     for section, end in (
         (b"".join(action_bytes(row) for row in about.action_rows), right.columns),
-        (coded.columns(bits), right.splits),
+        (coded.columns(bits), right.wear),
+        (wear, right.splits),
         (layout.kd_splits(coded.codes, coded.axes).astype("<i2").tobytes(), right.models),
         (coded.coefficients, right.states),
         (coded.codes.astype("<i2").tobytes(), right.transitions),
@@ -206,11 +217,26 @@ def sealed(about: Metadata, coded: Coded) -> bytes:
             states, actions, about.limbs, right.actions, right.states, right.transitions,
             *about.velocity_scale.tolist(), *coded.motion_scale.tolist(), about.second_delay_us,
             right.columns, right.splits, right.models, row_bytes, levels, coded.block_levels,
-            *numbers, *coded.use, layout.axes_word(coded.axes),
+            *numbers, knots, *coded.use, layout.axes_word(coded.axes),
         )  # fmt: skip
 
     crc = zlib.crc32(header(0)[16:] + body)
     return header(crc) + body
+
+
+def _wear_codes(about: Metadata, coded: Coded) -> tuple[int, bytes]:
+    """The knots of the wear curves, and their section. A library without curves gives none."""
+    if not coded.limb_wear.size:
+        return 0, b""
+    knots = coded.limb_wear.shape[1]
+    require_shapes(limb_wear=(coded.limb_wear, (about.limbs, knots, 6)))
+    require(
+        knots <= layout.WEAR_KNOTS_MAX and bool(np.isfinite(coded.limb_wear).all()),
+        f"limb_wear has {knots} knots or a value that is not finite: check the library",
+    )
+    scale = np.concatenate([coded.motion_scale, about.velocity_scale]).astype(np.float64)
+    codes = np.clip(np.floor(coded.limb_wear / scale + 0.5), -layout.WEAR_CODE_MAX, layout.WEAR_CODE_MAX)
+    return knots, codes.astype("<i2").tobytes()
 
 
 def _require_within(

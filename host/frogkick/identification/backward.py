@@ -206,17 +206,25 @@ def with_term_at(model: Model, place: int, term: Term) -> Model:
 
 
 def backward_elimination(refiner: Refiner, fitted: Fitted) -> tuple[Fitted, list[int]]:
-    """Backward elimination: the model without superfluous terms, and which ones remain."""
+    """Backward elimination: the model without superfluous terms, and which ones remain.
+
+    A law at intervals beside a constant may stand for the constant in all other times: without the constant
+    its complement is tried as well.
+    """
     kept = list(range(len(fitted.model.terms)))
     while len(kept) > 1:
-        models, jacobians = [], []
+        places, models, jacobians = [], [], []
         for place in range(len(kept)):
             terms, fixed = _terms_without(fitted.model, place)
-            models.append(replace(fitted.model, terms=terms, fixed=fixed))
-            jacobians.append(np.delete(fitted.jacobian, _values_of(fitted.model, place), axis=2))
+            less = replace(fitted.model, terms=terms, fixed=fixed)
+            jacobian = np.delete(fitted.jacobian, _values_of(fitted.model, place), axis=2)
+            for model, derivative in [(less, jacobian), *_complements(less, jacobian)]:
+                places.append(place)
+                models.append(model)
+                jacobians.append(derivative)
         start_fits = evaluate(models, jacobians, refiner.swims, refiner.rows)
-        near = [place for place, each in enumerate(start_fits) if each.deviance < fitted.deviance + FAR_OFF]
-        fits = fit_on([start_fits[place] for place in near], refiner.swims, refiner.rows, 2)
+        near = [k for k, each in enumerate(start_fits) if each.deviance < fitted.deviance + FAR_OFF]
+        fits = fit_on([start_fits[k] for k in near], refiner.swims, refiner.rows, 2)
         dearer = [
             each.deviance
             - fitted.deviance
@@ -227,9 +235,29 @@ def backward_elimination(refiner: Refiner, fitted: Fitted) -> tuple[Fitted, list
         if min(dearer, default=0.0) >= 0.0:
             break
         best = int(np.argmin(dearer))
-        kept.pop(near[best])
+        kept.pop(places[near[best]])
         fitted = refiner.refined(fits[best])
     return fitted, kept
+
+
+def _complements(model: Model, jacobian: FloatArray) -> list[tuple[Model, FloatArray]]:
+    """The model with each of its laws at intervals acting, reversed, in the other parts of its cycles."""
+    found = []
+    for place, term in enumerate(model.terms):
+        names = [parameter.name for parameter in term.parameters]
+        if not {"cycle", "middle", "share"} <= set(names):
+            continue
+        values, moved, first = np.array(term.values), jacobian.copy(), _values_of(model, place).start
+        cycle, middle, share = (names.index(name) for name in ("cycle", "middle", "share"))
+        turned = [k for k in range(len(names)) if k not in (cycle, middle)]
+        values[turned] *= -1.0
+        values[share] += 1.0
+        values[middle] += 0.5 * values[cycle]
+        moved[:, :, [first + k for k in turned]] *= -1.0
+        moved[:, :, first + cycle] -= 0.5 * moved[:, :, first + middle]
+        terms = (*model.terms[:place], term.at(values), *model.terms[place + 1 :])
+        found.append((replace(model, terms=terms), moved))
+    return found
 
 
 def superfluous_term(fitted: Fitted, folds: NDArray[np.int64], swims: Sequence[Segments]) -> int | None:

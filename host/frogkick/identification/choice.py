@@ -18,7 +18,7 @@ from frogkick.identification.calibrated import (
     fitted_to_ends,
     refitted,
 )
-from frogkick.identification.fit import derivatives, fit
+from frogkick.identification.fit import Model, derivatives, fit
 from frogkick.identification.jumps import Jumps
 from frogkick.identification.laws import Laws
 from frogkick.identification.misfires import misfires_of, without_failed
@@ -35,6 +35,9 @@ STABLE = 0.8
 
 SEARCHED_MOST = 200
 """From so many periods on, a calibrated start that explains much is tried before a whole search."""
+
+AT_BOUND = 1e-3
+"""Share of a parameter's range that counts as its bound."""
 
 PART, PART_EFFECTS = 60, 2
 """Periods and effects of a search beside a calibrated start: more effects are left to the calibrated start,
@@ -91,11 +94,12 @@ def found_in(
 def discovered(found: Found, train: Sequence[Segments], robot: Robot, progress: TellStage) -> Found:
     """Look for limbs that misfire and for laws, where the catalogue leaves more than noise.
 
+    Also where it explains all with a parameter at a bound: a limit is seldom the truth.
     Limbs that misfire come first: what fails by chance looks like much else. Where they explain more than the
     catalogue does, the rest is searched in the runs without the strokes that failed. The result is taken
     whose deviance is least, penalised by the number of its effects and parameters.
     """
-    if _verdict(found, train) in (FOUND, NOTHING):
+    if _verdict(found, train) in (FOUND, NOTHING) and not _at_bound(found.fitted.model):
         return found
     nominal, rows = found.nominal, found.rows
     answers = answers_of(nominal, train, rows)
@@ -124,6 +128,36 @@ def discovered(found: Found, train: Sequence[Segments], robot: Robot, progress: 
             if beside_best is not None and not beside_best.patterned(answers.strokes):
                 results.append(replace(best, misfires=beside_best))
     return replace(min(results, key=_penalised), answers=answers)
+
+
+def _at_bound(model: Model) -> bool:
+    """Whether a parameter is at a bound that is not its nominal value."""
+    every = [pair for term in model.terms for pair in zip(term.parameters, term.values, strict=True)]
+    return any(
+        value != p.nominal and min(value - p.low, p.high - value) <= AT_BOUND * (p.high - p.low)
+        for p, value in every
+    )
+
+
+def in_all_fixes(found: Found, raw: Sequence[Segments], robot: Robot) -> Found | None:
+    """The result in runs with the fixes that seemed to jump; None where more than noise remains there.
+
+    Fixes that are late now and then seem to jump as well: effects that explain all fixes make jumps
+    superfluous.
+
+    Args:
+        found: in the runs without the fixes that jumped.
+        raw: the runs as they are.
+        robot: nominal.
+    """
+    if not found.fitted.model.terms or found.misfires is not None:
+        return None
+    _, rows, nominal = nominal_fit(raw, robot)
+    (fitted,) = derivatives([fit(found.fitted.model, raw, rows, steps_max=2).model], raw, rows)
+    again = replace(found, nominal=nominal, fitted=fitted, rows=rows, sensitivities=[])
+    if _verdict(again, raw) not in (FOUND, FOUND_LAW):
+        return None
+    return replace(again, answers=answers_of(nominal, raw, rows))
 
 
 def with_misfires(found: Found, train: Sequence[Segments]) -> Found:

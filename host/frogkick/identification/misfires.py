@@ -40,6 +40,9 @@ FloatArray = NDArray[np.float64]
 CHANCES = (0.01, 0.7)
 """Least and greatest chance: a limb that mostly does nothing is worn, not by chance."""
 
+FAILED_LEAST = 2.0
+"""Strokes of a limb that must have failed, by their probabilities: one alone is an outlier."""
+
 LIMBS_MOST = 3
 """Limbs that misfire, at most."""
 
@@ -192,7 +195,8 @@ def misfires_of(
             if limb not in taken and fired[:, limb].sum() > 4:
                 some = [*taken, limb]
                 mixture = fitted_mixture(base.residuals, changes[:, :, some], fired[:, some])
-                if mixture.chance.max() < CHANCES[1]:
+                failed = mixture.failed[:, -1].sum()
+                if mixture.chance.max() < CHANCES[1] and failed >= FAILED_LEAST:
                     tried.append((mixture.deviance, limb, mixture))
         if not tried:
             break

@@ -18,7 +18,14 @@ from frogkick.core.errors import InputError
 from frogkick.core.files import write_text
 from frogkick.core.poses import PredictionError, wrap_angle
 from frogkick.core.progress import TellStage, silent
-from frogkick.identification.choice import discovered, found_in, pruned, with_jumps, with_misfires
+from frogkick.identification.choice import (
+    discovered,
+    found_in,
+    in_all_fixes,
+    pruned,
+    with_jumps,
+    with_misfires,
+)
 from frogkick.identification.diagnostics import residual_diagnostics
 from frogkick.identification.drift import Drift, drift_of
 from frogkick.identification.experiment import Experiment, experiment_of, law_test
@@ -258,6 +265,8 @@ def identify(
     found = found_in(train, robot, candidates, progress, measured)
     if laws:
         found = discovered(found, train, robot, progress)
+    if jumps is not None and (plain := in_all_fixes(found, raw[0], robot)) is not None:
+        found, (train, test), jumps = plain, raw, None
     found = with_misfires(pruned(found, train, progress), train)
     found = with_jumps(found, jumps, raw[0], robot)
     trained = scored(found, train, train, found.nominal.rollouts, found.fitted.rollouts, (raw[0], raw[0]))

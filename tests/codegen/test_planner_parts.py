@@ -125,3 +125,27 @@ def test_the_crc_is_zlib_s_and_takes_nothing_of_nothing() -> None:
     assert library().fk_crc32(0, FFI.NULL, 0) == 0
     part = library().fk_crc32(0, NEAREST, 100)
     assert library().fk_crc32(part, NEAREST[100:], len(NEAREST) - 100) == zlib.crc32(NEAREST)
+
+
+@pytest.mark.parametrize(
+    ("size", "lost"),
+    [(1.0, [32767, 12345, 1, 0]), (200.0, [32767, 32767, 30000, 16384])],
+    ids=["some", "all"],
+)
+def test_worn_limbs_shift_each_action_s_values(size: float, lost: list[int]) -> None:
+    fresh = open_image(synthetic.affine_image(limb_wear=synthetic.wear_curves(4, 8, 2, size)))
+    worn = fresh.worn(lost)
+    pointer, made = planner_c.opened(fresh.image), FFI.new("int16_t[192]")
+    library().fk_wear_shift(pointer.pointer, [*lost, 0, 0, 0, 0], made)
+    actions = len(fresh.actions)
+    assert list(made)[: 6 * actions] == worn.shift.ravel().tolist()
+    assert (np.abs(worn.shift).max() == 32767) == (size > 1.0)
+    codes = np.random.default_rng(5).integers(-300, 300, (200, 3))
+    use = np.zeros((len(codes), 8), dtype=np.uint16)
+    before, after = (planner_c.native_tables().look_up(each, codes, use) for each in (fresh, worn))
+    assert (before.rows == after.rows).all()
+    ends = before.dynamics[:, :, :3]
+    wanted = ends + worn.shift[None, :, 3:]
+    inside = (np.abs(ends) < 16383) & (np.abs(wanted) < 16383)
+    assert inside.any()
+    np.testing.assert_array_equal(after.dynamics[:, :, :3][inside], wanted[inside])

@@ -19,7 +19,6 @@ from frogkick.core.weights import WEIGHTS
 from frogkick.planner import kernel
 from frogkick.planner.plan import PlanConfig
 from frogkick.tables.image import Tables, open_image, read_image
-from frogkick.tables.layout import FORMAT_VERSION
 from frogkick_codegen.figures import Figures
 from frogkick_codegen.native import PLANNER_SOURCES, planner_files
 from frogkick_codegen.toolchain import FLAGS, FLOAT_RULES
@@ -103,7 +102,7 @@ def render(
         "tables": tables,
         "config": config,
         "config_weights": dict(zip(WEIGHTS, weights, strict=True)),
-        "format_version": FORMAT_VERSION,
+        "format_version": tables.format_version,
         "build_command": BUILD_COMMAND,
         "figures": figures,
         "period_s": f"{tables.period_us * 1e-6:g}",
@@ -162,7 +161,7 @@ def _banner(
     settings = ",".join([*weights, *map(str, numbers)])
     robot = f"SHA-256 {robot_sha256.hex()}" if robot_sha256 else "its hash is part of the library's"
     return [
-        f"{_MARK} {VERSION}, table image format {FORMAT_VERSION}, kind {tables.kind}.",
+        f"{_MARK} {VERSION}, table image format {tables.format_version}, kind {tables.kind}.",
         f"library SHA-256 {tables.provenance.hex()}",
         f"robot {tables.robot_id}, {robot}",
         f"configuration SHA-256 {hashlib.sha256(settings.encode()).hexdigest()} ({settings})",

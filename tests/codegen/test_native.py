@@ -160,6 +160,24 @@ def test_unusable_configurations_have_one_status_in_both(library: NativeLibrary,
     assert library.plan_batch(IMAGE, PATH, config, states).tobytes() == ours.tobytes()
 
 
+@pytest.mark.parametrize("kind", ["affine", "nearest"])
+@pytest.mark.parametrize("depth", [1, 3])
+def test_plans_with_worn_limbs_are_alike_in_both(library: NativeLibrary, kind: str, depth: int) -> None:
+    curves = synthetic.wear_curves(4, 8, 7)
+    image = (
+        synthetic.affine_image(60, 5, limb_wear=curves)
+        if kind == "affine"
+        else synthetic.pack(*synthetic.transitions(60, 5, 1), limb_wear=curves)
+    )
+    lost = [0, 30000, 32767, 9000]
+    tables, states = open_image(image), np.random.default_rng(8).normal(0.0, 0.05, (count(200, 5000), 6))
+    config = PlanConfig(depth=depth)
+    ours = plan_batch(tables.worn(lost), PATH, config, states)
+    assert (ours["cost"] != plan_batch(tables, PATH, config, states)["cost"]).mean() > 0.9
+    given = [*lost, 0, 0, 0, 0]
+    assert library.plan_batch(image, PATH, config, states, lost=given).tobytes() == ours.tobytes()
+
+
 @pytest.mark.parametrize("points", [1, 2, 100, 101, 65538])
 def test_every_count_of_path_points_has_one_status_in_both(library: NativeLibrary, points: int) -> None:
     route, states = synthetic.wave_path(points), np.zeros((1, 6))

@@ -135,7 +135,7 @@ def wrong_images() -> dict[str, tuple[bytes, int]]:
     columns_at = struct.unpack("<I", NEW[116:120])[0]
     return {
         "magic": (forged({0: b"XKTB"}), -21),
-        "newer format": (forged({4: b"\x03\0"}), -22),
+        "newer format": (forged({4: b"\x04\0"}), -22),
         "kind": (forged({6: b"\x07\0"}), -23),
         "length": (forged({8: struct.pack("<I", len(NEW) - 4)}), -24),
         "crc": (NEW[:12] + bytes([NEW[12] ^ 1]) + NEW[13:], -25),

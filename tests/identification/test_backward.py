@@ -9,8 +9,14 @@ import pytest
 from made import make_swim, robot, term
 
 from frogkick.effects.acting import LEG_S
-from frogkick.identification.backward import revise, stability, superfluous_term, without
-from frogkick.identification.choice import STABLE, pruned
+from frogkick.identification.backward import (
+    backward_elimination,
+    revise,
+    stability,
+    superfluous_term,
+    without,
+)
+from frogkick.identification.choice import STABLE, _at_bound, in_all_fixes, pruned
 from frogkick.identification.filter import Noise
 from frogkick.identification.fit import (
     STEP_SHARES,
@@ -21,6 +27,7 @@ from frogkick.identification.fit import (
     difference_steps,
     fit,
 )
+from frogkick.identification.law_kinds import kinds_of
 from frogkick.identification.refine import REFINING_LEG_S, WRENCH_LEG_S, Refiner, fine_leg_s
 from frogkick.identification.search import Found, folds_of, nominal_fit
 from frogkick.identification.segments import Segments
@@ -55,6 +62,33 @@ def test_an_effect_that_others_make_needless_is_dropped(late: list[Segments]) ->
     assert len(confounded) == 2
     assert found.model.terms[0].values[0] == pytest.approx(0.7, abs=0.01)
     assert found.model.terms[1].values[0] == pytest.approx(0.12, abs=0.01)
+
+
+def test_a_constant_that_pauses_is_said_as_a_law_at_intervals() -> None:
+    swims = [make_swim([], seed, 12) for seed in (4, 5)]
+    kind = next(each for each in kinds_of(robot(), swims) if each.title == "fixes late at intervals")
+    planted = {"late": 0.12, "cycle": 7.3, "middle": 2.0, "share": 0.6}
+    late = [make_swim([{**dict(kind.term(planted).table), **planted}], seed, 16) for seed in (4, 5)]
+    rows = nominal_fit(late, robot())[1]
+    pauses = kind.term({"late": -0.12, "cycle": 7.3, "middle": 2.0 + 3.65, "share": 0.4})
+    current = fitted_to(late, rows, (term("fix_latency", 0.12), pauses), 0, 1, 2, 3, 4)
+    found, kept = backward_elimination(Refiner(late, rows, 1), current)
+    assert kept == [1]
+    values = dict(zip((p.name for p in pauses.parameters), found.model.terms[0].values, strict=True))
+    assert values["late"] == pytest.approx(0.12, abs=0.01) and values["share"] == pytest.approx(0.6, abs=0.03)
+    assert (values["middle"] - 2.0 + 3.65) % 7.3 == pytest.approx(3.65, abs=0.2)
+    # Such fixes seem to jump as well, where one comes late: the law makes jumps superfluous.
+    baseline = nominal_fit(late, robot())[2]
+    alone = Found(baseline, found, [], rows, [[]])
+    again = in_all_fixes(alone, late, robot())
+    assert again is not None and again.fitted.model.terms[0].title == pauses.title
+    assert in_all_fixes(Found(baseline, baseline, [], rows, []), late, robot()) is None
+
+
+def test_a_parameter_at_its_bound_is_no_end_of_the_search() -> None:
+    worn = term("limb_wear rear_left", 0.7)
+    for values, at_bound in ((worn.values, False), ((worn.parameters[0].low, *worn.values[1:]), True)):
+        assert _at_bound(Model(robot(), (worn.at(values),), QUIET)) == at_bound
 
 
 def test_another_effect_takes_the_place_of_one_that_stood_in_for_it(late: list[Segments]) -> None:

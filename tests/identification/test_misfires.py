@@ -65,6 +65,17 @@ def test_no_limb_misfires_where_none_does() -> None:
         assert found is None or (effects and found.chance[0][0] > 0.4)
 
 
+def test_one_stroke_that_fails_is_an_accident() -> None:
+    at = {"at": {"value": 13.0, "unit": "s"}, "within": {"value": 0.75, "unit": "s"}}
+    once = {"on": "stroke", "limb": "front_left", "gain": "1 - (abs(time_s - at) < within)", "parameters": at}
+    swims = [
+        make_swim([{"name": "law", **once}], 1, count(24, 36)),
+        *(make_swim([], seed, count(24, 36)) for seed in (2, 3)),
+    ]
+    _, rows, nominal = nominal_fit(swims, robot())
+    assert misfires_of(nominal, swims, rows) is None
+
+
 def test_a_limb_that_breaks_does_not_misfire() -> None:
     at = {"at": {"value": 15.0, "unit": "s"}}
     table = {"name": "law", "on": "stroke", "limb": "front_left", "gain": "time_s < at", "parameters": at}

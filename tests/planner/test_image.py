@@ -98,9 +98,10 @@ def test_every_flipped_byte_of_the_sections_is_refused() -> None:
 
 WRONG = [
     (0, b"FKTC", "not a table image"),
-    (4, u16(3), "format version 3, newer than this program's 2: update frogkick"),
-    (4, u16(1), "format version 1, not 2: make it again with 'frogkick tables build'"),
-    (4, u16(0), "format version 0, not 2"),
+    (4, u16(4), "format version 4, newer than this program's 3: update frogkick"),
+    (4, u16(3), "format version 3 and 0 wear knots"),
+    (4, u16(1), "format version 1, older than 2: make it again with 'frogkick tables build'"),
+    (4, u16(0), "format version 0, older than 2"),
     (6, u16(3), r"kind 3, known are 1 \(nearest\), 2 \(affine\)"),
     (6, u16(0), "kind 0, known are"),
     (8, u32(99), "says it has 99 bytes"),
@@ -137,7 +138,7 @@ WRONG = [
     (136, u16(32768), r"motion_limit\[2\] is 32768"),
     (150, u16(0), r"unit\[0\] is 0, allowed is 1 to 65535"),
     (160, u16(0), r"unit\[5\] is 0"),
-    (165, b"\1", "at byte"),
+    (165, b"\1", "format version 2 and 1 wear knots"),
     (165, b"\x11", "17 wear knots"),
     (170, b"\1", "reserved byte"),
     (171, b"\1", "reserved byte"),

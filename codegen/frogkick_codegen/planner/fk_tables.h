@@ -12,7 +12,8 @@
 extern "C" {
 #endif
 
-#define FK_FORMAT_VERSION 2U       /* table image format that this code reads */
+#define FK_FORMAT_VERSION 3U       /* newest table image format that this code reads: with wear curves */
+#define FK_FORMAT_PLAIN 2U         /* the same without wear curves */
 #define FK_KIND_NEAREST 1U         /* kind of table: nearest library state, the paper's table */
 #define FK_KIND_AFFINE 2U          /* nearest state, local linear correction, history of the limbs */
 #define FK_IMAGE_HEADER_BYTES 176U /* bytes before the first section */
@@ -179,8 +180,8 @@ void fk_lookup_next(const fk_tables_t *tables, const fk_lookup_t *lookup, const 
 void fk_limb_use_after(const fk_tables_t *tables, const uint16_t *use, uint32_t action, uint16_t *next);
 
 /* What a limb that has lost a share (0 to FK_LOST_MAX) of its contribution changes of the six values of each action
- * that fires it, in codes, and how fast: the change for all of the share, at the slope there. wear_knots: not 0. */
-void fk_wear_curve(const fk_tables_t *tables, uint32_t limb, uint32_t lost, int32_t codes[6], int32_t slope[6]);
+ * that fires it, in codes. wear_knots: not 0. */
+void fk_wear_curve(const fk_tables_t *tables, uint32_t limb, uint32_t lost, int32_t codes[6]);
 
 /* The shift of every action, 6 x tables->actions codes, where each limb has lost this much. wear_knots: not 0. */
 void fk_wear_shift(const fk_tables_t *tables, const uint16_t lost[FK_LIMBS_MAX], int16_t *shift);

@@ -1,6 +1,6 @@
 /* tables.c - table images: opened when fk_image_check() has passed every byte, then pointers into them.
  *
- * Format version 2, little-endian; the sections follow each other without gaps, each on 4 bytes:
+ * Format version 3, or 2 where k is 0; little-endian; the sections follow each other without gaps, each on 4 bytes:
  *   0 magic "FKTB"        4 u16 format version  6 u16 kind          8 u32 length of the image
  *  12 u32 CRC-32 of bytes [16, length)         16 char[16] robot id
  *  32 u8[32] provenance  64 u32 period_us      68 u32 pulse_us     72 u16 states n

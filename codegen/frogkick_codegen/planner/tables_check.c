@@ -50,13 +50,16 @@ uint32_t fk_crc32(uint32_t crc, const uint8_t *bytes, uint32_t length)
 /* Identity, size and integrity: after this every byte of the header may be believed to be as written. */
 static int32_t fk_check_identity(const uint8_t *image, uint32_t size)
 {
+    uint32_t version;
+
     if (size < FK_IMAGE_HEADER_BYTES) {
         return FK_ERROR_IMAGE_SIZE;
     }
     if ((image[0] != 0x46U) || (image[1] != 0x4BU) || (image[2] != 0x54U) || (image[3] != 0x42U)) {
         return FK_ERROR_IMAGE_MAGIC;
     }
-    if (fk_read_u16(image + 4) != FK_FORMAT_VERSION) {
+    version = fk_read_u16(image + 4);
+    if ((version != FK_FORMAT_VERSION) && (version != FK_FORMAT_PLAIN)) {
         return FK_ERROR_IMAGE_VERSION;
     }
     if ((fk_read_u16(image + 6) != FK_KIND_NEAREST) && (fk_read_u16(image + 6) != FK_KIND_AFFINE)) {
@@ -95,7 +98,9 @@ static int32_t fk_check_layout(const uint8_t *image, uint32_t size, fk_shape_t *
     if ((shape->states < 1U) || (shape->actions < 1U) || (shape->actions > FK_ACTIONS_MAX)
         || (shape->limbs < 1U) || (shape->limbs > FK_LIMBS_MAX) || (shape->tree_levels > FK_TREE_LEVELS_MAX)
         || ((1U << shape->tree_levels) > shape->states) || (shape->block_levels > block_levels_max)
-        || ((1U << shape->block_levels) > shape->states) || (shape->wear_knots > FK_WEAR_KNOTS_MAX)) {
+        || ((1U << shape->block_levels) > shape->states)
+        || (shape->wear_knots > FK_WEAR_KNOTS_MAX)
+        || ((shape->wear_knots > 0U) != (fk_read_u16(image + 4) == FK_FORMAT_VERSION))) {
         return FK_ERROR_IMAGE_COUNT;
     }
     shape->column_bytes = (shape->kind == FK_KIND_NEAREST) ? 4U : FK_AFFINE_COLUMN_BYTES(shape->limbs);

@@ -1,10 +1,10 @@
 /* wear.c - what worn limbs change: the image's curves, and from them one shift for each action.
  *
  * Widths: a knot is within +-32767 (fk_image_check), so the step between two is within +-65534 and its product with a
- * part below 2^15 below 2^31; with FK_WEAR_KNOTS_MAX below 2^21. A sum over the limbs is within +-2^18. */
+ * part below 2^15 below 2^31. A sum over the limbs is within +-2^18. */
 #include "fk_internal.h"
 
-void fk_wear_curve(const fk_tables_t *tables, uint32_t limb, uint32_t lost, int32_t codes[6], int32_t slope[6])
+void fk_wear_curve(const fk_tables_t *tables, uint32_t limb, uint32_t lost, int32_t codes[6])
 {
     const uint32_t knots = tables->wear_knots;
     const uint32_t place = lost * knots; /* in knots, from zero, times 2^15 */
@@ -17,20 +17,18 @@ void fk_wear_curve(const fk_tables_t *tables, uint32_t limb, uint32_t lost, int3
         const int32_t from = (knot > 0U) ? fk_read_i16(after + 2U * value - 12U) : 0;
         const int32_t step = fk_read_i16(after + 2U * value) - from;
         codes[value] = from + ((step * part) >> 15); /* arithmetic, as in lookup.c */
-        slope[value] = step * (int32_t)knots;
     }
 }
 
 void fk_wear_shift(const fk_tables_t *tables, const uint16_t lost[FK_LIMBS_MAX], int16_t *shift)
 {
     int32_t codes[FK_LIMBS_MAX][6];
-    int32_t slope[6];
     uint32_t limb;
     uint32_t action;
     uint32_t value;
 
     for (limb = 0U; limb < tables->limbs; limb++) {
-        fk_wear_curve(tables, limb, lost[limb], codes[limb], slope);
+        fk_wear_curve(tables, limb, lost[limb], codes[limb]);
     }
     for (action = 0U; action < tables->actions; action++) {
         const uint8_t *row = tables->action_rows + 4U * action;

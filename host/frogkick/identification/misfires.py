@@ -5,9 +5,9 @@ hypotheses for each of its strokes: it was fired as told, or the limb did nothin
 simulated. With p the chance that a limb does nothing, the density of a residual is the mixture of both.
 Chance, scale and each stroke's probability to have failed are those of maximum likelihood.
 
-Nobody can predict which stroke fails next. So predictions stay those of strokes that happen, with their
-errors of position, and what is gained is the density: it is judged on the test runs by the log score of the
-mixture.
+Nobody can predict which stroke fails next. So a prediction is of what is likelier: that a stroke happens,
+unless its limb fails more often than not. What is gained is the density: it is judged on the test runs by the
+log score of the mixture.
 
 Source: Dempster, Laird, Rubin 1977 (mixtures by expectation maximisation).
 """

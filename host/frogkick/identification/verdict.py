@@ -338,7 +338,7 @@ class Scored:
         noise_floor: see ``noise_floor``.
         gain: gain of the log score; None without effects.
         repeatability: see ``repeatability``.
-        by_chance: strokes fail by chance: errors of position and heading count together.
+        by_chance: strokes fail by chance: errors may stay about the repeatability.
     """
 
     before: PredictionError
@@ -355,28 +355,20 @@ class Scored:
 
     @property
     def helped(self) -> bool:
-        """Whether the log score gain is beyond chance and no error grows beyond the noise of the fixes.
-
-        Where strokes fail by chance, errors of position and heading count together: a test run has more
-        failures than expected of some kind, and fewer of another.
-        """
+        """Whether the log score gain is beyond chance and no error grows beyond the noise of the fixes."""
         if self.gain is None:
             return False
         sure = self.by_chance and self.gain.value * self.after.count > SURE_NATS
         if not (self.gain.low > 0.0 or sure):
             return False
-        pairs = [
+        varying = self.repeatability if self.by_chance else PredictionError(0.0, 0.0)
+        pairs = (
             (each.position_rmse_m, each.heading_rmse_rad)
-            for each in (self.before, self.after, self.noise_floor)
-        ]
-        if self.by_chance:
-            before, after = (
-                sum((value / max(floor, 1e-12)) ** 2 for value, floor in zip(pair, pairs[2], strict=True))
-                for pair in pairs[:2]
-            )
-            return after <= max(before, 2.0 * NEAR_FLOOR**2)
+            for each in (self.before, self.after, self.noise_floor, varying)
+        )
         return all(
-            after <= max(before, NEAR_FLOOR * floor) for before, after, floor in zip(*pairs, strict=True)
+            after <= max(before, NEAR_FLOOR * math.hypot(floor, spread))
+            for before, after, floor, spread in zip(*pairs, strict=True)
         )
 
     def as_json(self) -> dict[str, Any]:

@@ -60,7 +60,10 @@ def identified(image: bytes) -> Header:
         version <= known,
         f"table image has format version {version}, newer than this program's {known}: update frogkick",
     )
-    require(version == known, f"table image has format version {version}, not {known}: {AGAIN}")
+    require(
+        version >= layout.FORMAT_PLAIN,
+        f"table image has format version {version}, older than {layout.FORMAT_PLAIN}: {AGAIN}",
+    )
     require(
         kind in layout.KINDS, f"table image is of kind {kind}, known are 1 (nearest), 2 (affine): {AGAIN}"
     )
@@ -76,12 +79,18 @@ def identified(image: bytes) -> Header:
     (period, pulse, states, actions, limbs), rest = rest[:5], rest[5:]
     (actions_at, states_at, transitions_at), scales, rest = rest[:3], rest[3:9], rest[9:]
     (delay, columns_at, splits_at, models_at, row_bytes, tree, blocks), rest = rest[:7], rest[7:]
+    knots = rest[21]
+    require(
+        (knots > 0) == (version == known),
+        f"table image has format version {version} and {knots} wear knots, which version {known} alone has: "
+        f"{AGAIN}",
+    )
     return Header(
         kind, robot, provenance, period, pulse, states, actions, limbs,
         (actions_at, columns_at, splits_at, models_at, states_at, transitions_at, length),
         tuple(scales[:3]), tuple(scales[3:]), delay, row_bytes, tree, blocks,
         tuple(rest[:3]), tuple(rest[3:6]), tuple(rest[6:12]), tuple(rest[12:18]), tuple(rest[18:21]),
-        rest[21], rest[22], rest[23], rest[24],
+        knots, rest[22], rest[23], rest[24],
     )  # fmt: skip
 
 

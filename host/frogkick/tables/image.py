@@ -94,6 +94,11 @@ class Tables:
     lost: Int64
 
     @property
+    def format_version(self) -> int:
+        """Of the image."""
+        return layout.FORMAT_VERSION if self.limb_wear.size else layout.FORMAT_PLAIN
+
+    @property
     def crc32(self) -> int:
         """CRC-32 of the image, as in its header and in the robot's HELLO."""
         return zlib.crc32(self.image[16:])
@@ -116,17 +121,16 @@ class Tables:
         fires = (masks[:, None] >> np.arange(self.limbs)) & 1
         if not self.limb_wear.size:
             return np.zeros((len(self.actions), 6), dtype=np.int64)
-        changes = np.array([self.wear_at(limb, int(lost))[0] for limb, lost in enumerate(self.lost)])
+        changes = np.array([self._wear_at(limb, int(lost)) for limb, lost in enumerate(self.lost)])
         limit = layout.WEAR_CODE_MAX
         return np.asarray(np.clip(fires @ changes, -limit, limit), dtype=np.int64)
 
-    def wear_at(self, limb: int, lost: int) -> tuple[Int64, Int64]:
-        """(6,) codes that a limb changes which has lost a share, and the slope there for all of it."""
+    def _wear_at(self, limb: int, lost: int) -> Int64:
+        """(6,) codes that a limb changes which has lost a share."""
         curve = np.concatenate([np.zeros((1, 6), dtype=np.int64), self.limb_wear[limb].astype(np.int64)])
         knots = len(curve) - 1
         knot, part = divmod(lost * knots, 2**15)
-        step = curve[knot + 1] - curve[knot]
-        return curve[knot] + ((step * part) >> 15), step * knots
+        return np.asarray(curve[knot] + (((curve[knot + 1] - curve[knot]) * part) >> 15))
 
     def worn(self, lost: npt.ArrayLike) -> Tables:
         """The table of a robot whose limbs have lost (l,) shares, 0 to 32767."""

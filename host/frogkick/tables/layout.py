@@ -1,4 +1,4 @@
-"""The table image's layout, format version 2: offsets, limits, and the order of its states.
+"""The table image's layout, format versions 2 and 3: offsets, limits, and the order of its states.
 
 The image is one little-endian blob, the same bytes in a file, in flash and on the radio:
 
@@ -6,7 +6,7 @@ The image is one little-endian blob, the same bytes in a file, in flash and on t
 offset type         meaning
 ====== ============ ==================================================================
 0      char[4]      magic ``FKTB``
-4      u16          format version, 2
+4      u16          format version: 3, or 2 of an image without wear curves
 6      u16          kind, 1 = nearest (the paper's table), 2 = affine (local linear correction)
 8      u32          length of the whole image, bytes
 12     u32          CRC-32 (zlib) of bytes [16, length)
@@ -84,7 +84,8 @@ import numpy as np
 import numpy.typing as npt
 
 MAGIC = b"FKTB"
-FORMAT_VERSION = 2
+FORMAT_VERSION, FORMAT_PLAIN = 3, 2
+"""With wear curves and without."""
 KIND_NEAREST = 1
 KIND_AFFINE = 2
 KINDS = {KIND_NEAREST: "nearest", KIND_AFFINE: "affine"}

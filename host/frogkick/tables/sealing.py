@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import zlib
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
@@ -79,11 +79,6 @@ class Metadata:
         )
 
 
-def no_wear() -> Float64:
-    """The curves of an image without any."""
-    return np.zeros((0, 0, 6))
-
-
 @dataclass(frozen=True, eq=False)
 class Coded:
     """The numbers of an image; for the fields see layout.py.
@@ -98,9 +93,9 @@ class Coded:
         motion_limit: (3,) largest code that a look-up gives, clipped to 32767.
         shift, unit: (6,).
         up, offset_limit: (3,).
+        limb_wear: (l, k, 6) in SI; empty: no curves.
         block_levels: 0 for kind affine.
         use: decay and gain.
-        limb_wear: (l, k, 6) in SI; k = 0: no curves.
     """
 
     codes: Int16
@@ -112,12 +107,12 @@ class Coded:
     unit: Int64
     up: Int64
     offset_limit: Int64
+    limb_wear: Float64
     coefficients: bytes = b""
     block_levels: int = 0
     least: Int64 | None = None
     history: Int64 | None = None
     use: tuple[int, int] = (0, 0)
-    limb_wear: Float64 = field(default_factory=no_wear)
 
     @property
     def kind(self) -> int:
@@ -212,7 +207,8 @@ def sealed(about: Metadata, coded: Coded) -> bytes:
 
     def header(crc: int) -> bytes:
         return layout.HEADER.pack(
-            layout.MAGIC, layout.FORMAT_VERSION, coded.kind, right.length, crc,
+            layout.MAGIC, layout.FORMAT_VERSION if knots else layout.FORMAT_PLAIN, coded.kind,
+            right.length, crc,
             about.robot_id.encode("utf-8"), about.provenance, about.period_us, about.pulse_us,
             states, actions, about.limbs, right.actions, right.states, right.transitions,
             *about.velocity_scale.tolist(), *coded.motion_scale.tolist(), about.second_delay_us,

@@ -64,16 +64,19 @@ def test_an_effect_that_others_make_needless_is_dropped(late: list[Segments]) ->
     assert found.model.terms[1].values[0] == pytest.approx(0.12, abs=0.01)
 
 
-def test_a_constant_that_pauses_is_said_as_a_law_at_intervals() -> None:
+@pytest.mark.parametrize("delayed_first", [True, False])
+def test_a_constant_that_pauses_is_said_as_a_law_at_intervals(delayed_first: bool) -> None:
     swims = [make_swim([], seed, 12) for seed in (4, 5)]
     kind = next(each for each in kinds_of(robot(), swims) if each.title == "fixes late at intervals")
     planted = {"late": 0.12, "cycle": 7.3, "middle": 2.0, "share": 0.6}
     late = [make_swim([{**dict(kind.term(planted).table), **planted}], seed, 16) for seed in (4, 5)]
     rows = nominal_fit(late, robot())[1]
     pauses = kind.term({"late": -0.12, "cycle": 7.3, "middle": 2.0 + 3.65, "share": 0.4})
-    current = fitted_to(late, rows, (term("fix_latency", 0.12), pauses), 0, 1, 2, 3, 4)
+    constant = term("fix_latency", 0.12)
+    terms = (constant, pauses) if delayed_first else (pauses, constant)
+    current = fitted_to(late, rows, terms, 0, 1, 2, 3, 4)
     found, kept = backward_elimination(Refiner(late, rows, 1), current)
-    assert kept == [1]
+    assert kept == [terms.index(pauses)]
     values = dict(zip((p.name for p in pauses.parameters), found.model.terms[0].values, strict=True))
     assert values["late"] == pytest.approx(0.12, abs=0.01) and values["share"] == pytest.approx(0.6, abs=0.03)
     assert (values["middle"] - 2.0 + 3.65) % 7.3 == pytest.approx(3.65, abs=0.2)

@@ -218,7 +218,8 @@ def backward_elimination(refiner: Refiner, fitted: Fitted) -> tuple[Fitted, list
             terms, fixed = _terms_without(fitted.model, place)
             less = replace(fitted.model, terms=terms, fixed=fixed)
             jacobian = np.delete(fitted.jacobian, _values_of(fitted.model, place), axis=2)
-            for model, derivative in [(less, jacobian), *_complements(less, jacobian)]:
+            complements = _complements(less, jacobian, place, fitted.model.terms[place])
+            for model, derivative in [(less, jacobian), *complements]:
                 places.append(place)
                 models.append(model)
                 jacobians.append(derivative)
@@ -240,9 +241,19 @@ def backward_elimination(refiner: Refiner, fitted: Fitted) -> tuple[Fitted, list
     return fitted, kept
 
 
-def _complements(model: Model, jacobian: FloatArray) -> list[tuple[Model, FloatArray]]:
-    """The model with each of its laws at intervals acting, reversed, in the other parts of its cycles."""
+def _complements(
+    model: Model, jacobian: FloatArray, before: int, gone: Term
+) -> list[tuple[Model, FloatArray]]:
+    """The model with each of its laws at intervals acting, reversed, in the other parts of its cycles.
+
+    Args:
+        model: without a term.
+        jacobian: by its parameters.
+        before, gone: that term and its place. A law on fixes sees times later by a constant delay before it.
+    """
     found = []
+    known = dict(zip((p.name for p in gone.parameters), gone.values, strict=True))
+    later_s = known["delay_s"] if gone.name == "fix_latency" else 0.0
     for place, term in enumerate(model.terms):
         names = [parameter.name for parameter in term.parameters]
         if not {"cycle", "middle", "share"} <= set(names):
@@ -253,6 +264,8 @@ def _complements(model: Model, jacobian: FloatArray) -> list[tuple[Model, FloatA
         values[turned] *= -1.0
         values[share] += 1.0
         values[middle] += 0.5 * values[cycle]
+        if dict(term.table)["on"] == "fix" and place >= before:
+            values[middle] -= later_s
         moved[:, :, [first + k for k in turned]] *= -1.0
         moved[:, :, first + cycle] -= 0.5 * moved[:, :, first + middle]
         terms = (*model.terms[:place], term.at(values), *model.terms[place + 1 :])

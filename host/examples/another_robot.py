@@ -16,7 +16,7 @@ period_s = 1.8
 mine = fk.load_robot("mine.toml")
 print(mine)
 
-table = fk.fit_table(fk.build_library(mine, states=40, sampling="visited", progress=True))
+table = fk.fit_table(fk.build_library(mine, states=50, sampling="planned", progress=True))
 run = fk.run(table, "line", robot="pool", progress=True)
 print(run)
 

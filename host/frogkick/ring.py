@@ -6,7 +6,6 @@ The model does not contain the wear. Identification finds it from logs, and a ne
 from __future__ import annotations
 
 import dataclasses
-import os
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -23,7 +22,7 @@ from frogkick.identification.outcome import Outcome, identify, write_robot
 from frogkick.identification.retune import steps
 from frogkick.identification.segments import read_segments
 from frogkick.identification.tables import Stage
-from frogkick.library import build_library, quantise
+from frogkick.library import default_table
 from frogkick.paths import SHAPES
 from frogkick.planner.plan import config_of
 from frogkick.pool.virtual_robot import VirtualRobot
@@ -108,6 +107,7 @@ class Ring:
 
     Attributes:
         robot: the nominal robot, which swims until a limb is worn.
+        states: number of states of its library.
         tables, built: its table, and the firmware around it.
         options: options of every run.
         runs: a run along each path.
@@ -117,6 +117,7 @@ class Ring:
     """
 
     robot: Robot
+    states: int
     tables: Tables
     built: Firmware
     options: RunOptions
@@ -191,7 +192,7 @@ def go_round(
     options = RunOptions(
         dataclasses.replace(config_of(robot.planner), depth=depth), time_limit_s=time_limit_s
     )
-    ring = Ring(robot, tables, built, options, stage_s=clock.laps)
+    ring = Ring(robot, states, tables, built, options, stage_s=clock.laps)
     with bar("firmware on the virtual chip: commands and limits") as progress:
         ring.chip = check_on_chip(built.image, tables, robot, progress)
     clock.lap("trial of the firmware")
@@ -274,7 +275,7 @@ def close(ring: Ring, out: Path, seed: int, bar: Stage, held_out: str = HELD_OUT
     if outcome.terms:
         found = load_robot(out / "found.toml")
         title = "new library: simulate transitions"
-        image = make_tables(found, out / "new", len(tables.states), seed, bar, title)
+        image = make_tables(found, out / "new", ring.states, seed, bar, title)
         built = build("bench", image, found, out / "new" / "firmware")
         clock.lap("new library, tables, firmware")
         opened = read_image(image)
@@ -285,18 +286,8 @@ def close(ring: Ring, out: Path, seed: int, bar: Stage, held_out: str = HELD_OUT
 
 def make_tables(robot: Robot, out: Path, states: int, seed: int, bar: Stage, title: str) -> Path:
     """Make ``library.h5`` and from it ``tables.fkt`` in a folder; return the path of the table."""
-    with bar(title) as progress:
-        library = build_library(
-            robot,
-            states=states,
-            seed=seed,
-            workers=os.cpu_count() or 1,
-            out=out / "library.h5",
-            progress=progress,
-            sampling="visited",
-        )
     image = out / "tables.fkt"
-    write_bytes(image, quantise(library))
+    write_bytes(image, default_table(robot, out / "library.h5", bar, title, states, seed))
     return image
 
 

@@ -17,10 +17,12 @@ from tests.conftest import count
 from tests.library.synthetic import Known
 from tests.runs import rig
 
+import frogkick as fk
 from frogkick.cli.common import show
 from frogkick.core.files import cache_folder
 from frogkick.front import emitted
 from frogkick.library import fitting, write_library
+from frogkick.runs.runlog_file import read_run
 from frogkick.tables.image import read_image
 
 Capture = pytest.CaptureFixture[str]
@@ -182,7 +184,10 @@ def test_tables_within_a_budget(
         frogkick(capsys, "tables", "info", "x.fkt", "--test-states", "0", "--json").json["kind"] == "affine"
     )
     whole = frogkick(capsys, "tables", "build", lib, *common)
-    assert (whole.json["kind"], whole.json["states"]) == ("nearest", 100)
+    assert (whole.json["kind"], whole.json["states"]) == ("affine", roomy.json["states"])
+    assert whole.json["crc32"] == roomy.json["crc32"]
+    paper = frogkick(capsys, "tables", "build", lib, "--kind", "nearest", *common)
+    assert (paper.json["kind"], paper.json["states"]) == ("nearest", 100)
 
 
 def test_codegen(here: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -316,7 +321,8 @@ def test_a_run_that_gets_nowhere_says_so(here: Path, capsys: Capture) -> None:
 def test_commands_make_their_own_table_where_none_is_given(
     here: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("frogkick.front.default_tables.STATES", rig.SMALL_STATES)
+    """It is affine, so from more states than the small table."""
+    monkeypatch.setattr("frogkick.front.default_tables.STATES", fitting.WHOLE_MIN)
     done = frogkick(
         capsys, "run", "--robot", "virtual", "--plan", "onboard", "--path", "line", "--simulated-time", "2",
         "--out", "run.h5", "--json",
@@ -325,6 +331,8 @@ def test_commands_make_their_own_table_where_none_is_given(
     assert frogkick(capsys, "replay", "run.h5", "--json").json["mismatches"] == 0
     assert frogkick(capsys, "firmware", "size", "--json").json["flash_bytes"] > 0
     assert list(listing(here)) == ["run.h5"]
+    used = fk.load_table()
+    assert used.kind == "affine" and used.crc32 == read_run("run.h5").table_crc
 
 
 def test_a_damaged_cached_table_is_made_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

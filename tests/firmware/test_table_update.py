@@ -12,6 +12,7 @@ from bench_build import build_text
 from tests.planner import synthetic
 
 from frogkick.core.files import write_bytes
+from frogkick.library import BUDGET_BYTES
 from frogkick.link.layout import Value, link_layout
 from frogkick.link.upload import UploadError, upload
 from frogkick.paths import shape
@@ -177,5 +178,8 @@ def test_flash_refuses(tmp_path: Path, body: str, words: str) -> None:
 
 def test_slots_beside_a_table() -> None:
     assert firmware.slots_for(5000) == (2, 65536)
+    # The default table goes to any robot by radio, and leaves room for two more where it is built in.
+    assert firmware.SLOT_BYTES_MIN == BUDGET_BYTES
+    assert firmware.slots_for(BUDGET_BYTES) == (2, BUDGET_BYTES)
     assert firmware.slots_for(65_540) == (2, 69_632)
     assert firmware.slots_for(181_592) == (1, 184_320)

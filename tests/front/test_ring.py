@@ -23,6 +23,7 @@ from frogkick.identification.outcome import Outcome, identify
 from frogkick.identification.segments import Segments
 from frogkick.identification.terms import catalogue
 from frogkick.library import library_info
+from frogkick.library.fitting import WHOLE_MIN
 from frogkick.report import identify_page, ring_page
 from frogkick.report.ring_page import write_ring_report
 from frogkick.ring import Ring, close, go_round, plant
@@ -35,16 +36,17 @@ SWUM_S = float(count(17, 17, 14))
 
 @pytest.fixture(scope="module")
 def round_once(tmp_path_factory: pytest.TempPathFactory) -> tuple[Ring, Path, list[str]]:
-    """A small ring, its folder, and what is in that."""
+    """A small ring, with the least library that gives an affine table; its folder, and what is in that."""
     out = tmp_path_factory.mktemp("ring")
-    ring = go_round(robot(), out, 10, 1, 3, progress_bar, paths=("line", "sine"), time_limit_s=SWUM_S)
+    ring = go_round(robot(), out, WHOLE_MIN, 1, 3, progress_bar, paths=("line", "sine"), time_limit_s=SWUM_S)
     return ring, out, sorted(path.name for path in out.iterdir())
 
 
 def test_the_ring_leaves_every_stage_behind(round_once: tuple[Ring, Path, list[str]]) -> None:
     ring, out, left = round_once
     assert left == ["emitted", "firmware", "library.h5", "line.h5", "sine.h5", "tables.fkt"]
-    assert library_info(out / "library.h5")["states"] == 10
+    assert library_info(out / "library.h5")["states"] == WHOLE_MIN == ring.states
+    assert ring.tables.kind == "affine"
     assert read_image(out / "tables.fkt").crc32 == ring.tables.crc32
     log = read_run(out / "line.h5")
     assert log.seed == 3 and log.table_crc == ring.tables.crc32
@@ -110,6 +112,8 @@ def test_the_ring_closes(
     assert told["changed_robot"] == {"mean_distance_before_m": old, "mean_distance_after_m": new}
     assert old != new
     new_tables = read_image(tmp_path / "new" / "tables.fkt")
+    assert new_tables.kind == "affine"
+    assert library_info(tmp_path / "new" / "library.h5")["states"] == WHOLE_MIN
     assert new_tables.crc32 != ring.tables.crc32 and closing.new[0].log.table_crc == new_tables.crc32
     assert [effect["name"] for effect in load_robot(tmp_path / "found.toml").effects] == ["limb_wear"]
     monkeypatch.setattr(ring_module, "go_round", lambda *_: ring)

@@ -149,6 +149,8 @@ def test_nearest_with_room_for_all_is_the_library(plain: Library) -> None:
     whole = quantise(plain)
     assert fit_table(plain, "nearest", len(whole)).image == whole
     assert fit_table(plain, "nearest").image == whole
+    few = PLAIN.library(45, 2)
+    assert fit_table(few).image == quantise(few), "too few for an affine one"
     less = fit_table(plain, "nearest", len(whole) - 1)
     assert len(less.image) < len(whole)
 

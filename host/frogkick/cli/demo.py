@@ -16,7 +16,15 @@ if TYPE_CHECKING:
 def demo(
     out: Annotated[Path, typer.Option(help="Folder for all results.")] = Path("demo"),
     robot: RobotFileOption = "frog2022",
-    states: Annotated[int, typer.Option(min=10, max=2000, help="Initial velocities of the library.")] = 300,
+    states: Annotated[
+        int | None,
+        typer.Option(
+            min=10,
+            max=2000,
+            help="Initial velocities of the library; default: as for the default table.",
+            show_default=False,
+        ),
+    ] = None,
     depth: DepthOption = None,
     seed: SeedOption = 0,
     json: JsonOption = False,

@@ -30,7 +30,8 @@ def build(
         Kind | None,
         typer.Option(
             help="nearest: the paper's table; affine: fewer states, with local linear corrections and limb "
-            "history. Default: nearest with all states; with --budget-kib the kind with the smaller error.",
+            "history. Default: the kind with the smaller error: affine, unless the library has too few "
+            "states.",
             show_default=False,
         ),
     ] = None,

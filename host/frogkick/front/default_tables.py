@@ -1,21 +1,17 @@
-"""The default table: made once from a small library and kept in the user's cache."""
+"""The default table of a robot, made once and kept in the user's cache."""
 
 from __future__ import annotations
 
 import hashlib
-import os
 from pathlib import Path
 
 from frogkick.core.errors import InputError
 from frogkick.core.files import cache_folder, one_at_a_time, write_bytes
 from frogkick.core.progress import progress_bar
-from frogkick.library import build_library, quantise
+from frogkick.library import default_table
+from frogkick.library.default import SAMPLING, SEED, STATES
 from frogkick.robot import Robot, load_robot
 from frogkick.tables.image import read_image
-
-STATES = 300
-SEED = 0
-SAMPLING = "visited"
 
 
 def default_tables(robot: Robot | str, states: int | None = None) -> Path:
@@ -39,17 +35,7 @@ def default_tables(robot: Robot | str, states: int | None = None) -> Path:
     with one_at_a_time(cache_folder("building"), key) as work:
         if not _is_valid(target):  # otherwise another process has built it meanwhile
             file = work / "library.h5"
-            with progress_bar(f"library for {robot.id}") as tell:
-                library = build_library(
-                    robot,
-                    states=states,
-                    seed=SEED,
-                    workers=os.cpu_count() or 1,
-                    out=file,
-                    progress=tell,
-                    sampling=SAMPLING,
-                )
-            write_bytes(target, quantise(library))
+            write_bytes(target, default_table(robot, file, progress_bar, f"library for {robot.id}", states))
             file.unlink()
     return target
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from frogkick.core.files import require_writable
 from frogkick.core.progress import Progress, Tell, shown
 from frogkick.front.places import plan_config
+from frogkick.library.default import STATES
 from frogkick.robot import Robot, load_robot
 from frogkick_codegen.firmware import require_tools
 
@@ -22,7 +23,7 @@ def demonstrate(
     out: Path | str,
     robot: Robot | str = "frog2022",
     *,
-    states: int = 300,
+    states: int | None = None,
     depth: int | None = None,
     seed: int = 0,
     progress: Progress = False,
@@ -32,7 +33,7 @@ def demonstrate(
     Args:
         out: folder for all results: library, tables, C, firmware, logs and two pages.
         robot: the robot, its name or its TOML file.
-        states: number of initial velocities of the library, 10 to 2000.
+        states: number of initial velocities of the library, 10 to 2000; None: as for the default table.
         depth: periods to look ahead, 1 to 4; None: the robot's own.
         seed: seed of the sampling, of the camera's noise, and of the limb that is worn.
         progress: of each stage: True for bars, or a function of (done, all).
@@ -57,7 +58,7 @@ def demonstrate(
         return shown(progress, title)
 
     levels = plan_config(described, "robot", depth).depth
-    ring = go_round(described, folder, states, levels, seed, bar)
+    ring = go_round(described, folder, STATES if states is None else states, levels, seed, bar)
     close(ring, folder, seed, bar)
     assert ring.closing is not None
     report = folder / "report.html"

@@ -241,8 +241,8 @@ def fit_table(
     Args:
         library: the result of ``build_library``, or its file.
         kind: "nearest" (the paper's: one row for each state), "affine" (fewer states, with a local linear
-            correction and limb use as an input); None: nearest with all states, or with a budget the kind
-            with the smaller error.
+            correction and limb use as an input); None: the kind with the smaller error. That is affine,
+            unless the library has too few states.
         budget_kib: largest size of the image, KiB; None: 64 for affine, no limit for nearest.
         progress: True for a bar, or a function of (done, all).
 
@@ -251,15 +251,12 @@ def fit_table(
     """
     if not isinstance(library, Library):
         library = load_library(library)
-    if budget_kib is None and kind in (None, "nearest"):
-        image = libraries.quantise(library)
-    else:
-        if budget_kib is not None and not (
-            isinstance(budget_kib, int | float | np.number) and 0.5 <= budget_kib <= 16384
-        ):
-            raise InputError(f"budget is {budget_kib!r} KiB: give 0.5 to 16384")
-        budget = None if budget_kib is None else int(budget_kib * KIB)
-        with shown(progress, "tables tried") as tell:
-            image = libraries.fit_table(library, kind, budget, tell).image
+    if budget_kib is not None and not (
+        isinstance(budget_kib, int | float | np.number) and 0.5 <= budget_kib <= 16384
+    ):
+        raise InputError(f"budget is {budget_kib!r} KiB: give 0.5 to 16384")
+    budget = None if budget_kib is None else int(budget_kib * KIB)
+    with shown(progress, "tables tried") as tell:
+        image = libraries.fit_table(library, kind, budget, tell).image
     robot = library.robot()
     return Table(called_by(robot, open_image(image)), robot)

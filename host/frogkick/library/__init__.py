@@ -2,6 +2,7 @@
 
 from frogkick.library.build import RECORD_S, build_library, sample_library
 from frogkick.library.checkpoints import checkpoint_folder
+from frogkick.library.default import default_table
 from frogkick.library.error import error_on, table_error
 from frogkick.library.fitting import BUDGET_BYTES, KINDS, Fitted, fit_table
 from frogkick.library.quantise import quantise
@@ -28,6 +29,7 @@ __all__ = [
     "Recorded",
     "build_library",
     "checkpoint_folder",
+    "default_table",
     "error_on",
     "fit_table",
     "library_info",

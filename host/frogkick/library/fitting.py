@@ -26,7 +26,8 @@ FloatArray = NDArray[np.float64]
 
 KINDS = ("nearest", "affine")
 BUDGET_BYTES = 64 * 1024
-"""Default of an affine table."""
+"""Default of an affine table. Whatever table a firmware was built with, its slots for tables by radio have at
+least this size, and the flash holds two of them beside a built-in table as large."""
 
 _HELD_OUT_EVERY = 8  # one of so many states is held out to choose the table
 _COARSENESS = {  # of stored values, tried in turn

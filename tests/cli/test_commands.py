@@ -339,16 +339,19 @@ def test_a_damaged_cached_table_is_made_again(tmp_path: Path, monkeypatch: pytes
     from frogkick.front.default_tables import default_tables
 
     monkeypatch.setenv("FROGKICK_CACHE_DIR", str(tmp_path))
-    made = default_tables("frog2022", 1)
+    made = default_tables("frog2022", 1, "visited")
     whole = made.read_bytes()
     made.write_bytes(whole[:-4])
-    assert default_tables("frog2022", 1).read_bytes() == whole
+    assert default_tables("frog2022", 1, "visited").read_bytes() == whole
     assert [path.name for path in (tmp_path / "tables").iterdir()] == [made.name]
 
 
 def test_two_that_want_the_same_table_at_once_both_get_it(tmp_path: Path) -> None:
     """One builds it, the other waits; neither takes away what the other reads."""
-    code = "from frogkick.front.default_tables import default_tables as made\nprint(made('frog2022', 2).stem)"
+    code = (
+        "from frogkick.front.default_tables import default_tables as made\n"
+        "print(made('frog2022', 2, 'visited').stem)"
+    )
     asking = count(3, 3, 2)
     many = [
         subprocess.Popen(

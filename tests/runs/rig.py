@@ -33,8 +33,11 @@ _FOLDER = tempfile.TemporaryDirectory(prefix="frogkick-tests-")
 
 @functools.cache
 def small_table() -> Path:
-    """A table image of few states; its library takes some seconds, once on a machine."""
-    return default_tables("frog2022", SMALL_STATES)
+    """A table image of few states of random swims: too few for an affine table, so a nearest one.
+
+    Its library takes some seconds, once on a machine.
+    """
+    return default_tables("frog2022", SMALL_STATES, "visited")
 
 
 @functools.cache

@@ -14,19 +14,20 @@ from frogkick.robot import Robot, load_robot
 from frogkick.tables.image import read_image
 
 
-def default_tables(robot: Robot | str, states: int | None = None) -> Path:
+def default_tables(robot: Robot | str, states: int | None = None, sampling: str = SAMPLING) -> Path:
     """Return the path of a robot's table image, which is built on first use (about a minute).
 
     Args:
         robot: the robot, its TOML file or its built-in name.
         states: number of states of its library; None = ``STATES``.
+        sampling: how these are drawn; see ``build_library``.
 
     Raises:
         InputError: no such robot.
     """
     robot = load_robot(robot)
     states = STATES if states is None else states
-    made_of = f"{_source_sha256()} {states} {SEED} {SAMPLING}".encode()
+    made_of = f"{_source_sha256()} {states} {SEED} {sampling}".encode()
     key = hashlib.sha256(robot.sha256 + made_of).hexdigest()[:24]
     folder = cache_folder("tables")
     target = folder / f"{robot.id}-{key}.fkt"
@@ -35,7 +36,9 @@ def default_tables(robot: Robot | str, states: int | None = None) -> Path:
     with one_at_a_time(cache_folder("building"), key) as work:
         if not _is_valid(target):  # otherwise another process has built it meanwhile
             file = work / "library.h5"
-            write_bytes(target, default_table(robot, file, progress_bar, f"library for {robot.id}", states))
+            title = f"library for {robot.id}"
+            image = default_table(robot, file, progress_bar, title, states, SEED, sampling)
+            write_bytes(target, image)
             file.unlink()
     return target
 

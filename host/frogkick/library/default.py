@@ -30,6 +30,7 @@ def default_table(
     title: str,
     states: int = STATES,
     seed: int = SEED,
+    sampling: str = SAMPLING,
 ) -> bytes:
     """Simulate a library and fit the default table to it.
 
@@ -39,7 +40,7 @@ def default_table(
         stage: makes a progress bar with a title.
         title: of the library's bar.
         states: number of states of the library. Too few for an affine table give one of kind nearest.
-        seed: of their sampling.
+        seed, sampling: how they are drawn; see ``sample_starts``.
 
     Returns:
         The table image.
@@ -56,7 +57,7 @@ def default_table(
             workers=os.cpu_count() or 1,
             out=library,
             progress=tell,
-            sampling=SAMPLING,
+            sampling=sampling,
             record_s=0.0,
         )
     with stage("tables tried") as tell:

@@ -9,7 +9,8 @@ from __future__ import annotations
 import hashlib
 import math
 import sys
-import tempfile
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
@@ -17,16 +18,17 @@ from typing import Any
 
 from frogkick.core.errors import InputError
 from frogkick.core.extras import require
-from frogkick.core.files import write_bytes, write_text
+from frogkick.core.files import cache_folder, one_at_a_time, write_bytes, write_text
 from frogkick.core.weights import WEIGHTS
+from frogkick.planner.plan import PlanConfig
 from frogkick.robot import Robot
 from frogkick.tables.image import read_image
 from frogkick_codegen import declared
-from frogkick_codegen.emit import emit
+from frogkick_codegen.emit import emit, render
 from frogkick_codegen.kept import built_once
 from frogkick_codegen.map_file import write_map
 from frogkick_codegen.sources import firmware_sources
-from frogkick_codegen.toolchain import FLAGS, Compiler, zig, zig_folders
+from frogkick_codegen.toolchain import FLAGS, Compiler, ToolchainError, zig, zig_folders
 
 TARGETS = ("bench", "native")
 FLASH_BYTES = 512 * 1024
@@ -179,10 +181,9 @@ def build(target: str, image: Path, robot: Robot, out: Path, compiler: Compiler 
         require_tools(target)
     command = f"frogkick firmware build --target {target} --tables {image.name}"
     config = robot_config(robot)
-    with tempfile.TemporaryDirectory(prefix="frogkick-build-") as folder:
-        work = Path(folder).resolve()
-        emit(image, work / "emitted", command, robot_sha256=robot.sha256)
-        write_text(work / "config" / "fk_robot_config.h", config)
+    rendered = render(tables, command, PlanConfig(), robot.sha256)
+    emitted = {name: content for name, content in rendered.items() if Path(name).suffix in (".c", ".h")}
+    with _workshop(target, {**emitted, "fk_robot_config.h": config.encode()}) as work:
         made = (
             _build_bench(work, tables.limbs, len(tables.image), robot)
             if target == "bench"
@@ -196,6 +197,56 @@ def build(target: str, image: Path, robot: Robot, out: Path, compiler: Compiler 
             write_bytes(files[what], path.read_bytes())
         write_text(out / "fk_robot_config.h", config)
     return Firmware(target, files["elf" if target == "bench" else "library"], files, *sizes)
+
+
+@contextmanager
+def _workshop(target: str, made: Mapping[str, bytes]) -> Iterator[Path]:
+    """Yield a folder with all sources, where one process builds at a time.
+
+    It is the same folder each time, and files that have not changed stay: zig then compiles little more than
+    the table. First lines that name the table and the robot are blank here, so only what they say changes.
+
+    Args:
+        target: as for ``build``.
+        made: emitted files and the robot's header, by name.
+
+    Raises:
+        ToolchainError: the folder cannot be written.
+    """
+    files = {
+        f"{'config' if name == 'fk_robot_config.h' else 'emitted'}/{name}": _without_banner(content)
+        for name, content in made.items()
+    }
+    firmware = firmware_sources()
+    for place in ("core", "bench"):
+        for path in (firmware / place).iterdir():
+            if path.suffix in (".c", ".h", ".ld"):
+                files[f"firmware/{place}/{path.name}"] = path.read_bytes()
+    folder = cache_folder("workshop")
+    config = hashlib.sha256(files["config/fk_robot_config.h"]).hexdigest()[:16]
+    with ExitStack() as until_built:
+        try:
+            work = until_built.enter_context(one_at_a_time(folder, f"{target}-{config}")).resolve()
+            for path in sorted(work.rglob("*")):
+                if path.is_file() and path.relative_to(work).as_posix() not in (*files, ".lock"):
+                    path.unlink()
+            for name, content in files.items():
+                file = work / name
+                if not file.exists() or file.read_bytes() != content:
+                    file.parent.mkdir(parents=True, exist_ok=True)
+                    file.write_bytes(content)
+        except OSError as error:
+            raise ToolchainError(
+                f"cannot build in {str(folder)!r} ({error.strerror}): set FROGKICK_CACHE_DIR to a writable "
+                "folder"
+            ) from error
+        yield work
+
+
+def _without_banner(content: bytes) -> bytes:
+    """The file without its first comment; what follows keeps the numbers of its lines."""
+    banner, end, rest = content.partition(b"*/")
+    return b"\n" * banner.count(b"\n") + rest if end and banner.startswith(b"/*") else content
 
 
 def require_tools(target: str) -> None:
@@ -213,18 +264,17 @@ def require_tools(target: str) -> None:
 
 def _sources(work: Path) -> tuple[list[Path], list[Path], list[str]]:
     """C files, headers, and how a compiler is told where they are."""
-    firmware = firmware_sources()
-    folders = [work / "config", work / "emitted", firmware / "core"]
+    core = work / "firmware" / "core"
+    folders = [work / "config", work / "emitted", core]
     emitted = [path for path in sorted(folders[1].glob("*.c")) if "example" not in path.name]
     headers = [path for folder in folders for path in sorted(folder.glob("*.h"))]
     places = [
         *(f"-I{folder}" for folder in folders),
-        # Debug information would otherwise name these folders, and differ by place and time.
+        # Debug information would otherwise name these folders, and differ by place.
         f"-ffile-prefix-map={work}=.",
-        f"-ffile-prefix-map={firmware}=firmware",
         *(f"-ffile-prefix-map={folder}=zig" for folder in zig_folders()),
     ]
-    return emitted + sorted((firmware / "core").glob("*.c")), headers, places
+    return emitted + sorted(core.glob("*.c")), headers, places
 
 
 def slots_for(table_bytes: int) -> tuple[int, int]:
@@ -241,7 +291,7 @@ def _build_bench(work: Path, limbs: int, table_bytes: int, robot: Robot) -> dict
             f"battery.inputs of robot {robot.id!r} has {taken}, on the bench the gate of limb {taken + 1} of "
             f"{limbs}: take another input"
         )
-    bench = firmware_sources() / "bench"
+    bench = work / "firmware" / "bench"
     sources, headers, places = _sources(work)
     sources, script = [*sources, *sorted(bench.glob("*.c"))], bench / "nrf52832.ld"
     elf = work / "frogkick-bench.elf"

@@ -237,7 +237,7 @@ def test_firmware_build(
     assert sorted(path.name for path in here.iterdir()) == ["a", "b"]
     image = Path(done.json["image"]).read_bytes()
     assert str(here.parent).encode() not in image
-    assert b"frogkick-build-" not in image
+    assert b"workshop" not in image
 
 
 def test_firmware_size_and_test(here: Path, capsys: Capture) -> None:

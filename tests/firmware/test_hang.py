@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import random
 import shutil
-from contextlib import nullcontext
 from itertools import pairwise
 from pathlib import Path
-from types import SimpleNamespace
 
 import pytest
 from bare_chip import clock_of, power_of
@@ -249,27 +247,17 @@ def test_nothing_breaks() -> None:
     assert what_breaks(rig.firmware("bench").image) == set()
 
 
-@pytest.fixture(scope="module")
-def workshop(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Where all mutants are built: of files that stand where they stood zig compiles those that differ."""
-    folder = tmp_path_factory.mktemp("workshop")
-    (folder / "work").mkdir()
-    return folder
-
-
 @pytest.mark.parametrize("name", some(MUTANTS, 3))
 def test_a_firmware_without_a_protection_is_found_out(
-    name: str, workshop: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     file, old, new, what = MUTANTS[name]
     for part in ("bench", "core"):
-        shutil.copytree(REPOSITORY / "firmware" / part, workshop / "firmware" / part, dirs_exist_ok=True)
-    source = workshop / "firmware" / "bench" / file
+        shutil.copytree(REPOSITORY / "firmware" / part, tmp_path / "firmware" / part)
+    source = tmp_path / "firmware" / "bench" / file
     text = source.read_text(encoding="utf-8")
     assert text.count(old) == 1, f"{file} holds {old!r} {text.count(old)} times: correct the mutation"
     source.write_text(text.replace(old, new), encoding="utf-8")
-    monkeypatch.setattr(firmware, "firmware_sources", lambda: workshop / "firmware")
-    here = SimpleNamespace(TemporaryDirectory=lambda **_: nullcontext(workshop / "work"))
-    monkeypatch.setattr(firmware, "tempfile", here)
+    monkeypatch.setattr(firmware, "firmware_sources", lambda: tmp_path / "firmware")
     built = firmware.build("bench", rig.small_table(), rig.robot(), tmp_path / "out")
     assert what in what_breaks(built.image)

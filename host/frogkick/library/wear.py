@@ -6,6 +6,8 @@ additive, so one curve for each limb, a mean over states and over the actions th
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -65,7 +67,11 @@ def wear_curves(rods: Rods, velocity_body: FloatArray) -> FloatArray:
         fires = [bool((action.first_mask | action.second_mask) >> limb & 1) for action in robot.actions]
         if not any(fires):
             continue
-        worn = [simulate_task(rods, task, extra=(_Weakened(limb, gain),)).rows for gain in GAINS]
+        firing = tuple(action for action, fired in zip(robot.actions, fires, strict=True) if fired)
+        some = replace(rods, robot=replace(robot, actions=firing))  # no other action's transitions change
+        worn = np.full((len(GAINS), *sound.shape), np.nan)
+        for rows, gain in zip(worn, GAINS, strict=True):
+            rows[:, fires] = simulate_task(some, task, extra=(_Weakened(limb, gain),)).rows
         change = np.array([(rows - sound)[:, fires].mean(axis=(0, 1)) for rows in worn])
         if not np.isfinite(change).all():
             return no_curves()

@@ -6,7 +6,7 @@ import hashlib
 import os
 import signal
 import sys
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -120,6 +120,16 @@ def rewrite_a_share(config: pytest.Config, worker: int, workers: int) -> None:
             rewrite._write_pyc(state, code, source, kept)
 
 
+@pytest.fixture(scope="session", autouse=True)
+def few_wear_gains() -> Iterator[None]:
+    """In make test wear curves from two gains: those of six are most of a small library's time."""
+    from frogkick.library import wear
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(wear, "GAINS", tuple(some(wear.GAINS[::-1], 2)[::-1]))
+        yield
+
+
 def compile_once() -> None:
     """Of processes that want the same compiled function one compiles, the others wait and load what it kept.
 
@@ -152,10 +162,10 @@ def compile_once() -> None:
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """The dearest folders first: files are dealt to processes in this order, which then end together.
 
-    Before them two files that compile different halves in a fresh clone, the rods and the planner. Files that
+    Before them three files that compile different parts in a fresh clone: rods, planner and C. Files that
     wait for a radio in real time are spread among those that compute, or all processes would wait at once.
     """
-    first = ("studies/test_convergence.py", "codegen/test_parity.py")
+    first = ("studies/test_convergence.py", "codegen/test_parity.py", "core/test_core_fuzz.py")
     dear = ("studies", "front", "identification", "library", "codegen", "loop", "core", "soak")
 
     def rank(file: Path) -> int:

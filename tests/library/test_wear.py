@@ -11,10 +11,10 @@ from tests.library import synthetic
 
 from frogkick.core.errors import InputError
 from frogkick.effects import rods_of
-from frogkick.library import library_info, quantise, read_library, write_library
+from frogkick.library import library_info, quantise, read_library, wear, write_library
 from frogkick.library.store import Library
 from frogkick.library.surface import noise_of
-from frogkick.library.wear import no_curves, wear_curves
+from frogkick.library.wear import GAINS, no_curves, wear_curves
 from frogkick.robot import load_robot
 from frogkick.tables.image import open_image
 from frogkick.tables.layout import WEAR_KNOTS
@@ -24,7 +24,9 @@ VELOCITY = np.array([[0.0, 0.0, 0.0], [0.02, 0.004, 0.2], [0.02, -0.004, -0.2]])
 
 @pytest.fixture(scope="module")
 def curves() -> np.ndarray:
-    return wear_curves(rods_of(load_robot("frog2022")), VELOCITY)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(wear, "GAINS", GAINS)  # all of them, see conftest.py
+        return wear_curves(rods_of(load_robot("frog2022")), VELOCITY)
 
 
 def test_each_limb_loses_more_and_more_of_its_own_contribution(curves: np.ndarray) -> None:

@@ -38,7 +38,7 @@ from frogkick.runs.runlog_file import read_run
 from frogkick.runs.session import LinkError
 from frogkick.vision.sources import Frame, live_frames
 
-PERIOD_S = rig.tables().period_us * 1e-6
+PERIOD_S = rig.PERIOD_S
 STATE = link_layout().state
 OPTIONS = RunOptions(PlanConfig(), True, 10 * PERIOD_S)
 

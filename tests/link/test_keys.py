@@ -23,7 +23,7 @@ from frogkick.runs.closed_loop import STOPPED, RunOptions, run_session
 from frogkick.runs.lab_port import LabPort
 from frogkick.runs.lab_session import LabSession
 
-PERIOD_S = rig.tables().period_us * 1e-6
+PERIOD_S = rig.PERIOD_S
 STATE = link_layout().state
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="terminals of Windows are no files")

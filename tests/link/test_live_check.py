@@ -27,7 +27,7 @@ from frogkick.runs.runlog_file import read_run
 from frogkick.runs.session import Session
 from frogkick.tables.image import Tables, open_image
 
-PERIOD_S = rig.tables().period_us * 1e-6
+PERIOD_S = rig.PERIOD_S
 STATE = link_layout().state
 
 

@@ -29,7 +29,7 @@ from frogkick.runs.record import BATTERY_V, run_log
 from frogkick.runs.runlog import RunLog
 from frogkick.runs.runlog_file import read_run, write_run
 
-PERIOD_S = rig.tables().period_us * 1e-6
+PERIOD_S = rig.PERIOD_S
 OPTIONS = RunOptions(PlanConfig(), True, 1.2 * PERIOD_S)
 
 

@@ -30,7 +30,7 @@ from frogkick.runs.runlog_file import read_run
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="needs a pseudo-terminal")
 
-PERIOD_S = rig.tables().period_us * 1e-6
+PERIOD_S = rig.PERIOD_S
 COMMAND = (sys.executable, "-m", "frogkick.cli.main")
 BEGIN = (0.36, 0.45, 0.0)
 

@@ -40,7 +40,7 @@ from frogkick.runs.summary import summary
 from frogkick.vision.calibration_file import write_calibration
 from frogkick.vision.sources import Frame
 
-PERIOD_S = rig.tables().period_us * 1e-6
+PERIOD_S = rig.PERIOD_S
 SCENE = scene(noise=3.0)
 START = (0.35, 0.45, 0.2)
 """In the rendered pool, where the simulated one has its origin."""

@@ -19,7 +19,7 @@ from frogkick.runs.closed_loop import ENDED, TIME
 from frogkick.runs.runlog_file import read_run
 
 TRIES = 6
-PERIOD_S = rig.tables().period_us * 1e-6
+PERIOD_S = rig.PERIOD_S
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="needs a pseudo-terminal")

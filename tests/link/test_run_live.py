@@ -41,7 +41,7 @@ from frogkick.runs.runlog_file import read_run
 from frogkick.runs.session import LinkError
 from frogkick.runs.text_robot import TextRobot
 
-PERIOD_S = rig.tables().period_us * 1e-6
+PERIOD_S = rig.PERIOD_S
 STATE = link_layout().state
 
 

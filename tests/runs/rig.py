@@ -26,6 +26,8 @@ from frogkick.tables.image import Tables, read_image
 from frogkick_codegen.firmware import Firmware, build
 
 SMALL_STATES = 40
+PERIOD_S = round(load_robot("frog2022").period_s * 1e6) * 1e-6
+"""As ``tables`` has it, which takes seconds to make: not where tests are collected."""
 
 # Lives as long as the test session.
 _FOLDER = tempfile.TemporaryDirectory(prefix="frogkick-tests-")

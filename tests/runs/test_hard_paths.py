@@ -19,9 +19,14 @@ from frogkick.runs.closed_loop import Recording, RunOptions, run_session
 from frogkick.runs.session import Session
 
 LIMIT_S = 150.0
-REACH_M = float(rig.tables().stroke_max_m)
+
+
+def reach_m() -> float:
+    return float(rig.tables().stroke_max_m)
+
+
 RESTING = next(
-    i for i, action in enumerate(rig.tables().actions) if not action.first_mask | action.second_mask
+    i for i, action in enumerate(rig.robot().actions) if not action.first_mask | action.second_mask
 )
 
 
@@ -65,8 +70,8 @@ def test_a_path_that_can_be_reached_is_reached_and_followed(
     assert (recording.completed, recording.ended) == (True, End.COMPLETED.value)
     askew_rad = abs(math.remainder(start[2] - float(path.tangent_rad[0]), 2.0 * math.pi))
     assert max(distance_m[0], askew_rad) > 0.09, "it is not on its way from the start"
-    assert distance_m[-3:].max() < 0.5 * REACH_M
-    assert math.dist(pose[:2], path.points_m[-1]) < REACH_M
+    assert distance_m[-3:].max() < 0.5 * reach_m()
+    assert math.dist(pose[:2], path.points_m[-1]) < reach_m()
     assert recording.end_s < 0.5 * LIMIT_S
 
 
@@ -89,7 +94,7 @@ def test_a_path_beyond_the_robot_is_tried_and_its_end_told_as_it_was(
     assert max(turned_rad) > 0.5 * math.pi, "it turns round"
     assert recording.ended in {end.value for end in End} and recording.end_s < LIMIT_S
     is_there = (
-        math.dist(pose[:2], path.points_m[-1]) < 1.1 * REACH_M
+        math.dist(pose[:2], path.points_m[-1]) < 1.1 * reach_m()
     )  # completed: within a reach, by the fixes
     assert recording.completed is is_there is (recording.ended == End.COMPLETED.value)
 
@@ -112,14 +117,14 @@ def test_a_circle_much_smaller_than_the_robot_ends_before_the_time_does() -> Non
     assert recording.completed is (recording.ended == End.COMPLETED.value)
     assert recording.end_s < LIMIT_S
     # It says that it came to the end only where it did.
-    assert not recording.completed or distance_m[-1] < 2 * REACH_M
+    assert not recording.completed or distance_m[-1] < 2 * reach_m()
 
 
 def test_an_end_passed_at_a_distance_is_said_to_be() -> None:
     path, start = polyline((0.0, 0.0), (0.04, 0.0)), (0.0, 0.1, 0.0)
     recording, distance_m, pose = swim(path, start)
     assert (recording.completed, recording.ended) == (False, End.PASSED.value)
-    assert pose[0] > 0.04 and distance_m[-1] > REACH_M
+    assert pose[0] > 0.04 and distance_m[-1] > reach_m()
     again, _, _ = swim(path, start, onboard=False)
     assert (again.completed, again.ended) == (False, End.PASSED.value)
     assert [d.action for d in again.decisions] == [d.action for d in recording.decisions]

@@ -109,7 +109,7 @@ def _compile(library: Path) -> None:
         with tempfile.TemporaryDirectory(dir=library.parent) as folder:
             built = Path(folder) / "hook.so"
             command = [sys.executable, "-m", "ziglang", "cc", *_FLAGS, "-o", str(built), str(_SOURCE)]
-            zig_cache = str(library.parent / "zig")
+            zig_cache = str(cache_folder("zig"))  # where its run-time library is compiled already
             environment = {"ZIG_GLOBAL_CACHE_DIR": zig_cache, "ZIG_LOCAL_CACHE_DIR": zig_cache, **os.environ}
             done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
             if done.returncode != 0:

@@ -160,19 +160,22 @@ def compile_once() -> None:
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """The dearest folders first: files are dealt to processes in this order, which then end together.
+    """The dearest first: files are dealt to processes in this order, which then end together.
 
     Before them three files that compile different parts in a fresh clone: rods, planner and C. Files that
     wait for a radio in real time are spread among those that compute, or all processes would wait at once.
     """
-    first = ("studies/test_convergence.py", "codegen/test_parity.py", "core/test_core_fuzz.py")
-    dear = ("studies", "front", "identification", "library", "codegen", "loop", "core", "soak")
+    dear = (
+        "studies/test_convergence.py", "codegen/test_parity.py", "core/test_core_fuzz.py",
+        "studies", "front", "identification", "library", "cli/test_commands.py", "robot/test_family_chain.py",
+        "structure/test_wheel.py", "report", "bench", "codegen", "core", "firmware/test_zephyr_lives.py",
+        "soak",
+    )  # fmt: skip
 
     def rank(file: Path) -> int:
         place = file.relative_to(REPOSITORY / "tests")
-        if place.as_posix() in first:
-            return first.index(place.as_posix()) - len(first)
-        return dear.index(place.parts[0]) if place.parts[0] in dear else len(dear)
+        names = (place.as_posix(), place.parts[0])
+        return next((k for k, name in enumerate(dear) if name in names), len(dear))
 
     files = sorted(dict.fromkeys(item.path for item in items), key=rank)
     waiting = [file for file in files if file.parent.name == "link"]

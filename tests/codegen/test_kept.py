@@ -102,6 +102,32 @@ def test_whatever_is_read_or_said_makes_another_one(
     assert not is_new()
 
 
+def test_where_firmware_is_built_what_has_not_changed_stays_and_nothing_else(
+    tmp_path: Path, calls: list[Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """So zig compiles only the table: lines that name it are blank there, and others keep their numbers."""
+    copy = tmp_path / "sources"
+    shutil.copytree(firmware_sources(), copy)
+    (copy / "core" / "fk_more.c").write_text("/* More. */\n")
+    with monkeypatch.context() as changed:
+        changed.setattr(firmware, "firmware_sources", lambda: copy)
+        build("bench", table(tmp_path), ROBOT, tmp_path / "one")
+    work = calls[-1].parent
+    more, tree = work / "firmware" / "core" / "fk_more.c", work / "emitted" / "tree.c"
+    assert more.exists()
+    written_ns = tree.stat().st_mtime_ns
+    build("bench", table(tmp_path, "nearest"), ROBOT, tmp_path / "two")
+    assert calls[-1].parent == work and len(calls) == 2
+    assert not more.exists() and tree.stat().st_mtime_ns == written_ns
+    built = sorted((work / "emitted").iterdir())
+    assert "fk_table.c" in [file.name for file in built]
+    for file in (*built, work / "config" / "fk_robot_config.h"):
+        given = tmp_path / "two" / ("emitted" if file in built else "") / file.name
+        here, there = file.read_bytes(), given.read_bytes()
+        assert here != there and there.endswith(here.lstrip(b"\n")), file.name
+        assert here.count(b"\n") == there.count(b"\n"), file.name
+
+
 def test_a_damaged_one_is_not_believed(tmp_path: Path, calls: list[Path]) -> None:
     whole = build("native", table(tmp_path), ROBOT, tmp_path / "one").image.read_bytes()
     assert len(whole) > 10_000

@@ -27,7 +27,7 @@ from frogkick.robot import load_robot
 from frogkick_studies import verdicts
 from frogkick_studies.judged import Result, judged, recovered
 from frogkick_studies.planted import LAWS, NULL, OUTSIDE, OUTSIDE_FILE, OUTSIDE_TEXT, kinds
-from frogkick_studies.planted_laws import DRAWN, LAWS_FILE, LAWS_TEXT, drawn, rights
+from frogkick_studies.planted_laws import DRAWN, LAWS_FILE, LAWS_TEXT, drawn, enough_of, rights
 from frogkick_studies.verdicts import Case, VerdictStudy, cases_of, run_cases, verdicts_figure
 
 ROBOT = load_robot("frog2022")
@@ -240,8 +240,9 @@ def test_a_stopped_study_goes_on_where_it_was(tmp_path: Path, monkeypatch: pytes
 
 
 def test_laws_are_drawn_again_until_the_error_is_as_wanted(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A robot that cannot be seen, one whose error is too small, and one that will do."""
-    given = iter([InputError("out of sight"), 1.5, 7.0])
+    """A robot that cannot be seen, one whose error is too small, one whose runs show too little, and one that
+    will do."""
+    given, enough = iter([InputError("out of sight"), 1.5, 7.0, 7.0]), iter([True, True, False, True])
     swum: list[tuple[float, int]] = []
 
     def swims_of(_ready: Any, planted: Any, seed: int, paths: list[str]) -> list[str]:
@@ -255,9 +256,45 @@ def test_laws_are_drawn_again_until_the_error_is_as_wanted(monkeypatch: pytest.M
         return told
 
     monkeypatch.setattr(verdicts, "swims_of", swims_of)
+
+    def enough_of(_planted: Any, _train: Any, names: list[str]) -> bool:
+        assert names == [limb.name for limb in ROBOT.limbs]
+        return next(enough)
+
     monkeypatch.setattr(verdicts, "over_floor", over_floor)
-    ready = cast(Any, SimpleNamespace(robot=None))
+    monkeypatch.setattr(verdicts, "enough_of", enough_of)
+    ready = cast(Any, SimpleNamespace(robot=ROBOT))
     case, kind = Case("sloshing", 3), kinds()["sloshing"]
     planted, train, test, draws = verdicts._drawn(ready, case, kind, np.random.default_rng(1))
-    assert draws == 3 and len(train) == 4 and test == ["bends"]
-    assert len({speed for speed, _ in swum}) == 3 and planted[0]["speed"] == swum[-1][0]
+    assert draws == 4 and len(train) == 4 and test == ["bends"]
+    assert len({speed for speed, _ in swum}) == 4 and planted[0]["speed"] == swum[-1][0]
+
+
+def strokes_of(*fired: tuple[float, int]) -> Any:
+    times = np.arange(0.0, 30.0, 0.5)
+    pose = np.column_stack([0.01 * times, np.zeros((len(times), 2))])
+    return SimpleNamespace(strokes=fired, start_s=times[::2], time_s=times, pose=pose)
+
+
+def test_runs_hold_enough_of_what_is_to_be_learned() -> None:
+    """Ten periods with a cable taut, twenty strokes that may fail, five on each side of a break, and five of
+    each of two limbs beside the other and alone."""
+    limbs = ["one", "two"]
+    every = [strokes_of(*((float(k), 0) for k in range(10))), strokes_of(*((float(k), 0) for k in range(10)))]
+
+    def enough(swims: list[Any], kind: str, **values: Any) -> bool:
+        return enough_of([{"class": kind, **values}], swims, limbs)
+
+    assert enough(every, "Misfire", limb="one") and not enough(every[:1], "Misfire", limb="one")
+    assert not enough(every, "Misfire", limb="two")
+    assert enough(every, "Break", limb="one", at=5.0) and not enough(every, "Break", limb="one", at=8.0)
+    assert not enough(every, "Break", limb="one", at=1.5)
+    assert enough(every[:1], "Cable", x=0.0, y=0.0, length=0.195)
+    assert not enough(every[:1], "Cable", x=0.0, y=0.0, length=0.205)
+    pair = {"limb": "one", "other": "two", "within": 0.4}
+    together = [(float(k), limb) for k in range(5) for limb in (0, 1)]
+    apart = [(10.0 + 2.0 * k + limb, limb) for k in range(5) for limb in (0, 1)]
+    assert enough([strokes_of(*together), strokes_of(*apart)], "SharedBattery", **pair)
+    assert not enough([strokes_of(*together), strokes_of(*apart[2:])], "SharedBattery", **pair)
+    assert not enough([strokes_of(*together[2:]), strokes_of(*apart)], "SharedBattery", **pair)
+    assert enough([], "Jumps")

@@ -27,7 +27,15 @@ from frogkick.identification.screening import sensitivities
 from frogkick.identification.search import Baseline, Found, folds_of, nominal_fit, search
 from frogkick.identification.segments import Segments, part_of
 from frogkick.identification.terms import Term, catalogue
-from frogkick.identification.verdict import FOUND, FOUND_LAW, NOTHING, Scored, scored, verdict_of
+from frogkick.identification.verdict import (
+    FOUND,
+    FOUND_LAW,
+    NOTHING,
+    Scored,
+    intervals,
+    scored,
+    verdict_of,
+)
 from frogkick.robot import Robot
 
 STABLE = 0.8
@@ -272,8 +280,8 @@ def pruned(found: Found, train: Sequence[Segments], progress: TellStage) -> Foun
 
     Backward elimination, one effect at a time; the test runs have no part in it. An effect is superfluous if
     held-out parts are predicted as well without it, and unstable if it is selected in fewer than STABLE of
-    the resamples. Both are judged by derivatives, and the model without the effect is fitted again by
-    simulation.
+    the resamples. A law is superfluous as well if it may have no strength at all. All are judged by
+    derivatives, and the model without the effect is fitted again by simulation.
     """
     folds = folds_of(train, found.rows)
     searched = bool(found.iterations)
@@ -282,6 +290,8 @@ def pruned(found: Found, train: Sequence[Segments], progress: TellStage) -> Foun
         place = superfluous_term(found.fitted, folds, train) if len(np.unique(folds)) > 1 else None
         if place is None and stable and min(stable) < STABLE:
             place = stable.index(min(stable))
+        if place is None:
+            place = _law_of_no_strength(found)
         if place is None:
             return replace(found, stability=stable)
         count = len(found.fitted.model.terms)
@@ -298,6 +308,17 @@ def pruned(found: Found, train: Sequence[Segments], progress: TellStage) -> Foun
         found = replace(
             found, fitted=fitted, confounded_with=[found.confounded_with[k] for k in kept], rivals=rivals
         )
+
+
+def _law_of_no_strength(found: Found) -> int | None:
+    """The place of a law all of whose strengths may be nought by their intervals; None without one."""
+    for place, (term, row) in enumerate(
+        zip(found.fitted.model.terms, intervals(found.fitted, found.rows), strict=True)
+    ):
+        strengths = [k for k, p in enumerate(term.parameters) if p.nominal == 0.0 and p.low < 0.0]
+        if term.name == "law" and strengths and all(row[k].contains(0.0) for k in strengths):
+            return place
+    return None
 
 
 def _verdict(found: Found, swims: Sequence[Segments]) -> str:

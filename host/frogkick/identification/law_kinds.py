@@ -24,6 +24,9 @@ Numbers = Mapping[str, Strength]
 PLACES, MANY = 11, 400
 """Places along each side of the area of the runs; half as many for MANY periods, which need much memory."""
 
+PLACE_STEP_M = 0.005
+"""Step of a finite difference by a place: a longer one reaches over the bend where a cable becomes taut."""
+
 INTERVALS = 120
 """Cycles of what acts at intervals: so close that its last interval in a run is no more than one off."""
 
@@ -50,6 +53,11 @@ class Kind:
     def at_intervals(self) -> bool:
         """Whether it acts at intervals: in a share of each cycle about its middle."""
         return "middle" in self.shapes
+
+    @cached_property
+    def named(self) -> str:
+        """The title of its terms: with the limb that it is of."""
+        return self.term(self.grid[0]).title
 
     @cached_property
     def law(self) -> Law:
@@ -82,8 +90,8 @@ def kinds_of(robot: Robot, swims: Sequence[Segments]) -> list[Kind]:
     xs, ys = np.linspace(low[0], high[0], side), np.linspace(low[1], high[1], side)
     places = [{"at_x": float(x), "at_y": float(y)} for x in xs for y in ys]
     where: Numbers = {
-        "at_x": ("m", float(low[0]) - 1.0, float(high[0]) + 1.0, 0.02),
-        "at_y": ("m", float(low[1]) - 1.0, float(high[1]) + 1.0, 0.02),
+        "at_x": ("m", float(low[0]) - 1.0, float(high[0]) + 1.0, PLACE_STEP_M),
+        "at_y": ("m", float(low[1]) - 1.0, float(high[1]) + 1.0, PLACE_STEP_M),
     }
     away = "hypot(x_m - at_x, y_m - at_y)"
     whens = [{"at": float(at)} for at in np.linspace(3.0 * period_s, end_s - 3.0 * period_s, 14)]
@@ -100,7 +108,10 @@ def kinds_of(robot: Robot, swims: Sequence[Segments]) -> list[Kind]:
 
     beyond = "x_m * cos(way) + y_m * sin(way) - offset"
     middle, reach = 0.5 * (low + high), 0.5 * float(np.hypot(*(high - low)))
-    line: Numbers = {"way": ("rad", -7.0, 7.0, 0.05), "offset": ("m", -3.0, 3.0, 0.02)}
+    line: Numbers = {
+        "way": ("rad", -7.0, 7.0, 0.02),
+        "offset": ("m", -3.0, 3.0, PLACE_STEP_M),
+    }
     lines = [
         {"way": float(way), "offset": float(middle @ [np.cos(way), np.sin(way)] + far * reach)}
         for way in np.linspace(-np.pi, np.pi, 12, endpoint=False)
@@ -136,7 +147,7 @@ def kinds_of(robot: Robot, swims: Sequence[Segments]) -> list[Kind]:
                 "y_n": f"-stiffness * max(0, {away} - slack) * (y_m - at_y) / {away}",
             },
             {"stiffness": ("N/m", -2.0, 2.0, 0.02)},
-            {**where, "slack": ("m", 0.0, 2.0, 0.02)},
+            {**where, "slack": ("m", 0.0, 2.0, PLACE_STEP_M)},
             [{**place, "slack": slack} for place in places for slack in (0.0, 0.1, 0.2, 0.35)],
         ),
         Kind(

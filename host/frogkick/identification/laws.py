@@ -101,15 +101,19 @@ class Laws:
             found.append(self._answers.to(kind.law, given, self._limbs) / unit)
         return np.stack(found, axis=2)
 
-    def best(self, current: Fitted) -> list[Column]:
-        """The best of each kind of law beside a model, best first."""
+    def best(self, current: Fitted, title: str | None = None) -> list[Column]:
+        """The best of each kind of law beside a model, best first; of one kind alone by its title."""
         whole = _Beside(current)
         best = []
         for kind, kept, columns in self._grids:
+            if title not in (None, kind.named):
+                continue
             likely = np.argsort(-whole.quick(columns), kind="stable")[:TRIED]
             gain, number = max((whole.gain(kind, columns[k]), kept[k]) for k in likely.tolist())
             best.append((gain - _penalty(kind), kind, kind.grid[number]))
         for kind, on, bins in self._bins:
+            if title not in (None, kind.named):
+                continue
             likely = np.argsort(-whole.quick_sums(on, bins), kind="stable")[:TRIED]
             tried = [(self.columns(kind, kind.grid[k]), k) for k in likely.tolist()]
             gain, number = max((whole.gain(kind, columns), k) for columns, k in tried)

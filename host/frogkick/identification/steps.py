@@ -169,9 +169,19 @@ def cross_fitted(
         if test.all():
             return np.full(len(residuals), np.nan)
         step, _ = linearised_optimum(residuals[~test], jacobian[~test], low, high, damping)
-        scale = _shrunk(scale_of(residuals[~test] + jacobian[~test] @ step), int((~test).sum()))
-        scores[test] = log_density(residuals[test] + jacobian[test] @ step, scale)
+        scores[test] = held_out_density(residuals + jacobian @ step, test)
     return scores
+
+
+def held_out_density(residuals: FloatArray, test: NDArray[np.bool_]) -> FloatArray:
+    """(k,) log density of the k periods held out, by the scale of the others.
+
+    Args:
+        residuals: (n, d) by a model that was fitted without them.
+        test: (n,) which are held out.
+    """
+    scale = _shrunk(scale_of(residuals[~test]), int((~test).sum()))
+    return log_density(residuals[test], scale)
 
 
 def _shrunk(scale: FloatArray, count: int) -> FloatArray:

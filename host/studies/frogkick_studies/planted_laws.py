@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from frogkick.identification.segments import Segments
 from frogkick.identification.terms import Term
 from frogkick_studies.draws import LIMBS, Table, between, spread
 
@@ -285,6 +286,53 @@ DRAWN: Mapping[str, Sequence[Draw]] = {
 def drawn(draws: Sequence[Draw], rng: np.random.Generator) -> list[Table]:
     """The tables of a world of a kind."""
     return [draw(rng) for draw in draws]
+
+
+TAUT_LEAST, FIRED_LEAST, EACH_SIDE = 10, 20, 5
+"""What runs to learn from must hold: periods with a cable taut, strokes of a limb that misfires, and strokes
+on each side of a break, or beside another limb's and alone."""
+
+
+def enough_of(tables: Sequence[Table], swims: Sequence[Segments], limbs: Sequence[str]) -> bool:
+    """Whether runs hold enough of what is planted for anybody to tell what it is.
+
+    Args:
+        tables: what is planted.
+        swims: the runs to learn from.
+        limbs: names in the robot's order.
+    """
+    return all(_enough_of(table, swims, limbs) for table in tables)
+
+
+def _enough_of(table: Table, swims: Sequence[Segments], limbs: Sequence[str]) -> bool:
+    kind = table["class"]
+    if kind == "Cable":
+        taut = 0
+        for swim in swims:
+            x, y = (np.interp(swim.start_s, swim.time_s, swim.pose[:, axis]) for axis in range(2))
+            taut += int((np.hypot(x - table["x"], y - table["y"]) > table["length"]).sum())
+        return taut >= TAUT_LEAST
+    if kind not in ("Misfire", "Break", "SharedBattery"):
+        return True
+    fired = _fired(swims, limbs.index(table["limb"]))
+    count = sum(map(len, fired))
+    if kind == "Misfire":
+        return count >= FIRED_LEAST
+    if kind == "Break":
+        late = sum(at >= float(table["at"]) for run in fired for at in run)
+        return bool(EACH_SIDE <= late <= count - EACH_SIDE)
+    others = _fired(swims, limbs.index(table["other"]))
+    beside = [np.abs(np.subtract.outer(*pair)) < table["within"] for pair in zip(fired, others, strict=True)]
+    return all(
+        EACH_SIDE
+        <= sum(int(pairs.any(axis=axis).sum()) for pairs in beside)
+        <= sum(map(len, runs)) - EACH_SIDE
+        for axis, runs in ((1, fired), (0, others))
+    )
+
+
+def _fired(swims: Sequence[Segments], limb: int) -> list[list[float]]:
+    return [[at for at, which in swim.strokes if which == limb] for swim in swims]
 
 
 @dataclass(frozen=True)

@@ -55,7 +55,7 @@ from frogkick_studies.draws import Table
 from frogkick_studies.judged import Result, judged
 from frogkick_studies.kept import Lines
 from frogkick_studies.planted import LAWS, NULL, ONE, OUTSIDE, OUTSIDE_FILE, OUTSIDE_TEXT, TWO, Kind, kinds
-from frogkick_studies.planted_laws import LAWS_FILE, LAWS_TEXT
+from frogkick_studies.planted_laws import LAWS_FILE, LAWS_TEXT, enough_of
 
 LEAST = {NULL: 0.95, ONE: 0.95, TWO: 0.95, OUTSIDE: 0.95, LAWS: 0.8}
 """Share of the cases of a group that must be right."""
@@ -67,7 +67,8 @@ GONE, LEAST_GONE = 0.7, 0.85
 """With laws so much of the way from the error before to the floor must be gone, in so many cases."""
 
 OVER_FLOOR = (2.0, 20.0)
-"""Laws are drawn again until the nominal model misses the test run by so many floors, in position."""
+"""Laws are drawn again until the nominal model misses the test run by so many floors, in position, and the
+runs to learn from hold enough of them."""
 
 DRAWS_MOST = 40
 """The draw after so many others is taken as it is."""
@@ -195,13 +196,16 @@ def _drawn(
 ) -> tuple[list[Table], list[Segments], list[Segments], int]:
     """A world of a kind, its runs to learn from and to test, and how often it was drawn."""
     learned = [*TRAIN, *MORE.get(kind.group, ())]
+    names = [limb.name for limb in ready.robot.limbs]
     for draws in range(1, DRAWS_MOST + 1):
         planted = kind.draw(rng)
         try:
             every = swims_of(ready, planted, case.seed, [*learned, *TEST])
             train, test = every[: len(learned)], every[len(learned) :]
             low, high = OVER_FLOOR
-            if kind.group != LAWS or low <= over_floor(train, test, ready.robot) <= high:
+            if kind.group != LAWS:
+                break
+            if enough_of(planted, train, names) and low <= over_floor(train, test, ready.robot) <= high:
                 break
         except FrogkickError:  # such as a robot that is pulled out of the camera's sight
             if kind.group != LAWS or draws == DRAWS_MOST:

@@ -83,7 +83,7 @@ LawsOption = Annotated[
     bool,
     typer.Option(
         help="If the catalogue leaves more than noise, search formulas as well: springs, sloshing, "
-        "limbs that break or depend on the heading. This takes some minutes more."
+        "limbs that break or depend on the heading. With --no-laws the search ends with the catalogue."
     ),
 ]
 NominalOption = Annotated[

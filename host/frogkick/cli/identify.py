@@ -87,7 +87,7 @@ def command(
             "--no-measured the fits start from the same effects at nominal values."
         ),
     ] = True,
-    laws: LawsOption = False,
+    laws: LawsOption = True,
     json: JsonOption = False,
 ) -> None:
     """Identify the physical effects that a robot's model lacks. The exit code is 0 for any verdict."""

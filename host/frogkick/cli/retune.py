@@ -67,7 +67,7 @@ def command(
         ),
     ] = None,
     key: KeyOption = None,
-    laws: LawsOption = False,
+    laws: LawsOption = True,
     seed: SeedOption = 0,
     json: JsonOption = False,
 ) -> None:

@@ -177,7 +177,7 @@ def identify(
     robot: Robot | str | None = None,
     effects: Path | str | None = None,
     measured: bool = True,
-    laws: bool = False,
+    laws: bool = True,
     progress: bool = False,
 ) -> Identification:
     """Identify the physical effects that a robot's model lacks, and predict test runs with and without them.
@@ -188,7 +188,7 @@ def identify(
         robot: the nominal robot, its name or its TOML file; None: the robot of the runs.
         effects: a Python file with your own effects, which are tried as well.
         measured: fits of many effects may start from built-in robots that were calibrated before.
-        laws: if the catalogue leaves more than noise, search formulas as well (minutes more). A formula that
+        laws: if the catalogue leaves more than noise, search formulas as well (a minute or two). A formula that
             is found has ``options["law"]``, and the verdict may be ``found: law``.
         progress: True for bars on stderr.
 

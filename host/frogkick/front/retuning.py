@@ -107,7 +107,7 @@ def retune(
     seed: int = 0,
     left_out: LeftOut = lambda _rows: None,
     progress: Progress = False,
-    laws: bool = False,
+    laws: bool = True,
 ) -> Retuning:
     """Identify what a model lacks, make tables with it, and keep them if they predict better.
 

@@ -24,11 +24,11 @@ from frogkick.identification.fit import (
     residuals_of,
     rollouts_of,
 )
+from frogkick.identification.held_out import held_out_gain
 from frogkick.identification.refine import Refiner
 from frogkick.identification.search import (
     Found,
     _ForwardSelection,
-    _held_out_gain,
     folds_of,
     nominal_fit,
     search,
@@ -211,7 +211,7 @@ def test_held_out_gains_are_those_of_fits_that_never_saw_the_fold(worn: list[Seg
     start = Model(robot(), (term(title),), NOISE)
     (current,) = derivatives([replace(start, terms=())], worn, rows)
     (fitted,) = fit_many([start], worn, rows, 4)
-    shown = _held_out_gain(current, fitted, folds, 0)[0]
+    shown = held_out_gain(current, fitted, folds, 0)[0]
     places, falls = np.flatnonzero(rows), []
     for label in np.unique(folds):
         seen, left = np.zeros_like(rows), np.zeros_like(rows)

@@ -188,7 +188,7 @@ def identify(
         robot: the nominal robot, its name or its TOML file; None: the robot of the runs.
         effects: a Python file with your own effects, which are tried as well.
         measured: fits of many effects may start from built-in robots that were calibrated before.
-        laws: if the catalogue leaves more than noise, search formulas as well (a minute or two). A formula that
+        laws: if the catalogue leaves more than noise, search formulas as well (a minute more). A formula that
             is found has ``options["law"]``, and the verdict may be ``found: law``.
         progress: True for bars on stderr.
 

@@ -30,10 +30,10 @@ from frogkick.identification.fit import (
     fit_on,
     reestimated_noise,
     refresh_jacobian,
-    residuals_of,
     rollouts_of,
     step_bounds,
 )
+from frogkick.identification.held_out import bent_gain, held_out_gain
 from frogkick.identification.laws import Laws
 from frogkick.identification.penalty import (
     CONFOUNDED_MARGIN,
@@ -53,12 +53,7 @@ from frogkick.identification.refine import (
 )
 from frogkick.identification.screening import Column, sensitivities
 from frogkick.identification.segments import Segments, replicate_count
-from frogkick.identification.steps import (
-    cross_fitted,
-    deviance_of,
-    held_out_density,
-    linearised_optimum,
-)
+from frogkick.identification.steps import linearised_optimum
 from frogkick.identification.terms import Term
 from frogkick.robot import Robot
 
@@ -304,15 +299,16 @@ class _ForwardSelection:
         scored: list[tuple[float, Fitted]] = []
         for candidate, fitted in zip(picked, fits, strict=True):
             gain = current.deviance - fitted.deviance
-            fall = _held_out_gain(current, fitted, self.folds, known)
+            fall = held_out_gain(current, fitted, self.folds, known)
             score = gain / self.replicate_count - PARAMETER_PENALTY * (
                 len(candidate.values) - len(candidate.fixed)
             )
             # The gain of what acts in few periods varies from period to period, as of a limb that seldom
             # fires.
             sure = 1.0 if score > DECISIVE_GAIN else 2.0
-            if score > max(least, DECISIVE_GAIN) and fall[0] <= max(HELD_OUT_GAIN_MIN, fall[1]):
-                fitted, fall = self.bent_gain(current, fitted, known)
+            law = candidate.column.term.name == "law"
+            if law and score > max(least, DECISIVE_GAIN) and fall[0] <= max(HELD_OUT_GAIN_MIN, fall[1]):
+                fitted, fall = bent_gain(current, fitted, self.swims, self.rows, self.folds, known)
                 gain = current.deviance - fitted.deviance
             good = score > least and fall[0] > max(HELD_OUT_GAIN_MIN, sure * fall[1])
             tried.append(CandidateScore(candidate.column.term.title, gain, fall[0], True))
@@ -365,31 +361,6 @@ class _ForwardSelection:
         ]
         confounded.sort(key=lambda each: (each.model.terms[-1].name == "law", len(each.model.values)))
         return confounded[0], [each.model.terms[-1] for each in confounded[1:]]
-
-    def bent_gain(self, current: Fitted, fitted: Fitted, known: int) -> tuple[Fitted, tuple[float, float]]:
-        """A candidate fitted further, and ``_held_out_gain`` of it with each fold's fit simulated.
-
-        Where a cable is taut, or a patch ends, bends with the place; derivatives tell little of a fit
-        without a fold.
-        """
-        (fitted,) = fit_on([fitted], self.swims, self.rows, STEPS_MAX, known)
-        numbers, falls = np.flatnonzero(self.rows), np.zeros(len(self.folds))
-        low, high = step_bounds(current.model)
-        plain = cross_fitted(
-            current.residuals, current.jacobian, low, high, np.full(len(low), 1e-9), self.folds
-        )
-        for label in np.unique(self.folds):
-            test = self.folds == label
-            some = self.rows.copy()
-            some[numbers[test]] = False
-            start = replace(
-                fitted, residuals=fitted.residuals[~test], jacobian=fitted.jacobian[~test],
-                deviance=deviance_of(fitted.residuals[~test]),
-            )  # fmt: skip
-            (less,) = fit_on([start], self.swims, some, 2, known)
-            every = residuals_of(less.rollouts, self.rows)
-            falls[test] = 2.0 * (held_out_density(every, test) - plain[test])
-        return fitted, (float(falls.mean()), float(falls.std() / np.sqrt(len(falls))))
 
     def relocated(self, current: Fitted, refiner: Refiner, tell: Callable[[str], None]) -> Fitted:
         """The model with each earlier law where it is best beside the effects that came later.
@@ -456,19 +427,3 @@ class _ForwardSelection:
         gain = current.deviance - deviance
         score = gain / self.replicate_count - PARAMETER_PENALTY * (len(start) - len(fixed))
         return _Screened(column, gain, score, start + step[known:], fixed)
-
-
-def _held_out_gain(
-    current: Fitted, fitted: Fitted, folds: NDArray[np.int64], known: int
-) -> tuple[float, float]:
-    """Mean gain of a fitted candidate on a held-out period over the model before it, and its standard error.
-
-    In twice the log density, cross-validated: the fold had no part in parameters and scale.
-    """
-    low, high = step_bounds(fitted.model)
-    scores = [
-        cross_fitted(one.residuals, one.jacobian, lows, highs, np.full(len(lows), 1e-9), folds)
-        for one, lows, highs in ((current, low[:known], high[:known]), (fitted, low, high))
-    ]
-    falls = 2.0 * (scores[1] - scores[0])
-    return float(falls.mean()), float(falls.std() / np.sqrt(len(falls)))

@@ -215,7 +215,7 @@ class Verdicts(Config):
         list[str] | None, Option(help="Kinds of effect to put in; may be repeated; default: all.")
     ] = None
     laws: Annotated[
-        bool, Option(help="Search laws in all groups, as identify --laws does; else only in the last one.")
+        bool, Option(help="Search laws in all groups, as identify does; else only in the last one.")
     ] = False
     tables: Path | None = None
     workers: int = 1

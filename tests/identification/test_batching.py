@@ -16,7 +16,7 @@ from made import make_swim, robot
 from frogkick.core.errors import InputError
 from frogkick.effects import make_effects
 from frogkick.identification import batching, predict
-from frogkick.identification.batching import cpu_s, run_concurrently
+from frogkick.identification.batching import all_of, cpu_s, run_concurrently
 from frogkick.identification.filter import Noise
 from frogkick.identification.fit import LEG_S, Model, rollouts_of
 from frogkick.identification.predict import Lane, Rollout
@@ -134,6 +134,32 @@ def test_work_that_waits_for_a_thread_is_done_too(swim: Segments) -> None:
     found = sorted(run_concurrently([partial(once, gain) for gain in gains], threads_max=2))
     assert [index for index, _ in found] == [0, 1, 2, 3, 4]
     assert len({residuals for _, residuals in found}) == len(gains)
+
+
+def test_a_thread_may_run_others(swim: Segments, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Fits that do not need each other, within identifications that run side by side."""
+    request = list[int]()
+
+    def counted(lanes: list[Lane]) -> list[Rollout]:
+        request.append(len(lanes))
+        return roll_out(lanes)
+
+    roll_out = predict.roll_out
+    monkeypatch.setattr(predict, "roll_out", counted)
+
+    def pair(gain: float) -> list[list[Rollout]]:
+        begun_s = cpu_s()
+        found = all_of([partial(twice, swim, gain), partial(twice, swim, gain + 0.1)])
+        assert cpu_s() > begun_s, "what the inner threads spent counts"
+        return found
+
+    found = dict(run_concurrently([partial(pair, gain) for gain in (0.6, 0.8)]))
+    assert request == [4, 4], "all that wait are followed together"
+    monkeypatch.undo()
+    for index, gain in enumerate((0.6, 0.8)):
+        for inner, more in enumerate((0.0, 0.1)):
+            for together, alone in zip(found[index][inner], twice(swim, gain + more), strict=True):
+                assert np.array_equal(together.residuals, alone.residuals, equal_nan=True)
 
 
 def test_what_a_piece_raises_is_raised_and_ends_the_others(swim: Segments) -> None:

@@ -77,6 +77,7 @@ class ActingLanes:
         self._rngs = list(rngs)
         self._flows = [effect for effect in effects if _overrides(effect, "flow")]
         self._wrenches = [effect for effect in effects if _overrides(effect, "wrench")]
+        self._uniform = all(effect.uniform for effect in self._flows)
         self.leg_s = leg_s if self._flows or self._wrenches else math.inf
         self.asks_body = any(effect.asks_body for effect in effects)
 
@@ -168,23 +169,28 @@ class ActingLanes:
         if not (self._flows or self._wrenches):
             return STILL
         centre = np.asarray(pose[:2], dtype=np.float64)
+        flow, push = self._flow(time_s, centre), self._push(time_s, body, pose, velocity)
+        if self._uniform:
+            return Water(flow, ((0.0, 0.0), (0.0, 0.0)), (push[0], push[1]), push[2])
         right, up = np.array([_APART_M, 0.0]), np.array([0.0, _APART_M])
-        flow = self._flow(time_s, centre)
-        along_x = (self._flow(time_s, centre + right) - self._flow(time_s, centre - right)) / (2 * _APART_M)
-        along_y = (self._flow(time_s, centre + up) - self._flow(time_s, centre - up)) / (2 * _APART_M)
-        push = self._push(time_s, body, pose, velocity)
-        return Water(
-            (float(flow[0]), float(flow[1])),
-            ((float(along_x[0]), float(along_y[0])), (float(along_x[1]), float(along_y[1]))),
-            (push[0], push[1]),
-            push[2],
+        along_x, along_y = (
+            [
+                (ahead - behind) / (2 * _APART_M)
+                for ahead, behind in zip(
+                    self._flow(time_s, centre + side), self._flow(time_s, centre - side), strict=True
+                )
+            ]
+            for side in (right, up)
         )
+        gradient = ((along_x[0], along_y[0]), (along_x[1], along_y[1]))
+        return Water(flow, gradient, (push[0], push[1]), push[2])
 
-    def _flow(self, time_s: float, position_m: FloatArray) -> FloatArray:
-        total = np.zeros(2)
+    def _flow(self, time_s: float, position_m: FloatArray) -> tuple[float, float]:
+        x, y = 0.0, 0.0
         for effect in self._flows:
-            total += _numbers(effect, "flow", effect.flow(time_s, position_m), 2)
-        return total
+            more_x, more_y = _numbers(effect, "flow", effect.flow(time_s, position_m), 2)
+            x, y = x + more_x, y + more_y
+        return x, y
 
     def _push(
         self, time_s: float, body: Batch | Swimmer, pose: FloatArray, velocity: FloatArray
@@ -193,11 +199,12 @@ class ActingLanes:
         if not self._wrenches:
             return (0.0, 0.0, 0.0)
         seen, heading = body_at(time_s, pose, velocity), float(pose[2])
-        total = np.zeros(3)
+        forward, left, torque = 0.0, 0.0, 0.0
         for effect in self._wrenches:
-            total += _numbers(effect, "wrench", effect.wrench(time_s, seen), 3)
-        force_x, force_y = rotate(heading, float(total[0]), float(total[1]))
-        return force_x / body.mass_kg, force_y / body.mass_kg, float(total[2]) / body.inertia_kg_m2
+            along, aside, turn = _numbers(effect, "wrench", effect.wrench(time_s, seen), 3)
+            forward, left, torque = forward + along, left + aside, torque + turn
+        force_x, force_y = rotate(heading, forward, left)
+        return force_x / body.mass_kg, force_y / body.mass_kg, torque / body.inertia_kg_m2
 
 
 class Acting:
@@ -260,12 +267,16 @@ def _overrides(effect: Effect, hook: str) -> bool:
     return getattr(type(effect), hook) is not getattr(Effect, hook)
 
 
-def _numbers(effect: Effect, hook: str, given: object, count: int) -> FloatArray:
-    """Return a user's result as a flat array; (fx, fy, torque) and ((fx, fy), torque) are equal."""
+def _numbers(effect: Effect, hook: str, given: object, count: int) -> Sequence[float]:
+    """Return an effect's result as numbers; (fx, fy, torque) and ((fx, fy), torque) are equal."""
+    if isinstance(given, tuple | list) and len(given) == count:
+        plain: Sequence[float] = given
+        if all(type(value) is float and math.isfinite(value) for value in plain):
+            return plain
     try:
         flat = np.concatenate([np.ravel(np.asarray(part, dtype=np.float64)) for part in given])  # type: ignore[attr-defined]
     except (TypeError, ValueError):
         flat = np.empty(0)
     if flat.shape != (count,) or not np.isfinite(flat).all():
         raise InputError(f"effect {effect.title!r}: {hook} gave {given!r}, needed are {count} finite numbers")
-    return flat
+    return [float(value) for value in flat]

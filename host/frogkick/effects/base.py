@@ -161,6 +161,11 @@ class Effect:
             setattr(self, option, value)
 
     @property
+    def uniform(self) -> bool:
+        """Whether its flow is the same everywhere; it is then asked at one place only."""
+        return False
+
+    @property
     def asks_body(self) -> bool:
         """Whether strokes depend on the robot's pose and velocity, so that ``Stroke.body`` is needed."""
         return False

@@ -147,6 +147,10 @@ class Law(Effect):
         return {"name": "law", **named, "on": self.on, **limb, **self._texts, "parameters": declared}
 
     @property
+    def uniform(self) -> bool:
+        return not (self._uses("x_m") or self._uses("y_m"))
+
+    @property
     def asks_body(self) -> bool:
         return self.on == "stroke" and any(self._uses(name) for name in _BODY if name != "time_s")
 

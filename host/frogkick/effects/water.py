@@ -28,6 +28,10 @@ class SteadyCurrent(Effect):
     x_mps: float
     y_mps: float
 
+    @property
+    def uniform(self) -> bool:
+        return True
+
     def flow(self, time_s: float, position_world_m: FloatArray) -> Sequence[float]:
         return (self.x_mps, self.y_mps)
 

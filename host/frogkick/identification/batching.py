@@ -4,8 +4,9 @@ A lane's result depends on no other lane, to the last bit. So a request of more 
 cut in parts, one for each processor.
 
 An identification mostly simulates a few runs at a time, and idle lanes of a batch cost as much as busy ones.
-Where there are several identifications, they run concurrently, each in its own thread. When all of them wait
-for a simulation, their requests are rolled out together. Each ends with what it would end with alone.
+Where there are several identifications, or several fits that do not need each other, they run concurrently,
+each in its own thread. When all of them wait for a simulation, their requests are rolled out together. Each
+ends with what it would end with alone. A thread may run others itself.
 """
 
 from __future__ import annotations
@@ -91,6 +92,14 @@ def cpu_s() -> float:
     return time.thread_time() + (0.0 if request is None else request.shared_s)
 
 
+def all_of(work: Sequence[Callable[[], Result]]) -> list[Result]:
+    """Results of pieces of work that ran concurrently, in their order."""
+    if len(work) < 2:
+        return [piece() for piece in work]
+    done = dict(run_concurrently(work))
+    return [done[index] for index in range(len(work))]
+
+
 def run_concurrently(
     work: Sequence[Callable[[], Result]], threads_max: int = THREADS_MAX
 ) -> Iterator[tuple[int, Result]]:
@@ -115,6 +124,8 @@ def run_concurrently(
         rendezvous.end()
         for thread in threads:
             thread.join()
+        if (request := _REQUEST.get()) is not None:
+            request.shared_s += rendezvous.own_s
 
 
 class _Ended(BaseException):
@@ -138,10 +149,12 @@ class _Rendezvous:
     Attributes:
         work: pieces that are not begun.
         busy: number of threads that neither wait nor have ended.
+        own_s: processor time of the threads that have ended, without simulations.
     """
 
     work: list[tuple[int, Callable[[], object]]]
     busy: int = 0
+    own_s: float = 0.0
     _waiting: list[_Request] = field(default_factory=list)
     _done: list[tuple[int, object]] = field(default_factory=list)
     _error: BaseException | None = None
@@ -168,6 +181,7 @@ class _Rendezvous:
             self._error = error
         finally:
             with self._change:
+                self.own_s += time.thread_time()
                 self.busy -= 1
                 self._change.notify_all()
 
@@ -206,9 +220,9 @@ class _Rendezvous:
 
     def _follow_all(self, waiting: Sequence[_Request]) -> None:
         lanes = [lane for request in waiting for lane in request.lanes]
-        begun_s = time.thread_time()
+        begun_s = cpu_s()
         try:
-            rollouts = predict.roll_out(lanes)
+            rollouts = roll_out(lanes)
             first = 0
             for request in waiting:
                 request.rollouts = rollouts[first : first + len(request.lanes)]
@@ -216,10 +230,10 @@ class _Rendezvous:
         except Exception:  # rolling out each request alone shows whose fault it was
             for request in waiting:
                 try:
-                    request.rollouts = predict.roll_out(request.lanes)
+                    request.rollouts = roll_out(request.lanes)
                 except Exception as error:
                     request.error = error
-        spent_s = time.thread_time() - begun_s
+        spent_s = cpu_s() - begun_s
         for request in waiting:
             request.shared_s += spent_s * len(request.lanes) / max(len(lanes), 1)
         with self._change:

@@ -227,6 +227,10 @@ STALE_GAIN = 4.0
 had been the last."""
 
 
+SMALL_SHARE = 0.25
+"""A step is not simulated if it is predicted to gain less than this share of the fall that ends a fit."""
+
+
 def evaluate(
     models: Sequence[Model],
     jacobians: Sequence[FloatArray],
@@ -278,7 +282,13 @@ def refresh_jacobian(
     return found
 
 
-def fit(model: Model, swims: Sequence[Segments], rows: NDArray[np.bool_], steps_max: int = 6) -> Fitted:
+def fit(
+    model: Model,
+    swims: Sequence[Segments],
+    rows: NDArray[np.bool_],
+    steps_max: int = 6,
+    tolerance: float = CONVERGED,
+) -> Fitted:
     """Fit all free parameters of a model's terms to runs, at its noise.
 
     Args:
@@ -286,8 +296,9 @@ def fit(model: Model, swims: Sequence[Segments], rows: NDArray[np.bool_], steps_
         swims: the runs.
         rows: periods that are used.
         steps_max: steps at most.
+        tolerance: a fall of the deviance that ends a fit.
     """
-    return fit_many([model], swims, rows, steps_max)[0]
+    return fit_many([model], swims, rows, steps_max, tolerance=tolerance)[0]
 
 
 def fit_many(
@@ -329,6 +340,11 @@ def fit_on(
         if not going:
             break
         tries = [_damped_step(best[k], failed[k]) for k in going]
+        for k, (_, deviance) in zip(list(going), list(tries), strict=True):
+            if best[k].fresh and best[k].deviance - deviance < SMALL_SHARE * tolerance:
+                failed[k] = len(DAMPINGS)  # converged
+        tries = [tried for k, tried in zip(going, tries, strict=True) if failed[k] < len(DAMPINGS)]
+        going = [k for k in going if failed[k] < len(DAMPINGS)]
         jacobians = [best[k].jacobian for k in going]
         stale = []
         ends = evaluate([model for model, _ in tries], jacobians, swims, rows)

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
+from frogkick.identification.batching import all_of
 from frogkick.identification.fit import Fitted, fit_on, residuals_of, step_bounds
 from frogkick.identification.refine import STEPS_MAX
 from frogkick.identification.segments import Segments
@@ -50,16 +52,19 @@ def bent_gain(
         swims, rows: the runs, and which of their periods count.
     """
     (fitted,) = fit_on([fitted], swims, rows, STEPS_MAX, known)
-    numbers, falls = np.flatnonzero(rows), np.zeros(len(folds))
+    numbers, falls, labels = np.flatnonzero(rows), np.zeros(len(folds)), np.unique(folds)
     low, high = step_bounds(current.model)
     plain = cross_fitted(current.residuals, current.jacobian, low, high, np.full(len(low), 1e-9), folds)
-    for label in np.unique(folds):
-        test = folds == label
-        some = rows.copy()
-        some[numbers[test]] = False
-        left, seen = fitted.residuals[~test], fitted.jacobian[~test]
+
+    def residuals_without(label: int) -> FloatArray:
+        kept, some = folds != label, rows.copy()
+        some[numbers[~kept]] = False
+        left, seen = fitted.residuals[kept], fitted.jacobian[kept]
         start = replace(fitted, residuals=left, jacobian=seen, deviance=deviance_of(left))
         (less,) = fit_on([start], swims, some, 2, known)
-        every = residuals_of(less.rollouts, rows)
+        return residuals_of(less.rollouts, rows)
+
+    for label, every in zip(labels, all_of([partial(residuals_without, k) for k in labels]), strict=True):
+        test = folds == label
         falls[test] = 2.0 * (held_out_density(every, test) - plain[test])
     return fitted, (float(falls.mean()), float(falls.std() / np.sqrt(len(falls))))

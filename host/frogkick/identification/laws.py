@@ -66,6 +66,8 @@ class Laws:
         self._bins: list[tuple[Kind, FloatArray, FloatArray]] = []
         end_s = float(max(swim.end_s[-1] for swim in swims if len(swim.end_s)))
         bin_s = max(BIN_S, end_s / BINS_MOST)
+        strokes = np.unique(np.round([at for swim in swims for at, _ in swim.strokes], 1))
+        self._between_strokes = (0.5 * (strokes[1:] + strokes[:-1])).tolist()
         middles = np.arange(0.5 * bin_s, end_s, bin_s)
         alone = {"cycle": 10.0 * end_s, "share": 0.1 * bin_s / end_s}
         kinds = kinds_of(robot, swims)
@@ -132,6 +134,11 @@ class Laws:
                 Column(kind.term(shape), np.concatenate([self.columns(kind, shape), unknown], axis=2))
             )
         return found
+
+    def moments(self, title: str) -> list[float]:
+        """Every moment (s) that a law could act from on, one between two strokes; none for other laws."""
+        dated = any(kind.named == title and "at" in kind.shapes for kind, _, _ in self._grids)
+        return self._between_strokes if dated else []
 
     def _refined(self, kind: Kind, shape: Mapping[str, float], whole: _Beside) -> Mapping[str, float]:
         """The shape near the best of a grid that gains most, within its bounds."""

@@ -12,9 +12,20 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from frogkick.identification.fit import Model, coarsened, difference_steps, residuals_of, rollouts_of
+from frogkick.identification.fit import (
+    Fitted,
+    Model,
+    coarsened,
+    difference_steps,
+    residuals_of,
+    rollouts_of,
+    step_bounds,
+)
+from frogkick.identification.penalty import PARAMETER_PENALTY
 from frogkick.identification.probe import LinearSpan, Probes, changes, probes_of, spread_first
+from frogkick.identification.refine import RELEASE_PENALTY
 from frogkick.identification.segments import Segments
+from frogkick.identification.steps import linearised_optimum
 from frogkick.identification.terms import Term
 from frogkick.robot import Robot
 
@@ -22,6 +33,9 @@ FloatArray = NDArray[np.float64]
 
 COARSE_LEG_S, COARSE_STEP_S = 0.18, 2.4e-3
 """How often flows and wrenches are evaluated while candidates are only ranked, and the finest step then."""
+
+FIXED_SHARE = 0.05
+"""A parameter is fixed if it gains less than this share of its effect's predicted gain."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,3 +165,61 @@ def _starts(term: Term, insensitive: NDArray[np.bool_], swims: Sequence[Segments
             values[k] = low + share * (high - low) if even else low * (high / low) ** share
         starts.append(term.at(values))
     return starts
+
+
+@dataclass(frozen=True, eq=False)
+class Screened:
+    """A screened candidate at one start: the gain that its derivatives predict.
+
+    Attributes:
+        gain: predicted fall of the deviance.
+        score: gain minus the penalty of the free parameters.
+        values: of all its parameters.
+        fixed: which of them stay at the values where the effect vanishes.
+    """
+
+    column: Column
+    gain: float
+    score: float
+    values: FloatArray
+    fixed: frozenset[int]
+
+
+def screened(current: Fitted, column: Column, replicate_count: int) -> Screened:
+    """Screen one candidate beside a model, with as few free parameters as do nearly as well.
+
+    Args:
+        current: the model.
+        column: the candidate, with its derivatives.
+        replicate_count: runs that are replicates with the same noise: their gain counts once.
+    """
+    term, known = column.term, current.jacobian.shape[2]
+    start = np.array(term.values)
+    low = np.array([p.low for p in term.parameters]) - start
+    high = np.array([p.high for p in term.parameters]) - start
+    down, up = step_bounds(current.model)
+    both = np.concatenate([current.jacobian, column.jacobian], axis=2)
+    damping = np.append(np.full(known, 1e-12), 1e-6 * current.residuals.size / (high - low) ** 2)
+
+    def solve(fixed: frozenset[int]) -> tuple[FloatArray, float]:
+        free = np.array([k not in fixed for k in range(len(start))])
+        lows, highs = np.append(down, low * free), np.append(up, high * free)
+        return linearised_optimum(current.residuals, both, lows, highs, damping)
+
+    insensitive = [k for k in range(len(start)) if not column.jacobian[:, :, k].any()]
+    fixed = frozenset(k for k in insensitive if start[k] == term.parameters[k].nominal)
+    step, deviance = solve(fixed)
+    for _ in range(len(start) - len(fixed) - 1):
+        fewer = [fixed | {k} for k in range(len(start)) if k not in fixed and k not in insensitive]
+        if len(fewer) < 2:
+            break
+        solved = [(*solve(each), each) for each in fewer]
+        lighter, dearer, chosen = min(solved, key=lambda row: row[1])
+        # Where much is gained, derivatives err by more than RELEASE_PENALTY; what is fixed too soon is
+        # released later.
+        if dearer > deviance + max(RELEASE_PENALTY, FIXED_SHARE * (current.deviance - deviance)):
+            break
+        step, deviance, fixed = lighter, dearer, chosen
+    gain = current.deviance - deviance
+    score = gain / replicate_count - PARAMETER_PENALTY * (len(start) - len(fixed))
+    return Screened(column, gain, score, start + step[known:], fixed)

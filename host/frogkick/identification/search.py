@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from frogkick.core.errors import InputError
 from frogkick.core.progress import TellStage, silent
 from frogkick.identification.backward import resolve_equivalent, revise, with_term_at, without
+from frogkick.identification.batching import all_of
 from frogkick.identification.bootstrap import gain_by_chance
 from frogkick.identification.filter import Noise
 from frogkick.identification.fit import (
@@ -30,8 +31,8 @@ from frogkick.identification.fit import (
     fit_on,
     reestimated_noise,
     refresh_jacobian,
+    residuals_of,
     rollouts_of,
-    step_bounds,
 )
 from frogkick.identification.held_out import bent_gain, held_out_gain
 from frogkick.identification.laws import Laws
@@ -45,15 +46,14 @@ from frogkick.identification.refine import (
     NOISE_OF_MISFIT,
     REFINING_LEG_S,
     REFIT_MARGIN,
-    RELEASE_PENALTY,
     STEPS_MAX,
     Refiner,
     best_noise,
     fine_leg_s,
 )
-from frogkick.identification.screening import Column, sensitivities
+from frogkick.identification.screening import Column, Screened, screened, sensitivities
 from frogkick.identification.segments import Segments, replicate_count
-from frogkick.identification.steps import linearised_optimum
+from frogkick.identification.steps import deviance_of
 from frogkick.identification.terms import Term
 from frogkick.robot import Robot
 
@@ -87,12 +87,12 @@ HELD_OUT_GAIN_MIN = 1.0
 
 FOLDS_MIN = 4
 
-FIXED_SHARE = 0.05
-"""A parameter is fixed if it gains less than this share of its effect's predicted gain."""
-
 REFINING_STEPS_MAX, REFINING_CONVERGED = 5, 4.0
 """Steps of the fits of the best candidates at most, and the fall of the deviance that ends them: after two
 steps a rival that fits as well may seem much worse."""
+
+COMPARED = 2.0
+"""The fall of the deviance that ends fits which are compared by CONFOUNDED_MARGIN, and refined later."""
 
 
 @dataclass(frozen=True)
@@ -242,24 +242,6 @@ def _left(nominal: Fitted, fitted: Fitted) -> float:
 
 
 @dataclass(frozen=True, eq=False)
-class _Screened:
-    """A screened candidate at one start: the gain that its derivatives predict.
-
-    Attributes:
-        gain: predicted fall of the deviance.
-        score: gain minus the penalty of the free parameters.
-        values: of all its parameters.
-        fixed: which of them stay at the values where the effect vanishes.
-    """
-
-    column: Column
-    gain: float
-    score: float
-    values: FloatArray
-    fixed: frozenset[int]
-
-
-@dataclass(frozen=True, eq=False)
 class _ForwardSelection:
     swims: Sequence[Segments]
     rows: NDArray[np.bool_]
@@ -273,10 +255,10 @@ class _ForwardSelection:
         self, current: Fitted, tell: Callable[[str], None]
     ) -> tuple[Fitted | None, list[CandidateScore], list[Fitted], list[Fitted]]:
         """The model with one more effect, or None; all scores; models nearly as good; all fitted models."""
-        screened = self.screen_all(current)
+        candidates = self.screen_all(current)
         least = max(EFFECT_PENALTY, self.chance_gain(current))
-        picked: list[_Screened] = []
-        for candidate in screened:
+        picked: list[Screened] = []
+        for candidate in candidates:
             if len(picked) == REFINED or candidate.score < EFFECT_PENALTY / 2.0:
                 break
             if picked and candidate.score < (1.0 - RIVAL_SHARE) * picked[0].score - EFFECT_PENALTY:
@@ -295,30 +277,15 @@ class _ForwardSelection:
             if starts
             else []
         )
-        tried: list[CandidateScore] = []
-        scored: list[tuple[float, Fitted]] = []
-        for candidate, fitted in zip(picked, fits, strict=True):
-            gain = current.deviance - fitted.deviance
-            fall = held_out_gain(current, fitted, self.folds, known)
-            score = gain / self.replicate_count - PARAMETER_PENALTY * (
-                len(candidate.values) - len(candidate.fixed)
-            )
-            # The gain of what acts in few periods varies from period to period, as of a limb that seldom
-            # fires.
-            sure = 1.0 if score > DECISIVE_GAIN else 2.0
-            law = candidate.column.term.name == "law"
-            if law and score > max(least, DECISIVE_GAIN) and fall[0] <= max(HELD_OUT_GAIN_MIN, fall[1]):
-                fitted, fall = bent_gain(current, fitted, self.swims, self.rows, self.folds, known)
-                gain = current.deviance - fitted.deviance
-            good = score > least and fall[0] > max(HELD_OUT_GAIN_MIN, sure * fall[1])
-            tried.append(CandidateScore(candidate.column.term.title, gain, fall[0], True))
-            if good:
-                scored.append((score, fitted))
+        judge = partial(self.judged, current, least)
+        judged = all_of([partial(judge, *pair) for pair in zip(picked, fits, strict=True)])
+        tried = [tried for _, _, tried in judged]
+        scored = [(score, fitted) for score, fitted, _ in judged if score > -np.inf]
         scored.sort(key=lambda row: -row[0])
         names = {each.title for each in tried}
         tried += [
             CandidateScore(candidate.column.term.title, candidate.gain, float("nan"), False)
-            for candidate in screened
+            for candidate in candidates
             if candidate.column.term.title not in names
         ]
         if not scored:
@@ -328,6 +295,26 @@ class _ForwardSelection:
             fitted for score, fitted in scored[1:] if score > best - max(REFIT_MARGIN, RIVAL_SHARE * best)
         ]
         return scored[0][1], tried, rivals, fits
+
+    def judged(
+        self, current: Fitted, least: float, candidate: Screened, fitted: Fitted
+    ) -> tuple[float, Fitted, CandidateScore]:
+        """The score of a fitted candidate (-inf where it is not good enough), its fit, and what to tell."""
+        known, penalty = (
+            len(current.model.values),
+            PARAMETER_PENALTY * (len(candidate.values) - len(candidate.fixed)),
+        )
+        fall = held_out_gain(current, fitted, self.folds, known)
+        score = (current.deviance - fitted.deviance) / self.replicate_count - penalty
+        law = candidate.column.term.name == "law"
+        if law and score > max(least, DECISIVE_GAIN) and fall[0] <= max(HELD_OUT_GAIN_MIN, fall[1]):
+            fitted, fall = bent_gain(current, fitted, self.swims, self.rows, self.folds, known)
+            score = (current.deviance - fitted.deviance) / self.replicate_count - penalty
+        # The gain of what acts in few periods varies from period to period, as of a limb that seldom fires.
+        sure = 1.0 if score > DECISIVE_GAIN else 2.0
+        good = score > least and fall[0] > max(HELD_OUT_GAIN_MIN, sure * fall[1])
+        tried = CandidateScore(candidate.column.term.title, current.deviance - fitted.deviance, fall[0], True)
+        return (score if good else -np.inf), fitted, tried
 
     def chance_gain(self, current: Fitted) -> float:
         """What the best candidate would gain by chance, if none were true."""
@@ -349,8 +336,12 @@ class _ForwardSelection:
         # As many steps as a refinement has: after two a rival that does as well may seem 20 worse. A second
         # start has the other terms as they are refined: the rival's own may be in a local minimum.
         beside = [with_term_at(taken.model, -1, each.model.terms[-1]) for each in rivals]
-        own = fit_on(baseline, self.swims, self.rows, STEPS_MAX)
-        near = fit_many(beside, self.swims, self.rows, STEPS_MAX)
+        own, near = all_of(
+            [
+                partial(fit_on, baseline, self.swims, self.rows, STEPS_MAX, tolerance=COMPARED),
+                partial(fit_many, beside, self.swims, self.rows, STEPS_MAX, tolerance=COMPARED),
+            ]
+        )
         every = [taken, *(min(pair, key=penalised_deviance) for pair in zip(own, near, strict=True))]
         every.sort(key=penalised_deviance)
         confounded = [
@@ -372,58 +363,74 @@ class _ForwardSelection:
         )
         if self.laws is None or all(own < misfit for own, misfit in noise):
             return current
-        for place in range(len(current.model.terms) - 1):
-            term = current.model.terms[place]
-            if term.name != "law":
-                continue
-            tell(f"moving {term.title}")
-            less = fit(without(current.model, place), self.swims, self.rows, steps_max=2)
-            for column in self.laws.best(less, term.title):
-                moved = term.at(self.screen(less, column).values)
-                start = with_term_at(current.model, place, moved)
-                fitted = fit(start, self.swims, self.rows, STEPS_MAX)
-                if penalised_deviance(fitted) < penalised_deviance(current) - CONFOUNDED_MARGIN:
-                    current = refiner.refined(fitted)
+        last, resting = len(current.model.terms) - 1, -1
+        for turn in range(2 * MOST):
+            places = [
+                place
+                for place, term in enumerate(current.model.terms)
+                if term.name == "law"
+                and place != resting
+                and (turn or place < last or (last and self.laws.moments(term.title)))
+            ]
+            if places:
+                tell(f"moving {', '.join(current.model.terms[place].title for place in places)}")
+            starts = [
+                (place, start)
+                for place, some in zip(
+                    places, all_of([partial(self.elsewhere, current, place) for place in places]), strict=True
+                )
+                for start in some
+            ]
+            fits = all_of(
+                [partial(fit, start, self.swims, self.rows, STEPS_MAX, COMPARED) for _, start in starts]
+            )
+            least = penalised_deviance(current) - CONFOUNDED_MARGIN
+            better = [
+                (penalised_deviance(fitted), place, fitted)
+                for (place, _), fitted in zip(starts, fits, strict=True)
+                if penalised_deviance(fitted) < least
+            ]
+            if not better:
+                break
+            # The others were placed beside a law that stood elsewhere.
+            _, resting, fitted = min(better, key=lambda row: row[0])
+            current = refiner.refined(fitted)
         return current
 
-    def screen_all(self, current: Fitted) -> list[_Screened]:
+    def elsewhere(self, current: Fitted, place: int) -> list[Model]:
+        """The model with the law in one place where it seems best beside the others."""
+        assert self.laws is not None
+        term = current.model.terms[place]
+        less = fit(without(current.model, place), self.swims, self.rows, steps_max=2)
+        moved = [
+            with_term_at(current.model, place, term.at(screened(less, column, self.replicate_count).values))
+            for column in self.laws.best(less, term.title)
+        ]
+        return [*moved, *self.moments(current, place)]
+
+    def moments(self, current: Fitted, place: int) -> list[Model]:
+        """The model with a law from a moment on at its best other moment, as simulated; none for other laws.
+
+        Derivatives cannot choose it where another law took up what the strokes between two moments lack.
+        """
+        term = current.model.terms[place]
+        moments = self.laws.moments(term.title) if self.laws else ()
+        own = dict(zip((p.name for p in term.parameters), term.values, strict=True))
+        models = [
+            with_term_at(current.model, place, term.at([*{**own, "at": at}.values()])) for at in moments
+        ]
+        if not models:
+            return []
+        deviances = [deviance_of(residuals_of(each, self.rows)) for each in rollouts_of(models, self.swims)]
+        return [models[int(np.argmin(deviances))]]
+
+    def screen_all(self, current: Fitted) -> list[Screened]:
         """Screen all candidates, best first."""
         taken = {term.title for term in current.model.terms}
         columns = [*self.columns, *(self.laws.best(current)[:LAWS] if self.laws else ())]
-        found = [self.screen(current, each) for each in columns if each.term.title not in taken]
+        found = [
+            screened(current, each, self.replicate_count) for each in columns if each.term.title not in taken
+        ]
         found.sort(key=lambda candidate: candidate.column.term.title)
         found.sort(key=lambda candidate: -candidate.score)
         return found
-
-    def screen(self, current: Fitted, column: Column) -> _Screened:
-        """Screen one candidate, with as few free parameters as do nearly as well."""
-        term, known = column.term, current.jacobian.shape[2]
-        start = np.array(term.values)
-        low = np.array([p.low for p in term.parameters]) - start
-        high = np.array([p.high for p in term.parameters]) - start
-        down, up = step_bounds(current.model)
-        both = np.concatenate([current.jacobian, column.jacobian], axis=2)
-        damping = np.append(np.full(known, 1e-12), 1e-6 * current.residuals.size / (high - low) ** 2)
-
-        def solve(fixed: frozenset[int]) -> tuple[FloatArray, float]:
-            free = np.array([k not in fixed for k in range(len(start))])
-            lows, highs = np.append(down, low * free), np.append(up, high * free)
-            return linearised_optimum(current.residuals, both, lows, highs, damping)
-
-        insensitive = [k for k in range(len(start)) if not column.jacobian[:, :, k].any()]
-        fixed = frozenset(k for k in insensitive if start[k] == term.parameters[k].nominal)
-        step, deviance = solve(fixed)
-        for _ in range(len(start) - len(fixed) - 1):
-            fewer = [fixed | {k} for k in range(len(start)) if k not in fixed and k not in insensitive]
-            if len(fewer) < 2:
-                break
-            solved = [(*solve(each), each) for each in fewer]
-            lighter, dearer, chosen = min(solved, key=lambda row: row[1])
-            # Where much is gained, derivatives err by more than RELEASE_PENALTY; what is fixed too soon is
-            # released later.
-            if dearer > deviance + max(RELEASE_PENALTY, FIXED_SHARE * (current.deviance - deviance)):
-                break
-            step, deviance, fixed = lighter, dearer, chosen
-        gain = current.deviance - deviance
-        score = gain / self.replicate_count - PARAMETER_PENALTY * (len(start) - len(fixed))
-        return _Screened(column, gain, score, start + step[known:], fixed)

@@ -38,6 +38,9 @@ TRIED = 4
 BIN_S, BINS_MOST = 0.2, 400
 """What acts at intervals is screened as a sum of what acts for so long, or longer where there were more."""
 
+MOMENTS_MOST = 48
+"""Moments that are simulated for a law that acts from one on."""
+
 BY_CHANCE = 24
 """Shapes of each kind that count in what the best of all gains by chance: their neighbours do much the
 same."""
@@ -67,7 +70,8 @@ class Laws:
         end_s = float(max(swim.end_s[-1] for swim in swims if len(swim.end_s)))
         bin_s = max(BIN_S, end_s / BINS_MOST)
         strokes = np.unique(np.round([at for swim in swims for at, _ in swim.strokes], 1))
-        self._between_strokes = (0.5 * (strokes[1:] + strokes[:-1])).tolist()
+        between = 0.5 * (strokes[1:] + strokes[:-1])
+        self._between_strokes = between[:: -(-len(between) // MOMENTS_MOST) or 1].tolist()
         middles = np.arange(0.5 * bin_s, end_s, bin_s)
         alone = {"cycle": 10.0 * end_s, "share": 0.1 * bin_s / end_s}
         kinds = kinds_of(robot, swims)
@@ -136,7 +140,10 @@ class Laws:
         return found
 
     def moments(self, title: str) -> list[float]:
-        """Every moment (s) that a law could act from on, one between two strokes; none for other laws."""
+        """Moments (s) that a law could act from on, one between two strokes; none for other laws.
+
+        Where strokes of several runs do not coincide there are more than MOMENTS_MOST: then each n-th one.
+        """
         dated = any(kind.named == title and "at" in kind.shapes for kind, _, _ in self._grids)
         return self._between_strokes if dated else []
 

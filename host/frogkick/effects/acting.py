@@ -279,4 +279,5 @@ def _numbers(effect: Effect, hook: str, given: object, count: int) -> Sequence[f
         flat = np.empty(0)
     if flat.shape != (count,) or not np.isfinite(flat).all():
         raise InputError(f"effect {effect.title!r}: {hook} gave {given!r}, needed are {count} finite numbers")
-    return [float(value) for value in flat]
+    numbers: list[float] = flat.tolist()
+    return numbers

@@ -226,7 +226,6 @@ STALE_GAIN = 4.0
 """Or where a step by the Jacobian of an earlier point still gains this much: with a good one the step before
 had been the last."""
 
-
 SMALL_SHARE = 0.25
 """A step is not simulated if it is predicted to gain less than this share of the fall that ends a fit."""
 
@@ -336,19 +335,17 @@ def fit_on(
     best = list(start_fits)
     failed = [0 if len(each.model.values) else len(DAMPINGS) for each in best]
     for turn in range(steps_max):
-        going = [k for k in range(len(best)) if failed[k] < len(DAMPINGS)]
-        if not going:
-            break
-        tries = [_damped_step(best[k], failed[k]) for k in going]
-        for k, (_, deviance) in zip(list(going), list(tries), strict=True):
+        tries = {k: _damped_step(each, failed[k]) for k, each in enumerate(best) if failed[k] < len(DAMPINGS)}
+        for k, (_, deviance) in list(tries.items()):
             if best[k].fresh and best[k].deviance - deviance < SMALL_SHARE * tolerance:
                 failed[k] = len(DAMPINGS)  # converged
-        tries = [tried for k, tried in zip(going, tries, strict=True) if failed[k] < len(DAMPINGS)]
-        going = [k for k in going if failed[k] < len(DAMPINGS)]
-        jacobians = [best[k].jacobian for k in going]
+                del tries[k]
+        if not tries:
+            break
+        jacobians = [best[k].jacobian for k in tries]
         stale = []
-        ends = evaluate([model for model, _ in tries], jacobians, swims, rows)
-        for k, (_, deviance), tried in zip(going, tries, ends, strict=True):
+        ends = evaluate([model for model, _ in tries.values()], jacobians, swims, rows)
+        for (k, (_, deviance)), tried in zip(tries.items(), ends, strict=True):
             gain, predicted, fresh = (
                 best[k].deviance - tried.deviance,
                 best[k].deviance - deviance,

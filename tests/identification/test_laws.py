@@ -231,7 +231,7 @@ LATE = {"late": {"value": 0.05, "unit": "s"}}
 
 
 def test_answers_add_up_to_what_a_simulation_says(folder: Path) -> None:
-    """A steady push, by pulses in thirds of periods; a worn limb, by one that is worn more."""
+    """A steady push, by pulses in thirds of periods; a worn limb, by one that is worn more; a broken one."""
     from frogkick.identification.fit import Model, residuals_of, rollouts_of
     from frogkick.identification.terms import catalogue
 
@@ -243,11 +243,16 @@ def test_answers_add_up_to_what_a_simulation_says(folder: Path) -> None:
     late = terms["fix_latency"].at([0.05])
     law = make_effects([{"name": "law", "on": "fix", "delay_s": "late", "parameters": LATE}], Path())[0]
     assert isinstance(law, Law)
-    weak = terms["limb_wear rear_left"].at([0.9, 0.0, 1.0])
+    weak, broken = (terms["limb_wear rear_left"].at([gain, 0.0, 1.0]) for gain in (0.9, 0.25))
+    breaks = make_effects(
+        [{"name": "law", "on": "stroke", "limb": "rear_left", "gain": "0.25", "parameters": {}}], Path()
+    )[0]
+    assert isinstance(breaks, Law)
     limb = [each.name for each in robot().limbs].index("rear_left")
     for term, told in (
         (push, 1e-3 * answers.wrench[:, :, :, 0].sum(axis=2)),
         (weak, -0.1 * answers.gain[:, :, limb]),
+        (broken, answers.to(breaks, {}, [each.name for each in robot().limbs])),
         (late, answers.to(law, {}, [each.name for each in robot().limbs])),
     ):
         moved = Model(robot(), (term,), model.noise)
@@ -259,7 +264,7 @@ def test_every_kind_is_a_law_that_a_robot_s_file_can_have() -> None:
     swims = [make_swim([], 1, 8)]
     kinds = kinds_of(robot(), swims)
     assert len({(kind.title, kind.table.get("limb")) for kind in kinds}) == len(kinds)
-    assert len(kinds) == 79, "explanation/identification.md says so"
+    assert len(kinds) == 80, "explanation/identification.md says so"
     for kind in kinds:
         term = kind.term(kind.grid[0])
         term.effect().check(robot())

@@ -33,6 +33,8 @@ LAWS: list[tuple[str, str, dict[str, float], str, str]] = [
      "how long ago front_right fired"),
     ("patch", "", {"drag": 1.0, "at_x": 0.0, "at_y": 0.1, "size": 0.3, "sharp": 2.0}, "place",
      "resists more, by 1 N s/m, up to about 0.30 m away"),
+    ("patch with an end", "", {"drag": 1.0, "at_x": 0.0, "at_y": 0.1, "size": 0.3, "sharp": 2.0}, "place",
+     "by 1 N s/m in its middle, less and less towards 0.30 m away"),
     ("sloshing", "", {"x_sine": 0.01, "y_sine": 0.004, "cycle": 6.0}, "time in cycles", "once in 6.00 s"),
     ("drag power", "", {"forward_drag": 1e-3, "left_drag": 1e-3, "power": 1.0, "speed": 0.03}, "speed",
      "with the power 1 of the speed"),

@@ -33,7 +33,9 @@ Values = Mapping[str, FloatArray | float]
 THIRDS = 3
 PUSHES = (1e-3, 1e-3, 2e-5)
 """Forward, left (N) and counter-clockwise (N m): small beside what a stroke does."""
-FLOW_MPS, GAIN = 2e-3, 0.15
+FLOW_MPS = 2e-3
+LOSSES = (0.15, 0.45, 0.75, 1.0)
+"""Losses of a stroke's gain whose answers are simulated: a limb that is much weaker pushes another way."""
 LEG_S = 0.12
 """How often pulses and flows are asked while answers are simulated."""
 BESIDE_S = 0.15
@@ -97,8 +99,7 @@ class Answers:
     Attributes:
         wrench: (n, 9, 3, 3) of each residual by force forward, left (N) and torque (N m) in each third.
         flow: (n, 9, 3, 2) by the water's velocity, world frame (m/s), in each third.
-        gain: (n, 9, l) by the gain of each limb's stroke.
-        idle: (n, 9, l) change of each residual where a limb does nothing.
+        lost: (n, 9, l, 4) change of each residual where a limb's gain is less by each of LOSSES.
         fix: (3 n, f) of each phase's residual by each fix's place, and by its heading; world frame, sparse.
         heading: (n,) at each period's start.
         bodies: the names that laws on wrenches and flows use -> (n, 3) their values.
@@ -109,14 +110,23 @@ class Answers:
 
     wrench: FloatArray
     flow: FloatArray
-    gain: FloatArray
-    idle: FloatArray
+    lost: FloatArray
     fix: tuple[Any, Any]
     heading: FloatArray
     bodies: Values
     strokes: Values
     fixes: Values
     rates: FloatArray
+
+    @property
+    def gain(self) -> FloatArray:
+        """(n, 9, l) derivative of each residual by the gain of each limb's stroke."""
+        return np.asarray(-self.lost[..., 0] / LOSSES[0])
+
+    @property
+    def idle(self) -> FloatArray:
+        """(n, 9, l) change of each residual where a limb does nothing."""
+        return self.lost[..., -1]
 
     def to(self, law: Law, parameters: Values, limbs: Sequence[str]) -> FloatArray:
         """(n, 9) the residuals' answer to a law.
@@ -143,10 +153,10 @@ class Answers:
             return np.asarray(np.einsum("nita,nta->ni", self.flow, flow))
         if law.on == "stroke":
             gain = law.over({**self.strokes, **parameters}).get("gain", np.array(1.0))
-            more = _finite(gain - 1.0, *self.gain.shape[::2])
             mine = np.array([law.limb in ("all", name) for name in limbs])
             fired = np.isfinite(self.strokes["time_s"])
-            return np.asarray(np.einsum("nil,nl->ni", self.gain, more * mine * fired))
+            loss = _finite(1.0 - gain, *self.lost.shape[::2][:2]) * mine * fired
+            return np.asarray(np.einsum("nilk,nlk->ni", self.lost, _between_losses(loss)))
         given = law.over({**self.fixes, **parameters})
         x, y, turn, delay = (
             _finite(given.get(key, 0.0), len(self.rates)) for key in ("x_m", "y_m", "heading_rad", "delay_s")
@@ -159,6 +169,15 @@ class Answers:
         for phase in range(3):
             left[:, phase] = body_from_world(self.heading, left[:, phase])
         return left.reshape(-1, 9)
+
+
+def _between_losses(loss: FloatArray) -> FloatArray:
+    """(..., 4) weights of the answers to LOSSES that give the answer to a loss: linear between them."""
+    first, *_ = LOSSES
+    inside = np.clip(loss, first, LOSSES[-1])
+    weights = [np.interp(inside, LOSSES, row) for row in np.eye(len(LOSSES))]
+    weights[0] = np.where(loss < first, loss / first, weights[0])
+    return np.stack(weights, axis=-1)
 
 
 def _finite(values: FloatArray | float, *shape: int) -> FloatArray:
@@ -191,13 +210,10 @@ def answers_of(nominal: Fitted, swims: Sequence[Segments], rows: NDArray[np.bool
                 own.append(_Stream(swim, third, flow))
             sizes.append(FLOW_MPS)
     for limb in range(count):
-        for own in kinds:
-            own.append(Weaker(limb, GAIN))
-        sizes.append(-GAIN)
-    for limb in range(count):
-        for own in kinds:
-            own.append(Weaker(limb, 1.0))
-        sizes.append(1.0)
+        for loss in LOSSES:
+            for own in kinds:
+                own.append(Weaker(limb, loss))
+            sizes.append(1.0)
     every = [residuals_of(each, rows) for each in rollouts_with(model, kinds, swims)]
     columns = np.stack([moved - every[0] for moved in every[1:]], axis=2) / np.array(sizes)
     columns[(np.abs(columns).max(axis=(1, 2)) > 1e4)] = 0.0  # lost
@@ -210,8 +226,7 @@ def answers_of(nominal: Fitted, swims: Sequence[Segments], rows: NDArray[np.bool
     return Answers(
         columns[:, :, :pushes].reshape(n, 9, THIRDS, 3),
         columns[:, :, pushes : pushes + flows].reshape(n, 9, THIRDS, 2),
-        columns[:, :, pushes + flows : -count],
-        columns[:, :, -count:],
+        columns[:, :, pushes + flows :].reshape(n, 9, count, len(LOSSES)),
         (places, turns),
         np.concatenate([rollout.start[:, 2] for rollout in nominal.rollouts])[rows],
         _bodies(swims, rows),

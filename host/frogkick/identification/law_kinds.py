@@ -27,6 +27,9 @@ PLACES, MANY = 11, 400
 PLACE_STEP_M = 0.005
 """Step of a finite difference by a place: a longer one reaches over the bend where a cable becomes taut."""
 
+MOMENTS = 48
+"""Moments that are tried for what acts from one on, at most."""
+
 INTERVALS = 120
 """Cycles of what acts at intervals: so close that its last interval in a run is no more than one off."""
 
@@ -94,7 +97,8 @@ def kinds_of(robot: Robot, swims: Sequence[Segments]) -> list[Kind]:
         "at_y": ("m", float(low[1]) - 1.0, float(high[1]) + 1.0, PLACE_STEP_M),
     }
     away = "hypot(x_m - at_x, y_m - at_y)"
-    whens = [{"at": float(at)} for at in np.linspace(3.0 * period_s, end_s - 3.0 * period_s, 14)]
+    moments = min(MOMENTS, max(2, int(end_s / period_s) - 5))
+    whens = [{"at": float(at)} for at in np.linspace(3.0 * period_s, end_s - 3.0 * period_s, moments)]
     when: Numbers = {"at": ("s", 0.0, end_s, period_s)}
     cycles = [{"cycle": float(c)} for c in np.geomspace(1.5 * period_s, max(end_s, 8.0 * period_s), 30)]
     cycle: Numbers = {"cycle": ("s", 0.5, 2.0 * end_s, 0.05)}
@@ -199,6 +203,22 @@ def kinds_of(robot: Robot, swims: Sequence[Segments]) -> list[Kind]:
             [
                 {**place, "size": size, "sharp": sharp}
                 for place in places for size in (0.06, 0.1, 0.16, 0.25, 0.4) for sharp in (2.0, 8.0)
+            ],
+        ),
+        Kind(
+            "patch with an end",
+            {
+                "on": "wrench",
+                **{
+                    f"{axis}_n": f"-drag * cos(1.5707963 * min(1, {away} / size)) ** sharp * {axis}_mps"
+                    for axis in ("forward", "left")
+                },
+            },
+            {"drag": ("N s/m", -10.0, 10.0, 0.1)},
+            {**where, "size": ("m", 0.02, 1.0, 0.02), "sharp": ("1", 0.3, 8.0, 0.2)},
+            [
+                {**place, "size": size, "sharp": sharp}
+                for place in places for size in (0.1, 0.16, 0.25, 0.4) for sharp in (0.5, 1.5)
             ],
         ),
         Kind(

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from frogkick.core.progress import TellStage, silent
 from frogkick.identification.answers import Answers
 from frogkick.identification.fit import Fitted, step_bounds
-from frogkick.identification.law_kinds import Kind, kinds_of
+from frogkick.identification.law_kinds import MOMENTS, Kind, kinds_of
 from frogkick.identification.penalty import PARAMETER_PENALTY
 from frogkick.identification.screening import Column
 from frogkick.identification.segments import Segments
@@ -38,8 +38,9 @@ TRIED = 4
 BIN_S, BINS_MOST = 0.2, 400
 """What acts at intervals is screened as a sum of what acts for so long, or longer where there were more."""
 
-MOMENTS_MOST = 48
-"""Moments that are simulated for a law that acts from one on."""
+SMALL, LARGE = 1e-3, 0.6
+"""Strengths are screened by derivatives, of steps of this share of their range. A loss of a limb's gain is
+screened at a large size as well: a limb that does little also pushes another way."""
 
 BY_CHANCE = 24
 """Shapes of each kind that count in what the best of all gains by chance: their neighbours do much the
@@ -65,13 +66,13 @@ class Laws:
             progress: called with a stage, steps done and to do.
         """
         self._answers, self._limbs = answers, [limb.name for limb in robot.limbs]
-        self._grids: list[tuple[Kind, list[int], FloatArray]] = []
+        self._grids: list[tuple[Kind, float | None, list[int], FloatArray]] = []
         self._bins: list[tuple[Kind, FloatArray, FloatArray]] = []
         end_s = float(max(swim.end_s[-1] for swim in swims if len(swim.end_s)))
         bin_s = max(BIN_S, end_s / BINS_MOST)
         strokes = np.unique(np.round([at for swim in swims for at, _ in swim.strokes], 1))
         between = 0.5 * (strokes[1:] + strokes[:-1])
-        self._between_strokes = between[:: -(-len(between) // MOMENTS_MOST) or 1].tolist()
+        self._between_strokes = between[:: -(-len(between) // MOMENTS) or 1].tolist()
         middles = np.arange(0.5 * bin_s, end_s, bin_s)
         alone = {"cycle": 10.0 * end_s, "share": 0.1 * bin_s / end_s}
         kinds = kinds_of(robot, swims)
@@ -81,10 +82,11 @@ class Laws:
                 bins = [self.columns(kind, {**alone, "middle": float(middle)}) for middle in middles]
                 self._bins.append((kind, _on(kind.grid, middles), np.stack(bins)))
                 continue
-            every = [self.columns(kind, shape) for shape in kind.grid]
-            kept = [k for k, columns in enumerate(every) if columns.any()]
-            if kept:
-                self._grids.append((kind, kept, np.stack([every[k] for k in kept])))
+            for size in (None, LARGE) if "loss" in kind.strengths else (None,):
+                every = [self.columns(kind, shape, size) for shape in kind.grid]
+                kept = [k for k, columns in enumerate(every) if columns.any()]
+                if kept:
+                    self._grids.append((kind, size, kept, np.stack([every[k] for k in kept])))
 
     @property
     def every(self) -> list[FloatArray]:
@@ -93,16 +95,19 @@ class Laws:
         def some(count: int) -> NDArray[np.int64]:
             return np.unique(np.linspace(0, count - 1, BY_CHANCE).round().astype(np.int64))
 
-        found = [columns[k] for _, _, columns in self._grids for k in some(len(columns))]
+        found = [columns[k] for *_, columns in self._grids for k in some(len(columns))]
         for _, on, bins in self._bins:
             found += [np.tensordot(on[k], bins, axes=1) for k in some(len(on))]
         return found
 
-    def columns(self, kind: Kind, shape: Mapping[str, float]) -> FloatArray:
-        """(n, 9, p) of the residuals by each strength of a law at a shape, by the answers."""
+    def columns(self, kind: Kind, shape: Mapping[str, float], size: float | None = None) -> FloatArray:
+        """(n, 9, p) of the residuals by each strength of a law at a shape, by the answers.
+
+        Derivatives, or with a size the change by a strength of that size, divided by it.
+        """
         found = []
         for name, (_, _, high, _) in kind.strengths.items():
-            unit = min(1.0, 0.5 * high)
+            unit = size or SMALL * min(1.0, high)
             given = {**dict.fromkeys(kind.strengths, 0.0), **shape, name: unit}
             found.append(self._answers.to(kind.law, given, self._limbs) / unit)
         return np.stack(found, axis=2)
@@ -110,44 +115,49 @@ class Laws:
     def best(self, current: Fitted, title: str | None = None) -> list[Column]:
         """The best of each kind of law beside a model, best first; of one kind alone by its title."""
         whole = _Beside(current)
-        best = []
-        for kind, kept, columns in self._grids:
+        best: list[tuple[float, Kind, Mapping[str, float], float | None]] = []
+        for kind, size, kept, columns in self._grids:
             if title not in (None, kind.named):
                 continue
             likely = np.argsort(-whole.quick(columns), kind="stable")[:TRIED]
             gain, number = max((whole.gain(kind, columns[k]), kept[k]) for k in likely.tolist())
-            best.append((gain - _penalty(kind), kind, kind.grid[number]))
+            row = gain - _penalty(kind), kind, kind.grid[number], size
+            if best and best[-1][1] is kind:  # at another size
+                best[-1] = max(best[-1], row, key=lambda each: each[0])
+            else:
+                best.append(row)
         for kind, on, bins in self._bins:
             if title not in (None, kind.named):
                 continue
             likely = np.argsort(-whole.quick_sums(on, bins), kind="stable")[:TRIED]
             tried = [(self.columns(kind, kind.grid[k]), k) for k in likely.tolist()]
             gain, number = max((whole.gain(kind, columns), k) for columns, k in tried)
-            best.append((gain - _penalty(kind), kind, kind.grid[number]))
+            best.append((gain - _penalty(kind), kind, kind.grid[number], None))
         best.sort(key=lambda row: -row[0])
-        for rank, (_, kind, shape) in enumerate(best[:REFINED]):
+        for rank, (_, kind, shape, size) in enumerate(best[:REFINED]):
             if kind.shapes:
-                shape = self._refined(kind, shape, whole)
-                gain = whole.gain(kind, self.columns(kind, shape))
-                best[rank] = gain - _penalty(kind), kind, shape
+                shape = self._refined(kind, shape, whole, size)
+                gain = whole.gain(kind, self.columns(kind, shape, size))
+                best[rank] = gain - _penalty(kind), kind, shape, size
         best.sort(key=lambda row: -row[0])
         found = []
-        for _, kind, shape in best:
+        for _, kind, shape, size in best:
             unknown = np.zeros((*current.residuals.shape, len(kind.shapes)))
-            found.append(
-                Column(kind.term(shape), np.concatenate([self.columns(kind, shape), unknown], axis=2))
-            )
+            columns = self.columns(kind, shape, size)
+            found.append(Column(kind.term(shape), np.concatenate([columns, unknown], axis=2)))
         return found
 
     def moments(self, title: str) -> list[float]:
         """Moments (s) that a law could act from on, one between two strokes; none for other laws.
 
-        Where strokes of several runs do not coincide there are more than MOMENTS_MOST: then each n-th one.
+        Where strokes of several runs do not coincide there are more than MOMENTS: then each n-th one.
         """
-        dated = any(kind.named == title and "at" in kind.shapes for kind, _, _ in self._grids)
+        dated = any(kind.named == title and "at" in kind.shapes for kind, *_ in self._grids)
         return self._between_strokes if dated else []
 
-    def _refined(self, kind: Kind, shape: Mapping[str, float], whole: _Beside) -> Mapping[str, float]:
+    def _refined(
+        self, kind: Kind, shape: Mapping[str, float], whole: _Beside, size: float | None
+    ) -> Mapping[str, float]:
         """The shape near the best of a grid that gains most, within its bounds."""
         from scipy import optimize
 
@@ -170,7 +180,7 @@ class Laws:
             return {**shape, **dict(zip(names, np.clip(values, low, high).tolist(), strict=True))}
 
         found = optimize.minimize(
-            lambda values: -whole.gain(kind, self.columns(kind, at(values))),
+            lambda values: -whole.gain(kind, self.columns(kind, at(values), size)),
             start,
             method="Nelder-Mead",
             options={

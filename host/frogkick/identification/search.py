@@ -370,7 +370,7 @@ class _ForwardSelection:
                 for place, term in enumerate(current.model.terms)
                 if term.name == "law"
                 and place != resting
-                and (turn or place < last or (last and self.laws.moments(term.title)))
+                and (turn or place < last or self.laws.moments(term.title))
             ]
             if places:
                 tell(f"moving {', '.join(current.model.terms[place].title for place in places)}")

@@ -20,6 +20,8 @@ SENTENCES: Mapping[str, str] = {
     "push": "A steady force of {to_x:.3g} N along x and {to_y:.3g} N along y pushes the robot.",
     "patch": f"Around the point {_PLACE} the water resists more, by {{drag:.3g}} N s/m, up to about "
     "{size:.2f} m away.",
+    "patch with an end": f"Around the point {_PLACE} the water resists more, by {{drag:.3g}} N s/m in its "
+    "middle, less and less towards {size:.2f} m away.",
     "drag beyond a line": "Beyond a line across the pool the water resists more, by {drag:.3g} N s/m.",
     "drag power": "The water resists with the power {power:.2g} of the speed: {forward_drag:.3g} N forward "
     "and {left_drag:.3g} N sideways at {speed:.2f} m/s.",

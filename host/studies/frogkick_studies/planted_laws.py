@@ -393,7 +393,7 @@ RIGHT: Mapping[str, Callable[[Table], Right]] = {
     "Slime": lambda table: Right(("drag power",), {"power": (table["power"], 1.0)}),
     "ByHeading": lambda _table: Right(("stroke by heading all",)),
     "HeadingGain": lambda _table: Right(("stroke by heading all",)),
-    "Patch": lambda table: Right(("patch",), _place(table)),
+    "Patch": lambda table: Right(("patch", "patch with an end"), _place(table)),
     "LaggingClock": lambda table: Right(("fixes late at intervals",), _cycle(table)),
     "Jumps": lambda _table: Right(chance=("fix", "")),
     "Magnet": lambda _table: Right(("compass",)),

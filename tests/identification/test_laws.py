@@ -154,7 +154,8 @@ def test_the_right_kind_promises_most(folder: Path, title: str, table: dict[str,
     _, rows, nominal = nominal_fit(swims, robot())
     laws = Laws(answers_of(nominal, swims, rows), swims, robot())
     columns = laws.best(nominal)
-    assert columns[0].term.title == title, [column.term.title for column in columns[:4]]
+    alike = {"patch": ("patch", "patch with an end")}.get(title, (title,))
+    assert columns[0].term.title in alike, [column.term.title for column in columns[:4]]
     assert len(laws.every) > 300
     values = dict(zip((p.name for p in columns[0].term.parameters), columns[0].term.values, strict=True))
     if "cycle" in values:
@@ -227,11 +228,8 @@ def test_a_law_that_may_have_no_strength_is_left_out(folder: Path) -> None:
     assert places == [1, 0, None]
 
 
-LATE = {"late": {"value": 0.05, "unit": "s"}}
-
-
 def test_answers_add_up_to_what_a_simulation_says(folder: Path) -> None:
-    """A steady push, by pulses in thirds of periods; a worn limb, by one that is worn more; a broken one."""
+    """A steady push, by pulses in thirds of periods; a limb that is worn; one that is broken; late fixes."""
     from frogkick.identification.fit import Model, residuals_of, rollouts_of
     from frogkick.identification.terms import catalogue
 
@@ -241,19 +239,20 @@ def test_answers_add_up_to_what_a_simulation_says(folder: Path) -> None:
     terms = {term.title: term for term in catalogue(robot())}
     push = terms["steady_wrench"].at([1e-3, 0.0, 0.0])
     late = terms["fix_latency"].at([0.05])
-    law = make_effects([{"name": "law", "on": "fix", "delay_s": "late", "parameters": LATE}], Path())[0]
-    assert isinstance(law, Law)
-    weak, broken = (terms["limb_wear rear_left"].at([gain, 0.0, 1.0]) for gain in (0.9, 0.25))
-    breaks = make_effects(
-        [{"name": "law", "on": "stroke", "limb": "rear_left", "gain": "0.25", "parameters": {}}], Path()
-    )[0]
-    assert isinstance(breaks, Law)
-    limb = [each.name for each in robot().limbs].index("rear_left")
+    weak, broken = (terms["limb_wear rear_left"].at([gain, 0.0, 1.0]) for gain in (0.9, 0.35))
+    names = [each.name for each in robot().limbs]
+
+    def told_by(table: dict[str, Any], unit: str = "1", size: float = 1.0) -> Any:
+        parameters = {"size": {"value": size, "unit": unit}}
+        (law,) = make_effects([{"name": "law", "parameters": parameters, **table}], Path())
+        assert isinstance(law, Law)
+        return answers.to(law, {}, names)
+
     for term, told in (
-        (push, 1e-3 * answers.wrench[:, :, :, 0].sum(axis=2)),
-        (weak, -0.1 * answers.gain[:, :, limb]),
-        (broken, answers.to(breaks, {}, [each.name for each in robot().limbs])),
-        (late, answers.to(law, {}, [each.name for each in robot().limbs])),
+        (push, told_by({"on": "wrench", "forward_n": "size"}, "N", 1e-3)),
+        (weak, told_by({"on": "stroke", "limb": "rear_left", "gain": "size"}, "1", 0.9)),
+        (broken, told_by({"on": "stroke", "limb": "rear_left", "gain": "size"}, "1", 0.35)),
+        (late, told_by({"on": "fix", "delay_s": "size"}, "s", 0.05)),
     ):
         moved = Model(robot(), (term,), model.noise)
         true = residuals_of(rollouts_of([moved], swims)[0], rows) - nominal.residuals

@@ -84,7 +84,7 @@ def test_a_limb_that_breaks_does_not_misfire() -> None:
         _, rows, nominal = nominal_fit(swims, robot())
         answers = answers_of(nominal, swims, rows)
         found = misfires_of(nominal, swims, rows, answers.idle)
-        assert found is None or found.patterned(answers.strokes) == right
+        assert found is None or found.patterned(answers.fired) == right
 
 
 @pytest.mark.skipif(not GIVEN.is_dir() or LEVEL == "quick", reason="logs of a misfire; FK_LEVEL=ci")

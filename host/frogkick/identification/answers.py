@@ -1,9 +1,10 @@
 """What runs answer to pushes, flows, weaker strokes and fixes that are off, simulated once for all laws.
 
 To first order a period's residual is the sum of its answers: to a force, a torque or a flow in each third of
-it, to each of its strokes being weaker, and to each fix that is off. The first are simulated, by pulses in
-one third of every period and by limbs that are a little weaker. Fixes act through the filter alone, whose
-gains do not depend on what they say, so their answers are computed.
+it, to each of its strokes and of those before being weaker, and to each fix that is off. The first are
+simulated, by pulses in one third of every period, and by limbs that are a little weaker, much weaker, or do
+nothing in every LAGS-th period. Fixes act through the filter alone, whose gains do not depend on what they
+say, so their answers are computed.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -31,6 +33,9 @@ FloatArray = NDArray[np.float64]
 Values = Mapping[str, FloatArray | float]
 
 THIRDS = 3
+LAGS = 5
+"""Periods, its own and those before, whose strokes a residual answers to: fixes tell the velocity at a start
+only in part. Forces act on and on: there the answer to one in every period is closer."""
 PUSHES = (1e-3, 1e-3, 2e-5)
 """Forward, left (N) and counter-clockwise (N m): small beside what a stroke does."""
 FLOW_MPS = 2e-3
@@ -67,15 +72,25 @@ class _Stream(Effect):
 
 
 class Weaker(Effect):
-    """A limb that straightens by less: what wears counts, and more would answer otherwise than less."""
+    """A limb that straightens by less: what wears counts, and more would answer otherwise than less.
 
-    def __init__(self, limb: int, loss: float) -> None:
-        self._limb, self._loss = limb, loss
+    In every stroke, or where a run is given in those of every LAGS-th period.
+    """
+
+    def __init__(self, limb: int, loss: float, swim: Segments | None = None, turn: int = 0) -> None:
+        self._limb, self._loss, self._turn = limb, loss, turn
+        self._starts = None if swim is None else np.asarray(swim.start_s)
 
     def stroke(self, stroke: Stroke, history: History, rng: np.random.Generator) -> Stroke:
-        if stroke.index == self._limb:
+        mine = self._starts is None or _period(self._starts, stroke.time_s) % LAGS == self._turn
+        if stroke.index == self._limb and mine:
             stroke.gain *= 1.0 - self._loss
         return stroke
+
+
+def _period(starts: FloatArray, time_s: float) -> int:
+    """The period that a time is in; -1 before the first one."""
+    return int(np.searchsorted(starts, time_s + 1e-6, side="right")) - 1
 
 
 def _thirds(swim: Segments, third: int) -> Callable[[float], bool]:
@@ -83,7 +98,7 @@ def _thirds(swim: Segments, third: int) -> Callable[[float], bool]:
     starts = np.asarray(swim.start_s)
 
     def on(time_s: float) -> bool:
-        at = int(np.searchsorted(starts, time_s + 1e-6, side="right")) - 1
+        at = _period(starts, time_s)
         if at < 0 or time_s >= swim.end_s[at]:
             return False
         share = (time_s - starts[at] + 1e-6) / (swim.end_s[at] - starts[at])
@@ -94,16 +109,20 @@ def _thirds(swim: Segments, third: int) -> Callable[[float], bool]:
 
 @dataclass(frozen=True, eq=False)
 class Answers:
-    """What periods answer, and where the robot was then, by its fixes; n periods, l limbs, f fixes.
+    """What periods answer, and where the robot was then, by its fixes.
+
+    n periods that count of m, l limbs, f fixes.
 
     Attributes:
         wrench: (n, 9, 3, 3) of each residual by force forward, left (N) and torque (N m) in each third.
         flow: (n, 9, 3, 2) by the water's velocity, world frame (m/s), in each third.
-        lost: (n, 9, l, 4) change of each residual where a limb's gain is less by each of LOSSES.
+        lost: (n, 9, LAGS, l, 4) change of each residual where a limb's gain is less by each of LOSSES, in
+            the period itself and in those before it.
+        source: (n, LAGS) which of the m periods these are; -1 for none.
         fix: (3 n, f) of each phase's residual by each fix's place, and by its heading; world frame, sparse.
         heading: (n,) at each period's start.
         bodies: the names that laws on wrenches and flows use -> (n, 3) their values.
-        strokes: those of laws on strokes -> (n, l) their values; not a number where a limb did not fire.
+        strokes: those of laws on strokes -> (m, l) their values; not a number where a limb did not fire.
         fixes: those of laws on fixes -> (f,) their values.
         rates: (f, 3) velocity at each fix, world frame.
     """
@@ -111,6 +130,7 @@ class Answers:
     wrench: FloatArray
     flow: FloatArray
     lost: FloatArray
+    source: NDArray[np.int64]
     fix: tuple[Any, Any]
     heading: FloatArray
     bodies: Values
@@ -119,14 +139,18 @@ class Answers:
     rates: FloatArray
 
     @property
-    def gain(self) -> FloatArray:
-        """(n, 9, l) derivative of each residual by the gain of each limb's stroke."""
-        return np.asarray(-self.lost[..., 0] / LOSSES[0])
+    def idle(self) -> FloatArray:
+        """(n, 9, l) change of each residual where a limb does nothing, now and before."""
+        return np.asarray(self.lost[..., -1].sum(axis=2))
 
     @property
-    def idle(self) -> FloatArray:
-        """(n, 9, l) change of each residual where a limb does nothing."""
-        return self.lost[..., -1]
+    def fired(self) -> Values:
+        """The values of ``strokes`` in the n periods that count."""
+        own = self.source[:, 0]
+        return {
+            name: values if isinstance(values, float) else values[own]
+            for name, values in self.strokes.items()
+        }
 
     def to(self, law: Law, parameters: Values, limbs: Sequence[str]) -> FloatArray:
         """(n, 9) the residuals' answer to a law.
@@ -136,10 +160,11 @@ class Answers:
             parameters: its values, instead of its own.
             limbs: names of the robot's limbs.
         """
+        shape = np.shape(self.bodies["x_m"])
         if law.on == "wrench":
             given = law.over({**self.bodies, **parameters})
             forward, left, x, y, torque = (
-                _finite(given.get(key, 0.0), self.wrench.shape[0], THIRDS)
+                _finite(given.get(key, 0.0), *shape)
                 for key in ("forward_n", "left_n", "x_n", "y_n", "torque_nm")
             )
             c, s = np.cos(self.bodies["heading_rad"]), np.sin(self.bodies["heading_rad"])
@@ -147,16 +172,18 @@ class Answers:
             return np.asarray(np.einsum("nita,nta->ni", self.wrench, push))
         if law.on == "flow":
             given = law.over({**self.bodies, **parameters})
-            flow = np.stack(
-                [_finite(given.get(key, 0.0), len(self.flow), THIRDS) for key in ("x_mps", "y_mps")], axis=2
-            )
+            flow = np.stack([_finite(given.get(key, 0.0), *shape) for key in ("x_mps", "y_mps")], axis=2)
             return np.asarray(np.einsum("nita,nta->ni", self.flow, flow))
         if law.on == "stroke":
             gain = law.over({**self.strokes, **parameters}).get("gain", np.array(1.0))
             mine = np.array([law.limb in ("all", name) for name in limbs])
             fired = np.isfinite(self.strokes["time_s"])
-            loss = _finite(1.0 - gain, *self.lost.shape[::2][:2]) * mine * fired
-            return np.asarray(np.einsum("nilk,nlk->ni", self.lost, _between_losses(loss)))
+            loss = _finite(1.0 - gain, *fired.shape) * mine * fired
+            some = np.flatnonzero(mine)
+            every = np.concatenate([loss, np.zeros((1, len(mine)))])[self.source]
+            return np.asarray(
+                np.einsum("nidlk,ndlk->ni", self.lost[:, :, :, some], _between_losses(every[:, :, some]))
+            )
         given = law.over({**self.fixes, **parameters})
         x, y, turn, delay = (
             _finite(given.get(key, 0.0), len(self.rates)) for key in ("x_m", "y_m", "heading_rad", "delay_s")
@@ -197,28 +224,30 @@ def answers_of(nominal: Fitted, swims: Sequence[Segments], rows: NDArray[np.bool
     count = len(model.robot.limbs)
     kinds: list[list[Effect]] = [[] for _ in swims]
     sizes: list[float] = []
-    for third in range(THIRDS):
-        for axis, size in enumerate(PUSHES):
-            wrench = [size * (axis == k) for k in range(3)]
-            for own, swim in zip(kinds, swims, strict=True):
-                own.append(_Push(swim, third, wrench))
-            sizes.append(size)
-    for third in range(THIRDS):
-        for axis in range(2):
-            flow = [FLOW_MPS * (axis == k) for k in range(2)]
-            for own, swim in zip(kinds, swims, strict=True):
-                own.append(_Stream(swim, third, flow))
-            sizes.append(FLOW_MPS)
-    for limb in range(count):
-        for loss in LOSSES:
-            for own in kinds:
-                own.append(Weaker(limb, loss))
-            sizes.append(1.0)
+    for third, (axis, size) in product(range(THIRDS), enumerate(PUSHES)):
+        wrench = [size * (axis == k) for k in range(3)]
+        for own, swim in zip(kinds, swims, strict=True):
+            own.append(_Push(swim, third, wrench))
+        sizes.append(size)
+    for third, axis in product(range(THIRDS), range(2)):
+        flow = [FLOW_MPS * (axis == k) for k in range(2)]
+        for own, swim in zip(kinds, swims, strict=True):
+            own.append(_Stream(swim, third, flow))
+        sizes.append(FLOW_MPS)
+    for turn, limb, loss in product(range(LAGS), range(count), LOSSES):
+        for own, swim in zip(kinds, swims, strict=True):
+            own.append(Weaker(limb, loss, swim, turn))
+        sizes.append(1.0)
     every = [residuals_of(each, rows) for each in rollouts_with(model, kinds, swims)]
     columns = np.stack([moved - every[0] for moved in every[1:]], axis=2) / np.array(sizes)
     columns[(np.abs(columns).max(axis=(1, 2)) > 1e4)] = 0.0  # lost
-    pushes, flows = THIRDS * 3, THIRDS * 2
-    n = len(columns)
+    n, pushes, flows = len(columns), THIRDS * 3, THIRDS * 2
+    # What was done in the turn of a period acts on it at once; in the turn before, one period later.
+    order = np.concatenate([np.arange(len(swim.start_s)) for swim in swims])[rows][:, None]
+    lags = np.arange(LAGS)
+    lost = columns[:, :, pushes + flows :].reshape(n, 9, LAGS, count, len(LOSSES))
+    lost = np.moveaxis(lost[np.arange(n)[:, None], :, (order - lags) % LAGS], 1, 2)
+    source = np.where(order >= lags, np.flatnonzero(rows)[:, None] - lags, -1)
     places, turns = (_joined([_filtered(model, swim, axis) for swim in swims], rows) for axis in (0, 2))
     times = np.concatenate([swim.time_s for swim in swims])
     poses = np.concatenate([swim.pose for swim in swims])
@@ -226,11 +255,12 @@ def answers_of(nominal: Fitted, swims: Sequence[Segments], rows: NDArray[np.bool
     return Answers(
         columns[:, :, :pushes].reshape(n, 9, THIRDS, 3),
         columns[:, :, pushes : pushes + flows].reshape(n, 9, THIRDS, 2),
-        columns[:, :, pushes + flows :].reshape(n, 9, count, len(LOSSES)),
+        lost,
+        source,
         (places, turns),
         np.concatenate([rollout.start[:, 2] for rollout in nominal.rollouts])[rows],
         _bodies(swims, rows),
-        _strokes(swims, rows, model.robot),
+        _strokes(swims, model.robot),
         {**named, "time_s": times, "chance": 0.5},
         np.concatenate([_rates(swim, swim.time_s) for swim in swims]),
     )
@@ -285,7 +315,7 @@ def _bodies(swims: Sequence[Segments], rows: NDArray[np.bool_]) -> Values:
     return {name: np.concatenate([part[name] for part in parts])[rows] for name in parts[0]}
 
 
-def _strokes(swims: Sequence[Segments], rows: NDArray[np.bool_], robot: Robot) -> Values:
+def _strokes(swims: Sequence[Segments], robot: Robot) -> Values:
     limbs = len(robot.limbs)
     parts = []
     for swim in swims:
@@ -308,7 +338,7 @@ def _strokes(swims: Sequence[Segments], rows: NDArray[np.bool_], robot: Robot) -
         parts.append(seen)
     return {
         "chance": 0.5,
-        **{name: np.concatenate([part[name] for part in parts])[rows] for name in parts[0]},
+        **{name: np.concatenate([part[name] for part in parts]) for name in parts[0]},
     }
 
 

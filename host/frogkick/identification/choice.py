@@ -113,7 +113,7 @@ def discovered(found: Found, train: Sequence[Segments], robot: Robot, progress: 
     answers = answers_of(nominal, train, rows)
     results = [found]
     misfires = misfires_of(nominal, train, rows, answers.idle)
-    if misfires is not None and misfires.patterned(answers.strokes):
+    if misfires is not None and misfires.patterned(answers.fired):
         misfires = None  # a limb that breaks fails as well, but not by chance
     if misfires is not None and misfires.deviance < _penalised(found):
         fired = without_failed(train, misfires)
@@ -133,7 +133,7 @@ def discovered(found: Found, train: Sequence[Segments], robot: Robot, progress: 
         best = min(results, key=_penalised)
         if best.fitted.model.terms and _verdict(best, train) not in (FOUND, FOUND_LAW):
             beside_best = misfires_of(best.fitted, train, rows)
-            if beside_best is not None and not beside_best.patterned(answers.strokes):
+            if beside_best is not None and not beside_best.patterned(answers.fired):
                 results.append(replace(best, misfires=beside_best))
     return replace(min(results, key=_penalised), answers=answers)
 

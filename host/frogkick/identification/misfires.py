@@ -137,7 +137,7 @@ class Misfires:
         quantity has other failures than the other side.
 
         Args:
-            strokes: see ``Answers.strokes``.
+            strokes: see ``Answers.fired``.
         """
         for limb, told in zip(self.indices, self.failed, strict=True):
             fails = np.array([share > 0.5 for *_, share in told], dtype=np.float64)

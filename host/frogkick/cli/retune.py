@@ -122,12 +122,11 @@ def printed(made: Retuning, push: str | None = None) -> str:
             )
     if made.lost is not None:
         lines.append(f"no table can hold: {', '.join(made.lost.effects)}")
-        if made.lost.with_them is not None and made.lost.without is not None:
-            apart = (1e3 * each.mean_distance_m for each in (made.lost.with_them, made.lost.without))
-            lines.append(
-                "the robot's tables in closed loop: {:.1f} mm from the path with that in the pool, {:.1f} mm "
-                "without it".format(*apart)
-            )
+        apart = (1e3 * each.mean_distance_m for each in (made.lost.with_them, made.lost.without))
+        lines.append(
+            "the robot's tables in closed loop: {:.1f} mm from the path with that in the pool, {:.1f} mm "
+            "without it".format(*apart)
+        )
     lines += [f"tables, {horizon_line(each)}" for each in made.horizons if each.periods > 1]
     if made.done and made.reason:
         lines.append(made.reason)

@@ -194,14 +194,16 @@ def _lost(
         robot: any robot of these runs.
         tools: to follow paths.
         stage: see Stage.
-        image: of the tables; None: there are none to try.
+        image: of the tables; None: they are made as new ones are, without effects.
         all_in: these in a pool with all that was found; None: not tried yet.
     """
     kept = [term for term in outcome.terms if term.effect().in_tables]
     names = tuple(term.title for term in outcome.terms if term not in kept)
-    if not names or image is None:
-        return Lost(names) if names else None
+    if not names:
+        return None
     with tempfile.TemporaryDirectory() as folder:
+        if image is None:
+            image = tools.tables(outcome.robot, Path(folder) / LIBRARY, lambda title: stage(f"old {title}"))
         file = Path(folder) / TABLES
         write_bytes(file, image)
 

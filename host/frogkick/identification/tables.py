@@ -66,19 +66,19 @@ class Lost:
     Attributes:
         effects: their titles.
         with_them, without: the tables that the robot has after the retune in closed loop, in a pool with all
-            effects found and in one without these; None where there are no tables to try.
+            effects found and in one without these.
     """
 
     effects: tuple[str, ...]
-    with_them: Tracked | None = None
-    without: Tracked | None = None
+    with_them: Tracked
+    without: Tracked
 
     def as_json(self) -> dict[str, Any]:
         """The key ``lost`` of the command."""
         return {
             "effects": list(self.effects),
-            "with": None if self.with_them is None else self.with_them.as_json(),
-            "without": None if self.without is None else self.without.as_json(),
+            "with": self.with_them.as_json(),
+            "without": self.without.as_json(),
         }
 
 

@@ -257,6 +257,24 @@ def kinds_of(robot: Robot, swims: Sequence[Segments]) -> list[Kind]:
         ),
         swinging("gusts", "wrench", "n", force),
         both("push from a moment on", "wrench", "n", later, force, when, whens),
+        both("push by time", "wrench", "n", "time_s", ("N/s", -2e-3, 2e-3, 2e-5), {}, [{}]),
+        Kind(
+            "drag from a moment on",
+            {
+                "on": "wrench",
+                **{f"{axis}_n": f"-drag * {later} * {axis}_mps" for axis in ("forward", "left")},
+            },
+            {"drag": ("N s/m", -10.0, 10.0, 0.1)},
+            when,
+            whens,
+        ),
+        Kind(
+            "torque by speed",
+            {"on": "wrench", "torque_nm": "by_forward * forward_mps + by_left * left_mps"},
+            {f"by_{axis}": ("N s", -0.02, 0.02, 2e-4) for axis in ("forward", "left")},
+            {},
+            [{}],
+        ),
         both("push at intervals", "wrench", "n", between, force, interval, intervals),
         swinging("sloshing", "flow", "mps", speed),
         Kind(
@@ -269,6 +287,17 @@ def kinds_of(robot: Robot, swims: Sequence[Segments]) -> list[Kind]:
         both(
             "flow that dies down", "flow", "mps", "exp(-time_s / fade)", speed,
             {"fade": ("s", 1.0, 200.0, 1.0)}, [{"fade": fade} for fade in (4.0, 10.0, 25.0)],
+        ),
+        both("flow by time", "flow", "mps", "time_s", ("m/s^2", -5e-3, 5e-3, 1e-4), {}, [{}]),
+        both(
+            "flow in a band", "flow", "mps", f"exp(-(({beyond}) / width) ** 2)", speed,
+            {**line, "width": ("m", 0.02, 1.0, 0.02)},
+            [{**each, "width": width} for each in lines for width in (0.06, 0.15)],
+        ),
+        both(
+            "flow near a place", "flow", "mps", f"exp(-({away} / size) ** 2)", speed,
+            {**where, "size": ("m", 0.02, 1.0, 0.02)},
+            [{**place, "size": size} for place in places for size in (0.08, 0.16, 0.3)],
         ),
         both("flow from a moment on", "flow", "mps", later, speed, when, whens),
         both("flow at intervals", "flow", "mps", between, speed, interval, intervals),
@@ -317,6 +346,10 @@ def kinds_of(robot: Robot, swims: Sequence[Segments]) -> list[Kind]:
             stroke(
                 "tires", "1 - loss * (1 - exp(-strokes / fade))", {"loss": share},
                 {"fade": ("1", 1.0, 300.0, 1.0)}, [{"fade": fade} for fade in (4.0, 12.0, 40.0)],
+            ),
+            stroke(
+                "after a rest", "1 - loss * exp(-since_s / fade)", {"loss": share},
+                {"fade": ("s", 0.3, 60.0, 0.1)}, [{"fade": fade} for fade in (0.7, 1.5, 3.0, 6.0, 12.0)],
             ),
             stroke("by turning", "1 + by_turn * turn_radps", {"by_turn": ("s/rad", -3.0, 3.0, 0.1)}),
             stroke("by speed", "1 + by_speed * forward_mps", {"by_speed": ("s/m", -20.0, 20.0, 1.0)}),

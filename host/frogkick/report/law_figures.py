@@ -108,7 +108,7 @@ def law_figure(outcome: Outcome, law: Law, periods: Periods) -> Figure:
             left, right = figure.subplots(1, 2)
             _field(figure, left, law, periods)
             _arrows(right, periods)
-        elif hangs_on(law) in ("limbs", "chance") and law.on == "stroke":
+        elif hangs_on(law) in ("limbs", "chance", "rest") and law.on == "stroke":
             left, *rest = figure.subplots(1, 3)
             _bars(left, law, outcome)
             for axes, axis in zip(rest, _telling(periods, False), strict=True):
@@ -220,6 +220,9 @@ def _curve(axes: Axes, law: Law, name: str, values: FloatArray) -> None:
     names = ("time_s", "x_m", "y_m", "heading_rad", "forward_mps", "left_mps", "turn_radps", "strokes")
     rest = {other: np.zeros(len(along)) for other in names}
     factor, label = _VARIABLES[name]
+    if name != "forward_mps" and "forward_mps" in law.names:
+        rest["forward_mps"] += SPEED_MPS
+        label += f", at {1e3 * SPEED_MPS:g} mm/s forward"
     given = law.over({**rest, "since_s": np.full(len(along), 1e3), "chance": 0.5, name: along})
     keys = [key for key in given if not (key == "left_n" and name == "forward_mps" and "forward_n" in given)]
     scale, unit = _SCALED[_UNITS[keys[0]]]

@@ -29,10 +29,20 @@ SENTENCES: Mapping[str, str] = {
     "gusts": "A force on the robot swings to and fro, once in {cycle:.2f} s.",
     "push from a moment on": "From {at:.1f} s on a force of {to_x:.3g} N along x and {to_y:.3g} N along y "
     "pushes the robot.",
+    "push by time": "A force pushes the robot that grows with time, by {to_x:.3g} N along x and {to_y:.3g} N "
+    "along y in a second.",
+    "drag from a moment on": "From {at:.1f} s on the water resists more, by {drag:.3g} N s/m.",
+    "torque by speed": "A torque turns the robot in proportion to its speed.",
     "push at intervals": f"A force of {{to_x:.3g}} N along x and {{to_y:.3g}} N along y acts {_EVERY}.",
     "sloshing": "The water swings to and fro, once in {cycle:.2f} s.",
     "flow that dies down": "The water flows at first, and comes to rest: a third of the flow is left after "
     "{fade:.1f} s.",
+    "flow by time": "The water flows faster and faster, by {to_x:.3g} m/s along x and {to_y:.3g} m/s along y "
+    "in a second.",
+    "flow in a band": "The water flows in a band across the pool, with {to_x:.3g} m/s along x and "
+    "{to_y:.3g} m/s along y in its middle.",
+    "flow near a place": f"The water flows around the point {_PLACE}, with {{to_x:.3g}} m/s along x and "
+    "{to_y:.3g} m/s along y there, up to about {size:.2f} m away.",
     "flow from a moment on": "From {at:.1f} s on the water flows.",
     "flow at intervals": f"The water flows {_EVERY}.",
     "fixes off from a moment on": "From {at:.1f} s on the fixes are off.",
@@ -46,6 +56,8 @@ SENTENCES: Mapping[str, str] = {
     "stroke by heading": "The strokes of LIMB depend on where the robot points to.",
     "stroke by place": "The strokes of LIMB depend on where the robot is.",
     "stroke by speed": "The strokes of LIMB depend on the robot's speed.",
+    "stroke after a rest": "The strokes of LIMB are weaker by up to {loss:.0%} soon after the one before, "
+    "and recover within about {fade:.1f} s.",
     "stroke tires": "The strokes of LIMB get weaker by up to {loss:.0%}, most of it within {fade:.0f} "
     "strokes.",
 }  # fmt: skip
@@ -70,6 +82,7 @@ NEEDS: Mapping[str, str] = {
     "heading": "runs that point all around, with the same actions at different headings",
     "speed": "slow and fast periods: starts from rest, turns, and straight stretches",
     "chance": "twenty firings of the limb, or a hundred fixes",
+    "rest": "strokes of the limb soon after each other, and others after long rests",
     "limbs": "periods in which the limbs fire together and periods in which each fires without the other. No "
     "action of the paper's robot fires a rear limb without a front one",
 }
@@ -118,6 +131,8 @@ def hangs_on(law: Law) -> str:
         return "speed"
     if "strokes" in law.names:
         return "time"
+    if "since_s" in law.names:
+        return "rest"
     return "limbs" if law.on == "stroke" else "heading"
 
 

@@ -27,6 +27,7 @@ STUDY_COMMANDS = {
     "ceiling": ("study", "Compare one planner with tables, rods or the pool as model."),
     "foresight": ("study", "Compute the offline bound: how near a path any plan stays."),
     "verdicts": ("study", "Put synthetic effects in pools and identify them from logs."),
+    "wake": ("study", "Predict the speed over phase offset by the strokes' wakes."),
     "openloop": ("study", "Fit effects to some measured swims and predict the others."),
     "heldout": ("study", "Cross-validate: predict each run from all other runs."),
     "convergence": ("study", "Measure the error of the rods against their time step."),

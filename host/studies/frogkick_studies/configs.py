@@ -252,6 +252,22 @@ class Openloop(Config):
 
 
 @dataclass(frozen=True)
+class Wake(Config):
+    """Fit how strokes slow in each other's wake, and predict the speed over phase offset of a gait.
+
+    Each measured series over phase offset is left out in turn. The prediction has the interval that the
+    levels of all measured series, the fit and the scatter of swims give.
+    """
+
+    data_dir: Annotated[Path, Argument(help="Folder of the paper's data: exp/, profile/.")]
+    egain: Annotated[float, Option(help="EGaIn fraction to predict, per cent.")] = 30.0
+    frequency: Annotated[float, Option(help="Frequency to predict, Hz.")] = 1.2
+    robot: str = "frog2022"
+    out: PictureOption = None
+    workers: int = 0
+
+
+@dataclass(frozen=True)
 class Heldout(Config):
     """Cross-validate identification: predict each run by the effects that all other runs show.
 
@@ -303,8 +319,8 @@ class Chip(Config):
 STUDIES: Mapping[str, type[Config]] = {
     kind.__name__.lower(): kind
     for kind in (
-        Tables, History, Estimator, Loop, Twin, Ceiling, Foresight, Verdicts, Openloop, Heldout, Convergence,
-        Chip,
+        Tables, History, Estimator, Loop, Twin, Ceiling, Foresight, Verdicts, Openloop, Wake, Heldout,
+        Convergence, Chip,
     )
 }  # fmt: skip
 """Name of each study, of its command and of its module."""

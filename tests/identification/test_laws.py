@@ -268,6 +268,8 @@ def test_every_kind_is_a_law_that_a_robot_s_file_can_have() -> None:
         term = kind.term(kind.grid[0])
         term.effect().check(robot())
         assert all(p.unit and p.low < p.high for p in term.parameters)
+        if "at" in kind.shapes:
+            assert kind.shapes["at"][1] == pytest.approx(2.0 * robot().period_s), "not from the beginning on"
         strengths = [p for p in term.parameters if p.name in kind.strengths]
         assert all(
             value == 0.0 for p, value in zip(term.parameters, term.values, strict=True) if p in strengths

@@ -99,7 +99,8 @@ def kinds_of(robot: Robot, swims: Sequence[Segments]) -> list[Kind]:
     away = "hypot(x_m - at_x, y_m - at_y)"
     moments = min(MOMENTS, max(2, int(end_s / period_s) - 5))
     whens = [{"at": float(at)} for at in np.linspace(3.0 * period_s, end_s - 3.0 * period_s, moments)]
-    when: Numbers = {"at": ("s", 0.0, end_s, period_s)}
+    # What acts from the very beginning on has no moment: it is a law without one.
+    when: Numbers = {"at": ("s", min(2.0 * period_s, 0.5 * end_s), end_s, period_s)}
     cycles = [{"cycle": float(c)} for c in np.geomspace(1.5 * period_s, max(end_s, 8.0 * period_s), 30)]
     cycle: Numbers = {"cycle": ("s", 0.5, 2.0 * end_s, 0.05)}
     sine, cosine = (f"{part}(6.283185307 * time_s / cycle)" for part in ("sin", "cos"))

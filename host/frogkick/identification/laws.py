@@ -152,8 +152,10 @@ class Laws:
 
         Where strokes of several runs do not coincide there are more than MOMENTS: then each n-th one.
         """
-        dated = any(kind.named == title and "at" in kind.shapes for kind, *_ in self._grids)
-        return self._between_strokes if dated else []
+        low = [
+            kind.shapes["at"][1] for kind, *_ in self._grids if kind.named == title and "at" in kind.shapes
+        ]
+        return [at for at in self._between_strokes if at > low[0]] if low else []
 
     def _refined(
         self, kind: Kind, shape: Mapping[str, float], whole: _Beside, size: float | None

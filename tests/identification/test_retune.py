@@ -271,7 +271,7 @@ def test_without_an_effect_nothing_is_made(
     assert not list(tmp_path.iterdir())
 
 
-def test_what_tables_cannot_know_is_said_before_they_are_made(
+def test_of_what_tables_cannot_know_none_are_made(
     known: Outcome, swims: list[Segments], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     assert known.found is not None
@@ -286,9 +286,16 @@ def test_what_tables_cannot_know_is_said_before_they_are_made(
             known, found=replace(known.found, fitted=other, confounded_with=[[], []]), parameters=[[], []]
         ),
     )
-    tools = tools_of(known, 0.0, 0.0)
+    tools, pools = tools_of(known, 0.0, 0.0), list[int]()
+
+    def tracked(tables: Path, swimmer: Robot, progress: Any) -> Tracked:
+        pools.append(len(swimmer.effects))
+        return Tracked(0.01, 0.02, 1, 2)
+
+    monkeypatch.setattr(tools, "tracked", tracked)
     result = retune(swims, robot(), tmp_path / "new", tools, silent)
-    assert "tables cannot know it" in result.reason and not tools.made and not list(tmp_path.iterdir())
+    assert "tables cannot know it" in result.reason and not list(tmp_path.iterdir())
+    assert tools.made == ["nominal"] and pools == [2, 0], "what it costs, with a table as the robot has"
 
 
 @pytest.mark.parametrize("error", [KeyboardInterrupt, InputError("the disk is full")])

@@ -220,9 +220,10 @@ def _curve(axes: Axes, law: Law, name: str, values: FloatArray) -> None:
     names = ("time_s", "x_m", "y_m", "heading_rad", "forward_mps", "left_mps", "turn_radps", "strokes")
     rest = {other: np.zeros(len(along)) for other in names}
     factor, label = _VARIABLES[name]
+    beside = ""
     if name != "forward_mps" and "forward_mps" in law.names:
         rest["forward_mps"] += SPEED_MPS
-        label += f", at {1e3 * SPEED_MPS:g} mm/s forward"
+        beside = f" at {1e3 * SPEED_MPS:g} mm/s forward"
     given = law.over({**rest, "since_s": np.full(len(along), 1e3), "chance": 0.5, name: along})
     keys = [key for key in given if not (key == "left_n" and name == "forward_mps" and "forward_n" in given)]
     scale, unit = _SCALED[_UNITS[keys[0]]]
@@ -231,7 +232,8 @@ def _curve(axes: Axes, law: Law, name: str, values: FloatArray) -> None:
         shown = np.broadcast_to(scale * given[key], along.shape)
         axes.plot(factor * along, shown, line, color=style.PREDICTED, label=_LABELS[key])
     axes.set_xlabel(label)
-    axes.set_ylabel(f"{_LABELS[keys[0]] if len(keys) == 1 else _LABELS[keys[0]].split(' ')[0]} ({unit})")
+    what = _LABELS[keys[0]] if len(keys) == 1 else _LABELS[keys[0]].split(" ")[0]
+    axes.set_ylabel(f"{what}{beside} ({unit})")
     axes.set_title("The law")
     if len(keys) > 1:
         axes.margins(y=0.25)

@@ -140,6 +140,11 @@ def kinds_of(robot: Robot, swims: Sequence[Segments]) -> list[Kind]:
         formulas = {f"{axis}_{key}": f"to_{axis} * {by}" for axis in "xy"}
         return Kind(title, {"on": on, **formulas}, {f"to_{axis}": size for axis in "xy"}, *shape)
 
+    def drags(title: str, by: str, *shape: Any) -> Kind:
+        """Against the motion, in proportion to it."""
+        formulas = {f"{axis}_n": f"-drag * {by} * {axis}_mps" for axis in ("forward", "left")}
+        return Kind(title, {"on": "wrench", **formulas}, {"drag": ("N s/m", -10.0, 10.0, 0.1)}, *shape)
+
     force, speed = ("N", -0.05, 0.05, 1e-3), ("m/s", -0.1, 0.1, 2e-3)
     off, late = ("m", -0.05, 0.05, 1e-3), ("s", -0.5, 0.5, 0.02)
     later = "(time_s > at)"
@@ -190,48 +195,24 @@ def kinds_of(robot: Robot, swims: Sequence[Segments]) -> list[Kind]:
             {},
             [{}],
         ),
-        Kind(
-            "patch",
-            {
-                "on": "wrench",
-                **{
-                    f"{axis}_n": f"-drag * exp(-({away} / size) ** sharp) * {axis}_mps"
-                    for axis in ("forward", "left")
-                },
-            },
-            {"drag": ("N s/m", -10.0, 10.0, 0.1)},
+        drags(
+            "patch", f"exp(-({away} / size) ** sharp)",
             {**where, "size": ("m", 0.02, 1.0, 0.02), "sharp": ("1", 1.0, 20.0, 0.5)},
             [
                 {**place, "size": size, "sharp": sharp}
                 for place in places for size in (0.06, 0.1, 0.16, 0.25, 0.4) for sharp in (2.0, 8.0)
             ],
         ),
-        Kind(
-            "patch with an end",
-            {
-                "on": "wrench",
-                **{
-                    f"{axis}_n": f"-drag * cos(1.5707963 * min(1, {away} / size)) ** sharp * {axis}_mps"
-                    for axis in ("forward", "left")
-                },
-            },
-            {"drag": ("N s/m", -10.0, 10.0, 0.1)},
+        drags(
+            "patch with an end", f"cos(1.5707963 * min(1, {away} / size)) ** sharp",
             {**where, "size": ("m", 0.02, 1.0, 0.02), "sharp": ("1", 0.3, 8.0, 0.2)},
             [
                 {**place, "size": size, "sharp": sharp}
                 for place in places for size in (0.1, 0.16, 0.25, 0.4) for sharp in (0.5, 1.5)
             ],
         ),
-        Kind(
-            "drag beyond a line",
-            {
-                "on": "wrench",
-                **{
-                    f"{axis}_n": f"-drag * (1 + tanh(({beyond}) / edge)) / 2 * {axis}_mps"
-                    for axis in ("forward", "left")
-                },
-            },
-            {"drag": ("N s/m", -10.0, 10.0, 0.1)},
+        drags(
+            "drag beyond a line", f"(1 + tanh(({beyond}) / edge)) / 2",
             {**line, "edge": ("m", 0.005, 1.0, 0.02)},
             [{**each, "edge": edge} for each in lines for edge in (0.02, 0.15)],
         ),
@@ -259,16 +240,7 @@ def kinds_of(robot: Robot, swims: Sequence[Segments]) -> list[Kind]:
         swinging("gusts", "wrench", "n", force),
         both("push from a moment on", "wrench", "n", later, force, when, whens),
         both("push by time", "wrench", "n", "time_s", ("N/s", -2e-3, 2e-3, 2e-5), {}, [{}]),
-        Kind(
-            "drag from a moment on",
-            {
-                "on": "wrench",
-                **{f"{axis}_n": f"-drag * {later} * {axis}_mps" for axis in ("forward", "left")},
-            },
-            {"drag": ("N s/m", -10.0, 10.0, 0.1)},
-            when,
-            whens,
-        ),
+        drags("drag from a moment on", later, when, whens),
         Kind(
             "torque by speed",
             {"on": "wrench", "torque_nm": "by_forward * forward_mps + by_left * left_mps"},

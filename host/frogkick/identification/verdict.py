@@ -53,9 +53,9 @@ CHANCE = 5.0
 """A mean square of few periods may lie above its expectation by so many standard deviations."""
 
 SURE_NATS = 12.0
-"""Where strokes fail or fixes jump by chance, a test run has few that do, each of some ten nats: no interval
-of a mean is narrow then. The gain of the whole run is a likelihood ratio, and by chance it is so large once
-in 10^5 times (Ville 1939)."""
+"""Where strokes fail by chance, a test run has few that do, each of some ten nats: no interval of a mean is
+narrow then. The gain of the whole run is a likelihood ratio, and by chance it is so large once in 10^5 times
+(Ville 1939)."""
 
 INEXACT = 0.03
 """Share of the error before that the right effect may leave: the discretisation error of the simulation."""
@@ -339,7 +339,6 @@ class Scored:
         gain: gain of the log score; None without effects.
         repeatability: see ``repeatability``.
         by_chance: strokes fail by chance: errors may stay about the repeatability.
-        seldom: what is found acts in few periods, drawn by chance: its gain is judged by the whole run's.
     """
 
     before: PredictionError
@@ -348,7 +347,6 @@ class Scored:
     gain: Gain | None = None
     repeatability: PredictionError = PredictionError()  # noqa: RUF009 - frozen
     by_chance: bool = False
-    seldom: bool = False
 
     @property
     def quiet(self) -> bool:
@@ -360,7 +358,7 @@ class Scored:
         """Whether the log score gain is beyond chance and no error grows beyond the noise of the fixes."""
         if self.gain is None:
             return False
-        sure = self.seldom and self.gain.value * self.after.count > SURE_NATS
+        sure = self.by_chance and self.gain.value * self.after.count > SURE_NATS
         if not (self.gain.low > 0.0 or sure):
             return False
         varying = self.repeatability if self.by_chance else PredictionError(0.0, 0.0)
@@ -411,10 +409,7 @@ def scored(
     if found.fitted.model.terms:
         gain = log_score_gain(found, train, before, after, swims, raw)
     chance = found.misfires is not None
-    only_jumps = found.jumps is not None and len(found.fitted.model.terms) == 1
-    return Scored(
-        first, second, floor, gain, repeatability(after, swims, floor), chance, chance or only_jumps
-    )
+    return Scored(first, second, floor, gain, repeatability(after, swims, floor), chance)
 
 
 def verdict_of(found: Found, trained: Scored, tested: Scored) -> str:
@@ -424,8 +419,7 @@ def verdict_of(found: Found, trained: Scored, tested: Scored) -> str:
     is noise there and on the training runs. ``partly explained``: the same gain, but more than noise remains.
     ``found: law``: as ``found``, with a formula that is not in the catalogue. ``nothing missing``: no
     effects, and no more than noise. ``unexplained``: else. Limbs that misfire by chance are partly explained
-    at best: nobody can predict which stroke fails. There, and for fixes that jump, a gain above SURE_NATS
-    counts as well.
+    at best: nobody can predict which stroke fails. There a gain above SURE_NATS counts as well.
     """
     quiet = trained.quiet and tested.quiet
     if not found.fitted.model.terms:

@@ -12,6 +12,7 @@ import ast
 import math
 import operator
 import re
+import threading
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -41,6 +42,10 @@ LONGEST = 500
 
 Values = Mapping[str, float]
 _Run = Callable[[Values], float]
+
+_ONE_AT_A_TIME = threading.Lock()
+"""Held while Python builds a syntax tree: CPython 3.11 counts the depth of all threads in one number, and
+raises SystemError where two threads build one at once (python/cpython issue 106905)."""
 
 
 def unit_of(text: str) -> Unit:
@@ -212,7 +217,8 @@ def parse(text: str, units: Mapping[str, Unit], wanted: Unit) -> Formula:
     if len(text) > LONGEST:
         raise InputError(f"formula {text[:40]!r}... has {len(text)} characters: {LONGEST} are allowed")
     try:
-        tree = ast.parse(" ".join(text.split()), mode="eval").body
+        with _ONE_AT_A_TIME:
+            tree = ast.parse(" ".join(text.split()), mode="eval").body
     except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
         raise InputError(f"formula {text!r} cannot be read: {getattr(error, 'msg', error)}") from None
     names: set[str] = set()

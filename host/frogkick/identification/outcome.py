@@ -34,6 +34,7 @@ from frogkick.identification.fit import Model, rollouts_of
 from frogkick.identification.horizons import Horizon, horizons_of
 from frogkick.identification.jumps import jumps_of, without_jumps
 from frogkick.identification.missing import fix_innovations, missing_wrench, stroke_ratios
+from frogkick.identification.moments import with_moments
 from frogkick.identification.predict import Rollout
 from frogkick.identification.search import Found, nominal_fit
 from frogkick.identification.segments import Segments, reliable
@@ -315,7 +316,8 @@ def _parameters(found: Found, train: Sequence[Segments]) -> list[list[Interval]]
         jumps = found.jumps
         by_chance += [[Interval("jumping", *jumps.chance, "1"), Interval("size", *jumps.size_m, "m")]]
     fitted = found.fitted.first(len(found.fitted.model.terms) - len(by_chance))
-    return [*intervals(fitted, found.rows, discretisation_shift(fitted, train, found.rows)), *by_chance]
+    known = intervals(fitted, found.rows, discretisation_shift(fitted, train, found.rows))
+    return [*with_moments(known, fitted, train, found.rows), *by_chance]
 
 
 def _followed(

@@ -36,6 +36,7 @@ from frogkick.identification.fit import (
 )
 from frogkick.identification.held_out import bent_gain, held_out_gain
 from frogkick.identification.laws import Laws
+from frogkick.identification.moments import centred
 from frogkick.identification.penalty import (
     CONFOUNDED_MARGIN,
     EFFECT_PENALTY,
@@ -229,7 +230,7 @@ def search(
     if len(current.model.terms) > 1:
         current, confounded = revise(refiner, current, confounded, runners_up, single_effect_fits)
     current, confounded = resolve_equivalent(refiner, current, confounded, candidates)
-    (current,) = refresh_jacobian([current], swims, rows)  # fixed parameters have an interval as well
+    (current,) = refresh_jacobian([centred(current, swims, rows)], swims, rows)  # with all parameters
     progress("effects", most, most)
     confounded_with = [[term.title for term in others] for others in confounded]
     return Found(nominal, current, iterations, rows, confounded_with, list(columns), confounded)

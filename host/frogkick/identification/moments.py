@@ -1,0 +1,117 @@
+"""The moment of a law on strokes, which no derivative tells: any moment between two strokes fits as well."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from frogkick.effects.limbs import ALL
+from frogkick.identification.backward import with_term_at
+from frogkick.identification.fit import Fitted, Model, residuals_of, rollouts_of
+from frogkick.identification.segments import Segments
+from frogkick.identification.steps import deviance_of
+from frogkick.identification.terms import Term
+
+if TYPE_CHECKING:
+    from frogkick.identification.verdict import Interval
+
+FloatArray = NDArray[np.float64]
+
+WORSE = 3.84
+"""What the deviance rises by at the ends of an interval of 95 % (chi-square, one degree of freedom)."""
+
+NEIGHBOURS = 6
+"""Gaps between strokes that are tried on each side of the one that a moment is in."""
+
+
+def centred(fitted: Fitted, swims: Sequence[Segments], rows: NDArray[np.bool_]) -> Fitted:
+    """The model with each such moment (s) in the middle between the two strokes around it.
+
+    Args:
+        fitted: a model at its best.
+        swims: the runs that it was fitted to.
+        rows: periods that count.
+    """
+    model = fitted.model
+    for place, term in enumerate(model.terms):
+        borders = _borders(term, fitted.model, swims)
+        if borders is not None:
+            k = _gap(borders, term)
+            model = _with_moment(model, place, float(borders[k : k + 2].mean()))
+    if model is fitted.model:
+        return fitted
+    (rollouts,) = rollouts_of([model], swims)
+    residuals = residuals_of(rollouts, rows)
+    deviance = deviance_of(residuals)
+    if deviance > fitted.deviance + 0.01 * WORSE:
+        return fitted  # its strokes on the fixes' clock are not those of the simulation
+    return Fitted(model, rollouts, residuals, fitted.jacobian, deviance, fresh=False)
+
+
+def with_moments(
+    parameters: list[list[Interval]], fitted: Fitted, swims: Sequence[Segments], rows: NDArray[np.bool_]
+) -> list[list[Interval]]:
+    """The intervals of each term's parameters, with those of such moments by their likelihood.
+
+    An interval reaches from stroke to stroke, as far as the deviance, simulated with all other parameters as
+    they are, rises by less than WORSE.
+    """
+    found = [list(row) for row in parameters]
+    for place, term in enumerate(fitted.model.terms):
+        borders = _borders(term, fitted.model, swims)
+        if borders is None:
+            continue
+        k = _gap(borders, term)
+        tried = np.arange(max(k - NEIGHBOURS, 0), min(k + NEIGHBOURS + 1, len(borders) - 1))
+        models = [_with_moment(fitted.model, place, float(borders[each : each + 2].mean())) for each in tried]
+        good = {
+            each
+            for each, rollouts in zip(tried.tolist(), rollouts_of(models, swims), strict=True)
+            if deviance_of(residuals_of(rollouts, rows)) < fitted.deviance + WORSE
+        }
+        first = last = k
+        while first - 1 in good:
+            first -= 1
+        while last + 1 in good:
+            last += 1
+        low, high = float(borders[first]), float(borders[last + 1])
+        found[place] = [
+            replace(each, low=low, high=high) if each.name == "at" else each for each in found[place]
+        ]
+    return found
+
+
+def _borders(term: Term, model: Model, swims: Sequence[Segments]) -> FloatArray | None:
+    """(k,) ascending: the bounds of a law's moment (s), and the strokes between them that it acts on.
+
+    None for a law that has no moment, or does not act on strokes.
+    """
+    table, number = dict(term.table), _number(term)
+    if number is None or table.get("on") != "stroke":
+        return None
+    limbs = {k for k, limb in enumerate(model.robot.limbs) if table.get("limb", ALL) in (ALL, limb.name)}
+    low, high = term.parameters[number].low, term.parameters[number].high
+    strokes = {at for swim in swims for at, limb in swim.strokes if limb in limbs and low < at < high}
+    return np.array([low, *sorted(strokes), high])
+
+
+def _number(term: Term) -> int | None:
+    """Which parameter of a law is its moment."""
+    names = [parameter.name for parameter in term.parameters]
+    return names.index("at") if term.name == "law" and "at" in names else None
+
+
+def _gap(borders: FloatArray, term: Term) -> int:
+    """Which gap between borders a law's moment is in."""
+    at = term.values[_number(term) or 0]
+    return int(np.clip(np.searchsorted(borders, at) - 1, 0, len(borders) - 2))
+
+
+def _with_moment(model: Model, place: int, at_s: float) -> Model:
+    values = list(model.terms[place].values)
+    values[_number(model.terms[place]) or 0] = at_s
+    return with_term_at(model, place, model.terms[place].at(values))

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import gc
 import math
+import sys
+import threading
+import time
 from pathlib import Path
 from typing import Any
 
@@ -50,6 +54,38 @@ def test_a_formula_has_a_value_and_a_unit(text: str, unit: str, value: float) ->
     doubled = {name: 2.0 * each for name, each in VALUES.items()}
     formula = parse(text, UNITS, unit_of(unit))
     assert np.broadcast_to(formula.over(arrays), 2) == pytest.approx([value, formula(doubled)], nan_ok=True)
+
+
+def test_threads_may_read_formulas_at_once() -> None:
+    """CPython 3.11 raises SystemError where two threads build a syntax tree at the same time."""
+    text = "max(0, hypot(x, y) - x) * y / hypot(x - y, y)"
+    wrong: list[BaseException] = []
+
+    def read() -> None:
+        try:
+            for _ in range(100):
+                parse(text, UNITS, unit_of("m"))
+        except BaseException as error:
+            wrong.append(error)
+
+    def let_others_go_on(*_: Any) -> None:
+        time.sleep(1e-5)
+
+    threshold, interval = gc.get_threshold(), sys.getswitchinterval()
+    sys.setswitchinterval(1e-6)
+    gc.set_threshold(1)  # a collection runs in the middle of a tree
+    gc.callbacks.append(let_others_go_on)
+    try:
+        threads = [threading.Thread(target=read) for _ in range(4)]
+        for each in threads:
+            each.start()
+        for each in threads:
+            each.join()
+    finally:
+        gc.callbacks.remove(let_others_go_on)
+        gc.set_threshold(*threshold)
+        sys.setswitchinterval(interval)
+    assert not wrong
 
 
 @pytest.mark.parametrize(

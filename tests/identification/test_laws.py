@@ -21,6 +21,7 @@ from frogkick.identification.held_out import bent_gain
 from frogkick.identification.law_kinds import kinds_of
 from frogkick.identification.laws import Laws
 from frogkick.identification.missing import fix_innovations, missing_wrench, stroke_ratios
+from frogkick.identification.moments import centred, with_moments
 from frogkick.identification.outcome import found_toml, identify
 from frogkick.identification.refine import Refiner
 from frogkick.identification.search import (
@@ -30,7 +31,7 @@ from frogkick.identification.search import (
     folds_of,
     nominal_fit,
 )
-from frogkick.identification.verdict import FOUND_LAW
+from frogkick.identification.verdict import FOUND_LAW, intervals
 from frogkick.robot.load import parse_robot
 
 OWN = """
@@ -199,6 +200,26 @@ def test_laws_are_moved_beside_each_other(
     for name in ("at_x", "at_y", "slack"):
         assert values[name] == pytest.approx(TRUE_CABLE[name], abs=0.03), values
     assert values["at"] == pytest.approx(12.0, abs=1.5), values
+
+
+def test_a_moment_between_two_strokes_is_told_as_the_gap(folder: Path) -> None:
+    swims = [make_swim(planted(folder, WORLDS[2][1]), seed, PERIODS) for seed in (1, 2)]
+    model, rows, _ = nominal_fit(swims, robot())
+    kinds = {kind.named: kind for kind in kinds_of(robot(), swims)}
+    limb = [each.name for each in robot().limbs].index("rear_left")
+    own = sorted(at for swim in swims for at, number in swim.strokes if number == limb)
+    low, high = max(at for at in own if at < 12.0), min(at for at in own if at > 12.0)
+    term = kinds["stroke from a moment on rear_left"].term({"loss": 0.7, "at": low + 0.1 * (high - low)})
+    (fitted,) = derivatives([replace(model, terms=(term,))], swims, rows)
+    middle = centred(fitted, swims, rows)
+    assert middle.deviance == pytest.approx(fitted.deviance, abs=1e-6)
+    assert middle.model.terms[0].values == pytest.approx((0.7, 0.5 * (low + high)))
+    ((_, at),) = with_moments(intervals(middle, rows), middle, swims, rows)
+    assert at.low <= low and at.high >= high
+    push = kinds["push from a moment on"].term({"at": 12.0})
+    (pushed,) = derivatives([replace(model, terms=(push,))], swims, rows)
+    assert centred(pushed, swims, rows) is pushed
+    assert with_moments(intervals(pushed, rows), pushed, swims, rows) == intervals(pushed, rows)
 
 
 @pytest.mark.parametrize("taut", some([True, False], 1))

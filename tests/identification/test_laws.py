@@ -21,7 +21,7 @@ from frogkick.identification.held_out import bent_gain
 from frogkick.identification.law_kinds import kinds_of
 from frogkick.identification.laws import Laws
 from frogkick.identification.missing import fix_innovations, missing_wrench, stroke_ratios
-from frogkick.identification.moments import centred, with_moments
+from frogkick.identification.moments import centred, moment_intervals
 from frogkick.identification.outcome import found_toml, identify
 from frogkick.identification.refine import Refiner
 from frogkick.identification.search import (
@@ -31,7 +31,7 @@ from frogkick.identification.search import (
     folds_of,
     nominal_fit,
 )
-from frogkick.identification.verdict import FOUND_LAW, intervals
+from frogkick.identification.verdict import FOUND_LAW
 from frogkick.robot.load import parse_robot
 
 OWN = """
@@ -214,12 +214,12 @@ def test_a_moment_between_two_strokes_is_told_as_the_gap(folder: Path) -> None:
     middle = centred(fitted, swims, rows)
     assert middle.deviance == pytest.approx(fitted.deviance, abs=1e-6)
     assert middle.model.terms[0].values == pytest.approx((0.7, 0.5 * (low + high)))
-    ((_, at),) = with_moments(intervals(middle, rows), middle, swims, rows)
-    assert at.low <= low and at.high >= high
+    first, last = moment_intervals(middle, swims, rows)[0]
+    assert first <= low and last >= high
     push = kinds["push from a moment on"].term({"at": 12.0})
     (pushed,) = derivatives([replace(model, terms=(push,))], swims, rows)
     assert centred(pushed, swims, rows) is pushed
-    assert with_moments(intervals(pushed, rows), pushed, swims, rows) == intervals(pushed, rows)
+    assert moment_intervals(pushed, swims, rows) == {}
 
 
 @pytest.mark.parametrize("taut", some([True, False], 1))

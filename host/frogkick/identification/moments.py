@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,10 +14,10 @@ from frogkick.identification.segments import Segments
 from frogkick.identification.steps import deviance_of
 from frogkick.identification.terms import Term
 
-if TYPE_CHECKING:
-    from frogkick.identification.verdict import Interval
-
 FloatArray = NDArray[np.float64]
+
+MOMENT = "at"
+"""Name of a law's moment."""
 
 WORSE = 3.84
 """What the deviance rises by at the ends of an interval of 95 % (chi-square, one degree of freedom)."""
@@ -52,15 +50,15 @@ def centred(fitted: Fitted, swims: Sequence[Segments], rows: NDArray[np.bool_]) 
     return Fitted(model, rollouts, residuals, fitted.jacobian, deviance, fresh=False)
 
 
-def with_moments(
-    parameters: list[list[Interval]], fitted: Fitted, swims: Sequence[Segments], rows: NDArray[np.bool_]
-) -> list[list[Interval]]:
-    """The intervals of each term's parameters, with those of such moments by their likelihood.
+def moment_intervals(
+    fitted: Fitted, swims: Sequence[Segments], rows: NDArray[np.bool_]
+) -> dict[int, tuple[float, float]]:
+    """The interval (s) of each such moment by its likelihood; the key is the law's place in the model.
 
-    An interval reaches from stroke to stroke, as far as the deviance, simulated with all other parameters as
-    they are, rises by less than WORSE.
+    It reaches from stroke to stroke, as far as the deviance, simulated with all other parameters as they are,
+    rises by less than WORSE.
     """
-    found = [list(row) for row in parameters]
+    found = {}
     for place, term in enumerate(fitted.model.terms):
         borders = _borders(term, fitted.model, swims)
         if borders is None:
@@ -78,10 +76,7 @@ def with_moments(
             first -= 1
         while last + 1 in good:
             last += 1
-        low, high = float(borders[first]), float(borders[last + 1])
-        found[place] = [
-            replace(each, low=low, high=high) if each.name == "at" else each for each in found[place]
-        ]
+        found[place] = float(borders[first]), float(borders[last + 1])
     return found
 
 
@@ -102,7 +97,7 @@ def _borders(term: Term, model: Model, swims: Sequence[Segments]) -> FloatArray 
 def _number(term: Term) -> int | None:
     """Which parameter of a law is its moment."""
     names = [parameter.name for parameter in term.parameters]
-    return names.index("at") if term.name == "law" and "at" in names else None
+    return names.index(MOMENT) if term.name == "law" and MOMENT in names else None
 
 
 def _gap(borders: FloatArray, term: Term) -> int:

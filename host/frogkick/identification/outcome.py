@@ -34,7 +34,7 @@ from frogkick.identification.fit import Model, rollouts_of
 from frogkick.identification.horizons import Horizon, horizons_of
 from frogkick.identification.jumps import jumps_of, without_jumps
 from frogkick.identification.missing import fix_innovations, missing_wrench, stroke_ratios
-from frogkick.identification.moments import with_moments
+from frogkick.identification.moments import MOMENT, moment_intervals
 from frogkick.identification.predict import Rollout
 from frogkick.identification.search import Found, nominal_fit
 from frogkick.identification.segments import Segments, reliable
@@ -312,12 +312,13 @@ def _parameters(found: Found, train: Sequence[Segments]) -> list[list[Interval]]
     by_chance: list[list[Interval]] = []
     if found.misfires is not None:
         by_chance += [[Interval("failing", *each, "1")] for each in found.misfires.chance]
-    if found.jumps is not None:
-        jumps = found.jumps
+    if (jumps := found.jumps) is not None:
         by_chance += [[Interval("jumping", *jumps.chance, "1"), Interval("size", *jumps.size_m, "m")]]
     fitted = found.fitted.first(len(found.fitted.model.terms) - len(by_chance))
     known = intervals(fitted, found.rows, discretisation_shift(fitted, train, found.rows))
-    return [*with_moments(known, fitted, train, found.rows), *by_chance]
+    for place, (low, high) in moment_intervals(fitted, train, found.rows).items():
+        known[place] = [replace(p, low=low, high=high) if p.name == MOMENT else p for p in known[place]]
+    return [*known, *by_chance]
 
 
 def _followed(

@@ -23,6 +23,8 @@ LEVELS = ("quick", "ci", "full")
 """How many cases tests count: for a newcomer, for each change, for a release (see ``count``)."""
 LEVEL = os.environ.get("FK_LEVEL") or "quick"
 FULL = LEVEL == "full"
+from_ci = pytest.mark.skipif(LEVEL == "quick", reason="takes long: FK_LEVEL=ci")
+"""A test that make test leaves out: cheaper ones hold most of it, and all take five minutes."""
 counted: dict[str, int] = {}
 """Place -> number of cases that a test of this process asked for."""
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from made import make_swim, robot
-from tests.conftest import LEVEL, count, some
+from tests.conftest import count, from_ci, some
 
 from frogkick.effects import Law
 from frogkick.effects.registry import make_effects
@@ -149,7 +149,7 @@ def planted(folder: Path, table: dict[str, Any]) -> list[dict[str, Any]]:
     return [{"file": str(folder / "own.py"), **table}]
 
 
-@pytest.mark.parametrize(("title", "table"), some(WORLDS, 2))
+@pytest.mark.parametrize(("title", "table"), some(WORLDS, 1))
 def test_the_right_kind_promises_most(folder: Path, title: str, table: dict[str, Any]) -> None:
     swims = [make_swim(planted(folder, table), seed, PERIODS) for seed in (1, 2, 3)]
     _, rows, nominal = nominal_fit(swims, robot())
@@ -172,7 +172,7 @@ MISPLACED: list[tuple[dict[str, float], dict[str, float]]] = [
 ]
 
 
-@pytest.mark.skipif(LEVEL == "quick", reason="fits of two laws: FK_LEVEL=ci")
+@from_ci
 @pytest.mark.parametrize(("cable", "moment"), MISPLACED, ids=["cable", "moment"])
 def test_laws_are_moved_beside_each_other(
     folder: Path, cable: dict[str, float], moment: dict[str, float]
@@ -222,7 +222,8 @@ def test_a_moment_between_two_strokes_is_told_as_the_gap(folder: Path) -> None:
     assert moment_intervals(pushed, swims, rows) == {}
 
 
-@pytest.mark.parametrize("taut", some([True, False], 1))
+@from_ci
+@pytest.mark.parametrize("taut", [True, False])
 def test_what_bends_is_held_against_folds_by_simulation(folder: Path, taut: bool) -> None:
     """A cable a little off its place: derivatives across the bend say nothing of a fit without a fold."""
     swims = [make_swim(planted(folder, WORLDS[0][1]) if taut else [], seed, 14) for seed in (1, 2, 3, 4)]
@@ -235,6 +236,7 @@ def test_what_bends_is_held_against_folds_by_simulation(folder: Path, taut: bool
     assert (gain > max(HELD_OUT_GAIN_MIN, error)) == taut
 
 
+@from_ci
 def test_a_law_that_may_have_no_strength_is_left_out(folder: Path) -> None:
     swims = [make_swim(planted(folder, WORLDS[1][1]), seed, 16) for seed in (1, 2)]
     model, rows, nominal = nominal_fit(swims, robot())
@@ -297,7 +299,7 @@ def test_every_kind_is_a_law_that_a_robot_s_file_can_have() -> None:
         )
 
 
-@pytest.mark.skipif(LEVEL == "quick", reason="a whole search takes a minute: FK_LEVEL=ci")
+@from_ci
 def test_a_cable_is_found_and_swims_from_the_file_that_is_written(folder: Path) -> None:
     table = planted(folder, WORLDS[0][1])
     swims = [make_swim(table, seed, count(20, 30)) for seed in (1, 2, 3, 4)]

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 from tests.chunks.test_chunks import Cluster, kill_one, needs_distributed
-from tests.conftest import count
+from tests.conftest import count, from_ci
 
 from frogkick.core.errors import FrogkickError
 from frogkick.library import build_library
@@ -50,6 +50,7 @@ def test_a_killed_worker_changes_no_byte(cluster: Cluster, here: bytes, tmp_path
     cluster.workers += [cluster.add_worker() for _ in range(count(1, 1, 0))]
 
 
+@from_ci
 @needs_distributed
 def test_what_a_lost_cluster_had_finished_is_kept(cluster: Cluster, here: bytes, tmp_path: Path) -> None:
     out = tmp_path / "out.h5"

@@ -9,12 +9,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tests.conftest import count
+from tests.conftest import from_ci
 from tests.der.single import simulate_action
 
 from frogkick.cli.main import run_command
 from frogkick.der import Rods, prepare, simulate_actions
-from frogkick.front import emitted as emitted_planner
 from frogkick.robot import Action, Robot, load_robot
 from frogkick.tables.image import read_image
 from frogkick_codegen.toolchain import FLAGS, zig
@@ -78,8 +77,9 @@ def told_by(capsys: pytest.CaptureFixture[str], *arguments: str) -> dict[str, An
     return told
 
 
+@from_ci
 def test_six_limbs_from_the_file_to_the_closed_loop(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Library, table, emitted C, both firmware targets, checks on the virtual chip, a run along a path."""
     robot = load_robot("hexapod")
@@ -96,9 +96,6 @@ def test_six_limbs_from_the_file_to_the_closed_loop(
         (a.first_mask, a.second_mask) for a in robot.actions
     ]
 
-    if count(0, 0, 1):
-        for depth, states in {1: 12, 2: 12, 3: 3}.items():
-            monkeypatch.setitem(emitted_planner.STATES, depth, states)
     told_by(capsys, "codegen", str(fkt), "--out", str(emitted))
     program = tmp_path / "example"
     zig("host").run([*FLAGS, f"-I{emitted}", *sorted(emitted.glob("*.c")), "-o", program], folder=tmp_path)
@@ -113,8 +110,8 @@ def test_six_limbs_from_the_file_to_the_closed_loop(
     assert bench["flash_bytes"]
     told_by(capsys, "firmware", "test", "--tables", str(fkt))
     same = told_by(
-        capsys, "parity", "--tables", str(fkt), "--states", str(count(1000, 1000, 200)), "--chip-states",
-        str(count(32, 32, 12)), "--loop-decisions", str(count(40, 40, 15)),
+        capsys, "parity", "--tables", str(fkt), "--states", "1000", "--chip-states", "32",
+        "--loop-decisions", "40",
     )  # fmt: skip
     assert {"python-native": 0, "python-chip": 0, "native-chip": 0}.items() <= same["mismatches"].items()
     assert {"python-native": 0, "native-chip": 0}.items() <= same["loop_mismatches"].items()

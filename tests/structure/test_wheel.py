@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 from packaging.requirements import Requirement
-from tests.conftest import LEVEL, REPOSITORY
+from tests.conftest import LEVEL, REPOSITORY, from_ci
 from tests.runs import rig
 from tests.structure.wheel import Environment, build_wheel, installed, repository_files
 
@@ -77,6 +77,7 @@ def test_extras_are_those_of_pyproject() -> None:
     assert {extra: set(packages.values()) for extra, packages in EXTRAS.items()} == named
 
 
+@from_ci
 def test_the_firmware_is_built_from_the_wheel_alone(whole: Environment, tmp_path: Path) -> None:
     looked = whole.command("doctor", "--json")
     assert looked.code == 0 and json.loads(looked.stdout)["ready_without_robot"], looked.stdout

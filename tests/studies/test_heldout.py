@@ -8,25 +8,21 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tests.conftest import count
-from tests.identification.made import WORN, make_run, robot
+from tests.conftest import from_ci
+from tests.identification.made import make_run, robot
 from typer.testing import CliRunner
 
 from frogkick.cli.app import app
 from frogkick.core.errors import InputError
 from frogkick.core.poses import PredictionError
-from frogkick.identification import choice as choice_module
-from frogkick.identification import outcome as outcome_module
 from frogkick.identification.outcome import identify
 from frogkick.identification.segments import read_segments
-from frogkick.identification.terms import catalogue
 from frogkick.robot import load_robot
 from frogkick.runs.runlog_file import write_run
 from frogkick_studies import heldout
 from frogkick_studies.heldout import HeldOut, held_out, pooled
 
 CURRENT = {"name": "steady_current", "x_mps": 0.008, "y_mps": -0.004}
-PLANTED = WORN if count(0, 0, 1) else CURRENT  # in make test what still water is quicker to simulate with
 PERIODS = (14, 12, 10)
 
 
@@ -36,21 +32,11 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
     folder = tmp_path_factory.mktemp("runs")
     files = [folder / f"run{seed}.h5" for seed in range(len(PERIODS))]
     for seed, (file, periods) in enumerate(zip(files, PERIODS, strict=True)):
-        write_run(file, make_run([PLANTED], seed, periods))
+        write_run(file, make_run([CURRENT], seed, periods))
     return files
 
 
-@pytest.fixture
-def candidates(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Few candidates in make test, and no robots of the same body: the search as it is, in a minute."""
-    if few := count(0, 0, 2):
-        some = [term for term in catalogue(robot()) if term.name == "steady_current"]
-        some += [term for term in catalogue(robot()) if "limb_wear rear" in term.title][: few - 1]
-        monkeypatch.setattr(outcome_module, "catalogue", lambda *_: some)
-        monkeypatch.setattr(choice_module, "calibrated_starts", lambda _robot: {})
-
-
-@pytest.mark.usefixtures("candidates")
+@from_ci
 def test_each_run_is_predicted_by_what_the_others_show(runs: list[Path], tmp_path: Path) -> None:
     out = tmp_path / "heldout.png"
     toml = tmp_path / "robot.toml"
@@ -63,7 +49,7 @@ def test_each_run_is_predicted_by_what_the_others_show(runs: list[Path], tmp_pat
     assert [row["run"] for row in values["runs"]] == [str(run) for run in runs]
     assert values["periods"] == sum(row["periods"] for row in values["runs"]) > sum(PERIODS) - 6
     for row in values["runs"]:
-        assert row["effects"] == [" ".join(str(PLANTED[key]) for key in ("name", "limb") if key in PLANTED)]
+        assert row["effects"] == [CURRENT["name"]]
         assert row["after"]["position_rmse_m"] < 0.2 * row["before"]["position_rmse_m"]
     whole = values["after"]["position_rmse_m"]
     squares = [row["periods"] * row["after"]["position_rmse_m"] ** 2 for row in values["runs"]]

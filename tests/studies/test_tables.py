@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.conftest import FULL, count
+from tests.conftest import FULL, count, from_ci
 from tests.identification.made import robot
 from tests.library.synthetic import Known
 
@@ -93,6 +93,7 @@ def test_the_smallest_table_as_good_and_the_exponent() -> None:
     assert least_bytes_as_good(TableSizes((made("nearest", 9, 9, 1e-9), *affine), ())) is None
 
 
+@from_ci
 @pytest.mark.usefixtures("few_sizes")
 def test_the_command_draws_and_tells(
     library: Library, tmp_path: Path, capsys: pytest.CaptureFixture[str]
@@ -111,11 +112,12 @@ def test_the_command_draws_and_tells(
     assert run_command(["study", "tables", str(tmp_path / "none.h5")]) == 2
 
 
+@from_ci
 def test_history_as_an_input_is_worth_most_where_limbs_tire(monkeypatch: pytest.MonkeyPatch) -> None:
     fading = list(history.VARIANTS)[-1]
     if not FULL:
         monkeypatch.setattr(history, "VARIANTS", {fading: history.VARIANTS[fading]})
-    results = history.history_worth(robot(), count(60, 400, 48), count(8, 100, 5), 1)
+    results = history.history_worth(robot(), count(60, 400), count(8, 100), 1)
     tiring = [result for result in results if result.variant != "as described"]
     assert len(tiring) == count(1, 2)
     better = count(80, 30) / 100.0

@@ -51,6 +51,12 @@ def run(
     ] = "line",
     planner: PlannerOption = PlannerName.robot,
     depth: DepthOption = None,
+    learn: Annotated[
+        bool,
+        typer.Option(
+            "--learn", help="The host learns what each limb has lost, and plans with it (with --plan host)."
+        ),
+    ] = False,
     tables: TablesOption = None,
     model: Annotated[
         str | None, typer.Option(help="Robot TOML file or built-in name; default: the table's robot.")
@@ -126,6 +132,7 @@ def run(
         plan=plan.value,
         planner=planner.value,
         depth=depth,
+        learn=learn,
         seed=seed,
         time_limit_s=simulated_time,
         fix_rate_hz=fix_rate,

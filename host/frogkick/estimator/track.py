@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from frogkick.core.compiled import kept, stamp_of
+from frogkick.estimator.wear import WearFilter
 from frogkick.planner import floats
 from frogkick.planner.lookup import DYNAMICS, arrays_of, dynamics_after, find_row, motion_of, velocity_code
 from frogkick.tables.image import Tables
@@ -157,6 +158,7 @@ class Track:
         mean: (3, 2 n) float32 x, y, heading: pose and speed at each instant, world.
         covariance: (2, 2 n, 2 n) float32 of x and of y, of heading.
         process_noise: (2,) float32 variance of a stroke's speed around the table's prediction.
+        wear: learns what the limbs have lost, which ``tables`` then take into account; None: nothing learns.
     """
 
     tables: Tables
@@ -164,6 +166,7 @@ class Track:
     mean: Float32 = field(default_factory=lambda: np.zeros((3, 0), dtype=np.float32))
     covariance: Float32 = field(default_factory=lambda: np.zeros((2, 0, 0), dtype=np.float32))
     process_noise: Float32 = field(default_factory=_PROCESS_NOISE.copy)
+    wear: WearFilter | None = None
 
     def __post_init__(self) -> None:
         self._arrays = arrays_of(self.tables)
@@ -208,6 +211,8 @@ class Track:
             self._undo()
         else:
             if self._teaches and not self.instants[-2].coasted:
+                if self.wear is not None:
+                    self._learn_wear(self.wear)
                 self._learn()
             if at_us != self.instants[-1].time_us:
                 self._move_newest(at_us)
@@ -346,6 +351,19 @@ class Track:
         codes, motion = np.zeros(DYNAMICS, dtype=np.int64), np.zeros(3, dtype=np.float32)
         _transition(self._arrays, velocity, self._per_velocity, limb_use, action, motion, codes)
         return motion, codes[:3].astype(np.float32) * self._arrays.velocity_scale, codes[3:]
+
+    def _learn_wear(self, wear: WearFilter) -> None:
+        """Learn from a period of which fixes tell most, and take the worn table from now on."""
+        known = self.covariance[:, -2, -2]
+        if (known > (_F(1) - _INFORMED) * self._predicted_variance).any():
+            return
+        begin, end = self.instants[-2:]
+        missed = (self.mean[:, -2] - self._predicted).astype(np.float64)
+        variance = known[_COVARIANCE_OF].astype(np.float64)
+        period_s = float(_seconds(end.time_us - begin.time_us))
+        wear.learn(missed, variance, float(self.mean[2, -4]), begin.action, period_s)
+        self.tables = wear.tables
+        self._arrays = arrays_of(self.tables)
 
     def _learn(self) -> None:
         """Adapt the process noise to the error of the last prediction."""

@@ -17,6 +17,7 @@ from frogkick.front.places import (
     called_by,
     plan_config,
     require_period,
+    require_plan,
     require_simulated,
     require_simulator,
     robot_of_table,
@@ -24,7 +25,7 @@ from frogkick.front.places import (
     table_image,
 )
 from frogkick.front.robots import session_at
-from frogkick.front.running import PLANS, Run
+from frogkick.front.running import Run
 from frogkick.front.tables import Table, load_table
 from frogkick.link.log import fetch_log as fetch_bytes
 from frogkick.link.wire import is_target, parse_target
@@ -32,6 +33,7 @@ from frogkick.robot import Robot, in_a_row
 from frogkick.runs.chip_log_file import FetchedLog, read_log, write_log
 from frogkick.runs.chip_log_replay import LogReplay
 from frogkick.runs.chip_log_replay import replay_log as replay_records
+from frogkick.runs.record import LEARN
 from frogkick.runs.recorded import load_run as load_log
 from frogkick.runs.replay import Replay, require_replayable
 from frogkick.runs.replay import replay as replay_run
@@ -110,11 +112,10 @@ def replay(
         InputError: the run holds no decision to repeat, or the table is for another robot or period.
         ToolchainError: no compiler for the firmware is found.
     """
-    if plan not in PLANS:
-        raise InputError(f"plan is {plan!r}{nearest_name(plan, PLANS)}: choose {', '.join(PLANS)}")
     (require_simulated if plan == "host" else require_simulator)(robot)
     recorded = run.log if isinstance(run, Run) else load_log(run)
     require_replayable(recorded)
+    require_plan(plan, LEARN in recorded.made)
     if isinstance(table, Table):
         used = table
     else:

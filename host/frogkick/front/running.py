@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from frogkick.core.errors import InputError, nearest_name
+from frogkick.core.errors import InputError
 from frogkick.core.extras import EXTRAS, require
 from frogkick.core.files import require_writable, sole_writer
 from frogkick.core.progress import Progress, progress_bar, shown, tell_line
@@ -33,6 +33,7 @@ from frogkick.front.bench import (
 from frogkick.front.html import page_of
 from frogkick.front.places import (
     plan_config,
+    require_plan,
     require_simulator,
     simulated_robot,
     start_pose,
@@ -52,7 +53,7 @@ from frogkick.runs.decision import LiveCheck
 from frogkick.runs.export_csv import columns_of, export_csv
 from frogkick.runs.export_mcap import export_mcap
 from frogkick.runs.live_log import CUT_OFF, logged, part_of
-from frogkick.runs.record import BATTERY_V, Tracking, made_of, run_log, tracking_of_recording
+from frogkick.runs.record import BATTERY_V, Tracking, lost_of, made_of, run_log, tracking_of_recording
 from frogkick.runs.recorded import import_recorded
 from frogkick.runs.recorded import load_run as load_log
 from frogkick.runs.runlog import RunLog
@@ -63,8 +64,6 @@ from frogkick.runs.summary import Comparison, Summary, compare_runs, summary, tr
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from pandas import DataFrame
-
-PLANS = ("onboard", "host", "both")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -178,7 +177,7 @@ class Run:
 
     def as_json(self) -> dict[str, Any]:
         """The keys of the command ``run``."""
-        return {**self.tracking.as_json(), **self.checked, "ended": self.ended}
+        return {**self.tracking.as_json(), **self.checked, "lost": lost_of(self.log), "ended": self.ended}
 
     def __repr__(self) -> str:
         name = "no path" if self.path is None else self.path.name
@@ -236,6 +235,7 @@ def run(
     plan: str = "onboard",
     planner: str = "robot",
     depth: int | None = None,
+    learn: bool = False,
     seed: int = 0,
     time_limit_s: float = 120.0,
     fix_rate_hz: float = 15.0,
@@ -267,6 +267,7 @@ def run(
         plan: who decides: "onboard" (the robot), "host", or "both" (the robot while the host checks it).
         planner: planner whose weights and depth are used: "robot" (its TOML file) or "paper".
         depth: periods to look ahead, 1 to 4; None: the planner's own.
+        learn: the host learns what each limb has lost, and plans with it (``plan="host"``).
         seed: seed of the simulated camera's noise.
         time_limit_s: time limit, s; in pool time if the pool is simulated.
         fix_rate_hz: simulated position fixes per second.
@@ -298,8 +299,7 @@ def run(
     is_real = is_target(robot)
     if not is_real:
         require_simulator(robot)
-    if plan not in PLANS:
-        raise InputError(f"plan is {plan!r}{nearest_name(plan, PLANS)}: choose {', '.join(PLANS)}")
+    require_plan(plan, learn)
     require_writable(target)
     desired = swim_path(path)
     eye = SimulatedCamera(rate_hz=fix_rate_hz)
@@ -311,7 +311,7 @@ def run(
     check = LiveCheck() if plan == "both" else None
     stopped = threading.Event()  # by the button of the page
     config = plan_config(described, planner, depth)
-    options = RunOptions(config, plan != "host", time_limit_s, check, stopped.is_set)
+    options = RunOptions(config, plan != "host", time_limit_s, check, stopped.is_set, learn)
     name = f"run --robot {robot.replace('/', ' ').replace(chr(92), ' ')} --plan {plan}"
     known = {} if battery_v is None else {BATTERY_V: battery_v}
     pool = None

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 import numpy as np
+import numpy.typing as npt
 
 from frogkick.core.errors import InputError
 from frogkick.core.poses import Fix
@@ -65,6 +66,7 @@ class Recording:
         fixes_refused: the robot's own counter.
         first_decision_s, end_s: session time.
         clock_offset_us: robot time minus session time; 0 in simulated time.
+        lost: (l,) share of its contribution that each limb has lost, as learned by now; None: nothing learns.
     """
 
     fixes: list[Fix] = field(default_factory=list)
@@ -80,6 +82,7 @@ class Recording:
     first_decision_s: float = 0.0
     end_s: float = 0.0
     clock_offset_us: int = 0
+    lost: npt.NDArray[np.float64] | None = None
 
 
 class FixSource(Protocol):
@@ -103,6 +106,7 @@ class RunOptions:
     Attributes:
         config: cost weights and depth of the planner.
         onboard: True: the robot's planner decides; False: the twin on the host.
+        learn: the twin on the host learns what the limbs have lost, and plans with it.
         time_limit_s: longest time from the first decision on.
         check: compares each decision of the robot with the host's; None: no comparison.
         stop: polled at each step; True ends the run.
@@ -113,6 +117,7 @@ class RunOptions:
     time_limit_s: float = 120.0
     check: LiveCheck | None = None
     stop: Callable[[], bool] = lambda: False
+    learn: bool = False
 
 
 def parameters(config: PlanConfig) -> dict[str, float]:
@@ -200,7 +205,7 @@ class _Run:
     def __post_init__(self) -> None:
         self.recording.edges = self.session.edges  # grows with the session
         self.session.on_step = self._advance_source
-        self.twin = DecisionTwin(self.tables, self.path, self.options.config)
+        self.twin = DecisionTwin(self.tables, self.path, self.options.config, learn=self.options.learn)
 
     def go(self) -> Recording:
         session, options = self.session, self.options
@@ -268,6 +273,7 @@ class _Run:
             decision = self.twin.decide(at_us)
             decision = replace(decision, plan_us=round((time.perf_counter() - began_s) * 1e6))
             recording.decisions.append(decision)
+            recording.lost = None if self.twin.wear is None else self.twin.wear.lost
             self.progress(session.time_s, decision.path_index)
             if self._ended_on_host():
                 return

@@ -13,6 +13,7 @@ from frogkick.core.errors import CheckError
 from frogkick.estimator.estimator import LOST_US, Estimates, Estimator
 from frogkick.estimator.follow import End, Follow
 from frogkick.estimator.track import resting_action_of
+from frogkick.estimator.wear import WearFilter
 from frogkick.link.frames import Frame
 from frogkick.link.layout import Value, link_layout
 from frogkick.paths import Path
@@ -177,16 +178,28 @@ class DecisionTwin:
 
     Attributes:
         ended: why the run has ended; None while it goes on. The next decision starts a new run.
+        wear: what it learns of the limbs; None: it learns nothing, as the robot.
     """
 
     def __init__(
-        self, tables: Tables, path: Path, config: PlanConfig, estimator: Estimates | None = None
+        self,
+        tables: Tables,
+        path: Path,
+        config: PlanConfig,
+        estimator: Estimates | None = None,
+        learn: bool = False,
     ) -> None:
-        """Start at the path's begin; without ``estimator`` the twin of the robot's own is used."""
+        """Start at the path's begin.
+
+        Args:
+            estimator: None: the twin of the robot's own.
+            learn: the twin of the robot's own learns what the limbs have lost, and plans with it.
+        """
+        self.wear = WearFilter(tables) if learn else None
         self._tables = tables
         self._path = path
         self._config = config
-        self._estimator = Estimator(tables) if estimator is None else estimator
+        self._estimator = Estimator(tables, wear=self.wear) if estimator is None else estimator
         self._follow = Follow(tables, path, config)
         self.ended: End | None = None
         self._resting_action = resting_action_of(tables)
@@ -228,9 +241,8 @@ class DecisionTwin:
         """Decide for a time on the clock of the fixes; the estimator takes the action as started."""
         if self.ended is not None:
             self.restart()
-        decision, self.ended = decide(
-            self._tables, self._path, self._config, self._estimator, self._follow, at_us
-        )
+        tables = self._tables if self.wear is None else self.wear.tables
+        decision, self.ended = decide(tables, self._path, self._config, self._estimator, self._follow, at_us)
         if self.ended is None:
             self._estimator.act(at_us, decision.action)
         return decision

@@ -28,6 +28,8 @@ from frogkick.runs.runlog import DecisionFlag, Decisions, Fixes, RunLog, Strokes
 from frogkick.tables.image import Tables
 
 BATTERY_V = "battery_v"
+LEARN, LOST = "learn", "lost_"
+"""In ``RunLog.made`` of a run that learned; before a limb's name in ``RunLog.measured``: its lost share."""
 """Key of ``RunLog.measured``: lowest battery voltage, measured by a person before the run."""
 
 _REQUIRED = (*list(WEIGHTS)[:4], "depth")
@@ -160,6 +162,8 @@ def run_log(
     if not options.onboard:  # planning times of this computer: without them the same seed gives the same log
         decisions = replace(decisions, plan_s=None)
         del tracked["plan_ms_p99"]
+    shares = [] if recording.lost is None else recording.lost.tolist()
+    lost = {LOST + limb.name: share for limb, share in zip(robot.limbs, shares, strict=False)}
     return RunLog(
         robot_id=robot.id,
         source=source,
@@ -179,10 +183,17 @@ def run_log(
         seed=seed,
         notes=recording.ended,
         measured={key: float(n) for key, n in tracked.items() if n is not None and np.isfinite(n)}
+        | lost
         | dict(known or {}),
         planner={key: float(value) for key, value in asdict(options.config).items()},
-        made=made or {},
+        made={**(made or {}), **({LEARN: "limbs"} if options.learn else {})},
     )
+
+
+def lost_of(run: RunLog) -> dict[str, float] | None:
+    """Share of its contribution that each limb had lost, as learned by the run's end; None: nothing."""
+    known = run.measured.items()
+    return {key.removeprefix(LOST): share for key, share in known if key.startswith(LOST)} or None
 
 
 def made_of(robot: Robot, tables: Tables, began_unix_s: float) -> dict[str, str]:

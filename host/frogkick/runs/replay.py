@@ -23,6 +23,7 @@ from frogkick.runs.decision import (
     decision_of_event,
     events_of_frame,
 )
+from frogkick.runs.record import LEARN
 from frogkick.runs.recorded import clock_problem
 from frogkick.runs.runlog import RunLog
 from frogkick.runs.session import LinkError, Session
@@ -144,7 +145,8 @@ def replay(
         onboard, events = replay_onboard(schedule, run.path, tables, config, port, progress)
     else:
         events = _events_of(schedule)
-    decided = replay_on_host(events, DecisionTwin(tables, run.path, config)) if host else []
+    twin = DecisionTwin(tables, run.path, config, learn=LEARN in run.made)
+    decided = replay_on_host(events, twin) if host else []
     names = [row.name for row in tables.actions] + ["-"]
     actions = [names[d.action] for d in (onboard or decided)]
     recorded: list[str | None] = [name or None for name in run.decided(unseen="")[: len(actions)]]

@@ -109,6 +109,9 @@ class Loop(Config):
     tables: Annotated[
         Path | None, Option(help="Robot's own table; default: affine, 64 KiB, of that library.")
     ] = None
+    learn: Annotated[
+        bool, Option(help="Compare the host as well, where it plans and learns what the limbs have lost.")
+    ] = False
     workers: int = 0
 
 

@@ -134,12 +134,14 @@ class Planner:
         table: name of its table for ``run_cases``: PAPER (all states of the paper's, nearest), ROBOT.
         config: cost, weights, depth.
         own: whether the cost is the robot's own.
+        learn: the host plans, and learns what the limbs have lost.
     """
 
     name: str
     table: str
     config: PlanConfig
     own: bool = False
+    learn: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -314,7 +316,7 @@ def _run(ready: _Ready, case: Case) -> Outcome:
         pool,
         ready.tables[planner.table],
         course.path,
-        RunOptions(planner.config, time_limit_s=TIME_LIMIT_S),
+        RunOptions(planner.config, not planner.learn, TIME_LIMIT_S, learn=planner.learn),
     )
     tracked = tracking_of_recording(recording, pool, ready.robot, course.path)
     return Outcome(

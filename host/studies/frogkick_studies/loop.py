@@ -59,8 +59,11 @@ _PROGRESS_TICKS_MMPS = (0, 10, 20, 30, 40, 50, 500)
 _DISTANCE_TICKS_MM = (0, 1, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000)
 
 
-def planners_of(robot: Robot) -> tuple[Planner, ...]:
-    """Return the paper's planner; its cost at depth 3 on the robot's table; the robot's at depth 1 to 3."""
+def planners_of(robot: Robot, learn: bool = False) -> tuple[Planner, ...]:
+    """Return the paper's planner; its cost at depth 3 on the robot's table; the robot's at depth 1 to 3.
+
+    With ``learn`` also the robot's on the host, which learns what the limbs have lost.
+    """
     own = config_of(robot.planner)
     return (
         Planner("paper", PAPER, PlanConfig()),
@@ -69,6 +72,7 @@ def planners_of(robot: Robot) -> tuple[Planner, ...]:
             Planner(f"robot, depth {depth}", ROBOT, dataclasses.replace(own, depth=depth), own=True)
             for depth in sorted({1, 2, 3, own.depth})
         ),
+        *([Planner("robot, learning", ROBOT, own, learn=True)] if learn else ()),
     )
 
 
@@ -226,7 +230,7 @@ def run(config: Loop) -> PlannersCompared:
     write_bytes(images[PAPER], quantise(read))
     if config.tables is None:
         fit_own_table(read, images[ROBOT])
-    planners = planners_of(robot)
+    planners = planners_of(robot, config.learn)
     cases = [
         Case(setting.name, name, planner.name, seed)
         for setting in settings

@@ -1,0 +1,104 @@
+"""The host learns what limbs have lost: from misses alone, in closed loop, and again from a run's log."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import frogkick as fk
+from frogkick.cli.app import app
+from frogkick.cli.main import run_command
+from frogkick.core.errors import InputError
+from frogkick.estimator.wear import NOISE, WearFilter
+from frogkick.front.default_tables import default_tables
+from frogkick.tables.image import Tables, read_image
+
+WORN = '[[effect]]\nname = "limb_wear"\nlimb = "front_right"\ngain = 0.65\n'
+PERIOD_S = 1.425
+LIMIT_S = 40.0
+
+
+@pytest.fixture(scope="module")
+def table() -> Path:
+    return default_tables("frog2022")
+
+
+def swum(filt: WearFilter, tables: Tables, lost: list[float], current: list[float], periods: int) -> None:
+    """Periods of a robot whose limbs have lost this much, in a current (3,), seen with noise."""
+    rng = np.random.default_rng(5)
+    scale = np.asarray(tables.motion_scale, dtype=np.float64)
+    true = tables.worn(np.round(np.array(lost) * 32767).astype(int)).shift[:, :3] * scale
+    for _ in range(periods):
+        action, heading = int(rng.integers(len(tables.actions))), float(rng.uniform(-3.0, 3.0))
+        cosine, sine = np.cos(heading), np.sin(heading)
+        to_world = np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
+        known = filt.tables.shift[action, :3] * scale
+        missed = to_world @ (true[action] - known) + np.array(current) * PERIOD_S
+        missed += 0.3 * np.array(NOISE) * rng.standard_normal(3)
+        filt.learn(missed, np.zeros(3), heading, action, PERIOD_S)
+
+
+@pytest.mark.parametrize(
+    ("lost", "current"),
+    [
+        ([0.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0]),
+        ([0.0, 0.6, 0.0, 0.0], [0.0, 0.0, 0.0]),
+        ([0.5, 0.0, 0.8, 0.0], [0.0, 0.0, 0.0]),
+        ([0.0, 0.0, 0.0, 0.0], [0.003, -0.002, 0.0]),
+        ([0.0, 0.0, 0.0, 1.0], [-0.002, 0.003, 0.0]),
+    ],
+)
+def test_limbs_and_a_current_are_told_apart(table: Path, lost: list[float], current: list[float]) -> None:
+    tables = read_image(table)
+    filt = WearFilter(tables)
+    swum(filt, tables, lost, current, 40)
+    assert filt.lost == pytest.approx(lost, abs=0.1)
+    assert [share > 0.0 for share in filt.lost] == [share > 0.0 for share in lost]
+    assert filt.current[:2] == pytest.approx(current[:2], abs=5e-4)
+    assert filt.current[2] == pytest.approx(current[2], abs=3e-3)
+
+
+def test_a_limb_that_comes_back_is_believed_again(table: Path) -> None:
+    tables = read_image(table)
+    filt = WearFilter(tables)
+    swum(filt, tables, [0.0, 0.0, 0.0, 0.9], [0.0, 0.0, 0.0], 30)
+    assert filt.lost[3] == pytest.approx(0.9, abs=0.1)
+    swum(filt, tables, [0.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0], 30)
+    assert not filt.lost.any()
+    assert np.array_equal(filt.tables.shift, tables.shift)
+
+
+def test_in_the_pool_a_worn_limb_is_named_and_replay_decides_alike(table: Path, tmp_path: Path) -> None:
+    world, log = tmp_path / "worn.toml", tmp_path / "run.h5"
+    world.write_text(WORN)
+    plain = fk.run(table, "ellipse", robot="pool", plan="host", world=world, time_limit_s=LIMIT_S)
+    learned = fk.run(
+        table, "ellipse", robot="pool", plan="host", world=world, time_limit_s=LIMIT_S, learn=True, out=log
+    )
+    assert plain.as_json()["lost"] is None and learned.actions != plain.actions
+    lost = learned.as_json()["lost"]
+    assert lost["front_right"] > 0.4 and sum(lost.values()) == lost["front_right"]
+    assert fk.load_run(log).as_json()["lost"] == pytest.approx(lost)
+    again = CliRunner().invoke(app, ["replay", str(log), "--plan", "host", "--json"])
+    assert again.exit_code == 0, again.stderr
+    assert json.loads(again.stdout)["agreement_with_recorded"] == 1.0
+    with pytest.raises(InputError, match="only the host learns"):
+        fk.replay(log, robot="pool", plan="both")
+
+
+def test_a_robot_as_it_was_swims_as_without(table: Path) -> None:
+    plain, learned = (
+        fk.run(table, "line", robot="pool", plan="host", time_limit_s=LIMIT_S, learn=learn)
+        for learn in (False, True)
+    )
+    assert learned.actions == plain.actions
+    assert not any(learned.as_json()["lost"].values())
+
+
+@pytest.mark.parametrize("plan", ["onboard", "both"])
+def test_only_the_host_learns(plan: str) -> None:
+    assert run_command(["run", "--robot", "pool", "--plan", plan, "--learn"]) == 2

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import gc
 import math
 import sys
@@ -13,12 +14,15 @@ from typing import Any
 import numpy as np
 import pytest
 
+import frogkick as fk
 from frogkick.core.errors import InputError
 from frogkick.der import Swimmer, prepare
 from frogkick.effects import Acting, Body, Effect, Fix, History, Law, Stroke, make_effect, read_world
 from frogkick.effects.formula import FUNCTIONS, ONE, parse, unit_of
+from frogkick.front.default_tables import default_tables
 from frogkick.robot import load_robot
 from frogkick.robot.load import parse_robot
+from frogkick.robot.toml_text import to_toml
 
 ROBOT = load_robot("frog2022")
 UNITS = {"x": unit_of("m"), "y": unit_of("m"), "t": unit_of("s"), "v": unit_of("m/s"), "a": ONE}
@@ -295,6 +299,32 @@ def test_a_world_s_file_has_a_law(tmp_path: Path) -> None:
     assert isinstance(cable, Law)
     again = make_effect(cable.table, tmp_path)
     assert swim([again]) == pulled
+
+
+LAWS_OF_ALL = [
+    {"on": "wrench", "x_n": "push", "parameters": {"push": {"value": 0.002, "unit": "N"}}},
+    {"on": "flow", "x_mps": "speed", "parameters": {"speed": {"value": 0.01, "unit": "m/s"}}},
+    {"on": "stroke", "limb": "front_left", "gain": "0.5"},
+    {"on": "fix", "x_m": "off", "parameters": {"off": {"value": 0.02, "unit": "m"}}},
+]
+
+
+@pytest.mark.parametrize("given", LAWS_OF_ALL, ids=lambda given: str(given["on"]))
+def test_a_copy_of_a_law_acts_on_what_it_acts_on(given: dict[str, Any]) -> None:
+    law = Law(**given)
+    for other in (copy.copy(law), copy.deepcopy(law), law.likeliest()):
+        assert type(other) is type(law) and other.table == law.table
+
+
+@pytest.mark.parametrize("given", LAWS_OF_ALL, ids=lambda given: str(given["on"]))
+def test_a_run_in_a_world_with_a_law_is_another_run(given: dict[str, Any], tmp_path: Path) -> None:
+    world = tmp_path / "world.toml"
+    world.write_text(to_toml({"effect": [{"name": "law", **given}]}))
+    table = default_tables("frog2022", 40, "visited")
+    plain, changed = (
+        fk.run(table, "line", robot="pool", world=each, time_limit_s=6.0) for each in (None, world)
+    )
+    assert not np.allclose(plain.log.fixes.pose_world, changed.log.fixes.pose_world, atol=1e-3)
 
 
 def test_a_robot_s_file_has_a_law_and_keeps_it(tmp_path: Path) -> None:

@@ -13,6 +13,7 @@ See ``formula`` for what a formula may hold, and CHANNELS and NAMES for what it 
 
 from __future__ import annotations
 
+import copy
 import re
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -70,8 +71,11 @@ class Law(Effect):
     shown_by = "whatever its formula depends on: record runs in which that varies"
 
     def __new__(cls, on: str = "wrench", **_given: Any) -> Law:
-        """Return an instance with only the methods of what it acts on, because other methods cost time."""
-        made: Law = object.__new__(_KINDS.get(on, cls))
+        """Return an instance with only the methods of what it acts on, because other methods cost time.
+
+        A copy is made from its class alone, which says what it acts on.
+        """
+        made: Law = object.__new__(_KINDS.get(on, cls) if cls is Law else cls)
         return made
 
     def __init__(
@@ -176,8 +180,7 @@ class Law(Effect):
     def likeliest(self) -> Effect:
         if not self.by_chance:
             return self
-        twin = object.__new__(type(self))  # copy.copy would ask __new__ for one on wrenches
-        twin.__dict__.update(self.__dict__)
+        twin = copy.copy(self)
         twin._drawn = False
         return twin
 

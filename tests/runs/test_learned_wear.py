@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -97,6 +98,13 @@ def test_a_robot_as_it_was_swims_as_without(table: Path) -> None:
     )
     assert learned.actions == plain.actions
     assert not any(learned.as_json()["lost"].values())
+
+
+def test_a_table_without_curves_is_refused(table: Path) -> None:
+    tables = read_image(table)
+    bare = replace(tables, limb_wear=np.zeros((tables.limbs, 0, 6), dtype=np.int32))
+    with pytest.raises(InputError, match="no wear curves"):
+        WearFilter(bare)
 
 
 @pytest.mark.parametrize("plan", ["onboard", "both"])

@@ -11,6 +11,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from frogkick.core.errors import InputError
 from frogkick.tables.image import Tables
 from frogkick.tables.layout import LOST_MAX
 
@@ -51,8 +52,15 @@ class WearFilter:
         """Start with nothing lost.
 
         Args:
-            tables: of the robot as it was, with a wear curve of each limb; without curves nothing is learned.
+            tables: of the robot as it was.
+
+        Raises:
+            InputError: they hold no wear curves.
         """
+        if not tables.limb_wear.size:
+            raise InputError(
+                "the table holds no wear curves to learn by: build it again, or do without learn"
+            )
         limbs = tables.limbs
         masks = np.array([row.first_mask | row.second_mask for row in tables.actions], dtype=np.int64)
         self._fires = ((masks[:, None] >> np.arange(limbs)) & 1).astype(bool)
@@ -82,7 +90,7 @@ class WearFilter:
             period_s: its length.
         """
         limbs = len(self.lost)
-        if self._curves.shape[1] < 2 or action >= len(self._fires):
+        if action >= len(self._fires):
             return
         cosine, sine = np.cos(heading_rad), np.sin(heading_rad)
         to_body = np.array([[cosine, sine, 0.0], [-sine, cosine, 0.0], [0.0, 0.0, 1.0]])

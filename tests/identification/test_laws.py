@@ -216,6 +216,14 @@ def test_a_moment_between_two_strokes_is_told_as_the_gap(folder: Path) -> None:
     assert middle.model.terms[0].values == pytest.approx((0.7, 0.5 * (low + high)))
     first, last = moment_intervals(middle, swims, rows)[0]
     assert first <= low and last >= high
+    with_high = [any(at == high for at, _ in swim.strokes) for swim in swims]
+    parts = [(swim.end_s <= high) | (not last) for swim, last in zip(swims, with_high, strict=True)]
+    unseen = rows & np.concatenate(parts)  # as where a run ends with that stroke
+    (fitted,) = derivatives([replace(model, terms=(term,))], swims, unseen)
+    other = swims[with_high.index(False)].strokes
+    after = min(at for at, number in other if number == limb and at > high)
+    _, moment = centred(fitted, swims, unseen).model.terms[0].values
+    assert moment == pytest.approx(0.5 * (low + after))
     push = kinds["push from a moment on"].term({"at": 12.0})
     (pushed,) = derivatives([replace(model, terms=(push,))], swims, rows)
     assert centred(pushed, swims, rows) is pushed

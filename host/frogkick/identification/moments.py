@@ -22,12 +22,17 @@ MOMENT = "at"
 WORSE = 3.84
 """What the deviance rises by at the ends of an interval of 95 % (chi-square, one degree of freedom)."""
 
+SAME = 0.04
+"""What the deviance may rise by where two moments fit as well."""
+
 NEIGHBOURS = 6
 """Gaps between strokes that are tried on each side of the one that a moment is in."""
 
 
 def centred(fitted: Fitted, swims: Sequence[Segments], rows: NDArray[np.bool_]) -> Fitted:
-    """The model with each such moment (s) in the middle between the two strokes around it.
+    """The model with each such moment (s) in the middle of those that fit as well.
+
+    These reach from stroke to stroke, and farther where a stroke's period does not count.
 
     Args:
         fitted: a model at its best.
@@ -38,14 +43,14 @@ def centred(fitted: Fitted, swims: Sequence[Segments], rows: NDArray[np.bool_]) 
     for place, term in enumerate(model.terms):
         borders = _borders(term, fitted.model, swims)
         if borders is not None:
-            k = _gap(borders, term)
-            model = _with_moment(model, place, float(borders[k : k + 2].mean()))
+            low, high = _alike(fitted, place, borders, swims, rows, SAME)
+            model = _with_moment(model, place, 0.5 * (low + high))
     if model is fitted.model:
         return fitted
     (rollouts,) = rollouts_of([model], swims)
     residuals = residuals_of(rollouts, rows)
     deviance = deviance_of(residuals)
-    if deviance > fitted.deviance + 0.01 * WORSE:
+    if deviance > fitted.deviance + SAME:
         return fitted  # its strokes on the fixes' clock are not those of the simulation
     return Fitted(model, rollouts, residuals, fitted.jacobian, deviance, fresh=False)
 
@@ -58,26 +63,37 @@ def moment_intervals(
     It reaches from stroke to stroke, as far as the deviance, simulated with all other parameters as they are,
     rises by less than WORSE.
     """
-    found = {}
-    for place, term in enumerate(fitted.model.terms):
-        borders = _borders(term, fitted.model, swims)
-        if borders is None:
-            continue
-        k = _gap(borders, term)
-        tried = np.arange(max(k - NEIGHBOURS, 0), min(k + NEIGHBOURS + 1, len(borders) - 1))
-        models = [_with_moment(fitted.model, place, float(borders[each : each + 2].mean())) for each in tried]
-        good = {
-            each
-            for each, rollouts in zip(tried.tolist(), rollouts_of(models, swims), strict=True)
-            if deviance_of(residuals_of(rollouts, rows)) < fitted.deviance + WORSE
-        }
-        first = last = k
-        while first - 1 in good:
-            first -= 1
-        while last + 1 in good:
-            last += 1
-        found[place] = float(borders[first]), float(borders[last + 1])
-    return found
+    borders = [_borders(term, fitted.model, swims) for term in fitted.model.terms]
+    return {
+        place: _alike(fitted, place, those, swims, rows, WORSE)
+        for place, those in enumerate(borders)
+        if those is not None
+    }
+
+
+def _alike(
+    fitted: Fitted,
+    place: int,
+    borders: FloatArray,
+    swims: Sequence[Segments],
+    rows: NDArray[np.bool_],
+    worse: float,
+) -> tuple[float, float]:
+    """The moments about a law's own (s) whose deviance is higher by less than this, from border to border."""
+    k = _gap(borders, fitted.model.terms[place])
+    tried = np.arange(max(k - NEIGHBOURS, 0), min(k + NEIGHBOURS + 1, len(borders) - 1))
+    models = [_with_moment(fitted.model, place, float(borders[each : each + 2].mean())) for each in tried]
+    good = {
+        each
+        for each, rollouts in zip(tried.tolist(), rollouts_of(models, swims), strict=True)
+        if deviance_of(residuals_of(rollouts, rows)) < fitted.deviance + worse
+    }
+    first = last = k
+    while first - 1 in good:
+        first -= 1
+    while last + 1 in good:
+        last += 1
+    return float(borders[first]), float(borders[last + 1])
 
 
 def _borders(term: Term, model: Model, swims: Sequence[Segments]) -> FloatArray | None:

@@ -296,11 +296,13 @@ def test_the_command_runs_a_world_and_says_its_name(
 ) -> None:
     file = tmp_path / "worn.toml"
     file.write_text(WORN, encoding="utf-8")
-    words = [*words_of(tmp_path, library), "--world", str(file)]
+    words = [*words_of(tmp_path, library), "--world", str(file), "--learn"]
     code = run_command([*words, "--json"])
     told = json.loads(capsys.readouterr().out)
     assert {(row["world"], row["path"]) for row in told["rows"]} == {("worn", "line")}
-    assert [row["planner"] for row in told["rows"]] == NAMES
+    assert [row["planner"] for row in told["rows"]] == [*NAMES, "robot, learning"]
+    *_, plain, learned = told["rows"]
+    assert learned["mean_distance_m"] != plain["mean_distance_m"], "it plans for a worn limb"
     verdict = told["over_paths"]["worn"]
     assert (code, verdict["passed"]) == ((1, False) if verdict["missed"] else (0, True))
     assert told["table_bytes"]["robot"] == rig.small_table().stat().st_size

@@ -28,6 +28,8 @@ from frogkick_codegen.firmware import Firmware, build, require_tools
 DEFAULT_ROBOT = "frog2022"
 SIMULATED = {"virtual": "bench", "pool": "native"}
 """Simulated robot -> target of the firmware that it runs."""
+PLANS = ("onboard", "host", "both")
+"""Who decides."""
 
 
 def table_image(tables: Path | None, robot: str | None) -> Path:
@@ -145,9 +147,6 @@ def simulated_robot(
 
 
 PLANNERS = ("robot", "paper")
-
-
-PLANS = ("onboard", "host", "both")
 
 
 def require_plan(plan: str, learn: bool) -> None:

@@ -218,7 +218,8 @@ class RunLog:
         measured: numbers about the run (name with unit suffix -> finite value).
         planner: the planner's weights and depth (field of PlanConfig -> finite value), where known.
         made: provenance as texts, where known: ``began_at`` (UTC at the log's time 0, ISO 8601), ``frogkick``
-            (its version), ``robot_toml``, ``robot_sha256``, ``table_sha256``, ``command``.
+            (its version), ``robot_toml``, ``robot_sha256``, ``table_sha256``, ``command``; and
+            ``learn`` of a run in which the host learned what limbs have lost.
     """
 
     robot_id: str

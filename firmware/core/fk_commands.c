@@ -186,6 +186,15 @@ static int32_t on_status(const fk_robot_t *robot, uint64_t now_us, uint8_t *answ
     told.rest_us = fk_robot_rest_us(robot);
     told.supply = robot->supply;
     told.owner = fk_robot_is_owned(robot) ? (uint8_t)FK_OWNER_KEY : (uint8_t)FK_OWNER_OPEN;
+    told.learn = robot->estimator.track.wear.learn;
+    told.lost_0 = robot->estimator.track.wear.lost[0];
+    told.lost_1 = robot->estimator.track.wear.lost[1];
+    told.lost_2 = robot->estimator.track.wear.lost[2];
+    told.lost_3 = robot->estimator.track.wear.lost[3];
+    told.lost_4 = robot->estimator.track.wear.lost[4];
+    told.lost_5 = robot->estimator.track.wear.lost[5];
+    told.lost_6 = robot->estimator.track.wear.lost[6];
+    told.lost_7 = robot->estimator.track.wear.lost[7];
     fk_status_answer_pack(answer, &told);
     return (int32_t)FK_STATUS_ANSWER_BYTES;
 }
@@ -252,6 +261,14 @@ static int8_t set_parameter(fk_robot_t *robot, uint8_t parameter, float value)
         if (value > 0.0f && (uint32_t)value < robot->plan.transitions_max) {
             robot->plan.transitions_max = (uint32_t)value;
         }
+        return FK_STATUS_OK;
+    }
+    if (parameter == FK_PARAMETER_LEARN) {
+        if (!is_whole_within(value, FK_LEARN_OFF, FK_LEARN_HELD) ||
+            (value != 0.0f && robot->tables.wear_knots == 0u)) {
+            return FK_STATUS_VALUE;
+        }
+        fk_estimator_learn(&robot->estimator, (uint8_t)value);
         return FK_STATUS_OK;
     }
     return set_weight(&robot->plan, parameter, value);

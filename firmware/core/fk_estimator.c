@@ -2,9 +2,9 @@
 
 #include "fk_frames_layout.h"
 
-void fk_estimator_init(fk_estimator_t *estimator, const fk_tables_t *tables)
+void fk_estimator_init(fk_estimator_t *estimator, fk_tables_t *tables, uint8_t learn)
 {
-    fk_track_init(&estimator->track, tables);
+    fk_track_init(&estimator->track, tables, learn);
     for (uint32_t i = 0u; i < FK_FIX_MARKS; ++i) {
         estimator->marks[i] = 0u;
     }
@@ -192,6 +192,12 @@ void fk_estimator_act(fk_estimator_t *estimator, uint64_t at_us, uint8_t action)
     estimator->action_us = at_us;
     estimator->action = action;
     estimator->action_waits = 1u;
+}
+
+void fk_estimator_learn(fk_estimator_t *estimator, uint8_t learn)
+{
+    settle(estimator); /* the period that ends with that action is learned from as it was until now */
+    fk_track_learn(&estimator->track, learn);
 }
 
 int32_t fk_estimator_is_lost(const fk_estimator_t *estimator, uint64_t at_us, uint64_t age_us)

@@ -54,7 +54,7 @@ typedef struct {
 } fk_estimate_t;
 
 /* tables must outlive the estimator. */
-void fk_estimator_init(fk_estimator_t *estimator, const fk_tables_t *tables);
+void fk_estimator_init(fk_estimator_t *estimator, fk_tables_t *tables, uint8_t learn);
 
 /* Take a fix.
  * @retval 0         taken
@@ -71,6 +71,9 @@ int32_t fk_estimator_at(fk_estimator_t *estimator, uint64_t at_us, fk_estimate_t
 /* The robot begins an action at at_us; again for the same time: it does this one instead. Also without fixes.
  * Takes no time: the look-up waits for the next fix or question. */
 void fk_estimator_act(fk_estimator_t *estimator, uint64_t at_us, uint8_t action);
+
+/* Learn what limbs have lost, or not any more. learn: FK_LEARN_... */
+void fk_estimator_learn(fk_estimator_t *estimator, uint8_t learn);
 
 /* 1 where no fix was taken yet, or the newest is more than age_us older than at_us; else 0. */
 int32_t fk_estimator_is_lost(const fk_estimator_t *estimator, uint64_t at_us, uint64_t age_us);

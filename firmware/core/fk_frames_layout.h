@@ -1,12 +1,12 @@
 /* Made from host/frogkick/link/frames.toml by: python -m frogkick_codegen.frames. Do not edit.
- * Protocol version 4. Payloads of the link: commands are unpacked, answers and events packed.
+ * Protocol version 5. Payloads of the link: commands are unpacked, answers and events packed.
  */
 #ifndef FK_FRAMES_LAYOUT_H
 #define FK_FRAMES_LAYOUT_H
 
 #include <stdint.h>
 
-#define FK_PROTOCOL_VERSION 4u
+#define FK_PROTOCOL_VERSION 5u
 #define FK_PAYLOAD_BYTES_MAX 231u
 #define FK_ANSWER_BIT 0x80u
 #define FK_EVENT_BIT 0x40u
@@ -95,7 +95,14 @@ enum { /* PARAM */
     FK_PARAMETER_SOFT_DISTANCE_M = 10,
     FK_PARAMETER_TURN_LEAD = 11,
     FK_PARAMETER_PLAN_TIME_US = 12,
-    FK_PARAMETER_TRANSITIONS_MAX = 13
+    FK_PARAMETER_TRANSITIONS_MAX = 13,
+    FK_PARAMETER_LEARN = 14
+};
+
+enum { /* whether the robot learns what its limbs have lost */
+    FK_LEARN_OFF = 0,
+    FK_LEARN_ON = 1,
+    FK_LEARN_HELD = 2
 };
 
 enum { /* frame types */
@@ -409,7 +416,7 @@ static inline void fk_stop_answer_pack(uint8_t *to, const fk_stop_answer_t *from
 }
 
 #define FK_STATUS_COMMAND_BYTES 0u
-#define FK_STATUS_ANSWER_BYTES 55u
+#define FK_STATUS_ANSWER_BYTES 72u
 
 /* Answer to STATUS. */
 typedef struct {
@@ -431,6 +438,15 @@ typedef struct {
     uint32_t rest_us; /* no stroke before: it started without knowing how hot its limbs are; 0 = none is refused for that (us) */
     uint8_t supply; /* see supply */
     uint8_t owner; /* see owner */
+    uint8_t learn; /* see learn */
+    uint16_t lost_0; /* learned: share that limb 0 has lost of its contribution, 0 = none to 32767 = all */
+    uint16_t lost_1; /* learned: share that limb 1 has lost of its contribution, 0 = none to 32767 = all */
+    uint16_t lost_2; /* learned: share that limb 2 has lost of its contribution, 0 = none to 32767 = all */
+    uint16_t lost_3; /* learned: share that limb 3 has lost of its contribution, 0 = none to 32767 = all */
+    uint16_t lost_4; /* learned: share that limb 4 has lost of its contribution, 0 = none to 32767 = all */
+    uint16_t lost_5; /* learned: share that limb 5 has lost of its contribution, 0 = none to 32767 = all */
+    uint16_t lost_6; /* learned: share that limb 6 has lost of its contribution, 0 = none to 32767 = all */
+    uint16_t lost_7; /* learned: share that limb 7 has lost of its contribution, 0 = none to 32767 = all */
 } fk_status_answer_t;
 
 static inline void fk_status_answer_pack(uint8_t *to, const fk_status_answer_t *from)
@@ -453,6 +469,15 @@ static inline void fk_status_answer_pack(uint8_t *to, const fk_status_answer_t *
     fk_put_u32(to + 49, from->rest_us);
     fk_put_u8(to + 53, from->supply);
     fk_put_u8(to + 54, from->owner);
+    fk_put_u8(to + 55, from->learn);
+    fk_put_u16(to + 56, from->lost_0);
+    fk_put_u16(to + 58, from->lost_1);
+    fk_put_u16(to + 60, from->lost_2);
+    fk_put_u16(to + 62, from->lost_3);
+    fk_put_u16(to + 64, from->lost_4);
+    fk_put_u16(to + 66, from->lost_5);
+    fk_put_u16(to + 68, from->lost_6);
+    fk_put_u16(to + 70, from->lost_7);
 }
 
 #define FK_PARAM_COMMAND_BYTES 5u
@@ -899,7 +924,7 @@ static inline void fk_key_answer_pack(uint8_t *to, const fk_key_answer_t *from)
     fk_put_i8(to + 0, from->status);
 }
 
-#define FK_DECISION_EVENT_BYTES 106u
+#define FK_DECISION_EVENT_BYTES 122u
 
 /* A decision of the planner on board. */
 typedef struct {
@@ -931,6 +956,14 @@ typedef struct {
     uint16_t limb_use_5; /* lately used: limb 5, 0 = rested to 32767 = full */
     uint16_t limb_use_6; /* lately used: limb 6, 0 = rested to 32767 = full */
     uint16_t limb_use_7; /* lately used: limb 7, 0 = rested to 32767 = full */
+    uint16_t lost_0; /* learned: share that limb 0 has lost of its contribution, 0 = none to 32767 = all */
+    uint16_t lost_1; /* learned: share that limb 1 has lost of its contribution, 0 = none to 32767 = all */
+    uint16_t lost_2; /* learned: share that limb 2 has lost of its contribution, 0 = none to 32767 = all */
+    uint16_t lost_3; /* learned: share that limb 3 has lost of its contribution, 0 = none to 32767 = all */
+    uint16_t lost_4; /* learned: share that limb 4 has lost of its contribution, 0 = none to 32767 = all */
+    uint16_t lost_5; /* learned: share that limb 5 has lost of its contribution, 0 = none to 32767 = all */
+    uint16_t lost_6; /* learned: share that limb 6 has lost of its contribution, 0 = none to 32767 = all */
+    uint16_t lost_7; /* learned: share that limb 7 has lost of its contribution, 0 = none to 32767 = all */
     float predicted_x_m; /* after the action, world (m) */
     float predicted_y_m; /* after the action, world (m) */
     float predicted_heading_rad; /* after the action (rad) */
@@ -969,12 +1002,20 @@ static inline void fk_decision_event_pack(uint8_t *to, const fk_decision_event_t
     fk_put_u16(to + 76, from->limb_use_5);
     fk_put_u16(to + 78, from->limb_use_6);
     fk_put_u16(to + 80, from->limb_use_7);
-    fk_put_f32(to + 82, from->predicted_x_m);
-    fk_put_f32(to + 86, from->predicted_y_m);
-    fk_put_f32(to + 90, from->predicted_heading_rad);
-    fk_put_f32(to + 94, from->predicted_vx_mps);
-    fk_put_f32(to + 98, from->predicted_vy_mps);
-    fk_put_f32(to + 102, from->predicted_omega_rad_s);
+    fk_put_u16(to + 82, from->lost_0);
+    fk_put_u16(to + 84, from->lost_1);
+    fk_put_u16(to + 86, from->lost_2);
+    fk_put_u16(to + 88, from->lost_3);
+    fk_put_u16(to + 90, from->lost_4);
+    fk_put_u16(to + 92, from->lost_5);
+    fk_put_u16(to + 94, from->lost_6);
+    fk_put_u16(to + 96, from->lost_7);
+    fk_put_f32(to + 98, from->predicted_x_m);
+    fk_put_f32(to + 102, from->predicted_y_m);
+    fk_put_f32(to + 106, from->predicted_heading_rad);
+    fk_put_f32(to + 110, from->predicted_vx_mps);
+    fk_put_f32(to + 114, from->predicted_vy_mps);
+    fk_put_f32(to + 118, from->predicted_omega_rad_s);
 }
 
 #define FK_REFUSED_EVENT_BYTES 9u

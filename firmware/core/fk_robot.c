@@ -1,9 +1,9 @@
 #include "fk_robot_state.h"
 
 /* What depends on the table. */
-static void begin_with_tables(fk_robot_t *robot)
+static void begin_with_tables(fk_robot_t *robot, uint8_t learn)
 {
-    fk_estimator_init(&robot->estimator, &robot->tables);
+    fk_estimator_init(&robot->estimator, &robot->tables, learn);
     robot->period_us = robot->tables.period_us;
     robot->resting_action = robot->tables.actions;
     for (uint8_t action = robot->tables.actions; action > 0u; --action) {
@@ -77,11 +77,12 @@ int32_t fk_robot_init(fk_robot_t *robot, const uint8_t *image, uint32_t image_by
             robot->tables.robot_id[i] = robot_id[i];
         }
         robot->estimator.restarts = 0u;
+        fk_wear_init(&robot->estimator.track.wear, &robot->tables, FK_LEARN_OFF);
         robot->period_us = 0u;
         fk_robot_fault(robot, FK_FAULT_TABLE, error);
         return error;
     }
-    begin_with_tables(robot);
+    begin_with_tables(robot, FK_LEARN_OFF);
     return FK_OK;
 }
 
@@ -99,7 +100,7 @@ void fk_robot_use_store(fk_robot_t *robot, fk_store_t *store) { robot->store = s
 void fk_robot_use_tables(fk_robot_t *robot)
 {
     (void)fk_fit_open(robot->store->image, robot->store->image_bytes, &robot->tables);
-    begin_with_tables(robot);
+    begin_with_tables(robot, robot->estimator.track.wear.learn);
 }
 
 /* Two costs are known by measurement on the chip: what a decision takes at all, and what each transition adds at
@@ -182,6 +183,14 @@ static void decide(fk_robot_t *robot)
     event->limb_use_5 = estimate.state.limb_use[5];
     event->limb_use_6 = estimate.state.limb_use[6];
     event->limb_use_7 = estimate.state.limb_use[7];
+    event->lost_0 = robot->estimator.track.wear.lost[0];
+    event->lost_1 = robot->estimator.track.wear.lost[1];
+    event->lost_2 = robot->estimator.track.wear.lost[2];
+    event->lost_3 = robot->estimator.track.wear.lost[3];
+    event->lost_4 = robot->estimator.track.wear.lost[4];
+    event->lost_5 = robot->estimator.track.wear.lost[5];
+    event->lost_6 = robot->estimator.track.wear.lost[6];
+    event->lost_7 = robot->estimator.track.wear.lost[7];
     robot->decision_pending = 1u;
     ++robot->decisions;
     uint8_t content[FK_DECISION_EVENT_BYTES];

@@ -131,12 +131,36 @@ static void covariance(fk_walk_t *walk, fk_covariance_t *told, uint32_t states)
     }
 }
 
+static void wear(fk_walk_t *walk, fk_wear_t *told, fk_tables_t *tables)
+{
+    const uint32_t unknowns = 3u + tables->limbs;
+    u8(walk, &told->learn, (tables->wear_knots > 0u) ? FK_LEARN_HELD : FK_LEARN_OFF);
+    if (walk->from != 0) {
+        fk_wear_init(told, tables, told->learn);
+    }
+    if (told->learn == FK_LEARN_OFF) {
+        return; /* nothing was learned */
+    }
+    f32(walk, told->information, unknowns * (unknowns + 1u) / 2u);
+    f32(walk, told->vector, unknowns);
+    f32(walk, told->current, 3u);
+    for (uint32_t limb = 0u; limb < tables->limbs; ++limb) {
+        u16(walk, &told->lost[limb]);
+        if (told->lost[limb] > FK_LOST_MAX) {
+            walk->wrong = 1;
+            told->lost[limb] = 0u;
+        }
+    }
+    fk_wear_use(told, tables);
+}
+
 static void track(fk_walk_t *walk, fk_track_t *told)
 {
     const uint32_t actions = told->tables->actions; /* also the one for rest that has no row */
     u8(walk, &told->learned, 3u);
     u8(walk, &told->teaches, 1u);
     u8(walk, &told->count, FK_INSTANTS);
+    wear(walk, &told->wear, told->tables);
     f32(walk, told->predicted, 3u);
     covariance(walk, &told->covariance[0], 2u * told->count);
     covariance(walk, &told->covariance[1], 2u * told->count);

@@ -13,9 +13,10 @@ static float seconds(uint64_t from_us, uint64_t to_us)
     return (float)((time_us > UINT32_MAX) ? UINT32_MAX : (uint32_t)time_us) * 1e-6f;
 }
 
-void fk_track_init(fk_track_t *track, const fk_tables_t *tables)
+void fk_track_init(fk_track_t *track, fk_tables_t *tables, uint8_t learn)
 {
     track->tables = tables;
+    fk_wear_init(&track->wear, tables, learn);
     track->resting_action = tables->actions;
     for (uint8_t action = tables->actions; action > 0u; --action) {
         fk_action_t masks;
@@ -30,6 +31,15 @@ void fk_track_init(fk_track_t *track, const fk_tables_t *tables)
     track->learned = 0u;
     track->teaches = 0u;
     track->count = 0u;
+}
+
+void fk_track_learn(fk_track_t *track, uint8_t learn)
+{
+    if (learn == FK_LEARN_OFF && track->wear.learn != FK_LEARN_OFF) {
+        fk_wear_init(&track->wear, track->tables, learn);
+        track->teaches = 0u; /* the period under way was predicted with what is forgotten */
+    }
+    track->wear.learn = learn;
 }
 
 void fk_track_forget(fk_track_t *track) { track->count = 0u; }
@@ -273,14 +283,24 @@ void fk_track_reset_pose(fk_track_t *track, uint64_t at_us, const float *pose)
     (void)fk_track_update(track, at_us, pose, 0);
 }
 
-/* How far off the table was in the period that ends tells how far off it may be in the next. */
+/* How far off the table was in the period that ends tells how far off it may be in the next, and what limbs have lost. */
 static void learn(fk_track_t *track)
 {
     const uint32_t newest = track->count - 1u;
+    fk_wear_period_t period;
     float square[3];
     for (uint32_t axis = 0u; axis < 3u; ++axis) {
         const float off = track->mean[axis][2u * newest] - track->predicted[axis];
+        period.missed[axis] = off;
         square[axis] = off * off;
+    }
+    period.variance[0] = fk_covariance_told(&track->covariance[0], newest);
+    period.variance[1] = fk_covariance_told(&track->covariance[1], newest);
+    if (period.variance[0] >= 0.0f && period.variance[1] >= 0.0f) {
+        period.heading_rad = fk_wrap_angle(track->mean[2][2u * newest - 2u]);
+        period.period_s = seconds(track->time_us[newest - 1u], track->time_us[newest]);
+        period.action = track->action[newest - 1u];
+        fk_wear_learn(&track->wear, track->tables, &period);
     }
     const float part = learn_parts[track->learned];
     fk_covariance_adapt(&track->covariance[0], newest, square[0] + square[1], 2.0f, part);

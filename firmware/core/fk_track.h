@@ -20,17 +20,19 @@
 
 #include "fk_planner.h"
 #include "fk_covariance.h"
+#include "fk_wear.h"
 
 #define FK_TRACK_COASTS_MAX 8u     /* periods without a word that are predicted at once; after more all is forgotten */
 #define FK_COAST_US 200000u       /* so late may word of a decision come before the robot counts as resting */
 #define FK_PERIOD_LEAST_US 50000u /* an action that follows another one sooner takes its place */
 
 typedef struct {
-    const fk_tables_t *tables;
+    fk_tables_t *tables;           /* which tell what limbs do that have worn as `wear` says */
     uint64_t time_us[FK_INSTANTS]; /* oldest first; the newest is the end of the period under way */
     float mean[3][FK_TRACK_STATES]; /* x m, y m, heading rad (any turn); as covariance: pose, speed at each instant */
     float predicted[3];             /* the newest instant's pose, as its period began */
     fk_covariance_t covariance[2];         /* of x and y; of heading */
+    fk_wear_t wear;                /* what limbs have lost */
     float fire_s;                  /* from a stroke's start to its last limb's end */
     uint16_t limb_use[FK_INSTANTS][FK_LIMBS_MAX];
     uint8_t action[FK_INSTANTS];   /* of the period that begins there; tables->actions: rest, for which no row is */
@@ -42,10 +44,13 @@ typedef struct {
     uint8_t resting_action;        /* first that fires no limb; tables->actions where there is none */
 } fk_track_t;
 
-/* tables must outlive the track. */
-void fk_track_init(fk_track_t *track, const fk_tables_t *tables);
+/* tables must outlive the track. learn: FK_LEARN_... */
+void fk_track_init(fk_track_t *track, fk_tables_t *tables, uint8_t learn);
 
-/* Nothing is known any more, but the process noise. */
+/* Learn what limbs have lost, or not any more. learn: FK_LEARN_..., of which OFF forgets it. */
+void fk_track_learn(fk_track_t *track, uint8_t learn);
+
+/* Nothing is known any more, but the process noise and what limbs have lost. */
 void fk_track_forget(fk_track_t *track);
 
 /* Predict periods of rest until at_us is at most FK_COAST_US after the newest instant, or forget. */

@@ -68,13 +68,15 @@ class Closing:
     Attributes:
         planted: the effect that acts in the pool, as in a world's TOML file.
         outcome: the result of the identification.
-        old, new: runs of the worn robot with the old and the new table, along the same paths and with the
-            same noise; ``new`` is empty if no effect was found.
+        old, learned, new: runs of the worn robot with the old table, with the old one while it learned what
+            its limbs have lost, and with the new one, along the same paths and with the same noise; ``new``
+            is empty if no effect was found.
     """
 
     planted: dict[str, Any]
     outcome: Outcome
     old: list[Trial]
+    learned: list[Trial]
     new: list[Trial]
 
     @staticmethod
@@ -96,6 +98,7 @@ class Closing:
             "found": self.outcome.effects_as_json(),
             "changed_robot": {
                 "mean_distance_before_m": self.distance_m(self.old),
+                "mean_distance_learning_m": self.distance_m(self.learned),
                 "mean_distance_after_m": self.distance_m(self.new),
             },
         }
@@ -225,6 +228,8 @@ def plant(robot: Robot, seed: int) -> dict[str, Any]:
 def close(ring: Ring, out: Path, seed: int, bar: Stage, held_out: str = HELD_OUT) -> None:
     """Wear a limb, identify the wear from logs, make a new table and firmware, and follow the paths again.
 
+    In between the paths are followed with the old table while the robot learns what its limbs have lost.
+
     Args:
         ring: result of ``go_round``, whose ``closing`` is set. The runs along its paths are the training
             runs.
@@ -242,14 +247,14 @@ def close(ring: Ring, out: Path, seed: int, bar: Stage, held_out: str = HELD_OUT
     paths = [run.log.path.name for run in ring.runs if run.log.path is not None]
     planted = plant(robot, seed)
 
-    def swum(image: Path, with_tables: Tables, name: str, title: str) -> Trial:
+    def swum(image: Path, with_tables: Tables, name: str, title: str, learn: bool = False) -> Trial:
         with bar(f"{title}, the {name}: path points") as progress:
             return swim(
                 VirtualRobot(image, len(robot.limbs)),
                 with_tables,
                 robot,
                 name,
-                options,
+                dataclasses.replace(options, learn=learn),
                 [seed, 1],
                 "demo",
                 World(make_effects([planted], Path())),
@@ -263,6 +268,8 @@ def close(ring: Ring, out: Path, seed: int, bar: Stage, held_out: str = HELD_OUT
         write_run(logs[-1], dataclasses.replace(run.log, truth=None))
         old.append(run)
     clock.lap("swim with a worn limb")
+    learned = [swum(ring.built.image, tables, name, "swim and learn", learn=True) for name in paths]
+    clock.lap("swim and learn")
     swims = [read_segments(log, robot) for log in logs]
     with steps(bar) as tell:
         outcome = identify(swims[:-1], swims[-1:], robot, progress=tell)
@@ -281,7 +288,7 @@ def close(ring: Ring, out: Path, seed: int, bar: Stage, held_out: str = HELD_OUT
         opened = read_image(image)
         new = [swum(built.image, opened, name, "swim with the new firmware") for name in paths]
         clock.lap("swim with the new firmware")
-    ring.closing = Closing(planted, outcome, old[:-1], new)
+    ring.closing = Closing(planted, outcome, old[:-1], learned, new)
 
 
 def make_tables(robot: Robot, out: Path, states: int, seed: int, bar: Stage, title: str) -> Path:

@@ -21,7 +21,12 @@ def paper_size_image() -> bytes:
 
 
 def affine_image(
-    states: int = 80, actions: int = 9, seed: int = 1, limbs: int = 4, size_of_motion: float = 1.0
+    states: int = 80,
+    actions: int = 9,
+    seed: int = 1,
+    limbs: int = 4,
+    size_of_motion: float = 1.0,
+    **changes: object,
 ) -> bytes:
     """Return the image of a table with corrections and a history that matter."""
     rng = np.random.default_rng(seed)
@@ -33,17 +38,21 @@ def affine_image(
         size[:, None] / synthetic.HIGH
     )
     rows = [(chr(ord("A") + i), i % (1 << limbs), (3 * i) % (1 << limbs)) for i in range(actions)]
+    parts: dict[str, object] = {
+        "velocities": velocity,
+        "base": base,
+        "jacobian": jacobian,
+        "history": rng.normal(0.0, 0.1, (actions, limbs, 6)) * size,
+        "use_decay": 0.35,
+        "use_gain": 0.4,
+    }
     return pack_affine(
-        synthetic.metadata(actions, {"limbs": limbs, "action_rows": rows}),
-        velocities=velocity,
-        base=base,
-        jacobian=jacobian,
-        history=rng.normal(0.0, 0.1, (actions, limbs, 6)) * size,
-        use_decay=0.35,
-        use_gain=0.4,
+        synthetic.metadata(actions, {"limbs": limbs, "action_rows": rows}), **(parts | changes)
     )
 
 
-def image(kind: str) -> bytes:
-    """Return a made-up table of a kind."""
-    return affine_image() if kind == "affine" else synthetic.image()
+def image(kind: str, **changes: object) -> bytes:
+    """Return a made-up table of a kind; ``changes`` replace arguments of how it is packed."""
+    if kind == "affine":
+        return affine_image(**changes)  # type: ignore[arg-type]
+    return synthetic.pack(*synthetic.transitions(300, 9, 1), **changes)

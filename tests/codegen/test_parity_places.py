@@ -71,7 +71,7 @@ class Built:
 
     def __init__(self, folder: Path, kind: str) -> None:
         self.folder, self.file = folder, folder / f"{kind}.fkt"
-        write_bytes(self.file, made_up.image(kind))
+        write_bytes(self.file, made_up.image(kind, limb_wear=synthetic.bent_curves()))
         self.tables: Tables = open_image(self.file.read_bytes())
 
     @cached_property
@@ -100,12 +100,14 @@ def test_the_chip_gives_the_twin_s_bits(built: Built, config: str) -> None:
     cases = make_cases(built.tables, PATH, count(160, 20_000, 34), SEED)
     chip = ChipPlanner(built.bench)
     chip.configure(PATH, settings)
-    places = {
-        "python": python_place(built.tables, PATH, settings),
-        "chip": lambda *given: chip.plan(*given)[0],
-    }
-    (pair,) = compare(cases, places)
-    assert pair.mismatches == 0, pair.first_failure
+    for lost in ([0, 0, 0, 0], [9000, 0, 32767, 20_000]):
+        chip.wear(lost)
+        places = {
+            "python": python_place(built.tables.worn(lost), PATH, settings),
+            "chip": lambda *given: chip.plan(*given)[0],
+        }
+        (pair,) = compare(cases, places)
+        assert pair.mismatches == 0, pair.first_failure
 
 
 @pytest.mark.parametrize("config", CONFIGS)
@@ -165,6 +167,7 @@ def test_a_loop_has_what_makes_estimates_hard(built: Built) -> None:
     names = link_layout().status_name
     told = {names(int(frame.values["status"])) for frame in frames if frame.name == "FIX"}
     assert {"OK", "DOUBLE", "OUTLIER"} <= told
+    assert any(any(decision.lost) for decision in loop.decisions)
     made = {names(int(frame.values["status"])) for frame in frames if frame.name == "DECISION"}
     assert made == {"OK", "STALE"}
     assert len({decision.action for decision in loop.decisions}) > 3
@@ -178,6 +181,7 @@ def test_a_loop_has_what_makes_estimates_hard(built: Built) -> None:
 
 LOOP_MUTATIONS = {
     "what is learned of a period": ("fk_track.c", "0.25f, 0.2f}", "0.25f, 0.21f}"),
+    "what a limb must explain": ("fk_wear.c", "FK_WEAR_PENALTY 9.0f", "FK_WEAR_PENALTY 60.0f"),
     "a doubled fix counts twice": ("fk_estimator.c", "return FK_STATUS_DOUBLE;", "break;"),
     "a fix is stale earlier": ("fk_estimator.h", "FK_FIX_STALE_US 500000", "FK_FIX_STALE_US 300000"),
 }

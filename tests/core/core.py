@@ -163,10 +163,11 @@ def kept_of(on_us: Sequence[int] = ()) -> Any:
 
 
 def image(**changes: object) -> bytes:
-    """A made-up table with these actions; ``changes`` replace arguments of pack_nearest."""
+    """A made-up table with these actions and wear curves; ``changes`` replace arguments of pack_nearest."""
     rows = changes.get("action_rows", ACTION_ROWS)
     assert isinstance(rows, list)
-    return synthetic.pack(*synthetic.transitions(60, len(rows), 5), **({"action_rows": rows} | changes))
+    given = {"action_rows": rows, "limb_wear": synthetic.bent_curves()}
+    return synthetic.pack(*synthetic.transitions(60, len(rows), 5), **(given | changes))
 
 
 @dataclass(frozen=True)

@@ -13,15 +13,20 @@ from tests.planner import synthetic
 
 from frogkick.estimator.estimator import FUTURE_US, STALE_US, Estimator
 from frogkick.estimator.track import PERIOD_LEAST_US
+from frogkick.estimator.wear import HELD, OFF, ON
 from frogkick.tables.image import Tables, open_image
 
 Pose = npt.NDArray[np.float32]
-ESTIMATOR_BYTES_MAX = 1536
+ESTIMATOR_BYTES_MAX = 2560
 
-# One that knows the limbs' use, one without a resting action, one with slow limbs, one of short periods.
+# One whose limbs wear, one that knows the limbs' use and their wear, one without a resting action, one with
+# slow limbs, one of short periods.
 IMAGES = {
-    "usual": lambda: image(),
-    "affine": lambda: synthetic.affine_image(40, len(ACTION_ROWS), action_rows=ACTION_ROWS),
+    "usual": lambda: image(limb_wear=np.zeros((4, 0, 6))),
+    "worn": lambda: image(),
+    "affine": lambda: synthetic.affine_image(
+        40, len(ACTION_ROWS), action_rows=ACTION_ROWS, limb_wear=synthetic.wear_curves(4, 5, 6)
+    ),
     "restless": lambda: image(action_rows=[(n, f or 1, s) for n, f, s in ACTION_ROWS]),
     "slow limbs": lambda: image(second_delay_us=900_000),
     "short": lambda: image(period_us=330_000),
@@ -53,6 +58,9 @@ class CEstimator:
 
     def act(self, at_us: int, action: int) -> None:
         self._core.fk_test_estimator_act(self._memory, at_us, action)
+
+    def learn(self, learn: int) -> None:
+        self._core.fk_test_estimator_learn(self._memory, learn)
 
     def at(self, at_us: int) -> tuple[bytes, tuple[int, ...]] | None:
         state = FFI.from_buffer("float[]", self._state, require_writable=True)
@@ -86,7 +94,7 @@ class Twin:
 
     def __init__(self, name: str = "usual") -> None:
         self._twin = Estimator(table(name)[1])
-        self.add, self.act = self._twin.add, self._twin.act
+        self.add, self.act, self.learn = self._twin.add, self._twin.act, self._twin.track.learn
 
     def at(self, at_us: int) -> tuple[bytes, tuple[int, ...]] | None:
         found = self._twin.at(at_us)
@@ -98,7 +106,11 @@ class Twin:
         track = self._twin.track
         count = len(track.instants)
         values = [track.mean, track.covariance] if count else []
-        content = b"".join(part.astype(np.float32).tobytes() for part in [*values, track.process_noise])
+        values.append(track.process_noise)
+        if (wear := track.wear) is not None:
+            sums = wear._information[np.tril_indices(len(wear._vector))]
+            values += [sums, wear._vector, wear.current, wear.codes]
+        content = b"".join(part.astype(np.float32).tobytes() for part in values)
         return content, (count, self._twin._fixes, self._twin.restarts)
 
     def spoil(self, speed: int, value: float) -> None:
@@ -113,7 +125,10 @@ WILD = np.array(
 
 @dataclass
 class Stream:
-    """One random life: what is told to an estimator, in its order; (what, time, pose or action, sequence)."""
+    """One random life: what is told to an estimator, in its order; (what, time, given, sequence).
+
+    given: a pose, an action, or whether to learn what limbs have lost.
+    """
 
     table: str
     events: list[tuple[str, int, Any, int]]
@@ -123,8 +138,10 @@ def stream(seed: int) -> Stream:
     """Fixes with every fault, decisions, questions, gaps, a robot moved by hand, from one seed."""
     if seed % 100 == 7:
         return obedient(seed)
+    if seed % 10 == 4:
+        return worn(seed)
     rng = np.random.default_rng(seed)
-    name = str(rng.choice(list(IMAGES), p=[0.4, 0.3, 0.1, 0.1, 0.1]))
+    name = str(rng.choice([name for name in IMAGES if name != "worn"], p=[0.4, 0.3, 0.1, 0.1, 0.1]))
     begin_us = pick(rng, [2 * 10**6, 3 * 10**6 + 1, 2**32 - 2 * 10**6, 2**53, 2**62])
     period_us = pick(rng, [table(name)[1].period_us, 1_423_000, 1_428_000, 500_000])
     rate_hz = pick(rng, [2, 5, 10, 15, 30, 60])
@@ -176,18 +193,36 @@ def stream(seed: int) -> Stream:
         limit_us = pick(rng, [STALE_US, STALE_US + 1, -FUTURE_US, -FUTURE_US - 1])
         if event[0] == "fix":
             events.append((arrival_us, ("at", event[1] + limit_us, None, 0)))
+    if name == "affine":  # of any miss something is learned
+        switched_us = [begin_us - 1, *rng.integers(begin_us, end_us, int(rng.choice([0, 0, 3]))).tolist()]
+        events += [(int(us), ("learn", 0, pick(rng, [ON, ON, HELD, OFF]), 0)) for us in switched_us]
     return Stream(name, [event for _, event in sorted(events, key=lambda row: row[0])])
 
 
 def obedient(seed: int) -> Stream:
     """A robot that does to the table's word what it is told."""
-    given = swim(seed, 12, kick=0.0)
+    return _told("usual", swim(seed, 12, kick=0.0), [])
+
+
+def worn(seed: int) -> Stream:
+    """A robot that learns what its limbs have lost, of which some have, some more from a moment on."""
+    rng = np.random.default_rng([seed, 1])
+    lost = [rng.choice([0, 0, rng.integers(32768), 32767], 4).tolist() for _ in range(2)]
+    given = swim(seed, int(rng.integers(8, 40)), kick=pick(rng, [0.0, 0.1, 0.5]), name="worn", lost=lost)
+    begin_us, end_us = given.starts_us[0], given.starts_us[-1]
+    switched_us = [begin_us - 1, *rng.integers(begin_us, end_us, int(rng.choice([0, 0, 2]))).tolist()]
+    modes = [ON, *rng.choice([ON, ON, HELD, OFF], len(switched_us) - 1).tolist()]
+    return _told("worn", given, [(us, ("learn", 0, m, 0)) for us, m in zip(switched_us, modes, strict=True)])
+
+
+def _told(name: str, given: Swim, more: list[tuple[int, tuple[str, int, Any, int]]]) -> Stream:
+    """What a robot is told that swims like this, and more, each at its time."""
     fixes = [(arrival_us, ("fix", time_us, pose, k)) for arrival_us, time_us, pose, k in on_time(given)]
     acts = list(zip(given.starts_us, given.actions, strict=True))
     asked = [(time_us, ("at", time_us, None, 0)) for time_us, _ in acts]
     acted = [(time_us, ("act", time_us, action, 0)) for time_us, action in acts]
-    every: list[tuple[int, tuple[str, int, Any, int]]] = [*fixes, *asked, *acted]
-    return Stream("usual", [event for _, event in sorted(every, key=lambda row: row[0])])
+    every: list[tuple[int, tuple[str, int, Any, int]]] = [*fixes, *asked, *acted, *more]
+    return Stream(name, [event for _, event in sorted(every, key=lambda row: row[0])])
 
 
 def answers(life: Stream, estimator: CEstimator | Twin) -> list[object]:
@@ -198,6 +233,8 @@ def answers(life: Stream, estimator: CEstimator | Twin) -> list[object]:
             said.append(("fix", estimator.add(time_us, given, sequence)))
         elif what == "act":
             estimator.act(time_us, given)
+        elif what == "learn":
+            estimator.learn(given)
         else:
             said.append(("at", estimator.at(time_us)))
     return [*said, estimator.inside()]
@@ -220,10 +257,21 @@ class Swim:
     fixes: list[tuple[int, Pose]]
 
 
-def swim(seed: int, periods: int = 20, rate_hz: float = 15.0, noisy: bool = True, kick: float = 1.0) -> Swim:
-    """Made with float64 and formulas of its own: speed linear while limbs fire, then (u + u^2) / 2."""
+def swim(
+    seed: int,
+    periods: int = 20,
+    rate_hz: float = 15.0,
+    noisy: bool = True,
+    kick: float = 1.0,
+    name: str = "usual",
+    lost: list[list[int]] | None = None,
+) -> Swim:
+    """Made with float64 and formulas of its own: speed linear while limbs fire, then (u + u^2) / 2.
+
+    lost: what the limbs have lost in the first half and in the second.
+    """
     rng = np.random.default_rng(seed)
-    arrays = table("usual")[1]
+    arrays = table(name)[1]
     fire = 160_000 / PERIOD_US
     period_s = PERIOD_US * 1e-6
     state = np.array([*rng.uniform(-1, 1, 2), rng.uniform(-3, 3), 0.02, 0.0, 0.0])
@@ -237,6 +285,9 @@ def swim(seed: int, periods: int = 20, rate_hz: float = 15.0, noisy: bool = True
         code = np.round(state[3:] / arrays.velocity_scale)
         row = int(((arrays.states - code) ** 2).sum(axis=1).argmin())
         values = arrays.transitions[row, action]
+        if lost is not None:
+            values = values + arrays.worn(lost[2 * period // periods]).shift[action]
+            values[:3] = np.clip(values[:3], -arrays.motion_limit, arrays.motion_limit)
         motion, after = values[:3] * arrays.motion_scale, values[3:] * arrays.velocity_scale
         kicked = kick * rng.normal(0, [0.002, 0.002, 0.02])
         motion, after = motion + 0.8 * period_s * kicked, after + 0.7 * kicked

@@ -18,6 +18,7 @@ int32_t fk_test_estimator_init(fk_test_estimator_t *test, const uint8_t *image, 
 int32_t fk_test_estimator_add(fk_test_estimator_t *test, uint64_t capture_us, const float *pose, uint16_t sequence);
 void fk_test_estimator_act(fk_test_estimator_t *test, uint64_t at_us, uint8_t action);
 int32_t fk_test_estimator_at(fk_test_estimator_t *test, uint64_t at_us, float *state, uint32_t *numbers);
+void fk_test_estimator_learn(fk_test_estimator_t *test, uint8_t learn);
 uint32_t fk_test_estimator_inside(fk_test_estimator_t *test, float *values, uint32_t *counts);
 void fk_test_estimator_spoil(fk_test_estimator_t *test, uint32_t speed, float value);
 void fk_test_rule(uint8_t state, uint8_t event, uint8_t *rule);
@@ -112,7 +113,7 @@ int32_t fk_test_estimator_init(fk_test_estimator_t *test, const uint8_t *image, 
 {
     int32_t error = fk_tables_open(image, bytes, &test->tables);
     if (error == 0) {
-        fk_estimator_init(&test->estimator, &test->tables);
+        fk_estimator_init(&test->estimator, &test->tables, FK_LEARN_OFF);
     }
     return error;
 }
@@ -148,7 +149,12 @@ int32_t fk_test_estimator_at(fk_test_estimator_t *test, uint64_t at_us, float *s
     return error;
 }
 
-/* All that the track believes: means, covariances, process noise; and what the estimator counts. Returns the floats written. */
+void fk_test_estimator_learn(fk_test_estimator_t *test, uint8_t learn)
+{
+    fk_estimator_learn(&test->estimator, learn);
+}
+
+/* All that the track believes: means, covariances, process noise, what was learned of the limbs; and what the estimator counts. Returns the floats written. */
 uint32_t fk_test_estimator_inside(fk_test_estimator_t *test, float *values, uint32_t *counts)
 {
     fk_estimate_t none;
@@ -169,6 +175,21 @@ uint32_t fk_test_estimator_inside(fk_test_estimator_t *test, float *values, uint
     }
     values[at++] = track->covariance[0].process_noise;
     values[at++] = track->covariance[1].process_noise;
+    if (track->wear.learn != FK_LEARN_OFF) {
+        const uint32_t unknowns = 3u + track->tables->limbs;
+        for (uint32_t i = 0u; i < unknowns * (unknowns + 1u) / 2u; ++i) {
+            values[at++] = track->wear.information[i];
+        }
+        for (uint32_t i = 0u; i < unknowns; ++i) {
+            values[at++] = track->wear.vector[i];
+        }
+        for (uint32_t i = 0u; i < 3u; ++i) {
+            values[at++] = track->wear.current[i];
+        }
+        for (uint32_t limb = 0u; limb < track->tables->limbs; ++limb) {
+            values[at++] = (float)track->wear.lost[limb];
+        }
+    }
     counts[0] = track->count;
     counts[1] = test->estimator.fixes;
     counts[2] = test->estimator.restarts;

@@ -104,6 +104,20 @@ def wear_curves(limbs: int, knots: int, seed: int, size: float = 1.0) -> npt.NDA
     return np.asarray(size * steps.cumsum(axis=1) / knots)
 
 
+def bent_curves() -> npt.NDArray[np.float64]:
+    """Return wear curves of four limbs that are bent as real ones are, of about a stroke's size."""
+    share = np.arange(1, 9)[:, None] / 8
+    most = -np.array(
+        [
+            [0.007, -0.005, -0.12, 0.004, -0.002, -0.05],
+            [0.007, 0.005, 0.12, 0.004, 0.002, 0.05],
+            [0.010, -0.002, 0.06, 0.006, -0.001, 0.03],
+            [0.010, 0.002, -0.06, 0.006, 0.001, -0.03],
+        ]
+    )
+    return np.asarray(share * (0.6 + 0.4 * share) * most[:, None, :])
+
+
 def grid_tables(seed: int = 3, states: int = 200) -> Tables:
     """Return a table whose velocities stand on a coarse grid: equal distances and equal rows abound."""
     velocity, motion, end = transitions(states, 5, seed)

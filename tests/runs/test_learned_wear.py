@@ -1,4 +1,4 @@
-"""The host learns what limbs have lost: from misses alone, in closed loop, and again from a run's log."""
+"""What limbs have lost is learned: from misses alone, in closed loop, and again from a run's log."""
 
 from __future__ import annotations
 
@@ -12,7 +12,6 @@ from typer.testing import CliRunner
 
 import frogkick as fk
 from frogkick.cli.app import app
-from frogkick.cli.main import run_command
 from frogkick.core.errors import InputError
 from frogkick.estimator.wear import NOISE, WearFilter
 from frogkick.front.default_tables import default_tables
@@ -40,7 +39,8 @@ def swum(filt: WearFilter, tables: Tables, lost: list[float], current: list[floa
         known = filt.tables.shift[action, :3] * scale
         missed = to_world @ (true[action] - known) + np.array(current) * PERIOD_S
         missed += 0.3 * np.array(NOISE) * rng.standard_normal(3)
-        filt.learn(missed, np.zeros(3), heading, action, PERIOD_S)
+        single = np.float32(heading), action, np.float32(PERIOD_S)
+        filt.learn(missed.astype(np.float32), np.zeros(3, dtype=np.float32), *single)
 
 
 @pytest.mark.parametrize(
@@ -87,8 +87,22 @@ def test_in_the_pool_a_worn_limb_is_named_and_replay_decides_alike(table: Path, 
     again = CliRunner().invoke(app, ["replay", str(log), "--plan", "host", "--json"])
     assert again.exit_code == 0, again.stderr
     assert json.loads(again.stdout)["agreement_with_recorded"] == 1.0
-    with pytest.raises(InputError, match="only the host learns"):
-        fk.replay(log, robot="pool", plan="both")
+
+
+def test_the_robot_learns_as_the_host_does(table: Path, tmp_path: Path) -> None:
+    """The C beside its twin, decision by decision; and again from the log, in both."""
+    world, log = tmp_path / "worn.toml", tmp_path / "run.h5"
+    world.write_text(WORN)
+    run = fk.run(
+        table, "ellipse", robot="pool", plan="both", world=world, time_limit_s=LIMIT_S, learn=True, out=log
+    )
+    told = run.as_json()
+    assert told["mismatches"] == told["decisions_unchecked"] == 0 < told["decisions_checked"]
+    assert told["lost"]["front_right"] > 0.4 and sum(told["lost"].values()) == told["lost"]["front_right"]
+    lost = run.log.decisions.extra["lost"]
+    assert lost.shape == (told["decisions"], 8) and not lost[0].any() and lost[-1].any()
+    again = fk.replay(log, robot="pool", plan="both").as_json()
+    assert again["mismatches"] == 0 and again["agreement_with_recorded"] > 0.8
 
 
 def test_a_robot_as_it_was_swims_as_without(table: Path) -> None:
@@ -105,8 +119,3 @@ def test_a_table_without_curves_is_refused(table: Path) -> None:
     bare = replace(tables, limb_wear=np.zeros((tables.limbs, 0, 6), dtype=np.int32))
     with pytest.raises(InputError, match="no wear curves"):
         WearFilter(bare)
-
-
-@pytest.mark.parametrize("plan", ["onboard", "both"])
-def test_only_the_host_learns(plan: str) -> None:
-    assert run_command(["run", "--robot", "pool", "--plan", plan, "--learn"]) == 2

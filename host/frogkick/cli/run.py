@@ -53,9 +53,7 @@ def run(
     depth: DepthOption = None,
     learn: Annotated[
         bool,
-        typer.Option(
-            "--learn", help="The host learns what each limb has lost, and plans with it (with --plan host)."
-        ),
+        typer.Option("--learn", help="Learn while swimming what each limb has lost, and plan with it."),
     ] = False,
     tables: TablesOption = None,
     model: Annotated[
@@ -120,8 +118,9 @@ def run(
 
     At a terminal, Enter arms a real robot and any key stops the run. The robot is disarmed however the run
     ends. The exit code is 1 if a limit of the guard was broken, if robot and host decided differently (--plan
-    both), if the robot made no progress along its path, or if the run was cut short: position fixes were
-    lost, the robot's supply fell too low, it disarmed itself, or the connection was lost.
+    both), if the robot made no progress along its path, if it could not follow it for want of a limb (with
+    --learn), or if the run was cut short: position fixes were lost, the robot's supply fell too low, it
+    disarmed itself, or the connection was lost.
     """
     found = fk.run(
         tables,
@@ -156,11 +155,14 @@ def run(
             "where the robot is, and that it leads where the robot can go"
         )
     from frogkick.front.bench import UNFINISHED
-    from frogkick.front.run_progress import tight_path
+    from frogkick.front.run_progress import lacks_a_limb, tight_path
 
-    if tight := tight_path(found.log, found.tracking):
+    if lacks := lacks_a_limb(found.ended):
+        say(lacks)
+    elif tight := tight_path(found.log, found.tracking):
         say(tight)
     if found.ended in UNFINISHED:
         say(f"the path was not completed, as {UNFINISHED[found.ended]}")
-    if found.tracking.limit_violations or found.tracking.stood or found.ended in UNFINISHED:
+    failed = found.tracking.limit_violations or found.tracking.stood or bool(lacks)
+    if failed or found.ended in UNFINISHED:
         raise typer.Exit(1)

@@ -14,7 +14,6 @@ import numpy as np
 import numpy.typing as npt
 
 from frogkick.estimator.track import Track, sine_cosine, wrapped
-from frogkick.estimator.wear import WearFilter
 from frogkick.tables.image import Tables
 
 MARKS = 64
@@ -82,18 +81,16 @@ class Estimator:
     Attributes:
         tables: of the prediction.
         restarts: number of resets to outliers that agree with each other.
-        wear: learns what the limbs have lost; None: nothing learns, as on the robot.
     """
 
     tables: Tables
     restarts: int = 0
-    wear: WearFilter | None = None
     _newest: _Fix | None = None
     _outliers: list[_Fix] = field(default_factory=list)
     _fixes: int = 0
 
     def __post_init__(self) -> None:
-        self.track = Track(self.tables, wear=self.wear)
+        self.track = Track(self.tables)
         self._marks: deque[tuple[int, bytes]] = deque(maxlen=MARKS)
 
     @property

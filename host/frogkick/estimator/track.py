@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from frogkick.core.compiled import kept, stamp_of
-from frogkick.estimator.wear import WearFilter
+from frogkick.estimator.wear import HELD, OFF, WearFilter
 from frogkick.planner import floats
 from frogkick.planner.lookup import DYNAMICS, arrays_of, dynamics_after, find_row, motion_of, velocity_code
 from frogkick.tables.image import Tables
@@ -153,12 +153,12 @@ class Track:
     """States at the last instants.
 
     Attributes:
-        tables: of the prediction.
+        tables: of the prediction, with what the limbs have lost.
         instants: oldest first; the last is the end of the current period.
         mean: (3, 2 n) float32 x, y, heading: pose and speed at each instant, world.
         covariance: (2, 2 n, 2 n) float32 of x and of y, of heading.
         process_noise: (2,) float32 variance of a stroke's speed around the table's prediction.
-        wear: learns what the limbs have lost, which ``tables`` then take into account; None: nothing learns.
+        wear: learns what the limbs have lost; None: nothing learns.
     """
 
     tables: Tables
@@ -169,6 +169,7 @@ class Track:
     wear: WearFilter | None = None
 
     def __post_init__(self) -> None:
+        self._original = self.tables
         self._arrays = arrays_of(self.tables)
         self._per_velocity = _F(1) / np.asarray(self.tables.velocity_scale, dtype=np.float32)
         self.resting_action = resting_action_of(self.tables)
@@ -182,8 +183,18 @@ class Track:
         """Raise the process noise, after the robot was not where it was predicted."""
         self.process_noise = np.minimum(_INFLATION * self.process_noise, _PROCESS_NOISE_MOST)
 
+    def learn(self, learn: int) -> None:
+        """Learn what the limbs have lost, or not any more: OFF, which forgets it, ON or HELD of ``wear``."""
+        if learn != OFF:
+            self.wear = self.wear or WearFilter(self._original)
+            self.wear.held = learn == HELD
+        elif self.wear is not None:
+            self._teaches = False  # the period under way was predicted with what is forgotten
+            self.wear = None
+            self._use(self._original)
+
     def forget(self) -> None:
-        """Forget everything but the process noise."""
+        """Forget everything but the process noise and what the limbs have lost."""
         self.instants = []
 
     def begin(self, at_us: int) -> None:
@@ -355,15 +366,19 @@ class Track:
     def _learn_wear(self, wear: WearFilter) -> None:
         """Learn from a period of which fixes tell most, and take the worn table from now on."""
         known = self.covariance[:, -2, -2]
-        if (known > (_F(1) - _INFORMED) * self._predicted_variance).any():
+        if not ((known >= 0) & (known <= (_F(1) - _INFORMED) * self._predicted_variance)).all():
             return
         begin, end = self.instants[-2:]
-        missed = (self.mean[:, -2] - self._predicted).astype(np.float64)
-        variance = known[_COVARIANCE_OF].astype(np.float64)
-        period_s = float(_seconds(end.time_us - begin.time_us))
-        wear.learn(missed, variance, float(self.mean[2, -4]), begin.action, period_s)
-        self.tables = wear.tables
-        self._arrays = arrays_of(self.tables)
+        missed, heading_rad = self.mean[:, -2] - self._predicted, wrapped(self.mean[2, -4])
+        period_s = _seconds(end.time_us - begin.time_us)
+        before = wear.codes
+        wear.learn(missed, known[_COVARIANCE_OF], heading_rad, begin.action, period_s)
+        if (wear.codes != before).any():
+            self._use(wear.tables)
+
+    def _use(self, tables: Tables) -> None:
+        self.tables = tables
+        self._arrays = arrays_of(tables)
 
     def _learn(self) -> None:
         """Adapt the process noise to the error of the last prediction."""

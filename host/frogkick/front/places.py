@@ -149,12 +149,10 @@ def simulated_robot(
 PLANNERS = ("robot", "paper")
 
 
-def require_plan(plan: str, learn: bool) -> None:
-    """Raise InputError unless ``plan`` says who decides, and who decides can learn."""
+def require_plan(plan: str) -> None:
+    """Raise InputError unless ``plan`` says who decides."""
     if plan not in PLANS:
         raise InputError(f"plan is {plan!r}{nearest_name(plan, PLANS)}: choose {', '.join(PLANS)}")
-    if learn and plan != "host":
-        raise InputError(f"plan is {plan!r}, but only the host learns what limbs have lost: give host")
 
 
 def plan_config(

@@ -33,7 +33,6 @@ from frogkick.robot import Robot, in_a_row
 from frogkick.runs.chip_log_file import FetchedLog, read_log, write_log
 from frogkick.runs.chip_log_replay import LogReplay
 from frogkick.runs.chip_log_replay import replay_log as replay_records
-from frogkick.runs.record import LEARN
 from frogkick.runs.recorded import load_run as load_log
 from frogkick.runs.replay import Replay, require_replayable
 from frogkick.runs.replay import replay as replay_run
@@ -115,7 +114,7 @@ def replay(
     (require_simulated if plan == "host" else require_simulator)(robot)
     recorded = run.log if isinstance(run, Run) else load_log(run)
     require_replayable(recorded)
-    require_plan(plan, LEARN in recorded.made)
+    require_plan(plan)
     if isinstance(table, Table):
         used = table
     else:

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 
 from frogkick.core.progress import Tell
 from frogkick.runs.closed_loop import Recording
-from frogkick.runs.decision import LiveCheck
-from frogkick.runs.record import Tracking
+from frogkick.runs.decision import LiveCheck, lost_text
+from frogkick.runs.record import CANNOT_FOLLOW, Tracking
 from frogkick.runs.runlog import RunLog
 from frogkick.runs.summary import bends_of
 from frogkick.tables.image import Tables
@@ -18,6 +18,13 @@ from frogkick.tables.image import Tables
 SLOW_S = 2.0
 FAR_M = 0.01
 """From such a mean distance on, people ask why."""
+
+
+def lacks_a_limb(ended: str) -> str:
+    """Advice where a run ended for want of a limb; "" where it did not."""
+    if not ended.startswith(CANNOT_FOLLOW):
+        return ""
+    return f"the robot {ended}: repair the limb, or give a path that turns the other way"
 
 
 def tight_path(log: RunLog, tracked: Tracking) -> str:
@@ -37,7 +44,14 @@ def tight_path(log: RunLog, tracked: Tracking) -> str:
 class RunProgress:
     """Shows progress along the path, the action, the cost of its plan, and the distance to the path."""
 
-    def __init__(self, tell: Tell, points: int, tables: Tables, check: LiveCheck | None) -> None:
+    def __init__(
+        self,
+        tell: Tell,
+        points: int,
+        tables: Tables,
+        check: LiveCheck | None,
+        limbs: Sequence[str] = (),
+    ) -> None:
         """Begin a run.
 
         Args:
@@ -45,8 +59,10 @@ class RunProgress:
             points: number of points of the path.
             tables: tables with the names of the actions.
             check: the live comparison, whose result is shown too; None: there is none.
+            limbs: their names, to tell what they have lost.
         """
         self._tell, self._points, self._check = tell, points, check
+        self._limbs = limbs
         self._names = [row.name for row in tables.actions]
         self._recording = Recording()
 
@@ -68,8 +84,12 @@ class RunProgress:
 
     def progress(self, _time_s: float, index: int) -> None:
         """Show the state after a decision at the nearest path point."""
-        notes = [self._plan(), "" if self._check is None else self._check.text]
+        notes = [self._plan(), self._lost(), "" if self._check is None else self._check.text]
         self._tell(index + 1, self._points, ", ".join(note for note in notes if note))
+
+    def _lost(self) -> str:
+        decisions = self._recording.decisions
+        return lost_text(decisions[-1].lost, self._limbs) if decisions else ""
 
     def _plan(self) -> str:
         if not self._recording.decisions:

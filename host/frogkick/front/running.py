@@ -267,7 +267,7 @@ def run(
         plan: who decides: "onboard" (the robot), "host", or "both" (the robot while the host checks it).
         planner: planner whose weights and depth are used: "robot" (its TOML file) or "paper".
         depth: periods to look ahead, 1 to 4; None: the planner's own.
-        learn: the host learns what each limb has lost, and plans with it (``plan="host"``).
+        learn: whoever decides learns what each limb has lost, and plans with it.
         seed: seed of the simulated camera's noise.
         time_limit_s: time limit, s; in pool time if the pool is simulated.
         fix_rate_hz: simulated position fixes per second.
@@ -299,7 +299,7 @@ def run(
     is_real = is_target(robot)
     if not is_real:
         require_simulator(robot)
-    require_plan(plan, learn)
+    require_plan(plan)
     require_writable(target)
     desired = swim_path(path)
     eye = SimulatedCamera(rate_hz=fix_rate_hz)
@@ -401,16 +401,17 @@ def _now_unix_s() -> float:
 def _progress_of(
     progress: Progress, path: SwimPath, table: Table, check: LiveCheck | None
 ) -> Iterator[RunProgress]:
+    limbs = [limb.name for limb in table.robot.limbs]
     if progress is True:
         with progress_bar(path.name) as tell:
-            yield RunProgress(tell, len(path), table.tables, check)
+            yield RunProgress(tell, len(path), table.tables, check, limbs)
         return
 
     def plainly(done: int, whole: int, /, note: str = "") -> None:
         if callable(progress):
             progress(done, whole)
 
-    yield RunProgress(plainly, len(path), table.tables, check)
+    yield RunProgress(plainly, len(path), table.tables, check, limbs)
 
 
 def _in_turn(*keepers: Keep) -> Keep:

@@ -55,6 +55,7 @@ def viewed(
         return
     eye = None if camera is None else CameraView(camera)
     view = LiveView(tables, path, options.config, robot.frame.corners_m, eye)
+    view.limbs = [limb.name for limb in robot.limbs]
     with _drawn(view, "the run", pool, stop) as keep:
         yield keep
 

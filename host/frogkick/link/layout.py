@@ -128,6 +128,7 @@ class Layout:
     supply: dict[str, int]
     owner: dict[str, int]
     parameter: dict[str, int]
+    learn: dict[str, int]
     messages: dict[str, Message]
     records: dict[str, RecordType]
 
@@ -197,6 +198,7 @@ def link_layout() -> Layout:
         raw["supply"],
         raw["owner"],
         raw["parameter"],
+        raw["learn"],
         messages,
         {name: _record(name, raw["record"], messages) for name in raw["record"]},
     )

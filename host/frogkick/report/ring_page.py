@@ -11,9 +11,10 @@ from frogkick.report.identify_figures import error_figure
 from frogkick.report.page import Section, Table, write_page
 from frogkick.report.robot_figure import actions_figure, robot_figure
 from frogkick.report.run_figure import run_figure
-from frogkick.report.style import NOMINAL, PREDICTED, figure_uri, legend_below, new_figure
+from frogkick.report.style import ESTIMATED, NOMINAL, PREDICTED, figure_uri, legend_below, new_figure
 from frogkick.ring import Closing, Ring, RingRun
 from frogkick.runs.live_view import fan_of
+from frogkick.runs.record import lost_of
 from frogkick.runs.summary import bends_of
 from frogkick.runs.trial import Trial
 from frogkick.tables.layout import LIMBS_MAX
@@ -71,6 +72,9 @@ def _closing(closing: Closing) -> Section:
         f"{1e3 * closing.distance_m(closing.old):.1f} mm with the old ones."
         if closing.new
         else "No effect was found, so library, table and firmware stayed as they were.",
+        "With the old table the robot can learn what its limbs have lost while it swims (run --learn). Then "
+        f"it was {1e3 * closing.distance_m(closing.learned):.1f} mm from the same paths, and believed at the "
+        f"end: {_believed(closing)}.",
     ]
     text += _got_worse(closing)
     images = [(figure_uri(error_figure(outcome)), "Errors on the test run before and after.")]
@@ -78,12 +82,22 @@ def _closing(closing: Closing) -> Section:
         images.append(
             (
                 figure_uri(_distances(closing)),
-                "The worn robot on its paths, with the same noise for both firmwares.",
+                "The worn robot on its paths, each time with the same noise.",
             )
         )
     table = Table(("found", "parameter", "value", "interval", "hidden value"), rows) if rows else None
     links = [("identify.html", "The full report of the identification")]
     return Section("A worn limb, identified from the logs", text, table, images, links)
+
+
+def _believed(closing: Closing) -> str:
+    """Return what the robot had learned at the end of each run."""
+    told = []
+    for run in closing.learned:
+        shares = lost_of(run.log) or {}
+        lost = [f"{name} has lost {100.0 * share:.0f} %" for name, share in shares.items() if share]
+        told.append(f"on the {_name(run)} {' and '.join(lost) or 'nothing is lost'}")
+    return ", ".join(told)
 
 
 def _got_worse(closing: Closing) -> list[str]:
@@ -104,14 +118,15 @@ def _got_worse(closing: Closing) -> list[str]:
 
 def _distances(closing: Closing) -> Figure:
     names = [run.log.path.name if run.log.path else "" for run in closing.old]
-    with new_figure(6.0, 2.8) as figure:
+    with new_figure(6.6, 2.8) as figure:
         axes = figure.subplots()
         for shift, runs, colour, label in (
-            (-0.19, closing.old, NOMINAL, "old firmware"),
-            (0.19, closing.new, PREDICTED, "firmware with the identified effects"),
+            (-0.27, closing.old, NOMINAL, "old firmware"),
+            (0.0, closing.learned, ESTIMATED, "the same, learning"),
+            (0.27, closing.new, PREDICTED, "with the identified effects"),
         ):
             heights = [1e3 * run.tracking.mean_distance_m for run in runs]
-            axes.bar(np.arange(len(runs)) + shift, heights, 0.36, color=colour, label=label)
+            axes.bar(np.arange(len(runs)) + shift, heights, 0.25, color=colour, label=label)
             for place, height in enumerate(heights):
                 axes.text(place + shift, height, f"{height:.1f}", ha="center", va="bottom", fontsize=8)
         axes.set_xticks(range(len(names)), names)
@@ -119,7 +134,7 @@ def _distances(closing: Closing) -> Figure:
         axes.set_ylabel("mean distance (mm)")
         axes.set_title("Worn robot: distance to the path")
         axes.margins(y=0.12)
-        legend_below(figure, axes, 2)
+        legend_below(figure, axes, 3)
     return figure
 
 

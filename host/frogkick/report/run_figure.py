@@ -12,8 +12,10 @@ from matplotlib.figure import Figure
 
 from frogkick.core.poses import wrap_angle
 from frogkick.report import style
+from frogkick.runs.record import learned_limbs
 from frogkick.runs.runlog import RunLog
 from frogkick.runs.summary import residual, track_of, true_poses_at
+from frogkick.tables.layout import LOST_MAX
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -35,6 +37,8 @@ def run_figure(run: RunLog, title: str) -> Figure:
         panels.append(_estimate)
         if run.decisions.predicted is not None:
             panels.append(_prediction)
+    if "lost" in run.decisions.extra:
+        panels.append(_lost)
     with style.new_figure(11.5, 7.2) as figure:
         figure.suptitle(title, fontweight="bold")
         halves = figure.add_gridspec(1, 2, width_ratios=(1.05, 1.0))
@@ -169,6 +173,16 @@ def _prediction(axes: Axes, run: RunLog, seen: _Seen) -> None:
         style.PREDICTED,
     )
     axes.set_title(f"Error one period ahead: {missed.error:.1f} RMS")
+
+
+def _lost(axes: Axes, run: RunLog, seen: _Seen) -> None:
+    percent = 100.0 * run.decisions.extra["lost"] / LOST_MAX
+    for limb, (name, dash) in enumerate(zip(learned_limbs(run), ("-", "--", "-.", ":") * 2, strict=False)):
+        axes.step(run.decisions.time_s, percent[:, limb], where="post", linestyle=dash, label=name)
+    axes.set_ylim(-5.0, 105.0)
+    axes.set_ylabel("lost (%)")
+    axes.set_title("What each limb has lost of its contribution, as learned")
+    axes.legend(loc="center right", ncols=2)
 
 
 COLOURS = (style.TRUE, style.ALARM)

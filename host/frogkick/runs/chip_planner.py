@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -15,7 +15,7 @@ from frogkick.pool.chip import ChipError, CostModel, VirtualChip
 from frogkick.pool.chip.layout import Layouts
 from frogkick.pool.chip.uncounted import UncountedCalls
 from frogkick.tables.image import Tables
-from frogkick.tables.layout import LIMBS_MAX
+from frogkick.tables.layout import ACTIONS_MAX, LIMBS_MAX
 
 CYCLES_PER_MS = 64_000
 _BEYOND = (1.0, 3.0, 30.0, 1000.0)
@@ -100,6 +100,19 @@ class ChipPlanner:
         self.chip.ram_write(self._path, value.tobytes())
         for member in self._settings.dtype.names or ():
             self._settings[member] = getattr(config, member)
+
+    def wear(self, lost: Sequence[int]) -> None:
+        """Plan for limbs that have lost these shares, 0 to 32767. Without wear curves nothing changes."""
+        kind = np.dtype(self._types["fk_tables_t"])
+        tables: npt.NDArray[Any] = np.frombuffer(self.chip.ram_read(self._tables, kind.itemsize), kind).copy()
+        if tables["wear_knots"][0] == 0:
+            return
+        shares, shift = self._free, self._free + 2 * LIMBS_MAX
+        self._free = shift + 12 * ACTIONS_MAX + 7 & ~7
+        self.chip.ram_write(shares, np.resize(np.array(lost, dtype="<u2"), LIMBS_MAX).tobytes())
+        self.chip.call("fk_wear_shift", self._tables, shares, shift)
+        tables["worn"] = shift
+        self.chip.ram_write(self._tables, tables.tobytes())
 
     def plan(
         self,

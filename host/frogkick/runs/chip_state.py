@@ -17,10 +17,11 @@ from frogkick.core.errors import FrogkickError
 from frogkick.core.weights import WEIGHTS
 from frogkick.estimator.estimator import MARKS, Estimator, _Fix
 from frogkick.estimator.follow import Follow
-from frogkick.estimator.track import INSTANTS, _Instant
+from frogkick.estimator.track import INSTANTS, Track, _Instant
+from frogkick.estimator.wear import HELD, OFF
 from frogkick.planner.plan import PlanConfig
 from frogkick.tables.image import Tables
-from frogkick.tables.layout import LIMBS_MAX
+from frogkick.tables.layout import LIMBS_MAX, LOST_MAX
 
 Float32 = npt.NDArray[np.float32]
 
@@ -164,11 +165,26 @@ def _read_estimator(reader: _Reader, tables: Tables) -> Estimator:
     return estimator
 
 
+def _read_wear(reader: _Reader, track: Track, tables: Tables) -> None:
+    learn = reader.one("B", HELD if tables.limb_wear.size else OFF)
+    if learn == OFF:
+        return
+    unknowns = 3 + tables.limbs
+    sums = reader.floats(unknowns * (unknowns + 1) // 2)
+    vector, current = reader.floats(unknowns), reader.floats(3)
+    lost = [reader.one("H", LOST_MAX) for _ in range(tables.limbs)]
+    track.learn(learn)
+    assert track.wear is not None
+    track.wear.restore(sums, vector, current, lost)
+    track._use(track.wear.tables)
+
+
 def _read_track(reader: _Reader, estimator: Estimator, tables: Tables) -> None:
     track = estimator.track
     track._learned, teaches = reader.take("BB")
     track._teaches = bool(teaches)
     count = reader.one("B", INSTANTS)
+    _read_wear(reader, track, tables)
     size = 2 * count
     track._predicted = reader.floats(3)
     process_noise, predicted, covariances = [], [], []

@@ -120,7 +120,9 @@ class ChipTwin:
 
     def _set(self, parameter: int, value: float) -> None:
         name = next(name for name, number in _LAYOUT.parameter.items() if number == parameter)
-        if name == "PERIOD_US":
+        if name == "LEARN":
+            self._estimator.track.learn(int(value))
+        elif name == "PERIOD_US":
             self._period_us = int(value)
         elif name in ("PLAN_TIME_US", "TRANSITIONS_MAX"):
             limit = transitions_within(PLAN_TIME_WATCHDOG_US)
@@ -135,7 +137,12 @@ class ChipTwin:
             return ["a decision without a path"]
         over = self._end is not None
         ours, self._end = decide(
-            self._tables, self._points, self._config, self._estimator, self._follow, self._next_us
+            self._estimator.track.tables,
+            self._points,
+            self._config,
+            self._estimator,
+            self._follow,
+            self._next_us,
         )
         differing = ours.differences(decision_of_event(record.values))
         if over:

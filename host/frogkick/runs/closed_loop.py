@@ -9,12 +9,12 @@ from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 import numpy as np
-import numpy.typing as npt
 
 from frogkick.core.errors import InputError
 from frogkick.core.poses import Fix
 from frogkick.core.weights import WEIGHTS
 from frogkick.estimator.follow import End
+from frogkick.estimator.wear import OFF, ON
 from frogkick.link.frames import Frame
 from frogkick.link.layout import link_layout
 from frogkick.link.wire import Edge
@@ -66,7 +66,6 @@ class Recording:
         fixes_refused: the robot's own counter.
         first_decision_s, end_s: session time.
         clock_offset_us: robot time minus session time; 0 in simulated time.
-        lost: (l,) share of its contribution that each limb has lost, as learned by now; None: nothing learns.
     """
 
     fixes: list[Fix] = field(default_factory=list)
@@ -82,7 +81,6 @@ class Recording:
     first_decision_s: float = 0.0
     end_s: float = 0.0
     clock_offset_us: int = 0
-    lost: npt.NDArray[np.float64] | None = None
 
 
 class FixSource(Protocol):
@@ -106,7 +104,7 @@ class RunOptions:
     Attributes:
         config: cost weights and depth of the planner.
         onboard: True: the robot's planner decides; False: the twin on the host.
-        learn: the twin on the host learns what the limbs have lost, and plans with it.
+        learn: whoever decides learns what the limbs have lost, and plans with it.
         time_limit_s: longest time from the first decision on.
         check: compares each decision of the robot with the host's; None: no comparison.
         stop: polled at each step; True ends the run.
@@ -121,14 +119,26 @@ class RunOptions:
 
 
 def parameters(config: PlanConfig) -> dict[str, float]:
-    """The robot's PARAM values for a planner configuration."""
+    """The robot's PARAM values for a planner configuration, with which it forgets what limbs have lost."""
     weights = {name.upper(): float(getattr(config, name)) for name in WEIGHTS}
     return {
         **weights,
         "DEPTH": config.depth,
         "COST": int(config.cost),
         "TRANSITIONS_MAX": config.transitions_max,
+        "LEARN": OFF,
     }
+
+
+def configure(session: Session, config: PlanConfig, learn: bool) -> None:
+    """Send a robot a planner configuration, and whether it learns what limbs have lost, from nothing on.
+
+    Raises:
+        LinkError: a value is out of its limits, or the table holds no wear curves to learn by.
+    """
+    session.set_parameters(parameters(config))
+    if learn:
+        session.set_parameters({"LEARN": ON})
 
 
 def require_seed(seed: int) -> None:
@@ -211,9 +221,9 @@ class _Run:
         session, options = self.session, self.options
         session.handshake(self.tables)
         self.recording.clock_offset_us = session.robot_clock_offset_us()
-        session.set_parameters(parameters(options.config))
+        configure(session, options.config, options.learn and options.onboard)
         if options.check is not None:
-            options.check.begin(self.tables, self.path, options.config)
+            options.check.begin(self.tables, self.path, options.config, options.learn)
         session.send_path(self.path)
         self.may_be_armed = True
         try:
@@ -273,7 +283,6 @@ class _Run:
             decision = self.twin.decide(at_us)
             decision = replace(decision, plan_us=round((time.perf_counter() - began_s) * 1e6))
             recording.decisions.append(decision)
-            recording.lost = None if self.twin.wear is None else self.twin.wear.lost
             self.progress(session.time_s, decision.path_index)
             if self._ended_on_host():
                 return

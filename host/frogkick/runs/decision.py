@@ -13,17 +13,19 @@ from frogkick.core.errors import CheckError
 from frogkick.estimator.estimator import LOST_US, Estimates, Estimator
 from frogkick.estimator.follow import End, Follow
 from frogkick.estimator.track import resting_action_of
-from frogkick.estimator.wear import WearFilter
+from frogkick.estimator.wear import ON, WearFilter
 from frogkick.link.frames import Frame
 from frogkick.link.layout import Value, link_layout
 from frogkick.paths import Path
 from frogkick.planner.plan import PathLike, PlanConfig, PlanError, plan
 from frogkick.tables.image import Tables
+from frogkick.tables.layout import LIMBS_MAX, LOST_MAX
 
 Float32 = npt.NDArray[np.float32]
 
 STATE_FIELDS = ("x_m", "y_m", "heading_rad", "vx_mps", "vy_mps", "omega_rad_s")
-LIMB_USE_FIELDS = tuple(f"limb_use_{limb}" for limb in range(8))
+LIMB_USE_FIELDS = tuple(f"limb_use_{limb}" for limb in range(LIMBS_MAX))
+LOST_FIELDS = tuple(f"lost_{limb}" for limb in range(LIMBS_MAX))
 STALE = link_layout().status["STALE"]
 SUPPLY = link_layout().status["SUPPLY"]
 VALUE = link_layout().status["VALUE"]
@@ -53,6 +55,7 @@ class Decision:
         path_index, nearest_state, cost, depth_reached, transitions, distance_m, along_points: as in ``Plan``.
         estimate, predicted: (6,) float32, pose world and velocity body, before and after the action.
         limb_use: (8,) recent use of each limb before the action.
+        lost: (8,) share of its contribution that each limb has lost, as learned so far, 0 to 32767.
         plan_us: computing time; 0 where it was not measured.
     """
 
@@ -67,7 +70,8 @@ class Decision:
     estimate: Float32 = field(default_factory=_no_state)
     predicted: Float32 = field(default_factory=_no_state)
     plan_us: int = 0
-    limb_use: tuple[int, ...] = (0,) * 8
+    limb_use: tuple[int, ...] = (0,) * LIMBS_MAX
+    lost: tuple[int, ...] = (0,) * LIMBS_MAX
     depth_reached: int = 0
     transitions: int = 0
     distance_m: np.float32 = np.float32(0.0)  # noqa: RUF009
@@ -77,7 +81,7 @@ class Decision:
         """Names of the fields that differ in any bit; ``plan_us`` is not compared."""
         names = [
             "status", "action", "scheduled_us", "fix_sequence", "fixes", "path_index", "nearest_state",
-            "limb_use", "depth_reached", "transitions",
+            "limb_use", "lost", "depth_reached", "transitions",
         ]  # fmt: skip
         differing = [name for name in names if getattr(self, name) != getattr(other, name)]
         for name in ("cost", "distance_m", "along_points", "estimate", "predicted"):
@@ -104,6 +108,17 @@ class RobotEvent:
     sequence: int = 0
     action: int | None = None
     lost: bool = False
+
+
+def lost_text(lost: Sequence[int], limbs: Sequence[str]) -> str:
+    """What is believed lost, for people: "front_left has lost 67 %"; "" where it is nothing.
+
+    Args:
+        lost: share of each limb, 0 to 32767, as in ``Decision``.
+        limbs: their names.
+    """
+    shares = [(name, 100.0 * code / LOST_MAX) for name, code in zip(limbs, lost, strict=False) if code]
+    return ", ".join(f"{name} has lost {share:.0f} %" for name, share in shares)
 
 
 def events_of_frame(frame: Frame, poses: Mapping[int, Float32]) -> list[RobotEvent]:
@@ -136,6 +151,7 @@ def decision_of_event(values: dict[str, Value]) -> Decision:
         estimate=np.array([values[name] for name in STATE_FIELDS], dtype=np.float32),
         predicted=np.array([values[f"predicted_{name}"] for name in STATE_FIELDS], dtype=np.float32),
         limb_use=tuple(int(values[name]) for name in LIMB_USE_FIELDS),
+        lost=tuple(int(values[name]) for name in LOST_FIELDS),
     )
 
 
@@ -152,7 +168,8 @@ def decide(
     Returns:
         The decision, and why it ends the run or None.
     """
-    resting = Decision(STALE, resting_action_of(tables), at_us, along_points=follow.along_points)
+    lost = (*tables.lost.tolist(), *(0,) * (LIMBS_MAX - len(tables.lost)))
+    resting = Decision(STALE, resting_action_of(tables), at_us, along_points=follow.along_points, lost=lost)
     estimate = estimator.at(at_us)
     if estimate is None:
         return resting, None
@@ -178,7 +195,6 @@ class DecisionTwin:
 
     Attributes:
         ended: why the run has ended; None while it goes on. The next decision starts a new run.
-        wear: what it learns of the limbs; None: it learns nothing, as the robot.
     """
 
     def __init__(
@@ -195,14 +211,22 @@ class DecisionTwin:
             estimator: None: the twin of the robot's own.
             learn: the twin of the robot's own learns what the limbs have lost, and plans with it.
         """
-        self.wear = WearFilter(tables) if learn else None
         self._tables = tables
         self._path = path
         self._config = config
-        self._estimator = Estimator(tables, wear=self.wear) if estimator is None else estimator
+        own = Estimator(tables)
+        if learn:
+            own.track.learn(ON)
+        self._track = own.track
+        self._estimator: Estimates = own if estimator is None else estimator
         self._follow = Follow(tables, path, config)
         self.ended: End | None = None
         self._resting_action = resting_action_of(tables)
+
+    @property
+    def wear(self) -> WearFilter | None:
+        """What it learns of the limbs; None: nothing."""
+        return self._track.wear
 
     def add_fix(self, capture_us: int, pose_world: Float32, sequence: int) -> int:
         """Add a fix; return 0 or the status of its refusal (see ``Estimator.add``)."""
@@ -241,7 +265,7 @@ class DecisionTwin:
         """Decide for a time on the clock of the fixes; the estimator takes the action as started."""
         if self.ended is not None:
             self.restart()
-        tables = self._tables if self.wear is None else self.wear.tables
+        tables = self._track.tables
         decision, self.ended = decide(tables, self._path, self._config, self._estimator, self._follow, at_us)
         if self.ended is None:
             self._estimator.act(at_us, decision.action)
@@ -282,10 +306,10 @@ class LiveCheck:
         self._twin: DecisionTwin | None = None
         self._names: list[str] = []
 
-    def begin(self, tables: Tables, path: Path, config: PlanConfig) -> None:
-        """Start with a run's tables, placed path, and weights."""
+    def begin(self, tables: Tables, path: Path, config: PlanConfig, learn: bool = False) -> None:
+        """Start with a run's tables, placed path, and weights, and whether the robot learns in it."""
         self.agreed = self.unchecked = 0
-        self._twin = DecisionTwin(tables, path, config)
+        self._twin = DecisionTwin(tables, path, config, learn=learn)
         self._names = [row.name for row in tables.actions]
 
     def compare(self, events: Sequence[RobotEvent], decision: Decision | None, gaps: int) -> None:

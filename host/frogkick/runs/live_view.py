@@ -17,7 +17,7 @@ from frogkick.planner.plan import PlanConfig, PlanError, plan
 from frogkick.robot import in_a_row
 from frogkick.runs.camera_view import CameraView
 from frogkick.runs.closed_loop import Recording
-from frogkick.runs.decision import Decision
+from frogkick.runs.decision import Decision, lost_text
 from frogkick.runs.runlog import RunLog
 from frogkick.tables.image import Tables
 from frogkick.tables.layout import LIMBS_MAX
@@ -86,6 +86,7 @@ class LiveView:
     Attributes:
         tables, path, config: of the run; None where nothing is decided, as with a camera alone.
         outline_m: (n)(2) outline of the robot, body frame.
+        limbs: their names, to tell what they have lost.
         camera: where its pictures are shown; the state is given in their pixels too.
         text: the newest state.
     """
@@ -96,6 +97,7 @@ class LiveView:
     outline_m: Sequence[tuple[float, float]]
     camera: CameraView | None = None
     text: str = "{}"
+    limbs: Sequence[str] = ()
     _decisions: int = -1
     _drawn: dict[str, Sequence[Any]] = field(default_factory=dict)
     _labels: dict[str, Any] = field(default_factory=dict)
@@ -175,11 +177,13 @@ class LiveView:
         if not last or last[-1].action >= len(self.tables.actions):
             return
         newest = last[-1]
-        tree = tree_of(self.tables, self.path, self.config, newest)
+        worn = self.tables.worn(newest.lost)
+        tree = tree_of(worn, self.path, self.config, newest)
         self._drawn |= {"fan": np.vstack(tree.fans).tolist(), "branch": tree.branch}
         self._labels |= {
             "actions": tree.names,
             "cost": round(float(newest.cost), 3),
             "distance_mm": round(1e3 * float(newest.distance_m), 1),
             "plan_ms": round(1e-3 * newest.plan_us, 2),
+            "lost": lost_text(newest.lost, self.limbs),
         }

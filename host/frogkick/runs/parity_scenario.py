@@ -21,6 +21,9 @@ from frogkick.tables.image import Tables
 
 FIRST_S = 2.0
 _RATES_HZ = (2.0, 15.0, 60.0)
+_WORN_SHARE = 20_000
+"""Of 32767: what a limb loses after a third of the decisions, where the table has wear curves."""
+
 _SILENCE_S = 1.2
 """Longer than an estimate is valid, shorter than what ends a run."""
 
@@ -45,13 +48,15 @@ def schedule_fixes(
     """Fixes of a robot on a path: late, lost, duplicate, out of order, noisy, and outliers.
 
     The robot moves as the table predicts, with the actions that the planner chooses for its true state, and
-    restarts at the path's end. The fixes' rate changes from 2 to 60 Hz, with silences.
+    restarts at the path's end. The fixes' rate changes from 2 to 60 Hz, with silences. After a third of the
+    decisions a limb is worn.
     """
     period_s = tables.period_us * 1e-6
     start = np.array([path.x_m[0], path.y_m[0], path.tangent_rad[0], 0.0, 0.0, 0.0], dtype=np.float32)
     state, fixes, sequence = start, [], 0
+    worn = tables.worn(np.where(np.arange(tables.limbs) == 0, _WORN_SHARE, 0))
     for index in range(-1, decisions):
-        made = plan(tables, path, config, state)
+        made = plan(worn if 3 * index > decisions else tables, path, config, state)
         ahead = made.predicted
         begin_s = FIRST_S + index * period_s
         times = np.arange(0.0, 1.0, 1.0 / (period_s * rng.choice(_RATES_HZ)))
@@ -82,7 +87,7 @@ def schedule_fixes(
 def record_scenario(
     library: Path, tables: Tables, path: SwimPath, config: PlanConfig, decisions: int, seed: int
 ) -> ParityScenario:
-    """Let the native core decide on ``schedule_fixes``.
+    """Let the native core decide on ``schedule_fixes``, and learn what the limbs have lost.
 
     Args:
         library: shared library made by ``firmware build --target native``.
@@ -96,15 +101,21 @@ def record_scenario(
     """
     schedule = schedule_fixes(tables, path, config, decisions, np.random.default_rng(seed))
     robot = NativeRobot(library, tables.limbs, keep_calls=True)
-    found, events = replay_onboard(schedule, path, tables, config, robot)
+    found, events = replay_onboard(schedule, path, tables, config, robot, learn=can_learn(tables))
     return ParityScenario(robot.calls, found, events)
+
+
+def can_learn(tables: Tables) -> bool:
+    """Whether what limbs have lost can be learned with a table."""
+    return bool(tables.limb_wear.size)
 
 
 def twin_mismatches(
     scenario: ParityScenario, tables: Tables, path: SwimPath, config: PlanConfig
 ) -> list[tuple[int, list[str]]]:
     """Decisions in which the host's twin differs from the scenario in any bit, with the fields."""
-    decided = replay_on_host(scenario.events, DecisionTwin(tables, path, config))
+    twin = DecisionTwin(tables, path, config, learn=can_learn(tables))
+    decided = replay_on_host(scenario.events, twin)
     return compare(scenario.decisions, decided)
 
 

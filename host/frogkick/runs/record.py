@@ -17,6 +17,7 @@ from frogkick.core.errors import InputError
 from frogkick.core.poses import wrap_angle
 from frogkick.core.version import VERSION
 from frogkick.core.weights import WEIGHTS
+from frogkick.estimator.follow import End
 from frogkick.paths import Path
 from frogkick.planner.plan import PlanConfig
 from frogkick.pool.monitor import pulses_of, violations
@@ -26,11 +27,19 @@ from frogkick.runs.closed_loop import Recording, RunOptions
 from frogkick.runs.decision import Decision
 from frogkick.runs.runlog import DecisionFlag, Decisions, Fixes, RunLog, Strokes, Truth
 from frogkick.tables.image import Tables
+from frogkick.tables.layout import LIMBS_MAX, LOST_MAX
 
 BATTERY_V = "battery_v"
-LEARN, LOST = "learn", "lost_"
-"""In ``RunLog.made`` of a run that learned; before a limb's name in ``RunLog.measured``: its lost share."""
 """Key of ``RunLog.measured``: lowest battery voltage, measured by a person before the run."""
+
+LEARN, LOST = "learn", "lost_"
+"""In ``RunLog.made`` of a run that learned: the limbs. Before a name in ``RunLog.measured``: its share."""
+
+CANNOT_FOLLOW = "cannot follow"
+"""How the reason begins for which a run ended that lacked a limb."""
+
+GONE = 0.8
+"""Lost share from which a limb is named as what keeps a robot from its path."""
 
 _REQUIRED = (*list(WEIGHTS)[:4], "depth")
 """Planner settings that every log has; older logs lack the others, which keep their defaults."""
@@ -70,7 +79,10 @@ class Tracking:
 
 
 def decision_columns(
-    decisions: Sequence[Decision], fix_rows: dict[int, int], clock_offset_us: int = 0
+    decisions: Sequence[Decision],
+    fix_rows: dict[int, int],
+    clock_offset_us: int = 0,
+    learn: bool = False,
 ) -> Decisions:
     """Decisions as log columns.
 
@@ -78,6 +90,7 @@ def decision_columns(
         decisions: in order.
         fix_rows: row in ``fixes`` of each fix sequence number.
         clock_offset_us: robot time minus the log's.
+        learn: also what each limb has lost, as learned by each decision.
     """
     failed = np.array([d.status != 0 for d in decisions], dtype=bool)
     planned = np.where(failed, np.nan, 1.0)
@@ -99,7 +112,8 @@ def decision_columns(
         plan_s=integers("plan_us") * 1e-6 * planned,
         extra={
             **{name: integers(name) for name in ("status", "path_index", "scheduled_us")},
-            "limb_use": integers("limb_use").reshape(-1, 8),
+            "limb_use": integers("limb_use").reshape(-1, LIMBS_MAX),
+            **({"lost": integers("lost").reshape(-1, LIMBS_MAX)} if learn else {}),
         },
     )
 
@@ -158,12 +172,14 @@ def run_log(
     tracked = tracking_of_recording(recording, pool, robot, path).as_json()
     rows = {fix.sequence: row for row, fix in reversed(list(enumerate(fixes)))}  # first row of a duplicate
     offset_us = recording.clock_offset_us if options.onboard else 0  # the host decides on its own clock
-    decisions = decision_columns(recording.decisions, rows, offset_us)
+    decisions = decision_columns(recording.decisions, rows, offset_us, options.learn)
     if not options.onboard:  # planning times of this computer: without them the same seed gives the same log
         decisions = replace(decisions, plan_s=None)
         del tracked["plan_ms_p99"]
-    shares = [] if recording.lost is None else recording.lost.tolist()
-    lost = {LOST + limb.name: share for limb, share in zip(robot.limbs, shares, strict=False)}
+    lost = {}
+    if options.learn and recording.decisions:
+        shares = [code / LOST_MAX for code in recording.decisions[-1].lost]
+        lost = {LOST + limb.name: share for limb, share in zip(robot.limbs, shares, strict=False)}
     return RunLog(
         robot_id=robot.id,
         source=source,
@@ -181,13 +197,29 @@ def run_log(
         truth=None if pool is None else _truth(pool),
         table_crc=tables.crc32,
         seed=seed,
-        notes=recording.ended,
+        notes=_ended(recording.ended, lost),
         measured={key: float(n) for key, n in tracked.items() if n is not None and np.isfinite(n)}
         | lost
         | dict(known or {}),
         planner={key: float(value) for key, value in asdict(options.config).items()},
-        made={**(made or {}), **({LEARN: "limbs"} if options.learn else {})},
+        made={
+            **(made or {}),
+            **({LEARN: ", ".join(limb.name for limb in robot.limbs)} if options.learn else {}),
+        },
     )
+
+
+def _ended(ended: str, lost: Mapping[str, float]) -> str:
+    """Why a run ended; of one that could not follow its path, also which limbs it lacks."""
+    gone = [key.removeprefix(LOST) for key, share in lost.items() if share >= GONE]
+    if gone and ended in (End.STALLED.value, End.PASSED.value):
+        return f"{CANNOT_FOLLOW} without {', '.join(gone)}: {ended}"
+    return ended
+
+
+def learned_limbs(run: RunLog) -> list[str]:
+    """Names of the limbs of a run that learned, in the order of the column ``lost`` of its decisions."""
+    return run.made[LEARN].split(", ") if LEARN in run.made else []
 
 
 def lost_of(run: RunLog) -> dict[str, float] | None:

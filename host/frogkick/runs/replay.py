@@ -14,7 +14,7 @@ from frogkick.link.layout import Value, link_layout
 from frogkick.link.wire import RobotPort
 from frogkick.paths import Path
 from frogkick.planner.plan import PlanConfig
-from frogkick.runs.closed_loop import parameters
+from frogkick.runs.closed_loop import configure
 from frogkick.runs.decision import (
     STALE,
     Decision,
@@ -141,11 +141,12 @@ def replay(
     schedule = _schedule(run)
     assert run.path is not None
     onboard: list[Decision] = []
+    learn = LEARN in run.made
     if port is not None:
-        onboard, events = replay_onboard(schedule, run.path, tables, config, port, progress)
+        onboard, events = replay_onboard(schedule, run.path, tables, config, port, progress, learn)
     else:
         events = _events_of(schedule)
-    twin = DecisionTwin(tables, run.path, config, learn=LEARN in run.made)
+    twin = DecisionTwin(tables, run.path, config, learn=learn)
     decided = replay_on_host(events, twin) if host else []
     names = [row.name for row in tables.actions] + ["-"]
     actions = [names[d.action] for d in (onboard or decided)]
@@ -189,8 +190,9 @@ def replay_onboard(
     config: PlanConfig,
     port: RobotPort,
     progress: Callable[[int, int], None] = lambda _done, _all: None,
+    learn: bool = False,
 ) -> tuple[list[Decision], list[RobotEvent]]:
-    """Let a robot decide on a schedule's fixes.
+    """Let a robot decide on a schedule's fixes; ``learn``: and learn what its limbs have lost.
 
     Returns:
         Its decisions, and its events for ``replay_on_host``.
@@ -200,7 +202,8 @@ def replay_onboard(
     """
     session = Session(port)
     session.handshake(tables)
-    session.set_parameters({**parameters(config), "PERIOD_US": schedule.period_us})
+    configure(session, config, learn)
+    session.set_parameters({"PERIOD_US": schedule.period_us})
     session.send_path(path)
     waiting = list(schedule.fixes)
     poses: dict[int, npt.NDArray[np.float32]] = {}

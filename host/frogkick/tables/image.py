@@ -121,12 +121,12 @@ class Tables:
         fires = (masks[:, None] >> np.arange(self.limbs)) & 1
         if not self.limb_wear.size:
             return np.zeros((len(self.actions), 6), dtype=np.int64)
-        changes = np.array([self._wear_at(limb, int(lost)) for limb, lost in enumerate(self.lost)])
+        changes = np.array([self.wear_at(limb, int(lost)) for limb, lost in enumerate(self.lost)])
         limit = layout.WEAR_CODE_MAX
         return np.asarray(np.clip(fires @ changes, -limit, limit), dtype=np.int64)
 
-    def _wear_at(self, limb: int, lost: int) -> Int64:
-        """(6,) codes that a limb changes which has lost a share."""
+    def wear_at(self, limb: int, lost: int) -> Int64:
+        """(6,) codes that a limb changes which has lost a share, 0 to 32767: the twin of fk_wear_curve()."""
         curve = np.concatenate([np.zeros((1, 6), dtype=np.int64), self.limb_wear[limb].astype(np.int64)])
         knots = len(curve) - 1
         knot, part = divmod(lost * knots, 2**15)

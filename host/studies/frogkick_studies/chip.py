@@ -37,6 +37,8 @@ NODE = "fk_lookup_motion"
 """Each of its calls is one node of the search: a predicted pose with its cost."""
 RUN: Mapping[int, int] = {1: 3000, 2: 1200, 3: 480, 4: 24}
 """Depth -> largest number of states that are run on the virtual chip."""
+HALF_WORN = (16384,)
+"""What each limb has lost of its contribution, of 32767: worn limbs take the longest to plan with."""
 _CHUNK = 50
 
 
@@ -113,8 +115,10 @@ def open_ms(elf: Path) -> float:
 
 @lru_cache(maxsize=1)
 def planner_of(elf: Path) -> ChipPlanner:
-    """Return a booted chip, one for each process."""
-    return ChipPlanner(elf)
+    """Return a booted chip, one for each process. Its limbs are worn: that takes the longest to plan."""
+    planner = ChipPlanner(elf)
+    planner.wear(HALF_WORN)
+    return planner
 
 
 def _count(_ready: object, chunk: _Chunk) -> _Counted:
@@ -172,6 +176,7 @@ def _least_ms(
     elf: Path, paths: Mapping[str, SwimPath], config: PlanConfig, depth: int, speed: DepthSpeed
 ) -> float:
     planner = ChipPlanner(elf, LEAST_COST)
+    planner.wear(HALF_WORN)
     planner.configure(paths[speed.worst_path], config)
     _, cycles = planner.plan(
         np.array([speed.worst_state], dtype=np.float32),

@@ -1,0 +1,296 @@
+#include "fk_wear.h"
+
+#include "fk_route.h"
+
+#define FK_WEAR_FADING 0.96f      /* what remains of older periods' weight at each new one: half of it after 17 */
+#define FK_WEAR_PENALTY 9.0f      /* what a limb or the current must explain to be believed: three standard deviations */
+#define FK_WEAR_SURPRISE 30.0f    /* a squared miss beyond this: limbs have changed, and of older periods remains ... */
+#define FK_WEAR_SURPRISED 0.3f    /* ... this much more of the weight */
+#define FK_WEAR_MISSED_MOST 1e6f  /* a squared miss beyond this, or no number, tells nothing of limbs */
+#define FK_WEAR_SECANT 22937u     /* lost share (0.7) up to which a wear curve counts as a straight line; beyond it, as
+                                     the line to its place */
+#define FK_WEAR_LEAST 0.02f       /* shares that are believed; above one a curve's end is meant */
+#define FK_WEAR_MOST 1.3f
+#define FK_WEAR_APART 1e-3f       /* part of an unknown's information that the others must leave for it to be told apart */
+
+/* What a period misses where all is known, of each axis: 1.2 mm, 1.2 mm, 0.02 rad. */
+static const float noise[3] = {1.44e-6f, 1.44e-6f, 4e-4f};
+/* What currents are expected: 1 / variance, of 3 mm/s, 3 mm/s, 0.005 rad/s. */
+static const float current_information[3] = {111111.11f, 111111.11f, 40000.0f};
+static const uint8_t variance_of[3] = {0u, 0u, 1u};
+
+/* The normal equations of all unknowns, each row with its right-hand side last: as Gauss and Jordan eliminate an unknown,
+ * its row becomes its value and what others change of it, and the other rows lose what it explains. */
+typedef struct {
+    float at[FK_WEAR_UNKNOWNS][FK_WEAR_UNKNOWNS + 1u];
+    uint32_t unknowns;
+    uint32_t chosen; /* bit i: unknown i was eliminated */
+} fk_normal_t;
+
+void fk_wear_use(fk_wear_t *wear, fk_tables_t *tables)
+{
+    uint32_t any = 0u;
+    for (uint32_t limb = 0u; limb < FK_LIMBS_MAX; ++limb) {
+        any |= wear->lost[limb];
+    }
+    tables->worn = 0;
+    if (any != 0u) {
+        fk_wear_shift(tables, wear->lost, wear->shift);
+        tables->worn = wear->shift;
+    }
+}
+
+void fk_wear_init(fk_wear_t *wear, fk_tables_t *tables, uint8_t learn)
+{
+    for (uint32_t i = 0u; i < FK_WEAR_SUMS; ++i) {
+        wear->information[i] = 0.0f;
+    }
+    for (uint32_t i = 0u; i < FK_WEAR_UNKNOWNS; ++i) {
+        wear->vector[i] = 0.0f;
+    }
+    for (uint32_t i = 0u; i < 3u; ++i) {
+        wear->current[i] = 0.0f;
+    }
+    for (uint32_t limb = 0u; limb < FK_LIMBS_MAX; ++limb) {
+        wear->lost[limb] = 0u;
+    }
+    wear->learn = learn;
+    fk_wear_use(wear, tables);
+}
+
+/* What a limb that has lost a share changes of a motion. */
+static void curve(const fk_tables_t *tables, uint32_t limb, uint32_t lost, float motion[3])
+{
+    int32_t codes[6];
+    fk_wear_curve(tables, limb, lost, codes);
+    for (uint32_t axis = 0u; axis < 3u; ++axis) {
+        motion[axis] = (float)codes[axis] * tables->motion_scale[axis];
+    }
+}
+
+static float lost_share(uint32_t lost) { return (float)lost / (float)FK_LOST_MAX; }
+
+/* missed becomes what a robot with no worn limb and no current would have missed; row[axis][unknown]. */
+static void rows_of(const fk_wear_t *wear, const fk_tables_t *tables, const fk_wear_period_t *period, float missed[3],
+                    float row[3][FK_WEAR_UNKNOWNS])
+{
+    const uint8_t *masks = tables->action_rows + 4u * period->action;
+    const uint32_t fires = (uint32_t)masks[1] | (uint32_t)masks[2];
+    float sine;
+    float cosine;
+    fk_sincos(period->heading_rad, &sine, &cosine);
+    missed[0] = cosine * period->missed[0] + sine * period->missed[1];
+    missed[1] = cosine * period->missed[1] - sine * period->missed[0];
+    missed[2] = period->missed[2];
+    for (uint32_t axis = 0u; axis < 3u; ++axis) {
+        for (uint32_t i = 0u; i < FK_WEAR_UNKNOWNS; ++i) {
+            row[axis][i] = 0.0f;
+        }
+    }
+    row[0][0] = cosine * period->period_s;
+    row[0][1] = sine * period->period_s;
+    row[1][0] = -sine * period->period_s;
+    row[1][1] = cosine * period->period_s;
+    row[2][2] = period->period_s;
+    for (uint32_t limb = 0u; limb < tables->limbs; ++limb) {
+        if (((fires >> limb) & 1u) != 0u) {
+            const uint32_t lost = wear->lost[limb];
+            const uint32_t to = (lost > FK_WEAR_SECANT) ? lost : FK_WEAR_SECANT;
+            float changes[3];
+            curve(tables, limb, lost, changes);
+            for (uint32_t axis = 0u; axis < 3u; ++axis) {
+                missed[axis] += changes[axis];
+            }
+            curve(tables, limb, to, changes);
+            for (uint32_t axis = 0u; axis < 3u; ++axis) {
+                row[axis][3u + limb] = changes[axis] / lost_share(to);
+            }
+        }
+    }
+}
+
+static void eliminate(fk_normal_t *normal, uint32_t pivot)
+{
+    float *const own = normal->at[pivot];
+    const float by = own[pivot];
+    for (uint32_t j = 0u; j <= normal->unknowns; ++j) {
+        own[j] = own[j] / by;
+    }
+    for (uint32_t i = 0u; i < normal->unknowns; ++i) {
+        if (i != pivot) {
+            const float part = normal->at[i][pivot];
+            for (uint32_t j = 0u; j <= normal->unknowns; ++j) {
+                normal->at[i][j] = normal->at[i][j] - part * own[j];
+            }
+        }
+    }
+    normal->chosen |= 1u << pivot;
+}
+
+static int32_t is_believable(float share) { return share > FK_WEAR_LEAST && share < FK_WEAR_MOST; }
+
+/* Whether the limbs that are chosen keep shares to believe where the unknowns `first` and on take these values. */
+static int32_t are_believable(const fk_normal_t *normal, uint32_t first, uint32_t count, const float *values)
+{
+    for (uint32_t i = 3u; i < normal->unknowns; ++i) {
+        if (((normal->chosen >> i) & 1u) != 0u) {
+            float share = normal->at[i][normal->unknowns];
+            for (uint32_t k = 0u; k < count; ++k) {
+                share = share - normal->at[i][first + k] * values[k];
+            }
+            if (!is_believable(share)) {
+                return 0;
+            }
+        }
+    }
+    return 1;
+}
+
+/* What a limb explains of what the chosen ones leave; -1: it is not to be believed. */
+static float gain_of_limb(const fk_normal_t *normal, uint32_t at, float information)
+{
+    const float left = normal->at[at][at];
+    if (!(left > FK_WEAR_APART * information)) { /* it did not fire, or only ever with the others */
+        return -1.0f;
+    }
+    const float share = normal->at[at][normal->unknowns] / left;
+    if (!is_believable(share) || !are_believable(normal, at, 1u, &share)) {
+        return -1.0f;
+    }
+    return normal->at[at][normal->unknowns] * share;
+}
+
+/* The same of the current. Its information begins with what is expected of currents, so each pivot is positive. */
+static float gain_of_current(const fk_normal_t *normal)
+{
+    float at[3][4];
+    float value[3];
+    for (uint32_t i = 0u; i < 3u; ++i) {
+        for (uint32_t j = 0u; j < 3u; ++j) {
+            at[i][j] = normal->at[i][j];
+        }
+        at[i][3] = normal->at[i][normal->unknowns];
+    }
+    for (uint32_t pivot = 0u; pivot < 2u; ++pivot) {
+        for (uint32_t i = pivot + 1u; i < 3u; ++i) {
+            const float part = at[i][pivot] / at[pivot][pivot];
+            for (uint32_t j = pivot; j < 4u; ++j) {
+                at[i][j] = at[i][j] - part * at[pivot][j];
+            }
+        }
+    }
+    value[2] = at[2][3] / at[2][2];
+    value[1] = (at[1][3] - at[1][2] * value[2]) / at[1][1];
+    value[0] = ((at[0][3] - at[0][1] * value[1]) - at[0][2] * value[2]) / at[0][0];
+    if (!are_believable(normal, 0u, 3u, value)) {
+        return -1.0f;
+    }
+    return (normal->at[0][normal->unknowns] * value[0] + normal->at[1][normal->unknowns] * value[1]) +
+           normal->at[2][normal->unknowns] * value[2];
+}
+
+/* Believe the limb, or the current, that explains most; then the next, as long as one explains enough. */
+static void choose(const fk_wear_t *wear, fk_normal_t *normal)
+{
+    const uint32_t nothing = normal->unknowns;
+    uint32_t best;
+    do {
+        float most = FK_WEAR_PENALTY;
+        best = nothing;
+        if ((normal->chosen & 1u) == 0u) {
+            const float gain = gain_of_current(normal);
+            if (gain >= most) {
+                most = gain;
+                best = 0u;
+            }
+        }
+        for (uint32_t at = 3u; at < normal->unknowns; ++at) {
+            if (((normal->chosen >> at) & 1u) == 0u) {
+                const float gain = gain_of_limb(normal, at, wear->information[at * (at + 3u) / 2u]);
+                if (gain > most) {
+                    most = gain;
+                    best = at;
+                }
+            }
+        }
+        if (best != nothing) {
+            eliminate(normal, best);
+        }
+        if (best == 0u) {
+            eliminate(normal, 1u);
+            eliminate(normal, 2u);
+        }
+    } while (best != nothing);
+}
+
+/* What all periods together say of the limbs and the current. */
+static void believe(fk_wear_t *wear, const fk_tables_t *tables)
+{
+    fk_normal_t normal;
+    uint32_t next = 0u;
+    normal.unknowns = 3u + tables->limbs;
+    normal.chosen = 0u;
+    for (uint32_t i = 0u; i < normal.unknowns; ++i) {
+        for (uint32_t j = 0u; j <= i; ++j) {
+            normal.at[i][j] = wear->information[next];
+            normal.at[j][i] = wear->information[next];
+            ++next;
+        }
+        normal.at[i][normal.unknowns] = wear->vector[i];
+    }
+    for (uint32_t i = 0u; i < 3u; ++i) {
+        normal.at[i][i] += current_information[i];
+    }
+    choose(wear, &normal);
+    for (uint32_t i = 0u; i < 3u; ++i) {
+        wear->current[i] = ((normal.chosen & 1u) != 0u) ? normal.at[i][normal.unknowns] : 0.0f;
+    }
+    for (uint32_t limb = 0u; limb < tables->limbs; ++limb) {
+        float share = 0.0f;
+        if (((normal.chosen >> (3u + limb)) & 1u) != 0u) {
+            share = normal.at[3u + limb][normal.unknowns];
+        }
+        share = (share < 1.0f) ? share : 1.0f;
+        wear->lost[limb] = (share > 0.0f) ? (uint16_t)(share * (float)FK_LOST_MAX + 0.5f) : 0u;
+    }
+}
+
+void fk_wear_learn(fk_wear_t *wear, fk_tables_t *tables, const fk_wear_period_t *period)
+{
+    float missed[3];
+    float weight[3];
+    float row[3][FK_WEAR_UNKNOWNS];
+    float square = 0.0f;
+    uint32_t next = 0u;
+    const uint32_t unknowns = 3u + tables->limbs;
+    if (wear->learn != FK_LEARN_ON || tables->wear_knots == 0u || period->action >= tables->actions) {
+        return;
+    }
+    rows_of(wear, tables, period, missed, row);
+    for (uint32_t axis = 0u; axis < 3u; ++axis) {
+        float left = missed[axis];
+        for (uint32_t i = 0u; i < unknowns; ++i) {
+            const float value = (i < 3u) ? wear->current[i] : lost_share(wear->lost[i - 3u]);
+            left = left - row[axis][i] * value;
+        }
+        weight[axis] = 1.0f / (noise[axis] + period->variance[variance_of[axis]]);
+        square = square + weight[axis] * (left * left);
+    }
+    if (!(square <= FK_WEAR_MISSED_MOST)) { /* also of what is no number */
+        return;
+    }
+    const float kept = (square > FK_WEAR_SURPRISE) ? FK_WEAR_FADING * FK_WEAR_SURPRISED : FK_WEAR_FADING;
+    for (uint32_t i = 0u; i < unknowns; ++i) {
+        const float a = weight[0] * row[0][i];
+        const float b = weight[1] * row[1][i];
+        const float c = weight[2] * row[2][i];
+        for (uint32_t j = 0u; j <= i; ++j) {
+            wear->information[next] =
+                kept * wear->information[next] + ((a * row[0][j] + b * row[1][j]) + c * row[2][j]);
+            ++next;
+        }
+        wear->vector[i] = kept * wear->vector[i] + ((a * missed[0] + b * missed[1]) + c * missed[2]);
+    }
+    believe(wear, tables);
+    fk_wear_use(wear, tables);
+}

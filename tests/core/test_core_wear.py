@@ -1,0 +1,100 @@
+"""What limbs have lost, learned in the core: what a host may ask, and what the log tells of it."""
+
+from __future__ import annotations
+
+import random
+import struct
+from typing import Any
+
+import numpy as np
+import pytest
+from tests.core.core import Robot, cases, image
+from tests.core.estimator_rig import swim
+from tests.core.log_rig import fetched, robot_with_log
+from tests.core.test_core_log_replay import replayed, restored, snapshot_of
+
+from frogkick.estimator.wear import HELD, OFF, ON
+from frogkick.link.layout import link_layout
+from frogkick.runs.chip_state import SnapshotError, read_state
+from frogkick.tables.image import open_image
+
+LEARN = link_layout().parameter["LEARN"]
+
+
+def set_learn(robot: Robot, learn: int) -> str:
+    return robot.status("PARAM", {"parameter": LEARN, "value": learn})
+
+
+def lost_of(robot: Robot) -> list[int]:
+    told = robot.ask("STATUS")
+    return [int(told[f"lost_{limb}"]) for limb in range(4)]
+
+
+def test_the_twin_counts_as_the_link_does() -> None:
+    assert link_layout().learn == {"OFF": OFF, "ON": ON, "HELD": HELD}
+
+
+def worn(seed: int, periods: int) -> Robot:
+    """A robot that learns what its limbs have lost from strokes by command, and then decides."""
+    given = swim(seed, periods, kick=0.1, name="worn", lost=[[0, 0, 0, 0], [0, 20_000, 0, 32_767]])
+    robot, dice = robot_with_log()[0], random.Random(seed)
+    fixes = [(time_us + dice.randint(1, 90_000), 0, (time_us, pose)) for time_us, pose in given.fixes]
+    strokes = [(start_us, 1, action) for start_us, action in zip(given.starts_us, given.actions, strict=True)]
+    robot.tick()
+    robot.path()
+    assert set_learn(robot, ON) == "OK"
+    assert robot.status("ARM") == "OK"
+    todo: list[tuple[int, int, Any]] = [*fixes, *strokes]
+    for at_us, kind, what in sorted(todo, key=lambda event: event[:2]):
+        robot.run_until(at_us)
+        if kind == 1:
+            assert robot.status("STROKE", {"action": what}) == "OK"
+            robot.tick()
+        else:
+            robot.fix(*what[1].tolist(), capture_age_us=at_us - what[0])
+    assert robot.start() == "OK"
+    robot.tick()
+    return robot
+
+
+@pytest.mark.parametrize("seed", range(1, 1 + cases(3, 30)))
+def test_what_limbs_have_lost_is_learned_again(seed: int) -> None:
+    """From the first snapshot on, and from later ones, which hold what was learned before."""
+    log = fetched(worn(seed, 60))
+    told = replayed(log)
+    assert told.mismatches == []
+    assert max(told.decisions[-1].lost) > 10_000 and log.lost > 100
+
+
+def test_what_was_learned_is_held_and_forgotten() -> None:
+    robot = worn(1, 50)
+    assert robot.status("STOP") == "OK"
+    learned = lost_of(robot)
+    assert learned[1] > 10_000
+    assert set_learn(robot, HELD) == set_learn(robot, ON) == "OK" and lost_of(robot) == learned
+    assert set_learn(robot, OFF) == "OK" and lost_of(robot) == [0, 0, 0, 0]
+    assert set_learn(robot, ON) == "OK" and lost_of(robot) == [0, 0, 0, 0]
+
+
+def test_a_snapshot_in_which_more_is_lost_than_there_is_is_refused() -> None:
+    whole = snapshot_of(worn(1, 50))
+    wear = read_state(whole, open_image(image())).estimator.track.wear
+    assert wear is not None and wear.codes.any()
+    known = struct.pack("<4H", *wear.codes.tolist())
+    assert whole.count(known) == 1 and restored(whole) == 0
+    damaged = whole.replace(known, known[:6] + struct.pack("<H", 32768))
+    assert restored(damaged) == -1
+    with pytest.raises(SnapshotError, match="32768, at most 32767"):
+        read_state(damaged, open_image(image()))
+
+
+def test_there_are_three_ways_to_learn() -> None:
+    robot = Robot().begin("ARMED")
+    for value, wanted in [(0, "OK"), (1, "OK"), (2, "OK"), (3, "VALUE"), (0.5, "VALUE"), (-1, "VALUE")]:
+        assert robot.status("PARAM", {"parameter": LEARN, "value": value}) == wanted
+        assert robot.ask("STATUS")["learn"] == (value if wanted == "OK" else HELD)
+
+
+def test_a_table_without_wear_curves_is_not_learned_with() -> None:
+    robot = Robot(image(limb_wear=np.zeros((4, 0, 6)))).begin("ARMED")
+    assert (set_learn(robot, ON), set_learn(robot, HELD), set_learn(robot, OFF)) == ("VALUE", "VALUE", "OK")

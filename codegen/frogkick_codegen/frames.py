@@ -94,9 +94,9 @@ def supervisor_table() -> str:
 
 def plan_weights() -> str:
     """The planner's weights in C: a list to go through, and how ``fk_plan_config_t`` begins."""
-    limits = {name: f"{weight.most:.1f}f" for name, weight in WEIGHTS.items()}
+    limits = {name: f"{weight.least:.1f}f, {weight.most:.1f}f" for name, weight in WEIGHTS.items()}
     rows = [f"    WEIGHT({name}, {name.upper()}, {limits[name]})" for name in WEIGHTS]
-    lines = ["/* Weights and lengths of the costs, each 0 to its largest: WEIGHT(name, NAME, largest). */"]
+    lines = ["/* Weights, lengths, places of the costs: WEIGHT(name, NAME, least 0 or -largest, largest). */"]
     lines += [" \\\n".join(["#define FK_PLAN_WEIGHTS(WEIGHT)", *rows]), ""]
     lines += ["/* What to plan for. Weights of the other cost are only checked. */", "typedef struct {"]
     for name, weight in WEIGHTS.items():

@@ -199,18 +199,20 @@ static int32_t on_status(const fk_robot_t *robot, uint64_t now_us, uint8_t *answ
     return (int32_t)FK_STATUS_ANSWER_BYTES;
 }
 
-#define ID(name, NAME, most) FK_PARAMETER_##NAME,
-#define PLACE(name, NAME, most) &plan->name,
-#define MOST(name, NAME, most) most,
+#define ID(name, NAME, least, most) FK_PARAMETER_##NAME,
+#define PLACE(name, NAME, least, most) &plan->name,
+#define LEAST(name, NAME, least, most) least,
+#define MOST(name, NAME, least, most) most,
 
 /* A table instead of a choice: compilers make a jump of such a choice, whose targets no analysis can bound. */
 static int8_t set_weight(fk_plan_config_t *plan, uint8_t parameter, float value)
 {
     static const uint8_t ids[] = {FK_PLAN_WEIGHTS(ID)};
+    static const float least[sizeof(ids)] = {FK_PLAN_WEIGHTS(LEAST)};
     static const float most[sizeof(ids)] = {FK_PLAN_WEIGHTS(MOST)};
     float *const weights[sizeof(ids)] = {FK_PLAN_WEIGHTS(PLACE)};
     for (uint32_t i = 0u; i < sizeof(ids); ++i) {
-        if (ids[i] == parameter && is_finite_within(value, 0.0f, most[i])) {
+        if (ids[i] == parameter && is_finite_within(value, least[i], most[i])) {
             *weights[i] = value + 0.0f; /* -0.0, which fk_plan() refuses, becomes 0 */
             return FK_STATUS_OK;
         }

@@ -17,7 +17,7 @@ static void begin_with_tables(fk_robot_t *robot, uint8_t learn)
 
 int32_t fk_robot_init(fk_robot_t *robot, const uint8_t *image, uint32_t image_bytes)
 {
-#define DEFAULT(name, NAME, most) robot->plan.name = FK_##NAME;
+#define DEFAULT(name, NAME, least, most) robot->plan.name = FK_##NAME;
     FK_PLAN_WEIGHTS(DEFAULT)
     robot->plan.transitions_max = fk_robot_transitions_within(FK_PLAN_TIME_US);
     robot->plan.cost = FK_COST;

@@ -93,7 +93,7 @@ static void f32(fk_walk_t *walk, float *values, uint32_t count)
 
 static void plan(fk_walk_t *walk, fk_plan_config_t *config)
 {
-#define WALK(name, NAME, most) f32(walk, &config->name, 1u);
+#define WALK(name, NAME, least, most) f32(walk, &config->name, 1u);
     FK_PLAN_WEIGHTS(WALK)
     u32(walk, &config->transitions_max);
     u8(walk, &config->cost, FK_COST_ROUTE);

@@ -14,6 +14,7 @@ from tests.conftest import some
 from tests.planner import synthetic
 
 from frogkick.core.errors import InputError
+from frogkick.core.weights import WEIGHTS
 from frogkick.planner.plan import PlanConfig, plan
 from frogkick.tables.image import TableError, open_image
 from frogkick_codegen import toolchain
@@ -207,11 +208,29 @@ def test_a_configuration_that_the_planner_would_refuse_is_not_emitted(
 
 
 def test_the_configuration_is_written_to_the_last_bit(tmp_path: Path) -> None:
-    config = PlanConfig(1e-40, 123.456789, 1e6, 1 / 3, 2 / 3, 1e-9, 1e5 / 7, 2.0, 3, 1, 12345)
+    config = PlanConfig(
+        1e-40,
+        123.456789,
+        1e6,
+        1 / 3,
+        2 / 3,
+        1e-9,
+        1e5 / 7,
+        2.0,
+        1e3 / 3,
+        1e-3,
+        -1e-40,
+        1 / 3,
+        -1000.0,
+        0.0,
+        3,
+        1,
+        12345,
+    )
     emit(IMAGE, tmp_path / "out", COMMAND, config)
     text = (tmp_path / "out" / "fk_config.h").read_text()
     values = re.findall(r"#define FK_CONFIG_\w+ (\S+)f$", text, flags=re.MULTILINE)
-    wanted = np.array([1e-40, 123.456789, 1e6, 1 / 3, 2 / 3, 1e-9, 1e5 / 7, 2.0], dtype=np.float32)
+    wanted = np.array([getattr(config, name) for name in WEIGHTS], dtype=np.float32)
     np.testing.assert_array_equal(np.array(values, dtype=np.float32), wanted)
     for line in ("DEPTH 3U", "COST 1U", "TRANSITIONS_MAX 12345U"):
         assert f"#define FK_CONFIG_{line}" in text

@@ -39,6 +39,14 @@ ROUTE = config_of(load_robot("frog2022").planner)
 CONFIGS = {
     "paper": PlanConfig(),
     "route": dataclasses.replace(ROUTE, transitions_max=0),
+    "walls": dataclasses.replace(
+        ROUTE,
+        transitions_max=0,
+        wall_weight_per_m=300.0,
+        wall_glide=3.0,
+        wall_x_max_m=0.2,
+        wall_y_min_m=-0.05,
+    ),
     "budget": dataclasses.replace(ROUTE, transitions_max=150),
 }
 PATH = shape("ellipse")

@@ -131,7 +131,8 @@ def test_every_null_pointer_is_refused_and_nothing_is_written(missing: int) -> N
     assert set(bytes(FFI.buffer(made))) == {0xA5}
 
 
-LIMITS = dict.fromkeys(WEIGHTS, 1e6) | {"turn_lead": 2.0}
+PLACES = ("wall_x_min_m", "wall_x_max_m", "wall_y_min_m", "wall_y_max_m")
+LIMITS = dict.fromkeys(WEIGHTS, 1e6) | {"turn_lead": 2.0, "wall_glide": 100.0} | dict.fromkeys(PLACES, 1000.0)
 REFUSED_CONFIGS = [
     ({"depth": 0}, "DEPTH"),
     ({"depth": 5}, "DEPTH"),
@@ -140,7 +141,13 @@ REFUSED_CONFIGS = [
     *(
         ({name: value}, "WEIGHT")
         for name, most in LIMITS.items()
-        for value in (NAN, INFINITY, -1.0, -0.0, float(np.nextafter(np.float32(most), np.float32(2e6))))
+        for value in (
+            NAN,
+            INFINITY,
+            -INFINITY,
+            float(np.nextafter(np.float32(most), np.float32(2e6))),
+            *((-1000.0001,) if name in PLACES else (-1.0, -0.0)),
+        )
     ),
 ]  # fmt: skip
 REFUSED_STATES = [

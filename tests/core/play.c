@@ -266,7 +266,7 @@ static void send_param(void)
 {
     static const float values[] = {1.0f, 2.0f, 500000.0f, 700000.0f, 5000000.0f, 1e9f, -1.0f, 0.0f};
     uint8_t payload[5];
-    payload[0] = (uint8_t)below(16u);
+    payload[0] = (uint8_t)below(24u);
     fk_put_f32(payload + 1, values[below(8u)]);
     send(FK_FRAME_PARAM, payload, sizeof(payload));
 }

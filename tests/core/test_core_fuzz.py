@@ -120,7 +120,7 @@ def seeds() -> bytes:
         frame("HELLO", hello()), frame("ARM", {}), path, fix, frame("START", {"delay_us": 0}),
         frame("STATUS", {}), frame("STROKE", {"action": 1}), frame("STOP", {}), frame("DISARM", {}),
         frame("LOG", {"offset": 0}), frame("LOG", {"offset": 2**32 - 1}),
-        *(frame("PARAM", {"parameter": number, "value": 1.0}) for number in range(1, 15)),
+        *(frame("PARAM", {"parameter": number, "value": 1.0}) for number in range(1, 21)),
         record(0, plan.id, 8, bytes([2]) + bytes(plan.command.bytes - 1)),
         frame("CHALLENGE", words("nonce", bytes(16))), frame("KEY", words("key", bytes(32))),
         record(0, AUTH_BIT | link_layout().messages["ARM"].id, 9, bytes(12)),

@@ -123,7 +123,7 @@ def test_everything_a_host_can_do() -> None:
                 robot.start(dice.randint(0, 200_000))
             elif what == "PARAM":
                 value = dice.choice((0.0, 1.0, 2.0, 3.0, 700_000.0, 2e6, -1.0, 1e7))
-                robot.status("PARAM", {"parameter": dice.randint(1, 14), "value": value})
+                robot.status("PARAM", {"parameter": dice.randint(1, 20), "value": value})
             elif what == "STROKE":
                 robot.status("STROKE", {"action": dice.randint(0, len(ACTION))})
             elif what == "FIX":

@@ -263,7 +263,7 @@ def test_parameters_and_their_limits() -> None:
     robot.path()
     told = robot.ask("PLAN", {"depth": 1, **POSE, **MOTION, **RESTED})
     assert told["status"] == 0, "what PARAM takes, the planner takes"
-    for parameter in (0, 15, 255):
+    for parameter in (0, 21, 255):
         assert robot.status("PARAM", {"parameter": parameter, "value": 1.0}) == "VALUE"
 
 
@@ -353,7 +353,8 @@ def test_plan_gives_the_planner_s_bits(depth: int, cost: int) -> None:
         [np.linspace(0, 1, 18), 0.1 * np.sin(np.arange(18)), rng.uniform(-3, 3, 18)]
     ).astype(np.float32)
     assert robot.status("PATH", {"first": 0, "total": 18, "count": 18}, rows.tolist()) == "OK"
-    config = PlanConfig(400.0, 33.0, 250.0, 0.7, 310.0, 0.12, 0.02, 0.5, depth, cost, transitions_max=70)
+    weights = (400.0, 33.0, 250.0, 0.7, 310.0, 0.12, 0.02, 0.5, 290.0, 3.2, -0.4, 0.6, -0.1, 0.2)
+    config = PlanConfig(*weights, depth, cost, transitions_max=70)
     for name, value in asdict(config).items():
         if name != "depth":
             assert robot.status("PARAM", {"parameter": PARAMETERS[name.upper()], "value": value}) == "OK"

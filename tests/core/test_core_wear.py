@@ -95,6 +95,14 @@ def test_there_are_three_ways_to_learn() -> None:
         assert robot.ask("STATUS")["learn"] == (value if wanted == "OK" else HELD)
 
 
+def test_a_wall_stands_anywhere_in_the_field() -> None:
+    robot = Robot().begin("ARMED")
+    for value, wanted in [(-1000, "OK"), (1000, "OK"), (-1000.1, "VALUE"), (1000.1, "VALUE")]:
+        for name in ("WALL_X_MIN_M", "WALL_Y_MAX_M"):
+            parameter = link_layout().parameter[name]
+            assert robot.status("PARAM", {"parameter": parameter, "value": value}) == wanted
+
+
 def test_a_table_without_wear_curves_is_not_learned_with() -> None:
     robot = Robot(image(limb_wear=np.zeros((4, 0, 6)))).begin("ARMED")
     assert (set_learn(robot, ON), set_learn(robot, HELD), set_learn(robot, OFF)) == ("VALUE", "VALUE", "OK")

@@ -55,16 +55,22 @@ typedef enum {
 } fk_cost_t;
 
 /* weights: made by python -m frogkick_codegen.frames */
-/* Weights and lengths of the costs, each 0 to its largest: WEIGHT(name, NAME, largest). */
+/* Weights, lengths, places of the costs: WEIGHT(name, NAME, least 0 or -largest, largest). */
 #define FK_PLAN_WEIGHTS(WEIGHT) \
-    WEIGHT(distance_weight_per_m, DISTANCE_WEIGHT_PER_M, 1000000.0f) \
-    WEIGHT(angle_weight_per_rad, ANGLE_WEIGHT_PER_RAD, 1000000.0f) \
-    WEIGHT(progress_weight, PROGRESS_WEIGHT, 1000000.0f) \
-    WEIGHT(level_weight, LEVEL_WEIGHT, 1000000.0f) \
-    WEIGHT(progress_weight_per_m, PROGRESS_WEIGHT_PER_M, 1000000.0f) \
-    WEIGHT(look_ahead_m, LOOK_AHEAD_M, 1000000.0f) \
-    WEIGHT(soft_distance_m, SOFT_DISTANCE_M, 1000000.0f) \
-    WEIGHT(turn_lead, TURN_LEAD, 2.0f)
+    WEIGHT(distance_weight_per_m, DISTANCE_WEIGHT_PER_M, 0.0f, 1000000.0f) \
+    WEIGHT(angle_weight_per_rad, ANGLE_WEIGHT_PER_RAD, 0.0f, 1000000.0f) \
+    WEIGHT(progress_weight, PROGRESS_WEIGHT, 0.0f, 1000000.0f) \
+    WEIGHT(level_weight, LEVEL_WEIGHT, 0.0f, 1000000.0f) \
+    WEIGHT(progress_weight_per_m, PROGRESS_WEIGHT_PER_M, 0.0f, 1000000.0f) \
+    WEIGHT(look_ahead_m, LOOK_AHEAD_M, 0.0f, 1000000.0f) \
+    WEIGHT(soft_distance_m, SOFT_DISTANCE_M, 0.0f, 1000000.0f) \
+    WEIGHT(turn_lead, TURN_LEAD, 0.0f, 2.0f) \
+    WEIGHT(wall_weight_per_m, WALL_WEIGHT_PER_M, 0.0f, 1000000.0f) \
+    WEIGHT(wall_glide, WALL_GLIDE, 0.0f, 100.0f) \
+    WEIGHT(wall_x_min_m, WALL_X_MIN_M, -1000.0f, 1000.0f) \
+    WEIGHT(wall_x_max_m, WALL_X_MAX_M, -1000.0f, 1000.0f) \
+    WEIGHT(wall_y_min_m, WALL_Y_MIN_M, -1000.0f, 1000.0f) \
+    WEIGHT(wall_y_max_m, WALL_Y_MAX_M, -1000.0f, 1000.0f)
 
 /* What to plan for. Weights of the other cost are only checked. */
 typedef struct {
@@ -77,6 +83,12 @@ typedef struct {
     float look_ahead_m;          /* route: how far along the path a branch's end points */
     float soft_distance_m;       /* route: below it, distance counts by its square */
     float turn_lead;             /* route: x the last turn, by which the robot turns on */
+    float wall_weight_per_m;     /* route: x how far a branch's end, and where it glides to, lie beyond the walls */
+    float wall_glide;            /* route: x the last motion, by which the robot glides on */
+    float wall_x_min_m;          /* route: walls, world */
+    float wall_x_max_m;          /* likewise */
+    float wall_y_min_m;          /* likewise */
+    float wall_y_max_m;          /* likewise */
 /* weights end */
     uint32_t transitions_max;    /* transitions to evaluate before the search answers, 0 = as many as it takes;
                                   * the first level is always finished */

@@ -39,6 +39,10 @@ typedef struct {
     float progress_weight_per_m;
     float look_ahead_m;
     float turn_lead;
+    float wall_weight_per_m;
+    float wall_glide;
+    float wall_min_m[2]; /* x, y */
+    float wall_max_m[2];
     float huber2_m2;         /* square of the distance below which distance is softened */
     float half_per_huber;    /* 1 / m; 0 where nothing is softened */
     float half_huber_m;
@@ -170,6 +174,25 @@ static inline float fk_route_end_cost(const fk_route_t *route, float arc_m, floa
     }
     aligned = (dx_m * cosine + dy_m * sine) / FK_SQRT(distance2_m2);
     return route->angle_weight_per_rad * FK_SQRT(fk_larger(0.0f, 2.0f - 2.0f * aligned));
+}
+
+/* How far a coordinate lies beyond the walls on its axis. */
+static inline float fk_beyond(float at_m, float least_m, float most_m)
+{
+    return fk_larger(0.0f, least_m - at_m) + fk_larger(0.0f, at_m - most_m);
+}
+
+/* What it costs, at least 0, that a motion ends beyond the walls, or that the robot glides there from its end. */
+static inline float fk_route_wall_cost(const fk_route_t *route, float from_x_m, float from_y_m, float x_m, float y_m)
+{
+    const float glide_x_m = x_m + route->wall_glide * (x_m - from_x_m);
+    const float glide_y_m = y_m + route->wall_glide * (y_m - from_y_m);
+    const float ends_m = fk_beyond(x_m, route->wall_min_m[0], route->wall_max_m[0])
+                       + fk_beyond(y_m, route->wall_min_m[1], route->wall_max_m[1]);
+    const float glides_m = fk_beyond(glide_x_m, route->wall_min_m[0], route->wall_max_m[0])
+                         + fk_beyond(glide_y_m, route->wall_min_m[1], route->wall_max_m[1]);
+
+    return route->wall_weight_per_m * (ends_m + glides_m);
 }
 
 #endif

@@ -34,10 +34,14 @@ typedef struct {
     uint32_t levels;                    /* of the search under way */
 } fk_search_t;
 
-static int32_t fk_is_weight(float value, float most)
+/* least: 0 or -most. */
+static int32_t fk_is_weight(float value, float least, float most)
 {
-    /* -0.0 has the sign bit and is refused like every negative weight; NaN lies above the limit. */
-    return (fk_bits_of_float(value) <= fk_bits_of_float(most)) ? 1 : 0;
+    const uint32_t bits = fk_bits_of_float(value);
+    /* Of a weight -0.0 has the sign bit and is refused like every negative one; NaN lies above the limit. */
+    const uint32_t size = (least < 0.0f) ? (bits & FK_FLOAT_MAGNITUDE) : bits;
+
+    return (size <= fk_bits_of_float(most)) ? 1 : 0;
 }
 
 static int32_t fk_config_check(const fk_plan_config_t *config)
@@ -48,8 +52,8 @@ static int32_t fk_config_check(const fk_plan_config_t *config)
     if ((config->cost != (uint8_t)FK_COST_PAPER) && (config->cost != (uint8_t)FK_COST_ROUTE)) {
         return FK_ERROR_COST;
     }
-#define FK_CHECK(name, NAME, most) \
-    if (fk_is_weight(config->name, most) == 0) { \
+#define FK_CHECK(name, NAME, least, most) \
+    if (fk_is_weight(config->name, least, most) == 0) { \
         return FK_ERROR_WEIGHT; \
     }
     FK_PLAN_WEIGHTS(FK_CHECK)
@@ -162,6 +166,9 @@ static int32_t fk_expand(fk_search_t *search, uint32_t level, uint32_t first_act
 
             fk_node_direction(node, &motion, route->turn_lead, &cosine, &sine);
             cost = cost + fk_route_end_cost(route, arc_m, x_m, y_m, cosine, sine);
+            if (route->wall_weight_per_m > 0.0f) {
+                cost = cost + fk_route_wall_cost(route, node->x_m, node->y_m, x_m, y_m);
+            }
         }
         if (fk_is_pruned(search, first_action, cost) == 0) {
             search->best_cost = cost;

@@ -33,7 +33,7 @@ static inline void fk_native_path(const float *path, uint32_t points, fk_path_t 
 static inline void fk_native_config(const float *weights, uint32_t cost, uint32_t transitions_max,
                                     fk_plan_config_t *config)
 {
-#define FK_TAKE(name, NAME, most) config->name = *weights++;
+#define FK_TAKE(name, NAME, least, most) config->name = *weights++;
     FK_PLAN_WEIGHTS(FK_TAKE)
 #undef FK_TAKE
     config->transitions_max = transitions_max;

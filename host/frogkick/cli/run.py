@@ -55,6 +55,13 @@ def run(
         bool,
         typer.Option("--learn", help="Learn while swimming what each limb has lost, and plan with it."),
     ] = False,
+    inside: Annotated[
+        str | None,
+        typer.Option(
+            help="Walls to keep away from: X,Y,X,Y in m of two opposite corners of the pool, or pool: those "
+            "of the calibration that --fixes gives."
+        ),
+    ] = None,
     tables: TablesOption = None,
     model: Annotated[
         str | None, typer.Option(help="Robot TOML file or built-in name; default: the table's robot.")
@@ -132,6 +139,7 @@ def run(
         planner=planner.value,
         depth=depth,
         learn=learn,
+        inside=inside,
         seed=seed,
         time_limit_s=simulated_time,
         fix_rate_hz=fix_rate,

@@ -13,19 +13,26 @@ from typing import Annotated, NamedTuple, get_type_hints
 
 
 class Weight(NamedTuple):
-    """Declaration of a weight: a finite number of at least 0.
+    """Declaration of a weight: a finite number of at least 0, or of a place: one of either sign.
 
     Attributes:
         about: meaning with its unit, as a comment in a robot's file.
         meaning: use in the planner, as a comment in C.
         most: the largest value.
         required: whether a robot's file must have it; otherwise the default is the paper's value.
+        least: 0, or -most of a place.
     """
 
     about: str
     meaning: str
     most: float = 1e6
     required: bool = False
+    least: float = 0.0
+
+    @property
+    def limits(self) -> tuple[float, float]:
+        """The least and the largest value."""
+        return self.least, self.most
 
 
 @dataclass(frozen=True)
@@ -68,6 +75,27 @@ class Weights:
         "route: x the last turn, by which the robot turns on",
         most=2.0,
     )] = 0.0  # fmt: skip
+    wall_weight_per_m: Annotated[float, Weight(
+        "cost of each m beyond the walls; 0: there are none",
+        "route: x how far a branch's end, and where it glides to, lie beyond the walls",
+    )] = 0.0  # fmt: skip
+    wall_glide: Annotated[float, Weight(
+        "how many times as far as in its last stroke a robot glides until it rests",
+        "route: x the last motion, by which the robot glides on",
+        most=100.0,
+    )] = 0.0  # fmt: skip
+    wall_x_min_m: Annotated[float, Weight(
+        "m, world: least x between the walls", "route: walls, world", most=1000.0, least=-1000.0
+    )] = -1000.0  # fmt: skip
+    wall_x_max_m: Annotated[float, Weight(
+        "m, world: largest x between the walls", "likewise", most=1000.0, least=-1000.0
+    )] = 1000.0  # fmt: skip
+    wall_y_min_m: Annotated[float, Weight(
+        "m, world: least y between the walls", "likewise", most=1000.0, least=-1000.0
+    )] = -1000.0  # fmt: skip
+    wall_y_max_m: Annotated[float, Weight(
+        "m, world: largest y between the walls", "likewise", most=1000.0, least=-1000.0
+    )] = 1000.0  # fmt: skip
 
 
 WEIGHTS: Mapping[str, Weight] = {

@@ -6,7 +6,7 @@ import copy
 import os
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
@@ -42,6 +42,7 @@ from frogkick.front.places import (
 from frogkick.front.run_progress import RunProgress
 from frogkick.front.tables import Table, load_table
 from frogkick.front.viewing import played, viewed
+from frogkick.front.walls import clearance_m, walled
 from frogkick.link.wire import Wire, is_target
 from frogkick.paths import Path as SwimPath
 from frogkick.pool.camera import Camera as SimulatedCamera
@@ -177,7 +178,8 @@ class Run:
 
     def as_json(self) -> dict[str, Any]:
         """The keys of the command ``run``."""
-        return {**self.tracking.as_json(), **self.checked, "lost": lost_of(self.log), "ended": self.ended}
+        learned = {"lost": lost_of(self.log), "wall_clearance_m": clearance_m(self.log)}
+        return {**self.tracking.as_json(), **self.checked, **learned, "ended": self.ended}
 
     def __repr__(self) -> str:
         name = "no path" if self.path is None else self.path.name
@@ -236,6 +238,7 @@ def run(
     planner: str = "robot",
     depth: int | None = None,
     learn: bool = False,
+    inside: str | Sequence[float] | None = None,
     seed: int = 0,
     time_limit_s: float = 120.0,
     fix_rate_hz: float = 15.0,
@@ -254,8 +257,7 @@ def run(
 ) -> Run:
     """Follow a path in closed loop: position fixes come in, and strokes go out.
 
-    A real robot is armed as soon as all checks have passed, unless an ``operator`` is asked before. The robot
-    is disarmed however the run ends.
+    A real robot is armed when all checks have passed and ``operator`` agrees. It is disarmed at any end.
 
     Args:
         table: the robot's table or its file; None: the robot's default table.
@@ -268,11 +270,11 @@ def run(
         planner: planner whose weights and depth are used: "robot" (its TOML file) or "paper".
         depth: periods to look ahead, 1 to 4; None: the planner's own.
         learn: whoever decides learns what each limb has lost, and plans with it.
+        inside: walls to keep from: x, y, x, y of opposite corners, m, or "pool": the calibration's.
         seed: seed of the simulated camera's noise.
-        time_limit_s: time limit, s; in pool time if the pool is simulated.
+        time_limit_s: time limit, s; of the pool if that is simulated.
         fix_rate_hz: simulated position fixes per second.
-        fixes: of a real robot: a camera's calibration (.toml), "stdin" (lines ``x_m y_m heading_rad
-            [age_s]``) or "pool" (simulated, for a kit without limbs).
+        fixes: of a real robot: camera.toml, "stdin" (lines ``x_m y_m heading_rad [age_s]``) or "pool".
         source: camera of a calibration: a number, an address, a video or a folder of pictures.
         begin: where a real robot's path begins: "X,Y,DEG" (m, degrees) or "here"; None: unchanged.
         dialect: protocol of a real robot: "frogkick", or "frog2022" for the authors' own firmware.
@@ -281,8 +283,7 @@ def run(
         wire: an open link to a real robot; None: a link is opened for this run and closed after it.
         key: key file of a real robot that has an owner; None: the user's own, see ``connect``.
         out: log to write (HDF5); with a real robot it grows while the robot swims.
-        view: draw the run in the browser, with a button that stops it; a simulated run then goes in real
-            time.
+        view: draw the run in the browser, with a stop button; a simulated run then goes in real time.
         video: record the camera's pictures beside ``out``.
         progress: True for a bar, or a function of (path points passed, all).
 
@@ -310,12 +311,11 @@ def run(
     described = used.robot
     check = LiveCheck() if plan == "both" else None
     stopped = threading.Event()  # by the button of the page
-    config = plan_config(described, planner, depth)
+    config = walled(plan_config(described, planner, depth), inside, used, fixes)
     options = RunOptions(config, plan != "host", time_limit_s, check, stopped.is_set, learn)
     name = f"run --robot {robot.replace('/', ' ').replace(chr(92), ' ')} --plan {plan}"
     known = {} if battery_v is None else {BATTERY_V: battery_v}
-    pool = None
-    made: dict[str, str] = {}
+    pool, made = None, dict[str, str]()
     with ExitStack() as stack:
         stack.enter_context(sole_writer(target))
         image = stack.enter_context(used.file())

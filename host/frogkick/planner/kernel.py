@@ -80,6 +80,7 @@ _typed_by_name: Any = namedtuple
 Settings = _typed_by_name("Settings", ("cost", "transitions_max", *WEIGHTS))
 """The configuration of a search, integers and float32; the fields are those of plan.PlanConfig."""
 _WEIGHTS_FROM = 2
+_LEAST = tuple(np.float32(weight.least) for weight in WEIGHTS.values())
 _MOST = tuple(np.float32(weight.most) for weight in WEIGHTS.values())
 
 
@@ -114,7 +115,8 @@ def check_settings(settings: Any, depth: int) -> int:
     for index in range(len(weights)):
         value = weights[index]
         # -0.0 is none: in C its bits are beyond the largest one's.
-        if not _F0 <= value <= _MOST[index] or (value == _F0 and np.signbit(value)):
+        is_minus_0 = value == _F0 and np.signbit(value) and _LEAST[index] == _F0
+        if is_minus_0 or not _LEAST[index] <= value <= _MOST[index]:
             return ERROR_WEIGHT
     return OK
 
@@ -206,6 +208,22 @@ def end_cost(search: _Search, level: int, motion: Array) -> Any:
 
 
 @njit(**INNER)
+def wall_cost(search: _Search, level: int) -> Any:
+    """Return what it costs to end at a level beyond the walls, or to glide there from its last motion."""
+    settings = search.settings
+    here, before = search.poses[level], search.poses[level - 1]
+    x = here[0] + settings.wall_glide * (here[0] - before[0])
+    y = here[1] + settings.wall_glide * (here[1] - before[1])
+    ends = route.beyond(here[0], settings.wall_x_min_m, settings.wall_x_max_m) + route.beyond(
+        here[1], settings.wall_y_min_m, settings.wall_y_max_m
+    )
+    glides = route.beyond(x, settings.wall_x_min_m, settings.wall_x_max_m) + route.beyond(
+        y, settings.wall_y_min_m, settings.wall_y_max_m
+    )
+    return settings.wall_weight_per_m * (ends + glides)
+
+
+@njit(**INNER)
 def is_pruned(search: _Search, first: int, cost: Any) -> bool:
     """Whether a branch with this first action and at least this cost can no longer be the best."""
     if cost == search.best_cost[0]:
@@ -229,6 +247,8 @@ def expand(search: _Search, level: int, depth: int, first: int, action: int) -> 
         search.rows[level + 1] = find_row(search.table, after)
         return True
     cost = cost + end_cost(search, depth, search.motion)
+    if search.settings.cost == COST_ROUTE and search.settings.wall_weight_per_m > _F0:
+        cost = cost + wall_cost(search, depth)
     if not is_pruned(search, first, cost):
         search.best_cost[0] = cost
         search.best[0] = first

@@ -12,7 +12,8 @@ It is the twin of route.c, written from these rules:
 - Stage cost of a motion: the Huber loss of its end's distance from the route (Huber 1964; the quadratic part
   ends at ``soft_distance_m``), and the shortfall of its advance against the table's longest stroke.
 - Terminal cost of a branch: how far the robot points away from the route's place a look-ahead further on, the
-  target point of pure pursuit (Coulter 1992).
+  target point of pure pursuit (Coulter 1992). Where there are walls, also how far the branch's end, and the
+  place to which the robot would glide from it, lie beyond them.
 
 Every operation is float32 in the order written; ties take the lowest index.
 """
@@ -223,6 +224,12 @@ def huber(distance2: np.float32, huber_m: np.float32) -> Any:
     if distance2 < huber_m * huber_m:
         return distance2 * (_HALF / huber_m)
     return np.sqrt(distance2) - _HALF * huber_m
+
+
+@njit(**INNER)
+def beyond(at: np.float32, least: np.float32, most: np.float32) -> Any:
+    """Return how far a coordinate lies beyond the walls on its axis, m."""
+    return max(_F0, least - at) + max(_F0, at - most)
 
 
 @njit(**INNER)

@@ -191,6 +191,12 @@ class Robot:
         limbs = sum(limb.length_m * limb.mass_per_length_kg_per_m for limb in self.limbs)
         return perimeter * self.frame.mass_per_length_kg_per_m + limbs
 
+    @property
+    def reach_m(self) -> float:
+        """How far from its middle the robot reaches at most: a corner of the frame, and a limb from there."""
+        corner_m: float = max((x * x + y * y) ** 0.5 for x, y in self.frame.corners_m)
+        return corner_m + max(limb.length_m for limb in self.limbs)
+
     def actuation(self, egain_percent: float | None = None, frequency_hz: float | None = None) -> Actuation:
         """The stroke of a limb, by default that of the actions.
 

@@ -96,7 +96,7 @@ else:
         cost=(Literal["paper", "route"], "paper"),
         **{
             name: (
-                Annotated[float, Field(ge=0.0, le=weight.most)],
+                Annotated[float, Field(ge=weight.least, le=weight.most)],
                 ... if weight.required else getattr(Weights, name),
             )
             for name, weight in WEIGHTS.items()

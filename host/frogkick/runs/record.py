@@ -266,7 +266,7 @@ def config_of_log(run: RunLog) -> PlanConfig:
         if (value := run.planner.get(entry.name)) is None:
             continue
         is_integer = entry.name in _INTEGERS
-        low, high = _INTEGERS[entry.name] if is_integer else (0.0, WEIGHTS[entry.name].most)
+        low, high = _INTEGERS[entry.name] if is_integer else WEIGHTS[entry.name].limits
         if not low <= value <= high or (is_integer and value != int(value)):
             raise InputError(
                 f"run {run.source!r}: planner {entry.name} is {value:g}, allowed is {low:g} to {high:g}: "

@@ -219,7 +219,8 @@ class RunLog:
         planner: the planner's weights and depth (field of PlanConfig -> finite value), where known.
         made: provenance as texts, where known: ``began_at`` (UTC at the log's time 0, ISO 8601), ``frogkick``
             (its version), ``robot_toml``, ``robot_sha256``, ``table_sha256``, ``command``; and
-            ``learn`` of a run in which the host learned what limbs have lost.
+            ``learn`` of a run in which it was learned what limbs have lost: their names. Its decisions have a
+            further column ``lost`` (n, 8), of each limb, 0 to 32767.
     """
 
     robot_id: str

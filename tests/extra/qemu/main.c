@@ -81,7 +81,7 @@ int main(void)
     const uint32_t *weight = fk_case_weights;
     const int32_t error = fk_tables_open(fk_table_image, fk_table_image_bytes, &tables);
 
-#define TAKE(name, NAME, most) config.name = float_of(*weight++);
+#define TAKE(name, NAME, least, most) config.name = float_of(*weight++);
     FK_PLAN_WEIGHTS(TAKE)
     if (error != FK_OK) {
         fk_put_text("refused ");

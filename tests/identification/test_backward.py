@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from made import make_swim, robot, term
-from tests.conftest import some
+from tests.conftest import from_ci
 
 from frogkick.effects.acting import LEG_S
 from frogkick.identification.backward import (
@@ -65,7 +65,8 @@ def test_an_effect_that_others_make_needless_is_dropped(late: list[Segments]) ->
     assert found.model.terms[1].values[0] == pytest.approx(0.12, abs=0.01)
 
 
-@pytest.mark.parametrize("delayed_first", some([True, False], 1))
+@from_ci
+@pytest.mark.parametrize("delayed_first", [True, False])
 def test_a_constant_that_pauses_is_said_as_a_law_at_intervals(delayed_first: bool) -> None:
     swims = [make_swim([], seed, 12) for seed in (4, 5)]
     kind = next(each for each in kinds_of(robot(), swims) if each.title == "fixes late at intervals")

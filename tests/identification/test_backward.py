@@ -109,6 +109,7 @@ def test_another_effect_takes_the_place_of_one_that_stood_in_for_it(late: list[S
     assert all(each.title == "limb_wear all" for each in confounded[0])
 
 
+@from_ci
 def test_delays_of_all_limbs_are_no_substitute_for_late_fixes(late: list[Segments]) -> None:
     """Four effects that each gained something imitate one that did not seem best after the first of them."""
     rows = nominal_fit(late, robot())[1]

@@ -14,7 +14,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from tests.conftest import REPOSITORY, count
+from tests.conftest import REPOSITORY, count, from_ci
 
 import frogkick.core.chunks
 from frogkick.cli.main import run_command
@@ -285,6 +285,7 @@ def test_the_command_gives_the_same_files(cluster: Cluster, tmp_path: Path) -> N
         assert (tmp_path / "far" / name).read_bytes() == (tmp_path / "here" / name).read_bytes(), name
 
 
+@from_ci
 @needs_distributed
 def test_a_scheduler_without_workers_and_one_that_dies(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]

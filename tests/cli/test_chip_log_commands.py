@@ -100,5 +100,5 @@ def test_what_is_refused(fetched: FetchedLog, tmp_path: Path, capsys: pytest.Cap
     assert "can be repeated with table" in capsys.readouterr().err
     for target in ("virtual", "tcp:1", "serail:x"):
         assert run_command(["log", "fetch", "--robot", target, "--out", str(tmp_path / "e.h5")]) == 2
-        assert "keeps no log to fetch" in capsys.readouterr().err
+        assert "is not the target of a robot: choose ble:NAME, serial:PORT" in capsys.readouterr().err
     assert not (tmp_path / "e.h5").exists()

@@ -318,6 +318,7 @@ def test_a_run_that_gets_nowhere_says_so(here: Path, capsys: Capture) -> None:
     assert Path("run.h5").is_file(), "its log is kept all the same"
 
 
+@from_ci
 def test_commands_make_their_own_table_where_none_is_given(
     here: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
 ) -> None:

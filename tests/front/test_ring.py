@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tests.conftest import count
+from tests.conftest import count, from_ci
 from tests.identification.made import robot
 
 from frogkick import ring as closing_module
@@ -72,6 +72,7 @@ def test_a_ring_that_tells_too_little_says_so(
     assert "not enough data (no effect)" in page and "stayed as they were" in page
 
 
+@from_ci
 def test_the_ring_closes(
     round_once: tuple[Ring, Path, list[str]],
     tmp_path: Path,

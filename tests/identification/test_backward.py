@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from made import make_swim, robot, term
-from tests.conftest import some
+from tests.conftest import from_ci
 
 from frogkick.effects.acting import LEG_S
 from frogkick.identification.backward import (
@@ -65,7 +65,8 @@ def test_an_effect_that_others_make_needless_is_dropped(late: list[Segments]) ->
     assert found.model.terms[1].values[0] == pytest.approx(0.12, abs=0.01)
 
 
-@pytest.mark.parametrize("delayed_first", some([True, False], 1))
+@from_ci
+@pytest.mark.parametrize("delayed_first", [True, False])
 def test_a_constant_that_pauses_is_said_as_a_law_at_intervals(delayed_first: bool) -> None:
     swims = [make_swim([], seed, 12) for seed in (4, 5)]
     kind = next(each for each in kinds_of(robot(), swims) if each.title == "fixes late at intervals")
@@ -108,6 +109,7 @@ def test_another_effect_takes_the_place_of_one_that_stood_in_for_it(late: list[S
     assert all(each.title == "limb_wear all" for each in confounded[0])
 
 
+@from_ci
 def test_delays_of_all_limbs_are_no_substitute_for_late_fixes(late: list[Segments]) -> None:
     """Four effects that each gained something imitate one that did not seem best after the first of them."""
     rows = nominal_fit(late, robot())[1]

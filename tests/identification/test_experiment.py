@@ -56,14 +56,25 @@ def indices(row: str) -> list[int]:
     return [[action.name for action in robot().actions].index(name) for name in row]
 
 
+def separation_of(models: ModelPair, row: str) -> float:
+    """How far apart both models predict a given row, as ``plan`` computes it for the best one."""
+    sides = [Side(each) for each in models.models]
+    sequence = ActionSequence((), 0.0, tuple(side.at_rest(START) for side in sides), ())
+    for action in indices(row):
+        (sequence,) = extend([sequence], sides, white(), robot(), [action])
+    return separation(models, white(), segments_of_sequence(robot(), sequence, START))
+
+
 def test_a_planned_row_tells_a_planted_pair_apart_and_a_bad_one_does_not() -> None:
     """In the simulated pool, with its noise: whichever is true is likelier by far after the planned row."""
     asked = pair(term("limb_wear rear_left", 0.75), term("group_gain rear", 0.87))
     planned = plan(asked, white(), START, POOL, periods=5)
     assert planned.decisive and planned.separation_sigma > 10.0
-    assert planned.text.startswith("to tell limb_wear rear_left from group_gain rear, record from rest: ")
+    assert planned.text.startswith(
+        "to distinguish limb_wear rear_left from group_gain rear, record from rest: "
+    )
     bad = "A" * 5  # fires front limbs only
-    assert separation(asked, white(), START, indices(bad)) < 1.0
+    assert separation_of(asked, bad) < 1.0
     for row, told in ((planned.sequence, True), (bad, False)):
         for seed, (planted, which) in enumerate(((ONE_LIMB, 0), (BOTH, 1))):
             swims = [make_swim([planted], 20 + seed, 0, row)]
@@ -89,7 +100,9 @@ def test_what_no_row_from_rest_tells_apart_is_said(one: Term, other: Term) -> No
         other = other.at((1.0 - 0.4 * np.exp(-after_s / 0.2), 1.0))
     planned = plan(pair(one, other), white(), START, POOL, periods=4)
     assert planned.separation_sigma < 1.0 and not planned.decisive
-    assert planned.text.startswith(f"no row of these actions from rest tells {one.title} from {other.title}")
+    assert planned.text.startswith(
+        f"no sequence of these actions from rest distinguishes {one.title} from {other.title}"
+    )
     assert planned.as_json()["tells"] is False
 
 
@@ -98,7 +111,7 @@ def test_a_row_stays_in_its_pool_and_beats_one_action_all_the_time() -> None:
     planned = plan(asked, white(), START, POOL, periods=7)
     assert 4 <= len(planned.actions) <= 7
     assert len(set(planned.actions)) > 1  # the same limbs all the time are worn or warm alike
-    steady = separation(asked, white(), START, indices("A" * len(planned.actions)))
+    steady = separation_of(asked, "A" * len(planned.actions))
     assert planned.separation_sigma > 1.5 * steady > 0.0
     side = [Side(each) for each in asked.models]
     row = ActionSequence((), 0.0, tuple(each.at_rest(START) for each in side), ())
@@ -197,8 +210,8 @@ def test_what_to_do_is_said_by_how_far_apart_models_are() -> None:
     def told(sigma: float, names: tuple[str, ...] = ("A", "B")) -> Experiment:
         return Experiment(("x", "y"), names, (0.0, 0.0, 0.0), sigma)
 
-    assert told(DECISIVE_SIGMA).text.startswith("to tell x from y, record from rest: AB (2 periods")
-    assert told(DECISIVE_SIGMA / 1.9).text.startswith("to tell x from y, record 4 times from rest: AB")
-    assert told(0.1).text.startswith("no row of these actions from rest tells x from y")
+    assert told(DECISIVE_SIGMA).text.startswith("to distinguish x from y, record from rest: AB (2 periods")
+    assert told(DECISIVE_SIGMA / 1.9).text.startswith("to distinguish x from y, record 4 times from rest: AB")
+    assert told(0.1).text.startswith("no sequence of these actions from rest distinguishes x from y")
     assert told(9.0, ("left", "right")).as_json()["actions"] == "left right"
     assert told(9.0).as_json()["periods"] == 2

@@ -14,7 +14,6 @@ from tests.conftest import count, from_ci, some
 
 from frogkick.effects import Law
 from frogkick.effects.registry import make_effects
-from frogkick.identification.answers import answers_of
 from frogkick.identification.choice import _law_of_no_strength
 from frogkick.identification.fit import derivatives, fit
 from frogkick.identification.held_out import bent_gain
@@ -24,6 +23,7 @@ from frogkick.identification.missing import fix_innovations, missing_wrench, str
 from frogkick.identification.moments import centred, moment_intervals
 from frogkick.identification.outcome import found_toml, identify
 from frogkick.identification.refine import Refiner
+from frogkick.identification.responses import responses_of
 from frogkick.identification.search import (
     HELD_OUT_GAIN_MIN,
     Found,
@@ -151,9 +151,10 @@ def planted(folder: Path, table: dict[str, Any]) -> list[dict[str, Any]]:
 
 @pytest.mark.parametrize(("title", "table"), some(WORLDS, 1))
 def test_the_right_kind_promises_most(folder: Path, title: str, table: dict[str, Any]) -> None:
-    swims = [make_swim(planted(folder, table), seed, PERIODS) for seed in (1, 2, 3)]
+    seeds, periods = range(1, count(4, 4, 3)), count(PERIODS, PERIODS, 12)
+    swims = [make_swim(planted(folder, table), seed, periods) for seed in seeds]
     _, rows, nominal = nominal_fit(swims, robot())
-    laws = Laws(answers_of(nominal, swims, rows), swims, robot())
+    laws = Laws(responses_of(nominal, swims, rows), swims, robot())
     columns = laws.best(nominal)
     alike = {"patch": ("patch", "patch with an end")}.get(title, (title,))
     assert columns[0].term.title in alike, [column.term.title for column in columns[:4]]
@@ -182,7 +183,7 @@ def test_laws_are_moved_beside_each_other(
     broken = WORLDS[2][1]
     swims = [make_swim(planted(folder, WORLDS[0][1]) + planted(folder, broken), s, 20) for s in (1, 2)]
     model, rows, nominal = nominal_fit(swims, robot())
-    laws = Laws(answers_of(nominal, swims, rows), swims, robot())
+    laws = Laws(responses_of(nominal, swims, rows), swims, robot())
     kinds = {kind.named: kind for kind in kinds_of(robot(), swims)}
     pulls, breaks = kinds["spring"].term(cable), kinds["stroke from a moment on rear_left"].term(moment)
     refiner = Refiner(swims, rows, 1)
@@ -266,7 +267,7 @@ def test_answers_add_up_to_what_a_simulation_says(folder: Path) -> None:
 
     swims = [make_swim([], seed, 12) for seed in (1, 2)]
     model, rows, nominal = nominal_fit(swims, robot())
-    answers = answers_of(nominal, swims, rows)
+    responses = responses_of(nominal, swims, rows)
     terms = {term.title: term for term in catalogue(robot())}
     push = terms["steady_wrench"].at([1e-3, 0.0, 0.0])
     late = terms["fix_latency"].at([0.05])
@@ -277,7 +278,7 @@ def test_answers_add_up_to_what_a_simulation_says(folder: Path) -> None:
         parameters = {"size": {"value": size, "unit": unit}}
         (law,) = make_effects([{"name": "law", "parameters": parameters, **table}], Path())
         assert isinstance(law, Law)
-        return answers.to(law, {}, names)
+        return responses.to(law, {}, names)
 
     for term, told in (
         (push, told_by({"on": "wrench", "forward_n": "size"}, "N", 1e-3)),
@@ -334,15 +335,15 @@ def test_the_missing_wrench_is_read_from_residuals() -> None:
     law = {"name": "law", "on": "wrench", "x_n": "push * sin(rate * time_s)", "parameters": numbers}
     swims = [make_swim([law], seed, 14) for seed in (1, 2)]
     _, rows, nominal = nominal_fit(swims, robot())
-    answers = answers_of(nominal, swims, rows)
-    found = missing_wrench(nominal, answers, swims, rows)
+    responses = responses_of(nominal, swims, rows)
+    found = missing_wrench(nominal, responses, swims, rows)
     told = found.as_json([swim.name for swim in swims])
     true = 1.5e-3 * np.sin(0.7 * found.time_s)
     assert np.corrcoef(told["x_n"], true)[0, 1] > 0.9
     assert np.sqrt(np.mean(np.square(np.array(told["x_n"]) - true))) < 6e-4
     assert np.abs(told["y_n"]).mean() < 4e-4 and len(told["covariance"][0]) == 9
     assert (np.linalg.eigvalsh(found.covariance) > -1e-12).all()
-    strokes = stroke_ratios(nominal, answers, swims, rows, [limb.name for limb in robot().limbs])
+    strokes = stroke_ratios(nominal, responses, swims, rows, [limb.name for limb in robot().limbs])
     ratios = np.array([each["log_ratio"] for each in strokes])
     assert len(ratios) == sum(len(swim.strokes) for swim in swims) and np.median(ratios) > 3.0
     fixes = fix_innovations(nominal, swims)

@@ -11,10 +11,10 @@ from made import make_swim, robot
 from tests.conftest import LEVEL, count, from_ci
 
 from frogkick.effects import Fix
-from frogkick.identification.answers import answers_of
 from frogkick.identification.jumps import jumped, jumps_of, without_jumps
 from frogkick.identification.misfires import fitted_mixture, misfires_of, without_failed
 from frogkick.identification.outcome import identify
+from frogkick.identification.responses import responses_of
 from frogkick.identification.search import nominal_fit
 from frogkick.identification.segments import read_segments
 from frogkick.identification.verdict import PARTLY
@@ -83,9 +83,9 @@ def test_a_limb_that_breaks_does_not_misfire() -> None:
     for effects, right in (([table], True), (misfire("front_left", 0.3), False)):
         swims = [make_swim(effects, seed, count(20, 30)) for seed in (1, 2, 3)]
         _, rows, nominal = nominal_fit(swims, robot())
-        answers = answers_of(nominal, swims, rows)
-        found = misfires_of(nominal, swims, rows, answers.idle)
-        assert found is None or found.patterned(answers.fired) == right
+        responses = responses_of(nominal, swims, rows)
+        found = misfires_of(nominal, swims, rows, responses.idle)
+        assert found is None or found.patterned(responses.fired) == right
 
 
 @pytest.mark.skipif(not GIVEN.is_dir() or LEVEL == "quick", reason="logs of a misfire; FK_LEVEL=ci")

@@ -19,6 +19,7 @@ import cv2
 import numpy as np
 import pytest
 from tests.cli.commands import frogkick
+from tests.conftest import from_ci
 from tests.planner import synthetic
 from tests.runs import rig
 from tests.vision.scenes import scene
@@ -249,6 +250,7 @@ def test_its_flash_outlives_it_and_its_port_keeps_its_name(
         assert code == 0 and said.count("\n") == 1, said
 
 
+@from_ci
 def test_the_virtual_chip_keeps_its_flash_too(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     write_bytes(tmp_path / "new.fkt", synthetic.affine_image(20, 9, 2))
     options = ("--virtual", "--flash", str(tmp_path / "chip.bin"))
@@ -264,6 +266,7 @@ def test_the_virtual_chip_keeps_its_flash_too(tmp_path: Path, capsys: pytest.Cap
     assert other.code == 2 and "the flash holds other firmware than this table gives" in other.stderr
 
 
+@from_ci
 def test_a_run_whose_connection_was_lost_for_too_long(camera: Path, tmp_path: Path) -> None:
     """The robot ends it alone, and its word that it did is lost: a run cut short has exit code 1."""
     with serving(tmp_path, "--line", "frog") as pool:

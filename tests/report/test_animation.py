@@ -151,7 +151,7 @@ def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
     assert told["animation"]["pictures"] == len(pictures_of(file)) == 29
     assert told["speed_mps"] > 0.0
     assert run_command(["simulate", "--actions", "C", "--animation", str(tmp_path / "swim.avi")]) == 2
-    assert "ends on none of .gif, .mp4" in capsys.readouterr().err
+    assert "does not end in .gif or .mp4" in capsys.readouterr().err
     assert sorted(p.name for p in tmp_path.iterdir()) == ["swim.gif"]
 
 
@@ -219,5 +219,5 @@ def test_opencv_writes_a_readable_mp4(tmp_path: Path) -> None:
 
 
 def test_names_are_checked_before_anything_is_simulated(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"\.gif, \.mp4"):
+    with pytest.raises(InputError, match=r"\.gif or \.mp4"):
         animation.require_animation_name(tmp_path / "x.png")

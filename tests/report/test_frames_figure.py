@@ -46,5 +46,5 @@ def test_left_is_left_and_limbs_are_where_the_robot_has_them() -> None:
 
 def test_a_name_that_is_no_picture_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     told = frogkick(capsys, "robot", "frames", "--out", tmp_path / "frames.txt")
-    assert told.code == 2 and "ends on none of .png, .svg, .pdf" in told.stderr
+    assert told.code == 2 and "does not end in .png or .svg or .pdf" in told.stderr
     assert list(tmp_path.iterdir()) == []

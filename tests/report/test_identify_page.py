@@ -102,8 +102,8 @@ def test_the_page_tells_all(outcome: Outcome, tmp_path: Path) -> None:
         "fixed at the nominal value", "cannot distinguish limb_wear rear_left from group_gain rear",
         "limb_wear rear_left was accepted with a gain of 210, and of 65.36 for each held-out period; the "
         "next best was steady_wrench",
-        "no effect was accepted; the best, warm_up, gains 9", "A decisive experiment: to tell limb_wear "
-        "rear_left from",
+        "no effect was accepted; the best, warm_up, gains 9", "A decisive experiment: to distinguish "
+        "limb_wear rear_left from",
         "record from rest: GBE (3 periods, 12.0 sigma apart)", "Unexplained residuals", "made31", "made33",
     ):  # fmt: skip
         assert told in links.text, told

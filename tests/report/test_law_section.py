@@ -22,7 +22,7 @@ from frogkick.identification.terms import Term
 from frogkick.identification.verdict import FOUND_LAW, intervals
 from frogkick.report.identify_page import write_identify_page
 from frogkick.report.law_figures import law_figure, periods_of
-from frogkick.report.law_words import NEEDS, formula_of, hangs_on, sentence_of
+from frogkick.report.law_words import NEEDS, depends_on, formula_of, sentence_of
 
 LAWS: list[tuple[str, str, dict[str, float], str, str]] = [
     ("spring", "", {"stiffness": 0.05, "at_x": 0.1, "at_y": 0.1, "slack": 0.1}, "place",
@@ -32,10 +32,11 @@ LAWS: list[tuple[str, str, dict[str, float], str, str]] = [
     ("stroke after front_right", "rear_left", {"loss": 0.5, "within": 0.5}, "limbs",
      "how long ago front_right fired"),
     ("patch", "", {"drag": 1.0, "at_x": 0.0, "at_y": 0.1, "size": 0.3, "sharp": 2.0}, "place",
-     "resists more, by 1 N s/m, up to about 0.30 m away"),
+     "resists more, by 1 N s/m, up to a distance of about 0.30 m"),
     ("patch with an end", "", {"drag": 1.0, "at_x": 0.0, "at_y": 0.1, "size": 0.3, "sharp": 2.0}, "place",
-     "by 1 N s/m in its middle, less and less towards 0.30 m away"),
-    ("sloshing", "", {"x_sine": 0.01, "y_sine": 0.004, "cycle": 6.0}, "time in cycles", "once in 6.00 s"),
+     "by 1 N s/m in its middle, and less and less up to a distance of 0.30 m"),
+    ("sloshing", "", {"x_sine": 0.01, "y_sine": 0.004, "cycle": 6.0}, "time in cycles",
+     "with a period of 6.00 s"),
     ("drag from a moment on", "", {"drag": 0.05, "at": 6.0}, "time", "From 6.0 s on the water resists more"),
     ("flow in a band", "", {"to_x": 0.01, "way": 1.5, "offset": 0.1, "width": 0.1}, "place",
      "in a band across the pool, with 0.01 m/s along x"),
@@ -83,7 +84,7 @@ def test_a_law_is_told_in_words_as_a_formula_and_as_a_picture(
 ) -> None:
     term = term_of(title, limb, values)
     law = law_of(term)
-    assert said in sentence_of(law) and hangs_on(law) == hangs
+    assert said in sentence_of(law) and depends_on(law) == hangs
     for line in formula_of(law):
         assert not {p.name for p in law.parameters} & set(line.replace("(", " ").split()), line
     outcome = outcome_with(term)
@@ -107,7 +108,7 @@ def test_every_law_of_the_grammar_is_told_in_words() -> None:
         law = law_of(term)
         told = sentence_of(law)
         assert told.endswith(".") and "{" not in told and "LIMB" not in told
-        assert hangs_on(law) in NEEDS and formula_of(law)
+        assert depends_on(law) in NEEDS and formula_of(law)
     pull = {"pull": {"value": -1e-3, "unit": "N"}}
     own = Law(on="wrench", title="spring", x_n="-pull * sign(x_m)", parameters=pull)
     assert sentence_of(own) == "A force on the body that depends on place."
@@ -130,5 +131,11 @@ def test_the_page_says_how_a_law_is_confirmed_or_refuted(tmp_path: Path) -> None
     write_identify_page(tmp_path / "what.html", outcome)
     text = self_contained((tmp_path / "what.html").read_text(encoding="utf-8")).text
     needed = "ten periods with the cable taut"
-    for words in (said, "hypot(x_m - 0.1", "To confirm or refute a law", "record from rest", needed):
+    for words in (
+        said,
+        "hypot(x_m - 0.1",
+        "An experiment to confirm or refute a law",
+        "record from rest",
+        needed,
+    ):
         assert words in text, words

@@ -67,7 +67,7 @@ def test_the_same_robot_gives_the_same_bytes(ending: str, tmp_path: Path) -> Non
 
 
 def test_other_kinds_of_pictures_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"\.png, \.svg, \.pdf"):
+    with pytest.raises(InputError, match=r"\.png or \.svg or \.pdf"):
         write_robot_figure(load_robot("frog2022"), tmp_path / "x.bmp")
     assert list(tmp_path.iterdir()) == []
 

@@ -11,7 +11,7 @@ from tests.cli.commands import frogkick
 from frogkick.core.errors import InputError
 from frogkick.robot import load_robot
 from frogkick.robot.profile import fit_profile
-from frogkick.robot.profile_files import fit_profile_folder, read_measured_profile, write_profiles
+from frogkick.robot.profile_files import read_mat, write_profiles
 
 
 def made_up(noise: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
@@ -38,16 +38,13 @@ def test_bad_measurements_are_refused() -> None:
         fit_profile(t[::-1], k, 10.0, 0.8)
     with pytest.raises(InputError, match="a stroke lowers it"):
         fit_profile(t, np.full_like(t, 120.0), 10.0, 0.8)
-    with pytest.raises(InputError, match=r"holds no <EGaIn/10>"):
-        fit_profile_folder("nowhere")
 
 
 def test_files_that_are_no_profiles_are_refused(tmp_path: Path) -> None:
-    file = tmp_path / "1" / "7.mat"
-    file.parent.mkdir()
+    file = tmp_path / "7.mat"
     file.write_bytes(b"not matlab" * 40)
     with pytest.raises(InputError, match="cannot be read"):
-        fit_profile_folder(tmp_path)
+        read_mat(file, "mean")
 
 
 def test_the_stored_coefficients_are_those_of_the_measurements(frog2022_dir: Path, tmp_path: Path) -> None:
@@ -56,13 +53,13 @@ def test_the_stored_coefficients_are_those_of_the_measurements(frog2022_dir: Pat
     worst = 0.0
     for profile in robot.profiles:
         name = f"{round(profile.egain_percent / 10)}/{round(profile.frequency_hz * 10)}.mat"
-        t, k = read_measured_profile(frog2022_dir / "profile" / name)
+        t, k = read_mat(frog2022_dir / "profile" / name, "mean")
         rms = float(np.sqrt(np.mean((profile.curvature_per_m(t) - k) ** 2)))
         assert rms == pytest.approx(profile.rms_per_m, abs=0.01)
         worst = max(worst, rms)
     assert worst < 1.5
     profile = next(p for p in robot.profiles if (p.egain_percent, p.frequency_hz) == (10.0, 0.7))
-    again = fit_profile(*read_measured_profile(frog2022_dir / "profile" / "1" / "7.mat"), 10.0, 0.7)
+    again = fit_profile(*read_mat(frog2022_dir / "profile" / "1" / "7.mat", "mean"), 10.0, 0.7)
     t = np.linspace(0.0, profile.duration_s, 500)
     assert np.abs(again.curvature_per_m(t) - profile.curvature_per_m(t)).max() < 0.05
     write_profiles([again], tmp_path / "p.toml", "a test")

@@ -24,7 +24,7 @@ from frogkick.link.auth import read_key
 from frogkick.link.frames import DELIMITER
 from frogkick.link.opening import opened, require_wire
 from frogkick.link.text_dialect import pulse_line, require_dialect
-from frogkick.link.wire import Wire, is_target, parse_target
+from frogkick.link.wire import FORMS, Wire, is_target, parse_target
 from frogkick.paths import Path as SwimPath
 from frogkick.planner.plan import PlanConfig
 from frogkick.pool.native_robot import NativeRobot
@@ -99,7 +99,7 @@ def require_bench(
             if value is not None:
                 raise InputError(
                     f"{name} {value} is for a real robot, but --robot is {robot!r}: leave it out, or give "
-                    "--robot ble:NAME or serial:PORT"
+                    f"--robot {' or '.join(FORMS)}"
                 )
         return
     require_wire(parse_target(robot))

@@ -14,7 +14,7 @@ import numpy as np
 from frogkick.core.errors import InputError, nearest_name
 from frogkick.core.progress import tell_line
 from frogkick.front.default_tables import default_tables
-from frogkick.link.wire import RobotPort
+from frogkick.link.wire import FORMS, RobotPort
 from frogkick.paths import OTHER_SHAPES, SHAPES, from_csv, shape
 from frogkick.paths import Path as SwimPath
 from frogkick.planner.plan import PlanConfig, config_of
@@ -94,7 +94,8 @@ def require_simulated(name: str) -> None:
     if name not in SIMULATED:
         raise InputError(
             f"--robot is {name!r}{nearest_name(str(name), SIMULATED)}: choose virtual (the firmware on the "
-            "virtual chip), pool (the same core on this computer), or a real robot: ble:NAME, serial:PORT"
+            "virtual chip), pool (the same core on this computer), or a real robot: "
+            f"{', '.join(FORMS)}"
         )
 
 

@@ -8,7 +8,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from frogkick.core.errors import InputError, nearest_name
+from frogkick.core.errors import InputError
 from frogkick.core.files import require_writable
 from frogkick.core.progress import Progress, shown
 from frogkick.front.default_tables import default_tables
@@ -24,11 +24,10 @@ from frogkick.front.places import (
     simulated_robot,
     table_image,
 )
-from frogkick.front.robots import session_at
+from frogkick.front.robots import require_target, session_at
 from frogkick.front.running import Run
 from frogkick.front.tables import Table, load_table
 from frogkick.link.log import fetch_log as fetch_bytes
-from frogkick.link.wire import is_target, parse_target
 from frogkick.robot import Robot, in_a_row
 from frogkick.runs.chip_log_file import FetchedLog, read_log, write_log
 from frogkick.runs.chip_log_replay import LogReplay
@@ -163,13 +162,8 @@ def fetch_log(target: str, out: Path | None = None, progress: Progress = False) 
         WireError: the robot cannot be reached.
         LinkError: the robot does not answer.
     """
-    if not is_target(target):
-        raise InputError(
-            f"robot {target!r}{nearest_name(target, ('ble', 'serial'))} keeps no log to fetch: "
-            "choose ble:NAME or serial:PORT"
-        )
+    require_target(target)
     require_writable(out)
-    parse_target(target)
     with session_at(target, None) as session:
         fetched = fetch_from(session, progress)
     if out is not None:

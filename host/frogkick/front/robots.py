@@ -17,7 +17,7 @@ from frogkick.link.auth import default_key_file, read_key
 from frogkick.link.frames import DELIMITER
 from frogkick.link.layout import link_layout
 from frogkick.link.opening import opened, require_wire
-from frogkick.link.wire import Wire, is_target, parse_target
+from frogkick.link.wire import FORMS, KINDS, Wire, is_target, parse_target
 from frogkick.paths import Path as SwimPath
 from frogkick.runs.lab_session import LabSession, lab_session
 from frogkick.runs.pushing import Pushed, own, push, roll_back
@@ -244,7 +244,7 @@ def require_target(target: str, others: tuple[str, ...] = ()) -> None:
 
     Args:
         target: address of the robot.
-        others: further targets besides ``ble:NAME`` and ``serial:PORT``.
+        others: further targets besides ``FORMS``.
 
     Raises:
         InputError: an unknown target, or one that needs a package which is not installed.
@@ -253,8 +253,8 @@ def require_target(target: str, others: tuple[str, ...] = ()) -> None:
         return
     if not is_target(target):
         raise InputError(
-            f"robot {target!r}{nearest_name(target, ('ble', 'serial', *others))} is not the target of a "
-            f"robot: choose {', '.join(('ble:NAME', 'serial:PORT', *others))}"
+            f"robot {target!r}{nearest_name(target, (*KINDS, *others))} is not the target of a robot: choose "
+            f"{', '.join((*FORMS, *others))}"
         )
     require_wire(parse_target(target))
 

@@ -103,8 +103,7 @@ class Run:
     @cached_property
     def actions(self) -> tuple[str, ...]:
         """The action of each decision, by name; "?" if it is not known."""
-        names = self.log.action_names
-        return tuple(names[index] if index >= 0 else "?" for index in self.log.decisions.action)
+        return tuple(self.log.decided())
 
     def save(self, file: Path | str) -> None:
         """Write the log (HDF5), which ``load_run`` reads back.

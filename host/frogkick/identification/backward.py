@@ -76,11 +76,11 @@ def revise(
 def _pair(
     refiner: Refiner, current: Fitted, single_effect_fits: Sequence[Fitted]
 ) -> tuple[Fitted, list[list[Term]]] | None:
-    """Two of the best single effects that do as well as a model's several terms; None where no two do.
+    """Two of the best single effects that do as well as a model's several terms; None if no two do.
 
-    Terms taken one by one may together imitate one that came second at first: a delay of each limb imitates
-    late fixes. With each of the two come the terms confounded with it beside the other.
-    """
+    Terms that were taken one by one may together imitate a single effect that was not the best at first: a
+    delay of each limb imitates late fixes. The terms that are confounded with each of the two are returned as
+    well."""
     model, starts = current.model, list[Model]()
     for one, other in combinations((each.model for each in single_effect_fits), 2):
         fixed = one.fixed | {len(one.values) + k for k in other.fixed}
@@ -161,13 +161,13 @@ def resolve_equivalent(
             continue
         late_s = term.values[[p.name for p in term.parameters].index("delay_s")]
         values = [late_s if p.name == "delay_s" else p.nominal for p in other.parameters]
-        current, alike = swap_step(refiner, current, place, [other.at(values)], EQUIVALENT_MARGIN)
-        found[place] += alike
+        current, rivals = swap_step(refiner, current, place, [other.at(values)], EQUIVALENT_MARGIN)
+        found[place] += rivals
     return current, found
 
 
 def swap_step(
-    refiner: Refiner, current: Fitted, place: int, rivals: Sequence[Term], alike: float = CONFOUNDED_MARGIN
+    refiner: Refiner, current: Fitted, place: int, rivals: Sequence[Term], margin: float = CONFOUNDED_MARGIN
 ) -> tuple[Fitted, list[Term]]:
     """Swap step: the best of some terms in one place, and those that are confounded with it."""
     title = current.model.terms[place].title
@@ -180,7 +180,7 @@ def swap_step(
     starts = [with_term_at(current.model, place, term) for term in others.values()]
     fits = fit_many(starts, refiner.swims, refiner.rows, STEPS_MAX)
     every = [current, *fits]  # of one noise
-    bound = min(penalised_deviance(each) for each in every) + alike * refiner.replicate_count
+    bound = min(penalised_deviance(each) for each in every) + margin * refiner.replicate_count
     equal = [each for each in every if penalised_deviance(each) < bound]
     first, *rest = sorted(equal, key=lambda each: (len(each.model.values), penalised_deviance(each)))
     return (
@@ -244,12 +244,15 @@ def backward_elimination(refiner: Refiner, fitted: Fitted) -> tuple[Fitted, list
 def _complements(
     model: Model, jacobian: FloatArray, before: int, gone: Term
 ) -> list[tuple[Model, FloatArray]]:
-    """The model with each of its laws at intervals acting, reversed, in the other parts of its cycles.
+    """The model with each of its laws at intervals replaced by its complement.
+
+    The complement acts with the opposite sign in the remaining part of each cycle.
 
     Args:
-        model: without a term.
-        jacobian: by its parameters.
-        before, gone: that term and its place. A law on fixes sees times later by a constant delay before it.
+        model: the model without a term.
+        jacobian: derivatives by its parameters.
+        before, gone: index of the removed term, and the term. A constant delay of the fixes before a law on
+            fixes shifts the times at which that law acts.
     """
     found = []
     known = dict(zip((p.name for p in gone.parameters), gone.values, strict=True))
@@ -277,7 +280,7 @@ def superfluous_term(fitted: Fitted, folds: NDArray[np.int64], swims: Sequence[S
     """Which of several terms does not improve the prediction of held-out parts of the training runs.
 
     By the cross-validated log density of the ends of periods (``steps.cross_fitted``), with and without each:
-    the term with the least gain, if the interval of that gain reaches zero. None where every term is needed.
+    the term with the least gain, if the interval of that gain reaches zero. None if every term is needed.
 
     Args:
         fitted: with derivatives by all its parameters.

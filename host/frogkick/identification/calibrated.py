@@ -1,6 +1,6 @@
 """Calibrated starting models: robots of the same body that were measured before.
 
-The added mass and drag of a hull, how limbs stand and how they tire can only be told apart together, and a
+The added mass and drag of a hull, how limbs stand and how they tire can only be identified jointly, and a
 forward selection from a plain drawing does not get there. A robot's file of the same id and body with
 ``[[effect]]`` tables gives starting values; all its effects are fitted jointly to the runs at hand, by the
 poses at the ends of periods.
@@ -104,7 +104,7 @@ def refitted(
     rows: NDArray[np.bool_],
     measured: bool = True,
 ) -> Fitted | None:
-    """Fit all effects of a calibrated start jointly; None where they explain too little for their number.
+    """Fit all effects of a calibrated start jointly; None if they explain too little for their number.
 
     Parameters that are nominal in its file stay so.
 
@@ -190,7 +190,7 @@ def end_residuals(rollouts: Sequence[Rollout], swims: Sequence[Segments]) -> Flo
 
 
 def end_errors(rollout: Rollout, swim: Segments) -> FloatArray:
-    """(m, 3) residuals at the ends of a run's periods, by the pose at their starts; NaN where unknown."""
+    """(m, 3) residuals at the ends of a run's periods, by the pose at their starts; NaN if unknown."""
     gap = swim.measured - rollout.predicted
     gap[:, 2] = wrap_angle(gap[:, 2])
     ends = body_from_world(rollout.start[:, 2], gap)

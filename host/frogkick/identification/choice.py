@@ -9,7 +9,6 @@ import numpy as np
 
 from frogkick.core.poses import PredictionError
 from frogkick.core.progress import TellStage
-from frogkick.identification.answers import Answers, answers_of
 from frogkick.identification.backward import stability, superfluous_term, without
 from frogkick.identification.calibrated import (
     best_end_deviance,
@@ -23,6 +22,7 @@ from frogkick.identification.jumps import Jumps
 from frogkick.identification.laws import Laws
 from frogkick.identification.misfires import misfires_of, without_failed
 from frogkick.identification.penalty import EFFECT_PENALTY, PARAMETER_PENALTY
+from frogkick.identification.responses import Responses, responses_of
 from frogkick.identification.screening import sensitivities
 from frogkick.identification.search import Baseline, Found, folds_of, nominal_fit, search
 from frogkick.identification.segments import Segments, part_of
@@ -42,7 +42,7 @@ STABLE = 0.8
 """Share of resamples of the training runs in which an effect must be selected to be named."""
 
 SEARCHED_MOST = 200
-"""From so many periods on, a calibrated start that explains much is tried before a whole search."""
+"""From this many periods on, a calibrated start that explains much is tried before a whole search."""
 
 AT_BOUND = 1e-3
 """Share of a parameter's range that counts as its bound."""
@@ -52,8 +52,9 @@ PART, PART_EFFECTS = 60, 2
 and a search for them would take many minutes."""
 
 FAR, NEARER = (0.006, 0.07), 0.6
-"""A model with larger errors (m, rad) lacks more than an effect or two; a calibrated start that leaves no
-more than this share of both errors is then taken where a search does not explain all."""
+"""A model with errors above FAR (m, rad) lacks more than one or two effects. A calibrated start that leaves
+no more than the share NEARER of both errors is then preferred to a search that does not explain
+everything."""
 
 
 def found_in(
@@ -65,8 +66,9 @@ def found_in(
 ) -> Found:
     """The result of a search, or the effects of a calibrated robot of the same body, fitted to these runs.
 
-    A search whose residuals are noise is taken as it is, and so is a calibrated start. A robot at a wall is
-    as far off its model as a hull is off its drawing: the size of the error alone does not tell which it is.
+    A search that leaves only noise is accepted, and so is a calibrated start that does. The size of the error
+    alone does not decide which of the two to try: a wall in the pool causes errors as large as those of a
+    hull that differs from its drawing.
 
     Raises:
         InputError: no period can be used.
@@ -100,42 +102,41 @@ def found_in(
 
 
 def discovered(found: Found, train: Sequence[Segments], robot: Robot, progress: TellStage) -> Found:
-    """Look for limbs that misfire and for laws, where the catalogue leaves more than noise.
+    """Search for limbs that misfire and for laws, if the catalogue leaves more than noise.
 
-    Also where it explains all with a parameter at a bound: a limit is seldom the truth.
-    Limbs that misfire come first: what fails by chance looks like much else. Where they explain more than the
-    catalogue does, the rest is searched in the runs without the strokes that failed. The result is taken
-    whose deviance is least, penalised by the number of its effects and parameters.
-    """
+    The search is also made if the catalogue explains everything with a parameter at a bound, because a bound
+    is seldom the true value. Limbs that misfire come first, because random failures resemble many other
+    effects. If they explain more than the catalogue, the rest is searched in the runs without the failed
+    strokes. The result with the least penalised deviance is returned."""
     if _verdict(found, train) in (FOUND, NOTHING) and not _at_bound(found.fitted.model):
         return found
     nominal, rows = found.nominal, found.rows
-    answers = answers_of(nominal, train, rows)
+    responses = responses_of(nominal, train, rows)
     results = [found]
-    misfires = misfires_of(nominal, train, rows, answers.idle)
-    if misfires is not None and misfires.patterned(answers.fired):
+    misfires = misfires_of(nominal, train, rows, responses.idle)
+    if misfires is not None and misfires.patterned(responses.fired):
         misfires = None  # a limb that breaks fails as well, but not by chance
     if misfires is not None and misfires.deviance < _penalised(found):
         fired = without_failed(train, misfires)
         baseline = nominal_fit(fired, robot)
         plain = Found(baseline[2], baseline[2], [], baseline[1], [])
         if _verdict(plain, fired) == NOTHING:
-            return Found(nominal, nominal, [], rows, [], misfires=misfires, answers=answers)
+            return Found(nominal, nominal, [], rows, [], misfires=misfires, responses=responses)
         beside = search(fired, robot, catalogue(robot), progress, baseline)
         if _verdict(beside, fired) not in (FOUND, NOTHING):
-            told = answers_of(beside.nominal, fired, beside.rows)
-            beside = min(beside, _with_laws(beside, told, fired, robot, progress), key=_penalised)
+            own = responses_of(beside.nominal, fired, beside.rows)
+            beside = min(beside, _with_laws(beside, own, fired, robot, progress), key=_penalised)
         (fitted,) = derivatives([beside.fitted.model], train, rows)
         misfires = misfires_of(fitted, train, rows)
         results.append(replace(beside, nominal=nominal, fitted=fitted, rows=rows, misfires=misfires))
     else:
-        results.append(_with_laws(found, answers, train, robot, progress))
+        results.append(_with_laws(found, responses, train, robot, progress))
         best = min(results, key=_penalised)
         if best.fitted.model.terms and _verdict(best, train) not in (FOUND, FOUND_LAW):
             beside_best = misfires_of(best.fitted, train, rows)
-            if beside_best is not None and not beside_best.patterned(answers.fired):
+            if beside_best is not None and not beside_best.patterned(responses.fired):
                 results.append(replace(best, misfires=beside_best))
-    return replace(min(results, key=_penalised), answers=answers)
+    return replace(min(results, key=_penalised), responses=responses)
 
 
 def _at_bound(model: Model) -> bool:
@@ -150,13 +151,13 @@ def _at_bound(model: Model) -> bool:
 def in_all_fixes(found: Found, raw: Sequence[Segments], robot: Robot) -> Found | None:
     """The result in runs with the fixes that seemed to jump; None where more than noise remains there.
 
-    Fixes that are late now and then seem to jump as well: effects that explain all fixes make jumps
+    Fixes that are late from time to time seem to jump as well. Effects that explain all fixes make jumps
     superfluous.
 
     Args:
-        found: in the runs without the fixes that jumped.
-        raw: the runs as they are.
-        robot: nominal.
+        found: the result in the runs without the fixes that jumped.
+        raw: the runs with all fixes.
+        robot: the nominal robot.
     """
     if not found.fitted.model.terms or found.misfires is not None:
         return None
@@ -165,7 +166,7 @@ def in_all_fixes(found: Found, raw: Sequence[Segments], robot: Robot) -> Found |
     again = replace(found, nominal=nominal, fitted=fitted, rows=rows, sensitivities=[])
     if _verdict(again, raw) not in (FOUND, FOUND_LAW):
         return None
-    return replace(again, answers=answers_of(nominal, raw, rows))
+    return replace(again, responses=responses_of(nominal, raw, rows))
 
 
 def with_misfires(found: Found, train: Sequence[Segments]) -> Found:
@@ -182,7 +183,7 @@ def with_misfires(found: Found, train: Sequence[Segments]) -> Found:
     return replace(
         found,
         fitted=derivatives([model], train, found.rows)[0],
-        confounded_with=[*found.confounded_with, *misfires.alike],
+        confounded_with=[*found.confounded_with, *misfires.confounded_with],
         rivals=[*(found.rivals or [[] for _ in found.fitted.model.terms]), *([] for _ in misfires.limbs)],
         stability=[*found.stability, *misfires.stability],
         misfires=misfires,
@@ -190,13 +191,13 @@ def with_misfires(found: Found, train: Sequence[Segments]) -> Found:
 
 
 def with_jumps(found: Found, jumps: Jumps | None, raw: Sequence[Segments], robot: Robot) -> Found:
-    """The result with the law of fixes that jump, held against the nominal model of the runs as they are.
+    """The result with the law of fixes that jump, compared with the nominal model on the runs with all fixes.
 
     Args:
-        found: in the runs without the fixes that jumped.
-        jumps: of them; None without.
-        raw: the runs as they are.
-        robot: nominal.
+        found: the result in the runs without the fixes that jumped.
+        jumps: the jumps of these fixes; None: no fix jumped.
+        raw: the runs with all fixes.
+        robot: the nominal robot.
     """
     if jumps is None:
         return found
@@ -218,11 +219,11 @@ def with_jumps(found: Found, jumps: Jumps | None, raw: Sequence[Segments], robot
 
 
 def _with_laws(
-    found: Found, answers: Answers, train: Sequence[Segments], robot: Robot, progress: TellStage
+    found: Found, responses: Responses, train: Sequence[Segments], robot: Robot, progress: TellStage
 ) -> Found:
     """The result of a search in the catalogue and the grammar of laws."""
     nominal, rows = found.nominal, found.rows
-    laws = Laws(answers, train, robot, progress)
+    laws = Laws(responses, train, robot, progress)
     known = found.sensitivities
     if not known:
         known = sensitivities(nominal.model, catalogue(robot), train, rows, lambda _done, _whole: None)
@@ -247,7 +248,7 @@ def _relative(
     progress: TellStage,
     measured: bool = True,
 ) -> Found | None:
-    """The calibrated start that fits best; None where all explain too little for their number of effects."""
+    """The calibrated start that fits best; None if all explain too little for their number of effects."""
     _, rows, nominal = baseline
     fits = []
     for done, terms in enumerate(known):
@@ -280,9 +281,8 @@ def pruned(found: Found, train: Sequence[Segments], progress: TellStage) -> Foun
 
     Backward elimination, one effect at a time; the test runs have no part in it. An effect is superfluous if
     held-out parts are predicted as well without it, and unstable if it is selected in fewer than STABLE of
-    the resamples. A law is superfluous as well if it may have no strength at all. All are judged by
-    derivatives, and the model without the effect is fitted again by simulation.
-    """
+    the resamples. A law is also superfluous if the intervals of all its strengths contain 0. All this is
+    judged by derivatives; then the model without the effect is fitted again by simulation."""
     folds = folds_of(train, found.rows)
     searched = bool(found.iterations)
     while True:
@@ -311,7 +311,7 @@ def pruned(found: Found, train: Sequence[Segments], progress: TellStage) -> Foun
 
 
 def _law_of_no_strength(found: Found) -> int | None:
-    """The place of a law all of whose strengths may be nought by their intervals; None without one."""
+    """Index of a law whose strengths all have intervals that contain 0; None if there is none."""
     for place, (term, row) in enumerate(
         zip(found.fitted.model.terms, intervals(found.fitted, found.rows), strict=True)
     ):

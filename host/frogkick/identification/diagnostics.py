@@ -63,14 +63,15 @@ def residual_diagnostics(
     }
     strongest = max(shares, key=lambda name: shares[name])
     size = np.sqrt((residuals**2).mean(axis=0))
-    text = (
-        f"what is left at the end of a period: {1e3 * float(size[0]):.2f} mm forward, "
-        f"{1e3 * float(size[1]):.2f} mm left, {np.degrees(float(size[2])):.2f} deg RMS; "
-        f"best told by {strongest} ({100 * shares[strongest]:.0f} % of its squares)"
-        + (f", of {cycle_s:.0f} s" if strongest == "rhythm" else "")
+    rhythm = f", with a period of {cycle_s:.0f} s" if strongest == "rhythm" else ""
+    pattern = (
+        f"; best explained by {strongest} ({100 * shares[strongest]:.0f} % of the sum of squares){rhythm}"
         if shares[strongest] > 0.05
-        else f"what is left at the end of a period: {1e3 * float(size[0]):.2f} mm forward, "
-        f"{1e3 * float(size[1]):.2f} mm left, {np.degrees(float(size[2])):.2f} deg RMS, without a pattern"
+        else ", without a pattern"
+    )
+    text = (
+        f"residuals at the end of a period: {1e3 * float(size[0]):.2f} mm forward, "
+        f"{1e3 * float(size[1]):.2f} mm left, {np.degrees(float(size[2])):.2f} deg RMS{pattern}"
     )
     return {"shares": shares, "strongest": strongest, "by_action": by_action, "text": text}
 
@@ -82,7 +83,7 @@ def _place(xy_m: FloatArray) -> FloatArray:
 
 
 def _periodogram(values: FloatArray, clock_s: FloatArray) -> tuple[float, float]:
-    """Largest share of a periodogram, less what it explains by chance; and its period, s."""
+    """Largest share of a periodogram, less the share by chance, and its period, s."""
     if len(values) < PERIODOGRAM_COUNT_MIN:
         return 0.0, 0.0
     beat_s = float(np.median(np.diff(np.unique(clock_s))))
@@ -90,7 +91,7 @@ def _periodogram(values: FloatArray, clock_s: FloatArray) -> tuple[float, float]
     for period_s in np.geomspace(3.0 * beat_s, max(np.ptp(clock_s), 4.0 * beat_s), PERIODOGRAM_PERIODS):
         angle = math.tau * clock_s / period_s
         design = np.column_stack([np.ones(len(angle)), np.cos(angle), np.sin(angle)])
-        # The best of many periods explains some of pure noise: that much is subtracted.
+        # The best of many periods explains a part of pure noise, which is subtracted.
         share = _share(values, design) - 2.0 * math.log(PERIODOGRAM_PERIODS) / len(values)
         found.append((max(share, 0.0), float(period_s)))
     return max(found)
@@ -101,7 +102,7 @@ def _dummies(labels: NDArray[np.int64]) -> FloatArray:
 
 
 def _share(values: FloatArray, design: FloatArray) -> float:
-    """Share of the squares of three columns, each by its own size, that a design explains; adjusted R^2."""
+    """Share of the sum of squares of three scaled columns that a design explains: adjusted R^2."""
     count, freedom = len(values), int(np.linalg.matrix_rank(design))
     if count <= freedom + 1:
         return 0.0

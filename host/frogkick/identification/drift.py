@@ -93,7 +93,7 @@ def filter_offsets(
     """(m,) predicted offset of each period from those before it (Kalman filter).
 
     Args:
-        observed: (m,) residual of each period, in units of the residuals' size; NaN where unknown.
+        observed: (m,) residual of each period, in units of the residuals' size; NaN if unknown.
         firing: (m, limbs).
         random_walk: variance that each limb's offset gains in a period; 0 = offsets stay at 0.
         huber_sigma: clipping threshold of innovations.
@@ -120,7 +120,7 @@ def _moved(rollout: Rollout, offsets: FloatArray) -> FloatArray:
 
 
 def drift_of(rollouts: Sequence[Rollout], swims: Sequence[Segments], robot: Robot) -> Drift | None:
-    """Drift of the limbs in the training runs; None where tracking it gains next to nothing there."""
+    """Drift of the limbs in the training runs; None if tracking it gains next to nothing there."""
     residuals = [_end_residuals(rollout, swim) for rollout, swim in zip(rollouts, swims, strict=True)]
     observed = [rollout.residuals[:, -3:] for rollout in rollouts]
     firing = [firing_of(swim, robot) for swim in swims]

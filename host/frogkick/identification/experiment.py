@@ -93,14 +93,16 @@ class Experiment:
         one, other = self.between
         apart = f"{len(self.actions)} periods, {self.separation_sigma:.1f} sigma apart"
         if self.decisive:
-            return f"to tell {one} from {other}, record from rest: {self.sequence} ({apart})"
+            return f"to distinguish {one} from {other}, record from rest: {self.sequence} ({apart})"
         times = math.ceil((DECISIVE_SIGMA / max(self.separation_sigma, 1e-3)) ** 2)
         if times <= PERIODS:
             return (
-                f"to tell {one} from {other}, record {times} times from rest: {self.sequence} ({apart} each)"
+                f"to distinguish {one} from {other}, record {times} times from rest: {self.sequence} "
+                f"({apart} each)"
             )
         return (
-            f"no row of these actions from rest tells {one} from {other} (at best {self.sequence}: {apart})"
+            f"no sequence of these actions from rest distinguishes {one} from {other} "
+            f"(the best one is {self.sequence}: {apart})"
         )
 
     def as_json(self) -> dict[str, Any]:
@@ -118,7 +120,7 @@ class Experiment:
 def experiment_of(
     found: Found, parameters: Sequence[Sequence[Interval]], swims: Sequence[Segments], periods: int = PERIODS
 ) -> Experiment | None:
-    """The experiment that discriminates best what a search left open; None where nothing is open.
+    """The experiment that discriminates best what a search left open; None if nothing is open.
 
     Args:
         found: result of the search.
@@ -130,9 +132,9 @@ def experiment_of(
 
 
 def law_test(found: Found, swims: Sequence[Segments], periods: int = PERIODS) -> Experiment | None:
-    """The experiment that tells a model best from itself without one of its laws; None without laws.
+    """The experiment that distinguishes a model best from itself without one of its laws; None without laws.
 
-    A formula that was chosen among many is worth a test, even where nothing else is open.
+    A formula that was chosen among many is worth a test, even if nothing else is open.
 
     Args:
         found: result of the search.
@@ -230,25 +232,16 @@ def plan(
     names = tuple(robot.actions[index].name for index in best.actions)
     at = (float(start[0]), float(start[1]), float(start[2]))
     return Experiment(
-        pair.between, names, at, _separation(pair, white, segments_of_sequence(robot, best, start))
+        pair.between, names, at, separation(pair, white, segments_of_sequence(robot, best, start))
     )
-
-
-def separation(pair: ModelPair, white: FloatArray, start: FloatArray, actions: Sequence[int]) -> float:
-    """Separation of two models on a given sequence; see Experiment.separation_sigma."""
-    robot = pair.models[0].robot
-    sides = [Side(model) for model in pair.models]
-    sequence = ActionSequence((), 0.0, tuple(side.at_rest(start) for side in sides), ())
-    for action in actions:
-        (sequence,) = extend([sequence], sides, white, robot, [action])
-    return _separation(pair, white, segments_of_sequence(robot, sequence, start))
 
 
 def _is_inside(shown: FloatArray, pool: FloatArray) -> bool:
     return bool(((shown[:, :2] >= pool[0]) & (shown[:, :2] <= pool[1])).all())
 
 
-def _separation(pair: ModelPair, white: FloatArray, swim: Segments) -> float:
+def separation(pair: ModelPair, white: FloatArray, swim: Segments) -> float:
+    """Separation of two models on a sequence of the first one; see ``Experiment.separation_sigma``."""
     if not len(swim.start_s):
         return 0.0
     one, other = (

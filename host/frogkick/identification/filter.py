@@ -63,7 +63,7 @@ def initial_rate_std(rest_rate: tuple[float, float, float] | None) -> tuple[floa
     """Initial standard deviation of the rate's error of a run.
 
     Args:
-        rest_rate: how fast the robot moved at rest (see Segments.rest_rate); None where that is not known.
+        rest_rate: how fast the robot moved at rest (see Segments.rest_rate); None if that is not known.
     """
     if rest_rate is None:
         return INITIAL_RATE_STD

@@ -1,4 +1,4 @@
-"""What a candidate gains on periods that had no part in its fit: by derivatives, and by simulated fits."""
+"""Gain of a candidate on held-out periods: estimated by derivatives, or by fits that are simulated."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ FloatArray = NDArray[np.float64]
 def held_out_gain(
     current: Fitted, fitted: Fitted, folds: NDArray[np.int64], known: int
 ) -> tuple[float, float]:
-    """Mean gain of a fitted candidate on a held-out period over the model before it, and its standard error.
+    """Mean gain of a fitted candidate on a held-out period over the model without it, and its standard error.
 
-    In twice the log density, cross-validated: the fold had no part in parameters and scale.
-    """
+    The gain is twice the difference of the log densities, cross-validated: the fold of a period takes no part
+    in the estimates of parameters and scale."""
     low, high = step_bounds(fitted.model)
     scores = [
         cross_fitted(one.residuals, one.jacobian, lows, highs, np.full(len(lows), 1e-9), folds)
@@ -42,14 +42,14 @@ def bent_gain(
     folds: NDArray[np.int64],
     known: int,
 ) -> tuple[Fitted, tuple[float, float]]:
-    """A candidate fitted further, and ``held_out_gain`` of it with each fold's fit simulated.
+    """A candidate fitted further, and its ``held_out_gain`` with the fit without each fold simulated.
 
-    Where a cable is taut, or a patch ends, bends with the place; derivatives tell little of a fit without a
-    fold.
+    This is for laws with a sharp edge, such as a cable that becomes taut or the end of a patch: derivatives
+    do not predict how the edge moves in a fit without a fold.
 
     Args:
         current, fitted, folds, known: see ``held_out_gain``.
-        swims, rows: the runs, and which of their periods count.
+        swims, rows: the runs, and which of their periods are used.
     """
     (fitted,) = fit_on([fitted], swims, rows, STEPS_MAX, known)
     numbers, falls, labels = np.flatnonzero(rows), np.zeros(len(folds)), np.unique(folds)

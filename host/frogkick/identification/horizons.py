@@ -69,7 +69,7 @@ def horizons_of(
 
 
 def _gap(swim: Segments, predicted: FloatArray, periods: int) -> FloatArray:
-    """(m, 3) prediction errors so many periods after each start; NaN where unknown."""
+    """(m, 3) prediction errors so many periods after each start; NaN if unknown."""
     gap = np.full((len(swim.start_s), 3), np.nan)
     whole = len(gap) - periods + 1
     if whole > 0:

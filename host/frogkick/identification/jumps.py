@@ -1,11 +1,12 @@
-"""Fixes that jump by chance: told by their neighbours alone, without a model.
+"""Fixes that jump by chance, recognised by their neighbours alone, without a model.
 
-A fix is held against the curve of third degree through two fixes before and two after it. One that is far off
-that curve, and off the lines through the two fixes of either side as well, jumped. (At a step, where the
-camera was moved, the fixes of one side agree.) The farthest is taken out first, and the rest is judged anew.
+Each fix is compared with the cubic through the two fixes before and the two fixes after it. It jumped if it
+is far from this curve and also far from the line through the two fixes on either side. (At a step, where the
+camera was moved, a fix agrees with the fixes on one side.) The farthest fix is removed first, then the others
+are compared again.
 
-The law is that of a camera whose fixes are off by one distance, in any direction, with some chance. A
-prediction cannot know which fix jumps next, but which of those at hand did: they are left out.
+The law describes a camera whose fixes are off by one distance, in any direction, with some probability. A
+prediction cannot know which fix will jump next. The fixes that did jump are left out.
 """
 
 from __future__ import annotations
@@ -24,13 +25,13 @@ from frogkick.identification.terms import Term
 FloatArray = NDArray[np.float64]
 
 FAR_SIGMA = 6.0
-"""Fixes are off beyond so many standard deviations of all that are compared so."""
+"""A fix is far off if its distance is more than this many robust standard deviations."""
 
 FIXES_LEAST, SHARE_LEAST = 5, 0.004
-"""Jumps at least, and their share of the fixes: a single one is an accident."""
+"""Smallest number of jumps, and their smallest share of the fixes: a single jump is an accident."""
 
 APART_S = 0.6
-"""Fixes that span more are too far apart to tell."""
+"""Neighbours that span more time are not compared."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,7 +39,7 @@ class Jumps:
     """How often fixes jump and how far.
 
     Attributes:
-        chance: and the ends of its interval of 95 %.
+        chance: probability that a fix jumps, and the ends of its 95 % interval.
         size_m: root mean square distance, and the ends of its interval.
     """
 
@@ -65,7 +66,7 @@ class Jumps:
 
 
 def jumps_of(swims: Sequence[Segments]) -> Jumps | None:
-    """How often the fixes of runs jump; None where they do not."""
+    """How often the fixes of runs jump; None if they do not."""
     from scipy import stats
 
     found = [jumped(swim) for swim in swims]
@@ -94,7 +95,7 @@ def without_jumps(swims: Sequence[Segments]) -> list[Segments]:
 
 
 def jumped(swim: Segments) -> tuple[NDArray[np.int64], FloatArray]:
-    """(k,) indices of the fixes of a run that jumped, and (k,) how far, m."""
+    """(k,) indices of the fixes of a run that jumped, and (k,) their distances, m."""
     times, places = swim.time_s, swim.pose[:, :2]
     kept, out = np.arange(len(times)), list[int]()
     while len(kept) > 8:
@@ -111,13 +112,13 @@ def jumped(swim: Segments) -> tuple[NDArray[np.int64], FloatArray]:
     for index in sorted(out):
         place = int(np.searchsorted(kept, index))
         if not 2 <= place <= len(kept) - 2:
-            found.append(index)  # at an end there is no other side
+            found.append(index)  # at an end of the run there is only one side
             sizes.append(float(np.hypot(*(places[index] - places[kept[min(place, len(kept) - 1)]]))))
         else:
             near = kept[place - 2 : place + 2]
             arrived = swim.arrival_s[[*near[:2], index, *near[2:]]]
             if (np.diff(arrived) <= 0.0).any():
-                continue  # where a clock steps, fixes that came one after the other are mixed up
+                continue  # a clock that steps mixes up the order of the fixes
             about = _weights(times[near] - times[index]) @ places[near]
             size = float(np.hypot(*(places[index] - about)))
             sides = [_weights(times[pair] - times[index]) @ places[pair] for pair in (near[:2], near[2:])]
@@ -128,7 +129,7 @@ def jumped(swim: Segments) -> tuple[NDArray[np.int64], FloatArray]:
 
 
 def _off(times: FloatArray, places: FloatArray) -> FloatArray:
-    """(n, 2) how far fixes are off the curve through their neighbours, in units of one fix's noise."""
+    """(n, 2) distances from the curve through the neighbours, scaled to the noise of a single fix."""
     found = np.zeros(places.shape)
     middle = np.arange(2, len(times) - 2)
     near = middle[:, None] + np.array([-2, -1, 1, 2])
@@ -150,7 +151,7 @@ def _off(times: FloatArray, places: FloatArray) -> FloatArray:
 
 
 def _weights(since_s: FloatArray) -> FloatArray:
-    """(..., k) weights of values at k times by which the polynomial through them has its value at time 0."""
+    """(..., k) weights of values at k times that give the interpolating polynomial at time 0 (Lagrange)."""
     apart = since_s[..., :, None] - since_s[..., None, :]
     same = np.eye(since_s.shape[-1], dtype=bool)
     apart = np.where(same, 1.0, np.where(np.abs(apart) < 1e-6, 1e-6, apart))

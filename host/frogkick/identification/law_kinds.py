@@ -22,27 +22,27 @@ Numbers = Mapping[str, Strength]
 
 
 PLACES, MANY = 11, 400
-"""Places along each side of the area of the runs; half as many for MANY periods, which need much memory."""
+"""Places tried along each side of the area of the runs; half as many from MANY periods on, to save memory."""
 
 PLACE_STEP_M = 0.005
-"""Step of a finite difference by a place: a longer one reaches over the bend where a cable becomes taut."""
+"""Finite-difference step of a place: a longer one would cross the point at which a cable becomes taut."""
 
 MOMENTS = 48
-"""Moments that are tried for what acts from one on, at most."""
+"""Largest number of moments that are tried for a law that acts from a moment on."""
 
 INTERVALS = 120
-"""Cycles of what acts at intervals: so close that its last interval in a run is no more than one off."""
+"""Cycle times that are tried for a law at intervals: so close that no interval of a run is missed by one."""
 
 
 @dataclass(frozen=True, eq=False)
 class Kind:
-    """A kind of law: formulas whose effect is in proportion to some parameters, at shapes that are tried.
+    """A kind of law: formulas that are linear in their strengths, and a grid of shapes.
 
     Attributes:
-        title: what reports call it.
-        table: ``on``, ``limb`` and formulas.
-        strengths: parameters that the effect is in proportion to; nought is none.
-        shapes: the others.
+        title: its name in reports.
+        table: ``on``, ``limb`` and the formulas.
+        strengths: parameters that the effect is proportional to; at 0 it vanishes.
+        shapes: all other parameters.
         grid: values of the shapes that are tried.
     """
 
@@ -54,28 +54,28 @@ class Kind:
 
     @property
     def at_intervals(self) -> bool:
-        """Whether it acts at intervals: in a share of each cycle about its middle."""
+        """Whether the law acts in a share of each cycle, centred on ``middle``."""
         return "middle" in self.shapes
 
     @cached_property
     def named(self) -> str:
-        """The title of its terms: with the limb that it is of."""
+        """The title of its terms, which includes the limb."""
         return self.term(self.grid[0]).title
 
     @cached_property
     def law(self) -> Law:
-        """The law itself, without strength, at the first shape that is tried."""
+        """The law with strength 0 at the first shape of the grid."""
         law = self.term(self.grid[0]).effect()
         assert isinstance(law, Law)
         return law
 
     def term(self, shape: Mapping[str, float]) -> Term:
-        """The law without strength, at a shape."""
+        """A term with strength 0 at a shape."""
         declared: dict[str, dict[str, Any]] = {}
         for name, (unit, low, high, step) in {**self.strengths, **self.shapes}.items():
             nominal = 0.0 if name in self.strengths else low
             declared[name] = {"unit": unit, "low": low, "high": high, "nominal": nominal, "step": step}
-            if name == "at":  # between two strokes any moment is the same
+            if name == "at":  # all moments between two strokes are equivalent
                 declared[name]["tolerance"] = 0.5 * step
         table = {"name": "law", "title": self.title, **self.table, "parameters": declared}
         law = Law(**{key: value for key, value in table.items() if key != "name"})  # type: ignore[arg-type]
@@ -84,7 +84,7 @@ class Kind:
 
 
 def kinds_of(robot: Robot, swims: Sequence[Segments]) -> list[Kind]:
-    """The grammar: every kind of law that is screened for a robot's runs."""
+    """The grammar: all kinds of laws that are screened for a robot's runs."""
     reached = np.concatenate([swim.pose[:, :2] for swim in swims])
     low, high = reached.min(axis=0) - 0.15, reached.max(axis=0) + 0.15
     end_s = float(max(swim.end_s[-1] for swim in swims if len(swim.end_s)))
@@ -99,14 +99,14 @@ def kinds_of(robot: Robot, swims: Sequence[Segments]) -> list[Kind]:
     away = "hypot(x_m - at_x, y_m - at_y)"
     moments = min(MOMENTS, max(2, int(end_s / period_s) - 5))
     whens = [{"at": float(at)} for at in np.linspace(3.0 * period_s, end_s - 3.0 * period_s, moments)]
-    # What acts from the very beginning on has no moment: it is a law without one.
+    # A law that acts from the very beginning needs no moment: the grammar has it without one.
     when: Numbers = {"at": ("s", min(2.0 * period_s, 0.5 * end_s), end_s, period_s)}
     cycles = [{"cycle": float(c)} for c in np.geomspace(1.5 * period_s, max(end_s, 8.0 * period_s), 30)]
     cycle: Numbers = {"cycle": ("s", 0.5, 2.0 * end_s, 0.05)}
     sine, cosine = (f"{part}(6.283185307 * time_s / cycle)" for part in ("sin", "cos"))
 
     def swinging(title: str, on: str, key: str, strength: Strength) -> Kind:
-        """Along both axes of the pool, each with a phase of its own."""
+        """An oscillation along both axes of the pool, each with its own phase."""
         formulas = {f"{axis}_{key}": f"{axis}_sine * {sine} + {axis}_cosine * {cosine}" for axis in "xy"}
         strengths = {f"{axis}_{part}": strength for axis in "xy" for part in ("sine", "cosine")}
         return Kind(title, {"on": on, **formulas}, strengths, cycle, cycles)
@@ -136,12 +136,12 @@ def kinds_of(robot: Robot, swims: Sequence[Segments]) -> list[Kind]:
     ]
 
     def both(title: str, on: str, key: str, by: str, size: Strength, *shape: Any) -> Kind:
-        """Along both axes of the pool, in one proportion."""
+        """The same formula along both axes of the pool, with a strength for each."""
         formulas = {f"{axis}_{key}": f"to_{axis} * {by}" for axis in "xy"}
         return Kind(title, {"on": on, **formulas}, {f"to_{axis}": size for axis in "xy"}, *shape)
 
     def drags(title: str, by: str, *shape: Any) -> Kind:
-        """Against the motion, in proportion to it."""
+        """A drag against the motion and proportional to it."""
         formulas = {f"{axis}_n": f"-drag * {by} * {axis}_mps" for axis in ("forward", "left")}
         return Kind(title, {"on": "wrench", **formulas}, {"drag": ("N s/m", -10.0, 10.0, 0.1)}, *shape)
 

@@ -1,10 +1,10 @@
-"""Laws that the catalogue does not have: screened from a grammar of formulas by what runs answer to pushes.
+"""Laws that the catalogue does not have: formulas of a grammar, screened by linear responses.
 
-To first order a period's residual is the sum of what it answers to forces, flows, weaker strokes and fixes
-that are off; see ``answers``. So any formula is screened without a simulation of its own: its values along
-the run, as the fixes tell it, times the answers. The best of each kind go into the search beside the
-catalogue, where they are fitted by simulation like any effect. They are screened again beside every effect
-that was taken: what two laws do together hides the place of each.
+To first order, the residual of a period is the sum of its responses to forces, flows, weaker strokes and
+wrong fixes; see ``responses``. So a formula needs no simulation of its own: its values along the run,
+computed from the fixes, are multiplied by the responses. The best formula of each kind joins the candidates
+of the catalogue and is fitted by simulation like any effect. All kinds are screened again beside each effect
+that is taken, because two laws that act together hide each other's place.
 
 Source: Mojgani, Chattopadhyay, Hassanzadeh 2022 (model error as a sparse law of what a filter had to add);
 Brunton, Proctor, Kutz 2016 (regression on a library of terms).
@@ -18,10 +18,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from frogkick.core.progress import TellStage, silent
-from frogkick.identification.answers import Answers
 from frogkick.identification.fit import Fitted, step_bounds
 from frogkick.identification.law_kinds import MOMENTS, Kind, kinds_of
 from frogkick.identification.penalty import PARAMETER_PENALTY
+from frogkick.identification.responses import Responses
 from frogkick.identification.screening import Column
 from frogkick.identification.segments import Segments
 from frogkick.identification.steps import DOF, linearised_optimum, whitener
@@ -33,26 +33,26 @@ REFINED = 8
 """Kinds whose shapes are refined beyond the grid, best first."""
 
 TRIED = 4
-"""Shapes of each kind whose gain is told exactly; the others' by one step of least squares."""
+"""Shapes of each kind whose gain is computed exactly; they are chosen by one least-squares step."""
 
 BIN_S, BINS_MOST = 0.2, 400
-"""What acts at intervals is screened as a sum of what acts for so long, or longer where there were more."""
+"""A law at intervals is screened as a sum of bins of this length, longer if there would be more than
+BINS_MOST."""
 
 SMALL, LARGE = 1e-3, 0.6
-"""Strengths are screened by derivatives, of steps of this share of their range. A loss of a limb's gain is
-screened at a large size as well: a limb that does little also pushes another way."""
+"""Steps of the finite differences by which strengths are screened, as shares of their range. A loss of a
+limb's gain is screened at a large step as well, because a weak limb pushes in another direction."""
 
 BY_CHANCE = 24
-"""Shapes of each kind that count in what the best of all gains by chance: their neighbours do much the
-same."""
+"""Shapes of each kind that enter the estimate of the largest gain by chance: their neighbours act alike."""
 
 
 class Laws:
-    """The grammar of laws for some runs, with what the runs answer to each."""
+    """The grammar of laws for some runs, with the responses of the runs to each law."""
 
     def __init__(
         self,
-        answers: Answers,
+        responses: Responses,
         swims: Sequence[Segments],
         robot: Robot,
         progress: TellStage = silent,
@@ -60,12 +60,12 @@ class Laws:
         """Evaluate every kind of law at every shape of its grid.
 
         Args:
-            answers: of the runs.
+            responses: of the runs; see ``responses_of``.
             swims: the runs.
-            robot: nominal.
-            progress: called with a stage, steps done and to do.
+            robot: the nominal robot.
+            progress: called with a stage, the steps done and all steps.
         """
-        self._answers, self._limbs = answers, [limb.name for limb in robot.limbs]
+        self._responses, self._limbs = responses, [limb.name for limb in robot.limbs]
         self._grids: list[tuple[Kind, float | None, list[int], FloatArray]] = []
         self._bins: list[tuple[Kind, FloatArray, FloatArray]] = []
         end_s = float(max(swim.end_s[-1] for swim in swims if len(swim.end_s)))
@@ -90,7 +90,7 @@ class Laws:
 
     @property
     def every(self) -> list[FloatArray]:
-        """(n, 9, p) derivatives of the laws that were screened, for what the best gains by chance."""
+        """(n, 9, p) derivatives by the screened laws, to estimate the largest gain by chance."""
 
         def some(count: int) -> NDArray[np.int64]:
             return np.unique(np.linspace(0, count - 1, BY_CHANCE).round().astype(np.int64))
@@ -101,19 +101,19 @@ class Laws:
         return found
 
     def columns(self, kind: Kind, shape: Mapping[str, float], size: float | None = None) -> FloatArray:
-        """(n, 9, p) of the residuals by each strength of a law at a shape, by the answers.
+        """(n, 9, p) derivatives of the residuals by each strength of a law at a shape, from the responses.
 
-        Derivatives, or with a size the change by a strength of that size, divided by it.
+        With a size, the change by a strength of that size divided by the size.
         """
         found = []
         for name, (_, _, high, _) in kind.strengths.items():
             unit = size or SMALL * min(1.0, high)
             given = {**dict.fromkeys(kind.strengths, 0.0), **shape, name: unit}
-            found.append(self._answers.to(kind.law, given, self._limbs) / unit)
+            found.append(self._responses.to(kind.law, given, self._limbs) / unit)
         return np.stack(found, axis=2)
 
     def best(self, current: Fitted, title: str | None = None) -> list[Column]:
-        """The best of each kind of law beside a model, best first; of one kind alone by its title."""
+        """The best law of each kind beside a model, best first; with a title, only that kind."""
         whole = _Beside(current)
         best: list[tuple[float, Kind, Mapping[str, float], float | None]] = []
         for kind, size, kept, columns in self._grids:
@@ -148,9 +148,9 @@ class Laws:
         return found
 
     def moments(self, title: str) -> list[float]:
-        """Moments (s) that a law could act from on, one between two strokes; none for other laws.
+        """Moments (s) from which a law could begin to act, one between two strokes; none for other laws.
 
-        Where strokes of several runs do not coincide there are more than MOMENTS: then each n-th one.
+        If strokes of several runs do not coincide there are more than MOMENTS; then every n-th one is tried.
         """
         low = [
             kind.shapes["at"][1] for kind, *_ in self._grids if kind.named == title and "at" in kind.shapes
@@ -160,7 +160,7 @@ class Laws:
     def _refined(
         self, kind: Kind, shape: Mapping[str, float], whole: _Beside, size: float | None
     ) -> Mapping[str, float]:
-        """The shape near the best of a grid that gains most, within its bounds."""
+        """The best shape near the best one of a grid, within its bounds (Nelder, Mead 1965)."""
         from scipy import optimize
 
         names = [name for name, (_, _, _, step) in kind.shapes.items() if step]
@@ -168,7 +168,7 @@ class Laws:
             return shape
         low, high = (np.array([kind.shapes[name][k] for name in names]) for k in (1, 2))
         start = np.array([shape[name] for name in names])
-        # As far as the grid's neighbours: farther off another place of the grid is better.
+        # The search reaches to the neighbours on the grid; beyond, another shape of the grid is better.
         near = np.stack([[each[name] for name in names] for each in kind.grid])
         spread = np.array(
             [
@@ -193,7 +193,7 @@ class Laws:
 
 
 def _on(grid: Sequence[Mapping[str, float]], at_s: FloatArray) -> FloatArray:
-    """(k, b) whether what acts at intervals acts at times."""
+    """(k, b) 1 if a law at intervals acts at a time, else 0."""
     cycle, middle, share = (
         np.array([[each[name]] for each in grid]) for name in ("cycle", "middle", "share")
     )
@@ -205,7 +205,7 @@ def _penalty(kind: Kind) -> float:
 
 
 class _Beside:
-    """What laws gain beside a model whose parameters stay free."""
+    """Gains of laws beside a model whose parameters stay free."""
 
     def __init__(self, current: Fitted) -> None:
         self._current, self._bounds = current, step_bounds(current.model)
@@ -217,7 +217,7 @@ class _Beside:
         width = rows.shape[1]
         robust = np.sqrt((DOF + width) / (DOF + (rows**2).sum(axis=1)))
         self._weighed = []
-        # By robust weights, and by even ones: what acts in few periods looks like outliers at first.
+        # Robust weights and equal ones: a law that acts in few periods looks like outliers at first.
         for weight in (robust, np.ones(len(rows))):
             own = np.einsum("nip,ij->njp", current.jacobian, self._white) * weight[:, None, None]
             basis = np.linalg.qr(own.reshape(rows.size, -1))[0]
@@ -238,7 +238,7 @@ class _Beside:
         return self._plain - found[1]
 
     def quick(self, columns: FloatArray) -> FloatArray:
-        """(k,) falls of the squares by (k, n, 9, p) derivatives: enough to rank shapes of one kind."""
+        """(k,) falls of the sum of squares for (k, n, 9, p) derivatives, to rank shapes of one kind."""
         found = np.zeros(len(columns))
         white = np.einsum("knip,ij->knjp", columns, self._white)
         for weight, basis, left in self._weighed:
@@ -253,7 +253,7 @@ class _Beside:
         return found
 
     def quick_sums(self, on: FloatArray, bins: FloatArray) -> FloatArray:
-        """(k,) the same of (k, b) sums of (b, n, 9, p) derivatives."""
+        """(k,) the same for sums of (b, n, 9, p) derivatives over the bins with a 1 in (k, b)."""
         found = np.zeros(len(on))
         white = np.einsum("bnip,ij->bpnj", bins, self._white)
         count, width = white.shape[:2]

@@ -1,13 +1,14 @@
-"""Limbs that do nothing now and then, by chance: which, how often, and at which strokes.
+"""Limbs that misfire by chance: which ones, how often, and at which strokes.
 
-No mean gain stands for a stroke that either happens or does not. Each period's residual is held against two
-hypotheses for each of its strokes: it was fired as told, or the limb did nothing; what the latter changes is
-simulated. With p the chance that a limb does nothing, the density of a residual is the mixture of both.
-Chance, scale and each stroke's probability to have failed are those of maximum likelihood.
+A stroke either happens or does not, and a mean gain describes neither. For each stroke of a period two
+hypotheses are compared: the limb fired as commanded, or it did nothing. The change of the residual by the
+second is simulated. With p the probability that a limb does nothing, the density of a residual is the mixture
+of both hypotheses. The probabilities, the scale, and each stroke's probability to have failed are
+maximum-likelihood estimates.
 
-Nobody can predict which stroke fails next. So a prediction is of what is likelier: that a stroke happens,
-unless its limb fails more often than not. What is gained is the density: it is judged on the test runs by the
-log score of the mixture.
+Nobody can predict which stroke fails next. So a prediction assumes the likelier case: the stroke happens,
+unless its limb fails more often than not. The errors then hardly fall, but the density improves: it is judged
+on the test runs by the log score of the mixture.
 
 Source: Dempster, Laird, Rubin 1977 (mixtures by expectation maximisation).
 """
@@ -25,12 +26,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from frogkick.effects import Law
-from frogkick.identification.answers import Values, Weaker, fired_strokes, rollouts_with
 from frogkick.identification.bootstrap import drawn_periods
 from frogkick.identification.calibrated import end_errors
 from frogkick.identification.fit import DIVERGED, Fitted, Model, residuals_of, rollouts_of
 from frogkick.identification.penalty import CONFOUNDED_MARGIN, EFFECT_PENALTY, PARAMETER_PENALTY
 from frogkick.identification.predict import Rollout
+from frogkick.identification.responses import Values, Weaker, fired_strokes, rollouts_with
 from frogkick.identification.segments import Segments, replicate_count
 from frogkick.identification.steps import DOF, deviance_of, log_density, scale_of
 from frogkick.identification.terms import Term
@@ -38,30 +39,31 @@ from frogkick.identification.terms import Term
 FloatArray = NDArray[np.float64]
 
 CHANCES = (0.01, 0.7)
-"""Least and greatest chance: a limb that mostly does nothing is worn, not by chance."""
+"""Smallest and largest probability of a misfire: a limb that mostly does nothing is worn."""
 
 FAILED_LEAST = 2.0
-"""Strokes of a limb that must have failed, by their probabilities: one alone is an outlier."""
+"""Smallest expected number of failed strokes of a limb: a single one is an outlier."""
 
 LIMBS_MOST = 3
-"""Limbs that misfire, at most."""
+"""Largest number of limbs that misfire."""
 
 TURNS = 200
-"""Iterations of the expectation maximisation at most."""
+"""Largest number of iterations of the expectation maximisation."""
 
 STARTS = (0.1, 0.35)
-"""Chances that it starts from."""
+"""Probabilities that the expectation maximisation starts from."""
 
 DRAWS = 200
-"""Resamples of periods for the stability."""
+"""Resamples of periods for the stability selection."""
 
 PATTERN = 25.0
-"""Fall of the deviance by a split of the strokes in two: the best of many splits gains ten by chance."""
+"""Failures follow a rule if a split of the strokes lowers the deviance by more; by chance the best split
+gains 10."""
 
 PROFILE = 3.84
 """Rise of the deviance at the ends of an interval of 95 % (profile likelihood)."""
 
-_LEAST = np.tile([2e-5, 2e-5, 2e-4], 3)  # m, m, rad: discretisation error
+_LEAST = np.tile([2e-5, 2e-5, 2e-4], 3)  # m, m, rad: discretisation error, the smallest scale
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,8 +71,8 @@ class Mixture:
     """A mixture fitted to residuals.
 
     Attributes:
-        chance: (k,) of each limb.
-        scale: (d, d) of the Student-t density.
+        chance: (k,) probability of a misfire of each limb.
+        scale: (d, d) scale matrix of the Student-t density.
         failed: (n, k) probability that each stroke failed.
         score: (n,) log density of each residual.
     """
@@ -91,15 +93,15 @@ class Misfires:
     """Limbs that misfire beside a model.
 
     Attributes:
-        base: the model without them, fitted.
-        limbs: names.
-        indices: of these limbs.
-        chance: of each, and the ends of its interval.
-        scale: of the ends of periods by the mixture.
-        failed: for each limb (run, time_s, probability that it did nothing) of each stroke.
-        stability: share of resamples in which each is accepted.
-        alike: for each the limbs that explain nearly as much in its place.
-        deviance: of the residuals by the mixture, penalised.
+        base: the fitted model without misfires.
+        limbs: names of the limbs.
+        indices: indices of the limbs.
+        chance: probability of a misfire of each limb, and the ends of its interval.
+        scale: scale matrix of the residuals at the ends of periods, by the mixture.
+        failed: for each limb, (run, time_s, probability that it did nothing) of each stroke.
+        stability: share of resamples in which each limb is accepted.
+        confounded_with: for each limb, the limbs that explain nearly as much in its place.
+        deviance: penalised deviance of the residuals by the mixture.
     """
 
     base: Fitted
@@ -109,7 +111,7 @@ class Misfires:
     scale: FloatArray
     failed: list[list[tuple[str, float, float]]]
     stability: list[float]
-    alike: list[list[str]]
+    confounded_with: list[list[str]]
     deviance: float
 
     @property
@@ -118,11 +120,11 @@ class Misfires:
         return tuple(_term(limb, each[0]) for limb, each in zip(self.limbs, self.chance, strict=True))
 
     def scores(self, swims: Sequence[Segments], rows: Sequence[NDArray[np.bool_]]) -> list[FloatArray]:
-        """Log density of the ends of each run's periods by the mixture.
+        """Log density of the residuals at the ends of each run's periods, by the mixture.
 
         Args:
             swims: the runs.
-            rows: for each run (m,) which of its periods count.
+            rows: for each run, (m,) whether each period is used.
         """
         (rollouts,) = rollouts_of([self.base.model], swims)
         every = _ends(self.base.model, self.indices, swims, rollouts)
@@ -133,14 +135,16 @@ class Misfires:
         ]
 
     def patterned(self, strokes: Values) -> bool:
-        """Whether strokes fail by a rule and not by chance: one side of a time, a place, a heading or another
-        quantity has other failures than the other side.
+        """Whether strokes fail by a rule and not by chance.
+
+        They do if failures are clearly more frequent on one side of some time, place, heading or other
+        quantity.
 
         Args:
-            strokes: see ``Answers.fired``.
+            strokes: see ``Responses.fired``.
         """
-        for limb, told in zip(self.indices, self.failed, strict=True):
-            fails = np.array([share > 0.5 for *_, share in told], dtype=np.float64)
+        for limb, strokes_failed in zip(self.indices, self.failed, strict=True):
+            fails = np.array([share > 0.5 for *_, share in strokes_failed], dtype=np.float64)
             fired = np.isfinite(np.asarray(strokes["time_s"])[:, limb])
             for name, values in strokes.items():
                 column = np.broadcast_to(values, (len(fired), np.shape(strokes["time_s"])[1]))[fired, limb]
@@ -150,7 +154,7 @@ class Misfires:
         return False
 
     def as_json(self) -> list[dict[str, Any]]:
-        """For each limb its strokes that likely failed."""
+        """For each limb its probability of a misfire and, for each stroke, that it failed."""
         return [
             {
                 "limb": limb,
@@ -167,12 +171,12 @@ class Misfires:
 def misfires_of(
     base: Fitted, swims: Sequence[Segments], rows: NDArray[np.bool_], changes: FloatArray | None = None
 ) -> Misfires | None:
-    """The limbs that misfire, one after the other as long as one explains more than chance; None without.
+    """Select limbs that misfire by forward selection; None if no limb explains more than chance.
 
     Args:
-        base: the model beside which they are looked for.
-        swims, rows: the runs, and which of their periods count.
-        changes: (n, 9, l) of the residuals where a limb does nothing; simulated without.
+        base: the fitted model to which misfires are added.
+        swims, rows: the runs, and which of their periods are used.
+        changes: (n, 9, l) change of the residuals if a limb does nothing; None: simulated here.
     """
     model, replicates = base.model, replicate_count(swims)
     limbs = range(len(model.robot.limbs))
@@ -187,7 +191,7 @@ def misfires_of(
     least = deviance_of(base.residuals)
     taken: list[int] = []
     scores = [log_density(base.residuals, scale_of(base.residuals))]
-    alike: list[list[str]] = []
+    confounded: list[list[str]] = []
     best: Mixture | None = None
     while len(taken) < LIMBS_MOST:
         tried = []
@@ -204,7 +208,7 @@ def misfires_of(
         deviance, limb, mixture = tried[0]
         if (least - deviance) / replicates < EFFECT_PENALTY + PARAMETER_PENALTY:
             break
-        alike.append(
+        confounded.append(
             [
                 _title(model.robot.limbs[other].name)
                 for rival, other, _ in tried[1:]
@@ -230,9 +234,9 @@ def misfires_of(
         for k, limb in enumerate(taken)
     ]
     every = _ends(model, taken, swims, base.rollouts)
-    ends, moves, told = np.concatenate(every[0]), np.concatenate(every[1]), np.concatenate(every[2])
+    ends, moves, commanded = np.concatenate(every[0]), np.concatenate(every[1]), np.concatenate(every[2])
     known = np.isfinite(ends).all(axis=1)
-    mixed = fitted_mixture(ends[known], moves[known], told[known], best.chance)
+    mixed = fitted_mixture(ends[known], moves[known], commanded[known], best.chance)
     return Misfires(
         base,
         tuple(names),
@@ -241,7 +245,7 @@ def misfires_of(
         mixed.scale,
         failed,
         _stability(scores, runs, replicates),
-        alike,
+        confounded,
         least + (EFFECT_PENALTY + PARAMETER_PENALTY) * len(taken),
     )
 
@@ -249,13 +253,13 @@ def misfires_of(
 def fitted_mixture(
     residuals: FloatArray, changes: FloatArray, fired: NDArray[np.bool_], chance: FloatArray | None = None
 ) -> Mixture:
-    """The mixture of maximum likelihood, by expectation maximisation from several starts.
+    """The maximum-likelihood mixture, by expectation maximisation from several starts.
 
     Args:
-        residuals: (n, d) by a model whose strokes all happen.
-        changes: (n, d, k) of these where a limb does nothing.
-        fired: (n, k) whether a limb was told to fire.
-        chance: (k,) where it is known.
+        residuals: (n, d) residuals of a model in which all strokes happen.
+        changes: (n, d, k) change of the residuals if a limb does nothing.
+        fired: (n, k) whether a limb was commanded to fire.
+        chance: (k,) known probabilities; None: they are estimated.
     """
     every = []
     for start in STARTS:
@@ -270,7 +274,7 @@ def _maximised(
     count, width = residuals.shape
     which = np.array(list(itertools.product((0.0, 1.0), repeat=changes.shape[2])))
     every = residuals[None] + np.einsum("hk,nik->hni", which, changes)
-    # From the hypothesis that leaves least, by the size of the smaller half of all residuals.
+    # Start from the hypothesis with the smallest residual, in units of the median residuals.
     size = np.median(np.abs(residuals), axis=0) + _LEAST[:width]
     nearest = ((every / size) ** 2).sum(axis=2).argmin(axis=0)
     scale = scale_of(every[nearest, np.arange(count)])
@@ -299,7 +303,7 @@ def _joint(
     chance: FloatArray,
     scale: FloatArray,
 ) -> FloatArray:
-    """(h, n) log of prior times density of each hypothesis: every combination of limbs that fail."""
+    """(h, n) log of prior times density of each hypothesis, one for each combination of limbs that fail."""
     found = []
     for row in itertools.product((False, True), repeat=changes.shape[2]):
         fails = np.array(row)
@@ -322,7 +326,7 @@ def _interval(
     taken: Sequence[int],
     k: int,
 ) -> tuple[float, float]:
-    """Interval of a chance by its profile likelihood, at the scale that was found."""
+    """Interval of a probability by its profile likelihood, at the fitted scale."""
     tried = np.linspace(*CHANCES, 160)
     deviances = []
     for value in tried:
@@ -336,7 +340,7 @@ def _interval(
 
 
 def _split_gain(values: FloatArray, fails: FloatArray) -> float:
-    """The fall of the deviance by two chances, of small and of large values, for the best bound between."""
+    """Fall of the deviance if values below and above the best threshold have different probabilities."""
     order = np.argsort(values, kind="stable")
     bounds = np.flatnonzero(np.diff(values[order]) > 1e-9) + 1
     if not len(bounds):
@@ -366,8 +370,8 @@ def _stability(scores: Sequence[FloatArray], runs: NDArray[np.int64], replicates
 def _ends(
     model: Model, limbs: Sequence[int], swims: Sequence[Segments], rollouts: Sequence[Rollout]
 ) -> tuple[list[FloatArray], list[FloatArray], list[NDArray[np.bool_]]]:
-    """Of each run (m, 3) residuals at the ends of periods by its rollout, (m, 3, k) changes of these where a
-    limb does nothing, and (m, k) whether it was told to fire."""
+    """Residuals (m, 3) of each run at the ends of periods, their change (m, 3, k) if a limb does nothing, and
+    (m, k) whether the limb was commanded to fire."""
     moved = rollouts_with(model, [[Weaker(limb, 1.0) for limb in limbs] for _ in swims], swims)
     ends = [[end_errors(rollout, swim) for rollout, swim in zip(each, swims, strict=True)] for each in moved]
     changes = [
@@ -380,7 +384,7 @@ def _ends(
 
 
 def without_failed(swims: Sequence[Segments], found: Misfires) -> list[Segments]:
-    """The runs without the strokes that likely failed: as their limbs fired."""
+    """The runs without the strokes that probably failed."""
     gone = {
         (run, limb, time_s)
         for limb, strokes in zip(found.indices, found.failed, strict=True)

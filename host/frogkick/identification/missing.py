@@ -1,8 +1,9 @@
-"""What a model misses, in quantities that can be read: a wrench, strokes that failed, fixes that are off.
+"""What a model still misses, in physical quantities: a wrench, strokes that failed, fixes that are off.
 
-The missing wrench of each third of a period is a hidden state that the residuals answer to. It is estimated
-from all residuals of a run at once, as an Ornstein-Uhlenbeck process (a Gauss-Markov state: the mean and
-covariance are those of a Kalman smoother). Its size and memory are those of maximum likelihood.
+The missing wrench in each third of a period is a hidden state on which the residuals depend linearly. It is
+estimated from all residuals of a run at once, as an Ornstein-Uhlenbeck process (a Gauss-Markov state; the
+mean and covariance are those of a Kalman smoother). Its size and correlation are maximum-likelihood
+estimates.
 
 Source: Rauch, Tung, Striebel 1965 (smoother); Hartikainen, Sarkka 2010 (the same as Gaussian regression).
 """
@@ -19,38 +20,39 @@ import numpy as np
 from numpy.typing import NDArray
 
 from frogkick.core.poses import world_from_body
-from frogkick.identification.answers import THIRDS, Answers, fired_strokes
 from frogkick.identification.filter import Filter, Noise, initial_rate_std
 from frogkick.identification.fit import Fitted
 from frogkick.identification.predict import PHASES
+from frogkick.identification.responses import THIRDS, Responses, fired_strokes
 from frogkick.identification.segments import Segments
 from frogkick.identification.steps import log_density, scale_of
 
 FloatArray = NDArray[np.float64]
 
 SIZES_N, ARMS_M, MEMORIES = (0.0, *np.geomspace(3e-5, 1e-2, 8)), (0.005, 0.02, 0.06), (0.0, 0.6, 0.9, 0.98)
-"""Sizes of the wrench that are tried, its torque over its force, and how much of it the next third has."""
+"""Values that are tried: size of the wrench, its torque over its force, and its correlation from third to
+third."""
 
 STRETCH = 40
-"""Periods that are estimated together: of longer runs so many at a time."""
+"""Number of periods that are estimated together; longer runs are cut."""
 
 CLEAR = 0.25
-"""A stroke that fails explains a residual by far if it leaves less than this share of its squares."""
+"""A failed stroke clearly explains a residual if less than this share of its square remains."""
 
 OUTLIER_SIGMA = 3.0
-"""A fix is off beyond so many standard deviations of its innovation."""
+"""A fix is an outlier if its innovation exceeds this many standard deviations."""
 
 
 @dataclass(frozen=True, eq=False)
 class Missing:
-    """What a model misses in runs; k thirds of periods.
+    """The wrench that a model misses in k thirds of periods.
 
     Attributes:
         run: (k,) index of the run.
         time_s: (k,) middle of each third.
-        heading: (k,) of the robot then.
-        wrench: (k, 3) missing force forward, left (N) and torque (N m).
-        covariance: (k, 3, 3) of it.
+        heading: (k,) heading of the robot at that time, rad.
+        wrench: (k, 3) missing force forward, left (N) and torque (N m); body frame.
+        covariance: (k, 3, 3) covariance of the wrench.
     """
 
     run: NDArray[np.int64]
@@ -60,7 +62,7 @@ class Missing:
     covariance: FloatArray
 
     def as_json(self, names: Sequence[str]) -> dict[str, Any]:
-        """In the body's frame, and the force in the pool's; covariances are of the body's frame."""
+        """Wrench and covariance in the body frame, and the force in the pool's frame as well."""
         world = world_from_body(self.heading, self.wrench)
         return {
             "run": [names[k] for k in self.run.tolist()],
@@ -79,36 +81,36 @@ def _short(values: FloatArray) -> list[float]:
 
 
 def missing_wrench(
-    fitted: Fitted, answers: Answers, swims: Sequence[Segments], rows: NDArray[np.bool_]
+    fitted: Fitted, responses: Responses, swims: Sequence[Segments], rows: NDArray[np.bool_]
 ) -> Missing:
     """Estimate the wrench that a model misses in each third of each period.
 
     Args:
         fitted: the model, with its residuals.
-        answers: of the runs to a wrench.
-        swims, rows: the runs, and which of their periods count.
+        responses: responses of the runs to a wrench.
+        swims, rows: the runs, and which of their periods are used.
     """
     runs = np.repeat(np.arange(len(swims)), [len(swim.start_s) for swim in swims])[rows]
     noise = np.concatenate([_noise_of(fitted.model.noise, swim) for swim in swims])[rows]
-    at_s, heading = np.asarray(answers.bodies["time_s"]), np.asarray(answers.bodies["heading_rad"])
+    at_s, heading = np.asarray(responses.bodies["time_s"]), np.asarray(responses.bodies["heading_rad"])
     order = np.concatenate([np.arange(len(swim.start_s)) for swim in swims])[rows]
     parts = []
     stretch = np.unique(np.stack([runs, order // STRETCH]), axis=1, return_inverse=True)[1].ravel()
     for label in np.unique(stretch):
         mine = np.flatnonzero(stretch == label)
         thirds = (THIRDS * order[mine][:, None] + np.arange(THIRDS)).ravel()
-        # Fix minus prediction is what a wrench that is missing would add to the prediction.
+        # A residual is fix minus prediction: what the missing wrench would add to the prediction.
         design = np.zeros((9 * len(mine), 9 * len(mine)))
         spread = np.zeros_like(design)
         for k, row in enumerate(mine):
             here = slice(9 * k, 9 * k + 9)
-            design[here, here] = -answers.wrench[row].reshape(9, 9)
+            design[here, here] = -responses.wrench[row].reshape(9, 9)
             spread[here, here] = noise[row]
         parts.append((design, spread, fitted.residuals[mine].ravel(), np.abs(thirds[:, None] - thirds)))
 
     def prior(gap: FloatArray, size: float, arm: float, memory: float) -> FloatArray:
-        alike = memory**gap if memory else (gap == 0).astype(np.float64)
-        return np.kron(alike, np.diag([size**2, size**2, (arm * size) ** 2]))
+        correlation = memory**gap if memory else (gap == 0).astype(np.float64)
+        return np.kron(correlation, np.diag([size**2, size**2, (arm * size) ** 2]))
 
     best, shape = math.inf, (0.0, ARMS_M[0], 0.0)
     for tried in itertools.product(SIZES_N, ARMS_M, MEMORIES):
@@ -131,7 +133,7 @@ def missing_wrench(
 
 
 def _noise_of(noise: Noise, swim: Segments) -> FloatArray:
-    """(m, 9, 9) covariance of a run's residuals if nothing is missing: of fixes, and of each start."""
+    """(m, 9, 9) covariance of a run's residuals if no wrench is missing: from the fixes and each start."""
     state = Filter(noise, swim.actuated_s, swim.begin_s, initial_rate_std(swim.rest_rate))
     fix = noise.per_axis()[0]
     order, following = np.argsort(swim.arrival_s, kind="stable"), 0
@@ -157,21 +159,25 @@ def _noise_of(noise: Noise, swim: Segments) -> FloatArray:
 
 
 def stroke_ratios(
-    fitted: Fitted, answers: Answers, swims: Sequence[Segments], rows: NDArray[np.bool_], limbs: Sequence[str]
+    fitted: Fitted,
+    responses: Responses,
+    swims: Sequence[Segments],
+    rows: NDArray[np.bool_],
+    limbs: Sequence[str],
 ) -> list[dict[str, Any]]:
-    """For each stroke the log likelihood ratio of fired over not fired, where all others were as told."""
+    """Log likelihood ratio of fired to not fired for each stroke, with all others as commanded."""
     runs = np.repeat(np.arange(len(swims)), [len(swim.start_s) for swim in swims])[rows]
     times = np.concatenate([fired_strokes(swim, len(limbs)) for swim in swims])[rows]
-    # The scale is that of residuals by the better hypothesis, where one is by far.
-    told = fitted.residuals[:, :, None]
-    every = np.concatenate([told, told + answers.idle], axis=2)
+    # The scale is estimated from the residuals of the hypothesis that is clearly better, if one is.
+    plain = fitted.residuals[:, :, None]
+    every = np.concatenate([plain, plain + responses.idle], axis=2)
     far = ((every / np.median(np.abs(fitted.residuals), axis=0)[:, None]) ** 2).sum(axis=1)
     best = np.where(far.min(axis=1) < CLEAR * far[:, 0], far.argmin(axis=1), 0)
     scale = scale_of(every[np.arange(len(best)), :, best])
-    plain = log_density(fitted.residuals, scale)
+    fires = log_density(fitted.residuals, scale)
     found = []
     for limb, name in enumerate(limbs):
-        ratio = plain - log_density(fitted.residuals + answers.idle[:, :, limb], scale)
+        ratio = fires - log_density(fitted.residuals + responses.idle[:, :, limb], scale)
         for run, time_s, value in zip(runs, times[:, limb], ratio.tolist(), strict=True):
             if math.isfinite(time_s):
                 where = {"run": swims[run].name, "time_s": round(float(time_s), 4), "limb": name}

@@ -1,4 +1,5 @@
-"""The moment of a law on strokes, which no derivative tells: any moment between two strokes fits as well."""
+"""The moment from which a law on strokes acts. All moments between two strokes fit equally well, so it has no
+derivative and is found by trying each gap between strokes."""
 
 from __future__ import annotations
 
@@ -17,27 +18,27 @@ from frogkick.identification.terms import Term
 FloatArray = NDArray[np.float64]
 
 MOMENT = "at"
-"""Name of a law's moment."""
+"""Name of the parameter that is a law's moment."""
 
 WORSE = 3.84
-"""What the deviance rises by at the ends of an interval of 95 % (chi-square, one degree of freedom)."""
+"""Rise of the deviance at the ends of a 95 % interval (chi-square with one degree of freedom)."""
 
 SAME = 0.04
-"""What the deviance may rise by where two moments fit as well."""
+"""Two moments fit equally well if their deviances differ by less."""
 
 NEIGHBOURS = 6
-"""Gaps between strokes that are tried on each side of the one that a moment is in."""
+"""Gaps between strokes that are tried on each side of the moment's own gap."""
 
 
 def centred(fitted: Fitted, swims: Sequence[Segments], rows: NDArray[np.bool_]) -> Fitted:
-    """The model with each such moment (s) in the middle of those that fit as well.
+    """Move each such moment (s) to the middle of the moments that fit equally well.
 
-    These reach from stroke to stroke, and farther where a stroke's period does not count.
+    These moments reach from one stroke to the next, and farther if the period of a stroke is not used.
 
     Args:
-        fitted: a model at its best.
+        fitted: a fitted model.
         swims: the runs that it was fitted to.
-        rows: periods that count.
+        rows: which of their periods are used.
     """
     model = fitted.model
     for place, term in enumerate(model.terms):
@@ -58,11 +59,10 @@ def centred(fitted: Fitted, swims: Sequence[Segments], rows: NDArray[np.bool_]) 
 def moment_intervals(
     fitted: Fitted, swims: Sequence[Segments], rows: NDArray[np.bool_]
 ) -> dict[int, tuple[float, float]]:
-    """The interval (s) of each such moment by its likelihood; the key is the law's place in the model.
+    """Likelihood interval (s) of each such moment; the key is the index of the law among the model's terms.
 
-    It reaches from stroke to stroke, as far as the deviance, simulated with all other parameters as they are,
-    rises by less than WORSE.
-    """
+    It extends from stroke to stroke while the deviance, simulated with all other parameters unchanged, rises
+    by less than WORSE."""
     borders = [_borders(term, fitted.model, swims) for term in fitted.model.terms]
     return {
         place: _alike(fitted, place, those, swims, rows, WORSE)
@@ -79,7 +79,7 @@ def _alike(
     rows: NDArray[np.bool_],
     worse: float,
 ) -> tuple[float, float]:
-    """The moments about a law's own (s) whose deviance is higher by less than this, from border to border."""
+    """Ends (s) of the moments around a law's own at which the deviance is higher by less than ``worse``."""
     k = _gap(borders, fitted.model.terms[place])
     tried = np.arange(max(k - NEIGHBOURS, 0), min(k + NEIGHBOURS + 1, len(borders) - 1))
     models = [_with_moment(fitted.model, place, float(borders[each : each + 2].mean())) for each in tried]
@@ -97,9 +97,9 @@ def _alike(
 
 
 def _borders(term: Term, model: Model, swims: Sequence[Segments]) -> FloatArray | None:
-    """(k,) ascending: the bounds of a law's moment (s), and the strokes between them that it acts on.
+    """(k,) ascending times (s): the bounds of a law's moment, and the strokes between that the law acts on.
 
-    None for a law that has no moment, or does not act on strokes.
+    None for a law without a moment, or one that does not act on strokes.
     """
     table, number = dict(term.table), _number(term)
     if number is None or table.get("on") != "stroke":
@@ -111,13 +111,13 @@ def _borders(term: Term, model: Model, swims: Sequence[Segments]) -> FloatArray 
 
 
 def _number(term: Term) -> int | None:
-    """Which parameter of a law is its moment."""
+    """Index of the parameter that is a law's moment; None without one."""
     names = [parameter.name for parameter in term.parameters]
     return names.index(MOMENT) if term.name == "law" and MOMENT in names else None
 
 
 def _gap(borders: FloatArray, term: Term) -> int:
-    """Which gap between borders a law's moment is in."""
+    """Index of the gap between borders that contains a law's moment."""
     at = term.values[_number(term) or 0]
     return int(np.clip(np.searchsorted(borders, at) - 1, 0, len(borders) - 2))
 

@@ -90,13 +90,13 @@ class Outcome:
         verdict: see frogkick.identification.verdict.
         robot: nominal.
         train, test: the runs.
-        found: result of the search; None where there was not enough data.
+        found: result of the search; None if there was not enough data.
         parameters: intervals of the parameters of each term.
         trained, tested: evaluation of the models alone.
         nominal_rollouts, rollouts: rollouts of the test runs, by the models alone.
-        drift: drift of limbs beside the fitted model, from the training runs; None where tracking it gains
+        drift: drift of limbs beside the fitted model, from the training runs; None if tracking it gains
             nothing.
-        followed: the test runs with drift tracked beside both models; None where neither gains.
+        followed: the test runs with drift tracked beside both models; None if neither gains.
         dropped: effects that explain the training runs but did not raise the log score of the test runs, so
             that the nominal model is returned. The test runs decide this and nothing else.
         diagnostics: residual diagnostics of the fitted model, or for "nothing missing" of the nominal one.
@@ -135,9 +135,9 @@ class Outcome:
 
     @cached_property
     def experiment(self) -> Experiment | None:
-        """What to record to discriminate models that are still confounded; None where none are.
+        """What to record to discriminate models that are still confounded; None if none are.
 
-        A law is held against the model without it, where nothing else is open.
+        If nothing else is open, the experiment compares a law with the model without it.
         """
         if self.found is None or self.verdict not in (FOUND, FOUND_LAW, PARTLY):
             return None
@@ -176,20 +176,20 @@ class Outcome:
         """What is left of the training runs, as quantities that can be read; None without a search.
 
         ``wrench``: the missing force and torque of each third of a period, with covariance; ``strokes``: the
-        log likelihood ratio of fired over not fired. Both are None where laws were not looked for. ``fixes``:
+        log likelihood ratio of fired over not fired. Both are None if laws were not looked for. ``fixes``:
         robust innovations.
         """
         if self.found is None:
             return None
-        found, answers = self.found, self.found.answers
+        found, responses = self.found, self.found.responses
         fixes = fix_innovations(found.fitted, self.train)
-        if answers is None:
+        if responses is None:
             return {"wrench": None, "strokes": None, "fixes": fixes}
         limbs = [limb.name for limb in self.robot.limbs]
-        wrench = missing_wrench(found.fitted, answers, self.train, found.rows)
+        wrench = missing_wrench(found.fitted, responses, self.train, found.rows)
         return {
             "wrench": wrench.as_json([swim.name for swim in self.train]),
-            "strokes": stroke_ratios(found.fitted, answers, self.train, found.rows, limbs),
+            "strokes": stroke_ratios(found.fitted, responses, self.train, found.rows, limbs),
             "fixes": fixes,
         }
 
@@ -280,10 +280,10 @@ def identify(
     dropped = tuple(term.title for term in found.fitted.model.terms) if not tested.helped else ()
     if dropped:
         # Effects that do not help on other runs are no part of the model that is returned.
-        train, test, answers = *raw, found.answers
+        train, test, responses = *raw, found.responses
         _, rows, nominal = nominal_fit(train, robot) if jumps else (None, found.rows, found.nominal)
         found = Found(nominal, nominal, found.iterations, rows, [], found.sensitivities)
-        found = replace(found, answers=None if jumps else answers)
+        found = replace(found, responses=None if jumps else responses)
         trained = scored(found, train, train, found.nominal.rollouts, found.nominal.rollouts)
         rollouts = nominal_rollouts
         tested = scored(found, train, test, rollouts, rollouts)
@@ -358,16 +358,16 @@ def _only_predicted(
 
 
 def too_little(swims: Sequence[Segments]) -> str:
-    """Why runs are too little data, and what to record; "" where they suffice."""
+    """Why runs are too little data, and what to record; "" if they suffice."""
     periods = sum(len(swim.start_s) for swim in swims)
     if periods < PERIODS_LEAST:
         return (
-            f"{periods} whole periods with fixes, needed are {PERIODS_LEAST}: record about "
+            f"the runs have {periods} whole periods with fixes, but {PERIODS_LEAST} are needed: record about "
             f"{PERIODS_LEAST - periods} periods more"
         )
     actions = {int(action) for swim in swims for action in swim.action if action >= 0}
     if len(actions) < ACTIONS_LEAST:
-        return "only one action was done: record a run that turns both ways, or actions in random order"
+        return "the runs contain only one action: record one that turns both ways, or actions in random order"
     reach = max(float(np.ptp(swim.pose[:, :2], axis=0).max()) for swim in swims if len(swim.pose))
     if reach < MOTION_LEAST_M:
         return f"the robot moved {1e3 * reach:.1f} mm: record a run that swims (or check the fixes' unit)"

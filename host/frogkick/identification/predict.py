@@ -58,7 +58,7 @@ class Rollout:
         predicted_std: (m, 3) standard deviation of these, propagated from the state at the period's start.
         start: (m, 6) pose (world) and velocity (body) at each period's start.
         residuals: (m, 9) mean of fix minus prediction over the three phases of each period: forward, left (m)
-            and heading (rad) by the pose at its start; NaN where a phase has no fix.
+            and heading (rad) by the pose at its start; NaN if a phase has no fix.
         failed: the simulation did not converge.
     """
 

@@ -33,21 +33,21 @@ class Probes:
     strokes: tuple[tuple[int, float, tuple[tuple[float, int], ...]], ...]
     bodies: tuple[Body, ...]
 
-    def answers(self, effect: Effect) -> FloatArray:
+    def responses(self, effect: Effect) -> FloatArray:
         """(k,) all that an effect does, concatenated."""
         names = [limb.name for limb in self.robot.limbs]
-        answers: list[float] = []
+        responses: list[float] = []
         for limb, time_s, before in self.strokes:
             given = Stroke(names[limb], limb, time_s)
             stroke = effect.stroke(given, History(list(before)), np.random.default_rng(0)) or given
-            answers += [stroke.gain, stroke.delay_s, stroke.duration_scale]
+            responses += [stroke.gain, stroke.delay_s, stroke.duration_scale]
         for body in self.bodies:
-            answers += np.ravel(effect.flow(body.time_s, np.array(body.pose_world[:2]))).tolist()
-            answers += _flat(effect.wrench(body.time_s, body))
+            responses += np.ravel(effect.flow(body.time_s, np.array(body.pose_world[:2]))).tolist()
+            responses += _flat(effect.wrench(body.time_s, body))
             given_fix = Fix(body.time_s, 0.08, *body.pose_world)
             fix = effect.fix(given_fix, np.random.default_rng(0)) or given_fix
-            answers += [fix.capture_s, fix.x_m, fix.y_m, fix.heading_rad]
-        return np.array(answers, dtype=np.float64)
+            responses += [fix.capture_s, fix.x_m, fix.y_m, fix.heading_rad]
+        return np.array(responses, dtype=np.float64)
 
 
 def _flat(given: object) -> list[float]:
@@ -77,9 +77,9 @@ def probes_of(robot: Robot) -> Probes:
 
 
 def changes(probes: Probes, term: Term, step: FloatArray) -> list[FloatArray | None]:
-    """Derivative of the answers by each parameter; None where the parameter changes the body."""
+    """Derivative of the responses by each parameter; None if the parameter changes the body."""
     base_effect = term.effect()
-    base, base_robot = probes.answers(base_effect), base_effect.robot(probes.robot)
+    base, base_robot = probes.responses(base_effect), base_effect.robot(probes.robot)
     found: list[FloatArray | None] = []
     for k in range(len(term.values)):
         values = list(term.values)
@@ -88,7 +88,7 @@ def changes(probes: Probes, term: Term, step: FloatArray) -> list[FloatArray | N
         if moved.robot(probes.robot) != base_robot:
             found.append(None)
         else:
-            found.append((probes.answers(moved) - base) / float(step[k]))
+            found.append((probes.responses(moved) - base) / float(step[k]))
     return found
 
 
@@ -99,7 +99,7 @@ class LinearSpan:
         self._rows: list[FloatArray] = []
 
     def weights(self, change: FloatArray) -> FloatArray | None:
-        """(rows,) weights of the linear combination that a change is; None where it is none.
+        """(rows,) weights of the linear combination that a change is; None if it is none.
 
         Delays are excluded: moving one stroke beside another is not the same as moving both.
         """

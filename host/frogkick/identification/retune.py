@@ -63,14 +63,14 @@ class Retuned:
         before, after: errors of the old and the new tables, a period ahead on held-out periods; NaN where
             none were made.
         better: the new tables are better; else the old ones stay.
-        reason: why the old tables stay; "" where they do not.
+        reason: why the old tables stay; "" if they do not.
         held_out: what was held out, in words.
-        tables: path, bytes and states of the new tables, refused ones too; None where none were made.
-        firmware: sizes of the image; None where none was made.
-        loop: the old and the new tables in closed loop, in a pool with what was found; None where none were
+        tables: path, bytes and states of the new tables, refused ones too; None if none were made.
+        firmware: sizes of the image; None if none was made.
+        loop: the old and the new tables in closed loop, in a pool with what was found; None if none were
             made.
         horizons: errors of the old and the new tables by horizon.
-        lost: effects that were found and that no table can hold, and what that costs; None where there are
+        lost: effects that were found and that no table can hold, and what that costs; None if there are
             none.
     """
 
@@ -280,7 +280,7 @@ def is_better(before: PredictionError, after: PredictionError) -> bool:
 
 
 def _why_no_tables(outcome: Outcome, single: bool) -> str:
-    """Why no tables are to be made; "" where they are."""
+    """Why no tables are to be made; "" if they are."""
     if outcome.verdict == TOO_LITTLE:
         return outcome.reason + (", a third of a single run is held out" if single else "")
     if outcome.verdict == NOTHING:

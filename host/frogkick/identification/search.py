@@ -59,9 +59,9 @@ from frogkick.identification.terms import Term
 from frogkick.robot import Robot
 
 if TYPE_CHECKING:
-    from frogkick.identification.answers import Answers
     from frogkick.identification.jumps import Jumps
     from frogkick.identification.misfires import Misfires
+    from frogkick.identification.responses import Responses
 
 FloatArray = NDArray[np.float64]
 
@@ -128,7 +128,7 @@ class Found:
         rivals: these others, fitted.
         stability: of each effect; see ``backward.stability``.
         misfires: limbs that do nothing by chance, whose laws are the last terms but those of jumps.
-        answers: of the runs to pushes, where laws were looked for.
+        responses: of the runs to forces, flows and strokes, if laws were searched for.
         jumps: fixes that jump by chance, whose law is the last term; they were taken out of the runs.
     """
 
@@ -142,7 +142,7 @@ class Found:
     stability: list[float] = field(default_factory=list)
     misfires: Misfires | None = None
     jumps: Jumps | None = None
-    answers: Answers | None = None
+    responses: Responses | None = None
 
 
 Baseline = tuple[Model, NDArray[np.bool_], Fitted]

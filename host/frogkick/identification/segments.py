@@ -25,43 +25,44 @@ ACTUATION_S = 0.3
 """How long after a pulse's start its limb pushes hardest."""
 
 _END_BEFORE_S, _END_AFTER_S = 0.24, 0.03
-"""Fixes that tell the pose at a period's end: before it, where the robot glides."""
+"""Fixes from this time before a period's end to this time after it determine the pose there: the robot
+glides."""
 
 SPEED_MOST_MPS = 1.0
-"""Half of all moves from fix to fix are slower in any pool: else positions are in another unit."""
+"""The median speed from fix to fix is lower in any pool; above it positions must be in another unit."""
 
 AGE_OFF_S, AGE_SHARE = 1.0, 0.05
-"""Of a run's fixes so many may be older than the others by so much: held back on their way."""
+"""At most this share of the fixes may be older than the others by this time, because they were delayed."""
 
-_STILL = 8  # fixes before anything moves that tell one camera's noise from another's
+_STILL = 8  # number of fixes at rest that distinguish one camera's noise from another's
 
 _UNTIMED = int(FixFlag.UNTRUSTED_TIME | FixFlag.AT_REST)
-_REST_BLOCK_S = 1.0  # means of so long a rest are held against each other: noise of fixes is small in these
+_REST_BLOCK_S = 1.0  # means over this time at rest are compared: the noise of the fixes is small in them
 
-_UNTOLD = int(FixFlag.MISSING | FixFlag.DUPLICATE)
-_SPOILED = _UNTOLD | int(FixFlag.MISDETECTION | FixFlag.JUMP)
+_ABSENT = int(FixFlag.MISSING | FixFlag.DUPLICATE)
+_SPOILED = _ABSENT | int(FixFlag.MISDETECTION | FixFlag.JUMP)
 
 
 @dataclass(frozen=True, eq=False)
 class Segments:
-    """The segments of one run, a period each, with the fixes and strokes that they are told by.
+    """The segments of one run, one for each period, with the run's fixes and strokes.
 
     Attributes:
-        name: of its file.
-        robot_id: who swam.
-        action_names: names that ``action`` counts.
+        name: name of the run's file.
+        robot_id: id of its robot.
+        action_names: names of the actions that ``action`` indexes.
         time_s: (n,) capture times of the usable fixes.
-        arrival_s: (n,) when each was known.
+        arrival_s: (n,) arrival time of each fix.
         pose: (n, 3) x, y (m), heading (rad, not wrapped), world frame.
-        strokes: (time_s, limb index), in order, on the fixes' clock.
-        start_s: (m,) when each period begins on the fixes' clock.
-        action: (m,) what was done in it; -1 unknown.
-        end_s: (m,) when it ends.
-        period_s: of the run.
-        lag_s: from a command's time in the log to its motion on the fixes' clock, already added.
-        problem: why its strokes' times cannot be relied on; "" where they can.
-        rest_rate: (m/s, m/s, rad/s) how fast the robot moved at rest, root mean square, by frames before the
-            first stroke that came in order and whose times are not known; None without a few of these.
+        strokes: (time_s, limb index) of each stroke, in order, on the fixes' clock.
+        start_s: (m,) start of each period on the fixes' clock.
+        action: (m,) action of each period; -1: unknown.
+        end_s: (m,) end of each period.
+        period_s: period of the run.
+        lag_s: delay from a command's time in the log to its motion on the fixes' clock, already added.
+        problem: why the times of its strokes are unreliable; "" if they are reliable.
+        rest_rate: (m/s, m/s, rad/s) root mean square velocity of the robot at rest, from frames before the
+            first stroke that came in order but without known times; None without enough of these.
     """
 
     name: str
@@ -81,13 +82,13 @@ class Segments:
 
     @cached_property
     def begin_s(self) -> float:
-        """When its simulation begins: at a fix, at most LEAD_S before anything happens."""
+        """Start of the simulation: a fix at most LEAD_S before the first stroke or period."""
         first = min([self.start_s[0], *(time_s for time_s, _ in self.strokes[:1])])
         return float(self.time_s[min(np.searchsorted(self.time_s, first - LEAD_S), len(self.time_s) - 1)])
 
     @cached_property
     def actuated_s(self) -> FloatArray:
-        """(2, k) knots: time, and for how long limbs had been straightening by then."""
+        """(2, k) knots: time, and cumulative actuation time by then."""
         knots, total, until = [(self.begin_s - 1e3, 0.0)], 0.0, -math.inf
         for time_s, _ in self.strokes:
             start = max(time_s, until)
@@ -101,7 +102,7 @@ class Segments:
 
     @cached_property
     def segment_times_s(self) -> FloatArray:
-        """When what is known is taken in: every period's start, and ends that are no start."""
+        """Times at which fixes correct the simulation: all starts and ends of periods."""
         times = [float(time) for time in self.start_s if time > self.begin_s]
         times += [float(end) for end in self.end_s if end > self.begin_s]
         kept: list[float] = []
@@ -112,7 +113,7 @@ class Segments:
 
     @cached_property
     def measured(self) -> FloatArray:
-        """(m, 3) pose at each period's end by the fixes around it; NaN where there are too few."""
+        """(m, 3) pose at each period's end, from the fixes around it; NaN if there are too few."""
         return np.array([self.pose_at(float(end)) for end in self.end_s]).reshape(-1, 3)
 
     @cached_property
@@ -127,7 +128,7 @@ class Segments:
         return found
 
     def pose_at(self, at_s: float) -> FloatArray:
-        """(3,) pose by a straight line through the fixes just before a time; NaN where there are too few."""
+        """(3,) pose by a straight line through the fixes just before a time; NaN if there are too few."""
         near = self._near(at_s)
         if near is None:
             return np.full(3, np.nan)
@@ -135,7 +136,7 @@ class Segments:
         return np.asarray(line[0])
 
     def _near(self, at_s: float) -> tuple[NDArray[np.bool_], FloatArray] | None:
-        """Which fixes tell a pose, and (n, 2) a line's design at them; None where there are too few."""
+        """Which fixes determine a pose, and the (n, 2) design matrix of a line; None if there are too few."""
         for before_s in (_END_BEFORE_S, 2.0 * _END_BEFORE_S):
             near = (self.time_s >= at_s - before_s) & (self.time_s <= at_s + _END_AFTER_S)
             if near.sum() >= 3:
@@ -155,8 +156,8 @@ def read_segments(path: Path | str, robot: Robot | None = None) -> Segments:
 def segments_of(run: RunLog, name: str, robot: Robot | None = None) -> Segments:
     """A run's fixes, strokes and periods on one clock.
 
-    The delay between a command and its motion is part of the clock only where the log cannot know when a
-    picture was taken (capture times are arrival times): there it is what the motion itself shows.
+    If the log does not know when pictures were taken (its capture times are arrival times), the delay between
+    a command and its motion is estimated from the motion and added to the times of commands.
 
     Raises:
         InputError: the run is another robot's, its limbs cannot be this robot's, or its units are wrong.
@@ -177,15 +178,15 @@ def segments_of(run: RunLog, name: str, robot: Robot | None = None) -> Segments:
     time_s, arrival_s = fixes.capture_time_s[usable], fixes.time_s[usable]
     order = np.argsort(time_s, kind="stable")
     pose = np.column_stack([fixes.x_m[usable], fixes.y_m[usable], fixes.heading_rad[usable]])[order]
-    # With those that the import took for jumps: in another unit all are.
-    told = fixes.usable & ((fixes.flags & _UNTOLD) == 0)
-    late = np.argsort(fixes.capture_time_s[told], kind="stable")
-    shown = np.column_stack([fixes.x_m[told], fixes.y_m[told], fixes.heading_rad[told]])[late]
-    _check_units(name, fixes.capture_time_s[told][late], shown)
+    # Fixes that the import took for jumps are included: in another unit all of them are.
+    seen = fixes.usable & ((fixes.flags & _ABSENT) == 0)
+    late = np.argsort(fixes.capture_time_s[seen], kind="stable")
+    shown = np.column_stack([fixes.x_m[seen], fixes.y_m[seen], fixes.heading_rad[seen]])[late]
+    _check_units(name, fixes.capture_time_s[seen][late], shown)
     _check_clock(name, arrival_s - time_s)
     pose[:, 2] = np.unwrap(pose[:, 2])
-    seen = len(time_s) > 0 and not np.allclose(time_s, arrival_s, atol=1e-9)
-    lag_s = 0.0 if seen else float(run.measured.get("motion_lag_s", 0.0))
+    has_capture_times = len(time_s) > 0 and not np.allclose(time_s, arrival_s, atol=1e-9)
+    lag_s = 0.0 if has_capture_times else float(run.measured.get("motion_lag_s", 0.0))
     strokes = sorted(
         (float(at_s) + lag_s, limb)
         for at_s, mask in zip(run.strokes.time_s, run.strokes.limb_mask, strict=True)
@@ -196,7 +197,7 @@ def segments_of(run: RunLog, name: str, robot: Robot | None = None) -> Segments:
     last_s = float(time_s.max()) if len(time_s) else -math.inf
     ends = np.append(start_s[1:], np.inf)
     end_s = np.where(np.abs(ends - start_s - run.period_s) < 0.2 * run.period_s, ends, start_s + run.period_s)
-    # Where a clock slipped, the period before may be cut short: another stroke falls into it.
+    # If a clock slipped, the period before may be cut short: another stroke falls into it.
     whole = (end_s <= last_s + _END_AFTER_S) & (ends > end_s - 1e-9)
     return Segments(
         name=name,
@@ -217,7 +218,7 @@ def segments_of(run: RunLog, name: str, robot: Robot | None = None) -> Segments:
 
 
 def reliable(swims: Sequence[Segments]) -> tuple[list[Segments], list[dict[str, str]]]:
-    """Runs whose strokes' times can be relied on, and what is left out: ``run`` and ``reason`` of each.
+    """Runs whose strokes have reliable times, and the ``run`` and ``reason`` of each that is left out.
 
     Raises:
         InputError: none can.
@@ -229,7 +230,7 @@ def reliable(swims: Sequence[Segments]) -> tuple[list[Segments], list[dict[str, 
 
 
 def part_of(swims: Sequence[Segments], periods: int) -> list[Segments]:
-    """The first periods of each run, the same share of all, so many in sum."""
+    """The first periods of each run, the same share of each, ``periods`` in total."""
     share = min(1.0, periods / max(sum(len(swim.start_s) for swim in swims), 1))
     some = []
     for swim in swims:
@@ -260,9 +261,9 @@ def _rest_rate(run: RunLog, time_s: FloatArray) -> tuple[float, float, float] | 
 
 
 def replicate_count(swims: Sequence[Segments]) -> int:
-    """How many of the runs, at most, have one and the same camera noise: simulated with one seed.
+    """Largest number of runs with identical camera noise, because they were simulated with the same seed.
 
-    Told by the fixes before anything moved. What such runs agree in may be that noise.
+    Such runs are recognised by their fixes at rest. Whatever they have in common may be that noise.
     """
     kinds: dict[bytes, int] = {}
     for swim in swims:

@@ -134,7 +134,7 @@ def table_horizons(tools: Tools, old: bytes, new: bytes, outcome: Outcome) -> li
 def _gaps(
     tools: Tools, image: bytes, swim: Segments, rollout: Rollout, effects: Sequence[Effect], periods: int
 ) -> FloatArray:
-    """(m, 3) measured minus looked-up pose so many periods after each start; NaN where unknown."""
+    """(m, 3) measured minus looked-up pose so many periods after each start; NaN if unknown."""
     gap = np.full((len(swim.start_s), 3), np.nan)
     # Periods that were cut short or lengthened are excluded: tables do not know of them.
     whole = (swim.action >= 0) & (np.abs((swim.end_s - swim.start_s) / swim.period_s - 1.0) < PERIOD_OFF)

@@ -40,22 +40,22 @@ NEAR_FLOOR = 1.35
 """Errors up to this multiple of the noise floor are noise."""
 
 STILL_S = 1.5 * ACTUATION_S
-"""No limb moves if none has fired for so long."""
+"""No limb moves if none has fired for this time."""
 
 WINDOW_S, WINDOWS_LEAST = 0.45, 12
 """Four fixes of a glide within this time are compared with a parabola; the noise is estimated from at least
 so many such windows."""
 
 OUTLIER_SIGMA = 3.0
-"""Residuals of fixes beyond so many standard deviations are outliers; in a normal density they are 0.3 %."""
+"""Residuals of fixes beyond this many standard deviations are outliers: 0.3 % of a normal density."""
 
 CHANCE = 5.0
-"""A mean square of few periods may lie above its expectation by so many standard deviations."""
+"""A mean square of few periods may exceed its expectation by this many standard deviations."""
 
 SURE_NATS = 12.0
-"""Where strokes fail by chance, a test run has few that do, each of some ten nats: no interval of a mean is
-narrow then. The gain of the whole run is a likelihood ratio, and by chance it is so large once in 10^5 times
-(Ville 1939)."""
+"""If strokes fail by chance, a test run has few failures of about ten nats each, so the interval of a mean is
+wide. The gain of the whole run is a likelihood ratio, which chance makes this large once in 10^5 times (Ville
+1939)."""
 
 INEXACT = 0.03
 """Share of the error before that the right effect may leave: the discretisation error of the simulation."""
@@ -65,7 +65,7 @@ FAR = 2.0
 
 
 def prediction_errors(rollouts: Sequence[Rollout], swims: Sequence[Segments]) -> FloatArray:
-    """(n, 3) measured minus predicted pose at the ends of all periods; NaN where unknown."""
+    """(n, 3) measured minus predicted pose at the ends of all periods; NaN if unknown."""
     every = [swim.measured - rollout.predicted for rollout, swim in zip(rollouts, swims, strict=True)]
     gap = np.concatenate(every) if every else np.empty((0, 3))
     gap[:, 2] = wrap_angle(gap[:, 2])
@@ -76,7 +76,7 @@ def fix_noise(swims: Sequence[Segments]) -> tuple[float, float] | None:
     """Standard deviation of a fix (m, rad) from fixes alone: their scatter in glides, where no limb moves.
 
     Four consecutive fixes are compared with the parabola that fits them best, so whatever is smooth in a
-    glide cancels, and no model is needed; noise is taken as white. None where there are too few glides.
+    glide cancels, and no model is needed; noise is taken as white. None if there are too few glides.
     """
     parts: list[FloatArray] = []
     for swim in swims:
@@ -398,7 +398,7 @@ def scored(
         swims: the runs to judge.
         before, after: their rollouts without and with effects.
         raw: the training runs and those to judge as they are, which ``before`` is held against, where fixes
-            that jumped were taken out; None where none were.
+            that jumped were taken out; None if none were.
     """
     raw = raw or (train, swims)
     errors = [PredictionError.of(prediction_errors(*pair)) for pair in ((before, raw[1]), (after, swims))]

@@ -64,7 +64,7 @@ class Transitions:
         velocity_body: (n, 3) at the start.
         previous: (n, HISTORY) actions started 1, 2, .. periods before the start, then RESTED.
         rows: (n, a, 6) after one period: forward, left (m), turn (rad, continuous) in the body frame at the
-            start, then velocity (m/s, m/s, rad/s) in the body frame at the end; NaN where it failed.
+            start, then velocity (m/s, m/s, rad/s) in the body frame at the end; NaN if it failed.
         recorded: (n, a, t, 6) the same at ``recorded_times``, float32.
         failed: failed transitions; states counted from 0.
     """

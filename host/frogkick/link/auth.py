@@ -1,6 +1,6 @@
 """The host's side of an authenticated conversation with a robot that has an owner's key.
 
-The protocol stands in ``firmware/core/fk_auth.h``. Codes are HMAC-SHA-256 (RFC 2104), cut to 8 bytes.
+The protocol is described in ``firmware/core/fk_auth.h``. Codes are HMAC-SHA-256 (RFC 2104), cut to 8 bytes.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ def from_words(name: str, values: Mapping[str, int | float | str], count: int) -
 
 
 def begin(key: bytes, host_nonce: bytes, answer: Mapping[str, int | float | str]) -> CommandCodes | None:
-    """Codes after a robot's answer to CHALLENGE; None where the robot has another key."""
+    """Codes after a robot's answer to CHALLENGE; None if the robot has another key."""
     nonces = host_nonce + from_words("nonce", answer, 4)
     proof = _code(key, _OF_ROBOT, nonces)[:16]
     if not hmac.compare_digest(proof, from_words("proof", answer, 4)):

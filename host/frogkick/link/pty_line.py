@@ -19,10 +19,10 @@ class Listener(Protocol):
     """The robot behind a transport."""
 
     def feed(self, data: bytes) -> bytes:
-        """Take bytes; return what is to be sent at once."""
+        """Take bytes from the host; return the bytes to send at once."""
 
     def tick(self) -> bytes:
-        """Live on; return what is to be sent."""
+        """Let the robot's time pass; return the bytes to send."""
 
     @property
     def sleep_s(self) -> float:
@@ -135,7 +135,7 @@ class PtyLine:
             self.error = error
 
     def _turn(self) -> bool:
-        """Let the robot live for a moment; whether bytes came."""
+        """Let the robot run for a moment; return whether bytes came from the host."""
         with self._lock:
             if self._ends is None:
                 self.robot.tick()

@@ -17,7 +17,8 @@ from frogkick.link.frames import Frame
 BAUD = 115_200
 BYTE_S = 10 / BAUD
 BAUD_MAX = 4_000_000
-KINDS = ("ble", "serial")
+KINDS, FORMS = ("ble", "serial"), ("ble:NAME", "serial:PORT")
+"""The kinds of wire, and what a user types for each."""
 
 
 @dataclass(frozen=True)

@@ -105,7 +105,7 @@ def _rows(text: str, name: str) -> list[tuple[int, list[str]]]:
 
 
 def _header(cells: list[str], name: str) -> list[str] | None:
-    """Canonical column names, or None where the first row already holds numbers."""
+    """Canonical column names, or None if the first row already holds numbers."""
     names = [cell.strip().lower() for cell in cells]
     # A row with any number in it is data (perhaps bad data), not a header: 'x,y' never parses.
     if any(_is_number(cell) for cell in names):

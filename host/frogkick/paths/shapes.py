@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from frogkick.core.errors import InputError, nearest_name
+from frogkick.core.poses import body_from_world
 from frogkick.paths.path import POINTS_MAX, Path
 
 Float64 = NDArray[np.float64]
@@ -147,8 +148,8 @@ def eight(length_m: float = EIGHT_LENGTH_M, points: int = POINTS_MAX) -> Path:
     angle = 2.0 * np.pi * EIGHT_TURNS * np.linspace(0.0, 1.0, _check_points(points, "eight"))
     x, y = half_m * np.sin(angle), half_m * np.sin(angle) * np.cos(angle)
     tangent = np.arctan2(half_m * np.cos(2.0 * angle), half_m * np.cos(angle))
-    c, s = np.cos(-tangent[0]), np.sin(-tangent[0])  # turned, so that it begins along +x
-    return Path.from_arrays(c * x - s * y, s * x + c * y, tangent - tangent[0], "eight")
+    turned = body_from_world(tangent[0], np.stack([x, y, tangent], axis=-1))  # so that it begins along +x
+    return Path.from_arrays(turned[:, 0], turned[:, 1], tangent - tangent[0], "eight")
 
 
 SHAPES: dict[str, Callable[..., Path]] = {"line": line, "sine": sine, "ellipse": ellipse}

@@ -74,7 +74,7 @@ VALUES = 9
 
 _F0 = np.float32(0)
 _F1 = np.float32(1)
-_PER_STEP = np.float32(0.125)  # 1 / route.STEPS_PER_REACH
+_PER_STEP = np.float32(1.0 / route.STEPS_PER_STROKE)
 
 _typed_by_name: Any = namedtuple
 Settings = _typed_by_name("Settings", ("cost", "transitions_max", *WEIGHTS))

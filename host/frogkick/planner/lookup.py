@@ -1,4 +1,4 @@
-"""What a table says of a state: the twin of nearest.c and lookup.c, by brute force instead of a tree."""
+"""Look-up of a state in a table: the twin of nearest.c and lookup.c, by brute force instead of a tree."""
 
 from __future__ import annotations
 

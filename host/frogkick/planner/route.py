@@ -31,6 +31,7 @@ from frogkick.core.compiled import BARE, INNER
 Array = npt.NDArray[Any]
 
 STEPS_PER_STROKE = 8
+"""Steps between knots in the table's longest stroke."""
 AHEAD = 12
 """Knots that one motion may advance: one and a half times the table's longest stroke."""
 BEHIND = 2

@@ -187,9 +187,7 @@ def require_animation_name(target: Path) -> None:
     """
     kind = target.suffix.lower()
     if kind not in ANIMATIONS:
-        raise InputError(
-            f"animation {str(target)!r} ends on none of {', '.join(ANIMATIONS)}: choose one of them"
-        )
+        raise InputError(f"animation {str(target)!r} does not end in {' or '.join(ANIMATIONS)}: choose one")
     if kind == ".mp4":
         _opencv()
 

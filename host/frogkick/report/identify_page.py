@@ -173,10 +173,10 @@ def _residual(outcome: Outcome, residuals: Residuals) -> Section:
     missing = missing_figure(outcome)
     if missing is not None:
         caption = (
-            "What the model with the identified effects still misses in the training runs. From above: the "
-            "force and torque of each third of a period with two standard deviations, by a smoother; the log "
-            "likelihood ratio of each stroke, fired over not fired; the innovation of each fix in robust "
-            "standard deviations."
+            "What the model with the identified effects still misses in the training runs. From top to "
+            "bottom: the missing force and torque in each third of a period, estimated by a smoother, with a "
+            "band of two standard deviations; the log likelihood ratio of each stroke, fired to not fired; "
+            "the innovation of each fix in robust standard deviations."
         )
         pictures.append(_picture(missing, caption))
     return Section("Residuals by action, limb, time and place", text, images=pictures)

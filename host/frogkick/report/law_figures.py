@@ -1,4 +1,4 @@
-"""The picture of a law: its field over the pool or its curve, and the raw residuals beside it."""
+"""The picture of a law: its field over the pool or its curve, beside the residuals of the nominal model."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ import numpy.typing as npt
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from frogkick.core.poses import wrap_angle
+from frogkick.core.poses import body_from_world, world_from_body, wrap_angle
 from frogkick.effects import Body, History, Law, Stroke
 from frogkick.identification.outcome import Outcome
 from frogkick.identification.segments import Segments
 from frogkick.report import style
 from frogkick.report.identify_residuals import Residuals, by_limb, residuals_of
-from frogkick.report.law_words import hangs_on
+from frogkick.report.law_words import depends_on
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -45,13 +45,13 @@ _UNITS = {
 
 @dataclass(frozen=True, eq=False)
 class Periods:
-    """All periods of the runs, of training and test.
+    """All periods of the training and test runs.
 
     Attributes:
         at_s: (n,) time of each period's middle in its run.
-        pose, velocity: (n, 3) the robot then, by its fixes; velocity in the body's frame.
+        pose, velocity: (n, 3) of the robot at that time, from its fixes; velocity in the body frame.
         limbs: (n, l) strokes of each limb.
-        raw, explained: (n, 3) residuals of the nominal model, and what effects change of them; body frame.
+        raw, explained: (n, 3) residuals of the nominal model, and their change by the effects; body frame.
     """
 
     at_s: FloatArray
@@ -63,10 +63,8 @@ class Periods:
 
     def seen(self, which: str, pool: bool) -> FloatArray:
         """(n, 3) residuals along the pool's axes or the body's, and of the heading."""
-        forward, left, heading = getattr(self, which).T
-        c, s = np.cos(self.pose[:, 2]), np.sin(self.pose[:, 2])
-        turned = np.column_stack([c * forward - s * left, s * forward + c * left, heading])
-        return turned if pool else np.asarray(getattr(self, which))
+        residuals: FloatArray = getattr(self, which)
+        return world_from_body(self.pose[:, 2], residuals) if pool else residuals
 
 
 def periods_of(outcome: Outcome) -> Periods:
@@ -89,8 +87,7 @@ def _periods(swims: Sequence[Segments], found: Residuals) -> Periods:
         for times in (0.5 * (start + end), 0.75 * start + 0.25 * end, 0.25 * start + 0.75 * end)
     ]
     pose, rate = poses[0], (poses[2] - poses[1]) / (0.5 * (end - start))[:, None]
-    c, s = np.cos(pose[:, 2]), np.sin(pose[:, 2])
-    velocity = np.column_stack([c * rate[:, 0] + s * rate[:, 1], c * rate[:, 1] - s * rate[:, 0], rate[:, 2]])
+    velocity = body_from_world(pose[:, 2], rate)
     raw = found.residual_body("nominal")
     return Periods(0.5 * (start + end), pose, velocity, found.limbs, raw, raw - found.residual_body("found"))
 
@@ -100,15 +97,15 @@ def _pose(swim: Segments, at_s: float) -> list[float]:
 
 
 def law_figure(outcome: Outcome, law: Law, periods: Periods) -> Figure:
-    """Draw a law, and beside it the raw residuals with what the effects found explain of them."""
+    """Draw a law, and beside it the residuals with the part that the identified effects explain."""
     law.check(outcome.robot)
-    place = hangs_on(law) == "place"
+    place = depends_on(law) == "place"
     with style.new_figure(11.0, 4.4 if place else 4.0) as figure:
         if place:
             left, right = figure.subplots(1, 2)
             _field(figure, left, law, periods)
             _arrows(right, periods)
-        elif hangs_on(law) in ("limbs", "chance", "rest") and law.on == "stroke":
+        elif depends_on(law) in ("limbs", "chance", "rest") and law.on == "stroke":
             left, *rest = figure.subplots(1, 3)
             _bars(left, law, outcome)
             for axes, axis in zip(rest, _telling(periods, False), strict=True):
@@ -125,7 +122,7 @@ def law_figure(outcome: Outcome, law: Law, periods: Periods) -> Figure:
 
 
 def _telling(periods: Periods, pool: bool) -> list[int]:
-    """The two axes of the residuals that the effects found explain most of, by its share."""
+    """The two axes of the residuals of which the identified effects explain the largest share."""
     raw, explained = ((periods.seen(which, pool) ** 2).sum(axis=0) for which in ("raw", "explained"))
     share = explained / np.maximum(raw, 1e-30)
     return sorted(np.argsort(-share)[:2].tolist())
@@ -195,7 +192,7 @@ def _arrows(axes: Axes, periods: Periods) -> None:
 
 def _along(law: Law, periods: Periods) -> tuple[str, FloatArray]:
     """The variable that a law's curve is drawn over, and its values in the periods."""
-    main = hangs_on(law)
+    main = depends_on(law)
     if main == "heading":
         return "heading_rad", np.asarray(wrap_angle(periods.pose[:, 2]))
     if main == "speed":
@@ -213,7 +210,7 @@ _VARIABLES = {
 
 
 def _curve(axes: Axes, law: Law, name: str, values: FloatArray) -> None:
-    """The law over one variable, all others at nought."""
+    """The law over one variable, with all others at 0."""
     low, high = (-np.pi, np.pi) if name == "heading_rad" else (float(values.min()), float(values.max()))
     low = 0.0 if name in ("time_s", "strokes") else low
     along = np.linspace(low, high, 400)
@@ -258,7 +255,7 @@ def _dots(axes: Axes, periods: Periods, axis: int, name: str, values: FloatArray
 
 
 def _bars(axes: Axes, law: Law, outcome: Outcome) -> None:
-    """How much of each limb's strokes is left in the runs, on average, by the law; lines: least and most."""
+    """The gain of each limb's strokes by the law, averaged over the runs; lines: least and most."""
     gains: dict[str, list[float]] = {limb.name: [] for limb in outcome.robot.limbs}
     rng, names = np.random.default_rng(0), list(gains)
     for swim in (*outcome.train, *outcome.test):

@@ -1,4 +1,4 @@
-"""The section of a report on laws: in words, as a formula, as a picture, and how to test them."""
+"""The section of a report on laws: each in words, as a formula and as a picture, and how to test it."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from frogkick.core.errors import InputError
 from frogkick.effects import Law
 from frogkick.identification.outcome import Outcome
 from frogkick.report.law_figures import Periods, law_figure, periods_of
-from frogkick.report.law_words import NEEDS, formula_of, hangs_on, sentence_of
+from frogkick.report.law_words import NEEDS, depends_on, formula_of, sentence_of
 from frogkick.report.page import Section
 from frogkick.report.style import figure_uri
 
 ACTS = 0.1
-"""A law acts in a period where it is more than this share of its largest value."""
+"""A law acts in a period if it is more than this share of its largest value."""
 
 
 def laws_of(outcome: Outcome) -> list[tuple[str, Law]]:
@@ -42,30 +42,33 @@ def law_section(outcome: Outcome) -> Section:
     for title, law in laws_of(outcome):
         formulas = "; ".join(formula_of(law))
         text.append(f"{title}: {sentence_of(law)} As a formula: {formulas}.")
-        text.append(f"To show a law like this, runs must hold {NEEDS[hangs_on(law)]}.{_held(law, periods)}")
+        text.append(
+            f"To show a law like this, runs must contain {NEEDS[depends_on(law)]}.{_contained(law, periods)}"
+        )
         caption = (
-            f"{title}. Left: the law itself. Right: the raw residual of each period of all runs, by the "
-            "nominal model one period ahead, and what the effects found explain of it."
+            f"{title}. Left: the law. Right: the residual of each period of all runs, by the nominal model "
+            "one period ahead, and the part of it that the identified effects explain."
         )
         images.append((figure_uri(law_figure(outcome, law, periods)), caption))
     if outcome.law_test is not None:
         text.append(
-            f"To confirm or refute a law: {outcome.law_test.text}. If the new run is predicted as well as "
-            "its fixes allow, the law holds; if it is predicted better without it, the law is refuted."
+            f"An experiment to confirm or refute a law: {outcome.law_test.text}. If the model predicts the "
+            "new run as well as the noise of its fixes allows, the law is confirmed. If the model without "
+            "the law predicts it better, the law is refuted."
         )
     return Section("Laws: effects that are formulas", text, images=images)
 
 
-def _held(law: Law, periods: Periods) -> str:
-    """What these runs hold of it, where that can be counted."""
+def _contained(law: Law, periods: Periods) -> str:
+    """Return how much these runs contain of what shows a law, if that can be counted."""
     x, y, heading = periods.pose.T
     forward, left, turn = periods.velocity.T
     if "cycle" in {p.name for p in law.parameters}:
-        return f" The longest of these runs holds {periods.at_s.max() / law.value('cycle'):.1f} cycles."
+        return f" The longest of these runs contains {periods.at_s.max() / law.value('cycle'):.1f} cycles."
     if "at" in {p.name for p in law.parameters}:
         later = int((periods.at_s > law.value("at")).sum())
         earlier = len(periods.at_s) - later
-        return f" These runs hold {earlier} periods before that moment and {later} after it."
+        return f" These runs contain {earlier} periods before that moment and {later} after it."
     if law.on == "stroke" or law.by_chance:
         return ""
     given = law.over(
@@ -77,6 +80,6 @@ def _held(law: Law, periods: Periods) -> str:
     size = np.sqrt(sum(np.broadcast_to(values, x.shape) ** 2 for values in given.values()))
     acting = int((size > ACTS * size.max()).sum())
     return (
-        f" In {acting} of {len(x)} periods of these runs it is more than a tenth of the largest value that "
-        "it has in them."
+        f" In {acting} of the {len(x)} periods of these runs, the law is more than a tenth of its largest "
+        "value in them."
     )

@@ -1,4 +1,4 @@
-"""Laws in words: a sentence, the formula with its numbers, and what runs must hold to show it."""
+"""Laws in words: a sentence, the formula with its numbers, and what runs must contain to show the law."""
 
 from __future__ import annotations
 
@@ -9,40 +9,40 @@ from frogkick.effects import Law
 from frogkick.effects.law import CHANNELS
 
 _PLACE = "({at_x:.2f}, {at_y:.2f}) m"
-_EVERY = "every {cycle:.2f} s, for {share:.0%} of it"
+_EVERY = "every {cycle:.2f} s, for {share:.0%} of that time"
 SENTENCES: Mapping[str, str] = {
     "spring": f"A spring or cable pulls the robot to the point {_PLACE}, with {{stiffness:.3g}} N for each "
     "metre beyond {slack:.2f} m from it.",
-    "attraction": f"The point {_PLACE} attracts the robot, the more the nearer it is, from about "
-    "{near:.2f} m on.",
-    "push beyond a line": "Beyond a line across the pool the robot is pushed back, with {stiffness:.3g} N "
-    "for each metre beyond it.",
+    "attraction": f"The point {_PLACE} attracts the robot, more strongly the nearer it is, down to a "
+    "distance of about {near:.2f} m.",
+    "push beyond a line": "Beyond a line across the pool a force pushes the robot back, with "
+    "{stiffness:.3g} N for each metre beyond it.",
     "push": "A steady force of {to_x:.3g} N along x and {to_y:.3g} N along y pushes the robot.",
-    "patch": f"Around the point {_PLACE} the water resists more, by {{drag:.3g}} N s/m, up to about "
-    "{size:.2f} m away.",
+    "patch": f"Around the point {_PLACE} the water resists more, by {{drag:.3g}} N s/m, up to a distance of "
+    "about {size:.2f} m.",
     "patch with an end": f"Around the point {_PLACE} the water resists more, by {{drag:.3g}} N s/m in its "
-    "middle, less and less towards {size:.2f} m away.",
+    "middle, and less and less up to a distance of {size:.2f} m.",
     "drag beyond a line": "Beyond a line across the pool the water resists more, by {drag:.3g} N s/m.",
     "drag power": "The water resists with the power {power:.2g} of the speed: {forward_drag:.3g} N forward "
     "and {left_drag:.3g} N sideways at {speed:.2f} m/s.",
     "compass": "A torque turns the robot towards one heading, as a magnet does.",
-    "gusts": "A force on the robot swings to and fro, once in {cycle:.2f} s.",
+    "gusts": "A force on the robot oscillates with a period of {cycle:.2f} s.",
     "push from a moment on": "From {at:.1f} s on a force of {to_x:.3g} N along x and {to_y:.3g} N along y "
     "pushes the robot.",
-    "push by time": "A force pushes the robot that grows with time, by {to_x:.3g} N along x and {to_y:.3g} N "
-    "along y in a second.",
+    "push by time": "A force that grows with time pushes the robot: each second adds {to_x:.3g} N along x "
+    "and {to_y:.3g} N along y.",
     "drag from a moment on": "From {at:.1f} s on the water resists more, by {drag:.3g} N s/m.",
     "torque by speed": "A torque turns the robot in proportion to its speed.",
     "push at intervals": f"A force of {{to_x:.3g}} N along x and {{to_y:.3g}} N along y acts {_EVERY}.",
-    "sloshing": "The water swings to and fro, once in {cycle:.2f} s.",
-    "flow that dies down": "The water flows at first, and comes to rest: a third of the flow is left after "
-    "{fade:.1f} s.",
-    "flow by time": "The water flows faster and faster, by {to_x:.3g} m/s along x and {to_y:.3g} m/s along y "
-    "in a second.",
+    "sloshing": "The water moves to and fro with a period of {cycle:.2f} s.",
+    "flow that dies down": "The water flows at first and comes to rest: about a third of the flow is left "
+    "after {fade:.1f} s.",
+    "flow by time": "The water flows faster and faster: each second adds {to_x:.3g} m/s along x and "
+    "{to_y:.3g} m/s along y.",
     "flow in a band": "The water flows in a band across the pool, with {to_x:.3g} m/s along x and "
     "{to_y:.3g} m/s along y in its middle.",
     "flow near a place": f"The water flows around the point {_PLACE}, with {{to_x:.3g}} m/s along x and "
-    "{to_y:.3g} m/s along y there, up to about {size:.2f} m away.",
+    "{to_y:.3g} m/s along y there, up to a distance of about {size:.2f} m.",
     "flow from a moment on": "From {at:.1f} s on the water flows.",
     "flow at intervals": f"The water flows {_EVERY}.",
     "fixes off from a moment on": "From {at:.1f} s on the fixes are off.",
@@ -51,17 +51,18 @@ SENTENCES: Mapping[str, str] = {
     "fixes late at intervals": f"The fixes are {{late:.3f}} s older than they say, {_EVERY}.",
     "misfire": "LIMB does nothing in {failing:.0%} of its strokes, at random.",
     "stroke from a moment on": "From {at:.1f} s on the strokes of LIMB are weaker by {loss:.0%}.",
-    "stroke in rhythm": "The strokes of LIMB get weaker and stronger, once in {cycle:.2f} s.",
+    "stroke in rhythm": "The strokes of LIMB get weaker and stronger with a period of {cycle:.2f} s.",
     "stroke by time": "The strokes of LIMB get weaker with time, by {rate:.2%} a second.",
-    "stroke by heading": "The strokes of LIMB depend on where the robot points to.",
-    "stroke by place": "The strokes of LIMB depend on where the robot is.",
+    "stroke by heading": "The strokes of LIMB depend on the robot's heading.",
+    "stroke by place": "The strokes of LIMB depend on the robot's place in the pool.",
     "stroke by speed": "The strokes of LIMB depend on the robot's speed.",
     "stroke after a rest": "The strokes of LIMB are weaker by up to {loss:.0%} soon after the one before, "
     "and recover within about {fade:.1f} s.",
     "stroke tires": "The strokes of LIMB get weaker by up to {loss:.0%}, most of it within {fade:.0f} "
     "strokes.",
 }  # fmt: skip
-"""Title of a law -> what it says; LIMB is the limb. Laws of other titles are told by what they act on."""
+"""Title of a law -> its sentence; LIMB is the limb. Laws with other titles are described by what they act
+on."""
 
 WHAT: Mapping[str, str] = {
     "wrench": "A force on the body",
@@ -78,15 +79,15 @@ NEEDS: Mapping[str, str] = {
     "place": "runs that cross the place from several sides and also keep away from it; a spring needs ten "
     "periods with the cable taut",
     "time in cycles": "three to five of its cycles, and strokes that are not in step with them",
-    "time": "five to ten periods on each side of the moment, or a long run where it comes slowly",
-    "heading": "runs that point all around, with the same actions at different headings",
+    "time": "five to ten periods on each side of the moment, or a long run if the change is slow",
+    "heading": "headings all around, with the same actions at different headings",
     "speed": "slow and fast periods: starts from rest, turns, and straight stretches",
-    "chance": "twenty firings of the limb, or a hundred fixes",
+    "chance": "at least twenty strokes of the limb, or a hundred fixes",
     "rest": "strokes of the limb soon after each other, and others after long rests",
     "limbs": "periods in which the limbs fire together and periods in which each fires without the other. No "
     "action of the paper's robot fires a rear limb without a front one",
 }
-"""What a law hangs on -> what runs must hold to show it."""
+"""What a law depends on -> what runs must contain to show it."""
 
 
 def sentence_of(law: Law) -> str:
@@ -94,16 +95,16 @@ def sentence_of(law: Law) -> str:
     limb = "all limbs" if law.limb == "all" else law.limb
     values = {p.name: law.value(p.name) for p in law.parameters}
     try:
-        told = SENTENCES[law.title].format(**values)
-    except KeyError:  # a law of one's own, under any title
+        sentence = SENTENCES[law.title].format(**values)
+    except KeyError:  # a user's law, under any title
         others = sorted(
             name.removeprefix("since_").removesuffix("_s") for name in law.names if _is_since(name)
         )
         on = {ON_WHAT[name] for name in law.names if name in ON_WHAT}
         if others:
             on.add(f"how long ago {' and '.join(others)} fired")
-        told = f"{WHAT[law.on]}" + (f" that depends on {' and '.join(sorted(on))}." if on else ".")
-    return told.replace("LIMB", limb)
+        sentence = f"{WHAT[law.on]}" + (f" that depends on {' and '.join(sorted(on))}." if on else ".")
+    return sentence.replace("LIMB", limb)
 
 
 def formula_of(law: Law) -> list[str]:
@@ -117,7 +118,7 @@ def formula_of(law: Law) -> list[str]:
     return lines
 
 
-def hangs_on(law: Law) -> str:
+def depends_on(law: Law) -> str:
     """Return a key of NEEDS: what a law mainly depends on."""
     if "chance" in law.names:
         return "chance"

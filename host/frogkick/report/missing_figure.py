@@ -1,4 +1,4 @@
-"""What the model with the identified effects still misses: a wrench, strokes that failed, fixes off."""
+"""What the model with the identified effects still misses: a wrench, failed strokes, errors of fixes."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from frogkick.identification.outcome import Outcome
 from frogkick.report import style
 
 GAP_S = 3.0
-"""Between runs that are drawn one after the other."""
+"""Gap between runs that are drawn one after the other."""
 
 
 def missing_figure(outcome: Outcome) -> Figure | None:
-    """Draw it over the time of the training runs; None where laws were not looked for."""
-    told = outcome.residuals
-    if told is None or told["wrench"] is None:
+    """Draw it over the time of the training runs; None if laws were not looked for."""
+    missing = outcome.residuals
+    if missing is None or missing["wrench"] is None:
         return None
     begins, at_s = {}, 0.0
     for swim in outcome.train:
@@ -25,7 +25,7 @@ def missing_figure(outcome: Outcome) -> Figure | None:
     def times(runs: list[str], time_s: list[float]) -> list[float]:
         return [begins[run] + time for run, time in zip(runs, time_s, strict=True)]
 
-    wrench, strokes, fixes = told["wrench"], told["strokes"], told["fixes"]
+    wrench, strokes, fixes = missing["wrench"], missing["strokes"], missing["fixes"]
     spread = np.sqrt(np.array(wrench["covariance"])[:, [0, 4, 8]])
     middle = np.array(times(wrench["run"], wrench["time_s"]))
     runs = np.array(wrench["run"])
@@ -41,8 +41,8 @@ def missing_figure(outcome: Outcome) -> Figure | None:
             for name in dict.fromkeys(wrench["run"]):
                 mine = runs == name
                 band, shown = 2.0 * unit * spread[mine, k], values[mine]
-                told_once = label if name == wrench["run"][0] else None
-                axes.plot(middle[mine], shown, color=colour, linewidth=1.0, label=told_once)
+                legend = label if name == wrench["run"][0] else None
+                axes.plot(middle[mine], shown, color=colour, linewidth=1.0, label=legend)
                 axes.fill_between(
                     middle[mine], shown - band, shown + band, color=colour, alpha=0.25, linewidth=0
                 )
@@ -58,11 +58,11 @@ def missing_figure(outcome: Outcome) -> Figure | None:
                 label=limb.name,
             )
         fired.axhline(0.0, color=style.FLOOR, linewidth=0.8)
-        fired.set_ylabel("fired over not (log)")
+        fired.set_ylabel("fired to not fired\n(log likelihood ratio)")
         at = times(fixes["run"], fixes["time_s"])
         for key, colour in (("x", style.TRUE), ("y", style.MEASURED), ("heading", style.ESTIMATED)):
             seen.plot(at, fixes[key], ".", markersize=2, color=colour, label=key)
-        seen.set_ylabel("innovation (sigma)")
+        seen.set_ylabel("innovation (std. dev.)")
         seen.set_xlabel("time in the training runs, one after the other (s)")
         for axes in (force, fired, seen):
             axes.legend(loc="upper right", fontsize=7, ncols=4)

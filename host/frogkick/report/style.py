@@ -92,7 +92,7 @@ def require_picture_name(target: Path) -> None:
         InputError: not one of ``PICTURES``.
     """
     if target.suffix.lower() not in PICTURES:
-        raise InputError(f"picture {str(target)!r} ends on none of {', '.join(PICTURES)}: choose one of them")
+        raise InputError(f"picture {str(target)!r} does not end in {' or '.join(PICTURES)}: choose one")
 
 
 def write_picture(figure: Figure, target: Path, ending: str = "", dpi: int = 120) -> None:

@@ -15,24 +15,22 @@ from frogkick.robot.profile import Profile, fit_profile
 from frogkick.robot.toml_text import to_toml
 
 
-def read_measured_profile(path: Path | str) -> tuple[np.ndarray, np.ndarray]:
-    """Read one .mat profile: (time_s (n,), curvature_per_m (n,)).
+def read_mat(path: Path, name: str) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Read ``t`` and one more variable of a MATLAB file, as rows.
 
     Raises:
-        InputError: missing, not a MATLAB file, or without ``t`` and ``mean``.
+        InputError: not such a file, or one of the variables is missing.
     """
     from scipy.io import loadmat
 
     try:
         content = loadmat(str(path))
-    except (OSError, ValueError, NotImplementedError) as error:
-        raise InputError(f"profile {str(path)!r} cannot be read as a MATLAB file: {error}") from error
-    if "t" not in content or "mean" not in content:
-        raise InputError(f"profile {str(path)!r} has no variables 't' and 'mean': record both")
-    return (
-        np.asarray(content["t"], dtype=np.float64).ravel(),
-        np.asarray(content["mean"], dtype=np.float64).ravel(),
-    )
+        time_s, values = (np.asarray(content[key], dtype=np.float64).ravel() for key in ("t", name))
+    except KeyError as error:
+        raise InputError(f"{path.name!r} has no variable {error}: record 't' and {name!r}") from error
+    except Exception as error:  # a spoilt file makes scipy raise whatever its bytes lead to
+        raise InputError(f"{path.name!r} cannot be read as a MATLAB file: {error}") from error
+    return time_s, values
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,25 +97,6 @@ def fit_stroke(stroke: Stroke, egain_percent: float, frequency_hz: float | None 
         return fit_profile(time_s, stroke.curvature_per_m, egain_percent, frequency_hz)
     except InputError as error:
         raise InputError(f"stroke file {stroke.name!r}: {error}") from None
-
-
-def fit_profile_folder(folder: Path | str) -> list[Profile]:
-    """Fit all profiles of ``folder/<EGaIn/10>/<frequency*10>.mat``, the layout of the paper's data.
-
-    Raises:
-        InputError: no such folder, no profile in it, or a name that is not a number.
-    """
-    files = sorted(Path(folder).glob("*/*.mat"))
-    if not files:
-        raise InputError(f"{str(folder)!r} holds no <EGaIn/10>/<frequency*10>.mat: name the profile folder")
-    fitted: list[Profile] = []
-    for file in files:
-        try:
-            egain, frequency = 10.0 * int(file.parent.name), int(file.stem) / 10.0
-        except ValueError as error:
-            raise InputError(f"profile {str(file)!r} is not named <EGaIn/10>/<frequency*10>.mat") from error
-        fitted.append(fit_profile(*read_measured_profile(file), egain, frequency))
-    return sorted(fitted, key=lambda p: (p.egain_percent, p.frequency_hz))
 
 
 def write_profiles(profiles: list[Profile], path: Path | str, origin: str) -> None:

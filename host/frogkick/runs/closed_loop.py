@@ -57,8 +57,8 @@ class Recording:
 
     Attributes:
         fixes, sent_s: fixes in the order of sending, and when each was sent, session time.
-        capture_us: capture time of each fix on the robot's clock; None where the robot refused it.
-        fix_status: the robot's answer to each fix (``frames.toml``); None where no answer came.
+        capture_us: capture time of each fix on the robot's clock; None if the robot refused it.
+        fix_status: the robot's answer to each fix (``frames.toml``); None if no answer came.
         events: inputs of the robot's estimator and planner, in its order: they reproduce its decisions.
         decisions, edges: decisions and pin edges in order.
         completed: the robot reached the path's end.

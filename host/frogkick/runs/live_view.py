@@ -84,7 +84,7 @@ class LiveView:
     """The state of a run as JSON; another thread serves ``text`` to a page.
 
     Attributes:
-        tables, path, config: of the run; None where nothing is decided, as with a camera alone.
+        tables, path, config: of the run; None if nothing is decided, as with a camera alone.
         outline_m: (n)(2) outline of the robot, body frame.
         limbs: their names, to tell what they have lost.
         camera: where its pictures are shown; the state is given in their pixels too.

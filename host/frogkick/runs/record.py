@@ -56,7 +56,7 @@ class Tracking:
     """How well a run followed its path, from the first decision to the end.
 
     Distances are from the path's polyline to the true poses (simulated runs) or to the fixes.
-    ``limit_violations`` is None where the pins were not seen.
+    ``limit_violations`` is None if the pins were not seen.
     """
 
     mean_distance_m: float

@@ -160,7 +160,7 @@ class Decisions(_Group):
         action: (n,) index into RunLog.action_names, -1 only where flagged UNSEEN.
         fix_sequence: (n,) row of `fixes` that was the newest, -1 where there was none.
         flags: (n,) DecisionFlag bits.
-        cost, plan_s: (n,) or None where the run has none.
+        cost, plan_s: (n,) or None if the run has none.
         estimate, predicted: (n, 6) x m, y m, heading rad (world), vx, vy m/s, omega rad/s (body), or None.
     """
 

@@ -255,10 +255,10 @@ class Comparison:
     """Two runs side by side.
 
     Attributes:
-        same_robot, same_table, same_path: None where a log does not say.
+        same_robot, same_table, same_path: None if a log does not say.
         same_decisions: number of decisions from the first on that chose the same action in both.
         apart_m: mean distance between the robots at equal times since the first decision, as long as both
-            swam; None where the paths differ.
+            swam; None if the paths differ.
     """
 
     a: Summary

@@ -26,6 +26,7 @@ from frogkick.core.errors import InputError
 from frogkick.core.files import existing_file
 from frogkick.der import Gait
 from frogkick.robot import Profile, fit_profile
+from frogkick.robot.profile_files import read_mat
 
 FloatArray = NDArray[np.float64]
 
@@ -187,31 +188,13 @@ def read_simulation(path: Path) -> tuple[FloatArray, FloatArray]:
     return rows[:, 0], rows[:, 2]
 
 
-def _read_mat(path: Path, name: str) -> tuple[FloatArray, FloatArray]:
-    """Return ``t`` and one more variable of a MATLAB file, as rows.
-
-    Raises:
-        InputError: not such a file, or one of the variables is missing.
-    """
-    from scipy.io import loadmat
-
-    try:
-        content = loadmat(str(path))
-        time_s, values = (np.asarray(content[key], dtype=np.float64).ravel() for key in ("t", name))
-    except KeyError as error:
-        raise InputError(f"{path.name!r} has no variable {error}: record 't' and {name!r}") from error
-    except Exception as error:  # a spoilt file makes scipy raise whatever its bytes lead to
-        raise InputError(f"{path.name!r} cannot be read as a MATLAB file: {error}") from error
-    return time_s, values
-
-
 def read_swim(path: Path) -> Swim:
     """Read a measured swim.
 
     Raises:
         InputError: not a MATLAB file, without ``t`` and ``distance``, or not two equal finite rows.
     """
-    time_s, distance_mm = _read_mat(existing_file(path, "measured swim"), "distance")
+    time_s, distance_mm = read_mat(existing_file(path, "measured swim"), "distance")
     distance_m = 1e-3 * distance_mm
     good = time_s.shape == distance_m.shape and time_s.size >= 10
     if not (good and np.isfinite(time_s).all() and np.isfinite(distance_m).all()):
@@ -280,7 +263,7 @@ def read_profiles(folder: Path, cached: Sequence[Profile]) -> tuple[Profiles, li
             skipped.append(Skipped(relative, "not named <EGaIn/10>/<10 frequency>.mat"))
             continue
         try:
-            chosen[key] = fit_profile(*_read_mat(file, "mean"), *key)
+            chosen[key] = fit_profile(*read_mat(file, "mean"), *key)
         except InputError as error:
             skipped.append(Skipped(relative, str(error)))
             continue

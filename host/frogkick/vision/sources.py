@@ -122,7 +122,7 @@ def stream_frames(url: str) -> Iterator[Frame]:
 
 
 def _live(pictures: Iterable[tuple[Image | None, float]], what: str, hint: str) -> Iterator[Frame]:
-    """Frames of pictures and their times; None where there are no more. Refuses a camera that freezes."""
+    """Frames of pictures and their times; None if there are no more. Refuses a camera that freezes."""
     same, last = 0, None
     for sequence, (picture, capture_s) in enumerate(pictures):
         if picture is None:

@@ -66,7 +66,6 @@ class Fit:
         contrast: white minus black, grey levels.
         residual: standard deviation of the residuals over the contrast.
         worst_cell: largest part of a flip of a printed cell: 0 as printed, 1 wrong.
-        moved_px: largest move of a corner in the last step.
     """
 
     corners_px: Array
@@ -74,7 +73,6 @@ class Fit:
     contrast: float
     residual: float
     worst_cell: float
-    moved_px: float
 
 
 @cache
@@ -223,7 +221,7 @@ def fit_template(
     shared = max(1.0, (float(np.ptp(which.corners[:, 0])) / max(side_px, 1.0)) ** 2)
     jacobian = _jacobian(home, which.corners)
     covariance = jacobian @ unit @ jacobian.T * (shared * (noise / contrast) ** 2)
-    return Fit(corners, covariance, float(contrast), noise / float(contrast), worst, last)
+    return Fit(corners, covariance, float(contrast), noise / float(contrast), worst)
 
 
 def _residual(which: Template, values: Array) -> float:

@@ -1,4 +1,4 @@
-"""What identification said of a planted world, held against what was planted."""
+"""Judges a verdict of identification by the effects that were planted in the world."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class Result:
         cpu_s: of identification.
         inside, parameters: planted parameters of effects that were named: inside their intervals, and all.
         gone: share of the way from the error before to the floor that is gone, in position on the test run;
-            None where there is no way.
+            None if there is no way.
         draws: how often parameters were drawn until the error before was as wanted.
     """
 
@@ -55,7 +55,7 @@ class Result:
 
 
 def judged(kind: Kind, planted: Sequence[Table], outcome: Outcome, cpu_s: float) -> Result:
-    """Hold an outcome against what was planted."""
+    """Compare an outcome with the planted effects."""
     named = [recovered(table, outcome) for table in planted]
     held = [
         p.contains(float(table[p.name]))

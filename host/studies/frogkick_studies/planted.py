@@ -1,4 +1,4 @@
-"""Worlds with planted effects: nothing, one of the catalogue, two, one from outside of it, or laws."""
+"""Worlds with planted effects: none, one of the catalogue, two, one from outside the catalogue, or laws."""
 
 from __future__ import annotations
 

@@ -289,12 +289,12 @@ def drawn(draws: Sequence[Draw], rng: np.random.Generator) -> list[Table]:
 
 
 TAUT_LEAST, FIRED_LEAST, EACH_SIDE = 10, 20, 5
-"""What runs to learn from must hold: periods with a cable taut, strokes of a limb that misfires, and strokes
+"""What training runs must contain: periods with a cable taut, strokes of a limb that misfires, and strokes
 on each side of a break, or beside another limb's and alone."""
 
 
 def enough_of(tables: Sequence[Table], swims: Sequence[Segments], limbs: Sequence[str]) -> bool:
-    """Whether runs hold enough of what is planted for anybody to tell what it is.
+    """Whether runs contain enough of the planted effects to identify them.
 
     Args:
         tables: what is planted.

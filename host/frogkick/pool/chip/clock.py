@@ -73,7 +73,7 @@ class Ficr(Peripheral):
     REGISTERS = [Register("ERRATUM_31", 0x244, "r"), Register("ERRATUM_108", 0x258, "r")]
 
     def __init__(self, system: System, name: str, base: int) -> None:
-        """Any values, with bits in them that are not to be copied."""
+        """Arbitrary values, which include bits that the start-up code must not copy."""
         super().__init__(system, name, base)
         self.values |= {"ERRATUM_31": 0x1234_BFFF, "ERRATUM_108": 0xFFFF_FFCA}
 
@@ -141,7 +141,7 @@ class Rng(Peripheral):
         self._next = system.scheduler.add(self._make)
 
     def on_write(self, name: str, value: int) -> None:
-        """Only with bias correction are the bytes of use."""
+        """Refuse to run without bias correction, whose bytes the firmware needs."""
         self.allow(name, value, (_DERCEN,))
         self.values[name] = value
 

@@ -161,7 +161,7 @@ class Decoded:
         jumps: whether the next instruction may be elsewhere.
         written: registers that it writes.
         floats_read: registers that it reads, with the single ones that a double one is made of.
-        address: registers that it needs for an address; None where it has none.
+        address: registers that it needs for an address; None if it has none.
         gives_float, loads: a float result; a load or store of any kind.
         first, second: a load that others may follow within its time; a single load or store that may follow.
     """

@@ -102,7 +102,7 @@ class Uarte(Peripheral):
         self._expect()
 
     def take_wire(self, before: Uarte) -> None:
-        """After a reset: what is on the wire comes on, and what went out before is still told."""
+        """After a reset: bytes on the wire still arrive, and bytes sent before are still reported."""
         self._arriving, self._line_free_cycle = before._arriving, before._line_free_cycle
         self.transmitted, self.bytes_lost = before.transmitted, before.bytes_lost
         self._expect()

@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from frogkick.core.poses import body_from_world
+
 Float64 = NDArray[np.float64]
 
 
@@ -15,8 +17,7 @@ def forward_speed(
     rows = np.flatnonzero(usable)
     start, end = time_s[rows[:-1]], time_s[rows[1:]]
     step = np.diff(pose[rows], axis=0)
-    heading = pose[rows[1:], 2]
-    along = step[:, 0] * np.cos(heading) + step[:, 1] * np.sin(heading)
+    along = body_from_world(pose[rows[1:], 2], step)[:, 0]
     return start, end, along / np.maximum(end - start, 1e-3)
 
 

@@ -1,10 +1,10 @@
-"""What runs answer to pushes, flows, weaker strokes and fixes that are off, simulated once for all laws.
+"""Responses of the residuals to small forces, flows, weaker strokes and wrong fixes, made once for all laws.
 
-To first order a period's residual is the sum of its answers: to a force, a torque or a flow in each third of
-it, to each of its strokes and of those before being weaker, and to each fix that is off. The first are
-simulated, by pulses in one third of every period, and by limbs that are a little weaker, much weaker, or do
-nothing in every LAGS-th period. Fixes act through the filter alone, whose gains do not depend on what they
-say, so their answers are computed.
+To first order, the residual of a period is the sum of its responses: to a force, a torque or a flow in each
+third of the period, to a weaker stroke in it or in one of the periods before, and to an error of each fix.
+The responses to the first two are simulated: a force or a flow acts in one third of every period, and a limb
+is a little weaker, much weaker or idle in every LAGS-th period. Fixes act through the filter alone, whose
+gains do not depend on the values of the fixes, so the responses to them are computed without a simulation.
 """
 
 from __future__ import annotations
@@ -34,21 +34,22 @@ Values = Mapping[str, FloatArray | float]
 
 THIRDS = 3
 LAGS = 5
-"""Periods, its own and those before, whose strokes a residual answers to: fixes tell the velocity at a start
-only in part. Forces act on and on: there the answer to one in every period is closer."""
+"""A residual depends on the strokes of this many periods, its own and those before, because the fixes
+determine the velocity at a period's start only in part. Forces act without a break, so the response to a
+force in all periods is the better approximation."""
 PUSHES = (1e-3, 1e-3, 2e-5)
-"""Forward, left (N) and counter-clockwise (N m): small beside what a stroke does."""
+"""Simulated force forward, left (N) and torque counter-clockwise (N m): small compared with a stroke."""
 FLOW_MPS = 2e-3
 LOSSES = (0.15, 0.45, 0.75, 1.0)
-"""Losses of a stroke's gain whose answers are simulated: a limb that is much weaker pushes another way."""
+"""Simulated losses of a stroke's gain. Several, because a much weaker limb pushes in another direction."""
 LEG_S = 0.12
-"""How often pulses and flows are asked while answers are simulated."""
+"""Time between evaluations of forces and flows while responses are simulated."""
 BESIDE_S = 0.15
-"""A velocity is told from fixes so long before and after."""
+"""A velocity is estimated from the poses this long before and after."""
 FADED = 1e-4
-"""What a phase answers to a fix is left out below."""
+"""Responses to a fix below this are set to zero."""
 GLIDE_S = 1.0
-"""Time in which a correction of the velocity dies down, by drag."""
+"""Time constant with which a correction of the velocity decays by drag."""
 
 
 class _Push(Effect):
@@ -72,9 +73,9 @@ class _Stream(Effect):
 
 
 class Weaker(Effect):
-    """A limb that straightens by less: what wears counts, and more would answer otherwise than less.
+    """A limb that straightens less, in every stroke or, if a run is given, in every LAGS-th period of it.
 
-    In every stroke, or where a run is given in those of every LAGS-th period.
+    A loss is simulated and not a gain, because limbs wear; the response to more would differ.
     """
 
     def __init__(self, limb: int, loss: float, swim: Segments | None = None, turn: int = 0) -> None:
@@ -89,12 +90,12 @@ class Weaker(Effect):
 
 
 def _period(starts: FloatArray, time_s: float) -> int:
-    """The period that a time is in; -1 before the first one."""
+    """Index of the period that contains a time; -1 before the first one."""
     return int(np.searchsorted(starts, time_s + 1e-6, side="right")) - 1
 
 
 def _thirds(swim: Segments, third: int) -> Callable[[float], bool]:
-    """Whether a time is in one third of a period."""
+    """Return a function that says whether a time is in that third of any period."""
     starts = np.asarray(swim.start_s)
 
     def on(time_s: float) -> bool:
@@ -108,23 +109,25 @@ def _thirds(swim: Segments, third: int) -> Callable[[float], bool]:
 
 
 @dataclass(frozen=True, eq=False)
-class Answers:
-    """What periods answer, and where the robot was then, by its fixes.
+class Responses:
+    """Responses of the residuals, and the robot's state at the same times, estimated from its fixes.
 
-    n periods that count of m, l limbs, f fixes.
+    There are m periods, n of which are used, l limbs and f fixes.
 
     Attributes:
-        wrench: (n, 9, 3, 3) of each residual by force forward, left (N) and torque (N m) in each third.
-        flow: (n, 9, 3, 2) by the water's velocity, world frame (m/s), in each third.
-        lost: (n, 9, LAGS, l, 4) change of each residual where a limb's gain is less by each of LOSSES, in
-            the period itself and in those before it.
-        source: (n, LAGS) which of the m periods these are; -1 for none.
-        fix: (3 n, f) of each phase's residual by each fix's place, and by its heading; world frame, sparse.
-        heading: (n,) at each period's start.
-        bodies: the names that laws on wrenches and flows use -> (n, 3) their values.
-        strokes: those of laws on strokes -> (m, l) their values; not a number where a limb did not fire.
-        fixes: those of laws on fixes -> (f,) their values.
-        rates: (f, 3) velocity at each fix, world frame.
+        wrench: (n, 9, 3, 3) derivative of each residual by the force forward, left (N) and the torque (N m)
+            in each third.
+        flow: (n, 9, 3, 2) derivative by the water's velocity in each third, world frame (m/s).
+        lost: (n, 9, LAGS, l, 4) change of each residual if a limb's gain is less by each of LOSSES, in the
+            period itself and in those before it.
+        source: (n, LAGS) indices of these periods among all m; -1 for none.
+        fix: two sparse (3 n, f) matrices: derivative of each phase's residual by the position of each fix,
+            and by its heading; world frame.
+        heading: (n,) heading at each period's start, rad.
+        bodies: variable of laws on wrenches and flows -> (n, 3) its values in each third.
+        strokes: variable of laws on strokes -> (m, l) its values; NaN if a limb did not fire.
+        fixes: variable of laws on fixes -> (f,) its values.
+        rates: (f, 3) velocity at each fix, world frame (m/s, m/s, rad/s).
     """
 
     wrench: FloatArray
@@ -140,12 +143,12 @@ class Answers:
 
     @property
     def idle(self) -> FloatArray:
-        """(n, 9, l) change of each residual where a limb does nothing, now and before."""
+        """(n, 9, l) change of each residual if a limb does nothing in the period and in those before."""
         return np.asarray(self.lost[..., -1].sum(axis=2))
 
     @property
     def fired(self) -> Values:
-        """The values of ``strokes`` in the n periods that count."""
+        """The values of ``strokes`` in the n periods that are used."""
         own = self.source[:, 0]
         return {
             name: values if isinstance(values, float) else values[own]
@@ -153,11 +156,11 @@ class Answers:
         }
 
     def to(self, law: Law, parameters: Values, limbs: Sequence[str]) -> FloatArray:
-        """(n, 9) the residuals' answer to a law.
+        """(n, 9) response of the residuals to a law.
 
         Args:
             law: the law.
-            parameters: its values, instead of its own.
+            parameters: values that replace those of the law.
             limbs: names of the robot's limbs.
         """
         shape = np.shape(self.bodies["x_m"])
@@ -167,8 +170,8 @@ class Answers:
                 _finite(given.get(key, 0.0), *shape)
                 for key in ("forward_n", "left_n", "x_n", "y_n", "torque_nm")
             )
-            c, s = np.cos(self.bodies["heading_rad"]), np.sin(self.bodies["heading_rad"])
-            push = np.stack([forward + c * x + s * y, left + c * y - s * x, torque], axis=2)
+            turned = body_from_world(self.bodies["heading_rad"], np.stack([x, y, torque], axis=2))
+            push = turned + np.stack([forward, left, np.zeros(shape)], axis=2)
             return np.asarray(np.einsum("nita,nta->ni", self.wrench, push))
         if law.on == "flow":
             given = law.over({**self.bodies, **parameters})
@@ -189,7 +192,7 @@ class Answers:
             _finite(given.get(key, 0.0), len(self.rates)) for key in ("x_m", "y_m", "heading_rad", "delay_s")
         )
         shown = np.stack([x, y, turn], axis=1) - delay[:, None] * self.rates
-        # What a law adds to the fixes that are expected is missing in fix minus expectation.
+        # A residual is fix minus prediction, so what a law adds to the predicted fixes is subtracted.
         left = np.empty((len(self.heading), 3, 3))
         left[:, :, :2] = -(self.fix[0] @ shown[:, :2]).reshape(-1, 3, 2)
         left[:, :, 2] = -(self.fix[1] @ shown[:, 2]).reshape(-1, 3)
@@ -199,7 +202,7 @@ class Answers:
 
 
 def _between_losses(loss: FloatArray) -> FloatArray:
-    """(..., 4) weights of the answers to LOSSES that give the answer to a loss: linear between them."""
+    """(..., 4) weights that interpolate the responses to LOSSES linearly at a loss."""
     first, *_ = LOSSES
     inside = np.clip(loss, first, LOSSES[-1])
     weights = [np.interp(inside, LOSSES, row) for row in np.eye(len(LOSSES))]
@@ -212,13 +215,13 @@ def _finite(values: FloatArray | float, *shape: int) -> FloatArray:
     return np.where(np.isfinite(whole), whole, 0.0)
 
 
-def answers_of(nominal: Fitted, swims: Sequence[Segments], rows: NDArray[np.bool_]) -> Answers:
-    """Simulate what the runs answer to pushes, flows and weaker strokes; see Answers.
+def responses_of(nominal: Fitted, swims: Sequence[Segments], rows: NDArray[np.bool_]) -> Responses:
+    """Simulate the responses of runs to forces, flows and weaker strokes, and compute those to fixes.
 
     Args:
         nominal: the model, with its rollouts of the runs.
         swims: the runs.
-        rows: which of all their periods count.
+        rows: (m,) whether each of their periods is used.
     """
     model = nominal.model
     count = len(model.robot.limbs)
@@ -240,9 +243,9 @@ def answers_of(nominal: Fitted, swims: Sequence[Segments], rows: NDArray[np.bool
         sizes.append(1.0)
     every = [residuals_of(each, rows) for each in rollouts_with(model, kinds, swims)]
     columns = np.stack([moved - every[0] for moved in every[1:]], axis=2) / np.array(sizes)
-    columns[(np.abs(columns).max(axis=(1, 2)) > 1e4)] = 0.0  # lost
+    columns[(np.abs(columns).max(axis=(1, 2)) > 1e4)] = 0.0  # a simulation diverged
     n, pushes, flows = len(columns), THIRDS * 3, THIRDS * 2
-    # What was done in the turn of a period acts on it at once; in the turn before, one period later.
+    # A stroke that is weakened in a period's own turn changes that period; in the turn before, the next one.
     order = np.concatenate([np.arange(len(swim.start_s)) for swim in swims])[rows][:, None]
     lags = np.arange(LAGS)
     lost = columns[:, :, pushes + flows :].reshape(n, 9, LAGS, count, len(LOSSES))
@@ -252,7 +255,7 @@ def answers_of(nominal: Fitted, swims: Sequence[Segments], rows: NDArray[np.bool
     times = np.concatenate([swim.time_s for swim in swims])
     poses = np.concatenate([swim.pose for swim in swims])
     named = dict(zip(("x_m", "y_m", "heading_rad"), poses.T, strict=True))
-    return Answers(
+    return Responses(
         columns[:, :, :pushes].reshape(n, 9, THIRDS, 3),
         columns[:, :, pushes : pushes + flows].reshape(n, 9, THIRDS, 2),
         lost,
@@ -269,11 +272,11 @@ def answers_of(nominal: Fitted, swims: Sequence[Segments], rows: NDArray[np.bool
 def rollouts_with(
     model: Model, effects: Sequence[Sequence[Effect]], swims: Sequence[Segments]
 ) -> list[list[Rollout]]:
-    """Rollouts of the runs by a model, and with each of k effects beside it; simulated coarsely.
+    """Rollouts of runs by a model alone, and with each of k additional effects; simulated coarsely.
 
     Args:
-        model: beside which they act.
-        effects: for each run its own k effects.
+        model: the model.
+        effects: for each run its k additional effects.
         swims: the runs.
     """
     bare = replace(model, robot=coarsened(model.robot), leg_s=LEG_S, step_s=COARSE_STEP_S)
@@ -286,7 +289,7 @@ def rollouts_with(
 
 
 def _rates(swim: Segments, at_s: FloatArray) -> FloatArray:
-    """(k, 3) velocities at times by the fixes beside them, world frame."""
+    """(k, 3) velocities at times, from the fixes around them; world frame."""
     before, after = (
         np.column_stack([np.interp(at_s + beside, swim.time_s, swim.pose[:, axis]) for axis in range(3)])
         for beside in (-BESIDE_S, BESIDE_S)
@@ -295,13 +298,12 @@ def _rates(swim: Segments, at_s: FloatArray) -> FloatArray:
 
 
 def _seen_at(swim: Segments, at_s: FloatArray) -> dict[str, FloatArray]:
-    """The robot at times, by its fixes, under the names that laws use."""
+    """State of the robot at times, estimated from its fixes: variable of laws -> (k,) values."""
     x, y, heading = (np.interp(at_s, swim.time_s, swim.pose[:, axis]) for axis in range(3))
-    vx, vy, turn = _rates(swim, at_s).T
-    c, s = np.cos(heading), np.sin(heading)
+    forward, left, turn = body_from_world(heading, _rates(swim, at_s)).T
     return {
         "time_s": at_s, "x_m": x, "y_m": y, "heading_rad": heading,
-        "forward_mps": c * vx + s * vy, "left_mps": c * vy - s * vx, "turn_radps": turn,
+        "forward_mps": forward, "left_mps": left, "turn_radps": turn,
     }  # fmt: skip
 
 
@@ -343,7 +345,7 @@ def _strokes(swims: Sequence[Segments], robot: Robot) -> Values:
 
 
 def fired_strokes(swim: Segments, limbs: int) -> FloatArray:
-    """(m, l) when each limb fired first in each period; not a number where it did not."""
+    """(m, l) time of each limb's first stroke in each period, s; NaN if it did not fire."""
     found = np.full((len(swim.start_s), limbs), np.nan)
     for period, limb, time_s, _ in _fired(swim, limbs):
         found[period, limb] = time_s
@@ -351,7 +353,7 @@ def fired_strokes(swim: Segments, limbs: int) -> FloatArray:
 
 
 def _fired(swim: Segments, limbs: int) -> Iterator[tuple[int, int, float, History]]:
-    """Each period's first stroke of each limb: period, limb, time, strokes before."""
+    """Yield each limb's first stroke in each period: period, limb, time, history of strokes."""
     for period, (start_s, end_s) in enumerate(zip(swim.start_s, swim.end_s, strict=True)):
         known: set[int] = set()
         for k, (time_s, limb) in enumerate(swim.strokes):
@@ -361,8 +363,7 @@ def _fired(swim: Segments, limbs: int) -> Iterator[tuple[int, int, float, Histor
 
 
 def _joined(parts: Sequence[FloatArray], rows: NDArray[np.bool_]) -> Any:
-    """(3 n, f) sparse matrix of what (m, 3, f) phases of each run answer: a fix acts in its own run, and soon
-    after."""
+    """Join (m, 3, f) responses of each run to a sparse (3 n, f) matrix; a fix acts in its own run only."""
     from scipy import sparse
 
     kept = [
@@ -373,9 +374,9 @@ def _joined(parts: Sequence[FloatArray], rows: NDArray[np.bool_]) -> Any:
 
 
 def _filtered(model: Model, swim: Segments, axis: int) -> FloatArray:
-    """(m, 3, f) of each period's phases by each fix of a run, along one axis: through the filter.
+    """(m, 3, f) response of each phase to each fix of a run along one axis, through the Kalman filter.
 
-    A trajectory that is moved stays moved; a velocity that is changed dies down within GLIDE_S.
+    A shift of the trajectory persists; a change of its velocity decays with GLIDE_S.
     """
     fix, idle, actuated = (float(each[axis]) for each in model.noise.per_axis())
     times, count = swim.time_s, len(swim.time_s)
@@ -383,7 +384,7 @@ def _filtered(model: Model, swim: Segments, axis: int) -> FloatArray:
     found = np.zeros((len(swim.start_s), 3, count))
     first = int(np.searchsorted(times, swim.begin_s))
     shift, rate, at_s = np.zeros(count), np.zeros(count), swim.begin_s
-    shift[min(first, count - 1)] = 1.0  # a simulation begins where the first fix says
+    shift[min(first, count - 1)] = 1.0  # a simulation begins at the first fix
     before = shift, rate, at_s
     p0, p1, p2, now_s = 4.0 * fix, 0.0, initial_rate_std(swim.rest_rate)[axis] ** 2, swim.begin_s
     now_act = float(np.interp(now_s, *swim.actuated_s))
@@ -409,7 +410,7 @@ def _filtered(model: Model, swim: Segments, axis: int) -> FloatArray:
                 now_s, now_act = time_s, act
             if time_s >= at_s:
                 gap = -moved(now, time_s)
-            else:  # it came late: what was corrected since counts
+            else:  # it arrived late: corrections since then are included
                 gap = -(moved(before, time_s) + shift - moved(before, at_s) + (time_s - at_s) * rate)
             gap[first] += 1.0
             variance = p0 + fix

@@ -73,7 +73,8 @@ def test_the_first_lines_say_where_it_comes_from(emitted: Path) -> None:
         assert "table image format 2, kind nearest" in head
         assert f"library SHA-256 {provenance}" in head
         assert "robot frog2022, " in head
-        settings = "500.0f,50.0f,300.0f,0.300000012f,0.0f,0.0f,0.0f,0.0f,1,0,0"
+        weights = "500.0f,50.0f,300.0f,0.300000012f,0.0f,0.0f,0.0f,0.0f,0.0f,0.0f"
+        settings = f"{weights},-1000.0f,1000.0f,-1000.0f,1000.0f,1,0,0"
         assert re.search(rf"configuration SHA-256 [0-9a-f]{{64}} \({re.escape(settings)}\)", head)
         assert f"command: {COMMAND}" in head
         assert f"flash: {len(IMAGE)} bytes of table" in head
@@ -194,7 +195,7 @@ def test_a_bad_image_leaves_nothing_behind(tmp_path: Path) -> None:
     [
         (PlanConfig(depth=5), "depth is 5"),
         (PlanConfig(angle_weight_per_rad=-1.0), "weights are"),
-        (PlanConfig(turn_lead=2.1), "the last: 2"),
+        (PlanConfig(turn_lead=2.1), "turn_lead 2"),
         (PlanConfig(cost=2), "cost is 2"),
         (PlanConfig(transitions_max=-1), "transitions_max is -1"),
     ],

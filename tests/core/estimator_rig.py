@@ -316,7 +316,9 @@ def swim(
     return Swim(starts_us, actions, np.array(truth), fixes)
 
 
-def follow(given: Swim, fixes: list[tuple[int, int, Pose, int]], made: CEstimator | None = None) -> Any:
+def follow(
+    given: Swim, fixes: list[tuple[int, int, Pose, int]], made: CEstimator | Twin | None = None
+) -> Any:
     """Errors (n, 6) at the decisions; fixes as (arrival, capture, pose, sequence)."""
     estimator = CEstimator() if made is None else made
     waiting, errors = sorted(fixes, key=lambda row: row[0]), []
@@ -324,8 +326,8 @@ def follow(given: Swim, fixes: list[tuple[int, int, Pose, int]], made: CEstimato
         while waiting and waiting[0][0] <= start_us:
             _, capture_us, pose, sequence = waiting.pop(0)
             estimator.add(capture_us, pose, sequence)
-        if estimator.at(start_us) is not None:
-            error = estimator.state(start_us) - given.truth[index]
+        if (found := estimator.at(start_us)) is not None:
+            error = np.frombuffer(found[0], dtype=np.float32).astype(np.float64) - given.truth[index]
             error[2] = np.angle(np.exp(1j * error[2]))
             errors.append(error)
         estimator.act(start_us, given.actions[index])

@@ -7,15 +7,32 @@ from functools import cache
 import numpy as np
 import pytest
 from tests.conftest import count, some
-from tests.core.core import FFI, STATUS, cases, library, mutated
-from tests.core.estimator_rig import ESTIMATOR_BYTES_MAX, CEstimator, Twin, answers, stream
+from tests.core.core import FFI, PERIOD_US, RESTING, STATUS, cases, library, mutated
+from tests.core.estimator_rig import (
+    ESTIMATOR_BYTES_MAX,
+    CEstimator,
+    Twin,
+    answers,
+    follow,
+    on_time,
+    stream,
+    swim,
+)
+
+from frogkick.estimator.wear import ON
+
+WEAR_FLOATS = 28 + 7 + 3 + 4
+"""What is learned of four limbs: the sums, the current, the shares."""
+
+RARE = (134, 254)
+"""Lives in which a current is not believed, because limbs would then have lost less than nothing."""
 
 
 def test_the_twin_gives_the_same_bits() -> None:
     lives = cases(10_000, 200_000, 500)
     seen: dict[object, int] = {}
     restarts = 0
-    for seed in range(lives):
+    for seed in (*range(lives), *RARE):
         life = stream(seed)
         ours, theirs = answers(life, CEstimator(life.table)), answers(life, Twin(life.table))
         assert ours == theirs, f"replay with answers(stream({seed}), ...)"
@@ -109,6 +126,22 @@ def test_limbs_that_have_lost_much_are_learned_in_these_lives() -> None:
             named += bool(wear.codes.any())
             unnamed += not wear.codes.any()
     assert named > (named + unnamed) // 4
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, 30.0])
+def test_what_is_no_place_teaches_nothing_of_limbs(value: float) -> None:
+    """The pose at a period's end is no number, or metres from where it can be."""
+    given = swim(3, 4, kick=0.0, name="worn")
+    ours, theirs = CEstimator("worn"), Twin("worn")
+    for made in (ours, theirs):
+        made.learn(ON)
+        follow(given, on_time(given), made)
+        made.at(given.starts_us[-1] + PERIOD_US)
+        made.spoil(0, value)
+        before = made.inside()[0][-4 * WEAR_FLOATS :]
+        made.act(given.starts_us[-1] + PERIOD_US, RESTING)
+        assert made.inside()[0][-4 * WEAR_FLOATS :] == before
+    assert ours.inside() == theirs.inside()
 
 
 def test_it_is_small() -> None:

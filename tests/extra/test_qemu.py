@@ -61,7 +61,7 @@ def cases_header(cases: Cases, config: PlanConfig) -> str:
 #define FK_CASE_POINTS {path.shape[1]}u
 #define FK_CASE_COST {int(config.cost)}u
 #define FK_CASE_TRANSITIONS_MAX {config.transitions_max}u
-static const uint32_t fk_case_weights[8] = {{{weights}}};
+static const uint32_t fk_case_weights[] = {{{weights}}};
 static const uint32_t fk_case_path[3][FK_CASE_POINTS] = {{
 {rows(path)}
 }};

@@ -60,12 +60,12 @@ def test_a_fit_without_measured_values_starts_from_nominal_ones(monkeypatch: pyt
     _, rows, nominal = nominal_fit(swims, robot())
     begun: list[tuple[list[float], frozenset[int], int]] = []
 
-    def run(self: module._GaussNewton, _steps_max: int) -> Model:
+    def run(self: module.GaussNewton, _steps_max: int) -> Model:
         periods = sum(len(swim.start_s) for swim in self.swims)
         begun.append((self.model.values.tolist(), self.model.fixed, periods))
         return self.model
 
-    monkeypatch.setattr(module._GaussNewton, "run", run)
+    monkeypatch.setattr(module.GaussNewton, "run", run)
     monkeypatch.setattr(module, "PART", 4)
     terms = calibrated_starts(load_robot("frog2022"))["frog2022-measured"]
     measured = [value for term in terms for value in term.values]
@@ -95,7 +95,7 @@ def test_a_relative_must_beat_nominal_at_its_best_noise(monkeypatch: pytest.Monk
     (fitted,) = derivatives([sure], swims, rows)
     idle = next(each for each in catalogue(robot()) if each.title == "steady_wrench")
     monkeypatch.setattr(module, "START_GAIN", -1e6)  # only what comes after the descent is asked
-    monkeypatch.setattr(module._GaussNewton, "run", lambda descent, *_steps_max: descent.model)
+    monkeypatch.setattr(module.GaussNewton, "run", lambda descent, *_steps_max: descent.model)
     assert end_deviance(fitted.rollouts, swims) - best_end_deviance(fitted, swims) > EFFECT_PENALTY
     assert refitted(fitted, [idle], swims, rows) is None
 

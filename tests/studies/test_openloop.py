@@ -144,13 +144,6 @@ def test_effects_of_a_robot_act_on_its_gaits() -> None:
     assert [s.speed_mps for s in swum if isinstance(s, GaitSwim)] == speeds([PLANTED], gaits)
 
 
-def test_limbs_take_along_what_a_plate_of_their_height_does() -> None:
-    limb = changed_robot(ROBOT, [make_effect({"name": "limb_water", "added": 33.0}, Path())]).limbs[0]
-    plate = ROBOT.water_density_kg_per_m3 * math.pi / 4.0 * limb.drag_width_m**2
-    assert limb.added_mass_per_length_kg_per_m == pytest.approx(plate, rel=0.01)
-    assert limb.mass_per_length_kg_per_m == ROBOT.limbs[0].mass_per_length_kg_per_m
-
-
 def test_values_stay_within_their_bounds() -> None:
     for row in fits.CANDIDATES:
         for free in row:

@@ -28,6 +28,7 @@ STUDY_COMMANDS = {
     "foresight": ("study", "Compute the offline bound: how near a path any plan stays."),
     "verdicts": ("study", "Put synthetic effects in pools and identify them from logs."),
     "wake": ("study", "Predict the speed over phase offset by the strokes' wakes."),
+    "water": ("study", "Judge theory's added mass and inertia by swims and recorded runs."),
     "openloop": ("study", "Fit effects to some measured swims and predict the others."),
     "heldout": ("study", "Cross-validate: predict each run from all other runs."),
     "convergence": ("study", "Measure the error of the rods against their time step."),

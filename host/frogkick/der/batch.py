@@ -74,7 +74,7 @@ class _State:
         """Set the accelerations from the forces on limbs at rest."""
         active = lane_zeros((1, 2 * self.limbs + 2), self.width)
         set_accelerations(
-            self.mesh, self._workspace.edges, self.x_m, self.v_mps, active, self._water(), self.a_mps2
+            self.mesh, self._workspace, self.x_m, self.v_mps, active, self._water(), self.a_mps2
         )
 
     def _water(self) -> SimdArray:

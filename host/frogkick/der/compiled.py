@@ -21,8 +21,8 @@ def _compiled(stamp: int) -> tuple[Any, Any, Any]:
         )
 
     @kept(**BARE)
-    def set_accelerations(mesh, edges, x_m, v_mps, active, water, a_mps2):  # type: ignore[no-untyped-def]
-        stepping.set_accelerations(mesh, edges, x_m, v_mps, active, water, a_mps2)
+    def set_accelerations(mesh, workspace, x_m, v_mps, active, water, a_mps2):  # type: ignore[no-untyped-def]
+        stepping.set_accelerations(mesh, workspace, x_m, v_mps, active, water, a_mps2)
         return stamp
 
     @kept(**BARE)

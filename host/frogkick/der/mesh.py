@@ -42,6 +42,9 @@ class Mesh(NamedTuple):
         bend_curl: (b,) sign of the natural curvature that actuation reduces; 0 for bends of no limb.
         bend_column: (b,) column of its activation: 2 * its limb, or 2 * the number of limbs for none.
         force_scale_n: typical bending force of a limb, EI / length^2, the scale of residuals.
+        plate_edges: (p,) edges of limbs that take water along as plates do, see ``frogkick.der.plates``.
+        plate_kg: (p,) that water at EACH end, half of the edge's.
+        plate_shed_kg_per_m: (p,) mass per length that a tip at its second end sheds, else 0.
     """
 
     frame_nodes: int
@@ -64,6 +67,9 @@ class Mesh(NamedTuple):
     bend_curl: FloatArray
     bend_column: IntArray
     force_scale_n: float
+    plate_edges: IntArray
+    plate_kg: FloatArray
+    plate_shed_kg_per_m: FloatArray
 
 
 def _frame_points(robot: Robot) -> tuple[list[tuple[float, float]], list[int]]:
@@ -116,6 +122,7 @@ def build_mesh(robot: Robot) -> tuple[Mesh, SymbolicFactorisation]:
     bend_limb = [-1] * len(bends)
     limb_curvature: dict[int, float] = {}
     order: list[int] = []
+    plates: list[tuple[int, float, float]] = []  # edge, kg at each end, kg/m shed
     for index, limb in enumerate(robot.limbs):
         root = corners[limb.corner]
         step = limb.length_m / limb.segments
@@ -127,6 +134,10 @@ def build_mesh(robot: Robot) -> tuple[Mesh, SymbolicFactorisation]:
             angle = limb.direction_rad + (j + 0.5) * turn  # chords of an arc whose tangent starts there
             x, y = x + step * math.cos(angle), y + step * math.sin(angle)
             points.append((x, y))
+        if limb.plate_mass_per_length_kg_per_m > 0.0:
+            water = limb.plate_mass_per_length_kg_per_m
+            shed = [0.0] * (limb.segments - 1) + [water * limb.tip_shedding]
+            plates += [(len(edges) + j, 0.5 * water * step, shed[j]) for j in range(limb.segments)]
         edges += list(pairwise(nodes))
         rows += [
             (
@@ -192,5 +203,8 @@ def build_mesh(robot: Robot) -> tuple[Mesh, SymbolicFactorisation]:
         bend_curl=np.where(limb_of >= 0, np.sign(natural), 0.0),
         bend_column=2 * np.where(limb_of >= 0, limb_of, len(robot.limbs)).astype(np.int32),
         force_scale_n=float(weakest),
+        plate_edges=np.array([edge for edge, _, _ in plates], dtype=np.int32),
+        plate_kg=np.array([mass for _, mass, _ in plates], dtype=np.float64),
+        plate_shed_kg_per_m=np.array([shed for _, _, shed in plates], dtype=np.float64),
     )
     return mesh, factorise_symbolically(len(points), mesh.edge_nodes, mesh.bend_nodes, order)

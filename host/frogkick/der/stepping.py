@@ -20,6 +20,7 @@ from frogkick.core.compiled import INNER
 from frogkick.der.body import set_sums
 from frogkick.der.lanes import SimdArray, add, any_above, get, lane_zeros, put, where_above
 from frogkick.der.mesh import Mesh
+from frogkick.der.plates import add_plate_forces, add_plate_inertia
 from frogkick.der.rods import Edges, add_forces, add_stiffness, edges_of
 from frogkick.der.solve import factor, solve
 from frogkick.der.symbolic import SymbolicFactorisation
@@ -45,6 +46,7 @@ class Workspace(NamedTuple):
     v_mps: SimdArray
     v_start: SimdArray
     force_start: SimdArray
+    a_start: SimdArray
     move_m: SimdArray
     force_n: SimdArray
     diagonal: SimdArray
@@ -55,7 +57,7 @@ class Workspace(NamedTuple):
 def workspace_of(mesh: Mesh, symbolic: SymbolicFactorisation, width: int) -> Workspace:
     """Return work space for ``width`` lanes."""
     n = len(mesh.mass_kg)
-    nodal = [lane_zeros((n, 2), width) for _ in range(6)]
+    nodal = [lane_zeros((n, 2), width) for _ in range(7)]
     blocks = [
         lane_zeros(shape, width) for shape in ((n, 3), (len(symbolic.neighbour), 4), (symbolic.widest, 4))
     ]
@@ -65,7 +67,7 @@ def workspace_of(mesh: Mesh, symbolic: SymbolicFactorisation, width: int) -> Wor
 @njit(**INNER)
 def set_accelerations(
     mesh: Mesh,
-    edges: Edges,
+    workspace: Workspace,
     x_m: SimdArray,
     v_mps: SimdArray,
     active: SimdArray,
@@ -77,13 +79,37 @@ def set_accelerations(
     Args:
         active: (1, 2 * (limbs + 1)), see ``frogkick.der.rods.add_forces``, also for ``water``.
     """
+    plates = mesh.plate_edges.shape[0] > 0
     for i in range(mesh.mass_kg.shape[0]):
         for d in range(2):
             put(a_mps2, i, d, 0.0)
-    add_forces(mesh, edges, x_m, v_mps, active, np.int64(0), water, a_mps2)
+    add_forces(mesh, workspace.edges, x_m, v_mps, active, np.int64(0), water, a_mps2)
+    if plates:
+        for i in range(mesh.mass_kg.shape[0]):
+            for d in range(2):
+                put(workspace.move_m, i, d, 0.0)
+                put(workspace.a_start, i, d, 0.0)
+            put(workspace.diagonal, i, 0, mesh.mass_kg[i])
+            put(workspace.diagonal, i, 1, 0.0)
+            put(workspace.diagonal, i, 2, mesh.mass_kg[i])
+        add_plate_forces(
+            mesh, workspace.edges, x_m, v_mps, water, workspace.move_m, workspace.a_start, 0.0, a_mps2
+        )
+        add_plate_inertia(mesh, workspace.edges, v_mps, 0.0, 1.0, workspace.diagonal)
     for i in range(mesh.mass_kg.shape[0]):
-        for d in range(2):
-            put(a_mps2, i, d, get(a_mps2, i, d) / mesh.mass_kg[i])
+        if plates:
+            xx, xy, yy = (
+                get(workspace.diagonal, i, 0),
+                get(workspace.diagonal, i, 1),
+                get(workspace.diagonal, i, 2),
+            )
+            fx, fy = get(a_mps2, i, 0), get(a_mps2, i, 1)
+            whole = xx * yy - xy * xy
+            put(a_mps2, i, 0, (yy * fx - xy * fy) / whole)
+            put(a_mps2, i, 1, (xx * fy - xy * fx) / whole)
+        else:
+            for d in range(2):
+                put(a_mps2, i, d, get(a_mps2, i, d) / mesh.mass_kg[i])
 
 
 @njit(**INNER)
@@ -107,6 +133,18 @@ def set_residual(
                 workspace.force_n, i, d, get(workspace.force_start, i, d) - mass_gain * mesh.mass_kg[i] * move
             )
     add_forces(mesh, workspace.edges, workspace.x_m, workspace.v_mps, active, step, water, workspace.force_n)
+    if mesh.plate_edges.shape[0] > 0:
+        add_plate_forces(
+            mesh,
+            workspace.edges,
+            workspace.x_m,
+            workspace.v_mps,
+            water,
+            workspace.move_m,
+            workspace.a_start,
+            mass_gain,
+            workspace.force_n,
+        )
     total = 0.0 * get(workspace.force_n, 0, 0)
     for i in range(x_m.shape[0]):
         fx, fy = get(workspace.force_n, i, 0), get(workspace.force_n, i, 1)
@@ -144,6 +182,10 @@ def set_factor(
         workspace.diagonal,
         workspace.pair,
     )
+    if mesh.plate_edges.shape[0] > 0:
+        add_plate_inertia(
+            mesh, workspace.edges, workspace.v_mps, velocity_gain, mass_gain, workspace.diagonal
+        )
     factor(symbolic, workspace.diagonal, workspace.pair, workspace.scaled)
 
 
@@ -206,6 +248,7 @@ def run_steps(
                     + (EVALUATION_SHARE * (1.0 - 0.5 * GAMMA / BETA)) * (h * a),
                 )
                 inertia = mass_gain * (h * v) - (1.0 - (1.0 - ALPHA_M) * 0.5 / BETA) * a
+                put(workspace.a_start, i, d, inertia)
                 put(workspace.force_start, i, d, mesh.mass_kg[i] * inertia)
         open_ = going
         for iteration in range(MAX_ITERATIONS + 1):

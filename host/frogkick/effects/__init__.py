@@ -3,7 +3,7 @@
 from frogkick.core.poses import Fix
 from frogkick.effects.acting import Acting, ActingLanes, body_at, body_effects, changed_robot, rods_of
 from frogkick.effects.base import Body, Effect, History, Parameter, Stroke
-from frogkick.effects.body import Hull, LimbFatigue, LimbMount, LimbWater, MunkMoment
+from frogkick.effects.body import Hull, LimbFatigue, LimbMount, LimbPlate, MunkMoment
 from frogkick.effects.camera import CameraScale, FixLatency, TagOffset
 from frogkick.effects.inertia import CentreMass, OffCentreMass
 from frogkick.effects.law import Law
@@ -41,7 +41,7 @@ __all__ = [
     "LimbFatigue",
     "LimbMemory",
     "LimbMount",
-    "LimbWater",
+    "LimbPlate",
     "LimbWear",
     "MassScale",
     "MunkMoment",

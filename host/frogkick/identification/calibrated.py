@@ -84,13 +84,14 @@ def calibrated_starts(robot: Robot) -> dict[str, tuple[Term, ...]]:
         )
         if other.effects != robot.effects and plain == robot:
             found[name] = tuple(
-                _term(dict(table), effect)
+                term_of(dict(table), effect)
                 for table, effect in zip(other.effects, effects_of(other), strict=True)
             )
     return found
 
 
-def _term(table: dict[str, object], effect: Effect) -> Term:
+def term_of(table: dict[str, object], effect: Effect) -> Term:
+    """The term of an effect's table, with the values that it has there."""
     names = {parameter.name for parameter in effect.parameters}
     kept = tuple((key, value) for key, value in table.items() if key not in names)
     values = tuple(effect.value(parameter.name) for parameter in effect.parameters)
@@ -132,7 +133,7 @@ def refitted(
         return None  # a different robot
     model, steps_max = models[int(np.argmin(deviances))], STEPS_MAX
     if not measured:
-        model, steps_max = _GaussNewton(model, part_of(swims, PART)).run(PART_STEPS_MAX), WHOLE_STEPS_MAX
+        model, steps_max = GaussNewton(model, part_of(swims, PART)).run(PART_STEPS_MAX), WHOLE_STEPS_MAX
     fitted = fitted_to_ends(model, swims, rows, nominal.model.robot, steps_max)
     return fitted if end_deviance(fitted.rollouts, swims) < plain - dear else None
 
@@ -145,7 +146,7 @@ def fitted_to_ends(
     steps_max: int = WHOLE_STEPS_MAX,
 ) -> Fitted:
     """Fit a model to the ends of periods, with a coarsened frame and then with the robot's own."""
-    model = _GaussNewton(replace(begin, robot=coarsened(begin.robot)), swims).run(steps_max)
+    model = GaussNewton(replace(begin, robot=coarsened(begin.robot)), swims).run(steps_max)
     rough = derivatives([model], swims, rows)[0]
     fine = replace(model, robot=robot)
     (rollouts,) = rollouts_of([fine], swims)
@@ -201,7 +202,7 @@ def end_errors(rollout: Rollout, swim: Segments) -> FloatArray:
 
 
 @dataclass(eq=False)
-class _GaussNewton:
+class GaussNewton:
     """Damped Gauss-Newton on the ends of periods; factors are stepped in their logarithm."""
 
     model: Model
@@ -222,29 +223,43 @@ class _GaussNewton:
         plain = scaled * self.reach
         return np.where(self.is_factor, np.exp(np.where(self.is_factor, plain, 0.0)), plain)
 
+    def linearised(self) -> tuple[FloatArray, list[FloatArray], list[FloatArray], float]:
+        """Scaled values (p,); of each run residuals (n, 3) and their derivatives (n, 3, p); the deviance."""
+        at = self._scaled(self.model.values)
+        high = self._scaled(self.high)
+        step = np.where(at + 0.16 > high, -0.16, 0.16)
+        chosen = [k for k in range(len(at)) if self.free[k]]
+        moved = [at, *(at + step[k] * np.eye(len(at))[k] for k in chosen)]
+        every = rollouts_of([self.model.with_values(self._values(each)) for each in moved], self.swims)
+        residuals, derivatives = [], []
+        for run, swim in enumerate(self.swims):
+            base, *others = (end_residuals([rollouts[run]], [swim]) for rollouts in every)
+            columns = np.zeros((*base.shape, len(at)))
+            for k, other in zip(chosen, others, strict=True):
+                columns[:, :, k] = (other - base) / step[k]
+            residuals.append(base)
+            derivatives.append(columns)
+        return at, residuals, derivatives, deviance_of(np.concatenate(residuals))
+
+    def stepped(
+        self, at: FloatArray, residuals: FloatArray, derivatives: FloatArray, damping: float
+    ) -> Model:
+        """The model one damped step further from a linearisation."""
+        low, high = self._scaled(np.maximum(self.low, -1e9)), self._scaled(self.high)
+        left, rows = whiten(whitener(residuals), residuals, derivatives)
+        down = np.maximum(low - at, -2.0) * self.free
+        up = np.minimum(high - at, 2.0) * self.free
+        step = bounded_step(rows, left, np.full(len(at), damping * 0.05 * len(left)), down, up)
+        return self.model.with_values(self._values(at + step))
+
     def run(self, steps_max: int) -> Model:
         """The fitted model, after so many steps at most."""
         deviance = math.inf
         for _ in range(steps_max):
-            at = self._scaled(self.model.values)
-            low, high = self._scaled(np.maximum(self.low, -1e9)), self._scaled(self.high)
-            step = np.where(at + 0.16 > high, -0.16, 0.16)
-            chosen = [k for k in range(len(at)) if self.free[k]]
-            moved = [at, *(at + step[k] * np.eye(len(at))[k] for k in chosen)]
-            every = rollouts_of([self.model.with_values(self._values(each)) for each in moved], self.swims)
-            base = end_residuals(every[0], self.swims)
-            deviance = min(deviance, end_deviance(every[0], self.swims))
-            columns = np.zeros((*base.shape, len(at)))
-            for k, rollouts in zip(chosen, every[1:], strict=True):
-                columns[:, :, k] = (end_residuals(rollouts, self.swims) - base) / step[k]
-            left, rows = whiten(whitener(base), base, columns)
-            tries = []
-            for share in DAMPINGS:
-                damping = np.full(len(at), share * 0.05 * len(left))
-                down = np.maximum(low - at, -2.0) * self.free
-                up = np.minimum(high - at, 2.0) * self.free
-                tries.append(self._values(at + bounded_step(rows, left, damping, down, up)))
-            models = [self.model.with_values(values) for values in tries]
+            at, residuals, derivatives, now = self.linearised()
+            deviance = min(deviance, now)
+            base, columns = np.concatenate(residuals), np.concatenate(derivatives)
+            models = [self.stepped(at, base, columns, share) for share in DAMPINGS]
             deviances = [end_deviance(rollouts, self.swims) for rollouts in rollouts_of(models, self.swims)]
             best = int(np.argmin(deviances))
             if deviances[best] >= deviance - 0.5:

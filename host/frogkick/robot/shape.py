@@ -60,6 +60,8 @@ class Limb:
         root_stiffness_ratio: bending stiffness at the root over the limb's own at rest.
         mass_per_length_kg_per_m, added_mass_per_length_kg_per_m: as for the frame.
         drag_width_m, drag_normal, drag_tangential: as for the frame.
+        plate_mass_per_length_kg_per_m: water that moves with it across but not along it (effect limb_plate).
+        tip_shedding: share of its momentum that the tip leaves behind; see ``frogkick.der.plates``.
     """
 
     name: str
@@ -79,6 +81,8 @@ class Limb:
     drag_width_m: float
     drag_normal: float
     drag_tangential: float
+    plate_mass_per_length_kg_per_m: float = 0.0
+    tip_shedding: float = 0.0
 
 
 def outline_of(frame: Frame) -> FloatArray:

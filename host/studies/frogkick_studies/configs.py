@@ -271,6 +271,24 @@ class Wake(Config):
 
 
 @dataclass(frozen=True)
+class Water(Config):
+    """Judge what theory says of the water and of the frame's inertia by measured swims and recorded runs.
+
+    Each hypothesis has its values from theory. Speeds of measured swims are predicted with one factor, which
+    is fitted to the other groups. Recorded runs are predicted one period ahead, as they are found in
+    DATA_DIR/control.
+    """
+
+    data_dir: Annotated[Path, Argument(help="Folder of the paper's data: exp/, profile/, control/.")]
+    joint: Annotated[
+        bool, Option(help="Also fit a calibrated robot's effects around each (half an hour).")
+    ] = False
+    robot: str = "frog2022"
+    out: PictureOption = None
+    workers: int = 0
+
+
+@dataclass(frozen=True)
 class Heldout(Config):
     """Cross-validate identification: predict each run by the effects that all other runs show.
 
@@ -322,7 +340,7 @@ class Chip(Config):
 STUDIES: Mapping[str, type[Config]] = {
     kind.__name__.lower(): kind
     for kind in (
-        Tables, History, Estimator, Loop, Twin, Ceiling, Foresight, Verdicts, Openloop, Wake, Heldout,
+        Tables, History, Estimator, Loop, Twin, Ceiling, Foresight, Verdicts, Openloop, Wake, Water, Heldout,
         Convergence, Chip,
     )
 }  # fmt: skip

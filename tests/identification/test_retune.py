@@ -435,5 +435,5 @@ def test_bad_arguments_are_one_clear_line_each(tmp_path: Path, capsys: pytest.Ca
     values = json.loads(stdout)
     assert code == 1 and values["verdict"] == TOO_LITTLE and values["tables"] is None
     assert values["before"]["position_rmse_m"] is None
-    assert stderr.splitlines()[-1].startswith("frogkick: 4 whole periods")
+    assert stderr.splitlines()[-1].startswith("frogkick: the runs have 4 whole periods")
     assert not new.exists()

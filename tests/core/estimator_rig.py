@@ -138,7 +138,7 @@ def stream(seed: int) -> Stream:
     """Fixes with every fault, decisions, questions, gaps, a robot moved by hand, from one seed."""
     if seed % 100 == 7:
         return obedient(seed)
-    if seed % 10 == 4:
+    if seed % 40 == 14:
         return worn(seed)
     rng = np.random.default_rng(seed)
     name = str(rng.choice([name for name in IMAGES if name != "worn"], p=[0.4, 0.3, 0.1, 0.1, 0.1]))
@@ -193,7 +193,7 @@ def stream(seed: int) -> Stream:
         limit_us = pick(rng, [STALE_US, STALE_US + 1, -FUTURE_US, -FUTURE_US - 1])
         if event[0] == "fix":
             events.append((arrival_us, ("at", event[1] + limit_us, None, 0)))
-    if name == "affine":  # of any miss something is learned
+    if name == "affine" and seed % 4 == 0:  # of any miss something is learned
         switched_us = [begin_us - 1, *rng.integers(begin_us, end_us, int(rng.choice([0, 0, 3]))).tolist()]
         events += [(int(us), ("learn", 0, pick(rng, [ON, ON, HELD, OFF]), 0)) for us in switched_us]
     return Stream(name, [event for _, event in sorted(events, key=lambda row: row[0])])

@@ -28,6 +28,7 @@ from frogkick.report import identify_page, ring_page
 from frogkick.report.ring_page import write_ring_report
 from frogkick.ring import Ring, close, go_round, plant
 from frogkick.robot import load_robot
+from frogkick.runs.record import lost_of
 from frogkick.runs.runlog_file import read_run
 from frogkick.tables.image import read_image
 
@@ -108,10 +109,20 @@ def test_the_ring_closes(
     assert after < 0.5 * before and 0.3 * after < floor < before
     assert [row["periods"] for row in told["horizons"]] == [1, 2, 3, 5]
     assert told["before"]["periods"] == told["horizons"][0]["count"]
-    assert [len(closing.old), len(closing.new)] == [2, 2]
-    old, new = (closing.distance_m(runs) for runs in (closing.old, closing.new))
-    assert told["changed_robot"] == {"mean_distance_before_m": old, "mean_distance_after_m": new}
-    assert old != new
+    every = closing.old, closing.learned, closing.new
+    assert [len(runs) for runs in every] == [2, 2, 2]
+    old, learned, new = (closing.distance_m(runs) for runs in every)
+    assert told["changed_robot"] == {
+        "mean_distance_before_m": old,
+        "mean_distance_learning_m": learned,
+        "mean_distance_after_m": new,
+    }
+    assert old != new and [lost_of(run.log) is None for run in (*closing.old, *closing.learned)] == [
+        True,
+        True,
+        False,
+        False,
+    ]
     new_tables = read_image(tmp_path / "new" / "tables.fkt")
     assert new_tables.kind == "affine"
     assert library_info(tmp_path / "new" / "library.h5")["states"] == WHOLE_MIN

@@ -100,10 +100,10 @@ def glide_of(tables: Tables) -> float:
 def clearance_m(run: RunLog) -> float | None:
     """Least distance between the robot's reach and a wall, by true poses or fixes; below 0 beyond it.
 
-    None of a run without walls.
+    None of a run without walls, or without decisions.
     """
     known = run.planner
-    if not known.get("wall_weight_per_m"):
+    if not known.get("wall_weight_per_m") or not len(run.decisions):
         return None
     _, poses, _ = track_of(run)
     room = [

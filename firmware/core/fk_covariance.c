@@ -126,10 +126,7 @@ void fk_covariance_inflate(fk_covariance_t *covariance) { put_process_noise(cova
 float fk_covariance_told(const fk_covariance_t *covariance, uint32_t newest)
 {
     const float left = covariance->matrix[2u * newest][2u * newest];
-    if (left >= 0.0f && left <= (1.0f - FK_INFORMED) * covariance->predicted_variance) {
-        return left;
-    }
-    return -1.0f;
+    return (left <= (1.0f - FK_INFORMED) * covariance->predicted_variance) ? left : -1.0f;
 }
 
 void fk_covariance_adapt(fk_covariance_t *covariance, uint32_t newest, float square, float axes, float part)

@@ -64,8 +64,8 @@ void fk_covariance_marginalise(fk_covariance_t *covariance, uint32_t left);
 /* The robot was not where the track had it: the process noise may be larger than was learned. */
 void fk_covariance_inflate(fk_covariance_t *covariance);
 
-/* The variance of the newest instant's pose, where fixes told at least half of what its prediction left open; -1: they did
- * not. */
+/* The variance of the newest instant's pose, where fixes told at least half of what its prediction left open; below 0: they
+ * did not. */
 float fk_covariance_told(const fk_covariance_t *covariance, uint32_t newest);
 
 /* A period ended: its pose, on `axes` axes, came out by square (summed) from what was predicted. part: how much this

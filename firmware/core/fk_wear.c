@@ -54,7 +54,7 @@ void fk_wear_init(fk_wear_t *wear, fk_tables_t *tables, uint8_t learn)
     for (uint32_t limb = 0u; limb < FK_LIMBS_MAX; ++limb) {
         wear->lost[limb] = 0u;
     }
-    wear->learn = learn;
+    wear->learn = (tables->wear_knots > 0u) ? learn : (uint8_t)FK_LEARN_OFF;
     fk_wear_use(wear, tables);
 }
 
@@ -263,7 +263,7 @@ void fk_wear_learn(fk_wear_t *wear, fk_tables_t *tables, const fk_wear_period_t 
     float square = 0.0f;
     uint32_t next = 0u;
     const uint32_t unknowns = 3u + tables->limbs;
-    if (wear->learn != FK_LEARN_ON || tables->wear_knots == 0u || period->action >= tables->actions) {
+    if (wear->learn != FK_LEARN_ON || period->action >= tables->actions) {
         return;
     }
     rows_of(wear, tables, period, missed, row);

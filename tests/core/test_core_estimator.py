@@ -7,7 +7,7 @@ from functools import cache
 import numpy as np
 import pytest
 from tests.conftest import count, some
-from tests.core.core import FFI, PERIOD_US, RESTING, STATUS, cases, library, mutated
+from tests.core.core import ACTION_ROWS, FFI, PERIOD_US, RESTING, STATUS, cases, library, mutated
 from tests.core.estimator_rig import (
     ESTIMATOR_BYTES_MAX,
     CEstimator,
@@ -143,6 +143,17 @@ def test_what_is_no_place_teaches_nothing_of_limbs(value: float) -> None:
         before = made.inside()[0][-4 * WEAR_FLOATS :]
         made.act(given.starts_us[-1] + PERIOD_US, RESTING)
         assert made.inside()[0][-4 * WEAR_FLOATS :] == before
+    assert ours.inside() == theirs.inside()
+
+
+def test_a_period_for_which_the_table_has_no_row_teaches_nothing_of_limbs() -> None:
+    given = swim(3, 6, kick=1.0, name="worn")
+    given.actions[:] = [len(ACTION_ROWS)] * len(given.actions)
+    ours, theirs = CEstimator("worn"), Twin("worn")
+    for made in (ours, theirs):
+        made.learn(ON)
+        follow(given, on_time(given), made)
+        assert not np.frombuffer(made.inside()[0], dtype=np.float32)[-WEAR_FLOATS:].any()
     assert ours.inside() == theirs.inside()
 
 

@@ -18,6 +18,7 @@ def robot_with_store(at_us: int = AT_REST_US) -> tuple[Robot, Flash]:
     """A robot that was switched on so long ago."""
     flash = Flash(built_in=OLD)
     robot = Robot(OLD, 0)
+    robot._flash = flash  # lives as long
     robot.core.fk_robot_use_store(robot.memory, flash.store)
     robot.tick(0)
     robot.tick(at_us)

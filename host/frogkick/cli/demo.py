@@ -63,6 +63,7 @@ def _closing_lines(closing: Closing) -> list[str]:
     if closing.new:
         lines.append(
             f"worn robot: {1e3 * closing.distance_m(closing.old):.1f} mm from its paths with the old "
-            f"firmware, {1e3 * closing.distance_m(closing.new):.1f} mm with the new"
+            f"firmware, {1e3 * closing.distance_m(closing.learned):.1f} mm with it while it learned, "
+            f"{1e3 * closing.distance_m(closing.new):.1f} mm with the new"
         )
     return lines

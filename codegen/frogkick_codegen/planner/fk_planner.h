@@ -85,7 +85,7 @@ typedef struct {
     float turn_lead;             /* route: x the last turn, by which the robot turns on */
     float wall_weight_per_m;     /* route: x how far a branch's end, and where it glides to, lie beyond the walls */
     float wall_glide;            /* route: x the last motion, by which the robot glides on */
-    float wall_x_min_m;          /* route: walls, world */
+    float wall_x_min_m;          /* route: where its middle may be, world */
     float wall_x_max_m;          /* likewise */
     float wall_y_min_m;          /* likewise */
     float wall_y_max_m;          /* likewise */

@@ -76,7 +76,7 @@ class Weights:
         most=2.0,
     )] = 0.0  # fmt: skip
     wall_weight_per_m: Annotated[float, Weight(
-        "cost of each m beyond the walls; 0: there are none",
+        "cost of each m that the robot's middle goes too far; 0: there are no walls",
         "route: x how far a branch's end, and where it glides to, lie beyond the walls",
     )] = 0.0  # fmt: skip
     wall_glide: Annotated[float, Weight(
@@ -85,16 +85,19 @@ class Weights:
         most=100.0,
     )] = 0.0  # fmt: skip
     wall_x_min_m: Annotated[float, Weight(
-        "m, world: least x between the walls", "route: walls, world", most=1000.0, least=-1000.0
+        "m, world: least x of the robot's middle",
+        "route: where its middle may be, world",
+        most=1000.0,
+        least=-1000.0,
     )] = -1000.0  # fmt: skip
     wall_x_max_m: Annotated[float, Weight(
-        "m, world: largest x between the walls", "likewise", most=1000.0, least=-1000.0
+        "m, world: largest x of the robot's middle", "likewise", most=1000.0, least=-1000.0
     )] = 1000.0  # fmt: skip
     wall_y_min_m: Annotated[float, Weight(
-        "m, world: least y between the walls", "likewise", most=1000.0, least=-1000.0
+        "m, world: least y of the robot's middle", "likewise", most=1000.0, least=-1000.0
     )] = -1000.0  # fmt: skip
     wall_y_max_m: Annotated[float, Weight(
-        "m, world: largest y between the walls", "likewise", most=1000.0, least=-1000.0
+        "m, world: largest y of the robot's middle", "likewise", most=1000.0, least=-1000.0
     )] = 1000.0  # fmt: skip
 
 

@@ -85,7 +85,8 @@ def _rectangle(inside: str | Sequence[float], fixes: str | None) -> tuple[float,
 def glide_of(tables: Tables) -> float:
     """How many times as far as in a period a robot glides until it rests, by the table's own word.
 
-    What a period of rest leaves of the speed is r, fitted over all states: r + r^2 + ... = r / (1 - r).
+    What a period of rest leaves of the speed is r, fitted over all states: r + r^2 + ... = r / (1 - r). It is
+    0 for a table without an action that rests, which says nothing of it: only ends beyond a wall cost then.
     """
     resting = resting_action_of(tables)
     if resting == len(tables.actions):

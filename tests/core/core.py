@@ -205,6 +205,11 @@ class Robot:
         if heat_known:
             self.core.fk_robot_note_reset(self.memory, link_layout().reset["UNKNOWN"], self.kept)
 
+    def use_store(self, flash: Any) -> None:
+        """Tables and the key are kept there (store_rig.Flash). C holds its address, so it must live on."""
+        self._flash = flash
+        self.core.fk_robot_use_store(self.memory, flash.store)
+
     def raw(self, encoded: bytes) -> None:
         """One frame without its delimiter."""
         self.core.fk_robot_on_frame(self.memory, encoded, len(encoded), self.now_us)

@@ -7,7 +7,7 @@ import zlib
 from functools import cache
 from typing import Any
 
-from tests.core.core import FFI, core
+from tests.core.core import FFI, Robot, core, library
 from tests.planner import synthetic
 
 from frogkick.link.layout import link_layout
@@ -17,6 +17,8 @@ RECORD = 112
 PLACES = PAGE // RECORD
 JOURNAL = 2 * PAGE
 HOWS = ("not done", "done in part", "garbage")
+
+AT_REST_US = 600_000
 
 
 @cache
@@ -150,6 +152,18 @@ def wrong_images() -> dict[str, tuple[bytes, int]]:
         "a derivative beyond its range": (forged({columns_at: b"\xff\x7f"}), -33),
         "a tree axis that is none": (forged({172: b"\x03"}), -34),
     }
+
+
+def robot_with_store(
+    flash: Flash | None = None, files: dict[str, bytes] | None = None, at_us: int = AT_REST_US
+) -> tuple[Robot, Flash]:
+    """A robot that was switched on so long ago; ``files``: of a core that a test changed."""
+    flash = Flash(built_in=OLD) if flash is None else flash
+    robot = Robot(OLD, 0, None if files is None else library(files))
+    robot.use_store(flash)
+    robot.tick(0)
+    robot.tick(at_us)
+    return robot, flash
 
 
 def refusals(lib: Any = None) -> None:

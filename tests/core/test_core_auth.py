@@ -10,10 +10,10 @@ import struct
 
 import pytest
 from cobs import cobs
-from tests.core.core import FFI, SILENT_US, Robot, decode, library, mutated, strings
+from tests.core.core import FFI, SILENT_US, Robot, decode, mutated, strings
 from tests.core.log_rig import Log
-from tests.core.store_rig import NEW, OLD, Flash
-from tests.core.test_core_table_commands import AT_REST_US, begin_values, send
+from tests.core.store_rig import NEW, Flash, robot_with_store
+from tests.core.test_core_table_commands import begin_values, send
 
 from frogkick.link import auth
 from frogkick.link.frames import hello, pack_frame, pack_raw
@@ -30,18 +30,6 @@ GUARDED: dict[str, dict[str, Value]] = {
     "KEY": auth.words("key", NONE),
 }  # fmt: skip
 ROWS = {"PATH": [(0.0, 0.0, 0.0), (1.0, 0.0, 0.0)]}
-
-
-def robot_with_store(
-    flash: Flash | None = None, files: dict[str, bytes] | None = None
-) -> tuple[Robot, Flash]:
-    """Switched on, and at rest; ``files``: of a core that a test changed."""
-    flash = Flash(built_in=OLD) if flash is None else flash
-    robot = Robot(OLD, 0, None if files is None else library(files))
-    robot.core.fk_robot_use_store(robot.memory, flash.store)
-    robot.tick(0)
-    robot.tick(AT_REST_US)
-    return robot, flash
 
 
 def own(robot: Robot, key: bytes = KEY) -> str:

@@ -11,8 +11,8 @@ from tests.conftest import count, some
 from tests.core.core import ACTION, COVERAGE_DIR, FFI, Robot, cases, core, image, mutated, source_files
 from tests.core.core import library as core_library
 from tests.core.log_rig import RING_BYTES, Log, fetched, robot_with_log
-from tests.core.store_rig import NEW, OLD, crc_of
-from tests.core.test_core_table_commands import begin_values, robot_with_store, send
+from tests.core.store_rig import NEW, OLD, crc_of, robot_with_store
+from tests.core.test_core_table_commands import begin_values, send
 
 from frogkick.link.layout import Value, link_layout
 from frogkick.link.log import HEAD_BYTES, ChipLog, Record, Stretch, check_of, records_of

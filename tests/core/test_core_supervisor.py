@@ -247,7 +247,7 @@ def test_a_supply_that_falls_in_the_middle_of_a_stroke() -> None:
 def test_an_open_update_of_the_table_comes_before_the_supply() -> None:
     """ARM says why it is refused: what the host began itself first."""
     robot, flash = Robot(OLD, 0), Flash(built_in=OLD)
-    robot.core.fk_robot_use_store(robot.memory, flash.store)
+    robot.use_store(flash)
     robot.tick(600_000)
     core().fk_robot_note_supply(robot.memory, 1)
     assert robot.status("ARM") == "SUPPLY"

@@ -7,22 +7,9 @@ import struct
 
 import pytest
 from tests.core.core import Robot, decode, encode
-from tests.core.store_rig import LATER, NEW, OLD, Flash, crc_of
+from tests.core.store_rig import AT_REST_US, LATER, NEW, OLD, crc_of, robot_with_store
 
 from frogkick.link.layout import Value, link_layout
-
-AT_REST_US = 600_000
-
-
-def robot_with_store(at_us: int = AT_REST_US) -> tuple[Robot, Flash]:
-    """A robot that was switched on so long ago."""
-    flash = Flash(built_in=OLD)
-    robot = Robot(OLD, 0)
-    robot._flash = flash  # lives as long
-    robot.core.fk_robot_use_store(robot.memory, flash.store)
-    robot.tick(0)
-    robot.tick(at_us)
-    return robot, flash
 
 
 def begin_values(image: bytes) -> dict[str, Value]:
@@ -77,7 +64,7 @@ def test_nothing_is_written_unless_disarmed(state: str) -> None:
 
 
 def test_nothing_is_written_before_the_limbs_have_rested() -> None:
-    robot, flash = robot_with_store(499_999)  # since a boot that may have cut a pulse
+    robot, flash = robot_with_store(at_us=499_999)  # since a boot that may have cut a pulse
     assert robot.status("TABLE_BEGIN", begin_values(NEW)) == "STATE"
     robot.tick(600_000)
     assert robot.status("ARM") == "OK"

@@ -66,7 +66,7 @@ class LiveRobot:
         self.flash.boot()
         self.core = Robot(self.flash.image, 0)
         assert self.core.error == 0
-        self.core.core.fk_robot_use_store(self.core.memory, self.flash.store)
+        self.core.use_store(self.flash)
         self._begin_s = self.clock() - self.on_for_s
         self._received = b""
         self._next_tick_us = 0

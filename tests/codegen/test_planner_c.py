@@ -132,7 +132,11 @@ def test_every_null_pointer_is_refused_and_nothing_is_written(missing: int) -> N
 
 
 PLACES = ("wall_x_min_m", "wall_x_max_m", "wall_y_min_m", "wall_y_max_m")
-LIMITS = dict.fromkeys(WEIGHTS, 1e6) | {"turn_lead": 2.0, "wall_glide": 100.0} | dict.fromkeys(PLACES, 1000.0)
+LIMITS = (
+    dict.fromkeys(WEIGHTS, 1e6)
+    | {"turn_lead": 2.0, "glide_lead": 2.0, "wall_glide": 100.0}
+    | dict.fromkeys(PLACES, 1000.0)
+)
 REFUSED_CONFIGS = [
     ({"depth": 0}, "DEPTH"),
     ({"depth": 5}, "DEPTH"),

@@ -65,6 +65,8 @@ typedef enum {
     WEIGHT(look_ahead_m, LOOK_AHEAD_M, 0.0f, 1000000.0f) \
     WEIGHT(soft_distance_m, SOFT_DISTANCE_M, 0.0f, 1000000.0f) \
     WEIGHT(turn_lead, TURN_LEAD, 0.0f, 2.0f) \
+    WEIGHT(glide_weight_per_m, GLIDE_WEIGHT_PER_M, 0.0f, 1000000.0f) \
+    WEIGHT(glide_lead, GLIDE_LEAD, 0.0f, 2.0f) \
     WEIGHT(wall_weight_per_m, WALL_WEIGHT_PER_M, 0.0f, 1000000.0f) \
     WEIGHT(wall_glide, WALL_GLIDE, 0.0f, 100.0f) \
     WEIGHT(wall_x_min_m, WALL_X_MIN_M, -1000.0f, 1000.0f) \
@@ -83,6 +85,8 @@ typedef struct {
     float look_ahead_m;          /* route: how far along the path a branch's end points */
     float soft_distance_m;       /* route: below it, distance counts by its square */
     float turn_lead;             /* route: x the last turn, by which the robot turns on */
+    float glide_weight_per_m;    /* route: x distance from the path to which a branch's end glides */
+    float glide_lead;            /* route: x the last motion, turned on, by which a branch's end glides on */
     float wall_weight_per_m;     /* route: x how far a branch's end, and where it glides to, lie beyond the walls */
     float wall_glide;            /* route: x the last motion, by which the robot glides on */
     float wall_x_min_m;          /* route: where its middle may be, world */

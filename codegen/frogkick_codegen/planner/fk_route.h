@@ -39,6 +39,8 @@ typedef struct {
     float progress_weight_per_m;
     float look_ahead_m;
     float turn_lead;
+    float glide_weight_per_m;
+    float glide_lead;
     float wall_weight_per_m;
     float wall_glide;
     float wall_min_m[2]; /* x, y */
@@ -122,6 +124,13 @@ static inline const fk_knot_t *fk_route_nearest(const fk_route_t *route, uint32_
     return found;
 }
 
+/* Huber loss of a distance: by its square near the route, linear beyond. */
+static inline float fk_route_huber(const fk_route_t *route, float distance2_m2)
+{
+    return (distance2_m2 < route->huber2_m2) ? distance2_m2 * route->half_per_huber
+                                             : FK_SQRT(distance2_m2) - route->half_huber_m;
+}
+
 /* What a motion costs that ends at (x_m, y_m), at least 0.
  * knot, arc_m: where on the route it began; where it ends goes to *next_knot and *next_arc_m. */
 static inline float fk_route_motion_cost(const fk_route_t *route, uint32_t knot, float arc_m, float x_m, float y_m,
@@ -134,7 +143,6 @@ static inline float fk_route_motion_cost(const fk_route_t *route, uint32_t knot,
     float along_m;
     float moved_m;
     float shortfall_m;
-    float deviation_m;
 
     if ((route->ahead == 0U) && (high < FK_ROUTE_BEHIND)) {
         high = FK_ROUTE_BEHIND; /* no knot lies behind a held projection */
@@ -149,9 +157,7 @@ static inline float fk_route_motion_cost(const fk_route_t *route, uint32_t knot,
     *next_arc_m = (float)*next_knot * route->step_m + moved_m;
 
     shortfall_m = route->stroke_max_m - fk_smaller(*next_arc_m - arc_m, route->stroke_max_m);
-    deviation_m = (distance2_m2 < route->huber2_m2) ? distance2_m2 * route->half_per_huber
-                                             : FK_SQRT(distance2_m2) - route->half_huber_m;
-    return route->distance_weight_per_m * deviation_m + route->progress_weight_per_m * shortfall_m;
+    return route->distance_weight_per_m * fk_route_huber(route, distance2_m2) + route->progress_weight_per_m * shortfall_m;
 }
 
 /* What it costs to end at a position and a place of the route, pointing along (cosine, sine), at least 0: that
@@ -193,6 +199,31 @@ static inline float fk_route_wall_cost(const fk_route_t *route, float from_x_m, 
                          + fk_beyond(glide_y_m, route->wall_min_m[1], route->wall_max_m[1]);
 
     return route->wall_weight_per_m * (ends_m + glides_m);
+}
+
+/* What it costs, at least 0, where a branch's end glides to. Beside the route: it moves on and turns on as in its last
+ * motion, and that place is held against the knot as far ahead as it glides in the direction of the end's own knot.
+ * Beyond walls: fk_route_wall_cost(). */
+static inline float fk_route_glide_cost(const fk_route_t *route, uint32_t knot, float arc_m, float from_x_m,
+                                        float from_y_m, float x_m, float y_m, float turn_rad)
+{
+    const fk_knot_t *at = &route->knots[knot];
+    const float dx_m = x_m - from_x_m;
+    const float dy_m = y_m - from_y_m;
+    const float glide_x_m = route->glide_lead * (dx_m - turn_rad * dy_m);
+    const float glide_y_m = route->glide_lead * (dy_m + turn_rad * dx_m);
+    const float along_m = glide_x_m * at->direction_x + glide_y_m * at->direction_y;
+    const float steps = fk_larger(0.0f, fk_smaller((float)route->last, (arc_m + along_m) * route->steps_per_m));
+    const fk_knot_t *there = &route->knots[(uint32_t)steps];
+    const float across_m = ((y_m + glide_y_m) - there->y_m) * there->direction_x
+                         - ((x_m + glide_x_m) - there->x_m) * there->direction_y;
+    float cost;
+
+    cost = route->glide_weight_per_m * fk_route_huber(route, across_m * across_m);
+    if (route->wall_weight_per_m > 0.0f) {
+        cost = cost + fk_route_wall_cost(route, from_x_m, from_y_m, x_m, y_m);
+    }
+    return cost;
 }
 
 #endif

@@ -166,8 +166,8 @@ static int32_t fk_expand(fk_search_t *search, uint32_t level, uint32_t first_act
 
             fk_node_direction(node, &motion, route->turn_lead, &cosine, &sine);
             cost = cost + fk_route_end_cost(route, arc_m, x_m, y_m, cosine, sine);
-            if (route->wall_weight_per_m > 0.0f) {
-                cost = cost + fk_route_wall_cost(route, node->x_m, node->y_m, x_m, y_m);
+            if (fk_is_pruned(search, first_action, cost) == 0) { /* most are: what follows is saved */
+                cost = cost + fk_route_glide_cost(route, knot, arc_m, node->x_m, node->y_m, x_m, y_m, motion.turn_rad);
             }
         }
         if (fk_is_pruned(search, first_action, cost) == 0) {

@@ -75,6 +75,15 @@ class Weights:
         "route: x the last turn, by which the robot turns on",
         most=2.0,
     )] = 0.0  # fmt: skip
+    glide_weight_per_m: Annotated[float, Weight(
+        "cost of each m beside the path to which the robot glides on",
+        "route: x distance from the path to which a branch's end glides",
+    )] = 0.0  # fmt: skip
+    glide_lead: Annotated[float, Weight(
+        "how many times as far as in its last stroke a robot is taken to glide on, 0 to 2 times",
+        "route: x the last motion, turned on, by which a branch's end glides on",
+        most=2.0,
+    )] = 0.0  # fmt: skip
     wall_weight_per_m: Annotated[float, Weight(
         "cost of each m that the robot's middle goes too far; 0: there are no walls",
         "route: x how far a branch's end, and where it glides to, lie beyond the walls",

@@ -165,16 +165,8 @@ def motion_cost(search: _Search, level: int, depth: int) -> Any:
     after = search.poses[level + 1]
     if settings.cost == COST_PAPER:
         factor = _F1 + settings.level_weight * np.float32(depth - 1 - level)
-        cost = pose_cost(
-            search.path,
-            settings.distance_weight_per_m,
-            settings.angle_weight_per_rad,
-            settings.progress_weight,
-            after[0],
-            after[1],
-            after[2],
-        )
-        return cost * factor
+        weights = (settings.distance_weight_per_m, settings.angle_weight_per_rad, settings.progress_weight)
+        return pose_cost(search.path, *weights, after[0], after[1], after[2]) * factor
     low = max(0, search.knot[level] - 1)
     ahead = 0 if search.held else route.AHEAD
     high = min(max(search.knot[level], route.BEHIND if search.held else 0) + ahead, len(search.knots) - 1)
@@ -208,22 +200,6 @@ def end_cost(search: _Search, level: int, motion: Array) -> Any:
 
 
 @njit(**INNER)
-def wall_cost(search: _Search, level: int) -> Any:
-    """Return what it costs to end at a level beyond the walls, or to glide there from its last motion."""
-    settings = search.settings
-    here, before = search.poses[level], search.poses[level - 1]
-    x = here[0] + settings.wall_glide * (here[0] - before[0])
-    y = here[1] + settings.wall_glide * (here[1] - before[1])
-    ends = route.beyond(here[0], settings.wall_x_min_m, settings.wall_x_max_m) + route.beyond(
-        here[1], settings.wall_y_min_m, settings.wall_y_max_m
-    )
-    glides = route.beyond(x, settings.wall_x_min_m, settings.wall_x_max_m) + route.beyond(
-        y, settings.wall_y_min_m, settings.wall_y_max_m
-    )
-    return settings.wall_weight_per_m * (ends + glides)
-
-
-@njit(**INNER)
 def is_pruned(search: _Search, first: int, cost: Any) -> bool:
     """Whether a branch with this first action and at least this cost can no longer be the best."""
     if cost == search.best_cost[0]:
@@ -247,8 +223,14 @@ def expand(search: _Search, level: int, depth: int, first: int, action: int) -> 
         search.rows[level + 1] = find_row(search.table, after)
         return True
     cost = cost + end_cost(search, depth, search.motion)
-    if search.settings.cost == COST_ROUTE and search.settings.wall_weight_per_m > _F0:
-        cost = cost + wall_cost(search, depth)
+    if search.settings.cost == COST_ROUTE:
+        here, before = search.poses[depth], search.poses[depth - 1]
+        knot, place = search.knot[depth], search.place[depth]
+        cost = cost + route.glide_cost(
+            search.settings, search.knots, search.step, knot, place, here, before, search.motion[2]
+        )
+        if search.settings.wall_weight_per_m > _F0:
+            cost = cost + route.wall_cost(search.settings, here, before)
     if not is_pruned(search, first, cost):
         search.best_cost[0] = cost
         search.best[0] = first

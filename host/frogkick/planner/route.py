@@ -12,8 +12,10 @@ It is the twin of route.c, written from these rules:
 - Stage cost of a motion: the Huber loss of its end's distance from the route (Huber 1964; the quadratic part
   ends at ``soft_distance_m``), and the shortfall of its advance against the table's longest stroke.
 - Terminal cost of a branch: how far the robot points away from the route's place a look-ahead further on, the
-  target point of pure pursuit (Coulter 1992). Where there are walls, also how far the branch's end, and the
-  place to which the robot would glide from it, lie beyond them.
+  target point of pure pursuit (Coulter 1992). Besides, how far from the route the place lies to which the
+  robot glides on: ``glide_lead`` times its last motion further, turned by as much as it turned in that (a
+  constant-turn motion, Li & Jilkov 2003, for small angles). Where there are walls, also how far the
+  branch's end, and the place where the robot would glide to rest, lie beyond them.
 
 Every operation is float32 in the order written; ties take the lowest index.
 """
@@ -231,6 +233,42 @@ def huber(distance2: np.float32, huber_m: np.float32) -> Any:
 def beyond(at: np.float32, least: np.float32, most: np.float32) -> Any:
     """Return how far a coordinate lies beyond the walls on its axis, m."""
     return max(_F0, least - at) + max(_F0, at - most)
+
+
+@njit(**INNER)
+def glide_cost(
+    settings: Any, knots: Array, step: Any, knot: int, place: Any, here: Array, before: Array, turn: Any
+) -> Any:
+    """Return what it costs how far beside the route a branch's end glides to.
+
+    Args:
+        knot, place: of the end; metres from knot 0.
+        here, before: x, y float32 of the end, and before its last motion.
+        turn: rad, of the last motion.
+    """
+    dx, dy = here[0] - before[0], here[1] - before[1]
+    glide_x = settings.glide_lead * (dx - turn * dy)
+    glide_y = settings.glide_lead * (dy + turn * dx)
+    along = glide_x * knots[knot, 2] + glide_y * knots[knot, 3]
+    there = int(max(_F0, min(np.float32(len(knots) - 1), (place + along) * (_F1 / step))))
+    across = ((here[1] + glide_y) - knots[there, 1]) * knots[there, 2] - (
+        (here[0] + glide_x) - knots[there, 0]
+    ) * knots[there, 3]
+    return settings.glide_weight_per_m * huber(across * across, settings.soft_distance_m)
+
+
+@njit(**INNER)
+def wall_cost(settings: Any, here: Array, before: Array) -> Any:
+    """Return what it costs to end beyond the walls, or to glide there from the last motion."""
+    x = here[0] + settings.wall_glide * (here[0] - before[0])
+    y = here[1] + settings.wall_glide * (here[1] - before[1])
+    ends = beyond(here[0], settings.wall_x_min_m, settings.wall_x_max_m) + beyond(
+        here[1], settings.wall_y_min_m, settings.wall_y_max_m
+    )
+    glides = beyond(x, settings.wall_x_min_m, settings.wall_x_max_m) + beyond(
+        y, settings.wall_y_min_m, settings.wall_y_max_m
+    )
+    return settings.wall_weight_per_m * (ends + glides)
 
 
 @njit(**INNER)

@@ -179,7 +179,7 @@ def _check_config(config: PlanConfig) -> None:
     if status == kernel.ERROR_WEIGHT:
         values = config.weights().tolist()
         raise InputError(
-            f"weights are {values}, allowed is 0 to 1e6 (turn_lead, glide_lead 2, wall_glide 100; walls "
+            f"weights are {values}, allowed is 0 to 1e6 (glide_lead, turn_lead 2, wall_glide 100; walls "
             "within 1000 m): correct the planner's configuration"
         )
     if status == kernel.ERROR_COST:

@@ -47,7 +47,7 @@ STATUS_TEXT = {
     kernel.ERROR_RANGE: "the state is beyond +-1000 m or rad, the path's ends or a limb use of 32767: "
     "check the position fixes",
     kernel.ERROR_DEPTH: "the depth is not 1 to 4: choose --depth 1 to 4",
-    kernel.ERROR_WEIGHT: "a cost weight is not 0 to 1e6 (turn_lead, glide_lead: 2, wall_glide: 100; walls: "
+    kernel.ERROR_WEIGHT: "a cost weight is not 0 to 1e6 (glide_lead, turn_lead: 2, wall_glide: 100; walls: "
     "+-1000 m): correct the planner section",
     kernel.ERROR_COST: "the cost is of an unknown kind: choose paper or route",
     kernel.ERROR_PATH_COUNT: "the path does not have 2 to 100 points: resample it",

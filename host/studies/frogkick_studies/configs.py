@@ -190,6 +190,23 @@ class Foresight(Config):
 
 
 @dataclass(frozen=True)
+class Weights(Config):
+    """Tune the weights of a robot's planner on random paths, and judge them on others.
+
+    The robot moves as its table says, so this takes minutes. What it prints goes into the section [planner]
+    of the robot's file. Distances count at no less progress along the path.
+    """
+
+    tables: Path | None = None
+    model: str | None = None
+    depth: int | None = None
+    trials: Annotated[int, Option(min=1, max=100_000, help="Weights to try.")] = 200
+    paths: Annotated[int, Option(min=1, max=1000, help="Random paths to tune on.")] = 10
+    runs: Annotated[int, Option(min=1, max=1000, help="Runs along each path.")] = 4
+    seed: int = 0
+
+
+@dataclass(frozen=True)
 class Verdicts(Config):
     """Put synthetic effects in simulated pools, identify them from the runs, and count the verdicts.
 
@@ -340,8 +357,8 @@ class Chip(Config):
 STUDIES: Mapping[str, type[Config]] = {
     kind.__name__.lower(): kind
     for kind in (
-        Tables, History, Estimator, Loop, Twin, Ceiling, Foresight, Verdicts, Openloop, Wake, Water, Heldout,
-        Convergence, Chip,
+        Tables, History, Estimator, Loop, Twin, Ceiling, Foresight, Weights, Verdicts, Openloop, Wake, Water,
+        Heldout, Convergence, Chip,
     )
 }  # fmt: skip
 """Name of each study, of its command and of its module."""

@@ -1,0 +1,250 @@
+"""Weights of the planner, tuned in the table's own model on random paths and judged on others.
+
+The robot moves as its table says, plus a little noise, so a run takes milliseconds. The search is a (1+1)
+evolution strategy (Rechenberg 1973): all weights are varied by a random factor, and what scores better is
+kept. Its step grows with success and shrinks without.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from frogkick.core.errors import InputError
+from frogkick.core.progress import shown
+from frogkick.core.weights import WEIGHTS
+from frogkick.front.places import plan_config, robot_of_table, start_pose, table_image
+from frogkick.paths import Path, from_waypoints, shape
+from frogkick.planner.plan import Cost, PlanConfig, plan_batch
+from frogkick.tables.image import Tables, read_image
+from frogkick.tables.layout import LIMBS_MAX
+from frogkick_studies import Found
+from frogkick_studies.configs import Weights
+
+FloatArray = npt.NDArray[np.float64]
+
+TUNED = (
+    "distance_weight_per_m", "angle_weight_per_rad", "look_ahead_m", "soft_distance_m", "turn_lead",
+    "glide_weight_per_m", "glide_lead",
+)  # fmt: skip
+"""The weight of progress stays: it is the unit of the others."""
+LENGTH_STROKES = 15.0
+BENDS_RAD = (0.18, 0.3, 0.48, 0.72)
+"""Largest turn of a random path in one longest stroke."""
+CLOSED_STROKES = ((2.7, 1.7), (2.0, 2.0), (3.3, 2.2), (2.3, 1.5))
+"""Half axes of the closed paths that are tuned on, in longest strokes."""
+JUDGED = ("ellipse", "bends", "eight", "circle")
+"""Shapes that, besides random paths, nothing is tuned on. The sine's end is left out: no robot can follow it."""
+DECISIONS_MOST = 80
+NOISE = 0.01
+"""Of each decision: of the longest stroke (position), in radians, and twice as much of its mean speed."""
+_LOST_PROGRESS = 20.0  # what one part of progress weighs against one part of distance
+_UNFINISHED = 5.0
+
+
+@dataclass(frozen=True)
+class Swum:
+    """Runs along one path: mean distance at decisions m, progress m/s, share that came to the end."""
+
+    distance_m: float
+    progress_mps: float
+    completed: float
+
+
+def random_path(rng: np.random.Generator, stroke_m: float, bend_rad: float) -> Path:
+    """Return a smooth path of random curvature, from the origin along x.
+
+    Args:
+        stroke_m: the table's longest stroke.
+        bend_rad: largest turn in such a stroke.
+    """
+    along = np.linspace(0.0, LENGTH_STROKES, 400)
+    waves = np.arange(0.0, LENGTH_STROKES / 5.0, 0.5)
+    size, phase = rng.normal(size=len(waves)), rng.uniform(0.0, math.tau, len(waves))
+    curvature = (size * np.sin(math.tau * along[:, None] * waves / LENGTH_STROKES + phase)).sum(axis=1)
+    curvature *= bend_rad * rng.uniform(0.4, 1.0) / np.abs(curvature).max()
+    step = along[1] - along[0]
+    heading = np.cumsum(curvature) * step
+    heading -= heading[0]
+    points = np.cumsum(np.stack([np.cos(heading), np.sin(heading)], axis=1), axis=0) * (step * stroke_m)
+    return from_waypoints((points - points[0])[::8])
+
+
+def training_paths(rng: np.random.Generator, stroke_m: float, count: int) -> dict[str, Path]:
+    """Return random paths, a line, and closed ones to both sides."""
+    paths = {
+        f"random {k}": random_path(rng, stroke_m, BENDS_RAD[k % len(BENDS_RAD)]) for k in range(count)
+    } | {"line": shape("line")}
+    for k, (long, wide) in enumerate(CLOSED_STROKES):
+        angle = np.linspace(0.0, math.tau, 40) * (1 if k % 2 else -1) + k
+        points = stroke_m * np.stack([long * np.cos(angle), wide * np.sin(angle)], axis=1)
+        paths[f"closed {k}"] = from_waypoints(points)
+    return paths
+
+
+def swim(tables: Tables, path: Path, config: PlanConfig, runs: int, seed: int) -> Swum:
+    """Swim a path several times, moved by the table and a little noise.
+
+    Args:
+        runs: number of runs side by side.
+        seed: of the noise.
+    """
+    rng, period_s = np.random.default_rng(seed), tables.period_us * 1e-6
+    stroke_m, points = float(tables.stroke_max_m), len(path.x_m)
+    speed = 2.0 * NOISE * stroke_m / period_s
+    noise = np.array([NOISE * stroke_m, NOISE * stroke_m, NOISE, speed, speed, NOISE])
+    state = np.zeros((runs, 6))
+    state[:, :3] = start_pose(path)
+    use, along = np.zeros((runs, LIMBS_MAX)), np.zeros(runs)
+    decisions, live = np.full(runs, DECISIONS_MOST), np.arange(runs)
+    distances = []
+    for decision in range(DECISIONS_MOST):
+        rows = plan_batch(tables, path, config, state[live], None, use[live], along[live])
+        along[live] = rows["along_points"]
+        there = along[live] >= points - 1.001
+        decisions[live[there]] = decision
+        drawn = noise * rng.normal(size=(runs, 6))
+        distances += rows["distance_m"][~there].tolist()
+        state[live] = rows["predicted"] + drawn[live]
+        use[live] = rows["predicted_limb_use"]
+        live = live[~there]
+        if not len(live):
+            break
+    arc_m = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(path.points_m, axis=0).T))])
+    way_m = np.interp(along, np.arange(points), arc_m)
+    return Swum(
+        float(np.mean(distances)),
+        float(np.mean(way_m / (period_s * np.maximum(decisions, 1)))),
+        float(np.mean(decisions < DECISIONS_MOST)),
+    )
+
+
+def score(swum: Sequence[Swum], before: Sequence[Swum]) -> float:
+    """Return how much worse runs are than those before: 0 where alike, below 0 where they are nearer.
+
+    Distances count by their ratio, half by that of their mean and half path by path. Lost progress and runs
+    that do not come to the end count more than any distance gains; gained progress counts nothing.
+    """
+    ratio = [
+        np.log(max(a.distance_m, 1e-6) / max(b.distance_m, 1e-6)) for a, b in zip(swum, before, strict=True)
+    ]
+    mean = np.log(max(_mean_m(swum), 1e-6) / max(_mean_m(before), 1e-6))
+    faster = np.mean(
+        [
+            np.log(max(a.progress_mps, 1e-6) / max(b.progress_mps, 1e-6))
+            for a, b in zip(swum, before, strict=True)
+        ]
+    )
+    lost = np.mean([max(0.0, b.completed - a.completed) for a, b in zip(swum, before, strict=True)])
+    return float(0.5 * (mean + np.mean(ratio)) + _LOST_PROGRESS * max(0.0, -faster) + _UNFINISHED * lost)
+
+
+def _mean_m(swum: Sequence[Swum]) -> float:
+    return float(np.mean([each.distance_m for each in swum]))
+
+
+def tune(
+    judge: Callable[[PlanConfig], float],
+    config: PlanConfig,
+    trials: int,
+    rng: np.random.Generator,
+    tell: Callable[[int, int], None] = lambda _done, _all: None,
+) -> PlanConfig:
+    """Return the configuration that scores best in a number of trials; the given one is the first.
+
+    Args:
+        judge: what a configuration scores, the less the better.
+    """
+    best, found, step = judge(config), config, 0.3
+    for trial in range(trials):
+        varied = {
+            name: float(min(WEIGHTS[name].most, getattr(found, name) * math.exp(step * rng.normal())))
+            for name in TUNED
+            if rng.random() < 0.5
+        }
+        candidate = dataclasses.replace(found, **varied)
+        scored = judge(candidate)
+        if scored < best:
+            best, found, step = scored, candidate, min(0.6, 1.2 * step)
+        else:
+            step = 0.97 * step if step > 0.05 else 0.3
+        tell(trial + 1, trials)
+    return found
+
+
+@dataclass(frozen=True)
+class WeightsTuned(Found):
+    """Weights, and runs along paths that they were not tuned on.
+
+    Attributes:
+        weights: the tuned ones.
+        before, after: path -> runs with the robot's weights, and with these.
+    """
+
+    weights: dict[str, float]
+    before: dict[str, Swum]
+    after: dict[str, Swum]
+
+    def as_json(self) -> dict[str, Any]:
+        return {
+            "weights": self.weights,
+            **{
+                name: {path: dataclasses.asdict(swum) for path, swum in runs.items()}
+                for name, runs in (("before", self.before), ("after", self.after))
+            },
+        }
+
+    def text(self, values: dict[str, Any]) -> str:
+        lines = ["Paths that nothing was tuned on, by the table: distance, progress before and after."]
+        for path, before in values["before"].items():
+            after = values["after"][path]
+            lines.append(
+                f"{path:10s} {1e3 * before['distance_m']:6.2f} mm {1e3 * before['progress_mps']:5.1f} mm/s   "
+                f"{1e3 * after['distance_m']:6.2f} mm {1e3 * after['progress_mps']:5.1f} mm/s"
+            )
+        lines.append("For the section [planner] of the robot's file:")
+        return "\n".join(lines + [f"{name} = {value:.3g}" for name, value in values["weights"].items()])
+
+
+def run(config: Weights) -> WeightsTuned:
+    """Tune the weights of a robot's planner.
+
+    Raises:
+        InputError: no such table or robot, or a robot whose planner has the published cost.
+    """
+    image = table_image(config.tables, config.model)
+    robot = robot_of_table(image, config.model)
+    tables, planner = read_image(image), plan_config(robot, "robot", config.depth)
+    if planner.cost != Cost.ROUTE:
+        raise InputError(
+            f"the planner of {robot.id} has the cost 'paper', which has its own weights: choose 'route'"
+        )
+    rng, stroke_m = np.random.default_rng(config.seed), float(tables.stroke_max_m)
+    training = training_paths(rng, stroke_m, config.paths)
+    others = {name: shape(name) for name in JUDGED} | {
+        f"random {k}": random_path(rng, stroke_m, bend) for k, bend in enumerate(2 * BENDS_RAD)
+    }
+
+    def runs(paths: dict[str, Path], weights: PlanConfig) -> dict[str, Swum]:
+        return {name: swim(tables, path, weights, config.runs, config.seed) for name, path in paths.items()}
+
+    before = list(runs(training, planner).values())
+    start = planner
+    if planner.glide_weight_per_m == 0.0:
+        start = dataclasses.replace(
+            planner, glide_weight_per_m=0.3 * planner.distance_weight_per_m, glide_lead=0.8
+        )
+    with shown(True, "weights tried") as tell:
+        found = tune(
+            lambda weights: score(list(runs(training, weights).values()), before),
+            start, config.trials, rng, tell,
+        )  # fmt: skip
+    weights = {name: float(f"{getattr(found, name):.3g}") for name in TUNED}
+    found = dataclasses.replace(found, **weights)
+    return WeightsTuned(weights, runs(others, planner), runs(others, found))

@@ -1,0 +1,90 @@
+"""Weights are tuned on some paths and judged on others; what is found is never worse where it was tuned."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import tomllib
+
+import numpy as np
+import pytest
+from tests.runs import rig
+
+from frogkick.cli.main import run_command
+from frogkick.paths import shape
+from frogkick.planner.plan import PlanConfig, config_of
+from frogkick.robot import load_robot
+from frogkick_studies.weights import TUNED, Swum, random_path, score, swim, training_paths, tune
+
+CONFIG = dataclasses.replace(config_of(load_robot("frog2022").planner), depth=1)
+
+
+def test_random_paths_bend_as_much_as_is_asked() -> None:
+    for bend in (0.2, 0.6):
+        path = random_path(np.random.default_rng(3), 0.06, bend)
+        length_m = np.hypot(*np.diff(path.points_m, axis=0).T)
+        assert length_m.sum() == pytest.approx(0.9, rel=0.03)
+        turn = np.abs(np.diff(np.unwrap(path.tangent_rad.astype(float)))) / length_m * 0.06
+        assert 0.3 * bend < turn.max() < 1.2 * bend
+    paths = training_paths(np.random.default_rng(3), 0.06, 4)
+    assert len(paths) == 9
+    for path in paths.values():
+        assert np.isfinite(path.points_m).all()
+
+
+def test_a_run_by_the_table_ends_and_repeats() -> None:
+    path = shape("line")
+    first, again = (swim(rig.tables(), path, CONFIG, 3, 5) for _ in range(2))
+    assert first == again and first.completed == 1.0
+    assert 0.0 < first.distance_m < 0.02 and first.progress_mps > 0.015
+    other = swim(rig.tables(), path, CONFIG, 3, 6)
+    assert other != first
+    aimless = dataclasses.replace(CONFIG, distance_weight_per_m=0.0, angle_weight_per_rad=0.0)
+    assert swim(rig.tables(), path, aimless, 3, 5).distance_m > first.distance_m
+
+
+def test_the_score_prefers_near_runs_but_never_slow_ones() -> None:
+    before = [Swum(0.004, 0.02, 1.0), Swum(0.008, 0.03, 1.0)]
+    assert score(before, before) == 0.0
+    nearer = [dataclasses.replace(each, distance_m=0.5 * each.distance_m) for each in before]
+    assert score(nearer, before) == pytest.approx(np.log(0.5))
+    assert (
+        score([dataclasses.replace(each, progress_mps=0.9 * each.progress_mps) for each in nearer], before)
+        > 0
+    )
+    assert (
+        score([dataclasses.replace(each, progress_mps=1.1 * each.progress_mps) for each in before], before)
+        == 0
+    )
+    assert score([dataclasses.replace(each, completed=0.5) for each in nearer], before) > 0
+
+
+def test_what_is_found_is_the_best_that_was_tried() -> None:
+    tried: list[float] = []
+
+    def judge(config: PlanConfig) -> float:
+        tried.append(
+            abs(np.log(config.look_ahead_m / 0.05)) + abs(np.log(config.distance_weight_per_m / 400.0))
+        )
+        return tried[-1]
+
+    found = tune(judge, CONFIG, 60, np.random.default_rng(1))
+    assert judge(found) == min(tried)
+    assert min(tried) < 0.4 * tried[0]
+    kept = {
+        name: getattr(found, name) for name in ("progress_weight_per_m", "wall_weight_per_m", "depth", "cost")
+    }
+    assert kept == {name: getattr(CONFIG, name) for name in kept}
+
+
+def test_the_command(capsys: pytest.CaptureFixture[str]) -> None:
+    arguments = ["study", "weights", "--tables", str(rig.small_table()), "--depth", "1"]
+    few = ["--trials", "3", "--paths", "2", "--runs", "1"]
+    assert run_command([*arguments, *few, "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert set(told["weights"]) == set(TUNED)
+    assert told["before"].keys() == told["after"].keys() and "line" not in told["before"]
+    assert run_command([*arguments, *few]) == 0
+    text = capsys.readouterr().out
+    lines = tomllib.loads(text[text.index("distance_weight_per_m") :])
+    assert lines == pytest.approx(told["weights"])

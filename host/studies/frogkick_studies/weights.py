@@ -40,7 +40,7 @@ BENDS_RAD = (0.18, 0.3, 0.48, 0.72)
 CLOSED_STROKES = ((2.7, 1.7), (2.0, 2.0), (3.3, 2.2), (2.3, 1.5))
 """Half axes of the closed paths that are tuned on, in longest strokes."""
 JUDGED = ("ellipse", "bends", "eight", "circle")
-"""Shapes that, besides random paths, nothing is tuned on. The sine's end is left out: no robot can follow it."""
+"""Shapes that nothing is tuned on. The sine is left out, as its ends bend more than the robot can turn."""
 DECISIONS_MOST = 80
 NOISE = 0.01
 """Of each decision: of the longest stroke (position), in radians, and twice as much of its mean speed."""

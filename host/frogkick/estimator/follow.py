@@ -33,10 +33,6 @@ class Follow:
         self._path = path_rows(path)
         self._reach_m = np.float32(tables.stroke_max_m)
         self._is_route = config.cost == Cost.ROUTE
-        self.begin()
-
-    def begin(self) -> None:
-        """Start a run."""
         self.along_points = np.float32(0.0)
         self._mark: tuple[np.float32, tuple[np.float32, np.float32], np.float32] | None = None
         self._idle = 0

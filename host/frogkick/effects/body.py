@@ -1,8 +1,8 @@
 """Effects of the body's construction that its drawing does not contain.
 
-Added mass, drag and thrust of the limbs can only be distinguished by many runs together. So a search does not
-test these effects one at a time; they are fitted to runs jointly, starting from the values of a robot that
-was measured (see frogkick.identification.calibrated).
+Added mass, drag and thrust of the limbs are confounded in a single run, and only many runs distinguish them.
+So a search does not test these effects one at a time. It fits them jointly, and starts from the values of a
+robot that was calibrated before (see ``frogkick.identification.calibrated``).
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from frogkick.effects.inertia import with_inertia
 from frogkick.effects.limbs import require_group
 from frogkick.robot import Limb, Robot
 
-_FATIGUE_STROKES = 24  # of a limb, that are remembered: older ones have faded
+_FATIGUE_STROKES = 24  # strokes of a limb that count; the effect of older ones has faded
 
 
 class Hull(Effect):
@@ -65,7 +65,9 @@ _PLATES = (
     (1.0, 1.25, 1.5, 1.59, 2.0, 2.5, 3.0, 4.0, 5.0, 6.25, 8.0, 10.0),
     (0.579, 0.642, 0.690, 0.704, 0.757, 0.801, 0.830, 0.872, 0.897, 0.917, 0.934, 0.947),
 )
-"""Sides' ratio of a rectangular plate, and its added mass over that of a part of a long one (DNV-RP-C205)."""
+"""Aspect ratio of a rectangular plate, and its added mass over that of an equal part of an infinite one.
+
+Source: DNV-RP-C205."""
 
 
 def plate_mass_kg_per_m(limb: Limb, density_kg_per_m3: float) -> float:
@@ -81,7 +83,7 @@ def plate_mass_kg_per_m(limb: Limb, density_kg_per_m3: float) -> float:
 
 
 class LimbPlate(Effect):
-    """A limb is a plate: it takes water along across itself and none along, and its tip leaves some behind.
+    """A limb is a plate: water moves with it across but not along, and its tip sheds some of the momentum.
 
     For the paper's limbs, 35.5 mm long and 24 mm high, this is 0.31 kg/m, 23 times the added mass of the
     model's round rod, which acts in all directions. See ``frogkick.der.plates`` for the force.
@@ -172,7 +174,10 @@ class LimbFatigue(Effect):
 
 
 class MunkMoment(Effect):
-    """A body whose added mass differs forward and sideways turns while it drifts (Munk's moment)."""
+    """A body whose added mass differs forward and sideways turns while it drifts.
+
+    Source: Munk 1924, NACA report 184; Lamb 1932, article 124.
+    """
 
     name = "munk_moment"
     about = "a torque in proportion to forward times sideways speed"

@@ -14,15 +14,15 @@ from frogkick.robot import Robot
 ALL = "all"
 
 DELAYS_S = (0.015, 0.03, 0.045, 0.06, 0.075, 0.09, 0.105, 0.12, 0.135, 0.15, 0.18, 0.22, 0.26)
-"""Spacing below half a period of the frame's oscillation, some 25 ms: a delayed stroke meets another phase
-of it."""
+"""Starting values of a delay. A delay shifts the stroke against the frame's oscillation of some 25 ms, so the
+fit has local minima; the spacing is below half of that period."""
 
 
 def require_group(effect: Effect, group: str, robot: Robot) -> None:
-    """Raise an error if a word is in no limb's name.
+    """Raise an error if no limb of a robot has a word in its name.
 
     Raises:
-        InputError: the text names the words that are.
+        InputError: no limb has it; the text lists the words that limbs have.
     """
     words = sorted({word for limb in robot.limbs for word in limb.name.split("_")})
     if group not in words:

@@ -55,8 +55,7 @@ class ShearCurrent(Effect):
 
 
 class Vortex(Effect):
-    """A vortex with a core: inside it the water turns like a solid, outside the speed falls with the
-    distance."""
+    """Rankine's vortex: its core turns like a solid, and outside of it the speed falls with the distance."""
 
     name = "vortex"
     about = "the water whirls around a point (Rankine's vortex)"

@@ -18,18 +18,24 @@ DELAYS_S = (0.015, 0.03, 0.045, 0.06, 0.075, 0.09, 0.105, 0.12, 0.135, 0.15, 0.1
 fit has local minima; the spacing is below half of that period."""
 
 
-def require_group(effect: Effect, group: str, robot: Robot) -> None:
-    """Raise an error if no limb of a robot has a word in its name.
+class GroupEffect(Effect):
+    """An effect on the limbs whose name has a word in it: front, rear, left, right."""
 
-    Raises:
-        InputError: no limb has it; the text lists the words that limbs have.
-    """
-    words = sorted({word for limb in robot.limbs for word in limb.name.split("_")})
-    if group not in words:
-        raise InputError(
-            f"effect {effect.title!r}: robot {robot.id!r} has no limb with {group!r} in its name: "
-            f"choose from {', '.join(words)}"
-        )
+    options = {"group": None}
+
+    group: str
+
+    def check(self, robot: Robot) -> None:
+        words = sorted({word for limb in robot.limbs for word in limb.name.split("_")})
+        if self.group not in words:
+            raise InputError(
+                f"effect {self.title!r}: robot {robot.id!r} has no limb with {self.group!r} in its name: "
+                f"choose from {', '.join(words)}"
+            )
+
+    def acts_on(self, limb: str) -> bool:
+        """Return whether the name of a limb has the word."""
+        return self.group in limb.split("_")
 
 
 class LimbWear(Effect):
@@ -143,7 +149,7 @@ class GroupLoss(Effect):
         return stroke
 
 
-class GroupGain(Effect):
+class GroupGain(GroupEffect):
     """Limbs of one group differ from the model: in the wake of other limbs, or built differently."""
 
     name = "group_gain"
@@ -155,17 +161,12 @@ class GroupGain(Effect):
             "duration_scale", "1", 0.5, 4.0, 1.0, "how many times as long as measured it takes to curl back"
         ),
     )
-    options = {"group": None}
 
-    group: str
     gain: float
     duration_scale: float
 
-    def check(self, robot: Robot) -> None:
-        require_group(self, self.group, robot)
-
     def stroke(self, stroke: Stroke, history: History, rng: np.random.Generator) -> Stroke:
-        if self.group in stroke.limb.split("_"):
+        if self.acts_on(stroke.limb):
             stroke.gain *= self.gain
             stroke.duration_scale *= self.duration_scale
         return stroke

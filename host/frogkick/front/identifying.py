@@ -202,8 +202,9 @@ def identify(
     runs, test = list(runs), list(test)
     for each in test:
         if any(_is_same(each, one) for one in runs):
+            name = each.source if isinstance(each, Run) else Path(each).name
             raise InputError(
-                f"run {log_of(each)[1]!r} is a training run and a test run: its test would show how well it "
+                f"run {name!r} is a training run and a test run: its test would show how well it "
                 "was fitted, not how well it is predicted; give each run once"
             )
     logs = [[log_of(each) for each in some] for some in (runs, test)]
